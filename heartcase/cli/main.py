@@ -1,0 +1,118 @@
+"""The ``heartcase`` command: finds the subcommands, and turns errors into one clear line each."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Sequence
+
+import click
+
+from heartcase import __version__
+from heartcase.schemas.errors import HeartcaseError, MissingExtraError
+
+__all__ = ["COMMANDS", "cli", "main"]
+
+COMMANDS: dict[str, str] = {
+    "new": "Write a commented starter recipe for a scan.",
+    "build": "Build a case from a recipe.",
+    "info": "Say what a scan, a recipe's scan or a case is.",
+    "validate": "Check a case, a recipe or a script, and list every problem.",
+    "preview": "Make a picture of a scan or a case.",
+    "simulate": "Run a scripted session on a case.",
+    "bench": "Measure run time against error.",
+    "phantom": "Make a synthetic scan of a heart, with its truth.",
+    "filter": "Stage: smooth a scan, keeping edges.",
+    "segment": "Stage: give each voxel a label.",
+    "walls": "Stage: distance fields and grown walls.",
+    "edit": "Stage: septal defects and sculpting.",
+    "grid": "Stage: simulation cells.",
+    "surface": "Stage: surface and normal map.",
+    "map": "Stage: tie the surface to the grid.",
+    "bundle": "Stage: write the case.",
+    "schema": "Print or write the JSON Schemas.",
+}
+"""Name -> one-line help of each subcommand; its code is in the module of the same name."""
+
+_EXTRA_OF_MODULE = {"numba_cuda": "cuda", "dask": "library", "distributed": "library"}
+_PREPARE_MODULES = [
+    "SimpleITK",
+    "cc3d",
+    "edt",
+    "fast_simplification",
+    "jinja2",
+    "matplotlib",
+    "nrrd",
+    "PIL",
+    "pydicom",
+    "pygltflib",
+    "pyvista",
+    "scipy",
+    "skimage",
+    "trimesh",
+    "vtk",
+    "vtkmodules",
+    "xatlas",
+]
+
+
+class _LazyGroup(click.Group):
+    """Imports a subcommand only when it is used: ``heartcase simulate`` never loads the pipeline's libraries."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
+        if name not in COMMANDS:
+            return None
+        module = importlib.import_module(f"heartcase.cli.{name}")
+        command: click.Command = module.command
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
+
+
+@click.group(
+    cls=_LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110}
+)
+@click.version_option(__version__, prog_name="heartcase")
+def cli() -> None:
+    """From a cardiac MRI or CT to a case bundle and a simulation of it. Not a medical device."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit code (0 well, 1 a problem, 2 wrong usage, 130 interrupted)."""
+    try:
+        cli.main(
+            args=None if arguments is None else list(arguments), prog_name="heartcase", standalone_mode=False
+        )
+    except click.exceptions.Abort:
+        click.echo("heartcase: interrupted; nothing half-written was left", err=True)
+        return 130
+    except click.ClickException as error:
+        error.show()
+        return error.exit_code
+    except KeyboardInterrupt:
+        click.echo("heartcase: interrupted; nothing half-written was left", err=True)
+        return 130
+    except ImportError as error:
+        root = (error.name or "").partition(".")[0]
+        extra = _EXTRA_OF_MODULE.get(root) or ("prepare" if root in _PREPARE_MODULES else None)
+        if extra is None:
+            raise
+        return _show(MissingExtraError("This command", extra))
+    except HeartcaseError as error:
+        return _show(error)
+    return 0
+
+
+def _show(error: HeartcaseError) -> int:
+    for problem in error.problems:
+        click.echo(f"heartcase: {problem}", err=True)
+    return error.exit_code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,220 @@
+"""The format of a case bundle: its manifest and the arrays of each of its files.
+
+A case is a directory ``NAME.case/`` whose ``case.json`` lists every other file by role, size and SHA-256. Bulk arrays
+are safetensors: little-endian, C order. This module only describes; :mod:`heartcase.schemas.bundle_reader` opens.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from heartcase.schemas.base import Model, Name, Vector3
+from heartcase.schemas.geometry import Geometry
+from heartcase.schemas.labels import LabelTable
+from heartcase.schemas.landmarks import Landmark
+
+__all__ = [
+    "ARRAYS",
+    "FORMAT_NAME",
+    "FORMAT_VERSION",
+    "MANIFEST_NAME",
+    "ArraySpec",
+    "CaseManifest",
+    "FileEntry",
+    "FileRole",
+    "Material",
+    "SimulationFigures",
+    "StageRecord",
+]
+
+FORMAT_NAME = "heartcase-bundle"
+FORMAT_VERSION = "1.0"
+MANIFEST_NAME = "case.json"
+
+
+class FileRole(StrEnum):
+    """What a file of the bundle is for. A scene reads only the roles that it needs."""
+
+    GRID = "grid"
+    SURFACE = "surface"
+    MAPPING = "mapping"
+    PICKING = "picking"
+    RENDER = "render"
+    LABELS = "labels"
+
+
+@dataclass(frozen=True)
+class ArraySpec:
+    """One array of a safetensors file."""
+
+    name: str
+    """Key in the file."""
+    dtype: str
+    """numpy dtype name."""
+    shape: tuple[str | int, ...]
+    """Counts by name, or numbers."""
+    unit: str
+    """SI unit or mm; ``1`` for pure numbers."""
+    meaning: str
+    """One line."""
+
+
+ARRAYS: dict[FileRole, tuple[ArraySpec, ...]] = {
+    FileRole.GRID: (
+        ArraySpec(
+            "cells", "int32", ("cell_count", 3), "1", "index (i, j, k) of each tissue cell, by k, j, i"
+        ),
+        ArraySpec("cell_coverage", "float32", ("cell_count",), "1", "fraction of the cell that is tissue"),
+        ArraySpec("cell_label", "uint8", ("cell_count",), "1", "tissue label that fills most of the cell"),
+        ArraySpec("cell_stiffness", "float32", ("cell_count",), "kPa", "Young's modulus of the tissue"),
+        ArraySpec("cell_density", "float32", ("cell_count",), "kg/m3", "density of the tissue"),
+        ArraySpec("nodes", "int32", ("node_count", 3), "1", "corner (i, j, k) of each node, by k, j, i"),
+        ArraySpec("fixed", "uint8", ("node_count",), "1", "1 where a node is held"),
+    ),
+    FileRole.SURFACE: (
+        ArraySpec("vertices", "float32", ("vertex_count", 3), "mm", "welded vertices (x, y, z), patient LPS"),
+        ArraySpec("normals", "float32", ("vertex_count", 3), "1", "unit normals out of the tissue"),
+        ArraySpec(
+            "triangles", "int32", ("triangle_count", 3), "1", "vertex numbers, counter-clockwise from outside"
+        ),
+        ArraySpec(
+            "triangle_label", "uint8", ("triangle_count",), "1", "label of the void beside the triangle"
+        ),
+        ArraySpec("triangle_tissue", "uint8", ("triangle_count",), "1", "label of the tissue behind it"),
+        ArraySpec(
+            "triangle_is_cut", "uint8", ("triangle_count",), "1", "1 on faces where the tissue was cut off"
+        ),
+        ArraySpec("vertex_label", "uint8", ("vertex_count",), "1", "label of the void at the vertex"),
+        ArraySpec(
+            "render_to_welded", "int32", ("render_vertex_count",), "1", "welded vertex of each GLB vertex"
+        ),
+    ),
+    FileRole.MAPPING: (
+        ArraySpec("triangle_nodes", "int32", ("vertex_count", 3), "1", "nodes of the vertex's triangle"),
+        ArraySpec("weights", "float32", ("vertex_count", 3), "1", "weights of the reference point, sum one"),
+        ArraySpec("offset", "float32", ("vertex_count", 3), "mm", "offset along (T, N, B) of the triangle"),
+        ArraySpec("normal", "float32", ("vertex_count", 3), "1", "normal along (T, N, B)"),
+        ArraySpec("curvature", "uint8", ("vertex_count",), "1", "1: use the interpolated basis"),
+        ArraySpec(
+            "tangent", "float32", ("render_vertex_count", 4), "1", "tangent along (T, N, B), handedness"
+        ),
+        ArraySpec("nearest_node", "int32", ("vertex_count",), "1", "nearest node, for one-to-one mapping"),
+    ),
+    FileRole.PICKING: (
+        ArraySpec("nodes", "int32", ("picking_vertex_count",), "1", "node number of each picking vertex"),
+        ArraySpec("triangles", "int32", ("picking_triangle_count", 3), "1", "picking vertex numbers"),
+        ArraySpec("triangle_label", "uint8", ("picking_triangle_count",), "1", "label of the void beside it"),
+    ),
+}
+"""The arrays of each safetensors role. Node and vertex numbers are checked to lie in range on opening."""
+
+
+class Material(Model):
+    """Elastic constants of one tissue label."""
+
+    label: int
+    """Tissue label value."""
+    youngs_modulus_kpa: Annotated[float, Field(gt=0.0, le=1e6)]
+    """Young's modulus, kPa."""
+    density_kg_m3: Annotated[float, Field(gt=0.0, le=2e4)]
+    """Density, kg/m3."""
+
+
+class FileEntry(Model):
+    """One file of the bundle."""
+
+    role: FileRole
+    """What it is for."""
+    name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_.-]{0,127}$")]
+    """File name inside the bundle's directory; never a path."""
+    size: Annotated[int, Field(ge=0)]
+    """Bytes."""
+    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+    """SHA-256 of the content."""
+
+
+class StageRecord(Model):
+    """How a stage came to its output."""
+
+    stage: str
+    """Name of the stage."""
+    version: Annotated[int, Field(ge=1)]
+    """Version of the stage's algorithm."""
+    settings: dict[str, Any]
+    """Its resolved settings."""
+    output_sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+    """Hash of its output."""
+
+
+class SimulationFigures(Model):
+    """What a simulator wants to know before it reads any array."""
+
+    node_count: Annotated[int, Field(ge=1)]
+    """Nodes of the cell lattice."""
+    cell_count: Annotated[int, Field(ge=1)]
+    """Tissue cells."""
+    fixed_node_count: Annotated[int, Field(ge=0)]
+    """Nodes that are held."""
+    cell_mm: Annotated[float, Field(gt=0.0)]
+    """Edge of a cell, mm."""
+    step_default_s: Annotated[float, Field(gt=0.0)]
+    """Default time step: 0.8 x 2 / sqrt(24 k/m) of the stiffest-to-mass cell, in s."""
+    step_limit_s: Annotated[float, Field(gt=0.0)]
+    """Largest time step that is stable at rest for every shape: 2 / sqrt(20 k/m), in s."""
+    steps_per_second: Annotated[float, Field(gt=0.0)]
+    """Steps that one second of real time takes at the default."""
+    tissue_volume_ml: Annotated[float, Field(ge=0.0)]
+    """Volume of the tissue by coverage, ml."""
+
+
+class CaseManifest(Model):
+    """``case.json``: the only thing that makes the files beside it a case."""
+
+    format: str = FORMAT_NAME
+    """Always ``heartcase-bundle``."""
+    format_version: Annotated[str, Field(pattern=r"^[0-9]+\.[0-9]+$")] = FORMAT_VERSION
+    """Readers refuse an unknown major version."""
+    required_extensions: tuple[str, ...] = ()
+    """Readers refuse a case that requires an extension they do not know."""
+    name: Name
+    """Name of the case."""
+    notice: str = "Not a medical device. For teaching, research and planning beside approved means only."
+    """Always shown with the case."""
+    scan_geometry: Geometry
+    """Lattice of the scan's region of interest."""
+    grid_geometry: Geometry
+    """Lattice of the simulation cells: origin is the centre of cell (0, 0, 0); right-handed."""
+    gltf_from_lps: tuple[Vector3, Vector3, Vector3] = ((0.001, 0, 0), (0, 0, 0.001), (0, -0.001, 0))
+    """Rows of the matrix from LPS mm to the GLB's metres, Y up: (x, z, -y) / 1000."""
+    labels: LabelTable
+    """What label values stand for."""
+    materials: tuple[Material, ...]
+    """Elastic constants per tissue label."""
+    landmarks: tuple[Landmark, ...] = ()
+    """Named points, rings and lines in mm."""
+    simulation: SimulationFigures
+    """Counts and step sizes."""
+    software_version: str
+    """Version of heartcase that wrote the case."""
+    scan_sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+    """Hash of the scan's intensities and geometry (no header)."""
+    modality: str
+    """CT, MR or unknown."""
+    acquisition: dict[str, Any] = {}
+    """Physics of the acquisition, without identity."""
+    stages: tuple[StageRecord, ...]
+    """Provenance of every stage, in order."""
+    quality: dict[str, Any] = {}
+    """Quality figures per stage."""
+    warnings: tuple[str, ...] = ()
+    """What a user must know, worst first."""
+    files: tuple[FileEntry, ...]
+    """Every file of the bundle but this one."""
+
+    def file(self, role: FileRole) -> FileEntry | None:
+        """The file with this role, or None when the case was made without it."""
+        return next((entry for entry in self.files if entry.role is role), None)

@@ -1,0 +1,177 @@
+"""The errors of heartcase, in one hierarchy.
+
+::
+
+    HeartcaseError              every error that is not a bug
+    ├── UsageError              the command line or a call was given the wrong things
+    ├── ScanError               a scan cannot be read
+    ├── MarkerError             markers cannot be read or do not fit the scan
+    ├── RecipeError             a recipe is wrong
+    ├── StageError              a stage of the pipeline cannot do what is asked
+    ├── BundleError             a case bundle is broken, or cannot be written
+    ├── ScriptError             a simulation script is wrong
+    ├── SimulationError         the simulation was asked for, or came to, something impossible
+    └── MissingExtraError       an optional part of heartcase is not installed
+
+An error carries every problem that was found, each with its place. The command line prints them a line each
+and exits with ``exit_code``; anything that is not a :class:`HeartcaseError` is a bug and keeps its traceback.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from pydantic import ValidationError
+
+__all__ = [
+    "BundleError",
+    "HeartcaseError",
+    "MarkerError",
+    "MissingExtraError",
+    "ModelProblems",
+    "Problem",
+    "RecipeError",
+    "ScanError",
+    "ScriptError",
+    "SimulationError",
+    "StageError",
+    "UsageError",
+    "problems_from_validation",
+]
+
+
+@dataclass(frozen=True, order=True)
+class Problem:
+    """One thing that is wrong: where it is, and what it is with what to do about it.
+
+    Attributes
+    ----------
+    place
+        File role, stage, setting (``walls.smoothing_mm``), label or slice. Never a patient's file name.
+    message
+        What is wrong and what to do, in one line of plain words.
+    """
+
+    place: str
+    message: str
+
+    def __str__(self) -> str:
+        return f"{self.place}: {self.message}" if self.place else self.message
+
+
+class HeartcaseError(Exception):
+    """Base of every error that a user can cause and mend.
+
+    Parameters
+    ----------
+    problems
+        One message, one :class:`Problem`, or all the problems that were found.
+    place
+        Place of the problem when ``problems`` is a plain message.
+    """
+
+    exit_code = 1
+
+    def __init__(self, problems: str | Problem | Iterable[Problem], *, place: str = "") -> None:
+        if isinstance(problems, str):
+            problems = Problem(place, problems)
+        if isinstance(problems, Problem):
+            problems = (problems,)
+        self.problems: tuple[Problem, ...] = tuple(problems)
+        super().__init__("\n".join(str(problem) for problem in self.problems))
+
+
+class UsageError(HeartcaseError):
+    """The command line or a call was given the wrong things."""
+
+    exit_code = 2
+
+
+class ScanError(HeartcaseError):
+    """A scan cannot be read."""
+
+
+class MarkerError(HeartcaseError):
+    """Markers cannot be read, or do not fit the scan."""
+
+
+class RecipeError(HeartcaseError):
+    """A recipe is wrong."""
+
+
+class StageError(HeartcaseError):
+    """A stage of the pipeline cannot do what is asked."""
+
+
+class BundleError(HeartcaseError):
+    """A case bundle is broken, or cannot be written."""
+
+
+class ScriptError(HeartcaseError):
+    """A simulation script is wrong."""
+
+
+class SimulationError(HeartcaseError):
+    """The simulation was asked for, or came to, something impossible."""
+
+
+class MissingExtraError(HeartcaseError):
+    """An optional part of heartcase is not installed.
+
+    Parameters
+    ----------
+    feature
+        What was asked for, as it starts a sentence.
+    extra
+        The extra of the package that brings it: ``prepare``, ``cuda``, ``library``.
+    """
+
+    def __init__(self, feature: str, extra: str) -> None:
+        super().__init__(f"{feature} needs an optional part: run  pip install 'heartcase[{extra}]'")
+
+
+class ModelProblems(ValueError):
+    """Raised inside a schema model's validator: several problems at once, each with its place in the model."""
+
+    def __init__(self, problems: Iterable[Problem]) -> None:
+        self.problems = tuple(problems)
+        super().__init__("; ".join(str(problem) for problem in self.problems))
+
+
+def problems_from_validation(error: ValidationError, *, place: str = "") -> tuple[Problem, ...]:
+    """Turn a pydantic error into problems with dotted places, such as ``strokes[2].points_mm``."""
+    problems: list[Problem] = []
+    for detail in error.errors(include_url=False):
+        dotted = _dotted(detail["loc"], place)
+        cause = detail.get("ctx", {}).get("error")
+        message = detail["msg"].removeprefix("Value error, ")
+        if isinstance(cause, ModelProblems):
+            problems += [Problem(_joined(dotted, inner.place), inner.message) for inner in cause.problems]
+            continue
+        if detail["type"] == "too_short" and any(
+            problem.place.startswith(f"{dotted}[") for problem in problems
+        ):
+            continue
+        if detail["type"] == "extra_forbidden":
+            message = "unknown setting: check its spelling, or remove it"
+        elif detail["type"] == "missing":
+            message = "is missing: add it"
+        elif isinstance(detail["input"], str | int | float | bool):
+            message += f" (found {detail['input']!r})"
+        problems.append(Problem(dotted, message))
+    return tuple(problems)
+
+
+def _joined(outer: str, inner: str) -> str:
+    return f"{outer}.{inner}" if outer and inner else outer or inner
+
+
+def _dotted(location: tuple[int | str, ...], place: str) -> str:
+    dotted = place
+    for part in location:
+        if isinstance(part, int):
+            dotted += f"[{part + 1}]"
+        else:
+            dotted = _joined(dotted, part)
+    return dotted

@@ -1,0 +1,202 @@
+"""The label table: what each label value of a segmentation stands for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from enum import StrEnum
+from typing import Annotated
+
+from pydantic import Field, field_validator
+
+from heartcase.schemas.base import Colour, Model, Name
+
+__all__ = ["BACKGROUND", "Label", "LabelTable", "Role", "default_label_table"]
+
+BACKGROUND = 0
+"""The label value of everything that is not part of the heart."""
+
+
+class Role(StrEnum):
+    """What kind of thing a label is. Tissue is myocardium, wall and device; the rest is void to the simulator."""
+
+    BACKGROUND = "background"
+    BLOOD = "blood"
+    VESSEL_LUMEN = "vessel_lumen"
+    MYOCARDIUM = "myocardium"
+    WALL = "wall"
+    DEVICE = "device"
+
+    @property
+    def is_tissue(self) -> bool:
+        """Whether the simulator gives this role mass and stiffness."""
+        return self in (Role.MYOCARDIUM, Role.WALL, Role.DEVICE)
+
+    @property
+    def is_blood(self) -> bool:
+        """Whether blood flows here: the cavity of a chamber or of a vessel."""
+        return self in (Role.BLOOD, Role.VESSEL_LUMEN)
+
+
+class Label(Model):
+    """One label: a structure of the heart, or something beside it."""
+
+    value: Annotated[int, Field(ge=0, le=250)]
+    """Value in the label volume; 0 is background."""
+    name: Name
+    """Unique name; a SNOMED CT term where one exists."""
+    role: Role
+    """What kind of thing it is."""
+    colour: Colour = "#a0a0a0"
+    """Colour in pictures and in the surface."""
+    wall_thickness_mm: Annotated[float, Field(ge=0.0, le=50.0)] = 0.0
+    """Thickness of the wall to grow around this cavity, in mm; 0 grows none."""
+    wall_of: int | None = None
+    """For a grown wall: the value of the cavity around which it was grown."""
+    snomed: Annotated[str, Field(pattern=r"^[0-9]{6,18}$")] | None = None
+    """SNOMED CT concept identifier."""
+
+
+class LabelTable(Model):
+    """All labels of a case, by ascending value; value 0 is always the background."""
+
+    labels: tuple[Label, ...]
+
+    @field_validator("labels")
+    @classmethod
+    def _check(cls, labels: tuple[Label, ...]) -> tuple[Label, ...]:
+        labels = tuple(sorted(labels, key=lambda label: label.value))
+        if not labels or labels[0].value != BACKGROUND:
+            labels = (
+                Label(value=BACKGROUND, name="background", role=Role.BACKGROUND, colour="#000000"),
+                *labels,
+            )
+        problems = []
+        if labels[0].role is not Role.BACKGROUND:
+            problems.append(
+                f"label value 0 is the background and cannot have the role {labels[0].role.value!r}"
+            )
+        seen_values: dict[int, str] = {}
+        seen_names: dict[str, int] = {}
+        for label in labels:
+            if label.value in seen_values:
+                problems.append(
+                    f"value {label.value} is used by {seen_values[label.value]!r} and by {label.name!r}"
+                )
+            if label.name.lower() in seen_names:
+                problems.append(f"the name {label.name!r} is used twice")
+            if label.wall_thickness_mm > 0.0 and not label.role.is_blood:
+                problems.append(f"{label.name!r}: only a blood or vessel_lumen label can grow a wall")
+            seen_values[label.value] = label.name
+            seen_names[label.name.lower()] = label.value
+        for label in labels:
+            if label.wall_of is not None and label.wall_of not in seen_values:
+                problems.append(
+                    f"{label.name!r}: wall_of names value {label.wall_of}, which is not in the table"
+                )
+        if problems:
+            raise ValueError("; ".join(problems))
+        return labels
+
+    def __iter__(self) -> Iterator[Label]:  # type: ignore[override]
+        return iter(self.labels)
+
+    def __len__(self) -> int:
+        return len(self.labels)
+
+    def __contains__(self, value: object) -> bool:
+        return any(label.value == value for label in self.labels)
+
+    def __getitem__(self, key: int | str) -> Label:
+        """The label with this value, or with this name (upper and lower case alike).
+
+        Raises
+        ------
+        KeyError
+            No label has it.
+        """
+        for label in self.labels:
+            if label.value == key or (isinstance(key, str) and label.name.lower() == key.lower()):
+                return label
+        raise KeyError(key)
+
+    @property
+    def values(self) -> tuple[int, ...]:
+        """All values, ascending, background included."""
+        return tuple(label.value for label in self.labels)
+
+    @property
+    def tissue_values(self) -> tuple[int, ...]:
+        """Values of myocardium, wall and device."""
+        return tuple(label.value for label in self.labels if label.role.is_tissue)
+
+    @property
+    def void_values(self) -> tuple[int, ...]:
+        """Values of everything else: background, blood, vessel lumen."""
+        return tuple(label.value for label in self.labels if not label.role.is_tissue)
+
+    @property
+    def blood_values(self) -> tuple[int, ...]:
+        """Values of blood and vessel lumen."""
+        return tuple(label.value for label in self.labels if label.role.is_blood)
+
+    def with_label(self, label: Label) -> LabelTable:
+        """A table with this label added, or put in place of the one with the same value."""
+        return LabelTable(labels=(*(old for old in self.labels if old.value != label.value), label))
+
+    def free_value(self) -> int:
+        """The lowest value above all that are in use."""
+        return self.labels[-1].value + 1
+
+    def wall_value(self, cavity: int) -> int | None:
+        """Value of the wall grown around this cavity, or None."""
+        return next((label.value for label in self.labels if label.wall_of == cavity), None)
+
+    def with_walls(self) -> LabelTable:
+        """A table with one wall label for each cavity that asks for a wall and has none yet.
+
+        The wall of a chamber (role ``blood``) is myocardium, that of a vessel is ``wall``. Values follow the
+        highest one in use, in the order of the cavities.
+        """
+        table = self
+        for label in self.labels:
+            if label.wall_thickness_mm > 0.0 and table.wall_value(label.value) is None:
+                table = table.with_label(
+                    Label(
+                        value=table.free_value(),
+                        name=f"{label.name[:59]} wall",
+                        role=Role.MYOCARDIUM if label.role is Role.BLOOD else Role.WALL,
+                        colour=_darker(label.colour),
+                        wall_of=label.value,
+                    )
+                )
+        return table
+
+
+def _darker(colour: str) -> str:
+    channels = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
+    return "#" + "".join(f"{channel * 7 // 10:02x}" for channel in channels)
+
+
+def default_label_table() -> LabelTable:
+    """The labels of a heart with four chambers: what ``heartcase new`` writes and the phantom uses.
+
+    Wall thicknesses are usual adult values in mm; the left ventricle has none because its myocardium is segmented.
+    """
+    rows: tuple[tuple[int, str, Role, str, float, str | None], ...] = (
+        (0, "background", Role.BACKGROUND, "#000000", 0.0, None),
+        (1, "left ventricle", Role.BLOOD, "#d8412f", 0.0, "87878005"),
+        (2, "right ventricle", Role.BLOOD, "#3f6fd0", 4.0, "53085002"),
+        (3, "left atrium", Role.BLOOD, "#e8785f", 2.5, "82471001"),
+        (4, "right atrium", Role.BLOOD, "#6fa0e8", 2.5, "73829009"),
+        (5, "aorta", Role.VESSEL_LUMEN, "#e03b5a", 2.0, "15825003"),
+        (6, "pulmonary artery", Role.VESSEL_LUMEN, "#4b8fd9", 2.0, "81040000"),
+        (7, "superior vena cava", Role.VESSEL_LUMEN, "#5a7fb8", 1.5, "48345005"),
+        (8, "inferior vena cava", Role.VESSEL_LUMEN, "#4a6fa8", 1.5, "64131007"),
+        (9, "left ventricular myocardium", Role.MYOCARDIUM, "#b5605a", 0.0, None),
+    )
+    return LabelTable(
+        labels=tuple(
+            Label(value=value, name=name, role=role, colour=colour, wall_thickness_mm=wall, snomed=snomed)
+            for value, name, role, colour, wall, snomed in rows
+        )
+    )

@@ -1,0 +1,54 @@
+"""The numbering of the simulation grid's nodes and the springs of a cell: part of the bundle's format.
+
+Corner (i, j, k) of cell (i, j, k) lies half a cell before its centre along each axis. Corners, cells and nodes are
+ordered by k, then j, then i. The eight corners of a cell are numbered by their offset: bit 0 is i, bit 1 j, bit 2 k.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["CELL_DIAGONALS", "CELL_EDGES", "CORNER_OFFSETS", "cell_nodes", "lattice_keys"]
+
+Int32 = npt.NDArray[np.int32]
+
+CORNER_OFFSETS: Int32 = np.array([[c & 1, c >> 1 & 1, c >> 2 & 1] for c in range(8)], dtype=np.int32)
+"""Offset (i, j, k) of each corner of a cell, shape (8, 3)."""
+
+_PAIRS = [(a, b) for a in range(8) for b in range(a + 1, 8)]
+CELL_EDGES: Int32 = np.array([p for p in _PAIRS if (p[0] ^ p[1]).bit_count() == 1], dtype=np.int32)
+"""Corner numbers of the 12 edges of a cell, shape (12, 2)."""
+CELL_DIAGONALS: Int32 = np.array([p for p in _PAIRS if (p[0] ^ p[1]).bit_count() == 2], dtype=np.int32)
+"""Corner numbers of the 12 face diagonals of a cell, shape (12, 2)."""
+
+_OFFSET = 1 << 20
+
+
+def lattice_keys(indices: npt.ArrayLike) -> npt.NDArray[np.int64]:
+    """One integer per index (i, j, k), ascending in the lattice's order; shape (..., 3) to (...)."""
+    ijk = np.asarray(indices, dtype=np.int64) + _OFFSET
+    keys: npt.NDArray[np.int64] = (ijk[..., 2] << 42) | (ijk[..., 1] << 21) | ijk[..., 0]
+    return keys
+
+
+def cell_nodes(cells: npt.ArrayLike) -> tuple[Int32, Int32]:
+    """Number the corners of the cells.
+
+    Parameters
+    ----------
+    cells
+        Index (i, j, k) of each cell, shape (cell_count, 3); each within +-2**20.
+
+    Returns
+    -------
+    nodes
+        Corner (i, j, k) of each node, int32, shape (node_count, 3), by k, j, i.
+    corners
+        Node number of each cell's eight corners, int32, shape (cell_count, 8).
+    """
+    cells = np.asarray(cells, dtype=np.int32).reshape(-1, 3)
+    corners = cells[:, None, :] + CORNER_OFFSETS[None, :, :]
+    _, first, inverse = np.unique(lattice_keys(corners).ravel(), return_index=True, return_inverse=True)
+    nodes = np.ascontiguousarray(corners.reshape(-1, 3)[first])
+    return nodes, inverse.reshape(-1, 8).astype(np.int32)

@@ -1,0 +1,193 @@
+"""The case recipe: a TOML file that says everything that makes a case."""
+
+from __future__ import annotations
+
+import tomllib
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field, ValidationError, model_validator
+
+from heartcase.schemas.base import Model, Name
+from heartcase.schemas.errors import ModelProblems, Problem, RecipeError, problems_from_validation
+from heartcase.schemas.labels import Label, LabelTable, default_label_table
+from heartcase.schemas.landmarks import Landmark
+from heartcase.schemas.settings import (
+    Edit,
+    EndMarker,
+    FilterSettings,
+    GridSettings,
+    MapSettings,
+    MaterialsSettings,
+    Pin,
+    RegionSettings,
+    SegmentSettings,
+    Stroke,
+    SurfaceSettings,
+    WallsSettings,
+)
+
+__all__ = ["RECIPE_VERSION", "MarkerFile", "Part", "Recipe", "ScanSource", "load_recipe", "parse_recipe"]
+
+RECIPE_VERSION = 1
+
+
+class Part(StrEnum):
+    """Optional parts of a case: what is not wanted is not made."""
+
+    SURFACE = "surface"
+    RENDER = "render"
+    PICKING = "picking"
+    LABELS = "labels"
+
+
+class ScanSource(Model):
+    """Where the scan is. The path stays in the recipe: it is written to no output."""
+
+    path: Annotated[str, Field(min_length=1)]
+    """File (.nii, .nii.gz, .nrrd, .nhdr, .mha, .mhd) or folder of a DICOM series, relative to the recipe."""
+    series: str | None = None
+    """DICOM: which series of the folder, by its number or the end of its UID, when there are several."""
+    origin: Annotated[str, Field(max_length=500)] | None = None
+    """Where to get the scan, shown when it is not there."""
+
+
+class MarkerFile(Model):
+    """A file of markers: a label volume, or a list of points."""
+
+    path: Annotated[str, Field(min_length=1)]
+    """.nii.gz, .nrrd, .seg.nrrd or .mrk.json, relative to the recipe."""
+    names: dict[str, Name] = {}
+    """Segment name, value or list name in the file -> label name; the same name when left out."""
+    radius_mm: Annotated[float, Field(ge=0.0, le=50.0)] = 1.5
+    """Point lists: radius of the dab around each point."""
+
+
+class Recipe(Model):
+    """Everything that makes a case, but the scan itself."""
+
+    heartcase_recipe: Annotated[int, Field(ge=1, le=RECIPE_VERSION)]
+    """Version of the recipe's format: 1."""
+    name: Name
+    """Name of the case: not the patient's."""
+    scan: ScanSource
+    """The scan."""
+    labels: tuple[Label, ...] = Field(default_factory=lambda: default_label_table().labels)
+    """Label table; a heart with four chambers when left out."""
+    region: RegionSettings | None = None
+    """Region of interest; the whole scan when left out."""
+    filter: FilterSettings = FilterSettings()
+    """Smoothing."""
+    segment: SegmentSettings = SegmentSettings()
+    """Segmentation."""
+    markers: tuple[MarkerFile, ...] = ()
+    """Marker files; later ones paint over earlier ones."""
+    strokes: tuple[Stroke, ...] = ()
+    """Painted strokes, over the marker files; later ones paint over earlier ones."""
+    walls: WallsSettings = WallsSettings()
+    """Distance fields and walls."""
+    ends: tuple[EndMarker, ...] = ()
+    """Where vessels are cut off."""
+    edits: tuple[Edit, ...] = ()
+    """Septal defects and sculpting, in order."""
+    grid: GridSettings = GridSettings()
+    """Simulation grid."""
+    surface: SurfaceSettings = SurfaceSettings()
+    """Visible surface."""
+    map: MapSettings = MapSettings()
+    """Tie between them."""
+    materials: MaterialsSettings = MaterialsSettings()
+    """Elastic constants."""
+    pins: tuple[Pin, ...] = ()
+    """Tissue that is held fixed beside what the region of interest or an end marker cuts."""
+    landmarks: tuple[Landmark, ...] = ()
+    """Named points, rings and lines that go into the case."""
+    parts: tuple[Part, ...] = (Part.SURFACE, Part.RENDER, Part.PICKING, Part.LABELS)
+    """Optional parts that the scene wants; the simulation grid is always there."""
+
+    @property
+    def table(self) -> LabelTable:
+        """The label table, background included, without grown walls."""
+        return LabelTable(labels=self.labels)
+
+    @model_validator(mode="after")
+    def _names_are_known(self) -> Recipe:
+        table = self.table
+        names = {label.name.lower() for label in table}
+        all_names = {label.name.lower() for label in table.with_walls()}
+        devices = {edit.label.lower() for edit in self.edits if edit.kind == "close_defect"}
+        problems: list[Problem] = []
+
+        def check(place: str, name: str, known: set[str]) -> None:
+            if name.lower() not in known:
+                listed = ", ".join(label.name for label in table)
+                problems.append(Problem(place, f"there is no label {name!r} (labels: {listed})"))
+
+        for n, stroke in enumerate(self.strokes, start=1):
+            check(f"strokes[{n}]", stroke.label, names)
+        for n, marker in enumerate(self.markers, start=1):
+            for name in marker.names.values():
+                check(f"markers[{n}].names", name, names)
+        for name in self.segment.names.values():
+            check("segment.names", name, names)
+        for n, wanted in enumerate(self.segment.ranges, start=1):
+            check(f"segment.ranges[{n}]", wanted.label, names)
+        for n, end in enumerate(self.ends, start=1):
+            check(f"ends[{n}]", end.label, names)
+        for n, edit in enumerate(self.edits, start=1):
+            if edit.kind in ("add", "remove"):
+                check(f"edits[{n}]", edit.label, all_names | devices)
+                if edit.into is not None:
+                    check(f"edits[{n}].into", edit.into, all_names | devices)
+            elif not any(edit.axis):
+                problems.append(Problem(f"edits[{n}].axis", "must not be zero"))
+        for name in self.materials.labels:
+            check("materials.labels", name, all_names | devices)
+        if self.segment.method == "watershed" and not self.markers and not self.strokes:
+            problems.append(Problem("segment", "the watershed needs markers: add [[markers]] or [[strokes]]"))
+        seen: set[str] = set()
+        for landmark in self.landmarks:
+            if landmark.name.lower() in seen:
+                problems.append(Problem("landmarks", f"the name {landmark.name!r} is used twice"))
+            seen.add(landmark.name.lower())
+        if Part.RENDER in self.parts and Part.SURFACE not in self.parts:
+            problems.append(Problem("parts", "'render' needs 'surface': add it, or leave 'render' out"))
+        if problems:
+            raise ModelProblems(problems)
+        return self
+
+
+def parse_recipe(text: str) -> Recipe:
+    """Read a recipe from TOML text.
+
+    Raises
+    ------
+    RecipeError
+        With every problem that was found.
+    """
+    try:
+        data: dict[str, Any] = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise RecipeError(f"this is not valid TOML: {error}", place="recipe") from None
+    try:
+        return Recipe.model_validate(data)
+    except ValidationError as error:
+        raise RecipeError(problems_from_validation(error)) from None
+
+
+def load_recipe(path: Path | str) -> Recipe:
+    """Read a recipe file.
+
+    Raises
+    ------
+    RecipeError
+        It cannot be read, or with every problem that was found in it.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise RecipeError("there is no such file; check the path", place="recipe") from None
+    except (OSError, UnicodeDecodeError):
+        raise RecipeError("the file cannot be read as UTF-8 text", place="recipe") from None
+    return parse_recipe(text)

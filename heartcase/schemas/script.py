@@ -1,0 +1,76 @@
+"""The simulation script: what the instruments do, in a TOML file."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from heartcase.schemas.base import Model, Name, PointMm, PositiveMm, Vector3
+
+__all__ = ["GrabAction", "SimulationScript", "Waypoint"]
+
+
+class Waypoint(Model):
+    """Where a grab's centre is at a time; between waypoints it moves in a straight line."""
+
+    time_s: Annotated[float, Field(ge=0.0)]
+    """Time since the script's start, s."""
+    offset_mm: Vector3
+    """Displacement from where the grab closed, LPS mm."""
+
+
+class GrabAction(Model):
+    """Close on the nodes in a sphere, move them, let go (thesis 8.7.2)."""
+
+    kind: Literal["grab"] = "grab"
+    """Which instrument."""
+    name: Name = "grab"
+    """Name in the summary."""
+    position_mm: PointMm | None = None
+    """Centre of the sphere at rest, LPS mm."""
+    landmark: Name | None = None
+    """Name of a landmark of the case to grab at, instead of ``position_mm``."""
+    radius_mm: PositiveMm = 6.0
+    """Radius of the sphere."""
+    start_s: Annotated[float, Field(ge=0.0)] = 0.0
+    """When the grab closes, s."""
+    release_s: Annotated[float, Field(gt=0.0)] | None = None
+    """When it lets go, s; it holds to the end when left out."""
+    path: Annotated[tuple[Waypoint, ...], Field(min_length=1)]
+    """Waypoints by ascending time; before the first the grab stands still, after the last it stays."""
+
+    @model_validator(mode="after")
+    def _check(self) -> GrabAction:
+        problems = []
+        if (self.position_mm is None) == (self.landmark is None):
+            problems.append("give either position_mm or landmark")
+        if self.release_s is not None and self.release_s <= self.start_s:
+            problems.append("release_s must come after start_s")
+        times = [waypoint.time_s for waypoint in self.path]
+        if times != sorted(times) or len(set(times)) != len(times):
+            problems.append("the waypoints' times must ascend")
+        if times and times[0] < self.start_s:
+            problems.append("the first waypoint comes before start_s")
+        if problems:
+            raise ValueError("; ".join(problems))
+        return self
+
+
+class SimulationScript(Model):
+    """A scripted session."""
+
+    seconds: Annotated[float, Field(gt=0.0, le=3600.0)] = 2.0
+    """Simulated time, s."""
+    step_s: Annotated[float, Field(gt=0.0)] | None = None
+    """Time step, s; the case's default when left out. A step beyond the case's limit is refused."""
+    damping_per_s: Annotated[float, Field(ge=0.0)] = 10.0
+    """Mass-proportional damping coefficient c in a = f/m - c v, 1/s."""
+    gravity_m_s2: Vector3 = (0.0, 0.0, 0.0)
+    """Acceleration of gravity in LPS axes, m/s2."""
+    frames_per_second: Annotated[float, Field(gt=0.0, le=1000.0)] = 30.0
+    """How often the surface is updated, in simulated time."""
+    curvature: Literal["flagged", "all", "none"] = "flagged"
+    """Where the surface follows the interpolated basis: per-vertex flag, everywhere, nowhere."""
+    actions: tuple[GrabAction, ...] = ()
+    """What the instruments do."""

@@ -1,0 +1,261 @@
+"""The settings of each stage. Defaults suit a 1-2 mm cardiac scan of a child or an adult."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from heartcase.schemas.base import Model, Name, PointMm, PositiveMm, Vector3
+
+__all__ = [
+    "CloseDefect",
+    "Edit",
+    "EndMarker",
+    "FilterSettings",
+    "GridSettings",
+    "MapSettings",
+    "MaterialSettings",
+    "MaterialsSettings",
+    "Pin",
+    "RegionSettings",
+    "Sculpt",
+    "SegmentSettings",
+    "SeptalDefect",
+    "Stroke",
+    "SurfaceSettings",
+    "ThresholdRange",
+    "WallsSettings",
+]
+
+
+class RegionSettings(Model):
+    """The region of interest: a box along the scan's own axes."""
+
+    center_mm: PointMm
+    """Centre of the box, LPS mm."""
+    size_mm: Annotated[Vector3, Field(description="Extent along the scan's i, j, k axes, mm.")]
+    """Extent along the scan's i, j and k axes, mm."""
+
+    @model_validator(mode="after")
+    def _size_is_positive(self) -> RegionSettings:
+        if min(self.size_mm) <= 0.0:
+            raise ValueError("every size_mm must be above zero")
+        return self
+
+
+class FilterSettings(Model):
+    """Edge-preserving smoothing of the scan (thesis 11.1.2)."""
+
+    method: Literal["gradient_diffusion", "none"] = "gradient_diffusion"
+    """Gradient anisotropic diffusion (Perona and Malik), or no filter."""
+    iterations: Annotated[int, Field(ge=1, le=200)] = 5
+    """Number of diffusion steps."""
+    conductance: Annotated[float, Field(gt=0.0, le=100.0)] = 1.0
+    """Edge threshold in units of the scan's root mean square gradient: lower keeps weaker edges."""
+    time_step: Annotated[float, Field(gt=0.0)] | None = None
+    """Diffusion time step; the stability limit of the scan's spacing when left out."""
+
+
+class ThresholdRange(Model):
+    """Voxels of one label by intensity, for plastinated specimens (thesis 12.3.2)."""
+
+    label: Name
+    """Name of the label."""
+    lower: float | None = None
+    """Lowest intensity that belongs to it; no lower bound when left out."""
+    upper: float | None = None
+    """Highest intensity that belongs to it; no upper bound when left out."""
+
+    @model_validator(mode="after")
+    def _range_is_not_empty(self) -> ThresholdRange:
+        if self.lower is None and self.upper is None:
+            raise ValueError("give lower, upper or both")
+        if self.lower is not None and self.upper is not None and self.lower >= self.upper:
+            raise ValueError("lower must be below upper")
+        return self
+
+
+class SegmentSettings(Model):
+    """How each voxel gets its label (thesis 11.1.1)."""
+
+    method: Literal["watershed", "threshold", "labels"] = "watershed"
+    """Marker-based watershed on the gradient magnitude; intensity ranges; or a finished segmentation as it is."""
+    gradient_sigma_mm: Annotated[float, Field(ge=0.0, le=20.0)] = 0.0
+    """Watershed: scale of the Gaussian derivative; 0 takes central differences."""
+    ranges: tuple[ThresholdRange, ...] = ()
+    """Threshold: intensity range of each label; a voxel in two ranges gets the first."""
+    smallest_piece_ml: Annotated[float, Field(ge=0.0)] = 0.0
+    """Pieces of a label that are smaller than this become background; 0 keeps all."""
+    file: str | None = None
+    """Labels: path of the finished segmentation, relative to the recipe."""
+    names: dict[str, Name] = {}
+    """Labels: segment name or value in the file -> label name; the same name when left out."""
+
+    @model_validator(mode="after")
+    def _method_has_its_input(self) -> SegmentSettings:
+        if self.method == "threshold" and not self.ranges:
+            raise ValueError("method 'threshold' needs at least one entry in ranges")
+        if self.method == "labels" and self.file is None:
+            raise ValueError("method 'labels' needs file")
+        return self
+
+
+class Stroke(Model):
+    """A painted marker: a round brush of a radius along a polyline."""
+
+    label: Name
+    """Name of the label that it marks; ``background`` marks what is not heart."""
+    radius_mm: Annotated[float, Field(ge=0.0, le=50.0)] = 1.5
+    """Radius of the brush; 0 marks the voxels that the line passes."""
+    points_mm: Annotated[tuple[PointMm, ...], Field(min_length=1)]
+    """The polyline, LPS mm; a single point is a dab."""
+
+
+class EndMarker(Model):
+    """Where a vessel is cut off: beyond this disc there is no vessel, no wall is grown over the opening."""
+
+    label: Name
+    """Label of the vessel."""
+    position_mm: PointMm
+    """Centre of the disc, LPS mm."""
+    axis: Vector3
+    """Direction out of the heart along the vessel; any length."""
+    radius_mm: PositiveMm
+    """Radius of the disc: more than the vessel's outer radius, less than the way to its next turn."""
+
+    @model_validator(mode="after")
+    def _axis_is_a_direction(self) -> EndMarker:
+        if not any(self.axis):
+            raise ValueError("the axis must not be zero")
+        return self
+
+
+class WallsSettings(Model):
+    """Distance fields of the structures, and walls grown outward from the cavities (thesis 11.2.3)."""
+
+    smoothing_mm: Annotated[float, Field(ge=0.0, le=20.0)] | None = None
+    """Standard deviation of the blur that takes the voxel steps off a label's border; 0.8 of the mean voxel
+    spacing when left out."""
+    band_mm: PositiveMm | None = None
+    """Distance up to which the fields are exact; the thickest wall and three voxels when left out."""
+
+
+class SeptalDefect(Model):
+    """Make a hole in a septum (atrial or ventricular septal defect): a round canal along an axis."""
+
+    kind: Literal["septal_defect"]
+    """Which edit."""
+    position_mm: PointMm
+    """Centre of the hole, in the middle of the septum, LPS mm."""
+    diameter_mm: PositiveMm
+    """Diameter of the hole."""
+    axis: Vector3
+    """Direction through the septum; any length."""
+    length_mm: PositiveMm = 20.0
+    """Length of the canal, centred on the position: more than the septum's thickness."""
+
+
+class CloseDefect(Model):
+    """Close a septal defect with a patch: a round sheet of a device label."""
+
+    kind: Literal["close_defect"]
+    """Which edit."""
+    position_mm: PointMm
+    """Centre of the patch, LPS mm."""
+    diameter_mm: PositiveMm
+    """Diameter of the patch: somewhat more than the defect's."""
+    axis: Vector3
+    """Direction through the septum; any length."""
+    thickness_mm: PositiveMm = 2.0
+    """Thickness of the patch."""
+    label: Name = "patch"
+    """Name of the patch's label; made with the role ``device`` where the table has none of this name."""
+
+
+class Sculpt(Model):
+    """Add to or remove from a structure with a round brush along a polyline (a single point is a sphere)."""
+
+    kind: Literal["add", "remove"]
+    """Add to the structure from whatever is there, or remove from it."""
+    label: Name
+    """Structure that grows or shrinks."""
+    radius_mm: PositiveMm
+    """Radius of the brush."""
+    points_mm: Annotated[tuple[PointMm, ...], Field(min_length=1)]
+    """The polyline, LPS mm."""
+    into: Name | None = None
+    """Remove: structure that the removed part becomes; the nearest other one when left out."""
+
+
+Edit = Annotated[SeptalDefect | CloseDefect | Sculpt, Field(discriminator="kind")]
+"""One line of the recipe's ``edits``."""
+
+
+class GridSettings(Model):
+    """Down-sampling of the tissue to cells (thesis 11.2.1)."""
+
+    cell_mm: PositiveMm | None = None
+    """Edge of a cell. Give this or ``node_count``; 30,000 nodes when both are left out."""
+    node_count: Annotated[int, Field(ge=8, le=20_000_000)] | None = None
+    """Number of nodes to aim at."""
+    coverage_min: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.02
+    """Fraction of a cell that must be tissue for the cell to exist."""
+    repair: bool = True
+    """Repair walls that broke and openings that closed."""
+
+    @model_validator(mode="after")
+    def _one_size(self) -> GridSettings:
+        if self.cell_mm is not None and self.node_count is not None:
+            raise ValueError("give cell_mm or node_count, not both")
+        return self
+
+
+class SurfaceSettings(Model):
+    """Extraction, decimation and normal map of the surface (thesis 11.2.2)."""
+
+    triangle_count: Annotated[int, Field(ge=100, le=5_000_000)] = 80_000
+    """Triangles after decimation; the full surface is kept where it has fewer."""
+    normal_map_size: Annotated[int, Field(ge=0, le=8192)] = 1024
+    """Edge of the normal map in texels; 0 makes neither atlas nor normal map."""
+    atlas: Literal["cone", "xatlas"] = "cone"
+    """UV charts: cones grown greedily and projected, or xatlas (slower)."""
+
+
+class MapSettings(Model):
+    """How the surface is tied to the grid (thesis 9.3.3)."""
+
+    candidate_count: Annotated[int, Field(ge=1, le=256)] = 24
+    """Nearest triangles that are tried for each vertex."""
+    normal_penalty: Annotated[float, Field(ge=0.0, le=10.0)] = 0.5
+    """Cells of distance that a triangle facing the other way is set back by."""
+
+
+class MaterialSettings(Model):
+    """Elastic constants of one label, or of a role."""
+
+    youngs_modulus_kpa: Annotated[float, Field(gt=0.0, le=1e6)] = 30.0
+    """Young's modulus, kPa."""
+    density_kg_m3: Annotated[float, Field(gt=0.0, le=2e4)] = 1060.0
+    """Density, kg/m3."""
+
+
+class MaterialsSettings(MaterialSettings):
+    """Elastic constants of the tissue, with exceptions by label name."""
+
+    labels: dict[Name, MaterialSettings] = {}
+    """Label name -> constants that differ."""
+
+
+class Pin(Model):
+    """A ball of tissue that is held fixed."""
+
+    position_mm: PointMm
+    """Centre, LPS mm."""
+    radius_mm: PositiveMm
+    """Radius."""
+
+
+def resolved(settings: Model) -> dict[str, Any]:
+    """All settings of a stage with their defaults, ready for JSON."""
+    return settings.model_dump(mode="json")
