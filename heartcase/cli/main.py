@@ -74,9 +74,7 @@ class _LazyGroup(click.Group):
             formatter.write_dl(list(COMMANDS.items()))
 
 
-@click.group(
-    cls=_LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110}
-)
+@click.group(cls=_LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 @click.version_option(__version__, prog_name="heartcase")
 def cli() -> None:
     """From a cardiac MRI or CT to a case bundle and a simulation of it. Not a medical device."""
@@ -85,9 +83,7 @@ def cli() -> None:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code (0 well, 1 a problem, 2 wrong usage, 130 interrupted)."""
     try:
-        cli.main(
-            args=None if arguments is None else list(arguments), prog_name="heartcase", standalone_mode=False
-        )
+        cli.main(args=None if arguments is None else list(arguments), prog_name="heartcase", standalone_mode=False)
     except click.exceptions.Abort:
         click.echo("heartcase: interrupted; nothing half-written was left", err=True)
         return 130

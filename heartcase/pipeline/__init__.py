@@ -1,0 +1,1 @@
+"""From scan to case: one file per stage, arrays in, dataclass out."""

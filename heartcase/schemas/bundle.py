@@ -65,9 +65,7 @@ class ArraySpec:
 
 ARRAYS: dict[FileRole, tuple[ArraySpec, ...]] = {
     FileRole.GRID: (
-        ArraySpec(
-            "cells", "int32", ("cell_count", 3), "1", "index (i, j, k) of each tissue cell, by k, j, i"
-        ),
+        ArraySpec("cells", "int32", ("cell_count", 3), "1", "index (i, j, k) of each tissue cell, by k, j, i"),
         ArraySpec("cell_coverage", "float32", ("cell_count",), "1", "fraction of the cell that is tissue"),
         ArraySpec("cell_label", "uint8", ("cell_count",), "1", "tissue label that fills most of the cell"),
         ArraySpec("cell_stiffness", "float32", ("cell_count",), "kPa", "Young's modulus of the tissue"),
@@ -78,20 +76,12 @@ ARRAYS: dict[FileRole, tuple[ArraySpec, ...]] = {
     FileRole.SURFACE: (
         ArraySpec("vertices", "float32", ("vertex_count", 3), "mm", "welded vertices (x, y, z), patient LPS"),
         ArraySpec("normals", "float32", ("vertex_count", 3), "1", "unit normals out of the tissue"),
-        ArraySpec(
-            "triangles", "int32", ("triangle_count", 3), "1", "vertex numbers, counter-clockwise from outside"
-        ),
-        ArraySpec(
-            "triangle_label", "uint8", ("triangle_count",), "1", "label of the void beside the triangle"
-        ),
+        ArraySpec("triangles", "int32", ("triangle_count", 3), "1", "vertex numbers, counter-clockwise from outside"),
+        ArraySpec("triangle_label", "uint8", ("triangle_count",), "1", "label of the void beside the triangle"),
         ArraySpec("triangle_tissue", "uint8", ("triangle_count",), "1", "label of the tissue behind it"),
-        ArraySpec(
-            "triangle_is_cut", "uint8", ("triangle_count",), "1", "1 on faces where the tissue was cut off"
-        ),
+        ArraySpec("triangle_is_cut", "uint8", ("triangle_count",), "1", "1 on faces where the tissue was cut off"),
         ArraySpec("vertex_label", "uint8", ("vertex_count",), "1", "label of the void at the vertex"),
-        ArraySpec(
-            "render_to_welded", "int32", ("render_vertex_count",), "1", "welded vertex of each GLB vertex"
-        ),
+        ArraySpec("render_to_welded", "int32", ("render_vertex_count",), "1", "welded vertex of each GLB vertex"),
     ),
     FileRole.MAPPING: (
         ArraySpec("triangle_nodes", "int32", ("vertex_count", 3), "1", "nodes of the vertex's triangle"),
@@ -99,9 +89,7 @@ ARRAYS: dict[FileRole, tuple[ArraySpec, ...]] = {
         ArraySpec("offset", "float32", ("vertex_count", 3), "mm", "offset along (T, N, B) of the triangle"),
         ArraySpec("normal", "float32", ("vertex_count", 3), "1", "normal along (T, N, B)"),
         ArraySpec("curvature", "uint8", ("vertex_count",), "1", "1: use the interpolated basis"),
-        ArraySpec(
-            "tangent", "float32", ("render_vertex_count", 4), "1", "tangent along (T, N, B), handedness"
-        ),
+        ArraySpec("tangent", "float32", ("render_vertex_count", 4), "1", "tangent along (T, N, B), handedness"),
         ArraySpec("nearest_node", "int32", ("vertex_count",), "1", "nearest node, for one-to-one mapping"),
     ),
     FileRole.PICKING: (

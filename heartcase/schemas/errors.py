@@ -149,9 +149,7 @@ def problems_from_validation(error: ValidationError, *, place: str = "") -> tupl
         if isinstance(cause, ModelProblems):
             problems += [Problem(_joined(dotted, inner.place), inner.message) for inner in cause.problems]
             continue
-        if detail["type"] == "too_short" and any(
-            problem.place.startswith(f"{dotted}[") for problem in problems
-        ):
+        if detail["type"] == "too_short" and any(problem.place.startswith(f"{dotted}[") for problem in problems):
             continue
         if detail["type"] == "extra_forbidden":
             message = "unknown setting: check its spelling, or remove it"

@@ -51,9 +51,7 @@ class Geometry(Model):
     def _direction_is_orthonormal(cls, value: Matrix3) -> Matrix3:
         matrix = np.array(value)
         if not np.allclose(matrix.T @ matrix, np.eye(3), atol=1e-4):
-            raise ValueError(
-                "the direction vectors must be at right angles and of length one (sheared volume?)"
-            )
+            raise ValueError("the direction vectors must be at right angles and of length one (sheared volume?)")
         return value
 
     @classmethod
@@ -112,7 +110,8 @@ class Geometry(Model):
     def index_to_world(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
         """Map continuous indices (i, j, k), shape (..., 3), to world mm (x, y, z)."""
         world: npt.NDArray[np.float64] = np.asarray(points, dtype=float) @ self.index_to_world_matrix.T
-        return world + np.array(self.origin_mm)
+        world += np.array(self.origin_mm)
+        return world
 
     def world_to_index(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
         """Map world points (x, y, z) in mm, shape (..., 3), to continuous indices (i, j, k)."""

@@ -72,16 +72,12 @@ class LabelTable(Model):
             )
         problems = []
         if labels[0].role is not Role.BACKGROUND:
-            problems.append(
-                f"label value 0 is the background and cannot have the role {labels[0].role.value!r}"
-            )
+            problems.append(f"label value 0 is the background and cannot have the role {labels[0].role.value!r}")
         seen_values: dict[int, str] = {}
         seen_names: dict[str, int] = {}
         for label in labels:
             if label.value in seen_values:
-                problems.append(
-                    f"value {label.value} is used by {seen_values[label.value]!r} and by {label.name!r}"
-                )
+                problems.append(f"value {label.value} is used by {seen_values[label.value]!r} and by {label.name!r}")
             if label.name.lower() in seen_names:
                 problems.append(f"the name {label.name!r} is used twice")
             if label.wall_thickness_mm > 0.0 and not label.role.is_blood:
@@ -90,9 +86,7 @@ class LabelTable(Model):
             seen_names[label.name.lower()] = label.value
         for label in labels:
             if label.wall_of is not None and label.wall_of not in seen_values:
-                problems.append(
-                    f"{label.name!r}: wall_of names value {label.wall_of}, which is not in the table"
-                )
+                problems.append(f"{label.name!r}: wall_of names value {label.wall_of}, which is not in the table")
         if problems:
             raise ValueError("; ".join(problems))
         return labels

@@ -22,6 +22,7 @@ from heartcase.schemas.settings import (
     MaterialsSettings,
     Pin,
     RegionSettings,
+    Sculpt,
     SegmentSettings,
     Stroke,
     SurfaceSettings,
@@ -136,11 +137,11 @@ class Recipe(Model):
         for n, end in enumerate(self.ends, start=1):
             check(f"ends[{n}]", end.label, names)
         for n, edit in enumerate(self.edits, start=1):
-            if edit.kind in ("add", "remove"):
+            if isinstance(edit, Sculpt):
                 check(f"edits[{n}]", edit.label, all_names | devices)
                 if edit.into is not None:
                     check(f"edits[{n}].into", edit.into, all_names | devices)
-            elif not any(edit.axis):
+            elif not isinstance(edit, Sculpt) and not any(edit.axis):
                 problems.append(Problem(f"edits[{n}].axis", "must not be zero"))
         for name in self.materials.labels:
             check("materials.labels", name, all_names | devices)

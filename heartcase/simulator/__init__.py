@@ -1,0 +1,1 @@
+"""From case to motion: the spring lattice, its kernels, instruments and surface."""
