@@ -1,0 +1,120 @@
+"""Stage outputs as bytes and back: what the cache keeps and what the stage commands hand on.
+
+One safetensors file per output: its arrays, and the rest as JSON in the file's metadata. The same output gives the
+same bytes, so their hash names it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import TypeAdapter, ValidationError
+from safetensors import SafetensorError
+from safetensors.numpy import load as load_safetensors
+from safetensors.numpy import save as save_safetensors
+
+from heartcase.pipeline import data as stage_data
+from heartcase.schemas.errors import StageError
+from heartcase.schemas.geometry import Geometry
+from heartcase.schemas.labels import LabelTable
+
+__all__ = ["ARTIFACT_TYPES", "artifact_from_bytes", "artifact_to_bytes", "load_artifact"]
+
+T = TypeVar("T")
+
+ARTIFACT_TYPES: dict[str, type] = {
+    cls.__name__: cls
+    for cls in (
+        stage_data.Scan,
+        stage_data.Markers,
+        stage_data.Segmentation,
+        stage_data.Structures,
+        stage_data.SimulationGrid,
+        stage_data.Surface,
+        stage_data.GridMap,
+        stage_data.PickingSurface,
+    )
+}
+"""Class name -> class of everything that a stage puts out."""
+
+_MODELS: dict[str, type] = {"geometry": Geometry, "table": LabelTable}
+
+
+def artifact_to_bytes(artifact: Any) -> bytes:
+    """Serialise a stage's output; equal outputs give equal bytes."""
+    arrays: dict[str, npt.NDArray[Any]] = {}
+    rest: dict[str, Any] = {}
+    for item in dataclasses.fields(artifact):
+        value = getattr(artifact, item.name)
+        if isinstance(value, np.ndarray):
+            arrays[item.name] = np.ascontiguousarray(value)
+        elif isinstance(value, dict) and value and all(isinstance(v, np.ndarray) for v in value.values()):
+            rest[item.name] = {"keys": sorted(value)}
+            for key in sorted(value):
+                arrays[f"{item.name}/{key}"] = np.ascontiguousarray(value[key])
+        elif item.name in _MODELS:
+            rest[item.name] = value.model_dump(mode="json")
+        else:
+            rest[item.name] = value
+    metadata = {"artifact": type(artifact).__name__, "fields": json.dumps(rest, sort_keys=True, allow_nan=False)}
+    # The library writes metadata in hash order, so one key alone keeps the bytes the same from run to run.
+    return save_safetensors(arrays, {"heartcase": json.dumps(metadata, sort_keys=True)})
+
+
+def artifact_from_bytes(content: bytes, expected: type[T]) -> T:
+    """Read back what :func:`artifact_to_bytes` wrote.
+
+    Raises
+    ------
+    StageError
+        The bytes are damaged, or hold the output of another stage.
+    """
+    try:
+        length = int.from_bytes(content[:8], "little")
+        header = json.loads(content[8 : 8 + length])
+        metadata = json.loads(header["__metadata__"]["heartcase"])
+        rest = json.loads(metadata["fields"])
+        arrays = load_safetensors(content)
+    except (ValueError, KeyError, TypeError, SafetensorError):
+        raise StageError("the file is not the output of a stage, or it is damaged", place="input") from None
+    if metadata["artifact"] != expected.__name__:
+        raise StageError(f"holds a {metadata['artifact']}, but a {expected.__name__} is needed", place="input")
+    values: dict[str, Any] = {}
+    try:
+        for item in dataclasses.fields(expected):  # type: ignore[arg-type]
+            if item.name in arrays:
+                values[item.name] = arrays[item.name]
+            elif item.name in rest and isinstance(rest[item.name], dict) and set(rest[item.name]) == {"keys"}:
+                values[item.name] = {key: arrays[f"{item.name}/{key}"] for key in rest[item.name]["keys"]}
+            elif item.name in _MODELS:
+                values[item.name] = TypeAdapter(_MODELS[item.name]).validate_json(json.dumps(rest[item.name]))
+            else:
+                values[item.name] = _as_tuples(rest[item.name]) if item.name != "quality" else rest[item.name]
+        return expected(**values)
+    except (KeyError, ValidationError):
+        raise StageError("was written by another version: run the stage again", place="input") from None
+
+
+def _as_tuples(value: Any) -> Any:
+    """Lists become tuples again, as the frozen dataclasses hold them."""
+    return tuple(_as_tuples(item) for item in value) if isinstance(value, list) else value
+
+
+def load_artifact(path: Path | str, expected: type[T]) -> T:
+    """Read a stage's output from a file.
+
+    Raises
+    ------
+    StageError
+        There is no such file, or it is not that output.
+    """
+    try:
+        content = Path(path).read_bytes()
+    except OSError:
+        raise StageError("the file cannot be read: check the path", place="input") from None
+    return artifact_from_bytes(content, expected)

@@ -1,0 +1,80 @@
+"""Writing files so that a crash at any moment leaves the old one or the new one, never half of one."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+__all__ = ["LOCK_NAME", "TEMPORARY_PREFIX", "atomic_write", "exclusive", "remove_leftovers", "sha256_of_file"]
+
+TEMPORARY_PREFIX = ".heartcase-tmp-"
+"""What the names of unfinished files start with."""
+
+LOCK_NAME = ".heartcase-lock"
+"""Lock file inside a directory, on systems that cannot lock the directory itself."""
+
+
+def atomic_write(path: Path | str, data: bytes | memoryview) -> None:
+    """Put ``data`` into a file: written beside it under another name, flushed to disk, then renamed over it."""
+    path = Path(path)
+    temporary = path.with_name(f"{TEMPORARY_PREFIX}{os.getpid()}-{path.name}")
+    try:
+        with temporary.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            temporary.unlink()
+        raise
+    _flush_directory(path.parent)
+
+
+def _flush_directory(directory: Path) -> None:
+    if os.name != "posix":
+        return
+    descriptor = os.open(directory, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def remove_leftovers(directory: Path | str) -> None:
+    """Remove what killed runs left unfinished in a directory. Call it while holding :func:`exclusive`."""
+    for leftover in Path(directory).glob(f"{TEMPORARY_PREFIX}*"):
+        with contextlib.suppress(OSError):
+            leftover.unlink()
+
+
+@contextlib.contextmanager
+def exclusive(directory: Path | str) -> Iterator[None]:
+    """Hold the lock of a directory, waiting for it; it is let go when the process ends, however it ends."""
+    if os.name == "posix":
+        import fcntl
+
+        descriptor = os.open(directory, os.O_RDONLY)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+            yield
+        finally:
+            os.close(descriptor)
+    else:
+        import msvcrt
+
+        descriptor = os.open(Path(directory) / LOCK_NAME, os.O_RDWR | os.O_CREAT)
+        try:
+            msvcrt.locking(descriptor, msvcrt.LK_LOCK, 1)  # type: ignore[attr-defined]
+            yield
+        finally:
+            os.close(descriptor)
+
+
+def sha256_of_file(path: Path | str) -> str:
+    """SHA-256 of a file's content as 64 hexadecimal digits."""
+    with Path(path).open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
