@@ -83,7 +83,8 @@ def cli() -> None:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code (0 well, 1 a problem, 2 wrong usage, 130 interrupted)."""
     try:
-        cli.main(args=None if arguments is None else list(arguments), prog_name="heartcase", standalone_mode=False)
+        args = None if arguments is None else list(arguments)
+        code = cli.main(args=args, prog_name="heartcase", standalone_mode=False)
     except click.exceptions.Abort:
         click.echo("heartcase: interrupted; nothing half-written was left", err=True)
         return 130
@@ -101,7 +102,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _show(MissingExtraError("This command", extra))
     except HeartcaseError as error:
         return _show(error)
-    return 0
+    return code if isinstance(code, int) else 0
 
 
 def _show(error: HeartcaseError) -> int:

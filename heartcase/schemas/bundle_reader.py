@@ -256,9 +256,7 @@ def _refuse_unknown(data: dict[str, Any]) -> None:
     ours, _, our_minor = FORMAT_VERSION.partition(".")
     problems = []
     if major != ours:
-        problems.append(
-            Problem("format_version", f"{version!r} is not {ours}.x: use the version that wrote the case")
-        )
+        problems.append(Problem("format_version", f"{version!r} is not {ours}.x: use the version that wrote the case"))
     extensions = data.get("required_extensions", [])
     if isinstance(extensions, list):
         unknown = sorted(str(name) for name in extensions if name not in KNOWN_EXTENSIONS)

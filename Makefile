@@ -1,0 +1,38 @@
+# make case   sets up an environment, builds a sample case from a synthetic scan and pulls on it
+# make test   everything that must hold before a change goes in
+# make bench  run time against error (minutes)
+# Both need Python 3.11 or newer and make. Another Python: make case PYTHON=python3.12
+
+PYTHON ?= python3
+VENV ?= .venv
+OUT ?= out
+BIN = $(VENV)/bin
+
+.PHONY: case test check plain bench clean
+
+$(VENV)/installed: requirements.lock pyproject.toml
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "heartcase needs Python 3.11 or newer: make PYTHON=...")'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
+	touch $@
+
+case: $(VENV)/installed
+	$(BIN)/heartcase phantom $(OUT)/adult_phantom --size adult --modality mri --spacing 1.75
+	$(BIN)/heartcase build sample_cases/adult_phantom.toml --out $(OUT)
+	$(BIN)/heartcase simulate "$(OUT)/adult phantom.case" --script sample_cases/pull.toml --picture $(OUT)/pull.png
+
+test: $(VENV)/installed check
+	$(BIN)/python -m pytest
+
+check: $(VENV)/installed
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports --no-cache
+
+bench: $(VENV)/installed
+	$(BIN)/heartcase bench --json $(OUT)/bench.json
+
+clean:
+	rm -rf $(VENV) $(OUT)

@@ -1,0 +1,109 @@
+"""``heartcase build``: from a recipe to a case."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import click
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+
+from heartcase.cli.output import echo_json
+from heartcase.schemas.recipe import load_recipe
+
+__all__ = ["command"]
+
+STAGE_WORDS = {
+    "read": "reading the scan",
+    "filter": "smoothing the scan",
+    "markers": "painting the markers",
+    "segment": "segmenting",
+    "walls": "distance fields and walls",
+    "edit": "editing",
+    "grid": "simulation grid",
+    "surface": "surface and normal map",
+    "map": "tying surface to grid",
+    "bundle": "writing case and report",
+}
+
+
+class _Bar:
+    """Shows on standard error which stage runs, for how long, and how long it may still take."""
+
+    def __init__(self, console: Console) -> None:
+        columns = ("{task.description}", BarColumn(20), TimeElapsedColumn(), TextColumn("{task.fields[left]}"))
+        self.progress = Progress(*columns, console=console, transient=True, get_time=time.monotonic)
+        self.console = console
+        self.task: TaskID | None = None
+
+    def stage_started(self, stage: str, *, seconds_expected: float) -> None:
+        left = f"about {max(seconds_expected, 1.0):.0f} s in all"
+        self.task = self.progress.add_task(STAGE_WORDS.get(stage, stage), total=None, left=left)
+
+    def stage_finished(self, stage: str, *, seconds: float, reused: bool) -> None:
+        if self.task is not None:
+            self.progress.remove_task(self.task)
+            self.task = None
+        words = STAGE_WORDS.get(stage, stage)
+        self.console.print(f"  {words:<28} {'unchanged' if reused else f'{seconds:6.1f} s'}", highlight=False)
+
+
+@click.command()
+@click.argument("recipe", type=click.Path(path_type=Path))
+@click.option("--out", type=click.Path(path_type=Path), default=Path(), help="Where the case goes; here by default.")
+@click.option("--cache", type=click.Path(path_type=Path), help="Directory of the cache; OUT/.heartcase-cache.")
+@click.option("--force", is_flag=True, help="Compute every stage anew.")
+@click.option("--until", metavar="STAGE", help="Stop after this stage.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+def command(recipe: Path, out: Path, cache: Path | None, force: bool, until: str | None, as_json: bool) -> None:
+    """Build the case that RECIPE describes: OUT/NAME.case and OUT/NAME.report.html.
+
+    Only what changed is computed again. Interrupt it at any moment: the old case stays whole, and the next run goes
+    on where this one stopped.
+    """
+    from heartcase.pipeline.run import build_case
+
+    loaded = load_recipe(recipe)
+    console = Console(stderr=True)
+    bar = _Bar(console)
+    console.print(f"Building {loaded.name}", highlight=False)
+    start = time.perf_counter()
+    with bar.progress:
+        result = build_case(
+            loaded, directory=recipe.parent, out=out, cache=cache, listener=bar, force=force, until=until
+        )
+    seconds = time.perf_counter() - start
+    if as_json:
+        echo_json(
+            {
+                "case": str(result.case) if result.case else None,
+                "report": str(result.report) if result.report else None,
+                "changed": result.changed,
+                "seconds": round(seconds, 2),
+                "stage_seconds": {stage: round(value, 3) for stage, value in result.seconds.items()},
+                "reused": list(result.reused),
+                "warnings": list(result.warnings),
+                "simulation": result.manifest.simulation.model_dump(mode="json") if result.manifest else None,
+                "quality": result.manifest.quality if result.manifest else None,
+            }
+        )
+        return
+    for warning in result.warnings:
+        click.echo(f"warning: {warning}")
+    if result.manifest is None:
+        click.echo(f"Stopped after {until}; its output is in the cache. {seconds:.1f} s.")
+        return
+    figures = result.manifest.simulation
+    click.echo(f"Case    {result.case}" + ("" if result.changed else "  (unchanged)"))
+    click.echo(f"Report  {result.report}")
+    click.echo(
+        f"Grid    {figures.node_count:,} nodes, {figures.cell_count:,} cells of {figures.cell_mm:.2f} mm,"
+        f" {figures.fixed_node_count:,} nodes fixed, {figures.tissue_volume_ml:.1f} ml of tissue"
+    )
+    surface = result.manifest.quality.get("surface", {})
+    if "triangle_count" in surface:
+        click.echo(f"Surface {surface['triangle_count']:,} triangles")
+    click.echo(f"Step    {figures.step_default_s * 1e3:.3f} ms ({figures.steps_per_second:,.0f} steps per second)")
+    click.echo(f"Time    {seconds:.1f} s")
+    click.echo(result.manifest.notice)

@@ -1,0 +1,64 @@
+"""``heartcase bundle``: write a case from the outputs of the stages."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import click
+
+from heartcase.cli.stage_io import optional_recipe, read_scan_or_output
+
+__all__ = ["command"]
+
+
+@click.command()
+@click.argument("grid", type=click.Path(path_type=Path))
+@click.argument("output", type=click.Path(path_type=Path))
+@click.option("--scan", type=click.Path(path_type=Path), required=True, help="The scan that the case was made from.")
+@click.option("--surface", type=click.Path(path_type=Path), help="Output of 'heartcase surface'.")
+@click.option("--map", "grid_map", type=click.Path(path_type=Path), help="Output of 'heartcase map'.")
+@click.option("--structures", type=click.Path(path_type=Path), help="Output of 'walls' or 'edit': adds the labels.")
+@click.option("--recipe", type=click.Path(path_type=Path), help="Materials and landmarks from a recipe.")
+def command(
+    grid: Path,
+    output: Path,
+    scan: Path,
+    surface: Path | None,
+    grid_map: Path | None,
+    structures: Path | None,
+    recipe: Path | None,
+) -> None:
+    """Write the case OUTPUT (NAME.case) from GRID and the other stages' outputs."""
+    from heartcase.pipeline.artifacts import artifact_to_bytes, load_artifact
+    from heartcase.pipeline.bundle import assemble_bundle, resolve_materials, write_bundle
+    from heartcase.pipeline.data import GridMap, SimulationGrid, Structures, Surface
+    from heartcase.pipeline.glb import glb_bytes
+    from heartcase.pipeline.picking import picking_surface
+    from heartcase.pipeline.run import labels_of
+    from heartcase.pipeline.write import segmentation_nrrd_bytes
+    from heartcase.schemas.settings import MaterialsSettings
+
+    loaded = optional_recipe(recipe)
+    cells = load_artifact(grid, SimulationGrid)
+    volume = read_scan_or_output(scan)
+    mesh = load_artifact(surface, Surface) if surface else None
+    fields = load_artifact(structures, Structures) if structures else None
+    content = assemble_bundle(
+        name=output.name.removesuffix(".case"),
+        grid=cells,
+        materials=resolve_materials(loaded.materials if loaded else MaterialsSettings(), cells.table),
+        scan_geometry=volume.geometry,
+        scan_sha256=hashlib.sha256(artifact_to_bytes(volume)).hexdigest(),
+        stages=(),
+        surface=mesh,
+        grid_map=load_artifact(grid_map, GridMap) if grid_map else None,
+        picking=picking_surface(cells),
+        glb=glb_bytes(mesh) if mesh else None,
+        labels_nrrd=segmentation_nrrd_bytes(labels_of(fields)) if fields else None,
+        landmarks=loaded.landmarks if loaded else (),
+        modality=volume.modality,
+        acquisition=volume.acquisition,
+    )
+    write_bundle(output, content)
+    click.echo(f"wrote {output}", err=True)

@@ -1,0 +1,28 @@
+"""``heartcase filter``: smooth a scan, keeping its edges."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from heartcase.cli.stage_io import optional_recipe, read_scan_or_output, save_output, settings_of, stage_options
+
+__all__ = ["command"]
+
+
+@click.command()
+@click.argument("scan", type=click.Path(path_type=Path))
+@click.argument("output", type=click.Path(path_type=Path))
+@click.option("--series", help="DICOM: which series of the folder.")
+@stage_options
+def command(scan: Path, output: Path, series: str | None, recipe: Path | None, sets: tuple[str, ...]) -> None:
+    """Smooth SCAN by anisotropic diffusion and write OUTPUT (.nii.gz, .nrrd, .mha or .safetensors)."""
+    from heartcase.pipeline.filter import filter_scan
+    from heartcase.pipeline.region import crop_scan
+    from heartcase.schemas.settings import FilterSettings
+
+    loaded = optional_recipe(recipe)
+    settings = settings_of(FilterSettings, loaded.filter if loaded else None, sets)
+    volume = crop_scan(read_scan_or_output(scan, series), loaded.region if loaded else None)
+    save_output(output, filter_scan(volume, settings))

@@ -1,0 +1,31 @@
+"""``heartcase map``: tie the surface to the grid."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from heartcase.cli.stage_io import optional_recipe, save_output, settings_of, stage_options
+
+__all__ = ["command"]
+
+
+@click.command()
+@click.argument("surface", type=click.Path(path_type=Path))
+@click.argument("grid", type=click.Path(path_type=Path))
+@click.argument("output", type=click.Path(path_type=Path))
+@stage_options
+def command(surface: Path, grid: Path, output: Path, recipe: Path | None, sets: tuple[str, ...]) -> None:
+    """Tie SURFACE to GRID (from 'heartcase surface' and 'grid') and write OUTPUT (.safetensors)."""
+    from heartcase.pipeline.artifacts import load_artifact
+    from heartcase.pipeline.data import SimulationGrid, Surface
+    from heartcase.pipeline.map import map_surface
+    from heartcase.schemas.settings import MapSettings
+
+    loaded = optional_recipe(recipe)
+    settings = settings_of(MapSettings, loaded.map if loaded else None, sets)
+    tied = map_surface(load_artifact(surface, Surface), load_artifact(grid, SimulationGrid), settings)
+    save_output(output, tied)
+    for warning in tied.warnings:
+        click.echo(f"warning: {warning}")

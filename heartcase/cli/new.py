@@ -1,0 +1,155 @@
+"""``heartcase new``: a commented starter recipe for a scan."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import click
+
+from heartcase.schemas.errors import UsageError
+from heartcase.schemas.files import atomic_write
+from heartcase.schemas.labels import LabelTable, default_label_table
+from heartcase.schemas.recipe import parse_recipe
+
+__all__ = ["command", "starter_recipe"]
+
+
+@click.command()
+@click.argument("scan", type=click.Path(path_type=Path))
+@click.option("--out", type=click.Path(path_type=Path), default=Path("case.toml"), help="The recipe; case.toml.")
+@click.option("--name", default="case", help="Name of the case: not the patient's.")
+@click.option("--series", help="DICOM: which series of the folder.")
+@click.option("--force", is_flag=True, help="Replace a recipe that is there.")
+def command(scan: Path, out: Path, name: str, series: str | None, force: bool) -> None:
+    """Read SCAN and write a commented recipe for it, ready for the markers."""
+    from heartcase.pipeline.read import read_scan
+
+    if out.exists() and not force:
+        raise UsageError("there is already a recipe: choose another --out, or give --force", place=str(out))
+    volume = read_scan(scan, series=series)
+    relative = Path(os.path.relpath(scan.resolve(), out.resolve().parent)).as_posix()
+    center = volume.geometry.index_to_world([(n - 1) / 2 for n in volume.geometry.size])
+    extent = [n * s for n, s in zip(volume.geometry.size, volume.geometry.spacing_mm, strict=True)]
+    text = starter_recipe(
+        name=name,
+        scan_path=relative,
+        series=series,
+        center_mm=tuple(round(float(v), 1) for v in center),
+        extent_mm=tuple(round(float(v), 1) for v in extent),
+        modality=volume.modality,
+    )
+    parse_recipe(text)
+    atomic_write(out, text.encode())
+    click.echo(f"wrote {out}: add your markers to it, then run  heartcase build {out}")
+
+
+def _toml_string(text: str) -> str:
+    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
+
+
+def _label_lines(table: LabelTable) -> str:
+    lines = []
+    for label in table:
+        if label.value == 0:
+            continue
+        lines += [
+            "[[labels]]",
+            f"value = {label.value}",
+            f"name = {_toml_string(label.name)}",
+            f"role = {_toml_string(label.role.value)}",
+            f"colour = {_toml_string(label.colour)}",
+        ]
+        if label.wall_thickness_mm:
+            lines.append(f"wall_thickness_mm = {label.wall_thickness_mm}")
+        if label.snomed:
+            lines.append(f"snomed = {_toml_string(label.snomed)}")
+        lines.append("")
+    return "\n".join(lines)
+
+
+def starter_recipe(
+    *,
+    name: str,
+    scan_path: str,
+    series: str | None,
+    center_mm: tuple[float, ...],
+    extent_mm: tuple[float, ...],
+    modality: str,
+) -> str:
+    """Text of a commented recipe for a scan with this centre and extent (mm, LPS)."""
+    series_line = f"series = {_toml_string(series)}\n" if series else ""
+    return f"""\
+# A heartcase recipe: with the scan it says everything that makes the case.
+# Build it with   heartcase build THIS_FILE     Check it with   heartcase validate THIS_FILE
+# Points are in patient space: x to the left, y to the back, z to the head (LPS), in mm.
+
+heartcase_recipe = 1
+name = {_toml_string(name)}   # never the patient's name: it is on every output
+# What the case holds beside the simulation grid. What the scene does not need is not made.
+parts = ["surface", "render", "picking", "labels"]
+
+[scan]   # modality: {modality}
+path = {_toml_string(scan_path)}
+{series_line}
+# The heart alone makes a smaller and faster case. The box lies along the scan's own axes.
+# The whole scan: center_mm = {list(center_mm)}, size_mm = {list(extent_mm)}
+# [region]
+# center_mm = {list(center_mm)}
+# size_mm = {[min(v, 150.0) for v in extent_mm]}
+
+[filter]
+iterations = 5          # more smooths more
+conductance = 1.0       # lower keeps weaker edges
+
+[segment]
+method = "watershed"    # or "threshold" (specimens), or "labels" (a finished segmentation: file = "...")
+
+# Markers. Paint them in 3D Slicer or ITK-SNAP and name the file here ...
+# [[markers]]
+# path = "markers.seg.nrrd"       # segments named like the labels below; or .nii.gz, .nrrd, .mrk.json
+# names = {{ "Segment_1" = "left ventricle" }}     # where the names differ
+
+# ... or write strokes: a round brush along a line. Mark every structure, and what is not heart as background.
+[[strokes]]
+label = "left ventricle"
+radius_mm = 2.0
+points_mm = [{list(center_mm)}]     # replace: this is only the middle of the scan
+
+[[strokes]]
+label = "background"
+radius_mm = 2.0
+points_mm = [{[round(center_mm[0] - 0.45 * extent_mm[0], 1), *center_mm[1:]]}]     # replace
+
+# Where a vessel ends inside the scan and shall stay open (axis: out of the heart):
+# [[ends]]
+# label = "aorta"
+# position_mm = {list(center_mm)}
+# axis = [0.0, 0.0, 1.0]
+# radius_mm = 20.0
+
+# A hole to make, a hole to close:
+# [[edits]]
+# kind = "septal_defect"          # or "close_defect", "add", "remove"
+# position_mm = {list(center_mm)}
+# diameter_mm = 8.0
+# axis = [1.0, 0.0, 0.0]
+
+[grid]
+node_count = 30000       # or cell_mm = 2.5
+
+[surface]
+triangle_count = 80000
+normal_map_size = 1024
+
+[materials]
+youngs_modulus_kpa = 30.0
+density_kg_m3 = 1060.0
+
+# Tissue that is held fixed. What the edge of the scan or an end cuts is held anyway.
+[[pins]]
+position_mm = {list(center_mm)}     # replace
+radius_mm = 10.0
+
+# The labels. wall_thickness_mm grows a wall around a cavity whose own wall the scan does not show.
+{_label_lines(default_label_table())}"""

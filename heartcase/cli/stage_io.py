@@ -1,0 +1,98 @@
+"""What the stage commands share: their options, settings from a recipe or the command line, inputs and outputs."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+from pydantic import ValidationError
+
+from heartcase.schemas.base import Model
+from heartcase.schemas.errors import Problem, RecipeError, UsageError, problems_from_validation
+from heartcase.schemas.files import atomic_write
+from heartcase.schemas.recipe import Recipe, load_recipe
+
+__all__ = ["SCAN_SUFFIXES", "optional_recipe", "read_scan_or_output", "save_output", "settings_of", "stage_options"]
+
+M = TypeVar("M", bound=Model)
+F = TypeVar("F", bound=Callable[..., Any])
+
+SCAN_SUFFIXES = (".nii", ".nii.gz", ".nrrd", ".mha")
+
+
+def stage_options(function: F) -> F:
+    """Add ``--recipe`` and ``--set`` to a stage command."""
+    recipe = click.option("--recipe", type=click.Path(path_type=Path), help="Take the stage's settings from a recipe.")
+    sets = click.option("--set", "sets", multiple=True, metavar="KEY=VALUE", help="Change one setting; repeatable.")
+    return recipe(sets(function))
+
+
+def optional_recipe(path: Path | None) -> Recipe | None:
+    """Load the recipe, if one was given."""
+    return load_recipe(path) if path is not None else None
+
+
+def settings_of(model: type[M], given: M | None, sets: tuple[str, ...]) -> M:
+    """The recipe's settings, or the defaults, with the changes of ``--set``.
+
+    Raises
+    ------
+    UsageError
+        A change is not KEY=VALUE.
+    RecipeError
+        A key is unknown or a value is not allowed.
+    """
+    values: dict[str, Any] = given.model_dump(exclude_unset=True) if given is not None else {}
+    problems = []
+    for item in sets:
+        key, equals, text = item.partition("=")
+        if not equals:
+            problems.append(Problem("--set", f"{item!r} is not KEY=VALUE"))
+            continue
+        try:
+            values[key.strip()] = tomllib.loads(f"value = {text}")["value"]
+        except tomllib.TOMLDecodeError:
+            values[key.strip()] = text
+    if problems:
+        raise UsageError(problems)
+    try:
+        return model.model_validate(values)
+    except ValidationError as error:
+        raise RecipeError(problems_from_validation(error, place="settings")) from None
+
+
+def read_scan_or_output(path: Path, series: str | None = None) -> Any:
+    """A scan from any format that is read, or from the output of a stage (``.safetensors``)."""
+    from heartcase.pipeline.artifacts import load_artifact
+    from heartcase.pipeline.data import Scan
+    from heartcase.pipeline.read import read_scan
+
+    return load_artifact(path, Scan) if path.suffix == ".safetensors" else read_scan(path, series=series)
+
+
+def save_output(path: Path, output: Any) -> None:
+    """Write a stage's output: ``.safetensors``, or an image format for scans and label volumes.
+
+    Raises
+    ------
+    UsageError
+        The ending is not one that this output can be written as.
+    """
+    from heartcase.pipeline.artifacts import artifact_to_bytes
+    from heartcase.pipeline.data import Scan, Segmentation
+    from heartcase.pipeline.write import write_scan, write_segmentation
+
+    if path.suffix == ".safetensors":
+        atomic_write(path, artifact_to_bytes(output))
+    elif isinstance(output, Scan) and path.name.endswith(SCAN_SUFFIXES):
+        write_scan(output, path)
+    elif isinstance(output, Segmentation) and path.name.endswith(SCAN_SUFFIXES):
+        write_segmentation(output, path)
+    else:
+        images = isinstance(output, Scan | Segmentation)
+        endings = ", ".join((".safetensors", *(SCAN_SUFFIXES if images else ())))
+        raise UsageError(f"must end in one of: {endings}", place="OUTPUT")
+    click.echo(f"wrote {path}", err=True)

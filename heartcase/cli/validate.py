@@ -1,0 +1,50 @@
+"""``heartcase validate``: every problem of a case, a recipe or a simulation script."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from heartcase.cli.output import echo_json
+from heartcase.schemas.bundle_reader import check_bundle
+from heartcase.schemas.errors import HeartcaseError, Problem
+from heartcase.schemas.recipe import load_recipe
+
+__all__ = ["command"]
+
+
+@click.command()
+@click.argument("path", type=click.Path(path_type=Path))
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+@click.pass_context
+def command(ctx: click.Context, path: Path, as_json: bool) -> None:
+    """Check PATH, a case directory, a recipe (.toml) or a simulation script (.toml), and list every problem.
+
+    Of a case the hash of every file and every value is checked. Exit code 0: sound; 1: problems were found.
+    """
+    problems = _problems(path)
+    if as_json:
+        found = [{"place": problem.place, "message": problem.message} for problem in problems]
+        echo_json({"valid": not problems, "problems": found})
+    else:
+        for problem in problems:
+            click.echo(str(problem))
+        click.echo(f"{len(problems)} problem{'s' * (len(problems) != 1)} found" if problems else "sound")
+    if problems:
+        ctx.exit(1)
+
+
+def _problems(path: Path) -> tuple[Problem, ...]:
+    if path.suffix == ".toml" and path.is_file():
+        try:
+            if "heartcase_recipe" in path.read_text(encoding="utf-8", errors="replace"):
+                load_recipe(path)
+            else:
+                from heartcase.simulator.script import load_script
+
+                load_script(path)
+        except HeartcaseError as error:
+            return error.problems
+        return ()
+    return check_bundle(path)
