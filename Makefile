@@ -8,7 +8,7 @@ VENV ?= .venv
 OUT ?= out
 BIN = $(VENV)/bin
 
-.PHONY: case test check plain bench clean
+.PHONY: case test check plain bench lock clean
 
 $(VENV)/installed: requirements.lock pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "heartcase needs Python 3.11 or newer: make PYTHON=...")'
@@ -22,7 +22,7 @@ case: $(VENV)/installed
 	$(BIN)/heartcase build sample_cases/adult_phantom.toml --out $(OUT)
 	$(BIN)/heartcase simulate "$(OUT)/adult phantom.case" --script sample_cases/pull.toml --picture $(OUT)/pull.png
 
-test: $(VENV)/installed check
+test: $(VENV)/installed check plain
 	$(BIN)/python -m pytest
 
 check: $(VENV)/installed
@@ -31,8 +31,25 @@ check: $(VENV)/installed
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
 
+# The simulator alone, in an environment without SimpleITK, VTK or scikit-image, on a case that the other one wrote.
+plain: $(VENV)/installed $(VENV)-plain/installed
+	$(BIN)/python -m tests.write_block_case $(OUT)/block.case
+	$(VENV)-plain/bin/python -c 'import importlib.util as u; found = [m for m in ("SimpleITK", "vtk", "skimage", "scipy") if u.find_spec(m)]; assert not found, found'
+	$(VENV)-plain/bin/heartcase simulate $(OUT)/block.case --seconds 0.05
+
+$(VENV)-plain/installed: requirements-plain.lock pyproject.toml
+	$(PYTHON) -m venv $(VENV)-plain
+	$(VENV)-plain/bin/python -m pip install --quiet --disable-pip-version-check -r requirements-plain.lock
+	$(VENV)-plain/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
+	touch $@
+
 bench: $(VENV)/installed
 	$(BIN)/heartcase bench --json $(OUT)/bench.json
 
+# New pins; needs uv.
+lock:
+	uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --no-annotate --no-header --no-emit-index-url --generate-hashes -o requirements.lock
+	uv pip compile pyproject.toml --universal --python-version 3.11 --no-annotate --no-header --no-emit-index-url --generate-hashes -o requirements-plain.lock
+
 clean:
-	rm -rf $(VENV) $(OUT)
+	rm -rf $(VENV) $(VENV)-plain $(OUT)

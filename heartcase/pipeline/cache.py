@@ -100,6 +100,18 @@ class Cache:
         atomic_write(self._record(stage, key), json.dumps(record).encode())
         return entry
 
+    def note(self, stage: str, key: str, facts: dict[str, Any]) -> None:
+        """Keep a few facts, as plain JSON, where there is no output to keep."""
+        atomic_write(self._record(stage, key), json.dumps(facts, sort_keys=True).encode())
+
+    def noted(self, stage: str, key: str) -> dict[str, Any] | None:
+        """Read what :meth:`note` kept; None when there is nothing."""
+        try:
+            facts = json.loads(self._record(stage, key).read_bytes())
+        except (OSError, ValueError):
+            return None
+        return facts if isinstance(facts, dict) else None
+
     def _content(self, stage: str, key: str) -> Path:
         return self.directory / f"{stage}-{key}.safetensors"
 

@@ -12,15 +12,18 @@ from typing import Any, Generic, Protocol, TypeVar, cast
 
 import numpy as np
 
+from heartcase import __version__
 from heartcase.pipeline.artifacts import artifact_to_bytes
 from heartcase.pipeline.bundle import assemble_bundle, resolve_materials, write_bundle
 from heartcase.pipeline.cache import Cache, stage_key
 from heartcase.pipeline.data import GridMap, Markers, Scan, Segmentation, SimulationGrid, Structures, Surface
-from heartcase.schemas.bundle import CaseManifest, StageRecord
-from heartcase.schemas.errors import ScanError, UsageError
-from heartcase.schemas.files import atomic_write
+from heartcase.schemas.base import Model
+from heartcase.schemas.bundle import MANIFEST_NAME, CaseManifest, StageRecord
+from heartcase.schemas.bundle_reader import open_bundle
+from heartcase.schemas.errors import BundleError, ScanError, UsageError
+from heartcase.schemas.files import atomic_write, sha256_of_file
 from heartcase.schemas.recipe import Part, Recipe
-from heartcase.schemas.settings import Model, resolved
+from heartcase.schemas.settings import resolved
 
 __all__ = ["STAGES", "BuildListener", "BuildResult", "build_case"]
 
@@ -314,9 +317,10 @@ def _segment(recipe: Recipe, directory: Path, runner: _Runner, nodes: _Nodes) ->
 
     scan, filtered, markers = _have(nodes.scan), _have(nodes.filtered), nodes.markers
     settings = resolved(recipe.segment) | {"labels": _all(recipe.labels)}
+    for naming_files in ("file", "names"):
+        settings.pop(naming_files)
     if recipe.segment.method == "labels":
         finished = directory / cast(str, recipe.segment.file)
-        settings.pop("file")
         nodes.segmentation = runner.run_always(
             "segment",
             settings=settings,
@@ -432,6 +436,21 @@ def _finish(recipe: Recipe, runner: _Runner, nodes: _Nodes, out: Path) -> BuildR
     from heartcase.pipeline.walls import structure_volumes_ml
     from heartcase.pipeline.write import segmentation_nrrd_bytes
 
+    case, report = out / f"{recipe.name}.case", out / f"{recipe.name}.report.html"
+    key = stage_key(
+        stage="bundle",
+        version=STAGE_VERSIONS["bundle"],
+        settings={
+            "software": __version__,
+            "recipe": recipe.model_dump(mode="json", include={"name", "landmarks", "materials", "parts"}),
+        },
+        inputs={record.stage: record.output_sha256 for record in runner.records},
+    )
+    manifest = None if runner.force else _unchanged(case, report, runner.cache, key)
+    if manifest is not None:
+        runner.listener.stage_finished("bundle", seconds=0.0, reused=True)
+        reused = (*runner.reused, "bundle")
+        return BuildResult(case, report, manifest, runner.seconds, reused, False, manifest.warnings)
     runner.listener.stage_started("bundle", seconds_expected=2.0)
     start = time.perf_counter()
     scan, grid, structures = _have(nodes.scan).get(), _have(nodes.grid).get(), _have(nodes.structures).get()
@@ -465,24 +484,33 @@ def _finish(recipe: Recipe, runner: _Runner, nodes: _Nodes, out: Path) -> BuildR
         quality=quality,
         warnings=warnings,
     )
-    case = out / f"{recipe.name}.case"
     changed = write_bundle(case, content)
     runner.seconds["bundle"] = time.perf_counter() - start
-    report = out / f"{recipe.name}.report.html"
-    if changed or not report.exists():
-        html = build_report(
-            recipe=recipe,
-            scan=scan,
-            segmentation=segmentation,
-            structures=structures,
-            grid=grid,
-            surface=surface,
-            grid_map=grid_map,
-            volumes_ml=volumes_ml,
-            timings_s=runner.seconds,
-            stages=runner.records,
-            warnings=warnings,
-        )
-        atomic_write(report, html.encode())
+    html = build_report(
+        recipe=recipe,
+        scan=scan,
+        segmentation=segmentation,
+        structures=structures,
+        grid=grid,
+        surface=surface,
+        grid_map=grid_map,
+        volumes_ml=volumes_ml,
+        timings_s=runner.seconds,
+        stages=runner.records,
+        warnings=warnings,
+    )
+    atomic_write(report, html.encode())
+    runner.cache.note("bundle", key, {"manifest_sha256": sha256_of_file(case / MANIFEST_NAME)})
     runner.listener.stage_finished("bundle", seconds=time.perf_counter() - start, reused=not changed)
     return BuildResult(case, report, content.manifest, runner.seconds, tuple(runner.reused), changed, tuple(warnings))
+
+
+def _unchanged(case: Path, report: Path, cache: Cache, key: str) -> CaseManifest | None:
+    """The manifest of the case that is there, when it is whole and was made from exactly these inputs."""
+    note = cache.noted("bundle", key)
+    try:
+        if note is None or not report.exists() or note["manifest_sha256"] != sha256_of_file(case / MANIFEST_NAME):
+            return None
+        return open_bundle(case).manifest
+    except (OSError, KeyError, BundleError):
+        return None
