@@ -80,6 +80,7 @@ def _load_module(directory: Path, name: str) -> ModuleType:
     if spec is None or spec.loader is None:
         raise UsageError(f"the module {name}.py cannot be loaded", place="cases.toml")
     module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
     spec.loader.exec_module(module)
     return module
 

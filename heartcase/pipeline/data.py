@@ -5,8 +5,9 @@ All arrays of a volume are indexed ``[z, y, x]``; points are (x, y, z) in patien
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +19,7 @@ __all__ = [
     "GridMap",
     "Markers",
     "PickingSurface",
+    "Reshaping",
     "Scan",
     "Segmentation",
     "SimulationGrid",
@@ -68,25 +70,96 @@ class Segmentation:
     """What the values stand for."""
 
 
+class Reshaping(NamedTuple):
+    """A part of space that goes from some structures to others: one edit, or the cut at a vessel's end."""
+
+    shape: str
+    """``cylinder`` (round, flat ends) or ``strokes`` (all points within the radius of a polyline)."""
+    points_mm: tuple[tuple[float, float, float], ...]
+    """The middles of the cylinder's two ends; the polyline. World mm."""
+    radius_mm: float
+    """Radius of the cylinder or of the brush."""
+    sources: tuple[str, ...]
+    """Names of the labels that lose what lies in the shape."""
+    targets: tuple[str, ...]
+    """Names of the labels that get it: each point goes to the nearest of them."""
+
+    @property
+    def thickness_mm(self) -> float:
+        """Least extent of the shape, mm."""
+        height = math.dist(self.points_mm[0], self.points_mm[-1]) if self.shape == "cylinder" else math.inf
+        return min(2.0 * self.radius_mm, height)
+
+
 @dataclass(frozen=True)
 class Structures:
-    """One signed-distance field per structure, background included: all that grid, surface and map read.
+    """Where every structure is, to a fraction of a voxel: what grid, surface and map read, through ``fields.py`` only.
 
-    A point belongs to the structure whose field, interpolated there, is the lowest (ties: the lower value). Fields
-    of two structures that touch are each other's negative near the common face, so nothing gapes between them.
-    Beyond ``band_mm`` a field is only known to be at least that far.
+    At any point, :mod:`heartcase.pipeline.fields` gives every label a signed distance (negative inside) in three
+    steps, and the lowest of them owns the point (ties: the lower value):
+
+    1. The stored fields, interpolated. They are distances to the faces of the *bare* structures, before any wall: they
+       divide space without gap or overlap, and two that touch are each other's negative near the common face.
+    2. Walls. A wall label of the table (``wall_of``) that has no stored field is everything bare background within
+       ``wall_thickness_mm`` of its cavity. It is worked out at the point itself, never sampled, so that a wall
+       thinner than a voxel keeps its thickness. Where walls meet the nearer cavity's wins; the background gets what
+       is left.
+    3. The reshapings, in order, worked out at the point as well, so that edits are as sharp as their shapes.
+
+    A structure with a stored field whose label is not of the two last kinds is just that field, so structures that
+    hold one plain field per label (walls too) are read as they are.
     """
 
     distance_mm: dict[int, Float32]
-    """Label value -> signed distance in mm, negative inside, float32, shape ``geometry.shape``."""
+    """Label value -> signed distance in mm, negative inside, float32, shape ``geometry.shape``. Always holds the
+    background (0). Grown walls and devices that only a reshaping made are not here: see ``values``."""
     geometry: Geometry
     """The lattice of the fields: the scan's, cropped to the region of interest."""
     table: LabelTable
     """Label table with the grown walls and devices."""
     band_mm: float
-    """Distance up to which the fields are exact."""
+    """Distance up to which the fields are exact; beyond it they are at least that, and a distance between voxels."""
     fixed_planes: tuple[tuple[tuple[float, float, float], tuple[float, float, float], float], ...] = ()
     """End markers: (point, outward axis, radius) in mm; tissue cells that such a disc cuts are held fixed."""
+    reshapings: tuple[Reshaping, ...] = ()
+    """Cuts at vessel ends and edits, in order. One that names a label which the table does not have is left out."""
+    warnings: tuple[str, ...] = ()
+    """What went amiss, in plain words: structures that the smoothing shrank or lost, compartments that it joined."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "reshapings", tuple(Reshaping(*one) for one in self.reshapings))
+
+    @property
+    def grown_walls(self) -> dict[int, tuple[int, float]]:
+        """Wall value -> (cavity value, thickness in mm) of the walls that are worked out at the point."""
+        return {
+            label.value: (label.wall_of, self.table[label.wall_of].wall_thickness_mm)
+            for label in self.table
+            if label.wall_of is not None
+            and label.value not in self.distance_mm
+            and label.wall_of in self.distance_mm
+            and self.table[label.wall_of].wall_thickness_mm > 0.0
+        }
+
+    @property
+    def values(self) -> tuple[int, ...]:
+        """Values of all labels that may own a point: stored, grown and made by reshapings; ascending."""
+        there = set(self.distance_mm) | set(self.grown_walls)
+        names = {label.name: label.value for label in self.table}
+        for one in self.reshapings:
+            if all(name in names and names[name] in there for name in one.sources):
+                there |= {names[name] for name in one.targets if name in names}
+        return tuple(sorted(there))
+
+    def _adds_tissue(self, one: Reshaping) -> bool:
+        return any(label.name in one.targets and label.role.is_tissue for label in self.table)
+
+    @property
+    def thinnest_layer_mm(self) -> float | None:
+        """Thickness of the thinnest grown wall or patch, mm: sample finer than this; None where there is none."""
+        layers = [thickness for _, thickness in self.grown_walls.values()]
+        layers += [one.thickness_mm for one in self.reshapings if self._adds_tissue(one)]
+        return min(layers, default=None)
 
 
 @dataclass(frozen=True)

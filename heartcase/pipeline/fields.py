@@ -1,13 +1,18 @@
-"""Reading the structures' distance fields between voxels: who owns a point, and how far the tissue's border is.
+"""Reading the structures between voxels: who owns a point, and how far the tissue's border is.
 
-The tissue field of a point is half the difference between the lowest tissue field and the lowest void field there.
-Where a tissue meets a cavity the two are each other's negative, so it is the signed distance to their common face; in
-the gaps that three smooth fields leave where three structures meet, it still has exactly one zero crossing.
+The stored fields are interpolated; walls and reshapings are then worked out at the point (see
+:class:`~heartcase.pipeline.data.Structures`), so a wall or a patch thinner than a voxel is as thick as it should be.
+
+With T the lowest tissue field and V the lowest void field there, the tissue field is the greater in size of T and -V
+where the two agree in sign: the depth below the void in tissue, the distance to tissue in the void. Where they do
+not, in the hairline gaps and overlaps that interpolated fields leave where three structures meet, it is T - V, so it
+is continuous and its zero level is where tissue and void are equally near.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -15,12 +20,19 @@ import numpy.typing as npt
 
 from heartcase.pipeline.data import Structures
 from heartcase.schemas.geometry import Geometry
+from heartcase.schemas.labels import BACKGROUND
 
 __all__ = ["Ownership", "ownership_at_points", "ownership_on_lattice"]
 
+Bool = npt.NDArray[np.bool_]
 Float32 = npt.NDArray[np.float32]
 Float64 = npt.NDArray[np.float64]
+Int32 = npt.NDArray[np.int32]
 UInt8 = npt.NDArray[np.uint8]
+
+NOWHERE_MM = 1e4
+"""Field of a label that only a reshaping makes, before it does."""
+CHUNK = 4096
 
 
 @dataclass(frozen=True)
@@ -35,13 +47,44 @@ class Ownership:
     """Label of the tissue whose field is lowest."""
 
 
+class _Layout(NamedTuple):
+    """What the kernels read. A *slot* is a label's place in the list of all labels: tissues first, each ascending."""
+
+    stack: Float32
+    """Stored fields, shape (z, y, x, stored)."""
+    stored_slot: Int32
+    labels: UInt8
+    """Label value of each slot."""
+    tissue_count: int
+    background: int
+    """Slot of the background, or -1."""
+    wall_slot: Int32
+    wall_cavity: Int32
+    """Slots of the grown walls and of their cavities, by ascending cavity."""
+    wall_mm: Float32
+    to_world: Float64
+    """Map from index (i, j, k) to world, shape (3, 4)."""
+    shape_kind: Int32
+    """0 cylinder, 1 strokes; one per reshaping."""
+    shape_first: Int32
+    """First point of each shape, and the number of all points at the end."""
+    shape_points: Float64
+    shape_radius: Float64
+    shape_low: Float64
+    shape_high: Float64
+    """Box of indices beyond which a shape is farther away than the band."""
+    source: Bool
+    target: Bool
+    """Shape (reshapings, slots)."""
+
+
 def ownership_on_lattice(structures: Structures, lattice: Geometry) -> Ownership:
-    """Evaluate the fields at every point of a lattice parallel to the structures' own.
+    """Evaluate the structures at every point of a lattice parallel to their own.
 
     Parameters
     ----------
     structures
-        The fields.
+        The structures.
     lattice
         Points to evaluate at; any spacing and origin, axes parallel to the fields'. Points outside take the value
         of the nearest point of the fields' lattice.
@@ -56,92 +99,302 @@ def ownership_on_lattice(structures: Structures, lattice: Geometry) -> Ownership
     step = np.diag(steps).copy()
     if not np.allclose(steps, np.diag(step), atol=1e-6 * np.abs(step).max()):
         raise ValueError("the lattice must be parallel to the fields' own")
-    stack, values, tissue_count = _stack(structures)
     tissue = np.empty(lattice.shape, np.float32)
     void_label = np.empty(lattice.shape, np.uint8)
     tissue_label = np.empty(lattice.shape, np.uint8)
-    _evaluate_lattice(stack, values, tissue_count, start, step, tissue, void_label, tissue_label)
+    _evaluate_lattice(_layout(structures), start, step, tissue, void_label, tissue_label)
     return Ownership(tissue, void_label, tissue_label)
 
 
 def ownership_at_points(structures: Structures, points_mm: npt.ArrayLike) -> Ownership:
-    """Evaluate the fields at world points, shape (n, 3) in mm; arrays of shape (n,)."""
+    """Evaluate the structures at world points, shape (n, 3) in mm; arrays of shape (n,)."""
     index = np.ascontiguousarray(structures.geometry.world_to_index(points_mm)).reshape(-1, 3)
-    stack, values, tissue_count = _stack(structures)
     tissue = np.empty(len(index), np.float32)
     void_label = np.empty(len(index), np.uint8)
     tissue_label = np.empty(len(index), np.uint8)
-    _evaluate_points(stack, values, tissue_count, index, tissue, void_label, tissue_label)
+    _evaluate_points(_layout(structures), index, tissue, void_label, tissue_label)
     return Ownership(tissue, void_label, tissue_label)
 
 
-def _stack(structures: Structures) -> tuple[Float32, UInt8, int]:
-    """All fields as one array (structure, z, y, x): tissues first, each group by ascending value."""
-    present = structures.distance_mm
+def _layout(structures: Structures) -> _Layout:
+    present = structures.values
     tissues = [value for value in structures.table.tissue_values if value in present]
     voids = [value for value in structures.table.void_values if value in present]
     if not voids:
         raise ValueError("the structures hold no background field")
-    stack = np.stack([present[value] for value in (*tissues, *voids)])
-    return stack, np.array(tissues + voids, np.uint8), len(tissues)
+    labels = tissues + voids
+    slot = {value: n for n, value in enumerate(labels)}
+    stored = [value for value in labels if value in structures.distance_mm]
+    stack = np.empty((*structures.geometry.shape, len(stored)), np.float32)
+    _interleave(tuple(structures.distance_mm[value] for value in stored), stack)
+    walls = sorted((cavity, value, thickness) for value, (cavity, thickness) in structures.grown_walls.items())
+    return _Layout(
+        stack,
+        np.array([slot[value] for value in stored], np.int32),
+        np.array(labels, np.uint8),
+        len(tissues),
+        slot.get(BACKGROUND, -1),
+        np.array([slot[value] for _, value, _ in walls], np.int32),
+        np.array([slot[cavity] for cavity, _, _ in walls], np.int32),
+        np.array([thickness for *_, thickness in walls], np.float32),
+        np.ascontiguousarray(structures.geometry.affine[:3]),
+        *_shapes(structures, slot),
+    )
+
+
+def _shapes(
+    structures: Structures, slot: dict[int, int]
+) -> tuple[Int32, Int32, Float64, Float64, Float64, Float64, Bool, Bool]:
+    names = {label.name: slot[label.value] for label in structures.table if label.value in slot}
+    used = [one for one in structures.reshapings if all(name in names for name in (*one.sources, *one.targets))]
+    count = len(used)
+    first = np.zeros(count + 1, np.int32)
+    low, high = np.empty((count, 3)), np.empty((count, 3))
+    source, target = np.zeros((count, len(slot)), np.bool_), np.zeros((count, len(slot)), np.bool_)
+    for n, one in enumerate(used):
+        first[n + 1] = first[n] + len(one.points_mm)
+        index = structures.geometry.world_to_index(np.array(one.points_mm))
+        reach = (one.radius_mm + structures.band_mm) / np.array(structures.geometry.spacing_mm)
+        low[n], high[n] = index.min(axis=0) - reach, index.max(axis=0) + reach
+        source[n, [names[name] for name in one.sources]] = True
+        target[n, [names[name] for name in one.targets]] = True
+    points = [point for one in used for point in one.points_mm]
+    return (
+        np.array([0 if one.shape == "cylinder" else 1 for one in used], np.int32),
+        first,
+        np.array(points, np.float64).reshape(-1, 3),
+        np.array([one.radius_mm for one in used], np.float64),
+        low,
+        high,
+        source,
+        target,
+    )
+
+
+def _interleave(fields: tuple[Float32, ...], stack: Float32) -> None:
+    for n, field in enumerate(fields):
+        stack[..., n] = field
 
 
 @numba.njit(cache=True, nogil=True)
-def _evaluate_one(stack, values, tissue_count, x, y, z):  # type: ignore[no-untyped-def]
-    count, nz, ny, nx = stack.shape
-    x = min(max(x, 0.0), nx - 1.0)
-    y = min(max(y, 0.0), ny - 1.0)
-    z = min(max(z, 0.0), nz - 1.0)
-    i = min(int(x), max(nx - 2, 0))
-    j = min(int(y), max(ny - 2, 0))
-    k = min(int(z), max(nz - 2, 0))
-    i1 = min(i + 1, nx - 1)
-    j1 = min(j + 1, ny - 1)
-    k1 = min(k + 1, nz - 1)
-    fx = x - i
-    fy = y - j
-    fz = z - k
-    lowest_tissue = np.inf
-    lowest_void = np.inf
+def _cylinder_distance(points, radius, x, y, z):  # type: ignore[no-untyped-def]
+    """Signed distance to a cylinder with flat ends, exact inside and out."""
+    ax = points[1, 0] - points[0, 0]
+    ay = points[1, 1] - points[0, 1]
+    az = points[1, 2] - points[0, 2]
+    length = np.sqrt(ax * ax + ay * ay + az * az)
+    px = x - points[0, 0]
+    py = y - points[0, 1]
+    pz = z - points[0, 2]
+    along = (px * ax + py * ay + pz * az) / length
+    across = np.sqrt(max(px * px + py * py + pz * pz - along * along, 0.0)) - radius
+    beyond = abs(along - 0.5 * length) - 0.5 * length
+    if across > 0.0 and beyond > 0.0:
+        return np.sqrt(across * across + beyond * beyond)
+    return max(across, beyond)
+
+
+@numba.njit(cache=True, nogil=True)
+def _strokes_distance(points, radius, x, y, z):  # type: ignore[no-untyped-def]
+    """Signed distance to the chain of capsules along a polyline."""
+    lowest = np.inf
+    for n in range(max(len(points) - 1, 1)):
+        last = min(n + 1, len(points) - 1)
+        ax = points[last, 0] - points[n, 0]
+        ay = points[last, 1] - points[n, 1]
+        az = points[last, 2] - points[n, 2]
+        px = x - points[n, 0]
+        py = y - points[n, 1]
+        pz = z - points[n, 2]
+        square = ax * ax + ay * ay + az * az
+        t = 0.0
+        if square > 0.0:
+            t = min(max((px * ax + py * ay + pz * az) / square, 0.0), 1.0)
+        px -= t * ax
+        py -= t * ay
+        pz -= t * az
+        lowest = min(lowest, px * px + py * py + pz * pz)
+    return np.sqrt(lowest) - radius
+
+
+@numba.njit(cache=True, nogil=True)
+def _place(x, count):  # type: ignore[no-untyped-def]
+    """The two voxels around a coordinate, clamped to the lattice, and the second one's weight."""
+    x = min(max(x, 0.0), count - 1.0)
+    low = min(int(x), max(count - 2, 0))
+    return low, min(low + 1, count - 1), np.float32(x - low)
+
+
+@numba.njit(cache=True, nogil=True)
+def _lerp(first, second, weight, out):  # type: ignore[no-untyped-def]
+    for s in range(len(out)):
+        out[s] = first[s] + weight * (second[s] - first[s])
+
+
+@numba.njit(cache=True, nogil=True)
+def _row(stack, y, z, low, high, row):  # type: ignore[no-untyped-def]
+    """Interpolate along y and z: all stored fields at voxels ``low`` to ``high`` of a row along x."""
+    j, j1, fy = _place(y, stack.shape[1])
+    k, k1, fz = _place(z, stack.shape[0])
+    one = np.float32(1.0)
+    w00 = (one - fz) * (one - fy)
+    w01 = (one - fz) * fy
+    w10 = fz * (one - fy)
+    w11 = fz * fy
+    a = stack[k, j, low : high + 1].reshape(-1)
+    b = stack[k, j1, low : high + 1].reshape(-1)
+    c = stack[k1, j, low : high + 1].reshape(-1)
+    d = stack[k1, j1, low : high + 1].reshape(-1)
+    for n in range(len(a)):
+        row[n] = a[n] * w00 + b[n] * w01 + c[n] * w10 + d[n] * w11
+
+
+@numba.njit(cache=True, nogil=True)
+def _grow_walls(layout, v):  # type: ignore[no-untyped-def]
+    """Give the walls their part of the bare background; ``v`` holds the cavities and the bare background."""
+    count = len(layout.wall_slot)
+    bare = v[layout.background]
+    outer = np.float32(np.inf)
+    nearest = np.float32(np.inf)
+    inside = np.float32(np.inf)
+    winner = 0
+    for w in range(count):
+        cavity = v[layout.wall_cavity[w]]
+        body = cavity - layout.wall_mm[w]
+        if body < np.float32(0.0):
+            if cavity < inside:
+                inside = cavity
+                winner = w
+        elif inside == np.inf and body < nearest:
+            winner = w
+        nearest = min(nearest, body)
+    outer = nearest
+    for w in range(count):
+        cavity = v[layout.wall_cavity[w]]
+        value = max(cavity - layout.wall_mm[w], bare)
+        if inside < np.inf:
+            value = max(value, np.float32(0.5) * (cavity - inside))
+        v[layout.wall_slot[w]] = value
+    v[layout.wall_slot[winner]] = max(outer, bare)
+    v[layout.background] = max(bare, -outer)
+
+
+@numba.njit(cache=True, nogil=True)
+def _reshape(layout, x, y, z, v):  # type: ignore[no-untyped-def]
+    """Carry out the reshapings at a point, given by its index."""
+    m = layout.to_world
+    for n in range(len(layout.shape_kind)):
+        low = layout.shape_low[n]
+        high = layout.shape_high[n]
+        if x < low[0] or y < low[1] or z < low[2] or x > high[0] or y > high[1] or z > high[2]:
+            continue
+        wx = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]
+        wy = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]
+        wz = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
+        points = layout.shape_points[layout.shape_first[n] : layout.shape_first[n + 1]]
+        if layout.shape_kind[n] == 0:
+            shape = np.float32(_cylinder_distance(points, layout.shape_radius[n], wx, wy, wz))
+        else:
+            shape = np.float32(_strokes_distance(points, layout.shape_radius[n], wx, wy, wz))
+        source = layout.source[n]
+        target = layout.target[n]
+        taken = np.float32(np.inf)
+        nearest = np.float32(np.inf)
+        second = np.float32(np.inf)
+        first = -1
+        for s in range(len(v)):
+            if source[s]:
+                taken = min(taken, v[s])
+                v[s] = max(v[s], -shape)
+            if target[s]:
+                if v[s] < nearest:
+                    second = nearest
+                    nearest = v[s]
+                    first = s
+                elif v[s] < second:
+                    second = v[s]
+        part = max(shape, taken)
+        for s in range(len(v)):
+            if target[s]:
+                other = second if s == first else nearest
+                gain = part
+                if other < np.inf:
+                    gain = max(part, np.float32(0.5) * (v[s] - other))
+                v[s] = min(v[s], gain)
+
+
+@numba.njit(cache=True, nogil=True)
+def _evaluate_one(layout, x, y, z, raw, v):  # type: ignore[no-untyped-def]
+    """Finish a point, given by its index, from the interpolated stored fields ``raw``."""
+    if len(v) > len(raw):
+        v[:] = np.float32(NOWHERE_MM)
+    for s in range(len(raw)):
+        v[layout.stored_slot[s]] = raw[s]
+    if len(layout.wall_slot) > 0 and layout.background >= 0:
+        _grow_walls(layout, v)
+    if len(layout.shape_kind) > 0:
+        _reshape(layout, x, y, z, v)
+    lowest_tissue = np.float32(np.inf)
+    lowest_void = np.float32(np.inf)
     tissue = np.uint8(0)
     void = np.uint8(0)
-    for s in range(count):
-        f = stack[s]
-        c00 = f[k, j, i] * (1.0 - fx) + f[k, j, i1] * fx
-        c01 = f[k, j1, i] * (1.0 - fx) + f[k, j1, i1] * fx
-        c10 = f[k1, j, i] * (1.0 - fx) + f[k1, j, i1] * fx
-        c11 = f[k1, j1, i] * (1.0 - fx) + f[k1, j1, i1] * fx
-        value = (c00 * (1.0 - fy) + c01 * fy) * (1.0 - fz) + (c10 * (1.0 - fy) + c11 * fy) * fz
-        if s < tissue_count:
-            if value < lowest_tissue:
-                lowest_tissue = value
-                tissue = values[s]
-        elif value < lowest_void:
-            lowest_void = value
-            void = values[s]
-    if tissue_count == 0:
-        return np.float32(abs(lowest_void)), void, tissue
-    return np.float32(0.5 * (lowest_tissue - lowest_void)), void, tissue
+    for s in range(layout.tissue_count):
+        if v[s] < lowest_tissue:
+            lowest_tissue = v[s]
+            tissue = layout.labels[s]
+    for s in range(layout.tissue_count, len(v)):
+        if v[s] < lowest_void:
+            lowest_void = v[s]
+            void = layout.labels[s]
+    if layout.tissue_count == 0:
+        return abs(lowest_void), void, tissue
+    if lowest_tissue < 0.0 and lowest_void > 0.0:
+        return min(lowest_tissue, -lowest_void), void, tissue
+    if lowest_tissue > 0.0 and lowest_void < 0.0:
+        return max(lowest_tissue, -lowest_void), void, tissue
+    return lowest_tissue - lowest_void, void, tissue
 
 
 @numba.njit(cache=True, nogil=True, parallel=True)
-def _evaluate_lattice(stack, values, tissue_count, start, step, tissue, void_label, tissue_label):  # type: ignore[no-untyped-def]
+def _evaluate_lattice(layout, start, step, tissue, void_label, tissue_label):  # type: ignore[no-untyped-def]
     nz, ny, nx = tissue.shape
+    count = layout.stack.shape[2]
+    stored = layout.stack.shape[3]
+    first = _place(min(start[0], start[0] + (nx - 1) * step[0]), count)[0]
+    last = _place(max(start[0], start[0] + (nx - 1) * step[0]), count)[1]
     for k in numba.prange(nz):
+        row = np.empty((last - first + 1) * stored, np.float32)
+        raw = np.empty(stored, np.float32)
+        v = np.empty(len(layout.labels), np.float32)
         for j in range(ny):
+            y = start[1] + j * step[1]
+            z = start[2] + k * step[2]
+            _row(layout.stack, y, z, first, last, row)
             for i in range(nx):
-                one = _evaluate_one(
-                    stack, values, tissue_count, start[0] + i * step[0], start[1] + j * step[1], start[2] + k * step[2]
-                )
+                x = start[0] + i * step[0]
+                i0, i1, fx = _place(x, count)
+                a = (i0 - first) * stored
+                b = (i1 - first) * stored
+                _lerp(row[a : a + stored], row[b : b + stored], fx, raw)
+                one = _evaluate_one(layout, x, y, z, raw, v)
                 tissue[k, j, i] = one[0]
                 void_label[k, j, i] = one[1]
                 tissue_label[k, j, i] = one[2]
 
 
 @numba.njit(cache=True, nogil=True, parallel=True)
-def _evaluate_points(stack, values, tissue_count, index, tissue, void_label, tissue_label):  # type: ignore[no-untyped-def]
-    for p in numba.prange(len(index)):
-        one = _evaluate_one(stack, values, tissue_count, index[p, 0], index[p, 1], index[p, 2])
-        tissue[p] = one[0]
-        void_label[p] = one[1]
-        tissue_label[p] = one[2]
+def _evaluate_points(layout, index, tissue, void_label, tissue_label):  # type: ignore[no-untyped-def]
+    count = layout.stack.shape[2]
+    stored = layout.stack.shape[3]
+    for chunk in numba.prange((len(index) + CHUNK - 1) // CHUNK):
+        row = np.empty(2 * stored, np.float32)
+        raw = np.empty(stored, np.float32)
+        v = np.empty(len(layout.labels), np.float32)
+        for p in range(chunk * CHUNK, min((chunk + 1) * CHUNK, len(index))):
+            i0, i1, fx = _place(index[p, 0], count)
+            _row(layout.stack, index[p, 1], index[p, 2], i0, i1, row)
+            _lerp(row[:stored], row[(i1 - i0) * stored : (i1 - i0 + 1) * stored], fx, raw)
+            one = _evaluate_one(layout, index[p, 0], index[p, 1], index[p, 2], raw, v)
+            tissue[p] = one[0]
+            void_label[p] = one[1]
+            tissue_label[p] = one[2]

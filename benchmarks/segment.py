@@ -1,0 +1,68 @@
+"""Marker-based watershed from a synthetic scan: ours beside other libraries' given the same gradient and markers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import SimpleITK as sitk
+from phantom_inputs import PhantomInputs, phantom_inputs
+
+from heartcase.phantom.metrics import dice, surface_error
+from heartcase.pipeline.data import Markers, Scan, Segmentation
+from heartcase.pipeline.filter import filter_scan
+from heartcase.pipeline.gradient import gradient_magnitude
+from heartcase.pipeline.segment import segment_scan
+from heartcase.schemas.settings import FilterSettings, SegmentSettings
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """The filtered scan and its gradient."""
+
+    source: PhantomInputs
+    filtered: Scan
+    gradient: Any
+
+
+def prepare(params: dict[str, Any]) -> Inputs:
+    source = phantom_inputs(params)
+    filtered = filter_scan(source.scan, FilterSettings())
+    return Inputs(source, filtered, gradient_magnitude(filtered.values, filtered.geometry.spacing_mm))
+
+
+def heartcase(inputs: Inputs) -> Segmentation:
+    return segment_scan(inputs.filtered, inputs.source.markers, SegmentSettings(), inputs.source.phantom.table)
+
+
+def simpleitk(inputs: Inputs) -> Segmentation:
+    painted = inputs.source.markers.labels.astype(np.int32) + 1
+    painted[painted == Markers.UNMARKED + 1] = 0
+    flooded = sitk.MorphologicalWatershedFromMarkers(
+        sitk.GetImageFromArray(inputs.gradient), sitk.GetImageFromArray(painted), markWatershedLine=False
+    )
+    labels = (sitk.GetArrayFromImage(flooded) - 1).astype(np.uint8)
+    return Segmentation(labels, inputs.filtered.geometry, inputs.source.phantom.table)
+
+
+METHODS = {"heartcase": heartcase, "simpleitk": simpleitk}
+
+
+def errors(inputs: Inputs, output: Segmentation) -> dict[str, float]:
+    """Dice and surface distance of every structure; the truth's grown walls count as background, as in the output."""
+    truth, table = inputs.source.truth.labels.copy(), output.table
+    for label in inputs.source.truth.table:
+        if label.wall_of is not None:
+            truth[truth == label.value] = 0
+    found: dict[str, float] = {"blood pool Dice [1]": dice(output.labels, truth, table.blood_values)}
+    for label in table:
+        if label.value == 0:
+            continue
+        distance = surface_error(output.labels, output.geometry, inputs.source.phantom.truth, label.value)
+        found[f"{label.name} Dice [1]"] = dice(output.labels, truth, label.value)
+        found[f"{label.name} mean distance [mm]"] = distance.mean_mm
+        found[f"{label.name} 95% distance [mm]"] = distance.percentile_95_mm
+    share = float((inputs.source.markers.labels != Markers.UNMARKED).mean())
+    found["voxels marked [%]"] = 100.0 * share
+    return found

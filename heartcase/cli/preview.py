@@ -1,0 +1,104 @@
+"""``heartcase preview``: make a picture of a scan or a case."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from heartcase.cli.info import kind_of
+from heartcase.cli.output import echo_json, file_size
+from heartcase.schemas.bundle import FileRole
+from heartcase.schemas.errors import UsageError
+from heartcase.schemas.files import atomic_write
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+    from heartcase.pipeline.pictures import View
+
+__all__ = ["command"]
+
+_SIDES: tuple[View, ...] = ("anterior", "posterior", "left", "right")
+_VIEWS = ("anterior", "posterior", "left", "right", "superior", "inferior", "cutaway")
+_STACKS = ("axial", "coronal", "sagittal")
+
+
+@click.command()
+@click.argument("path", type=click.Path(path_type=Path))
+@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="The picture to write (.png).")
+@click.option(
+    "--view",
+    type=click.Choice((*_VIEWS, *_STACKS)),
+    help="One picture instead of all: a side or the cutaway of a case, a stack of slices of a scan.",
+)
+@click.option("--series", help="DICOM: which series of the folder, by its number or the end of its UID.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object about the picture.")
+def command(path: Path, output: Path, view: str | None, series: str | None, as_json: bool) -> None:
+    """Make a picture of PATH: slices of a scan, or the surface of a case from four sides and cut open."""
+    if output.suffix.lower() != ".png":
+        raise UsageError("the picture must end in .png", place="--output")
+    kind = kind_of(path)
+    if view is not None and (view in _STACKS) == (kind == "case"):
+        choices = ", ".join(_VIEWS if kind == "case" else _STACKS)
+        raise UsageError(f"{view!r} is no view of a {kind}: choose {choices}", place="--view")
+    picture = _case_picture(path, view) if kind == "case" else _scan_picture(path, kind, view, series)
+    from heartcase.pipeline.montage import png_bytes
+
+    content = png_bytes(picture)
+    try:
+        atomic_write(output, content)
+    except OSError as error:
+        raise UsageError(f"cannot be written: {error.strerror}", place="--output") from None
+    height, width = picture.shape[:2]
+    if as_json:
+        shown = [view] if view else list((*_SIDES, "cutaway") if kind == "case" else _STACKS)
+        echo_json({"kind": kind, "views": shown, "width": width, "height": height, "bytes": len(content)})
+    else:
+        click.echo(f"wrote a picture of {width} x {height} pixels, {file_size(len(content))}")
+
+
+def _scan_picture(path: Path, kind: str, view: str | None, series: str | None) -> npt.NDArray[np.uint8]:
+    from heartcase.pipeline.montage import stacked
+    from heartcase.pipeline.read import read_scan
+    from heartcase.pipeline.slices import slice_pictures
+
+    if kind == "recipe":
+        from heartcase.schemas.recipe import load_recipe
+
+        recipe = load_recipe(path)
+        path, series = path.parent / recipe.scan.path, series or recipe.scan.series
+        if not path.exists():
+            origin = f" Where it comes from: {recipe.scan.origin}" if recipe.scan.origin else ""
+            raise UsageError(f"the recipe's scan is not there.{origin}", place="scan.path")
+    scan = read_scan(path, series=series)
+    rows = slice_pictures(scan.values, scan.geometry, None, None, modality=scan.modality)
+    return stacked([row for stack, row in rows.items() if view in (None, stack)])
+
+
+def _case_picture(path: Path, view: str | None) -> npt.NDArray[np.uint8]:
+    from heartcase.pipeline.montage import label_colours, legend_picture, montage, stacked
+    from heartcase.pipeline.pictures import VIEWS, cutaway_picture, surface_picture
+    from heartcase.schemas.bundle_reader import open_bundle
+
+    case = open_bundle(path)
+    table = case.manifest.labels
+    names = ("vertices", "triangles", "normals", "triangle_label", "triangle_tissue")
+    arrays = case.arrays(FileRole.SURFACE, names)
+    mesh: dict[str, Any] = {
+        "vertices_mm": arrays["vertices"],
+        "triangles": arrays["triangles"],
+        "triangle_label": arrays["triangle_label"],
+        "triangle_tissue": arrays["triangle_tissue"],
+        "normals": arrays["normals"],
+        "table": table,
+    }
+    sides = [side for side in (tuple(VIEWS) if view else _SIDES) if view in (None, side)]
+    pictures: dict[str, npt.NDArray[np.uint8]] = {side: surface_picture(**mesh, view=side) for side in sides}
+    if view in (None, "cutaway"):
+        pictures["cut open"] = cutaway_picture(**mesh)
+    sheet = montage(pictures, columns=2 if view is None else 1)
+    present = {int(value) for name in names[3:] for value in set(arrays[name].tolist())} - {0}
+    return stacked([sheet, legend_picture(label_colours(table, present), width=sheet.shape[1])])

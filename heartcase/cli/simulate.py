@@ -1,0 +1,213 @@
+"""``heartcase simulate``: a scripted session on a case."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import click
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+
+from heartcase.cli.output import echo_json
+from heartcase.schemas.errors import UsageError
+from heartcase.schemas.script import SimulationScript
+from heartcase.simulator.animation import (
+    Camera,
+    check_animation_name,
+    check_picture_name,
+    write_animation,
+    write_picture,
+)
+from heartcase.simulator.export import SURFACE_FORMATS, write_surface
+from heartcase.simulator.load import Case, load_case
+from heartcase.simulator.script import SessionSummary, default_script, load_script, run_script, with_positions
+from heartcase.simulator.simulation import Simulation
+from heartcase.simulator.surface import DeformedSurface
+
+__all__ = ["command"]
+
+DEFAULT_SECONDS = 2.0
+FILM_FRAMES_PER_SECOND = 15.0
+"""An animation takes up no more than this."""
+QUIET_SECONDS = 1.0
+"""The progress bar shows after this long."""
+
+_OUT = click.Path(path_type=Path, dir_okay=False)
+_POSITIVE = click.FloatRange(min=0.0, min_open=True)
+
+
+@click.command()
+@click.argument("case", type=click.Path(path_type=Path))
+@click.option("--script", "script_path", type=click.Path(path_type=Path), help="What the hands do (TOML).")
+@click.option("--seconds", type=_POSITIVE, help="Simulated time; the script's, or 2 without a script.")
+@click.option("--step", "step_s", type=_POSITIVE, help="Time step in s; the case's default when left out.")
+@click.option("--backend", type=click.Choice(["cpu", "reference"]), default="cpu", help="Which kernel steps.")
+@click.option("--surface", "surface_out", type=_OUT, help="Write the final surface here (.ply, .stl, .obj).")
+@click.option("--animation", type=_OUT, help="Write an animation here (.gif, .mp4).")
+@click.option("--picture", type=_OUT, help="Write a picture of the furthest deformation here (.png).")
+@click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
+def command(
+    case: Path,
+    script_path: Path | None,
+    seconds: float | None,
+    step_s: float | None,
+    backend: str,
+    surface_out: Path | None,
+    animation: Path | None,
+    picture: Path | None,
+    as_json: bool,
+) -> None:
+    """Run a scripted session on CASE and say what came of it.
+
+    Without --script a hand pulls the tissue that is farthest from the fixed nodes outward by 10 mm, and lets go.
+    """
+    _check_names(surface_out, animation, picture)
+    script = load_script(script_path) if script_path is not None else None
+    loaded = load_case(case, needs=("surface", "colours"), curvature=script.curvature if script else "flagged")
+    script = _completed(script, loaded, seconds, step_s)
+    simulation = Simulation(
+        loaded.model,
+        surface=loaded.surface,
+        step_s=script.step_s,
+        damping_per_s=script.damping_per_s,
+        gravity_m_s2=script.gravity_m_s2,
+        backend="reference" if backend == "reference" else "cpu",
+    )
+    film_every = max(1, round(script.frames_per_second / FILM_FRAMES_PER_SECOND)) if animation is not None else 0
+    with ExitStack() as stack:
+        camera = stack.enter_context(_camera(loaded)) if animation is not None or picture is not None else None
+        audience = _Audience(camera, film_every=film_every, wants_picture=picture is not None)
+        stack.enter_context(audience.bar(script.seconds))
+        summary = run_script(simulation, script, on_frame=audience.watch)
+        shot = audience.furthest_picture()
+    if animation is not None and camera is not None:
+        write_animation(animation, camera.frames, frames_per_second=script.frames_per_second / film_every)
+    if picture is not None and shot is not None:
+        write_picture(picture, shot)
+    if surface_out is not None and loaded.surface is not None:
+        end = simulation.surface_now()
+        write_surface(
+            surface_out, end.vertices_mm, end.normals, loaded.surface.triangles, colours=loaded.triangle_colours
+        )
+    if as_json:
+        echo_json({"case": loaded.manifest.name, "backend": backend, **summary.to_dict()})
+    else:
+        for line in _lines(loaded, summary):
+            click.echo(line)
+
+
+class _Audience:
+    """What looks on while the session runs: the progress bar, the film, the picture of the furthest deformation."""
+
+    def __init__(self, camera: Camera | None, *, film_every: int, wants_picture: bool) -> None:
+        self.camera = camera
+        self.film_every = film_every
+        self.wants_picture = wants_picture
+        self.frame_number = 0
+        self.furthest = -1.0
+        self.furthest_surface: DeformedSurface | None = None
+        self.started = time.perf_counter()
+        self.progress = Progress(
+            TextColumn("simulating"),
+            BarColumn(),
+            TextColumn("{task.completed:.2f} of {task.total:.2f} s"),
+            TimeRemainingColumn(),
+            console=Console(stderr=True),
+            transient=True,
+        )
+        self.task: TaskID | None = None
+
+    @contextmanager
+    def bar(self, seconds: float) -> Iterator[None]:
+        """Show the progress, once it is worth showing, until the end of the block."""
+        self.task = self.progress.add_task("", total=seconds)
+        try:
+            yield
+        finally:
+            self.progress.stop()
+
+    def watch(self, simulation: Simulation, time_s: float) -> None:
+        """Look at a frame."""
+        if self.task is not None:
+            self.progress.update(self.task, completed=time_s)
+        if time.perf_counter() - self.started > QUIET_SECONDS:
+            self.progress.start()
+        if self.camera is not None:
+            if self.film_every and self.frame_number % self.film_every == 0:
+                self.camera.film(simulation.surface_now())
+            moved = float(np.abs(simulation.state.displacement).max())
+            if self.wants_picture and moved > self.furthest:
+                self.furthest = moved
+                self.furthest_surface = simulation.surface_now()
+        self.frame_number += 1
+
+    def furthest_picture(self) -> np.ndarray | None:
+        """The picture, if one was wanted."""
+        if self.camera is None or self.furthest_surface is None:
+            return None
+        return self.camera.take(self.furthest_surface)
+
+
+def _check_names(surface: Path | None, animation: Path | None, picture: Path | None) -> None:
+    """Refuse what cannot be written before any work is done."""
+    if surface is not None and surface.suffix.lower() not in SURFACE_FORMATS:
+        raise UsageError(f"a surface is written as {', '.join(SURFACE_FORMATS)}", place="--surface")
+    if animation is not None:
+        check_animation_name(animation)
+    if picture is not None:
+        check_picture_name(picture)
+    for path in (surface, animation, picture):
+        if path is not None and not path.absolute().parent.is_dir():
+            raise UsageError(f"the folder of {path.name} does not exist: make it first")
+
+
+def _completed(
+    script: SimulationScript | None, case: Case, seconds: float | None, step_s: float | None
+) -> SimulationScript:
+    """The script, or the default pull, with its landmarks found and what the command line changes."""
+    if script is None:
+        script = default_script(case.model, case.surface, seconds=seconds or DEFAULT_SECONDS)
+    script = with_positions(script, case.manifest.landmarks)
+    changes = {"seconds": seconds, "step_s": step_s}
+    return script.model_copy(update={key: value for key, value in changes.items() if value is not None})
+
+
+def _camera(case: Case) -> Camera:
+    assert case.surface is not None
+    assert case.triangle_colours is not None
+    return Camera(case.surface.rest_mm, case.surface.triangles, case.triangle_colours)
+
+
+def _lines(case: Case, summary: SessionSummary) -> Iterator[str]:
+    """The summary in plain words."""
+    yield f"Case       {case.manifest.name}"
+    yield (
+        f"Lattice    {summary.node_count:,} nodes, {summary.spring_count:,} springs, "
+        f"cells of {summary.cell_mm:.2f} mm, {int(case.model.node_is_fixed.sum()):,} nodes fixed"
+    )
+    yield f"Surface    {summary.triangle_count:,} triangles"
+    yield (
+        f"Step       {summary.step_s * 1e3:.4f} ms (bound {summary.step_limit_s * 1e3:.4f} ms), "
+        f"{summary.step_count:,} steps"
+    )
+    yield (
+        f"Time       {summary.seconds:.2f} s simulated in {summary.wall_seconds:.2f} s: "
+        f"{summary.step_count / summary.wall_seconds:,.0f} steps per second, "
+        f"real-time factor {summary.real_time_factor:.2f}"
+    )
+    yield (
+        f"Movement   at most {summary.displacement_max_mm:.2f} mm from rest, "
+        f"{summary.displacement_end_mm:.2f} mm at the end"
+    )
+    for name, force in summary.peak_force_n.items():
+        yield f"Force      {name}: at most {force:.3g} N on {summary.held_node_count[name]:,} nodes"
+    if summary.inverted_cell_count_end:
+        yield (
+            f"Warning    {summary.inverted_cell_count_end:,} cells are turned inside out at the end and hold the "
+            "tissue away from rest: pull less far, or with a larger radius"
+        )
+    yield case.manifest.notice

@@ -1,0 +1,176 @@
+"""Marker strokes for the phantom, drawn where a person would: along the middle of cavities and walls, around the heart.
+
+At most ten strokes a label, none thicker than 2 mm in radius. Every stroke stays inside its structure.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from heartcase.phantom.anatomy import LONG_AXIS, SEPTUM_AXIS, UPWARD_AXIS
+from heartcase.phantom.heart import HeartPhantom
+from heartcase.schemas.settings import Stroke
+
+__all__ = ["marker_strokes"]
+
+Float64 = npt.NDArray[np.float64]
+
+
+def marker_strokes(phantom: HeartPhantom) -> tuple[Stroke, ...]:
+    """Strokes for every label of the phantom's table, the background last."""
+    radius = round(1.6 * phantom.scale, 1)
+    drawn: list[tuple[str, Float64]] = []
+    for label, points in _cavity_lines(phantom):
+        drawn.append((label, _inside(phantom, label, points, radius)))
+    for points in _myocardium_lines(phantom):
+        drawn.append(("left ventricular myocardium", _inside(phantom, "left ventricular myocardium", points, radius)))
+    for points in _outlines(phantom, radius):
+        drawn.append(("background", points))
+    return tuple(
+        Stroke(
+            label=label,
+            radius_mm=radius,
+            points_mm=tuple((round(float(x), 1), round(float(y), 1), round(float(z), 1)) for x, y, z in points),
+        )
+        for label, points in drawn
+    )
+
+
+def _cavity_lines(phantom: HeartPhantom) -> list[tuple[str, Float64]]:
+    scale, places = phantom.scale, phantom.anatomy.places
+
+    def at(along: float, right: float, up: float) -> Float64:
+        point: Float64 = scale * (along * LONG_AXIS + right * SEPTUM_AXIS + up * UPWARD_AXIS)
+        return point
+
+    left, right = places["left atrium"], places["right atrium"]
+    crescent = np.linspace(-60.0, 60.0, 9)
+    bow = [
+        [at(along, 38.0 * np.cos(np.radians(a)), 38.0 * np.sin(np.radians(a)) - 3.0) for a in crescent]
+        for along in (12.0, 30.0)
+    ]
+    outflow = scale * np.array([(-2.0, -44.0, -20.0), (8.0, -39.5, 0.0), (13.0, -36.5, 13.0)])
+    x, y, z = scale * np.eye(3)
+    lines = [
+        ("left ventricle", np.array([at(2.0, 0.0, 0.0), at(30.0, 0.0, 0.0), at(66.0, 0.0, 0.0)])),
+        ("left ventricle", _ring(places["left ventricle"], SEPTUM_AXIS, UPWARD_AXIS, 14.0 * scale)),
+        ("left ventricle", _ring(at(10.0, 0.0, 0.0), SEPTUM_AXIS, UPWARD_AXIS, 12.0 * scale)),
+        ("right ventricle", np.array(bow[0])),
+        ("right ventricle", np.array(bow[1])),
+        ("right ventricle", np.array([at(4.0, 36.0, -16.0), at(30.0, 38.0, -6.0), at(52.0, 33.0, -2.0)])),
+        ("right ventricle", outflow),
+        ("left atrium", np.array([left - 20.0 * x, left, left + 20.0 * x])),
+        ("left atrium", np.array([left - 14.0 * z, left, left + 14.0 * z])),
+        ("left atrium", scale * np.array([(8.0, 20.0, 14.0), (24.0, 10.0, 20.0), (34.0, -2.0, 20.0)])),
+        ("right atrium", np.array([right - 18.0 * z, right, right + 18.0 * z])),
+        ("right atrium", np.array([right - 12.0 * x + 8.0 * y, right, right + 10.0 * x - 8.0 * y])),
+        ("right atrium", scale * np.array([(-42.0, -12.0, 12.0), (-42.0, -20.0, 16.0), (-34.0, -32.0, 22.0)])),
+        ("aorta", places["aorta line"]),
+        ("pulmonary artery", places["pulmonary trunk line"]),
+        ("pulmonary artery", places["right pulmonary line"]),
+        ("pulmonary artery", places["left pulmonary line"]),
+        ("superior vena cava", places["superior vena cava line"]),
+        ("inferior vena cava", places["inferior vena cava line"]),
+    ]
+    for name in sorted(name for name in places if name.endswith("vein line")):
+        lines.append(("left atrium", places[name]))
+    for name in sorted(name for name in places if name.startswith("aortic branch line")):
+        lines.append(("aorta", places[name]))
+    return lines
+
+
+def _ring(centre: Float64, first: Float64, second: Float64, radius: float, count: int = 17) -> Float64:
+    angle = np.linspace(0.0, 2.0 * np.pi, count)[:, None]
+    ring: Float64 = centre + radius * (np.cos(angle) * first + np.sin(angle) * second)
+    return ring
+
+
+def _myocardium_lines(phantom: HeartPhantom) -> list[Float64]:
+    """Three rings and two lines over the apex, in the middle of the wall."""
+    scale = phantom.scale
+    angles = np.linspace(0.0, 2.0 * np.pi, 33)[:, None]
+    around = np.cos(angles) * SEPTUM_AXIS + np.sin(angles) * UPWARD_AXIS
+    lines = [_middle_of_wall(phantom, scale * along * LONG_AXIS, around) for along in (12.0, 30.0, 50.0)]
+    sweep = np.radians(np.linspace(-100.0, 100.0, 31))[:, None]
+    for across in (SEPTUM_AXIS, UPWARD_AXIS):
+        directions = np.cos(sweep) * LONG_AXIS + np.sin(sweep) * across
+        lines.append(_middle_of_wall(phantom, scale * 24.0 * LONG_AXIS, directions))
+    return lines
+
+
+def _middle_of_wall(phantom: HeartPhantom, centre: Float64, directions: Float64) -> Float64:
+    """Points half-way between endocardium and epicardium along rays."""
+    reach = np.arange(0.0, 80.0 * phantom.scale, 0.25 * phantom.scale)
+    rays = centre + reach[None, :, None] * directions[:, None, :]
+    fields = phantom.anatomy.tables.evaluate(rays.reshape(-1, 3)).reshape(len(directions), len(reach), -1)
+    inner = np.argmax(fields[:, :, 0] > 0.0, axis=1)
+    outer = np.argmax(fields[:, :, 8] > 0.0, axis=1)
+    middle: Float64 = centre + (0.5 * (reach[inner] + reach[outer]))[:, None] * directions
+    return middle
+
+
+def _inside(phantom: HeartPhantom, label: str, points: Float64, radius: float) -> Float64:
+    """The longest stretch of a polyline whose brush stays inside the structure."""
+    value = phantom.table[label].value
+    dense = _resampled(points, 2.0 * phantom.scale)
+    fits = phantom.truth.value(dense, value) < -(radius + 0.2)
+    best, start = (0, 0), None
+    for n, ok in enumerate([*fits, False]):
+        if ok and start is None:
+            start = n
+        if not ok and start is not None:
+            if n - start > best[1] - best[0]:
+                best = (start, n)
+            start = None
+    return dense[best[0] : best[1]]
+
+
+def _resampled(points: Float64, step: float) -> Float64:
+    at = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    wanted = np.linspace(0.0, at[-1], max(2, int(np.ceil(at[-1] / step)) + 1))
+    return np.stack([np.interp(wanted, at, points[:, axis]) for axis in range(3)], axis=1)
+
+
+def _outlines(phantom: HeartPhantom, radius: float) -> list[Float64]:
+    """Closed lines around the heart: short-axis, axial, coronal and sagittal planes."""
+    scale, places = phantom.scale, phantom.anatomy.places
+    x, y, z = np.eye(3)
+    middle = 0.5 * (places["left ventricle"] + places["right ventricle"])
+    planes = [
+        (scale * (12.0 * LONG_AXIS + 14.0 * SEPTUM_AXIS), SEPTUM_AXIS, UPWARD_AXIS),
+        (scale * (32.0 * LONG_AXIS + 14.0 * SEPTUM_AXIS), SEPTUM_AXIS, UPWARD_AXIS),
+        (scale * (54.0 * LONG_AXIS + 8.0 * SEPTUM_AXIS), SEPTUM_AXIS, UPWARD_AXIS),
+        (middle, x, z),
+        (middle, y, z),
+        (scale * np.array((-2.0, 5.0, 0.0)), x, y),
+        (scale * np.array((-2.0, 8.0, 26.0)), x, y),
+        (scale * np.array((-4.0, 12.0, 45.0)), x, y),
+        (scale * np.array((-4.0, 20.0, 64.0)), x, y),
+        (scale * np.array((0.0, 26.0, 20.0)), x, z),
+    ]
+    return [_outline(phantom, *plane, radius) for plane in planes]
+
+
+def _outline(phantom: HeartPhantom, centre: Float64, first: Float64, second: Float64, radius: float) -> Float64:
+    """Closed line in a plane, as near to the heart from outside as its brush allows."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 61)[:-1, None]
+    directions = np.cos(angle) * first + np.sin(angle) * second
+    reach = np.arange(0.0, 110.0 * phantom.scale, 0.5 * phantom.scale)
+    rays = centre + reach[None, :, None] * directions[:, None, :]
+    clear = phantom.truth.value(rays.reshape(-1, 3), 0).reshape(len(angle), len(reach)) < -(
+        radius + 0.8 * phantom.scale
+    )
+    last_hit = len(reach) - 1 - np.argmax(~clear[:, ::-1], axis=1)
+    out = reach[np.minimum(last_hit + 1, len(reach) - 1)]
+    for _ in range(len(angle)):
+        line = centre + out[:, None] * directions
+        closed = np.concatenate([line, line[:1]])
+        middles = closed[:-1, None] + np.linspace(0.0, 1.0, 13)[None, 1:-1, None] * (closed[1:] - closed[:-1])[:, None]
+        hits = phantom.truth.value(middles, 0).max(axis=1) > -(radius + 0.2)
+        if not hits.any():
+            break
+        larger = np.maximum(out, np.roll(out, -1))
+        out = np.where(hits, larger + 0.5 * phantom.scale, out)
+        out = np.where(np.roll(hits, 1), np.maximum(out, np.roll(larger, 1) + 0.5 * phantom.scale), out)
+    return closed

@@ -1,0 +1,321 @@
+"""The simulation grid: tissue as cubic cells of partial coverage (thesis 11.2.1), with the topology of the scan.
+
+Cells are parallel to the scan's axes and start at the lower corner of the region of interest. A cell exists where at
+least ``coverage_min`` of it is tissue; :mod:`heartcase.pipeline.repair` then adds and removes cells so that walls stay
+closed and openings stay open. Thickness, volume and Betti numbers of the result are compared with the full resolution.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from heartcase.pipeline.cells import CellSamples, VoidPieces, cell_lattice, sample_cells, sample_factor, void_pieces
+from heartcase.pipeline.data import SimulationGrid, Structures
+from heartcase.pipeline.fields import ownership_on_lattice
+from heartcase.pipeline.passages import blocked_openings, open_passages
+from heartcase.pipeline.repair import CellState, Index, close_leaks, find_leaks, join_tissue
+from heartcase.pipeline.supports import fixed_nodes, floating_pieces
+from heartcase.pipeline.topology import betti_numbers, components, distance_in_samples
+from heartcase.schemas.errors import StageError
+from heartcase.schemas.labels import BACKGROUND, Label, LabelTable, Role
+from heartcase.schemas.lattice import cell_nodes
+from heartcase.schemas.settings import GridSettings, Pin
+
+__all__ = ["DEFAULT_NODE_COUNT", "FACE_CORNERS", "build_grid"]
+
+Bool = npt.NDArray[np.bool_]
+Int32 = npt.NDArray[np.int32]
+UInt8 = npt.NDArray[np.uint8]
+
+DEFAULT_NODE_COUNT = 30_000
+"""Nodes to aim at when neither a cell edge nor a node count is asked for (thesis 11.2.1)."""
+
+FACE_CORNERS: Int32 = np.array(
+    [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]], dtype=np.int32
+)
+"""Corners of a cell's faces towards -i, +i, -j, +j, -k, +k, counter-clockwise seen from outside, shape (6, 4)."""
+
+_MAX_SAMPLES = 1_500_000_000
+_MAX_CELLS = 100_000_000
+_NAMED_PLACES = 5
+
+
+def build_grid(structures: Structures, settings: GridSettings, *, pins: Sequence[Pin] = ()) -> SimulationGrid:
+    """Turn the tissue into cells (thesis 11.2.1).
+
+    Parameters
+    ----------
+    structures
+        Distance fields of all structures, and the end markers.
+    settings
+        Cell edge or node count, least coverage, whether to repair the topology.
+    pins
+        Balls of tissue that are held fixed, world mm.
+
+    Returns
+    -------
+    SimulationGrid
+        ``quality`` compares volume and Betti numbers with the full resolution; ``warnings`` name what differs.
+
+    Raises
+    ------
+    StageError
+        There is no tissue, the cells are too small or too large for it, a pin holds no tissue, or nothing is fixed.
+    """
+    if not any(value in structures.distance_mm for value in structures.table.tissue_values):
+        raise StageError("there is no tissue label in the segmentation: add walls or a myocardium", place="grid")
+    if settings.cell_mm is not None:
+        samples = _sample(structures, settings.cell_mm)
+    else:
+        samples = _samples_for_count(structures, settings)
+    if not (samples.coverage >= settings.coverage_min).any():
+        raise StageError("no cell holds enough tissue: make the cells smaller, or check the walls", place="grid")
+    pieces = void_pieces(samples)
+    state, quality, warnings = _shape_cells(samples, pieces, settings, structures.table)
+
+    tissue = state.tissue
+    cells = np.ascontiguousarray(np.argwhere(tissue)[:, ::-1].astype(np.int32))
+    # An added cell below the least coverage would join two parts with next to no stiffness.
+    coverage = np.maximum(samples.coverage[tissue], np.float32(settings.coverage_min))
+    nodes, corners = cell_nodes(cells)
+    faces, face_label, face_cell = _boundary(samples, pieces, state, corners)
+    fixed = fixed_nodes(structures, samples, tissue, nodes, corners, pins)
+    warnings += floating_pieces(samples.geometry, tissue, corners, fixed)
+    fine_ml = _tissue_volume_mm3(samples) * 1e-3
+    grid_ml = float(coverage.sum(dtype=np.float64)) * samples.cell_mm**3 * 1e-3
+    quality = {
+        "cell_mm": samples.cell_mm,
+        "cell_count": len(cells),
+        "node_count": len(nodes),
+        "face_count": len(faces),
+        "fixed_node_count": int(fixed.sum()),
+        "samples_per_cell_edge": samples.factor,
+        "tissue_volume_ml": fine_ml,
+        "grid_volume_ml": grid_ml,
+        "volume_error_percent": 100.0 * (grid_ml - fine_ml) / fine_ml,
+        "thickness_cells": _thickness_percentiles(samples),
+        **quality,
+    }
+    return SimulationGrid(
+        geometry=samples.geometry,
+        cells=cells,
+        cell_coverage=coverage,
+        cell_label=samples.cell_label[tissue],
+        nodes=nodes,
+        fixed=fixed,
+        faces=faces,
+        face_label=face_label,
+        face_cell=face_cell,
+        table=structures.table,
+        quality=quality,
+        warnings=tuple(warnings),
+    )
+
+
+def _sample(structures: Structures, cell_mm: float) -> CellSamples:
+    lattice = cell_lattice(structures.geometry, cell_mm)
+    factor = sample_factor(structures.geometry, cell_mm)
+    if np.prod(lattice.size) > _MAX_CELLS or np.prod(lattice.size) * factor**3 > _MAX_SAMPLES:
+        raise StageError(
+            f"cells of {cell_mm:.3g} mm are too small for this region: ask for a larger cell_mm or fewer nodes",
+            place="grid",
+        )
+    return sample_cells(structures, lattice, factor)
+
+
+def _samples_for_count(structures: Structures, settings: GridSettings) -> CellSamples:
+    """Solve for the cell edge on one resampled tissue field, then correct it with the real count."""
+    wanted = settings.node_count or DEFAULT_NODE_COUNT
+    merged = _merged(structures)
+    voxel = merged.geometry.voxel_volume_mm3
+    volume = float(np.clip(0.5 - merged.distance_mm[1] / voxel ** (1 / 3), 0.0, 1.0).sum()) * voxel
+    if volume == 0.0:
+        raise StageError("there is no tissue in the region of interest: check walls and region", place="grid")
+    cell_mm = (1.6 * volume / wanted) ** (1 / 3)
+    least = 0.125 * min(merged.geometry.spacing_mm)
+    tried: list[tuple[float, int]] = []
+    for _ in range(12):
+        cell_mm = max(cell_mm, least)
+        samples = sample_cells(merged, cell_lattice(merged.geometry, cell_mm), 2)
+        count = _node_count(samples.coverage >= settings.coverage_min)
+        tried.append((cell_mm, count))
+        if abs(count - wanted) <= 0.01 * wanted or count == 0:
+            break
+        cell_mm *= (count / wanted) ** (1 / 2.7)
+    cell_mm = min(tried, key=lambda one: (abs(one[1] - wanted), one[0]))[0]
+    best: CellSamples | None = None
+    gap = np.inf
+    for _ in range(4):
+        samples = _sample(structures, cell_mm)
+        count = _node_count(samples.coverage >= settings.coverage_min)
+        if best is None or abs(count - wanted) < gap:
+            best, gap = samples, abs(count - wanted)
+        if gap <= 0.03 * wanted or count == 0:
+            break
+        cell_mm = max(cell_mm * (count / wanted) ** (1 / 2.7), least)
+    assert best is not None
+    return best
+
+
+def _merged(structures: Structures) -> Structures:
+    """The tissue as a single structure: enough to count cells."""
+    tissue = ownership_on_lattice(structures, structures.geometry).tissue_mm
+    return replace(
+        structures,
+        distance_mm={BACKGROUND: -tissue, 1: tissue},
+        table=LabelTable(labels=(Label(value=1, name="tissue", role=Role.MYOCARDIUM),)),
+    )
+
+
+def _node_count(tissue: Bool) -> int:
+    padded = np.pad(tissue, 1)
+    for axis in range(3):
+        low = tuple(slice(None, -1) if a == axis else slice(None) for a in range(3))
+        high = tuple(slice(1, None) if a == axis else slice(None) for a in range(3))
+        padded = padded[low] | padded[high]
+    return int(np.count_nonzero(padded))
+
+
+def _shape_cells(
+    samples: CellSamples, pieces: VoidPieces, settings: GridSettings, table: LabelTable
+) -> tuple[CellState, dict[str, Any], list[str]]:
+    """Choose the tissue cells, repair them, and compare their topology with the samples'."""
+    blood_values = np.isin(np.arange(256), table.blood_values)
+    state = CellState(samples.coverage >= settings.coverage_min, pieces.main.copy(), blood_values[pieces.main_label])
+    state.is_blood &= pieces.main > 0
+    fine_blood = samples.void & blood_values[samples.void_label]
+    fine_tissue = samples.tissue
+    blood_width = np.where(fine_blood, (2.0 * distance_in_samples(~fine_tissue) - 1.0) / samples.factor, 0.0)
+    unrepaired = state.copy()
+    warnings: list[str] = []
+    leaks_closed = joined = opened = 0
+    if settings.repair:
+        fine_pieces = components(fine_tissue, 26)[0]
+        leaks_closed = close_leaks(samples, pieces, state)
+        before = len(state.added)
+        join_tissue(samples, state, fine_pieces)
+        opened = open_passages(samples, pieces, state, blood_width)
+        stranded = join_tissue(samples, state, fine_pieces)
+        joined = len(state.added) - before
+        if stranded:
+            warnings.append(f"{len(stranded)} piece(s) of tissue came off in the cells at {_places(samples, stranded)}")
+    leaks = find_leaks(samples, pieces, state)
+    if leaks:
+        places = _places(samples, [pair[0] for pair in leaks])
+        warnings.append(f"a wall much thinner than a cell leaks in the cells at {places}: make the cells smaller")
+    blocked = blocked_openings(samples, pieces, state, blood_width)
+    if blocked:
+        places = _places(samples, blocked)
+        warnings.append(
+            f"{len(blocked)} opening(s) narrower than a cell are closed at {places}: make the cells smaller"
+        )
+    quality: dict[str, Any] = {
+        "repairs": {
+            "leak_cells_added": leaks_closed,
+            "break_cells_added": joined,
+            "openings_opened": opened,
+            "opening_cells_removed": len(state.removed),
+        },
+        "leaks_left": len(leaks),
+        "openings_closed": len(blocked),
+    }
+    figures = (
+        ("tissue", 26, fine_tissue, unrepaired.tissue, state.tissue),
+        ("blood", 6, fine_blood, unrepaired.is_blood & ~unrepaired.tissue, state.is_blood & ~state.tissue),
+    )
+    for name, connectivity, fine, raw, final in figures:
+        numbers = [betti_numbers(mask, 6 if connectivity == 6 else 26).as_list() for mask in (fine, raw, final)]
+        quality[f"betti_{name}"] = {"full_resolution": numbers[0], "unrepaired": numbers[1], "grid": numbers[2]}
+        if numbers[2] != numbers[0]:
+            was, now = numbers[0], numbers[2]
+            warnings.append(
+                f"{name}: {was[0]} pieces, {was[1]} tunnels, {was[2]} cavities at full resolution; "
+                f"{now[0]}, {now[1]}, {now[2]} in the cells"
+            )
+    return state, quality, warnings
+
+
+def _places(samples: CellSamples, cells: Sequence[Index]) -> str:
+    """The first few cells (k, j, i) as world positions in mm."""
+    named = []
+    for cell in sorted(set(cells))[:_NAMED_PLACES]:
+        x, y, z = samples.geometry.index_to_world(cell[::-1])
+        named.append(f"({x:.1f}, {y:.1f}, {z:.1f})")
+    more = len(set(cells)) - len(named)
+    return ", ".join(named) + " mm" + (f" and {more} more" if more else "")
+
+
+def _boundary(samples: CellSamples, pieces: VoidPieces, state: CellState, corners: Int32) -> tuple[Int32, UInt8, Int32]:
+    """Faces between tissue and void cells, by cell and then by direction.
+
+    The label of a face is that of most of the void samples next to it in the void cell's main piece; where none of
+    them touches the face, of most of that piece; 0 beyond the region of interest.
+    """
+    tissue = np.pad(state.tissue, 1)
+    k, j, i = np.nonzero(state.tissue)
+    steps = np.array([(0, 0, -1), (0, 0, 1), (0, -1, 0), (0, 1, 0), (-1, 0, 0), (1, 0, 0)])
+    beside = np.stack((k, j, i), axis=1)[:, None, :] + steps[None]
+    is_face = ~tissue[beside[..., 0] + 1, beside[..., 1] + 1, beside[..., 2] + 1]
+    face_cell, side = np.nonzero(is_face)
+    faces = corners[face_cell[:, None], FACE_CORNERS[side]]
+    label = np.zeros(len(faces), np.uint8)
+    _label_faces(pieces.piece, state.main, samples.void_label, samples.factor, beside[face_cell, side], side, label)
+    return np.ascontiguousarray(faces), label, face_cell.astype(np.int32)
+
+
+def _tissue_volume_mm3(samples: CellSamples) -> float:
+    return float(samples.coverage.sum(dtype=np.float64)) * samples.cell_mm**3
+
+
+def _thickness_percentiles(samples: CellSamples) -> dict[str, float]:
+    """Local thickness of the tissue, in cells: twice the depth at the ridges of the distance to the void."""
+    tissue = np.pad(samples.tissue, 1, mode="edge")
+    depth = distance_in_samples(tissue)
+    inner = (slice(1, -1),) * 3
+    centre = depth[inner]
+    peak = tissue[inner].copy()
+    ridge = centre.copy()
+    for axis in range(3):
+        low = depth[tuple(slice(None, -2) if a == axis else slice(1, -1) for a in range(3))]
+        high = depth[tuple(slice(2, None) if a == axis else slice(1, -1) for a in range(3))]
+        peak &= (centre >= low) & (centre >= high)
+        # Across a wall the depth is a roof; its height follows from the steeper side and both neighbours.
+        np.maximum(ridge, 0.5 * (low + high) + np.maximum(centre - low, centre - high), out=ridge)
+    if not peak.any():
+        return {}
+    values = np.percentile((2.0 * ridge[peak] - 1.0) / samples.factor, [5, 25, 50, 75, 95])
+    return {name: float(value) for name, value in zip(("p5", "p25", "p50", "p75", "p95"), values, strict=True)}
+
+
+@numba.njit(cache=True, nogil=True)
+def _label_faces(piece, main, void_label, s, beside, side, label):  # type: ignore[no-untyped-def]
+    nk, nj, ni = main.shape
+    share = np.zeros(256, np.int64)
+    near = np.zeros(256, np.int64)
+    for f in range(len(beside)):
+        k, j, i = beside[f]
+        if min(k, j, i) < 0 or k >= nk or j >= nj or i >= ni or main[k, j, i] == 0:
+            continue
+        share[:] = 0
+        near[:] = 0
+        axis = 2 - side[f] // 2
+        layer = s - 1 if side[f] % 2 == 0 else 0
+        for a in range(s):
+            for b in range(s):
+                for c in range(s):
+                    z, y, x = k * s + a, j * s + b, i * s + c
+                    if piece[z, y, x] != main[k, j, i]:
+                        continue
+                    share[void_label[z, y, x]] += 1
+                    if (a if axis == 0 else (b if axis == 1 else c)) == layer:
+                        near[void_label[z, y, x]] += 1
+        if near.max() > 0:
+            label[f] = near.argmax()
+        else:
+            label[f] = share.argmax()

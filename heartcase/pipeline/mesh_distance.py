@@ -1,0 +1,134 @@
+"""Exact distance from points to a triangle mesh, by a grid of triangles."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["mesh_distance_mm"]
+
+Float64 = npt.NDArray[np.float64]
+Int32 = npt.NDArray[np.int32]
+
+
+def mesh_distance_mm(points_mm: Float64, vertices_mm: Float64, triangles: Int32) -> Float64:
+    """Distance of each point to the nearest point of a mesh.
+
+    Parameters
+    ----------
+    points_mm
+        Shape (n, 3).
+    vertices_mm, triangles
+        The mesh; at least one triangle.
+
+    Returns
+    -------
+    Float64
+        Shape (n,), in mm.
+    """
+    corner = np.ascontiguousarray(vertices_mm[triangles], dtype=np.float64)
+    low, high = corner.min(axis=1), corner.max(axis=1)
+    cell = max(1.5 * float((high - low).max(axis=1).mean()), 1e-9)
+    origin = low.min(axis=0)
+    extent = high.max(axis=0) - origin
+    cell = max(cell, float(np.cbrt((extent + cell).prod() / 8e6)))
+    size = np.floor(extent / cell).astype(np.int64) + 1
+    first = np.floor((low - origin) / cell).astype(np.int64)
+    last = np.floor((high - origin) / cell).astype(np.int64)
+    start, item = _fill(first, last, size)
+    distance = np.empty(len(points_mm))
+    _query(np.ascontiguousarray(points_mm, dtype=np.float64), corner, origin, cell, size, start, item, distance)
+    return distance
+
+
+@numba.njit(cache=True, nogil=True)
+def _fill(first, last, size):  # type: ignore[no-untyped-def]
+    start = np.zeros(size[0] * size[1] * size[2] + 1, np.int64)
+    for turn in range(2):
+        if turn == 1:
+            for c in range(len(start) - 1):
+                start[c + 1] += start[c]
+            item = np.empty(start[-1], np.int32)
+            place = start[:-1].copy()
+        for t in range(len(first)):
+            for k in range(first[t, 2], last[t, 2] + 1):
+                for j in range(first[t, 1], last[t, 1] + 1):
+                    for i in range(first[t, 0], last[t, 0] + 1):
+                        c = (k * size[1] + j) * size[0] + i
+                        if turn == 0:
+                            start[c + 1] += 1
+                        else:
+                            item[place[c]] = t
+                            place[c] += 1
+    return start, item
+
+
+@numba.njit(cache=True, nogil=True)
+def _square_to_triangle(px, py, pz, a, b, c):  # type: ignore[no-untyped-def]
+    """Ericson, Real-Time Collision Detection, 2005, section 5.1.5."""
+    abx, aby, abz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    acx, acy, acz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    apx, apy, apz = px - a[0], py - a[1], pz - a[2]
+    d1 = abx * apx + aby * apy + abz * apz
+    d2 = acx * apx + acy * apy + acz * apz
+    v = w = 0.0
+    if not (d1 <= 0.0 and d2 <= 0.0):
+        bpx, bpy, bpz = px - b[0], py - b[1], pz - b[2]
+        d3 = abx * bpx + aby * bpy + abz * bpz
+        d4 = acx * bpx + acy * bpy + acz * bpz
+        cpx, cpy, cpz = px - c[0], py - c[1], pz - c[2]
+        d5 = abx * cpx + aby * cpy + abz * cpz
+        d6 = acx * cpx + acy * cpy + acz * cpz
+        va = d3 * d6 - d5 * d4
+        vb = d5 * d2 - d1 * d6
+        vc = d1 * d4 - d3 * d2
+        if d3 >= 0.0 and d4 <= d3:
+            v = 1.0
+        elif vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
+            v = d1 / (d1 - d3) if d1 != d3 else 0.0
+        elif d6 >= 0.0 and d5 <= d6:
+            w = 1.0
+        elif vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
+            w = d2 / (d2 - d6) if d2 != d6 else 0.0
+        elif va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
+            w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
+            v = 1.0 - w
+        else:
+            v = vb / (va + vb + vc)
+            w = vc / (va + vb + vc)
+    x = apx - v * abx - w * acx
+    y = apy - v * aby - w * acy
+    z = apz - v * abz - w * acz
+    return x * x + y * y + z * z
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _query(points, corner, origin, cell, size, start, item, distance):  # type: ignore[no-untyped-def]
+    reach = size[0] + size[1] + size[2]
+    for p in numba.prange(len(points)):
+        x, y, z = points[p]
+        i = min(max(int(np.floor((x - origin[0]) / cell)), 0), size[0] - 1)
+        j = min(max(int(np.floor((y - origin[1]) / cell)), 0), size[1] - 1)
+        k = min(max(int(np.floor((z - origin[2]) / cell)), 0), size[2] - 1)
+        best = np.inf
+        for ring in range(reach):
+            for kk in range(max(k - ring, 0), min(k + ring, size[2] - 1) + 1):
+                for jj in range(max(j - ring, 0), min(j + ring, size[1] - 1) + 1):
+                    inner = abs(kk - k) < ring and abs(jj - j) < ring
+                    for ii in range(max(i - ring, 0), min(i + ring, size[0] - 1) + 1):
+                        if inner and abs(ii - i) < ring:
+                            continue
+                        c = (kk * size[1] + jj) * size[0] + ii
+                        for e in range(start[c], start[c + 1]):
+                            t = item[e]
+                            square = _square_to_triangle(x, y, z, corner[t, 0], corner[t, 1], corner[t, 2])
+                            best = min(best, square)
+            free = min(
+                x - (origin[0] + (i - ring) * cell), origin[0] + (i + ring + 1) * cell - x,
+                y - (origin[1] + (j - ring) * cell), origin[1] + (j + ring + 1) * cell - y,
+                z - (origin[2] + (k - ring) * cell), origin[2] + (k + ring + 1) * cell - z,
+            )  # fmt: skip
+            if free > 0.0 and best <= free * free:
+                break
+        distance[p] = np.sqrt(best)

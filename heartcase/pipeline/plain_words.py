@@ -1,0 +1,210 @@
+"""Figures and settings of the stages in plain words, with units, for people who did not write them."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from heartcase.schemas.recipe import Recipe
+
+__all__ = ["Fact", "figure_facts", "hand_work_facts", "setting_lines"]
+
+
+@dataclass(frozen=True)
+class Fact:
+    """A name, its value as text, and what it means."""
+
+    name: str
+    """What it is."""
+    value: str
+    """With its unit."""
+    meaning: str = ""
+    """One short sentence, empty where the name says it all."""
+
+
+_UNITS = {
+    "_mm3": "mm³",
+    "_mm": "mm",
+    "_ml": "ml",
+    "_cm2": "cm²",
+    "_percent": "%",
+    "_degrees": "degrees",
+    "_kpa": "kPa",
+    "_kg_m3": "kg/m³",
+    "_ms": "ms",
+    "_s": "s",
+    "_cells": "cells",
+    "_voxels": "voxels",
+}
+"""Ending of a figure's name -> its unit."""
+
+_MEANINGS: dict[str, tuple[str, str]] = {
+    "cell_mm": ("Edge of a cell", "The simulation cannot show anything finer than this."),
+    "cell_count": ("Cells", "Small cubes that the tissue is divided into."),
+    "node_count": ("Nodes", "Corners of the cells: the points that move in the simulation."),
+    "face_count": ("Outer faces of cells", ""),
+    "fixed_node_count": ("Nodes held fixed", "They stay where they are: where tissue was cut off, or pinned by hand."),
+    "samples_per_cell_edge": ("Samples along a cell's edge", "How finely the filling of a cell was measured."),
+    "tissue_volume_ml": ("Tissue before it was divided", ""),
+    "grid_volume_ml": ("Tissue in the cells", ""),
+    "volume_error_percent": ("Error of the tissue volume", "Near 0 is good."),
+    "thickness_cells": ("Thickness of the tissue", "A wall thinner than one cell bends less easily than it should."),
+    "leak_cells_added": ("Cells added to stop leaks", "Thin walls that the cells would have opened."),
+    "break_cells_added": ("Cells added to join tissue", "Thin walls that the cells would have torn."),
+    "openings_opened": ("Openings kept open", "Narrow passages that the cells would have closed."),
+    "opening_cells_removed": ("Cells removed to keep openings", ""),
+    "leaks_left": ("Leaks left", "Should be 0: blood spaces that should be apart touch here."),
+    "openings_closed": ("Openings lost", "Should be 0: passages that are narrower than a cell."),
+    "betti_tissue": ("Tissue", "Pieces, tunnels and enclosed hollows. They should not change."),
+    "betti_blood": ("Blood", "Pieces, tunnels and enclosed hollows. They should not change."),
+    "full_resolution": ("in the scan", ""),
+    "unrepaired": ("in the cells before repair", ""),
+    "grid": ("in the cells", ""),
+    "triangle_count": ("Triangles", "Small flat pieces that make up the visible surface."),
+    "full_triangle_count": ("Triangles before simplifying", ""),
+    "vertex_count": ("Points of the surface", ""),
+    "is_closed": ("Surface is closed", "Should be yes."),
+    "is_manifold": ("Surface is sound everywhere", "Should be yes: no edge joins more than two triangles."),
+    "flipped_count": ("Triangles turned over", "Should be 0."),
+    "other_label_count": ("Points tied to another structure", "Should be 0 or very few."),
+    "curvature_share": ("Points with curvature correction", "Share of the surface that follows strong bending."),
+    "offset_cells": ("Distance of the surface from the grid", ""),
+    "p50": ("half are below", ""),
+    "p95": ("95% are below", ""),
+    "p99": ("99% are below", ""),
+    "max": ("largest", ""),
+    "mean": ("mean", ""),
+    "min": ("smallest", ""),
+}
+"""Name of a figure -> what to call it, and what it means."""
+
+_PRIVATE_SETTINGS = {"path", "file", "origin", "names", "series"}
+
+
+def figure_facts(figures: Mapping[str, Any]) -> list[Fact]:
+    """Turn a stage's quality figures into facts; nested ones become one line each."""
+    facts: list[Fact] = []
+    for key, value in figures.items():
+        name, meaning = _name_of(key)
+        if isinstance(value, Mapping):
+            known = key in _MEANINGS
+            for inner in figure_facts({f"{k}{_unit_ending(key)}" if _is_bare(k) else k: v for k, v in value.items()}):
+                joined = f"{name}, {inner.name}" if known else f"{name}: {inner.name.lower()}"
+                facts.append(Fact(joined if key != "repairs" else inner.name, inner.value, inner.meaning or meaning))
+                meaning = ""
+        else:
+            facts.append(Fact(name, _value_of(key, value), meaning))
+    return facts
+
+
+def setting_lines(settings: Mapping[str, Any]) -> list[str]:
+    """A stage's settings as ``name = value`` lines; long lists are counted, paths are left out."""
+    lines = []
+    for key, value in settings.items():
+        if key in _PRIVATE_SETTINGS or value is None:
+            continue
+        ending = _unit_ending(key)
+        name, unit = key.removesuffix(ending).replace("_", " "), _UNITS.get(ending, "")
+        if isinstance(value, Mapping):
+            lines += [f"{name}: {line}" for line in setting_lines(value)]
+        elif isinstance(value, Sequence) and not isinstance(value, str):
+            lines.append(f"{name} = {_list_of(value)} {unit}".rstrip())
+        elif isinstance(value, str) and ("/" in value or "\\" in value):
+            continue
+        else:
+            lines.append(f"{name} = {_number(value)} {unit}".rstrip())
+    return lines
+
+
+def hand_work_facts(recipe: Recipe) -> list[Fact]:
+    """What a person did for this case: strokes, marker files, edits, vessel ends, pins, landmarks."""
+    facts = []
+    by_label: dict[str, list[float]] = {}
+    for stroke in recipe.strokes:
+        points = stroke.points_mm
+        length = sum(math.dist(a, b) for a, b in itertools.pairwise(points))
+        by_label.setdefault(stroke.label, []).append(length)
+    for label, lengths in by_label.items():
+        strokes = "1 stroke" if len(lengths) == 1 else f"{len(lengths)} strokes"
+        facts.append(Fact(f"Painted: {label}", f"{strokes}, {sum(lengths):.0f} mm in all"))
+    if recipe.markers:
+        facts.append(Fact("Marker files", str(len(recipe.markers)), "Painted or placed in another program."))
+    if recipe.segment.method == "labels":
+        facts.append(Fact("Segmentation", "taken as it was given", "The outlines were not made by heartcase."))
+    for number, edit in enumerate(recipe.edits, start=1):
+        facts.append(Fact(f"Edit {number}", _edit_words(edit)))
+    for end in recipe.ends:
+        facts.append(Fact("Vessel cut off", f"{end.label} at {_point(end.position_mm)}"))
+    for pin in recipe.pins:
+        facts.append(Fact("Held fixed by hand", f"ball of {pin.radius_mm:g} mm radius at {_point(pin.position_mm)}"))
+    for landmark in recipe.landmarks:
+        facts.append(Fact("Landmark", f"{landmark.name} ({landmark.kind})"))
+    return facts
+
+
+def _edit_words(edit: Any) -> str:
+    if edit.kind == "septal_defect":
+        return f"septal defect of {edit.diameter_mm:g} mm made at {_point(edit.position_mm)}"
+    if edit.kind == "close_defect":
+        return f"defect closed with a patch of {edit.diameter_mm:g} mm at {_point(edit.position_mm)}"
+    verb = "added to" if edit.kind == "add" else "removed from"
+    return f"{verb} {edit.label}: brush of {edit.radius_mm:g} mm radius, {len(edit.points_mm)} point(s)"
+
+
+def _point(point: Sequence[float]) -> str:
+    return f"({', '.join(f'{v:.1f}' for v in point)}) mm"
+
+
+def _name_of(key: str) -> tuple[str, str]:
+    if key in _MEANINGS:
+        return _MEANINGS[key]
+    ending = _unit_ending(key)
+    stem = key[: -len(ending)] if ending else key
+    if stem in _MEANINGS:
+        return _MEANINGS[stem]
+    words = stem.removesuffix("_count").replace("_", " ").strip()
+    for short, long in (("p50", "(half are below)"), ("p95", "(95% are below)"), ("p99", "(99% are below)")):
+        words = words.replace(short, long)
+    return words[:1].upper() + words[1:], ""
+
+
+def _is_bare(key: str) -> bool:
+    return _unit_ending(key) == "" and not key.endswith("_count")
+
+
+def _unit_ending(key: str) -> str:
+    return next((ending for ending in _UNITS if key.endswith(ending)), "")
+
+
+def _value_of(key: str, value: Any) -> str:
+    if isinstance(value, list | tuple) and key in ("full_resolution", "unrepaired", "grid") and len(value) == 3:
+        pieces, tunnels, hollows = value
+        return f"{pieces} / {tunnels} / {hollows}"
+    if key.endswith("_share"):
+        return f"{100.0 * float(value):.1f} %"
+    unit = _UNITS.get(_unit_ending(key), "")
+    text = _list_of(value) if isinstance(value, list | tuple) else _number(value)
+    return f"{text} {unit}".strip()
+
+
+def _number(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, int):
+        return f"{value:,}"
+    if isinstance(value, float):
+        if not math.isfinite(value):
+            return "not known"
+        return f"{value:,.0f}" if abs(value) >= 1e4 else f"{value:.3g}"
+    return str(value)
+
+
+def _list_of(value: Sequence[Any]) -> str:
+    if all(isinstance(item, int | float) for item in value) and len(value) <= 6:
+        return ", ".join(_number(item) for item in value) or "none"
+    if all(isinstance(item, str) for item in value) and len(value) <= 6:
+        return ", ".join(item for item in value if "/" not in item and "\\" not in item) or "none"
+    return f"{len(value)} entries"

@@ -1,0 +1,123 @@
+"""What the readers of the file formats hand on, and the checks that they share.
+
+No message names a path or a file: both may hold a patient's name, and the user knows which file was given.
+"""
+
+from __future__ import annotations
+
+import stat
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import ValidationError
+
+from heartcase.schemas.errors import HeartcaseError, Problem, ScanError
+from heartcase.schemas.geometry import Geometry
+
+__all__ = ["VOXEL_LIMIT", "RawVolume", "check_size", "geometry_from_affine", "placed", "require_file"]
+
+E = TypeVar("E", bound=HeartcaseError)
+
+VOXEL_LIMIT = 2**30
+"""Largest number of values in a volume, as many as 1024 x 1024 x 1024: a header that claims more is not believed."""
+
+
+@dataclass(frozen=True)
+class RawVolume:
+    """A volume as a file holds it."""
+
+    values: npt.NDArray[Any]
+    """Values, shape ``geometry.shape``; with a fourth axis where every voxel holds several values."""
+    geometry: Geometry
+    """Where the voxel centres lie."""
+    header: dict[str, str] = field(default_factory=dict)
+    """NRRD: the key-value pairs of the header, which hold the segment table. For this package's eyes only."""
+    orientation_is_stated: bool = True
+    """Whether the file says which way the axes point in the patient."""
+
+
+def require_file(path: Path) -> None:
+    """Make sure that this is a file with something in it (a pipe or a device could block for ever).
+
+    Raises
+    ------
+    ScanError
+        It is not.
+    """
+    try:
+        status = path.stat()
+    except (OSError, ValueError):
+        raise ScanError("there is no such file or folder, or it may not be read: check the path") from None
+    if not stat.S_ISREG(status.st_mode):
+        raise ScanError("this is neither a file nor a folder: give an image file or a DICOM folder")
+    if status.st_size == 0:
+        raise ScanError("the file is empty: copy or export it again")
+
+
+def check_size(size: Sequence[int], *, components: int = 1) -> None:
+    """Refuse sizes that no scan has.
+
+    Parameters
+    ----------
+    size
+        Number of voxels along each axis.
+    components
+        Number of values per voxel.
+
+    Raises
+    ------
+    ScanError
+        A size is below one, or the product is above :data:`VOXEL_LIMIT`.
+    """
+    if any(count < 1 for count in size) or components < 1:
+        raise ScanError("the header gives a size below 1: the file is damaged, export it again")
+    total = components
+    for count in size:
+        total *= count
+    if total > VOXEL_LIMIT:
+        raise ScanError("the header claims more than 1024 x 1024 x 1024 values: crop the scan, or export it again")
+
+
+def geometry_from_affine(affine: npt.ArrayLike, shape: tuple[int, ...]) -> Geometry:
+    """Geometry from a homogeneous matrix.
+
+    Parameters
+    ----------
+    affine
+        Map from index (i, j, k, 1) to patient LPS mm, shape (4, 4).
+    shape
+        Shape ``[z, y, x]`` of the array.
+
+    Returns
+    -------
+    Geometry
+        Spacing is the length, direction the unit vector of each column.
+
+    Raises
+    ------
+    ScanError
+        The columns are zero, not finite, or not at right angles.
+    """
+    matrix = np.asarray(affine, dtype=np.float64)
+    spacing = np.linalg.norm(matrix[:3, :3], axis=0)
+    if not np.isfinite(matrix).all() or spacing.min() <= 0.0:
+        raise ScanError("the voxel spacing or position in the header is zero or not a number: export the file again")
+    try:
+        return Geometry.of(shape=shape, origin_mm=matrix[:3, 3], spacing_mm=spacing, direction=matrix[:3, :3] / spacing)
+    except ValidationError:
+        raise ScanError(
+            "the voxel axes are not at right angles (a sheared volume): resample it onto a straight grid, for "
+            "instance with 'Resample Scalar Volume' of 3D Slicer"
+        ) from None
+
+
+def placed(error: HeartcaseError, place: str, kind: type[E]) -> E:
+    """The same problems as an error of another kind, with ``place`` before each place."""
+    return kind(
+        Problem(f"{place}, {problem.place}" if problem.place and place else place or problem.place, problem.message)
+        for problem in error.problems
+    )

@@ -1,0 +1,208 @@
+"""Read scans and label volumes: NIfTI, NRRD, MetaImage, and the DICOM series of a folder.
+
+What leaves here is values, geometry, modality and the physics of the acquisition. No tag, path or file name does,
+in a result or in an error: an error says "slice 12" or "the file".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from heartcase.pipeline.data import Scan
+from heartcase.pipeline.raw_volume import RawVolume, check_size, placed, require_file
+from heartcase.pipeline.read_dicom import SeriesInfo, describe_volume, is_dicom, read_dicom, series_of
+from heartcase.pipeline.read_itk import read_metaimage, read_nrrd
+from heartcase.pipeline.read_nifti import read_nifti
+from heartcase.pipeline.segments import segments_of
+from heartcase.schemas.errors import MarkerError, Problem, ScanError
+from heartcase.schemas.geometry import Geometry
+
+__all__ = ["READERS", "LabelVolume", "SeriesInfo", "list_series", "read_labels", "read_scan"]
+
+READERS: dict[str, Callable[[Path], RawVolume]] = {
+    ".nii.gz": read_nifti,
+    ".nii": read_nifti,
+    ".nrrd": read_nrrd,
+    ".nhdr": read_nrrd,
+    ".mha": read_metaimage,
+    ".mhd": read_metaimage,
+}
+"""Reader of each file name ending."""
+
+HIGHEST_LABEL = 65535
+
+
+@dataclass(frozen=True)
+class LabelVolume:
+    """A label volume as its file holds it; overlapping segments are resolved."""
+
+    values: npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
+    """Values, uint8 or uint16, shape ``geometry.shape``; 0 where nothing is labelled."""
+    geometry: Geometry
+    """Where the voxel centres lie: the file's own grid."""
+    names: dict[int, str] = field(default_factory=dict)
+    """Value -> segment name, where the file names its segments."""
+
+
+def read_scan(path: Path | str, *, series: str | None = None) -> Scan:
+    """Read a scan.
+
+    Parameters
+    ----------
+    path
+        .nii, .nii.gz, .nrrd, .nhdr, .mha or .mhd file; folder of DICOM files; or one multi-frame DICOM file.
+    series
+        DICOM: which series, by its number in :func:`list_series` or by the end of its UID.
+
+    Returns
+    -------
+    Scan
+        Values as float32, geometry as in the file (oblique, anisotropic or left-handed as it may be), modality, and
+        acquisition physics. Where a file does not say how its axes lie in the patient they are taken as left,
+        posterior, superior, and ``acquisition["orientation"]`` says so.
+
+    Raises
+    ------
+    ScanError
+        With every problem, none of which names a path, a file or a tag's value.
+    """
+    path = Path(path)
+    try:
+        if _is_dicom_source(path):
+            return read_dicom(path, series=series)
+        raw = _read_file(path)
+        if raw.values.ndim != 3:
+            raise ScanError(
+                f"every voxel holds {raw.values.shape[3]} values (colour, a vector or times): export the scan with one "
+                "plain number per voxel"
+            )
+        if min(raw.values.shape) < 2:
+            raise ScanError("the volume is a single slice: a stack of several slices is needed")
+        acquisition: dict[str, Any] = {}
+        if not raw.orientation_is_stated:
+            acquisition["orientation"] = "not stated in the file, taken as left, posterior, superior"
+        return Scan(values=_as_float32(raw.values), geometry=raw.geometry, acquisition=acquisition)
+    except ScanError as error:
+        raise placed(error, "scan", ScanError) from None
+
+
+def list_series(path: Path | str) -> tuple[SeriesInfo, ...]:
+    """List the series that a folder or file holds.
+
+    Parameters
+    ----------
+    path
+        What :func:`read_scan` takes; a file that is not DICOM counts as one series.
+
+    Returns
+    -------
+    tuple of SeriesInfo
+        In the order of their numbers: by the scanner's series number, then by UID.
+
+    Raises
+    ------
+    ScanError
+        Nothing there can be read as a scan.
+    """
+    path = Path(path)
+    if not _is_dicom_source(path):
+        scan = read_scan(path)
+        return (
+            SeriesInfo(
+                number=1,
+                slice_count=scan.geometry.size[2],
+                spacing_mm=scan.geometry.spacing_mm,
+                modality=scan.modality,
+                description=describe_volume(scan.geometry, scan.modality),
+                uid_suffix="",
+            ),
+        )
+    try:
+        return series_of(path)
+    except ScanError as error:
+        raise placed(error, "scan", ScanError) from None
+
+
+def read_labels(path: Path | str) -> LabelVolume:
+    """Read a label volume: painted markers or a finished segmentation.
+
+    Parameters
+    ----------
+    path
+        .nii, .nii.gz, .nrrd, .nhdr, .seg.nrrd, .mha or .mhd file.
+
+    Returns
+    -------
+    LabelVolume
+        On the file's own grid, which may be cropped to what is painted. Where segments of a .seg.nrrd overlap, the
+        one that comes later in the file's segment table wins; a file with several layers is renumbered, segment n
+        of the table getting the value n.
+
+    Raises
+    ------
+    MarkerError
+        The file cannot be read, or does not hold whole numbers from 0 to 65535.
+    """
+    try:
+        raw = _read_file(Path(path))
+    except ScanError as error:
+        raise placed(error, "", MarkerError) from None
+    values = _as_whole_numbers(raw.values)
+    values, names = segments_of(values, raw.header)
+    fits = values.max(initial=0) < 256
+    return LabelVolume(values=values.astype(np.uint8) if fits else values, geometry=raw.geometry, names=names)
+
+
+def _is_dicom_source(path: Path) -> bool:
+    return path.is_dir() or (_suffix(path) is None and is_dicom(path))
+
+
+def _suffix(path: Path) -> str | None:
+    return next((suffix for suffix in READERS if path.name.lower().endswith(suffix)), None)
+
+
+def _read_file(path: Path) -> RawVolume:
+    if path.is_dir():
+        raise ScanError("this is a folder, but a file is needed here")
+    require_file(path)
+    suffix = _suffix(path)
+    if suffix is None:
+        listed = ", ".join(READERS)
+        raise ScanError(f"this kind of file is not read: give {listed}, or a folder of DICOM files")
+    raw = READERS[suffix](path)
+    check_size(raw.geometry.size)
+    return raw
+
+
+def _as_float32(values: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+    with np.errstate(over="ignore", invalid="ignore"):
+        result = np.ascontiguousarray(values, dtype=np.float32)
+    bad = result.size - int(np.count_nonzero(np.isfinite(result)))
+    if bad:
+        raise ScanError(
+            f"{bad} voxels hold no finite number (NaN or infinity): replace them, for instance by the lowest value of "
+            "the scan, and export it again"
+        )
+    return result
+
+
+def _as_whole_numbers(values: npt.NDArray[Any]) -> npt.NDArray[np.uint16]:
+    if values.dtype.kind == "f":
+        whole = bool(np.isfinite(values).all()) and bool((values == np.round(values)).all())
+    else:
+        whole = values.dtype.kind in "iub"
+    if not whole or values.min(initial=0) < 0 or values.max(initial=0) > HIGHEST_LABEL:
+        raise MarkerError(
+            Problem(
+                "",
+                f"a label volume holds whole numbers from 0 to {HIGHEST_LABEL}, this one holds others: is it "
+                "the scan itself?",
+            )
+        )
+    return values.astype(np.uint16)

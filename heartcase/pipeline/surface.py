@@ -1,0 +1,288 @@
+"""The surface stage: what the surgeon sees (thesis 11.2.2).
+
+Extract the tissue's border at full resolution, leave out specks, tag each triangle with the void beside it and the
+tissue behind it, decimate, take the true normals from the fields, and make the UV atlas and the normal map. The fields
+are smooth already and marching cubes' vertices lie on their root, so the mesh itself is not smoothed: nothing shrinks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from heartcase.pipeline.atlas import Atlas, make_atlas, tangents
+from heartcase.pipeline.data import Structures, Surface
+from heartcase.pipeline.decimate import decimate, mesh_defects
+from heartcase.pipeline.extract import FullMesh, drop_small_shells, extract, opposites, shell_volumes
+from heartcase.pipeline.fields import ownership_at_points
+from heartcase.pipeline.mesh_distance import mesh_distance_mm
+from heartcase.pipeline.normal_map import bake_normal_map, draw_to_surface, gradient_step_mm
+from heartcase.schemas.geometry import Geometry
+from heartcase.schemas.settings import SurfaceSettings
+
+__all__ = ["build_surface"]
+
+Float32 = npt.NDArray[np.float32]
+Float64 = npt.NDArray[np.float64]
+Int32 = npt.NDArray[np.int32]
+UInt8 = npt.NDArray[np.uint8]
+Bool = npt.NDArray[np.bool_]
+
+SPECK_MM3 = 20.0
+SPECK_FRACTION = 1e-3
+ISLAND_TRIANGLES = 8
+CUT_COSINE = 0.9
+DISTANCE_SAMPLE = 200_000
+
+
+def build_surface(structures: Structures, settings: SurfaceSettings, *, render: bool = True) -> Surface:
+    """Make the visible surface of the tissue.
+
+    Parameters
+    ----------
+    structures
+        The fields.
+    settings
+        Triangle count, size of the normal map, kind of atlas.
+    render
+        Whether to make the atlas and the normal map.
+
+    Returns
+    -------
+    Surface
+        Closed and manifold; with figures in ``quality``. Without ``render``, or with a map of size 0, render vertices
+        are the welded vertices, with zero texture coordinates and tangents, and the normal map is empty.
+
+    Raises
+    ------
+    StageError
+        There is no tissue.
+    """
+    warnings: list[str] = []
+    whole = extract(structures)
+    full, dropped = drop_small_shells(whole, volume_mm3=SPECK_MM3, fraction=SPECK_FRACTION)
+    if len(dropped):
+        warnings.append(
+            f"{int((dropped > 0).sum())} specks of tissue and {int((dropped < 0).sum())} bubbles, each below "
+            f"{SPECK_MM3:g} mm3, were left out of the surface ({np.abs(dropped).sum():.1f} mm3 together)"
+        )
+    if full.is_capped:
+        warnings.append("the volume is too large to extract the thinnest walls at full fineness: crop it")
+    full_tags = _tags(structures, full.vertices_mm, full.triangles, full.lattice)
+    vertices, triangles, _ = decimate(
+        full.vertices_mm, full.triangles, full_tags.key(), triangle_count=settings.triangle_count
+    )
+    vertices_mm = vertices.astype(np.float32)
+    vertices = vertices_mm.astype(np.float64)
+    tags = _tags(structures, vertices, triangles, full.lattice)
+    reach = 0.5 * min(full.lattice.spacing_mm)
+    normals = _vertex_normals(structures, vertices, triangles, tags.is_cut, reach)
+    quality = _quality(structures, whole, full, dropped, vertices, triangles, tags, reach)
+    for name in ("open_edge_count", "non_manifold_edge_count", "degenerate_triangle_count", "flipped_triangle_count"):
+        if quality[name]:
+            warnings.append(f"the surface has {quality[name]} {name.removesuffix('_count').replace('_', ' ')}s")
+    if len(triangles) > settings.triangle_count:
+        warnings.append(
+            f"the surface keeps {len(triangles)} triangles: fewer than that would break it "
+            f"(asked for {settings.triangle_count})"
+        )
+    if render and settings.normal_map_size > 0:
+        atlas = make_atlas(vertices, triangles, size=settings.normal_map_size, method=settings.atlas)
+        render_tangents = tangents(atlas, vertices_mm, normals)
+        normal_map = bake_normal_map(
+            structures,
+            atlas,
+            vertices_mm,
+            normals,
+            render_tangents,
+            tags.is_cut,
+            size=settings.normal_map_size,
+            reach_mm=reach,
+        )
+        quality |= {
+            "chart_count": atlas.chart_count,
+            "atlas_used": round(atlas.used, 4),
+            "texels_per_mm": round(atlas.texels_per_mm, 4),
+        }
+    else:
+        count = len(vertices)
+        identity = np.arange(count, dtype=np.int32)
+        atlas = Atlas(identity, triangles, np.zeros((count, 2), np.float32), 0, 0.0, 0.0)
+        render_tangents = np.zeros((count, 4), np.float32)
+        normal_map = np.zeros((0, 0, 3), np.uint8)
+    return Surface(
+        vertices_mm=vertices_mm,
+        triangles=triangles,
+        triangle_label=tags.void,
+        triangle_tissue=tags.tissue,
+        triangle_is_cut=tags.is_cut.astype(np.uint8),
+        normals=normals,
+        vertex_label=_vertex_labels(len(vertices), triangles, tags.void),
+        table=structures.table,
+        render_to_welded=atlas.render_to_welded,
+        render_triangles=atlas.triangles,
+        render_uv=atlas.uv,
+        render_tangents=render_tangents,
+        normal_map=normal_map,
+        quality=quality,
+        warnings=tuple(warnings),
+    )
+
+
+@dataclass(frozen=True)
+class _Tags:
+    """What lies on both sides of each triangle."""
+
+    void: UInt8
+    tissue: UInt8
+    is_cut: Bool
+
+    def key(self) -> npt.NDArray[np.int64]:
+        return self.void.astype(np.int64) + 256 * self.is_cut
+
+
+def _tags(structures: Structures, vertices: Float64, triangles: Int32, lattice: Geometry) -> _Tags:
+    """Look a third of a lattice cell to both sides of each triangle; islands take their neighbours' tag."""
+    centre, normal, _ = _faces(vertices, triangles)
+    way = min(lattice.spacing_mm) / 3.0
+    void = ownership_at_points(structures, centre + way * normal).void_label
+    tissue = ownership_at_points(structures, centre - way * normal).tissue_label
+    is_cut = _cut_faces(structures, centre, normal, lattice)
+    key = np.where(is_cut, 256, void.astype(np.int64))
+    adjacent = opposites(triangles)
+    length = np.linalg.norm(vertices[np.roll(triangles, -1, axis=1)] - vertices[triangles], axis=2).ravel()
+    key = _without_islands(key, adjacent, length)
+    tissue = _without_islands(tissue.astype(np.int64), adjacent, length).astype(np.uint8)
+    return _Tags(np.where(key == 256, 0, key).astype(np.uint8), tissue, key == 256)
+
+
+def _faces(vertices: Float64, triangles: Int32) -> tuple[Float64, Float64, Float64]:
+    """Centre, unit normal and area of each triangle."""
+    corner = vertices[triangles]
+    doubled = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    length = np.linalg.norm(doubled, axis=1)
+    return corner.mean(axis=1), doubled / np.maximum(length, 1e-30)[:, None], 0.5 * length
+
+
+def _cut_faces(structures: Structures, centre: Float64, normal: Float64, lattice: Geometry) -> Bool:
+    """Triangles in an outer face of the volume, or in the disc of an end marker, that face outward there."""
+    index = lattice.world_to_index(centre)
+    is_cut = np.zeros(len(centre), bool)
+    for axis in range(3):
+        along = normal @ lattice.direction_matrix[:, axis]
+        is_cut |= (index[:, axis] < -0.25) & (along < -CUT_COSINE)
+        is_cut |= (index[:, axis] > lattice.size[axis] - 0.75) & (along > CUT_COSINE)
+    for point, outward, radius in structures.fixed_planes:
+        axis_unit = np.array(outward) / np.linalg.norm(outward)
+        offset = centre - np.array(point)
+        height = offset @ axis_unit
+        beside = np.linalg.norm(offset - height[:, None] * axis_unit, axis=1)
+        near = np.abs(height) < 0.5 * min(lattice.spacing_mm)
+        is_cut |= near & (beside <= radius) & (normal @ axis_unit > CUT_COSINE)
+    return is_cut
+
+
+def _without_islands(key: npt.NDArray[np.int64], adjacent: Int32, length: Float64) -> npt.NDArray[np.int64]:
+    """Give islands of few triangles the tag with which they share the longest border (ties: the lower)."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    key = key.copy()
+    owner = np.arange(len(adjacent)) // 3
+    other = adjacent // 3
+    for _ in range(4):
+        same = key[owner] == key[other]
+        links = coo_array((np.ones(int(same.sum()), np.int8), (owner[same], other[same])), shape=(len(key), len(key)))
+        count, part = connected_components(links, directed=False)
+        small = np.bincount(part, minlength=count) < ISLAND_TRIANGLES
+        rim = ~same & small[part[owner]] & ~small[part[other]]
+        if not rim.any():
+            break
+        tags, column = np.unique(key[other[rim]], return_inverse=True)
+        border = np.zeros((count, len(tags)))
+        np.add.at(border, (part[owner[rim]], column), length[rim])
+        chosen = np.unique(part[owner[rim]])
+        value = np.full(count, -1, np.int64)
+        value[chosen] = tags[border[chosen].argmax(axis=1)]
+        new = value[part]
+        key = np.where(new >= 0, new, key)
+    return key
+
+
+def _vertex_labels(count: int, triangles: Int32, label: UInt8) -> UInt8:
+    lowest = np.full(count, 255, np.uint8)
+    for corner in range(3):
+        np.minimum.at(lowest, triangles[:, corner], label)
+    return lowest
+
+
+def _vertex_normals(
+    structures: Structures, vertices: Float64, triangles: Int32, is_cut: Bool, reach_mm: float
+) -> Float32:
+    """Normals of the field's root beside each vertex; of the mesh around cut faces and where the field is creased."""
+    corner = vertices[triangles]
+    _, face, _ = _faces(vertices, triangles)
+    mesh = np.zeros_like(vertices)
+    for k in range(3):
+        a, b = corner[:, (k + 1) % 3] - corner[:, k], corner[:, (k + 2) % 3] - corner[:, k]
+        cosine = (a * b).sum(axis=1) / np.maximum(np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1), 1e-30)
+        np.add.at(mesh, triangles[:, k], np.arccos(np.clip(cosine, -1.0, 1.0))[:, None] * face)
+    mesh /= np.maximum(np.linalg.norm(mesh, axis=1), 1e-30)[:, None]
+    _, normal = draw_to_surface(structures, vertices, step_mm=gradient_step_mm(structures), reach_mm=reach_mm)
+    keep_mesh = (normal * mesh).sum(axis=1) < 0.5
+    keep_mesh[triangles[is_cut]] = True
+    normal[keep_mesh] = mesh[keep_mesh]
+    return normal.astype(np.float32)
+
+
+def _quality(
+    structures: Structures,
+    whole: FullMesh,
+    full: FullMesh,
+    dropped: Float64,
+    vertices: Float64,
+    triangles: Int32,
+    tags: _Tags,
+    reach_mm: float,
+) -> dict[str, Any]:
+    centre, normal, area = _faces(vertices, triangles)
+    true = draw_to_surface(structures, centre, step_mm=gradient_step_mm(structures), reach_mm=reach_mm)[1]
+    flipped = ((true * normal).sum(axis=1) < 0.0) & ~tags.is_cut
+    every = -(-len(full.vertices_mm) // DISTANCE_SAMPLE)
+    to_decimated = mesh_distance_mm(full.vertices_mm[::every], vertices, triangles)
+    to_full = mesh_distance_mm(np.concatenate([vertices, centre]), full.vertices_mm, full.triangles)
+    both = np.concatenate([to_decimated, to_full])
+    _, volumes = shell_volumes(vertices, triangles)
+    _, full_volumes = shell_volumes(full.vertices_mm, full.triangles)
+    edges = 3 * len(triangles) // 2
+    names = {0: "outside", **{label.value: label.name for label in structures.table if label.value != 0}}
+    areas = {
+        names[int(value)]: round(float(area[(tags.void == value) & ~tags.is_cut].sum()) / 100.0, 3)
+        for value in np.unique(tags.void[~tags.is_cut])
+    }
+    return {
+        "lattice_spacing_mm": [round(float(s), 4) for s in full.lattice.spacing_mm],
+        "lattice_point_count": int(np.prod(full.lattice.size)),
+        "lattice_is_capped": full.is_capped,
+        "full_triangle_count": len(full.triangles),
+        "triangle_count": len(triangles),
+        "vertex_count": len(vertices),
+        **mesh_defects(vertices, triangles),
+        "flipped_triangle_count": int(flipped.sum()),
+        "euler_characteristic": len(vertices) - edges + len(triangles),
+        "shell_count": len(volumes),
+        "component_count": int((volumes > 0.0).sum()),
+        "dropped_shell_count": len(dropped),
+        "dropped_volume_mm3": round(float(np.abs(dropped).sum()), 3),
+        "split_vertex_count": int(len(whole.vertices_mm) - len(np.unique(whole.vertices_mm, axis=0))),
+        "volume_ml": round(float(volumes.sum()) / 1000.0, 4),
+        "volume_change_fraction": round(float(volumes.sum() / full_volumes.sum()) - 1.0, 6),
+        "distance_mean_mm": round(float(both.mean()), 5),
+        "distance_p99_mm": round(float(np.quantile(both, 0.99)), 5),
+        "distance_max_mm": round(float(both.max()), 5),
+        "cut_triangle_count": int(tags.is_cut.sum()),
+        "area_cm2": areas,
+    }

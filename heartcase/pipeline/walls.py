@@ -1,0 +1,137 @@
+"""The walls stage: distance fields of the structures, and walls grown outward from the cavities (thesis 11.2.3).
+
+Only the bare structures get a field here. A wall is a thickness in the label table, worked out by
+:mod:`heartcase.pipeline.fields` wherever it is asked for, so it is exact however thin it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from heartcase.pipeline.data import Segmentation, Structures
+from heartcase.pipeline.distance import default_smoothing_mm, label_distances
+from heartcase.pipeline.ends import cut_ends
+from heartcase.pipeline.fields import ownership_on_lattice
+from heartcase.schemas.errors import Problem, StageError
+from heartcase.schemas.geometry import Geometry
+from heartcase.schemas.labels import BACKGROUND, LabelTable
+from heartcase.schemas.settings import EndMarker, WallsSettings
+
+__all__ = ["grow_walls", "structure_volumes_ml"]
+
+Float32 = npt.NDArray[np.float32]
+UInt8 = npt.NDArray[np.uint8]
+
+LOSS_LIMIT = 0.10
+"""Part of its volume that a structure may lose to the smoothing before it is reported."""
+BAND_VOXELS = 3.0
+"""Voxels beyond the thickest wall up to which the fields are exact by default."""
+
+
+def grow_walls(segmentation: Segmentation, settings: WallsSettings, ends: Sequence[EndMarker]) -> Structures:
+    """Make the structures of a segmentation: smooth distance fields, walls around the cavities, open vessel ends.
+
+    A wall takes the background within its thickness of its cavity, to a fraction of a voxel, and nothing else: it
+    enters no other structure, and none grows where two cavities touch. Where two walls meet, the nearer cavity's wins
+    (ties: the lower label). Where neighbours are closer than both walls together, the walls share the room between
+    them. A vessel that the volume's border or an end marker cuts stays open there.
+
+    Parameters
+    ----------
+    segmentation
+        Labels. The thicknesses are those of its table.
+    settings
+        Smoothing and band.
+    ends
+        Discs beyond which a vessel and its wall are taken away.
+
+    Returns
+    -------
+    Structures
+        On the segmentation's lattice.
+
+    Raises
+    ------
+    StageError
+        Nothing is segmented, a voxel's label is not in the table, or an end marker cuts no vessel.
+    """
+    geometry = segmentation.geometry
+    _check(segmentation)
+    table = segmentation.table.with_walls()
+    spacing = np.array(geometry.spacing_mm)
+    smoothing = default_smoothing_mm(spacing) if settings.smoothing_mm is None else settings.smoothing_mm
+    thickest = max((label.wall_thickness_mm for label in table), default=0.0)
+    band = settings.band_mm or thickest + BAND_VOXELS * float(spacing.mean())
+    labels, cuts = cut_ends(segmentation, table, ends, clearance_mm=thickest + 3.0 * smoothing + 2.0 * spacing.max())
+    distances = label_distances(labels, geometry.spacing_mm, smoothing_mm=smoothing, band_mm=band)
+    if BACKGROUND not in distances:
+        far = float(np.linalg.norm(spacing * np.array(geometry.size)))
+        distances[BACKGROUND] = np.full(geometry.shape, far, np.float32)
+    axes = [np.array(end.axis) / np.linalg.norm(end.axis) for end in ends]
+    return Structures(
+        distance_mm=dict(sorted(distances.items())),
+        geometry=geometry,
+        table=table,
+        band_mm=float(band),
+        fixed_planes=tuple(
+            (end.position_mm, (float(axis[0]), float(axis[1]), float(axis[2])), end.radius_mm)
+            for end, axis in zip(ends, axes, strict=True)
+        ),
+        reshapings=cuts,
+        warnings=_warnings(labels, distances, geometry, table),
+    )
+
+
+def structure_volumes_ml(structures: Structures) -> dict[int, float]:
+    """Volume of every structure within the volume's voxels, by who owns the eight sub-voxels of each voxel.
+
+    Returns
+    -------
+    dict
+        Label value -> millilitres, for every label that owns a point.
+    """
+    fine = structures.geometry.refined(2)
+    slab = max(1, 8_000_000 // (fine.size[0] * fine.size[1]))
+    counts = np.zeros(256, np.int64)
+    for start in range(0, fine.size[2], slab):
+        part = fine.cropped((0, 0, start), (fine.size[0], fine.size[1], min(slab, fine.size[2] - start)))
+        owner = ownership_on_lattice(structures, part)
+        label = np.where(owner.tissue_mm < 0.0, owner.tissue_label, owner.void_label)
+        counts += np.bincount(label.ravel(), minlength=256)
+    return {int(value): float(counts[value] * fine.voxel_volume_mm3 / 1000.0) for value in np.flatnonzero(counts)}
+
+
+def _check(segmentation: Segmentation) -> None:
+    there = [int(value) for value in np.flatnonzero(np.bincount(segmentation.labels.ravel(), minlength=256))]
+    unknown = [value for value in there if value not in segmentation.table]
+    problems = [
+        Problem("walls", f"the segmentation has label value {value}, which the label table does not: add it")
+        for value in unknown
+    ]
+    if there == [BACKGROUND]:
+        problems.append(Problem("walls", "nothing is segmented: check the markers and the region of interest"))
+    if problems:
+        raise StageError(problems)
+
+
+def _warnings(labels: UInt8, distances: dict[int, Float32], geometry: Geometry, table: LabelTable) -> tuple[str, ...]:
+    """Structures that the smoothing shrank, and blood compartments that it joined."""
+    warnings = []
+    width = float(np.mean(geometry.spacing_mm))
+    for value in table.values:
+        voxels = int(np.count_nonzero(labels == value))
+        if voxels == 0 or value == BACKGROUND:
+            continue
+        if value not in distances:
+            warnings.append(f"{table[value].name}: vanished in the smoothing; take a smaller walls.smoothing_mm")
+            continue
+        kept = float(np.clip(0.5 - distances[value] / width, 0.0, 1.0).sum()) / voxels
+        if kept < 1.0 - LOSS_LIMIT:
+            warnings.append(
+                f"{table[value].name}: the smoothing takes {100.0 * (1.0 - kept):.0f}% of its volume; "
+                "take a smaller walls.smoothing_mm"
+            )
+    return tuple(warnings)

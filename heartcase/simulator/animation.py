@@ -1,0 +1,205 @@
+"""Off-screen pictures and animations of a session, for those who have installed ``heartcase[prepare]``."""
+
+from __future__ import annotations
+
+import io
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from heartcase.schemas.errors import MissingExtraError, UsageError
+from heartcase.schemas.files import atomic_write
+from heartcase.simulator.surface import DeformedSurface
+
+__all__ = [
+    "ANIMATION_FORMATS",
+    "Camera",
+    "check_animation_name",
+    "check_picture_name",
+    "write_animation",
+    "write_picture",
+]
+
+Float32 = npt.NDArray[np.float32]
+Int32 = npt.NDArray[np.int32]
+UInt8 = npt.NDArray[np.uint8]
+
+ANIMATION_FORMATS = (".gif", ".mp4")
+"""What an animation can be written as."""
+PICTURE_FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG"}
+"""What a picture can be written as: suffix -> Pillow's name."""
+
+_FROM_LEFT_FRONT = (0.45, -1.0, 0.25)
+"""Direction from the heart to the camera, LPS: front, somewhat left and above."""
+
+
+class Camera:
+    """Takes pictures of a deforming surface from one place, each triangle in its structure's colour.
+
+    Use it in a ``with`` block: the window that VTK keeps off-screen is closed at its end.
+
+    Parameters
+    ----------
+    rest_mm
+        Vertices at rest, LPS mm, shape (vertex_count, 3): they set the frame.
+    triangles
+        Vertex numbers, shape (triangle_count, 3).
+    colours
+        Red, green, blue of each triangle, shape (triangle_count, 3).
+    size
+        Width and height in pixels.
+
+    Raises
+    ------
+    MissingExtraError
+        PyVista or Pillow is not installed.
+    """
+
+    def __init__(
+        self, rest_mm: Float32, triangles: Int32, colours: UInt8, *, size: tuple[int, int] = (720, 600)
+    ) -> None:
+        try:
+            import PIL.Image  # noqa: F401
+            import pyvista
+        except ImportError:
+            raise MissingExtraError("A picture or an animation", "prepare") from None
+        self.frames: list[UInt8] = []
+        self._mesh = pyvista.PolyData.from_regular_faces(rest_mm.astype(np.float32), triangles)
+        self._mesh.cell_data["colour"] = colours
+        with _window_without_screen():
+            self._plotter = pyvista.Plotter(off_screen=True, window_size=list(size), lighting="light kit")
+        self._plotter.set_background("white")
+        actor = self._plotter.add_mesh(self._mesh, scalars="colour", rgb=True, specular=0.2, show_scalar_bar=False)
+        actor.prop.interpolation = "phong"
+        centre = (rest_mm.min(axis=0) + rest_mm.max(axis=0)) / 2
+        reach = float(np.linalg.norm(rest_mm - centre, axis=1).max())
+        direction = np.array(_FROM_LEFT_FRONT) / np.linalg.norm(_FROM_LEFT_FRONT)
+        self._plotter.camera_position = [centre + 4.3 * reach * direction, centre, (0.0, 0.0, 1.0)]
+        self._plotter.reset_camera_clipping_range()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._plotter.close()
+
+    def take(self, surface: DeformedSurface) -> UInt8:
+        """A picture of the surface, shape (height, width, 3)."""
+        self._mesh.points = surface.vertices_mm
+        self._mesh.point_data.active_normals = surface.normals
+        self._plotter.reset_camera_clipping_range()
+        with _window_without_screen():
+            self._plotter.render()
+        picture: UInt8 = np.array(self._plotter.screenshot(return_img=True))
+        return picture
+
+    def film(self, surface: DeformedSurface) -> None:
+        """Keep a picture of the surface as the next frame."""
+        self.frames.append(self.take(surface))
+
+
+@contextmanager
+def _window_without_screen() -> Iterator[None]:
+    """Let VTK take EGL at once where there is no screen, without a complaint about the missing X server."""
+    variable = "VTK_DEFAULT_OPENGL_WINDOW"
+    if sys.platform != "linux" or os.environ.get("DISPLAY") or variable in os.environ:
+        yield
+        return
+    os.environ[variable] = "vtkEGLRenderWindow"
+    try:
+        yield
+    finally:
+        del os.environ[variable]
+
+
+def write_picture(path: Path | str, picture: UInt8) -> None:
+    """Write a picture, whole or not at all; the suffix says the format (``.png``, ``.jpg``).
+
+    Raises
+    ------
+    UsageError
+        The suffix is none of these.
+    """
+    from PIL import Image
+
+    path = Path(path)
+    check_picture_name(path)
+    data = io.BytesIO()
+    Image.fromarray(picture).save(data, format=PICTURE_FORMATS[path.suffix.lower()])
+    atomic_write(path, data.getbuffer())
+
+
+def write_animation(path: Path | str, frames: list[UInt8], *, frames_per_second: float) -> None:
+    """Write frames as a GIF that repeats, or as MP4 where imageio and its ffmpeg are installed.
+
+    Raises
+    ------
+    UsageError
+        The suffix is neither, or MP4 cannot be written here.
+    """
+    path = Path(path)
+    check_animation_name(path)
+    data = _gif(frames, frames_per_second) if path.suffix.lower() == ".gif" else _mp4(frames, frames_per_second)
+    atomic_write(path, data)
+
+
+def check_animation_name(path: Path) -> None:
+    """Refuse a name that no animation can be written to, before any work is done.
+
+    Raises
+    ------
+    UsageError
+        The suffix is neither ``.gif`` nor ``.mp4``, or MP4 cannot be written here.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in ANIMATION_FORMATS:
+        raise UsageError(f"an animation is written as {' or '.join(ANIMATION_FORMATS)}; {path.name!r} is neither")
+    if suffix == ".mp4":
+        _imageio()
+
+
+def check_picture_name(path: Path) -> None:
+    """Refuse a name that no picture can be written to, before any work is done.
+
+    Raises
+    ------
+    UsageError
+        The suffix is not a picture's.
+    """
+    if path.suffix.lower() not in PICTURE_FORMATS:
+        raise UsageError(f"a picture is written as {', '.join(PICTURE_FORMATS)}; {path.name!r} is none of these")
+
+
+def _gif(frames: list[UInt8], frames_per_second: float) -> bytes:
+    from PIL import Image
+
+    pictures = [Image.fromarray(frame).quantize(colors=128, dither=Image.Dither.NONE) for frame in frames]
+    data = io.BytesIO()
+    # A GIF counts hundredths of a second, and viewers slow down what is shorter than two of them.
+    duration = 10 * max(2, round(100 / frames_per_second))
+    pictures[0].save(data, format="GIF", save_all=True, append_images=pictures[1:], duration=duration, loop=0)
+    return data.getvalue()
+
+
+def _mp4(frames: list[UInt8], frames_per_second: float) -> bytes:
+    written: bytes = _imageio().imwrite(
+        "<bytes>", np.stack(frames), extension=".mp4", plugin="FFMPEG", fps=frames_per_second
+    )
+    return written
+
+
+def _imageio() -> Any:
+    try:
+        import imageio.v3
+        import imageio_ffmpeg  # type: ignore[import-untyped] # noqa: F401
+    except ImportError:
+        raise UsageError(
+            "MP4 needs two more packages: run  pip install imageio imageio-ffmpeg  or ask for .gif"
+        ) from None
+    return imageio.v3

@@ -1,0 +1,92 @@
+"""Writing a deformed surface: PLY and STL (binary) and OBJ (text), whole or not at all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from heartcase.schemas.errors import UsageError
+from heartcase.schemas.files import atomic_write
+
+__all__ = ["SURFACE_FORMATS", "write_surface"]
+
+Float32 = npt.NDArray[np.float32]
+Int32 = npt.NDArray[np.int32]
+UInt8 = npt.NDArray[np.uint8]
+
+
+def _ply(vertices: Float32, normals: Float32, triangles: Int32, colours: UInt8) -> bytes:
+    header = (
+        "ply\nformat binary_little_endian 1.0\ncomment patient LPS, mm\n"
+        f"element vertex {len(vertices)}\n"
+        + "".join(f"property float {name}\n" for name in ("x", "y", "z", "nx", "ny", "nz"))
+        + f"element face {len(triangles)}\nproperty list uchar int vertex_indices\n"
+        + "".join(f"property uchar {name}\n" for name in ("red", "green", "blue"))
+        + "end_header\n"
+    )
+    face = np.zeros(len(triangles), np.dtype([("count", "u1"), ("vertices", "<i4", 3), ("colour", "u1", 3)]))
+    face["count"], face["vertices"], face["colour"] = 3, triangles, colours
+    return header.encode("ascii") + np.hstack([vertices, normals]).astype("<f4").tobytes() + face.tobytes()
+
+
+def _stl(vertices: Float32, normals: Float32, triangles: Int32, colours: UInt8) -> bytes:
+    corners = vertices[triangles]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(across, axis=1, keepdims=True)
+    facet = np.zeros(len(triangles), np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("extra", "<u2")]))
+    facet["normal"] = np.divide(across, length, out=np.zeros_like(across), where=length > 0)
+    facet["corners"] = corners
+    count = len(triangles).to_bytes(4, "little")
+    return b"patient LPS, mm".ljust(80) + count + facet.tobytes()
+
+
+def _obj(vertices: Float32, normals: Float32, triangles: Int32, colours: UInt8) -> bytes:
+    lines = ["# patient LPS, mm"]
+    lines += [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in vertices.tolist()]
+    lines += [f"vn {x:.6g} {y:.6g} {z:.6g}" for x, y, z in normals.tolist()]
+    lines += [f"f {a}//{a} {b}//{b} {c}//{c}" for a, b, c in (triangles + 1).tolist()]
+    return ("\n".join(lines) + "\n").encode("ascii")
+
+
+SURFACE_FORMATS: dict[str, Callable[[Float32, Float32, Int32, UInt8], bytes]] = {
+    ".ply": _ply,
+    ".stl": _stl,
+    ".obj": _obj,
+}
+"""File name suffix -> its writer."""
+
+
+def write_surface(
+    path: Path | str, vertices_mm: Float32, normals: Float32, triangles: Int32, *, colours: UInt8 | None = None
+) -> None:
+    """Write a triangle mesh in LPS mm; the file appears whole, or the old one stays.
+
+    Parameters
+    ----------
+    path
+        Where to; the suffix says the format: ``.ply``, ``.stl`` or ``.obj``.
+    vertices_mm, normals
+        Positions in mm and unit normals, shape (vertex_count, 3).
+    triangles
+        Vertex numbers, shape (triangle_count, 3).
+    colours
+        Red, green, blue of each triangle, shape (triangle_count, 3); grey when left out. Only PLY keeps them.
+
+    Raises
+    ------
+    UsageError
+        The suffix is none of these, or the file cannot be written.
+    """
+    path = Path(path)
+    write = SURFACE_FORMATS.get(path.suffix.lower())
+    if write is None:
+        raise UsageError(f"a surface is written as {', '.join(SURFACE_FORMATS)}; {path.name!r} is none of these")
+    if colours is None:
+        colours = np.full((len(triangles), 3), 160, np.uint8)
+    try:
+        atomic_write(path, write(vertices_mm, normals, triangles, colours))
+    except OSError as error:
+        raise UsageError(f"{path.name} cannot be written: {error.strerror}") from None

@@ -1,0 +1,109 @@
+"""The grab: a hand closes on the nodes in a sphere, leads them, lets go (thesis 8.7.2)."""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import dataclass, field
+from math import sqrt
+
+import numpy as np
+import numpy.typing as npt
+
+from heartcase.schemas.errors import SimulationError
+from heartcase.simulator.model import LatticeModel
+
+__all__ = ["Grab", "nodes_in_reach"]
+
+Float32 = npt.NDArray[np.float32]
+Float64 = npt.NDArray[np.float64]
+
+DETOUR_MAX = sqrt(1.5)
+"""Longest way along lattice springs over the straight way, in an uncut lattice."""
+
+
+@dataclass(eq=False)
+class Grab:
+    """Nodes that a hand holds, and where it leads them."""
+
+    nodes: npt.NDArray[np.intp]
+    """Nodes held, ascending, shape (count,)."""
+    closed_at: Float32
+    """Their displacements when the hand closed [cells, grid axes], shape (count, 3)."""
+    name: str = "grab"
+    """Name in summaries."""
+    offset: Float64 = field(default_factory=lambda: np.zeros(3))
+    """Where the hand is, from where it closed [cells, grid axes]."""
+    target: Float64 = field(default_factory=lambda: np.zeros(3))
+    """Where it shall be at the end of the next steps [cells, grid axes]."""
+
+
+def nodes_in_reach(
+    model: LatticeModel, displacement: Float32, center_mm: npt.ArrayLike, radius_mm: float
+) -> npt.NDArray[np.intp]:
+    """Nodes in a sphere that can be reached along springs inside it, from the one nearest its centre.
+
+    The way along the springs may not be longer than it is in uncut tissue, so that a grab never bridges an incision.
+    Fixed nodes are left out.
+
+    Parameters
+    ----------
+    model
+        The lattice, without the springs that were cut.
+    displacement
+        Displacement of the nodes [cells, grid axes], shape (node_count, 3).
+    center_mm
+        Centre of the sphere, LPS mm.
+    radius_mm
+        Its radius, mm.
+
+    Returns
+    -------
+    ndarray
+        Node numbers, ascending; at least one.
+
+    Raises
+    ------
+    SimulationError
+        There is no tissue in the sphere, or only fixed nodes.
+    """
+    center = np.asarray(model.geometry.world_to_index(center_mm)) + 0.5
+    radius = radius_mm / model.cell_mm
+    distance = np.linalg.norm(model.node_index + displacement - center, axis=1)
+    nearest = int(distance.argmin())
+    if distance[nearest] > radius:
+        raise SimulationError(
+            f"there is no tissue within {radius_mm:.3g} mm of the grab; the nearest is "
+            f"{distance[nearest] * model.cell_mm:.1f} mm from its centre: move it there or give a larger radius",
+            place="grab",
+        )
+    inside = distance <= radius
+    reach = DETOUR_MAX * (radius + distance[nearest]) + 1.0
+    held = _along_springs(model, inside, start=nearest, reach=reach)
+    held = held[~model.node_is_fixed[held]]
+    if not len(held):
+        raise SimulationError("all the tissue in the grab is fixed: grab elsewhere", place="grab")
+    return held
+
+
+def _along_springs(
+    model: LatticeModel, inside: npt.NDArray[np.bool_], *, start: int, reach: float
+) -> npt.NDArray[np.intp]:
+    """Nodes inside whose shortest way along springs inside, by rest length, is at most ``reach`` [cells]."""
+    springs = np.flatnonzero(inside[model.spring_nodes].all(axis=1))
+    beside: dict[int, list[tuple[int, float]]] = {}
+    lengths = model.spring_length[springs].tolist()
+    for (lower, higher), length in zip(model.spring_nodes[springs].tolist(), lengths, strict=True):
+        beside.setdefault(lower, []).append((higher, length))
+        beside.setdefault(higher, []).append((lower, length))
+    way = {start: 0.0}
+    queue = [(0.0, start)]
+    while queue:
+        so_far, node = heapq.heappop(queue)
+        if so_far > way[node]:
+            continue
+        for other, length in beside.get(node, ()):
+            there = so_far + length
+            if there <= reach and there < way.get(other, np.inf):
+                way[other] = there
+                heapq.heappush(queue, (there, other))
+    return np.array(sorted(way), dtype=np.intp)

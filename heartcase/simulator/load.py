@@ -1,0 +1,115 @@
+"""Loading a case: only the parts that a scene needs are read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from heartcase.schemas.bundle import CaseManifest, FileRole
+from heartcase.schemas.bundle_reader import OpenBundle, open_bundle
+from heartcase.schemas.errors import BundleError, SimulationError
+from heartcase.simulator.model import LatticeModel, make_model
+from heartcase.simulator.surface import Curvature, PickingModel, SurfaceModel, make_picking, make_surface
+
+__all__ = ["Case", "Need", "load_case"]
+
+Need = Literal["grid", "surface", "tangents", "colours", "picking"]
+"""Parts of a scene: the lattice (always), the visible surface, its tangents for normal mapping, the colour of its
+triangles, the one-to-one surface."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A case, ready to be simulated."""
+
+    manifest: CaseManifest
+    """What the case says of itself."""
+    model: LatticeModel
+    """The lattice."""
+    surface: SurfaceModel | None = None
+    """The visible surface, where it was asked for."""
+    triangle_colours: npt.NDArray[np.uint8] | None = None
+    """Red, green, blue of each triangle, shape (triangle_count, 3), where they were asked for."""
+    picking: PickingModel | None = None
+    """The one-to-one surface, where it was asked for."""
+
+
+def load_case(
+    path: Path | str, *, needs: Sequence[Need] = ("grid", "surface"), curvature: Curvature = "flagged"
+) -> Case:
+    """Load a case bundle.
+
+    Parameters
+    ----------
+    path
+        The bundle's directory, ``NAME.case``.
+    needs
+        What the scene needs; nothing else is read.
+    curvature
+        Where the surface follows the interpolated basis: per-vertex flag, everywhere, nowhere.
+
+    Raises
+    ------
+    BundleError
+        The bundle is broken, or was made without a part that is needed.
+    """
+    bundle = open_bundle(path)
+    model = _model(bundle)
+    wants_surface = bool({"surface", "tangents", "colours"} & set(needs))
+    return Case(
+        manifest=bundle.manifest,
+        model=model,
+        surface=_surface(bundle, model, curvature, tangents="tangents" in needs) if wants_surface else None,
+        triangle_colours=_triangle_colours(bundle) if "colours" in needs else None,
+        picking=make_picking(model, **bundle.arrays(FileRole.PICKING, ("nodes", "triangles")))
+        if "picking" in needs
+        else None,
+    )
+
+
+def _model(bundle: OpenBundle) -> LatticeModel:
+    names = ("cells", "cell_coverage", "cell_stiffness", "cell_density", "fixed")
+    grid = bundle.arrays(FileRole.GRID, names)
+    try:
+        return make_model(
+            grid["cells"],
+            coverage=grid["cell_coverage"],
+            stiffness_kpa=grid["cell_stiffness"],
+            density_kg_m3=grid["cell_density"],
+            fixed=grid["fixed"],
+            geometry=bundle.manifest.grid_geometry,
+        )
+    except SimulationError as error:
+        raise BundleError(error.problems) from None
+
+
+def _surface(bundle: OpenBundle, model: LatticeModel, curvature: Curvature, *, tangents: bool) -> SurfaceModel:
+    names = ["triangle_nodes", "weights", "offset", "normal", "curvature"]
+    mapping = bundle.arrays(FileRole.MAPPING, [*names, "tangent"] if tangents else names)
+    mesh = bundle.arrays(FileRole.SURFACE, ["triangles", "render_to_welded"] if tangents else ["triangles"])
+    return make_surface(
+        model,
+        triangle_nodes=mapping["triangle_nodes"],
+        weights=mapping["weights"],
+        offset_mm=mapping["offset"],
+        normal=mapping["normal"],
+        curvature=mapping["curvature"],
+        mode=curvature,
+        triangles=mesh["triangles"],
+        render_to_welded=mesh.get("render_to_welded"),
+        tangent=mapping.get("tangent"),
+    )
+
+
+def _triangle_colours(bundle: OpenBundle) -> npt.NDArray[np.uint8]:
+    """Colour of the cavity that a triangle faces; outside, of the tissue behind it."""
+    mesh = bundle.arrays(FileRole.SURFACE, ("triangle_label", "triangle_tissue"))
+    palette = np.zeros((256, 3), np.uint8)
+    for label in bundle.manifest.labels:
+        palette[label.value] = [int(label.colour[at : at + 2], 16) for at in (1, 3, 5)]
+    return palette[np.where(mesh["triangle_label"] == 0, mesh["triangle_tissue"], mesh["triangle_label"])]

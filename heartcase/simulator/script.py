@@ -1,0 +1,304 @@
+"""Scripted sessions: a TOML file says what the hands do, a summary says what came of it."""
+
+from __future__ import annotations
+
+import time
+import tomllib
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import ValidationError
+
+from heartcase.schemas.errors import Problem, ScriptError, SimulationError, problems_from_validation
+from heartcase.schemas.landmarks import Landmark
+from heartcase.schemas.script import GrabAction, SimulationScript, Waypoint
+from heartcase.simulator.instruments import Grab
+from heartcase.simulator.integrate import Energy
+from heartcase.simulator.model import LatticeModel
+from heartcase.simulator.simulation import Simulation
+from heartcase.simulator.surface import SurfaceModel
+
+__all__ = ["SessionSummary", "default_script", "load_script", "parse_script", "run_script", "with_positions"]
+
+Float64 = npt.NDArray[np.float64]
+
+PULL_MM = 10.0
+"""How far the default script pulls."""
+GRIP_CELLS = 3.0
+"""Radius of the default script's grab, in cells."""
+
+
+@dataclass(frozen=True)
+class SessionSummary:
+    """What a session was, and what it came to."""
+
+    node_count: int
+    """Nodes of the lattice."""
+    spring_count: int
+    """Springs."""
+    cell_mm: float
+    """Edge of a cell, mm."""
+    triangle_count: int
+    """Triangles of the surface; 0 without one."""
+    step_s: float
+    """Time step, s."""
+    step_limit_s: float
+    """Largest stable step at rest, s."""
+    step_count: int
+    """Steps taken."""
+    seconds: float
+    """Simulated time, s."""
+    wall_seconds: float
+    """Time that it took, without loading and compiling, s."""
+    real_time_factor: float
+    """Simulated over wall time."""
+    displacement_max_mm: float
+    """Furthest that any node was from its rest position in any frame, mm."""
+    displacement_end_mm: float
+    """Furthest that any node is from its rest position at the end, mm."""
+    inverted_cell_count_max: int
+    """Most cells that were turned inside out in any frame."""
+    inverted_cell_count_end: int
+    """Cells that are turned inside out at the end."""
+    peak_force_n: dict[str, float]
+    """Action -> highest force on the hand in any frame, N."""
+    held_node_count: dict[str, int]
+    """Action -> nodes that it held."""
+    frame_time_s: tuple[float, ...]
+    """Simulated time of each frame, s."""
+    frame_energy: tuple[Energy, ...]
+    """Energies in each frame."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers, ready for JSON."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class _Timeline:
+    """A grab in steps instead of seconds."""
+
+    action: GrabAction
+    start: int
+    end: int
+    """Step at which it lets go; past the last step when it holds to the end."""
+    steps: tuple[int, ...]
+    offsets_mm: Float64
+    """Offset at each of ``steps``, shape (len(steps), 3)."""
+
+    def offset_at(self, step: int) -> Float64:
+        """Offset of the hand from where it closed, mm."""
+        return np.array([np.interp(step, self.steps, self.offsets_mm[:, axis]) for axis in range(3)])
+
+
+def load_script(path: Path | str) -> SimulationScript:
+    """Read a simulation script.
+
+    Raises
+    ------
+    ScriptError
+        It cannot be read, or with every problem that was found in it.
+    """
+    try:
+        return parse_script(Path(path).read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ScriptError("there is no such file; check the path", place="script") from None
+    except (OSError, UnicodeDecodeError):
+        raise ScriptError("the file cannot be read as UTF-8 text", place="script") from None
+
+
+def parse_script(text: str) -> SimulationScript:
+    """Read a simulation script from TOML text.
+
+    Raises
+    ------
+    ScriptError
+        With every problem that was found.
+    """
+    try:
+        return SimulationScript.model_validate(tomllib.loads(text))
+    except tomllib.TOMLDecodeError as error:
+        raise ScriptError(f"this is not valid TOML: {error}", place="script") from None
+    except ValidationError as error:
+        raise ScriptError(problems_from_validation(error)) from None
+
+
+def with_positions(script: SimulationScript, landmarks: tuple[Landmark, ...]) -> SimulationScript:
+    """The script with landmarks replaced by their positions (of a ring or a line: the mean of its points).
+
+    Raises
+    ------
+    ScriptError
+        The case has no landmark of a name; all of them at once.
+    """
+    places = {mark.name.lower(): np.mean(mark.points_mm, axis=0).tolist() for mark in landmarks}
+    known = ", ".join(mark.name for mark in landmarks) or "none"
+    problems, actions = [], []
+    for number, action in enumerate(script.actions, start=1):
+        if action.landmark is None:
+            actions.append(action)
+        elif action.landmark.lower() in places:
+            place = tuple(places[action.landmark.lower()])
+            actions.append(action.model_copy(update={"position_mm": place, "landmark": None}))
+        else:
+            message = f"the case has no landmark {action.landmark!r}; it has: {known}"
+            problems.append(Problem(f"actions[{number}].landmark", message))
+    if problems:
+        raise ScriptError(problems)
+    return script.model_copy(update={"actions": tuple(actions)})
+
+
+def default_script(
+    model: LatticeModel, surface: SurfaceModel | None = None, *, seconds: float = 2.0
+) -> SimulationScript:
+    """A pull outward by 10 mm and a release, at the surface vertex (or node) farthest from the fixed nodes.
+
+    It pulls in the first 0.35 of the time, holds until 0.6 and lets go. Without fixed nodes it pulls at the one
+    farthest from the middle.
+    """
+    rest = model.rest_positions_mm()
+    middle = rest.mean(axis=0)
+    anchors = rest[model.node_is_fixed] if model.node_is_fixed.any() else middle[None]
+    points = rest if surface is None else surface.rest_mm.astype(float)
+    # The way to the nearest anchor is wanted for the farthest point only: a thousand of each are enough.
+    points = points[:: max(1, len(points) // 1000)]
+    anchors = anchors[:: max(1, len(anchors) // 1000)]
+    gap = np.linalg.norm(points[:, None] - anchors[None], axis=2).min(axis=1)
+    position = points[gap.argmax()]
+    outward = (position - middle) / max(float(np.linalg.norm(position - middle)), 1e-9)
+    pull = tuple(float(v) for v in PULL_MM * outward)
+    grab = GrabAction(
+        name="pull",
+        position_mm=(float(position[0]), float(position[1]), float(position[2])),
+        radius_mm=GRIP_CELLS * model.cell_mm,
+        release_s=0.6 * seconds,
+        path=(Waypoint(time_s=0.35 * seconds, offset_mm=(pull[0], pull[1], pull[2])),),
+    )
+    return SimulationScript(seconds=seconds, actions=(grab,))
+
+
+def run_script(
+    simulation: Simulation,
+    script: SimulationScript,
+    *,
+    on_frame: Callable[[Simulation, float], None] | None = None,
+) -> SessionSummary:
+    """Run a script from the simulation's state on.
+
+    Parameters
+    ----------
+    simulation
+        Made with the script's step, damping and gravity.
+    script
+        Its actions have positions (see :func:`with_positions`). A hand goes in straight lines from where it closes
+        through the waypoints.
+    on_frame
+        Called after every frame, and before the first, with the simulation and the simulated time in s. What it takes
+        is not counted as the session's wall time.
+
+    Raises
+    ------
+    SimulationError
+        A grab finds no tissue, or the simulation broke down.
+    """
+    step_s = simulation.step_s
+    step_total = max(1, round(script.seconds / step_s))
+    frame_count = max(1, round(script.seconds * script.frames_per_second))
+    frames = {round(number * step_total / frame_count) for number in range(1, frame_count + 1)}
+    timelines = [_timeline(action, step_s, step_total) for action in script.actions]
+    stops = sorted(frames | {stop for timeline in timelines for stop in _stops(timeline, step_total)})
+
+    hands: dict[int, Grab] = {}
+    peak = dict.fromkeys((action.name for action in script.actions), 0.0)
+    held = dict.fromkeys(peak, 0)
+    furthest, inverted = 0.0, 0
+    times, energies = [0.0], [simulation.energy()]
+    wall = 0.0
+    simulation.prepare()
+    if on_frame:
+        on_frame(simulation, 0.0)
+    now = 0
+    for stop in stops:
+        started = time.perf_counter()
+        _change_hands(simulation, timelines, hands, held, now)
+        for number, grab in hands.items():
+            simulation.lead(grab, timelines[number].offset_at(stop))
+        simulation.step(stop - now)
+        now = stop
+        if stop in frames:
+            for number, grab in hands.items():
+                name = timelines[number].action.name
+                peak[name] = max(peak[name], float(np.linalg.norm(simulation.force_on(grab))))
+            if simulation.surface is not None:
+                simulation.surface_now()
+        wall += time.perf_counter() - started
+        if stop in frames:
+            furthest = max(furthest, _furthest(simulation))
+            inverted = max(inverted, simulation.inverted_cell_count())
+            times.append(now * step_s)
+            energies.append(simulation.energy())
+            if on_frame:
+                on_frame(simulation, now * step_s)
+    model = simulation.model
+    return SessionSummary(
+        node_count=model.node_count,
+        spring_count=model.spring_count,
+        cell_mm=model.cell_mm,
+        triangle_count=0 if simulation.surface is None else len(simulation.surface.triangles),
+        step_s=step_s,
+        step_limit_s=simulation.step_limit_s,
+        step_count=step_total,
+        seconds=step_total * step_s,
+        wall_seconds=wall,
+        real_time_factor=step_total * step_s / wall,
+        displacement_max_mm=furthest,
+        displacement_end_mm=_furthest(simulation),
+        inverted_cell_count_max=inverted,
+        inverted_cell_count_end=simulation.inverted_cell_count(),
+        peak_force_n=peak,
+        held_node_count=held,
+        frame_time_s=tuple(times),
+        frame_energy=tuple(energies),
+    )
+
+
+def _timeline(action: GrabAction, step_s: float, step_total: int) -> _Timeline:
+    """Seconds to steps; two moments never share a step, so that no hand jumps."""
+    steps, offsets = [round(action.start_s / step_s)], [(0.0, 0.0, 0.0)]
+    for waypoint in action.path:
+        if waypoint.time_s == action.start_s and not any(waypoint.offset_mm):
+            continue
+        steps.append(max(steps[-1] + 1, round(waypoint.time_s / step_s)))
+        offsets.append(waypoint.offset_mm)
+    release = step_total + 1 if action.release_s is None else max(steps[0] + 1, round(action.release_s / step_s))
+    return _Timeline(action=action, start=steps[0], end=release, steps=tuple(steps), offsets_mm=np.array(offsets))
+
+
+def _stops(timeline: _Timeline, step_total: int) -> Iterator[int]:
+    """Steps at which a hand closes, turns or lets go."""
+    yield from (stop for stop in (*timeline.steps, timeline.end) if 0 < stop < step_total)
+
+
+def _change_hands(
+    simulation: Simulation, timelines: list[_Timeline], hands: dict[int, Grab], held: dict[str, int], now: int
+) -> None:
+    """Let go and close what is due at this step; first let go, so that one hand can take over from another."""
+    for number, timeline in enumerate(timelines):
+        if number in hands and now >= timeline.end:
+            simulation.release(hands.pop(number))
+    for number, timeline in enumerate(timelines):
+        if now == timeline.start and now < timeline.end:
+            action = timeline.action
+            if action.position_mm is None:
+                raise SimulationError(f"the landmark {action.landmark!r} has no position yet", place=action.name)
+            hands[number] = simulation.grab(action.position_mm, action.radius_mm, name=action.name)
+            held[action.name] += len(hands[number].nodes)
+
+
+def _furthest(simulation: Simulation) -> float:
+    displacement = simulation.state.displacement
+    return float(np.linalg.norm(displacement, axis=1).max()) * simulation.model.cell_mm

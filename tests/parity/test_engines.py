@@ -1,0 +1,114 @@
+"""The CPU kernel against the reference, on any cells, coverage and stiffness."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from heartcase.schemas.errors import SimulationError
+from heartcase.simulator import engine as engines
+from heartcase.simulator.engine import make_engine
+from heartcase.simulator.forces_reference import spring_forces
+from heartcase.simulator.integrate import Verlet
+from heartcase.simulator.state import State
+from tests.simulator.lattices import EPS, block, random_field, random_models
+
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def stretch_at_nodes(model, displacement):
+    """Sum of w |D| over each node's springs: the scale of the forces, and of their rounding."""
+    lower, higher = model.spring_nodes.T
+    size = model.spring_weight * np.linalg.norm(displacement[higher] - displacement[lower].astype(float), axis=1)
+    total = np.bincount(lower, size, model.node_count) + np.bincount(higher, size, model.node_count)
+    return total[:, None]
+
+
+@settings(max_examples=60, deadline=None)
+@given(random_models(), SEEDS, st.sampled_from([1e-6, 1e-3, 0.1, 1.0, 10.0]))
+def test_forces_agree(model, seed, scale):
+    """About 20 roundings in a spring's pull, of at most w |D| each, and 18 pulls to add."""
+    displacement = random_field(model, seed, scale)
+    engine = make_engine(model, "cpu")
+    engine.load(State(displacement, np.zeros_like(displacement)))
+    gap = np.abs(engine.forces() - spring_forces(model, displacement))
+    assert (gap <= 40 * EPS * stretch_at_nodes(model, displacement)).all()
+
+
+@settings(max_examples=30, deadline=None)
+@given(random_models())
+def test_rest_is_an_exact_equilibrium(model):
+    for backend in ("cpu", "reference"):
+        assert np.abs(make_engine(model, backend).forces()).max(initial=0.0) <= (0 if backend == "cpu" else 1e-14)
+
+
+@settings(max_examples=30, deadline=None)
+@given(random_models(fixed=False), SEEDS)
+def test_rigid_motion_makes_no_force(model, seed):
+    """Positions up to |x| are rounded to EPS |x| / 2; a node's springs weigh up to sum(w)."""
+    rng = np.random.default_rng(seed)
+    rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    rotation *= np.sign(np.linalg.det(rotation))
+    x = model.node_index.astype(float)
+    displacement = (x @ rotation.T + rng.uniform(-20, 20, 3) - x).astype(np.float32)
+    weight = np.bincount(model.spring_nodes.ravel(), np.repeat(model.spring_weight, 2), model.node_count)
+    engine = make_engine(model, "cpu")
+    engine.load(State(displacement, np.zeros_like(displacement)))
+    tolerance = 4 * EPS * max(np.abs(displacement).max(), 4.0) * weight
+    assert (np.abs(engine.forces()) <= tolerance[:, None]).all()
+
+
+@settings(max_examples=25, deadline=None)
+@given(random_models(), SEEDS, st.floats(0.0, 0.3))
+def test_a_hundred_steps_agree(model, seed, damping):
+    """Each step rounds the velocity's change to EPS of the movement; all in one direction they add up to n^2 EPS."""
+    displacement = random_field(model, seed, 0.05)
+    displacement[model.node_is_fixed] = 0
+    verlet = Verlet(step=0.8 * 2 / np.sqrt(24 * (model.cell_stiffness / model.cell_density).max()), damping=damping)
+    ends = []
+    for backend in ("cpu", "reference"):
+        engine = make_engine(model, backend)
+        engine.load(State(displacement, np.zeros_like(displacement)))
+        engine.advance(100, verlet)
+        ends.append(engine.read())
+    assert ends[0].step_count == ends[1].step_count == 100
+    assert np.abs(ends[0].displacement - ends[1].displacement).max() <= 100**2 * EPS * 0.05
+    np.testing.assert_array_equal(ends[0].displacement[model.node_is_fixed], 0.0)
+
+
+def test_result_does_not_depend_on_the_number_of_threads(monkeypatch):
+    model = block(24, 9, 9, fix_base=True)
+    start = State(random_field(model, 1, 0.1), random_field(model, 2, 0.01))
+    results = []
+    before = numba.get_num_threads()
+    try:
+        for threads, least in ((1, 0), (before, 0), (1, 10**9)):
+            numba.set_num_threads(threads)
+            monkeypatch.setattr(engines, "PARALLEL_BLOCKS_MIN", least)
+            engine = make_engine(model, "cpu")
+            engine.load(start)
+            engine.advance(50, Verlet(0.3, 0.01, (0.0, 0.001, 0.0)))
+            end = engine.read()
+            results.append(end.displacement.tobytes() + end.velocity.tobytes() + engine.forces().tobytes())
+    finally:
+        numba.set_num_threads(before)
+    assert results[0] == results[1] == results[2]
+
+
+@pytest.mark.parametrize("backend", ["cpu", "reference"])
+def test_coincident_nodes_and_inverted_cells_stay_finite(backend):
+    model = block(3, 3, 3)
+    displacement = (-model.node_index).astype(np.float32)
+    engine = make_engine(model, backend)
+    engine.load(State(displacement, np.zeros_like(displacement)))
+    np.testing.assert_array_equal(engine.forces(), 0.0)
+    engine.load(State(2 * displacement, np.zeros_like(displacement)))
+    assert np.isfinite(engine.forces()).all()
+
+
+def test_unknown_backend_is_refused():
+    with pytest.raises(SimulationError, match="cpu, reference"):
+        make_engine(block(1, 1, 1), "abacus")

@@ -1,0 +1,200 @@
+import re
+
+import numba
+import numpy as np
+import pytest
+import SimpleITK
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from heartcase.pipeline.data import Scan
+from heartcase.pipeline.filter import diffuse, filter_scan, time_step_limit
+from heartcase.schemas.errors import StageError
+from heartcase.schemas.geometry import Geometry
+from heartcase.schemas.settings import FilterSettings
+
+EPSILON = float(np.finfo(np.float32).eps)
+ANISOTROPIC = (0.7, 1.1, 2.5)
+
+
+def make_scan(values, spacing=(1.0, 1.0, 1.0), **more):
+    return Scan(
+        values=np.asarray(values, np.float32), geometry=Geometry.of(shape=np.shape(values), spacing_mm=spacing), **more
+    )
+
+
+def step_with_noise(shape=(9, 11, 14), seed=3):
+    noise = np.random.default_rng(seed).normal(0.0, 30.0, shape)
+    noise[:, :, shape[2] // 2 :] += 400.0
+    return noise.astype(np.float32)
+
+
+def reference_diffusion(values, spacing, iterations, conductance, time_step):
+    """Fluxes through all faces of a volume whose outermost voxels are repeated, in float64, a face at a time."""
+    u = np.asarray(values, float)
+    axes = [(axis, spacing[2 - axis]) for axis in range(3)]
+    inner = (slice(1, -1),) * 3
+    for _ in range(iterations):
+        p = np.pad(u, 1, mode="edge")
+        central = {axis: (np.roll(p, -1, axis) - np.roll(p, 1, axis)) / (2 * h) for axis, h in axes}
+        mean_square = np.mean(sum(g[inner] ** 2 for g in central.values()))
+        change = np.zeros_like(p)
+        for axis, h in axes:
+            along = (np.roll(p, -1, axis) - p) / h
+            square = along**2
+            for other, g in central.items():
+                if other != axis:
+                    square += (0.5 * (g + np.roll(g, -1, axis))) ** 2
+            flux = along * np.exp(-square / (2.0 * mean_square * conductance**2))
+            change += (flux - np.roll(flux, 1, axis)) / h
+        u = u + time_step * change[inner]
+    return u
+
+
+@pytest.mark.parametrize("spacing", [1.0, 0.9, 1.75])
+@pytest.mark.parametrize("conductance", [0.5, 1.0, 3.0])
+def test_equals_simpleitk_on_cubic_voxels(spacing, conductance):
+    values = step_with_noise()
+    image = SimpleITK.GetImageFromArray(values)
+    image.SetSpacing((spacing,) * 3)
+    # SimpleITK divides by the spacing once where the divergence in mm divides twice: hence the other unit of its step
+    step = 0.05
+    want = SimpleITK.GetArrayFromImage(
+        SimpleITK.GradientAnisotropicDiffusion(
+            image, timeStep=step, conductanceParameter=conductance, numberOfIterations=5
+        )
+    )
+    got = diffuse(values, (spacing,) * 3, iterations=5, conductance=conductance, time_step=step * spacing)
+    # each of the five steps of both rounds a few numbers of the size of the values
+    assert np.abs(got - want).max() <= 5 * 8 * EPSILON * np.abs(values).max()
+    assert np.abs(got - values).max() > 1.0
+
+
+@pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), ANISOTROPIC, (3.0, 0.5, 0.5)])
+@pytest.mark.parametrize("shape", [(7, 8, 9), (1, 12, 13), (6, 1, 9), (2, 3, 1)])
+def test_equals_the_double_precision_reference(spacing, shape):
+    values = step_with_noise(shape)
+    scan = make_scan(values, spacing)
+    step = time_step_limit(scan.geometry)
+    want = reference_diffusion(values, spacing, 4, 0.8, step)
+    got = diffuse(values, spacing, iterations=4, conductance=0.8, time_step=step)
+    assert np.abs(got - want).max() <= 4 * 16 * EPSILON * np.abs(values).max()
+
+
+@pytest.mark.parametrize("mode", [(1, 0, 0), (0, 2, 1), (3, 1, 4), (6, 7, 8)])
+def test_cosines_decay_as_the_heat_equation_says_where_the_conductance_is_one(mode):
+    shape = (7, 8, 9)
+    scan = make_scan(np.zeros(shape), ANISOTROPIC)
+    step = time_step_limit(scan.geometry)
+    wave = np.ones(shape)
+    rate = 0.0
+    for axis, (m, n) in enumerate(zip(mode, shape, strict=True)):
+        line = np.cos(np.pi * m * (np.arange(n) + 0.5) / n)
+        wave = wave * line.reshape([-1 if a == axis else 1 for a in range(3)])
+        rate += (2.0 / ANISOTROPIC[2 - axis] * np.sin(np.pi * m / (2 * n))) ** 2
+    got = diffuse(wave.astype(np.float32), ANISOTROPIC, iterations=3, conductance=1e4, time_step=step)
+    factor = (1.0 - step * rate) ** 3
+    assert 0.0 <= factor < 1.0
+    # a conductance of 1e4 leaves exp(-square / 2e8) below one by less than 1e-6 here
+    assert np.abs(got - factor * wave).max() <= 3 * (16 * EPSILON + 1e-6)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    values=hnp.arrays(
+        np.float32, hnp.array_shapes(min_dims=3, max_dims=3, max_side=6), elements=st.integers(-3000, 3000)
+    ),
+    spacing=st.tuples(*[st.floats(0.2, 5.0)] * 3),
+    conductance=st.sampled_from([0.01, 0.3, 1.0, 100.0]),
+)
+def test_at_the_limit_nothing_leaves_the_range_and_nothing_is_lost(values, spacing, conductance):
+    got = filter_scan(make_scan(values, spacing), FilterSettings(iterations=20, conductance=conductance)).values
+    slack = 20 * 4 * EPSILON * float(np.abs(values).max())
+    assert got.min() >= values.min() - slack
+    assert got.max() <= values.max() + slack
+    assert abs(got.mean(dtype=float) - values.mean(dtype=float)) <= slack
+
+
+def test_past_the_limit_the_finest_frequency_turns_its_sign():
+    shape = (6, 6, 6)
+    board = np.where(np.indices(shape).sum(axis=0) % 2, 1.0, -1.0).astype(np.float32)
+    limit = time_step_limit(make_scan(board, ANISOTROPIC).geometry)
+    inside = (slice(1, -1),) * 3
+    at = diffuse(board, ANISOTROPIC, iterations=1, conductance=1e4, time_step=limit)
+    past = diffuse(board, ANISOTROPIC, iterations=1, conductance=1e4, time_step=1.1 * limit)
+    assert np.abs(at[inside]).max() < 1e-5
+    assert np.all(past[inside] * board[inside] < 0.0)
+
+
+def test_an_edge_stays_and_noise_goes():
+    values = step_with_noise((16, 16, 16))
+    got = filter_scan(make_scan(values), FilterSettings(conductance=0.8, iterations=10)).values
+    left, right = got[:, :, :8], got[:, :, 8:]
+    assert right.mean() - left.mean() == pytest.approx(values[:, :, 8:].mean() - values[:, :, :8].mean(), rel=0.02)
+    assert left.std() < 0.35 * values[:, :, :8].std()
+    assert right.std() < 0.35 * values[:, :, 8:].std()
+
+
+@pytest.mark.parametrize("level", [0.0, -1024.0, 1e6])
+def test_a_constant_stays_as_it_is(level):
+    values = np.full((4, 5, 6), level, np.float32)
+    np.testing.assert_array_equal(filter_scan(make_scan(values, ANISOTROPIC), FilterSettings()).values, values)
+
+
+def test_scaling_and_shifting_the_intensities_scales_and_shifts_the_result():
+    values = step_with_noise()
+    plain = filter_scan(make_scan(values), FilterSettings()).values
+    other = filter_scan(make_scan(values * 1024.0), FilterSettings()).values
+    np.testing.assert_allclose(other, plain * 1024.0, rtol=0, atol=1024.0 * 5 * 8 * EPSILON * np.abs(values).max())
+
+
+def test_the_number_of_threads_does_not_matter():
+    values = step_with_noise((13, 17, 19))
+    before = numba.get_num_threads()
+    try:
+        numba.set_num_threads(1)
+        one = filter_scan(make_scan(values, ANISOTROPIC), FilterSettings()).values
+    finally:
+        numba.set_num_threads(before)
+    many = filter_scan(make_scan(values, ANISOTROPIC), FilterSettings()).values
+    assert one.tobytes() == many.tobytes()
+
+
+def test_only_the_values_change():
+    values = step_with_noise()
+    scan = make_scan(values.copy(), ANISOTROPIC, modality="CT", acquisition={"tube_voltage_kv": 100})
+    got = filter_scan(scan, FilterSettings())
+    np.testing.assert_array_equal(scan.values, values)
+    assert (got.geometry, got.modality, got.acquisition) == (scan.geometry, scan.modality, scan.acquisition)
+    assert got.values.dtype == np.float32
+    assert got.values.flags.c_contiguous
+
+
+def test_no_filter_returns_the_scan():
+    scan = make_scan(step_with_noise())
+    assert filter_scan(scan, FilterSettings(method="none")) is scan
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_values_that_are_not_finite_are_refused(bad):
+    values = step_with_noise()
+    values[1, 2, 3] = bad
+    with pytest.raises(StageError, match="1 voxels of the scan are NaN or infinite"):
+        filter_scan(make_scan(values), FilterSettings())
+
+
+def test_a_step_beyond_the_limit_is_refused_and_the_limit_that_is_stated_works():
+    scan = make_scan(step_with_noise(), (0.9, 0.9, 0.9))
+    with pytest.raises(StageError, match=r"filter\.time_step: 0\.0676 is beyond the stability limit") as caught:
+        filter_scan(scan, FilterSettings(time_step=0.0676))
+    stated = float(re.search(r"([0-9.]+) mm2", str(caught.value))[1])
+    assert stated == pytest.approx(0.9**2 / 12, rel=1e-3)
+    filter_scan(scan, FilterSettings(time_step=stated))
+
+
+def test_the_limit_counts_only_axes_with_neighbours():
+    assert time_step_limit(Geometry.of(shape=(4, 4, 4), spacing_mm=(2.0, 2.0, 2.0))) == pytest.approx(4 / 12)
+    assert time_step_limit(Geometry.of(shape=(1, 4, 4), spacing_mm=(2.0, 2.0, 0.1))) == pytest.approx(4 / 8)
+    scan = make_scan([[[7.0]]])
+    assert filter_scan(scan, FilterSettings(time_step=1e6)).values == 7.0

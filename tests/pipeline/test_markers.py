@@ -1,0 +1,395 @@
+from __future__ import annotations
+
+import itertools
+import json
+from pathlib import Path
+
+import nibabel
+import numpy as np
+import pytest
+import SimpleITK
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from heartcase.pipeline.data import Markers, Scan
+from heartcase.pipeline.markers import load_markers, load_segmentation, rasterise_strokes, resample_labels
+from heartcase.pipeline.paint import paint_passed_voxels
+from heartcase.pipeline.read import LabelVolume, read_labels
+from heartcase.pipeline.write import write_scan
+from heartcase.schemas.errors import MarkerError
+from heartcase.schemas.geometry import Geometry
+from heartcase.schemas.labels import default_label_table
+from heartcase.schemas.recipe import MarkerFile
+from heartcase.schemas.settings import Stroke
+
+TABLE = default_label_table()
+UNMARKED = Markers.UNMARKED
+ANGLE = 0.4
+TURN = np.array([[np.cos(ANGLE), 0, np.sin(ANGLE)], [0, 1, 0], [-np.sin(ANGLE), 0, np.cos(ANGLE)]])
+OBLIQUE = Geometry.of(
+    shape=(9, 14, 16), origin_mm=(-20.0, 35.0, -110.0), spacing_mm=(0.8, 1.3, 2.9), direction=TURN @ np.diag([1, 1, -1])
+)
+PLAIN = Geometry.of(shape=(12, 13, 14), origin_mm=(-50.0, 20.0, 5.0), spacing_mm=(1.0, 1.5, 2.0))
+
+
+def stroke(label: str, radius: float, *points: tuple[float, float, float] | np.ndarray) -> Stroke:
+    return Stroke(label=label, radius_mm=radius, points_mm=tuple(tuple(float(v) for v in point) for point in points))
+
+
+def centres(geometry: Geometry) -> np.ndarray:
+    k, j, i = np.meshgrid(*[np.arange(n) for n in geometry.shape], indexing="ij")
+    return geometry.index_to_world(np.stack([i, j, k], axis=-1))
+
+
+def distance_to_polyline(points: np.ndarray, polyline: np.ndarray) -> np.ndarray:
+    """Distance of each point in world mm to a polyline, by the foot points on its segments."""
+    best = np.full(points.shape[:-1], np.inf)
+    for a, b in zip(
+        polyline[: max(1, len(polyline) - 1)], polyline[1:] if len(polyline) > 1 else polyline, strict=True
+    ):
+        length = float((b - a) @ (b - a))
+        t = np.clip((points - a) @ (b - a) / length, 0, 1) if length > 0 else np.zeros(points.shape[:-1])
+        best = np.minimum(best, np.linalg.norm(points - a - t[..., np.newaxis] * (b - a), axis=-1))
+    return best
+
+
+def sampled_voxels(geometry: Geometry, polyline: np.ndarray, count: int = 20001) -> np.ndarray:
+    """Voxels that hold a point of the polyline, by dense sampling."""
+    t = np.linspace(0.0, 1.0, count)[:, np.newaxis]
+    result = np.zeros(geometry.shape, bool)
+    for a, b in itertools.pairwise(polyline):
+        index = np.floor(geometry.world_to_index(a + t * (b - a)) + 0.5).astype(int)
+        index = index[((index >= 0) & (index < geometry.size)).all(axis=1)]
+        result[index[:, 2], index[:, 1], index[:, 0]] = True
+    return result
+
+
+index_coordinate = st.floats(-0.2, 1.2)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    fractions=st.lists(st.tuples(*[index_coordinate] * 3), min_size=1, max_size=4),
+    radius=st.floats(0.5, 9.0),
+    geometry=st.sampled_from([OBLIQUE, PLAIN]),
+)
+def test_a_stroke_is_a_capsule_in_true_mm(fractions, radius: float, geometry: Geometry) -> None:
+    polyline = geometry.index_to_world(np.array([(0.5, 0.5, 0.5), *fractions]) * geometry.size)
+    painted = rasterise_strokes([stroke("aorta", radius, *polyline)], TABLE, geometry) == 5
+    distance = distance_to_polyline(centres(geometry), polyline)
+    passed = sampled_voxels(geometry, polyline)
+    # a voxel on the brush's rim may go either way by rounding
+    rim = np.abs(distance - radius) < 1e-6
+    np.testing.assert_array_equal(painted[(distance < radius) & ~rim], True)
+    half_diagonal = 0.5 * np.linalg.norm(geometry.spacing_mm)
+    beyond = painted & (distance > radius) & ~rim
+    assert (distance[beyond] <= half_diagonal).all()
+    assert painted[passed].all()
+
+
+def test_a_sphere_has_the_volume_of_a_sphere_on_an_oblique_lattice() -> None:
+    geometry = Geometry.of(shape=(60, 80, 100), spacing_mm=(0.5, 0.7, 1.1), direction=TURN)
+    centre = geometry.index_to_world((50.2, 40.3, 30.4))
+    painted = rasterise_strokes([stroke("aorta", 12.0, centre)], TABLE, geometry) == 5
+    volume = painted.sum() * geometry.voxel_volume_mm3
+    assert volume == pytest.approx(4 / 3 * np.pi * 12.0**3, rel=0.005)
+
+
+def test_a_thin_stroke_leaves_no_gap_and_radius_zero_is_the_line() -> None:
+    polyline = OBLIQUE.index_to_world(np.array([(1.2, 2.1, 0.8), (13.7, 9.4, 6.9), (3.3, 12.2, 7.6)]))
+    line = rasterise_strokes([stroke("aorta", 0.0, *polyline)], TABLE, OBLIQUE) == 5
+    np.testing.assert_array_equal(line, sampled_voxels(OBLIQUE, polyline))
+    # radius below any distance from a voxel centre to the line
+    thin = rasterise_strokes([stroke("aorta", 1e-6, *polyline)], TABLE, OBLIQUE) == 5
+    np.testing.assert_array_equal(thin, line)
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    start=st.tuples(*[st.integers(-8, 24).map(lambda n: n / 2)] * 3),
+    end=st.tuples(*[st.integers(-8, 24).map(lambda n: n / 2)] * 3),
+)
+def test_passed_voxels_are_joined_by_corners_at_least(start, end) -> None:
+    """Also where the line runs through corners and along faces of voxels."""
+    labels = np.zeros((8, 9, 10), np.uint8)
+    paint_passed_voxels(labels, np.array(start), np.array(end), 1)
+    count = SimpleITK.ConnectedComponentImageFilter()
+    count.FullyConnectedOn()
+    count.Execute(SimpleITK.GetImageFromArray(labels))
+    assert count.GetObjectCount() <= 1
+    for point in (start, end):
+        i, j, k = (int(np.floor(v + 0.5)) for v in point)
+        if 0 <= i < 10 and 0 <= j < 9 and 0 <= k < 8:
+            assert labels[k, j, i] == 1
+
+
+def test_later_strokes_paint_over_and_background_is_a_label() -> None:
+    at = PLAIN.index_to_world((6, 6, 6))
+    markers = load_markers((), [stroke("aorta", 5.0, at), stroke("Background", 2.0, at)], TABLE, PLAIN, Path())
+    assert markers.geometry == PLAIN
+    assert markers.labels[6, 6, 6] == 0
+    assert (markers.labels == 5).any()
+    assert set(np.unique(markers.labels)) == {0, 5, UNMARKED}
+
+
+def test_strokes_outside_are_listed_with_a_remedy() -> None:
+    inside = PLAIN.index_to_world((6, 6, 6))
+    strokes = [
+        stroke("aorta", 2.0, inside),
+        stroke("aorta", 2.0, inside * (-1, -1, 1)),
+        stroke("left atrium", 2.0, (900.0, 0.0, 0.0), (900.0, 50.0, 0.0)),
+        stroke("no such thing", 2.0, inside),
+    ]
+    with pytest.raises(MarkerError) as caught:
+        load_markers((), strokes, TABLE, PLAIN, Path())
+    assert [problem.place for problem in caught.value.problems] == ["strokes[2]", "strokes[3]", "strokes[4]"]
+    second, third, fourth = (problem.message for problem in caught.value.problems)
+    assert "RAS: change the sign" in second
+    assert "x -50.5 to -36.5, y 19.2 to 38.8, z 4.0 to 28.0 mm" in third
+    assert "LPS" in third
+    assert "no label 'no such thing'" in fourth
+
+
+def test_a_stroke_that_reaches_out_is_cut_off() -> None:
+    ends = PLAIN.index_to_world(np.array([(-500.0, 6.0, 6.0), (500.0, 6.0, 6.0)]))
+    painted = rasterise_strokes([stroke("aorta", 0.0, *ends)], TABLE, PLAIN)
+    np.testing.assert_array_equal(painted[6, 6], 5)
+    assert (painted == 5).sum() == 14
+    near = PLAIN.index_to_world((-2.0, 6.0, 6.0))
+    assert (rasterise_strokes([stroke("aorta", 2.5, near)], TABLE, PLAIN) == 5).any()
+
+
+def write_labels(path: Path, values: np.ndarray, geometry: Geometry) -> None:
+    image = SimpleITK.GetImageFromArray(values)
+    image.SetOrigin(geometry.origin_mm)
+    image.SetSpacing(geometry.spacing_mm)
+    image.SetDirection(geometry.direction_matrix.ravel())
+    SimpleITK.WriteImage(image, str(path))
+
+
+@pytest.mark.parametrize("suffix", [".nii.gz", ".nrrd", ".mha"])
+def test_label_volume_on_the_scans_grid(tmp_path: Path, suffix: str) -> None:
+    values = np.zeros(OBLIQUE.shape, np.uint8)
+    values[3, 4, 5], values[5, 6, 7], values[0, 0, 0] = 1, 2, 77
+    write_labels(tmp_path / f"m{suffix}", values, OBLIQUE)
+    files = [MarkerFile(path=f"m{suffix}", names={"77": "background", "2": "Aorta"})]
+    markers = load_markers(files, (), TABLE, OBLIQUE, tmp_path)
+    expected = np.full(OBLIQUE.shape, UNMARKED, np.uint8)
+    expected[3, 4, 5], expected[5, 6, 7], expected[0, 0, 0] = 1, 5, 0
+    np.testing.assert_array_equal(markers.labels, expected)
+
+
+@pytest.mark.parametrize("codes", ["RAS", "LPI", "PIR", "SAL"])
+def test_label_volume_with_axes_in_another_order(tmp_path: Path, codes: str) -> None:
+    """The same voxels written with other axes, as ITK-SNAP may: nothing is lost or moved."""
+    values = np.random.default_rng(0).integers(0, 10, OBLIQUE.shape).astype(np.uint8)
+    image = nibabel.Nifti1Image(values.T, np.diag([-1.0, -1.0, 1.0, 1.0]) @ OBLIQUE.affine)
+    turned = image.as_reoriented(
+        nibabel.orientations.ornt_transform(
+            nibabel.io_orientation(image.affine), nibabel.orientations.axcodes2ornt(codes)
+        )
+    )
+    nibabel.save(turned, tmp_path / "m.nii.gz")
+    markers = load_markers([MarkerFile(path="m.nii.gz")], (), TABLE, OBLIQUE, tmp_path)
+    np.testing.assert_array_equal(markers.labels, np.where(values == 0, UNMARKED, values))
+
+
+def test_label_volume_on_another_grid_as_simpleitk_resamples_it() -> None:
+    values = np.random.default_rng(0).integers(0, 10, (11, 12, 13)).astype(np.uint8)
+    other = Geometry.of(
+        shape=values.shape, origin_mm=OBLIQUE.index_to_world((2.0, 1.0, 1.0)), spacing_mm=(1.1, 1.7, 1.9)
+    )
+    volume = LabelVolume(values=values, geometry=other)
+    ours = resample_labels(volume, OBLIQUE)
+    image = SimpleITK.GetImageFromArray(values)
+    image.SetOrigin(other.origin_mm)
+    image.SetSpacing(other.spacing_mm)
+    reference = SimpleITK.Image(OBLIQUE.size, SimpleITK.sitkUInt8)
+    reference.SetOrigin(OBLIQUE.origin_mm)
+    reference.SetSpacing(OBLIQUE.spacing_mm)
+    reference.SetDirection(OBLIQUE.direction_matrix.ravel())
+    theirs = SimpleITK.Resample(image, reference, SimpleITK.Transform(), SimpleITK.sitkNearestNeighbor, 0)
+    assert ours.any()
+    np.testing.assert_array_equal(ours, SimpleITK.GetArrayFromImage(theirs))
+
+
+def seg_nrrd(path: Path, values: np.ndarray, geometry: Geometry, segments: list[dict[str, str]]) -> None:
+    """A segmentation as 3D Slicer writes it; values (z, y, x) or (z, y, x, layer)."""
+    image = SimpleITK.GetImageFromArray(values, isVector=values.ndim == 4)
+    image.SetOrigin(geometry.origin_mm)
+    image.SetSpacing(geometry.spacing_mm)
+    image.SetDirection(geometry.direction_matrix.ravel())
+    for index, segment in enumerate(segments):
+        for key, text in segment.items():
+            image.SetMetaData(f"Segment{index}_{key}", text)
+    SimpleITK.WriteImage(image, str(path), useCompression=True)
+
+
+def test_cropped_seg_nrrd_with_names(tmp_path: Path) -> None:
+    start, size = (4, 3, 2), (5, 6, 1)
+    cropped = OBLIQUE.cropped(start, size)
+    values = np.zeros(cropped.shape, np.uint8)
+    values[0, 1, 2], values[0, 5, 4] = 1, 2
+    seg_nrrd(
+        tmp_path / "m.seg.nrrd",
+        values,
+        cropped,
+        [
+            {"Name": "LEFT Ventricle", "LabelValue": "1", "Layer": "0"},
+            {"Name": "not heart", "LabelValue": "2", "Layer": "0"},
+            {"Name": "Segment_3", "LabelValue": "3", "Layer": "0"},
+        ],
+    )
+    files = [MarkerFile(path="m.seg.nrrd", names={"Not Heart": "background"})]
+    markers = load_markers(files, (), TABLE, OBLIQUE, tmp_path)
+    expected = np.full(OBLIQUE.shape, UNMARKED, np.uint8)
+    expected[2, 4, 6], expected[2, 8, 8] = 1, 0
+    np.testing.assert_array_equal(markers.labels, expected)
+
+
+@pytest.mark.parametrize("has_layer_keys", [True, False])
+def test_overlapping_layers_go_to_the_later_segment(tmp_path: Path, has_layer_keys: bool) -> None:
+    values = np.zeros((*PLAIN.shape, 2), np.uint8)
+    values[2:6, 4, 4, 0] = 1
+    values[4:8, 4, 4, 1] = 1
+    keys = [{"LabelValue": "1", "Layer": str(n)} if has_layer_keys else {} for n in range(2)]
+    seg_nrrd(tmp_path / "m.seg.nrrd", values, PLAIN, [{"Name": "aorta"} | keys[0], {"Name": "left atrium"} | keys[1]])
+    volume = read_labels(tmp_path / "m.seg.nrrd")
+    assert volume.names == {1: "aorta", 2: "left atrium"}
+    np.testing.assert_array_equal(volume.values[:, 4, 4], [0, 0, 1, 1, 2, 2, 2, 2, 0, 0, 0, 0])
+    segmentation = load_segmentation(tmp_path / "m.seg.nrrd", {}, TABLE, None)
+    np.testing.assert_array_equal(segmentation.labels[:, 4, 4], [0, 0, 5, 5, 3, 3, 3, 3, 0, 0, 0, 0])
+    assert segmentation.geometry.matches(PLAIN)
+
+
+@pytest.mark.parametrize(
+    ("segments", "words"),
+    [
+        ([], "no table"),
+        ([{"Name": "a", "LabelValue": "x", "Layer": "0"}], "damaged"),
+        ([{"Name": "a", "LabelValue": "1", "Layer": "7"}], "does not fit"),
+        ([{"Name": "a", "LabelValue": "1", "Layer": "0"}], "does not name"),
+    ],
+)
+def test_bad_segment_tables(tmp_path: Path, segments: list[dict[str, str]], words: str) -> None:
+    values = np.ones((*PLAIN.shape, 2), np.uint8)
+    seg_nrrd(tmp_path / "m.seg.nrrd", values, PLAIN, segments)
+    with pytest.raises(MarkerError, match=words):
+        read_labels(tmp_path / "m.seg.nrrd")
+
+
+def mrk(path: Path, *markups: dict) -> None:
+    path.write_text(json.dumps({"markups": list(markups)}))
+
+
+def points(kind: str, system: str, positions: list, labels: list[str] | None = None, **more) -> dict:
+    labels = labels or [f"F-{n}" for n in range(1, len(positions) + 1)]
+    control = [
+        {"label": label, "position": list(map(float, position)), "positionStatus": "defined"}
+        for label, position in zip(labels, positions, strict=True)
+    ]
+    return {"type": kind, "coordinateSystem": system, "coordinateUnits": "mm", "controlPoints": control} | more
+
+
+def test_point_lists_in_lps_and_ras_and_by_every_name(tmp_path: Path) -> None:
+    at = [PLAIN.index_to_world(index) for index in ((2, 2, 2), (11, 2, 2), (2, 10, 2), (11, 10, 2), (6, 6, 9))]
+    mrk(
+        tmp_path / "left ventricle.mrk.json",
+        points("Fiducial", "LPS", [at[0], at[1]], ["F-1", "Aorta-2"]),
+        points("Fiducial", "RAS", [at[2] * (-1, -1, 1)], name="Left Atrium"),
+        points("Fiducial", "LPS", [at[3], at[4]], ["nope", "LA point 12"]),
+    )
+    content = json.loads((tmp_path / "left ventricle.mrk.json").read_text())
+    content["markups"][2]["controlPoints"][0]["positionStatus"] = "undefined"
+    (tmp_path / "left ventricle.mrk.json").write_text(json.dumps(content))
+    files = [MarkerFile(path="left ventricle.mrk.json", names={"la point": "pulmonary artery"}, radius_mm=2.1)]
+    markers = load_markers(files, (), TABLE, PLAIN, tmp_path)
+    expected = np.full(PLAIN.shape, UNMARKED, np.uint8)
+    for position, value in ((at[0], 1), (at[1], 5), (at[2], 3), (at[4], 6)):
+        expected[np.linalg.norm(centres(PLAIN) - position, axis=-1) <= 2.1] = value
+    np.testing.assert_array_equal(markers.labels, expected)
+
+
+def test_lines_and_curves_are_polylines(tmp_path: Path) -> None:
+    corners = PLAIN.index_to_world(np.array([(2, 2, 5), (10, 2, 5), (10, 9, 5)]))
+    for kind, expected in (("Curve", corners), ("ClosedCurve", np.concatenate((corners, corners[:1])))):
+        mrk(tmp_path / "m.mrk.json", points(kind, "LPS", list(corners), name="aorta"))
+        files = [MarkerFile(path="m.mrk.json", radius_mm=0.0)]
+        markers = load_markers(files, (), TABLE, PLAIN, tmp_path)
+        np.testing.assert_array_equal(markers.labels == 5, sampled_voxels(PLAIN, expected))
+
+
+def test_every_problem_of_every_file_at_once_and_no_file_name(tmp_path: Path) -> None:
+    values = np.zeros(PLAIN.shape, np.uint8)
+    values[1, 1, 1], values[2, 2, 2] = 1, 2
+    segments = [
+        {"Name": "mystery", "LabelValue": "1", "Layer": "0"},
+        {"Name": "riddle", "LabelValue": "2", "Layer": "0"},
+    ]
+    seg_nrrd(tmp_path / "Secret1.seg.nrrd", values, PLAIN, segments)
+    write_labels(tmp_path / "Secret2.nii.gz", values * 100, PLAIN)
+    far = PLAIN.model_copy(update={"origin_mm": (900.0, 900.0, 900.0)})
+    write_labels(tmp_path / "Secret3.nrrd", values, far)
+    write_labels(tmp_path / "Secret4.nrrd", values * 0, PLAIN)
+    mrk(tmp_path / "Secret5.mrk.json", points("Fiducial", "LPS", [(0, 0, 0), (900, 0, 0)], ["x-1", "aorta-1"]))
+    mrk(tmp_path / "Secret6.mrk.json", points("Plane", "LPS", [(0, 0, 0)]))
+    mrk(tmp_path / "Secret7.mrk.json", points("Fiducial", "IJK", [(0, 0, 0)]))
+    mrk(tmp_path / "Secret8.mrk.json", points("Fiducial", "LPS", [(0, 0, float("nan"))]))
+    mrk(tmp_path / "Secret9.mrk.json", points("Fiducial", "LPS", []))
+    (tmp_path / "Secret10.mrk.json").write_text("[1, 2")
+    mrk(tmp_path / "Secret11.mrk.json", {"type": "Fiducial"})
+    write_scan(Scan(np.full(PLAIN.shape, 0.5, np.float32), PLAIN), tmp_path / "Secret12.nrrd")
+    names = [
+        *("Secret1.seg.nrrd", "Secret2.nii.gz", "Secret3.nrrd", "Secret4.nrrd"),
+        *(f"Secret{n}.mrk.json" for n in range(5, 12)),
+        *("Secret12.nrrd", "Secret13.nii.gz"),
+    ]
+    with pytest.raises(MarkerError) as caught:
+        load_markers([MarkerFile(path=name) for name in names], (), TABLE, PLAIN, tmp_path)
+    words = {
+        1: "segment 'mystery', segment 'riddle'",
+        2: "value 100, value 200",
+        3: "'1', '2' lie outside",
+        4: "marks nothing",
+        5: "'x-1' is no label",
+        6: "something else than points",
+        7: "neither LPS nor RAS",
+        8: "not a number",
+        9: "marks nothing",
+        10: "not a point list",
+        11: "not a point list",
+        12: "whole numbers",
+        13: "no such file",
+    }
+    by_place: dict[str, str] = {}
+    for problem in caught.value.problems:
+        by_place[problem.place] = by_place.get(problem.place, "") + problem.message
+    assert {f"markers[{n}]": text in by_place.get(f"markers[{n}]", "") for n, text in words.items()} == {
+        f"markers[{n}]": True for n in words
+    }
+    assert "outside the scan" in by_place["markers[5]"]
+    assert "labels: background, left ventricle" in by_place["markers[1]"]
+    assert "secret" not in str(caught.value).lower()
+    assert str(tmp_path) not in str(caught.value)
+    assert len(str(caught.value).splitlines()) == len(caught.value.problems) == 14
+
+
+def test_finished_segmentation_on_another_grid(tmp_path: Path) -> None:
+    values = np.random.default_rng(4).integers(0, 10, PLAIN.shape).astype(np.uint8)
+    write_labels(tmp_path / "s.nii.gz", values, PLAIN)
+    wanted = PLAIN.cropped((2, -3, 4), (9, 9, 6))
+    segmentation = load_segmentation(tmp_path / "s.nii.gz", {}, TABLE, wanted)
+    np.testing.assert_array_equal(segmentation.labels[:, 3:], values[4:10, 0:6, 2:11])
+    np.testing.assert_array_equal(segmentation.labels[:, :3], 0)
+    assert segmentation.table == TABLE
+    far = PLAIN.cropped((200, 0, 0), (5, 5, 5))
+    with pytest.raises(MarkerError, match=r"segmentation: the segmentation lies outside the scan"):
+        load_segmentation(tmp_path / "s.nii.gz", {}, TABLE, far)
+    with pytest.raises(MarkerError, match=r"segmentation: there is no such file"):
+        load_segmentation(tmp_path / "missing.nii.gz", {}, TABLE, far)
+    write_labels(tmp_path / "s.nii.gz", values * 0, PLAIN)
+    with pytest.raises(MarkerError, match="holds no label"):
+        load_segmentation(tmp_path / "s.nii.gz", {}, TABLE, PLAIN)
+    write_labels(tmp_path / "s.nii.gz", values + 30, PLAIN)
+    with pytest.raises(MarkerError, match="value 30, value 31"):
+        load_segmentation(tmp_path / "s.nii.gz", {}, TABLE, PLAIN)

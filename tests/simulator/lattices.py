@@ -1,0 +1,71 @@
+"""Lattices for the tests: solid blocks, and cells, coverage and stiffness at random."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import strategies as st
+
+from heartcase.schemas.geometry import Geometry
+from heartcase.schemas.lattice import cell_nodes
+from heartcase.simulator.model import LatticeModel, make_model
+
+EPS = float(np.finfo(np.float32).eps)
+
+
+def block_cells(ni: int, nj: int, nk: int) -> np.ndarray:
+    return np.array([(i, j, k) for k in range(nk) for j in range(nj) for i in range(ni)], np.int32)
+
+
+def block(ni: int, nj: int, nk: int, *, fix_base: bool = False, **options) -> LatticeModel:
+    cells = block_cells(ni, nj, nk)
+    fixed = cell_nodes(cells)[0][:, 2] == 0 if fix_base else False
+    return make_model(cells, fixed=fixed, **options)
+
+
+def oblique_geometry(shape=(8, 8, 8), cell_mm: float = 2.5) -> Geometry:
+    """A right-handed frame along no axis."""
+    rotation, upper = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))
+    rotation *= np.sign(np.diag(upper))
+    rotation[:, 2] *= np.sign(np.linalg.det(rotation))
+    return Geometry.of(shape=shape, origin_mm=(-40.0, 310.0, 75.0), spacing_mm=(cell_mm,) * 3, direction=rotation)
+
+
+@st.composite
+def random_models(draw, *, fixed: bool = True, materials: bool = True) -> LatticeModel:
+    """Any cells of a box over blocks of lanes and the origin; any coverage, stiffness, density, fixed nodes."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    size = [draw(st.integers(1, limit)) for limit in (20, 4, 4)]
+    corner = [draw(st.integers(-9, 9)) for _ in range(3)]
+    cells = block_cells(*size) + np.array(corner, np.int32)
+    kept = rng.random(len(cells)) < draw(st.floats(0.1, 1.0))
+    kept[rng.integers(len(cells))] = True
+    cells = cells[kept]
+    node_count = len(cell_nodes(cells)[0])
+    return make_model(
+        cells,
+        coverage=rng.uniform(0.02, 1.0, len(cells)),
+        stiffness_kpa=rng.uniform(5.0, 100.0, len(cells)) if materials else 30.0,
+        density_kg_m3=rng.uniform(900.0, 1200.0, len(cells)) if materials else 1060.0,
+        fixed=(rng.random(node_count) < 0.1) if fixed else False,
+        cell_mm=draw(st.floats(0.5, 5.0)),
+    )
+
+
+def random_field(model: LatticeModel, seed: int, scale: float) -> np.ndarray:
+    return (np.random.default_rng(seed).uniform(-scale, scale, (model.node_count, 3))).astype(np.float32)
+
+
+def stiffness_matrix(model: LatticeModel) -> np.ndarray:
+    """Minus the derivative of the reference forces at rest by central differences, shape (3 n, 3 n)."""
+    from heartcase.simulator.forces_reference import spring_forces
+
+    n = 3 * model.node_count
+    step = 1e-5
+    matrix = np.empty((n, n))
+    for column in range(n):
+        push = np.zeros(n)
+        push[column] = step
+        ahead = spring_forces(model, push.reshape(-1, 3))
+        behind = spring_forces(model, -push.reshape(-1, 3))
+        matrix[:, column] = (behind - ahead).ravel() / (2 * step)
+    return matrix

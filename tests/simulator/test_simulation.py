@@ -1,0 +1,234 @@
+"""Hands, time, watchdog: what a caller of the simulation may rely on."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from heartcase.schemas.errors import SimulationError
+from heartcase.simulator.forces_reference import spring_forces
+from heartcase.simulator.instruments import nodes_in_reach
+from heartcase.simulator.model import DIRECTIONS, make_model
+from heartcase.simulator.simulation import Simulation
+from heartcase.simulator.state import State
+from heartcase.simulator.watchdog import inverted_cells
+from tests.simulator.lattices import EPS, block, block_cells, oblique_geometry, random_field, random_models
+
+
+def still(model):
+    return np.zeros((model.node_count, 3), np.float32)
+
+
+def cut_between(model, layer, *, rows=slice(None)):
+    """The model without the springs from i <= layer to i > layer, of the nodes with j in ``rows``."""
+    i = model.node_index[model.spring_nodes, 0]
+    j = model.node_index[model.spring_nodes, 1]
+    in_rows = np.isin(j, np.arange(100)[rows]).any(axis=1)
+    return model.without_springs((i.min(axis=1) <= layer) & (i.max(axis=1) > layer) & in_rows)
+
+
+def test_grab_holds_the_nodes_of_the_sphere():
+    model = block(8, 8, 8, geometry=oblique_geometry())
+    rest = model.rest_positions_mm()
+    centre, radius = rest[300] + 0.1, 2.2 * model.cell_mm
+    held = nodes_in_reach(model, still(model), centre, radius)
+    np.testing.assert_array_equal(held, np.flatnonzero(np.linalg.norm(rest - centre, axis=1) <= radius))
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_grab_does_not_bridge_a_cut(side):
+    model = cut_between(block(9, 5, 5, cell_mm=2.0), layer=4)
+    centre = np.array([9.0 + 0.5 * side, 5.0, 5.0])
+    held = nodes_in_reach(model, still(model), centre, 5.0)
+    i = model.node_index[held, 0]
+    assert (i <= 4).all() if side < 0 else (i > 4).all()
+    assert len(held) > 20
+
+
+def test_grab_does_not_reach_around_a_cut():
+    """The tissue is still whole beyond the incision, but the way around it is longer than the hand is wide."""
+    model = cut_between(block(9, 12, 1, cell_mm=1.0), layer=4, rows=slice(0, 8))
+    held = nodes_in_reach(model, still(model), np.array([4.4, 2.0, 0.5]), 2.5)
+    assert (model.node_index[held, 0] <= 4).all()
+    whole = nodes_in_reach(block(9, 12, 1, cell_mm=1.0), still(model), np.array([4.4, 2.0, 0.5]), 2.5)
+    assert (model.node_index[whole, 0] > 4).any()
+
+
+def test_grab_of_nothing_says_how_far_the_tissue_is():
+    model = block(2, 2, 2, cell_mm=1.0)
+    with pytest.raises(SimulationError, match=r"8\.0 mm"):
+        nodes_in_reach(model, still(model), (10.0, 1.0, 1.0), 3.0)
+    with pytest.raises(SimulationError, match="fixed"):
+        nodes_in_reach(block(2, 2, 2, fix_base=True, cell_mm=1.0), still(model), (1.0, 1.0, 0.0), 0.5)
+
+
+@pytest.mark.parametrize("backend", ["cpu", "reference"])
+def test_grabbed_nodes_follow_the_hand_and_fixed_ones_stay(backend):
+    model = block(5, 4, 4, fix_base=True, geometry=oblique_geometry())
+    simulation = Simulation(model, backend=backend)
+    top = model.rest_positions_mm()[model.node_index[:, 2] == 4].mean(axis=0)
+    grab = simulation.grab(top, 1.5 * model.cell_mm)
+    offset = np.array([0.4, -0.7, 0.5])
+    for part in (0.5, 1.0):
+        simulation.lead(grab, part * offset)
+        simulation.step(40)
+    moved = simulation.displacement_mm()
+    np.testing.assert_allclose(moved[grab.nodes], np.broadcast_to(offset, (len(grab.nodes), 3)), atol=4 * EPS)
+    np.testing.assert_array_equal(moved[model.node_is_fixed], 0.0)
+    free = ~model.node_is_fixed
+    free[grab.nodes] = False
+    assert (np.linalg.norm(moved[free], axis=1) > 0).any()
+
+
+def test_hand_goes_in_a_straight_line():
+    """Half the steps bring half the way, to the rounding of adding up the steps."""
+    model = block(4, 4, 4, fix_base=True, cell_mm=2.0)
+    one, two = (Simulation(model) for _ in range(2))
+    grabs = [simulation.grab((4.0, 4.0, 8.0), 3.0) for simulation in (one, two)]
+    one.lead(grabs[0], (1.0, 0.0, 0.0))
+    one.step(60)
+    two.lead(grabs[1], (0.5, 0.0, 0.0))
+    two.step(30)
+    two.lead(grabs[1], (1.0, 0.0, 0.0))
+    two.step(30)
+    np.testing.assert_allclose(one.displacement_mm(), two.displacement_mm(), atol=60**2 * EPS)
+
+
+@settings(max_examples=10, deadline=None)
+@given(random_models(), st.integers(0, 2**32 - 1))
+def test_force_on_a_hand_is_that_of_the_springs(model, seed):
+    simulation = Simulation(model)
+    simulation.restore(State(random_field(model, seed, 0.1), still(model)))
+    free = np.flatnonzero(~model.node_is_fixed)
+    if not len(free):
+        return
+    position = simulation.positions_mm()[free[0]]
+    grab = simulation.grab(position, 0.8 * model.cell_mm)
+    expected = spring_forces(model, simulation.state.displacement)[grab.nodes].sum(axis=0) * model.units.force_n
+    scale = 18 * 0.4 * model.units.force_n * len(grab.nodes)
+    np.testing.assert_allclose(simulation.force_on(grab), expected, atol=40 * EPS * scale)
+
+
+def test_force_pulls_the_hand_back_with_the_force_of_theory():
+    """A bar on a fixed base, stretched slowly by a hand on its whole top: F = E A strain (fixed ends add a little)."""
+    model = block(2, 2, 12, fix_base=True, cell_mm=2.0, stiffness_kpa=30.0)
+    simulation = Simulation(model, damping_per_s=60.0)
+    top = model.node_index[:, 2] == 12
+    grab = simulation.grab((2.0, 2.0, 25.8), 3.4)
+    np.testing.assert_array_equal(grab.nodes, np.flatnonzero(top))
+    simulation.lead(grab, (0.0, 0.0, 0.24))
+    simulation.step(2000)
+    simulation.step(2000)
+    force = simulation.force_on(grab)
+    expected = -30e3 * (4e-3) ** 2 * 0.01
+    assert force[2] == pytest.approx(expected, rel=0.06)
+    assert np.abs(force[:2]).max() < 0.01 * abs(expected)
+
+
+def test_released_tissue_relaxes_back():
+    model = block(5, 5, 5, fix_base=True, cell_mm=3.0)
+    simulation = Simulation(model, damping_per_s=60.0)
+    grab = simulation.grab((7.5, 7.5, 15.0), 4.5)
+    simulation.lead(grab, (1.0, 0.0, 2.0))
+    simulation.step(300)
+    pulled = np.abs(simulation.displacement_mm()).max()
+    assert pulled > 1.9
+    simulation.release(grab)
+    assert simulation.grabs == []
+    simulation.step(6000)
+    # The slowest mode of such a block is underdamped: the envelope is exp(-c t / 2), here exp(-52).
+    assert np.abs(simulation.displacement_mm()).max() < 1e-3 * pulled
+    energy = simulation.energy()
+    assert energy.total_j < 1e-6 * model.units.energy_j
+
+
+def test_two_hands_do_not_share_nodes():
+    model = block(6, 3, 3, cell_mm=2.0)
+    simulation = Simulation(model)
+    left = simulation.grab((4.0, 3.0, 3.0), 3.0)
+    right = simulation.grab((7.0, 3.0, 3.0), 3.0)
+    assert not set(left.nodes) & set(right.nodes)
+    with pytest.raises(SimulationError, match="another hand"):
+        simulation.grab((4.0, 2.0, 2.0), 1.0)
+    assert simulation.grabs == [left, right]
+
+
+def test_snapshot_and_restore_repeat_the_same_bytes():
+    model = block(6, 5, 4, fix_base=True)
+    simulation = Simulation(model)
+    simulation.restore(State(random_field(model, 1, 0.05), still(model)))
+    simulation.step(50)
+    snapshot = simulation.state
+    simulation.step(50)
+    first = simulation.state
+    simulation.restore(snapshot)
+    assert simulation.step_count == 50
+    simulation.step(50)
+    assert simulation.state.displacement.tobytes() == first.displacement.tobytes()
+    assert simulation.state.velocity.tobytes() == first.velocity.tobytes()
+    assert simulation.time_s == pytest.approx(100 * simulation.step_s)
+
+
+@pytest.mark.parametrize("trouble", [np.nan, 50.0])
+def test_watchdog_stops_and_goes_back(trouble):
+    model = block(4, 4, 4, fix_base=True)
+    simulation = Simulation(model)
+    velocity = still(model)
+    velocity[-1] = trouble
+    before = State(still(model), velocity, 7)
+    simulation.restore(before)
+    with pytest.raises(SimulationError, match="broke down between"):
+        simulation.step(10)
+    assert simulation.step_count == 7
+    np.testing.assert_array_equal(simulation.state.velocity, velocity)
+
+
+def test_inverted_cells_are_found():
+    model = block(3, 3, 3)
+    assert not inverted_cells(model, still(model)).any()
+    pushed = still(model)
+    corner = int(np.flatnonzero((model.node_index == 0).all(axis=1))[0])
+    # The corner's three neighbours span the plane x + y + z = 1.
+    pushed[corner] = 0.33
+    assert not inverted_cells(model, pushed).any()
+    pushed[corner] = 0.34
+    assert inverted_cells(model, pushed).tolist() == [True] + [False] * 26
+    mirrored = still(model)
+    mirrored[:, 0] = -2 * model.node_index[:, 0]
+    assert inverted_cells(model, mirrored).all()
+
+
+def test_missing_surface_is_named():
+    simulation = Simulation(block(1, 1, 1))
+    with pytest.raises(SimulationError, match="surface"):
+        simulation.surface_now()
+    with pytest.raises(SimulationError, match="picking"):
+        simulation.picking_now()
+
+
+def test_interior_springs_have_weight_one_in_nine_directions():
+    model = block(4, 4, 4)
+    inner = (np.abs(model.node_index[model.spring_nodes] - 2) <= 1).all(axis=(1, 2))
+    np.testing.assert_allclose(model.spring_weight[inner], 1.0)
+    assert len(np.unique(model.spring_direction[inner])) == len(DIRECTIONS) == 9
+    assert model.spring_weight.sum() == pytest.approx(64 * (12 / 4 + 12 / 2))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"cells": np.zeros((0, 3))}, "no tissue cell"),
+        ({"cells": [(0, 0, 0), (0, 0, 0)]}, "twice"),
+        ({"coverage": 0.0}, "coverage"),
+        ({"coverage": 1.5}, "coverage"),
+        ({"stiffness_kpa": -1.0}, "Young's modulus"),
+        ({"density_kg_m3": np.nan}, "density"),
+        ({"fixed": np.zeros(3, bool)}, "8 nodes"),
+        ({"geometry": oblique_geometry().flipped(0)}, "right-handed"),
+    ],
+)
+def test_wrong_lattices_are_refused(options, message):
+    with pytest.raises(SimulationError, match=message):
+        make_model(**{"cells": block_cells(1, 1, 1), **options})
