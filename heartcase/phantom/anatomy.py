@@ -56,6 +56,31 @@ class Anatomy:
     """Named places, mm: centres of the chambers and of the valves, and the vessels' centrelines."""
 
 
+@dataclass(frozen=True)
+class _Valve:
+    """A plane across the flow, and the half spaces before and behind it, each reaching over the plane a little."""
+
+    position_mm: Float64
+    direction: Float64
+    overlap_mm: float
+
+    @property
+    def behind(self) -> HalfSpace:
+        return HalfSpace(self.position_mm + self.overlap_mm * _unit(self.direction), self.direction)
+
+    @property
+    def beyond(self) -> HalfSpace:
+        return HalfSpace(self.position_mm - self.overlap_mm * _unit(self.direction), -self.direction)
+
+    def moved(self, along_mm: float) -> _Valve:
+        return _Valve(self.position_mm + along_mm * _unit(self.direction), self.direction, -self.overlap_mm)
+
+
+def _unit(vector: Float64) -> Float64:
+    unit: Float64 = vector / np.linalg.norm(vector)
+    return unit
+
+
 def _at(along: float, right: float, up: float) -> Float64:
     point: Float64 = along * LONG_AXIS + right * SEPTUM_AXIS + up * UPWARD_AXIS
     return point
@@ -114,8 +139,15 @@ def build_anatomy(scale: float, left_wall_mm: float, vessel_gap_mm: float) -> An
         tube([(8.0, 25.0, 73.0), (12.0, 25.0, 84.0), (17.0, 22.0, 98.0)], [4.8, 4.2, 4.0]),
     ]
     trunk = tube(
-        [(14.0, -36.0, 17.0), (17.0, -34.0, 28.0), (20.0, -25.0, 38.0), (21.0, -10.0, 44.0), (20.0, 3.0, 45.0)],
-        [11.8, 12.2, 12.0, 11.4, 10.0],
+        [
+            (10.0, -38.5, 2.0),
+            (14.0, -36.0, 17.0),
+            (17.0, -34.0, 28.0),
+            (20.0, -25.0, 38.0),
+            (21.0, -10.0, 44.0),
+            (20.0, 3.0, 45.0),
+        ],
+        [12.0, 12.0, 12.0, 12.0, 11.4, 10.0],
     )
     right_branch = tube(
         [
@@ -193,30 +225,27 @@ def build_anatomy(scale: float, left_wall_mm: float, vessel_gap_mm: float) -> An
         [right_ventricle, HalfSpace(scale * _at(-2.0, 25.0, 0.0), -LONG_AXIS - 0.1 * SEPTUM_AXIS)], 12.0 * scale
     )
     infundibulum = tube(
-        [(6.0, -40.0, -14.0), (10.0, -38.5, 2.0), (14.0, -36.0, 17.0), (15.0, -35.5, 20.0)],
-        [17.0, 14.5, 12.3, 11.7],
-        flat_end=True,
+        [(6.0, -40.0, -14.0), (10.0, -38.5, 2.0), (14.0, -36.0, 17.0), (17.0, -34.0, 28.0)], [17.0, 14.5, 12.2, 11.9]
     )
-    right_center = np.array((-38.0, 1.0, 1.0))
-    tricuspid = scale * np.array((-24.0, -17.0, -9.0))
     right_ventricle = Union([right_ventricle, infundibulum], 8.0 * scale)
-    right_ventricle = fix(2, Intersection([right_ventricle, *away_from_left], 4.0 * scale))
+    right_ventricle = Intersection([right_ventricle, *away_from_left], 4.0 * scale)
+    # At a valve the two cavities are cut by one plane, with a trace of overlap so that rounding cannot close it.
+    pulmonary_valve = _Valve(scale * np.array((14.3, -35.8, 18.0)), np.array((0.12, 0.12, 0.98)), 0.15 * scale)
+    right_center = np.array((-38.0, 1.0, 1.0))
+    inflow = Capsule(scale * np.array((-32.0, -4.0, -2.0)), scale * np.array((-14.0, -20.0, -11.0)), 14.0 * scale)
+    tricuspid_valve = _Valve(scale * np.array((-22.0, -13.0, -7.0)), np.array((0.75, -0.60, -0.28)), 0.15 * scale)
+    atrial_side = Intersection([inflow, tricuspid_valve.moved(-vessel_gap_mm).behind])
+    right_ventricle = Intersection([right_ventricle, complement(atrial_side, gap_mm=vessel_gap_mm)])
+    right_ventricle = fix(2, Intersection([right_ventricle, pulmonary_valve.behind]))
 
     right_atrium: Shape = Union([ball(right_center, (20.0, 23.0, 26.0), False), right_auricle], 8.0 * scale)
     right_atrium = Intersection([right_atrium, complement(right_ventricle, gap_mm=vessel_gap_mm)], 5.0 * scale)
-    inflow = Capsule(
-        scale * (right_center + np.array((6.0, -5.0, -3.0))),
-        tricuspid + scale * np.array((6.0, -4.5, -2.5)),
-        14.0 * scale,
-    )
-    right_atrium = Union([right_atrium, inflow], 6.0 * scale)
-    right_atrium = Intersection([right_atrium, *away_from_left], 4.0 * scale)
-    # Cavities of one side overlap a little at a valve: without an overlap, its opening would be closed by rounding.
-    beyond_valve = complement(right_ventricle, gap_mm=-0.8 * scale)
-    right_atrium = fix(4, Intersection([right_atrium, beyond_valve]))
+    right_atrium = Intersection([Union([right_atrium, inflow], 6.0 * scale), *away_from_left], 4.0 * scale)
+    right_atrium = fix(4, Intersection([right_atrium, tricuspid_valve.behind]))
 
     pulmonary: Shape = Union([trunk, right_branch, left_branch], 8.0 * scale)
-    pulmonary = fix(6, Intersection([Intersection([pulmonary, *away_from_left], 3.0 * scale), beyond_valve]))
+    pulmonary = Intersection([pulmonary, *away_from_left], 3.0 * scale)
+    pulmonary = fix(6, Intersection([pulmonary, pulmonary_valve.beyond]))
     others = [complement(shape, gap_mm=vessel_gap_mm) for shape in (pulmonary, aorta, left_atrium)]
     fix(7, Intersection([superior_cava, *others], 3.0 * scale))
     fix(8, Intersection([inferior_cava, *others], 3.0 * scale))
@@ -236,9 +265,9 @@ def build_anatomy(scale: float, left_wall_mm: float, vessel_gap_mm: float) -> An
         "right atrium": scale * right_center,
         "apex": scale * _at(74.0, 0.0, 0.0) + 0.4 * left_wall_mm * LONG_AXIS,
         "mitral valve": mitral,
-        "tricuspid valve": tricuspid,
+        "tricuspid valve": tricuspid_valve.position_mm,
         "aortic valve": arch.line(0.0),
-        "pulmonary valve": trunk.line(0.0),
+        "pulmonary valve": pulmonary_valve.position_mm,
         "aorta line": arch.line(np.linspace(0.0, arch.length_mm, 60)),
         "pulmonary trunk line": trunk.line(np.linspace(0.0, trunk.length_mm, 30)),
         "right pulmonary line": right_branch.line(np.linspace(0.0, right_branch.length_mm, 30)),

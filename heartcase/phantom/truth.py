@@ -137,19 +137,23 @@ class Truth:
         flat = np.ascontiguousarray(points.reshape(-1, 3))
         value = self._value(flat, region)
         size = np.abs(value)
-        foot, _ = self._on_border(flat, region, near_only=True)
+        tree, samples = self._cloud(region)
+        found = tree.query(flat, workers=-1)
+        nearest, index = np.asarray(found[0], dtype=float), np.asarray(found[1], dtype=np.int64)
+        foot, _ = self._on_border(flat, region, steps=2)
         gap = np.linalg.norm(foot - flat, axis=1)
-        exact = (np.abs(self._value(foot, region)) < _AGREEMENT_MM) & (gap - size < _AGREEMENT_MM)
+        on_border = np.abs(self._value(foot, region)) < _AGREEMENT_MM
+        exact = on_border & (gap - size < _AGREEMENT_MM) & (size <= nearest)
         rest = np.flatnonzero(~exact)
         if len(rest):
-            size[rest] = self._nearest(flat[rest], region, size[rest])
+            size[rest] = self._slid(flat[rest], region, nearest[rest], samples[index[rest]])
         return np.copysign(size, value).reshape(points.shape[:-1])
 
-    def _on_border(self, points: Float64, region: int, *, near_only: bool) -> tuple[Float64, Float64]:
+    def _on_border(self, points: Float64, region: int, *, steps: int) -> tuple[Float64, Float64]:
         """Newton steps along the value's gradient; returns the points and the last unit gradient."""
         at = points.copy()
         unit = np.zeros_like(at)
-        for _ in range(2 if near_only else 4):
+        for _ in range(steps):
             value = self._value(at, region)
             unit, length = self._gradient(at, region)
             at -= unit * (value / np.clip(length, 0.3, None))[:, None]
@@ -166,28 +170,24 @@ class Truth:
         length = np.linalg.norm(gradient, axis=1)
         return gradient / np.maximum(length, 1e-9)[:, None], length
 
-    def _nearest(self, points: Float64, region: int, lower_bound: Float64) -> Float64:
-        tree, samples = self._cloud(region)
-        found = tree.query(points, workers=-1)
-        best, index = np.asarray(found[0], dtype=float), np.asarray(found[1], dtype=np.int64)
-        near = np.flatnonzero(best < 12.0 * self.tables.spacing_mm)
-        foot = samples[index[near]]
-        target = points[near]
-        nearest = best[near]
+    def _slid(self, points: Float64, region: int, distance: Float64, foot: Float64) -> Float64:
+        """Distance to the border, from that to one point of it, by moving this along the border."""
+        near = np.flatnonzero(distance < 12.0 * self.tables.spacing_mm)
+        target, best, foot = points[near], distance[near], foot[near]
         for fraction in (1.0, 1.0, 0.7, 0.5, 0.35, 0.25):
             unit, _ = self._gradient(foot, region)
             gap = target - foot
             slide = gap - np.einsum("ni,ni->n", gap, unit)[:, None] * unit
             length = np.linalg.norm(slide, axis=1)
             slide *= (fraction * np.minimum(1.0, self.tables.spacing_mm / np.maximum(length, 1e-9)))[:, None]
-            moved, _ = self._on_border(foot + slide, region, near_only=False)
-            distance = np.linalg.norm(target - moved, axis=1)
-            better = (distance < nearest) & (np.abs(self._value(moved, region)) < _AGREEMENT_MM)
-            nearest = np.where(better, distance, nearest)
+            moved, _ = self._on_border(foot + slide, region, steps=4)
+            reached = np.linalg.norm(target - moved, axis=1)
+            better = (reached < best) & (np.abs(self._value(moved, region)) < _AGREEMENT_MM)
+            best = np.where(better, reached, best)
             foot = np.where(better[:, None], moved, foot)
-        best[near] = nearest
-        clipped: Float64 = np.maximum(best, lower_bound)
-        return clipped
+        result = distance.copy()
+        result[near] = best
+        return result
 
     def _cloud(self, region: int) -> tuple[cKDTree, Float64]:
         if region not in self._clouds:
@@ -218,7 +218,7 @@ class Truth:
                 a, b = values[before][crossing], values[after][crossing]
                 fraction = (a / (a - b))[:, None]
                 found.append(points[before][crossing] * (1.0 - fraction) + points[after][crossing] * fraction)
-        samples, _ = self._on_border(np.concatenate(found), region, near_only=False)
+        samples, _ = self._on_border(np.concatenate(found), region, steps=4)
         return samples[np.abs(self._value(samples, region)) < _AGREEMENT_MM]
 
 

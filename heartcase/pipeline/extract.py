@@ -19,14 +19,14 @@ from heartcase.pipeline.fields import ownership_at_points, ownership_on_lattice
 from heartcase.schemas.errors import StageError
 from heartcase.schemas.geometry import Geometry
 
-__all__ = ["FullMesh", "drop_small_shells", "extract", "extraction_lattice", "shell_volumes", "thinnest_wall_mm"]
+__all__ = ["FullMesh", "drop_small_shells", "extract", "extraction_lattice", "opposites", "shell_volumes"]
 
 Float32 = npt.NDArray[np.float32]
 Float64 = npt.NDArray[np.float64]
 Int32 = npt.NDArray[np.int32]
 Bool = npt.NDArray[np.bool_]
 
-SPACING_PER_WALL = 0.6
+SPACING_PER_LAYER = 0.6
 POINT_CAP = 40_000_000
 ROOT_MARGIN = 0.004
 ROOT_STEPS = 4
@@ -48,18 +48,8 @@ class FullMesh:
     """Whether the lattice is coarser than the thinnest wall asks for, to stay within the cap on its points."""
 
 
-def thinnest_wall_mm(structures: Structures) -> float | None:
-    """Thickness of the thinnest wall that the label table asks for around a cavity that is there, in mm."""
-    present = [
-        label.wall_thickness_mm
-        for label in structures.table
-        if label.wall_thickness_mm > 0.0 and label.value in structures.distance_mm
-    ]
-    return min(present) if present else None
-
-
 def extraction_lattice(structures: Structures, *, point_cap: int = POINT_CAP) -> tuple[Geometry, bool]:
-    """Lattice over the same voxels, fine enough for the thinnest wall; and whether the cap made it coarser.
+    """Lattice over the same voxels, fine enough for the thinnest layer; and whether the cap made it coarser.
 
     Parameters
     ----------
@@ -71,14 +61,14 @@ def extraction_lattice(structures: Structures, *, point_cap: int = POINT_CAP) ->
     Returns
     -------
     lattice : Geometry
-        Spacing at most 0.6 of the thinnest wall and 1.5 of the smallest voxel edge, unless the cap forbids it.
+        Spacing at most 0.6 of the thinnest wall or patch and 1.5 of the smallest voxel edge, unless the cap forbids it.
     is_capped : bool
         Whether it does.
     """
     geometry = structures.geometry
     spacing = np.array(geometry.spacing_mm)
-    wall = thinnest_wall_mm(structures)
-    target = 1.5 * spacing.min() if wall is None else min(1.5 * spacing.min(), SPACING_PER_WALL * wall)
+    wall = structures.thinnest_layer_mm
+    target = 1.5 * spacing.min() if wall is None else min(1.5 * spacing.min(), SPACING_PER_LAYER * wall)
     counts = np.array(geometry.size) * np.ceil(spacing / target - 1e-9).astype(np.int64)
     is_capped = bool(np.prod(counts) > point_cap)
     extent = np.array(geometry.size) * spacing

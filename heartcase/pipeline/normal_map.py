@@ -12,7 +12,6 @@ import numpy.typing as npt
 
 from heartcase.pipeline.atlas import Atlas
 from heartcase.pipeline.data import Structures
-from heartcase.pipeline.extract import thinnest_wall_mm
 from heartcase.pipeline.fields import ownership_at_points
 
 __all__ = ["bake_normal_map", "draw_to_surface", "field_gradient", "gradient_step_mm"]
@@ -22,7 +21,7 @@ Float64 = npt.NDArray[np.float64]
 Int32 = npt.NDArray[np.int32]
 UInt8 = npt.NDArray[np.uint8]
 
-CHUNK = 1 << 17
+CHUNK = 1 << 18
 FLAT = (128, 128, 255)
 DILATION_TEXELS = 8
 
@@ -30,7 +29,7 @@ DILATION_TEXELS = 8
 def gradient_step_mm(structures: Structures) -> float:
     """Half-width in mm of the central differences: half a voxel, but within a third of the thinnest wall."""
     half = 0.5 * float(np.min(structures.geometry.spacing_mm))
-    wall = thinnest_wall_mm(structures)
+    wall = structures.thinnest_layer_mm
     return half if wall is None else min(half, 0.35 * wall)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Literal, Protocol, get_args
 
 import numpy as np
@@ -11,6 +12,7 @@ from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.forces_reference import spring_forces
 from heartcase.simulator.integrate import Verlet, verlet_step
 from heartcase.simulator.model import LatticeModel
+from heartcase.simulator.pace import Pace
 from heartcase.simulator.state import State
 
 __all__ = ["Backend", "CpuEngine", "Engine", "ReferenceEngine", "make_engine"]
@@ -114,6 +116,7 @@ class CpuEngine:
         self.force = _aligned((3, lane_count))
         self.inverse_mass = _aligned((1, lane_count))
         self.set_inverse_mass(inverse_mass(model))
+        self.pace = Pace()
         self.current = 0
         self.step_count = 0
 
@@ -143,17 +146,27 @@ class CpuEngine:
         from heartcase.simulator.kernel_cpu import advance, advance_alone
 
         numbers = (verlet.step, verlet.keep, verlet.kick, *verlet.gravity)
-        take_steps = advance if self.layout.block_count >= PARALLEL_BLOCKS_MIN else advance_alone
-        self.current = take_steps(
-            self.displacement,
-            self.velocity,
-            self.weight,
-            self.inverse_mass,
-            self.layout.block_rows,
-            self.current,
-            step_count,
-            tuple(np.float32(number) for number in numbers),
-        )
+        constants = tuple(np.float32(number) for number in numbers)
+
+        def in_one_way(kernel: Callable[..., int]) -> Callable[[int], None]:
+            def take(count: int) -> None:
+                self.current = kernel(
+                    self.displacement,
+                    self.velocity,
+                    self.weight,
+                    self.inverse_mass,
+                    self.layout.block_rows,
+                    self.current,
+                    count,
+                    constants,
+                )
+
+            return take
+
+        if self.layout.block_count < PARALLEL_BLOCKS_MIN:
+            in_one_way(advance_alone)(step_count)
+        else:
+            self.pace.run(step_count, (in_one_way(advance_alone), in_one_way(advance)))
         self.step_count += step_count
 
     def forces(self) -> Float32:

@@ -16,7 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.simulator.forces_reference import elastic_energy, spring_forces
+from heartcase.simulator.forces_reference import spring_forces
+from heartcase.simulator.measures import spring_energy
 from heartcase.simulator.model import LatticeModel
 from heartcase.simulator.state import State
 
@@ -109,6 +110,6 @@ def energy(
     speed_squared = ((0.5 * (before + after)) ** 2).sum(axis=1)
     unit = model.units.energy_j
     return Energy(
-        kinetic_j=float(0.5 * (model.node_mass * speed_squared).sum()) * unit,
-        elastic_j=elastic_energy(model, state.displacement) * unit,
+        kinetic_j=float(0.5 * (model.node_mass * speed_squared).sum() * unit),
+        elastic_j=float(spring_energy(model, state.displacement) * unit),
     )

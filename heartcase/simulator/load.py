@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from heartcase.schemas.bundle import CaseManifest, FileRole
 from heartcase.schemas.bundle_reader import OpenBundle, open_bundle
-from heartcase.schemas.errors import BundleError, SimulationError
+from heartcase.schemas.errors import BundleError, SimulationError, UsageError
 from heartcase.simulator.model import LatticeModel, make_model
 from heartcase.simulator.surface import Curvature, PickingModel, SurfaceModel, make_picking, make_surface
 
@@ -55,9 +55,14 @@ def load_case(
 
     Raises
     ------
+    UsageError
+        A need is unknown.
     BundleError
         The bundle is broken, or was made without a part that is needed.
     """
+    unknown = sorted(set(needs) - set(get_args(Need)))
+    if unknown:
+        raise UsageError(f"a scene cannot need {', '.join(unknown)}; it can need {', '.join(get_args(Need))}")
     bundle = open_bundle(path)
     model = _model(bundle)
     wants_surface = bool({"surface", "tangents", "colours"} & set(needs))

@@ -11,11 +11,12 @@ from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.engine import Backend, inverse_mass, make_engine
 from heartcase.simulator.instruments import Grab, nodes_in_reach
 from heartcase.simulator.integrate import Energy, Verlet, energy
+from heartcase.simulator.measures import inverted_cells
 from heartcase.simulator.model import LatticeModel
 from heartcase.simulator.state import State
 from heartcase.simulator.step_size import checked_step, step_limit
 from heartcase.simulator.surface import DeformedSurface, PickingModel, SurfaceModel, deform, deform_picking
-from heartcase.simulator.watchdog import find_trouble, inverted_cells
+from heartcase.simulator.watchdog import find_trouble
 
 __all__ = ["Simulation"]
 

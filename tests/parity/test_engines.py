@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from heartcase.schemas.errors import SimulationError
-from heartcase.simulator import engine as engines
-from heartcase.simulator.engine import make_engine
+from heartcase.simulator.engine import PARALLEL_BLOCKS_MIN, make_engine
 from heartcase.simulator.forces_reference import spring_forces
 from heartcase.simulator.integrate import Verlet
+from heartcase.simulator.kernel_cpu import advance, advance_alone
 from heartcase.simulator.state import State
 from tests.simulator.lattices import EPS, block, random_field, random_models
 
@@ -79,23 +79,51 @@ def test_a_hundred_steps_agree(model, seed, damping):
     np.testing.assert_array_equal(ends[0].displacement[model.node_is_fixed], 0.0)
 
 
-def test_result_does_not_depend_on_the_number_of_threads(monkeypatch):
+def test_result_does_not_depend_on_the_number_of_threads():
     model = block(24, 9, 9, fix_base=True)
-    start = State(random_field(model, 1, 0.1), random_field(model, 2, 0.01))
+    engine = make_engine(model, "cpu")
     results = []
     before = numba.get_num_threads()
     try:
-        for threads, least in ((1, 0), (before, 0), (1, 10**9)):
+        for threads, kernel in ((1, advance), (before, advance), (1, advance_alone)):
             numba.set_num_threads(threads)
-            monkeypatch.setattr(engines, "PARALLEL_BLOCKS_MIN", least)
-            engine = make_engine(model, "cpu")
-            engine.load(start)
-            engine.advance(50, Verlet(0.3, 0.01, (0.0, 0.001, 0.0)))
+            engine.load(State(random_field(model, 1, 0.1), random_field(model, 2, 0.01)))
+            constants = tuple(np.float32(value) for value in (0.3, 0.98, 0.29, 0.0, 0.001, 0.0))
+            rows = engine.layout.block_rows
+            engine.current = kernel(
+                engine.displacement,
+                engine.velocity,
+                engine.weight,
+                engine.inverse_mass,
+                rows,
+                engine.current,
+                50,
+                constants,
+            )
             end = engine.read()
-            results.append(end.displacement.tobytes() + end.velocity.tobytes() + engine.forces().tobytes())
+            results.append(end.displacement.tobytes() + end.velocity.tobytes())
     finally:
         numba.set_num_threads(before)
+    assert len(np.unique(engine.read().displacement)) > 1000
     assert results[0] == results[1] == results[2]
+
+
+def test_large_lattices_take_whichever_way_is_quicker():
+    """However the steps are shared between one thread and all, the state is that of one thread."""
+    model = block(60, 24, 12, fix_base=True)
+    start = State(random_field(model, 1, 0.1), random_field(model, 2, 0.01))
+    engine, alone = make_engine(model, "cpu"), make_engine(model, "cpu")
+    assert engine.layout.block_count >= PARALLEL_BLOCKS_MIN
+    for each in (engine, alone):
+        each.load(start)
+    verlet = Verlet(0.3, 0.01)
+    for _ in range(3):
+        engine.advance(20, verlet)
+        alone.pace.seconds_per_step = [1.0, 2.0]
+        alone.pace.call_count = 1
+        alone.advance(20, verlet)
+    assert engine.read().step_count == 60
+    assert engine.read().displacement.tobytes() == alone.read().displacement.tobytes()
 
 
 @pytest.mark.parametrize("backend", ["cpu", "reference"])

@@ -59,7 +59,7 @@ def blood_pieces(grid):
 
 @pytest.mark.parametrize("ratio", RATIOS)
 @pytest.mark.parametrize("direction", [np.eye(3), OBLIQUE, OBLIQUE @ np.diag([1.0, 1.0, -1.0])])
-def test_volumes_are_exact_for_ball_shell_and_slab(direction, ratio):
+def test_volumes_are_exact_for_ball_shell_and_ring(direction, ratio):
     shapes = {
         "ball": (ball(12.0), 4 / 3 * np.pi * 12.0**3),
         "shell": (without(ball(14.0), ball(11.0)), 4 / 3 * np.pi * (14.0**3 - 11.0**3)),
@@ -159,7 +159,7 @@ def test_a_wall_thinner_than_a_cell_has_both_its_labels():
 def test_the_asked_node_count_is_met():
     shell = {LEFT: ball(15.0), WALL: without(ball(18.0), ball(15.0))}
     made = structures(shell, lattice(22.0))
-    for wanted in (900, 4000, 30_000):
+    for wanted in (900, 4000):
         grid = build_grid(made, GridSettings(node_count=wanted), pins=[PIN])
         assert len(grid.nodes) == pytest.approx(wanted, rel=0.05)
     assert len(build_grid(made, GridSettings(), pins=[PIN]).nodes) == pytest.approx(30_000, rel=0.05)

@@ -20,10 +20,10 @@ RECIPE = """
 heartcase_recipe = 1
 name = "Case 7"
 [scan]
-path = "private/Doe_Jane.nii.gz"
-origin = "from the archive of Doe"
+path = "private/Qwertz_Jane.nii.gz"
+origin = "from the archive of Qwertz"
 [[markers]]
-path = "private/Doe_markers.nrrd"
+path = "private/Qwertz_markers.nrrd"
 [[strokes]]
 label = "left ventricle"
 points_mm = [[22, -12, -20], [22, -12, 0], [22, -12, 10]]
@@ -92,7 +92,7 @@ def html(heart):
             StageRecord(
                 stage="filter",
                 version=3,
-                settings={"iterations": 5, "file": "private/Doe.nii", "note": "C:\\Doe\\x"},
+                settings={"iterations": 5, "file": "private/Qwertz.nii", "note": "C:\\Qwertz\\x"},
                 output_sha256="ab" * 32,
             )
         ],
@@ -147,7 +147,7 @@ def test_pictures_are_inside_decode_and_have_words(html):
 
 def test_no_path_file_name_or_identity_reaches_the_page(html):
     text = re.sub(r"base64,[A-Za-z0-9+/=]+", "", html)
-    for private in ("Doe", "private", ".nii", ".nrrd", "\\", "archive", "/tmp", "/home", "/work"):
+    for private in ("Qwertz", "private", ".nii", ".nrrd", "\\", "archive", "/tmp", "/home", "/work"):
         assert private not in text
 
 
@@ -247,7 +247,7 @@ def test_settings_leave_paths_out_and_count_lists():
         {
             "cell_mm": 2.5,
             "path": "a",
-            "names": {"Doe": "x"},
+            "names": {"Qwertz": "x"},
             "free": "a/b",
             "strokes": [{}] * 9,
             "inner": {"repair": True},

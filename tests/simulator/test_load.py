@@ -10,7 +10,7 @@ import pytest
 
 from heartcase.schemas.bundle import FileRole
 from heartcase.schemas.bundle_reader import OpenBundle, open_bundle
-from heartcase.schemas.errors import BundleError
+from heartcase.schemas.errors import BundleError, UsageError
 from heartcase.simulator.load import load_case
 from heartcase.simulator.step_size import default_step, step_limit
 from heartcase.simulator.surface import deform
@@ -62,6 +62,11 @@ def test_only_what_is_needed_is_read(case_path, monkeypatch):
     read.clear()
     load_case(case_path, needs=("surface",))
     assert not any("tangent" in names for _, names in read)
+
+
+def test_unknown_need_is_refused(case_path):
+    with pytest.raises(UsageError, match=r"sound; it can need grid, surface"):
+        load_case(case_path, needs=("grid", "sound"))
 
 
 def test_missing_case_is_one_line(tmp_path):

@@ -8,12 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from heartcase.schemas.errors import SimulationError
-from heartcase.simulator.forces_reference import spring_forces
+from heartcase.simulator.forces_reference import elastic_energy, spring_forces
 from heartcase.simulator.instruments import nodes_in_reach
+from heartcase.simulator.measures import inverted_cells, spring_energy
 from heartcase.simulator.model import DIRECTIONS, make_model
 from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.state import State
-from heartcase.simulator.watchdog import inverted_cells
 from tests.simulator.lattices import EPS, block, block_cells, oblique_geometry, random_field, random_models
 
 
@@ -198,6 +198,13 @@ def test_inverted_cells_are_found():
     mirrored = still(model)
     mirrored[:, 0] = -2 * model.node_index[:, 0]
     assert inverted_cells(model, mirrored).all()
+
+
+@settings(max_examples=20, deadline=None)
+@given(random_models(), st.integers(0, 2**32 - 1))
+def test_energy_of_the_springs_is_that_of_the_reference(model, seed):
+    displacement = random_field(model, seed, 0.3)
+    assert spring_energy(model, displacement) == pytest.approx(elastic_energy(model, displacement), rel=1e-12)
 
 
 def test_missing_surface_is_named():

@@ -1,0 +1,76 @@
+"""Figures of a state that are taken every frame: energy in the springs, cells turned inside out."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from heartcase.schemas.lattice import CORNER_OFFSETS
+from heartcase.simulator.model import DIRECTIONS, LatticeModel
+
+__all__ = ["inverted_cells", "spring_energy"]
+
+Float = npt.NDArray[np.floating]
+
+_LENGTHS = np.linalg.norm(DIRECTIONS, axis=1)
+_CORNERS = CORNER_OFFSETS.astype(np.float64)
+
+
+def spring_energy(model: LatticeModel, displacement: Float) -> float:
+    """Energy in the springs [grid units]: half of w (length - rest)^2, summed, in float64."""
+    return float(
+        _spring_energy(model.spring_nodes, model.spring_direction, model.spring_weight, np.asarray(displacement))
+    )
+
+
+def inverted_cells(model: LatticeModel, displacement: Float) -> npt.NDArray[np.bool_]:
+    """Cells that are turned inside out at one of their corners, shape (cell_count,).
+
+    The volume spanned by the three edges at a corner is one at rest; not above zero means that the corner has been
+    pushed through the opposite side. Springs alone do not always turn it back.
+    """
+    inverted = np.zeros(model.cell_count, dtype=np.bool_)
+    _mark_inverted(model.cell_corners, np.asarray(displacement), inverted)
+    return inverted
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def _spring_energy(
+    nodes: npt.NDArray[np.int32], direction: npt.NDArray[np.int8], weight: Float, displacement: Float
+) -> float:
+    total = 0.0
+    for spring in range(len(nodes)):
+        lower, higher = nodes[spring, 0], nodes[spring, 1]
+        squared = 0.0
+        for axis in range(3):
+            d = DIRECTIONS[direction[spring], axis] + (
+                np.float64(displacement[higher, axis]) - np.float64(displacement[lower, axis])
+            )
+            squared += d * d
+        stretch = np.sqrt(squared) - _LENGTHS[direction[spring]]
+        total += weight[spring] * stretch * stretch
+    return 0.5 * total
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def _mark_inverted(cell_corners: npt.NDArray[np.int32], displacement: Float, inverted: npt.NDArray[np.bool_]) -> None:
+    edges = np.empty((3, 3))
+    for cell in range(len(cell_corners)):
+        for c in range(8):
+            here = cell_corners[cell, c]
+            for number in range(3):
+                other = c ^ (1 << number)
+                there = cell_corners[cell, other]
+                sign = -1.0 if c & (1 << number) else 1.0
+                for axis in range(3):
+                    rest = _CORNERS[other, axis] - _CORNERS[c, axis]
+                    moved = np.float64(displacement[there, axis]) - np.float64(displacement[here, axis])
+                    edges[number, axis] = sign * (rest + moved)
+            volume = (
+                edges[0, 0] * (edges[1, 1] * edges[2, 2] - edges[1, 2] * edges[2, 1])
+                - edges[0, 1] * (edges[1, 0] * edges[2, 2] - edges[1, 2] * edges[2, 0])
+                + edges[0, 2] * (edges[1, 0] * edges[2, 1] - edges[1, 1] * edges[2, 0])
+            )
+            if volume <= 0.0:
+                inverted[cell] = True

@@ -1,0 +1,51 @@
+"""A small scan and a small case on disk for the tests of the command line."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import SimpleITK as sitk
+from scipy.spatial.transform import Rotation
+
+from heartcase.pipeline.bundle import assemble_bundle, write_bundle
+from heartcase.schemas.bundle import Material
+
+sys.path.insert(0, str(Path(__file__).parent.parent / "pipeline"))
+from analytic_heart import AnalyticHeart, make_heart
+
+SCAN_DIRECTION = Rotation.from_euler("x", 10.0, degrees=True).as_matrix() @ np.array(
+    [[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]]
+)
+"""Axes to the right, to the head and to the back, tilted by ten degrees about the patient's left-right axis."""
+
+
+def write_scan(path: Path) -> Path:
+    """An oblique, anisotropic scan of 12 x 10 x 8 voxels with a bright block."""
+    values = np.random.default_rng(1).normal(50.0, 5.0, (8, 10, 12)).astype(np.float32)
+    values[2:6, 3:7, 4:8] += 100.0
+    image = sitk.GetImageFromArray(values)
+    image.SetSpacing((1.0, 1.5, 2.5))
+    image.SetOrigin((5.0, -7.0, 11.0))
+    image.SetDirection(SCAN_DIRECTION.ravel().tolist())
+    sitk.WriteImage(image, str(path))
+    return path
+
+
+def write_case(directory: Path) -> tuple[Path, AnalyticHeart]:
+    """A case with a grid and a surface."""
+    heart = make_heart(spacing_mm=(3.0, 3.0, 3.0))
+    content = assemble_bundle(
+        name="Toy",
+        grid=heart.grid,
+        materials=[Material(label=v, youngs_modulus_kpa=30, density_kg_m3=1060) for v in heart.table.tissue_values],
+        scan_geometry=heart.scan.geometry,
+        scan_sha256="0" * 64,
+        stages=[],
+        surface=heart.surface,
+        modality="CT",
+        quality={"volumes_ml": {"left ventricle": 33.0}},
+        warnings=["a warning for the reader"],
+    )
+    path = directory / "Toy.case"
+    write_bundle(path, content)
+    return path, heart

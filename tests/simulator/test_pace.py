@@ -1,0 +1,51 @@
+"""The quicker of two ways is found, and found again when it changes."""
+
+from __future__ import annotations
+
+from heartcase.simulator.pace import CALLS_BETWEEN_TRIALS, TRIAL_STEPS, Pace
+
+
+class Workshop:
+    """Two ways with a made-up time per step."""
+
+    def __init__(self, *seconds_per_step: float) -> None:
+        self.seconds_per_step = list(seconds_per_step)
+        self.taken = [0] * len(seconds_per_step)
+        self.now = 0.0
+        self.pace = Pace(clock=lambda: self.now)
+
+    def run(self, step_count: int) -> None:
+        self.pace.run(step_count, tuple(self.way(number) for number in range(len(self.taken))))
+
+    def way(self, number: int):
+        def take(count: int) -> None:
+            self.taken[number] += count
+            self.now += count * self.seconds_per_step[number]
+
+        return take
+
+
+def test_quicker_way_takes_nearly_all_steps():
+    for quick in (0, 1):
+        shop = Workshop(*(1.0 if number == quick else 9.0 for number in (0, 1)))
+        for _ in range(CALLS_BETWEEN_TRIALS):
+            shop.run(100)
+        assert sum(shop.taken) == 100 * CALLS_BETWEEN_TRIALS
+        assert shop.taken[1 - quick] <= 2 * TRIAL_STEPS
+
+
+def test_change_is_noticed():
+    shop = Workshop(1.0, 5.0)
+    shop.run(100)
+    assert shop.pace.quickest == 0
+    shop.seconds_per_step = [5.0, 1.0]
+    for _ in range(CALLS_BETWEEN_TRIALS + 1):
+        shop.run(100)
+    assert shop.pace.quickest == 1
+
+
+def test_few_steps_are_taken_once():
+    shop = Workshop(1.0, 1.0)
+    for count in (1, TRIAL_STEPS, 0, 2 * TRIAL_STEPS + 1):
+        shop.run(count)
+    assert sum(shop.taken) == 3 * TRIAL_STEPS + 2
