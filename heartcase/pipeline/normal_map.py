@@ -21,7 +21,7 @@ Float64 = npt.NDArray[np.float64]
 Int32 = npt.NDArray[np.int32]
 UInt8 = npt.NDArray[np.uint8]
 
-CHUNK = 1 << 18
+CHUNK = 1 << 19
 FLAT = (128, 128, 255)
 DILATION_TEXELS = 8
 

@@ -21,7 +21,7 @@ from heartcase.schemas.base import Model
 from heartcase.schemas.bundle import MANIFEST_NAME, CaseManifest, StageRecord
 from heartcase.schemas.bundle_reader import open_bundle
 from heartcase.schemas.errors import BundleError, ScanError, UsageError
-from heartcase.schemas.files import atomic_write, sha256_of_file
+from heartcase.schemas.files import atomic_write, remove_leftovers, sha256_of_file
 from heartcase.schemas.recipe import Part, Recipe
 from heartcase.schemas.settings import resolved
 
@@ -239,6 +239,7 @@ def build_case(
     except OSError as error:
         raise UsageError(f"cannot be written to: {error.strerror}", place="output directory") from None
     store.clean()
+    remove_leftovers(out)
     runner = _Runner(store, listener or _Silent(), force)
     nodes = _Nodes()
     for stage in STAGES[:-1]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,6 +13,8 @@ __all__ = ["LOCK_NAME", "TEMPORARY_PREFIX", "atomic_write", "exclusive", "remove
 
 TEMPORARY_PREFIX = ".heartcase-tmp-"
 """What the names of unfinished files start with."""
+
+LEFTOVER_AGE_S = 3600.0
 
 LOCK_NAME = ".heartcase-lock"
 """Lock file inside a directory, on systems that cannot lock the directory itself."""
@@ -45,10 +48,29 @@ def _flush_directory(directory: Path) -> None:
 
 
 def remove_leftovers(directory: Path | str) -> None:
-    """Remove what killed runs left unfinished in a directory. Call it while holding :func:`exclusive`."""
+    """Remove what killed runs left unfinished in a directory; what a living process is writing stays."""
     for leftover in Path(directory).glob(f"{TEMPORARY_PREFIX}*"):
+        if not _is_being_written(leftover):
+            with contextlib.suppress(OSError):
+                leftover.unlink()
+
+
+def _is_being_written(temporary: Path) -> bool:
+    process, _, _ = temporary.name.removeprefix(TEMPORARY_PREFIX).partition("-")
+    if not process.isdecimal() or int(process) == os.getpid():
+        return False
+    if os.name != "posix":
+        # There is no harmless way to ask for a process by its number, so age decides.
         with contextlib.suppress(OSError):
-            leftover.unlink()
+            return time.time() - temporary.stat().st_mtime < LEFTOVER_AGE_S
+        return False
+    try:
+        os.kill(int(process), 0)
+    except ProcessLookupError:
+        return False
+    except (PermissionError, OverflowError):
+        return True
+    return True
 
 
 @contextlib.contextmanager

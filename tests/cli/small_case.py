@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import SimpleITK as sitk
+import SimpleITK
 from scipy.spatial.transform import Rotation
 
 from heartcase.pipeline.bundle import assemble_bundle, write_bundle
@@ -23,11 +23,11 @@ def write_scan(path: Path) -> Path:
     """An oblique, anisotropic scan of 12 x 10 x 8 voxels with a bright block."""
     values = np.random.default_rng(1).normal(50.0, 5.0, (8, 10, 12)).astype(np.float32)
     values[2:6, 3:7, 4:8] += 100.0
-    image = sitk.GetImageFromArray(values)
+    image = SimpleITK.GetImageFromArray(values)
     image.SetSpacing((1.0, 1.5, 2.5))
     image.SetOrigin((5.0, -7.0, 11.0))
     image.SetDirection(SCAN_DIRECTION.ravel().tolist())
-    sitk.WriteImage(image, str(path))
+    SimpleITK.WriteImage(image, str(path))
     return path
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import SimpleITK as sitk
+import SimpleITK
 from pydantic import BaseModel
 from small_case import SCAN_DIRECTION, write_case, write_scan
 
@@ -41,13 +41,13 @@ def run_json(capsys, *arguments: object) -> dict:
 def test_scan_is_described_by_what_simpleitk_says(tmp_path, capsys):
     path = write_scan(tmp_path / "scan.nrrd")
     facts = run_json(capsys, "info", path, "--json")
-    image = sitk.ReadImage(str(path))
+    image = SimpleITK.ReadImage(str(path))
     assert facts["kind"] == "scan"
     assert facts["size"] == list(image.GetSize())
     assert facts["spacing_mm"] == pytest.approx(image.GetSpacing())
     assert facts["origin_mm"] == pytest.approx(image.GetOrigin())
     assert np.ravel(facts["direction"]) == pytest.approx(image.GetDirection(), abs=1e-6)
-    values = sitk.GetArrayFromImage(image)
+    values = SimpleITK.GetArrayFromImage(image)
     assert facts["intensity"]["min"] == pytest.approx(values.min())
     assert facts["intensity"]["median"] == pytest.approx(np.median(values))
     assert facts["voxel_count"] == values.size

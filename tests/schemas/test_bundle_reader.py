@@ -136,7 +136,9 @@ def test_a_link_out_of_the_case_is_not_followed(case, tmp_path):
         open_bundle(case)
 
 
-@pytest.mark.parametrize("header", [b"\xff" * 8, (1 << 40).to_bytes(8, "little"), b"\x02\x00\x00\x00\x00\x00\x00\x00[]"])
+@pytest.mark.parametrize(
+    "header", [b"\xff" * 8, (1 << 40).to_bytes(8, "little"), b"\x02\x00\x00\x00\x00\x00\x00\x00[]"]
+)
 def test_a_bad_header_is_refused(case, header):
     path = open_bundle(case).path(FileRole.GRID)
     content = header + path.read_bytes()[len(header) :]

@@ -66,9 +66,7 @@ def test_refining_keeps_the_outer_faces(geometry, factor):
         fine.index_to_world((-0.5, -0.5, -0.5)), geometry.index_to_world((-0.5, -0.5, -0.5)), atol=1e-9
     )
     last = np.array(geometry.size) - 0.5
-    np.testing.assert_allclose(
-        fine.index_to_world(np.array(fine.size) - 0.5), geometry.index_to_world(last), atol=1e-9
-    )
+    np.testing.assert_allclose(fine.index_to_world(np.array(fine.size) - 0.5), geometry.index_to_world(last), atol=1e-9)
 
 
 def test_cropping_moves_the_origin():

@@ -116,7 +116,9 @@ def test_all_sample_recipes_are_valid():
 
 def test_the_schemas_in_docs_are_current():
     for name, text in schema_files().items():
-        assert (ROOT / "docs" / "schemas" / name).read_text() == text, f"run: heartcase schema --out docs/schemas ({name})"
+        assert (ROOT / "docs" / "schemas" / name).read_text() == text, (
+            f"run: heartcase schema --out docs/schemas ({name})"
+        )
         json.loads(text)
 
 

@@ -1,0 +1,305 @@
+"""The whole build on a small scan: what it makes, what it reuses, what a crash leaves."""
+
+import functools
+import importlib
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from heartcase.pipeline.data import Scan
+from heartcase.pipeline.run import STAGES, build_case
+from heartcase.pipeline.write import write_scan
+from heartcase.schemas.bundle import FileRole
+from heartcase.schemas.bundle_reader import check_bundle, open_bundle
+from heartcase.schemas.errors import HeartcaseError, ScanError, UsageError
+from heartcase.schemas.geometry import Geometry
+from heartcase.schemas.recipe import load_recipe
+from tests.crash import Crash, crash_after
+
+RECIPE = """
+heartcase_recipe = 1
+name = "ball"
+{parts}
+[scan]
+path = "{scan}"
+[[labels]]
+value = 1
+name = "cavity"
+role = "blood"
+[[labels]]
+value = 2
+name = "muscle"
+role = "myocardium"
+[[strokes]]
+label = "cavity"
+radius_mm = 2.0
+points_mm = [[0, 0, 0], [4, 0, 0]]
+[[strokes]]
+label = "muscle"
+radius_mm = 1.0
+points_mm = [[17, 0, 0], [0, 17, 0], [-17, 0, 0], [0, -17, 0], [17, 0, 0]]
+[[strokes]]
+label = "background"
+radius_mm = 2.0
+points_mm = [[-28, -28, -28], [28, -28, -28], [28, 28, -28], [28, 28, 28]]
+[[pins]]
+position_mm = [0, 0, 20]
+radius_mm = 8
+[grid]
+cell_mm = {cell_mm}
+[surface]
+triangle_count = 2000
+normal_map_size = 128
+"""
+
+
+@pytest.fixture(scope="module")
+def scan_directory(tmp_path_factory):
+    """A blood-filled ball of muscle: radius 14 mm inside, 20 mm outside, in 2 mm voxels."""
+    directory = tmp_path_factory.mktemp("patient-JANE-DOE")
+    geometry = Geometry.of(shape=(32, 32, 32), spacing_mm=(2, 2, 2), origin_mm=(-31, -31, -31))
+    k, j, i = np.indices(geometry.shape)
+    points = geometry.index_to_world(np.stack([i, j, k], axis=-1))
+    radius = np.linalg.norm(points, axis=-1)
+    values = np.where(radius < 14, 1000.0, np.where(radius < 20, 400.0, 100.0))
+    values += np.random.Generator(np.random.PCG64(1)).normal(0, 10, values.shape)
+    write_scan(Scan(values.astype(np.float32), geometry, "MR"), directory / "JANE-DOE.nii.gz")
+    return directory
+
+
+def make_recipe(scan_directory, folder, *, cell_mm=4.0, parts=""):
+    folder.mkdir(exist_ok=True)
+    relative = os.path.relpath(scan_directory / "JANE-DOE.nii.gz", folder)
+    path = folder / "ball.toml"
+    path.write_text(RECIPE.format(scan=relative, cell_mm=cell_mm, parts=parts))
+    return path
+
+
+def build(path, out, **options):
+    return build_case(load_recipe(path), directory=path.parent, out=out, **options)
+
+
+def contents(directory):
+    return {path.name: path.read_bytes() for path in sorted(directory.iterdir())}
+
+
+@pytest.fixture(scope="module")
+def built(scan_directory, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("built")
+    path = make_recipe(scan_directory, folder)
+    return path, folder / "out", build(path, folder / "out")
+
+
+def test_a_scan_and_markers_become_a_sound_case(built):
+    _, _, result = built
+    assert check_bundle(result.case) == ()
+    bundle = open_bundle(result.case)
+    # A shell from 14 to 20 mm: 4/3 pi (20^3 - 14^3) = 22.0 ml; the border moves by less than a third of a voxel.
+    true_ml = 4 / 3 * np.pi * (20**3 - 14**3) / 1000
+    assert bundle.manifest.simulation.tissue_volume_ml == pytest.approx(true_ml, rel=0.08)
+    assert {entry.role for entry in bundle.manifest.files} == set(FileRole)
+    vertices = bundle.arrays(FileRole.SURFACE, ["vertices"])["vertices"]
+    radius = np.linalg.norm(vertices, axis=1)
+    inner, outer = radius[radius < 17], radius[radius >= 17]
+    assert np.median(inner) == pytest.approx(14, abs=0.6)
+    assert np.median(outer) == pytest.approx(20, abs=0.6)
+    label = bundle.arrays(FileRole.SURFACE, ["vertex_label"])["vertex_label"]
+    assert (label[radius < 17] == 1).all()
+    assert (label[radius >= 17] == 0).all()
+
+
+def test_the_second_build_computes_and_writes_nothing(built):
+    path, out, first = built
+    before = {p: p.stat().st_mtime_ns for p in [*first.case.iterdir(), first.report]}
+    second = build(path, out)
+    assert not second.changed
+    assert set(second.reused) >= {"filter", "segment", "walls", "grid", "surface", "map", "bundle"}
+    assert before == {p: p.stat().st_mtime_ns for p in [*first.case.iterdir(), first.report]}
+
+
+def test_a_forced_build_and_one_elsewhere_give_the_same_bytes(built, scan_directory, tmp_path):
+    path, _out, first = built
+    before = contents(first.case)
+    other = make_recipe(scan_directory, tmp_path / "elsewhere")
+    assert contents(build(other, tmp_path / "out", force=True).case) == before
+    assert path != other
+
+
+def test_only_what_depends_on_a_changed_setting_is_computed_again(built, scan_directory, tmp_path):
+    _, out, _first = built
+    changed = make_recipe(scan_directory, tmp_path / "changed", cell_mm=5.0)
+    result = build(changed, tmp_path / "out", cache=out / ".heartcase-cache")
+    assert set(result.reused) == {"filter", "segment", "walls", "surface"}
+    assert open_bundle(result.case).manifest.simulation.cell_mm == 5.0
+
+
+def test_parts_that_are_not_wanted_are_not_made(built, scan_directory, tmp_path):
+    _, out, _first = built
+    bare = make_recipe(scan_directory, tmp_path / "bare", parts="parts = []")
+    result = build(bare, tmp_path / "out", cache=out / ".heartcase-cache")
+    assert [entry.role for entry in result.manifest.files] == [FileRole.GRID]
+    assert "surface" not in result.seconds
+
+
+def test_stopping_early_leaves_the_case_alone_and_the_work_in_the_cache(built, scan_directory, tmp_path):
+    path = make_recipe(scan_directory, tmp_path / "until")
+    result = build(path, tmp_path / "out", until="walls")
+    assert result.case is None
+    assert not (tmp_path / "out" / "ball.case").exists()
+    assert set(result.seconds) == {"read", "filter", "markers", "segment", "walls"}
+    with pytest.raises(UsageError, match="there is no stage"):
+        build(path, tmp_path / "out", until="wall")
+
+
+def test_a_missing_scan_is_explained_and_the_old_case_stays(built):
+    path, out, first = built
+    before = contents(first.case)
+    text = path.read_text()
+    try:
+        broken = text.replace('JANE-DOE.nii.gz"', 'gone.nii.gz"\norigin = "ask the archive for it"')
+        path.write_text(broken)
+        with pytest.raises(ScanError, match="ask the archive for it"):
+            build(path, out)
+    finally:
+        path.write_text(text)
+    assert contents(first.case) == before
+
+
+def test_no_patient_name_from_a_path_is_in_any_output(built):
+    _path, out, _first = built
+    for file in out.rglob("*"):
+        assert "JANE" not in file.name
+        if file.is_file():
+            assert b"JANE" not in file.read_bytes(), file.name
+
+
+def memoised(monkeypatch):
+    """Compute each stage once for the whole test: the files are what is tested."""
+    for module, name in (
+        ("read", "read_scan"),
+        ("filter", "filter_scan"),
+        ("segment", "segment_scan"),
+        ("walls", "grow_walls"),
+        ("walls", "structure_volumes_ml"),
+        ("grid", "build_grid"),
+        ("surface", "build_surface"),
+        ("map", "map_surface"),
+        ("report", "build_report"),
+        ("glb", "glb_bytes"),
+        ("write", "segmentation_nrrd_bytes"),
+    ):
+        loaded = importlib.import_module(f"heartcase.pipeline.{module}")
+        function = getattr(loaded, name)
+        outputs = {}
+
+        @functools.wraps(function)
+        def once(*args, _function=function, _outputs=outputs, **kwargs):
+            if "output" not in _outputs:
+                _outputs["output"] = _function(*args, **kwargs)
+            return _outputs["output"]
+
+        monkeypatch.setattr(loaded, name, once)
+
+
+def test_a_crash_at_every_file_operation_of_a_build_leaves_a_whole_case_and_the_next_build_resumes(
+    scan_directory, tmp_path, monkeypatch
+):
+    memoised(monkeypatch)
+    old = make_recipe(scan_directory, tmp_path / "recipe")
+    old.write_text(old.read_text().replace('name = "ball"', 'name = "ball"\nlandmarks = []'))
+    build(old, tmp_path / "old")
+    new = tmp_path / "recipe" / "new.toml"
+    point = '[[landmarks]]\nname = "apex"\nkind = "point"\npoints_mm = [[0, 0, 20]]\n'
+    new.write_text(old.read_text().replace("landmarks = []", "") + point)
+    build(new, tmp_path / "new")
+    old_case, new_case = contents(tmp_path / "old" / "ball.case"), contents(tmp_path / "new" / "ball.case")
+    assert old_case["case.json"] != new_case["case.json"]
+    seen = set()
+    operations = 0
+    while True:
+        out = tmp_path / "out"
+        shutil.rmtree(out, ignore_errors=True)
+        out.mkdir()
+        shutil.copytree(tmp_path / "old" / "ball.case", out / "ball.case")
+        try:
+            with crash_after(operations):
+                build(new, out)
+        except Crash:
+            assert check_bundle(out / "ball.case") == (), f"after operation {operations}"
+            manifest = (out / "ball.case" / "case.json").read_bytes()
+            assert manifest in (old_case["case.json"], new_case["case.json"])
+            seen.add(manifest)
+            stored = {p.name.split("-")[0] for p in (out / ".heartcase-cache").glob("[a-z]*-*.json")} - {"bundle"}
+            resumed = build(new, out)
+            assert stored <= set(resumed.reused), f"after operation {operations}"
+            assert contents(out / "ball.case") == new_case
+            assert not list(out.rglob(".heartcase-tmp-*"))
+            operations += 1
+            continue
+        break
+    assert operations > 60
+    assert len(seen) == 2
+
+
+@pytest.mark.skipif(os.name != "posix", reason="sends SIGKILL")
+def test_a_killed_build_resumes(built, scan_directory, tmp_path):
+    _, _, first = built
+    path = make_recipe(scan_directory, tmp_path / "killed")
+    out = tmp_path / "out"
+    process = subprocess.Popen(
+        [sys.executable, "-m", "heartcase", "build", str(path), "--out", str(out)],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    deadline = time.monotonic() + 120
+    while time.monotonic() < deadline and not list(out.glob(".heartcase-cache/walls-*.json")):
+        time.sleep(0.02)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert not (out / "ball.case" / "case.json").exists() or check_bundle(out / "ball.case") == ()
+    result = build(path, out)
+    assert {"filter", "segment", "walls"} <= set(result.reused)
+    assert contents(result.case) == contents(first.case)
+
+
+def test_the_report_names_every_stage_and_structure(built):
+    text = built[2].report.read_text()
+    for word in ("cavity", "muscle", "Not a medical device", "ball"):
+        assert word in text
+    assert all(stage in text for stage in STAGES if stage != "edit")
+
+
+def test_the_command_line_reports_as_json(built):
+    path, out, _ = built
+    run = subprocess.run(
+        [sys.executable, "-m", "heartcase", "build", str(path), "--out", str(out), "--json"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    data = json.loads(run.stdout)
+    assert data["changed"] is False
+    assert data["simulation"]["cell_mm"] == 4.0
+
+
+def test_an_error_of_a_stage_is_one_line_and_exit_code_one(scan_directory, tmp_path):
+    path = make_recipe(scan_directory, tmp_path / "unpinned")
+    path.write_text(path.read_text().replace("position_mm = [0, 0, 20]", "position_mm = [0, 0, 200]"))
+    with pytest.raises(HeartcaseError):
+        build(path, tmp_path / "out")
+    run = subprocess.run(
+        [sys.executable, "-m", "heartcase", "build", str(path), "--out", str(tmp_path / "out")],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert run.returncode == 1
+    assert "Traceback" not in run.stderr
+    assert [line for line in run.stderr.splitlines() if line.startswith("heartcase: ")]
