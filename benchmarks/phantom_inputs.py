@@ -59,4 +59,3 @@ def phantom_inputs(params: dict[str, Any]) -> PhantomInputs:
         cache.store("truth", key, truth, seconds=0.0)
     markers = load_markers((), marker_strokes(phantom), phantom.table, geometry, Path())
     return PhantomInputs(phantom, scan, clean, truth, markers)
-

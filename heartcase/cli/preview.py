@@ -54,7 +54,7 @@ def command(path: Path, output: Path, view: str | None, series: str | None, as_j
         raise UsageError(f"cannot be written: {error.strerror}", place="--output") from None
     height, width = picture.shape[:2]
     if as_json:
-        shown = [view] if view else list((*_SIDES, "cutaway") if kind == "case" else _STACKS)
+        shown = [view] if view else list((*_SIDES, "cutaway", "front cut") if kind == "case" else _STACKS)
         echo_json({"kind": kind, "views": shown, "width": width, "height": height, "bytes": len(content)})
     else:
         click.echo(f"wrote a picture of {width} x {height} pixels, {file_size(len(content))}")
@@ -63,7 +63,7 @@ def command(path: Path, output: Path, view: str | None, series: str | None, as_j
 def _scan_picture(path: Path, kind: str, view: str | None, series: str | None) -> npt.NDArray[np.uint8]:
     from heartcase.pipeline.montage import stacked
     from heartcase.pipeline.read import read_scan
-    from heartcase.pipeline.slices import slice_pictures
+    from heartcase.pipeline.slices import STACKS, slice_pictures
 
     if kind == "recipe":
         from heartcase.schemas.recipe import load_recipe
@@ -74,13 +74,14 @@ def _scan_picture(path: Path, kind: str, view: str | None, series: str | None) -
             origin = f" Where it comes from: {recipe.scan.origin}" if recipe.scan.origin else ""
             raise UsageError(f"the recipe's scan is not there.{origin}", place="scan.path")
     scan = read_scan(path, series=series)
-    rows = slice_pictures(scan.values, scan.geometry, None, None, modality=scan.modality)
-    return stacked([row for stack, row in rows.items() if view in (None, stack)])
+    stacks = tuple(stack for stack in STACKS if view in (None, stack))
+    rows = slice_pictures(scan.values, scan.geometry, None, None, modality=scan.modality, stacks=stacks)
+    return stacked(list(rows.values()))
 
 
 def _case_picture(path: Path, view: str | None) -> npt.NDArray[np.uint8]:
     from heartcase.pipeline.montage import label_colours, legend_picture, montage, stacked
-    from heartcase.pipeline.pictures import VIEWS, cutaway_picture, surface_picture
+    from heartcase.pipeline.pictures import VIEWS, coronal_plane, cutaway_picture, surface_picture
     from heartcase.schemas.bundle_reader import open_bundle
 
     case = open_bundle(path)
@@ -98,7 +99,10 @@ def _case_picture(path: Path, view: str | None) -> npt.NDArray[np.uint8]:
     sides = [side for side in (tuple(VIEWS) if view else _SIDES) if view in (None, side)]
     pictures: dict[str, npt.NDArray[np.uint8]] = {side: surface_picture(**mesh, view=side) for side in sides}
     if view in (None, "cutaway"):
-        pictures["cut open"] = cutaway_picture(**mesh)
+        pictures["cut through the chambers"] = cutaway_picture(**mesh)
+    if view is None:
+        plane = coronal_plane(mesh["vertices_mm"], mesh["triangles"])
+        pictures["cut from the front"] = cutaway_picture(**mesh, plane=plane)
     sheet = montage(pictures, columns=2 if view is None else 1)
     present = {int(value) for name in names[3:] for value in set(arrays[name].tolist())} - {0}
     return stacked([sheet, legend_picture(label_colours(table, present), width=sheet.shape[1])])

@@ -28,7 +28,7 @@ def command(name: str | None, out: Path | None) -> None:
         for file_name in files:
             click.echo(file_name.split(".")[0])
         return
-    text = next((text for file_name, text in files.items() if file_name.split(".")[0] == name), None)
-    if text is None:
+    found = next((text for file_name, text in files.items() if file_name.split(".")[0] == name), None)
+    if found is None:
         raise UsageError(f"there is no schema {name!r}; run 'heartcase schema' for the list", place="NAME")
-    click.echo(text, nl=False)
+    click.echo(found, nl=False)

@@ -66,14 +66,18 @@ class _Valve:
 
     @property
     def behind(self) -> HalfSpace:
-        return HalfSpace(self.position_mm + self.overlap_mm * _unit(self.direction), self.direction)
+        return HalfSpace(self.at(self.overlap_mm), self.direction)
 
     @property
     def beyond(self) -> HalfSpace:
-        return HalfSpace(self.position_mm - self.overlap_mm * _unit(self.direction), -self.direction)
+        return HalfSpace(self.at(-self.overlap_mm), -self.direction)
+
+    def at(self, along_mm: float) -> Float64:
+        point: Float64 = self.position_mm + along_mm * _unit(self.direction)
+        return point
 
     def moved(self, along_mm: float) -> _Valve:
-        return _Valve(self.position_mm + along_mm * _unit(self.direction), self.direction, -self.overlap_mm)
+        return _Valve(self.at(along_mm), self.direction, self.overlap_mm)
 
 
 def _unit(vector: Float64) -> Float64:
@@ -218,30 +222,34 @@ def build_anatomy(scale: float, left_wall_mm: float, vessel_gap_mm: float) -> An
     left_atrium = Intersection([left_atrium, complement(aorta, gap_mm=vessel_gap_mm)], 4.0 * scale)
     left_atrium = fix(3, Union([left_atrium, *veins.values()], 6.0 * scale))
 
-    away_from_left = [complement(body), *(complement(shape, gap_mm=vessel_gap_mm) for shape in (aorta, left_atrium))]
+    # A trace of overlap with the septum leaves no gap between it and the right ventricle; blood wins there.
+    away_from_left = [
+        complement(body, gap_mm=-0.1 * scale),
+        *(complement(shape, gap_mm=vessel_gap_mm) for shape in (aorta, left_atrium)),
+    ]
 
-    right_ventricle: Shape = ball(_at(23.0, 20.0, -3.0), (43.0, 27.0, 33.0), True)
-    right_ventricle = Intersection(
-        [right_ventricle, HalfSpace(scale * _at(-2.0, 25.0, 0.0), -LONG_AXIS - 0.1 * SEPTUM_AXIS)], 12.0 * scale
-    )
+    # At a valve the two cavities are cut by one plane, with a trace of overlap so that rounding cannot close it.
+    pulmonary_valve = _Valve(scale * np.array((14.3, -35.8, 18.0)), np.array((0.12, 0.12, 0.98)), 0.15 * scale)
+    tricuspid_valve = _Valve(scale * np.array((-21.0, -15.0, -8.0)), np.array((0.75, -0.60, -0.28)), 0.15 * scale)
+    inflow = Capsule(tricuspid_valve.at(-13.0 * scale), tricuspid_valve.at(11.0 * scale), 13.0 * scale)
     infundibulum = tube(
         [(6.0, -40.0, -14.0), (10.0, -38.5, 2.0), (14.0, -36.0, 17.0), (17.0, -34.0, 28.0)], [17.0, 14.5, 12.2, 11.9]
     )
-    right_ventricle = Union([right_ventricle, infundibulum], 8.0 * scale)
+    right_ventricle: Shape = ball(_at(23.0, 20.0, -3.0), (43.0, 27.0, 33.0), True)
+    base_plane = HalfSpace(scale * _at(-2.0, 25.0, 0.0), -LONG_AXIS - 0.1 * SEPTUM_AXIS)
+    right_ventricle = Intersection([right_ventricle, base_plane], 12.0 * scale)
+    limits = [pulmonary_valve.moved(-4.0 * scale).behind, tricuspid_valve.moved(4.0 * scale).beyond]
+    right_ventricle = Intersection([right_ventricle, *limits], 8.0 * scale)
+    right_ventricle = Union([right_ventricle, infundibulum, inflow], 8.0 * scale)
     right_ventricle = Intersection([right_ventricle, *away_from_left], 4.0 * scale)
-    # At a valve the two cavities are cut by one plane, with a trace of overlap so that rounding cannot close it.
-    pulmonary_valve = _Valve(scale * np.array((14.3, -35.8, 18.0)), np.array((0.12, 0.12, 0.98)), 0.15 * scale)
-    right_center = np.array((-38.0, 1.0, 1.0))
-    inflow = Capsule(scale * np.array((-32.0, -4.0, -2.0)), scale * np.array((-14.0, -20.0, -11.0)), 14.0 * scale)
-    tricuspid_valve = _Valve(scale * np.array((-22.0, -13.0, -7.0)), np.array((0.75, -0.60, -0.28)), 0.15 * scale)
-    atrial_side = Intersection([inflow, tricuspid_valve.moved(-vessel_gap_mm).behind])
-    right_ventricle = Intersection([right_ventricle, complement(atrial_side, gap_mm=vessel_gap_mm)])
-    right_ventricle = fix(2, Intersection([right_ventricle, pulmonary_valve.behind]))
+    right_ventricle = fix(2, Intersection([right_ventricle, pulmonary_valve.behind, tricuspid_valve.beyond]))
 
+    right_center = np.array((-38.0, 1.0, 1.0))
     right_atrium: Shape = Union([ball(right_center, (20.0, 23.0, 26.0), False), right_auricle], 8.0 * scale)
     right_atrium = Intersection([right_atrium, complement(right_ventricle, gap_mm=vessel_gap_mm)], 5.0 * scale)
     right_atrium = Intersection([Union([right_atrium, inflow], 6.0 * scale), *away_from_left], 4.0 * scale)
-    right_atrium = fix(4, Intersection([right_atrium, tricuspid_valve.behind]))
+    beside_valve = complement(inflow, gap_mm=3.0 * scale)
+    right_atrium = fix(4, Intersection([right_atrium, Union([tricuspid_valve.behind, beside_valve])]))
 
     pulmonary: Shape = Union([trunk, right_branch, left_branch], 8.0 * scale)
     pulmonary = Intersection([pulmonary, *away_from_left], 3.0 * scale)

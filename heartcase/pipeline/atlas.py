@@ -249,9 +249,7 @@ def _project(points: Float64, axes: Float64) -> Float64:
     return np.column_stack([(points * right).sum(axis=1), -(points * up).sum(axis=1)])
 
 
-def _evict(
-    vertices: Float64, triangles: Int32, normal: Float64, chart: Int32, axes: Float64, first_new: int
-) -> None:
+def _evict(vertices: Float64, triangles: Int32, normal: Float64, chart: Int32, axes: Float64, first_new: int) -> None:
     """Take triangles that overlap an earlier one of their chart out of it (chart -1)."""
     members = np.flatnonzero(chart >= first_new)
     order = members[np.argsort(chart[members], kind="stable")]

@@ -21,7 +21,8 @@ import numpy.typing as npt
 from scipy.ndimage import correlate1d
 from scipy.special import erf
 
-from heartcase.pipeline.closest import closest_points
+from heartcase.pipeline.apart import bridging_voxels
+from heartcase.pipeline.closest import closest_points, offset_for_interpolation
 
 __all__ = ["default_smoothing_mm", "label_distances", "signed_distance"]
 
@@ -33,6 +34,10 @@ Box = tuple[slice, slice, slice]
 
 SATURATION = 3.0
 """Standard deviations of the blur up to which its step response is inverted."""
+RETURN_VOXELS = 0.5
+"""Lead over the next label, in voxels, of a voxel that gets its old label back."""
+OFFSET_LIMIT = 0.1
+"""Most that a field is moved for the sake of its interpolation, in voxels."""
 BORDER_VOXELS = 3
 """Voxels by which the faces are continued straight on beyond the volume's border."""
 
@@ -51,7 +56,12 @@ def default_smoothing_mm(spacing_mm: npt.ArrayLike) -> float:
 
 
 def label_distances(
-    labels: UInt8, spacing_mm: Sequence[float], *, smoothing_mm: float, band_mm: float
+    labels: UInt8,
+    spacing_mm: Sequence[float],
+    *,
+    smoothing_mm: float,
+    band_mm: float,
+    blood_values: Sequence[int] = (),
 ) -> dict[int, Float32]:
     """Signed distance to the smooth border of every label that is there.
 
@@ -65,6 +75,8 @@ def label_distances(
         Standard deviation of the blur; 0 leaves the faces halfway between the voxels' centres.
     band_mm
         Distance up to which the fields are exact; beyond it they are a distance between voxels.
+    blood_values
+        Values of blood: voxels whose smoothing would join or split its compartments keep their label.
 
     Returns
     -------
@@ -79,7 +91,15 @@ def label_distances(
     margin = np.ceil(6.0 * smoothing_mm / spacing).astype(np.int64) + 2
     boxes = [_box_around(labels == value, margin) for value in values]
     first_order = _first_order(labels, values, boxes, spacing, smoothing_mm)
-    lowest, second, owner = _two_lowest(labels.shape, first_order, SATURATION * smoothing_mm + float(spacing.mean()))
+    width = float(spacing.mean())
+    far = SATURATION * smoothing_mm + width
+    lowest, second, owner = _two_lowest(labels.shape, first_order, far)
+    given_back = bridging_voxels(labels, np.array(values, np.uint8)[owner], blood_values)
+    if given_back.any():
+        for value, part in zip(values, first_order, strict=True):
+            mine = (given_back & (labels == value))[part.box]
+            part.values[mine] = lowest[part.box][mine] - RETURN_VOXELS * width
+        lowest, second, owner = _two_lowest(labels.shape, first_order, far)
 
     def one(number: int) -> Float32 | None:
         inside = owner == number
@@ -87,7 +107,7 @@ def label_distances(
             return None
         box = _box_around(inside, np.ceil(band_mm / spacing).astype(np.int64) + 2)
         lead = np.where(inside[box], 0.5 * (lowest[box] - second[box]), 0.0).astype(np.float32)
-        own = _within(first_order[number], box, labels.shape, SATURATION * smoothing_mm + float(spacing.mean()))
+        own = _within(first_order[number], box, labels.shape, far)
         np.copyto(lead, 0.5 * (own - lowest[box]), where=~inside[box])
         return _completed(lead, inside, box, spacing, band_mm)
 
@@ -115,11 +135,12 @@ def signed_distance(first_order: Float32, spacing_mm: Sequence[float], *, band_m
     """
     spacing = np.array(spacing_mm, dtype=np.float64)[::-1].copy()
     field = np.ascontiguousarray(first_order, dtype=np.float32)
-    dist = np.full(field.shape, np.inf, np.float32)
+    square = np.full(field.shape, np.inf, np.float32)
     foot = np.empty((*field.shape, 3), np.float32)
     nodes = np.empty((field.size, 3), np.int32)
-    closest_points(field, spacing, float(band_mm), foot, dist, nodes)
-    return np.where(field < 0.0, -dist, dist)
+    closest_points(field, spacing, float(band_mm), foot, square, nodes)
+    distance = np.sqrt(square, out=square)
+    return np.where(field < 0.0, -distance, distance)
 
 
 def _first_order(labels: UInt8, values: list[int], boxes: list[Box], spacing: Float64, sigma_mm: float) -> list[_Part]:
@@ -241,6 +262,7 @@ def _completed(lead: Float32, inside: Bool, box: Box, spacing: Float64, band_mm:
     ]
     padded = np.pad(lead, pads, mode="reflect", reflect_type="odd")
     near = signed_distance(padded, tuple(spacing[::-1]), band_mm=band_mm)
+    near = offset_for_interpolation(near, np.float32(OFFSET_LIMIT * spacing.min()))
     near = near[tuple(slice(low, low + n) for (low, _), n in zip(pads, lead.shape, strict=True))]
     anisotropy = tuple(float(v) for v in spacing)
     half = 0.5 * float(spacing.mean())

@@ -139,9 +139,7 @@ def _padded(field: Float32, least: float) -> Float32:
     return padded
 
 
-def _slide_to_root(
-    structures: Structures, lattice: Geometry, padded: Float32, index: Float64, on_end: Bool
-) -> Float64:
+def _slide_to_root(structures: Structures, lattice: Geometry, padded: Float32, index: Float64, on_end: Bool) -> Float64:
     """Move each vertex along its lattice edge to the root of the field (Illinois variant of regula falsi)."""
     nearest = np.round(index)
     offset = np.abs(index - nearest)
@@ -292,7 +290,8 @@ def shell_volumes(vertices: Float64, triangles: Int32) -> tuple[Int32, Float64]:
     shell = part[triangles[:, 0]].astype(np.int32)
     corner = vertices[triangles] - vertices.mean(axis=0)
     six = np.einsum("ij,ij->i", corner[:, 0], np.cross(corner[:, 1], corner[:, 2]))
-    return shell, np.bincount(shell, weights=six / 6.0, minlength=count)
+    volumes: Float64 = np.bincount(shell, weights=six / 6.0, minlength=count).astype(np.float64)
+    return shell, volumes
 
 
 def drop_small_shells(mesh: FullMesh, *, volume_mm3: float, fraction: float) -> tuple[FullMesh, Float64]:

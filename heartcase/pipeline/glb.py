@@ -122,9 +122,7 @@ class _Writer:
 
     def vertex_array(self, array: npt.NDArray[np.floating], kind: str, **more: Any) -> int:
         view = self.view(array.tobytes(), ARRAY_BUFFER)
-        self.accessors.append(
-            {"bufferView": view, "componentType": FLOAT, "count": len(array), "type": kind, **more}
-        )
+        self.accessors.append({"bufferView": view, "componentType": FLOAT, "count": len(array), "type": kind, **more})
         return len(self.accessors) - 1
 
     def index_array(self, triangles: npt.NDArray[np.int32]) -> int:

@@ -20,7 +20,7 @@ from heartcase.pipeline.data import GridMap, SimulationGrid, Surface
 from heartcase.pipeline.picking import split_faces
 from heartcase.schemas.settings import MapSettings
 
-__all__ = ["CURVATURE_GAIN", "FAR_CELLS", "map_surface", "triangle_basis"]
+__all__ = ["CURVATURE_ERROR", "CURVATURE_GAIN", "FAR_CELLS", "map_surface", "triangle_basis"]
 
 Float32 = npt.NDArray[np.float32]
 Float64 = npt.NDArray[np.float64]
@@ -32,6 +32,9 @@ FAR_CELLS = 2.0
 
 CURVATURE_GAIN = 0.8
 """Curvature correction is used where it brings the error under bending below this part of the flat basis' error."""
+
+CURVATURE_ERROR = 0.25
+"""And only where the error left is below this many cells per unit of curvature (1/cell): rims are left alone."""
 
 
 def map_surface(surface: Surface, grid: SimulationGrid, settings: MapSettings) -> GridMap:
@@ -65,7 +68,7 @@ def map_surface(surface: Surface, grid: SimulationGrid, settings: MapSettings) -
     basis = triangle_basis(corners)
     offset = np.einsum("vbx,vx->vb", basis, vertices - reference)
     flat, curved = curvature_errors(grid, vertices, normals, triangles[chosen], weights)
-    curvature = (curved < CURVATURE_GAIN * flat).astype(np.uint8)
+    curvature = ((curved < CURVATURE_GAIN * flat) & (curved < CURVATURE_ERROR)).astype(np.uint8)
     far = np.linalg.norm(vertices - reference, axis=1) / grid.geometry.spacing_mm[0]
     warnings: tuple[str, ...] = ()
     if is_other.any():

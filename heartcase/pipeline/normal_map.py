@@ -157,14 +157,12 @@ def bake_normal_map(
     return picture
 
 
-def _unit(vectors: Float64) -> Float64:
+def _unit(vectors: npt.NDArray[np.floating]) -> Float64:
     unit: Float64 = vectors / np.maximum(np.linalg.norm(vectors, axis=-1), 1e-30)[..., None]
     return unit
 
 
-def _barycentric(
-    texel: Float64, triangles: Int32, column: npt.NDArray[np.intp], row: npt.NDArray[np.intp]
-) -> Float64:
+def _barycentric(texel: Float64, triangles: Int32, column: npt.NDArray[np.intp], row: npt.NDArray[np.intp]) -> Float64:
     """Weights of the corners at texel centres, clipped to the triangle, shape (n, 3)."""
     a, b, c = texel[triangles[:, 0]], texel[triangles[:, 1]], texel[triangles[:, 2]]
     p = np.column_stack([column + 0.5, row + 0.5])

@@ -23,6 +23,7 @@ from heartcase.schemas.labels import BACKGROUND, LabelTable
 __all__ = [
     "VIEWS",
     "View",
+    "coronal_plane",
     "cutaway_picture",
     "direction_letters",
     "four_chamber_plane",
@@ -174,7 +175,7 @@ def four_chamber_plane(
     """A plane that passes through the middle of the chambers.
 
     The plane that fits the centres of the four chambers best in the sense of least squares, where at least three are
-    there and do not lie on a line; otherwise a coronal plane through the centre of the surface, tilted by 20 degrees.
+    there and do not lie on a line; otherwise :func:`coronal_plane`.
     The normal points to the front or to the feet, whichever is nearer: that side is taken away.
 
     Returns
@@ -196,8 +197,20 @@ def four_chamber_plane(
         if spread[1] > 0.1 * spread[0]:
             normal: Float64 = axes[2]
             return middle, normal if normal @ viewer > 0.0 else -normal
+    return coronal_plane(points, faces)
+
+
+def coronal_plane(vertices_mm: npt.ArrayLike, triangles: npt.ArrayLike) -> tuple[Float64, Float64]:
+    """A plane across the body through the centre of the surface, tilted by 20 degrees towards the feet.
+
+    Returns
+    -------
+    point, normal
+        In mm, and of length one to the front, shape (3,) each.
+    """
     tilt = np.radians(20.0)
-    return _centre(points, faces), np.array([0.0, -np.cos(tilt), -np.sin(tilt)])
+    centre = _centre(np.asarray(vertices_mm, dtype=float), np.asarray(triangles))
+    return centre, np.array([0.0, -np.cos(tilt), -np.sin(tilt)])
 
 
 def direction_letters(direction: npt.ArrayLike, *, smallest: float = 0.35) -> str:

@@ -23,9 +23,12 @@ class Fact:
     """With its unit."""
     meaning: str = ""
     """One short sentence, empty where the name says it all."""
+    is_technical: bool = False
+    """Whether it is of use to engineers only."""
 
 
 _UNITS = {
+    "_per_mm": "per mm",
     "_mm3": "mm³",
     "_mm": "mm",
     "_ml": "ml",
@@ -60,44 +63,64 @@ _MEANINGS: dict[str, tuple[str, str]] = {
     "openings_closed": ("Openings lost", "Should be 0: passages that are narrower than a cell."),
     "betti_tissue": ("Tissue", "Pieces, tunnels and enclosed hollows. They should not change."),
     "betti_blood": ("Blood", "Pieces, tunnels and enclosed hollows. They should not change."),
-    "full_resolution": ("in the scan", ""),
-    "unrepaired": ("in the cells before repair", ""),
-    "grid": ("in the cells", ""),
     "triangle_count": ("Triangles", "Small flat pieces that make up the visible surface."),
     "full_triangle_count": ("Triangles before simplifying", ""),
     "vertex_count": ("Points of the surface", ""),
-    "is_closed": ("Surface is closed", "Should be yes."),
-    "is_manifold": ("Surface is sound everywhere", "Should be yes: no edge joins more than two triangles."),
-    "flipped_count": ("Triangles turned over", "Should be 0."),
+    "open_edge_count": ("Open edges", "Should be 0: the surface has no hole."),
+    "non_manifold_edge_count": ("Edges of more than two triangles", "Should be 0."),
+    "degenerate_triangle_count": ("Triangles without area", "Should be 0."),
+    "flipped_triangle_count": ("Triangles turned over", "Should be 0: they show as dark specks."),
+    "component_count": ("Separate pieces", "Usually 1."),
+    "dropped_shell_count": ("Specks left out", "Tiny pieces and bubbles that are no part of the heart."),
+    "volume_ml": ("Tissue inside the surface", ""),
+    "volume_change_fraction": ("Change of volume by simplifying", "Near 0 is good."),
+    "distance_mean_mm": ("Distance from the full surface, mean", "How far simplifying moved the surface."),
+    "distance_p99_mm": ("Distance from the full surface, 99% are below", ""),
+    "distance_max_mm": ("Distance from the full surface, largest", ""),
     "other_label_count": ("Points tied to another structure", "Should be 0 or very few."),
     "curvature_share": ("Points with curvature correction", "Share of the surface that follows strong bending."),
     "offset_cells": ("Distance of the surface from the grid", ""),
-    "p50": ("half are below", ""),
-    "p95": ("95% are below", ""),
-    "p99": ("99% are below", ""),
-    "max": ("largest", ""),
-    "mean": ("mean", ""),
-    "min": ("smallest", ""),
 }
 """Name of a figure -> what to call it, and what it means."""
+
+_INLINE = {
+    "p5": "5% below",
+    "p25": "25% below",
+    "p50": "median",
+    "p75": "75% below",
+    "p95": "95% below",
+    "p99": "99% below",
+    "mean": "mean",
+    "min": "smallest",
+    "max": "largest",
+    "full_resolution": "in the scan",
+    "unrepaired": "in the cells before repair",
+    "grid": "in the cells",
+}
+"""Figures of one thing that are told in one line."""
 
 _PRIVATE_SETTINGS = {"path", "file", "origin", "names", "series"}
 
 
 def figure_facts(figures: Mapping[str, Any]) -> list[Fact]:
-    """Turn a stage's quality figures into facts; nested ones become one line each."""
+    """Turn a stage's quality figures into facts, the ones for engineers last; nested ones become one line each."""
     facts: list[Fact] = []
     for key, value in figures.items():
         name, meaning = _name_of(key)
-        if isinstance(value, Mapping):
-            known = key in _MEANINGS
-            for inner in figure_facts({f"{k}{_unit_ending(key)}" if _is_bare(k) else k: v for k, v in value.items()}):
-                joined = f"{name}, {inner.name}" if known else f"{name}: {inner.name.lower()}"
-                facts.append(Fact(joined if key != "repairs" else inner.name, inner.value, inner.meaning or meaning))
-                meaning = ""
+        is_technical = key not in _MEANINGS
+        if not isinstance(value, Mapping):
+            facts.append(Fact(name, _value_of(key, value), meaning, is_technical))
+        elif value and set(value) <= set(_INLINE):
+            parts = [f"{_INLINE[inner]} {_value_of(inner, figure)}" for inner, figure in value.items()]
+            text = f"{', '.join(parts)} {_UNITS.get(_unit_ending(key), '')}".rstrip()
+            facts.append(Fact(name, text, meaning, is_technical))
+        elif set(value) & set(_MEANINGS):
+            facts += figure_facts(value)
         else:
-            facts.append(Fact(name, _value_of(key, value), meaning))
-    return facts
+            facts += [
+                Fact(f"{name}: {inner}", _value_of(key, figure), "", is_technical) for inner, figure in value.items()
+            ]
+    return sorted(facts, key=lambda fact: fact.is_technical)
 
 
 def setting_lines(settings: Mapping[str, Any]) -> list[str]:
@@ -171,10 +194,6 @@ def _name_of(key: str) -> tuple[str, str]:
     return words[:1].upper() + words[1:], ""
 
 
-def _is_bare(key: str) -> bool:
-    return _unit_ending(key) == "" and not key.endswith("_count")
-
-
 def _unit_ending(key: str) -> str:
     return next((ending for ending in _UNITS if key.endswith(ending)), "")
 
@@ -183,8 +202,8 @@ def _value_of(key: str, value: Any) -> str:
     if isinstance(value, list | tuple) and key in ("full_resolution", "unrepaired", "grid") and len(value) == 3:
         pieces, tunnels, hollows = value
         return f"{pieces} / {tunnels} / {hollows}"
-    if key.endswith("_share"):
-        return f"{100.0 * float(value):.1f} %"
+    if key.endswith(("_share", "_fraction")):
+        return f"{100.0 * float(value):.3g} %"
     unit = _UNITS.get(_unit_ending(key), "")
     text = _list_of(value) if isinstance(value, list | tuple) else _number(value)
     return f"{text} {unit}".strip()

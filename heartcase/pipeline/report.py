@@ -216,7 +216,7 @@ def _key_facts(grid: SimulationGrid, surface: Surface | None, blood_ml: float, t
         Fact("Blood", f"{blood_ml:.1f} ml"),
         Fact("Cells of the simulation", f"{len(grid.cells):,}"),
         Fact("Edge of a cell", f"{grid.geometry.spacing_mm[0]:.2f} mm"),
-        Fact("Points that move", f"{len(grid.nodes):,}"),
+        Fact("Points of the simulation", f"{len(grid.nodes):,}"),
     ]
     if surface is not None:
         facts.append(Fact("Surface", f"{len(surface.triangles):,} triangles"))

@@ -15,7 +15,7 @@ from PIL import Image
 from heartcase.pipeline.data import Scan, Segmentation, Structures, Surface
 from heartcase.pipeline.fields import ownership_on_lattice
 from heartcase.pipeline.montage import png_bytes
-from heartcase.pipeline.pictures import View, cutaway_picture, surface_picture
+from heartcase.pipeline.pictures import View, coronal_plane, cutaway_picture, surface_picture
 from heartcase.pipeline.slices import slice_pictures
 from heartcase.pipeline.thickness import ThicknessFigures, thickness_figures, triangle_normals, wall_thickness_mm
 from heartcase.schemas.geometry import Geometry
@@ -115,11 +115,17 @@ def surface_parts(surface: Surface | None) -> SurfaceParts:
         _picture(title, f"The surface of the heart from the {view} side.", surface_picture(**mesh, view=view))
         for view, title in _SIDES.items()
     ]
-    cut = _picture(
-        "Cut through the middle of the chambers",
-        "The heart cut open: the inner sides of the chambers and vessels, and the cut walls.",
-        cutaway_picture(**mesh, size=(1000, 750)),
-    )
+    cuts = [
+        _picture(
+            title,
+            "The heart cut open: the inner sides of the chambers and vessels, and the cut walls.",
+            cutaway_picture(**mesh, plane=plane),
+        )
+        for title, plane in (
+            ("Cut through the middle of the chambers", None),
+            ("Cut from the front", coronal_plane(points, faces)),
+        )
+    ]
     thick = wall_thickness_mm(points, faces, normals=surface.normals, triangle_is_cut=surface.triangle_is_cut)
     figures = thickness_figures(thick, points, faces, tissue, table, triangle_is_cut=surface.triangle_is_cut)
     known = thick[np.isfinite(thick)]
@@ -145,7 +151,7 @@ def surface_parts(surface: Surface | None) -> SurfaceParts:
         )
     )
     rows = [ThicknessRow(one, table[one.label].colour, _wanted_mm(table, one.label)) for one in figures]
-    return SurfaceParts(sides, [cut], maps, rows)
+    return SurfaceParts(sides, cuts, maps, rows)
 
 
 def _wanted_mm(table: LabelTable, tissue: int) -> float | None:

@@ -8,6 +8,7 @@ the left in sagittal ones. In an oblique scan the letters at the edges name the 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -18,7 +19,7 @@ from heartcase.pipeline.pictures import direction_letters
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND, LabelTable
 
-__all__ = ["SliceView", "Stack", "display_window", "slice_pictures", "slice_view"]
+__all__ = ["STACKS", "SliceView", "Stack", "display_window", "slice_pictures", "slice_view"]
 
 Float64 = npt.NDArray[np.float64]
 UInt8 = npt.NDArray[np.uint8]
@@ -30,6 +31,9 @@ _STACKS: dict[Stack, tuple[int, tuple[float, float, float], tuple[float, float, 
     "sagittal": (0, (0.0, 1.0, 0.0), (0.0, 0.0, -1.0)),
 }
 """Name -> world axis across the slices, direction that shows to the right, direction that shows downwards (LPS)."""
+
+STACKS: tuple[Stack, ...] = ("axial", "coronal", "sagittal")
+"""All stacks, in the order of a report."""
 
 _INCH_PIXELS = 140
 _CT_LOWEST_HU = -250.0
@@ -106,6 +110,7 @@ def slice_pictures(
     count: int = 4,
     modality: str = "unknown",
     window: tuple[float, float] | None = None,
+    stacks: Sequence[Stack] = STACKS,
     width: int = 1600,
 ) -> dict[Stack, UInt8]:
     """Rows of slices from three sides, with the outline of each label in its colour.
@@ -126,13 +131,15 @@ def slice_pictures(
         ``CT``, ``MR`` or ``unknown``: chooses the grey scale.
     window
         Intensities that show black and white; chosen from the values when left out.
+    stacks
+        Which sides to show.
     width
         Width of each row of slices, pixels.
 
     Returns
     -------
     dict
-        ``axial``, ``coronal``, ``sagittal`` -> RGB picture.
+        Stack -> RGB picture, in the order of ``stacks``.
     """
     scan = np.asarray(values)
     tags = None if labels is None else np.asarray(labels)
@@ -141,7 +148,7 @@ def slice_pictures(
     low, high = display_window(scan[crop], modality=modality) if window is None else window
     drawn = () if table is None else sorted(table, key=lambda label: label.role.is_blood)
     colours = {label.value: label.colour for label in drawn if label.value != BACKGROUND}
-    return {stack: _row(scan, tags, geometry, stack, box, count, (low, high), colours, width) for stack in _STACKS}
+    return {stack: _row(scan, tags, geometry, stack, box, count, (low, high), colours, width) for stack in stacks}
 
 
 def _box(labels: npt.NDArray[np.generic] | None, geometry: Geometry) -> tuple[tuple[int, int], ...]:

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from heartcase.pipeline.atlas import Atlas, make_atlas, tangents
 from heartcase.pipeline.data import Structures, Surface
-from heartcase.pipeline.decimate import decimate, mesh_defects
+from heartcase.pipeline.decimate import decimate, folded_triangles, mesh_defects, relax_folds
 from heartcase.pipeline.extract import FullMesh, drop_small_shells, extract, opposites, shell_volumes
 from heartcase.pipeline.fields import ownership_at_points
 from heartcase.pipeline.mesh_distance import mesh_distance_mm
@@ -75,12 +75,13 @@ def build_surface(structures: Structures, settings: SurfaceSettings, *, render: 
     vertices, triangles, _ = decimate(
         full.vertices_mm, full.triangles, full_tags.key(), triangle_count=settings.triangle_count
     )
+    vertices, relaxed = relax_folds(vertices, triangles)
     vertices_mm = vertices.astype(np.float32)
     vertices = vertices_mm.astype(np.float64)
     tags = _tags(structures, vertices, triangles, full.lattice)
     reach = 0.5 * min(full.lattice.spacing_mm)
     normals = _vertex_normals(structures, vertices, triangles, tags.is_cut, reach)
-    quality = _quality(structures, whole, full, dropped, vertices, triangles, tags, reach)
+    quality = _quality(structures, whole, full, dropped, vertices, triangles, tags, relaxed)
     for name in ("open_edge_count", "non_manifold_edge_count", "degenerate_triangle_count", "flipped_triangle_count"):
         if quality[name]:
             warnings.append(f"the surface has {quality[name]} {name.removesuffix('_count').replace('_', ' ')}s")
@@ -246,11 +247,9 @@ def _quality(
     vertices: Float64,
     triangles: Int32,
     tags: _Tags,
-    reach_mm: float,
+    relaxed: int,
 ) -> dict[str, Any]:
-    centre, normal, area = _faces(vertices, triangles)
-    true = draw_to_surface(structures, centre, step_mm=gradient_step_mm(structures), reach_mm=reach_mm)[1]
-    flipped = ((true * normal).sum(axis=1) < 0.0) & ~tags.is_cut
+    centre, _, area = _faces(vertices, triangles)
     every = -(-len(full.vertices_mm) // DISTANCE_SAMPLE)
     to_decimated = mesh_distance_mm(full.vertices_mm[::every], vertices, triangles)
     to_full = mesh_distance_mm(np.concatenate([vertices, centre]), full.vertices_mm, full.triangles)
@@ -271,7 +270,8 @@ def _quality(
         "triangle_count": len(triangles),
         "vertex_count": len(vertices),
         **mesh_defects(vertices, triangles),
-        "flipped_triangle_count": int(flipped.sum()),
+        "flipped_triangle_count": int(folded_triangles(vertices, triangles).sum()),
+        "relaxed_vertex_count": relaxed,
         "euler_characteristic": len(vertices) - edges + len(triangles),
         "shell_count": len(volumes),
         "component_count": int((volumes > 0.0).sum()),

@@ -66,7 +66,9 @@ def grow_walls(segmentation: Segmentation, settings: WallsSettings, ends: Sequen
     thickest = max((label.wall_thickness_mm for label in table), default=0.0)
     band = settings.band_mm or thickest + BAND_VOXELS * float(spacing.mean())
     labels, cuts = cut_ends(segmentation, table, ends, clearance_mm=thickest + 3.0 * smoothing + 2.0 * spacing.max())
-    distances = label_distances(labels, geometry.spacing_mm, smoothing_mm=smoothing, band_mm=band)
+    distances = label_distances(
+        labels, geometry.spacing_mm, smoothing_mm=smoothing, band_mm=band, blood_values=table.blood_values
+    )
     if BACKGROUND not in distances:
         far = float(np.linalg.norm(spacing * np.array(geometry.size)))
         distances[BACKGROUND] = np.full(geometry.shape, far, np.float32)
@@ -118,7 +120,7 @@ def _check(segmentation: Segmentation) -> None:
 
 
 def _warnings(labels: UInt8, distances: dict[int, Float32], geometry: Geometry, table: LabelTable) -> tuple[str, ...]:
-    """Structures that the smoothing shrank, and blood compartments that it joined."""
+    """Structures that the smoothing shrank or lost."""
     warnings = []
     width = float(np.mean(geometry.spacing_mm))
     for value in table.values:

@@ -53,7 +53,7 @@ class Camera:
     colours
         Red, green, blue of each triangle, shape (triangle_count, 3).
     size
-        Width and height in pixels.
+        Width and height in pixels; whole multiples of 16 for MP4.
 
     Raises
     ------
@@ -62,7 +62,7 @@ class Camera:
     """
 
     def __init__(
-        self, rest_mm: Float32, triangles: Int32, colours: UInt8, *, size: tuple[int, int] = (720, 600)
+        self, rest_mm: Float32, triangles: Int32, colours: UInt8, *, size: tuple[int, int] = (720, 608)
     ) -> None:
         try:
             import PIL.Image  # noqa: F401

@@ -106,7 +106,7 @@ def surface_of(fields: dict[int, np.ndarray], geometry: Geometry, table: LabelTa
         render_uv=np.zeros((count, 2), np.float32),
         render_tangents=np.zeros((count, 4), np.float32),
         normal_map=np.zeros((0, 0, 3), np.uint8),
-        quality={"triangle_count": len(triangles), "distance_p95_mm": 0.12, "is_closed": True},
+        quality={"triangle_count": len(triangles), "distance_max_mm": 0.12, "open_edge_count": 0},
     )
 
 
@@ -125,5 +125,5 @@ def grid_of(labels: np.ndarray, geometry: Geometry, table: LabelTable) -> Simula
         face_label=np.zeros(0, np.uint8),
         face_cell=np.zeros(0, np.int32),
         table=table,
-        quality={"volume_error_percent": 0.4, "tissue_betti_before": [1, 0, 5], "tissue_betti_after": [1, 0, 5]},
+        quality={"volume_error_percent": 0.4, "betti_tissue": {"full_resolution": [1, 0, 5], "grid": [1, 0, 5]}},
     )

@@ -6,8 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
+from skimage import measure
 
-from heartcase.pipeline.data import Structures
+from heartcase.pipeline.data import Structures, Surface
+from heartcase.pipeline.fields import ownership_at_points, ownership_on_lattice
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import Label, LabelTable, Role
 
@@ -101,3 +103,37 @@ def rotation(axis: npt.ArrayLike, degrees: float) -> Points:
     angle = np.radians(degrees)
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
+
+
+def surface_of(made: Structures) -> Surface:
+    """Marching cubes of the tissue field with the labels of the voids beside it, without atlas."""
+    owner = ownership_on_lattice(made, made.geometry)
+    # A field that is exactly zero at a voxel makes triangles without area.
+    tissue = np.where(np.abs(owner.tissue_mm) < 1e-3, np.float32(1e-3), owner.tissue_mm)
+    corners, triangles, _, _ = measure.marching_cubes(np.pad(tissue, 1, constant_values=1.0), 0.0)
+    vertices = made.geometry.index_to_world(corners[:, ::-1] - 1.0)
+    points = vertices[triangles]
+    normal = np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0])
+    if np.einsum("tx,tx->", points[:, 0], normal) < 0.0:
+        triangles, normal = triangles[:, ::-1], -normal
+    normals = np.zeros_like(vertices)
+    for corner in range(3):
+        np.add.at(normals, triangles[:, corner], normal)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    label = ownership_at_points(made, vertices).void_label
+    triangles = np.ascontiguousarray(triangles, dtype=np.int32)
+    return Surface(
+        vertices_mm=vertices.astype(np.float32),
+        triangles=triangles,
+        triangle_label=label[triangles].min(axis=1),
+        triangle_tissue=np.full(len(triangles), WALL, np.uint8),
+        triangle_is_cut=np.zeros(len(triangles), np.uint8),
+        normals=normals.astype(np.float32),
+        vertex_label=label,
+        table=made.table,
+        render_to_welded=np.zeros(0, np.int32),
+        render_triangles=np.zeros((0, 3), np.int32),
+        render_uv=np.zeros((0, 2), np.float32),
+        render_tangents=np.zeros((0, 4), np.float32),
+        normal_map=np.zeros((0, 0, 3), np.uint8),
+    )

@@ -60,7 +60,7 @@ def blood_pieces(grid):
 @pytest.mark.parametrize("ratio", RATIOS)
 @pytest.mark.parametrize("direction", [np.eye(3), OBLIQUE, OBLIQUE @ np.diag([1.0, 1.0, -1.0])])
 def test_volumes_are_exact_for_ball_shell_and_ring(direction, ratio):
-    # The fields are linear between voxels of edge h: that moves a border of mean curvature H inwards by up to H h^2 / 6.
+    # The fields are linear between voxels of edge h: a border of mean curvature H moves inwards by up to H h^2 / 6.
     shapes = {
         "ball": (ball(12.0), 4 / 3 * np.pi * 12.0**3, 1.0 / (2.0 * 12.0**2)),
         "shell": (without(ball(14.0), ball(11.0)), 4 / 3 * np.pi * (14.0**3 - 11.0**3), 1.5 / (14.0**3 - 11.0**3)),

@@ -133,8 +133,8 @@ def test_page_is_whole_html_and_stands_alone(html):
 
 def test_pictures_are_inside_decode_and_have_words(html):
     images = Page(html).all("img")
-    # Three stacks of slices, four sides, the cut, two thickness maps and the histogram.
-    assert len(images) == 11
+    # Three stacks of slices, four sides, two cuts, two thickness maps and the histogram.
+    assert len(images) == 12
     for image in images:
         assert len(image["alt"]) > 20
         head, _, content = image["src"].partition(",")
@@ -188,7 +188,7 @@ def test_hand_work_times_and_provenance_are_stated(html):
     assert "abababababab" in text
     assert "Points tied to another structure 4" in text
     assert "12.5 %" in text
-    assert "Distance of the surface from the grid, largest 1.5 cells" in text
+    assert "Distance of the surface from the grid median 0.25, largest 1.5 cells" in text
 
 
 def test_same_input_gives_the_same_page(heart):
@@ -229,16 +229,23 @@ def test_figures_are_put_in_words_with_units():
             "some_new_distance_p95_mm": 0.125,
             "repairs": {"leak_cells_added": 3},
             "is_closed": True,
+            "area_cm2": {"aorta": 12.5},
+            "thickness_cells": {"p5": 0.5, "p50": 1.0},
+            "volume_change_fraction": -0.00012,
             "unheard_of": float("nan"),
         }
     )
     words = {fact.name: fact.value for fact in facts}
     assert words["Error of the tissue volume"] == "-0.25 %"
-    assert words["Blood, in the scan"] == "2 / 0 / 0"
-    assert words["Blood, in the cells"] == "2 / 1 / 0"
+    assert words["Blood"] == "in the scan 2 / 0 / 0, in the cells 2 / 1 / 0"
     assert words["Some new distance (95% are below)"] == "0.125 mm"
+    assert words["Area: aorta"] == "12.5 cm²"
+    assert words["Thickness of the tissue"] == "5% below 0.5, median 1 cells"
+    assert words["Change of volume by simplifying"] == "-0.012 %"
+    technical = [fact.is_technical for fact in facts]
+    assert technical == sorted(technical)
     assert words["Cells added to stop leaks"] == "3"
-    assert words["Surface is closed"] == "yes"
+    assert words["Is closed"] == "yes"
     assert words["Unheard of"] == "not known"
 
 

@@ -1,0 +1,64 @@
+"""Distance fields and grown walls from the true labels; the thickness is measured on the finished surface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from phantom_inputs import PhantomInputs, phantom_inputs
+
+from heartcase.phantom.metrics import wall_thickness_error
+from heartcase.pipeline.data import Segmentation, Structures
+from heartcase.pipeline.surface import build_surface
+from heartcase.pipeline.walls import grow_walls
+from heartcase.schemas.settings import SurfaceSettings, WallsSettings
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """A segmentation as a person would have it: cavities and myocardium, no grown walls."""
+
+    source: PhantomInputs
+    segmentation: Segmentation
+
+
+def prepare(params: dict[str, Any]) -> Inputs:
+    source = phantom_inputs(params)
+    truth = source.truth.labels.copy()
+    for label in source.truth.table:
+        if label.wall_of is not None:
+            truth[truth == label.value] = 0
+    return Inputs(source, Segmentation(truth, source.truth.geometry, source.phantom.table))
+
+
+def heartcase(inputs: Inputs) -> Structures:
+    return grow_walls(inputs.segmentation, WallsSettings(), inputs.source.phantom.ends)
+
+
+METHODS = {"heartcase": heartcase}
+
+
+def errors(inputs: Inputs, output: Structures) -> dict[str, float]:
+    """Thickness of each wall between its inner and its outer surface, against the true thickness."""
+    surface = build_surface(output, SurfaceSettings(triangle_count=200_000), render=False)
+    found: dict[str, float] = {}
+    every: list[float] = []
+    for label in output.table:
+        if label.wall_of is None:
+            continue
+        cavity = output.table[label.wall_of]
+        error = wall_thickness_error(
+            surface.vertices_mm,
+            surface.triangles,
+            surface.triangle_label,
+            surface.triangle_tissue,
+            cavity=cavity.value,
+            wall=label.value,
+            thickness_mm=cavity.wall_thickness_mm,
+            margin_mm=2.0,
+        )
+        found[f"{label.name} thickness, mean [mm]"] = error.mean_mm
+        found[f"{label.name} thickness, 95% [mm]"] = error.percentile_95_mm
+        every.append(error.mean_mm)
+    return {"all walls, mean [mm]": float(np.mean(every))} | found
