@@ -186,7 +186,7 @@ def _make_folder(folder: Path) -> None:
 
 
 def _write_image(path: Path, values: npt.NDArray[Any], geometry: Geometry) -> None:
-    import SimpleITK as sitk  # noqa: N813
+    import SimpleITK as sitk
 
     image = sitk.GetImageFromArray(values)
     image.SetOrigin(geometry.origin_mm)

@@ -12,16 +12,10 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
+from heartcase.cli.film import Filmer, check_animation_name, check_picture_name, write_animation, write_picture
 from heartcase.cli.output import echo_json
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.script import SimulationScript
-from heartcase.simulator.animation import (
-    Camera,
-    check_animation_name,
-    check_picture_name,
-    write_animation,
-    write_picture,
-)
 from heartcase.simulator.export import SURFACE_FORMATS, write_surface
 from heartcase.simulator.load import Case, load_case
 from heartcase.simulator.script import SessionSummary, default_script, load_script, run_script, with_positions
@@ -79,7 +73,7 @@ def command(
     )
     film_every = max(1, round(script.frames_per_second / FILM_FRAMES_PER_SECOND)) if animation is not None else 0
     with ExitStack() as stack:
-        camera = stack.enter_context(_camera(loaded)) if animation is not None or picture is not None else None
+        camera = _filmer(loaded) if animation is not None or picture is not None else None
         audience = _Audience(camera, film_every=film_every, wants_picture=picture is not None)
         stack.enter_context(audience.bar(script.seconds))
         summary = run_script(simulation, script, on_frame=audience.watch)
@@ -103,7 +97,7 @@ def command(
 class _Audience:
     """What looks on while the session runs: the progress bar, the film, the picture of the furthest deformation."""
 
-    def __init__(self, camera: Camera | None, *, film_every: int, wants_picture: bool) -> None:
+    def __init__(self, camera: Filmer | None, *, film_every: int, wants_picture: bool) -> None:
         self.camera = camera
         self.film_every = film_every
         self.wants_picture = wants_picture
@@ -176,10 +170,10 @@ def _completed(
     return script.model_copy(update={key: value for key, value in changes.items() if value is not None})
 
 
-def _camera(case: Case) -> Camera:
+def _filmer(case: Case) -> Filmer:
     assert case.surface is not None
     assert case.triangle_colours is not None
-    return Camera(case.surface.rest_mm, case.surface.triangles, case.triangle_colours)
+    return Filmer(case.surface.rest_mm, case.surface.triangles, case.triangle_colours)
 
 
 def _lines(case: Case, summary: SessionSummary) -> Iterator[str]:

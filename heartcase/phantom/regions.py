@@ -160,17 +160,19 @@ def materials(tables, ends, canals, thickness, points, material, clearance, hull
 @numba.njit(cache=True, nogil=True)
 def _region(d, c, k, thickness, wall_label, region):  # type: ignore[no-untyped-def]
     blood = _FAR
-    walls = _FAR
+    hull = d[CAVITY_COUNT]
+    tissue = d[CAVITY_COUNT]
     for i in range(CAVITY_COUNT):
         blood = min(blood, max(d[i], c[i]))
         if thickness[i] > 0.0:
-            walls = min(walls, max(d[i] - thickness[i], c[i]))
-    solid = min(d[CAVITY_COUNT], walls)
-    canal = max(k, min(solid, blood))
+            hull = min(hull, max(d[i] - thickness[i], c[i]))
+            # An open end is no border of the wall: inside the lumen the way to the wall counts, also behind the disc.
+            tissue = min(tissue, max(d[i] - thickness[i], c[i], -d[i]))
+    canal = max(k, min(hull, blood))
     if region == 0:
-        return -min(solid, blood)
+        return -min(hull, blood)
     if region == TISSUE:
-        return max(solid, -blood, -canal)
+        return max(tissue, -blood, -canal)
     if region == MYOCARDIUM:
         return max(d[CAVITY_COUNT], -blood, -canal)
     if region <= CAVITY_COUNT:
@@ -183,7 +185,7 @@ def _region(d, c, k, thickness, wall_label, region):  # type: ignore[no-untyped-
     cavity = 0
     while wall_label[cavity] != region:
         cavity += 1
-    value = max(d[cavity] - thickness[cavity], c[cavity])
+    value = max(d[cavity] - thickness[cavity], c[cavity], -d[cavity])
     value = max(value, -d[CAVITY_COUNT], -blood, -canal)
     for j in range(CAVITY_COUNT):
         if j != cavity and thickness[j] > 0.0:

@@ -229,8 +229,6 @@ def closest_points(f, h, reach, foot, square, nodes):  # type: ignore[no-untyped
     count = _spread(h, reach, foot, square, nodes, count)
     for n in range(count):
         _gather(h, nodes[n, 0], nodes[n, 1], nodes[n, 2], foot, square)
-    for n in range(count - 1, -1, -1):
-        _gather(h, nodes[n, 0], nodes[n, 1], nodes[n, 2], foot, square)
     for n in range(count):
         _improve(f, h, nodes[n, 0], nodes[n, 1], nodes[n, 2], foot, square, w, out, False)
     return count

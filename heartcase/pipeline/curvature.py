@@ -45,7 +45,7 @@ def node_neighbours(springs: Int32, node_count: int) -> Int32:
 
 def curvature_errors(
     grid: SimulationGrid, vertices_mm: Float64, normals: Float64, triangle_nodes: Int32, weights: Float32
-) -> tuple[Float64, Float64]:
+) -> tuple[Float64, Float64, Float64]:
     """Error of the flat and of the interpolated basis where the wall is bent and twisted.
 
     Parameters
@@ -64,6 +64,8 @@ def curvature_errors(
     flat, curved
         Root sum of squares over both bendings and the twist, in cells per unit of curvature (1/cell), shape (n,);
         infinite where the approximate normals are not defined.
+    aligned
+        Cosine between the interpolated normal and the triangle's at rest, shape (n,).
     """
     facing = normals @ grid.geometry.direction_matrix
     places = grid.geometry.world_to_index(vertices_mm) + 0.5
@@ -71,8 +73,9 @@ def curvature_errors(
     neighbours = node_neighbours(grid_springs(grid), len(nodes))
     flat = np.empty(len(places))
     curved = np.empty(len(places))
-    _errors(places, facing, triangle_nodes, weights.astype(np.float64), nodes, neighbours, flat, curved)
-    return flat, curved
+    aligned = np.zeros(len(places))
+    _errors(places, facing, triangle_nodes, weights.astype(np.float64), nodes, neighbours, flat, curved, aligned)
+    return flat, curved, aligned
 
 
 @numba.njit(cache=True, nogil=True)
@@ -173,7 +176,7 @@ def _bases(points, around, counts, weights, flat, curved, scratch):  # type: ign
 
 
 @numba.njit(cache=True, nogil=True, parallel=True)
-def _errors(places, facing, triangle_nodes, weights, nodes, neighbours, flat_error, curved_error):  # type: ignore[no-untyped-def]
+def _errors(places, facing, triangle_nodes, weights, nodes, neighbours, flat_error, curved_error, aligned):  # type: ignore[no-untyped-def]
     for v in numba.prange(len(places)):
         rest = np.empty((3, 3))
         rest_around = np.empty((3, 18, 3))
@@ -196,6 +199,8 @@ def _errors(places, facing, triangle_nodes, weights, nodes, neighbours, flat_err
                 for x in range(3):
                     rest_around[c, n, x] = nodes[other, x] - places[v, x]
         defined = _bases(rest, rest_around, counts, weights[v], flat, curved, scratch)
+        if defined:
+            aligned[v] = curved[1, 0] * flat[1, 0] + curved[1, 1] * flat[1, 1] + curved[1, 2] * flat[1, 2]
         for x in range(3):
             away = -(weights[v, 0] * rest[0, x] + weights[v, 1] * rest[1, x] + weights[v, 2] * rest[2, x])
             for b in range(3):

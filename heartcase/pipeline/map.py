@@ -20,7 +20,7 @@ from heartcase.pipeline.data import GridMap, SimulationGrid, Surface
 from heartcase.pipeline.picking import split_faces
 from heartcase.schemas.settings import MapSettings
 
-__all__ = ["CURVATURE_ERROR", "CURVATURE_GAIN", "FAR_CELLS", "map_surface", "triangle_basis"]
+__all__ = ["CURVATURE_ALIGNMENT", "CURVATURE_GAIN", "FAR_CELLS", "map_surface", "triangle_basis"]
 
 Float32 = npt.NDArray[np.float32]
 Float64 = npt.NDArray[np.float64]
@@ -33,8 +33,8 @@ FAR_CELLS = 2.0
 CURVATURE_GAIN = 0.8
 """Curvature correction is used where it brings the error under bending below this part of the flat basis' error."""
 
-CURVATURE_ERROR = 0.25
-"""And only where the error left is below this many cells per unit of curvature (1/cell): rims are left alone."""
+CURVATURE_ALIGNMENT = 0.9
+"""And only where the interpolated normal is this close (cosine) to the triangle's, as eq. (9.8) assumes."""
 
 
 def map_surface(surface: Surface, grid: SimulationGrid, settings: MapSettings) -> GridMap:
@@ -67,8 +67,8 @@ def map_surface(surface: Surface, grid: SimulationGrid, settings: MapSettings) -
     reference = np.einsum("vc,vcx->vx", weights.astype(np.float64), corners)
     basis = triangle_basis(corners)
     offset = np.einsum("vbx,vx->vb", basis, vertices - reference)
-    flat, curved = curvature_errors(grid, vertices, normals, triangles[chosen], weights)
-    curvature = ((curved < CURVATURE_GAIN * flat) & (curved < CURVATURE_ERROR)).astype(np.uint8)
+    flat, curved, aligned = curvature_errors(grid, vertices, normals, triangles[chosen], weights)
+    curvature = ((curved < CURVATURE_GAIN * flat) & (aligned > CURVATURE_ALIGNMENT)).astype(np.uint8)
     far = np.linalg.norm(vertices - reference, axis=1) / grid.geometry.spacing_mm[0]
     warnings: tuple[str, ...] = ()
     if is_other.any():

@@ -66,8 +66,8 @@ def open_passages(samples: CellSamples, pieces: VoidPieces, state: CellState, bl
     width = max(OPENING_CELLS - np.sqrt(3.0) / samples.factor, 0.0)
     search = _search(samples, pieces, state, blood_width, width, may_leak=False)
     count = _open_lost(search, samples, blood_width)
-    search = _search(samples, pieces, state, blood_width, LUMEN_CELLS, may_leak=False)
-    count += _open_ends(search)
+    search = _search(samples, pieces, state, blood_width, width, may_leak=False)
+    count += _open_ends(search, _node_width(search, blood_width) >= LUMEN_CELLS - 0.5 / samples.factor)
     search = _search(samples, pieces, state, blood_width, width, may_leak=False)
     return count + len(_open_ways(search))
 
@@ -190,7 +190,15 @@ def _open_lost(search: _Search, samples: CellSamples, blood_width: Float32) -> i
     return opened
 
 
-def _open_ends(search: _Search) -> int:
+def _node_width(search: _Search, blood_width: Float32) -> Float32:
+    """Greatest width of the blood in each node."""
+    at = search.graph.node >= 0
+    width = np.zeros(len(search.cost), np.float32)
+    np.maximum.at(width, search.graph.node[at], blood_width[at])
+    return width
+
+
+def _open_ends(search: _Search, is_lumen: Bool) -> int:
     """Open lumens on to their ends, the farthest end first."""
     if len(search.ways) == 0:
         return 0
@@ -201,7 +209,7 @@ def _open_ends(search: _Search) -> int:
         closed = search.tissue.copy()
         closed[sources] = False
         steps = _from_void(search.ways, np.ones(len(closed)), sources, closed)[0]
-        steps[~np.isfinite(steps) | given_up] = 0.0
+        steps[~np.isfinite(steps) | given_up | ~is_lumen] = 0.0
         end = int(np.argmax(steps))
         if steps[end] <= _REACH:
             return opened

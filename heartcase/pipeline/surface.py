@@ -75,11 +75,11 @@ def build_surface(structures: Structures, settings: SurfaceSettings, *, render: 
     vertices, triangles, _ = decimate(
         full.vertices_mm, full.triangles, full_tags.key(), triangle_count=settings.triangle_count
     )
-    vertices, relaxed = relax_folds(vertices, triangles)
+    reach = 0.5 * min(full.lattice.spacing_mm)
+    vertices, relaxed = relax_folds(vertices, triangles, reach_mm=reach)
     vertices_mm = vertices.astype(np.float32)
     vertices = vertices_mm.astype(np.float64)
     tags = _tags(structures, vertices, triangles, full.lattice)
-    reach = 0.5 * min(full.lattice.spacing_mm)
     normals = _vertex_normals(structures, vertices, triangles, tags.is_cut, reach)
     quality = _quality(structures, whole, full, dropped, vertices, triangles, tags, relaxed)
     for name in ("open_edge_count", "non_manifold_edge_count", "degenerate_triangle_count", "flipped_triangle_count"):

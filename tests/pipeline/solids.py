@@ -13,6 +13,7 @@ from heartcase.schemas.labels import Label, LabelTable, Role
 
 Distance = Callable[[npt.NDArray[np.float64]], npt.NDArray[np.float64]]
 
+AXES = np.eye(3)
 OBLIQUE = np.array([[0.8, -0.36, 0.48], [0.6, 0.48, -0.64], [0.0, 0.8, 0.6]])
 LEFT_HANDED = np.diag([1.0, 1.0, -1.0])
 
@@ -21,7 +22,7 @@ def lattice(
     spacing: float | tuple[float, float, float],
     half_width: float,
     *,
-    direction: npt.ArrayLike = np.eye(3),
+    direction: npt.ArrayLike = AXES,
     centre: tuple[float, float, float] = (0.13, -0.31, 0.27),
 ) -> Geometry:
     """A lattice around a centre that reaches at least ``half_width`` mm along each of its axes."""

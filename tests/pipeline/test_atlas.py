@@ -58,9 +58,13 @@ def test_charts_do_not_overlap_and_keep_their_gutters(name):
     fine = coverage(atlas.uv, atlas.triangles, 8 * size)
     assert fine.max() == 1
     assert fine.mean() == pytest.approx(atlas.used, rel=0.05)
-    assert atlas.used > 0.3
+    assert atlas.used > 0.25
     # Charts at least four texels apart: growing each by less than two joins none.
-    parts = len(trimesh.Trimesh(np.c_[atlas.uv, np.zeros(len(atlas.uv))], atlas.triangles, process=False).split(only_watertight=False))
+    parts = len(
+        trimesh.Trimesh(np.c_[atlas.uv, np.zeros(len(atlas.uv))], atlas.triangles, process=False).split(
+            only_watertight=False
+        )
+    )
     assert parts >= atlas.chart_count
     corner = atlas.uv[atlas.triangles].astype(float)
     chart = np.unique(

@@ -19,9 +19,7 @@ from heartcase.schemas.settings import SurfaceSettings
 @pytest.fixture(scope="module")
 def surface():
     structures = walled(tube(6.0), 2.0, lattice((1.5, 1.5, 2.0), 11.0, centre=(40.0, -90.0, 7.0)))
-    moved = walled(
-        lambda p: tube(6.0)(p - [40.0, -90.0, 0.0]), 2.0, structures.geometry
-    )
+    moved = walled(lambda p: tube(6.0)(p - [40.0, -90.0, 0.0]), 2.0, structures.geometry)
     return build_surface(moved, SurfaceSettings(triangle_count=3000, normal_map_size=128))
 
 

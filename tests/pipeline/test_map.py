@@ -243,9 +243,9 @@ def test_a_surface_without_atlas_has_no_tangents(heart):
     np.testing.assert_array_equal(map_surface(blank, grid, MapSettings()).tangent, 0.0)
 
 
-@pytest.mark.parametrize("normal", [(0.0, 0.0, 1.0), (0.3, 0.1, 1.0)])
-def test_curvature_correction_is_used_where_it_helps(normal):
-    made = structures({WALL: common(slab(-2.0, 2.0, normal), ball(13.0))}, lattice(15.0, shift=(0.2, 0.4, 0.1)))
+@pytest.mark.parametrize(("normal", "half_mm"), [((0.0, 0.0, 1.0), 1.5), ((0.3, 0.1, 1.0), 2.0)])
+def test_curvature_correction_is_used_where_it_helps(normal, half_mm):
+    made = structures({WALL: common(slab(-half_mm, half_mm, normal), ball(13.0))}, lattice(15.0, shift=(0.2, 0.4, 0.1)))
     surface, grid = surface_of(made), build_grid(made, GridSettings(cell_mm=2.2), pins=[PIN])
     mapped = map_surface(surface, grid, MapSettings())
     flagged = mapped.curvature.astype(bool)
@@ -267,11 +267,10 @@ def test_curvature_correction_is_used_where_it_helps(normal):
         plain, smooth = (np.linalg.norm(got - wanted, axis=1) for got in deformed(grid, positions, mapped, vertices))
         chosen = np.where(flagged, smooth, plain)
         errors[name] = [float(np.sqrt(np.mean(e**2))) for e in (plain, smooth, chosen)]
-        assert errors[name][2] < 0.6 * errors[name][1]
-        # A plate's rim does not bend about its own normal, so there the choice can cost a little.
+        assert errors[name][2] <= errors[name][0]
+        assert errors[name][2] < errors[name][1]
         assert np.percentile(chosen - plain, 95) < 0.01
-    plain, _, chosen = np.hypot(errors["bend"], errors["twist"])
-    assert chosen < 0.95 * plain
+    assert errors["twist"][2] < 0.8 * errors["twist"][0]
 
 
 def test_dtypes_and_plain_quality(heart):

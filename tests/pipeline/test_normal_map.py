@@ -88,8 +88,8 @@ def test_charts_are_continued_into_the_gutters_and_the_rest_is_flat():
         z = surface.normal_map[around[:, 1], around[:, 0], 2].astype(float) / 127.5 - 1.0
         assert z.min() > 0.3
     length = np.linalg.norm(surface.normal_map / 127.5 - 1.0, axis=2)
-    # 8 bits move a component by at most 1 / 255; the gutters are means of neighbouring normals.
-    assert length.max() < 1.0 + np.sqrt(3.0) / 255.0
+    # 8 bits move a component by at most 1 / 255, and the means of neighbours in the gutters by as much again.
+    assert length.max() < 1.0 + 2.0 * np.sqrt(3.0) / 255.0
     assert length.min() > 0.7
 
 

@@ -174,7 +174,9 @@ def test_specks_and_bubbles_are_left_out_and_said():
     _, left = shell_volumes(kept.vertices_mm, kept.triangles)
     assert left == pytest.approx([4.0 / 3.0 * np.pi * 12.0**3], rel=0.01)
     assert shells.max() == 2
-    tiny = solid(lambda p: np.minimum(sphere(12.0)(p), np.linalg.norm(p - [14.0, 14.0, 0.0], axis=-1) - 0.9), lattice(1.0, 18.0))
+    tiny = solid(
+        lambda p: np.minimum(sphere(12.0)(p), np.linalg.norm(p - [14.0, 14.0, 0.0], axis=-1) - 0.9), lattice(1.0, 18.0)
+    )
     said = build_surface(tiny, PLAIN)
     assert said.quality["component_count"] == 1
     assert said.quality["dropped_shell_count"] == 1
@@ -224,7 +226,7 @@ def test_folds_are_relaxed():
     neighbour = ball.vertex_neighbors[200][0]
     vertices[200] += 2.2 * (vertices[neighbour] - vertices[200])
     assert folded_triangles(vertices, triangles).any()
-    mended, moved = relax_folds(vertices, triangles)
+    mended, moved = relax_folds(vertices, triangles, reach_mm=3.0)
     assert not folded_triangles(mended, triangles).any()
     assert 0 < moved < 40
     still = np.linalg.norm(mended - vertices, axis=1) == 0.0
@@ -262,8 +264,9 @@ def test_the_lattice_is_fine_enough_for_the_thinnest_wall_and_capped():
     fine, is_capped = extraction_lattice(structures)
     assert max(fine.spacing_mm) <= 0.6
     assert not is_capped
-    outer = structures.geometry.index_to_world([-0.5] * 3), structures.geometry.index_to_world(
-        np.array(structures.geometry.size) - 0.5
+    outer = (
+        structures.geometry.index_to_world([-0.5] * 3),
+        structures.geometry.index_to_world(np.array(structures.geometry.size) - 0.5),
     )
     assert fine.index_to_world([-0.5] * 3) == pytest.approx(outer[0])
     assert fine.index_to_world(np.array(fine.size) - 0.5) == pytest.approx(outer[1])

@@ -1,14 +1,10 @@
-"""Off-screen pictures and animations of a session, for those who have installed ``heartcase[prepare]``."""
+"""Pictures and animations of a session, drawn without a screen."""
 
 from __future__ import annotations
 
 import io
-import os
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +15,7 @@ from heartcase.simulator.surface import DeformedSurface
 
 __all__ = [
     "ANIMATION_FORMATS",
-    "Camera",
+    "Filmer",
     "check_animation_name",
     "check_picture_name",
     "write_animation",
@@ -39,10 +35,8 @@ _FROM_LEFT_FRONT = (0.45, -1.0, 0.25)
 """Direction from the heart to the camera, LPS: front, somewhat left and above."""
 
 
-class Camera:
+class Filmer:
     """Takes pictures of a deforming surface from one place, each triangle in its structure's colour.
-
-    Use it in a ``with`` block: the window that VTK keeps off-screen is closed at its end.
 
     Parameters
     ----------
@@ -58,7 +52,7 @@ class Camera:
     Raises
     ------
     MissingExtraError
-        PyVista or Pillow is not installed.
+        What draws is not installed.
     """
 
     def __init__(
@@ -66,56 +60,28 @@ class Camera:
     ) -> None:
         try:
             import PIL.Image  # noqa: F401
-            import pyvista
+
+            from heartcase.pipeline.render import camera_for
         except ImportError:
             raise MissingExtraError("A picture or an animation", "prepare") from None
         self.frames: list[UInt8] = []
-        self._mesh = pyvista.PolyData.from_regular_faces(rest_mm.astype(np.float32), triangles)
-        self._mesh.cell_data["colour"] = colours
-        with _window_without_screen():
-            self._plotter = pyvista.Plotter(off_screen=True, window_size=list(size), lighting="light kit")
-        self._plotter.set_background("white")
-        actor = self._plotter.add_mesh(self._mesh, scalars="colour", rgb=True, specular=0.2, show_scalar_bar=False)
-        actor.prop.interpolation = "phong"
+        self._triangles = np.ascontiguousarray(triangles, dtype=np.int64)
+        self._colours = np.ascontiguousarray(colours)
         centre = (rest_mm.min(axis=0) + rest_mm.max(axis=0)) / 2
-        reach = float(np.linalg.norm(rest_mm - centre, axis=1).max())
-        direction = np.array(_FROM_LEFT_FRONT) / np.linalg.norm(_FROM_LEFT_FRONT)
-        self._plotter.camera_position = [centre + 4.3 * reach * direction, centre, (0.0, 0.0, 1.0)]
-        self._plotter.reset_camera_clipping_range()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._plotter.close()
+        # Room for the tissue that a hand pulls out of the frame of the tissue at rest.
+        roomy = centre + 1.25 * (np.asarray(rest_mm, dtype=float) - centre)
+        self._camera = camera_for(roomy, towards=_FROM_LEFT_FRONT, up=(0.0, 0.0, 1.0), size=size, margin=0.02)
 
     def take(self, surface: DeformedSurface) -> UInt8:
         """A picture of the surface, shape (height, width, 3)."""
-        self._mesh.points = surface.vertices_mm
-        self._mesh.point_data.active_normals = surface.normals
-        self._plotter.reset_camera_clipping_range()
-        with _window_without_screen():
-            self._plotter.render()
-        picture: UInt8 = np.array(self._plotter.screenshot(return_img=True))
-        return picture
+        from heartcase.pipeline.render import Mesh, draw_mesh
+
+        points, normals = surface.vertices_mm.astype(float), surface.normals.astype(float)
+        return draw_mesh(Mesh(points, self._triangles, normals, self._colours), self._camera, depth_shading=True)
 
     def film(self, surface: DeformedSurface) -> None:
         """Keep a picture of the surface as the next frame."""
         self.frames.append(self.take(surface))
-
-
-@contextmanager
-def _window_without_screen() -> Iterator[None]:
-    """Let VTK take EGL at once where there is no screen, without a complaint about the missing X server."""
-    variable = "VTK_DEFAULT_OPENGL_WINDOW"
-    if sys.platform != "linux" or os.environ.get("DISPLAY") or variable in os.environ:
-        yield
-        return
-    os.environ[variable] = "vtkEGLRenderWindow"
-    try:
-        yield
-    finally:
-        del os.environ[variable]
 
 
 def write_picture(path: Path | str, picture: UInt8) -> None:
@@ -197,7 +163,7 @@ def _mp4(frames: list[UInt8], frames_per_second: float) -> bytes:
 def _imageio() -> Any:
     try:
         import imageio.v3
-        import imageio_ffmpeg  # type: ignore[import-untyped] # noqa: F401
+        import imageio_ffmpeg  # noqa: F401
     except ImportError:
         raise UsageError(
             "MP4 needs two more packages: run  pip install imageio imageio-ffmpeg  or ask for .gif"
