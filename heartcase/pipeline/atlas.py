@@ -13,6 +13,8 @@ from typing import Literal
 import numba
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from heartcase.pipeline.extract import opposites
 from heartcase.schemas.errors import StageError
@@ -176,12 +178,18 @@ def _charts(vertices: Float64, triangles: Int32) -> tuple[Int32, Float64]:
         before = len(axes)
         axes = _grow(normal, area, opposite, chart, axes, CONE_COSINE)
         _evict(vertices, triangles, normal, chart, axes, before)
-    return _renumbered(chart, axes)
+    return _connected(chart, axes, opposite)
 
 
-def _renumbered(chart: Int32, axes: Float64) -> tuple[Int32, Float64]:
-    used, inverse = np.unique(chart, return_inverse=True)
-    return inverse.astype(np.int32), axes[used]
+def _connected(chart: Int32, axes: Float64, opposite: Int32) -> tuple[Int32, Float64]:
+    """Make each connected piece a chart of its own: pieces that only meet in the picture need a gutter."""
+    owner, other = np.arange(len(opposite)) // 3, opposite // 3
+    same = chart[owner] == chart[other]
+    links = coo_array((np.ones(int(same.sum()), np.int8), (owner[same], other[same])), shape=(len(chart), len(chart)))
+    count, piece = connected_components(links, directed=False)
+    old = np.empty(count, np.int32)
+    old[piece] = chart
+    return piece.astype(np.int32), axes[old]
 
 
 @numba.njit(cache=True, nogil=True)

@@ -71,9 +71,7 @@ def decimate(
     return position[used] + middle, number[left], source
 
 
-def folded_triangles(
-    vertices: Float64, triangles: Int32, *, opposite: Int32 | None = None
-) -> npt.NDArray[np.bool_]:
+def folded_triangles(vertices: Float64, triangles: Int32, *, opposite: Int32 | None = None) -> npt.NDArray[np.bool_]:
     """Triangles turned over against the mean normal of their three neighbours, by more than about 100 degrees.
 
     No edge of a solid that is sharp by up to 90 degrees, decimated or not, makes a triangle count.

@@ -34,6 +34,8 @@ Box = tuple[slice, slice, slice]
 
 SATURATION = 3.0
 """Standard deviations of the blur up to which its step response is inverted."""
+LEAST_SIGMA_VOXELS = 0.6
+"""Narrowest blur along an axis: a narrower one leaves the steps of thick slices."""
 RETURN_VOXELS = 0.5
 """Lead over the next label, in voxels, of a voxel that gets its old label back."""
 OFFSET_LIMIT = 0.1
@@ -72,7 +74,8 @@ def label_distances(
     spacing_mm
         Voxel size along x, y, z (i, j, k).
     smoothing_mm
-        Standard deviation of the blur; 0 leaves the faces halfway between the voxels' centres.
+        Standard deviation of the blur; 0 leaves the faces halfway between the voxels' centres. Along an axis with
+        large spacing it is at least 0.6 voxel.
     band_mm
         Distance up to which the fields are exact; beyond it they are a distance between voxels.
     blood_values
@@ -88,7 +91,7 @@ def label_distances(
     values = [int(value) for value in np.flatnonzero(np.bincount(labels.ravel(), minlength=256))]
     if len(values) == 1:
         return {values[0]: np.full(labels.shape, -_diagonal_mm(labels.shape, spacing), np.float32)}
-    margin = np.ceil(6.0 * smoothing_mm / spacing).astype(np.int64) + 2
+    margin = np.ceil(6.0 * smoothing_mm / spacing).astype(np.int64) + 4
     boxes = [_box_around(labels == value, margin) for value in values]
     first_order = _first_order(labels, values, boxes, spacing, smoothing_mm)
     width = float(spacing.mean())
@@ -190,9 +193,9 @@ def _inverse_response(lead: Float32, spacing: Float64, sigma_mm: float) -> Float
 
 
 def _blur(values: Float32, spacing: Float64, sigma_mm: float) -> Float32:
-    """Gaussian of the same width in mm along every axis; the border's values go on beyond it."""
+    """Gaussian of one width in mm, but at least wide enough for each axis; the border's values go on beyond it."""
     for axis in range(3):
-        sigma = sigma_mm / spacing[axis]
+        sigma = max(sigma_mm / spacing[axis], LEAST_SIGMA_VOXELS) if sigma_mm > 0.0 else 0.0
         radius = int(np.ceil(4.0 * sigma))
         if radius == 0 or values.shape[axis] == 1:
             continue

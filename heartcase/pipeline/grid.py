@@ -19,7 +19,7 @@ from heartcase.pipeline.cells import CellSamples, VoidPieces, cell_lattice, samp
 from heartcase.pipeline.data import SimulationGrid, Structures
 from heartcase.pipeline.fields import ownership_on_lattice
 from heartcase.pipeline.passages import blocked_openings, open_passages
-from heartcase.pipeline.repair import CellState, Index, close_leaks, find_leaks, join_tissue
+from heartcase.pipeline.repair import CellState, Index, cell_coverage, close_leaks, find_leaks, join_tissue
 from heartcase.pipeline.supports import fixed_nodes, floating_pieces
 from heartcase.pipeline.topology import betti_numbers, components, distance_in_samples
 from heartcase.schemas.errors import StageError
@@ -81,8 +81,7 @@ def build_grid(structures: Structures, settings: GridSettings, *, pins: Sequence
 
     tissue = state.tissue
     cells = np.ascontiguousarray(np.argwhere(tissue)[:, ::-1].astype(np.int32))
-    # An added cell below the least coverage would join two parts with next to no stiffness.
-    coverage = np.maximum(samples.coverage[tissue], np.float32(settings.coverage_min))
+    coverage = cell_coverage(samples, state, settings.coverage_min)[tissue]
     nodes, corners = cell_nodes(cells)
     faces, face_label, face_cell = _boundary(samples, pieces, state, corners)
     fixed = fixed_nodes(structures, samples, tissue, nodes, corners, pins)

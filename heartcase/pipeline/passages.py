@@ -210,16 +210,20 @@ def _open_ends(search: _Search, is_lumen: Bool) -> int:
         closed[sources] = False
         steps = _from_void(search.ways, np.ones(len(closed)), sources, closed)[0]
         steps[~np.isfinite(steps) | given_up | ~is_lumen] = 0.0
-        end = int(np.argmax(steps))
-        if steps[end] <= _REACH:
+        ends = np.flatnonzero(steps > _REACH)
+        if len(ends) == 0:
             return opened
-        before = _from_void(search.ways, search.cost, sources, closed)[1]
-        path = _trace(before, end, closed)
-        if search.open(path) is None:
-            given_up[end] = True
-            continue
-        opened += 1
-        sources = np.union1d(sources, path)
+        _, before, source = _from_void(search.ways, search.cost, sources, closed)
+        # What is opened from one void cell hardly changes the way to an end that is nearest to another.
+        ends = ends[np.lexsort((ends, -steps[ends]))]
+        ends = ends[np.sort(np.unique(source[ends], return_index=True)[1])]
+        for end in ends:
+            path = _trace(before, int(end), closed)
+            if search.open(path) is None:
+                given_up[end] = True
+                continue
+            opened += 1
+            sources = np.union1d(sources, path)
     return opened
 
 

@@ -20,7 +20,7 @@ from scipy.sparse import csgraph
 from heartcase.pipeline.cells import CellSamples, VoidPieces
 from heartcase.pipeline.topology import components
 
-__all__ = ["CellState", "Index", "close_leaks", "find_leaks", "index_of", "join_tissue"]
+__all__ = ["CellState", "Index", "cell_coverage", "close_leaks", "find_leaks", "index_of", "join_tissue"]
 
 Bool = npt.NDArray[np.bool_]
 Int64 = npt.NDArray[np.int64]
@@ -125,6 +125,34 @@ def join_tissue(samples: CellSamples, state: CellState, fine: npt.NDArray[np.uin
         if len(np.unique(coarse.ravel()[mine][state.tissue.ravel()[mine]])) > 1:
             stranded += _join_piece(samples, state, mine[~opened.ravel()[mine]])
     return stranded
+
+
+def cell_coverage(samples: CellSamples, state: CellState, coverage_min: float) -> npt.NDArray[np.float32]:
+    """Coverage of every cell after the repairs, 0 in void.
+
+    The tissue of a cell that left the grid goes to the tissue cells around it, those that share a face first, by how
+    much room they have. A cell that joined counts with at least the least coverage: with less it would join two parts
+    with next to no stiffness.
+    """
+    coverage = np.where(state.tissue, samples.coverage, np.float32(0.0))
+    for cell in state.added:
+        coverage[cell] = max(coverage[cell], np.float32(coverage_min))
+    for cell in state.removed:
+        left = samples.coverage[cell]
+        for reach in (1, 3):
+            window = tuple(slice(max(c - 1, 0), c + 2) for c in cell)
+            around = np.indices(coverage[window].shape)
+            steps = sum(np.abs(around[a] + window[a].start - cell[a]) for a in range(3))
+            room = np.where(
+                (steps <= reach) & state.tissue[window], np.float32(1.0) - coverage[window], np.float32(0.0)
+            )
+            total = room.sum()
+            if left <= 0.0 or total <= 0.0:
+                continue
+            given = min(left, total)
+            coverage[window] += room * (given / total)
+            left -= given
+    return np.minimum(coverage, np.float32(1.0))
 
 
 def _join_piece(samples: CellSamples, state: CellState, cells: Int64) -> list[Index]:

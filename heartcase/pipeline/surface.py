@@ -2,7 +2,8 @@
 
 Extract the tissue's border at full resolution, leave out specks, tag each triangle with the void beside it and the
 tissue behind it, decimate, take the true normals from the fields, and make the UV atlas and the normal map. The fields
-are smooth already and marching cubes' vertices lie on their root, so the mesh itself is not smoothed: nothing shrinks.
+are smooth already and marching cubes' vertices lie on their root, so the mesh itself is not smoothed, and nothing
+shrinks, but along creases, where marching cubes leaves saw teeth: there it is, by less than half a lattice cell.
 """
 
 from __future__ import annotations
@@ -12,11 +13,13 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from heartcase.pipeline.atlas import Atlas, make_atlas, tangents
 from heartcase.pipeline.data import Structures, Surface
 from heartcase.pipeline.decimate import decimate, folded_triangles, mesh_defects, relax_folds
-from heartcase.pipeline.extract import FullMesh, drop_small_shells, extract, opposites, shell_volumes
+from heartcase.pipeline.extract import FullMesh, drop_small_shells, extract, opposites, shell_volumes, smooth_creases
 from heartcase.pipeline.fields import ownership_at_points
 from heartcase.pipeline.mesh_distance import mesh_distance_mm
 from heartcase.pipeline.normal_map import bake_normal_map, draw_to_surface, gradient_step_mm
@@ -71,6 +74,10 @@ def build_surface(structures: Structures, settings: SurfaceSettings, *, render: 
         )
     if full.is_capped:
         warnings.append("the volume is too large to extract the thinnest walls at full fineness: crop it")
+    centre, normal, _ = _faces(full.vertices_mm, full.triangles)
+    still = np.zeros(len(full.vertices_mm), bool)
+    still[full.triangles[_cut_faces(structures, centre, normal, full.lattice)]] = True
+    full, creased = smooth_creases(full, still)
     full_tags = _tags(structures, full.vertices_mm, full.triangles, full.lattice)
     vertices, triangles, _ = decimate(
         full.vertices_mm, full.triangles, full_tags.key(), triangle_count=settings.triangle_count
@@ -81,7 +88,7 @@ def build_surface(structures: Structures, settings: SurfaceSettings, *, render: 
     vertices = vertices_mm.astype(np.float64)
     tags = _tags(structures, vertices, triangles, full.lattice)
     normals = _vertex_normals(structures, vertices, triangles, tags.is_cut, reach)
-    quality = _quality(structures, whole, full, dropped, vertices, triangles, tags, relaxed)
+    quality = _quality(structures, whole, full, dropped, vertices, triangles, tags, relaxed, creased)
     for name in ("open_edge_count", "non_manifold_edge_count", "degenerate_triangle_count", "flipped_triangle_count"):
         if quality[name]:
             warnings.append(f"the surface has {quality[name]} {name.removesuffix('_count').replace('_', ' ')}s")
@@ -188,9 +195,6 @@ def _cut_faces(structures: Structures, centre: Float64, normal: Float64, lattice
 
 def _without_islands(key: npt.NDArray[np.int64], adjacent: Int32, length: Float64) -> npt.NDArray[np.int64]:
     """Give islands of few triangles the tag with which they share the longest border (ties: the lower)."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     key = key.copy()
     owner = np.arange(len(adjacent)) // 3
     other = adjacent // 3
@@ -248,6 +252,7 @@ def _quality(
     triangles: Int32,
     tags: _Tags,
     relaxed: int,
+    creased: int,
 ) -> dict[str, Any]:
     centre, _, area = _faces(vertices, triangles)
     every = -(-len(full.vertices_mm) // DISTANCE_SAMPLE)
@@ -271,6 +276,7 @@ def _quality(
         "vertex_count": len(vertices),
         **mesh_defects(vertices, triangles),
         "flipped_triangle_count": int(folded_triangles(vertices, triangles).sum()),
+        "creased_vertex_count": creased,
         "relaxed_vertex_count": relaxed,
         "euler_characteristic": len(vertices) - edges + len(triangles),
         "shell_count": len(volumes),

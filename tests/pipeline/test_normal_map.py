@@ -28,7 +28,7 @@ def unit(vectors):
 
 
 def shaded(surface, triangle, weights):
-    """Normals as a renderer decodes them: glTF 2.0, section 3.9.3, bilinear sampling."""
+    """Normals as a renderer decodes them: glTF 2.0, section 3.9.3, bilinear sampling, clamped to the edge."""
     render = surface.render_triangles[triangle]
     normal = unit(mixed(weights, surface.normals[surface.triangles[triangle]]))
     tangent = unit(mixed(weights, surface.render_tangents[render][..., :3]))
@@ -41,7 +41,8 @@ def shaded(surface, triangle, weights):
     for dy in (0, 1):
         for dx in (0, 1):
             weight = (part[:, 0] if dx else 1 - part[:, 0]) * (part[:, 1] if dy else 1 - part[:, 1])
-            texel += weight[:, None] * surface.normal_map[low[:, 1] + dy, low[:, 0] + dx]
+            at = np.clip(low + [dx, dy], 0, size - 1)
+            texel += weight[:, None] * surface.normal_map[at[:, 1], at[:, 0]]
     local = texel / 127.5 - 1.0
     return unit(local[:, :1] * tangent + local[:, 1:2] * bitangent + local[:, 2:] * normal)
 

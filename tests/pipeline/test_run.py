@@ -13,73 +13,24 @@ import time
 import numpy as np
 import pytest
 
-from heartcase.pipeline.data import Scan
 from heartcase.pipeline.run import STAGES, build_case
-from heartcase.pipeline.write import write_scan
 from heartcase.schemas.bundle import FileRole
 from heartcase.schemas.bundle_reader import check_bundle, open_bundle
 from heartcase.schemas.errors import HeartcaseError, ScanError, UsageError
-from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.recipe import load_recipe
+from tests.ball import write_ball_recipe, write_ball_scan
 from tests.crash import Crash, crash_after
-
-RECIPE = """
-heartcase_recipe = 1
-name = "ball"
-{parts}
-[scan]
-path = "{scan}"
-[[labels]]
-value = 1
-name = "cavity"
-role = "blood"
-[[labels]]
-value = 2
-name = "muscle"
-role = "myocardium"
-[[strokes]]
-label = "cavity"
-radius_mm = 2.0
-points_mm = [[0, 0, 0], [4, 0, 0]]
-[[strokes]]
-label = "muscle"
-radius_mm = 1.0
-points_mm = [[17, 0, 0], [0, 17, 0], [-17, 0, 0], [0, -17, 0], [17, 0, 0]]
-[[strokes]]
-label = "background"
-radius_mm = 2.0
-points_mm = [[-28, -28, -28], [28, -28, -28], [28, 28, -28], [28, 28, 28]]
-[[pins]]
-position_mm = [0, 0, 20]
-radius_mm = 8
-[grid]
-cell_mm = {cell_mm}
-[surface]
-triangle_count = 2000
-normal_map_size = 128
-"""
 
 
 @pytest.fixture(scope="module")
 def scan_directory(tmp_path_factory):
-    """A blood-filled ball of muscle: radius 14 mm inside, 20 mm outside, in 2 mm voxels."""
     directory = tmp_path_factory.mktemp("patient-JANE-DOE")
-    geometry = Geometry.of(shape=(32, 32, 32), spacing_mm=(2, 2, 2), origin_mm=(-31, -31, -31))
-    k, j, i = np.indices(geometry.shape)
-    points = geometry.index_to_world(np.stack([i, j, k], axis=-1))
-    radius = np.linalg.norm(points, axis=-1)
-    values = np.where(radius < 14, 1000.0, np.where(radius < 20, 400.0, 100.0))
-    values += np.random.Generator(np.random.PCG64(1)).normal(0, 10, values.shape)
-    write_scan(Scan(values.astype(np.float32), geometry, "MR"), directory / "JANE-DOE.nii.gz")
+    write_ball_scan(directory / "JANE-DOE.nii.gz")
     return directory
 
 
-def make_recipe(scan_directory, folder, *, cell_mm=4.0, parts=""):
-    folder.mkdir(exist_ok=True)
-    relative = os.path.relpath(scan_directory / "JANE-DOE.nii.gz", folder)
-    path = folder / "ball.toml"
-    path.write_text(RECIPE.format(scan=relative, cell_mm=cell_mm, parts=parts))
-    return path
+def make_recipe(scan_directory, folder, **options):
+    return write_ball_recipe(scan_directory / "JANE-DOE.nii.gz", folder / "ball.toml", **options)
 
 
 def build(path, out, **options):

@@ -8,7 +8,14 @@ from solids import LEFT_HANDED, OBLIQUE, lattice, points, solid, sphere, torus, 
 
 from heartcase.pipeline.data import Structures, Surface
 from heartcase.pipeline.decimate import decimate, folded_triangles, mesh_defects, relax_folds
-from heartcase.pipeline.extract import drop_small_shells, extract, extraction_lattice, shell_volumes, split_fans
+from heartcase.pipeline.extract import (
+    drop_small_shells,
+    extract,
+    extraction_lattice,
+    shell_volumes,
+    smooth_creases,
+    split_fans,
+)
 from heartcase.pipeline.mesh_distance import mesh_distance_mm
 from heartcase.pipeline.surface import build_surface
 from heartcase.schemas.errors import StageError
@@ -302,3 +309,24 @@ def test_a_map_too_small_for_its_charts_is_one_clear_error():
         build_surface(
             solid(torus(12.0, 4.0), lattice(1.0, 18.0)), SurfaceSettings(triangle_count=4000, normal_map_size=8)
         )
+
+
+def test_only_creases_are_smoothed_and_by_less_than_half_a_cell():
+    def box(p):
+        return np.abs(p @ OBLIQUE).max(axis=-1) - 8.0
+
+    ball = extract(solid(sphere(12.0), lattice(1.0, 15.0)))
+    same, moved = smooth_creases(ball, np.zeros(len(ball.vertices_mm), bool))
+    assert moved == 0
+    assert same is ball
+    full = extract(solid(box, lattice(1.0, 15.0)))
+    smooth, moved = smooth_creases(full, np.zeros(len(full.vertices_mm), bool))
+    way = np.linalg.norm(smooth.vertices_mm - full.vertices_mm, axis=1)
+    assert 0 < moved < len(way) / 2
+    assert way.max() <= 0.5 + 1e-9
+    # Two rings of cells around the edges of the box.
+    inside = np.sort(8.0 - np.abs(full.vertices_mm @ OBLIQUE), axis=1)
+    assert inside[way > 0.0, 1].max() < 3.5
+    _, before = shell_volumes(full.vertices_mm, full.triangles)
+    _, after = shell_volumes(smooth.vertices_mm, smooth.triangles)
+    assert after == pytest.approx(before, rel=0.005)

@@ -1,0 +1,165 @@
+"""The stage commands one after the other, as a user types them, against the build of the same recipe."""
+
+import json
+
+import numpy as np
+import pytest
+
+from heartcase.cli.main import COMMANDS, cli, main
+from heartcase.pipeline.artifacts import load_artifact
+from heartcase.pipeline.data import Scan, Segmentation, SimulationGrid, Structures, Surface
+from heartcase.schemas.bundle import FileRole
+from heartcase.schemas.bundle_reader import check_bundle, open_bundle
+from heartcase.schemas.recipe import load_recipe
+from tests.ball import write_ball_recipe, write_ball_scan
+
+EDIT = """
+[[edits]]
+kind = "remove"
+label = "muscle"
+radius_mm = 4
+points_mm = [[10, 0, 0], [24, 0, 0]]
+"""
+
+
+@pytest.fixture(scope="module")
+def work(tmp_path_factory):
+    directory = tmp_path_factory.mktemp("stages")
+    write_ball_scan(directory / "scan.nii.gz")
+    write_ball_recipe(directory / "scan.nii.gz", directory / "ball.toml")
+    return directory
+
+
+def run(*arguments):
+    return main([str(argument) for argument in arguments])
+
+
+def test_the_stages_one_by_one_make_the_case_that_build_makes(work):
+    recipe = work / "ball.toml"
+    steps = [
+        ("filter", work / "scan.nii.gz", work / "filtered.safetensors", "--recipe", recipe),
+        ("segment", work / "filtered.safetensors", work / "labels.safetensors", "--recipe", recipe),
+        ("walls", work / "labels.safetensors", work / "structures.safetensors", "--recipe", recipe),
+        ("edit", work / "structures.safetensors", work / "edited.safetensors", "--recipe", recipe),
+        ("grid", work / "edited.safetensors", work / "grid.safetensors", "--recipe", recipe),
+        ("surface", work / "edited.safetensors", work / "surface.safetensors", "--recipe", recipe),
+        ("map", work / "surface.safetensors", work / "grid.safetensors", work / "map.safetensors", "--recipe", recipe),
+        (
+            *("bundle", work / "grid.safetensors", work / "by-hand.case", "--scan", work / "scan.nii.gz"),
+            *("--surface", work / "surface.safetensors", "--map", work / "map.safetensors"),
+            *("--structures", work / "edited.safetensors", "--recipe", recipe),
+        ),
+        ("build", recipe, "--out", work),
+    ]
+    for step in steps:
+        assert run(*step) == 0, step
+    by_hand, built = open_bundle(work / "by-hand.case"), open_bundle(work / "ball.case")
+    assert check_bundle(work / "by-hand.case") == ()
+    for role in FileRole:
+        assert by_hand.manifest.file(role).sha256 == built.manifest.file(role).sha256, role
+
+
+def test_images_in_and_out(work, capsys):
+    assert run("filter", work / "scan.nii.gz", work / "filtered.nrrd", "--set", "iterations=2") == 0
+    recipe = work / "ball.toml"
+    assert run("segment", work / "filtered.nrrd", work / "labels.seg.nrrd", "--recipe", recipe) == 0
+    assert run("walls", work / "labels.seg.nrrd", work / "again.safetensors", "--recipe", recipe) == 0
+    assert run("filter", work / "scan.nii.gz", work / "filtered.txt") == 2
+    assert "must end in one of" in capsys.readouterr().err
+
+
+def test_markers_from_a_file_alone(work, capsys):
+    recipe = load_recipe(work / "ball.toml")
+    run("segment", work / "scan.nii.gz", work / "first.safetensors", "--recipe", work / "ball.toml")
+    labels = load_artifact(work / "first.safetensors", Segmentation)
+    assert labels.table == recipe.table
+    assert run("segment", work / "scan.nii.gz", work / "none.safetensors") == 1
+    assert "marker" in capsys.readouterr().err
+
+
+def test_an_edit_opens_the_ball(work, tmp_path):
+    recipe = write_ball_recipe(work / "scan.nii.gz", tmp_path / "open.toml", more=EDIT)
+    run("segment", work / "scan.nii.gz", tmp_path / "labels.safetensors", "--recipe", recipe)
+    run("walls", tmp_path / "labels.safetensors", tmp_path / "closed.safetensors", "--recipe", recipe)
+    assert run("edit", tmp_path / "closed.safetensors", tmp_path / "open.safetensors", "--recipe", recipe) == 0
+    from heartcase.pipeline.fields import ownership_at_points
+
+    middle = np.array([[17.0, 0.0, 0.0]])
+    before = ownership_at_points(load_artifact(tmp_path / "closed.safetensors", Structures), middle)
+    after = ownership_at_points(load_artifact(tmp_path / "open.safetensors", Structures), middle)
+    assert before.tissue_mm[0] < 0 < after.tissue_mm[0]
+
+
+def test_wrong_inputs_are_one_line_each_and_leave_the_output_alone(work, tmp_path, capsys):
+    output = tmp_path / "kept.safetensors"
+    output.write_bytes(b"mine")
+    cases = [
+        ("grid", work / "scan.nii.gz", output),
+        ("grid", tmp_path / "none.safetensors", output),
+        ("filter", tmp_path / "none.nii.gz", output),
+        ("filter", work / "scan.nii.gz", output, "--set", "iterations"),
+        ("filter", work / "scan.nii.gz", output, "--set", "iterations=many"),
+        ("filter", work / "scan.nii.gz", output, "--set", "speed=2"),
+        ("segment", work / "scan.nii.gz", output, "--recipe", tmp_path / "none.toml"),
+    ]
+    for case in cases:
+        assert run(*case) in (1, 2), case
+        error = capsys.readouterr().err
+        assert error.count("\n") == 1, error
+        assert error.startswith("heartcase: "), error
+        assert output.read_bytes() == b"mine"
+
+
+def test_every_command_explains_itself(capsys):
+    for name in COMMANDS:
+        command = cli.get_command(None, name)
+        assert command.name
+        assert run(name, "--help") == 0
+        assert "Usage:" in capsys.readouterr().out
+
+
+def test_new_writes_a_recipe_that_loads_and_does_not_overwrite(work, capsys):
+    target = work / "new.toml"
+    assert run("new", work / "scan.nii.gz", "--out", target, "--name", "first") == 0
+    assert load_recipe(target).scan.path == "scan.nii.gz"
+    text = target.read_text()
+    assert run("new", work / "scan.nii.gz", "--out", target) == 2
+    assert "already a recipe" in capsys.readouterr().err
+    assert target.read_text() == text
+
+
+def test_validate_lists_every_problem_and_exits_one(work, capsys):
+    assert run("build", work / "ball.toml", "--out", work) == 0
+    capsys.readouterr()
+    assert run("validate", work / "ball.case") == 0
+    assert run("validate", work / "ball.toml") == 0
+    assert capsys.readouterr().out == "sound\nsound\n"
+    broken = work / "broken.toml"
+    broken.write_text((work / "ball.toml").read_text().replace('label = "muscle"', 'label = "muscel"') + "\nx = 1\n")
+    assert run("validate", broken, "--json") == 1
+    found = json.loads(capsys.readouterr().out)
+    assert found["valid"] is False
+    assert len(found["problems"]) >= 1
+    script = work / "script.toml"
+    script.write_text("seconds = -1\nspeed = 2\n")
+    assert run("validate", script) == 1
+    assert "2 problems found" in capsys.readouterr().out
+
+
+def test_schema_lists_and_prints(capsys):
+    assert run("schema") == 0
+    assert "recipe" in capsys.readouterr().out.split()
+    assert run("schema", "recipe") == 0
+    assert json.loads(capsys.readouterr().out)["title"] == "Recipe"
+    assert run("schema", "nothing") == 2
+
+
+def test_outputs_hold_what_their_type_says(work):
+    for name, kind in (
+        ("filtered", Scan),
+        ("labels", Segmentation),
+        ("structures", Structures),
+        ("grid", SimulationGrid),
+        ("surface", Surface),
+    ):
+        assert isinstance(load_artifact(work / f"{name}.safetensors", kind), kind)
