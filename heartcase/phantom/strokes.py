@@ -123,7 +123,23 @@ def _inside(phantom: HeartPhantom, label: str, points: Float64, radius: float) -
             if n - start > best[1] - best[0]:
                 best = (start, n)
             start = None
-    return dense[best[0] : best[1]]
+    return _simplified(dense[best[0] : best[1]], 0.1 * radius)
+
+
+def _simplified(points: Float64, tolerance_mm: float) -> Float64:
+    """A polyline with fewer points, nowhere farther than the tolerance from the given one (Douglas and Peucker)."""
+    if len(points) < 3:
+        return points
+    chord = points[-1] - points[0]
+    gap = points - points[0]
+    square = float(chord @ chord)
+    fraction = np.clip(gap @ chord / square, 0.0, 1.0) if square > 0.0 else np.zeros(len(points))
+    distance = np.linalg.norm(gap - fraction[:, None] * chord, axis=1)
+    farthest = int(np.argmax(distance))
+    if distance[farthest] <= tolerance_mm:
+        return points[[0, -1]]
+    before, after = _simplified(points[: farthest + 1], tolerance_mm), _simplified(points[farthest:], tolerance_mm)
+    return np.concatenate([before[:-1], after])
 
 
 def _resampled(points: Float64, step: float) -> Float64:
@@ -163,7 +179,7 @@ def _outline(phantom: HeartPhantom, centre: Float64, first: Float64, second: Flo
     )
     last_hit = len(reach) - 1 - np.argmax(~clear[:, ::-1], axis=1)
     out = reach[np.minimum(last_hit + 1, len(reach) - 1)]
-    for _ in range(len(angle)):
+    for _ in range(4 * len(angle)):
         line = centre + out[:, None] * directions
         closed = np.concatenate([line, line[:1]])
         middles = closed[:-1, None] + np.linspace(0.0, 1.0, 13)[None, 1:-1, None] * (closed[1:] - closed[:-1])[:, None]

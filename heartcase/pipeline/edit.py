@@ -10,6 +10,7 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import cc3d
 import numpy as np
 import numpy.typing as npt
 
@@ -27,8 +28,10 @@ UInt8 = npt.NDArray[np.uint8]
 
 PATCH_COLOUR = "#e8e4d0"
 PROBES_ACROSS = 24
-"""Points across a shape's smallest extent at which it is asked what it meets."""
-MAX_PROBES = 400_000
+"""Points across a cylinder at which it is asked what it meets."""
+PROBE_STEP_MM = 0.25
+"""Distance of those points along it."""
+MOST_PROBES_ALONG = 400
 
 
 @dataclass(frozen=True)
@@ -104,7 +107,13 @@ def _make_defect(structures: Structures, edit: SeptalDefect) -> Structures:
         raise StageError(
             f"the defect does not join two cavities, it meets {met}: enlarge length_mm, or mend position_mm and axis"
         )
-    return _reshaped(structures, "cylinder", points, 0.5 * edit.diameter_mm, tissues, cavities)
+    edited = _reshaped(structures, "cylinder", points, 0.5 * edit.diameter_mm, tissues, cavities)
+    if not _joins_cavities(edited, np.array(points), 0.5 * edit.diameter_mm, cavities):
+        raise StageError(
+            "background lies between the walls that the defect goes through, so it does not join the cavities: "
+            "thicken a wall with wall_thickness_mm, or fill the gap with an edit of kind 'add' before"
+        )
+    return edited
 
 
 def _close_defect(structures: Structures, edit: CloseDefect) -> Structures:
@@ -197,22 +206,34 @@ def _look(structures: Structures, shape: str, points: Sequence[tuple[float, floa
     return _Found(frozenset(int(value) for value in np.unique(labels)), True)
 
 
-def _probes_in_cylinder(ends: Float64, radius_mm: float) -> Float64:
-    axis = ends[1] - ends[0]
-    length = float(np.linalg.norm(axis))
-    unit = axis / length
+def _joins_cavities(structures: Structures, ends: Float64, radius_mm: float, cavities: Sequence[int]) -> bool:
+    """Whether one piece of the blood inside a canal belongs to two cavities."""
+    probes, in_disc = _cylinder_lattice(ends, radius_mm)
+    owner = ownership_at_points(structures, probes.reshape(-1, 3))
+    label = np.where(owner.tissue_mm < 0.0, owner.tissue_label, owner.void_label).reshape(probes.shape[:3])
+    pieces = cc3d.connected_components(np.isin(label, cavities) & in_disc, connectivity=6)
+    met = np.unique(np.stack([pieces[pieces > 0], label[pieces > 0]]), axis=1)
+    return bool(np.bincount(met[0].astype(np.int64), minlength=1).max() > 1)
+
+
+def _cylinder_lattice(ends: Float64, radius_mm: float) -> tuple[Float64, Bool]:
+    """Points in rows along a cylinder and across its discs, shape (n, m, m, 3), and which of them are in the disc."""
+    length = float(np.linalg.norm(ends[1] - ends[0]))
+    unit = (ends[1] - ends[0]) / length
     side = np.cross(unit, np.eye(3)[np.argmin(np.abs(unit))])
     side /= np.linalg.norm(side)
-    other = np.cross(unit, side)
-    across = (np.arange(PROBES_ACROSS) + 0.5) / PROBES_ACROSS * 2.0 - 1.0
-    u, v = (a.ravel() for a in np.meshgrid(across, across))
-    disc = np.hypot(u, v) <= 1.0
-    flat = radius_mm * (u[disc, None] * side + v[disc, None] * other)
-    step = max(length / 400.0, min(0.25, length / PROBES_ACROSS))
-    along = (np.arange(int(np.ceil(length / step))) + 0.5) * step
-    along = along[along < length]
-    probes: Float64 = (ends[0] + along[:, None, None] * unit + flat).reshape(-1, 3)
-    return probes
+    across = ((np.arange(PROBES_ACROSS) + 0.5) / PROBES_ACROSS * 2.0 - 1.0) * radius_mm
+    u, v = np.meshgrid(across, across)
+    flat = u[..., None] * side + v[..., None] * np.cross(unit, side)
+    count = int(np.clip(np.ceil(length / PROBE_STEP_MM), PROBES_ACROSS, MOST_PROBES_ALONG))
+    along = (np.arange(count) + 0.5) * (length / count)
+    probes: Float64 = ends[0] + along[:, None, None, None] * unit + flat
+    return probes, np.hypot(u, v) <= radius_mm
+
+
+def _probes_in_cylinder(ends: Float64, radius_mm: float) -> Float64:
+    probes, in_disc = _cylinder_lattice(ends, radius_mm)
+    return probes[:, in_disc].reshape(-1, 3)
 
 
 def _probes_in_strokes(line: Float64, radius_mm: float) -> Float64:

@@ -8,7 +8,6 @@ closed and openings stay open. Thickness, volume and Betti numbers of the result
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numba
@@ -17,13 +16,12 @@ import numpy.typing as npt
 
 from heartcase.pipeline.cells import CellSamples, VoidPieces, cell_lattice, sample_cells, sample_factor, void_pieces
 from heartcase.pipeline.data import SimulationGrid, Structures
-from heartcase.pipeline.fields import ownership_on_lattice
 from heartcase.pipeline.passages import blocked_openings, open_passages
 from heartcase.pipeline.repair import CellState, Index, cell_coverage, close_leaks, find_leaks, join_tissue
 from heartcase.pipeline.supports import fixed_nodes, floating_pieces
 from heartcase.pipeline.topology import betti_numbers, components, distance_in_samples
 from heartcase.schemas.errors import StageError
-from heartcase.schemas.labels import BACKGROUND, Label, LabelTable, Role
+from heartcase.schemas.labels import LabelTable
 from heartcase.schemas.lattice import cell_nodes
 from heartcase.schemas.settings import GridSettings, Pin
 
@@ -44,6 +42,7 @@ FACE_CORNERS: Int32 = np.array(
 _MAX_SAMPLES = 1_500_000_000
 _MAX_CELLS = 100_000_000
 _NAMED_PLACES = 5
+_COUNT_TOLERANCE = 0.02
 
 
 def build_grid(structures: Structures, settings: GridSettings, *, pins: Sequence[Pin] = ()) -> SimulationGrid:
@@ -68,7 +67,7 @@ def build_grid(structures: Structures, settings: GridSettings, *, pins: Sequence
     StageError
         There is no tissue, the cells are too small or too large for it, a pin holds no tissue, or nothing is fixed.
     """
-    if not any(value in structures.distance_mm for value in structures.table.tissue_values):
+    if not any(value in structures.values for value in structures.table.tissue_values):
         raise StageError("there is no tissue label in the segmentation: add walls or a myocardium", place="grid")
     if settings.cell_mm is not None:
         samples = _sample(structures, settings.cell_mm)
@@ -117,9 +116,9 @@ def build_grid(structures: Structures, settings: GridSettings, *, pins: Sequence
     )
 
 
-def _sample(structures: Structures, cell_mm: float) -> CellSamples:
+def _sample(structures: Structures, cell_mm: float, factor: int | None = None) -> CellSamples:
     lattice = cell_lattice(structures.geometry, cell_mm)
-    factor = sample_factor(structures.geometry, cell_mm)
+    factor = factor or sample_factor(structures.geometry, cell_mm)
     if np.prod(lattice.size) > _MAX_CELLS or np.prod(lattice.size) * factor**3 > _MAX_SAMPLES:
         raise StageError(
             f"cells of {cell_mm:.3g} mm are too small for this region: ask for a larger cell_mm or fewer nodes",
@@ -129,47 +128,35 @@ def _sample(structures: Structures, cell_mm: float) -> CellSamples:
 
 
 def _samples_for_count(structures: Structures, settings: GridSettings) -> CellSamples:
-    """Solve for the cell edge on one resampled tissue field, then correct it with the real count."""
+    """Solve for the cell edge with the fewest samples per cell, then correct it with as many as the grid takes."""
     wanted = settings.node_count or DEFAULT_NODE_COUNT
-    merged = _merged(structures)
-    voxel = merged.geometry.voxel_volume_mm3
-    volume = float(np.clip(0.5 - merged.distance_mm[1] / voxel ** (1 / 3), 0.0, 1.0).sum()) * voxel
-    if volume == 0.0:
+    volume = structures.geometry
+    region_mm3 = volume.voxel_volume_mm3 * float(np.prod(volume.size))
+    cell_mm = (region_mm3 / (4.0 * wanted)) ** (1 / 3)
+    samples = _sample(structures, cell_mm, 2)
+    tissue_mm3 = _tissue_volume_mm3(samples)
+    if tissue_mm3 == 0.0:
         raise StageError("there is no tissue in the region of interest: check walls and region", place="grid")
-    cell_mm = (1.6 * volume / wanted) ** (1 / 3)
-    least = 0.125 * min(merged.geometry.spacing_mm)
-    tried: list[tuple[float, int]] = []
-    for _ in range(12):
-        cell_mm = max(cell_mm, least)
-        samples = sample_cells(merged, cell_lattice(merged.geometry, cell_mm), 2)
+    # Walls a few cells thick have about 1.6 nodes per cell of tissue.
+    cell_mm = (1.6 * tissue_mm3 / wanted) ** (1 / 3)
+    coarse = True
+    tried: list[tuple[float, float, CellSamples]] = []
+    for _ in range(10):
+        samples = _sample(structures, cell_mm, 2 if coarse else None)
         count = _node_count(samples.coverage >= settings.coverage_min)
-        tried.append((cell_mm, count))
-        if abs(count - wanted) <= 0.01 * wanted or count == 0:
+        gap = abs(count - wanted) / wanted
+        is_final = samples.factor == sample_factor(volume, cell_mm)
+        if is_final:
+            tried.append((gap, cell_mm, samples))
+        if count == 0 or (is_final and gap <= _COUNT_TOLERANCE):
             break
+        if gap <= _COUNT_TOLERANCE:
+            coarse = False
+            continue
         cell_mm *= (count / wanted) ** (1 / 2.7)
-    cell_mm = min(tried, key=lambda one: (abs(one[1] - wanted), one[0]))[0]
-    best: CellSamples | None = None
-    gap = np.inf
-    for _ in range(4):
-        samples = _sample(structures, cell_mm)
-        count = _node_count(samples.coverage >= settings.coverage_min)
-        if best is None or abs(count - wanted) < gap:
-            best, gap = samples, abs(count - wanted)
-        if gap <= 0.03 * wanted or count == 0:
-            break
-        cell_mm = max(cell_mm * (count / wanted) ** (1 / 2.7), least)
-    assert best is not None
-    return best
-
-
-def _merged(structures: Structures) -> Structures:
-    """The tissue as a single structure: enough to count cells."""
-    tissue = ownership_on_lattice(structures, structures.geometry).tissue_mm
-    return replace(
-        structures,
-        distance_mm={BACKGROUND: -tissue, 1: tissue},
-        table=LabelTable(labels=(Label(value=1, name="tissue", role=Role.MYOCARDIUM),)),
-    )
+    if not tried:
+        return _sample(structures, cell_mm)
+    return min(tried, key=lambda one: one[:2])[2]
 
 
 def _node_count(tissue: Bool) -> int:

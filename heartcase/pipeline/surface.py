@@ -185,11 +185,10 @@ def _cut_faces(structures: Structures, centre: Float64, normal: Float64, lattice
         is_cut |= (index[:, axis] > lattice.size[axis] - 0.75) & (along > CUT_COSINE)
     for point, outward, radius in structures.fixed_planes:
         axis_unit = np.array(outward) / np.linalg.norm(outward)
-        offset = centre - np.array(point)
-        height = offset @ axis_unit
-        beside = np.linalg.norm(offset - height[:, None] * axis_unit, axis=1)
-        near = np.abs(height) < 0.5 * min(lattice.spacing_mm)
-        is_cut |= near & (beside <= radius) & (normal @ axis_unit > CUT_COSINE)
+        height = centre @ axis_unit - float(np.dot(point, axis_unit))
+        near = np.flatnonzero((np.abs(height) < 0.5 * min(lattice.spacing_mm)) & (normal @ axis_unit > CUT_COSINE))
+        beside = np.linalg.norm(centre[near] - np.array(point) - height[near, None] * axis_unit, axis=1)
+        is_cut[near[beside <= radius]] = True
     return is_cut
 
 

@@ -47,7 +47,7 @@ def grow_walls(segmentation: Segmentation, settings: WallsSettings, ends: Sequen
     segmentation
         Labels. The thicknesses are those of its table.
     settings
-        Smoothing and band.
+        Smoothing and band; the band is at least a voxel more than the thickest wall.
     ends
         Discs beyond which a vessel and its wall are taken away.
 
@@ -68,6 +68,7 @@ def grow_walls(segmentation: Segmentation, settings: WallsSettings, ends: Sequen
     smoothing = default_smoothing_mm(spacing) if settings.smoothing_mm is None else settings.smoothing_mm
     thickest = max((label.wall_thickness_mm for label in table), default=0.0)
     band = settings.band_mm or thickest + BAND_VOXELS * float(spacing.mean())
+    band = max(band, thickest + float(spacing.max()))
     labels, cuts = cut_ends(segmentation, table, ends, clearance_mm=thickest + 3.0 * smoothing + 2.0 * spacing.max())
     distances = label_distances(
         labels, geometry.spacing_mm, smoothing_mm=smoothing, band_mm=band, blood_values=table.blood_values

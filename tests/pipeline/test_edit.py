@@ -108,14 +108,23 @@ def test_the_canal_is_the_nearer_cavitys():
 
 
 def test_a_defect_through_a_wall_thinner_than_a_voxel():
-    """The background between two cavities is filled by their walls of 1 mm each."""
-    structures = two_cavities("even", septum_mm=3.5, wall_mm=1.0, septum_label=0)
+    """The background between two cavities is filled by their walls of 1.7 mm each."""
+    structures = two_cavities("even", septum_mm=2.5, wall_mm=1.7, septum_label=0)
     edited = apply_edits(structures, (defect(4.0, length=10.0),))
     assert compartments(structures) == 2
     assert compartments(edited) == 1
     points, u, _ = disc()
     hole = np.isin(owners(edited, points), (1, 2))
     assert 2.0 * np.sqrt(hole.sum() / np.pi) * (u[0, 1] - u[0, 0]) == pytest.approx(4.0, abs=0.15)
+
+
+def test_a_defect_through_two_walls_with_background_between_is_refused():
+    structures = two_cavities("even", septum_mm=7.0, wall_mm=1.0, septum_label=0)
+    with pytest.raises(StageError, match="background lies between the walls"):
+        apply_edits(structures, (defect(4.0),))
+    name = structures.table[structures.table.wall_value(2)].name
+    filled = apply_edits(structures, (sculpt("add", name, ((0.0, 0.0, 0.0),), 5.0), defect(4.0)))
+    assert compartments(filled) == 1
 
 
 def test_background_in_the_canal_stays_background():

@@ -193,6 +193,20 @@ def test_cell_label_is_the_tissue_that_fills_most():
     np.testing.assert_array_equal(grid.cell_label, np.where(height > 0.7, 9, WALL))
 
 
+@pytest.mark.parametrize("settings", [{"cell_mm": 2.5}, {"node_count": 2000}])
+def test_walls_that_are_grown_at_the_point_are_tissue(settings):
+    chamber = Label(value=LEFT, name="left", role=Role.BLOOD, wall_thickness_mm=1.2)
+    table = LabelTable(labels=(chamber,)).with_walls()
+    made = structures({LEFT: ball(10.0)}, lattice(14.0, (2.0, 2.0, 2.0)), table)
+    grid = build_grid(made, GridSettings(**settings), pins=[PIN])
+    volume = 4 / 3 * np.pi * (11.2**3 - 10.0**3)
+    # Half a voxel's sag of the ball between voxels moves both sides of the wall alike.
+    assert grid.quality["grid_volume_ml"] * 1e3 == pytest.approx(volume, rel=0.03)
+    assert set(grid.cell_label.tolist()) == {table.wall_value(LEFT)}
+    assert set(grid.face_label.tolist()) == {0, LEFT}
+    assert blood_pieces(grid) == 1
+
+
 @pytest.mark.parametrize("ratio", [1.5, 2.0, 2.7])
 def test_tissue_that_the_region_cuts_is_fixed(ratio):
     tube = {

@@ -41,7 +41,7 @@ def shaded(surface, triangle, weights):
     for dy in (0, 1):
         for dx in (0, 1):
             weight = (part[:, 0] if dx else 1 - part[:, 0]) * (part[:, 1] if dy else 1 - part[:, 1])
-            at = np.clip(low + [dx, dy], 0, size - 1)
+            at = np.clip(low + np.array([dx, dy]), 0, size - 1)
             texel += weight[:, None] * surface.normal_map[at[:, 1], at[:, 0]]
     local = texel / 127.5 - 1.0
     return unit(local[:, :1] * tangent + local[:, 1:2] * bitangent + local[:, 2:] * normal)
