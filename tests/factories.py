@@ -119,5 +119,3 @@ def block_case(name="block", size=(3, 2, 2), **options) -> BundleContent:
         grid_map=grid_map,
         picking=picking,
     )
-
-

@@ -33,7 +33,7 @@ def command(
     from heartcase.pipeline.artifacts import artifact_to_bytes, load_artifact
     from heartcase.pipeline.bundle import assemble_bundle, resolve_materials, write_bundle
     from heartcase.pipeline.data import GridMap, SimulationGrid, Structures, Surface
-    from heartcase.pipeline.glb import glb_bytes
+    from heartcase.pipeline.mesh.glb import glb_bytes
     from heartcase.pipeline.picking import picking_surface
     from heartcase.pipeline.run import labels_of
     from heartcase.pipeline.write import segmentation_nrrd_bytes

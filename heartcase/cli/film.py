@@ -61,7 +61,7 @@ class Filmer:
         try:
             import PIL.Image  # noqa: F401
 
-            from heartcase.pipeline.render import camera_for
+            from heartcase.pipeline.report.render import camera_for
         except ImportError:
             raise MissingExtraError("A picture or an animation", "prepare") from None
         self.frames: list[UInt8] = []
@@ -74,7 +74,7 @@ class Filmer:
 
     def take(self, surface: DeformedSurface) -> UInt8:
         """A picture of the surface, shape (height, width, 3)."""
-        from heartcase.pipeline.render import Mesh, draw_mesh
+        from heartcase.pipeline.report.render import Mesh, draw_mesh
 
         points, normals = surface.vertices_mm.astype(float), surface.normals.astype(float)
         return draw_mesh(Mesh(points, self._triangles, normals, self._colours), self._camera, depth_shading=True)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
-    from heartcase.pipeline.pictures import View
+    from heartcase.pipeline.report.pictures import View
 
 __all__ = ["command"]
 
@@ -45,7 +45,7 @@ def command(path: Path, output: Path, view: str | None, series: str | None, as_j
         choices = ", ".join(_VIEWS if kind == "case" else _STACKS)
         raise UsageError(f"{view!r} is no view of a {kind}: choose {choices}", place="--view")
     picture = _case_picture(path, view) if kind == "case" else _scan_picture(path, kind, view, series)
-    from heartcase.pipeline.montage import png_bytes
+    from heartcase.pipeline.report.montage import png_bytes
 
     content = png_bytes(picture)
     try:
@@ -61,9 +61,9 @@ def command(path: Path, output: Path, view: str | None, series: str | None, as_j
 
 
 def _scan_picture(path: Path, kind: str, view: str | None, series: str | None) -> npt.NDArray[np.uint8]:
-    from heartcase.pipeline.montage import stacked
     from heartcase.pipeline.read import read_scan
-    from heartcase.pipeline.slices import STACKS, slice_pictures
+    from heartcase.pipeline.report.montage import stacked
+    from heartcase.pipeline.report.slices import STACKS, slice_pictures
 
     if kind == "recipe":
         from heartcase.schemas.recipe import load_recipe
@@ -80,8 +80,8 @@ def _scan_picture(path: Path, kind: str, view: str | None, series: str | None) -
 
 
 def _case_picture(path: Path, view: str | None) -> npt.NDArray[np.uint8]:
-    from heartcase.pipeline.montage import label_colours, legend_picture, montage, stacked
-    from heartcase.pipeline.pictures import VIEWS, coronal_plane, cutaway_picture, surface_picture
+    from heartcase.pipeline.report.montage import label_colours, legend_picture, montage, stacked
+    from heartcase.pipeline.report.pictures import VIEWS, coronal_plane, cutaway_picture, surface_picture
     from heartcase.schemas.bundle_reader import open_bundle
 
     case = open_bundle(path)

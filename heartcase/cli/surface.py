@@ -20,7 +20,7 @@ def command(structures: Path, output: Path, glb: Path | None, recipe: Path | Non
     """Extract the surface of STRUCTURES (from 'heartcase walls' or 'edit') and write OUTPUT (.safetensors)."""
     from heartcase.pipeline.artifacts import load_artifact
     from heartcase.pipeline.data import Structures
-    from heartcase.pipeline.glb import glb_bytes
+    from heartcase.pipeline.mesh.glb import glb_bytes
     from heartcase.pipeline.surface import build_surface
     from heartcase.schemas.files import atomic_write
     from heartcase.schemas.settings import SurfaceSettings

@@ -161,6 +161,8 @@ class Tube:
         Radius at each of them.
     flat_start, flat_end
         Cut the end square at its point instead of rounding it.
+    trim_mm
+        End the line this much before its last point.
     """
 
     def __init__(
@@ -170,13 +172,14 @@ class Tube:
         *,
         flat_start: bool = False,
         flat_end: bool = False,
+        trim_mm: float = 0.0,
     ) -> None:
         points = np.asarray(points_mm, dtype=float)
         radii = np.broadcast_to(np.asarray(radii_mm, dtype=float), (len(points),))
         at = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
         self.line = CubicSpline(at, points)
         self.radius = PchipInterpolator(at, radii)
-        self.length_mm = float(at[-1])
+        self.length_mm = float(at[-1]) - trim_mm
         self._at = np.linspace(0.0, self.length_mm, max(8, int(self.length_mm / (0.25 * radii.min())) + 1))
         self._flat = np.array([flat_start, flat_end])
 

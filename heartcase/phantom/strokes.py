@@ -15,25 +15,37 @@ from heartcase.schemas.settings import Stroke
 __all__ = ["marker_strokes"]
 
 Float64 = npt.NDArray[np.float64]
+_OPENINGS = (
+    ("left ventricle", "left atrium"),
+    ("left ventricle", "aorta"),
+    ("right ventricle", "right atrium"),
+    ("right ventricle", "pulmonary artery"),
+    ("right atrium", "superior vena cava"),
+    ("right atrium", "inferior vena cava"),
+)
 
 
 def marker_strokes(phantom: HeartPhantom) -> tuple[Stroke, ...]:
     """Strokes for every label of the phantom's table, the background last."""
-    radius = round(1.6 * phantom.scale, 1)
-    drawn: list[tuple[str, Float64]] = []
+    radius = round(1.5 * phantom.scale, 1)
+    fine = round(1.1 * phantom.scale, 1)
+    drawn: list[tuple[str, float, Float64]] = []
     for label, points in _cavity_lines(phantom):
-        drawn.append((label, _inside(phantom, label, points, radius)))
+        drawn.append((label, radius, _inside(phantom, label, points, radius)))
+    drawn += [(label, radius, points) for label, points in _valve_rings(phantom, radius)]
     for points in _myocardium_lines(phantom):
-        drawn.append(("left ventricular myocardium", _inside(phantom, "left ventricular myocardium", points, radius)))
-    for points in _outlines(phantom, radius):
-        drawn.append(("background", points))
+        label = "left ventricular myocardium"
+        drawn.append((label, radius, _inside(phantom, label, points, radius)))
+    for points in _outlines(phantom, fine):
+        drawn.append(("background", fine, points))
     return tuple(
         Stroke(
             label=label,
-            radius_mm=radius,
+            radius_mm=width,
             points_mm=tuple((round(float(x), 1), round(float(y), 1), round(float(z), 1)) for x, y, z in points),
         )
-        for label, points in drawn
+        for label, width, points in drawn
+        if len(points)
     )
 
 
@@ -78,6 +90,49 @@ def _cavity_lines(phantom: HeartPhantom) -> list[tuple[str, Float64]]:
     for name in sorted(name for name in places if name.startswith("aortic branch line")):
         lines.append(("aorta", places[name]))
     return lines
+
+
+def _valve_rings(phantom: HeartPhantom, radius: float) -> list[tuple[str, Float64]]:
+    """A ring on either side of each opening between two cavities, as wide as fits."""
+    lines = []
+    scale = phantom.scale
+    for pair in _OPENINGS:
+        values = [phantom.table[label].value for label in pair]
+        border = phantom.truth.surface_points(values[0])
+        opening = border[phantom.truth.value(border, values[1]) < 0.02 * scale]
+        # Rounded, so that the drawing does not hang on the last bits of the samples.
+        centre = np.round(opening.mean(axis=0) / scale) * scale
+        spread, axes = np.linalg.eigh(np.cov((opening - opening.mean(axis=0)).T))
+        normal = np.round(axes[:, 0], 1)
+        normal /= np.linalg.norm(normal)
+        if phantom.truth.value(centre + 3.0 * scale * normal, values[0]) > 0.0:
+            normal = -normal
+        across = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+        across /= np.linalg.norm(across)
+        # A disc's mean square along a diameter is a quarter of its squared radius.
+        opening_radius = np.round(2.0 * float(np.sqrt(spread[1])) / scale) * scale
+        for label, side in zip(pair, (1.0, -1.0), strict=True):
+            rings = [
+                _inside(
+                    phantom,
+                    label,
+                    _ring(
+                        centre + side * (radius + away * scale) * normal,
+                        across,
+                        np.cross(normal, across),
+                        part * opening_radius,
+                    ),
+                    radius,
+                )
+                for part in (0.7, 0.6, 0.5, 0.4)
+                for away in (1.5, 3.0)
+            ]
+            lines.append((label, max(rings, key=_length)))
+    return lines
+
+
+def _length(points: Float64) -> float:
+    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
 
 
 def _ring(centre: Float64, first: Float64, second: Float64, radius: float, count: int = 17) -> Float64:
@@ -182,7 +237,7 @@ def _outline(phantom: HeartPhantom, centre: Float64, first: Float64, second: Flo
     for _ in range(4 * len(angle)):
         line = centre + out[:, None] * directions
         closed = np.concatenate([line, line[:1]])
-        middles = closed[:-1, None] + np.linspace(0.0, 1.0, 13)[None, 1:-1, None] * (closed[1:] - closed[:-1])[:, None]
+        middles = closed[:-1, None] + np.linspace(0.0, 1.0, 42)[None, 1:-1, None] * (closed[1:] - closed[:-1])[:, None]
         hits = phantom.truth.value(middles, 0).max(axis=1) > -(radius + 0.2)
         if not hits.any():
             break

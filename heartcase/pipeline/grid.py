@@ -1,8 +1,9 @@
 """The simulation grid: tissue as cubic cells of partial coverage (thesis 11.2.1), with the topology of the scan.
 
 Cells are parallel to the scan's axes and start at the lower corner of the region of interest. A cell exists where at
-least ``coverage_min`` of it is tissue; :mod:`heartcase.pipeline.repair` then adds and removes cells so that walls stay
-closed and openings stay open. Thickness, volume and Betti numbers of the result are compared with the full resolution.
+least ``coverage_min`` of it is tissue; :mod:`heartcase.pipeline.cells.repair` then adds and removes cells so that walls
+stay closed and openings stay open. Thickness, volume and Betti numbers of the result are compared with the full
+resolution.
 """
 
 from __future__ import annotations
@@ -14,12 +15,19 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.pipeline.cells import CellSamples, VoidPieces, cell_lattice, sample_cells, sample_factor, void_pieces
+from heartcase.pipeline.cells.passages import blocked_openings, open_passages
+from heartcase.pipeline.cells.repair import CellState, Index, cell_coverage, close_leaks, find_leaks, join_tissue
+from heartcase.pipeline.cells.sampling import (
+    CellSamples,
+    VoidPieces,
+    cell_lattice,
+    sample_cells,
+    sample_factor,
+    void_pieces,
+)
+from heartcase.pipeline.cells.supports import fixed_nodes, floating_pieces
+from heartcase.pipeline.cells.topology import betti_numbers, components, distance_in_samples
 from heartcase.pipeline.data import SimulationGrid, Structures
-from heartcase.pipeline.passages import blocked_openings, open_passages
-from heartcase.pipeline.repair import CellState, Index, cell_coverage, close_leaks, find_leaks, join_tissue
-from heartcase.pipeline.supports import fixed_nodes, floating_pieces
-from heartcase.pipeline.topology import betti_numbers, components, distance_in_samples
 from heartcase.schemas.errors import StageError
 from heartcase.schemas.labels import LabelTable
 from heartcase.schemas.lattice import cell_nodes

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from heartcase.pipeline.curvature import curvature_errors
+from heartcase.pipeline.cells.curvature import curvature_errors
 from heartcase.pipeline.data import GridMap, SimulationGrid, Surface
 from heartcase.pipeline.picking import split_faces
 from heartcase.schemas.settings import MapSettings

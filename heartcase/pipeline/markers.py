@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.data import Markers, Segmentation
+from heartcase.pipeline.formats.point_lists import MarkupList, read_point_lists
+from heartcase.pipeline.formats.raw_volume import placed
 from heartcase.pipeline.paint import paint_capsule, paint_passed_voxels, pull_nearest
-from heartcase.pipeline.point_lists import MarkupList, read_point_lists
-from heartcase.pipeline.raw_volume import placed
 from heartcase.pipeline.read import LabelVolume, read_labels
 from heartcase.schemas.errors import MarkerError, Problem
 from heartcase.schemas.geometry import Geometry

@@ -15,11 +15,11 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.data import Scan
-from heartcase.pipeline.raw_volume import RawVolume, check_size, placed, require_file
-from heartcase.pipeline.read_dicom import SeriesInfo, describe_volume, is_dicom, read_dicom, series_of
-from heartcase.pipeline.read_itk import read_metaimage, read_nrrd
-from heartcase.pipeline.read_nifti import read_nifti
-from heartcase.pipeline.segments import segments_of
+from heartcase.pipeline.formats.raw_volume import RawVolume, check_size, placed, require_file
+from heartcase.pipeline.formats.read_dicom import SeriesInfo, describe_volume, is_dicom, read_dicom, series_of
+from heartcase.pipeline.formats.read_itk import read_metaimage, read_nrrd
+from heartcase.pipeline.formats.read_nifti import read_nifti
+from heartcase.pipeline.formats.segments import segments_of
 from heartcase.schemas.errors import MarkerError, Problem, ScanError
 from heartcase.schemas.geometry import Geometry
 

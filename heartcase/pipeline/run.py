@@ -430,9 +430,9 @@ def labels_of(structures: Structures) -> Segmentation:
 
 def _finish(recipe: Recipe, runner: _Runner, nodes: _Nodes, out: Path) -> BuildResult:
     """Write the bundle and the report."""
-    from heartcase.pipeline.glb import glb_bytes
+    from heartcase.pipeline.mesh.glb import glb_bytes
     from heartcase.pipeline.picking import picking_surface
-    from heartcase.pipeline.report import build_report
+    from heartcase.pipeline.report.build_report import build_report
     from heartcase.pipeline.segment import segmentation_warnings
     from heartcase.pipeline.walls import structure_volumes_ml
     from heartcase.pipeline.write import segmentation_nrrd_bytes

@@ -16,13 +16,20 @@ import numpy.typing as npt
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from heartcase.pipeline.atlas import Atlas, make_atlas, tangents
 from heartcase.pipeline.data import Structures, Surface
-from heartcase.pipeline.decimate import decimate, folded_triangles, mesh_defects, relax_folds
-from heartcase.pipeline.extract import FullMesh, drop_small_shells, extract, opposites, shell_volumes, smooth_creases
 from heartcase.pipeline.fields import ownership_at_points
-from heartcase.pipeline.mesh_distance import mesh_distance_mm
-from heartcase.pipeline.normal_map import bake_normal_map, draw_to_surface, gradient_step_mm
+from heartcase.pipeline.mesh.atlas import Atlas, make_atlas, tangents
+from heartcase.pipeline.mesh.decimate import decimate, folded_triangles, mesh_defects, relax_folds
+from heartcase.pipeline.mesh.extract import (
+    FullMesh,
+    drop_small_shells,
+    extract,
+    opposites,
+    shell_volumes,
+    smooth_creases,
+)
+from heartcase.pipeline.mesh.mesh_distance import mesh_distance_mm
+from heartcase.pipeline.mesh.normal_map import bake_normal_map, draw_to_surface, gradient_step_mm
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.settings import SurfaceSettings
 

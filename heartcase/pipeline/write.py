@@ -12,8 +12,8 @@ import numpy.typing as npt
 import SimpleITK
 
 from heartcase.pipeline.data import Scan, Segmentation
-from heartcase.pipeline.read_itk import quiet_itk
-from heartcase.pipeline.segments import segment_table
+from heartcase.pipeline.formats.read_itk import quiet_itk
+from heartcase.pipeline.formats.segments import segment_table
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.files import atomic_write
 from heartcase.schemas.geometry import Geometry

@@ -38,8 +38,8 @@ class GrabAction(Model):
     release_s: Annotated[float, Field(gt=0.0)] | None = None
     """When it lets go, s; it holds to the end when left out."""
     path: Annotated[tuple[Waypoint, ...], Field(min_length=1)]
-    """Waypoints by ascending time. The hand moves in a straight line from where it closed, at ``start_s``, to the first,
-    on from each to the next, and stays at the last."""
+    """Waypoints by ascending time. The hand moves in a straight line from where it closed, at ``start_s``, to the
+    first, on from each to the next, and stays at the last."""
 
     @model_validator(mode="after")
     def _check(self) -> GrabAction:

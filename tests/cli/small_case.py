@@ -1,6 +1,5 @@
 """A small scan and a small case on disk for the tests of the command line."""
 
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from heartcase.pipeline.bundle import assemble_bundle, write_bundle
 from heartcase.schemas.bundle import Material
-
-sys.path.insert(0, str(Path(__file__).parent.parent / "pipeline"))
-from analytic_heart import AnalyticHeart, make_heart
+from tests.pipeline.report.analytic_heart import AnalyticHeart, make_heart
 
 SCAN_DIRECTION = Rotation.from_euler("x", 10.0, degrees=True).as_matrix() @ np.array(
     [[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]]

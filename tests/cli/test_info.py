@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import SimpleITK
 from pydantic import BaseModel
-from small_case import SCAN_DIRECTION, write_case, write_scan
 
 from heartcase.cli.main import main
 from heartcase.cli.output import echo_json, file_size, json_ready, print_facts, print_table
+from tests.cli.small_case import SCAN_DIRECTION, write_case, write_scan
 
 RECIPE = """
 heartcase_recipe = 1

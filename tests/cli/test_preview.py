@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 from PIL import Image
-from small_case import write_case, write_scan
 
 from heartcase.cli.main import main
+from tests.cli.small_case import write_case, write_scan
 
 
 def pixels(path) -> np.ndarray:

@@ -142,8 +142,8 @@ def memoised(monkeypatch):
         ("grid", "build_grid"),
         ("surface", "build_surface"),
         ("map", "map_surface"),
-        ("report", "build_report"),
-        ("glb", "glb_bytes"),
+        ("report.build_report", "build_report"),
+        ("mesh.glb", "glb_bytes"),
         ("write", "segmentation_nrrd_bytes"),
     ):
         loaded = importlib.import_module(f"heartcase.pipeline.{module}")

@@ -4,11 +4,10 @@ import numba
 import numpy as np
 import pytest
 import trimesh
-from solids import LEFT_HANDED, OBLIQUE, lattice, points, solid, sphere, torus, tube, walled
 
 from heartcase.pipeline.data import Structures, Surface
-from heartcase.pipeline.decimate import decimate, folded_triangles, mesh_defects, relax_folds
-from heartcase.pipeline.extract import (
+from heartcase.pipeline.mesh.decimate import decimate, folded_triangles, mesh_defects, relax_folds
+from heartcase.pipeline.mesh.extract import (
     drop_small_shells,
     extract,
     extraction_lattice,
@@ -16,11 +15,12 @@ from heartcase.pipeline.extract import (
     smooth_creases,
     split_fans,
 )
-from heartcase.pipeline.mesh_distance import mesh_distance_mm
+from heartcase.pipeline.mesh.mesh_distance import mesh_distance_mm
 from heartcase.pipeline.surface import build_surface
 from heartcase.schemas.errors import StageError
 from heartcase.schemas.labels import Label, LabelTable, Role
 from heartcase.schemas.settings import SurfaceSettings
+from tests.pipeline.solids import LEFT_HANDED, OBLIQUE, lattice, points, solid, sphere, torus, tube, walled
 
 PLAIN = SurfaceSettings(normal_map_size=0)
 COARSE = SurfaceSettings(normal_map_size=0, triangle_count=6000)

@@ -1,0 +1,1 @@
+"""Making the simulation grid: sampling, topology, repairs, supports, curvature."""

@@ -1,0 +1,1 @@
+"""One file per format: what reads scans, label volumes and point lists."""

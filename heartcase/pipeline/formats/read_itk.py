@@ -1,0 +1,212 @@
+"""Read NRRD (.nrrd, .nhdr, .seg.nrrd) and MetaImage (.mha, .mhd) files through SimpleITK.
+
+SimpleITK gives the values and the geometry. The text header is looked at first, because ITK ignores units, reads
+whatever file a detached header names, and takes a damaged compressed stream for values without a word.
+"""
+
+from __future__ import annotations
+
+import re
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import SimpleITK
+
+from heartcase.pipeline.formats.raw_volume import RawVolume, check_size, geometry_from_affine, require_file
+from heartcase.schemas.errors import ScanError
+
+__all__ = ["quiet_itk", "read_metaimage", "read_nrrd"]
+
+HEADER_LIMIT = 2**22
+ZLIB_OR_GZIP = 47
+DAMAGED = "the file is cut short or damaged: copy or export it again"
+NOT_ONE_VOLUME = "the file is {dimension}-D: export the one volume that is wanted as a 3-D file"
+SPACE = re.compile(r"(left|right|l|r)-?(anterior|posterior|a|p)-?(superior|inferior|s|i)", re.IGNORECASE)
+META_BYTES = {
+    "MET_CHAR": 1,
+    "MET_UCHAR": 1,
+    "MET_SHORT": 2,
+    "MET_USHORT": 2,
+    "MET_INT": 4,
+    "MET_UINT": 4,
+    "MET_LONG": 4,
+    "MET_ULONG": 4,
+    "MET_LONG_LONG": 8,
+    "MET_ULONG_LONG": 8,
+    "MET_FLOAT": 4,
+    "MET_DOUBLE": 8,
+}
+
+
+@contextmanager
+def quiet_itk() -> Iterator[None]:
+    """Keep ITK's warnings, which hold file names, off the standard error stream."""
+    shown = SimpleITK.ProcessObject.GetGlobalWarningDisplay()
+    SimpleITK.ProcessObject.SetGlobalWarningDisplay(False)
+    try:
+        yield
+    finally:
+        SimpleITK.ProcessObject.SetGlobalWarningDisplay(shown)
+
+
+def _read_image(path: Path, header: dict[str, str], *, orientation_is_stated: bool) -> RawVolume:
+    try:
+        with quiet_itk():
+            image = SimpleITK.ReadImage(str(path))
+            values = SimpleITK.GetArrayFromImage(image)
+    except (RuntimeError, MemoryError, ValueError, UnicodeError):
+        raise ScanError(DAMAGED) from None
+    if image.GetDimension() != 3:
+        raise ScanError(NOT_ONE_VOLUME.format(dimension=image.GetDimension()))
+    if np.iscomplexobj(values):
+        raise ScanError("the voxel values are complex: export the magnitude")
+    affine = np.eye(4)
+    affine[:3, :3] = np.array(image.GetDirection()).reshape(3, 3) * np.array(image.GetSpacing())
+    affine[:3, 3] = image.GetOrigin()
+    geometry = geometry_from_affine(affine, values.shape[:3])
+    return RawVolume(values=values, geometry=geometry, header=header, orientation_is_stated=orientation_is_stated)
+
+
+def _local_data_file(path: Path, name: str) -> Path:
+    """The data file of a detached header, which must be beside it: a header must not reach other files."""
+    if name.upper().startswith("LIST") or "%" in name:
+        raise ScanError("the slices are in separate files: export the scan as one file")
+    if name != Path(name).name or "\\" in name:
+        raise ScanError("the header names a data file in another folder: put both files into one folder")
+    data = path.parent / name
+    try:
+        require_file(data)
+    except ScanError:
+        raise ScanError("the data file that belongs to this header is missing or empty: put it beside it") from None
+    return data
+
+
+def _check_stream(path: Path, start: int, *, byte_count: int | None) -> None:
+    """Refuse a compressed stream that is cut short, damaged, or too short for ``byte_count`` bytes."""
+    stream = zlib.decompressobj(ZLIB_OR_GZIP)
+    total = 0
+    try:
+        with path.open("rb") as file:
+            file.seek(start)
+            while not stream.eof and (chunk := file.read(2**16)):
+                total += len(stream.decompress(chunk))
+    except (zlib.error, OSError, MemoryError):
+        raise ScanError(DAMAGED) from None
+    if not stream.eof or (byte_count is not None and total < byte_count):
+        raise ScanError(DAMAGED)
+
+
+def _integers(text: str) -> tuple[int, ...]:
+    try:
+        return tuple(int(word) for word in text.split())
+    except ValueError:
+        raise ScanError(DAMAGED) from None
+
+
+def read_nrrd(path: Path) -> RawVolume:
+    """Read an NRRD file: one volume, or a list of segmentation layers over one volume.
+
+    Parameters
+    ----------
+    path
+        .nrrd, .nhdr or .seg.nrrd file.
+
+    Returns
+    -------
+    RawVolume
+        With the key-value pairs of the header; a list axis becomes the last axis of the values.
+
+    Raises
+    ------
+    ScanError
+        It cannot be read, is damaged, sheared, not in mm, or has more axes.
+    """
+    require_file(path)
+    with path.open("rb") as file:
+        start = file.read(HEADER_LIMIT)
+    if not start.startswith(b"NRRD000"):
+        raise ScanError("the file is not an NRRD file, or its start is damaged: export it again")
+    end = re.search(rb"\r?\n\r?\n", start)
+    if end is None and (len(start) == HEADER_LIMIT or path.suffix.lower() != ".nhdr"):
+        raise ScanError(DAMAGED)
+    text = start[: end.start() if end else None].decode("utf-8", errors="replace")
+    fields: dict[str, str] = {}
+    pairs: dict[str, str] = {}
+    for line in text.splitlines()[1:]:
+        if line.startswith("#"):
+            continue
+        field = re.match(r"([^:=]+):(=?)\s*(.*)", line)
+        if field:
+            key, value = field.group(1).strip(), field.group(3).strip()
+            (pairs if field.group(2) else fields)[key if field.group(2) else key.lower()] = value
+    sizes = _integers(fields.get("sizes", ""))
+    check_size(sizes or (0,))
+    kinds = fields.get("kinds", "").lower().split()
+    lists = [kind for kind in kinds if kind not in ("domain", "space", "???", "none")]
+    if len(sizes) > 4 or (len(sizes) == 4 and not (len(lists) == 1 and lists[0] != "time")) or "time" in lists:
+        raise ScanError(NOT_ONE_VOLUME.format(dimension=len(sizes)))
+    if len(sizes) < 3 or (len(sizes) == 3 and lists):
+        raise ScanError("this is a flat image: a volume of several slices is needed")
+    units = {unit.strip().lower() for unit in re.findall(r'"([^"]*)"', fields.get("space units", ""))}
+    if units - {"", "mm", "millimeter", "millimeters", "millimetre", "millimetres"}:
+        raise ScanError("the positions are not in millimetres: convert the scan to millimetres and export it again")
+    name = fields.get("data file", fields.get("datafile"))
+    data = _local_data_file(path, name) if name is not None else path
+    has_skips = any(fields.get(key, "0") != "0" for key in ("byte skip", "byteskip", "line skip", "lineskip"))
+    if fields.get("encoding", "").lower() in ("gzip", "gz") and not has_skips:
+        offset = end.end() if end and name is None else 0
+        _check_stream(data, offset, byte_count=None)
+    stated = SPACE.match(fields.get("space", "")) is not None
+    return _read_image(path, pairs, orientation_is_stated=stated)
+
+
+def read_metaimage(path: Path) -> RawVolume:
+    """Read a MetaImage file of one volume.
+
+    Parameters
+    ----------
+    path
+        .mha or .mhd file.
+
+    Returns
+    -------
+    RawVolume
+        The volume.
+
+    Raises
+    ------
+    ScanError
+        It cannot be read, is damaged or sheared, or has more axes.
+    """
+    require_file(path)
+    with path.open("rb") as file:
+        start = file.read(HEADER_LIMIT)
+    end = re.search(rb"ElementDataFile\s*=\s*([^\r\n]*)\r?\n?", start)
+    if end is None or b"DimSize" not in start[: end.start()]:
+        raise ScanError("the file is not a MetaImage file, or its start is damaged: export it again")
+    fields: dict[str, str] = {}
+    for line in start[: end.end()].decode("utf-8", errors="replace").splitlines():
+        key, _, value = line.partition("=")
+        fields[key.strip()] = value.strip()
+    size = _integers(fields["DimSize"])
+    channels = _integers(fields.get("ElementNumberOfChannels", "1"))
+    check_size(size or (0,), components=channels[0] if channels else 0)
+    if len(size) > 3 and any(count > 1 for count in size[3:]):
+        raise ScanError(NOT_ONE_VOLUME.format(dimension=len(size)))
+    if len(size) != 3:
+        raise ScanError("a volume with three axes is needed: export the scan as a 3-D file")
+    element = META_BYTES.get(fields.get("ElementType", "").removesuffix("_ARRAY"))
+    if element is None:
+        raise ScanError("the header gives no known type of values: export the file again")
+    byte_count = int(np.prod(size)) * channels[0] * element
+    is_local = fields["ElementDataFile"].upper() == "LOCAL"
+    data = path if is_local else _local_data_file(path, fields["ElementDataFile"])
+    offset = end.end() if is_local else 0
+    if fields.get("CompressedData", "False").lower() == "true":
+        _check_stream(data, offset, byte_count=byte_count)
+    elif fields.get("BinaryData", "True").lower() == "true" and data.stat().st_size - offset < byte_count:
+        raise ScanError(DAMAGED)
+    return _read_image(path, {}, orientation_is_stated=True)

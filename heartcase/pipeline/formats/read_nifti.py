@@ -1,0 +1,216 @@
+"""Read NIfTI-1 and NIfTI-2 files (.nii, .nii.gz).
+
+Read here and not through ITK because ITK fills up a truncated file with zeros, and where the sform is sheared takes
+the qform without a word. The format is that of the NIfTI-1.1 and NIfTI-2 headers of the NIfTI data format working
+group (nifti1.h, nifti2.h); as there, the sform goes before the qform.
+"""
+
+from __future__ import annotations
+
+import gzip
+import struct
+import zlib
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+import numpy.typing as npt
+
+from heartcase.pipeline.formats.raw_volume import RawVolume, check_size, geometry_from_affine, require_file
+from heartcase.schemas.errors import ScanError
+
+__all__ = ["read_nifti"]
+
+SCALAR_TYPES = {
+    2: "u1",
+    4: "i2",
+    8: "i4",
+    16: "f4",
+    64: "f8",
+    256: "i1",
+    512: "u2",
+    768: "u4",
+    1024: "i8",
+    1280: "u8",
+}
+OTHER_TYPES = {128: "colour", 2304: "colour", 32: "complex", 1792: "complex", 2048: "complex"}
+UNIT_MM = {0: 1.0, 1: 1000.0, 2: 1.0, 3: 0.001}
+RAS_TO_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
+DAMAGED = "the file is cut short or damaged: copy or export it again"
+
+
+class _Header:
+    """The fields of the header that are used, from either version."""
+
+    def __init__(self, data: bytes) -> None:
+        order, version = _order_and_version(data)
+        if version == 1:
+            self.dim = struct.unpack_from(order + "8h", data, 40)
+            self.datatype = struct.unpack_from(order + "h", data, 70)[0]
+            self.pixdim = struct.unpack_from(order + "8f", data, 76)
+            self.vox_offset = float(struct.unpack_from(order + "f", data, 108)[0])
+            self.slope, self.inter = struct.unpack_from(order + "2f", data, 112)
+            self.units = data[123]
+            self.qform_code, self.sform_code = struct.unpack_from(order + "2h", data, 252)
+            self.quatern = struct.unpack_from(order + "6f", data, 256)
+            self.srow = struct.unpack_from(order + "12f", data, 280)
+        else:
+            self.datatype = struct.unpack_from(order + "h", data, 12)[0]
+            self.dim = struct.unpack_from(order + "8q", data, 16)
+            self.pixdim = struct.unpack_from(order + "8d", data, 104)
+            self.vox_offset = float(struct.unpack_from(order + "q", data, 168)[0])
+            self.slope, self.inter = struct.unpack_from(order + "2d", data, 176)
+            self.qform_code, self.sform_code = struct.unpack_from(order + "2i", data, 344)
+            self.quatern = struct.unpack_from(order + "6d", data, 352)
+            self.srow = struct.unpack_from(order + "12d", data, 400)
+            self.units = struct.unpack_from(order + "i", data, 500)[0]
+        self.order = order
+        self.version = version
+
+    def size(self) -> tuple[int, int, int]:
+        """Size along i, j, k.
+
+        Raises
+        ------
+        ScanError
+            The file does not hold exactly one volume.
+        """
+        if not 1 <= self.dim[0] <= 7:
+            raise ScanError(DAMAGED)
+        size = [int(count) for count in self.dim[1 : self.dim[0] + 1]]
+        check_size(size)
+        if len(size) < 3:
+            raise ScanError("this is a flat image: a volume of several slices is needed")
+        if any(count > 1 for count in size[3:]):
+            raise ScanError(
+                f"the file is {len(size)}-D and holds {int(np.prod(size[3:]))} volumes (times or channels): "
+                "export the one that is wanted as a 3-D file"
+            )
+        return size[0], size[1], size[2]
+
+    def dtype(self) -> np.dtype[Any]:
+        """Type of the stored values.
+
+        Raises
+        ------
+        ScanError
+            They are not plain numbers.
+        """
+        if self.datatype not in SCALAR_TYPES:
+            kind = OTHER_TYPES.get(self.datatype, "of an unusual kind")
+            raise ScanError(f"the voxel values are {kind}: export the scan with one plain number per voxel")
+        return np.dtype(self.order + SCALAR_TYPES[self.datatype])
+
+    def affine_lps(self) -> npt.NDArray[np.float64]:
+        """Map from index to patient LPS mm, shape (4, 4); where none is stated the axes are taken as L, P, S."""
+        affine = np.eye(4)
+        if self.sform_code > 0:
+            affine[:3] = np.array(self.srow, dtype=np.float64).reshape(3, 4)
+        elif self.qform_code > 0:
+            affine = self._qform()
+        else:
+            affine[:3, :3] = np.diag(np.abs(self.pixdim[1:4]))
+            affine = RAS_TO_LPS @ affine
+        affine[:3] *= UNIT_MM.get(self.units & 7, 1.0)
+        return RAS_TO_LPS @ affine
+
+    def _qform(self) -> npt.NDArray[np.float64]:
+        b, c, d, *offset = (float(value) for value in self.quatern)
+        a_squared = 1.0 - (b * b + c * c + d * d)
+        if a_squared < 1e-7:
+            length = np.sqrt(b * b + c * c + d * d)
+            a, b, c, d = 0.0, b / length, c / length, d / length
+        else:
+            a = np.sqrt(a_squared)
+        rotation = np.array(
+            [
+                [a * a + b * b - c * c - d * d, 2 * (b * c - a * d), 2 * (b * d + a * c)],
+                [2 * (b * c + a * d), a * a + c * c - b * b - d * d, 2 * (c * d - a * b)],
+                [2 * (b * d - a * c), 2 * (c * d + a * b), a * a + d * d - c * c - b * b],
+            ]
+        )
+        spacing = np.array(self.pixdim[1:4], dtype=np.float64)
+        spacing[2] *= -1.0 if self.pixdim[0] < 0.0 else 1.0
+        affine = np.eye(4)
+        affine[:3, :3] = rotation * spacing
+        affine[:3, 3] = offset
+        return affine
+
+
+def _order_and_version(data: bytes) -> tuple[str, int]:
+    for order in ("<", ">"):
+        length = struct.unpack_from(order + "i", data, 0)[0] if len(data) >= 348 else 0
+        if length == 348 and data[344:347] == b"n+1":
+            return order, 1
+        if length == 348 and data[344:347] == b"ni1":
+            raise ScanError("the values are in a separate .img file: export the scan as one .nii.gz file")
+        if length == 540 and len(data) >= 540 and data[4:7] == b"n+2":
+            return order, 2
+    raise ScanError("the file is not a NIfTI file, or its start is damaged: export it again")
+
+
+def _read_fully(stream: BinaryIO, count: int) -> bytes:
+    data = stream.read(count)
+    if len(data) < count:
+        raise ScanError(DAMAGED)
+    return data
+
+
+def _read(stream: BinaryIO) -> RawVolume:
+    start = stream.read(540)
+    header = _Header(start)
+    size, dtype = header.size(), header.dtype()
+    shape = size[::-1]
+    geometry = geometry_from_affine(header.affine_lps(), shape)
+    shortest = 348 if header.version == 1 else 540
+    if not shortest <= header.vox_offset <= 2**24:
+        raise ScanError(DAMAGED)
+    byte_count = int(np.prod(size)) * dtype.itemsize
+    body = start[int(header.vox_offset) :]
+    _read_fully(stream, max(0, int(header.vox_offset) - len(start)))
+    body += _read_fully(stream, max(0, byte_count - len(body)))
+    # Reading on to the end makes gzip compare its checksum.
+    stream.read(2**16)
+    values = np.frombuffer(body, dtype=dtype, count=int(np.prod(size))).reshape(shape)
+    if (
+        header.slope != 0.0
+        and np.isfinite([header.slope, header.inter]).all()
+        and (header.slope, header.inter) != (1, 0)
+    ):
+        values = values * np.float64(header.slope) + np.float64(header.inter)
+    return RawVolume(
+        values=values,
+        geometry=geometry,
+        orientation_is_stated=header.sform_code > 0 or header.qform_code > 0,
+    )
+
+
+def read_nifti(path: Path) -> RawVolume:
+    """Read a NIfTI file that holds one volume of plain numbers.
+
+    Parameters
+    ----------
+    path
+        The file; compressed or not is told from its content.
+
+    Returns
+    -------
+    RawVolume
+        Values with slope and intercept applied, in the file's own type where there are none.
+
+    Raises
+    ------
+    ScanError
+        It is not such a file, it is cut short or damaged, or its axes are sheared.
+    """
+    require_file(path)
+    try:
+        with path.open("rb") as file:
+            if file.read(2) == b"\x1f\x8b":
+                file.seek(0)
+                with gzip.GzipFile(fileobj=file) as stream:
+                    return _read(stream)  # type: ignore[arg-type]
+            file.seek(0)
+            return _read(file)
+    except (OSError, EOFError, zlib.error, MemoryError):
+        raise ScanError(DAMAGED) from None

@@ -1,0 +1,1 @@
+"""Making the surface: extraction, decimation, atlas, normal map, GLB, measures."""

@@ -1,0 +1,1 @@
+"""The build report and its pictures."""

@@ -1,0 +1,262 @@
+"""The build report: one HTML page with pictures and figures by which a clinician can trust or reject a case.
+
+The page stands alone: pictures are inside it, it links to nothing and runs no script. It shows only what it is given
+here, never a path or a file name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from heartcase import __version__
+from heartcase.pipeline.data import GridMap, Scan, Segmentation, SimulationGrid, Structures, Surface
+from heartcase.pipeline.report.plain_words import Fact, figure_facts, hand_work_facts, setting_lines
+from heartcase.pipeline.report.report_pictures import Picture, ThicknessRow, slice_parts, surface_parts
+from heartcase.schemas.bundle import CaseManifest, StageRecord
+from heartcase.schemas.labels import BACKGROUND, Role
+from heartcase.schemas.recipe import Recipe
+
+__all__ = ["ReportData", "StageRow", "StructureRow", "build_report", "render_report"]
+
+_NOTICE: str = CaseManifest.model_fields["notice"].default
+_ROLE_WORDS = {
+    Role.BLOOD: "blood in a chamber",
+    Role.VESSEL_LUMEN: "blood in a vessel",
+    Role.MYOCARDIUM: "heart muscle",
+    Role.WALL: "vessel wall",
+    Role.DEVICE: "patch or device",
+    Role.BACKGROUND: "background",
+}
+_STAGE_WORDS = {
+    "read": "read the scan",
+    "filter": "smooth it, keeping edges",
+    "markers": "collect the painted markers",
+    "segment": "find the structures",
+    "walls": "grow the walls",
+    "edit": "make the edits",
+    "grid": "divide the tissue into cells",
+    "surface": "make the visible surface",
+    "map": "tie the surface to the cells",
+    "bundle": "write the case",
+}
+
+
+@dataclass(frozen=True)
+class StructureRow:
+    """One structure: its colour and volume."""
+
+    name: str
+    """Name of the label."""
+    colour: str
+    """``#rrggbb``."""
+    kind: str
+    """Its role in words."""
+    volume_ml: float
+    """Volume, ml."""
+
+
+@dataclass(frozen=True)
+class StageRow:
+    """One stage: how long it took and how it was set."""
+
+    name: str
+    """Name of the stage."""
+    words: str
+    """What it does."""
+    seconds: float | None
+    """Time, s; None where it was not measured."""
+    share: float
+    """Part of the longest stage's time, 0 to 1."""
+    version: int | None
+    """Version of its algorithm."""
+    settings: list[str]
+    """``name = value``."""
+    fingerprint: str
+    """First digits of the hash of its output."""
+
+
+@dataclass(frozen=True)
+class ReportData:
+    """Everything that the page shows."""
+
+    case_name: str
+    """Name of the case."""
+    version: str = __version__
+    """Version of heartcase."""
+    notice: str = _NOTICE
+    """Shown first."""
+    warnings: Sequence[str] = ()
+    """Worst first."""
+    key_facts: Sequence[Fact] = ()
+    """The handful of figures to look at first."""
+    scan_facts: Sequence[Fact] = ()
+    """The scan: size, spacing, modality, acquisition."""
+    slices: Sequence[Picture] = ()
+    """Slices with outlines."""
+    sides: Sequence[Picture] = ()
+    """The surface from four sides."""
+    cutaway: Sequence[Picture] = ()
+    """The heart cut open."""
+    thickness: Sequence[Picture] = ()
+    """Thickness maps and histogram."""
+    thickness_rows: Sequence[ThicknessRow] = ()
+    """Thickness per tissue."""
+    structures: Sequence[StructureRow] = ()
+    """Structures with volumes, in the label table's order."""
+    blood_ml: float = 0.0
+    """All blood, ml."""
+    tissue_ml: float = 0.0
+    """All tissue, ml."""
+    quality: Mapping[str, Sequence[Fact]] = field(default_factory=dict)
+    """Title -> figures."""
+    hand_work: Sequence[Fact] = ()
+    """What a person did."""
+    stages: Sequence[StageRow] = ()
+    """Time and provenance."""
+    total_s: float = 0.0
+    """Time of all stages, s."""
+
+
+def render_report(data: ReportData) -> str:
+    """Write the page: a whole HTML document that needs nothing beside it."""
+    import jinja2
+
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("heartcase.pipeline.report", "templates"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template("report.html.j2").render(data=data)
+
+
+def build_report(
+    *,
+    recipe: Recipe,
+    scan: Scan,
+    segmentation: Segmentation,
+    structures: Structures,
+    grid: SimulationGrid,
+    surface: Surface | None,
+    grid_map: GridMap | None,
+    volumes_ml: Mapping[int, float],
+    timings_s: Mapping[str, float],
+    stages: Sequence[StageRecord],
+    warnings: Sequence[str],
+) -> str:
+    """Draw the pictures of a case and write its report.
+
+    Parameters
+    ----------
+    recipe
+        What was asked for.
+    scan
+        The scan as it was read, cropped to the region of interest.
+    segmentation
+        The labels before walls were grown; drawn where the fields lie on another lattice than the scan.
+    structures
+        The fields after edits: what is drawn over the scan's slices.
+    grid, surface, grid_map
+        Outputs of the stages; the last two None where the recipe does not want them.
+    volumes_ml
+        Label value -> volume, ml.
+    timings_s
+        Stage -> seconds.
+    stages
+        Provenance of the stages, in order.
+    warnings
+        Worst first.
+
+    Returns
+    -------
+    str
+        A whole HTML document.
+    """
+    table = structures.table
+    rows = [
+        StructureRow(label.name, label.colour, _ROLE_WORDS[label.role], volumes_ml[label.value])
+        for label in table
+        if label.value != BACKGROUND and label.value in volumes_ml
+    ]
+    blood = sum(volume for value, volume in volumes_ml.items() if value in table.blood_values)
+    tissue = sum(volume for value, volume in volumes_ml.items() if value in table.tissue_values)
+    shown = surface_parts(surface)
+    quality = {
+        "Simulation grid": figure_facts(grid.quality),
+        "Visible surface": figure_facts(surface.quality) if surface is not None else [],
+        "Tie between surface and grid": figure_facts(grid_map.quality) if grid_map is not None else [],
+    }
+    return render_report(
+        ReportData(
+            case_name=recipe.name,
+            warnings=tuple(dict.fromkeys(warnings)),
+            key_facts=_key_facts(grid, surface, blood, tissue),
+            scan_facts=_scan_facts(scan),
+            slices=slice_parts(scan, segmentation, structures),
+            sides=shown.sides,
+            cutaway=shown.cutaway,
+            thickness=shown.thickness,
+            thickness_rows=shown.thickness_rows,
+            structures=rows,
+            blood_ml=blood,
+            tissue_ml=tissue,
+            quality={title: facts for title, facts in quality.items() if facts},
+            hand_work=hand_work_facts(recipe),
+            stages=_stage_rows(stages, timings_s),
+            total_s=sum(timings_s.values()),
+        )
+    )
+
+
+def _key_facts(grid: SimulationGrid, surface: Surface | None, blood_ml: float, tissue_ml: float) -> list[Fact]:
+    facts = [
+        Fact("Tissue", f"{tissue_ml:.1f} ml"),
+        Fact("Blood", f"{blood_ml:.1f} ml"),
+        Fact("Cells of the simulation", f"{len(grid.cells):,}"),
+        Fact("Edge of a cell", f"{grid.geometry.spacing_mm[0]:.2f} mm"),
+        Fact("Points of the simulation", f"{len(grid.nodes):,}"),
+    ]
+    if surface is not None:
+        facts.append(Fact("Surface", f"{len(surface.triangles):,} triangles"))
+    return facts
+
+
+def _scan_facts(scan: Scan) -> list[Fact]:
+    geometry = scan.geometry
+    size, spacing = geometry.size, geometry.spacing_mm
+    modality = {"CT": "CT", "MR": "MRI"}.get(scan.modality, "not stated in the file")
+    facts = [
+        Fact("Kind of scan", modality),
+        Fact("Points in the region used", " x ".join(f"{n}" for n in size)),
+        Fact("Distance between points", " x ".join(f"{s:.3g}" for s in spacing) + " mm"),
+        Fact("Extent", " x ".join(f"{n * s:.0f}" for n, s in zip(size, spacing, strict=True)) + " mm"),
+    ]
+    facts += [Fact(fact.name, fact.value) for fact in figure_facts(scan.acquisition)]
+    return facts
+
+
+def _stage_rows(stages: Sequence[StageRecord], timings_s: Mapping[str, float]) -> list[StageRow]:
+    longest = max(timings_s.values(), default=0.0)
+    records = {record.stage: record for record in stages}
+    rows = []
+    for name in sorted({*records, *timings_s}, key=_stage_order):
+        record, seconds = records.get(name), timings_s.get(name)
+        rows.append(
+            StageRow(
+                name=name,
+                words=_STAGE_WORDS.get(name, ""),
+                seconds=seconds,
+                share=seconds / longest if seconds is not None and longest > 0.0 else 0.0,
+                version=record.version if record else None,
+                settings=setting_lines(record.settings) if record else [],
+                fingerprint=record.output_sha256[:12] if record else "",
+            )
+        )
+    return rows
+
+
+def _stage_order(name: str) -> tuple[int, str]:
+    known = list(_STAGE_WORDS)
+    return (known.index(name) if name in known else len(known), name)

@@ -1,0 +1,108 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from heartcase.pipeline.mesh.normal_map import draw_to_surface, gradient_step_mm
+from heartcase.pipeline.surface import build_surface
+from heartcase.schemas.settings import SurfaceSettings
+from tests.pipeline.solids import LEFT_HANDED, OBLIQUE, bump_normals, bumps, lattice, points, solid, sphere, walled
+
+
+def samples(surface, count):
+    """Points on random triangles: triangle, weights and texture coordinates."""
+    rng = np.random.default_rng(11)
+    corner = surface.vertices_mm[surface.triangles].astype(float)
+    area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
+    triangle = rng.choice(len(area), count, p=area / area.sum())
+    weights = rng.dirichlet((1.0, 1.0, 1.0), count)
+    return triangle, weights
+
+
+def mixed(weights, values):
+    return np.einsum("nk,nkd->nd", weights, values.astype(float))
+
+
+def unit(vectors):
+    return vectors / np.linalg.norm(vectors, axis=-1)[..., None]
+
+
+def shaded(surface, triangle, weights):
+    """Normals as a renderer decodes them: glTF 2.0, section 3.9.3, bilinear sampling, clamped to the edge."""
+    render = surface.render_triangles[triangle]
+    normal = unit(mixed(weights, surface.normals[surface.triangles[triangle]]))
+    tangent = unit(mixed(weights, surface.render_tangents[render][..., :3]))
+    bitangent = np.cross(normal, tangent) * surface.render_tangents[render[:, 0], 3:].astype(float)
+    size = len(surface.normal_map)
+    place = mixed(weights, surface.render_uv[render]) * size - 0.5
+    low = np.floor(place).astype(int)
+    part = place - low
+    texel = np.zeros((len(triangle), 3))
+    for dy in (0, 1):
+        for dx in (0, 1):
+            weight = (part[:, 0] if dx else 1 - part[:, 0]) * (part[:, 1] if dy else 1 - part[:, 1])
+            at = np.clip(low + np.array([dx, dy]), 0, size - 1)
+            texel += weight[:, None] * surface.normal_map[at[:, 1], at[:, 0]]
+    local = texel / 127.5 - 1.0
+    return unit(local[:, :1] * tangent + local[:, 1:2] * bitangent + local[:, 2:] * normal)
+
+
+def degrees(one, two):
+    return np.degrees(np.arccos(np.clip((one * two).sum(axis=1), -1.0, 1.0)))
+
+
+@pytest.mark.parametrize("direction", [np.eye(3), OBLIQUE @ LEFT_HANDED])
+@pytest.mark.parametrize("atlas", ["cone", "xatlas"])
+def test_the_map_beats_the_vertex_normals_against_the_truth(atlas, direction):
+    structures = solid(bumps, lattice(0.7, 22.0, direction=direction))
+    surface = build_surface(structures, SurfaceSettings(triangle_count=3000, normal_map_size=512, atlas=atlas))
+    triangle, weights = samples(surface, 20_000)
+    at = mixed(weights, surface.vertices_mm[surface.triangles[triangle]])
+    truth = bump_normals(at)
+    without = degrees(unit(mixed(weights, surface.normals[surface.triangles[triangle]])), truth)
+    with_map = degrees(shaded(surface, triangle, weights), truth)
+    assert with_map.mean() < 0.65 * without.mean()
+    assert np.quantile(with_map, 0.95) < 0.8 * np.quantile(without, 0.95)
+
+
+def test_points_are_drawn_to_the_root_with_its_normal():
+    structures = walled(sphere(12.0), 1.5, lattice(1.5, 17.0))
+    rng = np.random.default_rng(2)
+    direction = unit(rng.standard_normal((400, 3)))
+    radius = np.where(rng.random(400) < 0.5, 12.0, 13.5)
+    start = direction * (radius + rng.uniform(-0.3, 0.3, 400))[:, None]
+    found, normals = draw_to_surface(structures, start, step_mm=gradient_step_mm(structures), reach_mm=0.5)
+    # Interpolation errs by at most h^2 / 8 (2 / r).
+    assert np.abs(np.linalg.norm(found, axis=1) - radius).max() < 1.5**2 / 8.0 * 2.0 / 12.0 + 0.01
+    outward = direction * np.where(radius > 12.5, 1.0, -1.0)[:, None]
+    assert degrees(normals, outward).max() < np.degrees(0.5 * 1.5 * np.sqrt(3.0) / 12.0)
+    far, _ = draw_to_surface(structures, direction * 8.0, step_mm=0.5, reach_mm=0.5)
+    assert np.linalg.norm(far - direction * 8.0, axis=1).max() < 0.5 + 1e-9
+
+
+def test_charts_are_continued_into_the_gutters_and_the_rest_is_flat():
+    surface = build_surface(solid(bumps, lattice(1.0, 22.0)), SurfaceSettings(triangle_count=3000, normal_map_size=256))
+    assert surface.normal_map.shape == (256, 256, 3)
+    texel = surface.render_uv * 256 - 0.5
+    for corner in (np.floor, np.ceil):
+        around = corner(texel).astype(int)
+        z = surface.normal_map[around[:, 1], around[:, 0], 2].astype(float) / 127.5 - 1.0
+        assert z.min() > 0.3
+    length = np.linalg.norm(surface.normal_map / 127.5 - 1.0, axis=2)
+    # 8 bits move a component by at most 1 / 255, and the means of neighbours in the gutters by as much again.
+    assert length.max() < 1.0 + 2.0 * np.sqrt(3.0) / 255.0
+    assert length.min() > 0.7
+
+
+def test_cut_faces_are_baked_flat():
+    geometry = lattice((1.5, 1.5, 1.5), 13.0, centre=(0.0, 0.0, 0.0))
+    assert points(geometry).shape[-1] == 3
+    surface = build_surface(
+        walled(lambda p: np.hypot(p[..., 0], p[..., 1]) - 6.0, 4.0, geometry),
+        SurfaceSettings(triangle_count=4000, normal_map_size=256),
+    )
+    triangle, weights = samples(surface, 20_000)
+    cut = surface.triangle_is_cut[triangle] == 1
+    corner = surface.vertices_mm[surface.triangles[triangle[cut]]].astype(float)
+    face = unit(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]))
+    assert degrees(shaded(surface, triangle[cut], weights[cut]), face).mean() < 4.0
