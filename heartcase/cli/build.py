@@ -7,7 +7,9 @@ from pathlib import Path
 
 import click
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskID, TimeElapsedColumn
+from rich.progress_bar import ProgressBar
+from rich.text import Text
 
 from heartcase.cli.output import echo_json
 from heartcase.schemas.recipe import load_recipe
@@ -28,18 +30,34 @@ STAGE_WORDS = {
 }
 
 
+class _TimedBar(BarColumn):
+    """Fills with the time that the stage was expected to take, and waits just short of the end when it takes longer."""
+
+    def render(self, task: Task) -> ProgressBar:
+        total = task.total or 1.0
+        return ProgressBar(total=total, completed=min(task.elapsed or 0.0, 0.97 * total), width=self.bar_width)
+
+
+class _TimeLeft(ProgressColumn):
+    """Time that this stage and those after it may still take."""
+
+    def render(self, task: Task) -> Text:
+        left = max((task.total or 0.0) - (task.elapsed or 0.0), 0.0) + float(task.fields["seconds_after"])
+        return Text(f"about {left:.0f} s left" if left >= 1.0 else "nearly there")
+
+
 class _Bar:
-    """Shows on standard error which stage runs, for how long, and how long it may still take."""
+    """Shows on standard error which stage runs, for how long, and how long the build may still take."""
 
     def __init__(self, console: Console) -> None:
-        columns = ("{task.description}", BarColumn(20), TimeElapsedColumn(), TextColumn("{task.fields[left]}"))
-        self.progress = Progress(*columns, console=console, transient=True, get_time=time.monotonic)
+        columns = ("{task.description}", _TimedBar(24), TimeElapsedColumn(), _TimeLeft())
+        self.progress = Progress(*columns, console=console, transient=True)
         self.console = console
         self.task: TaskID | None = None
 
-    def stage_started(self, stage: str, *, seconds_expected: float) -> None:
-        left = f"about {max(seconds_expected, 1.0):.0f} s in all"
-        self.task = self.progress.add_task(STAGE_WORDS.get(stage, stage), total=None, left=left)
+    def stage_started(self, stage: str, *, seconds_expected: float, seconds_after: float) -> None:
+        words = STAGE_WORDS.get(stage, stage)
+        self.task = self.progress.add_task(words, total=max(seconds_expected, 0.1), seconds_after=seconds_after)
 
     def stage_finished(self, stage: str, *, seconds: float, reused: bool) -> None:
         if self.task is not None:

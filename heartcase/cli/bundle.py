@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from heartcase.cli.output import working
 from heartcase.cli.stage_io import optional_recipe, read_scan_or_output
 
 __all__ = ["command"]
@@ -20,6 +21,7 @@ __all__ = ["command"]
 @click.option("--map", "grid_map", type=click.Path(path_type=Path), help="Output of 'heartcase map'.")
 @click.option("--structures", type=click.Path(path_type=Path), help="Output of 'walls' or 'edit': adds the labels.")
 @click.option("--recipe", type=click.Path(path_type=Path), help="Materials and landmarks from a recipe.")
+@working("writing the case")
 def command(
     grid: Path,
     output: Path,

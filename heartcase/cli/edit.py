@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from heartcase.cli.output import working
 from heartcase.cli.stage_io import save_output
 
 __all__ = ["command"]
@@ -15,6 +16,7 @@ __all__ = ["command"]
 @click.argument("structures", type=click.Path(path_type=Path))
 @click.argument("output", type=click.Path(path_type=Path))
 @click.option("--recipe", type=click.Path(path_type=Path), required=True, help="Recipe whose edits are carried out.")
+@working("editing")
 def command(structures: Path, output: Path, recipe: Path) -> None:
     """Carry out a recipe's edits on STRUCTURES (from 'heartcase walls') and write OUTPUT (.safetensors)."""
     from heartcase.pipeline.artifacts import load_artifact

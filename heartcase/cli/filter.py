@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from heartcase.cli.output import working
 from heartcase.cli.stage_io import optional_recipe, read_scan_or_output, save_output, settings_of, stage_options
 
 __all__ = ["command"]
@@ -16,6 +17,7 @@ __all__ = ["command"]
 @click.argument("output", type=click.Path(path_type=Path))
 @click.option("--series", help="DICOM: which series of the folder.")
 @stage_options
+@working("smoothing the scan")
 def command(scan: Path, output: Path, series: str | None, recipe: Path | None, sets: tuple[str, ...]) -> None:
     """Smooth SCAN by anisotropic diffusion and write OUTPUT (.nii.gz, .nrrd, .mha or .safetensors)."""
     from heartcase.pipeline.filter import filter_scan

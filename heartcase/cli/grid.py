@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from heartcase.cli.output import working
 from heartcase.cli.stage_io import optional_recipe, save_output, settings_of, stage_options
 
 __all__ = ["command"]
@@ -15,6 +16,7 @@ __all__ = ["command"]
 @click.argument("structures", type=click.Path(path_type=Path))
 @click.argument("output", type=click.Path(path_type=Path))
 @stage_options
+@working("making the grid")
 def command(structures: Path, output: Path, recipe: Path | None, sets: tuple[str, ...]) -> None:
     """Make the simulation grid of STRUCTURES (from 'heartcase walls' or 'edit') and write OUTPUT (.safetensors)."""
     from heartcase.pipeline.artifacts import load_artifact

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from heartcase.cli.output import echo_json, file_size, print_facts, print_table
+from heartcase.cli.output import echo_json, file_size, print_facts, print_table, working
 from heartcase.schemas.bundle import MANIFEST_NAME
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.geometry import Geometry
@@ -41,6 +41,7 @@ def kind_of(path: Path) -> str:
 @click.argument("path", type=click.Path(path_type=Path))
 @click.option("--series", help="DICOM: which series of the folder, by its number or the end of its UID.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@working("reading")
 def command(path: Path, series: str | None, as_json: bool) -> None:
     """Say what PATH is: a scan (file, or folder of DICOM files), a recipe (.toml) or a case (.case)."""
     kind = kind_of(path)

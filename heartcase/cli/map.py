@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from heartcase.cli.output import working
 from heartcase.cli.stage_io import optional_recipe, save_output, settings_of, stage_options
 
 __all__ = ["command"]
@@ -16,6 +17,7 @@ __all__ = ["command"]
 @click.argument("grid", type=click.Path(path_type=Path))
 @click.argument("output", type=click.Path(path_type=Path))
 @stage_options
+@working("tying the surface to the grid")
 def command(surface: Path, grid: Path, output: Path, recipe: Path | None, sets: tuple[str, ...]) -> None:
     """Tie SURFACE to GRID (from 'heartcase surface' and 'grid') and write OUTPUT (.safetensors)."""
     from heartcase.pipeline.artifacts import load_artifact

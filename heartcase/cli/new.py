@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from heartcase.cli.output import working
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.files import atomic_write
 from heartcase.schemas.labels import LabelTable, default_label_table
@@ -21,6 +22,7 @@ __all__ = ["command", "starter_recipe"]
 @click.option("--name", default="case", help="Name of the case: not the patient's.")
 @click.option("--series", help="DICOM: which series of the folder.")
 @click.option("--force", is_flag=True, help="Replace a recipe that is there.")
+@working("reading the scan")
 def command(scan: Path, out: Path, name: str, series: str | None, force: bool) -> None:
     """Read SCAN and write a commented recipe for it, ready for the markers."""
     from heartcase.pipeline.read import read_scan

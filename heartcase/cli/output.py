@@ -5,8 +5,9 @@ Results go to standard output and nothing else does, so they can be piped; messa
 
 from __future__ import annotations
 
+import contextlib
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import click
@@ -14,10 +15,11 @@ import numpy as np
 from pydantic import BaseModel
 from rich import box
 from rich.console import Console
+from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
-__all__ = ["echo_json", "error_console", "file_size", "json_ready", "print_facts", "print_table"]
+__all__ = ["echo_json", "error_console", "file_size", "json_ready", "print_facts", "print_table", "working"]
 
 
 def json_ready(value: Any) -> Any:
@@ -45,6 +47,15 @@ def echo_json(data: Any) -> None:
 def error_console() -> Console:
     """A console on standard error, for progress and messages."""
     return Console(stderr=True, highlight=False)
+
+
+@contextlib.contextmanager
+def working(words: str) -> Iterator[None]:
+    """Show what is being done and for how long, while it lasts; also a decorator of a command's function."""
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    with Progress(*columns, console=error_console(), transient=True) as progress:
+        progress.add_task(words, total=None)
+        yield
 
 
 def print_facts(facts: Mapping[str, object] | Iterable[tuple[str, object]], *, title: str = "") -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
+from heartcase.cli.output import working
 from heartcase.schemas.errors import UsageError
 
 if TYPE_CHECKING:
@@ -70,6 +71,7 @@ def _is_number(text: str) -> bool:
 @click.option("--asd", type=float, default=None, metavar="MM", help="Add an atrial septal defect of this diameter.")
 @click.option("--scan-only", is_flag=True, help="Write the scan alone, without truth and recipe.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
+@working("making the scan")
 def command(
     out_dir: Path,
     size: str,

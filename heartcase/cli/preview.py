@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from heartcase.cli.info import kind_of
-from heartcase.cli.output import echo_json, file_size
+from heartcase.cli.output import echo_json, file_size, working
 from heartcase.schemas.bundle import FileRole
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.files import atomic_write
@@ -36,6 +36,7 @@ _STACKS = ("axial", "coronal", "sagittal")
 )
 @click.option("--series", help="DICOM: which series of the folder, by its number or the end of its UID.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object about the picture.")
+@working("drawing")
 def command(path: Path, output: Path, view: str | None, series: str | None, as_json: bool) -> None:
     """Make a picture of PATH: slices of a scan, or the surface of a case from four sides and cut open."""
     if output.suffix.lower() != ".png":

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from heartcase.cli.output import working
 from heartcase.cli.stage_io import optional_recipe, read_scan_or_output, save_output, settings_of, stage_options
 
 __all__ = ["command"]
@@ -17,6 +18,7 @@ __all__ = ["command"]
 @click.option("--markers", multiple=True, type=click.Path(path_type=Path), help="Marker file; repeatable.")
 @click.option("--series", help="DICOM: which series of the folder.")
 @stage_options
+@working("segmenting")
 def command(
     scan: Path,
     output: Path,

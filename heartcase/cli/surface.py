@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from heartcase.cli.output import working
 from heartcase.cli.stage_io import optional_recipe, save_output, settings_of, stage_options
 
 __all__ = ["command"]
@@ -16,6 +17,7 @@ __all__ = ["command"]
 @click.argument("output", type=click.Path(path_type=Path))
 @click.option("--glb", type=click.Path(path_type=Path), help="Also write the surface as GLB for any viewer.")
 @stage_options
+@working("making the surface")
 def command(structures: Path, output: Path, glb: Path | None, recipe: Path | None, sets: tuple[str, ...]) -> None:
     """Extract the surface of STRUCTURES (from 'heartcase walls' or 'edit') and write OUTPUT (.safetensors)."""
     from heartcase.pipeline.artifacts import load_artifact

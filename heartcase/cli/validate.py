@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from heartcase.cli.output import echo_json
+from heartcase.cli.output import echo_json, working
 from heartcase.schemas.bundle_reader import check_bundle
 from heartcase.schemas.errors import HeartcaseError, Problem
 from heartcase.schemas.recipe import load_recipe
@@ -18,6 +18,7 @@ __all__ = ["command"]
 @click.argument("path", type=click.Path(path_type=Path))
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @click.pass_context
+@working("checking")
 def command(ctx: click.Context, path: Path, as_json: bool) -> None:
     """Check PATH, a case directory, a recipe (.toml) or a simulation script (.toml), and list every problem.
 

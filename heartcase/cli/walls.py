@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from heartcase.cli.output import working
 from heartcase.cli.stage_io import optional_recipe, save_output, settings_of, stage_options
 
 __all__ = ["command"]
@@ -15,6 +16,7 @@ __all__ = ["command"]
 @click.argument("labels", type=click.Path(path_type=Path))
 @click.argument("output", type=click.Path(path_type=Path))
 @stage_options
+@working("growing the walls")
 def command(labels: Path, output: Path, recipe: Path | None, sets: tuple[str, ...]) -> None:
     """Grow the walls of LABELS (from 'heartcase segment', .safetensors; or any label volume) into OUTPUT."""
     from heartcase.pipeline.artifacts import load_artifact

@@ -40,8 +40,8 @@ SEPTUM_AXIS = (_TOWARDS_RIGHT - (_TOWARDS_RIGHT @ LONG_AXIS) * LONG_AXIS) / np.l
 """From the left ventricle through the septum to the right one."""
 UPWARD_AXIS = np.cross(SEPTUM_AXIS, LONG_AXIS)
 """Across both, upwards."""
-EXTENSION_MM = 10.0
-"""How far a vessel goes on behind its end disc in a synthetic scan of the adult."""
+EXTENSION_MM = 3.0
+"""How far a vessel goes on behind its end disc before it ends round, in a synthetic scan."""
 
 
 @dataclass(frozen=True)
@@ -113,8 +113,8 @@ def build_anatomy(scale: float, left_wall_mm: float, vessel_gap_mm: float) -> An
         )
         return fields[value]
 
-    def tube(points: list[tuple[float, float, float]], radii: list[float], *, flat_end: bool = False) -> Tube:
-        return Tube(scale * np.array(points), scale * np.array(radii), flat_end=flat_end)
+    def tube(points: list[tuple[float, float, float]], radii: list[float], *, trim: float = 0.0) -> Tube:
+        return Tube(scale * np.array(points), scale * np.array(radii), trim_mm=scale * trim)
 
     def ball(
         center: Float64 | tuple[float, float, float], radii: tuple[float, float, float], oblique: bool
@@ -136,11 +136,12 @@ def build_anatomy(scale: float, left_wall_mm: float, vessel_gap_mm: float) -> An
             (18.0, 55.0, -4.0),
         ],
         [10.2, 12.6, 13.0, 12.2, 12.2, 11.6, 10.6, 9.8, 9.3, 9.0, 9.0],
+        trim=7.0,
     )
     arch_branches = [
-        tube([(-8.0, 0.0, 62.0), (-13.0, -1.0, 78.0), (-18.0, -3.0, 98.0)], [6.0, 5.2, 5.0]),
-        tube([(1.0, 12.0, 72.0), (2.0, 11.0, 84.0), (1.0, 8.0, 98.0)], [4.2, 3.6, 3.5]),
-        tube([(8.0, 25.0, 73.0), (12.0, 25.0, 84.0), (17.0, 22.0, 98.0)], [4.8, 4.2, 4.0]),
+        tube([(-8.0, 0.0, 62.0), (-13.0, -1.0, 78.0), (-18.0, -3.0, 98.0)], [6.0, 5.2, 5.0], trim=7.0),
+        tube([(1.0, 12.0, 72.0), (2.0, 11.0, 84.0), (1.0, 8.0, 98.0)], [4.2, 3.6, 3.5], trim=7.0),
+        tube([(8.0, 25.0, 73.0), (12.0, 25.0, 84.0), (17.0, 22.0, 98.0)], [4.8, 4.2, 4.0], trim=7.0),
     ]
     trunk = tube(
         [
@@ -163,24 +164,32 @@ def build_anatomy(scale: float, left_wall_mm: float, vessel_gap_mm: float) -> An
             (-60.0, 16.0, 38.0),
         ],
         [9.6, 9.0, 8.6, 8.3, 7.8, 7.5],
+        trim=7.0,
     )
     left_branch = tube(
         [(19.0, -4.0, 45.0), (27.0, 7.0, 47.0), (39.0, 18.0, 47.0), (51.0, 28.0, 43.0), (60.0, 35.0, 38.0)],
         [9.6, 9.0, 8.6, 8.0, 7.5],
+        trim=7.0,
     )
     superior_cava = tube(
         [(-41.0, 0.0, 8.0), (-41.0, -2.0, 24.0), (-41.0, -4.5, 42.0), (-40.0, -6.0, 58.0), (-37.0, -7.0, 84.0)],
         [9.5, 9.0, 8.7, 8.5, 8.0],
+        trim=7.0,
     )
     inferior_cava = tube(
         [(-40.0, 6.0, -8.0), (-40.0, 8.0, -24.0), (-39.0, 9.0, -40.0), (-38.0, 10.0, -58.0)],
         [11.0, 10.2, 10.0, 10.0],
+        trim=7.0,
     )
     veins = {
-        "right superior": tube([(-12.0, 24.0, 14.0), (-30.0, 29.0, 22.0), (-53.0, 33.0, 27.0)], [8.0, 6.0, 5.5]),
-        "right inferior": tube([(-12.0, 28.0, 2.0), (-30.0, 37.0, -1.0), (-51.0, 43.0, -6.0)], [8.0, 6.0, 5.5]),
-        "left superior": tube([(8.0, 25.0, 17.0), (25.0, 31.0, 23.0), (47.0, 36.0, 26.0)], [8.0, 6.0, 5.5]),
-        "left inferior": tube([(6.0, 27.0, 4.0), (23.0, 35.0, 0.0), (44.0, 39.0, -6.0)], [8.0, 6.0, 5.5]),
+        "right superior": tube(
+            [(-12.0, 24.0, 14.0), (-30.0, 29.0, 22.0), (-53.0, 33.0, 27.0)], [8.0, 6.0, 5.5], trim=7.0
+        ),
+        "right inferior": tube(
+            [(-12.0, 28.0, 2.0), (-30.0, 37.0, -1.0), (-51.0, 43.0, -6.0)], [8.0, 6.0, 5.5], trim=7.0
+        ),
+        "left superior": tube([(8.0, 25.0, 17.0), (25.0, 31.0, 23.0), (47.0, 36.0, 26.0)], [8.0, 6.0, 5.5], trim=7.0),
+        "left inferior": tube([(6.0, 27.0, 4.0), (23.0, 35.0, 0.0), (44.0, 39.0, -6.0)], [8.0, 6.0, 5.5], trim=7.0),
     }
     left_auricle = tube(
         [(8.0, 20.0, 14.0), (24.0, 10.0, 20.0), (34.0, -2.0, 20.0), (37.0, -12.0, 15.0)], [9.0, 8.0, 7.5, 5.5]

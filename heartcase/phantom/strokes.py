@@ -5,6 +5,8 @@ At most ten strokes a label, none thicker than 2 mm in radius. Every stroke stay
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import numpy.typing as npt
 
@@ -220,25 +222,46 @@ def _outlines(phantom: HeartPhantom, radius: float) -> list[Float64]:
         (scale * np.array((-4.0, 20.0, 64.0)), x, y),
         (scale * np.array((0.0, 26.0, 20.0)), x, z),
     ]
-    return [_outline(phantom, *plane, radius) for plane in planes]
+    rooms = [_room_close] * 6 + [_room_outside] * 4
+    return [_outline(phantom, *plane, radius, room) for plane, room in zip(planes, rooms, strict=True)]
 
 
-def _outline(phantom: HeartPhantom, centre: Float64, first: Float64, second: Float64, radius: float) -> Float64:
+def _room_outside(phantom: HeartPhantom, points: Float64) -> Float64:
+    """Distance from the heart, walls included."""
+    return -phantom.truth.value(points, 0)
+
+
+def _room_close(phantom: HeartPhantom, points: Float64) -> Float64:
+    """The same, but the middle of the right ventricular wall counts as outside: it is grown, so not to be marked."""
+    fields = phantom.anatomy.tables.evaluate(points.reshape(-1, 3)).reshape(*points.shape[:-1], -1)
+    thickness = np.array([phantom.table[value].wall_thickness_mm for value in range(1, 9)] + [0.0])
+    brush = 1.1 * phantom.scale
+    thickness[1] = 0.5 * thickness[1] - brush - 0.8 * phantom.scale
+    room: Float64 = (fields - thickness).min(axis=-1)
+    return room
+
+
+def _outline(
+    phantom: HeartPhantom,
+    centre: Float64,
+    first: Float64,
+    second: Float64,
+    radius: float,
+    room: Callable[[HeartPhantom, Float64], Float64],
+) -> Float64:
     """Closed line in a plane, as near to the heart from outside as its brush allows."""
     angle = np.linspace(0.0, 2.0 * np.pi, 61)[:-1, None]
     directions = np.cos(angle) * first + np.sin(angle) * second
     reach = np.arange(0.0, 110.0 * phantom.scale, 0.5 * phantom.scale)
     rays = centre + reach[None, :, None] * directions[:, None, :]
-    clear = phantom.truth.value(rays.reshape(-1, 3), 0).reshape(len(angle), len(reach)) < -(
-        radius + 0.8 * phantom.scale
-    )
+    clear = room(phantom, rays) > radius + 0.8 * phantom.scale
     last_hit = len(reach) - 1 - np.argmax(~clear[:, ::-1], axis=1)
     out = reach[np.minimum(last_hit + 1, len(reach) - 1)]
     for _ in range(4 * len(angle)):
         line = centre + out[:, None] * directions
         closed = np.concatenate([line, line[:1]])
         middles = closed[:-1, None] + np.linspace(0.0, 1.0, 42)[None, 1:-1, None] * (closed[1:] - closed[:-1])[:, None]
-        hits = phantom.truth.value(middles, 0).max(axis=1) > -(radius + 0.2)
+        hits = room(phantom, middles).min(axis=1) < radius + 0.2 * phantom.scale
         if not hits.any():
             break
         larger = np.maximum(out, np.roll(out, -1))

@@ -46,22 +46,31 @@ STAGE_VERSIONS = {
 STAGES = tuple(STAGE_VERSIONS)
 """The stages in their order."""
 
-SECONDS_GUESSED = {"filter": 2.0, "segment": 5.0, "walls": 6.0, "edit": 1.0, "grid": 4.0, "surface": 12.0, "map": 3.0}
+SECONDS_GUESSED = {
+    "filter": 2.0,
+    "segment": 5.0,
+    "walls": 6.0,
+    "edit": 1.0,
+    "grid": 4.0,
+    "surface": 12.0,
+    "map": 2.0,
+    "bundle": 6.0,
+}
 """First estimate for a scan of a million voxels, until a build has measured."""
 
 
 class BuildListener(Protocol):
     """Who wants to know how a build goes on."""
 
-    def stage_started(self, stage: str, *, seconds_expected: float) -> None:
-        """Note that a stage begins to compute."""
+    def stage_started(self, stage: str, *, seconds_expected: float, seconds_after: float) -> None:
+        """Note that a stage begins to compute, how long it may take, and how long the stages after it may take."""
 
     def stage_finished(self, stage: str, *, seconds: float, reused: bool) -> None:
         """Note that a stage has its output, computed or found in the cache."""
 
 
 class _Silent:
-    def stage_started(self, stage: str, *, seconds_expected: float) -> None:
+    def stage_started(self, stage: str, *, seconds_expected: float, seconds_after: float) -> None:
         pass
 
     def stage_finished(self, stage: str, *, seconds: float, reused: bool) -> None:
@@ -125,10 +134,10 @@ class _Runner:
         node: _Node[T]
 
         def compute_and_store() -> T:
-            self.listener.stage_started(stage, seconds_expected=self._expected(stage))
+            self.announce(stage)
             start = time.perf_counter()
             output = compute()
-            self._learn(stage, time.perf_counter() - start)
+            self.learn(stage, time.perf_counter() - start)
             stored = self.cache.store(stage, key, output, seconds=time.perf_counter() - start)
             node.sha256 = stored.output_sha256
             self.seconds[stage] = stored.seconds
@@ -157,7 +166,7 @@ class _Runner:
 
     def run_always(self, stage: str, *, settings: Any, compute: Callable[[], T]) -> _Node[T]:
         """Compute a stage that is cheap or whose input is outside the cache's sight."""
-        self.listener.stage_started(stage, seconds_expected=self._expected(stage))
+        self.announce(stage)
         start = time.perf_counter()
         value = compute()
         node = _Node(hashlib.sha256(artifact_to_bytes(value)).hexdigest(), lambda: value, value)
@@ -173,6 +182,11 @@ class _Runner:
         )
         return node
 
+    def announce(self, stage: str) -> None:
+        """Tell the listener that a stage begins, with the time it took before, scaled to this scan."""
+        after = sum(self._expected(later) for later in STAGES[STAGES.index(stage) + 1 :])
+        self.listener.stage_started(stage, seconds_expected=self._expected(stage), seconds_after=after)
+
     def _rates(self) -> dict[str, float]:
         try:
             data = json.loads((self.cache.directory / "rates.json").read_bytes())
@@ -184,7 +198,8 @@ class _Runner:
         rate = self._rates().get(stage, SECONDS_GUESSED.get(stage, 1.0))
         return rate * self.voxel_count / 1e6
 
-    def _learn(self, stage: str, seconds: float) -> None:
+    def learn(self, stage: str, seconds: float) -> None:
+        """Remember how long a stage took, per million voxels."""
         rates = self._rates() | {stage: round(seconds * 1e6 / max(self.voxel_count, 1), 3)}
         atomic_write(self.cache.directory / "rates.json", json.dumps(rates, sort_keys=True).encode())
 
@@ -452,7 +467,7 @@ def _finish(recipe: Recipe, runner: _Runner, nodes: _Nodes, out: Path) -> BuildR
         runner.listener.stage_finished("bundle", seconds=0.0, reused=True)
         reused = (*runner.reused, "bundle")
         return BuildResult(case, report, manifest, runner.seconds, reused, False, manifest.warnings)
-    runner.listener.stage_started("bundle", seconds_expected=2.0)
+    runner.announce("bundle")
     start = time.perf_counter()
     scan, grid, structures = _have(nodes.scan).get(), _have(nodes.grid).get(), _have(nodes.structures).get()
     surface = nodes.surface.get() if nodes.surface else None
@@ -502,6 +517,7 @@ def _finish(recipe: Recipe, runner: _Runner, nodes: _Nodes, out: Path) -> BuildR
     )
     atomic_write(report, html.encode())
     runner.cache.note("bundle", key, {"manifest_sha256": sha256_of_file(case / MANIFEST_NAME)})
+    runner.learn("bundle", time.perf_counter() - start)
     runner.listener.stage_finished("bundle", seconds=time.perf_counter() - start, reused=not changed)
     return BuildResult(case, report, content.manifest, runner.seconds, tuple(runner.reused), changed, tuple(warnings))
 
