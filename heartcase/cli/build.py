@@ -51,7 +51,7 @@ class _Bar:
 
     def __init__(self, console: Console) -> None:
         columns = ("{task.description}", _TimedBar(24), TimeElapsedColumn(), _TimeLeft())
-        self.progress = Progress(*columns, console=console, transient=True)
+        self.progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
         self.console = console
         self.task: TaskID | None = None
 

@@ -53,7 +53,8 @@ def error_console() -> Console:
 def working(words: str) -> Iterator[None]:
     """Show what is being done and for how long, while it lasts; also a decorator of a command's function."""
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    with Progress(*columns, console=error_console(), transient=True) as progress:
+    console = error_console()
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         progress.add_task(words, total=None)
         yield
 
