@@ -5,7 +5,6 @@
 
 PYTHON ?= python3
 VENV ?= .venv
-OUT ?= out
 BIN = $(VENV)/bin
 
 .PHONY: case test check plain bench lock clean
@@ -18,9 +17,10 @@ $(VENV)/installed: requirements.lock pyproject.toml
 	touch $@
 
 case: $(VENV)/installed
-	$(BIN)/heartcase phantom $(OUT)/adult_phantom --size adult --modality mri --spacing 1.75
-	$(BIN)/heartcase build sample_cases/adult_phantom.toml --out $(OUT)
-	$(BIN)/heartcase simulate "$(OUT)/adult phantom.case" --script sample_cases/pull.toml --picture $(OUT)/pull.png
+	$(BIN)/heartcase phantom out/adult_phantom --size adult --scan-only
+	$(BIN)/heartcase build sample_cases/adult_phantom.toml --out out
+	$(BIN)/heartcase simulate out/adult-phantom.case --script sample_cases/pull.toml --picture out/pull.png
+	@echo 'Look at out/adult-phantom.report.html and out/pull.png'
 
 test: $(VENV)/installed check plain
 	$(BIN)/python -m pytest
@@ -33,9 +33,9 @@ check: $(VENV)/installed
 
 # The simulator alone, in an environment without SimpleITK, VTK or scikit-image, on a case that the other one wrote.
 plain: $(VENV)/installed $(VENV)-plain/installed
-	$(BIN)/python -m tests.write_block_case $(OUT)/block.case
+	$(BIN)/python -m tests.write_block_case out/block.case
 	$(VENV)-plain/bin/python -c 'import importlib.util as u; found = [m for m in ("SimpleITK", "vtk", "skimage", "scipy") if u.find_spec(m)]; assert not found, found'
-	$(VENV)-plain/bin/heartcase simulate $(OUT)/block.case --seconds 0.05
+	$(VENV)-plain/bin/heartcase simulate out/block.case --seconds 0.05
 
 $(VENV)-plain/installed: requirements-plain.lock pyproject.toml
 	$(PYTHON) -m venv $(VENV)-plain
@@ -44,7 +44,7 @@ $(VENV)-plain/installed: requirements-plain.lock pyproject.toml
 	touch $@
 
 bench: $(VENV)/installed
-	$(BIN)/heartcase bench --json $(OUT)/bench.json
+	$(BIN)/heartcase bench --json out/bench.json
 
 # New pins; needs uv.
 lock:
@@ -52,4 +52,4 @@ lock:
 	uv pip compile pyproject.toml --universal --python-version 3.11 --no-annotate --no-header --no-emit-index-url --generate-hashes -o requirements-plain.lock
 
 clean:
-	rm -rf $(VENV) $(VENV)-plain $(OUT)
+	rm -rf $(VENV) $(VENV)-plain out

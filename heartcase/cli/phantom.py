@@ -131,7 +131,7 @@ def command(
         labels = _true_labels(phantom.truth.label, geometry)
         _write_image(out_dir / "truth.nii.gz", labels, geometry)
         text = recipe_text(
-            phantom, name=f"{size} phantom", scan_path="scan.nii.gz", command=f"heartcase phantom FOLDER --size {size}"
+            phantom, name=f"{size}-phantom", scan_path="scan.nii.gz", command=f"heartcase phantom FOLDER --size {size}"
         )
         _replace_text(out_dir / "recipe.toml", text)
         files += ["truth.nii.gz", "recipe.toml"]

@@ -93,10 +93,18 @@ def tabulate(
         fourth.
     margin_mm
         How far the lattice reaches beyond the box.
+
+    Raises
+    ------
+    ValueError
+        The box does not hold the shape.
     """
     origin = lower_mm - margin_mm
     size = np.ceil((upper_mm + margin_mm - origin) / (COARSE * spacing_mm)).astype(np.int64) * COARSE + 1
     values = _distances(shape, origin, size, spacing_mm, band_mm)
+    border = min(values.take(side, axis=axis).min() for axis in range(3) for side in (0, -1))
+    if border < 0.5 * margin_mm:
+        raise ValueError(f"the box does not hold the shape: it comes within {border:.1f} mm of the lattice's border")
     return DistanceTables(_coefficients(values), np.zeros(1, np.int64), size[None], origin[None], spacing_mm, margin_mm)
 
 

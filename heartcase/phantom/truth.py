@@ -92,7 +92,7 @@ class Truth:
         Returns
         -------
         Array of shape (...). Within 0.02 mm of the true distance where the nearest border point lies on a smooth
-        face, within 0.1 mm where it lies on an edge between faces.
+        face; beside an edge between faces mostly within 0.1 mm.
         """
         return self._distance(points_mm, int(label))
 
@@ -111,8 +111,8 @@ class Truth:
         return self._value(np.ascontiguousarray(points.reshape(-1, 3)), region).reshape(points.shape[:-1])
 
     def extent(self, axes: Float64) -> tuple[Float64, Float64]:
-        """Least and greatest coordinate of the tissue along the rows of ``axes``, each shape (3,), within 0.5 mm."""
-        step = 2.5 * self.tables.spacing_mm
+        """Least and greatest coordinate of the tissue along the rows of ``axes``, each shape (3,), within 1 mm."""
+        step = 2.0 * self.tables.spacing_mm
         lower = self.tables.origin_mm.min(axis=0)
         upper = (self.tables.origin_mm + (self.tables.size - 1) * self.tables.spacing_mm).max(axis=0)
         lattice = np.meshgrid(*(np.arange(a, b, step) for a, b in zip(lower, upper, strict=True)), indexing="ij")

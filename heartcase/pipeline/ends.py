@@ -1,31 +1,91 @@
-"""Cutting vessels off at end markers: the label goes from the voxels beyond, the exact plane becomes a reshaping."""
+"""Cutting vessels off at end markers: the lumen is made to run on through the disc, then a reshaping cuts it there.
+
+A lumen that rounds off at the disc, or stops short of it, would get a wall over its mouth. So its label is continued
+along the disc's axis, by the last cross-section that is not yet its rounded tip, as far as the wall and the smoothing
+reach; what lies further out loses its label; the exact plane is a reshaping of the structures.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import cc3d
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import binary_dilation, map_coordinates
 
 from heartcase.pipeline.data import Reshaping, Segmentation
 from heartcase.schemas.errors import Problem, StageError
+from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND, LabelTable
 from heartcase.schemas.settings import EndMarker
 
-__all__ = ["cut_ends"]
+__all__ = ["EndCuts", "cut_ends"]
 
 Bool = npt.NDArray[np.bool_]
 Float64 = npt.NDArray[np.float64]
 UInt8 = npt.NDArray[np.uint8]
+Box = tuple[slice, slice, slice]
+
+FULL_SHARE = 0.9
+"""Least part of its area that a cross-section keeps over half a radius, where the lumen is not yet its tip."""
+SPECK_SHARE = 0.2
+"""Cross-sections of less than this part of the usual area are a spike of the tip."""
+BODY_SHARE = 0.75
+"""Cross-sections of more than this part of the disc's area belong to the chamber that the vessel leaves."""
+OPEN_SHARE = 0.5
+"""Part of its area that the lumen must keep to count as open."""
+GAP_VOXELS = 2.0
+"""Gap between lumen and disc that is closed without a word."""
+SECTION_SAMPLES = 4
+"""Sections that are averaged, over 1.5 voxels, into the one that is continued."""
+
+
+@dataclass(frozen=True)
+class EndCuts:
+    """What the end markers make of a segmentation."""
+
+    labels: UInt8
+    """Labels with the vessels continued through their discs and cleared beyond the stumps."""
+    reshapings: tuple[Reshaping, ...]
+    """The cut at each marker that meets its vessel, in order."""
+    ends: tuple[EndMarker, ...]
+    """The markers that meet their vessel."""
+    warnings: tuple[str, ...]
+    """Markers that do not, and lumens that were continued over a gap."""
+
+
+@dataclass(frozen=True)
+class _Disc:
+    """An end marker, its vessel's value, and the part of the lattice around it."""
+
+    value: int
+    position: Float64
+    axis: Float64
+    radius_mm: float
+    clearance_mm: float
+    geometry: Geometry
+    box: Box
+    along: Float64
+    """Distance beyond the disc's plane of each voxel of the box, mm, shape [z, y, x]."""
+    across: Float64
+    """Distance from the disc's axis, mm."""
+
+    @property
+    def cylinder(self) -> Bool:
+        """Voxels of the box in front of the disc and behind it."""
+        return (self.across <= self.radius_mm) & (self.along <= self.clearance_mm)
 
 
 def cut_ends(
     segmentation: Segmentation, table: LabelTable, ends: Sequence[EndMarker], *, clearance_mm: float
-) -> tuple[UInt8, tuple[Reshaping, ...]]:
-    """Take each vessel's label from the voxels beyond its end marker.
+) -> EndCuts:
+    """Make each vessel run straight on through its end marker, and take its label from the voxels beyond.
 
-    A stump of ``clearance_mm`` stays so that the fields are undisturbed at the plane; a reshaping takes it away.
+    A stump of ``clearance_mm`` stays so that the fields are undisturbed at the plane; a reshaping takes it away. Where
+    the lumen rounds off before the stump's end, or stops up to the disc's radius short of the disc, its last full
+    cross-section is continued along the axis: into background only, and nowhere beside other blood.
 
     Parameters
     ----------
@@ -40,78 +100,220 @@ def cut_ends(
 
     Returns
     -------
-    labels : UInt8
-        Labels without the parts beyond the stumps.
-    cuts : tuple of Reshaping
-        One for each marker, in order.
+    EndCuts
+        Labels, cuts, and what the user must know.
 
     Raises
     ------
     StageError
-        For every marker that lies outside the volume, touches no vessel of its label, or does not cut through it.
+        For every marker that lies outside the volume, whose label is not in the segmentation, or that does not cut
+        through its vessel.
     """
     labels = segmentation.labels.copy()
     cuts: list[Reshaping] = []
+    met: list[EndMarker] = []
     problems: list[Problem] = []
+    warnings: list[str] = []
     for number, end in enumerate(ends, start=1):
+        place = f"ends[{number}]"
         try:
             label = table[end.label]
         except KeyError:
-            problems.append(Problem(f"ends[{number}]", f"there is no label {end.label!r}: check the name"))
+            problems.append(Problem(place, f"there is no label {end.label!r}: check the name"))
             continue
-        position = np.array(end.position_mm)
-        axis = np.array(end.axis) / np.linalg.norm(end.axis)
-        message = _cut(labels, segmentation, label.value, position, axis, end.radius_mm, clearance_mm)
-        if message:
-            problems.append(Problem(f"ends[{number}]", message.format(name=label.name)))
+        disc = _disc_of(segmentation, end, label.value, clearance_mm)
+        message = _refusal(segmentation, disc)
+        if disc is None or message:
+            problems.append(Problem(place, message.format(name=label.name)))
             continue
-        wall = table.wall_value(label.value)
-        sources = (label.name,) if wall is None else (label.name, table[wall].name)
-        far = position + 2.0 * clearance_mm * axis
-        cuts.append(
-            Reshaping(
-                "cylinder",
-                (end.position_mm, (float(far[0]), float(far[1]), float(far[2]))),
-                end.radius_mm,
-                sources,
-                (table[BACKGROUND].name,),
-            )
-        )
+        away = _way_to_vessel(segmentation, disc)
+        if away:
+            warnings.append(f"{place} ({label.name}): {away}")
+            continue
+        _clear_beyond(labels, segmentation, disc)
+        warnings += [f"{place} ({label.name}): {text}" for text in _continue_lumen(labels, disc, table.blood_values)]
+        met.append(end)
+        cuts.append(_cut(disc, end, table))
     if problems:
         raise StageError(problems)
-    return labels, tuple(cuts)
+    return EndCuts(labels, tuple(cuts), tuple(met), tuple(warnings))
 
 
-def _cut(
-    labels: UInt8,
-    segmentation: Segmentation,
-    value: int,
-    position: Float64,
-    axis: Float64,
-    radius_mm: float,
-    clearance_mm: float,
-) -> str:
-    """Clear one vessel beyond its stump in place; what is wrong, or an empty string."""
+def _cut(disc: _Disc, end: EndMarker, table: LabelTable) -> Reshaping:
+    wall = table.wall_value(disc.value)
+    sources = (table[disc.value].name,) if wall is None else (table[disc.value].name, table[wall].name)
+    far = disc.position + 2.0 * disc.clearance_mm * disc.axis
+    points = (end.position_mm, (float(far[0]), float(far[1]), float(far[2])))
+    return Reshaping("cylinder", points, end.radius_mm, sources, (table[BACKGROUND].name,))
+
+
+def _disc_of(segmentation: Segmentation, end: EndMarker, value: int, clearance_mm: float) -> _Disc | None:
+    """Look at the lattice around an end marker; None outside the volume."""
     geometry = segmentation.geometry
-    voxel = float(max(geometry.spacing_mm))
-    where = np.argwhere(segmentation.labels == value)
-    if len(where) == 0:
-        return "there is no '{name}' in the segmentation: check the markers, or remove this end marker"
-    offset = geometry.index_to_world(where[:, ::-1]) - position
+    position = np.array(end.position_mm)
+    axis = np.array(end.axis) / np.linalg.norm(end.axis)
+    middles = geometry.world_to_index(position + np.outer([-3.0 * end.radius_mm, clearance_mm], axis))
+    reach = end.radius_mm / np.array(geometry.spacing_mm) + 1.0
+    low = np.maximum(np.floor(middles.min(axis=0) - reach), 0).astype(int)
+    high = np.minimum(np.ceil(middles.max(axis=0) + reach) + 1, geometry.size).astype(int)
+    index = geometry.world_to_index(position)
+    size = np.array(geometry.size)
+    if np.any(high <= low) or np.any(index < -reach) or np.any(index > size - 1 + reach):
+        return None
+    box = (slice(low[2], high[2]), slice(low[1], high[1]), slice(low[0], high[0]))
+    k, j, i = np.meshgrid(*(np.arange(part.start, part.stop) for part in box), indexing="ij")
+    offset = geometry.index_to_world(np.stack([i, j, k], axis=-1)) - position
     along = offset @ axis
-    across = np.linalg.norm(offset - along[:, None] * axis, axis=1)
-    on_disc = across <= radius_mm
-    near = on_disc & (np.abs(along) <= 1.5 * voxel)
-    if not near.any():
-        return "the disc touches no '{name}': move its position_mm onto the vessel, or enlarge radius_mm"
-    vessel = np.zeros(labels.shape, np.bool_)
-    vessel[tuple(where[~(on_disc & (along >= 0.0) & (along <= 1.8 * voxel))].T)] = True
-    pieces = cc3d.connected_components(vessel, connectivity=6)
-    piece = pieces[tuple(where.T)]
-    before = set(np.unique(piece[on_disc & (along < 0.0) & (along >= -1.8 * voxel)])) - {0}
-    after = set(np.unique(piece[on_disc & (along > 1.8 * voxel) & (along <= 3.6 * voxel)])) - {0}
+    across = np.sqrt(np.maximum(np.einsum("...x,...x->...", offset, offset) - along * along, 0.0))
+    return _Disc(value, position, axis, end.radius_mm, clearance_mm, geometry, box, along, across)
+
+
+def _refusal(segmentation: Segmentation, disc: _Disc | None) -> str:
+    """What is wrong with a marker, or an empty string."""
+    if disc is None:
+        return "the disc lies outside the volume: move its position_mm onto the end of '{name}'"
+    vessel = segmentation.labels == disc.value
+    if not vessel.any():
+        return "there is no '{name}' in the segmentation: check the markers, or remove this end marker"
+    before, after, _ = _sides(vessel, disc)
     if before & after:
         return "the disc does not cut through '{name}': enlarge radius_mm, or set the axis along the vessel"
-    beyond = np.isin(piece, sorted(after)) & ~(on_disc & (along <= clearance_mm) & (along >= 0.0))
-    labels[tuple(where[beyond].T)] = BACKGROUND
     return ""
+
+
+def _sides(vessel: Bool, disc: _Disc) -> tuple[set[int], set[int], npt.NDArray[np.uint32]]:
+    """Pieces of a vessel without the layer at the disc that lie right before it and right beyond, and all pieces."""
+    voxel = float(max(disc.geometry.spacing_mm))
+    on_disc = disc.across <= disc.radius_mm
+    divided = vessel.copy()
+    divided[disc.box] &= ~(on_disc & (disc.along >= 0.0) & (disc.along <= 1.8 * voxel))
+    pieces = cc3d.connected_components(divided, connectivity=6)
+    near = pieces[disc.box]
+    before = {int(n) for n in np.unique(near[on_disc & (disc.along < 0.0) & (disc.along >= -1.8 * voxel)])} - {0}
+    after = {int(n) for n in np.unique(near[on_disc & (disc.along > 1.8 * voxel) & (disc.along <= 3.6 * voxel)])} - {0}
+    return before, after, pieces
+
+
+def _way_to_vessel(segmentation: Segmentation, disc: _Disc) -> str:
+    """What to say where the vessel does not come near the disc from the heart's side, or an empty string."""
+    vessel = segmentation.labels[disc.box] == disc.value
+    if np.any(vessel & (disc.across <= disc.radius_mm) & (disc.along < 0.0) & (disc.along >= -disc.radius_mm)):
+        return ""
+    where = np.argwhere(segmentation.labels == disc.value)
+    offset = disc.geometry.index_to_world(where[:, ::-1]) - disc.position
+    along = offset @ disc.axis
+    across = np.sqrt(np.maximum(np.einsum("nx,nx->n", offset, offset) - along * along, 0.0))
+    distance = np.hypot(along, np.maximum(across - disc.radius_mm, 0.0))
+    nearest = int(distance.argmin())
+    remedy = "move its position_mm onto the vessel's end, or add a stroke to the vessel there"
+    if along[nearest] > 0.0 and across[nearest] <= disc.radius_mm:
+        remedy = "turn its axis round so that it points out of the heart, or move its position_mm"
+    return f"the segmented vessel ends {distance[nearest]:.1f} mm away from this end marker and stays closed: {remedy}"
+
+
+def _clear_beyond(labels: UInt8, segmentation: Segmentation, disc: _Disc) -> None:
+    """Take the label from what is connected to the vessel beyond its stump, in place."""
+    _, after, pieces = _sides(segmentation.labels == disc.value, disc)
+    beyond = np.isin(pieces, sorted(after))
+    beyond[disc.box] &= ~(disc.cylinder & (disc.along >= 0.0))
+    labels[beyond] = BACKGROUND
+
+
+def _continue_lumen(labels: UInt8, disc: _Disc, blood_values: Sequence[int]) -> list[str]:
+    """Continue a lumen through its disc in place; what the user must know."""
+    near = labels[disc.box]
+    lumen = _lumen_before(near, disc)
+    steps, areas = _areas(lumen, disc)
+    last = _last_full_section(steps, areas, disc)
+    if last >= disc.clearance_mm:
+        return []
+    section = _continued(lumen, disc, last)
+    blood = np.isin(near, list(blood_values)) & ~lumen
+    beyond = disc.cylinder & (disc.along > last)
+    grown = section & beyond & (near == BACKGROUND) & ~binary_dilation(blood)
+    tail = lumen & beyond & (disc.along > 0.0) & ~section
+    near[tail] = BACKGROUND
+    near[grown] = disc.value
+    messages = []
+    voxel = float(max(disc.geometry.spacing_mm))
+    gap = -float(disc.along[lumen].max()) - 0.5 * voxel
+    if gap > GAP_VOXELS * voxel:
+        messages.append(
+            f"the segmented vessel stops {gap:.1f} mm before this end marker and was continued straight to it: "
+            "if that is wrong, move the marker, or add a stroke to the vessel"
+        )
+    _, opened = _areas((near == disc.value) & disc.cylinder, disc)
+    if opened[steps <= 0.0][-1] < OPEN_SHARE * areas[np.searchsorted(steps, last)]:
+        messages.append("other structures close the vessel at this end marker: move the marker towards the heart")
+    return messages
+
+
+def _lumen_before(near: UInt8, disc: _Disc) -> Bool:
+    """Find the vessel's largest piece in the disc's cylinder that comes near the disc from the heart's side."""
+    pieces = cc3d.connected_components((near == disc.value) & disc.cylinder, connectivity=6)
+    close = (disc.along < 0.0) & (disc.along >= -disc.radius_mm)
+    counts = np.bincount(pieces[close & (pieces > 0)].ravel(), minlength=2)
+    lumen: Bool = pieces == int(counts.argmax())
+    return lumen
+
+
+def _areas(lumen: Bool, disc: _Disc) -> tuple[Float64, Float64]:
+    """Areas of the cross-sections along the axis: places, mm beyond the disc, and areas, mm2."""
+    step = 0.5 * float(min(disc.geometry.spacing_mm))
+    side = np.cross(disc.axis, np.eye(3)[np.argmin(np.abs(disc.axis))])
+    side /= np.linalg.norm(side)
+    count = int(np.ceil(disc.radius_mm / step))
+    u, v = np.meshgrid(*(2 * [np.arange(-count, count + 1) * step]))
+    within = np.hypot(u, v) <= disc.radius_mm
+    flat = disc.position + u[within][:, None] * side + v[within][:, None] * np.cross(disc.axis, side)
+    places = np.arange(-np.floor(3.0 * disc.radius_mm / step), np.floor(disc.clearance_mm / step) + 1) * step
+    mask = lumen.astype(np.float32)
+    corner = np.array([part.start for part in disc.box[::-1]])
+    areas = np.empty(len(places))
+    for n, place in enumerate(places):
+        index = disc.geometry.world_to_index(flat + place * disc.axis) - corner
+        values = map_coordinates(mask, index[:, ::-1].T, order=1, mode="nearest")
+        areas[n] = step * step * np.count_nonzero(values >= 0.5)
+    return places, areas
+
+
+def _last_full_section(places: Float64, areas: Float64, disc: _Disc) -> float:
+    """Where the lumen is not yet its rounded tip, mm beyond the disc; the clearance where it runs on by itself."""
+    there = areas > 0.0
+    if areas[-1] >= OPEN_SHARE * max(areas[places <= 0.0][-1], areas[there].min(initial=np.inf)):
+        return disc.clearance_mm
+    step = places[1] - places[0]
+    tip = float(places[there][-1])
+    usual = float(np.median(areas[there & (places >= tip - disc.radius_mm)]))
+    radius = np.sqrt(usual / np.pi)
+    lag = max(1, round(max(0.5 * radius, float(max(disc.geometry.spacing_mm))) / step))
+    share = np.zeros(len(areas))
+    np.divide(areas[lag:], areas[:-lag], out=share[lag:], where=areas[:-lag] > 0.0)
+    is_body = areas > BODY_SHARE * np.pi * disc.radius_mm**2
+    share[is_body | (areas < SPECK_SHARE * usual) | (places < tip - 1.5 * disc.radius_mm)] = 0.0
+    is_full = share >= FULL_SHARE
+    stays_full = is_full.copy()
+    half = max(1, lag // 2)
+    stays_full[half:] &= is_full[:-half]
+    for candidates in (stays_full, is_full, share >= share.max()):
+        if candidates.any():
+            break
+    last = int(np.flatnonzero(candidates)[-1])
+    return float(places[max(last - half, 0)])
+
+
+def _continued(lumen: Bool, disc: _Disc, last: float) -> Bool:
+    """Voxels whose projection along the axis onto the section at ``last`` lies in the lumen."""
+    voxel = float(max(disc.geometry.spacing_mm))
+    ends = disc.geometry.world_to_index(np.stack([disc.position, disc.position + disc.axis]))
+    direction = (ends[1] - ends[0])[::-1]
+    where = np.argwhere(disc.cylinder & (disc.along > last))
+    way = disc.along[tuple(where.T)] - last
+    mask = lumen.astype(np.float32)
+    share = np.zeros(len(where))
+    for back in np.linspace(0.0, 1.5 * voxel, SECTION_SAMPLES):
+        source = where - (way + back)[:, None] * direction
+        share += map_coordinates(mask, source.T, order=1, mode="nearest")
+    section = np.zeros(lumen.shape, np.bool_)
+    section[tuple(where[share >= 0.5 * SECTION_SAMPLES].T)] = True
+    return section

@@ -34,7 +34,7 @@ STAGE_VERSIONS = {
     "filter": 1,
     "markers": 1,
     "segment": 1,
-    "walls": 1,
+    "walls": 2,
     "edit": 1,
     "grid": 1,
     "surface": 1,

@@ -69,14 +69,16 @@ def grow_walls(segmentation: Segmentation, settings: WallsSettings, ends: Sequen
     thickest = max((label.wall_thickness_mm for label in table), default=0.0)
     band = settings.band_mm or thickest + BAND_VOXELS * float(spacing.mean())
     band = max(band, thickest + float(spacing.max()))
-    labels, cuts = cut_ends(segmentation, table, ends, clearance_mm=thickest + 3.0 * smoothing + 2.0 * spacing.max())
+    clearance = thickest + 3.0 * smoothing + 2.0 * float(spacing.max())
+    cut = cut_ends(segmentation, table, ends, clearance_mm=clearance)
+    labels = cut.labels
     distances = label_distances(
         labels, geometry.spacing_mm, smoothing_mm=smoothing, band_mm=band, blood_values=table.blood_values
     )
     if BACKGROUND not in distances:
         far = float(np.linalg.norm(spacing * np.array(geometry.size)))
         distances[BACKGROUND] = np.full(geometry.shape, far, np.float32)
-    axes = [np.array(end.axis) / np.linalg.norm(end.axis) for end in ends]
+    axes = [np.array(end.axis) / np.linalg.norm(end.axis) for end in cut.ends]
     return Structures(
         distance_mm=dict(sorted(distances.items())),
         geometry=geometry,
@@ -84,10 +86,10 @@ def grow_walls(segmentation: Segmentation, settings: WallsSettings, ends: Sequen
         band_mm=float(band),
         fixed_planes=tuple(
             (end.position_mm, (float(axis[0]), float(axis[1]), float(axis[2])), end.radius_mm)
-            for end, axis in zip(ends, axes, strict=True)
+            for end, axis in zip(cut.ends, axes, strict=True)
         ),
-        reshapings=cuts,
-        warnings=_warnings(labels, distances, geometry, table),
+        reshapings=cut.reshapings,
+        warnings=(*cut.warnings, *_warnings(labels, distances, geometry, table)),
     )
 
 

@@ -198,7 +198,7 @@ def test_every_bad_end_marker_is_reported():
         grown(labels, geometry, ends=(good, far, small, missing, unknown))
     assert [problem.place for problem in error.value.problems] == ["ends[2]", "ends[3]", "ends[4]", "ends[5]"]
     messages = [problem.message for problem in error.value.problems]
-    assert "touches no 'aorta'" in messages[0]
+    assert "outside the volume" in messages[0]
     assert "does not cut through" in messages[1]
     assert "no 'left atrium' in the segmentation" in messages[2]
     assert "no label 'vena cava'" in messages[3]

@@ -1,0 +1,72 @@
+import json
+
+import numpy as np
+import pytest
+import SimpleITK as sitk
+from click.testing import CliRunner
+
+from heartcase.cli.main import main
+from heartcase.cli.phantom import command
+from heartcase.phantom.heart import HeartPhantom
+from heartcase.schemas.recipe import load_recipe
+
+
+def run(*arguments):
+    result = CliRunner().invoke(command, [str(a) for a in arguments], catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+def test_writes_scan_truth_and_recipe(tmp_path):
+    out = tmp_path / "phantom"
+    summary = json.loads(run(out, "--size", "child", "--spacing", "2", "2", "3", "--vsd", "5", "--oblique", "--json"))
+    assert summary["files"] == ["scan.nii.gz", "truth.nii.gz", "recipe.toml"]
+    assert sorted(path.name for path in out.iterdir()) == ["recipe.toml", "scan.nii.gz", "truth.nii.gz"]
+    scan, truth = sitk.ReadImage(str(out / "scan.nii.gz")), sitk.ReadImage(str(out / "truth.nii.gz"))
+    assert list(scan.GetSize()) == list(truth.GetSize()) == summary["voxels"]
+    np.testing.assert_allclose(scan.GetSpacing(), (2.0, 2.0, 3.0), atol=1e-5)
+    phantom = HeartPhantom.child()
+    phantom = HeartPhantom.child(defects=[phantom.ventricular_defect(5.0)])
+    labels = sitk.GetArrayFromImage(truth)
+    geometry = phantom.scan_geometry((2.0, 2.0, 3.0), oblique=True)
+    np.testing.assert_allclose(scan.GetOrigin(), geometry.origin_mm, atol=1e-3)
+    np.testing.assert_allclose(np.reshape(scan.GetDirection(), (3, 3)), geometry.direction_matrix, atol=1e-5)
+    middle = np.array(phantom.defects[0].position_mm)
+    i, j, k = np.rint(geometry.world_to_index(middle)).astype(int)
+    assert labels[k, j, i] in (1, 2)
+    volume = np.isin(labels, phantom.truth.table.tissue_values).sum() * 12.0 / 1000.0
+    assert summary["tissue_ml"] == pytest.approx(volume, abs=0.01)
+    assert load_recipe(out / "recipe.toml").scan.path == "scan.nii.gz"
+
+
+def test_scan_only_and_without_noise(tmp_path):
+    text = run(tmp_path, "--size", "child", "--modality", "ct", "--spacing", "4", "--noise", "0", "--scan-only")
+    assert [path.name for path in tmp_path.iterdir()] == ["scan.nii.gz"]
+    assert "CT of the child phantom" in text
+    values = sitk.GetArrayFromImage(sitk.ReadImage(str(tmp_path / "scan.nii.gz")))
+    assert values.min() == -800.0
+    assert values.max() == 350.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--spacing", "0"], "give one voxel size or three"),
+        (["--spacing", "1", "2"], "give one voxel size or three"),
+        (["--noise", "-1"], "0 (no noise) or above"),
+        (["--vsd", "0"], "above 0 and up to 50"),
+        (["--bias", "2"], "below 1"),
+    ],
+)
+def test_wrong_options_are_said_in_one_line(tmp_path, capsys, arguments, message):
+    assert main(["phantom", str(tmp_path / "out"), "--size", "child", *arguments]) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1
+    assert message in lines[0]
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_file_in_the_way_is_said(tmp_path, capsys):
+    (tmp_path / "out").write_text("")
+    assert main(["phantom", str(tmp_path / "out"), "--size", "child"]) == 2
+    assert capsys.readouterr().err.strip()

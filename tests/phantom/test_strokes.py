@@ -1,0 +1,90 @@
+from collections import Counter
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from heartcase.phantom.heart import HeartPhantom
+from heartcase.phantom.recipe import recipe_text
+from heartcase.phantom.strokes import marker_strokes
+from heartcase.schemas.recipe import load_recipe, parse_recipe
+from tests.phantom.conftest import lattice_points
+
+SAMPLES = Path(__file__).parents[2] / "sample_cases"
+
+
+def segment_points(points, step_mm=0.3):
+    if len(points) == 1:
+        return points
+    parts = []
+    for a, b in pairwise(points):
+        count = max(2, int(np.linalg.norm(b - a) / step_mm) + 1)
+        parts.append(a + np.linspace(0.0, 1.0, count)[:, None] * (b - a))
+    return np.concatenate(parts)
+
+
+@pytest.fixture(scope="module", params=["adult", "child"])
+def drawn(request):
+    phantom = HeartPhantom.of_size(request.param)
+    return phantom, marker_strokes(phantom)
+
+
+def test_few_thin_strokes_for_every_label(drawn):
+    phantom, strokes = drawn
+    counts = Counter(stroke.label for stroke in strokes)
+    assert set(counts) == {label.name for label in phantom.table}
+    assert max(counts.values()) <= 10
+    assert all(0.0 < stroke.radius_mm <= 2.0 for stroke in strokes)
+
+
+def test_strokes_mark_less_than_a_hundredth_of_the_voxels(drawn):
+    phantom, strokes = drawn
+    geometry = phantom.scan_geometry(1.75 if phantom.size == "adult" else 1.0)
+    centres = lattice_points(geometry)
+    marked = np.zeros(geometry.shape, bool)
+    for stroke in strokes:
+        points = segment_points(np.array(stroke.points_mm), 0.5)
+        index = geometry.world_to_index(points)
+        low = np.maximum(np.floor(index.min(axis=0) - 3).astype(int), 0)
+        high = np.ceil(index.max(axis=0) + 4).astype(int)
+        box = tuple(slice(a, b) for a, b in zip(low[::-1], high[::-1], strict=True))
+        inside = np.zeros(marked[box].shape, bool)
+        for point in points:
+            inside |= ((centres[box] - point) ** 2).sum(-1) <= stroke.radius_mm**2
+        marked[box] |= inside
+    assert 0.002 < marked.mean() < 0.01
+
+
+def test_strokes_stay_inside_their_structures(drawn):
+    phantom, strokes = drawn
+    truth = phantom.truth
+    for stroke in strokes:
+        value = phantom.table[stroke.label].value
+        labels = truth.label(segment_points(np.array(stroke.points_mm)))
+        # The wall of the right ventricle is grown, not segmented: on a scan it is marked as background.
+        allowed = [0, truth.table.wall_value(2)] if value == 0 else [value]
+        assert np.isin(labels, allowed).all(), stroke.label
+
+
+def test_recipe_text_is_a_recipe_with_these_strokes_and_ends(drawn):
+    phantom, strokes = drawn
+    recipe = parse_recipe(recipe_text(phantom, name="a phantom", scan_path="scan.nii.gz", command="make it"))
+    assert recipe.strokes == strokes
+    assert recipe.ends == phantom.ends
+    assert recipe.landmarks == phantom.landmarks
+    assert recipe.table == phantom.table
+
+
+def test_sample_case_holds_these_strokes(drawn):
+    phantom, strokes = drawn
+    recipe = load_recipe(SAMPLES / f"{phantom.size}_phantom.toml")
+    assert recipe.scan.path == f"../out/{phantom.size}_phantom/scan.nii.gz"
+    assert recipe.table == phantom.table
+    assert [(s.label, s.radius_mm) for s in recipe.strokes] == [(s.label, s.radius_mm) for s in strokes]
+    for saved, fresh in zip(recipe.strokes, strokes, strict=True):
+        # Another processor may round a coordinate the other way.
+        np.testing.assert_allclose(saved.points_mm, fresh.points_mm, atol=0.11)
+    for saved, fresh in zip(recipe.ends, phantom.ends, strict=True):
+        assert saved.label == fresh.label
+        np.testing.assert_allclose(saved.position_mm, fresh.position_mm, atol=0.0011)

@@ -1,0 +1,219 @@
+"""Vessel ends against tubes of known radius: open at the disc, the wall's ring whole up to it, nothing beyond."""
+
+import numpy as np
+import pytest
+
+from heartcase.pipeline.data import Segmentation
+from heartcase.pipeline.ends import cut_ends
+from heartcase.pipeline.fields import ownership_at_points
+from heartcase.pipeline.walls import grow_walls
+from heartcase.schemas.errors import StageError
+from heartcase.schemas.labels import Label, LabelTable, Role
+from heartcase.schemas.settings import EndMarker, WallsSettings
+from tests.pipeline.lattices import LATTICES, lattice, points_of
+
+KINDS = ["even", "flat", "oblique", "left-handed"]
+AXIS = np.array([0.48, 0.6, 0.64])
+WALL_MM = 2.0
+STEP_MM = 0.15
+TABLE = LabelTable(
+    labels=(
+        Label(value=1, name="vein", role=Role.VESSEL_LUMEN, wall_thickness_mm=WALL_MM),
+        Label(value=2, name="ventricle", role=Role.BLOOD),
+        Label(value=3, name="muscle", role=Role.MYOCARDIUM),
+    )
+)
+
+
+def marker(position=(0.0, 0.0, 0.0), axis=AXIS, radius_mm=10.0):
+    return EndMarker(label="vein", position_mm=tuple(position), axis=tuple(axis), radius_mm=radius_mm)
+
+
+def grown(labels, geometry, *ends):
+    return grow_walls(Segmentation(labels.astype(np.uint8), geometry, TABLE), WallsSettings(), ends)
+
+
+def sides_of(axis):
+    side = np.cross(axis, [1.0, 0.0, 0.0])
+    side /= np.linalg.norm(side)
+    return side, np.cross(axis, side)
+
+
+def disc_points(end, *, before_mm):
+    """Points of a plane before the disc, within its radius."""
+    axis = np.array(end.axis) / np.linalg.norm(end.axis)
+    across = np.arange(-end.radius_mm, end.radius_mm + STEP_MM, STEP_MM)
+    u, v = np.meshgrid(across, across)
+    within = np.hypot(u, v) <= end.radius_mm
+    side, other = sides_of(axis)
+    return np.array(end.position_mm) - before_mm * axis + u[within][:, None] * side + v[within][:, None] * other
+
+
+def areas(structures, end, before_mm):
+    """Area of tissue and of lumen, mm2."""
+    owner = ownership_at_points(structures, disc_points(end, before_mm=before_mm))
+    tissue = owner.tissue_mm < 0.0
+    lumen = ~tissue & (owner.void_label == 1)
+    return STEP_MM**2 * np.count_nonzero(tissue), STEP_MM**2 * np.count_nonzero(lumen)
+
+
+def check_open(structures, end, radius_mm, *, tolerance):
+    """The ring and the lumen right before the plane, an open mouth, and nothing beyond."""
+    for before in (3.0, 1.5, 0.5, 0.1):
+        radius = radius_mm(before)
+        tissue, lumen = areas(structures, end, before)
+        assert tissue == pytest.approx(np.pi * ((radius + WALL_MM) ** 2 - radius**2), rel=tolerance)
+        assert lumen == pytest.approx(np.pi * radius**2, rel=2.0 * tolerance)
+    axis = np.array(end.axis) / np.linalg.norm(end.axis)
+    mouth = np.array(end.position_mm) + np.array([[-3.0], [-0.5], [-0.02], [0.02], [0.5], [3.0]]) * axis
+    assert (ownership_at_points(structures, mouth).tissue_mm > 0.0).all()
+    for beyond in (0.05, 1.0, 3.0, 6.0, 12.0):
+        owner = ownership_at_points(structures, disc_points(end, before_mm=-beyond))
+        assert (owner.tissue_mm > 0.0).all()
+        assert (owner.void_label == 0).all()
+
+
+def tube(geometry, *, radius_mm, taper=0.0, stop_mm=100.0, is_round=False):
+    """A straight tube along AXIS whose radius at the origin's plane is given; it stops there or rounds off."""
+    points = points_of(geometry)
+    along = points @ AXIS
+    across = np.linalg.norm(points - along[..., None] * AXIS, axis=-1)
+    inside = (across < radius_mm - taper * along) & (along <= stop_mm)
+    if is_round:
+        inside &= np.hypot(np.maximum(along - (stop_mm - radius_mm), 0.0), across) < radius_mm
+    return inside
+
+
+def tolerance_for(radius_mm):
+    """A tenth of a millimetre in the wall's middle radius or its thickness, against thickness and radius."""
+    return 0.1 / WALL_MM + 0.1 / (radius_mm + 0.5 * WALL_MM) - 0.01
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("beyond_voxels", [-2.0, 0.0, 3.0, 100.0])
+def test_the_ring_is_whole_up_to_the_disc_wherever_the_segmentation_stops(kind, beyond_voxels):
+    geometry = lattice(kind, 44.0)
+    stop = beyond_voxels * max(LATTICES[kind][0])
+    end = marker()
+    structures = grown(tube(geometry, radius_mm=6.0, stop_mm=stop), geometry, end)
+    check_open(structures, end, lambda before: 6.0, tolerance=tolerance_for(6.0))
+    assert structures.warnings == ()
+
+
+@pytest.mark.parametrize("kind", ["even", "oblique"])
+@pytest.mark.parametrize("stop_mm", [-3.0, 0.0, 3.0])
+def test_a_rounded_tip_is_opened(kind, stop_mm):
+    geometry = lattice(kind, 44.0)
+    end = marker()
+    structures = grown(tube(geometry, radius_mm=6.0, stop_mm=stop_mm, is_round=True), geometry, end)
+    check_open(structures, end, lambda before: 6.0, tolerance=2.0 * tolerance_for(6.0))
+
+
+@pytest.mark.parametrize("beyond_voxels", [-2.0, 3.0, 100.0])
+def test_a_tapering_tube(beyond_voxels):
+    geometry = lattice("oblique", 44.0)
+    end = marker(radius_mm=12.0)
+    slope = 0.05
+    structures = grown(tube(geometry, radius_mm=6.0, taper=slope, stop_mm=beyond_voxels * 2.0), geometry, end)
+    # A straight continuation from up to 6 mm before the disc is 0.3 mm too wide there.
+    check_open(structures, end, lambda before: 6.0 + slope * before, tolerance=tolerance_for(6.0) + 0.3 / 6.0)
+
+
+@pytest.mark.parametrize("beyond_voxels", [-2.0, 0.0, 3.0])
+def test_a_curved_tube(beyond_voxels):
+    geometry = lattice("even", 60.0)
+    points = points_of(geometry)
+    bend = 25.0
+    side, other = sides_of(AXIS)
+    x, y, z = points @ side + bend, points @ other, points @ AXIS
+    along = bend * np.arctan2(z, x)
+    inside = (np.hypot(np.hypot(x, z) - bend, y) < 6.0) & (along <= beyond_voxels * 1.75)
+    end = marker()
+    structures = grown(inside, geometry, end)
+    # In a plane d before the disc the ring is cut at an angle: longer by 1 / cos(d / bend), below 1%.
+    check_open(structures, end, lambda before: 6.0, tolerance=tolerance_for(6.0) + 0.01)
+
+
+def test_a_lumen_that_runs_on_by_itself_is_left_as_it_is():
+    geometry = lattice("oblique", 44.0)
+    labels = tube(geometry, radius_mm=6.0).astype(np.uint8)
+    cut = cut_ends(Segmentation(labels, geometry, TABLE), TABLE.with_walls(), (marker(),), clearance_mm=8.0)
+    near = points_of(geometry) @ AXIS <= 8.0 - 1e-9
+    assert np.array_equal(cut.labels[near], labels[near])
+
+
+def test_a_vein_on_a_body_is_continued_by_its_own_section():
+    geometry = lattice("even", 60.0)
+    points = points_of(geometry)
+    centre = -22.0 * AXIS
+    body = np.linalg.norm(points - centre, axis=-1) < 14.0
+    vein = tube(geometry, radius_mm=5.0, stop_mm=-1.0, is_round=True) & (points @ AXIS > -22.0)
+    end = marker(radius_mm=9.0)
+    structures = grown(body | vein, geometry, end)
+    check_open(structures, end, lambda before: 5.0, tolerance=2.0 * tolerance_for(5.0))
+
+
+def test_the_continuation_takes_background_only_and_joins_no_blood():
+    geometry = lattice("even", 50.0)
+    along = points_of(geometry) @ AXIS
+    side, _ = sides_of(AXIS)
+    labels = tube(geometry, radius_mm=6.0, stop_mm=-3.0).astype(np.uint8)
+    lateral = points_of(geometry) @ side
+    labels[(lateral > 3.0) & (along > -2.0)] = 2
+    labels[(lateral < -4.0) & (along > -2.0)] = 3
+    cut = cut_ends(Segmentation(labels, geometry, TABLE), TABLE.with_walls(), (marker(),), clearance_mm=8.0)
+    changed = cut.labels != labels
+    assert changed.any()
+    assert (labels[changed] == 0).all()
+    assert (cut.labels[changed] == 1).all()
+    new = np.argwhere(changed)
+    for axis in range(3):
+        for step in (-1, 1):
+            beside = new.copy()
+            beside[:, axis] += step
+            assert (cut.labels[tuple(beside.T)] != 2).all()
+
+
+def test_a_marker_away_from_its_vessel_is_a_warning_and_cuts_nothing():
+    geometry = lattice("even", 60.0)
+    labels = tube(geometry, radius_mm=4.0, stop_mm=-12.0)
+    structures = grown(labels, geometry, marker(position=-20.0 * AXIS), marker(radius_mm=7.0))
+    (warning,) = structures.warnings
+    assert warning.startswith("ends[2] (vein): ")
+    distance = float(warning.split(" mm away")[0].split()[-1])
+    assert distance == pytest.approx(12.0, abs=1.75)
+    assert "add a stroke" in warning
+    assert len(structures.reshapings) == len(structures.fixed_planes) == 1
+
+
+def test_a_marker_that_points_into_the_heart_is_told_to_turn():
+    geometry = lattice("even", 44.0)
+    labels = tube(geometry, radius_mm=4.0, stop_mm=-3.0)
+    structures = grown(labels, geometry, marker(axis=-AXIS))
+    (warning,) = structures.warnings
+    assert "turn its axis round" in warning
+    assert structures.reshapings == ()
+
+
+def test_a_gap_that_is_closed_is_told():
+    geometry = lattice("even", 44.0)
+    end = marker()
+    structures = grown(tube(geometry, radius_mm=6.0, stop_mm=-7.0), geometry, end)
+    (warning,) = structures.warnings
+    assert "ends[1] (vein): the segmented vessel stops" in warning
+    check_open(structures, end, lambda before: 6.0, tolerance=tolerance_for(6.0))
+
+
+def test_a_vessel_closed_by_others_is_told():
+    geometry = lattice("even", 44.0)
+    along = points_of(geometry) @ AXIS
+    labels = tube(geometry, radius_mm=6.0, stop_mm=-3.0).astype(np.uint8)
+    labels[along > -3.0] = 3
+    (warning,) = grown(labels, geometry, marker()).warnings
+    assert "other structures close the vessel" in warning
+
+
+def test_a_marker_outside_the_volume_is_refused():
+    geometry = lattice("even", 44.0)
+    with pytest.raises(StageError, match="outside the volume"):
+        grown(tube(geometry, radius_mm=6.0), geometry, marker(position=(60.0, 0.0, 0.0)))
