@@ -7,7 +7,7 @@ from typing import Any
 
 import fast_simplification
 import numpy as np
-from phantom_inputs import PhantomInputs, phantom_inputs
+from phantom_inputs import PhantomInputs, bare_truth, phantom_inputs
 from skimage.measure import marching_cubes
 
 from heartcase.phantom.metrics import SurfaceError, closest_distance_mm
@@ -36,11 +36,7 @@ def prepare(params: dict[str, Any]) -> Inputs:
     stage = params.pop("stage")
     settings = SurfaceSettings(triangle_count=params.pop("triangle_count", 80_000))
     source = phantom_inputs(params)
-    truth = source.truth.labels.copy()
-    for label in source.truth.table:
-        if label.wall_of is not None:
-            truth[truth == label.value] = 0
-    labels = Segmentation(truth, source.truth.geometry, source.phantom.table)
+    labels = Segmentation(bare_truth(source), source.truth.geometry, source.phantom.table)
     structures = grow_walls(labels, WallsSettings(), source.phantom.ends)
     grid = build_grid(structures, GridSettings()) if stage == "map" else None
     surface = build_surface(structures, settings) if stage == "map" else None

@@ -59,3 +59,12 @@ def phantom_inputs(params: dict[str, Any]) -> PhantomInputs:
         cache.store("truth", key, truth, seconds=0.0)
     markers = load_markers((), marker_strokes(phantom), phantom.table, geometry, Path())
     return PhantomInputs(phantom, scan, clean, truth, markers)
+
+
+def bare_truth(inputs: PhantomInputs) -> Any:
+    """The true labels as a person would paint them: grown walls count as background."""
+    labels = inputs.truth.labels.copy()
+    for label in inputs.truth.table:
+        if label.wall_of is not None:
+            labels[labels == label.value] = 0
+    return labels

@@ -1,4 +1,8 @@
-"""Distance fields and grown walls from the true labels; the thickness is measured on the finished surface."""
+"""Distance fields and grown walls, from a segmentation of the noisy scan or from the true labels.
+
+The thickness is measured on the finished surface, between the wall's outer and the cavity's own surface, and compared
+with the true one.
+"""
 
 from __future__ import annotations
 
@@ -6,30 +10,32 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from phantom_inputs import PhantomInputs, phantom_inputs
+from phantom_inputs import PhantomInputs, bare_truth, phantom_inputs
 
 from heartcase.phantom.metrics import wall_thickness_error
 from heartcase.pipeline.data import Segmentation, Structures
+from heartcase.pipeline.filter import filter_scan
+from heartcase.pipeline.segment import segment_scan
 from heartcase.pipeline.surface import build_surface
 from heartcase.pipeline.walls import grow_walls
-from heartcase.schemas.settings import SurfaceSettings, WallsSettings
+from heartcase.schemas.settings import FilterSettings, SegmentSettings, SurfaceSettings, WallsSettings
 
 
 @dataclass(frozen=True)
 class Inputs:
-    """A segmentation as a person would have it: cavities and myocardium, no grown walls."""
+    """Cavities and myocardium, no grown walls."""
 
     source: PhantomInputs
     segmentation: Segmentation
 
 
 def prepare(params: dict[str, Any]) -> Inputs:
+    labels_from = params.pop("labels_from")
     source = phantom_inputs(params)
-    truth = source.truth.labels.copy()
-    for label in source.truth.table:
-        if label.wall_of is not None:
-            truth[truth == label.value] = 0
-    return Inputs(source, Segmentation(truth, source.truth.geometry, source.phantom.table))
+    if labels_from == "segmentation":
+        filtered = filter_scan(source.scan, FilterSettings())
+        return Inputs(source, segment_scan(filtered, source.markers, SegmentSettings(), source.phantom.table))
+    return Inputs(source, Segmentation(bare_truth(source), source.truth.geometry, source.phantom.table))
 
 
 def heartcase(inputs: Inputs) -> Structures:

@@ -126,20 +126,23 @@ def noise_free(
     phantom: HeartPhantom, geometry: Geometry, units: tuple[float, ...], *, supersampling: int = 3
 ) -> Float64:
     """Mean signal of each voxel, shape ``geometry.shape``, float64, for a signal per tissue."""
-    shape = geometry.shape
     signal_of = np.array(units)
+    # One voxel more on each side: a border may cut a corner of the outermost voxels.
+    padded = geometry.cropped((-1, -1, -1), tuple(n + 2 for n in geometry.size))  # type: ignore[arg-type]
+    shape = padded.shape
     tissue = np.empty(shape, np.uint8)
     clearance = np.empty(shape)
     plane = np.stack(np.meshgrid(np.arange(shape[2]), np.arange(shape[1]), indexing="xy"), axis=-1)
     for k in range(shape[0]):
         index = np.concatenate([plane, np.full((*plane.shape[:2], 1), k)], axis=-1)
-        points = geometry.index_to_world(index.reshape(-1, 3))
-        found, near = _tissues(phantom, points)
+        found, near = _tissues(phantom, padded.index_to_world(index.reshape(-1, 3)))
         tissue[k], clearance[k] = found.reshape(shape[1:]), near.reshape(shape[1:])
-    signal = signal_of[tissue]
+    inner = (slice(1, -1),) * 3
+    signal = signal_of[tissue[inner]]
     if supersampling > 1:
         half_diagonal = 0.5 * float(np.linalg.norm(geometry.spacing_mm))
         border = (clearance < half_diagonal) | (ndimage.minimum_filter(tissue, 3) != ndimage.maximum_filter(tissue, 3))
+        border = border[inner]
         centres = np.argwhere(border)[:, ::-1]
         offsets = np.indices((supersampling,) * 3).reshape(3, -1).T
         fractions = (offsets + 0.5) / supersampling - 0.5

@@ -124,7 +124,7 @@ class Structures:
     reshapings: tuple[Reshaping, ...] = ()
     """Cuts at vessel ends and edits, in order. One that names a label which the table does not have is left out."""
     warnings: tuple[str, ...] = ()
-    """What went amiss, in plain words: structures that the smoothing shrank or lost."""
+    """What went amiss, in plain words: structures that the smoothing shrank or lost, vessel ends that stay closed."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "reshapings", tuple(Reshaping(*one) for one in self.reshapings))

@@ -1,9 +1,9 @@
 """The simulation grid: tissue as cubic cells of partial coverage (thesis 11.2.1), with the topology of the scan.
 
 Cells are parallel to the scan's axes and start at the lower corner of the region of interest. A cell exists where at
-least ``coverage_min`` of it is tissue; :mod:`heartcase.pipeline.cells.repair` then adds and removes cells so that walls
-stay closed and openings stay open. Thickness, volume and Betti numbers of the result are compared with the full
-resolution.
+least ``coverage_min`` of it is tissue; :mod:`heartcase.pipeline.cells` then adds and removes cells so that walls stay
+closed, openings stay open and nothing hangs by an edge or a corner. Thickness, volume and Betti numbers of the result
+are compared with the full resolution.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.pipeline.cells.hinges import HingeRepairs, hanging_cells, mend_hinges
 from heartcase.pipeline.cells.passages import blocked_openings, open_passages
 from heartcase.pipeline.cells.repair import CellState, Index, cell_coverage, close_leaks, find_leaks, join_tissue
 from heartcase.pipeline.cells.sampling import (
@@ -93,6 +94,12 @@ def build_grid(structures: Structures, settings: GridSettings, *, pins: Sequence
     faces, face_label, face_cell = _boundary(samples, pieces, state, corners)
     fixed = fixed_nodes(structures, samples, tissue, nodes, corners, pins)
     warnings += floating_pieces(samples.geometry, tissue, corners, fixed)
+    hanging = hanging_cells(tissue, corners, nodes, fixed)
+    if hanging:
+        warnings.append(
+            f"{len(hanging)} part(s) of the tissue hang on the rest by an edge or a corner only and can swing freely, "
+            f"at {_places(samples, hanging)}: make the cells smaller, or pin them ([[pins]])"
+        )
     fine_ml = _tissue_volume_mm3(samples) * 1e-3
     grid_ml = float(coverage.sum(dtype=np.float64)) * samples.cell_mm**3 * 1e-3
     quality = {
@@ -106,6 +113,7 @@ def build_grid(structures: Structures, settings: GridSettings, *, pins: Sequence
         "grid_volume_ml": grid_ml,
         "volume_error_percent": 100.0 * (grid_ml - fine_ml) / fine_ml,
         "thickness_cells": _thickness_percentiles(samples),
+        "hinges_left": len(hanging),
         **quality,
     }
     return SimulationGrid(
@@ -188,7 +196,8 @@ def _shape_cells(
     blood_width = np.where(fine_blood, (2.0 * distance_in_samples(~fine_tissue) - 1.0) / samples.factor, 0.0)
     unrepaired = state.copy()
     warnings: list[str] = []
-    leaks_closed = joined = opened = 0
+    leaks_closed = joined = opened = cells_opened = 0
+    hinges = HingeRepairs()
     if settings.repair:
         fine_pieces = components(fine_tissue, 26)[0]
         leaks_closed = close_leaks(samples, pieces, state)
@@ -197,24 +206,37 @@ def _shape_cells(
         opened = open_passages(samples, pieces, state, blood_width)
         stranded = join_tissue(samples, state, fine_pieces)
         joined = len(state.added) - before
+        cells_opened = len(state.removed)
+        hinges = mend_hinges(samples, pieces, state, fine_pieces)
         if stranded:
-            warnings.append(f"{len(stranded)} piece(s) of tissue came off in the cells at {_places(samples, stranded)}")
+            warnings.append(
+                f"{len(stranded)} part(s) of the tissue are loose in the simulation although the scan joins them to "
+                f"the rest, at {_places(samples, stranded)}: make the cells smaller"
+            )
     leaks = find_leaks(samples, pieces, state)
     if leaks:
         places = _places(samples, [pair[0] for pair in leaks])
-        warnings.append(f"a wall much thinner than a cell leaks in the cells at {places}: make the cells smaller")
+        warnings.append(
+            f"a wall that is much thinner than a simulation cell has a hole in the simulation, not in the scan, at "
+            f"{places}: make the cells smaller"
+        )
     blocked = blocked_openings(samples, pieces, state, blood_width)
     if blocked:
         places = _places(samples, blocked)
         warnings.append(
-            f"{len(blocked)} opening(s) narrower than a cell are closed at {places}: make the cells smaller"
+            f"{len(blocked)} opening(s) about as narrow as a simulation cell are closed in the simulation, not in the "
+            f"scan, at {places}: make the cells smaller where such an opening matters"
         )
     quality: dict[str, Any] = {
         "repairs": {
             "leak_cells_added": leaks_closed,
             "break_cells_added": joined,
             "openings_opened": opened,
-            "opening_cells_removed": len(state.removed),
+            "opening_cells_removed": cells_opened,
+            "hinge_groups_dropped": hinges.dropped_groups,
+            "hinge_cells_dropped": hinges.dropped_cells,
+            "hinge_groups_joined": hinges.joined_groups,
+            "hinge_cells_added": hinges.added_cells,
         },
         "leaks_left": len(leaks),
         "openings_closed": len(blocked),
@@ -226,13 +248,33 @@ def _shape_cells(
     for name, connectivity, fine, raw, final in figures:
         numbers = [betti_numbers(mask, 6 if connectivity == 6 else 26).as_list() for mask in (fine, raw, final)]
         quality[f"betti_{name}"] = {"full_resolution": numbers[0], "unrepaired": numbers[1], "grid": numbers[2]}
-        if numbers[2] != numbers[0]:
-            was, now = numbers[0], numbers[2]
-            warnings.append(
-                f"{name}: {was[0]} pieces, {was[1]} tunnels, {was[2]} cavities at full resolution; "
-                f"{now[0]}, {now[1]}, {now[2]} in the cells"
+    return state, quality, warnings + _topology_warnings(quality["betti_tissue"], quality["betti_blood"])
+
+
+def _topology_warnings(tissue: dict[str, list[int]], blood: dict[str, list[int]]) -> list[str]:
+    """Where the number of pieces differs between samples and cells; failing that, where small holes differ."""
+    warnings = []
+    for name, betti in (("tissue", tissue), ("blood", blood)):
+        was, now = betti["full_resolution"][0], betti["grid"][0]
+        if was != now:
+            meaning = (
+                "what belongs together is apart" if now > was else "separate parts were joined, or lost as too small"
             )
-    return state, quality, warnings
+            warnings.append(
+                f"the {name} is in {was} separate piece(s) at the scan's resolution but in {now} in the simulation "
+                f"cells: {meaning}; make the cells smaller"
+            )
+    holes = ((tissue, 1, "through the tissue"), (tissue, 2, "enclosed in the tissue"), (blood, 1, "beside the blood"))
+    counts = [(where, betti["full_resolution"][at], betti["grid"][at]) for betti, at, where in holes]
+    differing = [
+        f"{was} {where} at the scan's resolution, {now} in the cells" for where, was, now in counts if was != now
+    ]
+    if differing and not warnings:
+        warnings.append(
+            f"the simulation cells do not keep every small hole: {' and '.join(differing[:2])}; make the cells smaller "
+            "where a small hole matters"
+        )
+    return warnings
 
 
 def _places(samples: CellSamples, cells: Sequence[Index]) -> str:

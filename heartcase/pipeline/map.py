@@ -20,7 +20,7 @@ from heartcase.pipeline.data import GridMap, SimulationGrid, Surface
 from heartcase.pipeline.picking import split_faces
 from heartcase.schemas.settings import MapSettings
 
-__all__ = ["CURVATURE_ALIGNMENT", "CURVATURE_GAIN", "FAR_CELLS", "map_surface", "triangle_basis"]
+__all__ = ["CURVATURE_ALIGNMENT", "CURVATURE_GAIN", "FAR_CELLS", "OTHER_LABEL_SHARE", "map_surface", "triangle_basis"]
 
 Float32 = npt.NDArray[np.float32]
 Float64 = npt.NDArray[np.float64]
@@ -35,6 +35,12 @@ CURVATURE_GAIN = 0.8
 
 CURVATURE_ALIGNMENT = 0.9
 """And only where the interpolated normal is this close (cosine) to the triangle's, as eq. (9.8) assumes."""
+
+
+OTHER_LABEL_SHARE = 1e-3
+"""Vertices that follow another structure are warned of beyond this part of all."""
+
+_CLUSTER_CELLS = 5.0
 
 
 def map_surface(surface: Surface, grid: SimulationGrid, settings: MapSettings) -> GridMap:
@@ -71,11 +77,12 @@ def map_surface(surface: Surface, grid: SimulationGrid, settings: MapSettings) -
     curvature = ((curved < CURVATURE_GAIN * flat) & (aligned > CURVATURE_ALIGNMENT)).astype(np.uint8)
     far = np.linalg.norm(vertices - reference, axis=1) / grid.geometry.spacing_mm[0]
     warnings: tuple[str, ...] = ()
-    if is_other.any():
-        worst = vertices[is_other].mean(axis=0)
+    if is_other.sum() > OTHER_LABEL_SHARE * len(vertices):
+        x, y, z = _densest(vertices[is_other], _CLUSTER_CELLS * grid.geometry.spacing_mm[0])
         warnings = (
-            f"{int(is_other.sum())} surface vertices had no grid face of their own structure near by and follow the "
-            f"nearest one (around ({worst[0]:.1f}, {worst[1]:.1f}, {worst[2]:.1f}) mm)",
+            f"{100.0 * is_other.mean():.1f}% of the visible surface lies where a cavity or a wall is too narrow for "
+            f"the simulation cells, and moves with what is nearest to it instead (most of it near "
+            f"({x:.1f}, {y:.1f}, {z:.1f}) mm): make the cells smaller if that place matters",
         )
     return GridMap(
         triangle_nodes=triangles[chosen],
@@ -88,6 +95,13 @@ def map_surface(surface: Surface, grid: SimulationGrid, settings: MapSettings) -
         quality=_quality(far, is_other, curvature),
         warnings=warnings,
     )
+
+
+def _densest(points: Float64, width_mm: float) -> Float64:
+    """Mean of the points in the fullest box of a lattice (ties: the first box)."""
+    _, box, count = np.unique(np.floor(points / width_mm), axis=0, return_inverse=True, return_counts=True)
+    centre: Float64 = points[box.ravel() == count.argmax()].mean(axis=0)
+    return centre
 
 
 def triangle_basis(corners: Float64) -> Float64:

@@ -36,9 +36,9 @@ STAGE_VERSIONS = {
     "segment": 1,
     "walls": 2,
     "edit": 1,
-    "grid": 1,
-    "surface": 1,
-    "map": 1,
+    "grid": 2,
+    "surface": 2,
+    "map": 2,
     "bundle": 1,
 }
 """Raised whenever a stage's output changes for the same input, so that the cache forgets the old one."""

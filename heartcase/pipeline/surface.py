@@ -44,6 +44,8 @@ Bool = npt.NDArray[np.bool_]
 SPECK_MM3 = 20.0
 SPECK_FRACTION = 1e-3
 ISLAND_TRIANGLES = 8
+SHOWN_SHARE = 1e-3
+"""Triangles that are folded, without area or beyond the count asked for are warned of beyond this part of all."""
 CUT_COSINE = 0.9
 DISTANCE_SAMPLE = 200_000
 
@@ -74,13 +76,13 @@ def build_surface(structures: Structures, settings: SurfaceSettings, *, render: 
     warnings: list[str] = []
     whole = extract(structures)
     full, dropped = drop_small_shells(whole, volume_mm3=SPECK_MM3, fraction=SPECK_FRACTION)
-    if len(dropped):
+    if np.abs(dropped).sum() > SPECK_MM3:
         warnings.append(
-            f"{int((dropped > 0).sum())} specks of tissue and {int((dropped < 0).sum())} bubbles, each below "
-            f"{SPECK_MM3:g} mm3, were left out of the surface ({np.abs(dropped).sum():.1f} mm3 together)"
+            f"{len(dropped)} tiny loose bits of tissue or hollows in it, {np.abs(dropped).sum():.0f} mm3 together and "
+            f"none above {SPECK_MM3:g} mm3, are not shown: nothing need be done unless something that small matters"
         )
     if full.is_capped:
-        warnings.append("the volume is too large to extract the thinnest walls at full fineness: crop it")
+        warnings.append("the scan is too large to show its thinnest walls in full detail: make the [region] smaller")
     centre, normal, _ = _faces(full.vertices_mm, full.triangles)
     still = np.zeros(len(full.vertices_mm), bool)
     still[full.triangles[_cut_faces(structures, centre, normal, full.lattice)]] = True
@@ -96,14 +98,7 @@ def build_surface(structures: Structures, settings: SurfaceSettings, *, render: 
     tags = _tags(structures, vertices, triangles, full.lattice)
     normals = _vertex_normals(structures, vertices, triangles, tags.is_cut, reach)
     quality = _quality(structures, whole, full, dropped, vertices, triangles, tags, relaxed, creased)
-    for name in ("open_edge_count", "non_manifold_edge_count", "degenerate_triangle_count", "flipped_triangle_count"):
-        if quality[name]:
-            warnings.append(f"the surface has {quality[name]} {name.removesuffix('_count').replace('_', ' ')}s")
-    if len(triangles) > settings.triangle_count:
-        warnings.append(
-            f"the surface keeps {len(triangles)} triangles: fewer than that would break it "
-            f"(asked for {settings.triangle_count})"
-        )
+    warnings += _shape_warnings(quality, settings.triangle_count)
     if render and settings.normal_map_size > 0:
         atlas = make_atlas(vertices, triangles, size=settings.normal_map_size, method=settings.atlas)
         render_tangents = tangents(atlas, vertices_mm, normals)
@@ -145,6 +140,29 @@ def build_surface(structures: Structures, settings: SurfaceSettings, *, render: 
         quality=quality,
         warnings=tuple(warnings),
     )
+
+
+def _shape_warnings(quality: dict[str, Any], asked: int) -> list[str]:
+    """What is wrong with the triangles and can be seen, or matters to who cuts the surface."""
+    warnings = []
+    count = quality["triangle_count"]
+    gaps = quality["open_edge_count"] + quality["non_manifold_edge_count"]
+    if gaps:
+        warnings.append(
+            f"the visible surface has gaps or overlaps at {gaps} places and may not cut cleanly: ask for more triangles"
+        )
+    bad = quality["degenerate_triangle_count"] + quality["flipped_triangle_count"]
+    if bad > SHOWN_SHARE * count:
+        warnings.append(
+            f"{bad} of the surface's {count} triangles are folded over and may show as dark spots: ask for more "
+            "triangles if they disturb"
+        )
+    if count > (1.0 + SHOWN_SHARE) * asked:
+        warnings.append(
+            f"the surface has {count} triangles instead of the {asked} asked for, as fewer would break its shape: "
+            "nothing need be done unless the display is slow"
+        )
+    return warnings
 
 
 @dataclass(frozen=True)

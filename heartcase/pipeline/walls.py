@@ -59,7 +59,8 @@ def grow_walls(segmentation: Segmentation, settings: WallsSettings, ends: Sequen
     Raises
     ------
     StageError
-        Nothing is segmented, a voxel's label is not in the table, or an end marker cuts no vessel.
+        Nothing is segmented, a voxel's label is not in the table, or an end marker lies outside or cuts no vessel
+        in two.
     """
     geometry = segmentation.geometry
     _check(segmentation)

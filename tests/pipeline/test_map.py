@@ -186,7 +186,7 @@ def test_a_label_without_faces_falls_back_and_says_so():
     )
     mapped = map_surface(strange, grid, MapSettings())
     assert mapped.quality["other_label_count"] == (surface.vertex_label == LEFT).sum()
-    assert "follow the nearest" in mapped.warnings[0]
+    assert "moves with what is nearest" in mapped.warnings[0]
     nearest = map_surface(surface, grid, MapSettings())
     np.testing.assert_array_equal(mapped.triangle_nodes, nearest.triangle_nodes)
 

@@ -187,7 +187,17 @@ def test_specks_and_bubbles_are_left_out_and_said():
     said = build_surface(tiny, PLAIN)
     assert said.quality["component_count"] == 1
     assert said.quality["dropped_shell_count"] == 1
-    assert any("1 specks" in line for line in said.warnings)
+    assert not any("not shown" in line for line in said.warnings)
+    # Seven balls of 4 mm3 each: together more than 20 mm3.
+    places = np.array([(x, y, z) for x in (-14, 14) for y in (-14, 14) for z in (-8, 8)][:7], dtype=float)
+    many = solid(
+        lambda p: np.minimum(sphere(12.0)(p), np.linalg.norm(p[..., None, :] - places, axis=-1).min(axis=-1) - 1.2),
+        lattice(0.75, 18.0),
+    )
+    said = build_surface(many, PLAIN)
+    assert said.quality["dropped_shell_count"] == 7
+    assert said.quality["dropped_volume_mm3"] > 20.0
+    assert any(line.startswith("7 tiny loose bits") for line in said.warnings)
 
 
 def test_noise_is_closed_and_manifold_at_every_triangle_count():

@@ -85,7 +85,9 @@ def test_every_structure_is_found_and_its_border_is_near_the_true_one(phantom, s
     for label in phantom.table:
         if label.value == 0:
             continue
-        assert dice(segmentation.labels, truth, label.value) >= 0.80, label.name
+        # The inferior vena cava ends at an open border to the atrium, which only the strokes place.
+        bound = 0.75 if label.name == "inferior vena cava" else 0.85
+        assert dice(segmentation.labels, truth, label.value) >= bound, label.name
         error = surface_error(segmentation.labels, segmentation.geometry, phantom.truth, label.value)
         assert error.mean_mm <= 1.75, (label.name, error)
 

@@ -10,6 +10,7 @@ inside one cell stay apart) and the void cells; its edges are sample faces that 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numba
@@ -21,7 +22,7 @@ from scipy.sparse import csgraph
 from heartcase.pipeline.cells.repair import CellState, Index, index_of
 from heartcase.pipeline.cells.sampling import CellSamples, VoidPieces
 
-__all__ = ["LUMEN_CELLS", "OPENING_CELLS", "blocked_openings", "open_passages"]
+__all__ = ["LUMEN_CELLS", "OPENING_CELLS", "blocked_openings", "closes_passage", "open_passages"]
 
 Bool = npt.NDArray[np.bool_]
 Int64 = npt.NDArray[np.int64]
@@ -75,6 +76,28 @@ def open_passages(samples: CellSamples, pieces: VoidPieces, state: CellState, bl
 def blocked_openings(samples: CellSamples, pieces: VoidPieces, state: CellState, blood_width: Float32) -> list[Index]:
     """A cell (k, j, i) of each opening, however narrow, that is open at the samples and closed in the cells."""
     return _open_ways(_search(samples, pieces, state.copy(), blood_width, 0.0, may_leak=True))
+
+
+def closes_passage(state: CellState, cells: Sequence[Index]) -> bool:
+    """Whether cells that touch each other would fill a passage of blood, or a whole piece of it, as tissue."""
+    blood = [cell for cell in cells if state.is_blood[cell] and not state.tissue[cell]]
+    if not blood:
+        return False
+    tissue = state.tissue.copy()
+    for cell in cells:
+        tissue[cell] = True
+    free = np.pad(state.is_blood & ~tissue, 1)
+    rim = sorted(
+        {
+            (k + a, j + b, i + c)
+            for k, j, i in blood
+            for a, b, c in ((-1, 0, 0), (1, 0, 0), (0, -1, 0), (0, 1, 0), (0, 0, -1), (0, 0, 1))
+            if free[k + a + 1, j + b + 1, i + c + 1]
+        }
+    )
+    if not rim:
+        return True
+    return not all(_connected_nearby(tissue, state.is_blood, *rim[0], *other, _WINDOW) for other in rim[1:])
 
 
 @dataclass(frozen=True)

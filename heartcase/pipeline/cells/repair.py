@@ -20,7 +20,16 @@ from scipy.sparse import csgraph
 from heartcase.pipeline.cells.sampling import CellSamples, VoidPieces
 from heartcase.pipeline.cells.topology import components
 
-__all__ = ["CellState", "Index", "cell_coverage", "close_leaks", "find_leaks", "index_of", "join_tissue"]
+__all__ = [
+    "CellState",
+    "Index",
+    "cell_coverage",
+    "cells_of_pieces",
+    "close_leaks",
+    "find_leaks",
+    "index_of",
+    "join_tissue",
+]
 
 Bool = npt.NDArray[np.bool_]
 Int64 = npt.NDArray[np.int64]
@@ -113,7 +122,7 @@ def join_tissue(samples: CellSamples, state: CellState, fine: npt.NDArray[np.uin
     coarse, count = components(state.tissue, 26)
     if count < 2:
         return []
-    cells, pieces = _cells_of_pieces(fine, samples.factor)
+    cells, pieces = cells_of_pieces(fine, samples.factor)
     opened = np.zeros(state.tissue.shape, np.bool_)
     for cell in state.removed:
         opened[cell] = True
@@ -213,8 +222,8 @@ def _neighbour_pairs(cells: Int64, shape: tuple[int, ...]) -> Int64:
     return np.concatenate(pairs)
 
 
-def _cells_of_pieces(fine: npt.NDArray[np.uint32], factor: int) -> tuple[Int64, Int64]:
-    """Every (flat cell, fine piece) that share a sample."""
+def cells_of_pieces(fine: npt.NDArray[np.uint32], factor: int) -> tuple[Int64, Int64]:
+    """Every (flat cell, number of a tissue piece) that share a sample, as two arrays of the same length."""
     shape = tuple(n // factor for n in fine.shape)
     z, y, x = np.nonzero(fine)
     cell = ((z // factor) * shape[1] + y // factor) * shape[2] + x // factor

@@ -100,8 +100,8 @@ def floating_pieces(geometry: Geometry, tissue: Bool, corners: Int32, fixed: UIn
     largest = loose[np.argmax(sizes)]
     x, y, z = geometry.index_to_world(np.argwhere(labels == largest)[:, ::-1].mean(axis=0))
     return [
-        f"{len(loose)} piece(s) of tissue ({int(sizes.sum())} cells) are joined to nothing that is held and can drift "
-        f"away; the largest is at ({x:.1f}, {y:.1f}, {z:.1f}) mm: add a [[pins]] there or remove it"
+        f"{len(loose)} piece(s) of tissue ({int(sizes.sum())} cells) are attached to nothing that is held still and "
+        f"can drift away; the largest is at ({x:.1f}, {y:.1f}, {z:.1f}) mm: hold it there ([[pins]]) or remove it"
     ]
 
 
