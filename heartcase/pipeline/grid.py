@@ -39,6 +39,7 @@ __all__ = ["DEFAULT_NODE_COUNT", "FACE_CORNERS", "build_grid"]
 Bool = npt.NDArray[np.bool_]
 Int32 = npt.NDArray[np.int32]
 UInt8 = npt.NDArray[np.uint8]
+Float32 = npt.NDArray[np.float32]
 
 DEFAULT_NODE_COUNT = 30_000
 """Nodes to aim at when neither a cell edge nor a node count is asked for (thesis 11.2.1)."""
@@ -248,18 +249,30 @@ def _shape_cells(
     for name, connectivity, fine, raw, final in figures:
         numbers = [betti_numbers(mask, 6 if connectivity == 6 else 26).as_list() for mask in (fine, raw, final)]
         quality[f"betti_{name}"] = {"full_resolution": numbers[0], "unrepaired": numbers[1], "grid": numbers[2]}
-    return state, quality, warnings + _topology_warnings(quality["betti_tissue"], quality["betti_blood"])
+        amount = samples.coverage if name == "tissue" else np.float32(1.0) - samples.coverage
+        quality[f"{name}_pieces_over_a_cell"] = {
+            "full_resolution": _piece_count(fine, None, samples.factor**3, connectivity),
+            "grid": _piece_count(final, amount, 1.0, connectivity),
+        }
+    return state, quality, warnings + _topology_warnings(quality)
 
 
-def _topology_warnings(tissue: dict[str, list[int]], blood: dict[str, list[int]]) -> list[str]:
-    """Where the number of pieces differs between samples and cells; failing that, where small holes differ."""
+def _piece_count(mask: Bool, amount: Float32 | None, least: float, connectivity: int) -> int:
+    """Number of connected pieces that hold at least an amount; without amounts, as many voxels."""
+    labels, count = components(mask, 6 if connectivity == 6 else 26)
+    weights = None if amount is None else amount.ravel()
+    return int((np.bincount(labels.ravel(), weights, minlength=count + 1)[1:] >= least).sum())
+
+
+def _topology_warnings(quality: dict[str, Any]) -> list[str]:
+    """Where the number of pieces larger than a cell differs; failing that, where small holes differ."""
+    tissue, blood = quality["betti_tissue"], quality["betti_blood"]
     warnings = []
-    for name, betti in (("tissue", tissue), ("blood", blood)):
-        was, now = betti["full_resolution"][0], betti["grid"][0]
+    for name in ("tissue", "blood"):
+        pieces = quality[f"{name}_pieces_over_a_cell"]
+        was, now = pieces["full_resolution"], pieces["grid"]
         if was != now:
-            meaning = (
-                "what belongs together is apart" if now > was else "separate parts were joined, or lost as too small"
-            )
+            meaning = "what belongs together is apart" if now > was else "separate parts were joined or lost"
             warnings.append(
                 f"the {name} is in {was} separate piece(s) at the scan's resolution but in {now} in the simulation "
                 f"cells: {meaning}; make the cells smaller"
