@@ -36,7 +36,9 @@ def _write_inputs(params: dict[str, Any], directory: Path) -> None:
     source = phantom_inputs(params)
     directory.mkdir(parents=True, exist_ok=True)
     write_scan(source.scan, directory / "scan.nii.gz")
-    text = recipe_text(source.phantom, name="bench", scan_path="scan.nii.gz", command="heartcase bench build")
+    text = recipe_text(
+        source.phantom, name="bench", scan_path="scan.nii.gz", command="heartcase bench build", modality="MR"
+    )
     (directory / "recipe.toml").write_text(text, encoding="utf-8")
 
 

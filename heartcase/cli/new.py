@@ -81,6 +81,7 @@ def starter_recipe(
 ) -> str:
     """Text of a commented recipe for a scan with this centre and extent (mm, LPS)."""
     series_line = f"series = {_toml_string(series)}\n" if series else ""
+    modality_line = "" if modality in ("CT", "MR") else '# modality = "MR"   # or "CT": the file does not say it\n'
     return f"""\
 # A heartcase recipe: with the scan it says everything that makes the case.
 # Build it with   heartcase build THIS_FILE     Check it with   heartcase validate THIS_FILE
@@ -92,8 +93,8 @@ name = {_toml_string(name)}   # never the patient's name: it is on every output
 parts = ["surface", "render", "picking", "labels"]
 
 [scan]   # modality: {modality}
-path = {_toml_string(scan_path)}
-{series_line}
+path = {_toml_string(scan_path)}   # relative to this file; write folders with /
+{series_line}{modality_line}
 # The heart alone makes a smaller and faster case. The box lies along the scan's own axes.
 # The whole scan: center_mm = {list(center_mm)}, size_mm = {list(extent_mm)}
 # [region]
@@ -110,7 +111,8 @@ method = "watershed"    # or "threshold" (specimens), or "labels" (a finished se
 # Markers. Paint them in 3D Slicer or ITK-SNAP and name the file here ...
 # [[markers]]
 # path = "markers.seg.nrrd"       # segments named like the labels below; or .nii.gz, .nrrd, .mrk.json
-# names = {{ "Segment_1" = "left ventricle" }}     # where the names differ
+# names = {{ "Segment_1" = "left ventricle", "Segment_2" = "background" }}     # where the names differ
+# names = {{ "1" = "left ventricle", "10" = "background" }}      # a .nii.gz has numbers; 0 means: not marked
 
 # ... or write strokes: a round brush along a line. Mark every structure, and what is not heart as background.
 [[strokes]]
@@ -123,7 +125,8 @@ label = "background"
 radius_mm = 2.0
 points_mm = [{[round(center_mm[0] - 0.45 * extent_mm[0], 1), *center_mm[1:]]}]     # replace
 
-# Where a vessel ends inside the scan and shall stay open (axis: out of the heart):
+# NEEDED for every vessel that ends inside the scan: where it is cut open. Without it the vessel becomes a closed sac.
+# The axis points out of the heart; the tissue at the cut is held fixed.
 # [[ends]]
 # label = "aorta"
 # position_mm = {list(center_mm)}
@@ -148,10 +151,10 @@ normal_map_size = 1024
 youngs_modulus_kpa = 30.0
 density_kg_m3 = 1060.0
 
-# Tissue that is held fixed. What the edge of the scan or an end cuts is held anyway.
-[[pins]]
-position_mm = {list(center_mm)}     # replace
-radius_mm = 10.0
+# Tissue to be held fixed beside that. What the edge of the scan or an end cuts is held anyway; something must be held.
+# [[pins]]
+# position_mm = {list(center_mm)}
+# radius_mm = 10.0
 
 # The labels. wall_thickness_mm grows a wall around a cavity whose own wall the scan does not show.
 {_label_lines(default_label_table())}"""

@@ -131,7 +131,11 @@ def command(
         labels = _true_labels(phantom.truth.label, geometry)
         _write_image(out_dir / "truth.nii.gz", labels, geometry)
         text = recipe_text(
-            phantom, name=f"{size}-phantom", scan_path="scan.nii.gz", command=f"heartcase phantom FOLDER --size {size}"
+            phantom,
+            name="-".join([size, "phantom", *(["vsd"] if vsd else []), *(["asd"] if asd else [])]),
+            scan_path="scan.nii.gz",
+            command=_command_line(size, modality, spacing, noise, bias, seed, oblique, vsd, asd),
+            modality=scan.modality,
         )
         _replace_text(out_dir / "recipe.toml", text)
         files += ["truth.nii.gz", "recipe.toml"]
@@ -152,6 +156,32 @@ def command(
     if "tissue_ml" in summary:
         click.echo(f"tissue {summary['tissue_ml']:g} ml")
     click.echo(f"wrote {', '.join(files)} into {out_dir}")
+
+
+def _command_line(
+    size: str,
+    modality: str,
+    spacing: str | None,
+    noise: float | None,
+    bias: float,
+    seed: int,
+    oblique: bool,
+    vsd: float | None,
+    asd: float | None,
+) -> str:
+    """The command that makes this very scan, for the recipe."""
+    words = ["heartcase phantom THIS_FOLDER", f"--size {size}", f"--modality {modality}"]
+    if spacing is not None:
+        words.append(f"--spacing {spacing.replace(',', ' ')}")
+    for name, value in (("noise", noise), ("vsd", vsd), ("asd", asd)):
+        if value is not None:
+            words.append(f"--{name} {value:g}")
+    if modality == "mri":
+        words.append(f"--bias {bias:g}")
+    words.append(f"--seed {seed}")
+    if oblique:
+        words.append("--oblique")
+    return " ".join(words)
 
 
 def _spacing(text: str | None, size: str) -> list[float]:

@@ -42,7 +42,7 @@ _POSITIVE = click.FloatRange(min=0.0, min_open=True)
 @click.option("--backend", type=click.Choice(["cpu", "reference"]), default="cpu", help="Which kernel steps.")
 @click.option("--surface", "surface_out", type=_OUT, help="Write the final surface here (.ply, .stl, .obj).")
 @click.option("--animation", type=_OUT, help="Write an animation here (.gif, .mp4).")
-@click.option("--picture", type=_OUT, help="Write a picture of the furthest deformation here (.png).")
+@click.option("--picture", type=_OUT, help="Write a picture of start and furthest deformation (.png).")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
 def command(
     case: Path,
@@ -104,6 +104,8 @@ class _Audience:
         self.frame_number = 0
         self.furthest = -1.0
         self.furthest_surface: DeformedSurface | None = None
+        self.furthest_time_s = 0.0
+        self.rest_surface: DeformedSurface | None = None
         self.started = time.perf_counter()
         self.progress = Progress(
             TextColumn("simulating"),
@@ -137,13 +139,22 @@ class _Audience:
             if self.wants_picture and moved > self.furthest:
                 self.furthest = moved
                 self.furthest_surface = simulation.surface_now()
+                self.furthest_time_s = time_s
+            if self.wants_picture and self.rest_surface is None:
+                self.rest_surface = simulation.surface_now()
         self.frame_number += 1
 
     def furthest_picture(self) -> np.ndarray | None:
-        """The picture, if one was wanted."""
-        if self.camera is None or self.furthest_surface is None:
+        """The start and the furthest deformation side by side, if a picture was wanted."""
+        if self.camera is None or self.furthest_surface is None or self.rest_surface is None:
             return None
-        return self.camera.take(self.furthest_surface)
+        from heartcase.pipeline.report.montage import montage
+
+        pictures = {
+            "at the start": self.camera.take(self.rest_surface),
+            f"at {self.furthest_time_s:.2f} s, moved furthest": self.camera.take(self.furthest_surface),
+        }
+        return montage(pictures, columns=2)
 
 
 def _check_names(surface: Path | None, animation: Path | None, picture: Path | None) -> None:

@@ -22,7 +22,8 @@ __all__ = ["command"]
 def command(ctx: click.Context, path: Path, as_json: bool) -> None:
     """Check PATH, a case directory, a recipe (.toml) or a simulation script (.toml), and list every problem.
 
-    Of a case the hash of every file and every value is checked. Exit code 0: sound; 1: problems were found.
+    Of a case the hash of every file and every value is checked; of a recipe also that the files it names are there.
+    Exit code 0: sound; 1: problems were found.
     """
     problems = _problems(path)
     if as_json:
@@ -40,11 +41,10 @@ def _problems(path: Path) -> tuple[Problem, ...]:
     if path.suffix == ".toml" and path.is_file():
         try:
             if "heartcase_recipe" in path.read_text(encoding="utf-8", errors="replace"):
-                load_recipe(path)
-            else:
-                from heartcase.simulator.script import load_script
+                return load_recipe(path).missing_files(path.parent)
+            from heartcase.simulator.script import load_script
 
-                load_script(path)
+            load_script(path)
         except HeartcaseError as error:
             return error.problems
         return ()

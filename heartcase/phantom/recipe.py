@@ -13,7 +13,7 @@ __all__ = ["recipe_text"]
 _WIDTH = 118
 
 
-def recipe_text(phantom: HeartPhantom, *, name: str, scan_path: str, command: str) -> str:
+def recipe_text(phantom: HeartPhantom, *, name: str, scan_path: str, command: str, modality: str) -> str:
     """Commented recipe (TOML) for a scan of the phantom, with strokes for every label and all end markers.
 
     Parameters
@@ -26,6 +26,8 @@ def recipe_text(phantom: HeartPhantom, *, name: str, scan_path: str, command: st
         Where the scan is, relative to the recipe.
     command
         The command that writes the scan: shown where the scan is missing.
+    modality
+        ``CT`` or ``MR``: a NIfTI file does not say it.
     """
     lines = [
         f"# A case from a synthetic scan of the {phantom.size} phantom: a heart of analytic shapes whose true labels",
@@ -37,6 +39,7 @@ def recipe_text(phantom: HeartPhantom, *, name: str, scan_path: str, command: st
         "",
         "[scan]",
         f'path = "{scan_path}"',
+        f'modality = "{modality}"',
         f'origin = "{command}"',
         "",
     ]

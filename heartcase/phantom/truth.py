@@ -126,9 +126,7 @@ class Truth:
         return (along - room).min(axis=0), (along + room).max(axis=0)
 
     def surface_points(self, label: int | None = None) -> Float64:
-        """Points on the border of a label's region (None: of all tissue), about 1.4 mm apart in the adult, shape
-        (n, 3).
-        """
+        """Points on the border of a label's region (None: of all tissue), shape (n, 3), about 1.4 mm apart (adult)."""
         return self._cloud(TISSUE if label is None else int(label))[1]
 
     def _value(self, points: Float64, region: int) -> Float64:

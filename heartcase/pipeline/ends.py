@@ -18,10 +18,10 @@ from scipy.ndimage import binary_dilation, map_coordinates
 from heartcase.pipeline.data import Reshaping, Segmentation
 from heartcase.schemas.errors import Problem, StageError
 from heartcase.schemas.geometry import Geometry
-from heartcase.schemas.labels import BACKGROUND, LabelTable
+from heartcase.schemas.labels import BACKGROUND, LabelTable, Role
 from heartcase.schemas.settings import EndMarker
 
-__all__ = ["EndCuts", "cut_ends"]
+__all__ = ["EndCuts", "closed_vessels", "cut_ends"]
 
 Bool = npt.NDArray[np.bool_]
 Float64 = npt.NDArray[np.float64]
@@ -317,3 +317,24 @@ def _continued(lumen: Bool, disc: _Disc, last: float) -> Bool:
     section = np.zeros(lumen.shape, np.bool_)
     section[tuple(where[share >= 0.5 * SECTION_SAMPLES].T)] = True
     return section
+
+
+def closed_vessels(segmentation: Segmentation, ends: Sequence[EndMarker]) -> tuple[str, ...]:
+    """Warn of vessels that nothing cuts open: no end marker is theirs, and they end inside the volume.
+
+    A wall closes such a vessel like a sac, which no vessel of a heart is.
+    """
+    cut = {end.label.lower() for end in ends}
+    labels = segmentation.labels
+    sides = [np.unique(labels.take(index, axis)) for axis in range(3) for index in (0, -1)]
+    at_border = set(np.concatenate(sides).tolist())
+    present = set(np.unique(labels).tolist())
+    return tuple(
+        f"{label.name!r} ends in a closed sac: add an entry to 'ends' where it is to be cut open"
+        for label in segmentation.table
+        if label.role is Role.VESSEL_LUMEN
+        and label.value in present
+        and label.value not in at_border
+        and label.wall_thickness_mm > 0.0
+        and label.name.lower() not in cut
+    )

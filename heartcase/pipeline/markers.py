@@ -19,7 +19,7 @@ from heartcase.schemas.labels import BACKGROUND, LabelTable
 from heartcase.schemas.recipe import MarkerFile
 from heartcase.schemas.settings import Stroke
 
-__all__ = ["load_markers", "load_segmentation", "rasterise_strokes", "resample_labels"]
+__all__ = ["check_markers", "load_markers", "load_segmentation", "rasterise_strokes", "resample_labels"]
 
 UInt8 = npt.NDArray[np.uint8]
 UNMARKED = Markers.UNMARKED
@@ -83,6 +83,33 @@ def load_markers(
     if problems:
         raise MarkerError(problems)
     return Markers(labels=labels, geometry=geometry)
+
+
+def check_markers(markers: Markers, table: LabelTable) -> None:
+    """Refuse markers that cannot make a case, before anything long is computed.
+
+    Raises
+    ------
+    MarkerError
+        Nothing is marked as background, or nothing that is marked is tissue or grows a wall; both at once.
+    """
+    marked = set(np.unique(markers.labels).tolist()) - {UNMARKED}
+    problems = []
+    if BACKGROUND not in marked:
+        problems.append(
+            Problem("markers", "nothing is marked as background: mark some of what is not heart, all around it")
+        )
+    if not any(table[value].role.is_tissue or table[value].wall_thickness_mm > 0.0 for value in marked):
+        unmarked = ", ".join(label.name for label in table if label.value not in marked)
+        problems.append(
+            Problem(
+                "markers",
+                "no marked label is tissue or grows a wall: mark the myocardium, or give a marked cavity a "
+                f"wall_thickness_mm (without a marker so far: {unmarked})",
+            )
+        )
+    if problems:
+        raise MarkerError(problems)
 
 
 def load_segmentation(

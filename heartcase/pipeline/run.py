@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 import time
@@ -31,8 +32,8 @@ T = TypeVar("T")
 
 STAGE_VERSIONS = {
     "read": 1,
-    "filter": 1,
     "markers": 1,
+    "filter": 1,
     "segment": 1,
     "walls": 2,
     "edit": 1,
@@ -252,7 +253,7 @@ def build_case(
         out.mkdir(parents=True, exist_ok=True)
         store = Cache(cache or out / ".heartcase-cache")
     except OSError as error:
-        raise UsageError(f"cannot be written to: {error.strerror}", place="output directory") from None
+        raise UsageError(f"cannot be written to: {error.strerror}", place="output or cache directory") from None
     store.clean()
     remove_leftovers(out)
     runner = _Runner(store, listener or _Silent(), force)
@@ -292,13 +293,23 @@ def _read(recipe: Recipe, directory: Path, runner: _Runner, nodes: _Nodes) -> No
     path = directory / recipe.scan.path
     if not path.exists():
         where = f" Where it comes from: {recipe.scan.origin}" if recipe.scan.origin else ""
-        raise ScanError(f"there is nothing at the recipe's scan.path: put the scan there.{where}", place="scan.path")
+        raise ScanError(
+            f"there is no scan: check the spelling (it is relative to the recipe), or put the scan there.{where}",
+            place="scan.path",
+        )
     nodes.scan = runner.run_always(
         "read",
         settings={"region": resolved(recipe.region) if recipe.region else None},
-        compute=lambda: crop_scan(read_scan(path, series=recipe.scan.series), recipe.region),
+        compute=lambda: crop_scan(_with_modality(read_scan(path, series=recipe.scan.series), recipe), recipe.region),
     )
     runner.voxel_count = nodes.scan.get().values.size
+
+
+def _with_modality(scan: Scan, recipe: Recipe) -> Scan:
+    """The file's own word on the kind of scan counts; the recipe's where the file says nothing."""
+    if scan.modality != "unknown" or recipe.scan.modality is None:
+        return scan
+    return dataclasses.replace(scan, modality=recipe.scan.modality)
 
 
 def _filter(recipe: Recipe, directory: Path, runner: _Runner, nodes: _Nodes) -> None:
@@ -315,7 +326,7 @@ def _filter(recipe: Recipe, directory: Path, runner: _Runner, nodes: _Nodes) -> 
 
 
 def _markers(recipe: Recipe, directory: Path, runner: _Runner, nodes: _Nodes) -> None:
-    from heartcase.pipeline.markers import load_markers
+    from heartcase.pipeline.markers import check_markers, load_markers
 
     if recipe.segment.method != "watershed":
         return
@@ -325,6 +336,7 @@ def _markers(recipe: Recipe, directory: Path, runner: _Runner, nodes: _Nodes) ->
         settings={"strokes": _all(recipe.strokes), "files": len(recipe.markers)},
         compute=lambda: load_markers(recipe.markers, recipe.strokes, recipe.table, geometry, directory),
     )
+    check_markers(nodes.markers.get(), recipe.table)
 
 
 def _segment(recipe: Recipe, directory: Path, runner: _Runner, nodes: _Nodes) -> None:
@@ -423,8 +435,8 @@ def _map(recipe: Recipe, directory: Path, runner: _Runner, nodes: _Nodes) -> Non
 
 _RUN: dict[str, Callable[[Recipe, Path, _Runner, _Nodes], None]] = {
     "read": _read,
-    "filter": _filter,
     "markers": _markers,
+    "filter": _filter,
     "segment": _segment,
     "walls": _walls,
     "edit": _edit,
@@ -445,6 +457,7 @@ def labels_of(structures: Structures) -> Segmentation:
 
 def _finish(recipe: Recipe, runner: _Runner, nodes: _Nodes, out: Path) -> BuildResult:
     """Write the bundle and the report."""
+    from heartcase.pipeline.ends import closed_vessels
     from heartcase.pipeline.mesh.glb import glb_bytes
     from heartcase.pipeline.picking import picking_surface
     from heartcase.pipeline.report.build_report import build_report
@@ -480,8 +493,8 @@ def _finish(recipe: Recipe, runner: _Runner, nodes: _Nodes, out: Path) -> BuildR
         "volumes_ml": {structures.table[value].name: round(volume, 3) for value, volume in volumes_ml.items()}
     }
     quality |= {stage: output.quality for stage, output in outputs.items() if getattr(output, "quality", None)}
-    warnings = [w for stage in ("grid", "surface", "map", "walls") for w in getattr(outputs[stage], "warnings", ())]
-    warnings += segmentation_warnings(segmentation, markers)
+    warnings = [*segmentation_warnings(segmentation, markers), *closed_vessels(segmentation, recipe.ends)]
+    warnings += [w for stage in ("walls", "grid", "map", "surface") for w in getattr(outputs[stage], "warnings", ())]
     content = assemble_bundle(
         name=recipe.name,
         grid=grid,

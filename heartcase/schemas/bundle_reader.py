@@ -224,7 +224,7 @@ def _hash_problems(directory: Path, manifest: CaseManifest) -> list[Problem]:
         file = directory / entry.name
         if file.is_file() and not file.is_symlink() and sha256_of_file(file) != entry.sha256:
             place = f"files.{entry.role.value}"
-            problems.append(Problem(place, f"the content of {entry.name} was changed: its hash is another"))
+            problems.append(Problem(place, f"the content of {entry.name} was changed: build the case again"))
     return problems
 
 

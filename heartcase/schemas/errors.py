@@ -151,14 +151,40 @@ def problems_from_validation(error: ValidationError, *, place: str = "") -> tupl
             continue
         if detail["type"] == "too_short" and any(problem.place.startswith(f"{dotted}[") for problem in problems):
             continue
-        if detail["type"] == "extra_forbidden":
+        limits = detail.get("ctx", {})
+        kind = detail["type"]
+        if kind in _PLAIN_WORDS:
+            message = _PLAIN_WORDS[kind].format(**limits)
+        if kind == "extra_forbidden":
             message = "unknown setting: check its spelling, or remove it"
-        elif detail["type"] == "missing":
+        elif kind == "missing":
             message = "is missing: add it"
         elif isinstance(detail["input"], str | int | float | bool):
             message += f" (found {detail['input']!r})"
         problems.append(Problem(dotted, message))
     return tuple(problems)
+
+
+_PLAIN_WORDS = {
+    "int_parsing": "must be a whole number",
+    "int_type": "must be a whole number",
+    "int_from_float": "must be a whole number",
+    "float_parsing": "must be a number",
+    "float_type": "must be a number",
+    "finite_number": "must be a finite number",
+    "bool_parsing": "must be true or false",
+    "bool_type": "must be true or false",
+    "string_type": 'must be text in "quotes"',
+    "greater_than": "must be above {gt}",
+    "greater_than_equal": "must be at least {ge}",
+    "less_than": "must be below {lt}",
+    "less_than_equal": "must be at most {le}",
+    "literal_error": "must be {expected}",
+    "enum": "must be {expected}",
+    "string_pattern_mismatch": "holds characters that are not allowed here; allowed is: {pattern}",
+    "string_too_long": "must not be longer than {max_length} characters",
+}
+"""Type of pydantic's error -> message, with the limits in braces."""
 
 
 def _joined(outer: str, inner: str) -> str:

