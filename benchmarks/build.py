@@ -13,7 +13,7 @@ from phantom_inputs import phantom_inputs
 from heartcase.phantom.recipe import recipe_text
 from heartcase.pipeline.run import BuildResult, build_case
 from heartcase.pipeline.write import write_scan
-from heartcase.schemas.bundle_reader import check_bundle
+from heartcase.schemas.bundle_check import check_bundle
 from heartcase.schemas.recipe import load_recipe
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -31,14 +32,15 @@ QUIET_SECONDS = 1.0
 """The progress bar shows after this long."""
 
 _OUT = click.Path(path_type=Path, dir_okay=False)
-_POSITIVE = click.FloatRange(min=0.0, min_open=True)
+_SECONDS = click.FloatRange(min=0.0, max=3600.0, min_open=True)
+_STEP = click.FloatRange(min=0.0, max=1.0, min_open=True)
 
 
 @click.command()
 @click.argument("case", type=click.Path(path_type=Path))
 @click.option("--script", "script_path", type=click.Path(path_type=Path), help="What the hands do (TOML).")
-@click.option("--seconds", type=_POSITIVE, help="Simulated time; the script's, or 2 without a script.")
-@click.option("--step", "step_s", type=_POSITIVE, help="Time step in s; the case's default when left out.")
+@click.option("--seconds", type=_SECONDS, help="Simulated time; the script's, or 2 without a script.")
+@click.option("--step", "step_s", type=_STEP, help="Time step in s; the case's default when left out.")
 @click.option("--backend", type=click.Choice(["cpu", "reference"]), default="cpu", help="Which kernel steps.")
 @click.option("--surface", "surface_out", type=_OUT, help="Write the final surface here (.ply, .stl, .obj).")
 @click.option("--animation", type=_OUT, help="Write an animation here (.gif, .mp4).")
@@ -59,6 +61,8 @@ def command(
 
     Without --script a hand pulls the tissue that is farthest from the fixed nodes outward by 10 mm, and lets go.
     """
+    if (seconds is not None and math.isnan(seconds)) or (step_s is not None and math.isnan(step_s)):
+        raise UsageError("must be numbers", place="--seconds, --step")
     _check_names(surface_out, animation, picture)
     script = load_script(script_path) if script_path is not None else None
     loaded = load_case(case, needs=("surface", "colours"), curvature=script.curvature if script else "flagged")

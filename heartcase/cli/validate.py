@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from heartcase.cli.output import echo_json, working
-from heartcase.schemas.bundle_reader import check_bundle
+from heartcase.schemas.bundle_check import check_bundle
 from heartcase.schemas.errors import HeartcaseError, Problem
 from heartcase.schemas.recipe import load_recipe
 

@@ -38,7 +38,7 @@ from heartcase.schemas.labels import LabelTable
 from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.settings import MaterialsSettings
 
-__all__ = ["BundleContent", "assemble_bundle", "resolve_materials", "simulation_figures", "write_bundle"]
+__all__ = ["BundleContent", "assemble_bundle", "check_place", "resolve_materials", "simulation_figures", "write_bundle"]
 
 _SUFFIX = {FileRole.RENDER: ".glb", FileRole.LABELS: ".seg.nrrd"}
 
@@ -217,8 +217,7 @@ def write_bundle(directory: Path | str, content: BundleContent) -> bool:
         The directory holds something else than a case, or cannot be written to.
     """
     directory = Path(directory)
-    if directory.exists() and (not directory.is_dir() or not _is_ours(directory)):
-        raise BundleError("there is something else in this place: choose another name or directory", place="output")
+    check_place(directory)
     manifest = json.dumps(content.manifest.model_dump(mode="json"), indent=1, sort_keys=True).encode() + b"\n"
     try:
         directory.mkdir(parents=True, exist_ok=True)
@@ -240,6 +239,19 @@ def write_bundle(directory: Path | str, content: BundleContent) -> bool:
     except OSError as error:
         raise BundleError(f"cannot be written: {error.strerror}", place="output") from None
     return changed
+
+
+def check_place(directory: Path | str) -> None:
+    """Refuse a place where something else than a case is.
+
+    Raises
+    ------
+    BundleError
+        The case's name is taken by a file, or by a directory that holds other things.
+    """
+    directory = Path(directory)
+    if directory.exists() and (not directory.is_dir() or not _is_ours(directory)):
+        raise BundleError("there is something else in this place: choose another name or directory", place="output")
 
 
 def _is_ours(directory: Path) -> bool:

@@ -78,7 +78,11 @@ def build_grid(structures: Structures, settings: GridSettings, *, pins: Sequence
         There is no tissue, the cells are too small or too large for it, a pin holds no tissue, or nothing is fixed.
     """
     if not any(value in structures.values for value in structures.table.tissue_values):
-        raise StageError("there is no tissue label in the segmentation: add walls or a myocardium", place="grid")
+        raise StageError(
+            "there is no tissue: mark a myocardium or give a cavity a wall_thickness_mm (too much walls.smoothing_mm "
+            "loses thin tissue)",
+            place="grid",
+        )
     if settings.cell_mm is not None:
         samples = _sample(structures, settings.cell_mm)
     else:

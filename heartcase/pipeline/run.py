@@ -15,7 +15,7 @@ import numpy as np
 
 from heartcase import __version__
 from heartcase.pipeline.artifacts import artifact_to_bytes
-from heartcase.pipeline.bundle import assemble_bundle, resolve_materials, write_bundle
+from heartcase.pipeline.bundle import assemble_bundle, check_place, resolve_materials, write_bundle
 from heartcase.pipeline.cache import Cache, stage_key
 from heartcase.pipeline.data import GridMap, Markers, Scan, Segmentation, SimulationGrid, Structures, Surface
 from heartcase.schemas.base import Model
@@ -256,6 +256,7 @@ def build_case(
         raise UsageError(f"cannot be written to: {error.strerror}", place="output or cache directory") from None
     store.clean()
     remove_leftovers(out)
+    check_place(out / f"{recipe.name}.case")
     runner = _Runner(store, listener or _Silent(), force)
     nodes = _Nodes()
     for stage in STAGES[:-1]:

@@ -36,6 +36,10 @@ FORMAT_VERSION = "1.0"
 MANIFEST_NAME = "case.json"
 
 
+_Line = Annotated[str, Field(max_length=2000, pattern=r"^[^\x00-\x1f\x7f-\x9f]*$")]
+"""A line of text without control characters: it may be shown in a terminal."""
+
+
 class FileRole(StrEnum):
     """What a file of the bundle is for. A scene reads only the roles that it needs."""
 
@@ -170,7 +174,7 @@ class CaseManifest(Model):
     """Readers refuse a case that requires an extension they do not know."""
     name: Name
     """Name of the case."""
-    notice: str = "Not a medical device. For teaching, research and planning beside approved means only."
+    notice: _Line = "Not a medical device. For teaching, research and planning beside approved means only."
     """Always shown with the case."""
     scan_geometry: Geometry
     """Lattice of the scan's region of interest."""
@@ -186,11 +190,11 @@ class CaseManifest(Model):
     """Named points, rings and lines in mm."""
     simulation: SimulationFigures
     """Counts and step sizes."""
-    software_version: str
+    software_version: _Line
     """Version of heartcase that wrote the case."""
     scan_sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
     """Hash of the scan's intensities and geometry (no header)."""
-    modality: str
+    modality: _Line
     """CT, MR or unknown."""
     acquisition: dict[str, Any] = {}
     """Physics of the acquisition, without identity."""
@@ -198,7 +202,7 @@ class CaseManifest(Model):
     """Provenance of every stage, in order."""
     quality: dict[str, Any] = {}
     """Quality figures per stage."""
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[_Line, ...] = ()
     """What a user must know, worst first."""
     files: tuple[FileEntry, ...]
     """Every file of the bundle but this one."""

@@ -2,7 +2,7 @@
 
 Nothing in a bundle is executed, no path in it is followed out of its directory, and a header is bounded before it is
 parsed. :func:`open_bundle` reads the manifest and the headers; :meth:`OpenBundle.arrays` checks the values of what it
-returns; :func:`check_bundle` checks everything, hashes included, and lists every problem.
+returns; :mod:`heartcase.schemas.bundle_check` checks everything, hashes included.
 """
 
 from __future__ import annotations
@@ -20,9 +20,8 @@ from pydantic import ValidationError
 
 from heartcase.schemas.bundle import ARRAYS, FORMAT_NAME, FORMAT_VERSION, MANIFEST_NAME, CaseManifest, FileRole
 from heartcase.schemas.errors import BundleError, Problem, problems_from_validation
-from heartcase.schemas.files import sha256_of_file
 
-__all__ = ["KNOWN_EXTENSIONS", "OpenBundle", "check_bundle", "open_bundle"]
+__all__ = ["KNOWN_EXTENSIONS", "OpenBundle", "open_bundle", "read_manifest"]
 
 KNOWN_EXTENSIONS: frozenset[str] = frozenset()
 """Extensions of the format that this version understands."""
@@ -41,6 +40,7 @@ _INDEX_ARRAYS: dict[tuple[FileRole, str], str] = {
     (FileRole.PICKING, "triangles"): "picking_vertex_count",
 }
 _LABEL_ARRAYS = {"cell_label", "triangle_label", "triangle_tissue", "vertex_label"}
+_LARGEST = {"cell_coverage": 1.0, "cell_stiffness": 1e6, "cell_density": 2e4}
 _FLAG_ARRAYS = {"fixed", "curvature", "triangle_is_cut"}
 
 
@@ -129,10 +129,11 @@ class OpenBundle:
                     yield Problem(place, "holds label values that the label table does not have")
             elif name in _FLAG_ARRAYS and int(array.max()) > 1:
                 yield Problem(place, "must be 0 or 1")
-            if name in ("cell_coverage", "cell_stiffness", "cell_density") and not (array > 0).all():
-                yield Problem(place, "must be above zero everywhere")
-            if name == "cell_coverage" and (array > 1).any():
-                yield Problem(place, "must not be above 1")
+            if name in _LARGEST:
+                if not (array > 0).all():
+                    yield Problem(place, "must be above zero everywhere")
+                if (array > _LARGEST[name]).any():
+                    yield Problem(place, f"must not be above {_LARGEST[name]:g}")
 
 
 def open_bundle(path: Path | str) -> OpenBundle:
@@ -144,7 +145,7 @@ def open_bundle(path: Path | str) -> OpenBundle:
         With every problem that was found.
     """
     directory = Path(path)
-    manifest = _read_manifest(directory)
+    manifest = read_manifest(directory)
     problems: list[Problem] = []
     headers: dict[FileRole, _Header] = {}
     counts: dict[str, int] = {}
@@ -179,56 +180,14 @@ def open_bundle(path: Path | str) -> OpenBundle:
     return OpenBundle(directory, manifest, headers, counts)
 
 
-def check_bundle(path: Path | str) -> tuple[Problem, ...]:
-    """Check everything about a case, hashes and values included; returns every problem, none when it is sound."""
-    try:
-        bundle = open_bundle(path)
-    except BundleError as error:
-        problems = list(error.problems)
-        try:
-            manifest = _read_manifest(Path(path))
-        except BundleError:
-            return tuple(problems)
-        return tuple(problems + _hash_problems(Path(path), manifest))
-    problems = _hash_problems(bundle.directory, bundle.manifest)
-    for role in bundle.headers:
-        try:
-            arrays = bundle.arrays(role)
-        except BundleError as error:
-            problems += error.problems
-            continue
-        if role is FileRole.GRID:
-            problems += _lattice_problems(arrays)
-        if role is FileRole.MAPPING:
-            gap = np.abs(arrays["weights"].sum(axis=1, dtype=np.float64) - 1.0)
-            if gap.size and gap.max() > 1e-4:
-                problems.append(Problem("mapping.weights", f"must sum to one; they miss it by up to {gap.max():.2g}"))
-    return tuple(problems)
+def read_manifest(directory: Path) -> CaseManifest:
+    """Read and check ``case.json`` alone.
 
-
-def _lattice_problems(arrays: dict[str, npt.NDArray[Any]]) -> list[Problem]:
-    from heartcase.schemas.lattice import cell_nodes, lattice_keys
-
-    problems = []
-    keys = lattice_keys(arrays["cells"])
-    if (np.diff(keys) <= 0).any():
-        problems.append(Problem("grid.cells", "must ascend by k, j, i without repeats"))
-    if not np.array_equal(cell_nodes(arrays["cells"])[0], arrays["nodes"]):
-        problems.append(Problem("grid.nodes", "are not the corners of the cells, in order"))
-    return problems
-
-
-def _hash_problems(directory: Path, manifest: CaseManifest) -> list[Problem]:
-    problems = []
-    for entry in manifest.files:
-        file = directory / entry.name
-        if file.is_file() and not file.is_symlink() and sha256_of_file(file) != entry.sha256:
-            place = f"files.{entry.role.value}"
-            problems.append(Problem(place, f"the content of {entry.name} was changed: build the case again"))
-    return problems
-
-
-def _read_manifest(directory: Path) -> CaseManifest:
+    Raises
+    ------
+    BundleError
+        It is not there, not ours, of an unknown version, or wrong; all problems at once.
+    """
     file = directory / MANIFEST_NAME
     if not directory.exists():
         raise BundleError("there is nothing at this path", place="case")

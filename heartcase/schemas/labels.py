@@ -138,8 +138,14 @@ class LabelTable(Model):
         return LabelTable(labels=(*(old for old in self.labels if old.value != label.value), label))
 
     def free_value(self) -> int:
-        """The lowest value above all that are in use."""
-        return self.labels[-1].value + 1
+        """The lowest value that is not in use.
+
+        Raises
+        ------
+        ValueError
+            All are.
+        """
+        return min(set(range(1, 251)) - set(self.values))
 
     def wall_value(self, cavity: int) -> int | None:
         """Value of the wall grown around this cavity, or None."""
@@ -148,8 +154,8 @@ class LabelTable(Model):
     def with_walls(self) -> LabelTable:
         """A table with one wall label for each cavity that asks for a wall and has none yet.
 
-        The wall of a chamber (role ``blood``) is myocardium, that of a vessel is ``wall``. Values follow the
-        highest one in use, in the order of the cavities.
+        The wall of a chamber (role ``blood``) is myocardium, that of a vessel is ``wall``. They take the lowest
+        values that are free, in the order of the cavities.
         """
         table = self
         for label in self.labels:

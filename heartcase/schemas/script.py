@@ -6,9 +6,13 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from heartcase.schemas.base import Model, Name, PointMm, PositiveMm, Vector3
+from heartcase.schemas.base import Model, Name, PointMm, PositiveMm
 
 __all__ = ["GrabAction", "SimulationScript", "Waypoint"]
+
+
+_Offset = Annotated[float, Field(ge=-10_000.0, le=10_000.0)]
+_Acceleration = Annotated[float, Field(ge=-10_000.0, le=10_000.0)]
 
 
 class Waypoint(Model):
@@ -16,7 +20,7 @@ class Waypoint(Model):
 
     time_s: Annotated[float, Field(ge=0.0)]
     """Time since the script's start, s."""
-    offset_mm: Vector3
+    offset_mm: tuple[_Offset, _Offset, _Offset]
     """Displacement from where the grab closed, LPS mm."""
 
 
@@ -67,7 +71,7 @@ class SimulationScript(Model):
     """Time step, s; the case's default when left out. A step beyond the case's limit is refused."""
     damping_per_s: Annotated[float, Field(ge=0.0)] = 10.0
     """Mass-proportional damping coefficient c in a = f/m - c v, 1/s."""
-    gravity_m_s2: Vector3 = (0.0, 0.0, 0.0)
+    gravity_m_s2: tuple[_Acceleration, _Acceleration, _Acceleration] = (0.0, 0.0, 0.0)
     """Acceleration of gravity in LPS axes, m/s2."""
     frames_per_second: Annotated[float, Field(gt=0.0, le=1000.0)] = 30.0
     """How often the surface is updated, in simulated time."""

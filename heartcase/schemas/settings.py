@@ -221,6 +221,12 @@ class SurfaceSettings(Model):
     atlas: Literal["cone", "xatlas"] = "cone"
     """UV charts: cones grown greedily and projected, or xatlas (slower)."""
 
+    @model_validator(mode="after")
+    def _map_has_room(self) -> SurfaceSettings:
+        if 0 < self.normal_map_size < 128:
+            raise ValueError("normal_map_size must be 0 (no normal map) or at least 128")
+        return self
+
 
 class MapSettings(Model):
     """How the surface is tied to the grid (thesis 9.3.3)."""

@@ -32,6 +32,10 @@ GRIP_CELLS = 3.0
 """Radius of the default script's grab, in cells."""
 
 
+STEP_COUNT_MAX = 100_000_000
+"""Steps that a session may take: hours on any machine."""
+
+
 @dataclass(frozen=True)
 class SessionSummary:
     """What a session was, and what it came to."""
@@ -207,6 +211,12 @@ def run_script(
     """
     step_s = simulation.step_s
     step_total = max(1, round(script.seconds / step_s))
+    if step_total > STEP_COUNT_MAX:
+        raise SimulationError(
+            f"{script.seconds:g} s at {step_s:.3g} s a step are {step_total:.3g} steps, too many to take: "
+            "take a longer step or fewer seconds",
+            place="step_s",
+        )
     frame_count = max(1, round(script.seconds * script.frames_per_second))
     frames = {round(number * step_total / frame_count) for number in range(1, frame_count + 1)}
     timelines = [_timeline(action, step_s, step_total) for action in script.actions]

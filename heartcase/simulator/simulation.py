@@ -124,7 +124,9 @@ class Simulation:
         SimulationError
             Something moved beyond all physics, or is not a number any more. The state before these steps is restored.
         """
-        if step_count < 1:
+        if step_count < 0:
+            raise SimulationError(f"cannot take {step_count} steps: restore a state to go back", place="step")
+        if step_count == 0:
             return
         before = self.state
         for grab in self.grabs:
@@ -142,13 +144,16 @@ class Simulation:
     def grab(self, center_mm: npt.ArrayLike, radius_mm: float, *, name: str = "grab") -> Grab:
         """Close a hand on the nodes within ``radius_mm`` of a point, LPS mm.
 
-        Nodes that another hand holds stay with it.
+        Held are those that can be reached along springs inside the ball from the node nearest its centre, so that a
+        hand never bridges an incision (thesis 8.7.2). Nodes that another hand holds stay with it.
 
         Raises
         ------
         SimulationError
-            There is no tissue to hold.
+            There is no tissue to hold, or the place is not a finite point.
         """
+        if not (np.isfinite(np.asarray(center_mm, dtype=float)).all() and np.isfinite(radius_mm)):
+            raise SimulationError("the centre and the radius must be finite numbers", place=name)
         nodes = nodes_in_reach(self.model, self.state.displacement, center_mm, radius_mm)
         for other in self.grabs:
             nodes = np.setdiff1d(nodes, other.nodes, assume_unique=True)
@@ -160,11 +165,21 @@ class Simulation:
         return grab
 
     def lead(self, grab: Grab, offset_mm: npt.ArrayLike) -> None:
-        """Lead a hand to an offset from where it closed, LPS mm; it arrives with the end of the next :meth:`step`."""
+        """Lead a hand to an offset from where it closed, LPS mm; it arrives with the end of the next :meth:`step`.
+
+        Raises
+        ------
+        SimulationError
+            The offset is not finite.
+        """
+        if not np.isfinite(np.asarray(offset_mm, dtype=float)).all():
+            raise SimulationError("the offset must be finite numbers", place=grab.name)
         grab.target = self.model.to_grid(offset_mm)
 
     def release(self, grab: Grab) -> None:
-        """Let go: the nodes move on with the hand's velocity."""
+        """Let go: the nodes move on with the hand's velocity. A hand that has let go already stays so."""
+        if grab not in self.grabs:
+            return
         self.grabs.remove(grab)
         self._hold()
 

@@ -9,7 +9,8 @@ from heartcase.cli.main import COMMANDS, cli, main
 from heartcase.pipeline.artifacts import load_artifact
 from heartcase.pipeline.data import Scan, Segmentation, SimulationGrid, Structures, Surface
 from heartcase.schemas.bundle import FileRole
-from heartcase.schemas.bundle_reader import check_bundle, open_bundle
+from heartcase.schemas.bundle_check import check_bundle
+from heartcase.schemas.bundle_reader import open_bundle
 from heartcase.schemas.recipe import load_recipe
 from tests.ball import write_ball_recipe, write_ball_scan
 

@@ -11,7 +11,8 @@ import pytest
 
 from heartcase.pipeline.bundle import simulation_figures, write_bundle
 from heartcase.schemas.bundle import Material
-from heartcase.schemas.bundle_reader import check_bundle, open_bundle
+from heartcase.schemas.bundle_check import check_bundle
+from heartcase.schemas.bundle_reader import open_bundle
 from heartcase.schemas.errors import BundleError
 from tests.crash import Crash, crash_after
 from tests.factories import block_case, block_grid

@@ -15,7 +15,8 @@ import pytest
 
 from heartcase.pipeline.run import STAGES, build_case
 from heartcase.schemas.bundle import FileRole
-from heartcase.schemas.bundle_reader import check_bundle, open_bundle
+from heartcase.schemas.bundle_check import check_bundle
+from heartcase.schemas.bundle_reader import open_bundle
 from heartcase.schemas.errors import HeartcaseError, ScanError, UsageError
 from heartcase.schemas.recipe import load_recipe
 from tests.ball import write_ball_recipe, write_ball_scan

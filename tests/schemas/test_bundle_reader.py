@@ -8,7 +8,8 @@ from safetensors.numpy import load_file, save_file
 
 from heartcase.pipeline.bundle import write_bundle
 from heartcase.schemas.bundle import ARRAYS, FileRole
-from heartcase.schemas.bundle_reader import check_bundle, open_bundle
+from heartcase.schemas.bundle_check import check_bundle
+from heartcase.schemas.bundle_reader import open_bundle
 from heartcase.schemas.errors import BundleError
 from tests.factories import block_case
 
@@ -78,8 +79,8 @@ def test_a_part_that_is_not_there_is_named(case):
         (lambda d: d.update(format_version="2.0"), "is not 1.x"),
         (lambda d: d.update(required_extensions=["sutures"]), "'sutures' is not known"),
         (lambda d: d.pop("simulation"), "is missing"),
-        (lambda d: d["files"][0].update(name="../escape.safetensors"), "should match pattern"),
-        (lambda d: d["files"][0].update(name="/etc/passwd"), "should match pattern"),
+        (lambda d: d["files"][0].update(name="../escape.safetensors"), "characters that are not allowed"),
+        (lambda d: d["files"][0].update(name="/etc/passwd"), "characters that are not allowed"),
         (lambda d: d["files"][0].update(size=3), "instead of 3"),
         (lambda d: d["files"].append(d["files"][0]), "is listed twice"),
         (lambda d: d["files"].pop(0), "has no grid"),
@@ -93,6 +94,22 @@ def test_a_broken_manifest_is_refused(case, change, words):
     with pytest.raises(BundleError, match=words):
         open_bundle(case)
     assert check_bundle(case)
+
+
+@pytest.mark.parametrize(
+    ("change", "place"),
+    [
+        (lambda d: d["grid_geometry"].update(spacing_mm=[1e-30] * 3), "grid_geometry.spacing_mm"),
+        (lambda d: d["grid_geometry"].update(size=[2, 2, 2]), "grid.cells"),
+        (lambda d: d["grid_geometry"].update(direction=[[1, 0, 0], [0, 1, 0], [0, 0, -1]]), "grid_geometry.direction"),
+        (lambda d: d["simulation"].update(step_default_s=10), "simulation.step_default_s"),
+        (lambda d: d.update(materials=[]), "materials"),
+        (lambda d: d.update(warnings=["\x1b[2Jgone"]), "case.json.warnings[1]"),
+    ],
+)
+def test_a_manifest_at_odds_with_the_arrays_is_found(case, change, place):
+    edit_manifest(case, change)
+    assert place in {problem.place for problem in check_bundle(case)}
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", "null", '{"format": "heartcase-bundle"}', "[" * 100_000])
@@ -125,6 +142,10 @@ def test_a_missing_a_cut_and_a_changed_file_are_all_reported(case):
     assert "files.surface: the file" in text
     assert "files.mapping: has" in text
     assert "files.picking: the content" in text
+    edit_manifest(case, lambda d: d.update(surprise=1))
+    more = "\n".join(map(str, check_bundle(case)))
+    for line in ("surprise: unknown setting", "files.surface: the file", "files.mapping: the content"):
+        assert line in more
 
 
 def test_a_link_out_of_the_case_is_not_followed(case, tmp_path):
@@ -158,6 +179,11 @@ def test_a_bad_header_is_refused(case, header):
         (FileRole.GRID, lambda a: a["cell_coverage"].__setitem__(0, 0.0), "grid.cell_coverage"),
         (FileRole.GRID, lambda a: a["cell_stiffness"].__setitem__(0, -1.0), "grid.cell_stiffness"),
         (FileRole.GRID, lambda a: a["fixed"].__setitem__(0, 2), "grid.fixed"),
+        (FileRole.GRID, lambda a: a["fixed"].fill(1), "grid.fixed"),
+        (FileRole.GRID, lambda a: a["cell_stiffness"].__setitem__(0, 1e38), "grid.cell_stiffness"),
+        (FileRole.GRID, lambda a: a["cell_label"].__setitem__(0, 1), "materials"),
+        (FileRole.SURFACE, lambda a: a["vertices"].__setitem__((0, 0), 500.0), "mapping"),
+        (FileRole.MAPPING, lambda a: a["triangle_nodes"].__setitem__(0, 3), "mapping.triangle_nodes"),
         (FileRole.GRID, lambda a: a["nodes"].__setitem__((0, 0), 5), "grid.nodes"),
         (FileRole.GRID, lambda a: a["cells"].__setitem__(0, a["cells"][1]), "grid.cells"),
         (FileRole.PICKING, lambda a: a.update(nodes=a["nodes"][:-1]), "picking.triangles"),
