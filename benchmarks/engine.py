@@ -86,17 +86,24 @@ def _neighbour_list(model: LatticeModel) -> tuple[Any, Any, Any, Any]:
 
 @numba.njit
 def _textbook_step(u, v, mass_inverse, count, other, rest, weight, keep, kick, step):  # type: ignore[no-untyped-def]
-    force = np.zeros_like(u)
+    force = np.empty_like(u)
     for n in range(len(u)):
+        fx = fy = fz = 0.0
         for s in range(count[n]):
-            d = rest[n, s] + u[other[n, s]] - u[n]
-            length = np.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
-            start = np.sqrt(np.sum(rest[n, s] * rest[n, s]))
-            force[n] += weight[n, s] * (length - start) / length * d
+            j = other[n, s]
+            rx, ry, rz = rest[n, s, 0], rest[n, s, 1], rest[n, s, 2]
+            dx, dy, dz = rx + u[j, 0] - u[n, 0], ry + u[j, 1] - u[n, 1], rz + u[j, 2] - u[n, 2]
+            length = np.sqrt(dx * dx + dy * dy + dz * dz)
+            pull = weight[n, s] * (length - np.sqrt(rx * rx + ry * ry + rz * rz)) / length
+            fx += pull * dx
+            fy += pull * dy
+            fz += pull * dz
+        force[n, 0], force[n, 1], force[n, 2] = fx, fy, fz
     for n in range(len(u)):
-        if mass_inverse[n] > 0.0:
-            v[n] = keep * v[n] + kick * mass_inverse[n] * force[n]
-        u[n] += step * v[n]
+        for c in range(3):
+            if mass_inverse[n] > 0.0:
+                v[n, c] = keep * v[n, c] + kick * mass_inverse[n] * force[n, c]
+            u[n, c] += step * v[n, c]
 
 
 METHODS = {"heartcase": heartcase, "textbook": textbook}

@@ -7,16 +7,18 @@ from typing import Any
 
 import numpy as np
 import SimpleITK as sitk
-from phantom_inputs import bare_truth, phantom_inputs
+from phantom_inputs import phantom_inputs
 
 from heartcase.phantom.metrics import dice, surface_error
 from heartcase.phantom.truth import Truth
 from heartcase.pipeline.data import Markers, Scan, Segmentation
 from heartcase.pipeline.filter import filter_scan
 from heartcase.pipeline.gradient import gradient_magnitude
+from heartcase.pipeline.run import labels_of
 from heartcase.pipeline.segment import segment_scan
+from heartcase.pipeline.walls import grow_walls
 from heartcase.schemas.labels import LabelTable
-from heartcase.schemas.settings import FilterSettings, SegmentSettings
+from heartcase.schemas.settings import EndMarker, FilterSettings, SegmentSettings, WallsSettings
 
 
 @dataclass(frozen=True)
@@ -29,13 +31,15 @@ class Inputs:
     table: LabelTable
     true_labels: Any
     truth: Truth | None
+    ends: tuple[EndMarker, ...] = ()
 
 
 def prepare(params: dict[str, Any]) -> Inputs:
     source = phantom_inputs(params)
     filtered = filter_scan(source.scan, FilterSettings())
     gradient = gradient_magnitude(filtered.values, filtered.geometry.spacing_mm)
-    return Inputs(filtered, gradient, source.markers, source.phantom.table, bare_truth(source), source.phantom.truth)
+    phantom = source.phantom
+    return Inputs(filtered, gradient, source.markers, phantom.table, source.truth.labels, phantom.truth, phantom.ends)
 
 
 def heartcase(inputs: Inputs) -> Segmentation:
@@ -56,15 +60,16 @@ METHODS = {"heartcase": heartcase, "simpleitk": simpleitk}
 
 
 def errors(inputs: Inputs, output: Segmentation) -> dict[str, float]:
-    """Dice and surface distance of every structure; the truth's grown walls count as background, as in the output."""
+    """Dice and surface distance of every structure, after the end discs have cut the vessels where the truth ends."""
     assert inputs.truth is not None
+    finished = labels_of(grow_walls(output, WallsSettings(), inputs.ends))
     truth, table = inputs.true_labels, output.table
-    found: dict[str, float] = {"blood pool Dice [1]": dice(output.labels, truth, table.blood_values)}
+    found: dict[str, float] = {"blood pool Dice [1]": dice(finished.labels, truth, table.blood_values)}
     for label in table:
         if label.value == 0:
             continue
-        distance = surface_error(output.labels, output.geometry, inputs.truth, label.value)
-        found[f"{label.name} Dice [1]"] = dice(output.labels, truth, label.value)
+        distance = surface_error(finished.labels, finished.geometry, inputs.truth, label.value)
+        found[f"{label.name} Dice [1]"] = dice(finished.labels, truth, label.value)
         found[f"{label.name} mean distance [mm]"] = distance.mean_mm
         found[f"{label.name} 95% distance [mm]"] = distance.percentile_95_mm
     found["voxels marked [%]"] = 100.0 * float((inputs.markers.labels != Markers.UNMARKED).mean())

@@ -58,7 +58,7 @@ def command(names: tuple[str, ...], only_list: bool, json_file: Path | None, dir
 
 def _line(record: BenchmarkRecord, records: list[BenchmarkRecord]) -> str:
     ours = next((r for r in records if r.case == record.case and r.method == "heartcase"), record)
-    ratio = "" if record is ours else f"  ({record.seconds / ours.seconds:.1f} x ours)"
+    ratio = "" if record is ours else f"  ({record.seconds / ours.seconds:.3g} x ours)"
     memory = f"{record.peak_memory_mb:,.0f} MB" if record.peak_memory_mb is not None else "memory unknown"
     lines = [f"{record.case:<30} {record.method:<12} {record.seconds:10.4f} s  {memory:>10}{ratio}"]
     lines += [f"{'':<34}{name}: {value:.5g}" for name, value in record.errors.items()]

@@ -317,7 +317,8 @@ def test_no_tissue_is_one_clear_error():
 def test_a_map_too_small_for_its_charts_is_one_clear_error():
     with pytest.raises(StageError, match="larger map"):
         build_surface(
-            solid(torus(12.0, 4.0), lattice(1.0, 18.0)), SurfaceSettings(triangle_count=4000, normal_map_size=8)
+            solid(torus(12.0, 4.0), lattice(1.0, 18.0)),
+            SurfaceSettings.model_construct(triangle_count=4000, normal_map_size=8, atlas="cone"),
         )
 
 

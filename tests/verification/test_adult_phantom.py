@@ -16,6 +16,7 @@ from heartcase.phantom.strokes import marker_strokes
 from heartcase.pipeline.data import Markers, Scan
 from heartcase.pipeline.filter import filter_scan
 from heartcase.pipeline.markers import load_markers
+from heartcase.pipeline.run import labels_of
 from heartcase.pipeline.segment import segment_scan
 from heartcase.pipeline.surface import build_surface
 from heartcase.pipeline.walls import grow_walls, structure_volumes_ml
@@ -81,15 +82,21 @@ def test_blood_pool_and_myocardium_reach_their_dice(phantom, segmentation, truth
     assert dice(segmentation.labels, truth, phantom.table["left ventricular myocardium"].value) >= 0.90
 
 
-def test_every_structure_is_found_and_its_border_is_near_the_true_one(phantom, segmentation, truth):
+def test_every_structure_is_found_and_its_border_is_near_the_true_one(phantom, structures, scan):
+    """After the end discs have cut the vessels, against the truth with its walls.
+
+    The cavae end at open borders to the atrium, which no edge of the image but only the strokes place.
+    """
+    finished = labels_of(structures)
+    indices = np.indices(scan.geometry.shape).reshape(3, -1)[::-1].T
+    truth = phantom.truth.label(scan.geometry.index_to_world(indices)).reshape(scan.geometry.shape)
     for label in phantom.table:
         if label.value == 0:
             continue
-        # The inferior vena cava ends at an open border to the atrium, which only the strokes place.
-        bound = 0.75 if label.name == "inferior vena cava" else 0.85
-        assert dice(segmentation.labels, truth, label.value) >= bound, label.name
-        error = surface_error(segmentation.labels, segmentation.geometry, phantom.truth, label.value)
-        assert error.mean_mm <= 1.75, (label.name, error)
+        is_cava = "vena cava" in label.name
+        assert dice(finished.labels, truth, label.value) >= (0.85 if is_cava else 0.93), label.name
+        error = surface_error(finished.labels, finished.geometry, phantom.truth, label.value)
+        assert error.mean_mm <= (1.5 if is_cava else 1.0), (label.name, error)
 
 
 def test_grown_walls_have_their_thickness(structures, surface):
