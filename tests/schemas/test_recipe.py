@@ -111,7 +111,10 @@ def test_all_sample_recipes_are_valid():
     samples = [path for path in (ROOT / "sample_cases").glob("*.toml") if "heartcase_recipe" in path.read_text()]
     assert len(samples) >= 3
     for path in samples:
-        assert isinstance(load_recipe(path), Recipe)
+        recipe = load_recipe(path)
+        assert isinstance(recipe, Recipe)
+        # The Makefile and the README name the cases so.
+        assert recipe.name == path.stem.replace("_", "-")
 
 
 def test_the_schemas_in_docs_are_current():
