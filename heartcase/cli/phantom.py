@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +11,7 @@ import numpy as np
 
 from heartcase.cli.output import working
 from heartcase.schemas.errors import UsageError
+from heartcase.schemas.files import atomic_write
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -94,6 +94,8 @@ def command(
     from heartcase.phantom.acquisition import acquire_ct, acquire_mri
     from heartcase.phantom.heart import HeartPhantom
     from heartcase.phantom.recipe import recipe_text
+    from heartcase.pipeline.data import Scan, Segmentation
+    from heartcase.pipeline.write import write_scan, write_segmentation
 
     voxel = _spacing(spacing, size)
     phantom = HeartPhantom.of_size(size)
@@ -117,7 +119,7 @@ def command(
 
     _make_folder(out_dir)
     files = ["scan.nii.gz"]
-    _write_image(out_dir / "scan.nii.gz", scan.values, geometry)
+    write_scan(Scan(scan.values, geometry, scan.modality), out_dir / "scan.nii.gz")
     summary: dict[str, Any] = {
         "size": size,
         "modality": scan.modality,
@@ -129,7 +131,7 @@ def command(
     }
     if not scan_only:
         labels = _true_labels(phantom.truth.label, geometry)
-        _write_image(out_dir / "truth.nii.gz", labels, geometry)
+        write_segmentation(Segmentation(labels, geometry, phantom.truth.table), out_dir / "truth.nii.gz")
         text = recipe_text(
             phantom,
             name="-".join([size, "phantom", *(["vsd"] if vsd else []), *(["asd"] if asd else [])]),
@@ -137,7 +139,7 @@ def command(
             command=_command_line(size, modality, spacing, noise, bias, seed, oblique, vsd, asd),
             modality=scan.modality,
         )
-        _replace_text(out_dir / "recipe.toml", text)
+        atomic_write(out_dir / "recipe.toml", text.encode())
         files += ["truth.nii.gz", "recipe.toml"]
         table = phantom.truth.table
         counts = np.bincount(labels.ravel(), minlength=256)
@@ -215,31 +217,3 @@ def _make_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:
         raise UsageError("the folder cannot be made: check the path and its permissions", place="OUT_DIR") from None
-
-
-def _write_image(path: Path, values: npt.NDArray[Any], geometry: Geometry) -> None:
-    import SimpleITK as sitk
-
-    image = sitk.GetImageFromArray(values)
-    image.SetOrigin(geometry.origin_mm)
-    image.SetSpacing(geometry.spacing_mm)
-    image.SetDirection(geometry.direction_matrix.ravel().tolist())
-    temporary = path.with_name(f".{os.getpid()}.{path.name}")
-    try:
-        sitk.WriteImage(image, str(temporary), useCompression=True)
-        temporary.replace(path)
-    except (OSError, RuntimeError):
-        raise UsageError(f"{path.name} cannot be written: is the disk full, or the folder read-only?") from None
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def _replace_text(path: Path, text: str) -> None:
-    temporary = path.with_name(f".{os.getpid()}.{path.name}")
-    try:
-        temporary.write_text(text, encoding="utf-8", newline="\n")
-        temporary.replace(path)
-    except OSError:
-        raise UsageError(f"{path.name} cannot be written: is the disk full, or the folder read-only?") from None
-    finally:
-        temporary.unlink(missing_ok=True)
