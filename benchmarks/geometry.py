@@ -89,7 +89,7 @@ def errors(inputs: Inputs, output: Any) -> dict[str, float]:
     if isinstance(output, GridMap):
         return {"warnings [1]": float(len(output.warnings))}
     truth = inputs.source.phantom.truth
-    there = np.abs(truth.tissue_distance(output.vertices_mm))
+    there = np.abs(truth.tissue_distance(output.vertices_mm, tolerance_mm=0.02))
     samples = truth.surface_points()
     back = closest_distance_mm(samples, output.vertices_mm, output.triangles)
     both = SurfaceError.of(np.concatenate([there, back]))

@@ -102,14 +102,22 @@ def build_anatomy(scale: float, left_wall_mm: float, vessel_gap_mm: float) -> An
     vessel_gap_mm
         Least tissue between cavities of the left and of the right side.
     """
+    rounding = 2.0 * scale
     frame = np.stack([LONG_AXIS, SEPTUM_AXIS, UPWARD_AXIS])
     boxes = _boxes(scale)
     fields: dict[int, DistanceTables] = {}
 
-    def fix(value: int, shape: Shape) -> DistanceTables:
+    def fix(value: int, shape: Shape, *, edges: bool = False, fillet: float = 0.0) -> DistanceTables:
         lower, upper = boxes[value]
         fields[value] = tabulate(
-            shape, lower, upper, spacing_mm=scale, band_mm=5.0 * scale + 2.5, margin_mm=4.0 * scale + 2.0
+            shape,
+            lower,
+            upper,
+            spacing_mm=scale,
+            band_mm=5.0 * scale + 2.5,
+            margin_mm=4.0 * scale + 2.0,
+            rounding_mm=rounding if edges else 0.0,
+            fillet_mm=fillet * scale,
         )
         return fields[value]
 
@@ -229,7 +237,7 @@ def build_anatomy(scale: float, left_wall_mm: float, vessel_gap_mm: float) -> An
     canal = Capsule(scale * (left_center + np.array((4.0, -6.0, -5.0))), mitral + 3.0 * scale * LONG_AXIS, 12.5 * scale)
     left_atrium = Union([left_atrium, canal], 6.0 * scale)
     left_atrium = Intersection([left_atrium, complement(aorta, gap_mm=vessel_gap_mm)], 4.0 * scale)
-    left_atrium = fix(3, Union([left_atrium, *veins.values()], 6.0 * scale))
+    left_atrium = fix(3, Union([left_atrium, *veins.values()], 6.0 * scale), edges=True, fillet=3.0)
 
     # A trace of overlap with the septum leaves no gap between it and the right ventricle; blood wins there.
     away_from_left = [
@@ -237,9 +245,9 @@ def build_anatomy(scale: float, left_wall_mm: float, vessel_gap_mm: float) -> An
         *(complement(shape, gap_mm=vessel_gap_mm) for shape in (aorta, left_atrium)),
     ]
 
-    # At a valve the two cavities are cut by one plane, with a trace of overlap so that rounding cannot close it.
-    pulmonary_valve = _Valve(scale * np.array((14.3, -35.8, 18.0)), np.array((0.12, 0.12, 0.98)), 0.15 * scale)
-    tricuspid_valve = _Valve(scale * np.array((-21.0, -15.0, -8.0)), np.array((0.75, -0.60, -0.28)), 0.15 * scale)
+    # At a valve both cavities reach over one plane as far as their edges are rounded: on the plane both are full.
+    pulmonary_valve = _Valve(scale * np.array((14.3, -35.8, 18.0)), np.array((0.12, 0.12, 0.98)), rounding)
+    tricuspid_valve = _Valve(scale * np.array((-21.0, -15.0, -8.0)), np.array((0.75, -0.60, -0.28)), rounding)
     inflow = Capsule(tricuspid_valve.at(-13.0 * scale), tricuspid_valve.at(11.0 * scale), 13.0 * scale)
     infundibulum = tube(
         [(6.0, -40.0, -14.0), (10.0, -38.5, 2.0), (14.0, -36.0, 17.0), (17.0, -34.0, 28.0)], [17.0, 14.5, 12.2, 11.9]
@@ -251,21 +259,23 @@ def build_anatomy(scale: float, left_wall_mm: float, vessel_gap_mm: float) -> An
     right_ventricle = Intersection([right_ventricle, *limits], 8.0 * scale)
     right_ventricle = Union([right_ventricle, infundibulum, inflow], 8.0 * scale)
     right_ventricle = Intersection([right_ventricle, *away_from_left], 4.0 * scale)
-    right_ventricle = fix(2, Intersection([right_ventricle, pulmonary_valve.behind, tricuspid_valve.beyond]))
+    right_ventricle = fix(
+        2, Intersection([right_ventricle, pulmonary_valve.behind, tricuspid_valve.beyond]), edges=True
+    )
 
     right_center = np.array((-38.0, 1.0, 1.0))
     right_atrium: Shape = Union([ball(right_center, (20.0, 23.0, 26.0), False), right_auricle], 8.0 * scale)
     right_atrium = Intersection([right_atrium, complement(right_ventricle, gap_mm=vessel_gap_mm)], 5.0 * scale)
     right_atrium = Intersection([Union([right_atrium, inflow], 6.0 * scale), *away_from_left], 4.0 * scale)
     beside_valve = complement(inflow, gap_mm=3.0 * scale)
-    right_atrium = fix(4, Intersection([right_atrium, Union([tricuspid_valve.behind, beside_valve])]))
+    right_atrium = fix(4, Intersection([right_atrium, Union([tricuspid_valve.behind, beside_valve])]), edges=True)
 
     pulmonary: Shape = Union([trunk, right_branch, left_branch], 8.0 * scale)
     pulmonary = Intersection([pulmonary, *away_from_left], 3.0 * scale)
-    pulmonary = fix(6, Intersection([pulmonary, pulmonary_valve.beyond]))
+    pulmonary = fix(6, Intersection([pulmonary, pulmonary_valve.beyond]), edges=True)
     others = [complement(shape, gap_mm=vessel_gap_mm) for shape in (pulmonary, aorta, left_atrium)]
-    fix(7, Intersection([superior_cava, *others], 3.0 * scale))
-    fix(8, Intersection([inferior_cava, *others], 3.0 * scale))
+    fix(7, Intersection([superior_cava, *others], 3.0 * scale), edges=True)
+    fix(8, Intersection([inferior_cava, *others], 3.0 * scale), edges=True)
     open_tubes = [
         ("aorta", arch),
         *(("aorta", branch) for branch in arch_branches),

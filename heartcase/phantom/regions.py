@@ -10,7 +10,8 @@ body, c_i above zero behind an end disc of i, and k below zero in the canal of a
 5. everything else is background. Ties go to the lower label.
 
 Each region's value is a maximum and minimum of these, scaled to change by at most 1 per mm: its zero surface is the
-region's border, and its size is a lower bound on the distance to it, attained wherever one smooth face is nearest.
+region's border, and its size is a lower bound on the distance to it (but for what the splines of the distances lose),
+attained wherever one smooth face is nearest.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import numpy as np
 
 from heartcase.phantom.tables import table_value
 
-__all__ = ["CAVITY_COUNT", "MYOCARDIUM", "TISSUE", "label_points", "materials", "region_values"]
+__all__ = ["CAVITY_COUNT", "MYOCARDIUM", "TISSUE", "label_points", "materials", "region_value", "region_values"]
 
 CAVITY_COUNT = 8
 MYOCARDIUM = 9
@@ -195,12 +196,19 @@ def _region(d, c, k, thickness, wall_label, region):  # type: ignore[no-untyped-
 
 
 @numba.njit(cache=True, nogil=True)
+def region_value(tables, ends, canals, thickness, wall_label, region, x, y, z, d, c):  # type: ignore[no-untyped-def]
+    """A region's value at one point; ``d`` (9 values) and ``c`` (8 values) are room to work in."""
+    k = _evaluate(tables, ends, canals, x, y, z, d, c)
+    return _region(d, c, k, thickness, wall_label, region)
+
+
+@numba.njit(cache=True, nogil=True)
 def _region_values_part(tables, ends, canals, thickness, wall_label, region, points, values, first, last):  # type: ignore[no-untyped-def]
     d = np.empty(CAVITY_COUNT + 1)
     c = np.empty(CAVITY_COUNT)
     for n in range(first, last):
-        k = _evaluate(tables, ends, canals, points[n, 0], points[n, 1], points[n, 2], d, c)
-        values[n] = _region(d, c, k, thickness, wall_label, region)
+        x, y, z = points[n, 0], points[n, 1], points[n, 2]
+        values[n] = region_value(tables, ends, canals, thickness, wall_label, region, x, y, z, d, c)
 
 
 @numba.njit(cache=True, nogil=True, parallel=True)

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from heartcase.phantom.shapes import Shape
+from heartcase.phantom.shapes import Offset, Shape, complement
 
 __all__ = ["DistanceTables", "table_value", "tabulate"]
 
@@ -26,6 +26,10 @@ Float64 = npt.NDArray[np.float64]
 Float32 = npt.NDArray[np.float32]
 Int64 = npt.NDArray[np.int64]
 COARSE = 4
+_PART = 4096
+"""Points that one task of a parallel loop takes; no result depends on it."""
+_SAMPLE_SHIFT = 0.35
+"""Steps between a crossing of the lattice and the samples around it: about as many again lie between two crossings."""
 _INNER_BAND = 3.5
 """Steps inside the border where distances are computed on every lattice point."""
 
@@ -76,7 +80,15 @@ class DistanceTables:
 
 
 def tabulate(
-    shape: Shape, lower_mm: Float64, upper_mm: Float64, *, spacing_mm: float, band_mm: float, margin_mm: float
+    shape: Shape,
+    lower_mm: Float64,
+    upper_mm: Float64,
+    *,
+    spacing_mm: float,
+    band_mm: float,
+    margin_mm: float,
+    rounding_mm: float = 0.0,
+    fillet_mm: float = 0.0,
 ) -> DistanceTables:
     """Tabulate the true distance of a shape.
 
@@ -93,6 +105,11 @@ def tabulate(
         fourth.
     margin_mm
         How far the lattice reaches beyond the box.
+    rounding_mm
+        Round convex edges with this radius (a morphological opening by a ball); two lattice steps are enough for
+        the spline to hold what was an edge.
+    fillet_mm
+        Before that, fill concave edges with this radius (a closing): the distance outside has no crease nearer.
 
     Raises
     ------
@@ -101,11 +118,23 @@ def tabulate(
     """
     origin = lower_mm - margin_mm
     size = np.ceil((upper_mm + margin_mm - origin) / (COARSE * spacing_mm)).astype(np.int64) * COARSE + 1
-    values = _distances(shape, origin, size, spacing_mm, band_mm)
+    for radius, side in ((fillet_mm, complement), (rounding_mm, _same)):
+        if radius > 0.0:
+            core = Offset(side(shape), -radius)
+            values = _distances(core, origin, size, spacing_mm, radius + 5.0 * spacing_mm, edges=True) - radius
+            coefficients = _coefficients(values)
+            shape = side(
+                DistanceTables(coefficients, np.zeros(1, np.int64), size[None], origin[None], spacing_mm, margin_mm)
+            )
+    values = _distances(shape, origin, size, spacing_mm, band_mm, edges=rounding_mm > 0.0)
     border = min(values.take(side, axis=axis).min() for axis in range(3) for side in (0, -1))
     if border < 0.5 * margin_mm:
         raise ValueError(f"the box does not hold the shape: it comes within {border:.1f} mm of the lattice's border")
     return DistanceTables(_coefficients(values), np.zeros(1, np.int64), size[None], origin[None], spacing_mm, margin_mm)
+
+
+def _same(shape: Shape) -> Shape:
+    return shape
 
 
 def _coefficients(values: Float64) -> Float32:
@@ -119,7 +148,7 @@ def _lattice(origin: Float64, size: Int64, step: float) -> Float64:
     return np.stack([grid[2], grid[1], grid[0]], axis=-1)
 
 
-def _distances(shape: Shape, origin: Float64, size: Int64, step: float, band_mm: float) -> Float64:
+def _distances(shape: Shape, origin: Float64, size: Int64, step: float, band_mm: float, *, edges: bool) -> Float64:
     coarse_points = _lattice(origin, (size - 1) // COARSE + 1, COARSE * step)
     coarse = shape.distance(coarse_points.reshape(-1, 3)).reshape(coarse_points.shape[:3])
     values = _upsampled(coarse, order=1)
@@ -127,12 +156,14 @@ def _distances(shape: Shape, origin: Float64, size: Int64, step: float, band_mm:
     # A value that changes by at most 1 per mm is off by 3.5 steps at most between the coarse points.
     near = np.abs(values) < 5.0 * step
     values[near] = shape.distance(points[near])
-    samples, normals, curvature = _surface_samples(values, near, points, origin, size, step)
+    samples, normals, curvature = _surface_samples(values, near, points, origin, size, step, edges=edges)
     tree = cKDTree(samples, compact_nodes=False, balanced_tree=False)
-    far = _patch_distance(coarse_points.reshape(-1, 3), tree, samples, normals, curvature, step)
+    # How far a foot can be from its nearest sample.
+    apart = (0.5 if edges else 0.87) * step
+    far = _patch_distance(coarse_points.reshape(-1, 3), tree, samples, normals, curvature, apart)
     distances = _upsampled(np.copysign(far, coarse.ravel()).reshape(coarse.shape), order=3)
     band = near | ((values > 0.0) & (distances < band_mm + step)) | ((values < 0.0) & (distances > -_INNER_BAND * step))
-    found = _patch_distance(points[band], tree, samples, normals, curvature, step)
+    found = _patch_distance(points[band], tree, samples, normals, curvature, apart)
     distances[band] = np.copysign(found, values[band])
     return distances
 
@@ -171,7 +202,14 @@ def _interpolated_along(spline: Float64, count: int, order: int) -> Float64:
 
 
 def _surface_samples(
-    values: Float64, known: npt.NDArray[np.bool_], points: Float64, origin: Float64, size: Int64, step: float
+    values: Float64,
+    known: npt.NDArray[np.bool_],
+    points: Float64,
+    origin: Float64,
+    size: Int64,
+    step: float,
+    *,
+    edges: bool,
 ) -> tuple[Float64, Float64, Float64]:
     """Points on the zero surface, unit normals, and the curvature tensor (the Hessian of the distance) there."""
     found = []
@@ -182,12 +220,18 @@ def _surface_samples(
         a, b = values[before][crossing], values[after][crossing]
         fraction = (a / (a - b))[:, None]
         found.append(points[before][crossing] * (1.0 - fraction) + points[after][crossing] * fraction)
-    samples = np.concatenate(found)
     coefficients = _coefficients(values)
-    for _ in range(3):
-        value, gradient, _ = _derivatives(coefficients, size, origin, step, samples)
-        square = np.maximum(np.einsum("ni,ni->n", gradient, gradient), 0.04)
-        samples = samples - gradient * (value / square)[:, None]
+
+    def onto_surface(at: Float64) -> tuple[Float64, Float64]:
+        for _ in range(3):
+            value, gradient, _ = _derivatives(coefficients, size, origin, step, at)
+            square = np.maximum(np.einsum("ni,ni->n", gradient, gradient), 0.04)
+            at = at - gradient * (value / square)[:, None]
+        return at, gradient / np.sqrt(square)[:, None]
+
+    samples, normals = onto_surface(np.concatenate(found))
+    if edges:
+        samples = onto_surface(_beside(samples, normals, step))[0]
     _, gradient, hessian = _derivatives(coefficients, size, origin, step, samples)
     length = np.maximum(np.linalg.norm(gradient, axis=1), 1e-9)
     normals = gradient / length[:, None]
@@ -198,10 +242,19 @@ def _surface_samples(
     return samples, normals, curvature
 
 
+def _beside(samples: Float64, normals: Float64, step: float) -> Float64:
+    """Each sample and eight around it in its tangent plane."""
+    side = np.cross(normals, np.eye(3)[np.argmin(np.abs(normals), axis=1)])
+    side /= np.maximum(np.linalg.norm(side, axis=1), 1e-9)[:, None]
+    across = np.cross(normals, side)
+    shifts = (-_SAMPLE_SHIFT * step, 0.0, _SAMPLE_SHIFT * step)
+    return np.concatenate([samples + u * side + v * across for u in shifts for v in shifts])
+
+
 def _patch_distance(
-    points: Float64, tree: cKDTree, samples: Float64, normals: Float64, curvature: Float64, step: float
+    points: Float64, tree: cKDTree, samples: Float64, normals: Float64, curvature: Float64, apart_mm: float
 ) -> Float64:
-    """Unsigned distance to the second-order patch at the nearest sample."""
+    """Unsigned distance to the second-order patch at the nearest sample, no foot being ``apart_mm`` from one."""
     found = tree.query(points, workers=-1)
     plain, index = np.asarray(found[0], dtype=float), np.asarray(found[1], dtype=np.int64)
     gap = points - samples[index]
@@ -214,8 +267,8 @@ def _patch_distance(
     # The foot of a point at height a slides by tangent / (1 + a curvature); bounded near the patch's own focus.
     shrink = np.maximum(1.0 + height * along / square, 0.3)
     refined = np.abs(height + 0.5 * along / shrink)
-    # No foot is farther than 0.87 steps from its nearest sample: beside an edge this holds the distance.
-    lower = np.sqrt(np.maximum(plain * plain - 0.75 * step * step, 0.0))
+    # Beside an edge this holds the distance.
+    lower = np.sqrt(np.maximum(plain * plain - apart_mm * apart_mm, 0.0))
     result: Float64 = np.clip(refined, lower, plain)
     return result
 
@@ -245,15 +298,10 @@ def _mirrored(index, count):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
-def _derivatives(coefficients, size, origin, spacing, points):  # type: ignore[no-untyped-def]
-    """Value (n,), gradient (n, 3) and Hessian (n, 3, 3) of one spline at points inside its lattice."""
-    count = points.shape[0]
-    value = np.zeros(count)
-    gradient = np.zeros((count, 3))
-    hessian = np.zeros((count, 3, 3))
+def _derivatives_part(coefficients, size, origin, spacing, points, value, gradient, hessian, start, stop):  # type: ignore[no-untyped-def]
     weight = np.empty((3, 3, 4))
     cell = np.empty(3, np.int64)
-    for n in range(count):
+    for n in range(start, stop):
         for axis in range(3):
             at = min(max((points[n, axis] - origin[axis]) / spacing, 0.0), size[axis] - 1.0)
             cell[axis] = min(int(at), size[axis] - 2)
@@ -281,6 +329,18 @@ def _derivatives(coefficients, size, origin, spacing, points):  # type: ignore[n
         hessian[n, 1, 0] = hessian[n, 0, 1]
         hessian[n, 2, 0] = hessian[n, 0, 2]
         hessian[n, 2, 1] = hessian[n, 1, 2]
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _derivatives(coefficients, size, origin, spacing, points):  # type: ignore[no-untyped-def]
+    """Value (n,), gradient (n, 3) and Hessian (n, 3, 3) of one spline at points inside its lattice."""
+    count = points.shape[0]
+    value = np.zeros(count)
+    gradient = np.zeros((count, 3))
+    hessian = np.zeros((count, 3, 3))
+    for part in numba.prange((count + _PART - 1) // _PART):
+        stop = min(count, (part + 1) * _PART)
+        _derivatives_part(coefficients, size, origin, spacing, points, value, gradient, hessian, part * _PART, stop)
     return value, gradient, hessian
 
 

@@ -1,8 +1,7 @@
 """True labels and signed distances of any points.
 
-A region's value (:mod:`heartcase.phantom.regions`) is a lower bound on the distance to the region's border. Where
-following its gradient leads to the border at just that distance, it *is* the distance. Elsewhere (near edges, behind
-ends, far away) the nearest of a dense set of points of the border is moved along the border towards the query point.
+A region's value (:mod:`heartcase.phantom.regions`) is a lower bound on the distance to the region's border, and
+points on the border bound it from above; :mod:`heartcase.phantom.border` closes the gap to :data:`TOLERANCE_MM`.
 """
 
 from __future__ import annotations
@@ -14,16 +13,20 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
+from heartcase.phantom.border import STEEPNESS, border_distances
 from heartcase.phantom.regions import TISSUE, label_points, region_values
 from heartcase.phantom.tables import DistanceTables
 from heartcase.schemas.labels import LabelTable
 from heartcase.schemas.settings import EndMarker, SeptalDefect
 
-__all__ = ["Truth"]
+__all__ = ["TOLERANCE_MM", "Truth"]
 
 Float64 = npt.NDArray[np.float64]
 UInt8 = npt.NDArray[np.uint8]
-_AGREEMENT_MM = 0.004
+TOLERANCE_MM = 0.01
+"""How far a distance may be off, unless another tolerance is asked for."""
+_REACH_MM = 0.003
+"""Half the way on which the sign must change for a point to count as one of the border."""
 _BLOCK = 4
 _SAMPLE_STEPS = 1.5
 """Steps of the tables between points of the border: 1.4 mm in the adult."""
@@ -81,7 +84,7 @@ class Truth:
         label_points(*self.kernel_arguments, flat, labels)
         return labels.reshape(points.shape[:-1])
 
-    def distance(self, points_mm: npt.ArrayLike, label: int) -> Float64:
+    def distance(self, points_mm: npt.ArrayLike, label: int, *, tolerance_mm: float = TOLERANCE_MM) -> Float64:
         """Signed distance to the border of the region with a label, mm, negative inside.
 
         Parameters
@@ -90,22 +93,23 @@ class Truth:
             World points, shape (..., 3).
         label
             A value of :attr:`table`, the background and the grown walls included.
+        tolerance_mm
+            How far a distance may be off; the time goes up with one over it (about 1 ms a point and core).
 
         Returns
         -------
-        Array of shape (...). Within 0.02 mm of the true distance where the nearest border point lies on a smooth
-        face; beside an edge between faces mostly within 0.1 mm.
+        Array of shape (...), within ``tolerance_mm`` of the true distance everywhere.
         """
-        return self._distance(points_mm, int(label))
+        return self._distance(points_mm, int(label), tolerance_mm)
 
-    def tissue_distance(self, points_mm: npt.ArrayLike) -> Float64:
+    def tissue_distance(self, points_mm: npt.ArrayLike, *, tolerance_mm: float = TOLERANCE_MM) -> Float64:
         """Signed distance to the border of all tissue together (myocardium and walls), mm, shape (..., 3) -> (...)."""
-        return self._distance(points_mm, TISSUE)
+        return self._distance(points_mm, TISSUE, tolerance_mm)
 
     def value(self, points_mm: npt.ArrayLike, label: int | None = None) -> Float64:
         """Continuous value with the sign and zero set of the distance, of one label or (None) of all tissue.
 
-        Cheaper than the distance, never larger in size, and equal to it where one smooth face of the border is
+        Cheaper than the distance, hardly ever larger in size, and equal to it where one smooth face of the border is
         nearest: what to contour for a picture.
         """
         points = np.asarray(points_mm, dtype=float)
@@ -134,21 +138,17 @@ class Truth:
         region_values(*self.kernel_arguments, region, points, values)
         return values
 
-    def _distance(self, points_mm: npt.ArrayLike, region: int) -> Float64:
+    def _distance(self, points_mm: npt.ArrayLike, region: int, tolerance_mm: float) -> Float64:
         points = np.asarray(points_mm, dtype=float)
         flat = np.ascontiguousarray(points.reshape(-1, 3))
         value = self._value(flat, region)
-        size = np.abs(value)
-        tree, samples = self._cloud(region)
-        found = tree.query(flat, workers=-1)
-        nearest, index = np.asarray(found[0], dtype=float), np.asarray(found[1], dtype=np.int64)
-        foot, _ = self._on_border(flat, region, steps=2)
-        gap = np.linalg.norm(foot - flat, axis=1)
-        on_border = np.abs(self._value(foot, region)) < _AGREEMENT_MM
-        exact = on_border & (gap - size < _AGREEMENT_MM) & (size <= nearest)
-        rest = np.flatnonzero(~exact)
-        if len(rest):
-            size[rest] = self._slid(flat[rest], region, nearest[rest], samples[index[rest]])
+        tree, _ = self._cloud(region)
+        upper = np.asarray(tree.query(flat, workers=-1)[0], dtype=float) + _REACH_MM
+        foot, unit = self._on_border(flat, region, steps=2)
+        gap = np.linalg.norm(foot - flat, axis=1) + _REACH_MM
+        upper = np.where(self._crosses(foot, unit, region), np.minimum(upper, gap), upper)
+        size = np.empty(len(flat))
+        border_distances(*self.kernel_arguments, region, flat, upper, tolerance_mm, STEEPNESS, size)
         return np.copysign(size, value).reshape(points.shape[:-1])
 
     def _on_border(self, points: Float64, region: int, *, steps: int) -> tuple[Float64, Float64]:
@@ -161,6 +161,12 @@ class Truth:
             at -= unit * (value / np.clip(length, 0.3, None))[:, None]
         return at, unit
 
+    def _crosses(self, points: Float64, unit: Float64, region: int) -> npt.NDArray[np.bool_]:
+        """Where the value changes its sign across a point."""
+        before = self._value(points - _REACH_MM * unit, region) < 0.0
+        crosses: npt.NDArray[np.bool_] = before != (self._value(points + _REACH_MM * unit, region) < 0.0)
+        return crosses
+
     def _gradient(self, points: Float64, region: int) -> tuple[Float64, Float64]:
         step = 0.01 * self.tables.spacing_mm
         gradient = np.empty_like(points)
@@ -171,22 +177,6 @@ class Truth:
         gradient /= 2.0 * step
         length = np.linalg.norm(gradient, axis=1)
         return gradient / np.maximum(length, 1e-9)[:, None], length
-
-    def _slid(self, points: Float64, region: int, distance: Float64, foot: Float64) -> Float64:
-        """Distance to the border, from that to one point of it, by moving this along the border."""
-        best = distance.copy()
-        for fraction in (1.0, 1.0, 0.7, 0.5, 0.35, 0.25):
-            unit, _ = self._gradient(foot, region)
-            gap = points - foot
-            slide = gap - np.einsum("ni,ni->n", gap, unit)[:, None] * unit
-            length = np.linalg.norm(slide, axis=1)
-            slide *= (fraction * np.minimum(1.0, self.tables.spacing_mm / np.maximum(length, 1e-9)))[:, None]
-            moved, _ = self._on_border(foot + slide, region, steps=4)
-            reached = np.linalg.norm(points - moved, axis=1)
-            better = (reached < best) & (np.abs(self._value(moved, region)) < _AGREEMENT_MM)
-            best = np.where(better, reached, best)
-            foot = np.where(better[:, None], moved, foot)
-        return best
 
     def _cloud(self, region: int) -> tuple[cKDTree, Float64]:
         if region not in self._clouds:
@@ -217,8 +207,8 @@ class Truth:
                 a, b = values[before][crossing], values[after][crossing]
                 fraction = (a / (a - b))[:, None]
                 found.append(points[before][crossing] * (1.0 - fraction) + points[after][crossing] * fraction)
-        samples, _ = self._on_border(np.concatenate(found), region, steps=4)
-        return samples[np.abs(self._value(samples, region)) < _AGREEMENT_MM]
+        samples, unit = self._on_border(np.concatenate(found), region, steps=4)
+        return samples[self._crosses(samples, unit, region)]
 
 
 def _unit(axis: Sequence[float]) -> Float64:
