@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from phantom_inputs import PhantomInputs, bare_truth, phantom_inputs
 
-from heartcase.phantom.metrics import wall_thickness_error
+from heartcase.phantom.metrics import wall_thickness_errors
 from heartcase.pipeline.data import Segmentation, Structures
 from heartcase.pipeline.filter import filter_scan
 from heartcase.pipeline.segment import segment_scan
@@ -48,23 +48,12 @@ METHODS = {"heartcase": heartcase}
 def errors(inputs: Inputs, output: Structures) -> dict[str, float]:
     """Thickness of each wall between its inner and its outer surface, against the true thickness."""
     surface = build_surface(output, SurfaceSettings(triangle_count=200_000), render=False)
-    found: dict[str, float] = {}
-    every: list[float] = []
-    for label in output.table:
-        if label.wall_of is None:
-            continue
-        cavity = output.table[label.wall_of]
-        error = wall_thickness_error(
-            surface.vertices_mm,
-            surface.triangles,
-            surface.triangle_label,
-            surface.triangle_tissue,
-            cavity=cavity.value,
-            wall=label.value,
-            thickness_mm=cavity.wall_thickness_mm,
-            margin_mm=2.0,
-        )
-        found[f"{label.name} thickness, mean [mm]"] = error.mean_mm
-        found[f"{label.name} thickness, 95% [mm]"] = error.percentile_95_mm
-        every.append(error.mean_mm)
+    walls = wall_thickness_errors(
+        surface.vertices_mm, surface.triangles, surface.triangle_label, surface.triangle_tissue, output.table
+    )
+    found = {}
+    for name, error in walls.items():
+        found[f"{name} thickness, mean [mm]"] = error.mean_mm
+        found[f"{name} thickness, 95% [mm]"] = error.percentile_95_mm
+    every = [error.mean_mm for error in walls.values()]
     return {"all walls, mean [mm]": float(np.mean(every))} | found

@@ -12,8 +12,17 @@ import numpy.typing as npt
 
 from heartcase.phantom.truth import Truth
 from heartcase.schemas.geometry import Geometry
+from heartcase.schemas.labels import LabelTable
 
-__all__ = ["SurfaceError", "closest_distance_mm", "dice", "label_surface", "surface_error", "wall_thickness_error"]
+__all__ = [
+    "SurfaceError",
+    "closest_distance_mm",
+    "dice",
+    "label_surface",
+    "surface_error",
+    "wall_thickness_error",
+    "wall_thickness_errors",
+]
 
 Float64 = npt.NDArray[np.float64]
 Int64 = npt.NDArray[np.int64]
@@ -133,3 +142,30 @@ def wall_thickness_error(
     if not len(points):
         return SurfaceError.of([])
     return SurfaceError.of(closest_distance_mm(points, vertices, inner) - thickness_mm)
+
+
+def wall_thickness_errors(
+    vertices_mm: npt.ArrayLike,
+    triangles: npt.ArrayLike,
+    triangle_label: UInt8,
+    triangle_tissue: UInt8,
+    table: LabelTable,
+    *,
+    margin_mm: float = 2.0,
+) -> dict[str, SurfaceError]:
+    """:func:`wall_thickness_error` of every grown wall of a label table, by the wall's name."""
+    found = {}
+    for wall in table:
+        if wall.wall_of is not None:
+            cavity = table[wall.wall_of]
+            found[wall.name] = wall_thickness_error(
+                vertices_mm,
+                triangles,
+                triangle_label,
+                triangle_tissue,
+                cavity=cavity.value,
+                wall=wall.value,
+                thickness_mm=cavity.wall_thickness_mm,
+                margin_mm=margin_mm,
+            )
+    return found

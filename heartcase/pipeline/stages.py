@@ -1,0 +1,205 @@
+"""Each stage of a build: which settings and inputs of the recipe it takes, and what it leaves for the later ones."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+from heartcase.pipeline.data import GridMap, Markers, Scan, Segmentation, SimulationGrid, Structures, Surface
+from heartcase.pipeline.runner import Node, Runner
+from heartcase.schemas.base import Model
+from heartcase.schemas.errors import ScanError
+from heartcase.schemas.recipe import Part, Recipe
+from heartcase.schemas.settings import resolved
+
+__all__ = ["RUN_STAGE", "StageOutputs", "have"]
+
+T = TypeVar("T")
+
+
+def _all(models: tuple[Model, ...]) -> list[Any]:
+    return [resolved(model) for model in models]
+
+
+@dataclass
+class StageOutputs:
+    """Outputs of the stages so far."""
+
+    scan: Node[Scan] | None = None
+    filtered: Node[Scan] | None = None
+    markers: Node[Markers] | None = None
+    segmentation: Node[Segmentation] | None = None
+    grown: Node[Structures] | None = None
+    structures: Node[Structures] | None = None
+    grid: Node[SimulationGrid] | None = None
+    surface: Node[Surface] | None = None
+    grid_map: Node[GridMap] | None = None
+
+
+def have(node: Node[T] | None) -> Node[T]:
+    """An output that the order of the stages puts there."""
+    return cast("Node[T]", node)
+
+
+def _read(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutputs) -> None:
+    from heartcase.pipeline.read import read_scan
+    from heartcase.pipeline.region import crop_scan
+
+    path = directory / recipe.scan.path
+    if not path.exists():
+        where = f" Where it comes from: {recipe.scan.origin}" if recipe.scan.origin else ""
+        raise ScanError(
+            f"there is no scan: check the spelling (it is relative to the recipe), or put the scan there.{where}",
+            place="scan.path",
+        )
+    nodes.scan = runner.run_always(
+        "read",
+        settings={"region": resolved(recipe.region) if recipe.region else None},
+        compute=lambda: crop_scan(_with_modality(read_scan(path, series=recipe.scan.series), recipe), recipe.region),
+    )
+    runner.voxel_count = nodes.scan.get().values.size
+
+
+def _with_modality(scan: Scan, recipe: Recipe) -> Scan:
+    """The file's own word on the kind of scan counts; the recipe's where the file says nothing."""
+    if scan.modality != "unknown" or recipe.scan.modality is None:
+        return scan
+    return dataclasses.replace(scan, modality=recipe.scan.modality)
+
+
+def _filter(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutputs) -> None:
+    from heartcase.pipeline.filter import filter_scan
+
+    scan = have(nodes.scan)
+    nodes.filtered = runner.run(
+        "filter",
+        settings=resolved(recipe.filter),
+        inputs={"scan": scan},
+        compute=lambda: filter_scan(scan.get(), recipe.filter),
+        kind=Scan,
+    )
+
+
+def _markers(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutputs) -> None:
+    from heartcase.pipeline.markers import check_markers, load_markers
+
+    if recipe.segment.method != "watershed":
+        return
+    geometry = have(nodes.scan).get().geometry
+    nodes.markers = runner.run_always(
+        "markers",
+        settings={"strokes": _all(recipe.strokes), "files": len(recipe.markers)},
+        compute=lambda: load_markers(recipe.markers, recipe.strokes, recipe.table, geometry, directory),
+    )
+    check_markers(nodes.markers.get(), recipe.table)
+
+
+def _segment(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutputs) -> None:
+    from heartcase.pipeline.markers import load_segmentation
+    from heartcase.pipeline.segment import segment_scan
+
+    scan, filtered, markers = have(nodes.scan), have(nodes.filtered), nodes.markers
+    settings = resolved(recipe.segment) | {"labels": _all(recipe.labels)}
+    for naming_files in ("file", "names"):
+        settings.pop(naming_files)
+    if recipe.segment.method == "labels":
+        finished = directory / cast(str, recipe.segment.file)
+        nodes.segmentation = runner.run_always(
+            "segment",
+            settings=settings,
+            compute=lambda: load_segmentation(finished, recipe.segment.names, recipe.table, scan.get().geometry),
+        )
+        return
+    nodes.segmentation = runner.run(
+        "segment",
+        settings=settings,
+        inputs={"scan": filtered} | ({"markers": markers} if markers else {}),
+        compute=lambda: segment_scan(filtered.get(), markers.get() if markers else None, recipe.segment, recipe.table),
+        kind=Segmentation,
+    )
+
+
+def _walls(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutputs) -> None:
+    from heartcase.pipeline.walls import grow_walls
+
+    segmentation = have(nodes.segmentation)
+    nodes.grown = runner.run(
+        "walls",
+        settings=resolved(recipe.walls) | {"ends": _all(recipe.ends)},
+        inputs={"segmentation": segmentation},
+        compute=lambda: grow_walls(segmentation.get(), recipe.walls, recipe.ends),
+        kind=Structures,
+    )
+
+
+def _edit(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutputs) -> None:
+    from heartcase.pipeline.edit import apply_edits
+
+    grown = have(nodes.grown)
+    if not recipe.edits:
+        nodes.structures = grown
+        return
+    nodes.structures = runner.run(
+        "edit",
+        settings={"edits": _all(recipe.edits)},
+        inputs={"structures": grown},
+        compute=lambda: apply_edits(grown.get(), recipe.edits),
+        kind=Structures,
+    )
+
+
+def _grid(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutputs) -> None:
+    from heartcase.pipeline.grid import build_grid
+
+    structures = have(nodes.structures)
+    nodes.grid = runner.run(
+        "grid",
+        settings=resolved(recipe.grid) | {"pins": _all(recipe.pins)},
+        inputs={"structures": structures},
+        compute=lambda: build_grid(structures.get(), recipe.grid, pins=recipe.pins),
+        kind=SimulationGrid,
+    )
+
+
+def _surface(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutputs) -> None:
+    from heartcase.pipeline.surface import build_surface
+
+    structures = have(nodes.structures)
+    render = Part.RENDER in recipe.parts
+    nodes.surface = runner.run(
+        "surface",
+        settings=resolved(recipe.surface) | {"render": render},
+        inputs={"structures": structures},
+        compute=lambda: build_surface(structures.get(), recipe.surface, render=render),
+        kind=Surface,
+    )
+
+
+def _map(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutputs) -> None:
+    from heartcase.pipeline.map import map_surface
+
+    surface, grid = have(nodes.surface), have(nodes.grid)
+    nodes.grid_map = runner.run(
+        "map",
+        settings=resolved(recipe.map),
+        inputs={"surface": surface, "grid": grid},
+        compute=lambda: map_surface(surface.get(), grid.get(), recipe.map),
+        kind=GridMap,
+    )
+
+
+RUN_STAGE: dict[str, Callable[[Recipe, Path, Runner, StageOutputs], None]] = {
+    "read": _read,
+    "markers": _markers,
+    "filter": _filter,
+    "segment": _segment,
+    "walls": _walls,
+    "edit": _edit,
+    "grid": _grid,
+    "surface": _surface,
+    "map": _map,
+}
+"""What runs each stage but the last."""
