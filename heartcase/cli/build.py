@@ -72,7 +72,11 @@ class _Bar:
 @click.option("--out", type=click.Path(path_type=Path), default=Path(), help="Where the case goes; here by default.")
 @click.option("--cache", type=click.Path(path_type=Path), help="Directory of the cache; OUT/.heartcase-cache.")
 @click.option("--force", is_flag=True, help="Compute every stage anew.")
-@click.option("--until", metavar="STAGE", help="Stop after this stage.")
+@click.option(
+    "--until",
+    metavar="STAGE",
+    help="Stop after this stage: read, markers, filter, segment, walls, edit, grid, surface or map.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 def command(recipe: Path, out: Path, cache: Path | None, force: bool, until: str | None, as_json: bool) -> None:
     """Build the case that RECIPE describes: OUT/NAME.case and OUT/NAME.report.html.

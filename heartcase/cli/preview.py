@@ -28,7 +28,15 @@ _STACKS = ("axial", "coronal", "sagittal")
 
 @click.command()
 @click.argument("path", type=click.Path(path_type=Path))
-@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="The picture to write (.png).")
+@click.option(
+    "-o",
+    "--out",
+    "--output",
+    "output",
+    type=click.Path(path_type=Path),
+    required=True,
+    help="The picture to write (.png).",
+)
 @click.option(
     "--view",
     type=click.Choice((*_VIEWS, *_STACKS)),
@@ -40,7 +48,7 @@ _STACKS = ("axial", "coronal", "sagittal")
 def command(path: Path, output: Path, view: str | None, series: str | None, as_json: bool) -> None:
     """Make a picture of PATH: slices of a scan, or the surface of a case from four sides and cut open."""
     if output.suffix.lower() != ".png":
-        raise UsageError("the picture must end in .png", place="--output")
+        raise UsageError("the picture must end in .png", place="--out")
     kind = kind_of(path)
     if view is not None and (view in _STACKS) == (kind == "case"):
         choices = ", ".join(_VIEWS if kind == "case" else _STACKS)
@@ -52,7 +60,7 @@ def command(path: Path, output: Path, view: str | None, series: str | None, as_j
     try:
         atomic_write(output, content)
     except OSError as error:
-        raise UsageError(f"cannot be written: {error.strerror}", place="--output") from None
+        raise UsageError(f"cannot be written: {error.strerror}", place="--out") from None
     height, width = picture.shape[:2]
     if as_json:
         shown = [view] if view else list((*_SIDES, "cutaway", "front cut") if kind == "case" else _STACKS)

@@ -192,7 +192,7 @@ def read_manifest(directory: Path) -> CaseManifest:
     if not directory.exists():
         raise BundleError("there is nothing at this path", place="case")
     if not file.is_file():
-        raise BundleError(f"this is not a case: it holds no {MANIFEST_NAME}", place="case")
+        raise BundleError(f"this is not a case: it holds no {MANIFEST_NAME}; for a scan, take info", place="case")
     if file.stat().st_size > MANIFEST_SIZE_MAX:
         raise BundleError(f"is larger than {MANIFEST_SIZE_MAX >> 20} MiB and was not read", place=MANIFEST_NAME)
     try:

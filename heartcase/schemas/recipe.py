@@ -122,8 +122,11 @@ class Recipe(Model):
         named += [(f"markers[{n}].path", marker.path) for n, marker in enumerate(self.markers, start=1)]
         if self.segment.method == "labels" and self.segment.file is not None:
             named.append(("segment.file", self.segment.file))
+        hint = {"scan.path": f". Where it comes from: {self.scan.origin}"} if self.scan.origin else {}
         return tuple(
-            Problem(place, "there is no such file: check the spelling; it is relative to the recipe")
+            Problem(
+                place, f"there is no such file: check the spelling; it is relative to the recipe{hint.get(place, '')}"
+            )
             for place, path in named
             if not (directory / path).exists()
         )
