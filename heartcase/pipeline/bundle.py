@@ -94,6 +94,7 @@ def simulation_figures(grid: SimulationGrid, materials: Sequence[Material]) -> S
 def assemble_bundle(
     *,
     name: str,
+    case_id: str | None = None,
     grid: SimulationGrid,
     materials: Sequence[Material],
     scan_geometry: Geometry,
@@ -116,6 +117,8 @@ def assemble_bundle(
     ----------
     name
         Name of the case.
+    case_id
+        Made-up identifier of the case.
     grid, surface, grid_map, picking, glb, labels_nrrd
         The parts; those that are None are left out. ``glb`` and ``labels_nrrd`` are whole files.
     materials
@@ -173,6 +176,7 @@ def assemble_bundle(
         entries.append(FileEntry(role=role, name=file_name, size=len(content), sha256=digest))
     manifest = CaseManifest(
         name=name,
+        case_id=case_id,
         scan_geometry=scan_geometry,
         grid_geometry=grid.geometry,
         labels=grid.table,

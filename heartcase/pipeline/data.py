@@ -44,6 +44,8 @@ class Scan:
     """``CT``, ``MR`` or ``unknown``."""
     acquisition: dict[str, Any] = field(default_factory=dict)
     """Physics of the acquisition that may be kept (field strength, tube voltage, ...): plain numbers and words."""
+    warnings: tuple[str, ...] = ()
+    """What was done to the scan while it was read, in plain words: slices interpolated, a tilted gantry straightened."""
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
-__all__ = ["Colour", "Model", "Name", "PointMm", "PositiveMm", "Vector3"]
+__all__ = ["CaseId", "Colour", "Model", "Name", "PointMm", "PositiveMm", "Vector3"]
 
 
 class Model(BaseModel):
@@ -26,6 +26,9 @@ PositiveMm = Annotated[float, Field(gt=0.0, le=1000.0)]
 
 Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9 _.()+-]*$")]
 """A name of a label, a landmark or a case: letters, digits, space and ``_ . ( ) + -``."""
+
+CaseId = Annotated[str, Field(pattern=r"^[A-Z0-9](-?[A-Z0-9]){2,31}$")]
+"""A made-up identifier of a case: capital letters, digits and single hyphens. Nothing in it tells who was scanned."""
 
 Colour = Annotated[str, Field(pattern=r"^#[0-9a-fA-F]{6}$", description="Colour as #rrggbb.")]
 """A colour as ``#rrggbb``."""

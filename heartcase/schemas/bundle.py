@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from heartcase.schemas.base import Model, Name, Vector3
+from heartcase.schemas.base import CaseId, Model, Name, Vector3
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable
 from heartcase.schemas.landmarks import Landmark
@@ -174,6 +174,8 @@ class CaseManifest(Model):
     """Readers refuse a case that requires an extension they do not know."""
     name: Name
     """Name of the case."""
+    case_id: CaseId | None = None
+    """Made-up identifier of the case, on every output; who it belongs to is kept elsewhere."""
     notice: _Line = "Not a medical device. For teaching, research and planning beside approved means only."
     """Always shown with the case."""
     scan_geometry: Geometry

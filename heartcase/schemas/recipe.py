@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError, model_validator
 
-from heartcase.schemas.base import Model, Name
+from heartcase.schemas.base import CaseId, Model, Name
 from heartcase.schemas.errors import ModelProblems, Problem, RecipeError, problems_from_validation
 from heartcase.schemas.labels import Label, LabelTable, default_label_table
 from heartcase.schemas.landmarks import Landmark
@@ -52,6 +52,14 @@ class ScanSource(Model):
     """File (.nii, .nii.gz, .nrrd, .nhdr, .mha, .mhd) or folder of a DICOM series, relative to the recipe."""
     series: str | None = None
     """DICOM: which series of the folder, by its number or the end of its UID, when there are several."""
+    trigger_time_ms: Annotated[float, Field(ge=0.0, le=100_000.0)] | None = None
+    """DICOM: which cardiac phase, by its time after the R wave, ms; the nearest one is taken."""
+    echo_time_ms: Annotated[float, Field(ge=0.0, le=10_000.0)] | None = None
+    """DICOM: which echo, by its echo time, ms; the nearest one is taken."""
+    interpolate_missing: bool = False
+    """DICOM: fill missing slices from their neighbours instead of refusing the series."""
+    straighten_tilt: bool = False
+    """DICOM: resample a stack that leans (tilted gantry) onto a straight one instead of refusing the series."""
     modality: Literal["CT", "MR"] | None = None
     """Kind of scan, for files that do not say it (NIfTI, NRRD, MetaImage)."""
     origin: Annotated[str, Field(max_length=500)] | None = None
@@ -76,6 +84,8 @@ class Recipe(Model):
     """Version of the recipe's format: 1."""
     name: Name
     """Name of the case: not the patient's."""
+    case_id: CaseId | None = None
+    """Made-up identifier that is on every output; made from the name and the scan's values when left out."""
     scan: ScanSource
     """The scan."""
     labels: tuple[Label, ...] = Field(default_factory=lambda: default_label_table().labels)
