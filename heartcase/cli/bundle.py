@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 from pathlib import Path
+from typing import Any
 
 import click
 
 from heartcase.cli.output import working
-from heartcase.cli.stage_io import optional_recipe, read_scan_or_output
+from heartcase.cli.stage_io import optional_recipe, read_scan_or_output, scan_options
 
 __all__ = ["command"]
 
@@ -21,6 +21,7 @@ __all__ = ["command"]
 @click.option("--map", "grid_map", type=click.Path(path_type=Path), help="Output of 'heartcase map'.")
 @click.option("--structures", type=click.Path(path_type=Path), help="Output of 'walls' or 'edit': adds the labels.")
 @click.option("--recipe", type=click.Path(path_type=Path), help="Materials and landmarks from a recipe.")
+@scan_options
 @working("writing the case")
 def command(
     grid: Path,
@@ -30,10 +31,12 @@ def command(
     grid_map: Path | None,
     structures: Path | None,
     recipe: Path | None,
+    choice: dict[str, Any],
 ) -> None:
     """Write the case OUTPUT (NAME.case) from GRID and the other stages' outputs."""
-    from heartcase.pipeline.artifacts import artifact_to_bytes, load_artifact
+    from heartcase.pipeline.artifacts import load_artifact
     from heartcase.pipeline.bundle import assemble_bundle, resolve_materials, write_bundle
+    from heartcase.pipeline.case_id import made_up_case_id
     from heartcase.pipeline.data import GridMap, SimulationGrid, Structures, Surface
     from heartcase.pipeline.mesh.glb import glb_bytes
     from heartcase.pipeline.picking import picking_surface
@@ -43,15 +46,17 @@ def command(
 
     loaded = optional_recipe(recipe)
     cells = load_artifact(grid, SimulationGrid)
-    volume = read_scan_or_output(scan)
+    volume = read_scan_or_output(scan, choice)
     mesh = load_artifact(surface, Surface) if surface else None
     fields = load_artifact(structures, Structures) if structures else None
+    name = output.name.removesuffix(".case")
     content = assemble_bundle(
-        name=output.name.removesuffix(".case"),
+        name=name,
+        case_id=(loaded.case_id if loaded else None) or made_up_case_id(name, volume.values_sha256),
         grid=cells,
         materials=resolve_materials(loaded.materials if loaded else MaterialsSettings(), cells.table),
         scan_geometry=volume.geometry,
-        scan_sha256=hashlib.sha256(artifact_to_bytes(volume)).hexdigest(),
+        scan_sha256=volume.values_sha256,
         stages=(),
         surface=mesh,
         grid_map=load_artifact(grid_map, GridMap) if grid_map else None,

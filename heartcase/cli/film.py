@@ -84,8 +84,10 @@ class Filmer:
         self.frames.append(self.take(surface))
 
 
-def write_picture(path: Path | str, picture: UInt8) -> None:
+def write_picture(path: Path | str, picture: UInt8, *, comment: str = "") -> None:
     """Write a picture, whole or not at all; the suffix says the format (``.png``, ``.jpg``).
+
+    The comment goes into the file's own comment field: the case's identifier belongs there.
 
     Raises
     ------
@@ -93,16 +95,24 @@ def write_picture(path: Path | str, picture: UInt8) -> None:
         The suffix is none of these.
     """
     from PIL import Image
+    from PIL.PngImagePlugin import PngInfo
 
     path = Path(path)
     check_picture_name(path)
+    kind = PICTURE_FORMATS[path.suffix.lower()]
+    told: dict[str, Any] = {"comment": comment.encode()}
+    if kind == "PNG":
+        told = {"pnginfo": PngInfo()}
+        told["pnginfo"].add_text("Comment", comment)
     data = io.BytesIO()
-    Image.fromarray(picture).save(data, format=PICTURE_FORMATS[path.suffix.lower()])
+    Image.fromarray(picture).save(data, format=kind, **(told if comment else {}))
     atomic_write(path, data.getbuffer())
 
 
-def write_animation(path: Path | str, frames: list[UInt8], *, frames_per_second: float) -> None:
+def write_animation(path: Path | str, frames: list[UInt8], *, frames_per_second: float, comment: str = "") -> None:
     """Write frames as a GIF that repeats, or as MP4 where imageio and its ffmpeg are installed.
+
+    The comment goes into the file's own comment field: the case's identifier belongs there.
 
     Raises
     ------
@@ -111,8 +121,8 @@ def write_animation(path: Path | str, frames: list[UInt8], *, frames_per_second:
     """
     path = Path(path)
     check_animation_name(path)
-    data = _gif(frames, frames_per_second) if path.suffix.lower() == ".gif" else _mp4(frames, frames_per_second)
-    atomic_write(path, data)
+    write = _gif if path.suffix.lower() == ".gif" else _mp4
+    atomic_write(path, write(frames, frames_per_second, comment))
 
 
 def check_animation_name(path: Path) -> None:
@@ -142,20 +152,26 @@ def check_picture_name(path: Path) -> None:
         raise UsageError(f"a picture is written as {', '.join(PICTURE_FORMATS)}; {path.name!r} is none of these")
 
 
-def _gif(frames: list[UInt8], frames_per_second: float) -> bytes:
+def _gif(frames: list[UInt8], frames_per_second: float, comment: str) -> bytes:
     from PIL import Image
 
     pictures = [Image.fromarray(frame).quantize(colors=128, dither=Image.Dither.NONE) for frame in frames]
     data = io.BytesIO()
     # A GIF counts hundredths of a second, and viewers slow down what is shorter than two of them.
     duration = 10 * max(2, round(100 / frames_per_second))
-    pictures[0].save(data, format="GIF", save_all=True, append_images=pictures[1:], duration=duration, loop=0)
+    told = {"comment": comment.encode()} if comment else {}
+    pictures[0].save(data, format="GIF", save_all=True, append_images=pictures[1:], duration=duration, loop=0, **told)
     return data.getvalue()
 
 
-def _mp4(frames: list[UInt8], frames_per_second: float) -> bytes:
+def _mp4(frames: list[UInt8], frames_per_second: float, comment: str) -> bytes:
     written: bytes = _imageio().imwrite(
-        "<bytes>", np.stack(frames), extension=".mp4", plugin="FFMPEG", fps=frames_per_second
+        "<bytes>",
+        np.stack(frames),
+        extension=".mp4",
+        plugin="FFMPEG",
+        fps=frames_per_second,
+        output_params=["-metadata", f"comment={comment}"],
     )
     return written
 

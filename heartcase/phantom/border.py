@@ -4,8 +4,8 @@ The value of a region (:mod:`heartcase.phantom.regions`) changes its sign at the
 the distance to it by a factor of at most ``STEEPNESS``. So a cube around c with half diagonal r holds no border if
 the value at c is above STEEPNESS * r, and a point of the other sign than the query's bounds the distance from above.
 Cubes that may hold a nearer border are halved, nearest first, until none is left that matters. Nothing is assumed of
-faces, edges or how they meet. (Branch and bound on Lipschitz functions: Shubert 1972; on octrees: Barr and
-Kalra 1989.)
+faces, edges or how they meet. (Branch and bound on Lipschitz functions: Shubert 1972; guaranteed intersections
+with implicit surfaces by the same bound: Kalra and Barr 1989.)
 """
 
 from __future__ import annotations
@@ -49,6 +49,7 @@ def _border_distance(  # type: ignore[no-untyped-def]
         if abs(value) >= steepness * diagonal:
             continue
         if diagonal < 0.5 * tolerance:
+            # Too small to halve. Beside a border the value is the distance but for the splines, so one passes here.
             if abs(value) < diagonal:
                 upper = min(upper, away)
             continue

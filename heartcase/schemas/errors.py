@@ -41,6 +41,16 @@ __all__ = [
 ]
 
 
+PLACE_LENGTH_MAX = 200
+MESSAGE_LENGTH_MAX = 1500
+
+
+def _line(text: str, length_max: int) -> str:
+    """One printable line of limited length."""
+    shown = "".join(letter if letter.isprintable() else "?" for letter in text)
+    return shown if len(shown) <= length_max else shown[: length_max - 4] + " ..."
+
+
 @dataclass(frozen=True, order=True)
 class Problem:
     """One thing that is wrong: where it is, and what it is with what to do about it.
@@ -55,6 +65,11 @@ class Problem:
 
     place: str
     message: str
+
+    def __post_init__(self) -> None:
+        # Both may quote a file that somebody else made: nothing in it may steer a terminal or flood it.
+        object.__setattr__(self, "place", _line(self.place, PLACE_LENGTH_MAX))
+        object.__setattr__(self, "message", _line(self.message, MESSAGE_LENGTH_MAX))
 
     def __str__(self) -> str:
         return f"{self.place}: {self.message}" if self.place else self.message

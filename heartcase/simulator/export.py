@@ -18,9 +18,9 @@ Int32 = npt.NDArray[np.int32]
 UInt8 = npt.NDArray[np.uint8]
 
 
-def _ply(vertices: Float32, normals: Float32, triangles: Int32, colours: UInt8) -> bytes:
+def _ply(vertices: Float32, normals: Float32, triangles: Int32, colours: UInt8, comment: str) -> bytes:
     header = (
-        "ply\nformat binary_little_endian 1.0\ncomment patient LPS, mm\n"
+        f"ply\nformat binary_little_endian 1.0\ncomment {comment}\n"
         f"element vertex {len(vertices)}\n"
         + "".join(f"property float {name}\n" for name in ("x", "y", "z", "nx", "ny", "nz"))
         + f"element face {len(triangles)}\nproperty list uchar int vertex_indices\n"
@@ -32,7 +32,7 @@ def _ply(vertices: Float32, normals: Float32, triangles: Int32, colours: UInt8) 
     return header.encode("ascii") + np.hstack([vertices, normals]).astype("<f4").tobytes() + face.tobytes()
 
 
-def _stl(vertices: Float32, normals: Float32, triangles: Int32, colours: UInt8) -> bytes:
+def _stl(vertices: Float32, normals: Float32, triangles: Int32, colours: UInt8, comment: str) -> bytes:
     corners = vertices[triangles]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     length = np.linalg.norm(across, axis=1, keepdims=True)
@@ -40,18 +40,18 @@ def _stl(vertices: Float32, normals: Float32, triangles: Int32, colours: UInt8) 
     facet["normal"] = np.divide(across, length, out=np.zeros_like(across), where=length > 0)
     facet["corners"] = corners
     count = len(triangles).to_bytes(4, "little")
-    return b"patient LPS, mm".ljust(80) + count + facet.tobytes()
+    return comment.encode("ascii")[:80].ljust(80) + count + facet.tobytes()
 
 
-def _obj(vertices: Float32, normals: Float32, triangles: Int32, colours: UInt8) -> bytes:
-    lines = ["# patient LPS, mm"]
+def _obj(vertices: Float32, normals: Float32, triangles: Int32, colours: UInt8, comment: str) -> bytes:
+    lines = [f"# {comment}"]
     lines += [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in vertices.tolist()]
     lines += [f"vn {x:.6g} {y:.6g} {z:.6g}" for x, y, z in normals.tolist()]
     lines += [f"f {a}//{a} {b}//{b} {c}//{c}" for a, b, c in (triangles + 1).tolist()]
     return ("\n".join(lines) + "\n").encode("ascii")
 
 
-SURFACE_FORMATS: dict[str, Callable[[Float32, Float32, Int32, UInt8], bytes]] = {
+SURFACE_FORMATS: dict[str, Callable[[Float32, Float32, Int32, UInt8, str], bytes]] = {
     ".ply": _ply,
     ".stl": _stl,
     ".obj": _obj,
@@ -60,7 +60,13 @@ SURFACE_FORMATS: dict[str, Callable[[Float32, Float32, Int32, UInt8], bytes]] = 
 
 
 def write_surface(
-    path: Path | str, vertices_mm: Float32, normals: Float32, triangles: Int32, *, colours: UInt8 | None = None
+    path: Path | str,
+    vertices_mm: Float32,
+    normals: Float32,
+    triangles: Int32,
+    *,
+    colours: UInt8 | None = None,
+    case_id: str | None = None,
 ) -> None:
     """Write a triangle mesh in LPS mm; the file appears whole, or the old one stays.
 
@@ -74,6 +80,8 @@ def write_surface(
         Vertex numbers, shape (triangle_count, 3).
     colours
         Red, green, blue of each triangle, shape (triangle_count, 3); grey when left out. Only PLY keeps them.
+    case_id
+        Identifier of the case, for the file's comment.
 
     Raises
     ------
@@ -86,7 +94,8 @@ def write_surface(
         raise UsageError(f"a surface is written as {', '.join(SURFACE_FORMATS)}; {path.name!r} is none of these")
     if colours is None:
         colours = np.full((len(triangles), 3), 160, np.uint8)
+    comment = "patient LPS, mm" + (f"; case {case_id}" if case_id else "")
     try:
-        atomic_write(path, write(vertices_mm, normals, triangles, colours))
+        atomic_write(path, write(vertices_mm, normals, triangles, colours, comment))
     except OSError as error:
         raise UsageError(f"{path.name} cannot be written: {error.strerror}") from None

@@ -103,8 +103,9 @@ def geometry_from_affine(affine: npt.ArrayLike, shape: tuple[int, ...]) -> Geome
         The columns are zero, not finite, or not at right angles.
     """
     matrix = np.asarray(affine, dtype=np.float64)
-    spacing = np.linalg.norm(matrix[:3, :3], axis=0)
-    if not np.isfinite(matrix).all() or spacing.min() <= 0.0:
+    with np.errstate(over="ignore", invalid="ignore"):
+        spacing = np.linalg.norm(matrix[:3, :3], axis=0)
+    if not np.isfinite(spacing).all() or not np.isfinite(matrix).all() or spacing.min() <= 0.0:
         raise ScanError("the voxel spacing or position in the header is zero or not a number: export the file again")
     try:
         return Geometry.of(shape=shape, origin_mm=matrix[:3, 3], spacing_mm=spacing, direction=matrix[:3, :3] / spacing)

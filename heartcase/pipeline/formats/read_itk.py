@@ -6,7 +6,10 @@ whatever file a detached header names, and takes a damaged compressed stream for
 
 from __future__ import annotations
 
+import math
+import os
 import re
+import sys
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -41,14 +44,37 @@ META_BYTES = {
 }
 
 
+NRRD_BYTES = {
+    **dict.fromkeys(("signed char", "int8", "int8_t", "uchar", "unsigned char", "uint8", "uint8_t"), 1),
+    **dict.fromkeys(("short", "short int", "signed short", "signed short int", "int16", "int16_t"), 2),
+    **dict.fromkeys(("ushort", "unsigned short", "unsigned short int", "uint16", "uint16_t"), 2),
+    **dict.fromkeys(
+        ("int", "signed int", "int32", "int32_t", "uint", "unsigned int", "uint32", "uint32_t", "float"), 4
+    ),
+    **dict.fromkeys(("longlong", "long long", "long long int", "signed long long", "signed long long int"), 8),
+    **dict.fromkeys(("int64", "int64_t", "ulonglong", "unsigned long long", "unsigned long long int"), 8),
+    **dict.fromkeys(("uint64", "uint64_t", "double"), 8),
+}
+"""Type of an NRRD file -> bytes of one value."""
+
+
 @contextmanager
 def quiet_itk() -> Iterator[None]:
-    """Keep ITK's warnings, which hold file names, off the standard error stream."""
+    """Keep ITK's complaints, which hold file names, off the standard error stream.
+
+    Its parts for MetaImage and NRRD write there on their own, past every switch, so the stream itself is turned away.
+    """
     shown = SimpleITK.ProcessObject.GetGlobalWarningDisplay()
     SimpleITK.ProcessObject.SetGlobalWarningDisplay(False)
+    sys.stderr.flush()
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 2)
     try:
         yield
     finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
         SimpleITK.ProcessObject.SetGlobalWarningDisplay(shown)
 
 
@@ -156,9 +182,16 @@ def read_nrrd(path: Path) -> RawVolume:
     name = fields.get("data file", fields.get("datafile"))
     data = _local_data_file(path, name) if name is not None else path
     has_skips = any(fields.get(key, "0") != "0" for key in ("byte skip", "byteskip", "line skip", "lineskip"))
-    if fields.get("encoding", "").lower() in ("gzip", "gz") and not has_skips:
+    element = NRRD_BYTES.get(" ".join(fields.get("type", "").lower().split()))
+    if element is None:
+        raise ScanError("the header gives no known type of values: export the file again")
+    if not has_skips:
         offset = end.end() if end and name is None else 0
-        _check_stream(data, offset, byte_count=None)
+        encoding, byte_count = fields.get("encoding", "").lower(), math.prod(sizes) * element
+        if encoding in ("gzip", "gz"):
+            _check_stream(data, offset, byte_count=byte_count)
+        elif encoding == "raw" and data.stat().st_size - offset < byte_count:
+            raise ScanError(DAMAGED)
     stated = SPACE.match(fields.get("space", "")) is not None
     return _read_image(path, pairs, orientation_is_stated=stated)
 
@@ -185,12 +218,12 @@ def read_metaimage(path: Path) -> RawVolume:
     with path.open("rb") as file:
         start = file.read(HEADER_LIMIT)
     end = re.search(rb"ElementDataFile\s*=\s*([^\r\n]*)\r?\n?", start)
-    if end is None or b"DimSize" not in start[: end.start()]:
-        raise ScanError("the file is not a MetaImage file, or its start is damaged: export it again")
     fields: dict[str, str] = {}
-    for line in start[: end.end()].decode("utf-8", errors="replace").splitlines():
+    for line in start[: end.end() if end else 0].decode("utf-8", errors="replace").splitlines():
         key, _, value = line.partition("=")
         fields[key.strip()] = value.strip()
+    if end is None or "DimSize" not in fields or "ElementDataFile" not in fields:
+        raise ScanError("the file is not a MetaImage file, or its start is damaged: export it again")
     size = _integers(fields["DimSize"])
     channels = _integers(fields.get("ElementNumberOfChannels", "1"))
     check_size(size or (0,), components=channels[0] if channels else 0)

@@ -111,8 +111,9 @@ class _Header:
         else:
             affine[:3, :3] = np.diag(np.abs(self.pixdim[1:4]))
             affine = RAS_TO_LPS @ affine
-        affine[:3] *= UNIT_MM.get(self.units & 7, 1.0)
-        return RAS_TO_LPS @ affine
+        with np.errstate(over="ignore", invalid="ignore"):
+            affine[:3] *= UNIT_MM.get(self.units & 7, 1.0)
+            return RAS_TO_LPS @ affine
 
     def _qform(self) -> npt.NDArray[np.float64]:
         b, c, d, *offset = (float(value) for value in self.quatern)
@@ -177,7 +178,8 @@ def _read(stream: BinaryIO) -> RawVolume:
         and np.isfinite([header.slope, header.inter]).all()
         and (header.slope, header.inter) != (1, 0)
     ):
-        values = values * np.float64(header.slope) + np.float64(header.inter)
+        with np.errstate(over="ignore", invalid="ignore"):
+            values = values * np.float64(header.slope) + np.float64(header.inter)
     return RawVolume(
         values=values,
         geometry=geometry,

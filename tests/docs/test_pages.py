@@ -1,0 +1,97 @@
+"""The examples in the documentation do what the pages say."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from heartcase.cli.main import COMMANDS, main
+from heartcase.pipeline.data import Segmentation
+from heartcase.pipeline.write import write_segmentation
+from heartcase.schemas.geometry import Geometry
+from heartcase.schemas.labels import Label, LabelTable, Role
+from heartcase.schemas.recipe import Recipe
+from heartcase.schemas.reference import reference_page
+from tests.ball import write_ball_recipe, write_ball_scan
+from tests.docs.pages import PAGES, ROOT, examples_of, is_run, run_page
+
+GEOMETRY = Geometry.of(shape=(32, 32, 32), spacing_mm=(2, 2, 2), origin_mm=(-31, -31, -31))
+LANDMARK = """
+[[landmarks]]
+name = "apex"
+kind = "point"
+points_mm = [[17.0, 0.0, 0.0]]
+"""
+
+
+@pytest.fixture(scope="module")
+def stage(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What the pages take for granted: a scan, painted markers, a finished segmentation, a sample case."""
+    root = tmp_path_factory.mktemp("stage")
+    write_ball_scan(root / "scan.nii.gz")
+    k, j, i = np.indices(GEOMETRY.shape)
+    radius = np.linalg.norm(GEOMETRY.index_to_world(np.stack([i, j, k], axis=-1)), axis=-1)
+    painted = np.zeros(GEOMETRY.shape, np.uint8)
+    painted[radius < 6.0] = 1
+    painted[(abs(radius - 17.0) < 1.5) & (i % 4 == 0)] = 2
+    painted[radius > 28.0] = 3
+    finished = np.where(radius < 14.0, 1, np.where(radius < 20.0, 2, 0)).astype(np.uint8)
+    names = ("left ventricle", "left ventricular myocardium", "background of the heart")
+    roles = (Role.BLOOD, Role.MYOCARDIUM, Role.WALL)
+    table = LabelTable(labels=tuple(Label(value=n + 1, name=name, role=roles[n]) for n, name in enumerate(names)))
+    for name, labels in (("markers", painted), ("finished", finished)):
+        write_segmentation(Segmentation(labels, GEOMETRY, table), root / f"{name}.seg.nrrd")
+        write_segmentation(Segmentation(labels, GEOMETRY, table), root / f"{name}.nii.gz")
+    markers = root / "markers.seg.nrrd"
+    markers.write_bytes(markers.read_bytes().replace(b"background of the heart", b"background"))
+    recipe = write_ball_recipe(root / "scan.nii.gz", root / "adult-phantom.toml", cell_mm=5.0, more=LANDMARK)
+    recipe.write_text(recipe.read_text().replace('name = "ball"', 'name = "adult-phantom"'))
+    assert main(["build", str(recipe), "--out", str(root / "out")]) == 0
+    return root
+
+
+def has_examples(page: Path) -> bool:
+    return any(is_run(example) for example in examples_of(page))
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if has_examples(p)], ids=lambda page: page.name)
+def test_examples_run(
+    page: Path, stage: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(stage, tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+
+    def run(arguments: list[str]) -> tuple[int, str]:
+        capfd.readouterr()
+        code = main(arguments)
+        printed = capfd.readouterr()
+        return code, printed.out + printed.err
+
+    if page.name == "identity.md":
+        run_page(ROOT / "docs" / "from_scan_to_case.md", run)
+    run_page(page, run)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_what_a_page_points_to_is_there(page: Path) -> None:
+    """Paths of the repository and commands that a page names exist."""
+    text = page.read_text(encoding="utf-8")
+    for path in re.findall(r"`((?:docs|heartcase|tests|benchmarks|sample_cases|readers)/[\w./-]*)`", text):
+        assert (ROOT / path).exists(), path
+    for command in re.findall(r"`heartcase ([a-z]+)", text):
+        assert command in COMMANDS, command
+    for target in re.findall(r"\]\(([^)#:]+)\)", text):
+        assert (page.parent / target).exists(), target
+
+
+def test_the_reference_of_the_recipe_names_every_setting() -> None:
+    page = reference_page("Recipe", "", Recipe)
+    for key in Recipe.model_fields:
+        assert f"| `{key}` |" in page
+    assert "| `cell_mm` | number, above 0, at most 1000 |" in page
+    assert page.count("**needed**") > 10

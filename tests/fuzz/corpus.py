@@ -1,0 +1,162 @@
+"""Sound files of every kind that heartcase reads, small enough to be read a thousand times."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import SimpleITK
+
+from heartcase.pipeline.artifacts import artifact_to_bytes, load_artifact
+from heartcase.pipeline.bundle import write_bundle
+from heartcase.pipeline.data import Scan, Segmentation
+from heartcase.pipeline.formats.point_lists import read_point_lists
+from heartcase.pipeline.read import list_series, read_labels, read_scan
+from heartcase.pipeline.write import write_scan, write_segmentation
+from heartcase.schemas.bundle_check import check_bundle
+from heartcase.schemas.bundle_reader import open_bundle
+from heartcase.schemas.geometry import Geometry
+from heartcase.schemas.labels import default_label_table
+from heartcase.schemas.recipe import load_recipe
+from heartcase.simulator.load import load_case
+from heartcase.simulator.script import load_script
+from tests.factories import block_case
+from tests.pipeline.formats.dicom_series import AXIAL, write_enhanced, write_series
+
+__all__ = ["KINDS", "read", "write_sound"]
+
+GEOMETRY = Geometry.of(shape=(6, 7, 8), spacing_mm=(1.0, 1.5, 2.0), origin_mm=(-4.0, 3.0, 10.0))
+ROOT = Path(__file__).parents[2]
+
+
+def _values() -> np.ndarray:
+    return np.random.default_rng(1).normal(100.0, 20.0, GEOMETRY.shape).astype(np.float32)
+
+
+def _segmentation() -> Segmentation:
+    labels = np.random.default_rng(2).integers(0, 4, GEOMETRY.shape).astype(np.uint8)
+    return Segmentation(labels, GEOMETRY, default_label_table())
+
+
+def _scan_file(suffix: str) -> Callable[[Path], Path]:
+    def write(folder: Path) -> Path:
+        path = folder / f"scan{suffix}"
+        write_scan(Scan(_values(), GEOMETRY), path)
+        return path
+
+    return write
+
+
+def _detached(suffix: str) -> Callable[[Path], Path]:
+    """A header with its values in a file beside it."""
+
+    def write(folder: Path) -> Path:
+        image = SimpleITK.GetImageFromArray(_values())
+        path = folder / f"scan{suffix}"
+        SimpleITK.WriteImage(image, str(path), useCompression=False)
+        return path
+
+    return write
+
+
+def _dicom(folder: Path) -> Path:
+    positions = np.array([[-4.0, 3.0, 10.0 + 2.0 * k] for k in range(6)])
+    write_series(folder / "series", _values().astype(np.int16), positions, pixel_spacing=(1.5, 1.0))
+    return folder / "series"
+
+
+def _enhanced(folder: Path) -> Path:
+    positions = np.array([[-4.0, 3.0, 10.0 + 2.0 * k] for k in range(6)])
+    path = folder / "enhanced.dcm"
+    write_enhanced(path, _values().astype(np.int16), positions, orientation=AXIAL, spacing=(1.5, 1.0))
+    return path
+
+
+def _labels(suffix: str) -> Callable[[Path], Path]:
+    def write(folder: Path) -> Path:
+        path = folder / f"labels{suffix}"
+        write_segmentation(_segmentation(), path)
+        return path
+
+    return write
+
+
+def _markups(folder: Path) -> Path:
+    point = {"id": "1", "label": "left ventricle", "position": [1.0, 2.0, 3.0], "positionStatus": "defined"}
+    markups = [
+        {"type": "Fiducial", "coordinateSystem": "LPS", "controlPoints": [point, point]},
+        {"type": "Curve", "coordinateSystem": "RAS", "name": "aorta", "controlPoints": [point] * 3},
+    ]
+    path = folder / "points.mrk.json"
+    path.write_text(json.dumps({"markups": markups}))
+    return path
+
+
+def _recipe(folder: Path) -> Path:
+    path = folder / "case.toml"
+    path.write_bytes((ROOT / "sample_cases" / "chest_ct.toml").read_bytes())
+    return path
+
+
+def _script(folder: Path) -> Path:
+    path = folder / "pull.toml"
+    path.write_bytes((ROOT / "sample_cases" / "pull.toml").read_bytes())
+    return path
+
+
+def _case(folder: Path) -> Path:
+    path = folder / "block.case"
+    write_bundle(path, block_case(size=(6, 4, 4)))
+    return path
+
+
+def _artifact(folder: Path) -> Path:
+    path = folder / "scan.safetensors"
+    path.write_bytes(artifact_to_bytes(Scan(_values(), GEOMETRY)))
+    return path
+
+
+def _read_case(path: Path) -> None:
+    check_bundle(path)
+    bundle = open_bundle(path)
+    load_case(path, needs=("grid", "surface", "tangents", "colours", "picking"))
+    for role in bundle.headers:
+        bundle.arrays(role)
+
+
+def _read_series(path: Path) -> None:
+    list_series(path)
+    read_scan(path, series="1")
+
+
+KINDS: dict[str, tuple[Callable[[Path], Path], Callable[[Path], Any]]] = {
+    "nifti": (_scan_file(".nii"), read_scan),
+    "nifti-gz": (_scan_file(".nii.gz"), read_scan),
+    "nrrd": (_scan_file(".nrrd"), read_scan),
+    "nhdr": (_detached(".nhdr"), read_scan),
+    "metaimage": (_scan_file(".mha"), read_scan),
+    "mhd": (_detached(".mhd"), read_scan),
+    "dicom": (_dicom, _read_series),
+    "dicom-enhanced": (_enhanced, read_scan),
+    "stage-output": (_artifact, lambda path: load_artifact(path, Scan)),
+    "markers-seg-nrrd": (_labels(".seg.nrrd"), read_labels),
+    "markers-nifti": (_labels(".nii.gz"), read_labels),
+    "markers-markups": (_markups, read_point_lists),
+    "recipe": (_recipe, load_recipe),
+    "script": (_script, load_script),
+    "bundle": (_case, _read_case),
+}
+"""Name -> what writes a sound file or folder of the kind, and what reads it."""
+
+
+def write_sound(kind: str, folder: Path) -> Path:
+    """Write a sound input of a kind into a folder."""
+    return KINDS[kind][0](folder)
+
+
+def read(kind: str, path: Path) -> None:
+    """Read an input of a kind, as the commands do."""
+    KINDS[kind][1](path)
