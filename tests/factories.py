@@ -104,7 +104,7 @@ def block_surface(grid: SimulationGrid) -> tuple[Surface, GridMap, PickingSurfac
     return surface, grid_map, picking
 
 
-def block_case(name="block", size=(3, 2, 2), **options) -> BundleContent:
+def block_case(name="block", size=(3, 2, 2), scan=None, **options) -> BundleContent:
     """A whole case of the block."""
     grid = block_grid(size, **options)
     surface, grid_map, picking = block_surface(grid)
@@ -118,4 +118,5 @@ def block_case(name="block", size=(3, 2, 2), **options) -> BundleContent:
         surface=surface,
         grid_map=grid_map,
         picking=picking,
+        scan=scan,
     )

@@ -77,25 +77,55 @@ class _Bar:
     metavar="STAGE",
     help="Stop after this stage: read, markers, filter, segment, walls, edit, grid, surface or map.",
 )
+@click.option("--accept-inputs", is_flag=True, help="Build a locked recipe with another scan or other markers.")
+@click.option(
+    "--key-file",
+    type=click.Path(path_type=Path),
+    help="Add a line that says whose case it is to this file. Patient data: keep it where that may be.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
-def command(recipe: Path, out: Path, cache: Path | None, force: bool, until: str | None, as_json: bool) -> None:
+def command(
+    recipe: Path,
+    out: Path,
+    cache: Path | None,
+    force: bool,
+    until: str | None,
+    accept_inputs: bool,
+    key_file: Path | None,
+    as_json: bool,
+) -> None:
     """Build the case that RECIPE describes: OUT/NAME.case and OUT/NAME.report.html.
 
     Only what changed is computed again. Interrupt it at any moment: the old case stays whole, and the next run goes
     on where this one stopped.
     """
+    from heartcase.pipeline.case_id import add_to_key_file, check_key_file
     from heartcase.pipeline.run import build_case
 
     loaded = load_recipe(recipe)
+    if key_file is not None:
+        check_key_file(key_file, out / f"{loaded.name}.case")
     console = Console(stderr=True)
     bar = _Bar(console)
     console.print(f"Building {loaded.name}", highlight=False)
     start = time.perf_counter()
     with bar.progress:
         result = build_case(
-            loaded, directory=recipe.parent, out=out, cache=cache, listener=bar, force=force, until=until
+            loaded,
+            directory=recipe.parent,
+            out=out,
+            cache=cache,
+            listener=bar,
+            force=force,
+            until=until,
+            accept_inputs=accept_inputs,
         )
     seconds = time.perf_counter() - start
+    if key_file is not None and result.manifest is not None and result.manifest.case_id is not None:
+        from heartcase.pipeline.formats.dicom_identity import identity_of
+
+        identity = identity_of(recipe.parent / loaded.scan.path, **loaded.scan.choice)
+        add_to_key_file(key_file, result.manifest.case_id, identity)
     if as_json:
         echo_json(
             {

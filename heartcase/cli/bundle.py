@@ -50,9 +50,11 @@ def command(
     mesh = load_artifact(surface, Surface) if surface else None
     fields = load_artifact(structures, Structures) if structures else None
     name = output.name.removesuffix(".case")
+    case_id = (loaded.case_id if loaded else None) or made_up_case_id(name, volume.values_sha256)
+    labels = labels_of(fields) if fields else None
     content = assemble_bundle(
         name=name,
-        case_id=(loaded.case_id if loaded else None) or made_up_case_id(name, volume.values_sha256),
+        case_id=case_id,
         grid=cells,
         materials=resolve_materials(loaded.materials if loaded else MaterialsSettings(), cells.table),
         scan_geometry=volume.geometry,
@@ -61,8 +63,8 @@ def command(
         surface=mesh,
         grid_map=load_artifact(grid_map, GridMap) if grid_map else None,
         picking=picking_surface(cells),
-        glb=glb_bytes(mesh) if mesh else None,
-        labels_nrrd=segmentation_nrrd_bytes(labels_of(fields)) if fields else None,
+        glb=glb_bytes(mesh, case_id=case_id) if mesh else None,
+        labels_nrrd=segmentation_nrrd_bytes(labels, case_id=case_id) if labels else None,
         landmarks=loaded.landmarks if loaded else (),
         modality=volume.modality,
         acquisition=volume.acquisition,

@@ -95,17 +95,17 @@ def write_picture(path: Path | str, picture: UInt8, *, comment: str = "") -> Non
         The suffix is none of these.
     """
     from PIL import Image
-    from PIL.PngImagePlugin import PngInfo
+
+    from heartcase.pipeline.report.montage import png_bytes
 
     path = Path(path)
     check_picture_name(path)
     kind = PICTURE_FORMATS[path.suffix.lower()]
-    told: dict[str, Any] = {"comment": comment.encode()}
     if kind == "PNG":
-        told = {"pnginfo": PngInfo()}
-        told["pnginfo"].add_text("Comment", comment)
+        atomic_write(path, png_bytes(picture, comment=comment))
+        return
     data = io.BytesIO()
-    Image.fromarray(picture).save(data, format=kind, **(told if comment else {}))
+    Image.fromarray(picture).save(data, format=kind, comment=comment.encode())
     atomic_write(path, data.getbuffer())
 
 

@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
 from heartcase.cli.output import working
-from heartcase.cli.stage_io import optional_recipe, read_scan_or_output, save_output, settings_of, stage_options
+from heartcase.cli.stage_io import (
+    optional_recipe,
+    read_scan_or_output,
+    save_output,
+    scan_options,
+    settings_of,
+    stage_options,
+)
 
 __all__ = ["command"]
 
@@ -15,10 +23,10 @@ __all__ = ["command"]
 @click.command()
 @click.argument("scan", type=click.Path(path_type=Path))
 @click.argument("output", type=click.Path(path_type=Path))
-@click.option("--series", help="DICOM: which series of the folder.")
+@scan_options
 @stage_options
 @working("smoothing the scan")
-def command(scan: Path, output: Path, series: str | None, recipe: Path | None, sets: tuple[str, ...]) -> None:
+def command(scan: Path, output: Path, choice: dict[str, Any], recipe: Path | None, sets: tuple[str, ...]) -> None:
     """Smooth SCAN by anisotropic diffusion and write OUTPUT (.nii.gz, .nrrd, .mha or .safetensors)."""
     from heartcase.pipeline.filter import filter_scan
     from heartcase.pipeline.region import crop_scan
@@ -26,5 +34,5 @@ def command(scan: Path, output: Path, series: str | None, recipe: Path | None, s
 
     loaded = optional_recipe(recipe)
     settings = settings_of(FilterSettings, loaded.filter if loaded else None, sets)
-    volume = crop_scan(read_scan_or_output(scan, series), loaded.region if loaded else None)
+    volume = crop_scan(read_scan_or_output(scan, choice), loaded.region if loaded else None)
     save_output(output, filter_scan(volume, settings))

@@ -9,6 +9,7 @@ import click
 import numpy as np
 
 from heartcase.cli.output import echo_json, file_size, print_facts, print_table, working
+from heartcase.cli.stage_io import scan_options
 from heartcase.schemas.bundle import MANIFEST_NAME
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.geometry import Geometry
@@ -39,10 +40,10 @@ def kind_of(path: Path) -> str:
 
 @click.command()
 @click.argument("path", type=click.Path(path_type=Path))
-@click.option("--series", help="DICOM: which series of the folder, by its number or the end of its UID.")
+@scan_options
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 @working("reading")
-def command(path: Path, series: str | None, as_json: bool) -> None:
+def command(path: Path, as_json: bool, choice: dict[str, Any]) -> None:
     """Say what PATH is: a scan (file, or folder of DICOM files), a recipe (.toml) or a case (.case)."""
     kind = kind_of(path)
     if kind == "case":
@@ -52,7 +53,7 @@ def command(path: Path, series: str | None, as_json: bool) -> None:
 
         facts = recipe_facts(load_recipe(path), path.parent)
     else:
-        facts = _scan_or_series(path, series)
+        facts = _scan_or_series(path, choice)
     if as_json:
         echo_json(facts)
     else:
@@ -78,6 +79,7 @@ def scan_facts(scan: Scan) -> dict[str, Any]:
         "intensity": {"min": low, "p1": p1, "median": median, "p99": p99, "max": high},
         "intensity_unit": "HU" if scan.modality == "CT" else "arbitrary",
         "acquisition": dict(scan.acquisition),
+        "warnings": list(scan.warnings),
     }
 
 
@@ -103,12 +105,13 @@ def recipe_facts(recipe: Recipe, directory: Path) -> dict[str, Any]:
     if source.exists():
         from heartcase.pipeline.read import read_scan
 
-        facts["scan"] = scan_facts(read_scan(source, series=recipe.scan.series))
+        facts["scan"] = scan_facts(read_scan(source, **recipe.scan.choice))
     return facts
 
 
 def case_facts(path: Path) -> dict[str, Any]:
     """What a case says of itself: labels, volumes, counts, step sizes, files."""
+    from heartcase.schemas.approval import approval_state
     from heartcase.schemas.bundle_reader import open_bundle
 
     manifest = open_bundle(path).manifest
@@ -118,6 +121,7 @@ def case_facts(path: Path) -> dict[str, Any]:
         "kind": "case",
         "name": manifest.name,
         "notice": manifest.notice,
+        "approval": approval_state(path).as_dict(),
         "format_version": manifest.format_version,
         "software_version": manifest.software_version,
         "modality": manifest.modality,
@@ -148,14 +152,14 @@ def _label_facts(label: Any) -> dict[str, Any]:
     return {"value": label.value, "name": label.name, "role": label.role.value, "colour": label.colour}
 
 
-def _scan_or_series(path: Path, series: str | None) -> dict[str, Any]:
-    from heartcase.pipeline.read import list_series, read_scan
+def _scan_or_series(path: Path, choice: dict[str, Any]) -> dict[str, Any]:
+    from heartcase.pipeline.read import is_dicom_source, list_series, read_scan
 
-    if path.is_dir() and series is None:
+    if is_dicom_source(path) and not {"series", "trigger_time_ms", "echo_time_ms"} & set(choice):
         found = list_series(path)
-        if len(found) > 1:
+        if len(found) > 1 or found[0].has_choice:
             return {"kind": "series", "series": [_series_facts(one) for one in found]}
-    return scan_facts(read_scan(path, series=series))
+    return scan_facts(read_scan(path, **choice))
 
 
 def _series_facts(one: Any) -> dict[str, Any]:
@@ -183,17 +187,28 @@ def _show_scan(facts: dict[str, Any]) -> None:
         ("98% of voxels", f"{size['p1']:.4g} to {size['p99']:.4g}"),
     ]
     rows += [(name.replace("_", " ").capitalize(), value) for name, value in facts["acquisition"].items()]
+    rows += [("Warning", warning) for warning in facts["warnings"]]
     print_facts(rows, title="Scan")
 
 
 def _show_series(facts: dict[str, Any]) -> None:
-    rows = facts["series"]
-    columns = list(rows[0])
+    rows = [{**row, **{name: _times(row[name]) for name in _TIMES}} for row in facts["series"]]
+    columns = [column for column in rows[0] if column not in _TIMES or any(row[column] for row in rows)]
+    options = ["--series"] * (len(rows) > 1) + [option for name, option in _TIMES.items() if name in columns]
+    what = "several series" if len(rows) > 1 else "one series with several stacks"
     print_table(
         [column.replace("_", " ") for column in columns],
         [[_cell(row[column]) for column in columns] for row in rows],
-        title="The folder holds several series: choose one with --series",
+        title=f"Here is {what}: choose one with {' and '.join(options)}",
     )
+
+
+_TIMES = {"trigger_times_ms": "--trigger-time", "echo_times_ms": "--echo-time"}
+
+
+def _times(times: tuple[float, ...]) -> str:
+    """Several times; one time is in the description."""
+    return ", ".join(f"{time:g}" for time in times) if len(times) > 1 else ""
 
 
 def _cell(value: Any) -> str:
@@ -225,6 +240,7 @@ def _show_case(facts: dict[str, Any]) -> None:
     simulation, geometry = facts["simulation"], facts["scan_geometry"]
     rows: list[tuple[str, object]] = [
         ("Notice", facts["notice"]),
+        ("Approval", facts["approval"]["words"]),
         ("Made by", f"heartcase {facts['software_version']}, format {facts['format_version']}"),
         ("Scan", f"{facts['modality']}, {_by(geometry.size)} voxels of {_by(geometry.spacing_mm)} mm"),
         ("Tissue", f"{simulation.tissue_volume_ml:.1f} ml"),

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import click
 
 from heartcase.cli.output import working
+from heartcase.cli.stage_io import scan_options
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.files import atomic_write
 from heartcase.schemas.labels import LabelTable, default_label_table
 from heartcase.schemas.recipe import parse_recipe
+from heartcase.schemas.toml import toml_string, toml_value
 
 __all__ = ["command", "starter_recipe"]
 
@@ -20,34 +23,32 @@ __all__ = ["command", "starter_recipe"]
 @click.argument("scan", type=click.Path(path_type=Path))
 @click.option("--out", type=click.Path(path_type=Path), default=Path("case.toml"), help="The recipe; case.toml.")
 @click.option("--name", default="case", help="Name of the case: not the patient's.")
-@click.option("--series", help="DICOM: which series of the folder.")
+@scan_options
 @click.option("--force", is_flag=True, help="Replace a recipe that is there.")
 @working("reading the scan")
-def command(scan: Path, out: Path, name: str, series: str | None, force: bool) -> None:
+def command(scan: Path, out: Path, name: str, force: bool, choice: dict[str, Any]) -> None:
     """Read SCAN and write a commented recipe for it, ready for the markers."""
     from heartcase.pipeline.read import read_scan
 
     if out.exists() and not force:
         raise UsageError("there is already a recipe: choose another --out, or give --force", place=str(out))
-    volume = read_scan(scan, series=series)
+    volume = read_scan(scan, **choice)
     relative = Path(os.path.relpath(scan.resolve(), out.resolve().parent)).as_posix()
     center = volume.geometry.index_to_world([(n - 1) / 2 for n in volume.geometry.size])
     extent = [n * s for n, s in zip(volume.geometry.size, volume.geometry.spacing_mm, strict=True)]
     text = starter_recipe(
         name=name,
         scan_path=relative,
-        series=series,
+        choice=choice,
         center_mm=tuple(round(float(v), 1) for v in center),
         extent_mm=tuple(round(float(v), 1) for v in extent),
         modality=volume.modality,
     )
     parse_recipe(text)
     atomic_write(out, text.encode())
+    for warning in volume.warnings:
+        click.echo(f"note: {warning}", err=True)
     click.echo(f"wrote {out}: add your markers to it, then run  heartcase build {out}")
-
-
-def _toml_string(text: str) -> str:
-    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
 
 
 def _label_lines(table: LabelTable) -> str:
@@ -58,14 +59,14 @@ def _label_lines(table: LabelTable) -> str:
         lines += [
             "[[labels]]",
             f"value = {label.value}",
-            f"name = {_toml_string(label.name)}",
-            f"role = {_toml_string(label.role.value)}",
-            f"colour = {_toml_string(label.colour)}",
+            f"name = {toml_string(label.name)}",
+            f"role = {toml_string(label.role.value)}",
+            f"colour = {toml_string(label.colour)}",
         ]
         if label.wall_thickness_mm:
             lines.append(f"wall_thickness_mm = {label.wall_thickness_mm}")
         if label.snomed:
-            lines.append(f"snomed = {_toml_string(label.snomed)}")
+            lines.append(f"snomed = {toml_string(label.snomed)}")
         lines.append("")
     return "\n".join(lines)
 
@@ -74,13 +75,13 @@ def starter_recipe(
     *,
     name: str,
     scan_path: str,
-    series: str | None,
+    choice: dict[str, Any],
     center_mm: tuple[float, ...],
     extent_mm: tuple[float, ...],
     modality: str,
 ) -> str:
-    """Text of a commented recipe for a scan with this centre and extent (mm, LPS)."""
-    series_line = f"series = {_toml_string(series)}\n" if series else ""
+    """Text of a commented recipe for a scan with this centre and extent (mm, LPS), read with this choice."""
+    choice_lines = "".join(f"{key} = {toml_value(value)}\n" for key, value in choice.items())
     modality_line = "" if modality in ("CT", "MR") else '# modality = "MR"   # or "CT": the file does not say it\n'
     return f"""\
 # A heartcase recipe: with the scan it says everything that makes the case.
@@ -88,13 +89,13 @@ def starter_recipe(
 # Points are in patient space: x to the left, y to the back, z to the head (LPS), in mm.
 
 heartcase_recipe = 1
-name = {_toml_string(name)}   # never the patient's name: it is on every output
+name = {toml_string(name)}   # never the patient's name: it is on every output
 # What the case holds beside the simulation grid. What the scene does not need is not made.
 parts = ["surface", "render", "picking", "labels"]
 
 [scan]   # modality: {modality}
-path = {_toml_string(scan_path)}   # relative to this file; write folders with /
-{series_line}{modality_line}
+path = {toml_string(scan_path)}   # relative to this file; write folders with /
+{choice_lines}{modality_line}
 # The heart alone makes a smaller and faster case. The box lies along the scan's own axes.
 # The whole scan: center_mm = {list(center_mm)}, size_mm = {list(extent_mm)}
 # [region]

@@ -9,7 +9,9 @@ import click
 
 from heartcase.cli.info import kind_of
 from heartcase.cli.output import echo_json, file_size, working
+from heartcase.cli.stage_io import scan_options
 from heartcase.schemas.bundle import FileRole
+from heartcase.schemas.bundle_reader import read_manifest
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.files import atomic_write
 
@@ -22,7 +24,7 @@ if TYPE_CHECKING:
 __all__ = ["command"]
 
 _SIDES: tuple[View, ...] = ("anterior", "posterior", "left", "right")
-_VIEWS = ("anterior", "posterior", "left", "right", "superior", "inferior", "cutaway")
+_VIEWS = ("anterior", "posterior", "left", "right", "superior", "inferior", "surgeon", "cutaway")
 _STACKS = ("axial", "coronal", "sagittal")
 
 
@@ -42,10 +44,10 @@ _STACKS = ("axial", "coronal", "sagittal")
     type=click.Choice((*_VIEWS, *_STACKS)),
     help="One picture instead of all: a side or the cutaway of a case, a stack of slices of a scan.",
 )
-@click.option("--series", help="DICOM: which series of the folder, by its number or the end of its UID.")
+@scan_options
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object about the picture.")
 @working("drawing")
-def command(path: Path, output: Path, view: str | None, series: str | None, as_json: bool) -> None:
+def command(path: Path, output: Path, view: str | None, as_json: bool, choice: dict[str, Any]) -> None:
     """Make a picture of PATH: slices of a scan, or the surface of a case from four sides and cut open."""
     if output.suffix.lower() != ".png":
         raise UsageError("the picture must end in .png", place="--out")
@@ -53,10 +55,11 @@ def command(path: Path, output: Path, view: str | None, series: str | None, as_j
     if view is not None and (view in _STACKS) == (kind == "case"):
         choices = ", ".join(_VIEWS if kind == "case" else _STACKS)
         raise UsageError(f"{view!r} is no view of a {kind}: choose {choices}", place="--view")
-    picture = _case_picture(path, view) if kind == "case" else _scan_picture(path, kind, view, series)
+    case_id = read_manifest(path).case_id if kind == "case" else None
+    picture = _case_picture(path, view) if kind == "case" else _scan_picture(path, kind, view, choice)
     from heartcase.pipeline.report.montage import png_bytes
 
-    content = png_bytes(picture)
+    content = png_bytes(picture, comment=f"heartcase {case_id}" if case_id else "")
     try:
         atomic_write(output, content)
     except OSError as error:
@@ -69,7 +72,7 @@ def command(path: Path, output: Path, view: str | None, series: str | None, as_j
         click.echo(f"wrote a picture of {width} x {height} pixels, {file_size(len(content))}")
 
 
-def _scan_picture(path: Path, kind: str, view: str | None, series: str | None) -> npt.NDArray[np.uint8]:
+def _scan_picture(path: Path, kind: str, view: str | None, choice: dict[str, Any]) -> npt.NDArray[np.uint8]:
     from heartcase.pipeline.read import read_scan
     from heartcase.pipeline.report.montage import stacked
     from heartcase.pipeline.report.slices import STACKS, slice_pictures
@@ -78,11 +81,11 @@ def _scan_picture(path: Path, kind: str, view: str | None, series: str | None) -
         from heartcase.schemas.recipe import load_recipe
 
         recipe = load_recipe(path)
-        path, series = path.parent / recipe.scan.path, series or recipe.scan.series
+        path, choice = path.parent / recipe.scan.path, recipe.scan.choice | choice
         if not path.exists():
             origin = f" Where it comes from: {recipe.scan.origin}" if recipe.scan.origin else ""
             raise UsageError(f"the recipe's scan is not there.{origin}", place="scan.path")
-    scan = read_scan(path, series=series)
+    scan = read_scan(path, **choice)
     stacks = tuple(stack for stack in STACKS if view in (None, stack))
     rows = slice_pictures(scan.values, scan.geometry, None, None, modality=scan.modality, stacks=stacks)
     return stacked(list(rows.values()))

@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
 from heartcase.cli.output import working
-from heartcase.cli.stage_io import optional_recipe, read_scan_or_output, save_output, settings_of, stage_options
+from heartcase.cli.stage_io import (
+    optional_recipe,
+    read_scan_or_output,
+    save_output,
+    scan_options,
+    settings_of,
+    stage_options,
+)
 
 __all__ = ["command"]
 
@@ -16,14 +24,14 @@ __all__ = ["command"]
 @click.argument("scan", type=click.Path(path_type=Path))
 @click.argument("output", type=click.Path(path_type=Path))
 @click.option("--markers", multiple=True, type=click.Path(path_type=Path), help="Marker file; repeatable.")
-@click.option("--series", help="DICOM: which series of the folder.")
+@scan_options
 @stage_options
 @working("segmenting")
 def command(
     scan: Path,
     output: Path,
     markers: tuple[Path, ...],
-    series: str | None,
+    choice: dict[str, Any],
     recipe: Path | None,
     sets: tuple[str, ...],
 ) -> None:
@@ -43,9 +51,17 @@ def command(
     settings = settings_of(SegmentSettings, loaded.segment if loaded else None, sets)
     table = loaded.table if loaded else default_label_table()
     directory = recipe.parent if recipe else Path()
-    volume = crop_scan(read_scan_or_output(scan, series), loaded.region if loaded else None)
+    volume = crop_scan(read_scan_or_output(scan, choice), loaded.region if loaded else None)
     if settings.method == "labels" and settings.file is not None:
-        save_output(output, load_segmentation(directory / settings.file, settings.names, table, volume.geometry))
+        finished = load_segmentation(
+            directory / settings.file,
+            settings.names,
+            table,
+            volume.geometry,
+            convention=settings.convention,
+            others=settings.others,
+        )
+        save_output(output, finished)
         return
     painted = None
     if settings.method == "watershed":

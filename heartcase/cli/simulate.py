@@ -15,6 +15,7 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemaining
 
 from heartcase.cli.film import Filmer, check_animation_name, check_picture_name, write_animation, write_picture
 from heartcase.cli.output import echo_json
+from heartcase.schemas.approval import approval_state
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.script import SimulationScript
 from heartcase.simulator.export import SURFACE_FORMATS, write_surface
@@ -75,25 +76,35 @@ def command(
         gravity_m_s2=script.gravity_m_s2,
         backend="reference" if backend == "reference" else "cpu",
     )
+    case_id, approval = loaded.manifest.case_id, approval_state(case)
     film_every = max(1, round(script.frames_per_second / FILM_FRAMES_PER_SECOND)) if animation is not None else 0
     with ExitStack() as stack:
         camera = _filmer(loaded) if animation is not None or picture is not None else None
-        audience = _Audience(camera, film_every=film_every, wants_picture=picture is not None)
+        audience = _Audience(camera, film_every=film_every, wants_picture=picture is not None, case_id=case_id)
         stack.enter_context(audience.bar(script.seconds))
         summary = run_script(simulation, script, on_frame=audience.watch)
         shot = audience.furthest_picture()
+    comment = f"heartcase {case_id}" if case_id else "heartcase"
     if animation is not None and camera is not None:
-        write_animation(animation, camera.frames, frames_per_second=script.frames_per_second / film_every)
+        speed = script.frames_per_second / film_every
+        write_animation(animation, camera.frames, frames_per_second=speed, comment=comment)
     if picture is not None and shot is not None:
-        write_picture(picture, shot)
+        write_picture(picture, shot, comment=comment)
     if surface_out is not None and loaded.surface is not None:
         end = simulation.surface_now()
         write_surface(
-            surface_out, end.vertices_mm, end.normals, loaded.surface.triangles, colours=loaded.triangle_colours
+            surface_out,
+            end.vertices_mm,
+            end.normals,
+            loaded.surface.triangles,
+            colours=loaded.triangle_colours,
+            case_id=case_id,
         )
     if as_json:
-        echo_json({"case": loaded.manifest.name, "backend": backend, **summary.to_dict()})
+        named = {"case": loaded.manifest.name, "case_id": case_id, "approval": approval.state, "backend": backend}
+        echo_json({**named, **summary.to_dict()})
     else:
+        click.echo(f"Approval   {approval.words}")
         for line in _lines(loaded, summary):
             click.echo(line)
 
@@ -101,8 +112,9 @@ def command(
 class _Audience:
     """What looks on while the session runs: the progress bar, the film, the picture of the furthest deformation."""
 
-    def __init__(self, camera: Filmer | None, *, film_every: int, wants_picture: bool) -> None:
+    def __init__(self, camera: Filmer | None, *, film_every: int, wants_picture: bool, case_id: str | None) -> None:
         self.camera = camera
+        self.title = f"{case_id} " if case_id else ""
         self.film_every = film_every
         self.wants_picture = wants_picture
         self.frame_number = 0
@@ -155,7 +167,7 @@ class _Audience:
         from heartcase.pipeline.report.montage import montage
 
         pictures = {
-            "at the start": self.camera.take(self.rest_surface),
+            f"{self.title}at the start": self.camera.take(self.rest_surface),
             f"at {self.furthest_time_s:.2f} s, moved furthest": self.camera.take(self.furthest_surface),
         }
         return montage(pictures, columns=2)
@@ -193,7 +205,7 @@ def _filmer(case: Case) -> Filmer:
 
 def _lines(case: Case, summary: SessionSummary) -> Iterator[str]:
     """The summary in plain words."""
-    yield f"Case       {case.manifest.name}"
+    yield f"Case       {case.manifest.name}" + (f" ({case.manifest.case_id})" if case.manifest.case_id else "")
     yield (
         f"Lattice    {summary.node_count:,} nodes, {summary.spring_count:,} springs, "
         f"cells of {summary.cell_mm:.2f} mm, {int(case.model.node_is_fixed.sum()):,} nodes fixed"

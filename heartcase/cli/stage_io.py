@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import click
 from pydantic import ValidationError
@@ -15,7 +16,15 @@ from heartcase.schemas.errors import Problem, RecipeError, UsageError, problems_
 from heartcase.schemas.files import atomic_write
 from heartcase.schemas.recipe import Recipe, load_recipe
 
-__all__ = ["SCAN_SUFFIXES", "optional_recipe", "read_scan_or_output", "save_output", "settings_of", "stage_options"]
+__all__ = [
+    "SCAN_SUFFIXES",
+    "optional_recipe",
+    "read_scan_or_output",
+    "save_output",
+    "scan_options",
+    "settings_of",
+    "stage_options",
+]
 
 M = TypeVar("M", bound=Model)
 F = TypeVar("F", bound=Callable[..., Any])
@@ -28,6 +37,43 @@ def stage_options(function: F) -> F:
     recipe = click.option("--recipe", type=click.Path(path_type=Path), help="Take the stage's settings from a recipe.")
     sets = click.option("--set", "sets", multiple=True, metavar="KEY=VALUE", help="Change one setting; repeatable.")
     return recipe(sets(function))
+
+
+def scan_options(function: F) -> F:
+    """Add the options of a command that takes a scan; they come as one argument, ``choice``, for ``read_scan``.
+
+    It holds what was given and nothing else, so ``recipe.scan.choice | choice`` lets the command line win.
+    """
+
+    @functools.wraps(function)
+    def collecting(*args: Any, **given: Any) -> Any:
+        choice = {name: given.pop(name) for name in _SCAN_OPTIONS}
+        return function(*args, choice={name: v for name, v in choice.items() if v not in (None, False)}, **given)
+
+    wrapped: Any = collecting
+    for name, option in reversed(_SCAN_OPTIONS.items()):
+        flags, settings = option
+        wrapped = click.option(flags, name, **settings)(wrapped)
+    return cast("F", wrapped)
+
+
+_SCAN_OPTIONS: dict[str, tuple[str, dict[str, Any]]] = {
+    "series": ("--series", {"help": "DICOM: which series of the folder, by its number or the end of its UID."}),
+    "trigger_time_ms": (
+        "--trigger-time",
+        {"type": click.FloatRange(min=0.0), "metavar": "MS", "help": "DICOM: the cardiac phase nearest to this time."},
+    ),
+    "echo_time_ms": (
+        "--echo-time",
+        {"type": click.FloatRange(min=0.0), "metavar": "MS", "help": "DICOM: the echo nearest to this echo time."},
+    ),
+    "interpolate_missing": (
+        "--interpolate-missing",
+        {"is_flag": True, "help": "DICOM: fill missing slices from their neighbours."},
+    ),
+    "straighten_tilt": ("--straighten-tilt", {"is_flag": True, "help": "DICOM: straighten a tilted gantry's slices."}),
+}
+"""Parameter of ``read_scan`` -> option of the command line."""
 
 
 def optional_recipe(path: Path | None) -> Recipe | None:
@@ -64,13 +110,13 @@ def settings_of(model: type[M], given: M | None, sets: tuple[str, ...]) -> M:
         raise RecipeError(problems_from_validation(error, place="settings")) from None
 
 
-def read_scan_or_output(path: Path, series: str | None = None) -> Any:
+def read_scan_or_output(path: Path, choice: dict[str, Any] | None = None) -> Any:
     """A scan from any format that is read, or from the output of a stage (``.safetensors``)."""
     from heartcase.pipeline.artifacts import load_artifact
     from heartcase.pipeline.data import Scan
     from heartcase.pipeline.read import read_scan
 
-    return load_artifact(path, Scan) if path.suffix == ".safetensors" else read_scan(path, series=series)
+    return load_artifact(path, Scan) if path.suffix == ".safetensors" else read_scan(path, **choice or {})
 
 
 def save_output(path: Path, output: Any) -> None:

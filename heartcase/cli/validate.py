@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from heartcase.cli.output import echo_json, working
+from heartcase.schemas.approval import approval_state
 from heartcase.schemas.bundle_check import check_bundle
 from heartcase.schemas.errors import HeartcaseError, Problem
 from heartcase.schemas.recipe import load_recipe
@@ -26,13 +27,17 @@ def command(ctx: click.Context, path: Path, as_json: bool) -> None:
     Exit code 0: sound; 1: problems were found.
     """
     problems = _problems(path)
+    approval = approval_state(path) if path.is_dir() else None
     if as_json:
         found = [{"place": problem.place, "message": problem.message} for problem in problems]
-        echo_json({"valid": not problems, "problems": found})
+        stated = {"approval": approval.as_dict()} if approval else {}
+        echo_json({"valid": not problems, "problems": found, **stated})
     else:
         for problem in problems:
             click.echo(str(problem))
         click.echo(f"{len(problems)} problem{'s' * (len(problems) != 1)} found" if problems else "sound")
+        if approval is not None:
+            click.echo(approval.words)
     if problems:
         ctx.exit(1)
 

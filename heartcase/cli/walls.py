@@ -24,7 +24,7 @@ def command(labels: Path, output: Path, recipe: Path | None, sets: tuple[str, ..
     from heartcase.pipeline.markers import load_segmentation
     from heartcase.pipeline.walls import grow_walls
     from heartcase.schemas.labels import default_label_table
-    from heartcase.schemas.settings import WallsSettings
+    from heartcase.schemas.settings import SegmentSettings, WallsSettings
 
     loaded = optional_recipe(recipe)
     settings = settings_of(WallsSettings, loaded.walls if loaded else None, sets)
@@ -32,5 +32,8 @@ def command(labels: Path, output: Path, recipe: Path | None, sets: tuple[str, ..
         segmentation = load_artifact(labels, Segmentation)
     else:
         table = loaded.table if loaded else default_label_table()
-        segmentation = load_segmentation(labels, loaded.segment.names if loaded else {}, table, None)
+        naming = loaded.segment if loaded else SegmentSettings()
+        segmentation = load_segmentation(
+            labels, naming.names, table, None, convention=naming.convention, others=naming.others
+        )
     save_output(output, grow_walls(segmentation, settings, loaded.ends if loaded else ()))

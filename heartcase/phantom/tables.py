@@ -5,6 +5,9 @@ the structure's border from then on. It is sampled, with normal and curvature, a
 signed distance of a lattice point is that to the surface's second-order patch at the nearest sample. The B-spline
 through the distances is twice continuously differentiable: it *is* the phantom's definition of the structure, so a
 label is exact by definition; it equals the distance to its own zero surface within the error that tests state.
+
+A spline cannot hold a knife edge, so convex edges are rounded and concave ones filled with a radius of about two
+lattice steps where the caller asks for it (opening and closing by a ball), and edges are sampled more densely.
 """
 
 from __future__ import annotations

@@ -19,6 +19,7 @@ from safetensors.numpy import load as load_safetensors
 from safetensors.numpy import save as save_safetensors
 
 from heartcase.pipeline import data as stage_data
+from heartcase.pipeline.cautions import caution_from_json, caution_to_json
 from heartcase.schemas.errors import StageError
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable
@@ -59,6 +60,8 @@ def artifact_to_bytes(artifact: Any) -> bytes:
                 arrays[f"{item.name}/{key}"] = np.ascontiguousarray(value[key])
         elif item.name in _MODELS:
             rest[item.name] = value.model_dump(mode="json")
+        elif item.name == "warnings":
+            rest[item.name] = [caution_to_json(warning) for warning in value]
         else:
             rest[item.name] = value
     metadata = {"artifact": type(artifact).__name__, "fields": json.dumps(rest, sort_keys=True, allow_nan=False)}
@@ -93,10 +96,12 @@ def artifact_from_bytes(content: bytes, expected: type[T]) -> T:
                 values[item.name] = {key: arrays[f"{item.name}/{key}"] for key in rest[item.name]["keys"]}
             elif item.name in _MODELS:
                 values[item.name] = TypeAdapter(_MODELS[item.name]).validate_json(json.dumps(rest[item.name]))
+            elif item.name == "warnings":
+                values[item.name] = tuple(caution_from_json(warning) for warning in rest[item.name])
             else:
                 values[item.name] = _as_tuples(rest[item.name]) if item.name != "quality" else rest[item.name]
         return expected(**values)
-    except (KeyError, ValidationError):
+    except (KeyError, TypeError, ValidationError):
         raise StageError("was written by another version: run the stage again", place="input") from None
 
 

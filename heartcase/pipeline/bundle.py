@@ -17,13 +17,15 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from safetensors.numpy import save as save_safetensors
 
 from heartcase import __version__
+from heartcase.pipeline.aligned import AlignedFile, aligned_safetensors
 from heartcase.pipeline.data import GridMap, PickingSurface, SimulationGrid, Surface
+from heartcase.pipeline.scan_part import ScanPart
 from heartcase.schemas.bundle import (
     ARRAYS,
     MANIFEST_NAME,
+    ArrayEntry,
     CaseManifest,
     FileEntry,
     FileRole,
@@ -55,12 +57,12 @@ class BundleContent:
 
 def resolve_materials(settings: MaterialsSettings, table: LabelTable) -> tuple[Material, ...]:
     """Elastic constants of every tissue label, by ascending value."""
-    exceptions = {name.lower(): values for name, values in settings.labels.items()}
+    exceptions = {label.value: values for name, values in settings.labels.items() if (label := table.find(name))}
     return tuple(
         Material(
             label=label.value,
-            youngs_modulus_kpa=exceptions.get(label.name.lower(), settings).youngs_modulus_kpa,
-            density_kg_m3=exceptions.get(label.name.lower(), settings).density_kg_m3,
+            youngs_modulus_kpa=exceptions.get(label.value, settings).youngs_modulus_kpa,
+            density_kg_m3=exceptions.get(label.value, settings).density_kg_m3,
         )
         for label in table
         if label.role.is_tissue
@@ -105,6 +107,7 @@ def assemble_bundle(
     picking: PickingSurface | None = None,
     glb: bytes | None = None,
     labels_nrrd: bytes | None = None,
+    scan: ScanPart | None = None,
     landmarks: Sequence[Landmark] = (),
     modality: str = "unknown",
     acquisition: Mapping[str, Any] | None = None,
@@ -119,7 +122,7 @@ def assemble_bundle(
         Name of the case.
     case_id
         Made-up identifier of the case.
-    grid, surface, grid_map, picking, glb, labels_nrrd
+    grid, surface, grid_map, picking, glb, labels_nrrd, scan
         The parts; those that are None are left out. ``glb`` and ``labels_nrrd`` are whole files.
     materials
         Elastic constants of every tissue label.
@@ -162,7 +165,10 @@ def assemble_bundle(
         parts[FileRole.MAPPING]["offset"] = grid_map.offset_mm
     if picking is not None:
         parts[FileRole.PICKING] = {item: getattr(picking, item) for item in ("nodes", "triangles", "triangle_label")}
-    contents = {role: _arrays_to_bytes(role, arrays) for role, arrays in parts.items()}
+    if scan is not None:
+        parts[FileRole.SCAN] = {"intensity": scan.intensity}
+    aligned = {role: _checked_file(role, arrays) for role, arrays in parts.items()}
+    contents = {role: file.content for role, file in aligned.items()}
     if glb is not None:
         contents[FileRole.RENDER] = glb
     if labels_nrrd is not None:
@@ -173,11 +179,13 @@ def assemble_bundle(
         digest = hashlib.sha256(content).hexdigest()
         file_name = f"{role.value}-{digest[:16]}{_SUFFIX.get(role, '.safetensors')}"
         files[file_name] = content
-        entries.append(FileEntry(role=role, name=file_name, size=len(content), sha256=digest))
+        listed = _listed(role, parts[role], aligned[role]) if role in aligned else ()
+        entries.append(FileEntry(role=role, name=file_name, size=len(content), sha256=digest, arrays=listed))
     manifest = CaseManifest(
         name=name,
         case_id=case_id,
         scan_geometry=scan_geometry,
+        scan_values=scan.values if scan else None,
         grid_geometry=grid.geometry,
         labels=grid.table,
         materials=tuple(materials),
@@ -195,7 +203,7 @@ def assemble_bundle(
     return BundleContent(manifest, files)
 
 
-def _arrays_to_bytes(role: FileRole, arrays: Mapping[str, npt.NDArray[Any]]) -> bytes:
+def _checked_file(role: FileRole, arrays: Mapping[str, npt.NDArray[Any]]) -> AlignedFile:
     counts: dict[str, int] = {}
     checked: dict[str, npt.NDArray[Any]] = {}
     for spec in ARRAYS[role]:
@@ -208,8 +216,22 @@ def _arrays_to_bytes(role: FileRole, arrays: Mapping[str, npt.NDArray[Any]]) -> 
             raise BundleError(f"is {found}, not {spec.dtype} {list(spec.shape)}", place=f"{role.value}.{spec.name}")
         if array.dtype.kind == "f" and not np.isfinite(array).all():
             raise BundleError("holds values that are not finite numbers", place=f"{role.value}.{spec.name}")
-        checked[spec.name] = np.ascontiguousarray(array)
-    return save_safetensors(checked)
+        checked[spec.name] = array
+    return aligned_safetensors(checked)
+
+
+def _listed(role: FileRole, arrays: Mapping[str, npt.NDArray[Any]], file: AlignedFile) -> tuple[ArrayEntry, ...]:
+    return tuple(
+        ArrayEntry(
+            name=spec.name,
+            dtype=spec.dtype,
+            shape=arrays[spec.name].shape,
+            offset=file.offsets[spec.name],
+            unit=spec.unit,
+            meaning=spec.meaning,
+        )
+        for spec in ARRAYS[role]
+    )
 
 
 def write_bundle(directory: Path | str, content: BundleContent) -> bool:

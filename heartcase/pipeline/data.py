@@ -5,6 +5,7 @@ All arrays of a volume are indexed ``[z, y, x]``; points are (x, y, z) in patien
 
 from __future__ import annotations
 
+import hashlib
 import math
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -45,7 +46,18 @@ class Scan:
     acquisition: dict[str, Any] = field(default_factory=dict)
     """Physics of the acquisition that may be kept (field strength, tube voltage, ...): plain numbers and words."""
     warnings: tuple[str, ...] = ()
-    """What was done to the scan while it was read, in plain words: slices interpolated, a tilted gantry straightened."""
+    """What was done to the scan as it was read, in plain words: slices interpolated, a tilted gantry straightened."""
+
+    @property
+    def values_sha256(self) -> str:
+        """SHA-256 of intensities and geometry, and of nothing that a header says: what a scan is known by for years.
+
+        Over the size (i, j, k; int64), the affine in mm to 1e-6 (float64) and the values (float32), little-endian.
+        """
+        digest = hashlib.sha256(np.array(self.geometry.size, "<i8").tobytes())
+        digest.update((np.round(self.geometry.affine, 6) + 0.0).astype("<f8").tobytes())
+        digest.update(np.ascontiguousarray(self.values, "<f4").data)
+        return digest.hexdigest()
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import binary_dilation, map_coordinates
 
+from heartcase.pipeline.cautions import Caution, anatomy, severity_of
 from heartcase.pipeline.data import Reshaping, Segmentation
 from heartcase.schemas.errors import Problem, StageError
 from heartcase.schemas.geometry import Geometry
@@ -128,10 +129,13 @@ def cut_ends(
             continue
         away = _way_to_vessel(segmentation, disc)
         if away:
-            warnings.append(f"{place} ({label.name}): {away}")
+            warnings.append(anatomy(f"{place} ({label.name}): {away}"))
             continue
         _clear_beyond(labels, segmentation, disc)
-        warnings += [f"{place} ({label.name}): {text}" for text in _continue_lumen(labels, disc, table.blood_values)]
+        warnings += [
+            Caution(f"{place} ({label.name}): {text}", severity_of(text))
+            for text in _continue_lumen(labels, disc, table.blood_values)
+        ]
         met.append(end)
         cuts.append(_cut(disc, end, table))
     if problems:
@@ -244,7 +248,9 @@ def _continue_lumen(labels: UInt8, disc: _Disc, blood_values: Sequence[int]) -> 
         )
     _, opened = _areas((near == disc.value) & disc.cylinder, disc)
     if opened[steps <= 0.0][-1] < OPEN_SHARE * areas[np.searchsorted(steps, last)]:
-        messages.append("other structures close the vessel at this end marker: move the marker towards the heart")
+        messages.append(
+            anatomy("other structures close the vessel at this end marker: move the marker towards the heart")
+        )
     return messages
 
 
@@ -324,17 +330,20 @@ def closed_vessels(segmentation: Segmentation, ends: Sequence[EndMarker]) -> tup
 
     A wall closes such a vessel like a sac, which no vessel of a heart is.
     """
-    cut = {end.label.lower() for end in ends}
+    cut = {segmentation.table[end.label].value for end in ends}
     labels = segmentation.labels
     sides = [np.unique(labels.take(index, axis)) for axis in range(3) for index in (0, -1)]
     at_border = set(np.concatenate(sides).tolist())
     present = set(np.unique(labels).tolist())
     return tuple(
-        f"{label.name!r} ends in a closed sac: add an entry to 'ends' where it is to be cut open"
+        anatomy(
+            f"the {label.name} ends in a closed sac, as no vessel does: mark where it is cut off (an entry of 'ends' "
+            "in the recipe)"
+        )
         for label in segmentation.table
         if label.role is Role.VESSEL_LUMEN
         and label.value in present
         and label.value not in at_border
         and label.wall_thickness_mm > 0.0
-        and label.name.lower() not in cut
+        and label.value not in cut
     )

@@ -21,7 +21,7 @@ from heartcase.schemas.errors import StageError
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.settings import FilterSettings
 
-__all__ = ["diffuse", "filter_scan", "time_step_limit"]
+__all__ = ["diffuse", "filter_scan", "resolve_filter", "time_step_limit"]
 
 Float32 = npt.NDArray[np.float32]
 
@@ -58,7 +58,7 @@ def filter_scan(scan: Scan, settings: FilterSettings) -> Scan:
             place="filter",
         )
     limit = time_step_limit(scan.geometry)
-    time_step = limit if settings.time_step is None else settings.time_step
+    time_step = resolve_filter(settings, scan.geometry).time_step or limit
     if time_step > limit * (1.0 + TIME_STEP_TOLERANCE):
         shown = Context(prec=4, rounding=ROUND_DOWN).create_decimal_from_float(limit)
         raise StageError(
@@ -74,6 +74,14 @@ def filter_scan(scan: Scan, settings: FilterSettings) -> Scan:
         time_step=time_step,
     )
     return dataclasses.replace(scan, values=values)
+
+
+def resolve_filter(settings: FilterSettings, geometry: Geometry) -> FilterSettings:
+    """Settings with the time step that they leave to the scan's lattice filled in."""
+    limit = time_step_limit(geometry)
+    if settings.method == "none" or settings.time_step is not None or not math.isfinite(limit):
+        return settings
+    return settings.model_copy(update={"time_step": limit})
 
 
 def time_step_limit(geometry: Geometry) -> float:

@@ -9,12 +9,13 @@ are compared with the full resolution.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, cast
 
 import numba
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.pipeline.cautions import anatomy, note
 from heartcase.pipeline.cells.hinges import HingeRepairs, hanging_cells, mend_hinges
 from heartcase.pipeline.cells.passages import blocked_openings, open_passages
 from heartcase.pipeline.cells.repair import CellState, Index, cell_coverage, close_leaks, find_leaks, join_tissue
@@ -34,7 +35,7 @@ from heartcase.schemas.labels import LabelTable
 from heartcase.schemas.lattice import cell_nodes
 from heartcase.schemas.settings import GridSettings, Pin
 
-__all__ = ["DEFAULT_NODE_COUNT", "FACE_CORNERS", "build_grid"]
+__all__ = ["DEFAULT_NODE_COUNT", "FACE_CORNERS", "build_grid", "resolve_grid"]
 
 Bool = npt.NDArray[np.bool_]
 Int32 = npt.NDArray[np.int32]
@@ -137,6 +138,13 @@ def build_grid(structures: Structures, settings: GridSettings, *, pins: Sequence
     )
 
 
+def resolve_grid(settings: GridSettings) -> GridSettings:
+    """Settings with the node count filled in where they ask for neither a cell edge nor a node count."""
+    if settings.cell_mm is not None or settings.node_count is not None:
+        return settings
+    return settings.model_copy(update={"node_count": DEFAULT_NODE_COUNT})
+
+
 def _sample(structures: Structures, cell_mm: float, factor: int | None = None) -> CellSamples:
     lattice = cell_lattice(structures.geometry, cell_mm)
     factor = factor or sample_factor(structures.geometry, cell_mm)
@@ -150,7 +158,7 @@ def _sample(structures: Structures, cell_mm: float, factor: int | None = None) -
 
 def _samples_for_count(structures: Structures, settings: GridSettings) -> CellSamples:
     """Solve for the cell edge with the fewest samples per cell, then correct it with as many as the grid takes."""
-    wanted = settings.node_count or DEFAULT_NODE_COUNT
+    wanted = cast(int, resolve_grid(settings).node_count)
     volume = structures.geometry
     region_mm3 = volume.voxel_volume_mm3 * float(np.prod(volume.size))
     cell_mm = (region_mm3 / (4.0 * wanted)) ** (1 / 3)
@@ -215,22 +223,28 @@ def _shape_cells(
         hinges = mend_hinges(samples, pieces, state, fine_pieces)
         if stranded:
             warnings.append(
-                f"{len(stranded)} part(s) of the tissue are loose in the simulation although the scan joins them to "
-                f"the rest, at {_places(samples, stranded)}: make the cells smaller"
+                anatomy(
+                    f"{len(stranded)} part(s) of the tissue are loose in the simulation although the scan joins them "
+                    f"to the rest, at {_places(samples, stranded)}: make the cells smaller"
+                )
             )
     leaks = find_leaks(samples, pieces, state)
     if leaks:
         places = _places(samples, [pair[0] for pair in leaks])
         warnings.append(
-            f"a wall that is much thinner than a simulation cell has a hole in the simulation, not in the scan, at "
-            f"{places}: make the cells smaller"
+            anatomy(
+                f"a wall that is much thinner than a simulation cell has a hole in the simulation, not in the scan, at "
+                f"{places}: make the cells smaller"
+            )
         )
     blocked = blocked_openings(samples, pieces, state, blood_width)
     if blocked:
         places = _places(samples, blocked)
         warnings.append(
-            f"{len(blocked)} opening(s) about as narrow as a simulation cell are closed in the simulation, not in the "
-            f"scan, at {places}: make the cells smaller where such an opening matters"
+            anatomy(
+                f"{len(blocked)} opening(s) about as narrow as a simulation cell are closed in the simulation, not in "
+                f"the scan, at {places}: make the cells smaller where such an opening matters"
+            )
         )
     quality: dict[str, Any] = {
         "repairs": {
@@ -271,25 +285,27 @@ def _piece_count(mask: Bool, amount: Float32 | None, least: float, connectivity:
 def _topology_warnings(quality: dict[str, Any]) -> list[str]:
     """Where the number of pieces larger than a cell differs; failing that, where small holes differ."""
     tissue, blood = quality["betti_tissue"], quality["betti_blood"]
-    warnings = []
+    warnings: list[str] = []
     for name in ("tissue", "blood"):
         pieces = quality[f"{name}_pieces_over_a_cell"]
         was, now = pieces["full_resolution"], pieces["grid"]
         if was != now:
             meaning = "what belongs together is apart" if now > was else "separate parts were joined or lost"
             warnings.append(
-                f"the {name} is in {was} separate piece(s) at the scan's resolution but in {now} in the simulation "
-                f"cells: {meaning}; make the cells smaller"
+                anatomy(
+                    f"the {name} is in {was} separate piece(s) at the scan's resolution but in {now} in the simulation "
+                    f"cells: {meaning}; make the cells smaller"
+                )
             )
-    holes = ((tissue, 1, "through the tissue"), (tissue, 2, "enclosed in the tissue"), (blood, 1, "beside the blood"))
-    counts = [(where, betti["full_resolution"][at], betti["grid"][at]) for betti, at, where in holes]
-    differing = [
-        f"{was} {where} at the scan's resolution, {now} in the cells" for where, was, now in counts if was != now
-    ]
+    holes = ((tissue, 1, "tunnels through the tissue"), (tissue, 2, "hollows in it"), (blood, 1, "loops of the blood"))
+    counts = [(what, betti["full_resolution"][at], betti["grid"][at]) for betti, at, what in holes]
+    differing = [f"{was} {what} in the scan, {now} in the simulation" for what, was, now in counts if was != now]
     if differing and not warnings:
         warnings.append(
-            f"the simulation cells do not keep every small hole: {' and '.join(differing[:2])}; make the cells smaller "
-            "where a small hole matters"
+            note(
+                f"the simulation does not keep every small hole ({' and '.join(differing[:2])}): make the cells "
+                "smaller only where a hole smaller than a cell matters"
+            )
         )
     return warnings
 

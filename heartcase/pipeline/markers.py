@@ -1,8 +1,12 @@
-"""Painted markers, from files and from strokes of the recipe, brought onto the scan's lattice."""
+"""Painted markers, from files and from strokes of the recipe, brought onto the scan's lattice.
+
+What a file calls its segments and points may be a patient's name: messages call them by their place in the file.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +15,7 @@ import numpy.typing as npt
 from heartcase.pipeline.data import Markers, Segmentation
 from heartcase.pipeline.formats.point_lists import MarkupList, read_point_lists
 from heartcase.pipeline.formats.raw_volume import placed
+from heartcase.pipeline.formats.stl_parts import holds_parts, read_parts
 from heartcase.pipeline.paint import paint_capsule, paint_passed_voxels, pull_nearest
 from heartcase.pipeline.read import LabelVolume, read_labels
 from heartcase.schemas.errors import MarkerError, Problem
@@ -18,6 +23,7 @@ from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND, LabelTable
 from heartcase.schemas.recipe import MarkerFile
 from heartcase.schemas.settings import Stroke
+from heartcase.schemas.terms import CONVENTIONS
 
 __all__ = ["check_markers", "load_markers", "load_segmentation", "rasterise_strokes", "resample_labels"]
 
@@ -41,8 +47,8 @@ def load_markers(
     Parameters
     ----------
     recipe_markers
-        Label volumes and point lists. Segment and list names are mapped through ``names``, then taken as label names,
-        upper and lower case alike; a volume without segment names is mapped by value.
+        Label volumes and point lists. A segment or list is found by ``names``, then by the label or synonym that it is
+        named like, then by its SNOMED CT code; a volume without segments by its values.
     strokes
         Strokes of the recipe.
     table
@@ -71,7 +77,7 @@ def load_markers(
             if path.name.lower().endswith(POINT_LIST_SUFFIXES):
                 painted = _painted_points(path, file, table, geometry)
             else:
-                painted = _painted_volume(path, file.names, table, geometry)
+                painted = _painted_volume(path, file, table, geometry)
             np.copyto(labels, painted, where=painted != UNMARKED)
         except MarkerError as error:
             problems += placed(error, place, MarkerError).problems
@@ -113,20 +119,32 @@ def check_markers(markers: Markers, table: LabelTable) -> None:
 
 
 def load_segmentation(
-    path: Path | str, names: Mapping[str, str], table: LabelTable, geometry: Geometry | None
+    path: Path | str,
+    names: Mapping[str, str],
+    table: LabelTable,
+    geometry: Geometry | None,
+    *,
+    convention: str | None = None,
+    others: str = "refuse",
 ) -> Segmentation:
-    """Load a finished segmentation.
+    """Load a finished segmentation, which is taken as it is.
 
     Parameters
     ----------
     path
-        Label volume; see :func:`heartcase.pipeline.read.read_labels`.
+        Label volume or DICOM SEG, see :func:`heartcase.pipeline.read.read_labels`; or folder of closed .stl parts, see
+        :func:`heartcase.pipeline.formats.stl_parts.read_parts`.
     names
-        Segment name, or value, in the file -> label name; the same name (or value) when left out.
+        Name of a segment or part, or value, in the file -> label name. What is not in here is found by the label or
+        synonym that it is named like, then by its SNOMED CT code; in a file without segments by its value.
     table
         Label table.
     geometry
-        The scan's lattice; None keeps the file's own.
+        The scan's lattice; None keeps the file's own, which parts do not have.
+    convention
+        Key of :data:`heartcase.schemas.terms.CONVENTIONS`: what the values of a file without segments stand for.
+    others
+        What is no label: ``refuse`` the file, or ``ignore`` it.
 
     Returns
     -------
@@ -140,8 +158,8 @@ def load_segmentation(
     """
     place = "segmentation"
     try:
-        volume = read_labels(path)
-        lookup = _lookup(volume, names, table)
+        volume = _finished(Path(path), geometry)
+        lookup = _lookup(volume, _Naming(names, convention, others), table)
         geometry = geometry or volume.geometry
         values = resample_labels(volume, geometry)
     except MarkerError as error:
@@ -149,8 +167,16 @@ def load_segmentation(
     if not values.any():
         reason = "lies outside the scan: was it made on another scan?" if volume.values.any() else "holds no label"
         raise MarkerError(f"the segmentation {reason}", place=place)
-    lookup[0] = BACKGROUND
+    lookup[lookup == UNMARKED] = BACKGROUND
     return Segmentation(labels=lookup[values], geometry=geometry, table=table)
+
+
+def _finished(path: Path, geometry: Geometry | None) -> LabelVolume:
+    if not holds_parts(path):
+        return read_labels(path)
+    if geometry is None:
+        raise MarkerError("surfaces have no voxels of their own: give the scan that they were made on")
+    return read_parts(path, geometry)
 
 
 def resample_labels(volume: LabelVolume, geometry: Geometry) -> npt.NDArray[np.uint8] | npt.NDArray[np.uint16]:
@@ -227,18 +253,17 @@ def _paint(labels: UInt8, points_mm: npt.NDArray[np.float64], radius_mm: float, 
     return painted
 
 
-def _painted_volume(path: Path, names: Mapping[str, str], table: LabelTable, geometry: Geometry) -> UInt8:
+def _painted_volume(path: Path, file: MarkerFile, table: LabelTable, geometry: Geometry) -> UInt8:
     volume = read_labels(path)
-    lookup = _lookup(volume, names, table)
+    lookup = _lookup(volume, _Naming(file.names, file.convention, file.others), table)
     values = resample_labels(volume, geometry)
     inside, present = set(np.unique(values).tolist()), set(np.unique(volume.values).tolist())
     if present == {0}:
         raise MarkerError("the file marks nothing: paint in it, or leave it out")
-    lost = sorted(present - inside - {0})
+    lost = sorted(value for value in present - inside - {0} if lookup[value] != UNMARKED)
     if lost:
-        listed = ", ".join(repr(volume.names.get(value, str(value))) for value in lost)
         raise MarkerError(
-            f"the markers {listed} lie outside the scan or its region of interest, or are thinner than its voxels: "
+            f"{_called(volume, lost)} lie outside the scan or its region of interest, or are thinner than its voxels: "
             "check that they were painted on this scan, with a brush of a voxel's width or more"
         )
     return lookup[values]
@@ -248,15 +273,16 @@ def _painted_points(path: Path, file: MarkerFile, table: LabelTable, geometry: G
     labels = np.full(geometry.shape, UNMARKED, dtype=np.uint8)
     problems: dict[str, None] = {}
     for markup in read_point_lists(path):
-        for title, polyline in _named_polylines(markup):
+        for called, title, polyline in _named_polylines(markup):
             value = next((v for name in title if (v := _value_of(name, file.names, table)) is not None), None)
-            shown = next((name for name in title[:-1] if name), "(no name)")
             if value is None:
-                problems[
-                    f"{shown!r} is no label: rename the point or its list, or map it under names ({_listed(table)})"
-                ] = None
+                if file.others == "refuse":
+                    problems[
+                        f"the name of {called} is no label: rename it or its list, or map it under names "
+                        f"({_listed(table)})"
+                    ] = None
             elif not _paint(labels, polyline, file.radius_mm, value, geometry):
-                problems[_outside(polyline, f"the point or line {shown!r}", geometry)] = None
+                problems[_outside(polyline, called, geometry)] = None
     if problems:
         raise MarkerError(Problem("", message) for message in problems)
     if (labels == UNMARKED).all():
@@ -264,50 +290,101 @@ def _painted_points(path: Path, file: MarkerFile, table: LabelTable, geometry: G
     return labels
 
 
-def _named_polylines(markup: MarkupList) -> list[tuple[tuple[str, ...], npt.NDArray[np.float64]]]:
-    """Names to try in order (the file's own last, which no message may show), and the points that belong together."""
+def _named_polylines(markup: MarkupList) -> list[tuple[str, tuple[str, ...], npt.NDArray[np.float64]]]:
+    """What messages call it, names to try in order (which no message may show), and the points that belong together."""
     common = (markup.name, markup.file_stem)
     if markup.is_line:
-        return [(common, markup.points_mm)]
+        return [(f"line {markup.number} of the file", common, markup.points_mm)]
     return [
-        ((label, label.rstrip("0123456789").rstrip(" -_"), *common), point[np.newaxis])
-        for label, point in zip(markup.labels, markup.points_mm, strict=True)
+        (
+            f"point {number} of list {markup.number}",
+            (label, label.rstrip("0123456789").rstrip(" -_"), *common),
+            point[np.newaxis],
+        )
+        for number, label, point in zip(markup.numbers, markup.labels, markup.points_mm, strict=True)
     ]
 
 
-def _lookup(volume: LabelVolume, names: Mapping[str, str], table: LabelTable) -> UInt8:
-    """Array that takes a value of the file to a label value; 0 goes to 255."""
+@dataclass(frozen=True)
+class _Naming:
+    """What the recipe says of the names in a file."""
+
+    names: Mapping[str, str]
+    convention: str | None
+    others: str
+
+
+def _lookup(volume: LabelVolume, naming: _Naming, table: LabelTable) -> UInt8:
+    """Array that takes a value of the file to a label value; 0, and what is left out, go to 255."""
     lookup = np.full(int(volume.values.max(initial=0)) + 1, UNMARKED, dtype=np.uint8)
-    unknown = []
+    unknown, contrary = [], []
     for value in np.flatnonzero(np.bincount(volume.values.ravel())).tolist():
         if value == 0:
             continue
-        name = volume.names.get(value)
-        label = _value_of(name, names, table) if name is not None else None
+        segment = volume.segments.get(value)
+        label = None
+        if segment is not None:
+            label = _value_of(segment.name, naming.names, table)
+            coded = table.find_code(segment.snomed) if segment.snomed else None
+            if label is None and coded is not None:
+                label = coded.value
+            elif (
+                coded is not None
+                and coded.value != label
+                and _as_compared(segment.name) not in map(_as_compared, naming.names)
+            ):
+                contrary.append(value)
         if label is None:
-            label = _value_of(str(value), names, table, by_value=not volume.names)
+            label = _value_of(str(value), naming.names, table)
+        if label is None and not volume.segments:
+            label = _value_in(value, naming.convention, table)
         if label is None:
-            unknown.append(f"segment {name!r}" if name is not None else f"value {value}")
+            unknown.append(value)
         else:
             lookup[value] = label
-    if unknown:
-        raise MarkerError(
-            f"the file holds what is no label: {', '.join(unknown)}; rename it, or map it under names "
-            f"({_listed(table)})"
+    problems = []
+    if contrary:
+        problems.append(
+            f"the name and the SNOMED CT code of {_called(volume, contrary)} stand for different structures: correct "
+            "one of them, or map the name under names"
         )
+    if unknown and naming.others == "refuse":
+        problems.append(
+            f"the file holds what is no label: {_called(volume, unknown)}; rename it, map it under names, or leave it "
+            f'out with others = "ignore" ({_listed(table)})'
+        )
+    if problems:
+        raise MarkerError(Problem("", message) for message in problems)
     return lookup
 
 
-def _value_of(name: str, names: Mapping[str, str], table: LabelTable, *, by_value: bool = False) -> int | None:
-    """Label value of a name, mapped through ``names``; by value too where ``by_value``."""
-    lowered = {" ".join(key.split()).lower(): target for key, target in names.items()}
-    target = lowered.get(name.lower(), name)
-    for label in table:
-        if label.name.lower() == target.lower():
-            return label.value
-    if by_value and target.isdecimal() and int(target) in table:
-        return int(target)
-    return None
+def _called(volume: LabelVolume, values: Sequence[int]) -> str:
+    """What messages call these values of a file."""
+    called = []
+    for value in values:
+        segment = volume.segments.get(value)
+        called.append(f"value {value}" if segment is None else f"segment {segment.number}")
+    return ", ".join(called) + " of the file"
+
+
+def _as_compared(name: str) -> str:
+    return " ".join(name.split()).lower()
+
+
+def _value_of(name: str, names: Mapping[str, str], table: LabelTable) -> int | None:
+    """Label value of a name or value of a file, mapped through ``names``."""
+    lowered = {_as_compared(key): target for key, target in names.items()}
+    found = table.find(lowered.get(_as_compared(name), name))
+    return None if found is None else found.value
+
+
+def _value_in(value: int, convention: str | None, table: LabelTable) -> int | None:
+    """Label value of a value in a file without names."""
+    if convention is None:
+        return value if value in table else None
+    name = CONVENTIONS[convention].get(value)
+    found = table.find(name) if name is not None else None
+    return None if found is None else found.value
 
 
 def _listed(table: LabelTable) -> str:

@@ -7,7 +7,6 @@ in a result or in an error: an error says "slice 12" or "the file".
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +14,15 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.data import Scan
+from heartcase.pipeline.formats.dicom_seg import read_dicom_seg
 from heartcase.pipeline.formats.raw_volume import RawVolume, check_size, placed, require_file
 from heartcase.pipeline.formats.read_dicom import SeriesInfo, describe_volume, is_dicom, read_dicom, series_of
 from heartcase.pipeline.formats.read_itk import read_metaimage, read_nrrd
 from heartcase.pipeline.formats.read_nifti import read_nifti
-from heartcase.pipeline.formats.segments import segments_of
+from heartcase.pipeline.formats.segments import LabelVolume, segments_of
 from heartcase.schemas.errors import MarkerError, Problem, ScanError
-from heartcase.schemas.geometry import Geometry
 
-__all__ = ["READERS", "LabelVolume", "SeriesInfo", "list_series", "read_labels", "read_scan"]
+__all__ = ["READERS", "LabelVolume", "SeriesInfo", "is_dicom_source", "list_series", "read_labels", "read_scan"]
 
 READERS: dict[str, Callable[[Path], RawVolume]] = {
     ".nii.gz": read_nifti,
@@ -38,19 +37,15 @@ READERS: dict[str, Callable[[Path], RawVolume]] = {
 HIGHEST_LABEL = 65535
 
 
-@dataclass(frozen=True)
-class LabelVolume:
-    """A label volume as its file holds it; overlapping segments are resolved."""
-
-    values: npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
-    """Values, uint8 or uint16, shape ``geometry.shape``; 0 where nothing is labelled."""
-    geometry: Geometry
-    """Where the voxel centres lie: the file's own grid."""
-    names: dict[int, str] = field(default_factory=dict)
-    """Value -> segment name, where the file names its segments."""
-
-
-def read_scan(path: Path | str, *, series: str | None = None) -> Scan:
+def read_scan(
+    path: Path | str,
+    *,
+    series: str | None = None,
+    trigger_time_ms: float | None = None,
+    echo_time_ms: float | None = None,
+    interpolate_missing: bool = False,
+    straighten_tilt: bool = False,
+) -> Scan:
     """Read a scan.
 
     Parameters
@@ -59,13 +54,22 @@ def read_scan(path: Path | str, *, series: str | None = None) -> Scan:
         .nii, .nii.gz, .nrrd, .nhdr, .mha or .mhd file; folder of DICOM files; or one multi-frame DICOM file.
     series
         DICOM: which series, by its number in :func:`list_series` or by the end of its UID.
+    trigger_time_ms
+        DICOM: which cardiac phase, the nearest to this time after the R wave, ms.
+    echo_time_ms
+        DICOM: which echo, the nearest to this echo time, ms.
+    interpolate_missing
+        DICOM: fill missing slices from their neighbours (at most two in a row and a third of all).
+    straighten_tilt
+        DICOM: resample a stack that leans (tilted gantry) onto a straight one.
 
     Returns
     -------
     Scan
-        Values as float32, geometry as in the file (oblique, anisotropic or left-handed as it may be), modality, and
-        acquisition physics. Where a file does not say how its axes lie in the patient they are taken as left,
-        posterior, superior, and ``acquisition["orientation"]`` says so.
+        Values as float32, geometry as in the file (oblique, anisotropic or left-handed as it may be), modality,
+        acquisition physics, and warnings that say what was filled, straightened or left out. Where a file does not say
+        how its axes lie in the patient they are taken as left, posterior, superior, and
+        ``acquisition["orientation"]`` says so.
 
     Raises
     ------
@@ -74,8 +78,20 @@ def read_scan(path: Path | str, *, series: str | None = None) -> Scan:
     """
     path = Path(path)
     try:
-        if _is_dicom_source(path):
-            return read_dicom(path, series=series)
+        if is_dicom_source(path):
+            return read_dicom(
+                path,
+                series=series,
+                trigger_time_ms=trigger_time_ms,
+                echo_time_ms=echo_time_ms,
+                interpolate_missing=interpolate_missing,
+                straighten_tilt=straighten_tilt,
+            )
+        if trigger_time_ms is not None or echo_time_ms is not None:
+            raise ScanError(
+                "a trigger time or an echo time chooses among DICOM images, but this file holds one volume: leave it "
+                "out"
+            )
         raw = _read_file(path)
         if raw.values.ndim != 3:
             raise ScanError(
@@ -111,7 +127,7 @@ def list_series(path: Path | str) -> tuple[SeriesInfo, ...]:
         Nothing there can be read as a scan.
     """
     path = Path(path)
-    if not _is_dicom_source(path):
+    if not is_dicom_source(path):
         scan = read_scan(path)
         return (
             SeriesInfo(
@@ -135,31 +151,35 @@ def read_labels(path: Path | str) -> LabelVolume:
     Parameters
     ----------
     path
-        .nii, .nii.gz, .nrrd, .nhdr, .seg.nrrd, .mha or .mhd file.
+        .nii, .nii.gz, .nrrd, .nhdr, .seg.nrrd, .mha or .mhd file; or a DICOM SEG, as a file or in a folder of its own.
 
     Returns
     -------
     LabelVolume
-        On the file's own grid, which may be cropped to what is painted. Where segments of a .seg.nrrd overlap, the
-        one that comes later in the file's segment table wins; a file with several layers is renumbered, segment n
-        of the table getting the value n.
+        On the file's own grid, which may be cropped to what is painted. Where segments of a .seg.nrrd or a DICOM SEG
+        overlap, the one that comes later in the file's list wins; a DICOM SEG, and a .seg.nrrd with several layers,
+        is renumbered, segment n of the list getting the value n.
 
     Raises
     ------
     MarkerError
         The file cannot be read, or does not hold whole numbers from 0 to 65535.
     """
+    path = Path(path)
     try:
-        raw = _read_file(Path(path))
+        if is_dicom_source(path):
+            return read_dicom_seg(path)
+        raw = _read_file(path)
     except ScanError as error:
         raise placed(error, "", MarkerError) from None
     values = _as_whole_numbers(raw.values)
-    values, names = segments_of(values, raw.header)
+    values, segments = segments_of(values, raw.header)
     fits = values.max(initial=0) < 256
-    return LabelVolume(values=values.astype(np.uint8) if fits else values, geometry=raw.geometry, names=names)
+    return LabelVolume(values=values.astype(np.uint8) if fits else values, geometry=raw.geometry, segments=segments)
 
 
-def _is_dicom_source(path: Path) -> bool:
+def is_dicom_source(path: Path) -> bool:
+    """Whether this is read as DICOM: a folder, or a file that starts as DICOM does and has no other format's ending."""
     return path.is_dir() or (_suffix(path) is None and is_dicom(path))
 
 

@@ -12,7 +12,9 @@ import numpy as np
 from heartcase import __version__
 from heartcase.pipeline.bundle import assemble_bundle, check_place, resolve_materials, write_bundle
 from heartcase.pipeline.cache import Cache, stage_key
+from heartcase.pipeline.cautions import worst_first
 from heartcase.pipeline.data import Segmentation, Structures
+from heartcase.pipeline.lock import check_lock, resolve_recipe
 from heartcase.pipeline.runner import STAGE_VERSIONS, STAGES, BuildListener, Runner, SilentListener
 from heartcase.pipeline.stages import RUN_STAGE, StageOutputs, have
 from heartcase.schemas.bundle import MANIFEST_NAME, CaseManifest
@@ -53,6 +55,7 @@ def build_case(
     listener: BuildListener | None = None,
     force: bool = False,
     until: str | None = None,
+    accept_inputs: bool = False,
 ) -> BuildResult:
     """Build a case.
 
@@ -72,6 +75,8 @@ def build_case(
         Compute every stage anew.
     until
         Stop after this stage: see :data:`STAGES`.
+    accept_inputs
+        Build a locked recipe although its scan or marker files are not those that it was locked with.
 
     Raises
     ------
@@ -88,15 +93,20 @@ def build_case(
     store.clean()
     remove_leftovers(out)
     check_place(out / f"{recipe.name}.case")
+    lock_warnings: tuple[str, ...] = ()
     runner = Runner(store, listener or SilentListener(), force)
     nodes = StageOutputs()
     for stage in STAGES[:-1]:
         if stage in ("surface", "map") and Part.SURFACE not in recipe.parts:
             continue
         RUN_STAGE[stage](recipe, directory, runner, nodes)
+        if stage == "read":
+            scan = have(nodes.scan).get()
+            lock_warnings = check_lock(recipe, directory, scan, accept_inputs=accept_inputs)
+            recipe = resolve_recipe(recipe, scan)
         if stage == until:
             return BuildResult(None, None, None, runner.seconds, tuple(runner.reused), changed=False)
-    return _finish(recipe, runner, nodes, out)
+    return _finish(recipe, runner, nodes, out, lock_warnings)
 
 
 def labels_of(structures: Structures) -> Segmentation:
@@ -108,12 +118,15 @@ def labels_of(structures: Structures) -> Segmentation:
     return Segmentation(labels, structures.geometry, structures.table)
 
 
-def _finish(recipe: Recipe, runner: Runner, nodes: StageOutputs, out: Path) -> BuildResult:
-    """Write the bundle and the report."""
+def _finish(
+    recipe: Recipe, runner: Runner, nodes: StageOutputs, out: Path, lock_warnings: tuple[str, ...]
+) -> BuildResult:
+    """Write the bundle and the report; the recipe is resolved."""
     from heartcase.pipeline.ends import closed_vessels
     from heartcase.pipeline.mesh.glb import glb_bytes
     from heartcase.pipeline.picking import picking_surface
     from heartcase.pipeline.report.build_report import build_report
+    from heartcase.pipeline.scan_part import scan_part
     from heartcase.pipeline.segment import segmentation_warnings
     from heartcase.pipeline.walls import structure_volumes_ml
     from heartcase.pipeline.write import segmentation_nrrd_bytes
@@ -124,7 +137,8 @@ def _finish(recipe: Recipe, runner: Runner, nodes: StageOutputs, out: Path) -> B
         version=STAGE_VERSIONS["bundle"],
         settings={
             "software": __version__,
-            "recipe": recipe.model_dump(mode="json", include={"name", "landmarks", "materials", "parts"}),
+            "lock": list(lock_warnings),
+            "recipe": recipe.model_dump(mode="json", include={"name", "case_id", "landmarks", "materials", "parts"}),
         },
         inputs={record.stage: record.output_sha256 for record in runner.records},
     )
@@ -146,20 +160,29 @@ def _finish(recipe: Recipe, runner: Runner, nodes: StageOutputs, out: Path) -> B
         "volumes_ml": {structures.table[value].name: round(volume, 3) for value, volume in volumes_ml.items()}
     }
     quality |= {stage: output.quality for stage, output in outputs.items() if getattr(output, "quality", None)}
-    warnings = [*segmentation_warnings(segmentation, markers), *closed_vessels(segmentation, recipe.ends)]
-    warnings += [w for stage in ("walls", "grid", "map", "surface") for w in getattr(outputs[stage], "warnings", ())]
+    warnings = worst_first(
+        lock_warnings,
+        scan.warnings,
+        segmentation_warnings(segmentation, markers, filtered=scan),
+        closed_vessels(segmentation, recipe.ends),
+        *(getattr(outputs[stage], "warnings", ()) for stage in ("walls", "grid", "map", "surface")),
+    )
     content = assemble_bundle(
         name=recipe.name,
+        case_id=recipe.case_id,
         grid=grid,
         materials=resolve_materials(recipe.materials, structures.table),
         scan_geometry=scan.geometry,
-        scan_sha256=have(nodes.scan).sha256,
+        scan_sha256=scan.values_sha256,
         stages=runner.records,
         surface=surface,
         grid_map=grid_map,
         picking=picking_surface(grid) if Part.PICKING in recipe.parts else None,
-        glb=glb_bytes(surface) if surface is not None and Part.RENDER in recipe.parts else None,
-        labels_nrrd=segmentation_nrrd_bytes(labels_of(structures)) if Part.LABELS in recipe.parts else None,
+        glb=glb_bytes(surface, case_id=recipe.case_id) if surface is not None and Part.RENDER in recipe.parts else None,
+        labels_nrrd=segmentation_nrrd_bytes(labels_of(structures), case_id=recipe.case_id)
+        if Part.LABELS in recipe.parts
+        else None,
+        scan=scan_part(have(nodes.filtered).get()) if Part.SCAN in recipe.parts else None,
         landmarks=recipe.landmarks,
         modality=scan.modality,
         acquisition=scan.acquisition,
@@ -180,6 +203,7 @@ def _finish(recipe: Recipe, runner: Runner, nodes: StageOutputs, out: Path) -> B
         timings_s=runner.seconds,
         stages=runner.records,
         warnings=warnings,
+        case_id=recipe.case_id,
     )
     atomic_write(report, html.encode())
     runner.cache.note("bundle", key, {"manifest_sha256": sha256_of_file(case / MANIFEST_NAME)})

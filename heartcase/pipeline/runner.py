@@ -19,16 +19,16 @@ __all__ = ["SECONDS_GUESSED", "STAGES", "STAGE_VERSIONS", "BuildListener", "Node
 T = TypeVar("T")
 
 STAGE_VERSIONS = {
-    "read": 1,
+    "read": 2,
     "markers": 1,
     "filter": 1,
     "segment": 1,
-    "walls": 2,
+    "walls": 3,
     "edit": 1,
-    "grid": 2,
-    "surface": 2,
+    "grid": 3,
+    "surface": 3,
     "map": 2,
-    "bundle": 1,
+    "bundle": 3,
 }
 """Raised whenever a stage's output changes for the same input, so that the cache forgets the old one."""
 

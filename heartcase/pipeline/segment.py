@@ -6,6 +6,7 @@ import cc3d
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.pipeline.cautions import anatomy
 from heartcase.pipeline.data import Markers, Scan, Segmentation
 from heartcase.pipeline.flood import flood_from_markers
 from heartcase.pipeline.gradient import gradient_magnitude
@@ -161,20 +162,33 @@ def segmentation_warnings(
     tuple of str
         One line each: no contrast, no marker, absent or stray pieces of a label with volume and place in mm.
     """
-    warnings = []
+    warnings: list[str] = []
     if filtered is not None and filtered.values.size and filtered.values.min() == filtered.values.max():
-        warnings.append("the scan has the same intensity everywhere: the labels only show which marker is nearest")
+        warnings.append(
+            anatomy(
+                "the scan has the same intensity everywhere, so the outlines only show which marker is nearest: check "
+                "that this is the right scan"
+            )
+        )
     table = segmentation.table
     unmarked: set[int] = set()
     if markers is not None:
         unmarked = set(table.values) - set(np.unique(markers.labels).tolist())
         if BACKGROUND in unmarked:
-            warnings.append("nothing is marked as background: everything beside the heart was taken for heart")
+            warnings.append(
+                anatomy(
+                    "nothing is marked as background, so everything beside the heart was taken for heart: paint some "
+                    "of what is not heart, all around it"
+                )
+            )
     found = np.bincount(segmentation.labels.ravel(), minlength=256)
     for label in table:
         if label.value != BACKGROUND and not found[label.value]:
-            why = "it has no marker" if label.value in unmarked else "no voxel got its label"
-            warnings.append(f"{label.name!r} is absent from the case: {why}")
+            if label.value in unmarked:
+                text = "is not in the model, as nothing was painted for it: paint it if this heart has one"
+            else:
+                text = "is not in the model, as no part of the scan was found to be it: check the slices"
+            warnings.append(f"the {label.name} {text}")
     for connectivity, values in _groups(table):
         warnings += _stray_pieces(segmentation, values, connectivity)
     return tuple(warnings)
@@ -189,7 +203,7 @@ def _stray_pieces(segmentation: Segmentation, values: tuple[int, ...], connectiv
     # The first voxel of a piece stands for its label and, unlike a centroid, always lies in it.
     numbers, first = np.unique(pieces, return_index=True)
     owner = segmentation.labels.ravel()[first]
-    warnings = []
+    warnings: list[str] = []
     for value in values:
         own = [int(n) for n, label in zip(numbers, owner, strict=True) if n and label == value]
         if len(own) < 2:
@@ -204,7 +218,10 @@ def _stray_pieces(segmentation: Segmentation, values: tuple[int, ...], connectiv
         more = len(own) - 1 - len(stray)
         rest = f" and {more} more" if more else ""
         name = segmentation.table[value].name
-        warnings.append(f"{name!r} is in {len(own)} pieces; beside the largest: {', '.join(stray)}{rest}")
+        warnings.append(
+            f"the {name} is in {len(own)} pieces; beside the largest: {', '.join(stray)}{rest}: look there in the "
+            "slices whether they are real"
+        )
     return warnings
 
 

@@ -15,7 +15,7 @@ from heartcase.schemas.errors import ScanError
 from heartcase.schemas.recipe import Part, Recipe
 from heartcase.schemas.settings import resolved
 
-__all__ = ["RUN_STAGE", "StageOutputs", "have"]
+__all__ = ["RUN_STAGE", "StageOutputs", "have", "region_of_scan"]
 
 T = TypeVar("T")
 
@@ -44,7 +44,14 @@ def have(node: Node[T] | None) -> Node[T]:
     return cast("Node[T]", node)
 
 
-def _read(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutputs) -> None:
+def region_of_scan(recipe: Recipe, directory: Path) -> Scan:
+    """Read a recipe's scan and cut its region of interest out.
+
+    Raises
+    ------
+    ScanError
+        There is no scan, or it cannot be read.
+    """
     from heartcase.pipeline.read import read_scan
     from heartcase.pipeline.region import crop_scan
 
@@ -55,10 +62,16 @@ def _read(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutputs) 
             f"there is no scan: check the spelling (it is relative to the recipe), or put the scan there.{where}",
             place="scan.path",
         )
+    return crop_scan(_with_modality(read_scan(path, **recipe.scan.choice), recipe), recipe.region)
+
+
+def _read(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutputs) -> None:
+    # the end of a series UID may identify the patient, so it is in no record
+    choice = {name: value for name, value in recipe.scan.choice.items() if name != "series"}
     nodes.scan = runner.run_always(
         "read",
-        settings={"region": resolved(recipe.region) if recipe.region else None},
-        compute=lambda: crop_scan(_with_modality(read_scan(path, series=recipe.scan.series), recipe), recipe.region),
+        settings=choice | {"region": resolved(recipe.region) if recipe.region else None},
+        compute=lambda: region_of_scan(recipe, directory),
     )
     runner.voxel_count = nodes.scan.get().values.size
 
@@ -103,14 +116,21 @@ def _segment(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutput
 
     scan, filtered, markers = have(nodes.scan), have(nodes.filtered), nodes.markers
     settings = resolved(recipe.segment) | {"labels": _all(recipe.labels)}
-    for naming_files in ("file", "names"):
+    for naming_files in ("file", "names", "convention", "others"):
         settings.pop(naming_files)
     if recipe.segment.method == "labels":
         finished = directory / cast(str, recipe.segment.file)
         nodes.segmentation = runner.run_always(
             "segment",
             settings=settings,
-            compute=lambda: load_segmentation(finished, recipe.segment.names, recipe.table, scan.get().geometry),
+            compute=lambda: load_segmentation(
+                finished,
+                recipe.segment.names,
+                recipe.table,
+                scan.get().geometry,
+                convention=recipe.segment.convention,
+                others=recipe.segment.others,
+            ),
         )
         return
     nodes.segmentation = runner.run(

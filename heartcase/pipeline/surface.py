@@ -16,6 +16,7 @@ import numpy.typing as npt
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from heartcase.pipeline.cautions import note
 from heartcase.pipeline.data import Structures, Surface
 from heartcase.pipeline.fields import ownership_at_points
 from heartcase.pipeline.mesh.atlas import Atlas, make_atlas, tangents
@@ -78,8 +79,11 @@ def build_surface(structures: Structures, settings: SurfaceSettings, *, render: 
     full, dropped = drop_small_shells(whole, volume_mm3=SPECK_MM3, fraction=SPECK_FRACTION)
     if np.abs(dropped).sum() > SPECK_MM3:
         warnings.append(
-            f"{len(dropped)} tiny loose bits of tissue or hollows in it, {np.abs(dropped).sum():.0f} mm3 together and "
-            f"none above {SPECK_MM3:g} mm3, are not shown: nothing need be done unless something that small matters"
+            note(
+                f"{len(dropped)} tiny loose bits of tissue or hollows in it, {np.abs(dropped).sum():.0f} mm3 together "
+                f"and none above {SPECK_MM3:g} mm3, are not shown: nothing need be done unless "
+                "something that small matters"
+            )
         )
     if full.is_capped:
         warnings.append("the scan is too large to show its thinnest walls in full detail: make the [region] smaller")
@@ -144,7 +148,7 @@ def build_surface(structures: Structures, settings: SurfaceSettings, *, render: 
 
 def _shape_warnings(quality: dict[str, Any], asked: int) -> list[str]:
     """What is wrong with the triangles and can be seen, or matters to who cuts the surface."""
-    warnings = []
+    warnings: list[str] = []
     count = quality["triangle_count"]
     gaps = quality["open_edge_count"] + quality["non_manifold_edge_count"]
     if gaps:
@@ -154,13 +158,17 @@ def _shape_warnings(quality: dict[str, Any], asked: int) -> list[str]:
     bad = quality["degenerate_triangle_count"] + quality["flipped_triangle_count"]
     if bad > SHOWN_SHARE * count:
         warnings.append(
-            f"{bad} of the surface's {count} triangles are folded over and may show as dark spots: ask for more "
-            "triangles if they disturb"
+            note(
+                f"{bad} of the surface's {count} triangles are folded over and may show as dark spots: ask for more "
+                "triangles if they disturb"
+            )
         )
     if count > (1.0 + SHOWN_SHARE) * asked:
         warnings.append(
-            f"the surface has {count} triangles instead of the {asked} asked for, as fewer would break its shape: "
-            "nothing need be done unless the display is slow"
+            note(
+                f"the surface has {count} triangles instead of the {asked} asked for, as fewer would break its shape: "
+                "nothing need be done unless the display is slow"
+            )
         )
     return warnings
 

@@ -7,11 +7,13 @@ Only the bare structures get a field here. A wall is a thickness in the label ta
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import cast
 
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import map_coordinates
 
+from heartcase.pipeline.cautions import anatomy
 from heartcase.pipeline.data import Segmentation, Structures
 from heartcase.pipeline.distance import default_smoothing_mm, label_distances
 from heartcase.pipeline.ends import cut_ends
@@ -21,7 +23,7 @@ from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND, LabelTable
 from heartcase.schemas.settings import EndMarker, WallsSettings
 
-__all__ = ["grow_walls", "structure_volumes_ml"]
+__all__ = ["grow_walls", "resolve_walls", "structure_volumes_ml"]
 
 Float32 = npt.NDArray[np.float32]
 UInt8 = npt.NDArray[np.uint8]
@@ -66,10 +68,9 @@ def grow_walls(segmentation: Segmentation, settings: WallsSettings, ends: Sequen
     _check(segmentation)
     table = segmentation.table.with_walls()
     spacing = np.array(geometry.spacing_mm)
-    smoothing = default_smoothing_mm(spacing) if settings.smoothing_mm is None else settings.smoothing_mm
+    settings = resolve_walls(settings, geometry, table)
+    smoothing, band = cast(float, settings.smoothing_mm), cast(float, settings.band_mm)
     thickest = max((label.wall_thickness_mm for label in table), default=0.0)
-    band = settings.band_mm or thickest + BAND_VOXELS * float(spacing.mean())
-    band = max(band, thickest + float(spacing.max()))
     clearance = thickest + 3.0 * smoothing + 2.0 * float(spacing.max())
     cut = cut_ends(segmentation, table, ends, clearance_mm=clearance)
     labels = cut.labels
@@ -92,6 +93,19 @@ def grow_walls(segmentation: Segmentation, settings: WallsSettings, ends: Sequen
         reshapings=cut.reshapings,
         warnings=(*cut.warnings, *_warnings(labels, distances, geometry, table)),
     )
+
+
+def resolve_walls(settings: WallsSettings, geometry: Geometry, table: LabelTable) -> WallsSettings:
+    """Settings with the smoothing and the band that they leave to the scan's lattice and the thickest wall filled in.
+
+    A band that is stated is widened to a voxel more than the thickest wall where it is less.
+    """
+    spacing = np.array(geometry.spacing_mm)
+    smoothing = default_smoothing_mm(spacing) if settings.smoothing_mm is None else settings.smoothing_mm
+    thickest = max((label.wall_thickness_mm for label in table), default=0.0)
+    band = settings.band_mm or thickest + BAND_VOXELS * float(spacing.mean())
+    band = max(band, thickest + float(spacing.max()))
+    return settings.model_copy(update={"smoothing_mm": smoothing, "band_mm": band})
 
 
 def structure_volumes_ml(structures: Structures) -> dict[int, float]:
@@ -128,7 +142,7 @@ def _check(segmentation: Segmentation) -> None:
 
 def _warnings(labels: UInt8, distances: dict[int, Float32], geometry: Geometry, table: LabelTable) -> tuple[str, ...]:
     """Structures that the smoothing shrank or lost."""
-    warnings = []
+    warnings: list[str] = []
     counts = np.bincount(labels.ravel(), minlength=256)
     width = float(np.mean(geometry.spacing_mm))
     for value in table.values:
@@ -136,14 +150,19 @@ def _warnings(labels: UInt8, distances: dict[int, Float32], geometry: Geometry, 
         if voxels == 0 or value == BACKGROUND:
             continue
         if value not in distances:
-            warnings.append(f"{table[value].name}: vanished in the smoothing; take a smaller walls.smoothing_mm")
+            warnings.append(
+                anatomy(
+                    f"{table[value].name}: vanished in the smoothing of the outlines, as it is too thin for it; take a "
+                    "smaller walls.smoothing_mm"
+                )
+            )
             continue
         if voxels > LARGE_VOXELS:
             continue
         kept = _volume_voxels(distances[value], width) / voxels
         if kept < 1.0 - LOSS_LIMIT:
             warnings.append(
-                f"{table[value].name}: the smoothing takes {100.0 * (1.0 - kept):.0f}% of its volume; "
+                f"{table[value].name}: the smoothing takes {100.0 * (1.0 - kept):.0f}% of its volume, as it is small; "
                 "take a smaller walls.smoothing_mm"
             )
     return tuple(warnings)

@@ -18,7 +18,7 @@ from heartcase.schemas.errors import UsageError
 from heartcase.schemas.files import atomic_write
 from heartcase.schemas.geometry import Geometry
 
-__all__ = ["WRITE_SUFFIXES", "segmentation_nrrd_bytes", "write_scan", "write_segmentation"]
+__all__ = ["WRITE_SUFFIXES", "label_values_bytes", "segmentation_nrrd_bytes", "write_scan", "write_segmentation"]
 
 WRITE_SUFFIXES = (".nii.gz", ".nii", ".nrrd", ".mha")
 """File name endings that can be written; .seg.nrrd is a .nrrd with a segment table."""
@@ -66,9 +66,21 @@ def write_segmentation(segmentation: Segmentation, path: Path | str) -> None:
     _write(path, _image_bytes(segmentation.labels, segmentation.geometry, _suffix(path), pairs))
 
 
-def segmentation_nrrd_bytes(segmentation: Segmentation) -> bytes:
-    """Content of a .seg.nrrd file: the labels, compressed, with the segment table that 3D Slicer reads."""
-    return _image_bytes(segmentation.labels, segmentation.geometry, ".nrrd", segment_table(segmentation))
+def segmentation_nrrd_bytes(
+    segmentation: Segmentation, *, case_id: str | None = None, offset: tuple[int, int, int] = (0, 0, 0)
+) -> bytes:
+    """Content of a .seg.nrrd file: the labels, compressed, with the segment table that 3D Slicer reads.
+
+    A ``case_id``, the made-up identifier of the case, is written under the key ``heartcase_case_id``; ``offset`` is
+    the index of the scan's voxel that is the labels' first.
+    """
+    pairs = segment_table(segmentation, offset=offset) | ({"heartcase_case_id": case_id} if case_id else {})
+    return _image_bytes(segmentation.labels, segmentation.geometry, ".nrrd", pairs)
+
+
+def label_values_bytes(segmentation: Segmentation, suffix: str) -> bytes:
+    """Content of a file of the label values alone; ``suffix`` is one of :data:`WRITE_SUFFIXES`."""
+    return _image_bytes(segmentation.labels, segmentation.geometry, suffix, {})
 
 
 def _suffix(path: Path) -> str:

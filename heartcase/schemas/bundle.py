@@ -1,7 +1,8 @@
 """The format of a case bundle: its manifest and the arrays of each of its files.
 
 A case is a directory ``NAME.case/`` whose ``case.json`` lists every other file by role, size and SHA-256. Bulk arrays
-are safetensors: little-endian, C order. This module only describes; :mod:`heartcase.schemas.bundle_reader` opens.
+are safetensors: little-endian, C order, each at a multiple of 64 bytes from the start of its file. This module only
+describes; :mod:`heartcase.schemas.bundle_reader` opens.
 """
 
 from __future__ import annotations
@@ -13,27 +14,34 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from heartcase.schemas.base import CaseId, Model, Name, Vector3
+from heartcase.schemas.coordinates import Coordinates
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable
 from heartcase.schemas.landmarks import Landmark
 
 __all__ = [
+    "ALIGNMENT",
     "ARRAYS",
     "FORMAT_NAME",
     "FORMAT_VERSION",
     "MANIFEST_NAME",
+    "ArrayEntry",
     "ArraySpec",
     "CaseManifest",
     "FileEntry",
     "FileRole",
     "Material",
+    "ScanValues",
     "SimulationFigures",
     "StageRecord",
 ]
 
 FORMAT_NAME = "heartcase-bundle"
-FORMAT_VERSION = "1.0"
+FORMAT_VERSION = "1.1"
 MANIFEST_NAME = "case.json"
+
+ALIGNMENT = 64
+"""Bytes: every array starts at a multiple of it, so a mapped file can be handed to vector units and to the GPU."""
 
 
 _Line = Annotated[str, Field(max_length=2000, pattern=r"^[^\x00-\x1f\x7f-\x9f]*$")]
@@ -49,6 +57,7 @@ class FileRole(StrEnum):
     PICKING = "picking"
     RENDER = "render"
     LABELS = "labels"
+    SCAN = "scan"
 
 
 @dataclass(frozen=True)
@@ -101,6 +110,15 @@ ARRAYS: dict[FileRole, tuple[ArraySpec, ...]] = {
         ArraySpec("triangles", "int32", ("picking_triangle_count", 3), "1", "picking vertex numbers"),
         ArraySpec("triangle_label", "uint8", ("picking_triangle_count",), "1", "label of the void beside it"),
     ),
+    FileRole.SCAN: (
+        ArraySpec(
+            "intensity",
+            "int16",
+            ("scan_k", "scan_j", "scan_i"),
+            "1",
+            "filtered scan on scan_geometry, [k][j][i]; intensity = slope * value + intercept of scan_values",
+        ),
+    ),
 }
 """The arrays of each safetensors role. Node and vertex numbers are checked to lie in range on opening."""
 
@@ -116,6 +134,23 @@ class Material(Model):
     """Density, kg/m3."""
 
 
+class ArrayEntry(Model):
+    """One array of a safetensors file: what a reader needs to take it without reading the file's own header."""
+
+    name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
+    """Key in the file."""
+    dtype: Annotated[str, Field(pattern=r"^[a-z]+[0-9]*$")]
+    """``int32``, ``float32``, ``uint8`` or ``int16``; little-endian."""
+    shape: tuple[Annotated[int, Field(ge=0)], ...]
+    """Numbers of elements, slowest index first (C order)."""
+    offset: Annotated[int, Field(ge=0, multiple_of=ALIGNMENT)]
+    """Bytes from the start of the file to the first element."""
+    unit: _Line
+    """SI unit or mm; ``1`` for pure numbers."""
+    meaning: _Line
+    """One line."""
+
+
 class FileEntry(Model):
     """One file of the bundle."""
 
@@ -127,6 +162,21 @@ class FileEntry(Model):
     """Bytes."""
     sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
     """SHA-256 of the content."""
+    arrays: tuple[ArrayEntry, ...] = ()
+    """For safetensors, all arrays but padding, by ascending offset; empty in version 1.0."""
+
+
+class ScanValues(Model):
+    """How the numbers of the scan part become intensities: ``intensity = slope * number + intercept``."""
+
+    slope: Annotated[float, Field(gt=0.0)]
+    """Intensity of one step of the stored numbers."""
+    intercept: float
+    """Intensity of a stored zero."""
+    unit: _Line
+    """``HU`` for CT, ``1`` where intensities have no unit (MR)."""
+    error_max: Annotated[float, Field(ge=0.0)]
+    """Largest difference to the filtered scan that the rounding made."""
 
 
 class StageRecord(Model):
@@ -179,7 +229,11 @@ class CaseManifest(Model):
     notice: _Line = "Not a medical device. For teaching, research and planning beside approved means only."
     """Always shown with the case."""
     scan_geometry: Geometry
-    """Lattice of the scan's region of interest."""
+    """Lattice of the scan's region of interest; the scan part is on it."""
+    scan_values: ScanValues | None = None
+    """How to read the scan part, where there is one."""
+    coordinates: Coordinates = Coordinates()
+    """What the axes mean, and how to go to the axes of other programs."""
     grid_geometry: Geometry
     """Lattice of the simulation cells: origin is the centre of cell (0, 0, 0); right-handed."""
     gltf_from_lps: tuple[Vector3, Vector3, Vector3] = ((0.001, 0, 0), (0, 0, 0.001), (0, -0.001, 0))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from enum import StrEnum
 from typing import Annotated
@@ -9,8 +10,11 @@ from typing import Annotated
 from pydantic import Field, field_validator
 
 from heartcase.schemas.base import Colour, Model, Name
+from heartcase.schemas.terms import TERMS, Term, normalised, term_by_code, term_by_name
 
 __all__ = ["BACKGROUND", "Label", "LabelTable", "Role", "default_label_table"]
+
+_MYOCARDIUM = next(term for term in TERMS if term.name == "myocardium")
 
 BACKGROUND = 0
 """The label value of everything that is not part of the heart."""
@@ -43,7 +47,7 @@ class Label(Model):
     value: Annotated[int, Field(ge=0, le=250)]
     """Value in the label volume; 0 is background."""
     name: Name
-    """Unique name; a SNOMED CT term where one exists."""
+    """Unique name; chambers by morphology, since sides may be swapped."""
     role: Role
     """What kind of thing it is."""
     colour: Colour = "#a0a0a0"
@@ -54,6 +58,11 @@ class Label(Model):
     """For a grown wall: the value of the cavity around which it was grown."""
     snomed: Annotated[str, Field(pattern=r"^[0-9]{6,18}$")] | None = None
     """SNOMED CT concept identifier."""
+
+    @property
+    def term(self) -> Term | None:
+        """The structure that its code, or else its name, stands for; None for one that the vocabulary lacks."""
+        return (term_by_code(self.snomed) if self.snomed else None) or term_by_name(self.name)
 
 
 class LabelTable(Model):
@@ -82,6 +91,9 @@ class LabelTable(Model):
                 problems.append(f"the name {label.name!r} is used twice")
             if label.wall_thickness_mm > 0.0 and not label.role.is_blood:
                 problems.append(f"{label.name!r}: only a blood or vessel_lumen label can grow a wall")
+            named, coded = term_by_name(label.name), term_by_code(label.snomed or "")
+            if named and coded and named is not coded and _MYOCARDIUM not in (named, coded):
+                problems.append(f"{label.name!r} has the SNOMED CT code of {coded.name!r}: change one of them")
             seen_values[label.value] = label.name
             seen_names[label.name.lower()] = label.value
         for label in labels:
@@ -101,17 +113,56 @@ class LabelTable(Model):
         return any(label.value == value for label in self.labels)
 
     def __getitem__(self, key: int | str) -> Label:
-        """The label with this value, or with this name (upper and lower case alike).
+        """The label with this value, or the one that :meth:`find` finds by this name.
 
         Raises
         ------
         KeyError
             No label has it.
         """
-        for label in self.labels:
-            if label.value == key or (isinstance(key, str) and label.name.lower() == key.lower()):
-                return label
-        raise KeyError(key)
+        found = self.find(key) if isinstance(key, str) else next((one for one in self.labels if one.value == key), None)
+        if found is None:
+            raise KeyError(key)
+        return found
+
+    def find(self, name: str) -> Label | None:
+        """The label that a name stands for.
+
+        Parameters
+        ----------
+        name
+            A label's own name; or another name of its structure (:mod:`heartcase.schemas.terms`); or either with
+            "wall" behind it, for the wall grown around a cavity. Case, spaces, underscores and hyphens do not count.
+
+        Returns
+        -------
+        Label or None
+            The label with just this name before one with a synonym; None where no label, or more than one, fits.
+        """
+        for spelt in (str.lower, normalised):
+            same = [label for label in self.labels if spelt(label.name) == spelt(name)]
+            if same:
+                return same[0] if len(same) == 1 else None
+        term = term_by_name(name)
+        if term is not None:
+            return self._of_term(term)
+        cavity = self.find(name[: -len("wall")].rstrip(" _-")) if re.fullmatch(r"(?i).+[\s_-]wall", name) else None
+        wall = None if cavity is None else self.wall_value(cavity.value)
+        return None if wall is None else self[wall]
+
+    def find_code(self, snomed: str) -> Label | None:
+        """The label with this SNOMED CT code, given or by its name; None where none, or more than one, has it."""
+        same = [label for label in self.labels if label.snomed == snomed]
+        if same:
+            return same[0] if len(same) == 1 else None
+        term = term_by_code(snomed)
+        return None if term is None else self._of_term(term)
+
+    def _of_term(self, term: Term) -> Label | None:
+        fitting = [label for label in self.labels if label.term is term]
+        if not fitting and term is _MYOCARDIUM:
+            fitting = [label for label in self.labels if label.role is Role.MYOCARDIUM and label.wall_of is None]
+        return fitting[0] if len(fitting) == 1 else None
 
     @property
     def values(self) -> tuple[int, ...]:
@@ -184,15 +235,15 @@ def default_label_table() -> LabelTable:
     """
     rows: tuple[tuple[int, str, Role, str, float, str | None], ...] = (
         (0, "background", Role.BACKGROUND, "#000000", 0.0, None),
-        (1, "left ventricle", Role.BLOOD, "#d8412f", 0.0, "87878005"),
-        (2, "right ventricle", Role.BLOOD, "#3f6fd0", 4.0, "53085002"),
-        (3, "left atrium", Role.BLOOD, "#e8785f", 2.5, "82471001"),
-        (4, "right atrium", Role.BLOOD, "#6fa0e8", 2.5, "73829009"),
-        (5, "aorta", Role.VESSEL_LUMEN, "#e03b5a", 2.0, "15825003"),
-        (6, "pulmonary artery", Role.VESSEL_LUMEN, "#4b8fd9", 2.0, "81040000"),
-        (7, "superior vena cava", Role.VESSEL_LUMEN, "#5a7fb8", 1.5, "48345005"),
-        (8, "inferior vena cava", Role.VESSEL_LUMEN, "#4a6fa8", 1.5, "64131007"),
-        (9, "left ventricular myocardium", Role.MYOCARDIUM, "#b5605a", 0.0, None),
+        (1, "morphologically left ventricle", Role.BLOOD, "#d41515", 0.0, "87878005"),
+        (2, "morphologically right ventricle", Role.BLOOD, "#4c529f", 4.0, "53085002"),
+        (3, "morphologically left atrium", Role.BLOOD, "#fa7f43", 2.5, "82471001"),
+        (4, "morphologically right atrium", Role.BLOOD, "#a8b9d2", 2.5, "73829009"),
+        (5, "aorta", Role.VESSEL_LUMEN, "#993848", 2.0, "15825003"),
+        (6, "pulmonary artery", Role.VESSEL_LUMEN, "#9a8bd6", 2.0, "81040000"),
+        (7, "superior vena cava", Role.VESSEL_LUMEN, "#267e89", 1.5, "48345005"),
+        (8, "inferior vena cava", Role.VESSEL_LUMEN, "#f2d64b", 1.5, "64131007"),
+        (9, "morphologically left ventricular myocardium", Role.MYOCARDIUM, "#c1a29a", 0.0, "49848007"),
     )
     return LabelTable(
         labels=tuple(

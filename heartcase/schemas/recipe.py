@@ -5,17 +5,21 @@ from __future__ import annotations
 import difflib
 import re
 import tomllib
+from collections.abc import Collection
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, field_validator, model_validator
 
 from heartcase.schemas.base import CaseId, Model, Name
 from heartcase.schemas.errors import ModelProblems, Problem, RecipeError, problems_from_validation
 from heartcase.schemas.labels import Label, LabelTable, default_label_table
 from heartcase.schemas.landmarks import Landmark
+from heartcase.schemas.lock import RecipeLock, fill_unset
+from heartcase.schemas.migrate import RECIPE
 from heartcase.schemas.settings import (
+    Convention,
     Edit,
     EndMarker,
     FilterSettings,
@@ -33,7 +37,8 @@ from heartcase.schemas.settings import (
 
 __all__ = ["RECIPE_VERSION", "MarkerFile", "Part", "Recipe", "ScanSource", "load_recipe", "parse_recipe"]
 
-RECIPE_VERSION = 1
+RECIPE_VERSION = RECIPE.newest
+"""Version of the recipe's format that this heartcase writes."""
 
 
 class Part(StrEnum):
@@ -43,6 +48,7 @@ class Part(StrEnum):
     RENDER = "render"
     PICKING = "picking"
     LABELS = "labels"
+    SCAN = "scan"
 
 
 class ScanSource(Model):
@@ -65,14 +71,24 @@ class ScanSource(Model):
     origin: Annotated[str, Field(max_length=500)] | None = None
     """Where to get the scan, shown when it is not there."""
 
+    @property
+    def choice(self) -> dict[str, Any]:
+        """What chooses among DICOM images and says what may be done to them, where it is not left at its default."""
+        fields = {"series", "trigger_time_ms", "echo_time_ms", "interpolate_missing", "straighten_tilt"}
+        return self.model_dump(include=fields, exclude_defaults=True)
+
 
 class MarkerFile(Model):
     """A file of markers: a label volume, or a list of points."""
 
     path: Annotated[str, Field(min_length=1)]
-    """.nii.gz, .nrrd, .seg.nrrd or .mrk.json, relative to the recipe."""
+    """.nii.gz, .nrrd, .seg.nrrd, DICOM SEG (.dcm) or .mrk.json, relative to the recipe."""
     names: dict[str, Name] = {}
     """Segment name, value or list name in the file -> label name; the same name when left out."""
+    convention: Convention | None = None
+    """Label volumes without names: what their values stand for (see docs/labels.md)."""
+    others: Literal["refuse", "ignore"] = "refuse"
+    """Segments, values and points that are no label: refuse the file, or leave them out."""
     radius_mm: Annotated[float, Field(ge=0.0, le=50.0)] = 1.5
     """Point lists: radius of the dab around each point."""
 
@@ -80,7 +96,7 @@ class MarkerFile(Model):
 class Recipe(Model):
     """Everything that makes a case, but the scan itself."""
 
-    heartcase_recipe: Annotated[int, Field(ge=1, le=RECIPE_VERSION)]
+    heartcase_recipe: Annotated[int, Field(ge=1, json_schema_extra={"maximum": RECIPE_VERSION})]
     """Version of the recipe's format: 1."""
     name: Name
     """Name of the case: not the patient's."""
@@ -119,7 +135,10 @@ class Recipe(Model):
     landmarks: tuple[Landmark, ...] = ()
     """Named points, rings and lines that go into the case."""
     parts: tuple[Part, ...] = (Part.SURFACE, Part.RENDER, Part.PICKING, Part.LABELS)
-    """Optional parts that the scene wants; the simulation grid is always there."""
+    """Optional parts that the scene wants; the simulation grid is always there. ``scan``, the filtered scan for viewers
+    that show slices, is in a case only where it is asked for."""
+    lock: RecipeLock | None = None
+    """What the recipe was locked with; written by ``heartcase lock``."""
 
     @property
     def table(self) -> LabelTable:
@@ -141,41 +160,47 @@ class Recipe(Model):
             if not (directory / path).exists()
         )
 
+    @field_validator("heartcase_recipe")
+    @classmethod
+    def _version_is_known(cls, version: int) -> int:
+        if version > RECIPE.newest:
+            raise ValueError(f"must be at most {RECIPE.newest}: a newer recipe needs a newer heartcase")
+        return version
+
     @model_validator(mode="after")
     def _names_are_known(self) -> Recipe:
         table = self.table
-        names = {label.name.lower() for label in table}
-        all_names = {label.name.lower() for label in table.with_walls()}
+        with_walls = table.with_walls()
         devices = {edit.label.lower() for edit in self.edits if edit.kind == "close_defect"}
         problems: list[Problem] = []
 
-        def check(place: str, name: str, known: set[str]) -> None:
-            if name.lower() not in known:
+        def check(place: str, name: str, known: LabelTable, others: Collection[str] = ()) -> None:
+            if known.find(name) is None and name.lower() not in others:
                 listed = ", ".join(label.name for label in table)
-                near = difflib.get_close_matches(name.lower(), known, n=1)
+                near = difflib.get_close_matches(name.lower(), [*(label.name.lower() for label in known), *others], n=1)
                 hint = f"did you mean {near[0]!r}?" if near else f"the labels are: {listed}"
                 problems.append(Problem(place, f"there is no label {name!r}; {hint}"))
 
         for n, stroke in enumerate(self.strokes, start=1):
-            check(f"strokes[{n}]", stroke.label, names)
+            check(f"strokes[{n}]", stroke.label, table)
         for n, marker in enumerate(self.markers, start=1):
             for name in marker.names.values():
-                check(f"markers[{n}].names", name, names)
+                check(f"markers[{n}].names", name, table)
         for name in self.segment.names.values():
-            check("segment.names", name, names)
+            check("segment.names", name, table)
         for n, wanted in enumerate(self.segment.ranges, start=1):
-            check(f"segment.ranges[{n}]", wanted.label, names)
+            check(f"segment.ranges[{n}]", wanted.label, table)
         for n, end in enumerate(self.ends, start=1):
-            check(f"ends[{n}]", end.label, names)
+            check(f"ends[{n}]", end.label, table)
         for n, edit in enumerate(self.edits, start=1):
             if isinstance(edit, Sculpt):
-                check(f"edits[{n}]", edit.label, all_names | devices)
+                check(f"edits[{n}]", edit.label, with_walls, devices)
                 if edit.into is not None:
-                    check(f"edits[{n}].into", edit.into, all_names | devices)
+                    check(f"edits[{n}].into", edit.into, with_walls, devices)
             elif not isinstance(edit, Sculpt) and not any(edit.axis):
                 problems.append(Problem(f"edits[{n}].axis", "must not be zero"))
         for name in self.materials.labels:
-            check("materials.labels", name, all_names | devices)
+            check("materials.labels", name, with_walls, devices)
         if self.segment.method == "watershed" and not self.markers and not self.strokes:
             problems.append(Problem("segment", "the watershed needs markers: add [[markers]] or [[strokes]]"))
         seen: set[str] = set()
@@ -202,6 +227,8 @@ def parse_recipe(text: str) -> Recipe:
         data: dict[str, Any] = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise RecipeError(f"this is not valid TOML: {error}{_toml_hint(text, error)}", place="recipe") from None
+    data, _ = RECIPE.migrated(data)
+    fill_unset(data)
     try:
         return Recipe.model_validate(data)
     except ValidationError as error:

@@ -131,4 +131,4 @@ def _shown(value: Any) -> str:
 
 
 def _meaning(field: FieldInfo) -> str:
-    return re.sub(r"\s+", " ", field.description or "").replace("|", "\\|")
+    return re.sub(r"\s+", " ", field.description or "").replace("``", "`").replace("|", "\\|")

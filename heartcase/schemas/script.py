@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from heartcase.schemas.base import Model, Name, PointMm, PositiveMm
+from heartcase.schemas.migrate import SCRIPT
 
 __all__ = ["GrabAction", "SimulationScript", "Waypoint"]
 
@@ -65,6 +66,8 @@ class GrabAction(Model):
 class SimulationScript(Model):
     """A scripted session."""
 
+    heartcase_script: Annotated[int, Field(ge=1, json_schema_extra={"maximum": SCRIPT.newest})] = 1
+    """Version of the script's format: 1."""
     seconds: Annotated[float, Field(gt=0.0, le=3600.0)] = 2.0
     """Simulated time, s."""
     step_s: Annotated[float, Field(gt=0.0)] | None = None

@@ -10,6 +10,7 @@ from heartcase.schemas.base import Model, Name, PointMm, PositiveMm, Vector3
 
 __all__ = [
     "CloseDefect",
+    "Convention",
     "Edit",
     "EndMarker",
     "FilterSettings",
@@ -27,6 +28,10 @@ __all__ = [
     "ThresholdRange",
     "WallsSettings",
 ]
+
+
+Convention = Literal["hvsmr-2.0", "totalsegmentator-heartchambers", "totalsegmentator-total"]
+"""Whose values a label volume without names holds; the tables are in :mod:`heartcase.schemas.terms`."""
 
 
 class RegionSettings(Model):
@@ -88,9 +93,14 @@ class SegmentSettings(Model):
     smallest_piece_ml: Annotated[float, Field(ge=0.0)] = 0.0
     """Pieces of a label that are smaller than this become background; 0 keeps all."""
     file: str | None = None
-    """Labels: path of the finished segmentation, relative to the recipe."""
+    """Labels: path of the finished segmentation, relative to the recipe: a label volume, a DICOM SEG, or a folder of
+    closed STL parts."""
     names: dict[str, Name] = {}
     """Labels: segment name or value in the file -> label name; the same name when left out."""
+    convention: Convention | None = None
+    """Labels: what the values of a file without names stand for (see docs/labels.md)."""
+    others: Literal["refuse", "ignore"] = "refuse"
+    """Labels: segments, values and parts that are no label: refuse the file, or leave them out."""
 
     @model_validator(mode="after")
     def _method_has_its_input(self) -> SegmentSettings:

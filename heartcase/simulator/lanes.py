@@ -52,25 +52,27 @@ def lane_layout(model: LatticeModel) -> LaneLayout:
     """Lay out a lattice in lanes."""
     blocks = model.node_index.copy()
     blocks[:, 0] //= LANE_COUNT
-    lower, higher = blocks[model.spring_nodes[:, 0]], blocks[model.spring_nodes[:, 1]]
+    keys = lattice_keys(blocks)
+    first = np.flatnonzero(np.diff(keys, prepend=keys[0] - 1))
+    used = keys[first]
     # A spring over a block's end is found through the block at the same i in the other's row: store that too.
+    over = model.spring_nodes[np.diff(blocks[:, 0][model.spring_nodes], axis=1)[:, 0] != 0]
+    lower, higher = blocks[over[:, 0]], blocks[over[:, 1]]
     beside_lower = np.column_stack([higher[:, 0], lower[:, 1:]])
     beside_higher = np.column_stack([lower[:, 0], higher[:, 1:]])
-    used = np.unique(lattice_keys(blocks))
     stored = np.unique(np.concatenate([used, lattice_keys(beside_lower), lattice_keys(beside_higher)]))
     run = np.cumsum(np.diff(stored, prepend=stored[0] - 2) != 1)
     start = _HEAD + LANE_COUNT * (np.arange(len(stored)) + run - 1)
     lane_count = int(start[-1]) + 2 * LANE_COUNT
 
-    node_block = np.searchsorted(stored, lattice_keys(blocks))
+    node_block = np.searchsorted(stored, keys)
     node_lane = start[node_block] + model.node_index[:, 0] % LANE_COUNT
 
-    _, first = np.unique(lattice_keys(blocks), return_index=True)
     rows = np.repeat(blocks[first, None, :], len(ROWS), axis=1)
     rows[:, :, 1:] += ROWS
-    keys = lattice_keys(rows)
-    place = np.minimum(np.searchsorted(stored, keys), len(stored) - 1)
-    block_rows = np.where(stored[place] == keys, start[place], _EMPTY_START)
+    row_keys = lattice_keys(rows)
+    place = np.minimum(np.searchsorted(stored, row_keys), len(stored) - 1)
+    block_rows = np.where(stored[place] == row_keys, start[place], _EMPTY_START)
 
     weight = np.zeros((len(DIRECTIONS), lane_count), np.float32)
     weight[model.spring_direction, node_lane[model.spring_nodes[:, 0]]] = model.spring_weight

@@ -5,22 +5,41 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal, cast, get_args
 
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.schemas.bundle import CaseManifest, FileRole
+from heartcase.schemas.bundle import CaseManifest, FileRole, ScanValues
 from heartcase.schemas.bundle_reader import OpenBundle, open_bundle
 from heartcase.schemas.errors import BundleError, SimulationError, UsageError
+from heartcase.schemas.geometry import Geometry
 from heartcase.simulator.model import LatticeModel, make_model
 from heartcase.simulator.surface import Curvature, PickingModel, SurfaceModel, make_picking, make_surface
 
-__all__ = ["Case", "Need", "load_case"]
+__all__ = ["Case", "Need", "ScanVolume", "load_case"]
 
-Need = Literal["grid", "surface", "tangents", "colours", "picking"]
+Need = Literal["grid", "surface", "tangents", "colours", "picking", "scan"]
 """Parts of a scene: the lattice (always), the visible surface, its tangents for normal mapping, the colour of its
-triangles, the one-to-one surface."""
+triangles, the one-to-one surface, the scan for slices."""
+
+
+@dataclass(frozen=True)
+class ScanVolume:
+    """The filtered scan, as it is stored: 16 bits a voxel, mapped into memory."""
+
+    stored: npt.NDArray[np.int16]
+    """Whole numbers, [z, y, x], shape ``geometry.shape``; read-only."""
+    geometry: Geometry
+    """Where the voxel centres lie."""
+    values: ScanValues
+    """What a stored number stands for."""
+
+    def slice_at(self, index: int) -> npt.NDArray[np.float32]:
+        """Intensities of one plane of voxels along k (Hounsfield units for CT), float32, shape (size j, size i)."""
+        plane: npt.NDArray[np.float32] = self.stored[index] * np.float32(self.values.slope)
+        plane += np.float32(self.values.intercept)
+        return plane
 
 
 @dataclass(frozen=True)
@@ -37,6 +56,8 @@ class Case:
     """Red, green, blue of each triangle, shape (triangle_count, 3), where they were asked for."""
     picking: PickingModel | None = None
     """The one-to-one surface, where it was asked for."""
+    scan: ScanVolume | None = None
+    """The scan, where it was asked for."""
 
 
 def load_case(
@@ -74,7 +95,14 @@ def load_case(
         picking=make_picking(model, **bundle.arrays(FileRole.PICKING, ("nodes", "triangles")))
         if "picking" in needs
         else None,
+        scan=_scan(bundle) if "scan" in needs else None,
     )
+
+
+def _scan(bundle: OpenBundle) -> ScanVolume:
+    stored = bundle.arrays(FileRole.SCAN)["intensity"]
+    values = cast("ScanValues", bundle.manifest.scan_values)  # opening refuses a scan part without them
+    return ScanVolume(stored, bundle.manifest.scan_geometry, values)
 
 
 def _model(bundle: OpenBundle) -> LatticeModel:

@@ -23,6 +23,7 @@ __all__ = ["DIRECTIONS", "GridUnits", "LatticeModel", "make_model"]
 Float32 = npt.NDArray[np.float32]
 Float64 = npt.NDArray[np.float64]
 Int32 = npt.NDArray[np.int32]
+Int64 = npt.NDArray[np.int64]
 
 STIFFNESS_PER_MODULUS = 0.4
 """k / (E h) of the isotropic 18-neighbour lattice."""
@@ -218,12 +219,8 @@ def make_model(
     cell_density = density / density.max()
 
     node_mass = np.bincount(corners.ravel(), np.repeat(coverage * cell_density / 8, 8), minlength=node_count)
-    slots = corners[:, _CELL_SPRINGS[:, 0]].astype(np.int64) * len(DIRECTIONS) + _CELL_SPRING_DIRECTION
-    shares = (coverage * cell_stiffness)[:, None] * _CELL_SPRING_SHARE
-    weight = np.bincount(slots.ravel(), shares.ravel(), minlength=node_count * len(DIRECTIONS))
-    used = np.flatnonzero(weight)
-    lower, direction = np.divmod(used, len(DIRECTIONS))
-    higher = np.searchsorted(lattice_keys(nodes), lattice_keys(nodes[lower] + DIRECTIONS[direction]))
+    springs, weight = _springs(corners, coverage * cell_stiffness, node_count)
+    lower, direction, higher = springs
 
     return LatticeModel(
         geometry=geometry,
@@ -238,8 +235,22 @@ def make_model(
         node_is_fixed=_fixed_nodes(fixed, node_count),
         spring_nodes=np.stack([lower, higher], axis=1).astype(np.int32),
         spring_direction=direction.astype(np.int8),
-        spring_weight=weight[used].astype(np.float32),
+        spring_weight=weight.astype(np.float32),
     )
+
+
+def _springs(corners: Int32, stiffness: Float64, node_count: int) -> tuple[tuple[Int64, Int64, Int32], Float64]:
+    """Lower node, direction and higher node of each spring, by lower node, then direction; and its stiffness [k]."""
+    weight = np.zeros((len(DIRECTIONS), node_count))
+    higher = np.zeros((len(DIRECTIONS), node_count), np.int32)
+    columns = np.ascontiguousarray(corners.T)
+    for (a, b), share, direction in zip(_CELL_SPRINGS, _CELL_SPRING_SHARE, _CELL_SPRING_DIRECTION, strict=True):
+        weight[direction] += np.bincount(columns[a], stiffness * share, minlength=node_count)
+        higher[direction, columns[a]] = columns[b]
+    by_node = weight.T.ravel()
+    used = np.flatnonzero(by_node)
+    lower, direction_of = np.divmod(used, len(DIRECTIONS))
+    return (lower, direction_of, higher[direction_of, lower]), by_node[used]
 
 
 def _grid_units(length_m: float, youngs_modulus_pa: float, density_kg_m3: float) -> GridUnits:
@@ -260,11 +271,16 @@ def _fixed_nodes(fixed: npt.ArrayLike, node_count: int) -> npt.NDArray[np.bool_]
     return np.broadcast_to(flags, node_count).copy()
 
 
+def _has_twins(keys: Int64) -> bool:
+    """Whether a key is there twice; keys that ascend, as a bundle's do, need no sorting."""
+    return bool((np.diff(keys) <= 0).any()) and len(np.unique(keys)) != len(keys)
+
+
 def _check(cells: Int32, coverage: Float64, modulus: Float64, density: Float64, geometry: Geometry) -> None:
     problems = []
     if not len(cells):
         problems.append(Problem("cells", "there is no tissue cell: a case needs at least one"))
-    elif len(np.unique(lattice_keys(cells))) != len(cells):
+    elif _has_twins(lattice_keys(cells)):
         problems.append(Problem("cells", "a cell is listed twice: give each once"))
     if not ((coverage > 0) & (coverage <= 1)).all():
         problems.append(Problem("cell_coverage", "every coverage must be above 0 and at most 1"))

@@ -15,6 +15,7 @@ from pydantic import ValidationError
 
 from heartcase.schemas.errors import Problem, ScriptError, SimulationError, problems_from_validation
 from heartcase.schemas.landmarks import Landmark
+from heartcase.schemas.migrate import SCRIPT
 from heartcase.schemas.script import GrabAction, SimulationScript, Waypoint
 from heartcase.simulator.instruments import Grab
 from heartcase.simulator.integrate import Energy
@@ -124,7 +125,7 @@ def parse_script(text: str) -> SimulationScript:
         With every problem that was found.
     """
     try:
-        return SimulationScript.model_validate(tomllib.loads(text))
+        return SimulationScript.model_validate(SCRIPT.migrated(tomllib.loads(text))[0])
     except tomllib.TOMLDecodeError as error:
         raise ScriptError(f"this is not valid TOML: {error}", place="script") from None
     except ValidationError as error:

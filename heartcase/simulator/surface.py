@@ -153,21 +153,27 @@ def make_surface(
     rest = np.zeros((model.node_count, 3), np.float32)
     wanted = {"flagged": curvature != 0, "all": np.ones(vertex_count, bool), "none": np.zeros(vertex_count, bool)}[mode]
     normals_of = gather_springs(model, np.unique(triangle_nodes[wanted]))
-    number = np.searchsorted(normals_of.nodes, triangle_nodes).clip(max=max(len(normals_of.nodes) - 1, 0))
-    number[~wanted] = 0
-    curved, defined = interpolated_basis(edges, weights, _node_normals(normals_of, rest)[number])
-    wanted &= defined
-    used = np.where(wanted[:, None, None], curved, basis)
-    turn = np.einsum("vab,vbc->vac", used, basis.transpose(0, 2, 1))
-    offset = np.einsum("vab,vb->va", turn, np.asarray(offset_mm, np.float64) / model.cell_mm)
+    at = np.flatnonzero(wanted)
+    number = np.zeros((vertex_count, 3), np.int32)
+    number[at] = np.searchsorted(normals_of.nodes, triangle_nodes[at])
+    curved, defined = interpolated_basis(edges[at], weights[at], _node_normals(normals_of, rest)[number[at]])
+    wanted[at[~defined]] = False
+    at, curved = at[defined], curved[defined]
+    offset = np.asarray(offset_mm, np.float64) / model.cell_mm
     rest_mm = np.einsum("vi,vix->vx", weights.astype(np.float64), model.rest_positions_mm()[triangle_nodes])
-    rest_mm += model.to_mm(np.einsum("vb,vbx->vx", offset, used))
+    rest_mm += model.to_mm(np.einsum("vb,vbx->vx", offset, basis))
+    turn = np.einsum("vab,vcb->vac", curved, basis[at])
+    offset[at] = np.einsum("vab,vb->va", turn, offset[at])
+    bent_normal = np.array(normal, np.float32)
+    bent_normal[at] = np.einsum("vab,vb->va", turn, normal[at].astype(np.float64))
 
     welded = np.zeros(0, np.int32) if render_to_welded is None or tangent is None else render_to_welded
     turned = np.zeros((0, 4), np.float32)
     if render_to_welded is not None and tangent is not None:
         turned = np.array(tangent, dtype=np.float32)
-        turned[:, :3] = np.einsum("vab,vb->va", turn[welded], tangent[:, :3].astype(np.float64))
+        is_bent = wanted[welded]
+        turn_of = turn[np.searchsorted(at, welded[is_bent])]
+        turned[is_bent, :3] = np.einsum("vab,vb->va", turn_of, tangent[is_bent, :3].astype(np.float64))
     surface = SurfaceModel(
         triangles=np.zeros((0, 3), np.int32) if triangles is None else np.asarray(triangles, np.int32),
         rest_mm=rest_mm.astype(np.float32),
@@ -176,9 +182,9 @@ def make_surface(
         edges=edges.astype(np.float32),
         curvature=wanted.astype(np.uint8),
         offset=offset.astype(np.float32),
-        normal=np.einsum("vab,vb->va", turn, normal.astype(np.float64)).astype(np.float32),
+        normal=bent_normal,
         normals_of=normals_of,
-        normal_number=number.astype(np.int32),
+        normal_number=number,
         rest_turn=np.zeros((vertex_count, 3), np.float32),
         render_to_welded=np.array(welded, np.int32),
         tangent=turned,
@@ -228,7 +234,7 @@ def gather_springs(model: LatticeModel, nodes: Int32) -> NodeNormals:
     ends = np.concatenate([model.spring_nodes, model.spring_nodes[:, ::-1]])
     offset = np.concatenate([-model.spring_offset, model.spring_offset])
     kept = np.flatnonzero(number[ends[:, 0]] >= 0)
-    kept = kept[np.lexsort((ends[kept, 1], ends[kept, 0]))]
+    kept = kept[np.argsort(ends[kept, 0].astype(np.int64) * model.node_count + ends[kept, 1])]
     first = np.searchsorted(ends[kept, 0], nodes, side="left")
     return NodeNormals(
         nodes=np.asarray(nodes, np.int32),

@@ -40,7 +40,7 @@ def write_case(directory: Path) -> tuple[Path, AnalyticHeart]:
         stages=[],
         surface=heart.surface,
         modality="CT",
-        quality={"volumes_ml": {"left ventricle": 33.0}},
+        quality={"volumes_ml": {"morphologically left ventricle": 33.0}},
         warnings=["a warning for the reader"],
     )
     path = directory / "Toy.case"

@@ -75,7 +75,7 @@ def test_case_is_described(tmp_path, capsys):
     assert facts["simulation"]["node_count"] == len(heart.grid.nodes)
     assert facts["simulation"]["cell_count"] == len(heart.grid.cells)
     by_name = {label["name"]: label for label in facts["labels"]}
-    assert by_name["left ventricle"]["volume_ml"] == 33.0
+    assert by_name["morphologically left ventricle"]["volume_ml"] == 33.0
     assert by_name["aorta"]["volume_ml"] is None
     on_disk = {file.name: file.stat().st_size for file in path.iterdir() if file.name != "case.json"}
     assert {file["name"]: file["bytes"] for file in facts["files"]} == on_disk

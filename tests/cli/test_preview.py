@@ -55,7 +55,7 @@ def test_case_becomes_four_sides_and_the_cut(tmp_path, capsys):
     ]
     sheet = pixels(out)
     # The pale colour of cut myocardium appears in the two cuts only: the last row.
-    pale = np.round(np.array([0xB5, 0x60, 0x5A]) * 0.72 + 255 * 0.28)
+    pale = np.round(np.array([0xC1, 0xA2, 0x9A]) * 0.72 + 255 * 0.28)
     rows, columns = np.nonzero(np.abs(sheet - pale).max(axis=2) <= 2)
     assert np.percentile(rows, 2) > 0.5 * sheet.shape[0]
     for half in (columns < sheet.shape[1] / 2, columns > sheet.shape[1] / 2):

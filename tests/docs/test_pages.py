@@ -93,5 +93,6 @@ def test_the_reference_of_the_recipe_names_every_setting() -> None:
     page = reference_page("Recipe", "", Recipe)
     for key in Recipe.model_fields:
         assert f"| `{key}` |" in page
-    assert "| `cell_mm` | number, above 0, at most 1000 |" in page
+    assert "| `iterations` | whole number, at least 1, at most 200 | `5` |" in page
+    assert "\n## `WallsSettings`: `[walls]`\n" in page
     assert page.count("**needed**") > 10

@@ -183,7 +183,14 @@ def test_scan_to_session(hospital: Path, tmp_path: Path, ear: Ear, scan: str) ->
     pictures = ("--surface", outputs[0], "--animation", outputs[1], "--picture", outputs[2])
     said = ear.run("simulate", case, "--script", script, *pictures)
     assert case_id in said
-    for path in [*outputs, case / "case.json", out / "ball.report.html", *case.glob("*.glb"), *case.glob("*.nrrd")]:
+    for path in [
+        *outputs,
+        out / "case.png",
+        case / "case.json",
+        out / "ball.report.html",
+        *case.glob("*.glb"),
+        *case.glob("*.nrrd"),
+    ]:
         assert case_id in path.read_bytes().decode("latin-1"), path.name
     assert case_id in ear.run("simulate", case, "--script", script, "--json")
     for stage, source_of, result in (

@@ -10,10 +10,17 @@ import numpy as np
 import pytest
 
 from heartcase.pipeline.bundle import simulation_figures, write_bundle
-from heartcase.schemas.bundle import Material
+from heartcase.pipeline.filter import filter_scan
+from heartcase.pipeline.read import read_scan
+from heartcase.pipeline.region import crop_scan
+from heartcase.pipeline.run import build_case
+from heartcase.schemas.bundle import FileRole, Material
 from heartcase.schemas.bundle_check import check_bundle
 from heartcase.schemas.bundle_reader import open_bundle
 from heartcase.schemas.errors import BundleError
+from heartcase.schemas.recipe import load_recipe
+from heartcase.simulator.load import load_case
+from tests.ball import write_ball_recipe, write_ball_scan
 from tests.crash import Crash, crash_after
 from tests.factories import block_case, block_grid
 
@@ -109,3 +116,19 @@ def test_no_clock_no_path_and_no_user_is_in_the_manifest(tmp_path):
     json.loads(text)
     for secret in (str(tmp_path), os.path.expanduser("~"), Path.cwd().name + "/"):
         assert secret not in text
+
+
+def test_the_scan_part_is_the_filtered_scan_to_the_error_that_it_states(tmp_path):
+    write_ball_scan(tmp_path / "scan.nii.gz")
+    path = write_ball_recipe(tmp_path / "scan.nii.gz", tmp_path / "ball.toml", parts='parts = ["scan"]')
+    recipe = load_recipe(path)
+    result = build_case(recipe, directory=tmp_path, out=tmp_path / "out")
+    assert check_bundle(result.case) == ()
+    bundle = open_bundle(result.case)
+    scan = load_case(result.case, needs=("scan",)).scan
+    filtered = filter_scan(crop_scan(read_scan(tmp_path / "scan.nii.gz"), None), recipe.filter)
+    assert scan.geometry.matches(filtered.geometry)
+    values = np.stack([scan.slice_at(number) for number in range(scan.geometry.size[2])])
+    assert np.abs(values - filtered.values).max() <= bundle.manifest.scan_values.error_max + 1e-3
+    assert bundle.manifest.scan_values.error_max < np.ptp(filtered.values) / 100_000
+    assert {entry.role for entry in bundle.manifest.files} == {FileRole.GRID, FileRole.SCAN}

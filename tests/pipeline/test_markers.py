@@ -266,7 +266,7 @@ def test_overlapping_layers_go_to_the_later_segment(tmp_path: Path, has_layer_ke
     keys = [{"LabelValue": "1", "Layer": str(n)} if has_layer_keys else {} for n in range(2)]
     seg_nrrd(tmp_path / "m.seg.nrrd", values, PLAIN, [{"Name": "aorta"} | keys[0], {"Name": "left atrium"} | keys[1]])
     volume = read_labels(tmp_path / "m.seg.nrrd")
-    assert volume.names == {1: "aorta", 2: "left atrium"}
+    assert {value: one.name for value, one in volume.segments.items()} == {1: "aorta", 2: "left atrium"}
     np.testing.assert_array_equal(volume.values[:, 4, 4], [0, 0, 1, 1, 2, 2, 2, 2, 0, 0, 0, 0])
     segmentation = load_segmentation(tmp_path / "m.seg.nrrd", {}, TABLE, None)
     np.testing.assert_array_equal(segmentation.labels[:, 4, 4], [0, 0, 5, 5, 3, 3, 3, 3, 0, 0, 0, 0])
@@ -358,11 +358,11 @@ def test_every_problem_of_every_file_at_once_and_no_file_name(tmp_path: Path) ->
     with pytest.raises(MarkerError) as caught:
         load_markers([MarkerFile(path=name) for name in names], (), TABLE, PLAIN, tmp_path)
     words = {
-        1: "segment 'mystery', segment 'riddle'",
-        2: "value 100, value 200",
-        3: "'1', '2' lie outside",
+        1: "segment 1, segment 2 of the file",
+        2: "value 100, value 200 of the file",
+        3: "value 1, value 2 of the file lie outside",
         4: "marks nothing",
-        5: "'x-1' is no label",
+        5: "the name of point 1 of list 1 is no label",
         6: "something else than points",
         7: "neither LPS nor RAS",
         8: "not a number",
@@ -378,8 +378,9 @@ def test_every_problem_of_every_file_at_once_and_no_file_name(tmp_path: Path) ->
     assert {f"markers[{n}]": text in by_place.get(f"markers[{n}]", "") for n, text in words.items()} == {
         f"markers[{n}]": True for n in words
     }
-    assert "outside the scan" in by_place["markers[5]"]
-    assert "labels: background, left ventricle" in by_place["markers[1]"]
+    assert "point 2 of list 1 lies outside the scan" in by_place["markers[5]"]
+    assert "labels: background, morphologically left ventricle" in by_place["markers[1]"]
+    assert not any(name in str(caught.value) for name in ("mystery", "riddle", "x-1"))
     assert "secret" not in str(caught.value).lower()
     assert str(tmp_path) not in str(caught.value)
     assert len(str(caught.value).splitlines()) == len(caught.value.problems) == 14
@@ -404,3 +405,57 @@ def test_finished_segmentation_on_another_grid(tmp_path: Path) -> None:
     write_labels(tmp_path / "s.nii.gz", values + 30, PLAIN)
     with pytest.raises(MarkerError, match="value 30, value 31"):
         load_segmentation(tmp_path / "s.nii.gz", {}, TABLE, PLAIN)
+
+
+def terminology(code: str, meaning: str) -> str:
+    """The tag of a segment as 3D Slicer writes it."""
+    return (
+        "Segmentation.Status:inprogress|TerminologyEntry:Segmentation category and type - 3D Slicer General Anatomy "
+        f"list~SCT^123037004^Anatomical Structure~SCT^{code}^{meaning}~^^~Anatomic codes - DICOM master list~^^~^^|"
+    )
+
+
+def test_a_code_names_a_segment_that_its_name_does_not(tmp_path: Path) -> None:
+    values = np.zeros(PLAIN.shape, np.uint8)
+    values[1, 1, 1], values[2, 2, 2], values[3, 3, 3] = 1, 2, 3
+    segments = [
+        {"Name": "Segment_1", "LabelValue": "1", "Layer": "0", "Tags": terminology("73829009", "Right atrium")},
+        {"Name": "RV", "LabelValue": "2", "Layer": "0", "Tags": terminology("85756007", "Tissue")},
+        {"Name": "Jane", "LabelValue": "3", "Layer": "0", "Tags": "|"},
+    ]
+    seg_nrrd(tmp_path / "s.seg.nrrd", values, PLAIN, segments)
+    with pytest.raises(MarkerError, match="no label: segment 3 of the file") as caught:
+        load_segmentation(tmp_path / "s.seg.nrrd", {}, TABLE, PLAIN)
+    assert "Jane" not in str(caught.value)
+    found = load_segmentation(tmp_path / "s.seg.nrrd", {}, TABLE, PLAIN, others="ignore").labels
+    assert (found[1, 1, 1], found[2, 2, 2], found[3, 3, 3]) == (4, 2, 0)
+    found = load_segmentation(tmp_path / "s.seg.nrrd", {"jane": "svc", "RV": "background"}, TABLE, PLAIN).labels
+    assert (found[1, 1, 1], found[2, 2, 2], found[3, 3, 3]) == (4, 0, 7)
+    markers = load_markers([MarkerFile(path="s.seg.nrrd", others="ignore")], (), TABLE, PLAIN, tmp_path).labels
+    assert (markers[1, 1, 1], markers[2, 2, 2], markers[3, 3, 3]) == (4, 2, UNMARKED)
+
+
+@pytest.mark.parametrize(
+    ("convention", "given", "expected"),
+    [
+        ("hvsmr-2.0", range(9), range(9)),
+        ("totalsegmentator-heartchambers", range(8), (0, 9, 3, 1, 4, 2, 5, 6)),
+        ("totalsegmentator-total", (0, 52, 62, 63), (0, 5, 7, 8)),
+    ],
+)
+def test_values_by_convention(tmp_path: Path, convention, given, expected) -> None:
+    values = np.resize(np.array(list(given), np.uint8), PLAIN.shape)
+    write_labels(tmp_path / "l.nii.gz", values, PLAIN)
+    found = load_segmentation(tmp_path / "l.nii.gz", {}, TABLE, PLAIN, convention=convention)
+    np.testing.assert_array_equal(found.labels, np.resize(np.array(list(expected), np.uint8), PLAIN.shape))
+
+
+def test_a_value_that_a_convention_lacks_is_refused_or_left_out(tmp_path: Path) -> None:
+    values = np.resize(np.array([0, 5, 52, 61], np.uint8), PLAIN.shape)
+    write_labels(tmp_path / "l.nii.gz", values, PLAIN)
+    with pytest.raises(MarkerError, match="no label: value 5, value 61 of the file"):
+        load_segmentation(tmp_path / "l.nii.gz", {}, TABLE, PLAIN, convention="totalsegmentator-total")
+    found = load_segmentation(
+        tmp_path / "l.nii.gz", {"61": "LA"}, TABLE, PLAIN, convention="totalsegmentator-total", others="ignore"
+    )
+    np.testing.assert_array_equal(np.unique(found.labels), [0, 3, 5])

@@ -122,14 +122,14 @@ def test_segment_table_is_what_slicer_reads(tmp_path: Path) -> None:
     assert fields[f"Segment{index}_LabelValue"] == "5"
     assert fields[f"Segment{index}_Layer"] == "0"
     assert fields[f"Segment{index}_Extent"] == "4 4 2 4 1 2"
-    assert [round(float(v) * 255) for v in fields[f"Segment{index}_Color"].split()] == [0xE0, 0x3B, 0x5A]
-    assert "SCT^15825003^aorta" in fields[f"Segment{index}_Tags"]
+    assert [round(float(v) * 255) for v in fields[f"Segment{index}_Color"].split()] == [0x99, 0x38, 0x48]
+    assert "SCT^15825003^Aorta" in fields[f"Segment{index}_Tags"]
     assert fields["Segmentation_MasterRepresentation"] == "Binary labelmap"
-    empty = next(n for n in range(9) if fields[f"Segment{n}_Name"] == "left atrium")
+    empty = next(n for n in range(9) if fields[f"Segment{n}_Name"] == "morphologically left atrium")
     assert fields[f"Segment{empty}_Extent"] == "0 -1 0 -1 0 -1"
     volume = read_labels(path)
-    assert volume.names[5] == "aorta"
-    assert len(volume.names) == 9
+    assert (volume.segments[5].name, volume.segments[5].snomed) == ("aorta", "15825003")
+    assert len(volume.segments) == 9
     np.testing.assert_array_equal(volume.values, labels)
 
 
@@ -407,4 +407,4 @@ def test_label_volumes_must_hold_whole_numbers(tmp_path: Path) -> None:
     volume = read_labels(path)
     assert volume.values.dtype == np.uint16
     assert volume.values.shape == (1, 3, 3)
-    assert volume.names == {}
+    assert volume.segments == {}

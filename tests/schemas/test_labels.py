@@ -1,5 +1,9 @@
+import itertools
+
+import numpy as np
 import pytest
 from pydantic import ValidationError
+from skimage import color
 
 from heartcase.schemas.labels import Label, LabelTable, Role, default_label_table
 
@@ -39,3 +43,25 @@ def test_every_problem_of_a_table_is_reported():
 def test_an_unknown_label_is_a_key_error():
     with pytest.raises(KeyError):
         default_label_table()["spleen"]
+
+
+# Colour vision deficiency as matrices on linear RGB, severity 1: Machado, Oliveira and Fernandes 2009.
+SIGHT = {
+    "normal": np.eye(3),
+    "protan": [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
+    "deutan": [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]],
+    "tritan": [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]],
+}
+
+
+@pytest.mark.parametrize("sight", SIGHT)
+def test_default_colours_can_be_told_apart(sight):
+    """CIEDE2000 between any two structures; about 2 is just noticeable side by side."""
+    labels = [label for label in default_label_table() if label.value]
+    rgb = np.array([[int(label.colour[at : at + 2], 16) / 255 for at in (1, 3, 5)] for label in labels])
+    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    seen = np.clip(linear @ np.array(SIGHT[sight]).T, 0.0, 1.0)
+    lab = color.xyz2lab(seen @ color.colorconv.xyz_from_rgb.T)
+    for one, other in itertools.combinations(range(len(labels)), 2):
+        difference = color.deltaE_ciede2000(lab[one], lab[other])
+        assert difference > 12.0, (labels[one].name, labels[other].name, difference)

@@ -97,13 +97,14 @@ def test_the_starter_recipe_is_valid_and_lists_every_label():
     text = starter_recipe(
         name="first case",
         scan_path='folder "a"\\scan',
-        series=None,
+        choice={"series": "2", "trigger_time_ms": 312.5, "straighten_tilt": True},
         center_mm=(1.0, 2.0, 3.0),
         extent_mm=(300.0, 300.0, 100.0),
         modality="MR",
     )
     recipe = parse_recipe(text)
     assert recipe.scan.path == 'folder "a"\\scan'
+    assert recipe.scan.choice == {"series": "2", "trigger_time_ms": 312.5, "straighten_tilt": True}
     assert len(recipe.table) == 10
 
 
@@ -122,7 +123,7 @@ def test_the_schemas_in_docs_are_current():
         assert (ROOT / "docs" / "schemas" / name).read_text() == text, (
             f"run: heartcase schema --out docs/schemas ({name})"
         )
-        json.loads(text)
+        assert name.endswith(".md") or json.loads(text)
 
 
 def test_a_recipe_round_trips_through_json():

@@ -1,24 +1,29 @@
 """The headers of DICOM files: which series there are, and what their images say about themselves.
 
 Only the tags listed here are read. Of what they hold, geometry, modality and acquisition physics go on as numbers;
-the UID of a series serves to tell series apart and to choose one.
+UIDs and words serve to tell series and images apart, and go into no message.
 """
 
 from __future__ import annotations
 
-import logging
+import dataclasses
 import os
-import warnings
 from collections import defaultdict
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pydicom
 
+from heartcase.pipeline.formats.dicom_tags import (
+    has_preamble,
+    numbers_of,
+    quiet_pydicom,
+    read_header,
+    sequence_of,
+    text_of,
+    words_of,
+)
 from heartcase.pipeline.formats.raw_volume import require_file
 from heartcase.pipeline.formats.stack import Slice
 from heartcase.schemas.errors import ScanError
@@ -26,6 +31,8 @@ from heartcase.schemas.errors import ScanError
 __all__ = ["ImageSeries", "find_series", "is_dicom", "quiet_pydicom"]
 
 MODALITIES = ("CT", "MR")
+OTHER_MODALITIES = ("PT", "NM", "US", "IVUS", "OCT", "XA", "RF", "CR", "DX", "MG", "ES", "OP")
+"""Images that this reader does not take, by their defined terms (PS3.3 C.7.3.1.1.1)."""
 NOT_SCANS = ("SEG", "RTDOSE", "RTSTRUCT", "RTPLAN", "PR", "SR", "KO", "REG", "RWV", "DOC")
 IMAGE_CLASSES = (
     "1.2.840.10008.5.1.4.1.1.2",
@@ -37,22 +44,48 @@ IMAGE_CLASSES = (
 )
 """CT and MR image storage, plain, enhanced and legacy converted: such an object must hold an image."""
 
-PHYSICS: dict[str, tuple[str, float, float]] = {
-    "MagneticFieldStrength": ("magnetic_field_strength_t", 0.0, 30.0),
-    "EchoTime": ("echo_time_ms", 0.0, 1000.0),
-    "RepetitionTime": ("repetition_time_ms", 0.0, 100_000.0),
-    "InversionTime": ("inversion_time_ms", 0.0, 100_000.0),
-    "FlipAngle": ("flip_angle_deg", 0.0, 360.0),
-    "KVP": ("tube_voltage_kv", 0.0, 300.0),
-    "SliceThickness": ("slice_thickness_mm", 0.0, 100.0),
+TIMING = "MRTimingAndRelatedParametersSequence"
+CARDIAC = "CardiacSynchronizationSequence"
+CONTENT = "FrameContentSequence"
+
+PHYSICS: dict[str, tuple[str, str, float, float]] = {
+    "magnetic_field_strength_t": ("", "MagneticFieldStrength", 0.0, 30.0),
+    "repetition_time_ms": (TIMING, "RepetitionTime", 0.0, 100_000.0),
+    "inversion_time_ms": ("", "InversionTime", 0.0, 100_000.0),
+    "flip_angle_deg": (TIMING, "FlipAngle", 0.0, 360.0),
+    "tube_voltage_kv": ("CTXRayDetailsSequence", "KVP", 0.0, 300.0),
+    "slice_thickness_mm": ("PixelMeasuresSequence", "SliceThickness", 0.0, 100.0),
 }
-"""Tag -> name of what is kept, and the range outside which the tag holds something else and is dropped."""
+"""Name of what is kept -> functional group, tag, and the range outside which the tag holds something else."""
+
+TRAITS: dict[str, tuple[tuple[tuple[str, str], ...], float, float]] = {
+    "echo_time_ms": ((("MREchoSequence", "EffectiveEchoTime"), ("", "EchoTime")), 1e-6, 1000.0),
+    "b_value": ((("MRDiffusionSequence", "DiffusionBValue"), ("", "DiffusionBValue")), 0.0, 100_000.0),
+    "inversion_time_ms": ((("", "InversionTime"),), 1e-6, 100_000.0),
+    "tube_voltage_kv": ((("CTXRayDetailsSequence", "KVP"), ("", "KVP")), 1e-6, 300.0),
+    "trigger_time_ms": (
+        ((CARDIAC, "NominalCardiacTriggerDelayTime"), (CARDIAC, "ActualCardiacTriggerDelayTime"), ("", "TriggerTime")),
+        0.0,
+        100_000.0,
+    ),
+    "cardiac_phase_percent": (
+        ((CARDIAC, "NominalPercentageOfCardiacPhase"), ("", "NominalPercentageOfCardiacPhase")),
+        0.0,
+        100.0,
+    ),
+    "temporal_position": (((CONTENT, "TemporalPositionIndex"), ("", "TemporalPositionIdentifier")), 0.0, 1e5),
+    "acquisition_number": (((CONTENT, "FrameAcquisitionNumber"), ("", "AcquisitionNumber")), 0.0, 1e5),
+}
+"""Name of a number that may tell images at one position apart -> functional groups and tags to look in, and the range
+outside which a tag holds something else."""
 
 HEADER_TAGS = [
-    *("SOPClassUID", "SeriesInstanceUID", "SeriesNumber", "Modality", "NumberOfFrames", "Rows", "Columns"),
-    *("SamplesPerPixel", "PhotometricInterpretation", "ImagePositionPatient", "ImageOrientationPatient"),
+    *("SOPClassUID", "SOPInstanceUID", "SeriesInstanceUID", "SeriesNumber", "Modality", "NumberOfFrames", "Rows"),
+    *("Columns", "SamplesPerPixel", "PhotometricInterpretation", "ImagePositionPatient", "ImageOrientationPatient"),
     *("PixelSpacing", "RescaleSlope", "RescaleIntercept", "SharedFunctionalGroupsSequence"),
-    *("PerFrameFunctionalGroupsSequence", *PHYSICS),
+    *("PerFrameFunctionalGroupsSequence", "ImageType", "SequenceName", "ConvolutionKernel"),
+    *(keyword for group, keyword, _, _ in PHYSICS.values()),
+    *(keyword for places, _, _ in TRAITS.values() for group, keyword in places if not group),
 ]
 FILE_LIMIT = 100_000
 
@@ -64,43 +97,19 @@ class ImageSeries:
     uid: str
     """Its UID: only the end of it may be shown."""
     modality: str
-    """``CT``, ``MR`` or ``unknown``."""
+    """``CT``, ``MR``, another defined term of :data:`OTHER_MODALITIES`, or ``unknown``."""
     slices: tuple[Slice, ...]
-    """Its images in any order."""
-    acquisition: dict[str, float]
-    """Physics of the acquisition, as far as all images agree; see :data:`PHYSICS`."""
+    """Its images in any order, each once."""
 
 
 def is_dicom(path: Path) -> bool:
     """Whether this is a file that starts as DICOM files do."""
     try:
         require_file(path)
-        return _starts_as_dicom(path) is not None
+        with path.open("rb") as stream:
+            return has_preamble(stream) is not None
     except (ScanError, OSError):
         return False
-
-
-@contextmanager
-def quiet_pydicom() -> Iterator[None]:
-    """Keep pydicom's warnings, which quote the tags that they complain about, from being shown or logged."""
-    logger = logging.getLogger("pydicom")
-    was_disabled = logger.disabled
-    logger.disabled = True
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
-    finally:
-        logger.disabled = was_disabled
-
-
-def _starts_as_dicom(path: Path) -> bool | None:
-    """True with the DICOM preamble, False for a bare data set, None for anything else."""
-    with path.open("rb") as file:
-        start = file.read(132)
-    if start[128:] == b"DICM":
-        return True
-    return False if start[:2] in (b"\x08\x00", b"\x02\x00") and len(start) == 132 else None
 
 
 def _files(path: Path) -> list[Path]:
@@ -129,125 +138,139 @@ def find_series(path: Path) -> tuple[ImageSeries, ...]:
     -------
     tuple of ImageSeries
         One or more, by series number, then UID. Objects that are not scans are left out: reports, segmentations,
-        dose, screenshots without a position.
+        dose, screenshots without a position, a DICOMDIR.
 
     Raises
     ------
     ScanError
         There is no image, or a file is damaged.
     """
-    groups: dict[str, list[tuple[Any, Path]]] = defaultdict(list)
+    slices: dict[str, list[Slice]] = defaultdict(list)
+    modalities: dict[str, set[str]] = defaultdict(set)
+    numbers: dict[str, tuple[float, ...]] = {}
     damaged = 0
     with quiet_pydicom():
         for file in _files(path):
             try:
-                preamble = _starts_as_dicom(file)
-                if preamble is None:
-                    looks_like_slice = file.suffix.lower() in (".dcm", ".dicom", ".ima")
-                    damaged += looks_like_slice
-                    continue
-                header = pydicom.dcmread(
-                    file, stop_before_pixels=True, specific_tags=list(HEADER_TAGS), force=not preamble
-                )
+                header = read_header(file, HEADER_TAGS)
             except Exception:  # pydicom raises errors of every kind on damaged files
                 damaged += 1
                 continue
-            size = _numbers(header, "Rows", 1), _numbers(header, "Columns", 1)
-            modality = _text(header, "Modality")
-            if None in size or modality in NOT_SCANS:
-                damaged += modality not in NOT_SCANS and _text(header, "SOPClassUID") in IMAGE_CLASSES
+            if header is None:
+                damaged += file.suffix.lower() in (".dcm", ".dicom", ".ima")
                 continue
-            groups[_text(header, "SeriesInstanceUID")].append((header, file))
-        if damaged:
-            raise ScanError(
-                f"{damaged} DICOM file{'s are' if damaged > 1 else ' is'} cut short or damaged: copy the series from "
-                "the scanner or archive again"
-            )
-        order = {uid: _numbers(members[0][0], "SeriesNumber", 1) or (np.inf,) for uid, members in groups.items()}
-        every = [_series(uid, groups[uid]) for uid in sorted(groups, key=lambda uid: (*order[uid], uid))]
-    found = [series for series in every if any(image.position is not None for image in series.slices)]
-    if not found and every:
-        found = every
-    if not found:
+            size = numbers_of(header, "Rows", 1), numbers_of(header, "Columns", 1)
+            modality = text_of(header, "Modality")
+            if None in size or modality in NOT_SCANS:
+                damaged += modality not in NOT_SCANS and text_of(header, "SOPClassUID") in IMAGE_CLASSES
+                continue
+            found = _slices(header, file)
+            damaged += not found
+            uid = text_of(header, "SeriesInstanceUID")
+            slices[uid] += found
+            modalities[uid].add(modality)
+            numbers.setdefault(uid, numbers_of(header, "SeriesNumber", 1) or (np.inf,))
+    if damaged:
+        raise ScanError(
+            f"{damaged} DICOM file{'s are' if damaged > 1 else ' is'} cut short or damaged: copy the series from "
+            "the scanner or archive again"
+        )
+    every = [
+        ImageSeries(uid, _modality(modalities[uid]), _without_copies(slices[uid]))
+        for uid in sorted(slices, key=lambda uid: (*numbers[uid], uid))
+    ]
+    placed = [series for series in every if any(image.position is not None for image in series.slices)]
+    if not every:
         raise ScanError("there is no DICOM image here: give the folder that holds the slices, or the scan's image file")
-    return tuple(found)
+    return tuple(placed or every)
 
 
-def _series(uid: str, members: list[tuple[Any, Path]]) -> ImageSeries:
-    slices: list[Slice] = []
-    for header, file in members:
-        slices += _slices(header, file)
-    modalities = {_text(header, "Modality") for header, _ in members}
-    modality = modalities.pop() if len(modalities) == 1 else ""
-    acquisition = {}
-    for keyword, (name, low, high) in PHYSICS.items():
-        found = {_numbers(header, keyword, 1) for header, _ in members}
-        value = found.pop() if len(found) == 1 else None
-        if value is not None and low < value[0] <= high:
-            acquisition[name] = value[0]
-    return ImageSeries(uid, modality if modality in MODALITIES else "unknown", tuple(slices), acquisition)
+def _modality(found: set[str]) -> str:
+    modality = next(iter(found)) if len(found) == 1 else ""
+    return modality if modality in (*MODALITIES, *OTHER_MODALITIES) else "unknown"
+
+
+def _without_copies(slices: list[Slice]) -> tuple[Slice, ...]:
+    """Each image once, in the order of the files; the other files that claim to be it go along."""
+    first: dict[tuple[Any, ...], int] = {}
+    kept: list[Slice] = []
+    for image in slices:
+        identity = (image.uid, image.frame, image.shape, image.position, image.orientation, image.spacing)
+        number = first.setdefault(identity, len(kept)) if image.uid else len(kept)
+        if number == len(kept):
+            kept.append(image)
+        else:
+            kept[number] = dataclasses.replace(kept[number], copies=(*kept[number].copies, image.path))
+    return tuple(kept)
 
 
 def _slices(header: Any, file: Path) -> list[Slice]:
-    """One slice for a plain file, one for each frame of a multi-frame file."""
-    frames = _sequence(header, "PerFrameFunctionalGroupsSequence")
-    shared = (_sequence(header, "SharedFunctionalGroupsSequence") or [None])[0]
-    frame_count = int((_numbers(header, "NumberOfFrames", 1) or (1.0,))[0])
-    rows, columns = (int((_numbers(header, keyword, 1) or (0.0,))[0]) for keyword in ("Rows", "Columns"))
-    samples = int((_numbers(header, "SamplesPerPixel", 1) or (1.0,))[0])
-    is_grey = samples == 1 and _text(header, "PhotometricInterpretation") in ("MONOCHROME1", "MONOCHROME2")
-
-    def find(group: str, keyword: str, count: int, frame: Any) -> tuple[float, ...] | None:
-        for place in (frame, shared):
-            inner = _sequence(place, group)
-            if inner and (found := _numbers(inner[0], keyword, count)) is not None:
-                return found
-        return _numbers(header, keyword, count)
+    """One slice for a plain file, one for each frame of a multi-frame file; none where the frames do not add up."""
+    frames = sequence_of(header, "PerFrameFunctionalGroupsSequence")
+    shared = (sequence_of(header, "SharedFunctionalGroupsSequence") or [None])[0]
+    frame_count = int((numbers_of(header, "NumberOfFrames", 1) or (1.0,))[0])
+    if frames and len(frames) != frame_count:
+        return []
+    rows, columns = (int((numbers_of(header, keyword, 1) or (0.0,))[0]) for keyword in ("Rows", "Columns"))
+    samples = int((numbers_of(header, "SamplesPerPixel", 1) or (1.0,))[0])
+    is_grey = samples == 1 and text_of(header, "PhotometricInterpretation") in ("MONOCHROME1", "MONOCHROME2")
+    uid = text_of(header, "SOPInstanceUID")
+    image_type = words_of(header, "ImageType")
+    sequence = "/".join((*words_of(header, "SequenceName"), *words_of(header, "ConvolutionKernel")))
 
     per_frame: list[Any] = list(frames) if frames else [None]
     slices = []
     for index, frame in enumerate(per_frame):
+        groups = (frame, shared, header)
         placed = frame is not None or frame_count == 1
+        traits: dict[str, float | str] = {}
+        for name, (places, low, high) in TRAITS.items():
+            for group, keyword in places:
+                found = _find(groups, group, keyword, 1)
+                if found is not None and low <= found[0] <= high:
+                    traits[name] = found[0]
+                    break
+        kind = _frame_type(groups) or image_type
+        traits |= {name: text for name, text in (("image_kind", "/".join(kind)), ("sequence", sequence)) if text}
+        physics = {}
+        for name, (group, keyword, low, high) in PHYSICS.items():
+            found = _find(groups, group, keyword, 1)
+            if found is not None and low < found[0] <= high:
+                physics[name] = found[0]
         slices.append(
             Slice(
                 path=file,
                 frame=index if frame is not None else None,
                 shape=(rows, columns),
                 is_grey=is_grey,
-                position=find("PlanePositionSequence", "ImagePositionPatient", 3, frame) if placed else None,
-                orientation=find("PlaneOrientationSequence", "ImageOrientationPatient", 6, frame),
-                spacing=find("PixelMeasuresSequence", "PixelSpacing", 2, frame),
-                slope=(find("PixelValueTransformationSequence", "RescaleSlope", 1, frame) or (1.0,))[0],
-                intercept=(find("PixelValueTransformationSequence", "RescaleIntercept", 1, frame) or (0.0,))[0],
+                position=_find(groups, "PlanePositionSequence", "ImagePositionPatient", 3) if placed else None,
+                orientation=_find(groups, "PlaneOrientationSequence", "ImageOrientationPatient", 6),
+                spacing=_find(groups, "PixelMeasuresSequence", "PixelSpacing", 2),
+                slope=(_find(groups, "PixelValueTransformationSequence", "RescaleSlope", 1) or (1.0,))[0],
+                intercept=(_find(groups, "PixelValueTransformationSequence", "RescaleIntercept", 1) or (0.0,))[0],
+                traits=traits,
+                physics=physics,
+                is_localizer="LOCALIZER" in kind,
+                uid=uid,
             )
         )
     return slices
 
 
-def _sequence(holder: Any, keyword: str) -> Any:
-    if holder is None:
-        return None
-    try:
-        return holder.get(keyword)
-    except Exception:  # as above
-        return None
+def _find(groups: tuple[Any, Any, Any], group: str, keyword: str, count: int) -> tuple[float, ...] | None:
+    """A tag of a functional group: the frame's, the one that all frames share, or the plain tag of the header."""
+    frame, shared, header = groups
+    for place in (frame, shared) if group else ():
+        inner = sequence_of(place, group)
+        if inner and (found := numbers_of(inner[0], keyword, count)) is not None:
+            return found
+    return numbers_of(header, keyword, count)
 
 
-def _text(header: Any, keyword: str) -> str:
-    try:
-        value = header.get(keyword)
-        return value.strip() if isinstance(value, str) else ""
-    except Exception:  # as above
-        return ""
-
-
-def _numbers(header: Any, keyword: str, count: int) -> tuple[float, ...] | None:
-    """The numbers of a tag; None where it is missing, has another count, or holds anything else."""
-    try:
-        value = header.get(keyword)
-        if value is None or isinstance(value, str):
-            return None
-        numbers = tuple(float(part) for part in (value if count > 1 else [value]))
-    except Exception:  # as above
-        return None
-    return numbers if len(numbers) == count and bool(np.isfinite(numbers).all()) else None
+def _frame_type(groups: tuple[Any, Any, Any]) -> tuple[str, ...]:
+    for place in groups[:2]:
+        for group in ("MRImageFrameTypeSequence", "CTImageFrameTypeSequence"):
+            inner = sequence_of(place, group)
+            if inner:
+                return (*words_of(inner[0], "FrameType"), *words_of(inner[0], "ComplexImageComponent"))
+    return ()

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pydicom
 
-from heartcase.pipeline.formats.dicom_headers import quiet_pydicom
+from heartcase.pipeline.formats.dicom_tags import quiet_pydicom
+from heartcase.pipeline.formats.read_dicom import chosen_file
+from heartcase.pipeline.read import is_dicom_source
 from heartcase.schemas.errors import ScanError
 
 __all__ = ["identity_of"]
@@ -25,28 +28,34 @@ _TAGS = {
 """Tag -> key in the key file."""
 
 
-def identity_of(file: Path) -> dict[str, str]:
-    """What a DICOM file says of patient, study and series.
+def identity_of(scan: Path, **choice: Any) -> dict[str, str]:
+    """What a scan says of patient, study and series, and where it lies.
 
     Parameters
     ----------
-    file
-        One image of the series.
+    scan
+        What :func:`heartcase.pipeline.read.read_scan` takes.
+    choice
+        ``series``, ``trigger_time_ms`` and ``echo_time_ms`` as there.
 
     Returns
     -------
     dict
-        Key -> text, for what is stated.
+        Key -> text, for what is stated; other formats than DICOM have the place of the scan alone.
 
     Raises
     ------
     ScanError
-        The file cannot be read.
+        The scan cannot be read.
     """
+    found = {"scan": str(scan.resolve())}
+    if not is_dicom_source(scan):
+        return found
+    file = chosen_file(scan, **{key: choice.get(key) for key in ("series", "trigger_time_ms", "echo_time_ms")})
     with quiet_pydicom():
         try:
             header = pydicom.dcmread(file, stop_before_pixels=True, specific_tags=list(_TAGS), force=True)
-            found = {key: str(header.get(tag, "") or "").strip() for tag, key in _TAGS.items()}
+            stated = {key: str(header.get(tag, "") or "").strip() for tag, key in _TAGS.items()}
         except Exception:  # pydicom raises errors of every kind on damaged files
             raise ScanError("its header cannot be read for the key file", place="scan") from None
-    return {key: text for key, text in found.items() if text}
+    return found | {key: text for key, text in stated.items() if text}

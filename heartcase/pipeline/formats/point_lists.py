@@ -26,14 +26,18 @@ DAMAGED = "the file is not a point list of 3D Slicer (.mrk.json), or is damaged:
 class MarkupList:
     """One list of points, or one line."""
 
+    number: int
+    """Its place in the file, from 1: how messages call it."""
     name: str
-    """Name inside the file; empty where it has none."""
+    """Name inside the file: to be compared with label names, never to be shown; empty where it has none."""
     file_stem: str
     """Name of the file without its ending: to be compared with label names, never to be shown."""
     is_line: bool
     """Whether the points are joined by lines."""
     labels: tuple[str, ...]
-    """Label of each point."""
+    """Label of each point: to be compared with label names, never to be shown."""
+    numbers: tuple[int, ...]
+    """Place of each point in its list, from 1: how messages call it."""
     points_mm: npt.NDArray[np.float64]
     """Points, LPS mm, shape (point_count, 3)."""
 
@@ -66,13 +70,13 @@ def read_point_lists(path: Path) -> tuple[MarkupList, ...]:
         content = json.loads(path.read_text(encoding="utf-8"))
         markups = content["markups"]
         stem = path.name.lower().removesuffix(".json").removesuffix(".mrk")
-        lists = [_markup(markup, stem) for markup in markups]
+        lists = [_markup(number, markup, stem) for number, markup in enumerate(markups, start=1)]
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         raise MarkerError(DAMAGED) from None
     return tuple(markup for markup in lists if len(markup.points_mm))
 
 
-def _markup(markup: dict[str, Any], stem: str) -> MarkupList:
+def _markup(number: int, markup: dict[str, Any], stem: str) -> MarkupList:
     kind = str(markup["type"]).lower()
     if kind != "fiducial" and kind not in LINE_TYPES:
         raise MarkerError("the file holds something else than points, lines and curves: save those alone")
@@ -81,17 +85,20 @@ def _markup(markup: dict[str, Any], stem: str) -> MarkupList:
         raise MarkerError("the coordinate system is neither LPS nor RAS: save the points in one of them")
     if str(markup.get("coordinateUnits", "mm")).strip("[]").lower() != "mm":
         raise MarkerError("the points are not in millimetres: save them in mm")
-    points = [point for point in markup["controlPoints"] if point.get("positionStatus", "defined") == "defined"]
-    positions = np.array([point["position"] for point in points], dtype=np.float64).reshape(len(points), 3)
+    every = list(enumerate(markup["controlPoints"], start=1))
+    points = [(place, point) for place, point in every if point.get("positionStatus", "defined") == "defined"]
+    positions = np.array([point["position"] for _, point in points], dtype=np.float64).reshape(len(points), 3)
     if not np.isfinite(positions).all():
         raise MarkerError("a point has a position that is not a number: set it again")
     if kind == "closedcurve" and len(points) > 1:
         positions = np.concatenate((positions, positions[:1]))
     return MarkupList(
+        number=number,
         name=_one_line(markup.get("name", "")),
         file_stem=" ".join(stem.split()),
         is_line=kind in LINE_TYPES,
-        labels=tuple(_one_line(point.get("label", "")) for point in points),
+        labels=tuple(_one_line(point.get("label", "")) for _, point in points),
+        numbers=tuple(place for place, _ in points),
         points_mm=positions * np.array(signs),
     )
 

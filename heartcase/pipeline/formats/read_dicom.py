@@ -7,210 +7,155 @@ may identify a patient and goes nowhere.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
-import pydicom
-import SimpleITK
-from pydicom.pixels import get_decoder
 
+from heartcase.pipeline.cautions import anatomy, note
 from heartcase.pipeline.data import Scan
-from heartcase.pipeline.formats.dicom_headers import ImageSeries, find_series, is_dicom, quiet_pydicom
+from heartcase.pipeline.formats.dicom_choice import SeriesInfo, choose, describe_volume, listed
+from heartcase.pipeline.formats.dicom_headers import find_series, is_dicom
+from heartcase.pipeline.formats.dicom_phases import PhaseStack, StackGroup, stack_groups
+from heartcase.pipeline.formats.dicom_pixels import fill_padding, read_pixels
 from heartcase.pipeline.formats.raw_volume import check_size, geometry_from_affine
-from heartcase.pipeline.formats.read_itk import quiet_itk
-from heartcase.pipeline.formats.stack import Slice, Stack, find_stack, stack_problem
-from heartcase.schemas.errors import Problem, ScanError
-from heartcase.schemas.geometry import Geometry
+from heartcase.pipeline.formats.stack import Stack, find_stack
+from heartcase.pipeline.formats.straighten import straight_shape, straightened, with_missing
+from heartcase.schemas.errors import ScanError
 
-__all__ = ["SeriesInfo", "describe_volume", "is_dicom", "read_dicom", "series_of"]
-
-DAMAGED = "the file is cut short or damaged: copy it from the scanner or archive again"
-SHORTEST_SUFFIX = 6
-
-
-@dataclass(frozen=True)
-class SeriesInfo:
-    """A series as it may be shown: nothing in it tells who was scanned."""
-
-    number: int
-    """Number to choose it by, from 1."""
-    slice_count: int
-    """Number of images."""
-    spacing_mm: tuple[float, float, float] | None
-    """Spacing along i, j, k; None where the images do not form one stack."""
-    modality: str
-    """``CT``, ``MR`` or ``unknown``."""
-    description: str
-    """What it is, in words made from geometry, modality and physics."""
-    uid_suffix: str
-    """The end of its UID, long enough to tell it from the others; empty for other formats."""
+__all__ = ["SeriesInfo", "chosen_file", "describe_volume", "is_dicom", "read_dicom", "series_of"]
 
 
 def series_of(path: Path) -> tuple[SeriesInfo, ...]:
-    """List the series of a folder, or of one file.
+    """List the series of a folder, or of one file; a series that holds several stacks has an entry for each.
+
+    Cardiac phases and echoes of one stack share an entry, which lists their times.
 
     Raises
     ------
     ScanError
         There is no DICOM image, or a file is damaged.
     """
-    return _listed(find_series(path))
+    return listed(_groups(path))
 
 
-def read_dicom(path: Path, *, series: str | None) -> Scan:
-    """Read one series.
+def read_dicom(
+    path: Path,
+    *,
+    series: str | None = None,
+    trigger_time_ms: float | None = None,
+    echo_time_ms: float | None = None,
+    interpolate_missing: bool = False,
+    straighten_tilt: bool = False,
+) -> Scan:
+    """Read one stack.
 
     Parameters
     ----------
     path
         Folder, searched with its subfolders, or one file.
     series
-        Number in :func:`series_of` or end of the UID; may be left out where there is one series of several images.
+        Number in :func:`series_of` or end of the UID; may be left out where there is one stack beside localisers.
+    trigger_time_ms
+        The cardiac phase nearest to this time after the R wave, ms.
+    echo_time_ms
+        The echo nearest to this echo time, ms.
+    interpolate_missing
+        Fill missing slices linearly from their neighbours, at most two in a row and a third of all.
+    straighten_tilt
+        Resample a leaning stack within its slices, linearly, so that they lie straight above each other.
 
     Returns
     -------
     Scan
-        Values after rescale slope and intercept. The axes are the rows', the columns' and their normal: right-handed.
+        Values after the modality LUT or rescale slope and intercept; padding at the edge of an image has the lowest
+        value. The axes are the rows', the columns' and their normal: right-handed. ``warnings`` says what was filled,
+        straightened or left out.
 
     Raises
     ------
     ScanError
         The choice is not clear, or the images do not form one evenly spaced straight stack.
     """
-    chosen = _choose(find_series(path), series)
-    stack = find_stack(chosen.slices)
-    rows, columns = stack.slices[0].shape
-    check_size((columns, rows, len(stack.slices)))
-    values = np.empty((len(stack.slices), rows, columns), dtype=np.float32)
-    decoded: tuple[Path | None, Any] = (None, None)
-    for number, image in enumerate(stack.slices):
-        try:
-            if decoded[0] != image.path:
-                decoded = (image.path, _decode(image.path))
-            values[number] = _values(decoded[1], image)
-        except ScanError as error:
-            raise ScanError(error.problems[0].message, place=f"slice {number + 1}") from None
+    groups = _groups(path)
+    group, chosen = choose(groups, series=series, trigger_time_ms=trigger_time_ms, echo_time_ms=echo_time_ms)
+    try:
+        stack = find_stack(chosen.slices, interpolate_missing=interpolate_missing, straighten_tilt=straighten_tilt)
+    except ScanError as error:
+        left_out = f" ({group.left_out})" if group.left_out else ""
+        raise ScanError(error.problems[0].message + left_out) from None
+    check_size(straight_shape(stack)[::-1])
+    values = fill_padding(read_pixels(stack.slices))
+    values, affine = straightened(values, stack)
+    values = with_missing(values, stack)
     if not np.isfinite(values).all():
         raise ScanError("the rescaled values are not finite numbers: export the series again")
-    geometry = _geometry(stack)
-    return Scan(values=values, geometry=geometry, modality=chosen.modality, acquisition=dict(chosen.acquisition))
+    modality = group.modality
+    return Scan(
+        values=values,
+        geometry=geometry_from_affine(affine, values.shape),
+        modality=modality,
+        acquisition=_acquisition(chosen),
+        warnings=tuple(_warnings(stack, chosen, group)),
+    )
 
 
-def describe_volume(geometry: Geometry, modality: str) -> str:
-    """What a volume is, in words: modality, orientation, size and spacing."""
-    normal = np.abs(geometry.direction_matrix[:, 2])
-    plane = ("sagittal", "coronal", "axial")[int(np.argmax(normal))]
-    if normal.max() < 0.999:
-        plane = f"oblique {plane}"
-    size = " x ".join(str(count) for count in geometry.size)
-    spacing = " x ".join(f"{length:.4g}" for length in geometry.spacing_mm)
-    return f"{modality if modality != 'unknown' else 'volume'}, {plane}, {size} voxels of {spacing} mm"
+def chosen_file(
+    path: Path, *, series: str | None = None, trigger_time_ms: float | None = None, echo_time_ms: float | None = None
+) -> Path:
+    """One file of the stack that :func:`read_dicom` would read: for those who may know whose scan it is.
+
+    Raises
+    ------
+    ScanError
+        The choice is not clear.
+    """
+    _, chosen = choose(_groups(path), series=series, trigger_time_ms=trigger_time_ms, echo_time_ms=echo_time_ms)
+    return chosen.slices[0].path
 
 
-def _geometry(stack: Stack) -> Geometry:
-    rows, columns = stack.slices[0].shape
-    return geometry_from_affine(stack.affine, (len(stack.slices), rows, columns))
+def _groups(path: Path) -> tuple[StackGroup, ...]:
+    return tuple(group for series in find_series(path) for group in stack_groups(series))
 
 
-def _listed(every: tuple[ImageSeries, ...]) -> tuple[SeriesInfo, ...]:
-    listed = []
-    for number, series in enumerate(every, start=1):
-        problem = stack_problem(series.slices)
-        if problem is None:
-            geometry = _geometry(find_stack(series.slices))
-            spacing, description = geometry.spacing_mm, describe_volume(geometry, series.modality)
-        else:
-            spacing = None
-            noun = series.modality if series.modality != "unknown" else "images"
-            description = f"{noun}, not one even stack ({problem.partition(':')[0]})"
-        if "echo_time_ms" in series.acquisition:
-            description += f", echo time {series.acquisition['echo_time_ms']:g} ms"
-        listed.append(
-            SeriesInfo(
-                number=number,
-                slice_count=len(series.slices),
-                spacing_mm=spacing,
-                modality=series.modality,
-                description=description,
-                uid_suffix=_suffix(series.uid, [other.uid for other in every]),
-            )
+def _acquisition(chosen: PhaseStack) -> dict[str, float]:
+    """Physics on which all slices agree, and the time of the phase."""
+    physics = dict(chosen.slices[0].physics)
+    for image in chosen.slices[1:]:
+        physics = {name: value for name, value in physics.items() if image.physics.get(name) == value}
+    stated = {
+        "trigger_time_ms": chosen.trigger_time_ms,
+        "cardiac_phase_percent": chosen.cardiac_phase_percent,
+        "echo_time_ms": chosen.echo_time_ms,
+    }
+    return physics | {name: value for name, value in stated.items() if value is not None}
+
+
+def _warnings(stack: Stack, chosen: PhaseStack, group: StackGroup) -> list[str]:
+    warnings: list[str] = []
+    if stack.missing:
+        numbers = ", ".join(str(place + 1) for place in stack.missing)
+        spacing = float(np.linalg.norm(stack.affine[:3, 2]))
+        several = len(stack.missing) > 1
+        text = (
+            f"slice{'s' if several else ''} {numbers} {'were' if several else 'was'} missing and "
+            f"{'are' if several else 'is'} interpolated from the nearest slices that are there ({spacing:.2f} mm per "
+            "slice)"
         )
-    return tuple(listed)
-
-
-def _suffix(uid: str, every: list[str]) -> str:
-    length = SHORTEST_SUFFIX
-    while length < len(uid) and sum(other.endswith(uid[-length:]) for other in every) > 1:
-        length += 1
-    return uid[-length:]
-
-
-def _choose(every: tuple[ImageSeries, ...], wanted: str | None) -> ImageSeries:
-    if wanted is None:
-        stacks = [series for series in every if len(series.slices) > 1] or list(every)
-        if len(stacks) == 1:
-            return stacks[0]
-        problem = "the folder holds several series: choose one with --series NUMBER, or series in the recipe's [scan]"
-        raise ScanError(_with_list(problem, every))
-    wanted = wanted.strip()
-    if wanted.isdecimal() and 1 <= int(wanted) <= len(every):
-        return every[int(wanted) - 1]
-    matching = [series for series in every if wanted and series.uid.endswith(wanted)]
-    if len(matching) == 1:
-        return matching[0]
-    fits = "several series end" if matching else "no series has this number or ends"
-    raise ScanError(_with_list(f"{fits} like the given --series: choose a number from the list", every))
-
-
-def _with_list(problem: str, every: tuple[ImageSeries, ...]) -> list[Problem]:
-    lines = [
-        Problem(f"series {info.number}", f"{info.slice_count} images, {info.description} (UID ...{info.uid_suffix})")
-        for info in _listed(every)
+        warnings.append(anatomy(text))
+    if stack.tilt_degrees:
+        text = f"the stack leaned by {stack.tilt_degrees:.1f} degrees (tilted gantry)"
+        warnings.append(note(f"{text}: its slices were resampled to lie straight above each other"))
+    others = [
+        other.trigger_time_ms
+        for other in group.stacks
+        if other is not chosen and other.echo_time_ms == chosen.echo_time_ms
     ]
-    return [Problem("", problem), *lines]
-
-
-def _decode(path: Path) -> Any:
-    """Stored values of a file, shape (rows, columns) or (frames, rows, columns), and whether they are rescaled."""
-    with quiet_pydicom():
-        try:
-            dataset = pydicom.dcmread(path, force=True)
-            if not hasattr(dataset, "file_meta") or "TransferSyntaxUID" not in dataset.file_meta:
-                dataset.ensure_file_meta()
-                dataset.file_meta.TransferSyntaxUID = pydicom.uid.ImplicitVRLittleEndian
-            syntax = dataset.file_meta.TransferSyntaxUID
-            if not syntax.is_encapsulated or get_decoder(syntax).is_available:
-                return dataset.pixel_array, False
-        except NotImplementedError:
-            pass
-        except Exception:  # as above
-            raise ScanError(DAMAGED) from None
-    try:
-        with quiet_itk():
-            return SimpleITK.GetArrayFromImage(SimpleITK.ReadImage(str(path), imageIO="GDCMImageIO")), True
-    except (RuntimeError, MemoryError):
-        raise ScanError("its compression is not read: export the series uncompressed") from None
-
-
-def _values(decoded: tuple[npt.NDArray[Any], bool], image: Slice) -> npt.NDArray[np.float64]:
-    stored, is_rescaled = decoded
-    if is_rescaled and image.frame is not None:
-        raise ScanError("its compression is not read in a multi-frame file: export the series uncompressed")
-    if image.frame is not None or stored.ndim == 3:
-        index = image.frame or 0
-        if stored.ndim == 2:
-            stored = stored[np.newaxis]
-        if index >= stored.shape[0]:
-            raise ScanError(DAMAGED)
-        stored = stored[index]
-    if stored.shape != image.shape:
-        raise ScanError(DAMAGED)
-    values = stored.astype(np.float64)
-    if not is_rescaled:
-        values = values * image.slope + image.intercept
-    if not (np.abs(values) <= np.finfo(np.float32).max).all():
-        raise ScanError("its rescaled values are not finite numbers: export the series again")
-    return values
+    times = [time for time in others if time is not None]
+    if chosen.trigger_time_ms is not None and times:
+        step = min(abs(time - chosen.trigger_time_ms) for time in times)
+        if chosen.trigger_spread_ms > 0.5 * step:
+            warnings.append(
+                f"the trigger times of the slices differ by up to {chosen.trigger_spread_ms:.0f} ms: the heartbeat "
+                "changed during the scan, so the slices may not fit together"
+            )
+    return [*warnings, note(group.left_out)] if group.left_out else warnings

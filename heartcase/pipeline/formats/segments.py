@@ -1,21 +1,51 @@
-"""The segment table in the header of a .seg.nrrd file, as 3D Slicer writes and reads it."""
+"""What a file says of its segments, and the table in the header of a .seg.nrrd file, as 3D Slicer writes and reads it.
+
+The name of a segment may be a patient's: it is compared with label names and goes into no message, which say
+"segment 3 of the file".
+"""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.data import Segmentation
 from heartcase.schemas.errors import MarkerError
+from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND, Label
+from heartcase.schemas.terms import term_by_code
 
-__all__ = ["segment_table", "segments_of"]
+__all__ = ["LabelVolume", "SegmentInfo", "segment_table", "segments_of"]
 
 UInt16 = npt.NDArray[np.uint16]
+
+
+@dataclass(frozen=True)
+class SegmentInfo:
+    """What a file says of one of its segments."""
+
+    number: int
+    """Its place in the file's list, from 1: how messages call it."""
+    name: str
+    """Its name; empty where it has none. Goes into no message."""
+    snomed: str | None = None
+    """SNOMED CT code of what it is, where the file gives one."""
+
+
+@dataclass(frozen=True)
+class LabelVolume:
+    """A label volume as its file holds it; overlapping segments are resolved."""
+
+    values: npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
+    """Values, uint8 or uint16, shape ``geometry.shape``; 0 where nothing is labelled."""
+    geometry: Geometry
+    """Where the voxel centres lie: the file's own grid."""
+    segments: dict[int, SegmentInfo] = field(default_factory=dict)
+    """Value -> its segment, where the file lists segments."""
 
 
 @dataclass(frozen=True)
@@ -25,9 +55,10 @@ class _Segment:
     name: str
     layer: int
     value: int
+    snomed: str | None
 
 
-def segments_of(values: UInt16, header: Mapping[str, str]) -> tuple[UInt16, dict[int, str]]:
+def segments_of(values: UInt16, header: Mapping[str, str]) -> tuple[UInt16, dict[int, SegmentInfo]]:
     """Resolve the layers of a segmentation to one value per voxel.
 
     Parameters
@@ -42,8 +73,8 @@ def segments_of(values: UInt16, header: Mapping[str, str]) -> tuple[UInt16, dict
     values
         Shape (z, y, x). A single layer keeps its values; of several, segment n of the table (from 1) gets value n,
         and where segments overlap the later one of the table wins.
-    names
-        Value -> name of the segment; empty where the file has no table.
+    segments
+        Value -> segment; empty where the file has no table.
 
     Raises
     ------
@@ -52,7 +83,7 @@ def segments_of(values: UInt16, header: Mapping[str, str]) -> tuple[UInt16, dict
     """
     segments = _segments(header, layer_count=values.shape[3] if values.ndim == 4 else 1)
     if values.ndim == 3:
-        return values, {segment.value: segment.name for segment in segments}
+        return values, {s.value: SegmentInfo(n, s.name, s.snomed) for n, s in enumerate(segments, start=1)}
     if not segments:
         raise MarkerError("every voxel holds several values but no table names segments: export a plain label volume")
     merged = np.zeros(values.shape[:3], dtype=np.uint16)
@@ -63,7 +94,7 @@ def segments_of(values: UInt16, header: Mapping[str, str]) -> tuple[UInt16, dict
         explained[..., segment.layer] |= inside
     if not explained.all():
         raise MarkerError("the volume holds values that its segment table does not name: save it again in 3D Slicer")
-    return merged, {number: segment.name for number, segment in enumerate(segments, start=1)}
+    return merged, {n: SegmentInfo(n, s.name, s.snomed) for n, s in enumerate(segments, start=1)}
 
 
 def _segments(header: Mapping[str, str], *, layer_count: int) -> list[_Segment]:
@@ -83,17 +114,27 @@ def _segments(header: Mapping[str, str], *, layer_count: int) -> list[_Segment]:
             raise MarkerError("the segment table in the header is damaged: save the file again") from None
         if not 0 <= layer < layer_count or not 0 < value <= 65535:
             raise MarkerError("the segment table in the header does not fit the volume: save the file again")
-        segments.append(_Segment(name, layer, value))
+        segments.append(_Segment(name, layer, value, _snomed(entry.get("Tags", ""))))
+    if len({(segment.layer, segment.value) for segment in segments}) < len(segments):
+        raise MarkerError("two segments of the table share a value: save the file again in 3D Slicer")
     return segments
 
 
-def segment_table(segmentation: Segmentation) -> dict[str, str]:
+def _snomed(tags: str) -> str | None:
+    """SNOMED CT code of the segment's type, out of ``context~category~type~...``."""
+    entry = re.search(r"TerminologyEntry:[^~|]*~[^~|]*~SCT\^([0-9]{6,18})\^", tags)
+    return entry.group(1) if entry else None
+
+
+def segment_table(segmentation: Segmentation, *, offset: tuple[int, int, int] = (0, 0, 0)) -> dict[str, str]:
     """Key-value pairs that make an NRRD file a segmentation for 3D Slicer.
 
     Parameters
     ----------
     segmentation
         Labels and their table; every label but the background becomes a segment, also an empty one.
+    offset
+        Index of the scan's voxel that is the first of the labels, where they are cropped.
 
     Returns
     -------
@@ -103,7 +144,7 @@ def segment_table(segmentation: Segmentation) -> dict[str, str]:
     pairs = {
         "Segmentation_MasterRepresentation": "Binary labelmap",
         "Segmentation_ContainedRepresentationNames": "Binary labelmap|",
-        "Segmentation_ReferenceImageExtentOffset": "0 0 0",
+        "Segmentation_ReferenceImageExtentOffset": " ".join(map(str, offset)),
     }
     labels = [label for label in segmentation.table if label.value != BACKGROUND]
     for index, label in enumerate(labels):
@@ -139,6 +180,7 @@ def _tags(label: Label) -> str:
     if label.snomed is None:
         return "|"
     context = "Segmentation category and type - 3D Slicer General Anatomy list"
-    kind = f"SCT^{label.snomed}^{label.name}"
+    term = term_by_code(label.snomed)
+    kind = f"SCT^{label.snomed}^{term.meaning if term else label.name}"
     anatomy = "Anatomic codes - DICOM master list~^^~^^"
     return f"TerminologyEntry:{context}~SCT^123037004^Anatomical Structure~{kind}~^^~{anatomy}|"

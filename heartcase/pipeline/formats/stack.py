@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from heartcase.schemas.errors import ScanError
 
-__all__ = ["Slice", "Stack", "find_stack", "stack_problem"]
+__all__ = ["COSINE_TOLERANCE", "SPACING_TOLERANCE", "Slice", "Stack", "find_stack", "places_of", "stack_problem"]
 
 COSINE_TOLERANCE = 1e-3
 """Largest difference in a direction cosine within a stack, and from right angles: rounded digits in headers."""
@@ -26,6 +26,10 @@ DRIFT_TOLERANCE = 0.1
 """Largest shift of the last slice against the first within the slice plane, in pixels: more is a tilted gantry."""
 MISSING_GAP = 1.5
 """A gap of this many median gaps or more has lost a slice."""
+MISSING_IN_A_ROW = 2
+"""Slices next to each other that may be interpolated."""
+MISSING_PART = 1.0 / 3.0
+"""Part of the stack's slices that may be interpolated."""
 NAMED_GAPS = 5
 """How many gaps an error names."""
 
@@ -54,6 +58,16 @@ class Slice:
     """Value = slope * stored + intercept."""
     intercept: float
     """See slope."""
+    traits: Mapping[str, float | str] = field(default_factory=dict)
+    """What may tell images at one position apart: see :mod:`heartcase.pipeline.formats.dicom_phases`."""
+    physics: Mapping[str, float] = field(default_factory=dict)
+    """Physics of the acquisition: see :mod:`heartcase.pipeline.formats.dicom_headers`."""
+    is_localizer: bool = False
+    """Whether the header calls it a localiser."""
+    uid: str = ""
+    """Identity of the image, to recognise copies by; goes into no message."""
+    copies: tuple[Path, ...] = ()
+    """Other files that claim to be this image."""
 
 
 @dataclass(frozen=True)
@@ -61,9 +75,21 @@ class Stack:
     """Slices in order along the normal, and the map from index to space."""
 
     slices: tuple[Slice, ...]
-    """In ascending order along the cross product of row and column direction."""
+    """Those that are there, in ascending order along the cross product of row and column direction."""
     affine: Float64
-    """Map from index (i, j, k, 1) to LPS mm, shape (4, 4)."""
+    """Map from index (i, j, k, 1) to LPS mm, shape (4, 4); (0, 0, 0) is the first pixel of the first slice."""
+    places: tuple[int, ...]
+    """Index k of each slice: 0, 1, 2 ... but where slices are missing."""
+    lean_mm: Float64
+    """How far each slice lies from where the affine has it, along rows and along columns, mm; shape (n, 2). All zero
+    unless the gantry was tilted."""
+    tilt_degrees: float = 0.0
+    """Angle between the stack and the normal of its slices; 0 where there was nothing to straighten."""
+
+    @property
+    def missing(self) -> tuple[int, ...]:
+        """Indices k of the slices that are not there, ascending."""
+        return tuple(sorted(set(range(self.places[-1] + 1)) - set(self.places)))
 
 
 def stack_problem(slices: Sequence[Slice]) -> str | None:
@@ -75,13 +101,29 @@ def stack_problem(slices: Sequence[Slice]) -> str | None:
     return None
 
 
-def find_stack(slices: Sequence[Slice]) -> Stack:
+def places_of(slices: Sequence[Slice]) -> npt.NDArray[np.int64]:
+    """Number of the slice position of each image, from 0 up along the normal, shape (n,).
+
+    All images must have a position and one orientation.
+    """
+    along = np.array([image.position for image in slices]) @ _axes(slices)[2]
+    order = np.argsort(along, kind="stable")
+    places = np.empty(len(slices), dtype=np.int64)
+    places[order] = np.concatenate(([0], np.cumsum(~_same_place(np.diff(along[order])))))
+    return places
+
+
+def find_stack(slices: Sequence[Slice], *, interpolate_missing: bool = False, straighten_tilt: bool = False) -> Stack:
     """Order the images of a series along their normal and check that they form a stack.
 
     Parameters
     ----------
     slices
         The images in any order.
+    interpolate_missing
+        Accept a stack from which at most two neighbouring slices at a time, and at most a third of all, are missing.
+    straighten_tilt
+        Accept a stack that leans: its slices lie straight above each other only after they are resampled.
 
     Returns
     -------
@@ -104,14 +146,21 @@ def find_stack(slices: Sequence[Slice]) -> Stack:
     _check_duplicates(gaps)
     spacing = np.array(slices[0].spacing)
     drift = positions - positions[0] - (along - along[0])[:, np.newaxis] * normal
-    _check_tilt(drift, along, spacing)
-    _check_gaps(gaps)
+    angle = _tilt_degrees(drift, along, spacing)
+    if angle > 0.0 and not straighten_tilt:
+        raise ScanError(
+            f"the stack leans by {angle:.1f} degrees (tilted gantry): have it straightened with --straighten-tilt, or "
+            "straighten_tilt = true in the recipe's [scan]"
+        )
+    steps = _steps(gaps, interpolate_missing)
+    places = (0, *(int(place) for place in np.cumsum(steps)))
     affine = np.eye(4)
     affine[:3, 0] = row * spacing[1]
     affine[:3, 1] = column * spacing[0]
-    affine[:3, 2] = normal * (along[-1] - along[0]) / (len(slices) - 1)
+    affine[:3, 2] = normal * (along[-1] - along[0]) / places[-1]
     affine[:3, 3] = positions[0]
-    return Stack(tuple(slices[index] for index in order), affine)
+    lean = drift @ np.stack([row, column], axis=1) if angle > 0.0 else np.zeros((len(slices), 2))
+    return Stack(tuple(slices[index] for index in order), affine, places, lean, angle)
 
 
 def _check_alike(slices: Sequence[Slice]) -> None:
@@ -120,8 +169,8 @@ def _check_alike(slices: Sequence[Slice]) -> None:
     missing = sum(None in (image.position, image.orientation, image.spacing) for image in slices)
     if missing:
         raise ScanError(
-            f"{missing} of {len(slices)} images do not say where they lie in the patient: export the original series, "
-            "not screenshots or derived images"
+            "the images do not say where they lie in the patient, or how large their pixels are: export the original "
+            "series, not screenshots or derived images"
         )
     if len(slices) < 2:
         raise ScanError("the series has a single image: a stack of several slices is needed, give the whole folder")
@@ -133,7 +182,9 @@ def _check_alike(slices: Sequence[Slice]) -> None:
     if np.abs(orientations - orientations[0]).max() > COSINE_TOLERANCE:
         differing.append("orientation")
     spacings = np.array([image.spacing for image in slices])
-    if spacings.min() <= 0.0 or np.abs(spacings / spacings[0] - 1.0).max() > SPACING_TOLERANCE:
+    if spacings.min() <= 0.0:
+        raise ScanError("the headers give a pixel spacing of zero or less: export the series again")
+    if np.abs(spacings / spacings[0] - 1.0).max() > SPACING_TOLERANCE:
         differing.append("pixel spacing")
     if differing:
         raise ScanError(
@@ -155,54 +206,87 @@ def _axes(slices: Sequence[Slice]) -> tuple[Float64, Float64, Float64]:
     return row, column, np.cross(row, column)
 
 
+def _same_place(gaps: Float64) -> npt.NDArray[np.bool_]:
+    """Which gaps between sorted positions are none."""
+    same: npt.NDArray[np.bool_] = gaps <= max(min(GAP_FLOOR_MM, 0.1 * gaps.max(initial=0.0)), 1e-6)
+    return same
+
+
 def _check_duplicates(gaps: Float64) -> None:
-    same = gaps <= min(GAP_FLOOR_MM, 0.1 * gaps.max())
+    same = _same_place(gaps)
     if not same.any():
         return
     counts = np.diff(np.concatenate(([0], np.flatnonzero(~same) + 1, [gaps.size + 1])))
+    if counts.size == 1:
+        raise ScanError(
+            f"all {counts[0]} images show one slice (times or echoes of a single position): a stack of several slices "
+            "is needed, give the whole study or another series"
+        )
     if counts.min() == counts.max():
         raise ScanError(
-            f"the series holds {counts[0]} images at every slice position (times, phases or echoes): export the one "
-            "that is wanted as a series of its own"
+            f"the series holds {counts[0]} images at every slice position and nothing in the headers tells them apart "
+            "by time or echo: export the stack that is wanted as a series of its own"
         )
     first = int(np.flatnonzero(same)[0]) + 1
+    number = int(same.sum())
     raise ScanError(
-        f"{int(same.sum())} slices are there twice, first slices {first} and {first + 1} lie at one position: remove "
-        "the copies"
+        f"{number} slice{'s are' if number > 1 else ' is'} there twice, first slices {first} and {first + 1} lie at "
+        "one position: remove the copies"
     )
 
 
-def _check_tilt(drift: Float64, along: Float64, spacing: Float64) -> None:
+def _tilt_degrees(drift: Float64, along: Float64, spacing: Float64) -> float:
+    """Angle by which the stack leans, 0 within the tolerance."""
     length = np.linalg.norm(drift, axis=1)
     if length.max() <= DRIFT_TOLERANCE * spacing.min():
-        return
+        return 0.0
     total = along[-1] - along[0]
-    angle = np.degrees(np.arctan2(length[-1], total))
-    straight = np.abs(drift - np.outer((along - along[0]) / total, drift[-1])).max() <= spacing.min()
+    straight = np.abs(drift - np.outer((along - along[0]) / total, drift[-1])).max() <= DRIFT_TOLERANCE * spacing.min()
     if straight and length[-1] > 0.0:
-        raise ScanError(
-            f"the stack leans by {angle:.1f} degrees (tilted gantry): straighten it, for instance by exporting it from "
-            "3D Slicer after its acquisition geometry is regularised"
-        )
+        return float(np.degrees(np.arctan2(length[-1], total)))
     raise ScanError(
         "the slices are shifted sideways against each other, so they do not form one stack: export the series again"
     )
 
 
-def _check_gaps(gaps: Float64) -> None:
-    median = float(np.median(gaps))
-    tolerance = min(max(GAP_FLOOR_MM, GAP_TOLERANCE * median), 0.25 * median)
-    problems = []
+def _tolerance(usual: float) -> float:
+    return min(max(GAP_FLOOR_MM, GAP_TOLERANCE * usual), 0.25 * usual)
+
+
+def _usual_gap(gaps: Float64) -> float:
+    """The smallest gap where all are whole multiples of it, else the median (the lower of two)."""
+    single = float(np.median(gaps[gaps < MISSING_GAP * gaps.min()]))
+    if (np.abs(gaps - np.round(gaps / single) * single) <= _tolerance(single)).all():
+        return single
+    return float(np.sort(gaps)[(gaps.size - 1) // 2])
+
+
+def _steps(gaps: Float64, may_interpolate: bool) -> list[int]:
+    """How many slice distances each gap is: 1, or more where slices are missing and may be."""
+    usual = _usual_gap(gaps)
+    tolerance = _tolerance(usual)
+    problems, steps = [], []
     for index, gap in enumerate(gaps):
         between = f"between slice {index + 1} and the next one that is there"
-        if gap >= MISSING_GAP * median:
-            count = max(1, round(gap / median) - 1)
+        count = max(1, round(gap / usual) - 1) if gap >= MISSING_GAP * usual else 0
+        steps.append(count + 1)
+        is_even = abs(gap - (count + 1) * usual) <= tolerance
+        if count and not (may_interpolate and is_even and count <= MISSING_IN_A_ROW):
             problems.append(
                 f"{count} slice{'s are' if count > 1 else ' is'} missing {between} (gap {gap:.2f} mm, elsewhere "
-                f"{median:.2f} mm)"
+                f"{usual:.2f} mm)"
             )
-        elif abs(gap - median) > tolerance:
-            problems.append(f"uneven spacing {between} ({gap:.2f} mm, elsewhere {median:.2f} mm)")
+        elif not count and not is_even:
+            problems.append(f"uneven spacing {between} ({gap:.2f} mm, elsewhere {usual:.2f} mm)")
+    missing = sum(steps) - len(steps)
+    if not problems and missing > MISSING_PART * (sum(steps) + 1):
+        problems.append(f"{missing} of {sum(steps) + 1} slices are missing, more than a third")
     if problems:
         rest = f", and {len(problems) - NAMED_GAPS} more" if len(problems) > NAMED_GAPS else ""
-        raise ScanError(f"{'; '.join(problems[:NAMED_GAPS])}{rest}: export the whole series again, or resample it")
+        remedy = "export the whole series again"
+        if may_interpolate:
+            remedy += " (at most two slices in a row and a third of all are interpolated, at even spacing)"
+        elif missing:
+            remedy += ", or have it filled from its neighbours with --interpolate-missing"
+        raise ScanError(f"{'; '.join(problems[:NAMED_GAPS])}{rest}: {remedy}")
+    return steps

@@ -30,7 +30,7 @@ ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
 LINEAR, LINEAR_MIPMAP_LINEAR, CLAMP_TO_EDGE = 9729, 9987, 33071
 
 
-def glb_bytes(surface: Surface) -> bytes:
+def glb_bytes(surface: Surface, *, case_id: str | None = None) -> bytes:
     """Write a surface as GLB.
 
     One mesh under a root node that turns patient millimetres into metres with Y up. One primitive for each void beside
@@ -41,6 +41,8 @@ def glb_bytes(surface: Surface) -> bytes:
     ----------
     surface
         The surface; GLB vertices are its render vertices in their order.
+    case_id
+        Made-up identifier of the case, written to ``asset.extras.case_id``.
 
     Returns
     -------
@@ -93,7 +95,7 @@ def glb_bytes(surface: Surface) -> bytes:
     if has_map:
         document["images"] = [{"name": "normal map", "mimeType": "image/png", "bufferView": writer.view(_png(surface))}]
     document |= {
-        "asset": {"version": "2.0", "generator": "heartcase"},
+        "asset": {"version": "2.0", "generator": "heartcase"} | ({"extras": {"case_id": case_id}} if case_id else {}),
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [{"name": "patient", "matrix": LPS_MM_TO_GLTF.T.ravel().tolist(), "mesh": 0}],

@@ -10,11 +10,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from heartcase import __version__
+from heartcase.pipeline.cautions import CautionGroup, grouped
 from heartcase.pipeline.data import GridMap, Scan, Segmentation, SimulationGrid, Structures, Surface
-from heartcase.pipeline.report.plain_words import Fact, figure_facts, hand_work_facts, setting_lines
+from heartcase.pipeline.report.hand_work import hand_work_facts, region_words
+from heartcase.pipeline.report.plain_words import Fact, cardiac_phase_words, figure_facts, setting_lines
 from heartcase.pipeline.report.report_pictures import Picture, ThicknessRow, slice_parts, surface_parts
 from heartcase.schemas.bundle import CaseManifest, StageRecord
-from heartcase.schemas.labels import BACKGROUND, Role
+from heartcase.schemas.labels import BACKGROUND, LabelTable, Role
 from heartcase.schemas.recipe import Recipe
 
 __all__ = ["ReportData", "StageRow", "StructureRow", "build_report", "render_report"]
@@ -28,6 +30,16 @@ _ROLE_WORDS = {
     Role.DEVICE: "patch or device",
     Role.BACKGROUND: "background",
 }
+_TOTALS = {
+    "Blood in the chambers": (Role.BLOOD,),
+    "Blood in the vessels": (Role.VESSEL_LUMEN,),
+    "All blood": (Role.BLOOD, Role.VESSEL_LUMEN),
+    "Heart muscle": (Role.MYOCARDIUM,),
+    "Vessel walls": (Role.WALL,),
+    "Patches and devices": (Role.DEVICE,),
+    "All tissue": (Role.MYOCARDIUM, Role.WALL, Role.DEVICE),
+}
+_PHASE = ("trigger_time_ms", "cardiac_phase_percent")
 _STAGE_WORDS = {
     "read": "read the scan",
     "filter": "smooth it, keeping edges",
@@ -84,9 +96,11 @@ class ReportData:
     """Name of the case."""
     version: str = __version__
     """Version of heartcase."""
+    case_id: str | None = None
+    """Made-up identifier of the case."""
     notice: str = _NOTICE
     """Shown first."""
-    warnings: Sequence[str] = ()
+    warnings: Sequence[CautionGroup] = ()
     """Worst first."""
     key_facts: Sequence[Fact] = ()
     """The handful of figures to look at first."""
@@ -96,18 +110,18 @@ class ReportData:
     """Slices with outlines."""
     sides: Sequence[Picture] = ()
     """The surface from four sides."""
-    cutaway: Sequence[Picture] = ()
-    """The heart cut open."""
+    views: Sequence[Picture] = ()
+    """The surgeon's view, and the heart cut open."""
+    without_short_axis: bool = False
+    """Whether nothing tells where the short axis is."""
     thickness: Sequence[Picture] = ()
     """Thickness maps and histogram."""
     thickness_rows: Sequence[ThicknessRow] = ()
     """Thickness per tissue."""
     structures: Sequence[StructureRow] = ()
     """Structures with volumes, in the label table's order."""
-    blood_ml: float = 0.0
-    """All blood, ml."""
-    tissue_ml: float = 0.0
-    """All tissue, ml."""
+    totals: Sequence[tuple[str, float]] = ()
+    """What -> volume, ml: sums over the structures."""
     quality: Mapping[str, Sequence[Fact]] = field(default_factory=dict)
     """Title -> figures."""
     hand_work: Sequence[Fact] = ()
@@ -145,6 +159,7 @@ def build_report(
     timings_s: Mapping[str, float],
     stages: Sequence[StageRecord],
     warnings: Sequence[str],
+    case_id: str | None = None,
 ) -> str:
     """Draw the pictures of a case and write its report.
 
@@ -167,7 +182,9 @@ def build_report(
     stages
         Provenance of the stages, in order.
     warnings
-        Worst first.
+        In any order; marked in :mod:`heartcase.pipeline.cautions`.
+    case_id
+        Made-up identifier of the case.
 
     Returns
     -------
@@ -180,9 +197,8 @@ def build_report(
         for label in table
         if label.value != BACKGROUND and label.value in volumes_ml
     ]
-    blood = sum(volume for value, volume in volumes_ml.items() if value in table.blood_values)
-    tissue = sum(volume for value, volume in volumes_ml.items() if value in table.tissue_values)
-    shown = surface_parts(surface)
+    totals = _totals(table, volumes_ml)
+    shown = surface_parts(surface, recipe.landmarks)
     quality = {
         "Simulation grid": figure_facts(grid.quality),
         "Visible surface": figure_facts(surface.quality) if surface is not None else [],
@@ -191,29 +207,41 @@ def build_report(
     return render_report(
         ReportData(
             case_name=recipe.name,
-            warnings=tuple(dict.fromkeys(warnings)),
-            key_facts=_key_facts(grid, surface, blood, tissue),
-            scan_facts=_scan_facts(scan),
+            case_id=case_id,
+            warnings=grouped(warnings),
+            key_facts=_key_facts(grid, surface, scan, totals),
+            scan_facts=_scan_facts(recipe, scan),
             slices=slice_parts(scan, segmentation, structures),
             sides=shown.sides,
-            cutaway=shown.cutaway,
+            views=shown.views,
+            without_short_axis=shown.without_short_axis,
             thickness=shown.thickness,
             thickness_rows=shown.thickness_rows,
             structures=rows,
-            blood_ml=blood,
-            tissue_ml=tissue,
+            totals=list(totals.items()),
             quality={title: facts for title, facts in quality.items() if facts},
-            hand_work=hand_work_facts(recipe),
+            hand_work=hand_work_facts(recipe, scan),
             stages=_stage_rows(stages, timings_s),
             total_s=sum(timings_s.values()),
         )
     )
 
 
-def _key_facts(grid: SimulationGrid, surface: Surface | None, blood_ml: float, tissue_ml: float) -> list[Fact]:
+def _totals(table: LabelTable, volumes_ml: Mapping[int, float]) -> dict[str, float]:
+    """Sums over the structures, with parts of a sum where it has more than one."""
+    kinds = {label.value: label.role for label in table}
+    sums = {
+        words: sum(volume for value, volume in volumes_ml.items() if kinds.get(value) in roles)
+        for words, roles in _TOTALS.items()
+    }
+    return {words: volume for words, volume in sums.items() if words.startswith("All") or volume > 0.0}
+
+
+def _key_facts(grid: SimulationGrid, surface: Surface | None, scan: Scan, totals: Mapping[str, float]) -> list[Fact]:
     facts = [
-        Fact("Tissue", f"{tissue_ml:.1f} ml"),
-        Fact("Blood", f"{blood_ml:.1f} ml"),
+        Fact("Cardiac phase", cardiac_phase_words(scan.acquisition)),
+        Fact("Tissue", f"{totals['All tissue']:.1f} ml"),
+        Fact("Blood", f"{totals['All blood']:.1f} ml"),
         Fact("Cells of the simulation", f"{len(grid.cells):,}"),
         Fact("Edge of a cell", f"{grid.geometry.spacing_mm[0]:.2f} mm"),
         Fact("Points of the simulation", f"{len(grid.nodes):,}"),
@@ -223,17 +251,20 @@ def _key_facts(grid: SimulationGrid, surface: Surface | None, blood_ml: float, t
     return facts
 
 
-def _scan_facts(scan: Scan) -> list[Fact]:
+def _scan_facts(recipe: Recipe, scan: Scan) -> list[Fact]:
     geometry = scan.geometry
     size, spacing = geometry.size, geometry.spacing_mm
     modality = {"CT": "CT", "MR": "MRI"}.get(scan.modality, "not stated in the file")
     facts = [
         Fact("Kind of scan", modality),
-        Fact("Points in the region used", " x ".join(f"{n}" for n in size)),
+        Fact("Cardiac phase", cardiac_phase_words(scan.acquisition), "The model is the heart at this moment."),
+        Fact("Part of the scan used", region_words(recipe)),
+        Fact("Points in the part used", " x ".join(f"{n}" for n in size)),
         Fact("Distance between points", " x ".join(f"{s:.3g}" for s in spacing) + " mm"),
         Fact("Extent", " x ".join(f"{n * s:.0f}" for n, s in zip(size, spacing, strict=True)) + " mm"),
     ]
-    facts += [Fact(fact.name, fact.value) for fact in figure_facts(scan.acquisition)]
+    others = {name: value for name, value in scan.acquisition.items() if name not in _PHASE}
+    facts += [Fact(fact.name, fact.value) for fact in figure_facts(others)]
     return facts
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
+from PIL.PngImagePlugin import PngInfo
 
 from heartcase.schemas.labels import LabelTable
 
@@ -82,10 +83,13 @@ def label_colours(table: LabelTable, values: Collection[int]) -> dict[str, str]:
     return {label.name: label.colour for label in table if label.value in set(values)}
 
 
-def png_bytes(picture: UInt8) -> bytes:
-    """A picture as a PNG file."""
+def png_bytes(picture: UInt8, *, comment: str = "") -> bytes:
+    """A picture as a PNG file, with a comment in its text field if there is one."""
     stream = io.BytesIO()
-    Image.fromarray(picture).save(stream, format="PNG")
+    told = PngInfo()
+    if comment:
+        told.add_text("Comment", comment)
+    Image.fromarray(picture).save(stream, format="PNG", pnginfo=told)
     return stream.getvalue()
 
 

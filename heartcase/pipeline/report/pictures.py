@@ -7,6 +7,8 @@ inferior.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from typing import Literal
 
 import numpy as np
@@ -32,7 +34,7 @@ __all__ = [
 
 Float64 = npt.NDArray[np.float64]
 UInt8 = npt.NDArray[np.uint8]
-View = Literal["anterior", "posterior", "left", "right", "superior", "inferior"]
+View = Literal["anterior", "posterior", "left", "right", "superior", "inferior", "surgeon"]
 
 VIEWS: dict[View, tuple[tuple[float, float, float], tuple[float, float, float]]] = {
     "anterior": ((0, -1, 0), (0, 0, 1)),
@@ -41,18 +43,20 @@ VIEWS: dict[View, tuple[tuple[float, float, float], tuple[float, float, float]]]
     "right": ((-1, 0, 0), (0, 0, 1)),
     "superior": ((0, 0, 1), (0, -1, 0)),
     "inferior": ((0, 0, -1), (0, -1, 0)),
+    "surgeon": ((-0.5, -math.sqrt(0.75), 0), (1, 0, 0)),
 }
-"""Name -> direction towards the viewer, and direction that shows upwards, in LPS."""
+"""Name -> unit direction towards the viewer, and direction that shows upwards, in LPS.
 
-_CHAMBERS = {
-    "left ventricle": "87878005",
-    "right ventricle": "53085002",
-    "left atrium": "82471001",
-    "right atrium": "73829009",
-}
+``surgeon``: the patient lies on the back, the breastbone is opened, and the surgeon stands at the patient's right side
+and looks down at the heart, 30 degrees from straight above: the head is on the left, the patient's right side below.
+"""
+
+_CHAMBERS = ("87878005", "53085002", "82471001", "73829009")
+"""SNOMED CT codes of the ventricles and atria."""
 _TISSUE_COLOUR = (196, 132, 122)
 _UNKNOWN_COLOUR = (175, 175, 175)
 _CAP_OVERSAMPLING = 2
+_MARK_MM = 2.0
 
 
 def surface_picture(
@@ -130,6 +134,8 @@ def cutaway_picture(
     table: LabelTable,
     *,
     plane: Plane | None = None,
+    up: npt.ArrayLike | None = None,
+    marks: Mapping[str, npt.ArrayLike] | None = None,
     size: tuple[int, int] = (800, 600),
     normals: npt.ArrayLike | None = None,
 ) -> UInt8:
@@ -142,6 +148,10 @@ def cutaway_picture(
     plane
         Where to cut; the side its normal points to is taken away, and the viewer stands there.
         :func:`four_chamber_plane` when left out.
+    up
+        Direction that shows upwards; the head, or the front where the viewer looks along the body, when left out.
+    marks
+        Name -> point, mm: written beside a cross where the point is less than 2 mm away from the plane.
     size
         Width and height, pixels.
 
@@ -159,14 +169,16 @@ def cutaway_picture(
     normal = np.asarray(plane[1], dtype=float)
     mesh = clipped(Mesh(points, faces, point_normals, _triangle_colours(labels, tissue, table)), plane)
     shown = mesh.points_mm[np.unique(mesh.triangles)]
-    camera = camera_for(shown if len(shown) else points, towards=normal, up=_upward_for(normal), size=size)
+    upward = _upward_for(normal) if up is None else up
+    camera = camera_for(shown if len(shown) else points, towards=normal, up=upward, size=size)
     fine = camera.oversampled(_CAP_OVERSAMPLING)
     cap, inside = _cut_face(points, faces, tissue, plane, table, fine)
     picture = draw_mesh(mesh, camera, depth_shading=True).astype(float)
     share = downsampled(np.where(inside[..., None], np.uint8(255), np.uint8(0)), _CAP_OVERSAMPLING) / 255.0
     blocks = np.where(inside[..., None], cap, 0).astype(np.float32)
     mean = blocks.reshape(size[1], _CAP_OVERSAMPLING, size[0], _CAP_OVERSAMPLING, 3).mean(axis=(1, 3))
-    return _annotated(np.round(picture * (1.0 - share) + mean).astype(np.uint8), camera)
+    whole = _annotated(np.round(picture * (1.0 - share) + mean).astype(np.uint8), camera)
+    return _marked(whole, camera, plane, marks or {})
 
 
 def four_chamber_plane(
@@ -188,7 +200,7 @@ def four_chamber_plane(
     centres = [
         _centre(points, faces[label == entry.value])
         for entry in table
-        if (entry.snomed in _CHAMBERS.values() or entry.name.lower() in _CHAMBERS) and (label == entry.value).any()
+        if entry.term is not None and entry.term.code in _CHAMBERS and (label == entry.value).any()
     ]
     viewer = np.array([0.0, -1.0, -1.0])
     if len(centres) >= 3:
@@ -331,6 +343,25 @@ def _annotated(picture: UInt8, camera: Camera) -> UInt8:
     left, bottom = inset + 6, height - inset - 4
     draw.line((left, bottom, left + pixels, bottom), fill=INK, width=3)
     draw.text((left, bottom - 6), f"{length} mm", fill=INK, font=font, anchor="lb")
+    return np.asarray(sheet)
+
+
+def _marked(picture: UInt8, camera: Camera, plane: Plane, marks: Mapping[str, npt.ArrayLike]) -> UInt8:
+    """Write a cross and a name at each point that lies on the plane."""
+    sheet = Image.fromarray(picture)
+    draw = ImageDraw.Draw(sheet)
+    font = font_of_size(15)
+    point, normal = (np.asarray(part, dtype=float) for part in plane)
+    for name, place in marks.items():
+        if abs((np.asarray(place, dtype=float) - point) @ normal) > _MARK_MM * np.linalg.norm(normal):
+            continue
+        column, row, _ = camera.project(place)
+        for width, colour in ((5, (255, 255, 255)), (2, INK)):
+            draw.line((column - 6, row, column + 6, row), fill=colour, width=width)
+            draw.line((column, row - 6, column, row + 6), fill=colour, width=width)
+        draw.text(
+            (column + 9, row), name, fill=INK, font=font, anchor="lm", stroke_width=2, stroke_fill=(255, 255, 255)
+        )
     return np.asarray(sheet)
 
 

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from heartcase.schemas.recipe import Recipe
-
-__all__ = ["Fact", "figure_facts", "hand_work_facts", "setting_lines"]
+__all__ = ["Fact", "cardiac_phase_words", "figure_facts", "placed", "setting_lines"]
 
 
 @dataclass(frozen=True)
@@ -35,6 +32,9 @@ _UNITS = {
     "_cm2": "cm²",
     "_percent": "%",
     "_degrees": "degrees",
+    "_deg": "degrees",
+    "_kv": "kV",
+    "_t": "T",
     "_kpa": "kPa",
     "_kg_m3": "kg/m³",
     "_ms": "ms",
@@ -112,7 +112,7 @@ _PRIVATE_SETTINGS = {"path", "file", "origin", "names", "series"}
 def figure_facts(figures: Mapping[str, Any]) -> list[Fact]:
     """Turn a stage's quality figures into facts, the ones for engineers last; nested ones become one line each."""
     facts: list[Fact] = []
-    for key, value in figures.items():
+    for key, value in sorted(figures.items(), key=_rank):
         name, meaning = _name_of(key)
         is_technical = key not in _MEANINGS
         if not isinstance(value, Mapping):
@@ -149,43 +149,31 @@ def setting_lines(settings: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def hand_work_facts(recipe: Recipe) -> list[Fact]:
-    """What a person did for this case: strokes, marker files, edits, vessel ends, pins, landmarks."""
-    facts = []
-    by_label: dict[str, list[float]] = {}
-    for stroke in recipe.strokes:
-        points = stroke.points_mm
-        length = sum(math.dist(a, b) for a, b in itertools.pairwise(points))
-        by_label.setdefault(stroke.label, []).append(length)
-    for label, lengths in by_label.items():
-        strokes = "1 stroke" if len(lengths) == 1 else f"{len(lengths)} strokes"
-        facts.append(Fact(f"Painted: {label}", f"{strokes}, {sum(lengths):.0f} mm in all"))
-    if recipe.markers:
-        facts.append(Fact("Marker files", str(len(recipe.markers)), "Painted or placed in another program."))
-    if recipe.segment.method == "labels":
-        facts.append(Fact("Segmentation", "taken as it was given", "The outlines were not made by heartcase."))
-    for number, edit in enumerate(recipe.edits, start=1):
-        facts.append(Fact(f"Edit {number}", _edit_words(edit)))
-    for end in recipe.ends:
-        facts.append(Fact("Vessel cut off", f"{end.label} at {_point(end.position_mm)}"))
-    for pin in recipe.pins:
-        facts.append(Fact("Held fixed by hand", f"ball of {pin.radius_mm:g} mm radius at {_point(pin.position_mm)}"))
-    for landmark in recipe.landmarks:
-        facts.append(Fact("Landmark", f"{landmark.name} ({landmark.kind})"))
-    return facts
+def cardiac_phase_words(acquisition: Mapping[str, Any]) -> str:
+    """When in the heart's cycle the scan was taken, from ``trigger_time_ms`` and ``cardiac_phase_percent``."""
+    percent, time_ms = (
+        float(value) if isinstance(value, int | float) and math.isfinite(value) else None
+        for value in (acquisition.get("cardiac_phase_percent"), acquisition.get("trigger_time_ms"))
+    )
+    parts = []
+    if time_ms is not None:
+        parts.append(f"{time_ms:.0f} ms after the R wave")
+    if percent is not None:
+        parts.append(f"{percent:.0f} % of the way from one R wave to the next")
+    return ", ".join(parts) or "not stated in the scan"
 
 
-def _edit_words(edit: Any) -> str:
-    if edit.kind == "septal_defect":
-        return f"septal defect of {edit.diameter_mm:g} mm made at {_point(edit.position_mm)}"
-    if edit.kind == "close_defect":
-        return f"defect closed with a patch of {edit.diameter_mm:g} mm at {_point(edit.position_mm)}"
-    verb = "added to" if edit.kind == "add" else "removed from"
-    return f"{verb} {edit.label}: brush of {edit.radius_mm:g} mm radius, {len(edit.points_mm)} point(s)"
-
-
-def _point(point: Sequence[float]) -> str:
+def placed(point: Sequence[float]) -> str:
+    """A point as text, with its unit."""
     return f"({', '.join(f'{v:.1f}' for v in point)}) mm"
+
+
+def _rank(item: tuple[str, Any]) -> tuple[int, str]:
+    """Where a figure stands among the others, however the cache sorted them: a group stands where its first does."""
+    key, value = item
+    known = [key, *value] if isinstance(value, Mapping) else [key]
+    order = list(_MEANINGS)
+    return min((order.index(name) for name in known if name in _MEANINGS), default=len(order)), key
 
 
 def _name_of(key: str) -> tuple[str, str]:

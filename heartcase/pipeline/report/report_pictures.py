@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,15 +17,19 @@ from heartcase.pipeline.fields import ownership_on_lattice
 from heartcase.pipeline.mesh.thickness import ThicknessFigures, thickness_figures, triangle_normals, wall_thickness_mm
 from heartcase.pipeline.report.montage import png_bytes
 from heartcase.pipeline.report.pictures import View, coronal_plane, cutaway_picture, surface_picture
+from heartcase.pipeline.report.plain_words import cardiac_phase_words
 from heartcase.pipeline.report.slices import slice_pictures
+from heartcase.pipeline.report.views import CutView, Place, four_chamber_view, places_of, short_axis_view
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable
+from heartcase.schemas.landmarks import Landmark
 
 __all__ = ["Picture", "SurfaceParts", "ThicknessRow", "slice_parts", "surface_parts"]
 
 UInt8 = npt.NDArray[np.uint8]
 
 _LINES = ("-", "--", ":")
+_VIEW_COUNT = 4
 _SIDES: dict[View, str] = {
     "anterior": "From the front",
     "posterior": "From behind",
@@ -48,6 +52,8 @@ class Picture:
     """Pixels."""
     height: int
     """Pixels."""
+    note: str = ""
+    """What else to know of it, one or two sentences."""
 
 
 @dataclass(frozen=True)
@@ -68,8 +74,10 @@ class SurfaceParts:
 
     sides: Sequence[Picture] = ()
     """From four sides."""
-    cutaway: Sequence[Picture] = ()
-    """Cut open."""
+    views: Sequence[Picture] = ()
+    """The surgeon's view, and the heart cut open."""
+    without_short_axis: bool = False
+    """Whether nothing tells where the short axis is."""
     thickness: Sequence[Picture] = ()
     """Thickness maps and histogram."""
     thickness_rows: Sequence[ThicknessRow] = ()
@@ -77,16 +85,19 @@ class SurfaceParts:
 
 
 def slice_parts(scan: Scan, segmentation: Segmentation, structures: Structures) -> list[Picture]:
-    """Draw slices of the scan with the outlines of the final structures."""
+    """Draw slices of the scan with the outlines of the final structures; each row tells the cardiac phase."""
     labels = segmentation.labels
     if _is_parallel(structures.geometry, scan.geometry):
         owner = ownership_on_lattice(structures, scan.geometry)
         labels = np.where(owner.tissue_mm < 0.0, owner.tissue_label, owner.void_label)
-    pictures = slice_pictures(scan.values, scan.geometry, labels, structures.table, modality=scan.modality)
+    phase = f"Cardiac phase: {cardiac_phase_words(scan.acquisition)}"
+    pictures = slice_pictures(
+        scan.values, scan.geometry, labels, structures.table, modality=scan.modality, footnote=phase
+    )
     return [
         _picture(
             f"{stack.capitalize()} slices",
-            f"Four {stack} slices of the scan with the outline of each structure in its colour.",
+            f"Four {stack} slices of the scan with the outline of each structure in its colour. {phase}.",
             picture,
             lossy=True,
         )
@@ -98,8 +109,8 @@ def _is_parallel(one: Geometry, other: Geometry) -> bool:
     return bool(np.allclose(one.direction_matrix, other.direction_matrix, atol=1e-6))
 
 
-def surface_parts(surface: Surface | None) -> SurfaceParts:
-    """Draw the surface from four sides, cut open and by thickness, and measure the thickness."""
+def surface_parts(surface: Surface | None, landmarks: Sequence[Landmark] = ()) -> SurfaceParts:
+    """Draw the surface from four sides, in the surgeon's view, cut open and by thickness; measure the thickness."""
     if surface is None or len(surface.triangles) == 0:
         return SurfaceParts()
     points, faces, tissue, table = surface.vertices_mm, surface.triangles, surface.triangle_tissue, surface.table
@@ -115,17 +126,7 @@ def surface_parts(surface: Surface | None) -> SurfaceParts:
         _picture(title, f"The surface of the heart from the {view} side.", surface_picture(**mesh, view=view))
         for view, title in _SIDES.items()
     ]
-    cuts = [
-        _picture(
-            title,
-            "The heart cut open: the inner sides of the chambers and vessels, and the cut walls.",
-            cutaway_picture(**mesh, plane=plane),
-        )
-        for title, plane in (
-            ("Cut through the middle of the chambers", None),
-            ("Cut from the front", coronal_plane(points, faces)),
-        )
-    ]
+    views = _views(mesh, places_of(landmarks))
     thick = wall_thickness_mm(points, faces, normals=surface.normals, triangle_is_cut=surface.triangle_is_cut)
     figures = thickness_figures(thick, points, faces, tissue, table, triangle_is_cut=surface.triangle_is_cut)
     known = thick[np.isfinite(thick)]
@@ -134,14 +135,14 @@ def surface_parts(surface: Surface | None) -> SurfaceParts:
         "scalar_range": (0.0, max(1.0, float(np.ceil(np.percentile(known, 98))) if len(known) else 1.0)),
         "scalar_title": "thickness (mm)",
     }
-    views: tuple[View, ...] = ("anterior", "posterior")
+    both: tuple[View, ...] = ("anterior", "posterior")
     maps = [
         _picture(
             _SIDES[view],
             f"The surface from the {view} side, coloured by the thickness of the tissue in mm.",
             surface_picture(**mesh, **colouring, view=view),
         )
-        for view in views
+        for view in both
     ]
     maps.append(
         _picture(
@@ -151,7 +152,36 @@ def surface_parts(surface: Surface | None) -> SurfaceParts:
         )
     )
     rows = [ThicknessRow(one, table[one.label].colour, _wanted_mm(table, one.label)) for one in figures]
-    return SurfaceParts(sides, cuts, maps, rows)
+    return SurfaceParts(sides, views, len(views) < _VIEW_COUNT, maps, rows)
+
+
+def _views(mesh: dict[str, Any], places: Mapping[str, Place]) -> list[Picture]:
+    """The surgeon's view, the four-chamber and the short-axis cut, and a cut from the front."""
+    shape = {name: mesh[name] for name in ("vertices_mm", "triangles", "triangle_label", "table")}
+    marks = {place.name: place.position_mm for place in places.values()}
+    surgeon = _picture(
+        "Surgeon's view",
+        "The closed heart as a surgeon sees it who stands at the patient's right side: the head is on the left.",
+        surface_picture(**mesh, view="surgeon"),
+        note="The patient lies on the back; the surgeon stands at the patient's right and looks down, 30 degrees from "
+        "straight above. Head on the left, feet on the right, the patient's right side below.",
+    )
+    front = coronal_plane(mesh["vertices_mm"], mesh["triangles"])
+    cuts = (
+        ("Four-chamber cut, seen from the feet", four_chamber_view(places, **shape)),
+        ("Short-axis cut, seen from the apex", short_axis_view(places, **shape)),
+        ("Cut from the front", CutView(front, np.array([0.0, 0.0, 1.0]), "Plane through the middle of the heart.")),
+    )
+    return [surgeon] + [
+        _picture(
+            title,
+            f"The heart cut open, with the inner sides of the chambers and vessels, and the cut walls. {view.source}",
+            cutaway_picture(**mesh, plane=view.plane, up=view.up, marks=marks),
+            note=view.source,
+        )
+        for title, view in cuts
+        if view is not None
+    ]
 
 
 def _wanted_mm(table: LabelTable, tissue: int) -> float | None:
@@ -187,7 +217,7 @@ def _histogram(thickness: npt.NDArray[np.float32], surface: Surface, figures: Se
     return np.array(canvas.buffer_rgba())[..., :3].copy()  # type: ignore[no-untyped-call]
 
 
-def _picture(title: str, alt: str, pixels: UInt8, *, lossy: bool = False) -> Picture:
+def _picture(title: str, alt: str, pixels: UInt8, *, lossy: bool = False, note: str = "") -> Picture:
     if lossy:
         stream = io.BytesIO()
         Image.fromarray(pixels).save(stream, format="JPEG", quality=88, subsampling=0)
@@ -195,4 +225,4 @@ def _picture(title: str, alt: str, pixels: UInt8, *, lossy: bool = False) -> Pic
     else:
         kind, content = "png", png_bytes(pixels)
     height, width = pixels.shape[:2]
-    return Picture(title, alt, f"data:image/{kind};base64,{base64.b64encode(content).decode()}", width, height)
+    return Picture(title, alt, f"data:image/{kind};base64,{base64.b64encode(content).decode()}", width, height, note)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +19,7 @@ from heartcase.pipeline.report.pictures import direction_letters
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND, LabelTable
 
-__all__ = ["STACKS", "SliceView", "Stack", "display_window", "slice_pictures", "slice_view"]
+__all__ = ["STACKS", "SliceView", "Stack", "display_window", "slice_pictures", "slice_position", "slice_view"]
 
 Float64 = npt.NDArray[np.float64]
 UInt8 = npt.NDArray[np.uint8]
@@ -75,13 +75,18 @@ def slice_view(geometry: Geometry, stack: Stack) -> SliceView:
     )
     world, right, downwards = _STACKS[stack]
     through = axis_of[world]
-    rest = [axis for axis in range(3) if axis != through]
-    across = max(rest, key=lambda axis: abs(direction[:, axis] @ right))
-    down = next(axis for axis in rest if axis != across)
-    flip_across = bool(direction[:, across] @ right < 0.0)
-    flip_down = bool(direction[:, down] @ downwards < 0.0)
-    to_right = direction[:, across] * (-1.0 if flip_across else 1.0)
-    to_bottom = direction[:, down] * (-1.0 if flip_down else 1.0)
+    ahead = np.cross(right, downwards)
+    best = -np.inf
+    # Of the eight ways to lay the slice, four show it from behind, mirrored: the best of the others is taken.
+    for across, flip_across, flip_down in itertools.product(
+        sorted({0, 1, 2} - {through}), (False, True), (False, True)
+    ):
+        down = 3 - through - across
+        to_right, to_bottom = direction[:, across] * (-1) ** flip_across, direction[:, down] * (-1) ** flip_down
+        fit = to_right @ right + to_bottom @ downwards
+        if np.cross(to_right, to_bottom) @ ahead > 0.0 and fit > best + 1e-9:
+            best, chosen = fit, (across, down, flip_across, flip_down, to_right, to_bottom)
+    across, down, flip_across, flip_down, to_right, to_bottom = chosen
     letters = {
         "left": direction_letters(-to_right),
         "right": direction_letters(to_right),
@@ -89,6 +94,21 @@ def slice_view(geometry: Geometry, stack: Stack) -> SliceView:
         "bottom": direction_letters(to_bottom),
     }
     return SliceView(through, across, down, flip_across, flip_down, letters)
+
+
+def slice_position(geometry: Geometry, stack: Stack, number: int) -> str:
+    """Where a slice lies, as scanners write it: the distance of its plane from the scanner's zero, and to which side.
+
+    ``S 34.5 mm`` is 34.5 mm towards the head. In an oblique stack the letters name the slices' normal, strongest
+    first, and the distance is along that normal.
+    """
+    axis = slice_view(geometry, stack).through
+    normal = geometry.direction_matrix[:, axis]
+    index = np.zeros(3)
+    index[axis] = number
+    distance = float(geometry.index_to_world(index) @ normal)
+    outward = normal if distance >= 0.0 else -normal
+    return f"{direction_letters(outward)} {abs(distance):.1f} mm"
 
 
 def display_window(values: npt.ArrayLike, *, modality: str = "unknown") -> tuple[float, float]:
@@ -112,6 +132,7 @@ def slice_pictures(
     window: tuple[float, float] | None = None,
     stacks: Sequence[Stack] = STACKS,
     width: int = 1600,
+    footnote: str = "",
 ) -> dict[Stack, UInt8]:
     """Rows of slices from three sides, with the outline of each label in its colour.
 
@@ -135,6 +156,8 @@ def slice_pictures(
         Which sides to show.
     width
         Width of each row of slices, pixels.
+    footnote
+        Written below each row, such as the cardiac phase.
 
     Returns
     -------
@@ -148,7 +171,9 @@ def slice_pictures(
     low, high = display_window(scan[crop], modality=modality) if window is None else window
     drawn = () if table is None else sorted(table, key=lambda label: label.role.is_blood)
     colours = {label.value: label.colour for label in drawn if label.value != BACKGROUND}
-    return {stack: _row(scan, tags, geometry, stack, box, count, (low, high), colours, width) for stack in stacks}
+    return {
+        stack: _row(scan, tags, geometry, stack, box, count, (low, high), colours, width, footnote) for stack in stacks
+    }
 
 
 def _box(labels: npt.NDArray[np.generic] | None, geometry: Geometry) -> tuple[tuple[int, int], ...]:
@@ -175,6 +200,7 @@ def _row(
     window: tuple[float, float],
     colours: dict[int, str],
     width: int,
+    footnote: str,
 ) -> UInt8:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -185,16 +211,17 @@ def _row(
     span_mm = [n * spacing for n, spacing in zip(sizes, geometry.spacing_mm, strict=True)]
     wide, tall = span_mm[view.across], span_mm[view.down]
     cell = width / count / _INCH_PIXELS
-    caption = 0.28
+    caption, below = 0.28, 0.22 if footnote else 0.0
     height = min(cell * tall / wide, 1.6 * cell)
-    figure = Figure(figsize=(width / _INCH_PIXELS, height + caption), dpi=_INCH_PIXELS, facecolor="white")
+    whole = height + caption + below
+    figure = Figure(figsize=(width / _INCH_PIXELS, whole), dpi=_INCH_PIXELS, facecolor="white")
+    figure.text(0.005, 0.04 / whole, footnote, fontsize=9, color="#282c34", va="bottom")
     canvas = FigureCanvasAgg(figure)
     numbers = [int((n + 0.5) * sizes[view.through] / count) for n in range(count)]
     extent = (0.0, wide, tall, 0.0)
     for place, number in enumerate(numbers):
-        axes = figure.add_axes(
-            ((place + 0.01) / count, 0.0, 0.98 / count, height / (height + caption)), facecolor="black"
-        )
+        axes = figure.add_axes(((place + 0.01) / count, below / whole, 0.98 / count, height / whole), facecolor="black")
+        shown = box[view.through][0] + number
         grey = view.take(scan[crop], number)
         axes.imshow(grey, cmap="gray", vmin=window[0], vmax=window[1], extent=extent, interpolation="bilinear")
         if labels is not None:
@@ -205,7 +232,7 @@ def _row(
         _write_directions(axes, view)
         _draw_scale(axes, wide, tall)
         axes.set_title(
-            f"{stack}, slice {box[view.through][0] + number + 1} of {geometry.size[view.through]}",
+            f"{stack} {shown + 1} of {geometry.size[view.through]}, at {slice_position(geometry, stack, shown)}",
             fontsize=9,
             pad=3,
             color="#282c34",
@@ -243,6 +270,7 @@ def _write_directions(axes, view: SliceView) -> None:  # type: ignore[no-untyped
             fontsize=9,
             color="#ffe9a8",
             fontweight="bold",
+            path_effects=_dark_rim(),
         )
 
 
@@ -250,4 +278,20 @@ def _draw_scale(axes, wide: float, tall: float) -> None:  # type: ignore[no-unty
     length = max((mm for mm in (1, 2, 5, 10, 20, 50, 100, 200) if mm <= 0.25 * wide), default=1)
     left, bottom = 0.03 * wide, tall - 0.03 * wide
     axes.plot([left, left + length], [bottom, bottom], color="#ffe9a8", linewidth=2, solid_capstyle="butt")
-    axes.text(left, bottom - 0.015 * wide, f"{length} mm", color="#ffe9a8", fontsize=8, ha="left", va="bottom")
+    axes.text(
+        left,
+        bottom - 0.015 * wide,
+        f"{length} mm",
+        color="#ffe9a8",
+        fontsize=8,
+        ha="left",
+        va="bottom",
+        path_effects=_dark_rim(),
+    )
+
+
+def _dark_rim() -> list[Any]:
+    """Keep light writing readable over bright tissue."""
+    from matplotlib.patheffects import withStroke
+
+    return [withStroke(linewidth=2, foreground="black")]

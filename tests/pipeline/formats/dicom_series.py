@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -36,14 +36,14 @@ def header(*, sop_class: str = CT, modality: str = "CT", series: int = 1, instan
 
 
 def put_pixels(dataset: Dataset, stored: np.ndarray) -> None:
-    """Store int16 or uint16 grey values, one frame (rows, columns) or several (frames, rows, columns)."""
+    """Store whole grey values of 8, 16 or 32 bits, one frame (rows, columns) or several (frames, rows, columns)."""
     dataset.Rows, dataset.Columns = stored.shape[-2:]
     if stored.ndim == 3:
         dataset.NumberOfFrames = stored.shape[0]
     dataset.SamplesPerPixel = 1
     dataset.PhotometricInterpretation = "MONOCHROME2"
-    dataset.BitsAllocated = dataset.BitsStored = 16
-    dataset.HighBit = 15
+    dataset.BitsAllocated = dataset.BitsStored = 8 * stored.dtype.itemsize
+    dataset.HighBit = dataset.BitsStored - 1
     dataset.PixelRepresentation = 1 if stored.dtype.kind == "i" else 0
     dataset.PixelData = stored.tobytes()
 
@@ -60,14 +60,22 @@ def write_series(
     series: int = 1,
     modality: str = "CT",
     order: Sequence[int] | None = None,
+    first_instance: int = 1,
+    each: Callable[[FileDataset, int], None] | None = None,
     **tags: Any,
 ) -> list[Path]:
-    """Write one file per slice; file names are in ``order``, so that they tell nothing about the place."""
+    """Write one file per slice; file names are in ``order``, so that they tell nothing about the place.
+
+    ``each`` changes a data set, given the number of its slice, before it is saved.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
     for name, index in enumerate(order if order is not None else range(len(volume))):
         dataset = header(
-            sop_class=CT if modality == "CT" else MR, modality=modality, series=series, instance=int(index) + 1
+            sop_class=CT if modality == "CT" else MR,
+            modality=modality,
+            series=series,
+            instance=int(index) + first_instance,
         )
         dataset.ImagePositionPatient = [repr_ds(v) for v in positions[index]]
         dataset.ImageOrientationPatient = [repr_ds(v) for v in orientation]
@@ -76,7 +84,9 @@ def write_series(
         put_pixels(dataset, volume[index])
         for keyword, value in tags.items():
             setattr(dataset, keyword, value)
-        path = folder / f"s{series}_{name:04d}"
+        if each is not None:
+            each(dataset, int(index))
+        path = folder / f"s{series}_{name + first_instance - 1:04d}"
         dataset.save_as(path, enforce_file_format=True)
         paths.append(path)
     return paths
@@ -92,24 +102,47 @@ def repr_ds(value: float) -> str:
 
 
 def write_enhanced(
-    path: Path, volume: np.ndarray, positions: np.ndarray, *, orientation: Sequence[float], spacing: Sequence[float]
+    path: Path,
+    volume: np.ndarray,
+    positions: np.ndarray,
+    *,
+    orientation: Sequence[float],
+    spacing: Sequence[float],
+    sop_class: str = ENHANCED_MR,
+    modality: str = "MR",
+    series: int = 1,
+    instance: int = 1,
+    frames: Callable[[Dataset, int], None] | None = None,
+    whole: Callable[[FileDataset], None] | None = None,
 ) -> None:
-    """Write an enhanced multi-frame file with a plane position per frame and the rest shared."""
-    dataset = header(sop_class=ENHANCED_MR, modality="MR")
+    """Write an enhanced multi-frame file with a plane position per frame and the rest shared.
+
+    ``frames`` adds functional groups to a frame, given its number; ``whole`` changes the data set before it is saved.
+    """
+    dataset = header(sop_class=sop_class, modality=modality, series=series, instance=instance)
     put_pixels(dataset, volume)
-    shared, measures, plane, transformation = Dataset(), Dataset(), Dataset(), Dataset()
-    measures.PixelSpacing = list(spacing)
-    plane.ImageOrientationPatient = list(orientation)
-    transformation.RescaleSlope, transformation.RescaleIntercept = 2.0, 3.0
-    shared.PixelMeasuresSequence = DicomSequence([measures])
-    shared.PlaneOrientationSequence = DicomSequence([plane])
-    shared.PixelValueTransformationSequence = DicomSequence([transformation])
+    shared = Dataset()
+    shared.PixelMeasuresSequence = items(PixelSpacing=list(spacing))
+    shared.PlaneOrientationSequence = items(ImageOrientationPatient=[repr_ds(v) for v in orientation])
+    shared.PixelValueTransformationSequence = items(RescaleSlope=2.0, RescaleIntercept=3.0)
     dataset.SharedFunctionalGroupsSequence = DicomSequence([shared])
-    frames = []
-    for position in positions:
-        frame, place = Dataset(), Dataset()
-        place.ImagePositionPatient = [repr_ds(v) for v in position]
-        frame.PlanePositionSequence = DicomSequence([place])
-        frames.append(frame)
-    dataset.PerFrameFunctionalGroupsSequence = DicomSequence(frames)
+    per_frame = []
+    for number, position in enumerate(positions):
+        frame = Dataset()
+        frame.PlanePositionSequence = items(ImagePositionPatient=[repr_ds(v) for v in position])
+        if frames is not None:
+            frames(frame, number)
+        per_frame.append(frame)
+    dataset.PerFrameFunctionalGroupsSequence = DicomSequence(per_frame)
+    if whole is not None:
+        whole(dataset)
+    path.parent.mkdir(parents=True, exist_ok=True)
     dataset.save_as(path, enforce_file_format=True)
+
+
+def items(**tags: Any) -> DicomSequence:
+    """A sequence of one item with these tags."""
+    item = Dataset()
+    for keyword, value in tags.items():
+        setattr(item, keyword, value)
+    return DicomSequence([item])

@@ -21,11 +21,13 @@ from heartcase.pipeline.report.render import Mesh, camera_for, draw_mesh
 from heartcase.schemas.labels import default_label_table
 from tests.pipeline.report.analytic_heart import CAVITIES, make_heart
 
-TABLE = default_label_table()
 SIZE = (300, 240)
 
 RED, BLUE = 1, 2
-"""Left ventricle is red, right ventricle blue in the default table."""
+"""Left ventricle and right ventricle, in colours that can be told apart by their channels."""
+TABLE = default_label_table()
+for value, colour in ((RED, "#d8412f"), (BLUE, "#3f6fd0")):
+    TABLE = TABLE.with_label(TABLE[value].model_copy(update={"colour": colour}))
 
 
 @pytest.fixture(scope="module")
@@ -57,6 +59,7 @@ def centre_of(picture: np.ndarray, colour: int) -> np.ndarray:
         ("right", (0, -1, 0), (0, 0, 1)),
         ("superior", (-1, 0, 0), (0, -1, 0)),
         ("inferior", (1, 0, 0), (0, -1, 0)),
+        ("surgeon", (0, 0, -1), (np.sqrt(0.75), -0.5, 0)),
     ],
 )
 def test_patient_directions_appear_on_the_right_side(view, to_the_right, upwards):
@@ -169,7 +172,8 @@ def test_cutaway_shows_chambers_and_cut_walls_in_their_colours(heart):
     picture = cutaway_picture(
         s.vertices_mm, s.triangles, s.triangle_label, s.triangle_tissue, heart.table, plane=plane, size=(500, 500)
     ).astype(int)
-    pale = np.round(np.array([0xB5, 0x60, 0x5A]) * 0.72 + 255 * 0.28).astype(int)
+    colour = [int(TABLE[9].colour[n : n + 2], 16) for n in (1, 3, 5)]
+    pale = np.round(np.array(colour) * 0.72 + 255 * 0.28).astype(int)
     wall = np.abs(picture - pale).max(axis=2) <= 2
     assert wall.sum() > 3000
     rows, columns = np.nonzero(wall)
@@ -248,10 +252,10 @@ def test_sheets_hold_every_picture_and_name():
     for shade in (10, 120, 60):
         assert (sheet == shade).all(axis=2).sum() >= 40 * 60
     names = label_colours(TABLE, [1, 5])
-    assert names == {"left ventricle": TABLE[1].colour, "aorta": TABLE[5].colour}
+    assert names == {TABLE[1].name: TABLE[1].colour, TABLE[5].name: TABLE[5].colour}
     narrow, wide = legend_picture(names, width=220), legend_picture(names, width=800)
     assert narrow.shape[0] > wide.shape[0]
-    assert (wide == [0xE0, 0x3B, 0x5A]).all(axis=2).sum() > 150
+    assert (wide == [int(TABLE[5].colour[n : n + 2], 16) for n in (1, 3, 5)]).all(axis=2).sum() > 150
     assert stacked([sheet, wide]).shape[:2] == (sheet.shape[0] + wide.shape[0], 800)
 
 

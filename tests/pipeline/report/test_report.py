@@ -3,15 +3,18 @@
 import base64
 import io
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from heartcase.pipeline.cautions import anatomy, grouped, note
 from heartcase.pipeline.data import GridMap
 from heartcase.pipeline.report.build_report import ReportData, build_report, render_report
-from heartcase.pipeline.report.plain_words import figure_facts, hand_work_facts, setting_lines
+from heartcase.pipeline.report.hand_work import hand_work_facts
+from heartcase.pipeline.report.plain_words import cardiac_phase_words, figure_facts, setting_lines
 from heartcase.schemas.bundle import CaseManifest, StageRecord
 from heartcase.schemas.recipe import parse_recipe
 from tests.pipeline.report.analytic_heart import make_heart
@@ -96,7 +99,8 @@ def html(heart):
                 output_sha256="ab" * 32,
             )
         ],
-        warnings=["the worst <of> all", "a lesser one", "the worst <of> all"],
+        warnings=[note("a lesser one"), "one to look at", anatomy("the worst <of> all"), note("a lesser one")],
+        case_id="HC-TEST-0001",
     )
 
 
@@ -133,8 +137,8 @@ def test_page_is_whole_html_and_stands_alone(html):
 
 def test_pictures_are_inside_decode_and_have_words(html):
     images = Page(html).all("img")
-    # Three stacks of slices, four sides, two cuts, two thickness maps and the histogram.
-    assert len(images) == 12
+    # Three stacks of slices, four sides, the surgeon's view and three cuts, two thickness maps and the histogram.
+    assert len(images) == 14
     for image in images:
         assert len(image["alt"]) > 20
         head, _, content = image["src"].partition(",")
@@ -154,9 +158,11 @@ def test_no_path_file_name_or_identity_reaches_the_page(html):
 def test_notice_stands_first_and_warnings_follow_worst_first(html):
     text = Page(html).text
     notice = CaseManifest.model_fields["notice"].default
-    assert text.index(notice) < text.index("Case 7") < text.index("the worst <of> all") < text.index("a lesser one")
-    assert text.count("the worst <of> all") == 1
-    assert "2 warnings" in text
+    order = [notice, "Case 7", "HC-TEST-0001", "DRAFT: not approved", "3 warnings", "The anatomy may be wrong"]
+    order += ["The worst <of> all", "Look at this", "One to look at", "For your information", "A lesser one"]
+    places = [text.index(words) for words in order]
+    assert places == sorted(places)
+    assert text.count("A lesser one") == 1
 
 
 def test_every_structure_is_there_with_its_volume(html, heart):
@@ -164,14 +170,20 @@ def test_every_structure_is_there_with_its_volume(html, heart):
     for value, volume in ((1, "33.2"), (5, "11.5"), (9, "87.8"), (10, "20.0")):
         assert heart.table[value].name in text
         assert volume in text
-    assert re.search(r"All blood\s+44\.8", text)
-    assert re.search(r"All tissue\s+107\.8", text)
+    assert re.search(r"Blood in the chambers\s+sum\s+33\.2", text)
+    assert re.search(r"Blood in the vessels\s+sum\s+11\.5", text)
+    assert re.search(r"All blood\s+sum\s+44\.8", text)
+    assert re.search(r"Heart muscle\s+sum\s+107\.8", text)
+    assert re.search(r"All tissue\s+sum\s+107\.8", text)
+    assert "Patches and devices" not in text
 
 
-def test_thickness_table_gives_measured_and_asked_for(html):
+def test_thickness_table_gives_measured_and_asked_for(html, heart):
     text = re.sub(r"\s+", " ", Page(html).text)
     # The analytic heart's grown walls are 1 mm thicker than the table asks for.
-    row = re.search(r"right ventricle wall (\d\.\d) (\d\.\d) ", text[text.index("Asked for") :])
+    row = re.search(
+        re.escape(heart.table[heart.table.wall_value(2)].name) + r" (\d\.\d) (\d\.\d) ", text[text.index("Asked for") :]
+    )
     assert row is not None
     assert row.group(1) == "4.0"
     assert float(row.group(2)) == pytest.approx(5.0, abs=0.25)
@@ -191,24 +203,26 @@ def test_hand_work_times_and_provenance_are_stated(html):
     assert "Distance of the surface from the grid median 0.25, largest 1.5 cells" in text
 
 
-def test_same_input_gives_the_same_page(heart):
-    def once() -> str:
-        return build_report(
-            recipe=parse_recipe(RECIPE),
-            scan=heart.scan,
-            segmentation=heart.segmentation,
-            structures=heart.structures,
-            grid=heart.grid,
-            surface=None,
-            grid_map=None,
-            volumes_ml={},
-            timings_s={},
-            stages=[],
-            warnings=[],
-        )
+def page_of(heart, *, scan=None, surface=None) -> str:
+    """The page of a case about which little is known."""
+    return build_report(
+        recipe=parse_recipe(RECIPE),
+        scan=scan or heart.scan,
+        segmentation=heart.segmentation,
+        structures=heart.structures,
+        grid=heart.grid,
+        surface=surface,
+        grid_map=None,
+        volumes_ml={},
+        timings_s={},
+        stages=[],
+        warnings=[],
+    )
 
-    page = once()
-    assert page == once()
+
+def test_same_input_gives_the_same_page(heart):
+    page = page_of(heart)
+    assert page == page_of(heart)
     assert "without a visible surface" in page
     assert "No warnings" in page
     assert len(Page(page).all("img")) == 3
@@ -216,9 +230,86 @@ def test_same_input_gives_the_same_page(heart):
 
 def test_everything_that_is_given_is_escaped():
     nasty = "<script>alert('x')</script> & \"y\""
-    page = Page(render_report(ReportData(case_name=nasty, warnings=[nasty])))
+    page = Page(render_report(ReportData(case_name=nasty, warnings=grouped([nasty]))))
     assert not page.all("script")
     assert page.text.count(nasty) == 2
+
+
+def test_case_is_a_draft_and_the_page_says_how_to_approve_it(html):
+    text = re.sub(r"\s+", " ", Page(html).text)
+    assert "heartcase approve CASE --role" in text
+    assert "heartcase info CASE" in text
+    assert "<title>Case 7 (HC-TEST-0001): build report</title>" in html
+    assert "HC-" not in render_report(ReportData(case_name="x"))
+
+
+@pytest.mark.parametrize(
+    ("acquisition", "words"),
+    [
+        ({"trigger_time_ms": 640.0}, "640 ms after the R wave"),
+        ({"cardiac_phase_percent": 70.0}, "70 % of the way from one R wave to the next"),
+        (
+            {"cardiac_phase_percent": 0.0, "trigger_time_ms": 0.0},
+            "0 ms after the R wave, 0 % of the way from one R wave to the next",
+        ),
+        ({"echo_time_ms": 3.0}, "not stated in the scan"),
+        ({"trigger_time_ms": float("nan")}, "not stated in the scan"),
+        ({"trigger_time_ms": "Qwertz"}, "not stated in the scan"),
+    ],
+)
+def test_cardiac_phase_is_put_in_words(acquisition, words):
+    assert cardiac_phase_words(acquisition) == words
+
+
+@pytest.mark.parametrize("acquisition", [{"trigger_time_ms": 640.0, "cardiac_phase_percent": 70.0}, {}])
+def test_cardiac_phase_is_on_the_page_and_in_every_row_of_slices(heart, acquisition):
+    words = cardiac_phase_words(acquisition)
+    scan = replace(heart.scan, acquisition={**acquisition, "magnetic_field_strength_t": 1.5})
+    page = Page(page_of(heart, scan=scan))
+    text = re.sub(r"\s+", " ", page.text)
+    assert f"Cardiac phase {words}" in text
+    assert "Trigger time" not in text
+    assert "1.5 T" in text
+    assert sum(f"Cardiac phase: {words}." in image["alt"] for image in page.all("img")) == 3
+
+
+def test_where_no_short_axis_can_be_found_the_page_says_what_it_needs():
+    heart = make_heart(spacing_mm=(5.0, 5.0, 5.0))
+    surface = replace(
+        heart.surface, triangle_label=np.where(heart.surface.triangle_label == 3, 0, heart.surface.triangle_label)
+    )
+    page = Page(page_of(heart, surface=surface))
+    assert "There is no short-axis cut" in page.text
+    assert len(page.all("img")) == 13
+
+
+def luminance(colour: str) -> float:
+    """Relative luminance, WCAG 2.2."""
+    channels = np.array([int(colour[n : n + 2], 16) / 255.0 for n in (1, 3, 5)])
+    linear = np.where(channels <= 0.04045, channels / 12.92, ((channels + 0.055) / 1.055) ** 2.4)
+    return float(linear @ [0.2126, 0.7152, 0.0722])
+
+
+def test_writing_has_the_contrast_that_wcag_aa_asks_for(html):
+    named = dict(re.findall(r"--(\w+): (#[0-9a-f]{6});", html))
+    grounds = {named["paper"], named["tint"], *re.findall(r"background: (#[0-9a-f]{6})[;} ]", html)}
+    assert len(grounds) >= 4
+    inks = {named["ink"], named["soft"], *re.findall(r"[^-]color: (#[0-9a-f]{6});", html)}
+    for ink in inks:
+        for ground in grounds:
+            light, dark = sorted((luminance(ink), luminance(ground)), reverse=True)
+            assert (light + 0.05) / (dark + 0.05) >= 4.5, (ink, ground)
+    light, dark = sorted((luminance(named["accent"]), luminance(named["paper"])), reverse=True)
+    assert (light + 0.05) / (dark + 0.05) >= 4.5
+
+
+def test_page_is_made_for_paper_too(html):
+    style = html[html.index("<style>") : html.index("</style>")]
+    print_rules = style[style.index("@media print") :]
+    assert re.search(r"figure[^{]*\{ break-inside: avoid", print_rules)
+    tallest = re.search(r"figure img \{[^}]*max-height: (\d+)mm", print_rules)
+    # Letter is 279 mm high, less the margins.
+    assert int(tallest.group(1)) < 279 - 2 * 14 - 30
 
 
 def test_figures_are_put_in_words_with_units():
@@ -249,6 +340,13 @@ def test_figures_are_put_in_words_with_units():
     assert words["Unheard of"] == "not known"
 
 
+def test_figures_stand_in_the_same_order_however_they_come():
+    figures = {"b": 1, "node_count": 2, "cell_mm": 2.5, "a": 3, "repairs": {"leak_cells_added": 3, "hinges_left": 0}}
+    one, other = figure_facts(figures), figure_facts(dict(sorted(figures.items(), reverse=True)))
+    assert one == other
+    assert [fact.name for fact in one][:2] == ["Edge of a cell", "Nodes"]
+
+
 def test_settings_leave_paths_out_and_count_lists():
     lines = setting_lines(
         {
@@ -266,7 +364,7 @@ def test_settings_leave_paths_out_and_count_lists():
 def test_case_without_hand_work_says_so():
     recipe = parse_recipe(
         'heartcase_recipe = 1\nname = "x"\n[scan]\npath = "a.nrrd"\n'
-        '[segment]\nmethod = "threshold"\n[[segment.ranges]]\nlabel = "aorta"\nlower = 5\n'
+        '[[strokes]]\nlabel = "aorta"\npoints_mm = [[0, 0, 0]]\n'
     )
-    assert hand_work_facts(recipe) == []
+    assert [fact.name for fact in hand_work_facts(recipe)] == ["Painted: aorta"]
     assert "made by the program alone" in render_report(ReportData(case_name="x"))

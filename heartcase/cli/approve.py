@@ -1,0 +1,49 @@
+"""``heartcase approve``: note that a case was reviewed and approved."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from heartcase.cli.output import echo_json
+from heartcase.schemas.approval import approval_log, approve_case, bundle_sha256
+from heartcase.schemas.bundle_check import check_bundle
+from heartcase.schemas.bundle_reader import open_bundle
+from heartcase.schemas.errors import BundleError
+
+__all__ = ["command"]
+
+
+@click.command()
+@click.argument("case", type=click.Path(path_type=Path))
+@click.option("--role", required=True, help='What you are, such as "consultant cardiologist": not your name.')
+@click.option("--note", default="", help="What else should be known; never anything about the patient.")
+@click.option("--withdraw", is_flag=True, help="Take the approval of this case back.")
+@click.option("--yes", is_flag=True, help="Do not ask.")
+@click.option("--json", "as_json", is_flag=True, help="Print the state as JSON.")
+def command(case: Path, role: str, note: str, withdraw: bool, yes: bool, as_json: bool) -> None:
+    """Check CASE to the last byte, then append who approved it, when, and exactly which bytes, to a log beside it.
+
+    The log is NAME.approvals.jsonl. Change a byte of the case and it is a draft again; build the same bytes again and
+    they are approved as before.
+    """
+    seen = None
+    if not withdraw:
+        problems = check_bundle(case)
+        if problems:
+            raise BundleError(problems)
+        seen = bundle_sha256(case)
+        manifest = open_bundle(case).manifest
+        click.echo(f"Case       {manifest.name}" + (f" ({manifest.case_id})" if manifest.case_id else ""), err=True)
+        for warning in manifest.warnings:
+            click.echo(f"warning: {warning}", err=True)
+        click.echo(manifest.notice, err=True)
+    if not yes:
+        act = "withdraw the approval of" if withdraw else "approve"
+        click.confirm(f"Do you, as {role!r}, {act} this case as it is?", abort=True, err=True)
+    state = approve_case(case, role=role, note=note, withdraw=withdraw, expected_sha256=seen)
+    if as_json:
+        echo_json(state.as_dict() | {"log": str(approval_log(case))})
+    else:
+        click.echo(f"{state.words}; noted in {approval_log(case)}")

@@ -1,0 +1,254 @@
+"""List what a DICOM folder holds, and choose one stack of it.
+
+A series is named by its number in the list and the end of its UID: a tag's text may identify a patient.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from heartcase.pipeline.formats.dicom_headers import OTHER_MODALITIES
+from heartcase.pipeline.formats.dicom_phases import PhaseStack, StackGroup
+from heartcase.pipeline.formats.raw_volume import geometry_from_affine
+from heartcase.pipeline.formats.stack import Stack, find_stack
+from heartcase.schemas.errors import Problem, ScanError
+from heartcase.schemas.geometry import Geometry
+
+__all__ = ["SeriesInfo", "choose", "describe_volume", "listed", "stack_geometry"]
+
+SHORTEST_SUFFIX = 6
+SMALL_STACK = 9
+"""Images that a localiser has at most, where the headers do not call it one."""
+SMALL_PART = 0.25
+"""Part of the largest stack's images that a localiser has at most, where the headers do not call it one."""
+TIMES_SHOWN = 40
+"""How many times an error lists."""
+GEOMETRY_TOLERANCE_MM = 0.01
+"""Cardiac phases that are series of their own lie at one place to this."""
+
+
+@dataclass(frozen=True)
+class SeriesInfo:
+    """A series, or one of its stacks, as it may be shown: nothing in it tells who was scanned."""
+
+    number: int
+    """Number to choose it by, from 1."""
+    slice_count: int
+    """Number of images, those of all cardiac phases and echoes together."""
+    spacing_mm: tuple[float, float, float] | None
+    """Spacing along i, j, k; None where the images do not form one stack."""
+    modality: str
+    """``CT``, ``MR``, a kind of image that is not read (``PT``, ``US`` ...), or ``unknown``."""
+    description: str
+    """What it is, in words made from geometry, modality and physics."""
+    uid_suffix: str
+    """The end of its UID, long enough to tell it from the others; empty for other formats."""
+    trigger_times_ms: tuple[float, ...] = ()
+    """Times of the cardiac phases after the R wave, ms, ascending; empty where none is stated."""
+    echo_times_ms: tuple[float, ...] = ()
+    """Echo times, ms, ascending; empty where none is stated."""
+
+    @property
+    def has_choice(self) -> bool:
+        """Whether a time is needed to choose one stack of it."""
+        return max(len(self.trigger_times_ms), len(self.echo_times_ms)) > 1
+
+
+def describe_volume(geometry: Geometry, modality: str) -> str:
+    """What a volume is, in words: modality, orientation, size and spacing."""
+    normal = np.abs(geometry.direction_matrix[:, 2])
+    plane = ("sagittal", "coronal", "axial")[int(np.argmax(normal))]
+    if normal.max() < 0.999:
+        plane = f"oblique {plane}"
+    size = " x ".join(str(count) for count in geometry.size)
+    spacing = " x ".join(f"{length:.4g}" for length in geometry.spacing_mm)
+    return f"{modality if modality != 'unknown' else 'volume'}, {plane}, {size} voxels of {spacing} mm"
+
+
+def stack_geometry(stack: Stack) -> Geometry:
+    """Where the voxels of a stack lie that needs no straightening."""
+    rows, columns = stack.slices[0].shape
+    return geometry_from_affine(stack.affine, (stack.places[-1] + 1, rows, columns))
+
+
+def listed(groups: Sequence[StackGroup]) -> tuple[SeriesInfo, ...]:
+    """What the user may choose from, in order."""
+    uids = sorted({group.series_uid for group in groups})
+    found = []
+    for number, group in enumerate(groups, start=1):
+        triggers, echoes = _times(group.stacks)
+        spacing, description = _described(group)
+        found.append(
+            SeriesInfo(
+                number=number,
+                slice_count=group.image_count,
+                spacing_mm=spacing,
+                modality=group.modality,
+                description=description,
+                uid_suffix=_suffix(group.series_uid, uids),
+                trigger_times_ms=triggers,
+                echo_times_ms=echoes,
+            )
+        )
+    return tuple(found)
+
+
+def _described(group: StackGroup) -> tuple[tuple[float, float, float] | None, str]:
+    spacing = None
+    noun = group.modality if group.modality != "unknown" else "images"
+    if group.modality in OTHER_MODALITIES:
+        return None, f"{noun}, not read: CT and MR are"
+    try:
+        geometry = stack_geometry(find_stack(group.stacks[0].slices))
+        spacing, description = geometry.spacing_mm, describe_volume(geometry, group.modality)
+    except ScanError as error:
+        description = f"{noun}, not one even stack ({error.problems[0].message.partition(':')[0]})"
+    triggers, echoes = _times(group.stacks)
+    if group.kind:
+        description += f", {group.kind}"
+    if len(echoes) > 1:
+        description += f", {len(echoes)} echoes of {echoes[0]:g} to {echoes[-1]:g} ms"
+    elif echoes and "echo time" not in description:
+        description += f", echo time {echoes[0]:g} ms"
+    if len(triggers) > 1:
+        description += f", {len(triggers)} cardiac phases at {triggers[0]:g} to {triggers[-1]:g} ms"
+    elif group.is_localizer and "localiser" not in description:
+        description += ", localiser"
+    return spacing, description
+
+
+def _times(stacks: Sequence[PhaseStack]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    triggers = sorted({stack.trigger_time_ms for stack in stacks if stack.trigger_time_ms is not None})
+    echoes = sorted({stack.echo_time_ms for stack in stacks if stack.echo_time_ms is not None})
+    return tuple(triggers), tuple(echoes)
+
+
+def _suffix(uid: str, every: list[str]) -> str:
+    length = SHORTEST_SUFFIX
+    while length < len(uid) and sum(other.endswith(uid[-length:]) for other in every) > 1:
+        length += 1
+    return uid[-length:]
+
+
+def choose(
+    groups: Sequence[StackGroup], *, series: str | None, trigger_time_ms: float | None, echo_time_ms: float | None
+) -> tuple[StackGroup, PhaseStack]:
+    """Choose one stack.
+
+    Parameters
+    ----------
+    groups
+        All that the folder holds.
+    series
+        Number in :func:`listed` or end of the UID; None takes the one that is left without localisers.
+    trigger_time_ms, echo_time_ms
+        The nearest cardiac phase and echo is taken, the earlier of two that are as near. Phases may be series of
+        their own, if they are alike in all else.
+
+    Returns
+    -------
+    StackGroup, PhaseStack
+        The group and the stack of it.
+
+    Raises
+    ------
+    ScanError
+        The choice is not clear: it lists what there is.
+    """
+    candidates = _candidates(groups) if series is None else _named(groups, series)
+    if len(candidates) > 1 and (trigger_time_ms is not None or echo_time_ms is not None) and _are_phases(candidates):
+        pool = [(group, group.stacks[0]) for group in candidates]
+    elif len(candidates) > 1:
+        what = "the folder holds several series" if series is None else "several stacks end like the given --series"
+        raise ScanError(
+            _with_list(f"{what}: choose one with --series NUMBER, or series in the recipe's [scan]", groups)
+        )
+    else:
+        pool = [(candidates[0], stack) for stack in candidates[0].stacks]
+    modality = pool[0][0].modality
+    if modality in OTHER_MODALITIES:
+        raise ScanError(f"the images are {modality}: a CT or MR series is needed")
+    echoes = [stack.echo_time_ms for _, stack in pool]
+    if echo_time_ms is not None:
+        nearest = _nearest(echoes, echo_time_ms, "echo")
+        pool = [one for one in pool if one[1].echo_time_ms == nearest]
+    if trigger_time_ms is not None:
+        nearest = _nearest([stack.trigger_time_ms for _, stack in pool], trigger_time_ms, "trigger")
+        pool = [one for one in pool if one[1].trigger_time_ms == nearest]
+    if len(pool) > 1:
+        raise ScanError(_which_time([stack for _, stack in pool]))
+    return pool[0]
+
+
+def _candidates(groups: Sequence[StackGroup]) -> list[StackGroup]:
+    """Groups without localisers and other kinds of image."""
+    scans = [group for group in groups if group.modality not in OTHER_MODALITIES]
+    stacks = [group for group in scans if len(group.stacks[0].slices) > 1] or scans or list(groups)
+    stacks = [group for group in stacks if not group.is_localizer] or stacks
+    largest = max(len(group.stacks[0].slices) for group in stacks)
+    small = min(SMALL_STACK, SMALL_PART * largest)
+    return [group for group in stacks if group.image_count > small]
+
+
+def _named(groups: Sequence[StackGroup], series: str) -> list[StackGroup]:
+    wanted = series.strip()
+    if wanted.isdecimal() and wanted.isascii() and 1 <= int(wanted) <= len(groups):
+        return [groups[int(wanted) - 1]]
+    matching = [group for group in groups if wanted and group.series_uid.endswith(wanted)]
+    if len({group.series_uid for group in matching}) == 1:
+        return _candidates(matching)
+    fits = "several series end" if matching else "no series has this number or ends"
+    raise ScanError(_with_list(f"{fits} like the given --series: choose a number from the list", groups))
+
+
+def _are_phases(groups: Sequence[StackGroup]) -> bool:
+    """Whether these are alike in all but time: cardiac phases that the scanner made series of."""
+    if any(len(group.stacks) > 1 or group.modality != groups[0].modality for group in groups):
+        return False
+    try:
+        geometries = [stack_geometry(find_stack(group.stacks[0].slices)) for group in groups]
+    except ScanError:
+        return False
+    times = {(group.stacks[0].echo_time_ms, group.stacks[0].trigger_time_ms) for group in groups}
+    return len(times) == len(groups) and all(
+        one.size == geometries[0].size
+        and np.allclose(one.affine, geometries[0].affine, rtol=0.0, atol=GEOMETRY_TOLERANCE_MM)
+        for one in geometries
+    )
+
+
+def _nearest(times: Sequence[float | None], wanted: float, what: str) -> float:
+    stated = sorted({time for time in times if time is not None})
+    if not stated:
+        raise ScanError(f"no image states its {what} time: leave --{what}-time out, and choose with --series")
+    return min(stated, key=lambda time: abs(time - wanted))
+
+
+def _which_time(stacks: Sequence[PhaseStack]) -> str:
+    triggers, echoes = _times(stacks)
+    parts = []
+    if len(echoes) > 1:
+        parts.append(f"{len(echoes)} echoes (echo times {_numbers(echoes)} ms): choose one with --echo-time MS")
+    if len(triggers) > 1:
+        parts.append(
+            f"{len(triggers)} cardiac phases (trigger times {_numbers(triggers)} ms): choose one with --trigger-time MS"
+        )
+    if not parts:
+        parts = ["several stacks, of which some state no time: export the one that is wanted as a series of its own"]
+    return f"the series holds {'; and '.join(parts)}, or in the recipe's [scan]"
+
+
+def _numbers(times: tuple[float, ...]) -> str:
+    shown = ", ".join(f"{time:g}" for time in times[:TIMES_SHOWN])
+    return shown + (f" ... {times[-1]:g}" if len(times) > TIMES_SHOWN else "")
+
+
+def _with_list(problem: str, groups: Sequence[StackGroup]) -> list[Problem]:
+    lines = [
+        Problem(f"series {info.number}", f"{info.slice_count} images, {info.description} (UID ...{info.uid_suffix})")
+        for info in listed(groups)
+    ]
+    return [Problem("", problem), *lines]

@@ -1,0 +1,327 @@
+"""Which images of a series belong to one stack, where the series holds several.
+
+Images of another size, spacing or orientation are another stack (a localiser among them). Images that share a slice
+position are told apart by what their headers state: kind of image, echo, energy, b-value, cardiac phase, time,
+acquisition. A stack is made of what states the same at every position. Nothing is told apart by file names or
+instance numbers, which say nothing about the patient.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from heartcase.pipeline.formats.dicom_headers import ImageSeries
+from heartcase.pipeline.formats.stack import COSINE_TOLERANCE, SPACING_TOLERANCE, Slice, places_of, stack_problem
+
+__all__ = ["PhaseStack", "StackGroup", "stack_groups"]
+
+SPLIT_BY = (
+    "image_kind",
+    "echo_time_ms",
+    "tube_voltage_kv",
+    "b_value",
+    "inversion_time_ms",
+    "temporal_position",
+    "cardiac_phase_percent",
+    "trigger_time_ms",
+    "acquisition_number",
+    "sequence",
+)
+"""Traits in the order in which they are tried."""
+CHOSEN_BY_TIME = ("echo_time_ms", "temporal_position", "cardiac_phase_percent", "trigger_time_ms")
+"""Traits that one group of stacks may differ in: a time chooses among them."""
+KIND_WORDS = {
+    "LOCALIZER": "localiser",
+    "DERIVED": "derived",
+    "M": "magnitude",
+    "M_FFE": "magnitude",
+    "MAGNITUDE": "magnitude",
+    "P": "phase",
+    "PHASE": "phase",
+    "PHASE MAP": "phase",
+    "VELOCITY": "phase",
+    "R": "real",
+    "REAL": "real",
+    "I": "imaginary",
+    "IMAGINARY": "imaginary",
+    "WATER": "water",
+    "FAT": "fat",
+    "IN_PHASE": "in phase",
+    "OUT_PHASE": "out of phase",
+    "OPP_PHASE": "out of phase",
+    "ADC": "diffusion coefficient",
+    "MIP": "projection",
+    "MAX_IP": "projection",
+    "MPR": "reformatted",
+}
+"""Defined terms of an image's type that may be shown, and how."""
+TRAIT_WORDS = {
+    "echo_time_ms": "echo time {:g} ms",
+    "tube_voltage_kv": "{:g} kV",
+    "b_value": "b-value {:g} s/mm2",
+    "inversion_time_ms": "inversion time {:g} ms",
+    "temporal_position": "time {:g}",
+    "cardiac_phase_percent": "{:g}% of the heartbeat",
+    "trigger_time_ms": "trigger time {:g} ms",
+    "acquisition_number": "acquisition {:g}",
+}
+
+Branch = tuple[tuple[str, Hashable], ...]
+
+
+@dataclass(frozen=True)
+class PhaseStack:
+    """Images that should form one stack, with what they state about time."""
+
+    slices: tuple[Slice, ...]
+    """The images in any order."""
+    trigger_time_ms: float | None
+    """Median time after the R wave, ms."""
+    trigger_spread_ms: float
+    """Largest difference of it between the slices, ms."""
+    cardiac_phase_percent: float | None
+    """Part of the heartbeat, where all slices agree."""
+    echo_time_ms: float | None
+    """Echo time, where all slices agree."""
+
+
+@dataclass(frozen=True)
+class StackGroup:
+    """What one number of the list stands for: the stacks of a series that differ in cardiac phase and echo alone."""
+
+    series_uid: str
+    """Only its end may be shown."""
+    modality: str
+    """As in :class:`~heartcase.pipeline.formats.dicom_headers.ImageSeries`."""
+    stacks: tuple[PhaseStack, ...]
+    """By echo time, then time."""
+    kind: str
+    """What tells it from the other groups of the series, in words; empty where there is one."""
+    is_localizer: bool
+    """Whether the headers call it a localiser."""
+    left_out: str = ""
+    """Which smaller groups of the series are left out when this one is chosen, in words; empty where there is none."""
+
+    @property
+    def image_count(self) -> int:
+        """Number of images of all stacks."""
+        return sum(len(stack.slices) for stack in self.stacks)
+
+
+def stack_groups(series: ImageSeries) -> tuple[StackGroup, ...]:
+    """Sort the images of a series into stacks.
+
+    Parameters
+    ----------
+    series
+        The series.
+
+    Returns
+    -------
+    tuple of StackGroup
+        One or more: the largest first, ties in the order of the headers. A group is not always an even stack: what is
+        wrong with it is said when it is chosen.
+    """
+    groups: list[tuple[tuple[PhaseStack, ...], list[str]]] = []
+    for alike in _alike(series.slices):
+        leaves = _split(alike, SPLIT_BY, ()) if _is_placed(alike[0]) else [((), alike)]
+        branches: dict[Branch, list[tuple[Branch, tuple[Slice, ...]]]] = defaultdict(list)
+        for branch, slices in leaves:
+            branches[tuple(step for step in branch if step[0] not in CHOSEN_BY_TIME)].append((branch, slices))
+        for members in branches.values():
+            found = [(branch, _phase_stack(slices)) for branch, slices in members]
+            times = [(stack.echo_time_ms, stack.trigger_time_ms) for _, stack in found]
+            if len(set(times)) == len(times):
+                ordered = sorted((stack for _, stack in found), key=_time_order)
+                groups.append((tuple(ordered), _words(members[0][0], ordered[0].slices, is_one=len(ordered) == 1)))
+            else:
+                groups += [((stack,), _words(branch, stack.slices, is_one=True)) for branch, stack in found]
+    groups.sort(key=lambda group: -_count(group[0]))
+    repeated = Counter(", ".join(words) for _, words in groups)
+    seen: Counter[str] = Counter()
+    made = []
+    for stacks, words in groups:
+        kind = ", ".join(words)
+        seen[kind] += 1
+        numbered = f"{kind}, {seen[kind]} of {repeated[kind]}" if kind and repeated[kind] > 1 else kind
+        is_localizer = all(image.is_localizer for stack in stacks for image in stack.slices)
+        others = [other for other, _ in groups if _count(other) < _count(stacks)]
+        left_out = _left_out(stacks[0].slices[0], others)
+        shown = numbered if len(groups) > 1 else ""
+        made.append(StackGroup(series.uid, series.modality, stacks, shown, is_localizer, left_out))
+    return tuple(made)
+
+
+def _count(stacks: Sequence[PhaseStack]) -> int:
+    return sum(len(stack.slices) for stack in stacks)
+
+
+def _left_out(first: Slice, others: Sequence[Sequence[PhaseStack]]) -> str:
+    images = [image for stacks in others for stack in stacks for image in stack.slices if not image.is_localizer]
+    if not images:
+        return ""
+    why: dict[str, None] = {}
+    for image in images:
+        if not image.is_grey:
+            why["in colour"] = None
+        elif not _is_placed(image):
+            why["no place in the patient stated"] = None
+        elif not _is_placed(first) or _is_alike(first, image):
+            why["another kind, time or acquisition"] = None
+        elif image.shape != first.shape:
+            why["another size"] = None
+        elif not _is_parallel(first, image):
+            why["another orientation"] = None
+        else:
+            why["another pixel spacing"] = None
+    are = "images of the series are" if len(images) > 1 else "image of the series is"
+    return f"{len(images)} {are} left out: {', '.join(why)}"
+
+
+def _is_placed(image: Slice) -> bool:
+    return image.is_grey and None not in (image.position, image.orientation, image.spacing)
+
+
+def _alike(slices: Sequence[Slice]) -> list[tuple[Slice, ...]]:
+    """Images of one size, spacing and orientation, within the tolerance of a stack."""
+    found: list[tuple[Slice, list[Slice]]] = []
+    known: dict[Hashable, list[Slice]] = {}
+    for image in slices:
+        exact = (image.shape, _is_placed(image), image.is_grey, image.orientation, image.spacing)
+        if exact not in known:
+            members = next((members for first, members in found if _is_alike(first, image)), None)
+            if members is None:
+                members = []
+                found.append((image, members))
+            known[exact] = members
+        known[exact].append(image)
+    return [tuple(members) for _, members in found]
+
+
+def _is_alike(first: Slice, image: Slice) -> bool:
+    if (first.shape, _is_placed(first), first.is_grey) != (image.shape, _is_placed(image), image.is_grey):
+        return False
+    if not _is_placed(first):
+        return True
+    spacing = np.array(first.spacing)
+    spacings = np.abs(spacing - np.array(image.spacing)) / np.maximum(np.abs(spacing), 1e-9)
+    return _is_parallel(first, image) and bool(spacings.max() <= SPACING_TOLERANCE)
+
+
+def _is_parallel(first: Slice, image: Slice) -> bool:
+    return bool(np.abs(np.array(first.orientation) - np.array(image.orientation)).max() <= COSINE_TOLERANCE)
+
+
+def _split(
+    slices: tuple[Slice, ...], traits: tuple[str, ...], branch: Branch
+) -> list[tuple[Branch, tuple[Slice, ...]]]:
+    """Split by the traits that differ at one position, until no position repeats or no trait is left."""
+    places = places_of(slices)
+    if places.max() == 0:  # one slice: no choice of a time makes a stack of it
+        return [(branch, slices)]
+    if len(set(places.tolist())) == len(slices):
+        return [(branch, slices)] if stack_problem(slices) is None else _split_interleaved(slices, traits, branch)
+    for number, trait in enumerate(traits):
+        values = [image.traits.get(trait) for image in slices]
+        at_place: dict[int, set[float | str | None]] = defaultdict(set)
+        for place, value in zip(places.tolist(), values, strict=True):
+            at_place[place].add(value)
+        if max(len(there) for there in at_place.values()) < 2:
+            continue
+        classes = _ranks(at_place, places.tolist(), values) if trait == "trigger_time_ms" else values
+        parts: dict[Hashable, list[Slice]] = defaultdict(list)
+        for image, one in zip(slices, classes, strict=True):
+            parts[one].append(image)
+        if trait != "image_kind" and not _is_orderly(at_place, len(parts)):
+            continue
+        found: list[tuple[Branch, tuple[Slice, ...]]] = []
+        for one in sorted(parts, key=_sortable):
+            found += _split(tuple(parts[one]), traits[number + 1 :], (*branch, (trait, one)))
+        return found
+    return [(branch, slices)]
+
+
+def _is_orderly(at_place: dict[int, set[float | str | None]], class_count: int) -> bool:
+    """Whether a trait differs at most positions, and more so there than from position to position.
+
+    An acquisition number that counts breath-holds does not; nor does one image that was taken again.
+    """
+    counts = [len(there) for there in at_place.values()]
+    return 2 * sum(count > 1 for count in counts) >= len(counts) and class_count <= 2 * max(counts)
+
+
+def _split_interleaved(
+    slices: tuple[Slice, ...], traits: tuple[str, ...], branch: Branch
+) -> list[tuple[Branch, tuple[Slice, ...]]]:
+    """Stacks whose positions differ: split by a trait of which every value has an even stack of its own."""
+    for trait in traits:
+        parts: dict[Hashable, list[Slice]] = defaultdict(list)
+        for image in slices:
+            parts[image.traits.get(trait)].append(image)
+        if 1 < len(parts) <= len(slices) // 2 and all(stack_problem(part) is None for part in parts.values()):
+            return [((*branch, (trait, one)), tuple(parts[one])) for one in sorted(parts, key=_sortable)]
+    return [(branch, slices)]
+
+
+def _ranks(
+    at_place: dict[int, set[float | str | None]], places: list[int], values: list[float | str | None]
+) -> list[Hashable]:
+    """Number of the cardiac phase of each image: heartbeats differ, so the times of a phase differ between slices.
+
+    Where every position has as many times, the n-th time is phase n. Else each time goes to the nearest of the median
+    times of the positions that have the usual number.
+    """
+    times = {place: sorted(v for v in there if isinstance(v, float)) for place, there in at_place.items()}
+    usual = Counter(len(one) for one in times.values()).most_common(1)[0][0]
+    reference = np.median([one for one in times.values() if len(one) == usual], axis=0)
+    ranks: list[Hashable] = []
+    for place, value in zip(places, values, strict=True):
+        if not isinstance(value, float):
+            ranks.append(None)
+        elif len(times[place]) == usual:
+            ranks.append(times[place].index(value))
+        else:
+            ranks.append(int(np.abs(reference - value).argmin()))
+    return ranks
+
+
+def _sortable(value: Hashable) -> tuple[bool, float, str]:
+    is_number = isinstance(value, float | int)
+    return value is None, float(value) if is_number else 0.0, "" if is_number else str(value)  # type: ignore[arg-type]
+
+
+def _phase_stack(slices: tuple[Slice, ...]) -> PhaseStack:
+    def agreed(trait: str) -> float | None:
+        found = {image.traits.get(trait) for image in slices}
+        value = found.pop() if len(found) == 1 else None
+        return value if isinstance(value, float) else None
+
+    times = [time for image in slices if isinstance(time := image.traits.get("trigger_time_ms"), float)]
+    is_stated = len(times) == len(slices)
+    return PhaseStack(
+        slices=slices,
+        trigger_time_ms=float(np.median(times)) if is_stated else None,
+        trigger_spread_ms=max(times) - min(times) if is_stated else 0.0,
+        cardiac_phase_percent=agreed("cardiac_phase_percent"),
+        echo_time_ms=agreed("echo_time_ms"),
+    )
+
+
+def _time_order(stack: PhaseStack) -> tuple[float, float]:
+    return stack.echo_time_ms or 0.0, stack.trigger_time_ms or 0.0
+
+
+def _words(branch: Branch, slices: tuple[Slice, ...], *, is_one: bool) -> list[str]:
+    """What sets a group apart, in words that name no text of a header but defined terms."""
+    words: list[str] = []
+    kind = str(slices[0].traits.get("image_kind", "")).split("/")
+    if len({image.traits.get("image_kind") for image in slices}) == 1:
+        words += dict.fromkeys(KIND_WORDS[term] for term in kind if term in KIND_WORDS)
+    for trait, value in branch:
+        if trait in TRAIT_WORDS and isinstance(value, float) and (is_one or trait not in CHOSEN_BY_TIME):
+            words.append(TRAIT_WORDS[trait].format(value))
+    return words

@@ -1,0 +1,137 @@
+"""Reading single tags of a DICOM data set without trusting what they hold."""
+
+from __future__ import annotations
+
+import logging
+import warnings
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+import pydicom
+
+__all__ = ["numbers_of", "quiet_pydicom", "read_data_set", "read_header", "sequence_of", "text_of", "words_of"]
+
+DEFLATED = b"1.2.840.10008.1.2.1.99"
+INFLATED_LIMIT = 2**31
+"""Bytes to which a deflated file may expand."""
+
+
+@contextmanager
+def quiet_pydicom() -> Iterator[None]:
+    """Keep pydicom's warnings, which quote the tags that they complain about, from being shown or logged."""
+    logger = logging.getLogger("pydicom")
+    was_disabled = logger.disabled
+    logger.disabled = True
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logger.disabled = was_disabled
+
+
+def has_preamble(stream: IO[bytes]) -> bool | None:
+    """True with the DICOM preamble, False for a bare data set, None for anything else; rewinds the stream."""
+    start = stream.read(132)
+    stream.seek(0)
+    if start[128:] == b"DICM":
+        return True
+    return False if start[:2] in (b"\x08\x00", b"\x02\x00") and len(start) == 132 else None
+
+
+def read_header(file: Path, tags: list[str]) -> dict[str, Any] | None:
+    """Values of the named tags that a file holds, read up to its pixels; None where it does not start as DICOM does.
+
+    A tag whose value cannot be read is left out.
+    """
+    with file.open("rb") as stream:
+        preamble = has_preamble(stream)
+        if preamble is None:
+            return None
+        _check_deflated(stream)
+        dataset = pydicom.dcmread(stream, stop_before_pixels=True, specific_tags=list(tags), force=not preamble)
+    # A dict, since looking up the many tags that are not there is slow in a data set.
+    values, found = {}, dataset.keys()
+    for tag in tuple(found):
+        try:
+            element = dataset[tag]
+            values[element.keyword] = element.value
+        except Exception:  # pydicom raises errors of every kind on damaged files
+            continue
+    return values
+
+
+def read_data_set(file: Path) -> Any:
+    """A whole file; one without file meta information is taken as implicit little endian, DICOM's default."""
+    with file.open("rb") as stream:
+        _check_deflated(stream)
+        dataset = pydicom.dcmread(stream, force=True)
+    if not hasattr(dataset, "file_meta") or "TransferSyntaxUID" not in dataset.file_meta:
+        dataset.ensure_file_meta()
+        dataset.file_meta.TransferSyntaxUID = pydicom.uid.ImplicitVRLittleEndian
+    return dataset
+
+
+def _check_deflated(stream: IO[bytes]) -> None:
+    """Refuse a deflated data set that would fill the memory; leaves the stream at its start."""
+    start = stream.read(2048)
+    if DEFLATED not in start:
+        stream.seek(0)
+        return
+    # after preamble and "DICM" comes the length of group 2, an element of 12 bytes that counts from its own end
+    if start[132:136] != b"\x02\x00\x00\x00":
+        raise ValueError("no length of the file meta information")
+    stream.seek(144 + int.from_bytes(start[140:144], "little"))
+    inflater, size = zlib.decompressobj(-zlib.MAX_WBITS), 0
+    while (block := stream.read(65536)) and not inflater.eof:
+        while block and not inflater.eof:
+            size += len(inflater.decompress(block, 2**24))
+            block = inflater.unconsumed_tail
+            if size > INFLATED_LIMIT:
+                raise ValueError("expands beyond the limit")
+    stream.seek(0)
+
+
+def sequence_of(holder: Any, keyword: str) -> Any:
+    """The items of a sequence; None where there is none."""
+    if holder is None:
+        return None
+    try:
+        return holder.get(keyword)
+    except Exception:  # pydicom raises errors of every kind on damaged files
+        return None
+
+
+def text_of(header: Any, keyword: str) -> str:
+    """The text of a tag; empty where it is missing or holds anything else."""
+    try:
+        value = header.get(keyword)
+        return value.strip() if isinstance(value, str) else ""
+    except Exception:  # as above
+        return ""
+
+
+def words_of(header: Any, keyword: str) -> tuple[str, ...]:
+    """The texts of a tag with several values."""
+    try:
+        value = header.get(keyword)
+        parts = [value] if isinstance(value, str) else list(value or ())
+        return tuple(part.strip() for part in parts if isinstance(part, str))
+    except Exception:  # as above
+        return ()
+
+
+def numbers_of(header: Any, keyword: str, count: int) -> tuple[float, ...] | None:
+    """The numbers of a tag; None where it is missing, has another count, or holds anything else."""
+    try:
+        value = header.get(keyword)
+        if value is None or isinstance(value, str):
+            return None
+        numbers = tuple(float(part) for part in (value if count > 1 else [value]))
+    except Exception:  # as above
+        return None
+    return numbers if len(numbers) == count and bool(np.isfinite(numbers).all()) else None

@@ -1,0 +1,159 @@
+"""What a person did or decided for a case, in plain words: never a path, a file name or a name from a file."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+from typing import Any
+
+from heartcase.pipeline.data import Scan
+from heartcase.pipeline.report.plain_words import Fact, placed, setting_lines
+from heartcase.schemas.labels import Label, LabelTable, default_label_table
+from heartcase.schemas.recipe import Recipe
+
+__all__ = ["hand_work_facts", "region_words"]
+
+_STAGES = {
+    "filter": "smoothing the scan",
+    "segment": "finding the structures",
+    "walls": "walls and outlines",
+    "grid": "dividing the tissue into cells",
+    "surface": "visible surface",
+    "map": "tie between surface and cells",
+}
+"""Settings of the recipe -> what they set, for those that have defaults."""
+
+_TOLD_APART = {"method", "ranges", "file", "names"}
+
+
+def hand_work_facts(recipe: Recipe, scan: Scan | None = None) -> list[Fact]:
+    """What a person did for this case.
+
+    Parameters
+    ----------
+    recipe
+        What was asked for, resolved or not.
+    scan
+        The scan as it was read: what was mended in it is told, and a setting is told where it differs from what the
+        program would have chosen for this scan.
+
+    Returns
+    -------
+    list of Fact
+        In the order of the work: the scan and its region, what was painted or taken over, edits, vessel ends, what is
+        held, landmarks; then wall thicknesses, materials and settings that differ from the usual ones.
+    """
+    return [*_scan_work(recipe, scan), *_painted(recipe), *_shaped(recipe), *_settings(recipe, scan)]
+
+
+def region_words(recipe: Recipe) -> str:
+    """Which part of the scan was used."""
+    if recipe.region is None:
+        return "the whole scan"
+    size = " x ".join(f"{edge:.0f}" for edge in recipe.region.size_mm)
+    return f"a box of {size} mm around {placed(recipe.region.center_mm)}"
+
+
+def _scan_work(recipe: Recipe, scan: Scan | None) -> Iterator[Fact]:
+    source = recipe.scan
+    if source.series is not None:
+        yield Fact("Series of the scan", "chosen by hand")
+    if source.trigger_time_ms is not None:
+        yield Fact("Cardiac phase", f"the one nearest to {source.trigger_time_ms:g} ms after the R wave was chosen")
+    if source.echo_time_ms is not None:
+        yield Fact("Echo", f"the one nearest to {source.echo_time_ms:g} ms was chosen")
+    if source.modality is not None:
+        kind = {"CT": "CT", "MR": "MRI"}[source.modality]
+        yield Fact("Kind of scan", f"{kind}, as the recipe says", "Counts only where the file does not say it.")
+    for line in scan.warnings if scan is not None else ():
+        yield Fact("Scan changed before use", str(line))
+    if recipe.region is not None:
+        yield Fact("Region of interest", region_words(recipe), "What lies outside was not used.")
+
+
+def _painted(recipe: Recipe) -> Iterator[Fact]:
+    by_label: dict[str, list[float]] = {}
+    for stroke in recipe.strokes:
+        length = sum(math.dist(a, b) for a, b in itertools.pairwise(stroke.points_mm))
+        by_label.setdefault(stroke.label, []).append(length)
+    for label, lengths in by_label.items():
+        strokes = "1 stroke" if len(lengths) == 1 else f"{len(lengths)} strokes"
+        yield Fact(f"Painted: {label}", f"{strokes}, {sum(lengths):.0f} mm in all")
+    if recipe.markers:
+        yield Fact("Marker files", str(len(recipe.markers)), "Painted or placed in another program.")
+    if recipe.segment.method == "labels":
+        yield Fact("Segmentation", "taken as it was given", "The outlines were not made by heartcase.")
+    for wanted in recipe.segment.ranges if recipe.segment.method == "threshold" else ():
+        low, high = (None if end is None else f"{end:g}" for end in (wanted.lower, wanted.upper))
+        limits = f"from {low} to {high}" if low and high else f"from {low}" if low else f"up to {high}"
+        yield Fact(f"Found by brightness: {wanted.label}", limits, "In the scan's own units.")
+
+
+def _shaped(recipe: Recipe) -> Iterator[Fact]:
+    for number, edit in enumerate(recipe.edits, start=1):
+        yield Fact(f"Edit {number}", _edit_words(edit))
+    for end in recipe.ends:
+        yield Fact("Vessel cut off", f"{end.label} at {placed(end.position_mm)}")
+    for pin in recipe.pins:
+        yield Fact("Held fixed by hand", f"ball of {pin.radius_mm:g} mm radius at {placed(pin.position_mm)}")
+    for landmark in recipe.landmarks:
+        yield Fact("Landmark", f"{landmark.name} ({landmark.kind})")
+
+
+def _edit_words(edit: Any) -> str:
+    if edit.kind == "septal_defect":
+        return f"septal defect of {edit.diameter_mm:g} mm made at {placed(edit.position_mm)}"
+    if edit.kind == "close_defect":
+        return f"defect closed with a patch of {edit.diameter_mm:g} mm at {placed(edit.position_mm)}"
+    verb = "added to" if edit.kind == "add" else "removed from"
+    where = f"{len(edit.points_mm)} point(s) from {placed(edit.points_mm[0])}"
+    return f"{verb} {edit.label}: brush of {edit.radius_mm:g} mm radius, {where}"
+
+
+def _untouched(recipe: Recipe, scan: Scan | None) -> Recipe:
+    """The recipe as if nobody had set anything, with what the program chooses for this scan."""
+    plain = recipe.model_copy(update={stage: type(getattr(recipe, stage))() for stage in _STAGES})
+    if scan is None:
+        return plain
+    from heartcase.pipeline.lock import resolve_recipe
+
+    return resolve_recipe(plain, scan)
+
+
+def _settings(recipe: Recipe, scan: Scan | None) -> Iterator[Fact]:
+    usual = default_label_table()
+    for label in recipe.table:
+        standard = _counterpart(label, usual)
+        if standard is not None and standard.wall_thickness_mm != label.wall_thickness_mm:
+            meaning = f"Usual for an adult: {standard.wall_thickness_mm:g} mm."
+            yield Fact(f"Wall thickness: {label.name}", f"{label.wall_thickness_mm:g} mm", meaning)
+        elif standard is None and label.wall_thickness_mm > 0.0:
+            yield Fact(f"Wall thickness: {label.name}", f"{label.wall_thickness_mm:g} mm")
+    default = type(recipe.materials)()
+    materials = {"all tissue": recipe.materials} | dict(recipe.materials.labels)
+    for name, one in materials.items():
+        if name != "all tissue" or one.model_copy(update={"labels": {}}) != default:
+            value = f"{one.youngs_modulus_kpa:g} kPa, {one.density_kg_m3:g} kg/m³"
+            meaning = (
+                f"Stiffness and density; usual: {default.youngs_modulus_kpa:g} kPa, {default.density_kg_m3:g} kg/m³."
+            )
+            yield Fact(f"Material: {name}", value, meaning)
+    untouched = _untouched(recipe, scan)
+    for stage, words in _STAGES.items():
+        chosen = getattr(recipe, stage)
+        for field in type(chosen).model_fields:
+            value, before = getattr(chosen, field), getattr(getattr(untouched, stage), field)
+            if field in _TOLD_APART or value is None or value == before:
+                continue
+            meaning = "Instead of the program's choice." if before is None else f"Instead of {_plain(field, before)}."
+            yield Fact(f"Setting for {words}", "; ".join(setting_lines({field: value})), meaning)
+
+
+def _plain(field: str, value: Any) -> str:
+    return setting_lines({field: value})[0].split(" = ")[-1]
+
+
+def _counterpart(label: Label, table: LabelTable) -> Label | None:
+    """The label of a usual heart that stands for the same structure."""
+    return (table.find_code(label.snomed) if label.snomed else None) or table.find(label.name)

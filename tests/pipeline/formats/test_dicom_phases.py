@@ -1,0 +1,226 @@
+from __future__ import annotations
+
+import hashlib
+import subprocess
+import sys
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pydicom
+import pytest
+from click.testing import CliRunner
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydicom import uid
+
+from heartcase.cli.main import cli
+from heartcase.pipeline.formats import dicom_tags
+from heartcase.pipeline.formats.dicom_headers import ImageSeries
+from heartcase.pipeline.formats.dicom_phases import stack_groups
+from heartcase.pipeline.formats.stack import Slice
+from heartcase.pipeline.read import list_series, read_scan
+from heartcase.schemas.errors import ScanError
+from heartcase.schemas.recipe import load_recipe
+from tests.pipeline.formats import dicom_situations_read
+from tests.pipeline.formats.dicom_series import items
+from tests.pipeline.formats.dicom_situations import STORED, outcome_of, write
+from tests.pipeline.formats.dicom_situations_read import POSITIONS, enhanced, lossless_jpeg
+from tests.pipeline.formats.dicom_situations_stacks import cine, localizers, phase, tilted
+
+
+def image(k: int, name: str, **traits: float | str) -> Slice:
+    return Slice(
+        Path(name), None, (8, 8), True, (0.0, 0.0, 3.0 * k), (1, 0, 0, 0, 1, 0), (1.0, 1.0), 1.0, 0.0, traits=traits
+    )
+
+
+@settings(max_examples=60, deadline=None)
+@given(data=st.data(), phases=st.integers(2, 6), slices=st.integers(2, 6), echoes=st.integers(1, 3))
+def test_phases_and_echoes_are_found_whatever_the_order(data, phases, slices, echoes) -> None:
+    """Each heartbeat is as long as it likes: the n-th time of a position is phase n, of each echo."""
+    beats = data.draw(st.lists(st.floats(400.0, 1500.0), min_size=slices, max_size=slices))
+    images = [
+        image(k, f"{k} {n} {e}", trigger_time_ms=beats[k] * n / phases, echo_time_ms=1.0 + 2.0 * e)
+        for k in range(slices)
+        for n in range(phases)
+        for e in range(echoes)
+    ]
+    (group,) = stack_groups(ImageSeries("1", "MR", tuple(data.draw(st.permutations(images)))))
+    assert len(group.stacks) == phases * echoes
+    for number, stack in enumerate(group.stacks):
+        e, n = divmod(number, phases)
+        assert {str(one.path) for one in stack.slices} == {f"{k} {n} {e}" for k in range(slices)}
+        assert stack.trigger_time_ms == pytest.approx(np.median(beats) * n / phases)
+        assert stack.echo_time_ms == (1.0 + 2.0 * e)
+    assert not group.left_out
+
+
+def test_an_image_missing_from_one_phase_leaves_the_others_whole() -> None:
+    images = [image(k, f"{k} {n}", trigger_time_ms=40.0 * n + k) for k in range(5) for n in range(4)]
+    lost = next(one for one in images if str(one.path) == "2 1")
+    images.remove(lost)
+    (group,) = stack_groups(ImageSeries("1", "MR", tuple(images)))
+    assert [len(stack.slices) for stack in group.stacks] == [5, 4, 5, 5]
+    for n, stack in enumerate(group.stacks):
+        assert {str(one.path).split()[1] for one in stack.slices} == {str(n)}
+
+
+def test_an_image_taken_again_is_not_a_stack_of_its_own() -> None:
+    """Acquisition numbers count slices here, so they tell nothing apart; which of the two is right is not guessed."""
+    images = [image(k, str(k), acquisition_number=float(k)) for k in range(6)]
+    images.append(image(3, "again", acquisition_number=6.0))
+    (group,) = stack_groups(ImageSeries("1", "MR", tuple(images)))
+    assert group.image_count == 7
+
+
+def test_two_acquisitions_between_each_other_are_two_stacks() -> None:
+    images = [image(k, f"a{k}", acquisition_number=1.0) for k in range(5)]
+    images += [image(k, f"b{k}", acquisition_number=2.0) for k in np.arange(5) + 0.3]
+    groups = stack_groups(ImageSeries("1", "CT", tuple(images)))
+    assert [{str(one.path)[0] for one in group.stacks[0].slices} for group in groups] == [{"a"}, {"b"}]
+    assert [group.kind for group in groups] == ["acquisition 1", "acquisition 2"]
+
+
+def test_what_is_listed(tmp_path: Path) -> None:
+    cine(tmp_path / "a", ImageType=["ORIGINAL", "PRIMARY", "M"])
+    localizers(tmp_path / "b", ImageType=["ORIGINAL", "PRIMARY", "LOCALIZER"])
+    listed = list_series(tmp_path)
+    assert [info.slice_count for info in listed] == [45, 3, 3, 3]
+    assert listed[0].trigger_times_ms == (10.0, 50.0, 90.0, 130.0, 170.0)
+    assert listed[0].has_choice
+    assert "5 cardiac phases at 10 to 170 ms" in listed[0].description
+    assert all("localiser" in info.description for info in listed[1:])
+    with pytest.raises(ScanError, match=r"--trigger-time MS"):
+        read_scan(tmp_path)
+    np.testing.assert_array_equal(read_scan(tmp_path, trigger_time_ms=110.0).values, phase(2))
+    np.testing.assert_array_equal(read_scan(tmp_path, trigger_time_ms=1e4, series="1").values, phase(4))
+    with pytest.raises(ScanError, match="several stacks end like the given --series"):
+        read_scan(tmp_path, series=listed[1].uid_suffix)
+    assert read_scan(tmp_path, series="3").geometry.size == (40, 40, 3)
+
+
+def test_phases_in_series_of_other_places_are_not_mixed(tmp_path: Path) -> None:
+    write(tmp_path / "a", series=1, TriggerTime=100.0)
+    write(tmp_path / "b", series=2, TriggerTime=200.0, positions=POSITIONS + 5.0)
+    with pytest.raises(ScanError, match="several series"):
+        read_scan(tmp_path, trigger_time_ms=190.0)
+
+
+def test_the_recipe_of_new_reads_the_same_scan(tmp_path: Path) -> None:
+    tilted(tmp_path / "scan", gone=(4,))
+    options = ["--straighten-tilt", "--interpolate-missing"]
+    recipe = tmp_path / "case.toml"
+    missing = CliRunner().invoke(cli, ["new", str(tmp_path / "scan"), "--out", str(recipe), options[0]])
+    assert isinstance(missing.exception, ScanError)
+    assert not recipe.exists()
+    result = CliRunner().invoke(cli, ["new", str(tmp_path / "scan"), "--out", str(recipe), *options])
+    assert result.exit_code == 0, result.output
+    source = load_recipe(recipe).scan
+    assert source.choice == {"straighten_tilt": True, "interpolate_missing": True}
+    scan = read_scan(tmp_path / source.path, **source.choice)
+    assert len(scan.warnings) == 2
+    assert scan.geometry.size[2] == len(STORED)
+
+
+def test_a_file_that_is_not_dicom_has_no_times(tmp_path: Path) -> None:
+    import SimpleITK
+
+    SimpleITK.WriteImage(SimpleITK.GetImageFromArray(STORED), str(tmp_path / "s.nii.gz"))
+    assert read_scan(tmp_path / "s.nii.gz", straighten_tilt=True, interpolate_missing=True).warnings == ()
+    with pytest.raises(ScanError, match="holds one volume"):
+        read_scan(tmp_path / "s.nii.gz", trigger_time_ms=1.0)
+
+
+def test_a_deflated_file_does_not_fill_the_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (path, *_) = write(
+        tmp_path, each=lambda d, i: setattr(d.file_meta, "TransferSyntaxUID", uid.DeflatedExplicitVRLittleEndian)
+    )
+    content = path.read_bytes()
+    meta = pydicom.filereader.read_file_meta_info(path)
+    start = 144 + meta.FileMetaInformationGroupLength
+    body = zlib.decompress(content[start:], -15)
+    packer = zlib.compressobj(wbits=-15)
+    path.write_bytes(content[:start] + packer.compress(body + bytes(10_000_000)) + packer.flush())
+    monkeypatch.setattr(dicom_tags, "INFLATED_LIMIT", 5_000_000)
+    assert path.stat().st_size < 50_000
+    with pytest.raises(ScanError, match="1 DICOM file is cut short or damaged"):
+        read_scan(tmp_path)
+
+
+def test_a_date_in_a_number_is_not_shown(tmp_path: Path) -> None:
+    """A date of birth in a tag that holds a number is out of its range, so it tells nothing apart either."""
+    names = ("AcquisitionNumber", "TemporalPositionIdentifier", "TriggerTime", "EchoTime", "KVP", "InversionTime")
+    write(tmp_path, DiffusionBValue=19770203.0, **dict.fromkeys(names, 19770203))
+    write(tmp_path, first_instance=100, DiffusionBValue=19770204.0, **dict.fromkeys(names, 19770204))
+    with pytest.raises(ScanError, match="nothing in the headers tells them apart") as caught:
+        read_scan(tmp_path)
+    assert "1977" not in str(caught.value) + repr(list_series(tmp_path))
+
+
+@pytest.mark.slow
+def test_no_decoder_beyond_the_plain_install_is_needed(tmp_path: Path) -> None:
+    """With the encoders of the tests out of reach all compressed series are read as before."""
+    wanted = [s for s in dicom_situations_read.SITUATIONS if "JPEG" in s.name or "RLE" in s.name]
+    assert len(wanted) > 12
+    script = ["import sys", "sys.modules |= dict.fromkeys(('pylibjpeg', 'openjpeg', 'libjpeg', 'rle'))"]
+    script += ["import hashlib", "from heartcase.pipeline.read import read_scan"]
+    script += ["for path in sys.argv[1:]: print(hashlib.sha256(read_scan(path).values.tobytes()).hexdigest())"]
+    folders, hashes = [], []
+    for number, situation in enumerate(wanted):
+        (tmp_path / str(number)).mkdir()
+        outcome = outcome_of(situation, tmp_path / str(number))
+        assert outcome.scan is not None
+        hashes.append(hashlib.sha256(outcome.scan.values.tobytes()).hexdigest())
+        folders.append(str(next((tmp_path / str(number)).iterdir())))
+    run = subprocess.run(
+        [sys.executable, "-c", "\n".join(script), *folders], capture_output=True, text=True, check=False
+    )
+    assert run.stdout.split() == hashes, run.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("modality", ["MR", "CT"])
+def test_the_phantom_through_dicom(tmp_path: Path, modality: str) -> None:
+    """A synthetic scan of the heart, oblique and with thick slices, comes back as it was written."""
+    from heartcase.phantom.acquisition import acquire_ct, acquire_mri
+    from heartcase.phantom.heart import HeartPhantom
+
+    phantom = HeartPhantom.child()
+    geometry = phantom.scan_geometry((3.0, 4.0, 8.0), oblique=True)
+    scan = (acquire_mri if modality == "MR" else acquire_ct)(phantom, geometry, supersampling=1)
+    intercept = 0.0 if modality == "MR" else -1024.0
+    stored = np.round(scan.values - intercept).astype(np.uint16)
+    write(tmp_path, stored, geometry, modality=modality, intercept=intercept)
+    read = read_scan(tmp_path)
+    np.testing.assert_array_equal(read.values, stored + intercept)
+    np.testing.assert_allclose(read.geometry.affine, geometry.affine, atol=1e-6)
+    assert np.abs(read.values - scan.values).max() <= 0.5001
+
+
+@pytest.mark.parametrize("is_compressed", [False, True])
+def test_a_multi_frame_file_damaged_anywhere_never_crashes(tmp_path: Path, is_compressed: bool) -> None:
+    def frames(frame, number: int) -> None:
+        frame.CardiacSynchronizationSequence = items(NominalCardiacTriggerDelayTime=float(number // 3))
+
+    small = STORED[:3, :8, :8]
+    enhanced(
+        tmp_path,
+        np.concatenate([small, small]),
+        np.concatenate([POSITIONS[:3]] * 2),
+        frames=frames,
+        whole=lossless_jpeg if is_compressed else None,
+    )
+    path = tmp_path / "one.dcm"
+    content = path.read_bytes()
+    outcomes = set()
+    for place in range(132, len(content), 29):
+        damaged = bytearray(content)
+        damaged[place] ^= 0xFF
+        path.write_bytes(bytes(damaged))
+        try:
+            outcomes.add(read_scan(tmp_path, trigger_time_ms=1.0).values.shape)
+        except ScanError:
+            outcomes.add("refused")
+    assert "refused" in outcomes
+    assert (3, 8, 8) in outcomes
