@@ -9,13 +9,17 @@ from typing import Any
 
 import numpy as np
 import SimpleITK
+import trimesh
 
 from heartcase.pipeline.artifacts import artifact_to_bytes, load_artifact
 from heartcase.pipeline.bundle import write_bundle
 from heartcase.pipeline.data import Scan, Segmentation
 from heartcase.pipeline.formats.point_lists import read_point_lists
+from heartcase.pipeline.formats.write_dicom_seg import dicom_seg_bytes
+from heartcase.pipeline.markers import load_segmentation
 from heartcase.pipeline.read import list_series, read_labels, read_scan
 from heartcase.pipeline.write import write_scan, write_segmentation
+from heartcase.schemas.approval import approval_state, approve_case
 from heartcase.schemas.bundle_check import check_bundle
 from heartcase.schemas.bundle_reader import open_bundle
 from heartcase.schemas.geometry import Geometry
@@ -84,6 +88,37 @@ def _labels(suffix: str) -> Callable[[Path], Path]:
     return write
 
 
+def _dicom_seg(folder: Path) -> Path:
+    path = folder / "labels.dcm"
+    path.write_bytes(dicom_seg_bytes(_segmentation(), case_id="HC-1"))
+    return path
+
+
+def _stl_parts(folder: Path) -> Path:
+    parts = folder / "parts"
+    parts.mkdir()
+    ball = trimesh.creation.icosphere(subdivisions=1, radius=3.0)
+    ball.apply_translation(GEOMETRY.index_to_world((4.0, 3.0, 3.0)))
+    (parts / "aorta.stl").write_bytes(ball.export(file_type="stl"))
+    (parts / "left ventricle.stl").write_text(ball.export(file_type="stl_ascii"))
+    return parts
+
+
+def _read_segmentation(path: Path) -> Any:
+    return load_segmentation(path, {}, default_label_table(), GEOMETRY, others="ignore")
+
+
+def _approvals(folder: Path) -> Path:
+    write_bundle(folder / "block.case", block_case())
+    for note in ("one", "two"):
+        approve_case(folder / "block.case", role="cardiologist", note=note)
+    return folder / "block.approvals.jsonl"
+
+
+def _read_approvals(path: Path) -> Any:
+    return approval_state(path.with_name("block.case"))
+
+
 def _markups(folder: Path) -> Path:
     point = {"id": "1", "label": "left ventricle", "position": [1.0, 2.0, 3.0], "positionStatus": "defined"}
     markups = [
@@ -145,9 +180,13 @@ KINDS: dict[str, tuple[Callable[[Path], Path], Callable[[Path], Any]]] = {
     "markers-seg-nrrd": (_labels(".seg.nrrd"), read_labels),
     "markers-nifti": (_labels(".nii.gz"), read_labels),
     "markers-markups": (_markups, read_point_lists),
+    "segmentation-dicom": (_dicom_seg, _read_segmentation),
+    "segmentation-nrrd": (_labels(".seg.nrrd"), _read_segmentation),
+    "segmentation-stl": (_stl_parts, _read_segmentation),
     "recipe": (_recipe, load_recipe),
     "script": (_script, load_script),
     "bundle": (_case, _read_case),
+    "approvals": (_approvals, _read_approvals),
 }
 """Name -> what writes a sound file or folder of the kind, and what reads it."""
 

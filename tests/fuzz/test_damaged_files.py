@@ -25,7 +25,8 @@ def fuzz(kind: str, count: int, seed: int) -> None:
     result = json.loads(done.stdout.strip().splitlines()[-1])
     assert result["findings"] == [], "\n".join(result["findings"][:5])
     assert result["read"] + result["refused"] == count
-    assert result["refused"] > 0.2 * count, result
+    # A damaged log of approvals is not refused: the case is a draft again, and the log's problems are told.
+    assert kind == "approvals" or result["refused"] > 0.2 * count, result
 
 
 @NEEDS_LINUX

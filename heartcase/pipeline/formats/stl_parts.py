@@ -187,7 +187,8 @@ def _read_stl(file: Path) -> _Mesh:
         records = np.frombuffer(
             content, dtype=[("normal", "<f4", 3), ("corners", "<f4", 9), ("rest", "<u2")], offset=84
         )
-        corners = records["corners"].reshape(-1, 3).astype(np.float64)
+        with np.errstate(invalid="ignore"):
+            corners = records["corners"].reshape(-1, 3).astype(np.float64)
         header = content[:80]
     elif content[:512].lstrip().lower().startswith(b"solid"):
         lines = re.findall(rb"(?im)^\s*vertex\s+(\S+)\s+(\S+)\s+(\S+)\s*$", content)
