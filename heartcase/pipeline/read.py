@@ -17,8 +17,9 @@ from heartcase.pipeline.data import Scan
 from heartcase.pipeline.formats.dicom_seg import read_dicom_seg
 from heartcase.pipeline.formats.raw_volume import RawVolume, check_size, placed, require_file
 from heartcase.pipeline.formats.read_dicom import SeriesInfo, describe_volume, is_dicom, read_dicom, series_of
-from heartcase.pipeline.formats.read_itk import read_metaimage, read_nrrd
+from heartcase.pipeline.formats.read_metaimage import read_metaimage
 from heartcase.pipeline.formats.read_nifti import read_nifti
+from heartcase.pipeline.formats.read_nrrd import read_nrrd
 from heartcase.pipeline.formats.segments import LabelVolume, segments_of
 from heartcase.schemas.errors import MarkerError, Problem, ScanError
 

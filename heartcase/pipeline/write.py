@@ -12,7 +12,7 @@ import numpy.typing as npt
 import SimpleITK
 
 from heartcase.pipeline.data import Scan, Segmentation
-from heartcase.pipeline.formats.read_itk import quiet_itk
+from heartcase.pipeline.formats.quiet_itk import quiet_itk
 from heartcase.pipeline.formats.segments import segment_table
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.files import atomic_write

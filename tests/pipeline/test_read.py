@@ -335,7 +335,7 @@ def malformed(tmp_path: Path) -> dict[str, tuple[str, bytes, str]]:
         "mha damaged": (".mha", _flipped(mha, len(mha) // 2), "damaged"),
         "mha raw cut short": (".mha", _metaimage(meta, SHORTS[:-1]), "cut short"),
         "mha sheared": (".mha", _metaimage(meta + "TransformMatrix = 1 0 0 0.3 1 0 0 0 1", SHORTS), "right angles"),
-        "mha scaled": (".mha", _metaimage(meta + "TransformMatrix = 1 0 0 0 0 0 0 0 1", SHORTS), "damaged"),
+        "mha scaled": (".mha", _metaimage(meta + "TransformMatrix = 1 0 0 0 0 0 0 0 1", SHORTS), "spacing"),
         "mha bad numbers": (".mha", _metaimage("DimSize = 2 x 4", SHORTS), "damaged"),
         "mha colour": (".mha", _written(".mha", rgb, tmp_path, isVector=True), "3 values"),
         "mhd elsewhere": (

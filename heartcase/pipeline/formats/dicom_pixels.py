@@ -21,7 +21,7 @@ from pydicom.pixels import apply_modality_lut, get_decoder
 from scipy import ndimage
 
 from heartcase.pipeline.formats.dicom_tags import numbers_of, quiet_pydicom, read_data_set
-from heartcase.pipeline.formats.read_itk import quiet_itk
+from heartcase.pipeline.formats.quiet_itk import quiet_itk
 from heartcase.pipeline.formats.stack import Slice
 from heartcase.schemas.errors import ScanError
 

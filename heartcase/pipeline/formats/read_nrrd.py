@@ -1,4 +1,4 @@
-"""Read NRRD (.nrrd, .nhdr, .seg.nrrd) and MetaImage (.mha, .mhd) files through SimpleITK.
+"""Read NRRD (.nrrd, .nhdr, .seg.nrrd) files through SimpleITK.
 
 SimpleITK gives the values and the geometry. The text header is looked at first, because ITK ignores units, reads
 whatever file a detached header names, and takes a damaged compressed stream for values without a word.
@@ -7,41 +7,31 @@ whatever file a detached header names, and takes a damaged compressed stream for
 from __future__ import annotations
 
 import math
-import os
 import re
-import sys
 import zlib
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import SimpleITK
 
-from heartcase.pipeline.formats.raw_volume import RawVolume, check_size, geometry_from_affine, require_file
+from heartcase.pipeline.formats.quiet_itk import quiet_itk
+from heartcase.pipeline.formats.raw_volume import (
+    DAMAGED,
+    HEADER_LIMIT,
+    NOT_ONE_VOLUME,
+    RawVolume,
+    check_size,
+    geometry_from_affine,
+    integers_of,
+    local_data_file,
+    require_file,
+)
 from heartcase.schemas.errors import ScanError
 
-__all__ = ["quiet_itk", "read_metaimage", "read_nrrd"]
+__all__ = ["read_nrrd"]
 
-HEADER_LIMIT = 2**22
 ZLIB_OR_GZIP = 47
-DAMAGED = "the file is cut short or damaged: copy or export it again"
-NOT_ONE_VOLUME = "the file is {dimension}-D: export the one volume that is wanted as a 3-D file"
 SPACE = re.compile(r"(left|right|l|r)-?(anterior|posterior|a|p)-?(superior|inferior|s|i)", re.IGNORECASE)
-META_BYTES = {
-    "MET_CHAR": 1,
-    "MET_UCHAR": 1,
-    "MET_SHORT": 2,
-    "MET_USHORT": 2,
-    "MET_INT": 4,
-    "MET_UINT": 4,
-    "MET_LONG": 4,
-    "MET_ULONG": 4,
-    "MET_LONG_LONG": 8,
-    "MET_ULONG_LONG": 8,
-    "MET_FLOAT": 4,
-    "MET_DOUBLE": 8,
-}
 
 
 NRRD_BYTES = {
@@ -56,26 +46,6 @@ NRRD_BYTES = {
     **dict.fromkeys(("uint64", "uint64_t", "double"), 8),
 }
 """Type of an NRRD file -> bytes of one value."""
-
-
-@contextmanager
-def quiet_itk() -> Iterator[None]:
-    """Keep ITK's complaints, which hold file names, off the standard error stream.
-
-    Its parts for MetaImage and NRRD write there on their own, past every switch, so the stream itself is turned away.
-    """
-    shown = SimpleITK.ProcessObject.GetGlobalWarningDisplay()
-    SimpleITK.ProcessObject.SetGlobalWarningDisplay(False)
-    sys.stderr.flush()
-    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, 2)
-    try:
-        yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
-        os.close(nowhere)
-        SimpleITK.ProcessObject.SetGlobalWarningDisplay(shown)
 
 
 def _read_image(path: Path, header: dict[str, str], *, orientation_is_stated: bool) -> RawVolume:
@@ -96,20 +66,6 @@ def _read_image(path: Path, header: dict[str, str], *, orientation_is_stated: bo
     return RawVolume(values=values, geometry=geometry, header=header, orientation_is_stated=orientation_is_stated)
 
 
-def _local_data_file(path: Path, name: str) -> Path:
-    """The data file of a detached header, which must be beside it: a header must not reach other files."""
-    if name.upper().startswith("LIST") or "%" in name:
-        raise ScanError("the slices are in separate files: export the scan as one file")
-    if name != Path(name).name or "\\" in name:
-        raise ScanError("the header names a data file in another folder: put both files into one folder")
-    data = path.parent / name
-    try:
-        require_file(data)
-    except ScanError:
-        raise ScanError("the data file that belongs to this header is missing or empty: put it beside it") from None
-    return data
-
-
 def _check_stream(path: Path, start: int, *, byte_count: int | None) -> None:
     """Refuse a compressed stream that is cut short, damaged, or too short for ``byte_count`` bytes."""
     stream = zlib.decompressobj(ZLIB_OR_GZIP)
@@ -123,13 +79,6 @@ def _check_stream(path: Path, start: int, *, byte_count: int | None) -> None:
         raise ScanError(DAMAGED) from None
     if not stream.eof or (byte_count is not None and total < byte_count):
         raise ScanError(DAMAGED)
-
-
-def _integers(text: str) -> tuple[int, ...]:
-    try:
-        return tuple(int(word) for word in text.split())
-    except ValueError:
-        raise ScanError(DAMAGED) from None
 
 
 def read_nrrd(path: Path) -> RawVolume:
@@ -168,7 +117,7 @@ def read_nrrd(path: Path) -> RawVolume:
         if field:
             key, value = field.group(1).strip(), field.group(3).strip()
             (pairs if field.group(2) else fields)[key if field.group(2) else key.lower()] = value
-    sizes = _integers(fields.get("sizes", ""))
+    sizes = integers_of(fields.get("sizes", ""))
     check_size(sizes or (0,))
     kinds = fields.get("kinds", "").lower().split()
     lists = [kind for kind in kinds if kind not in ("domain", "space", "???", "none")]
@@ -180,7 +129,7 @@ def read_nrrd(path: Path) -> RawVolume:
     if units - {"", "mm", "millimeter", "millimeters", "millimetre", "millimetres"}:
         raise ScanError("the positions are not in millimetres: convert the scan to millimetres and export it again")
     name = fields.get("data file", fields.get("datafile"))
-    data = _local_data_file(path, name) if name is not None else path
+    data = local_data_file(path, name) if name is not None else path
     has_skips = any(fields.get(key, "0") != "0" for key in ("byte skip", "byteskip", "line skip", "lineskip"))
     element = NRRD_BYTES.get(" ".join(fields.get("type", "").lower().split()))
     if element is None:
@@ -194,52 +143,3 @@ def read_nrrd(path: Path) -> RawVolume:
             raise ScanError(DAMAGED)
     stated = SPACE.match(fields.get("space", "")) is not None
     return _read_image(path, pairs, orientation_is_stated=stated)
-
-
-def read_metaimage(path: Path) -> RawVolume:
-    """Read a MetaImage file of one volume.
-
-    Parameters
-    ----------
-    path
-        .mha or .mhd file.
-
-    Returns
-    -------
-    RawVolume
-        The volume.
-
-    Raises
-    ------
-    ScanError
-        It cannot be read, is damaged or sheared, or has more axes.
-    """
-    require_file(path)
-    with path.open("rb") as file:
-        start = file.read(HEADER_LIMIT)
-    end = re.search(rb"ElementDataFile\s*=\s*([^\r\n]*)\r?\n?", start)
-    fields: dict[str, str] = {}
-    for line in start[: end.end() if end else 0].decode("utf-8", errors="replace").splitlines():
-        key, _, value = line.partition("=")
-        fields[key.strip()] = value.strip()
-    if end is None or "DimSize" not in fields or "ElementDataFile" not in fields:
-        raise ScanError("the file is not a MetaImage file, or its start is damaged: export it again")
-    size = _integers(fields["DimSize"])
-    channels = _integers(fields.get("ElementNumberOfChannels", "1"))
-    check_size(size or (0,), components=channels[0] if channels else 0)
-    if len(size) > 3 and any(count > 1 for count in size[3:]):
-        raise ScanError(NOT_ONE_VOLUME.format(dimension=len(size)))
-    if len(size) != 3:
-        raise ScanError("a volume with three axes is needed: export the scan as a 3-D file")
-    element = META_BYTES.get(fields.get("ElementType", "").removesuffix("_ARRAY"))
-    if element is None:
-        raise ScanError("the header gives no known type of values: export the file again")
-    byte_count = int(np.prod(size)) * channels[0] * element
-    is_local = fields["ElementDataFile"].upper() == "LOCAL"
-    data = path if is_local else _local_data_file(path, fields["ElementDataFile"])
-    offset = end.end() if is_local else 0
-    if fields.get("CompressedData", "False").lower() == "true":
-        _check_stream(data, offset, byte_count=byte_count)
-    elif fields.get("BinaryData", "True").lower() == "true" and data.stat().st_size - offset < byte_count:
-        raise ScanError(DAMAGED)
-    return _read_image(path, {}, orientation_is_stated=True)
