@@ -312,7 +312,7 @@ def _refuse_unknown(data: dict[str, Any]) -> None:
         problems.append(Problem("format_version", f"{version!r} is not {ours}.x: use the version that wrote the case"))
     extensions = data.get("required_extensions", [])
     if isinstance(extensions, list):
-        unknown = sorted(str(name) for name in extensions if name not in KNOWN_EXTENSIONS)
+        unknown = sorted(str(name) for name in extensions if str(name) not in KNOWN_EXTENSIONS)
         problems += [Problem("required_extensions", f"{name!r} is not known to this version") for name in unknown]
     if problems:
         raise BundleError(problems)

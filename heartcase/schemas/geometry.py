@@ -10,9 +10,12 @@ from pydantic import Field, field_validator
 
 from heartcase.schemas.base import Model, Vector3
 
-__all__ = ["Geometry"]
+__all__ = ["ORIGIN_LIMIT_MM", "SPACING_LIMITS_MM", "Geometry"]
 
 Matrix3 = tuple[Vector3, Vector3, Vector3]
+ORIGIN_LIMIT_MM = 1e7
+"""Ten kilometres: whatever is farther away is no patient, and loses digits."""
+SPACING_LIMITS_MM = (1e-6, 1e4)
 IDENTITY: Matrix3 = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
@@ -39,18 +42,26 @@ class Geometry(Model):
             raise ValueError("every size must be at least 1")
         return value
 
+    @field_validator("origin_mm")
+    @classmethod
+    def _origin_is_near(cls, value: Vector3) -> Vector3:
+        if max(map(abs, value)) > ORIGIN_LIMIT_MM:
+            raise ValueError(f"the origin must be within {ORIGIN_LIMIT_MM:g} mm")
+        return value
+
     @field_validator("spacing_mm")
     @classmethod
     def _spacing_is_positive(cls, value: Vector3) -> Vector3:
-        if min(value) <= 0.0:
-            raise ValueError("every spacing must be above zero")
+        if not SPACING_LIMITS_MM[0] <= min(value) <= max(value) <= SPACING_LIMITS_MM[1]:
+            low, high = SPACING_LIMITS_MM
+            raise ValueError(f"every spacing must be above zero: from {low:g} to {high:g} mm")
         return value
 
     @field_validator("direction")
     @classmethod
     def _direction_is_orthonormal(cls, value: Matrix3) -> Matrix3:
         matrix = np.array(value)
-        if not np.allclose(matrix.T @ matrix, np.eye(3), atol=1e-4):
+        if np.abs(matrix).max() > 1.1 or not np.allclose(matrix.T @ matrix, np.eye(3), atol=1e-4):
             raise ValueError("the direction vectors must be at right angles and of length one (sheared volume?)")
         return value
 

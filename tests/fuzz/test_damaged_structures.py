@@ -110,7 +110,14 @@ def refuses_in_words(read: Callable[[], object]) -> None:
 def many(test: Callable[..., None], strategy: st.SearchStrategy[Any], count: int, **fixed: Any) -> None:
     """Run a test on so many examples."""
 
-    @settings(max_examples=count, deadline=None, suppress_health_check=list(HealthCheck), database=None)
+    # The usual run is the same every time; the long one looks further each time.
+    @settings(
+        max_examples=count,
+        deadline=None,
+        suppress_health_check=list(HealthCheck),
+        database=None,
+        derandomize=count == USUAL,
+    )
     @given(strategy)
     def run(data: Any) -> None:
         test(data, **fixed)

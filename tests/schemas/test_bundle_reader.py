@@ -128,7 +128,7 @@ def test_a_broken_manifest_is_refused(case, change, words):
 @pytest.mark.parametrize(
     ("change", "place"),
     [
-        (lambda d: d["grid_geometry"].update(spacing_mm=[1e-30] * 3), "grid_geometry.spacing_mm"),
+        (lambda d: d["grid_geometry"].update(spacing_mm=[1e-3] * 3), "grid_geometry.spacing_mm"),
         (lambda d: d["grid_geometry"].update(size=[2, 2, 2]), "grid.cells"),
         (lambda d: d["grid_geometry"].update(direction=[[1, 0, 0], [0, 1, 0], [0, 0, -1]]), "grid_geometry.direction"),
         (lambda d: d["simulation"].update(step_default_s=10), "simulation.step_default_s"),

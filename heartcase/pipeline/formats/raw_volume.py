@@ -16,7 +16,7 @@ import numpy.typing as npt
 from pydantic import ValidationError
 
 from heartcase.schemas.errors import HeartcaseError, Problem, ScanError
-from heartcase.schemas.geometry import Geometry
+from heartcase.schemas.geometry import ORIGIN_LIMIT_MM, SPACING_LIMITS_MM, Geometry
 
 __all__ = [
     "DAMAGED",
@@ -156,8 +156,11 @@ def geometry_from_affine(affine: npt.ArrayLike, shape: tuple[int, ...]) -> Geome
     matrix = np.asarray(affine, dtype=np.float64)
     with np.errstate(over="ignore", invalid="ignore"):
         spacing = np.linalg.norm(matrix[:3, :3], axis=0)
-    if not np.isfinite(spacing).all() or not np.isfinite(matrix).all() or spacing.min() <= 0.0:
+    low, high = SPACING_LIMITS_MM
+    if not np.isfinite(matrix).all() or not low <= spacing.min() <= spacing.max() <= high:
         raise ScanError("the voxel spacing or position in the header is zero or not a number: export the file again")
+    if np.abs(matrix[:3, 3]).max() > ORIGIN_LIMIT_MM:
+        raise ScanError("the position in the header is kilometres away: export the file again")
     try:
         return Geometry.of(shape=shape, origin_mm=matrix[:3, 3], spacing_mm=spacing, direction=matrix[:3, :3] / spacing)
     except ValidationError:
