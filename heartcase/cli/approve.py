@@ -10,13 +10,13 @@ from heartcase.cli.output import echo_json
 from heartcase.schemas.approval import approval_log, approve_case, bundle_sha256
 from heartcase.schemas.bundle_check import check_bundle
 from heartcase.schemas.bundle_reader import open_bundle
-from heartcase.schemas.errors import BundleError
+from heartcase.schemas.errors import BundleError, UsageError
 
 __all__ = ["command"]
 
 
 @click.command()
-@click.argument("case", type=click.Path(path_type=Path))
+@click.argument("case", type=click.Path(path_type=Path, readable=False))
 @click.option("--role", required=True, help='What you are, such as "consultant cardiologist": not your name.')
 @click.option("--note", default="", help="What else should be known; never anything about the patient.")
 @click.option("--withdraw", is_flag=True, help="Take the approval of this case back.")
@@ -34,16 +34,28 @@ def command(case: Path, role: str, note: str, withdraw: bool, yes: bool, as_json
         if problems:
             raise BundleError(problems)
         seen = bundle_sha256(case)
+        _check_report(case, seen)
         manifest = open_bundle(case).manifest
         click.echo(f"Case       {manifest.name}" + (f" ({manifest.case_id})" if manifest.case_id else ""), err=True)
+        click.echo(f"Hash       {seen[:16]}, as on the report", err=True)
         for warning in manifest.warnings:
             click.echo(f"warning: {warning}", err=True)
         click.echo(manifest.notice, err=True)
     if not yes:
         act = "withdraw the approval of" if withdraw else "approve"
-        click.confirm(f"Do you, as {role!r}, {act} this case as it is?", abort=True, err=True)
+        if not click.confirm(f"Do you, as {role!r}, {act} this case as it is?", err=True):
+            raise UsageError("not confirmed: nothing was noted")
     state = approve_case(case, role=role, note=note, withdraw=withdraw, expected_sha256=seen)
     if as_json:
         echo_json(state.as_dict() | {"log": str(approval_log(case))})
     else:
         click.echo(f"{state.words}; noted in {approval_log(case)}")
+
+
+def _check_report(case: Path, sha256: str) -> None:
+    """Refuse where the report beside the case is about other bytes: the reviewer has seen another case."""
+    report = case.resolve().with_name(f"{case.resolve().name.removesuffix('.case')}.report.html")
+    if not report.is_file():
+        click.echo("warning: there is no report beside the case: what was it judged by?", err=True)
+    elif sha256.encode() not in report.read_bytes():
+        raise BundleError("the report beside the case is about another one: build the case again", place="report")

@@ -28,8 +28,16 @@ __all__ = ["command", "run_method"]
 @click.command()
 @click.argument("names", nargs=-1)
 @click.option("--list", "only_list", is_flag=True, help="List the cases and their methods.")
-@click.option("--json", "json_file", type=click.Path(path_type=Path), help="Write the records to this file.")
-@click.option("--dir", "directory", type=click.Path(path_type=Path), default=Path("benchmarks"), help="benchmarks/")
+@click.option(
+    "--json", "json_file", type=click.Path(path_type=Path, readable=False), help="Write the records to this file."
+)
+@click.option(
+    "--dir",
+    "directory",
+    type=click.Path(path_type=Path, readable=False),
+    default=Path("benchmarks"),
+    help="benchmarks/",
+)
 def command(names: tuple[str, ...], only_list: bool, json_file: Path | None, directory: Path) -> None:
     """Run the benchmark cases whose names start with NAMES (all when left out).
 

@@ -68,9 +68,16 @@ class _Bar:
 
 
 @click.command()
-@click.argument("recipe", type=click.Path(path_type=Path))
-@click.option("--out", type=click.Path(path_type=Path), default=Path(), help="Where the case goes; here by default.")
-@click.option("--cache", type=click.Path(path_type=Path), help="Directory of the cache; OUT/.heartcase-cache.")
+@click.argument("recipe", type=click.Path(path_type=Path, readable=False))
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, readable=False),
+    default=Path(),
+    help="Where the case goes; here by default.",
+)
+@click.option(
+    "--cache", type=click.Path(path_type=Path, readable=False), help="Directory of the cache; OUT/.heartcase-cache."
+)
 @click.option("--force", is_flag=True, help="Compute every stage anew.")
 @click.option(
     "--until",
@@ -78,9 +85,10 @@ class _Bar:
     help="Stop after this stage: read, markers, filter, segment, walls, edit, grid, surface or map.",
 )
 @click.option("--accept-inputs", is_flag=True, help="Build a locked recipe with another scan or other markers.")
+@click.option("--replace", is_flag=True, help="Replace a case of this name that was made from another scan.")
 @click.option(
     "--key-file",
-    type=click.Path(path_type=Path),
+    type=click.Path(path_type=Path, readable=False),
     help="Add a line that says whose case it is to this file. Patient data: keep it where that may be.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
@@ -91,6 +99,7 @@ def command(
     force: bool,
     until: str | None,
     accept_inputs: bool,
+    replace: bool,
     key_file: Path | None,
     as_json: bool,
 ) -> None:
@@ -119,6 +128,7 @@ def command(
             force=force,
             until=until,
             accept_inputs=accept_inputs,
+            replace=replace,
         )
     seconds = time.perf_counter() - start
     if key_file is not None and result.manifest is not None and result.manifest.case_id is not None:
@@ -151,7 +161,7 @@ def command(
     click.echo(f"Report  {result.report}")
     click.echo(
         f"Grid    {figures.node_count:,} nodes, {figures.cell_count:,} cells of {figures.cell_mm:.2f} mm,"
-        f" {figures.fixed_node_count:,} nodes fixed, {figures.tissue_volume_ml:.1f} ml of tissue"
+        f" {figures.fixed_node_count:,} nodes fixed, {figures.tissue_volume_ml:.1f} ml of tissue in the cells"
     )
     surface = result.manifest.quality.get("surface", {})
     if "triangle_count" in surface:

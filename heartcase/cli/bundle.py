@@ -14,13 +14,24 @@ __all__ = ["command"]
 
 
 @click.command()
-@click.argument("grid", type=click.Path(path_type=Path))
-@click.argument("output", type=click.Path(path_type=Path))
-@click.option("--scan", type=click.Path(path_type=Path), required=True, help="The scan that the case was made from.")
-@click.option("--surface", type=click.Path(path_type=Path), help="Output of 'heartcase surface'.")
-@click.option("--map", "grid_map", type=click.Path(path_type=Path), help="Output of 'heartcase map'.")
-@click.option("--structures", type=click.Path(path_type=Path), help="Output of 'walls' or 'edit': adds the labels.")
-@click.option("--recipe", type=click.Path(path_type=Path), help="Materials and landmarks from a recipe.")
+@click.argument("grid", type=click.Path(path_type=Path, readable=False))
+@click.argument("output", type=click.Path(path_type=Path, readable=False))
+@click.option(
+    "--scan",
+    type=click.Path(path_type=Path, readable=False),
+    required=True,
+    help="The scan that the case was made from.",
+)
+@click.option("--surface", type=click.Path(path_type=Path, readable=False), help="Output of 'heartcase surface'.")
+@click.option("--map", "grid_map", type=click.Path(path_type=Path, readable=False), help="Output of 'heartcase map'.")
+@click.option(
+    "--structures",
+    type=click.Path(path_type=Path, readable=False),
+    help="Output of 'walls' or 'edit': adds the labels.",
+)
+@click.option(
+    "--recipe", type=click.Path(path_type=Path, readable=False), help="Materials and landmarks from a recipe."
+)
 @scan_options
 @working("writing the case")
 def command(

@@ -13,9 +13,14 @@ __all__ = ["command"]
 
 
 @click.command()
-@click.argument("structures", type=click.Path(path_type=Path))
-@click.argument("output", type=click.Path(path_type=Path))
-@click.option("--recipe", type=click.Path(path_type=Path), required=True, help="Recipe whose edits are carried out.")
+@click.argument("structures", type=click.Path(path_type=Path, readable=False))
+@click.argument("output", type=click.Path(path_type=Path, readable=False))
+@click.option(
+    "--recipe",
+    type=click.Path(path_type=Path, readable=False),
+    required=True,
+    help="Recipe whose edits are carried out.",
+)
 @working("editing")
 def command(structures: Path, output: Path, recipe: Path) -> None:
     """Carry out a recipe's edits on STRUCTURES (from 'heartcase walls') and write OUTPUT (.safetensors)."""

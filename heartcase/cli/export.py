@@ -55,7 +55,11 @@ class _Export:
         """The DICOM series that the case was made from, where the user gives it."""
         from heartcase.pipeline.formats.dicom_source import find_source
 
-        return None if self.scan is None else find_source(self.scan, labels.geometry, series=self.series)
+        if self.scan is None:
+            return None
+        if not labels.geometry.matches(self.manifest.scan_geometry):
+            raise BundleError("the labels do not lie on the lattice of the case's scan: build it again", place="CASE")
+        return find_source(self.scan, self.manifest, series=self.series)
 
 
 def _seg_nrrd(export: _Export) -> bytes:
@@ -94,23 +98,27 @@ _WITH_SCAN = (".seg.nrrd", ".dcm")
 
 
 @click.command()
-@click.argument("case", type=click.Path(path_type=Path))
+@click.argument("case", type=click.Path(path_type=Path, readable=False))
 @click.option(
     "-o",
     "--out",
     "output",
-    type=click.Path(path_type=Path),
+    type=click.Path(path_type=Path, readable=False),
     required=True,
     help="The file to write: .seg.nrrd or .dcm (DICOM SEG) with names, colours and codes; .nii.gz or .nrrd with the "
     "label values alone.",
 )
 @click.option(
     "--scan",
-    type=click.Path(path_type=Path, exists=True),
-    help="The DICOM folder that the case was made from, so that the labels open on it. A .dcm then holds the scan's "
-    "own study, series, image and frame of reference UIDs, which lead back to the patient.",
+    type=click.Path(path_type=Path, readable=False),
+    help="The DICOM folder that the case was made from, so that the labels open on it; a scan with other values is "
+    "refused. A .dcm then holds the scan's own study, series, image and frame of reference UIDs, which lead back to "
+    "the patient.",
 )
-@click.option("--series", help="Which series of --scan, by its number or the end of its UID.")
+@click.option(
+    "--series",
+    help="Which series of --scan, where the same scan is there twice: by its number or code in 'heartcase info'.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object about the file.")
 @working("exporting")
 def command(case: Path, output: Path, scan: Path | None, series: str | None, as_json: bool) -> None:

@@ -21,8 +21,8 @@ __all__ = ["command"]
 
 
 @click.command()
-@click.argument("scan", type=click.Path(path_type=Path))
-@click.argument("output", type=click.Path(path_type=Path))
+@click.argument("scan", type=click.Path(path_type=Path, readable=False))
+@click.argument("output", type=click.Path(path_type=Path, readable=False))
 @scan_options
 @stage_options
 @working("smoothing the scan")

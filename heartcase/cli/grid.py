@@ -13,8 +13,8 @@ __all__ = ["command"]
 
 
 @click.command()
-@click.argument("structures", type=click.Path(path_type=Path))
-@click.argument("output", type=click.Path(path_type=Path))
+@click.argument("structures", type=click.Path(path_type=Path, readable=False))
+@click.argument("output", type=click.Path(path_type=Path, readable=False))
 @stage_options
 @working("making the grid")
 def command(structures: Path, output: Path, recipe: Path | None, sets: tuple[str, ...]) -> None:

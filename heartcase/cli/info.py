@@ -39,7 +39,7 @@ def kind_of(path: Path) -> str:
 
 
 @click.command()
-@click.argument("path", type=click.Path(path_type=Path))
+@click.argument("path", type=click.Path(path_type=Path, readable=False))
 @scan_options
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 @working("reading")

@@ -17,8 +17,10 @@ SUFFIX = ".lock.toml"
 
 
 @click.command()
-@click.argument("recipe", type=click.Path(path_type=Path))
-@click.option("--out", type=click.Path(path_type=Path), help="The locked recipe; NAME.lock.toml beside RECIPE.")
+@click.argument("recipe", type=click.Path(path_type=Path, readable=False))
+@click.option(
+    "--out", type=click.Path(path_type=Path, readable=False), help="The locked recipe; NAME.lock.toml beside RECIPE."
+)
 @click.option("--force", is_flag=True, help="Replace a file that is there.")
 @working("reading the scan")
 def command(recipe: Path, out: Path | None, force: bool) -> None:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import importlib
+import os
+import re
 import sys
+import traceback
 from collections.abc import Sequence
 
 import click
@@ -37,6 +40,9 @@ COMMANDS: dict[str, str] = {
     "schema": "Print or write the JSON Schemas.",
 }
 """Name -> one-line help of each subcommand; its code is in the module of the same name."""
+
+INTERNAL_ERROR = 70
+"""Exit code of what should not happen (EX_SOFTWARE of sysexits)."""
 
 _EXTRA_OF_MODULE = {"numba_cuda": "cuda", "dask": "library", "distributed": "library"}
 _PREPARE_MODULES = [
@@ -85,7 +91,7 @@ def cli() -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit code (0 well, 1 a problem, 2 wrong usage, 130 interrupted)."""
+    """Run the command line; returns the exit code (0 well, 1 a problem, 2 wrong usage, 70 a bug, 130 interrupted)."""
     try:
         args = None if arguments is None else list(arguments)
         code = cli.main(args=args, prog_name="heartcase", standalone_mode=False)
@@ -93,6 +99,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         click.echo("heartcase: interrupted; nothing half-written was left", err=True)
         return 130
     except click.ClickException as error:
+        error.message = _without_arguments(error.message)  # type: ignore[misc]
         error.show()
         return error.exit_code
     except KeyboardInterrupt:
@@ -106,7 +113,35 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _show(MissingExtraError("This command", extra))
     except HeartcaseError as error:
         return _show(error)
+    except OSError as error:
+        # Its own text names the file, which may be named after a patient.
+        reason = (error.strerror or "the system gives no reason").lower()
+        return _show(HeartcaseError(f"a file or folder cannot be read or written: {reason}"))
+    except Exception as error:
+        if os.environ.get("HEARTCASE_DEBUG"):
+            raise
+        place = _place_of(error)
+        message = f"something unforeseen happened ({type(error).__name__} in {place}): this is a fault of heartcase"
+        _show(HeartcaseError(f"{message}; set HEARTCASE_DEBUG=1 to see where, and report it"))
+        return INTERNAL_ERROR
     return code if isinstance(code, int) else 0
+
+
+def _without_arguments(message: str) -> str:
+    """A message of the command line without what the user typed: a path may be named after a patient."""
+    if message.startswith("Got unexpected extra argument"):
+        return 'there are more arguments than expected: put a path that holds spaces in "quotation marks"'
+    return re.sub(r"(Path|File|Directory) '[^']*'", r"\1", message)
+
+
+def _place_of(error: BaseException) -> str:
+    """Module and line of heartcase's own code where an error came up."""
+    place = "heartcase"
+    for frame in traceback.extract_tb(error.__traceback__):
+        _, found, inside = frame.filename.replace("\\", "/").rpartition("/heartcase/")
+        if found:
+            place = f"{inside}:{frame.lineno}"
+    return place
 
 
 def _show(error: HeartcaseError) -> int:

@@ -13,9 +13,9 @@ __all__ = ["command"]
 
 
 @click.command()
-@click.argument("surface", type=click.Path(path_type=Path))
-@click.argument("grid", type=click.Path(path_type=Path))
-@click.argument("output", type=click.Path(path_type=Path))
+@click.argument("surface", type=click.Path(path_type=Path, readable=False))
+@click.argument("grid", type=click.Path(path_type=Path, readable=False))
+@click.argument("output", type=click.Path(path_type=Path, readable=False))
 @stage_options
 @working("tying the surface to the grid")
 def command(surface: Path, grid: Path, output: Path, recipe: Path | None, sets: tuple[str, ...]) -> None:

@@ -20,14 +20,17 @@ __all__ = ["command", "starter_recipe"]
 
 
 @click.command()
-@click.argument("scan", type=click.Path(path_type=Path))
-@click.option("--out", type=click.Path(path_type=Path), default=Path("case.toml"), help="The recipe; case.toml.")
-@click.option("--name", default="case", help="Name of the case: not the patient's.")
+@click.argument("scan", type=click.Path(path_type=Path, readable=False))
+@click.option(
+    "--out", type=click.Path(path_type=Path, readable=False), default=Path("case.toml"), help="The recipe; case.toml."
+)
+@click.option("--name", help="Name of the case: not the patient's. Made up when left out.")
 @scan_options
 @click.option("--force", is_flag=True, help="Replace a recipe that is there.")
 @working("reading the scan")
-def command(scan: Path, out: Path, name: str, force: bool, choice: dict[str, Any]) -> None:
+def command(scan: Path, out: Path, name: str | None, force: bool, choice: dict[str, Any]) -> None:
     """Read SCAN and write a commented recipe for it, ready for the markers."""
+    from heartcase.pipeline.case_id import made_up_case_id
     from heartcase.pipeline.read import read_scan
 
     if out.exists() and not force:
@@ -37,7 +40,7 @@ def command(scan: Path, out: Path, name: str, force: bool, choice: dict[str, Any
     center = volume.geometry.index_to_world([(n - 1) / 2 for n in volume.geometry.size])
     extent = [n * s for n, s in zip(volume.geometry.size, volume.geometry.spacing_mm, strict=True)]
     text = starter_recipe(
-        name=name,
+        name=name or f"case-{made_up_case_id('', volume.values_sha256)[3:7].lower()}",
         scan_path=relative,
         choice=choice,
         center_mm=tuple(round(float(v), 1) for v in center),

@@ -46,7 +46,7 @@ def _is_number(text: str) -> bool:
 
 
 @click.command(cls=_SpacingCommand, name="phantom")
-@click.argument("out_dir", type=click.Path(file_okay=False, path_type=Path))
+@click.argument("out_dir", type=click.Path(file_okay=False, path_type=Path, readable=False))
 @click.option("--size", type=click.Choice(["adult", "child"]), default="adult", show_default=True, help="Which heart.")
 @click.option(
     "--modality", type=click.Choice(["mri", "ct"]), default="mri", show_default=True, help="What kind of scan."

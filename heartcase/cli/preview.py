@@ -29,13 +29,13 @@ _STACKS = ("axial", "coronal", "sagittal")
 
 
 @click.command()
-@click.argument("path", type=click.Path(path_type=Path))
+@click.argument("path", type=click.Path(path_type=Path, readable=False))
 @click.option(
     "-o",
     "--out",
     "--output",
     "output",
-    type=click.Path(path_type=Path),
+    type=click.Path(path_type=Path, readable=False),
     required=True,
     help="The picture to write (.png).",
 )

@@ -15,7 +15,7 @@ __all__ = ["command"]
 
 @click.command()
 @click.argument("name", required=False)
-@click.option("--out", type=click.Path(path_type=Path), help="Write all of them into this directory.")
+@click.option("--out", type=click.Path(path_type=Path, readable=False), help="Write all of them into this directory.")
 def command(name: str | None, out: Path | None) -> None:
     """Print the JSON Schema NAME, list the names, or write all into a directory."""
     files = schema_files()

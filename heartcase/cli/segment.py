@@ -21,9 +21,11 @@ __all__ = ["command"]
 
 
 @click.command()
-@click.argument("scan", type=click.Path(path_type=Path))
-@click.argument("output", type=click.Path(path_type=Path))
-@click.option("--markers", multiple=True, type=click.Path(path_type=Path), help="Marker file; repeatable.")
+@click.argument("scan", type=click.Path(path_type=Path, readable=False))
+@click.argument("output", type=click.Path(path_type=Path, readable=False))
+@click.option(
+    "--markers", multiple=True, type=click.Path(path_type=Path, readable=False), help="Marker file; repeatable."
+)
 @scan_options
 @stage_options
 @working("segmenting")

@@ -32,14 +32,16 @@ FILM_FRAMES_PER_SECOND = 15.0
 QUIET_SECONDS = 1.0
 """The progress bar shows after this long."""
 
-_OUT = click.Path(path_type=Path, dir_okay=False)
+_OUT = click.Path(path_type=Path, dir_okay=False, readable=False)
 _SECONDS = click.FloatRange(min=0.0, max=3600.0, min_open=True)
 _STEP = click.FloatRange(min=0.0, max=1.0, min_open=True)
 
 
 @click.command()
-@click.argument("case", type=click.Path(path_type=Path))
-@click.option("--script", "script_path", type=click.Path(path_type=Path), help="What the hands do (TOML).")
+@click.argument("case", type=click.Path(path_type=Path, readable=False))
+@click.option(
+    "--script", "script_path", type=click.Path(path_type=Path, readable=False), help="What the hands do (TOML)."
+)
 @click.option("--seconds", type=_SECONDS, help="Simulated time; the script's, or 2 without a script.")
 @click.option("--step", "step_s", type=_STEP, help="Time step in s; the case's default when left out.")
 @click.option("--backend", type=click.Choice(["cpu", "reference"]), default="cpu", help="Which kernel steps.")

@@ -34,7 +34,9 @@ SCAN_SUFFIXES = (".nii", ".nii.gz", ".nrrd", ".mha")
 
 def stage_options(function: F) -> F:
     """Add ``--recipe`` and ``--set`` to a stage command."""
-    recipe = click.option("--recipe", type=click.Path(path_type=Path), help="Take the stage's settings from a recipe.")
+    recipe = click.option(
+        "--recipe", type=click.Path(path_type=Path, readable=False), help="Take the stage's settings from a recipe."
+    )
     sets = click.option("--set", "sets", multiple=True, metavar="KEY=VALUE", help="Change one setting; repeatable.")
     return recipe(sets(function))
 
@@ -58,7 +60,7 @@ def scan_options(function: F) -> F:
 
 
 _SCAN_OPTIONS: dict[str, tuple[str, dict[str, Any]]] = {
-    "series": ("--series", {"help": "DICOM: which series of the folder, by its number or the end of its UID."}),
+    "series": ("--series", {"help": "DICOM: which series of the folder, by its number or code, or its UID."}),
     "trigger_time_ms": (
         "--trigger-time",
         {"type": click.FloatRange(min=0.0), "metavar": "MS", "help": "DICOM: the cardiac phase nearest to this time."},

@@ -13,9 +13,11 @@ __all__ = ["command"]
 
 
 @click.command()
-@click.argument("structures", type=click.Path(path_type=Path))
-@click.argument("output", type=click.Path(path_type=Path))
-@click.option("--glb", type=click.Path(path_type=Path), help="Also write the surface as GLB for any viewer.")
+@click.argument("structures", type=click.Path(path_type=Path, readable=False))
+@click.argument("output", type=click.Path(path_type=Path, readable=False))
+@click.option(
+    "--glb", type=click.Path(path_type=Path, readable=False), help="Also write the surface as GLB for any viewer."
+)
 @stage_options
 @working("making the surface")
 def command(structures: Path, output: Path, glb: Path | None, recipe: Path | None, sets: tuple[str, ...]) -> None:

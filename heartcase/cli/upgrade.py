@@ -39,7 +39,7 @@ class Preview:
 
 
 @click.command()
-@click.argument("path", type=click.Path(path_type=Path))
+@click.argument("path", type=click.Path(path_type=Path, readable=False))
 @click.option("--write", is_flag=True, help="Make the changes; the old file is kept as NAME.bak beside it.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @working("comparing")

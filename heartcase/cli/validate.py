@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import click
@@ -10,13 +11,14 @@ from heartcase.cli.output import echo_json, working
 from heartcase.schemas.approval import approval_state
 from heartcase.schemas.bundle_check import check_bundle
 from heartcase.schemas.errors import HeartcaseError, Problem
-from heartcase.schemas.recipe import load_recipe
+from heartcase.schemas.recipe import Recipe, load_recipe
+from heartcase.schemas.script import SimulationScript
 
 __all__ = ["command"]
 
 
 @click.command()
-@click.argument("path", type=click.Path(path_type=Path))
+@click.argument("path", type=click.Path(path_type=Path, readable=False))
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @click.pass_context
 @working("checking")
@@ -43,14 +45,29 @@ def command(ctx: click.Context, path: Path, as_json: bool) -> None:
 
 
 def _problems(path: Path) -> tuple[Problem, ...]:
-    if path.suffix == ".toml" and path.is_file():
-        try:
-            if "heartcase_recipe" in path.read_text(encoding="utf-8", errors="replace"):
-                return load_recipe(path).missing_files(path.parent)
+    if path.suffix != ".toml" or not path.is_file():
+        return check_bundle(path)
+    try:
+        if _is_script(path):
             from heartcase.simulator.script import load_script
 
             load_script(path)
-        except HeartcaseError as error:
-            return error.problems
-        return ()
-    return check_bundle(path)
+            return ()
+        recipe = load_recipe(path)
+    except HeartcaseError as error:
+        return error.problems
+    missing = recipe.missing_files(path.parent)
+    if recipe.lock is None or missing:
+        return missing
+    from heartcase.pipeline.lock import changed_files
+
+    return tuple(changed_files(recipe, path.parent))
+
+
+def _is_script(path: Path) -> bool:
+    """Whether a TOML file is meant as a simulation script: by its version key, or by what only scripts have."""
+    keys = set(re.findall(r"^\s*\[{0,2}\s*(\w+)", path.read_text(encoding="utf-8", errors="replace"), re.M))
+    if {"heartcase_recipe", "heartcase_script"} & keys:
+        return "heartcase_recipe" not in keys
+    only_recipe, only_script = set(Recipe.model_fields), set(SimulationScript.model_fields)
+    return len(keys & only_script) > len(keys & only_recipe)

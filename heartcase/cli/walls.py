@@ -13,8 +13,8 @@ __all__ = ["command"]
 
 
 @click.command()
-@click.argument("labels", type=click.Path(path_type=Path))
-@click.argument("output", type=click.Path(path_type=Path))
+@click.argument("labels", type=click.Path(path_type=Path, readable=False))
+@click.argument("output", type=click.Path(path_type=Path, readable=False))
 @stage_options
 @working("growing the walls")
 def command(labels: Path, output: Path, recipe: Path | None, sets: tuple[str, ...]) -> None:

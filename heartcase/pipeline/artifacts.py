@@ -52,6 +52,8 @@ def artifact_to_bytes(artifact: Any) -> bytes:
     rest: dict[str, Any] = {}
     for item in dataclasses.fields(artifact):
         value = getattr(artifact, item.name)
+        if not item.metadata.get("is_kept_when_empty", True) and not value:
+            continue  # a field that came later: what does not use it keeps its hash
         if isinstance(value, np.ndarray):
             arrays[item.name] = np.ascontiguousarray(value)
         elif isinstance(value, dict) and value and all(isinstance(v, np.ndarray) for v in value.values()):
@@ -94,6 +96,8 @@ def artifact_from_bytes(content: bytes, expected: type[T]) -> T:
                 values[item.name] = arrays[item.name]
             elif item.name in rest and isinstance(rest[item.name], dict) and set(rest[item.name]) == {"keys"}:
                 values[item.name] = {key: arrays[f"{item.name}/{key}"] for key in rest[item.name]["keys"]}
+            elif not item.metadata.get("is_kept_when_empty", True) and item.name not in rest:
+                continue
             elif item.name in _MODELS:
                 values[item.name] = TypeAdapter(_MODELS[item.name]).validate_json(json.dumps(rest[item.name]))
             elif item.name == "warnings":

@@ -10,6 +10,7 @@ import contextlib
 import hashlib
 import json
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,6 +34,7 @@ from heartcase.schemas.bundle import (
     SimulationFigures,
     StageRecord,
 )
+from heartcase.schemas.bundle_reader import read_manifest
 from heartcase.schemas.errors import BundleError
 from heartcase.schemas.files import LOCK_NAME, TEMPORARY_PREFIX, atomic_write, exclusive, remove_leftovers
 from heartcase.schemas.geometry import Geometry
@@ -40,9 +42,19 @@ from heartcase.schemas.labels import LabelTable
 from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.settings import MaterialsSettings
 
-__all__ = ["BundleContent", "assemble_bundle", "check_place", "resolve_materials", "simulation_figures", "write_bundle"]
+__all__ = [
+    "BundleContent",
+    "assemble_bundle",
+    "check_place",
+    "check_replacement",
+    "resolve_materials",
+    "simulation_figures",
+    "write_bundle",
+]
 
 _SUFFIX = {FileRole.RENDER: ".glb", FileRole.LABELS: ".seg.nrrd"}
+_DATA_FILE = re.compile(rf"({'|'.join(FileRole)})-[0-9a-f]{{16}}(\.safetensors|\.glb|\.seg\.nrrd)")
+"""Names that :func:`assemble_bundle` gives: nothing else in a case's directory is ever removed."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +65,16 @@ class BundleContent:
     """The manifest, with an entry for each file."""
     files: dict[str, bytes]
     """File name -> content."""
+
+    @property
+    def manifest_bytes(self) -> bytes:
+        """``case.json`` as it is written."""
+        return json.dumps(self.manifest.model_dump(mode="json"), indent=1, sort_keys=True).encode() + b"\n"
+
+    @property
+    def sha256(self) -> str:
+        """The bundle hash: SHA-256 of ``case.json``, which lists the hash of every other file."""
+        return hashlib.sha256(self.manifest_bytes).hexdigest()
 
 
 def resolve_materials(settings: MaterialsSettings, table: LabelTable) -> tuple[Material, ...]:
@@ -244,7 +266,7 @@ def write_bundle(directory: Path | str, content: BundleContent) -> bool:
     """
     directory = Path(directory)
     check_place(directory)
-    manifest = json.dumps(content.manifest.model_dump(mode="json"), indent=1, sort_keys=True).encode() + b"\n"
+    manifest = content.manifest_bytes
     try:
         directory.mkdir(parents=True, exist_ok=True)
         with exclusive(directory):
@@ -259,7 +281,7 @@ def write_bundle(directory: Path | str, content: BundleContent) -> bool:
                 changed = True
             keep = {*content.files, MANIFEST_NAME, LOCK_NAME}
             for stale in sorted(directory.iterdir()):
-                if stale.name not in keep and stale.is_file():
+                if stale.name not in keep and _DATA_FILE.fullmatch(stale.name) and stale.is_file():
                     with contextlib.suppress(OSError):
                         stale.unlink()
     except OSError as error:
@@ -280,17 +302,38 @@ def check_place(directory: Path | str) -> None:
         raise BundleError("there is something else in this place: choose another name or directory", place="output")
 
 
+def check_replacement(directory: Path | str, case_id: str | None) -> None:
+    """Refuse to replace another case: two scans may have been given one name.
+
+    Raises
+    ------
+    BundleError
+        The case that is there has another identifier.
+    """
+    try:
+        there = read_manifest(Path(directory)).case_id
+    except BundleError:
+        return
+    if there is not None and there != case_id:
+        raise BundleError(
+            f"another case of this name is there ({there}), made from another scan: give this one another name or "
+            "--out, or replace that one with --replace",
+            place="output",
+        )
+
+
 def _is_ours(directory: Path) -> bool:
     """A directory that is empty, or holds only what this module writes."""
-    prefixes = tuple(f"{role.value}-" for role in FileRole)
     return all(
-        path.name in (MANIFEST_NAME, LOCK_NAME) or path.name.startswith((*prefixes, TEMPORARY_PREFIX))
+        path.name in (MANIFEST_NAME, LOCK_NAME)
+        or path.name.startswith(TEMPORARY_PREFIX)
+        or _DATA_FILE.fullmatch(path.name)
         for path in directory.iterdir()
     )
 
 
 def _holds(path: Path, data: bytes) -> bool:
     try:
-        return path.stat().st_size == len(data) and path.read_bytes() == data
+        return not path.is_symlink() and path.stat().st_size == len(data) and path.read_bytes() == data
     except OSError:
         return False

@@ -81,7 +81,12 @@ def add_to_key_file(key_file: Path, case_id: str, identity: dict[str, str]) -> b
     UsageError
         The file cannot be written.
     """
-    line = json.dumps({"case_id": case_id, **identity}, ensure_ascii=False, sort_keys=True).encode() + b"\n"
+    line = (
+        json.dumps({"case_id": case_id, **identity}, ensure_ascii=False, sort_keys=True).encode(
+            errors="surrogateescape"
+        )
+        + b"\n"
+    )
     try:
         with exclusive(key_file.absolute().parent):
             before = key_file.read_bytes() if key_file.exists() else b""

@@ -47,6 +47,8 @@ class Scan:
     """Physics of the acquisition that may be kept (field strength, tube voltage, ...): plain numbers and words."""
     warnings: tuple[str, ...] = ()
     """What was done to the scan as it was read, in plain words: slices interpolated, a tilted gantry straightened."""
+    whole_sha256: str = ""
+    """``values_sha256`` of the scan before its region of interest was cut out; empty where nobody worked it out."""
 
     @property
     def values_sha256(self) -> str:
@@ -82,6 +84,8 @@ class Segmentation:
     """The scan's geometry."""
     table: LabelTable
     """What the values stand for."""
+    warnings: tuple[str, ...] = field(default=(), metadata={"is_kept_when_empty": False})
+    """What was left out of a finished segmentation, in plain words."""
 
 
 class Reshaping(NamedTuple):

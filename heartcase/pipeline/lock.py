@@ -7,6 +7,7 @@ both, for a build as for a lock, so the two cannot differ.
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,15 +16,17 @@ from heartcase import __version__
 from heartcase.pipeline.case_id import made_up_case_id
 from heartcase.pipeline.cautions import anatomy
 from heartcase.pipeline.data import Scan
+from heartcase.pipeline.formats.raw_volume import placed
 from heartcase.pipeline.runner import STAGE_VERSIONS
 from heartcase.pipeline.stages import region_of_scan
-from heartcase.schemas.errors import Problem, RecipeError
+from heartcase.schemas.errors import HeartcaseError, MarkerError, Problem, RecipeError
 from heartcase.schemas.files import sha256_of_file
 from heartcase.schemas.lock import RecipeLock, defaulted_settings, settings_of, unset_settings, without_settings
 from heartcase.schemas.recipe import Part, Recipe, parse_recipe
 from heartcase.schemas.toml import toml_text, toml_value
 
 __all__ = [
+    "changed_files",
     "check_lock",
     "lock_recipe",
     "recipe_text",
@@ -32,9 +35,6 @@ __all__ = [
     "stage_changes",
     "unlocked_recipe",
 ]
-
-DETACHED_SUFFIXES = (".nhdr", ".mhd")
-"""Headers whose values are in another file."""
 
 
 def resolve_recipe(recipe: Recipe, scan: Scan) -> Recipe:
@@ -53,7 +53,7 @@ def resolve_recipe(recipe: Recipe, scan: Scan) -> Recipe:
 
     return recipe.model_copy(
         update={
-            "case_id": recipe.case_id or made_up_case_id(recipe.name, scan.values_sha256),
+            "case_id": recipe.case_id or made_up_case_id(recipe.name, scan.whole_sha256 or scan.values_sha256),
             "labels": recipe.table.labels,
             "filter": resolve_filter(recipe.filter, scan.geometry),
             "walls": resolve_walls(recipe.walls, scan.geometry, recipe.table),
@@ -89,19 +89,24 @@ def lock_recipe(recipe: Recipe, *, directory: Path, out: Path) -> Recipe:
         # The places below count labels as the resolved table has them.
         recipe = recipe.model_copy(update={"labels": recipe.table.labels})
     defaulted = (*kept, *(place for place in _defaulted(recipe) if place not in kept))
+    finished = _segmentation_file(recipe, directory)
     lock = RecipeLock(
         software_version=__version__,
         stages=STAGE_VERSIONS,
         scan_sha256=scan.values_sha256,
-        markers_sha256=tuple(_file_sha256(directory / marker.path) for marker in recipe.markers),
-        segmentation_sha256=_segmentation_sha256(recipe, directory),
+        markers_sha256=tuple(
+            _input_sha256(f"markers[{n}]", directory / marker.path) for n, marker in enumerate(recipe.markers, start=1)
+        ),
+        segmentation_sha256=None if finished is None else _input_sha256("segment.file", finished),
         defaulted=defaulted,
         unset=_but_the_lock(unset_settings(resolved)),
     )
     locked = resolved.model_copy(update={"lock": lock})
     if directory.resolve() != out.resolve():
         locked = _with_paths_from(locked, directory, out)
-    return parse_recipe(recipe_text(locked))
+    locked = parse_recipe(recipe_text(locked))
+    signed = lock.model_copy(update={"settings_sha256": _settings_sha256(locked)})
+    return parse_recipe(recipe_text(locked.model_copy(update={"lock": signed})))
 
 
 def recipe_text(recipe: Recipe) -> str:
@@ -193,6 +198,8 @@ def check_lock(recipe: Recipe, directory: Path, scan: Scan, *, accept_inputs: bo
                 f"one that was locked; heartcase {recipe.lock.software_version} has them"
             )
         )
+    if recipe.lock.settings_sha256 not in (None, _settings_sha256(recipe)):
+        warnings.append(anatomy("the locked recipe was edited after it was locked: lock it again to keep the change"))
     values = dict(settings_of(recipe))
     for place in _defaulted(recipe):
         stated = f"the default, {toml_value(values[place])}" if values.get(place) is not None else "the default"
@@ -219,36 +226,87 @@ def _is_used(stage: str, recipe: Recipe) -> bool:
 
 
 def _differing_inputs(recipe: Recipe, lock: RecipeLock, directory: Path, scan: Scan) -> Iterator[Problem]:
+    """The scan's region of interest and the files that are not those of the lock."""
     if scan.values_sha256 != lock.scan_sha256:
         then, now = lock.stages.get("read"), STAGE_VERSIONS["read"]
         reader = f" (the reader went from version {then} to {now}, which may be why)" if then != now else ""
         yield Problem("scan", f"its values or its place are not those that the recipe was locked with{reader}")
+    yield from changed_files(recipe, directory)
+
+
+def changed_files(recipe: Recipe, directory: Path) -> Iterator[Problem]:
+    """Marker files and the segmentation of a locked recipe that are not those that it was locked with.
+
+    Parameters
+    ----------
+    recipe
+        The recipe; one that is not locked has none.
+    directory
+        Where its relative paths start.
+
+    Yields
+    ------
+    Problem
+        For each that is another one or is damaged. What is not there is left to :meth:`Recipe.missing_files`.
+    """
+    lock = recipe.lock
+    if lock is None:
+        return
     if len(recipe.markers) != len(lock.markers_sha256):
         yield Problem(
             "markers", f"there are {len(recipe.markers)} files, not the {len(lock.markers_sha256)} at locking"
         )
     for n, (marker, sha256) in enumerate(zip(recipe.markers, lock.markers_sha256, strict=False), start=1):
-        if (directory / marker.path).exists() and _file_sha256(directory / marker.path) != sha256:
-            yield Problem(f"markers[{n}]", "the file is not the one that the recipe was locked with")
-    if not recipe.missing_files(directory) and _segmentation_sha256(recipe, directory) != lock.segmentation_sha256:
-        yield Problem("segment.file", "the segmentation is not the one that the recipe was locked with")
+        yield from _difference(f"markers[{n}]", "the file", directory / marker.path, sha256)
+    finished = _segmentation_file(recipe, directory)
+    yield from _difference("segment.file", "the segmentation", finished, lock.segmentation_sha256)
 
 
-def _segmentation_sha256(recipe: Recipe, directory: Path) -> str | None:
+def _difference(place: str, what: str, path: Path | None, sha256: str | None) -> Iterator[Problem]:
+    if path is not None and not path.exists():
+        return
+    try:
+        today = None if path is None else _input_sha256(place, path)
+    except MarkerError:
+        yield Problem(place, f"{what}, or the data file that its header names, is missing or damaged")
+        return
+    if today != sha256:
+        yield Problem(place, f"{what} is not the one that the recipe was locked with")
+
+
+def _settings_sha256(recipe: Recipe) -> str:
+    """Hash of what the file states, so that settings that a later version adds do not count as edited."""
+    stated = recipe.model_dump(mode="json", exclude={"lock"}, exclude_unset=True, exclude_none=True)
+    return hashlib.sha256(toml_text(stated).encode()).hexdigest()
+
+
+def _segmentation_file(recipe: Recipe, directory: Path) -> Path | None:
+    """The finished segmentation, where the recipe takes one."""
     is_read = recipe.segment.method == "labels" and recipe.segment.file is not None
-    return _file_sha256(directory / str(recipe.segment.file)) if is_read else None
+    return directory / str(recipe.segment.file) if is_read else None
 
 
-def _file_sha256(path: Path) -> str:
-    """Hash of a file, or of all files of a folder whatever they are called."""
+def _input_sha256(place: str, path: Path) -> str:
+    """Hash of all that is read when this file or folder is: MarkerError where it cannot be told what that is."""
+    from heartcase.pipeline.formats.stl_parts import holds_parts
+    from heartcase.pipeline.read import detached_data_file
+
+    if holds_parts(path):
+        # a part is called by its file's name, so parts that swap their names are other parts
+        parts = [file for file in path.iterdir() if file.suffix.lower() == ".stl" and file.is_file()]
+        return _sha256_of_all(sorted((file.name, sha256_of_file(file)) for file in parts))
     if path.is_dir():
-        digests = sorted(sha256_of_file(file) for file in path.rglob("*") if file.is_file())
-        return hashlib.sha256("".join(digests).encode()).hexdigest()
-    if path.suffix.lower() in DETACHED_SUFFIXES:
-        from heartcase.pipeline.read import read_labels
+        return _sha256_of_all(sorted(("", sha256_of_file(file)) for file in path.rglob("*") if file.is_file()))
+    try:
+        data = detached_data_file(path)
+    except HeartcaseError as error:
+        raise placed(error, place, MarkerError) from None
+    header = sha256_of_file(path)
+    return header if data is None else _sha256_of_all([("", header), ("", sha256_of_file(data))])
 
-        return hashlib.sha256(path.read_bytes() + read_labels(path).values.tobytes()).hexdigest()
-    return sha256_of_file(path)
+
+def _sha256_of_all(named: list[tuple[str, str]]) -> str:
+    return hashlib.sha256(json.dumps(named).encode()).hexdigest()
 
 
 def _with_paths_from(recipe: Recipe, directory: Path, out: Path) -> Recipe:

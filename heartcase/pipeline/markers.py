@@ -6,16 +6,17 @@ What a file calls its segments and points may be a patient's name: messages call
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.pipeline.cautions import note
 from heartcase.pipeline.data import Markers, Segmentation
 from heartcase.pipeline.formats.point_lists import MarkupList, read_point_lists
 from heartcase.pipeline.formats.raw_volume import placed
 from heartcase.pipeline.formats.stl_parts import holds_parts, read_parts
+from heartcase.pipeline.naming import Naming, called, label_lookup, listed, value_of
 from heartcase.pipeline.paint import paint_capsule, paint_passed_voxels, pull_nearest
 from heartcase.pipeline.read import LabelVolume, read_labels
 from heartcase.schemas.errors import MarkerError, Problem
@@ -23,7 +24,6 @@ from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND, LabelTable
 from heartcase.schemas.recipe import MarkerFile
 from heartcase.schemas.settings import Stroke
-from heartcase.schemas.terms import CONVENTIONS
 
 __all__ = ["check_markers", "load_markers", "load_segmentation", "rasterise_strokes", "resample_labels"]
 
@@ -48,7 +48,8 @@ def load_markers(
     ----------
     recipe_markers
         Label volumes and point lists. A segment or list is found by ``names``, then by the label or synonym that it is
-        named like, then by its SNOMED CT code; a volume without segments by its values.
+        named like, then by its SNOMED CT code; a volume without segments by ``names`` and ``convention``, or, where
+        neither is given, by the values of the table.
     strokes
         Strokes of the recipe.
     table
@@ -136,7 +137,8 @@ def load_segmentation(
         :func:`heartcase.pipeline.formats.stl_parts.read_parts`.
     names
         Name of a segment or part, or value, in the file -> label name. What is not in here is found by the label or
-        synonym that it is named like, then by its SNOMED CT code; in a file without segments by its value.
+        synonym that it is named like, then by its SNOMED CT code. In a file without segments by ``convention``, or,
+        where neither is given, by its value in the table.
     table
         Label table.
     geometry
@@ -149,31 +151,52 @@ def load_segmentation(
     Returns
     -------
     Segmentation
-        Each voxel has the label at its centre; outside the file, and where it holds 0, is background.
+        Each voxel has the label at its centre; outside the file, and where it holds 0, is background. A segment named
+        like a wall that will be grown is left out, and ``warnings`` says so.
 
     Raises
     ------
     MarkerError
-        The file cannot be read, holds names that are no labels, or lies outside the scan.
+        The file cannot be read, holds names that are no labels, or it or one of its structures lies outside the scan.
     """
     place = "segmentation"
     try:
         volume = _finished(Path(path), geometry)
-        lookup = _lookup(volume, _Naming(names, convention, others), table)
+        lookup = label_lookup(volume, Naming(names, convention, others, leaves_out_walls=True), table)
         geometry = geometry or volume.geometry
         values = resample_labels(volume, geometry)
     except MarkerError as error:
         raise placed(error, place, MarkerError) from None
     if not values.any():
-        reason = "lies outside the scan: was it made on another scan?" if volume.values.any() else "holds no label"
+        reason = "lies outside the scan: was it made on another scan?" if volume.marks_anything else "holds no label"
         raise MarkerError(f"the segmentation {reason}", place=place)
-    lookup[lookup == UNMARKED] = BACKGROUND
-    return Segmentation(labels=lookup[values], geometry=geometry, table=table)
+    lost = [value for value in _lost(volume, values) if lookup.values[value] not in (UNMARKED, BACKGROUND)]
+    if lost:
+        raise MarkerError(
+            f"{called(volume, lost)} would vanish: they lie outside the scan or its region of interest, others cover "
+            'them, or they are thinner than its voxels. Correct them, or map them to "background" under names',
+            place=place,
+        )
+    labels = np.where(lookup.values == UNMARKED, BACKGROUND, lookup.values).astype(np.uint8)[values]
+    warnings = (*volume.warnings, *_walls_left_out(lookup.walls))
+    return Segmentation(labels=labels, geometry=geometry, table=table, warnings=warnings)
+
+
+def _walls_left_out(walls: Sequence[str]) -> tuple[str, ...]:
+    if not walls:
+        return ()
+    which = f"the {walls[0]} is" if len(walls) == 1 else f"{', '.join(walls)} are"
+    return (
+        note(
+            f"{which} not taken from the finished segmentation but grown again: what was painted there is not used; "
+            "to change a wall, change its cavity, or wall_thickness_mm of its label"
+        ),
+    )
 
 
 def _finished(path: Path, geometry: Geometry | None) -> LabelVolume:
     if not holds_parts(path):
-        return read_labels(path)
+        return read_labels(path, geometry)
     if geometry is None:
         raise MarkerError("surfaces have no voxels of their own: give the scan that they were made on")
     return read_parts(path, geometry)
@@ -229,9 +252,9 @@ def rasterise_strokes(strokes: Sequence[Stroke], table: LabelTable, geometry: Ge
     problems = []
     for number, stroke in enumerate(strokes, start=1):
         place = f"strokes[{number}]"
-        value = _value_of(stroke.label, {}, table)
+        value = value_of(stroke.label, {}, table)
         if value is None:
-            problems.append(Problem(place, f"there is no label {stroke.label!r} ({_listed(table)})"))
+            problems.append(Problem(place, f"there is no label {stroke.label!r} ({listed(table)})"))
         elif not _paint(labels, np.array(stroke.points_mm), stroke.radius_mm, value, geometry):
             problems.append(
                 Problem(place, _outside(np.array(stroke.points_mm), f"the stroke {stroke.label!r}", geometry))
@@ -254,35 +277,40 @@ def _paint(labels: UInt8, points_mm: npt.NDArray[np.float64], radius_mm: float, 
 
 
 def _painted_volume(path: Path, file: MarkerFile, table: LabelTable, geometry: Geometry) -> UInt8:
-    volume = read_labels(path)
-    lookup = _lookup(volume, _Naming(file.names, file.convention, file.others), table)
+    volume = read_labels(path, geometry)
+    lookup = label_lookup(volume, Naming(file.names, file.convention, file.others), table).values
     values = resample_labels(volume, geometry)
-    inside, present = set(np.unique(values).tolist()), set(np.unique(volume.values).tolist())
-    if present == {0}:
+    if not volume.marks_anything:
         raise MarkerError("the file marks nothing: paint in it, or leave it out")
-    lost = sorted(value for value in present - inside - {0} if lookup[value] != UNMARKED)
+    lost = [value for value in _lost(volume, values) if lookup[value] != UNMARKED]
     if lost:
         raise MarkerError(
-            f"{_called(volume, lost)} lie outside the scan or its region of interest, or are thinner than its voxels: "
+            f"{called(volume, lost)} lie outside the scan or its region of interest, or are thinner than its voxels: "
             "check that they were painted on this scan, with a brush of a voxel's width or more"
         )
     return lookup[values]
+
+
+def _lost(volume: LabelVolume, values: npt.NDArray[np.uint8] | npt.NDArray[np.uint16]) -> list[int]:
+    """Values that the file marks something with, and that are not among those on the scan's lattice."""
+    marked = {*np.unique(volume.values).tolist(), *volume.vanished}
+    return sorted(marked - set(np.unique(values).tolist()) - {0})
 
 
 def _painted_points(path: Path, file: MarkerFile, table: LabelTable, geometry: Geometry) -> UInt8:
     labels = np.full(geometry.shape, UNMARKED, dtype=np.uint8)
     problems: dict[str, None] = {}
     for markup in read_point_lists(path):
-        for called, title, polyline in _named_polylines(markup):
-            value = next((v for name in title if (v := _value_of(name, file.names, table)) is not None), None)
+        for line_called, title, polyline in _named_polylines(markup):
+            value = next((v for name in title if (v := value_of(name, file.names, table)) is not None), None)
             if value is None:
                 if file.others == "refuse":
                     problems[
-                        f"the name of {called} is no label: rename it or its list, or map it under names "
-                        f"({_listed(table)})"
+                        f"the name of {line_called} is no label: rename it or its list, or map it under names "
+                        f"({listed(table)})"
                     ] = None
             elif not _paint(labels, polyline, file.radius_mm, value, geometry):
-                problems[_outside(polyline, called, geometry)] = None
+                problems[_outside(polyline, line_called, geometry)] = None
     if problems:
         raise MarkerError(Problem("", message) for message in problems)
     if (labels == UNMARKED).all():
@@ -303,92 +331,6 @@ def _named_polylines(markup: MarkupList) -> list[tuple[str, tuple[str, ...], npt
         )
         for number, label, point in zip(markup.numbers, markup.labels, markup.points_mm, strict=True)
     ]
-
-
-@dataclass(frozen=True)
-class _Naming:
-    """What the recipe says of the names in a file."""
-
-    names: Mapping[str, str]
-    convention: str | None
-    others: str
-
-
-def _lookup(volume: LabelVolume, naming: _Naming, table: LabelTable) -> UInt8:
-    """Array that takes a value of the file to a label value; 0, and what is left out, go to 255."""
-    lookup = np.full(int(volume.values.max(initial=0)) + 1, UNMARKED, dtype=np.uint8)
-    unknown, contrary = [], []
-    for value in np.flatnonzero(np.bincount(volume.values.ravel())).tolist():
-        if value == 0:
-            continue
-        segment = volume.segments.get(value)
-        label = None
-        if segment is not None:
-            label = _value_of(segment.name, naming.names, table)
-            coded = table.find_code(segment.snomed) if segment.snomed else None
-            if label is None and coded is not None:
-                label = coded.value
-            elif (
-                coded is not None
-                and coded.value != label
-                and _as_compared(segment.name) not in map(_as_compared, naming.names)
-            ):
-                contrary.append(value)
-        if label is None:
-            label = _value_of(str(value), naming.names, table)
-        if label is None and not volume.segments:
-            label = _value_in(value, naming.convention, table)
-        if label is None:
-            unknown.append(value)
-        else:
-            lookup[value] = label
-    problems = []
-    if contrary:
-        problems.append(
-            f"the name and the SNOMED CT code of {_called(volume, contrary)} stand for different structures: correct "
-            "one of them, or map the name under names"
-        )
-    if unknown and naming.others == "refuse":
-        problems.append(
-            f"the file holds what is no label: {_called(volume, unknown)}; rename it, map it under names, or leave it "
-            f'out with others = "ignore" ({_listed(table)})'
-        )
-    if problems:
-        raise MarkerError(Problem("", message) for message in problems)
-    return lookup
-
-
-def _called(volume: LabelVolume, values: Sequence[int]) -> str:
-    """What messages call these values of a file."""
-    called = []
-    for value in values:
-        segment = volume.segments.get(value)
-        called.append(f"value {value}" if segment is None else f"segment {segment.number}")
-    return ", ".join(called) + " of the file"
-
-
-def _as_compared(name: str) -> str:
-    return " ".join(name.split()).lower()
-
-
-def _value_of(name: str, names: Mapping[str, str], table: LabelTable) -> int | None:
-    """Label value of a name or value of a file, mapped through ``names``."""
-    lowered = {_as_compared(key): target for key, target in names.items()}
-    found = table.find(lowered.get(_as_compared(name), name))
-    return None if found is None else found.value
-
-
-def _value_in(value: int, convention: str | None, table: LabelTable) -> int | None:
-    """Label value of a value in a file without names."""
-    if convention is None:
-        return value if value in table else None
-    name = CONVENTIONS[convention].get(value)
-    found = table.find(name) if name is not None else None
-    return None if found is None else found.value
-
-
-def _listed(table: LabelTable) -> str:
-    return "labels: " + ", ".join(label.name for label in table)
 
 
 def _outside(points_mm: npt.NDArray[np.float64], what: str, geometry: Geometry) -> str:

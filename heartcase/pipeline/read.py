@@ -17,13 +17,23 @@ from heartcase.pipeline.data import Scan
 from heartcase.pipeline.formats.dicom_seg import read_dicom_seg
 from heartcase.pipeline.formats.raw_volume import RawVolume, check_size, placed, require_file
 from heartcase.pipeline.formats.read_dicom import SeriesInfo, describe_volume, is_dicom, read_dicom, series_of
-from heartcase.pipeline.formats.read_metaimage import read_metaimage
+from heartcase.pipeline.formats.read_metaimage import metaimage_data_file, read_metaimage
 from heartcase.pipeline.formats.read_nifti import read_nifti
-from heartcase.pipeline.formats.read_nrrd import read_nrrd
+from heartcase.pipeline.formats.read_nrrd import nrrd_data_file, read_nrrd
 from heartcase.pipeline.formats.segments import LabelVolume, segments_of
 from heartcase.schemas.errors import MarkerError, Problem, ScanError
+from heartcase.schemas.geometry import Geometry
 
-__all__ = ["READERS", "LabelVolume", "SeriesInfo", "is_dicom_source", "list_series", "read_labels", "read_scan"]
+__all__ = [
+    "READERS",
+    "LabelVolume",
+    "SeriesInfo",
+    "detached_data_file",
+    "is_dicom_source",
+    "list_series",
+    "read_labels",
+    "read_scan",
+]
 
 READERS: dict[str, Callable[[Path], RawVolume]] = {
     ".nii.gz": read_nifti,
@@ -34,6 +44,14 @@ READERS: dict[str, Callable[[Path], RawVolume]] = {
     ".mhd": read_metaimage,
 }
 """Reader of each file name ending."""
+
+DATA_FILES: dict[str, Callable[[Path], Path | None]] = {
+    ".nrrd": nrrd_data_file,
+    ".nhdr": nrrd_data_file,
+    ".mha": metaimage_data_file,
+    ".mhd": metaimage_data_file,
+}
+"""What finds the values of files that may keep them in another file."""
 
 HIGHEST_LABEL = 65535
 
@@ -54,7 +72,7 @@ def read_scan(
     path
         .nii, .nii.gz, .nrrd, .nhdr, .mha or .mhd file; folder of DICOM files; or one multi-frame DICOM file.
     series
-        DICOM: which series, by its number in :func:`list_series` or by the end of its UID.
+        DICOM: which series, by its number or code in :func:`list_series`, or its UID.
     trigger_time_ms
         DICOM: which cardiac phase, the nearest to this time after the R wave, ms.
     echo_time_ms
@@ -137,7 +155,7 @@ def list_series(path: Path | str) -> tuple[SeriesInfo, ...]:
                 spacing_mm=scan.geometry.spacing_mm,
                 modality=scan.modality,
                 description=describe_volume(scan.geometry, scan.modality),
-                uid_suffix="",
+                uid_code="",
             ),
         )
     try:
@@ -146,13 +164,15 @@ def list_series(path: Path | str) -> tuple[SeriesInfo, ...]:
         raise placed(error, "scan", ScanError) from None
 
 
-def read_labels(path: Path | str) -> LabelVolume:
+def read_labels(path: Path | str, scan: Geometry | None = None) -> LabelVolume:
     """Read a label volume: painted markers or a finished segmentation.
 
     Parameters
     ----------
     path
         .nii, .nii.gz, .nrrd, .nhdr, .seg.nrrd, .mha or .mhd file; or a DICOM SEG, as a file or in a folder of its own.
+    scan
+        The scan's lattice: tells how far the planes of a DICOM SEG are apart where the file does not.
 
     Returns
     -------
@@ -169,19 +189,31 @@ def read_labels(path: Path | str) -> LabelVolume:
     path = Path(path)
     try:
         if is_dicom_source(path):
-            return read_dicom_seg(path)
+            return read_dicom_seg(path, scan)
         raw = _read_file(path)
     except ScanError as error:
         raise placed(error, "", MarkerError) from None
     values = _as_whole_numbers(raw.values)
-    values, segments = segments_of(values, raw.header)
+    values, segments, vanished = segments_of(values, raw.header)
     fits = values.max(initial=0) < 256
-    return LabelVolume(values=values.astype(np.uint8) if fits else values, geometry=raw.geometry, segments=segments)
+    return LabelVolume(values.astype(np.uint8) if fits else values, raw.geometry, segments, vanished)
 
 
 def is_dicom_source(path: Path) -> bool:
     """Whether this is read as DICOM: a folder, or a file that starts as DICOM does and has no other format's ending."""
     return path.is_dir() or (_suffix(path) is None and is_dicom(path))
+
+
+def detached_data_file(path: Path) -> Path | None:
+    """The file that holds the values of a volume whose header is a file of its own; None where they are in one file.
+
+    Raises
+    ------
+    ScanError
+        The header is damaged, or the file that it names is not beside it.
+    """
+    find = DATA_FILES.get(_suffix(path) or "")
+    return find(path) if find else None
 
 
 def _suffix(path: Path) -> str | None:

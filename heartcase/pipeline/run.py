@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,14 +11,15 @@ from typing import Any
 import numpy as np
 
 from heartcase import __version__
-from heartcase.pipeline.bundle import assemble_bundle, check_place, resolve_materials, write_bundle
+from heartcase.pipeline.bundle import assemble_bundle, check_place, check_replacement, resolve_materials, write_bundle
 from heartcase.pipeline.cache import Cache, stage_key
 from heartcase.pipeline.cautions import worst_first
 from heartcase.pipeline.data import Segmentation, Structures
 from heartcase.pipeline.lock import check_lock, resolve_recipe
 from heartcase.pipeline.runner import STAGE_VERSIONS, STAGES, BuildListener, Runner, SilentListener
 from heartcase.pipeline.stages import RUN_STAGE, StageOutputs, have
-from heartcase.schemas.bundle import MANIFEST_NAME, CaseManifest
+from heartcase.schemas.approval import bundle_sha256
+from heartcase.schemas.bundle import CaseManifest
 from heartcase.schemas.bundle_reader import open_bundle
 from heartcase.schemas.errors import BundleError, UsageError
 from heartcase.schemas.files import atomic_write, remove_leftovers, sha256_of_file
@@ -56,6 +58,7 @@ def build_case(
     force: bool = False,
     until: str | None = None,
     accept_inputs: bool = False,
+    replace: bool = False,
 ) -> BuildResult:
     """Build a case.
 
@@ -75,6 +78,8 @@ def build_case(
         Compute every stage anew.
     until
         Stop after this stage: see :data:`STAGES`.
+    replace
+        Replace a case of this name although it was made from another scan.
     accept_inputs
         Build a locked recipe although its scan or marker files are not those that it was locked with.
 
@@ -104,8 +109,11 @@ def build_case(
             scan = have(nodes.scan).get()
             lock_warnings = check_lock(recipe, directory, scan, accept_inputs=accept_inputs)
             recipe = resolve_recipe(recipe, scan)
+            if until is None and not replace:
+                check_replacement(out / f"{recipe.name}.case", recipe.case_id)
         if stage == until:
-            return BuildResult(None, None, None, runner.seconds, tuple(runner.reused), changed=False)
+            reused = tuple(runner.reused)
+            return BuildResult(None, None, None, runner.seconds, reused, changed=False, warnings=lock_warnings)
     return _finish(recipe, runner, nodes, out, lock_warnings)
 
 
@@ -124,6 +132,7 @@ def _finish(
     """Write the bundle and the report; the recipe is resolved."""
     from heartcase.pipeline.ends import closed_vessels
     from heartcase.pipeline.mesh.glb import glb_bytes
+    from heartcase.pipeline.openings import find_openings, opening_cautions, opening_figures
     from heartcase.pipeline.picking import picking_surface
     from heartcase.pipeline.report.build_report import build_report
     from heartcase.pipeline.scan_part import scan_part
@@ -138,7 +147,12 @@ def _finish(
         settings={
             "software": __version__,
             "lock": list(lock_warnings),
-            "recipe": recipe.model_dump(mode="json", include={"name", "case_id", "landmarks", "materials", "parts"}),
+            # The report tells what was done by hand, so all of the recipe counts, but no path of it.
+            "recipe": recipe.model_dump(
+                mode="json",
+                exclude={"scan": {"path", "series", "origin"}, "markers": {"__all__": {"path"}}, "segment": {"file"}},
+            ),
+            "records": [record.model_dump(mode="json") for record in runner.records],
         },
         inputs={record.stage: record.output_sha256 for record in runner.records},
     )
@@ -155,16 +169,21 @@ def _finish(
     segmentation = have(nodes.segmentation).get()
     markers = nodes.markers.get() if nodes.markers else None
     volumes_ml = structure_volumes_ml(structures)
+    labels = labels_of(structures)
+    openings = find_openings(structures, labels, recipe.edits, recipe.landmarks)
     outputs: dict[str, Any] = {"walls": structures, "grid": grid, "surface": surface, "map": grid_map}
     quality: dict[str, Any] = {
-        "volumes_ml": {structures.table[value].name: round(volume, 3) for value, volume in volumes_ml.items()}
+        "volumes_ml": {structures.table[value].name: round(volume, 3) for value, volume in volumes_ml.items()},
+        "openings": opening_figures(openings),
     }
     quality |= {stage: output.quality for stage, output in outputs.items() if getattr(output, "quality", None)}
     warnings = worst_first(
         lock_warnings,
         scan.warnings,
+        segmentation.warnings,
         segmentation_warnings(segmentation, markers, filtered=scan),
         closed_vessels(segmentation, recipe.ends),
+        opening_cautions(openings),
         *(getattr(outputs[stage], "warnings", ()) for stage in ("walls", "grid", "map", "surface")),
     )
     content = assemble_bundle(
@@ -179,9 +198,7 @@ def _finish(
         grid_map=grid_map,
         picking=picking_surface(grid) if Part.PICKING in recipe.parts else None,
         glb=glb_bytes(surface, case_id=recipe.case_id) if surface is not None and Part.RENDER in recipe.parts else None,
-        labels_nrrd=segmentation_nrrd_bytes(labels_of(structures), case_id=recipe.case_id)
-        if Part.LABELS in recipe.parts
-        else None,
+        labels_nrrd=segmentation_nrrd_bytes(labels, case_id=recipe.case_id) if Part.LABELS in recipe.parts else None,
         scan=scan_part(have(nodes.filtered).get()) if Part.SCAN in recipe.parts else None,
         landmarks=recipe.landmarks,
         modality=scan.modality,
@@ -189,7 +206,6 @@ def _finish(
         quality=quality,
         warnings=warnings,
     )
-    changed = write_bundle(case, content)
     runner.seconds["bundle"] = time.perf_counter() - start
     html = build_report(
         recipe=recipe,
@@ -200,23 +216,33 @@ def _finish(
         surface=surface,
         grid_map=grid_map,
         volumes_ml=volumes_ml,
+        openings=openings,
         timings_s=runner.seconds,
         stages=runner.records,
         warnings=warnings,
         case_id=recipe.case_id,
+        bundle_sha256=content.sha256,
+    ).encode()
+    # The report is ready before the case is touched: where drawing fails, the old case and its report stay.
+    changed = write_bundle(case, content)
+    atomic_write(report, html)
+    runner.cache.note(
+        "bundle", key, {"bundle_sha256": content.sha256, "report_sha256": hashlib.sha256(html).hexdigest()}
     )
-    atomic_write(report, html.encode())
-    runner.cache.note("bundle", key, {"manifest_sha256": sha256_of_file(case / MANIFEST_NAME)})
     runner.learn("bundle", time.perf_counter() - start)
     runner.listener.stage_finished("bundle", seconds=time.perf_counter() - start, reused=not changed)
     return BuildResult(case, report, content.manifest, runner.seconds, tuple(runner.reused), changed, tuple(warnings))
 
 
 def _unchanged(case: Path, report: Path, cache: Cache, key: str) -> CaseManifest | None:
-    """The manifest of the case that is there, when it is whole and was made from exactly these inputs."""
+    """The manifest of the case that is there, when it and its report are whole and made from exactly these inputs."""
     note = cache.noted("bundle", key)
     try:
-        if note is None or not report.exists() or note["manifest_sha256"] != sha256_of_file(case / MANIFEST_NAME):
+        if (
+            note is None
+            or note["report_sha256"] != sha256_of_file(report)
+            or note["bundle_sha256"] != bundle_sha256(case)
+        ):
             return None
         return open_bundle(case).manifest
     except (OSError, KeyError, BundleError):

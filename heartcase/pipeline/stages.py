@@ -62,7 +62,8 @@ def region_of_scan(recipe: Recipe, directory: Path) -> Scan:
             f"there is no scan: check the spelling (it is relative to the recipe), or put the scan there.{where}",
             place="scan.path",
         )
-    return crop_scan(_with_modality(read_scan(path, **recipe.scan.choice), recipe), recipe.region)
+    scan = _with_modality(read_scan(path, **recipe.scan.choice), recipe)
+    return crop_scan(dataclasses.replace(scan, whole_sha256=scan.values_sha256), recipe.region)
 
 
 def _read(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutputs) -> None:

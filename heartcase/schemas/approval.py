@@ -3,14 +3,15 @@
 The approvals of ``NAME.case`` are in ``NAME.approvals.jsonl`` beside it, one JSON object a line, so the case's own
 bytes stay. A line names the case by its *bundle hash*: the SHA-256 of ``case.json``, which lists the hash of every
 other file. Each line carries the hash of the line before and its own, so a line that is edited, or taken out from
-among others, is noticed; that the last lines are missing, or that the whole log was written anew, is not.
+among others, is noticed; that the last lines are missing, or that the whole log was written anew, is not. A second
+file with the last line's hash would not change that: who can cut the log can cut both. So the words of an approval say
+it.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -23,9 +24,10 @@ from heartcase import __version__
 from heartcase.schemas.base import Model
 from heartcase.schemas.bundle import MANIFEST_NAME
 from heartcase.schemas.bundle_check import check_bundle
-from heartcase.schemas.bundle_reader import MANIFEST_SIZE_MAX, read_manifest
+from heartcase.schemas.bundle_manifest import FILE_NAME, manifest_bytes, read_manifest
 from heartcase.schemas.errors import BundleError, UsageError, problems_from_validation
 from heartcase.schemas.files import atomic_write, exclusive, sha256_of_file
+from heartcase.schemas.strict_json import parse_json
 
 __all__ = ["Approval", "ApprovalEntry", "approval_log", "approval_state", "approve_case", "bundle_sha256"]
 
@@ -81,12 +83,12 @@ class Approval:
         if entry is None:
             return "draft: nobody has approved this case"
         lines = f"{self.entry_count} line{'s' * (self.entry_count != 1)}"
-        done = f"{entry.role} on {entry.time[:10]} (log of {lines})"
+        done = f"{entry.role} on {entry.time[:10]} (log of {lines}"
         if self.state == "approved":
-            return f"approved by {done}"
+            return f"approved by {done}; a withdrawal cut off its end would not show)"
         if self.state == "changed since approval":
-            return f"draft: the case was changed since it was approved by {done}"
-        return f"draft: the approval was withdrawn by {done}"
+            return f"draft: the case was changed since it was approved by {done})"
+        return f"draft: the approval was withdrawn by {done})"
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
@@ -101,9 +103,13 @@ class Approval:
 
 
 def approval_log(case: Path | str) -> Path:
-    """Where the approvals of a case are: ``NAME.approvals.jsonl`` beside ``NAME.case``."""
-    case = Path(case).absolute()
-    return case.with_name(f"{case.name.removesuffix('.case')}.approvals.jsonl")
+    """Where the approvals of a case are: ``NAME.approvals.jsonl`` beside ``NAME.case``, wherever a link leads to it.
+
+    Of a folder ``NAME`` without that ending, ``NAME.folder-approvals.jsonl``: it is another case.
+    """
+    case = Path(case).resolve()
+    ending = "approvals" if case.suffix == ".case" else "folder-approvals"
+    return case.with_name(f"{case.name.removesuffix('.case')}.{ending}.jsonl")
 
 
 def bundle_sha256(case: Path | str) -> str:
@@ -116,21 +122,22 @@ def bundle_sha256(case: Path | str) -> str:
     """
     case = Path(case)
     try:
-        if (case / MANIFEST_NAME).stat().st_size > MANIFEST_SIZE_MAX:
-            raise ValueError
-        manifest = (case / MANIFEST_NAME).read_bytes()
+        manifest = manifest_bytes(case)
         # The raw list: a reader of an older minor version leaves out files whose role it does not know.
-        entries = json.loads(manifest)["files"]
-        listed = [(str(entry["name"]), entry["size"], entry["sha256"]) for entry in entries]
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        listed = [(entry["name"], entry["size"], entry["sha256"]) for entry in parse_json(manifest)["files"]]
+    except (OSError, ValueError, KeyError, TypeError):
         raise BundleError("cannot be read: build the case again", place=MANIFEST_NAME) from None
-    if not all(_is_as_listed(case / name, size, sha256) for name, size, sha256 in listed):
+    if not all(_is_as_listed(case, *entry) for entry in listed):
         raise BundleError("a file is missing or was changed: build the case again", place="files")
     return hashlib.sha256(manifest).hexdigest()
 
 
-def _is_as_listed(file: Path, size: Any, sha256: Any) -> bool:
-    if not re.fullmatch(r"[a-z0-9][a-z0-9_.-]{0,127}", file.name) or file.is_symlink() or not file.is_file():
+def _is_as_listed(case: Path, name: Any, size: Any, sha256: Any) -> bool:
+    # The name as it stands: of a path only the last part would look like one.
+    if not isinstance(name, str) or not FILE_NAME.fullmatch(name):
+        return False
+    file = case / name
+    if file.is_symlink() or not file.is_file():
         return False
     try:
         return bool(file.stat().st_size == size and sha256_of_file(file) == sha256)
@@ -176,7 +183,7 @@ def approve_case(
     case
         The case's directory.
     role
-        What the reviewer is; not a name.
+        What the reviewer is; not a name. Spaces around it are taken off.
     note
         Free text.
     withdraw
@@ -199,7 +206,9 @@ def approve_case(
         The log was tampered with or cannot be written, the role or the note is not plain text, or there is no
         approval to withdraw.
     """
-    case = Path(case)
+    case, role = Path(case), role.strip()
+    if not any(letter.isalpha() for letter in role):
+        raise UsageError("say in words what the reviewer is, such as: consultant cardiologist", place="role")
     if withdraw:
         read_manifest(case)
     elif problems := check_bundle(case):
@@ -238,7 +247,7 @@ def approve_case(
 
 
 def _manifest_sha256(case: Path) -> str:
-    return hashlib.sha256((case / MANIFEST_NAME).read_bytes()).hexdigest()
+    return hashlib.sha256(manifest_bytes(case)).hexdigest()
 
 
 def _entry(facts: Mapping[str, Any]) -> ApprovalEntry:

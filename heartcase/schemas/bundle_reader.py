@@ -7,47 +7,29 @@ returns; :mod:`heartcase.schemas.bundle_check` checks everything, hashes include
 
 from __future__ import annotations
 
-import json
-import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from operator import index
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import TypeAdapter, ValidationError
 
-from heartcase.schemas.bundle import (
-    ARRAYS,
-    FORMAT_NAME,
-    FORMAT_VERSION,
-    MANIFEST_NAME,
-    CaseManifest,
-    FileEntry,
-    FileRole,
-)
+from heartcase.schemas.bundle import ARRAYS, CaseManifest, FileRole
+from heartcase.schemas.bundle_manifest import KNOWN_EXTENSIONS, MANIFEST_SIZE_MAX, read_manifest, stated
 from heartcase.schemas.coordinates import Coordinates
-from heartcase.schemas.errors import BundleError, Problem, problems_from_validation
+from heartcase.schemas.errors import BundleError, Problem
+from heartcase.schemas.safetensors_layout import Layout, count_problems, listing_problems, map_array, read_layout
 
 __all__ = [
     "KNOWN_EXTENSIONS",
+    "MANIFEST_SIZE_MAX",
     "OpenBundle",
     "inspect_files",
     "open_bundle",
     "read_manifest",
-    "salvaged_manifest",
     "stated_problems",
 ]
-
-KNOWN_EXTENSIONS: frozenset[str] = frozenset()
-"""Extensions of the format that this version understands."""
-
-MANIFEST_SIZE_MAX = 16 << 20
-HEADER_SIZE_MAX = 1 << 20
-
-_DTYPES = {"int32": "I32", "int16": "I16", "float32": "F32", "uint8": "U8"}
 
 _INDEX_ARRAYS: dict[tuple[FileRole, str], str] = {
     (FileRole.SURFACE, "triangles"): "vertex_count",
@@ -63,14 +45,6 @@ _FLAG_ARRAYS = {"fixed", "curvature", "triangle_is_cut"}
 
 
 @dataclass(frozen=True)
-class _Header:
-    """Where each array of a safetensors file lies."""
-
-    arrays: dict[str, tuple[str, tuple[int, ...], int]]
-    """Name -> numpy dtype, shape, offset in the file in bytes."""
-
-
-@dataclass(frozen=True)
 class OpenBundle:
     """A case that was opened: its manifest, and its arrays when asked for."""
 
@@ -78,12 +52,12 @@ class OpenBundle:
     """The bundle's directory."""
     manifest: CaseManifest
     """What the case says of itself."""
-    headers: dict[FileRole, _Header]
+    headers: dict[FileRole, Layout]
     """Layout of each safetensors file."""
     counts: dict[str, int]
     """Sizes by name: ``node_count``, ``vertex_count`` and so on, as far as the parts are there."""
-    is_consistent: bool = True
-    """Whether all arrays agree on these sizes; only :func:`inspect_files` returns cases where they do not."""
+    misfits: frozenset[str] = field(default_factory=frozenset)
+    """Arrays, as ``role.name``, of other sizes; only :func:`inspect_files` returns cases that have any."""
 
     def path(self, role: FileRole) -> Path:
         """Path of the file with this role.
@@ -128,13 +102,15 @@ class OpenBundle:
 
     def inspect_array(self, role: FileRole, name: str) -> tuple[npt.NDArray[Any], list[Problem]]:
         """Map one array into memory, read-only, and say what is wrong with its values."""
-        array = _map_array(self.path(role), *self.headers[role].arrays[name])
+        array = map_array(self.path(role), *self.headers[role].arrays[name])
         return array, list(self._value_problems(role, {name: array}))
 
     def _value_problems(self, role: FileRole, loaded: dict[str, npt.NDArray[Any]]) -> Iterable[Problem]:
         known = np.zeros(256, dtype=bool)
-        table = getattr(self.manifest, "labels", None)
-        known[slice(None) if table is None else list(table.values)] = True
+        labels = stated(self.manifest, "labels.labels") or ()
+        values = [label.value for label in labels if hasattr(label, "value")]
+        # Label 0 is always there; where one has lost its value to damage, no value can be called unknown.
+        known[[0, *values] if labels and len(values) == len(labels) else slice(None)] = True
         for name, array in loaded.items():
             place = f"{role.value}.{name}"
             if array.size == 0:
@@ -177,269 +153,72 @@ def open_bundle(path: Path | str) -> OpenBundle:
 
 
 def inspect_files(directory: Path, manifest: CaseManifest) -> tuple[OpenBundle, list[Problem]]:
-    """Look at the files that a manifest lists: sizes and array layouts.
+    """Look at the files that a manifest, perhaps a salvaged one, lists: sizes and array layouts.
 
     Returns
     -------
     OpenBundle, list of Problem
-        The case with the parts whose layout is sound, and what is wrong with the others or between them.
+        The case with the arrays whose layout is sound, and what is wrong with the others or between them.
     """
     problems: list[Problem] = []
-    headers: dict[FileRole, _Header] = {}
+    headers: dict[FileRole, Layout] = {}
     counts: dict[str, int] = {}
-    seen: set[FileRole] = set()
-    is_consistent = True
+    roles: set[FileRole] = set()
+    names: set[str] = set()
+    misfits: set[str] = set()
     for entry in manifest.files:
         place = f"files.{entry.role.value}"
         file = directory / entry.name
-        if entry.role in seen:
+        if entry.role in roles or entry.name in names:
             problems.append(Problem(place, "is listed twice"))
             continue
-        seen.add(entry.role)
+        roles.add(entry.role)
+        names.add(entry.name)
         if file.is_symlink() or not file.is_file():
             problems.append(Problem(place, f"the file {entry.name} is missing: build the case again"))
             continue
-        if file.stat().st_size != entry.size:
-            problems.append(Problem(place, f"has {file.stat().st_size} bytes instead of {entry.size}: it was changed"))
-            continue
+        if (size := file.stat().st_size) != entry.size:
+            problems.append(Problem(place, f"has {size} bytes instead of {entry.size}: it was changed"))
         if entry.role in ARRAYS:
-            header, found = _read_header(file, entry.role)
+            headers[entry.role], found = read_layout(file, entry.role)
             problems += found
-            if not found:
-                headers[entry.role] = header
-                misfits = _count_problems(entry.role, header, counts)
-                is_consistent &= not misfits
-                problems += misfits
-                problems += _listing_problems(entry, header, manifest.format_version)
-    if FileRole.GRID not in seen:
+            found = count_problems(entry.role, headers[entry.role], counts)
+            misfits |= {problem.place for problem in found}
+            problems += found
+            problems += listing_problems(entry, headers[entry.role], stated(manifest, "format_version"))
+    if FileRole.GRID not in roles:
         problems.append(Problem("files", "the case has no grid"))
-    return OpenBundle(directory, manifest, headers, counts, is_consistent), problems
+    return OpenBundle(directory, manifest, headers, counts, frozenset(misfits)), problems
 
 
 def stated_problems(bundle: OpenBundle) -> Iterable[Problem]:
-    """What the manifest states must fit the files and the format."""
+    """What the manifest states must fit the files and the format; of a salvaged one, what is sound of it."""
+    manifest = bundle.manifest
     for name in ("node_count", "cell_count"):
-        stated = getattr(bundle.manifest.simulation, name)
-        if bundle.counts.get(name, stated) != stated:
-            yield Problem(f"simulation.{name}", f"says {stated}, but the grid has {bundle.counts[name]}")
-    yield from _coordinate_problems(bundle.manifest)
-    if FileRole.SCAN in bundle.headers:
-        yield from _scan_problems(bundle.manifest, bundle.headers[FileRole.SCAN])
-
-
-def read_manifest(directory: Path) -> CaseManifest:
-    """Read and check ``case.json`` alone.
-
-    Raises
-    ------
-    BundleError
-        It is not there, not ours, of an unknown version, or wrong; all problems at once.
-    """
-    data, content = _manifest_data(directory)
-    try:
-        return CaseManifest.model_validate_json(json.dumps(data) if _is_newer_minor(data) else content)
-    except ValidationError as error:
-        problems = problems_from_validation(error, place=MANIFEST_NAME)
-        if _is_newer_minor(data):
-            newer = f"the case is of version {data['format_version']}, newer than {FORMAT_VERSION} of this heartcase"
-            problems = (Problem("format_version", f"{newer}: use the version that wrote it"), *problems)
-        raise BundleError(problems) from None
-
-
-def salvaged_manifest(directory: Path) -> CaseManifest | None:
-    """What is sound of a manifest that :func:`read_manifest` refuses; None where nothing can be said.
-
-    Keys that are wrong are left out of the model altogether, of ``files`` the entries that are wrong.
-    """
-    try:
-        data, _ = _manifest_data(directory)
-    except BundleError:
-        return None
-    sound: dict[str, Any] = {}
-    for name, field in CaseManifest.model_fields.items():
-        adapter: TypeAdapter[Any] = TypeAdapter(field.rebuild_annotation())
-        given = data.get(name)
-        if name == "files":
-            adapter = TypeAdapter(FileEntry)
-            entries = [_valid(adapter, entry) for entry in given] if isinstance(given, list) else []
-            sound[name] = tuple(entry for entry in entries if entry is not None)
-        elif (value := _valid(adapter, given)) is not None:
-            sound[name] = value
-    return CaseManifest.model_construct(_fields_set=None, **sound)
-
-
-def _valid(adapter: TypeAdapter[Any], value: Any) -> Any:
-    try:
-        return adapter.validate_json(json.dumps(value))
-    except (ValidationError, ValueError):
-        return None
-
-
-def _manifest_data(directory: Path) -> tuple[dict[str, Any], bytes]:
-    """The manifest as plain JSON, without what a newer minor version adds, and its bytes."""
-    file = directory / MANIFEST_NAME
-    if not directory.exists():
-        raise BundleError("there is nothing at this path", place="case")
-    if not file.is_file():
-        raise BundleError(f"this is not a case: it holds no {MANIFEST_NAME}; for a scan, take info", place="case")
-    if file.stat().st_size > MANIFEST_SIZE_MAX:
-        raise BundleError(f"is larger than {MANIFEST_SIZE_MAX >> 20} MiB and was not read", place=MANIFEST_NAME)
-    try:
-        content = file.read_bytes()
-        data = json.loads(content, object_pairs_hook=_without_repeats)
-    except (ValueError, RecursionError):
-        raise BundleError("is not valid JSON: the case is damaged, build it again", place=MANIFEST_NAME) from None
-    if not isinstance(data, dict) or data.get("format") != FORMAT_NAME:
-        raise BundleError(f"does not say that it is a {FORMAT_NAME}", place=MANIFEST_NAME)
-    _refuse_unknown(data)
-    return data, content
-
-
-def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """A JSON object whose keys differ: readers would disagree on which of two equal keys counts."""
-    found = dict(pairs)
-    if len(found) != len(pairs):
-        raise ValueError("a key stands twice")
-    return found
-
-
-def _refuse_unknown(data: dict[str, Any]) -> None:
-    """Refuse versions and extensions that this reader does not know; drop unknown keys of a newer minor version."""
-    version = str(data.get("format_version", ""))
-    major, ours = version.partition(".")[0], FORMAT_VERSION.partition(".")[0]
-    problems = []
-    if major != ours:
-        problems.append(Problem("format_version", f"{version!r} is not {ours}.x: use the version that wrote the case"))
-    extensions = data.get("required_extensions", [])
-    if isinstance(extensions, list):
-        unknown = sorted(str(name) for name in extensions if str(name) not in KNOWN_EXTENSIONS)
-        problems += [Problem("required_extensions", f"{name!r} is not known to this version") for name in unknown]
-    if problems:
-        raise BundleError(problems)
-    if _is_newer_minor(data):
-        _drop_unknown_keys(data)
-
-
-def _is_newer_minor(data: dict[str, Any]) -> bool:
-    minor, ours = (str(version).partition(".")[2] for version in (data.get("format_version"), FORMAT_VERSION))
-    # Python refuses to convert thousands of digits.
-    return minor.isdecimal() and (len(minor) > 9 or int(minor) > int(ours))
-
-
-def _drop_unknown_keys(data: dict[str, Any]) -> None:
-    """Drop what a newer minor version may add: keys anywhere, and files with a role of their own."""
-    if isinstance(data.get("files"), list):
-        known = set(FileRole)
-        data["files"] = [
-            entry
-            for entry in data["files"]
-            if not isinstance(entry, dict) or not isinstance(entry.get("role"), str) or entry["role"] in known
-        ]
-    try:
-        CaseManifest.model_validate_json(json.dumps(data))
-    except ValidationError as error:
-        for detail in error.errors(include_url=False):
-            if detail["type"] != "extra_forbidden":
-                continue
-            inner: Any = data
-            for part in detail["loc"][:-1]:
-                inner = inner[part]
-            inner.pop(detail["loc"][-1], None)
-
-
-def _read_header(file: Path, role: FileRole) -> tuple[_Header, list[Problem]]:
-    """Read the layout of a safetensors file: length of the header (8 bytes, little-endian), JSON, then the data."""
-    place = f"files.{role.value}"
-    size = file.stat().st_size
-    with file.open("rb") as stream:
-        length = int.from_bytes(stream.read(8), "little")
-        if size < 8 or length > min(HEADER_SIZE_MAX, size - 8):
-            return _Header({}), [Problem(place, "its header is too long or cut off: the file is damaged")]
-        try:
-            data = json.loads(stream.read(length), object_pairs_hook=_without_repeats)
-            entries = {name: entry for name, entry in data.items() if name != "__metadata__"}
-            spans = {
-                name: (entry["dtype"], tuple(map(index, entry["shape"])), *map(index, entry["data_offsets"]))
-                for name, entry in entries.items()
-            }
-        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-            return _Header({}), [Problem(place, "its header cannot be read: the file is damaged")]
-    problems: list[Problem] = []
-    arrays: dict[str, tuple[str, tuple[int, ...], int]] = {}
-    start = 8 + length
-    for spec in ARRAYS[role]:
-        where = f"{role.value}.{spec.name}"
-        if spec.name not in spans:
-            problems.append(Problem(where, "is missing"))
-            continue
-        dtype, shape, *offsets = spans[spec.name]
-        begin, end = offsets if len(offsets) == 2 else (0, -1)
-        if dtype != _DTYPES[spec.dtype]:
-            problems.append(Problem(where, f"must be {spec.dtype}, not {dtype}"))
-        elif len(shape) != len(spec.shape) or any(
-            n < 0 or (isinstance(want, int) and n != want) for n, want in zip(shape, spec.shape, strict=True)
-        ):
-            problems.append(Problem(where, f"has shape {list(shape)}, not {list(spec.shape)}"))
-        elif not 0 <= begin <= end <= size - start or end - begin != math.prod(shape) * np.dtype(spec.dtype).itemsize:
-            problems.append(Problem(where, "lies outside the file or has the wrong length"))
-        else:
-            arrays[spec.name] = (spec.dtype, shape, start + begin)
-    return _Header(arrays), problems
-
-
-def _count_problems(role: FileRole, header: _Header, counts: dict[str, int]) -> list[Problem]:
-    problems = []
-    for spec in ARRAYS[role]:
-        _, shape, _ = header.arrays[spec.name]
-        for name, n in zip(spec.shape, shape, strict=True):
-            if isinstance(name, str) and counts.setdefault(name, n) != n:
-                problems.append(Problem(f"{role.value}.{spec.name}", f"has {n} rows where {name} is {counts[name]}"))
-    return problems
-
-
-def _listing_problems(entry: FileEntry, header: _Header, version: str) -> Iterable[Problem]:
-    """What the manifest says of a file's arrays must be what the file's own header says."""
-    listed = {array.name: array for array in entry.arrays}
-    must_list = version != "1.0"
-    if version == FORMAT_VERSION:
-        for name in sorted(set(listed) - set(header.arrays)):
-            yield Problem(f"{entry.role.value}.{name}", "is listed in case.json, but the format has no such array")
-    if len(listed) != len(entry.arrays):
-        yield Problem(f"files.{entry.role.value}", "lists an array twice in case.json")
-    for name, (dtype, shape, offset) in header.arrays.items():
-        where = f"{entry.role.value}.{name}"
-        if name not in listed:
-            if must_list:
-                yield Problem(where, "is not in the list of arrays of case.json")
-            continue
-        said = (listed[name].dtype, listed[name].shape, listed[name].offset)
-        for what, stated, found in zip(("type", "shape", "offset"), said, (dtype, shape, offset), strict=True):
-            if stated != found:
-                yield Problem(where, f"has {what} {found} in its file, but {stated} in case.json")
+        number = stated(manifest, f"simulation.{name}")
+        if number is not None and bundle.counts.get(name, number) != number:
+            yield Problem(f"simulation.{name}", f"says {number}, but the grid has {bundle.counts[name]}")
+    yield from _coordinate_problems(manifest)
+    if "intensity" in bundle.headers.get(FileRole.SCAN, Layout()).arrays:
+        yield from _scan_problems(manifest, bundle.headers[FileRole.SCAN])
 
 
 def _coordinate_problems(manifest: CaseManifest) -> Iterable[Problem]:
     """The axes are part of the format: a case that states others would be shown turned or mirrored."""
     ours = {frame.name: frame for frame in Coordinates().frames}
-    if manifest.coordinates.axes != Coordinates().axes:
+    if stated(manifest, "coordinates.axes") not in (None, Coordinates().axes):
         yield Problem("coordinates.axes", "are not left, back, head: world space is patient LPS")
-    for number, frame in enumerate(manifest.coordinates.frames, start=1):
-        if frame.name in ours and frame != ours[frame.name]:
-            yield Problem(f"coordinates.frames[{number}]", f"are not the axes that the format fixes for {frame.name}")
-    if manifest.gltf_from_lps != ours["gltf"].from_lps_mm:
+    for number, frame in enumerate(stated(manifest, "coordinates.frames") or (), start=1):
+        said = frame.__dict__
+        if (fixed := ours.get(said.get("name", ""))) and any(said[key] != getattr(fixed, key) for key in said):
+            yield Problem(f"coordinates.frames[{number}]", f"are not the axes that the format fixes for {fixed.name}")
+    if stated(manifest, "gltf_from_lps") not in (None, ours["gltf"].from_lps_mm):
         yield Problem("gltf_from_lps", "is not the matrix that the format fixes: the case would be turned or mirrored")
 
 
-def _scan_problems(manifest: CaseManifest, header: _Header) -> Iterable[Problem]:
-    shape = header.arrays["intensity"][1]
-    if shape != manifest.scan_geometry.shape:
-        yield Problem("scan.intensity", f"has shape {list(shape)}, not {list(manifest.scan_geometry.shape)}")
-    if manifest.scan_values is None:
+def _scan_problems(manifest: CaseManifest, layout: Layout) -> Iterable[Problem]:
+    shape, size = layout.arrays["intensity"][1], stated(manifest, "scan_geometry.size")
+    if size is not None and shape != tuple(reversed(size)):
+        yield Problem("scan.intensity", f"has shape {list(shape)}, not {list(reversed(size))}")
+    if "scan_values" in manifest.__dict__ and manifest.scan_values is None:
         yield Problem("scan_values", "are missing: the numbers of the scan part stand for nothing without them")
-
-
-def _map_array(path: Path, dtype: str, shape: tuple[int, ...], offset: int) -> npt.NDArray[Any]:
-    little = np.dtype(dtype).newbyteorder("<")
-    if math.prod(shape) == 0:
-        return np.empty(shape, little)
-    return np.memmap(path, dtype=little, mode="r", offset=offset, shape=shape)

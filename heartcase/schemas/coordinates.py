@@ -27,7 +27,7 @@ class Frame(Model):
     axes: tuple[Way, Way, Way]
     """The way that +X, +Y and +Z point in the patient."""
     handedness: Literal["right", "left"]
-    """Handedness of the program's axes."""
+    """Handedness of the program's axes. Where it is left, the w of every tangent changes its sign."""
     determinant_sign: Literal[-1, 1]
     """Sign of the matrix's determinant: -1 turns the sign of cross products and signed volumes, not the heart."""
     reverse_triangles: bool

@@ -14,7 +14,7 @@
     └── MissingExtraError       an optional part of heartcase is not installed
 
 An error carries every problem that was found, each with its place. The command line prints them a line each
-and exits with ``exit_code``; anything that is not a :class:`HeartcaseError` is a bug and keeps its traceback.
+and exits with ``exit_code``; anything else is a bug, told without its own text, which might name a patient.
 """
 
 from __future__ import annotations
@@ -170,6 +170,8 @@ def problems_from_validation(error: ValidationError, *, place: str = "") -> tupl
         kind = detail["type"]
         if kind in _PLAIN_WORDS:
             message = _PLAIN_WORDS[kind].format(**limits)
+        if kind == "string_pattern_mismatch" and limits.get("pattern") in _PATTERN_WORDS:
+            message = f"{message}: {_PATTERN_WORDS[limits['pattern']]}"
         if kind == "extra_forbidden":
             message = "unknown setting: check its spelling, or remove it"
         elif kind == "missing":
@@ -199,10 +201,22 @@ _PLAIN_WORDS = {
     "string_too_short": "must not be empty",
     "literal_error": "must be {expected}",
     "enum": "must be {expected}",
-    "string_pattern_mismatch": "holds characters that are not allowed here; allowed is: {pattern}",
+    "string_pattern_mismatch": "holds characters that are not allowed here",
     "string_too_long": "must not be longer than {max_length} characters",
 }
 """Type of pydantic's error -> message, with the limits in braces."""
+
+
+_PATTERN_WORDS = {
+    r"^[A-Za-z0-9][A-Za-z0-9 _.()+-]*$": "take letters a to z without accents, digits, spaces and _ . ( ) + -, and "
+    "begin with a letter or a digit",
+    r"^#[0-9a-fA-F]{6}$": "a colour is # and six digits from 0 to f, such as #d41515",
+    r"^[A-Z0-9](-?[A-Z0-9]){2,31}$": "take capital letters, digits and single hyphens, such as HC-0001",
+    r"^[0-9]{6,18}$": "a SNOMED CT code is 6 to 18 digits",
+    r"^[a-z0-9][a-z0-9_.-]{0,127}$": "it is a file name, never a path",
+    r"^[0-9a-f]{64}$": "it is 64 digits from 0 to f",
+}
+"""Pattern -> what it allows, in words."""
 
 
 def _joined(outer: str, inner: str) -> str:

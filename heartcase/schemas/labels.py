@@ -96,7 +96,14 @@ class LabelTable(Model):
                 problems.append(f"{label.name!r} has the SNOMED CT code of {coded.name!r}: change one of them")
             seen_values[label.value] = label.name
             seen_names[label.name.lower()] = label.value
+        walled = {label.wall_of for label in labels}
         for label in labels:
+            wall = _wall_name(label)
+            if label.wall_thickness_mm > 0.0 and label.value not in walled and wall.lower() in seen_names:
+                problems.append(
+                    f"{label.name!r} grows a wall, but {wall!r} is a label of its own: set wall_thickness_mm = 0, or "
+                    "wall_of in that label"
+                )
             if label.wall_of is not None and label.wall_of not in seen_values:
                 problems.append(f"{label.name!r}: wall_of names value {label.wall_of}, which is not in the table")
         if problems:
@@ -214,13 +221,17 @@ class LabelTable(Model):
                 table = table.with_label(
                     Label(
                         value=table.free_value(),
-                        name=f"{label.name[:59]} wall",
+                        name=_wall_name(label),
                         role=Role.MYOCARDIUM if label.role is Role.BLOOD else Role.WALL,
                         colour=_darker(label.colour),
                         wall_of=label.value,
                     )
                 )
         return table
+
+
+def _wall_name(cavity: Label) -> str:
+    return f"{cavity.name[:59]} wall"
 
 
 def _darker(colour: str) -> str:

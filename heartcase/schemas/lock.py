@@ -29,6 +29,8 @@ class RecipeLock(Model):
     """Hash of each marker file, in the recipe's order."""
     segmentation_sha256: _Sha256 | None = None
     """Hash of the finished segmentation's file, where the recipe takes one."""
+    settings_sha256: _Sha256 | None = None
+    """Hash of all settings as they were locked: it shows when somebody edits the lock."""
     defaulted: tuple[_Place, ...] = ()
     """Settings that the recipe had left out, so that the lock filled them in."""
     unset: tuple[_Place, ...] = ()

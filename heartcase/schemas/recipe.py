@@ -57,7 +57,7 @@ class ScanSource(Model):
     path: Annotated[str, Field(min_length=1)]
     """File (.nii, .nii.gz, .nrrd, .nhdr, .mha, .mhd) or folder of a DICOM series, relative to the recipe."""
     series: str | None = None
-    """DICOM: which series of the folder, by its number or the end of its UID, when there are several."""
+    """DICOM: which series of the folder, by its number or code in the list, or its UID, when there are several."""
     trigger_time_ms: Annotated[float, Field(ge=0.0, le=100_000.0)] | None = None
     """DICOM: which cardiac phase, by its time after the R wave, ms; the nearest one is taken."""
     echo_time_ms: Annotated[float, Field(ge=0.0, le=10_000.0)] | None = None
@@ -73,9 +73,11 @@ class ScanSource(Model):
 
     @property
     def choice(self) -> dict[str, Any]:
-        """What chooses among DICOM images and says what may be done to them, where it is not left at its default."""
-        fields = {"series", "trigger_time_ms", "echo_time_ms", "interpolate_missing", "straighten_tilt"}
-        return self.model_dump(include=fields, exclude_defaults=True)
+        """What chooses among DICOM images and says what may be done to them, where it says anything."""
+        fields = ("series", "trigger_time_ms", "echo_time_ms", "interpolate_missing", "straighten_tilt")
+        stated = {name: getattr(self, name) for name in fields}
+        # not what is left at its default: a later default must change no record of a locked recipe
+        return {name: value for name, value in stated.items() if value is not None and value is not False}
 
 
 class MarkerFile(Model):
@@ -243,6 +245,8 @@ def _toml_hint(text: str, error: tomllib.TOMLDecodeError) -> str:
         return "; write paths with / instead of \\, or in 'single quotes'"
     if line.count('"') % 2:
         return '; a " is missing in this line'
+    if re.match(r"\s*\w+\s*=\s*[A-Za-z]", line) and not re.match(r"\s*\w+\s*=\s*(true|false|nan|inf)\b", line):
+        return '; text needs "quotation marks"'
     if re.search(r"\d,\d", line):
         return "; decimals are written with a point: 1.5"
     return ""

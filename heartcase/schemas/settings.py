@@ -30,7 +30,7 @@ __all__ = [
 ]
 
 
-Convention = Literal["hvsmr-2.0", "totalsegmentator-heartchambers", "totalsegmentator-total"]
+Convention = Literal["hvsmr-2.0", "totalsegmentator-heartchambers", "totalsegmentator-total-v2"]
 """Whose values a label volume without names holds; the tables are in :mod:`heartcase.schemas.terms`."""
 
 

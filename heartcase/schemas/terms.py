@@ -12,9 +12,20 @@ general anatomy terminology of 3D Slicer; Pace et al., HVSMR-2.0, Scientific Dat
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 
-__all__ = ["CONVENTIONS", "TERMS", "Term", "as_markdown", "normalised", "term_by_code", "term_by_name"]
+__all__ = [
+    "CONVENTIONS",
+    "TERMS",
+    "Term",
+    "as_markdown",
+    "contradicts",
+    "is_of_another_version",
+    "normalised",
+    "term_by_code",
+    "term_by_name",
+]
 
 
 @dataclass(frozen=True)
@@ -115,7 +126,7 @@ CONVENTIONS: dict[str, dict[int, str]] = {
         6: "aorta",
         7: "pulmonary_artery",
     },
-    "totalsegmentator-total": {
+    "totalsegmentator-total-v2": {
         52: "aorta",
         53: "pulmonary_vein",
         61: "atrial_appendage_left",
@@ -124,7 +135,9 @@ CONVENTIONS: dict[str, dict[int, str]] = {
     },
 }
 """Value -> name in label volumes that hold numbers alone: of HVSMR-2.0, and of TotalSegmentator 2's tasks
-``heartchambers_highres`` and ``total``. The latter's 51 is the whole heart, which is no single structure."""
+``heartchambers_highres`` and ``total``. The latter's 51 is the whole heart, which is no single structure; version 1
+numbered otherwise (44 to 49 the heart's parts, 52 an iliac artery)."""
+TOTAL_V2 = "totalsegmentator-total-v2"
 
 
 def normalised(name: str) -> str:
@@ -144,6 +157,36 @@ def term_by_name(name: str) -> Term | None:
 def term_by_code(code: str) -> Term | None:
     """The structure with this SNOMED CT code; None where none has it."""
     return _BY_CODE.get(code)
+
+
+def contradicts(name: str, code: str) -> bool:
+    """Whether a name and a SNOMED CT code stand for different structures; no if one of them is not in the vocabulary.
+
+    "Myocardium" alone goes with the myocardium of either ventricle.
+    """
+    named, coded = term_by_name(name), term_by_code(code)
+    if named is None or coded is None or named is coded:
+        return False
+    is_general = "myocardium" in (named.name, coded.name)
+    return not (is_general and named.name.endswith("myocardium") and coded.name.endswith("myocardium"))
+
+
+def is_of_another_version(convention: str, voxel_counts: Mapping[int, int]) -> bool:
+    """Whether a label volume seems to follow an older numbering than the convention that is claimed for it.
+
+    In version 2 of TotalSegmentator 44 to 49 are vertebrae of the neck, each far smaller than 51, the heart. In version
+    1 they are the myocardium, the chambers and the pulmonary artery, and 51 is an iliac artery (Wasserthal et al.,
+    Radiology: Artificial Intelligence 5 (2023), doi 10.1148/ryai.230024, and its table of classes).
+
+    Parameters
+    ----------
+    convention
+        Key of :data:`CONVENTIONS`.
+    voxel_counts
+        Value -> number of voxels that have it.
+    """
+    largest = max(voxel_counts.get(value, 0) for value in range(44, 50))
+    return convention == TOTAL_V2 and largest > voxel_counts.get(51, 0)
 
 
 def as_markdown() -> str:

@@ -51,6 +51,10 @@ inline Point from_lps(const Frame& frame, const Point& p) {
     return {dot(frame.from_lps_mm[0], p), dot(frame.from_lps_mm[1], p), dot(frame.from_lps_mm[2], p)};
 }
 
+// The w of a tangent in `frame`: a shader works out B = cross(N, T) * w, and in left-handed axes the cross product has the
+// other sign, so that without this a normal map would be lit from the wrong side.
+inline double tangent_w(const Frame& frame, double w) { return frame.left_handed ? -w : w; }
+
 // Triangles (row by row, three vertex numbers each) that face the other way.
 inline std::vector<std::int32_t> reversed_winding(std::vector<std::int32_t> triangles) {
     for (std::size_t t = 0; t + 2 < triangles.size(); t += 3) std::swap(triangles[t + 1], triangles[t + 2]);

@@ -75,9 +75,9 @@ private:
     }
 
     Json value(int depth) {
-        if (depth > max_depth) fail("too deep");
         if (++count_ > max_values) fail("too many values");
         skip_space();
+        if (depth >= max_depth && (peek('{') || peek('['))) fail("too deep");
         Json json;
         if (peek('{')) {
             object(json, depth);

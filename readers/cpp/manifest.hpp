@@ -159,7 +159,7 @@ inline std::vector<FileEntry> read_file_entries(const Fields& manifest) {
 }
 
 // The axes are part of the format: a case that states others would be shown turned or mirrored.
-inline void check_frames(const Fields& fields) {
+inline void check_frames(const Fields& fields, bool must_state) {
     const auto same = [](const Fields& where, const Json& rows, const Frame& frame) {
         if (!rows.is(Json::Kind::array) || rows.items.size() != 3) where.fail("has a matrix that is not 3 x 3");
         for (std::size_t n = 0; n < 3; ++n) {
@@ -170,7 +170,7 @@ inline void check_frames(const Fields& fields) {
         }
     };
     if (const Json* rows = fields.object.find("gltf_from_lps")) same(fields, *rows, gltf);
-    if (fields.object.find("coordinates") == nullptr) return;
+    if (!must_state && fields.object.find("coordinates") == nullptr) return;
     const Fields coordinates = fields.in("coordinates");
     const std::pair<const char*, const char*> fixed[] = {{"space", "patient LPS"},
                                                          {"unit", "mm"},
@@ -217,7 +217,7 @@ inline Manifest read_manifest(std::string_view text) {
     manifest.json = JsonParser::parse(text, "case.json");
     const Fields fields{manifest.json, "the manifest"};
     manifest.lists_arrays = check_format(fields);
-    check_frames(fields);
+    check_frames(fields, manifest.lists_arrays);
     manifest.grid = read_grid_geometry(fields.in("grid_geometry"));
     manifest.scan = read_geometry(fields.in("scan_geometry"));
     const Json* scan_values = manifest.json.find("scan_values");

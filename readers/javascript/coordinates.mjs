@@ -54,6 +54,10 @@ export const FRAMES = {
 
 export const fromLps = (frame, point) => frame.fromLpsMm.map((row) => dot(row, point));
 
+// The w of a tangent in `frame`: a shader works out B = cross(N, T) * w, and in left-handed axes the cross product has
+// the other sign, so that without this a normal map would be lit from the wrong side.
+export const tangentW = (frame, w) => (frame.leftHanded ? -w : w);
+
 // Triangles (three vertex numbers each) that face the other way.
 export function reversedWinding(triangles) {
   return triangles.map((vertex, n) => (n % 3 === 0 ? vertex : triangles[n % 3 === 1 ? n + 1 : n - 1]));

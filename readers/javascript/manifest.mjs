@@ -60,11 +60,11 @@ export function pointAt({ origin, spacing, direction }, index) {
 }
 
 // The axes are part of the format: a case that states others would be shown turned or mirrored.
-function checkFrames(json) {
+function checkFrames(json, mustState) {
   const same = (rows, frame) => JSON.stringify(rows) === JSON.stringify(frame.fromLpsMm);
   const wrong = "has a matrix that the format does not allow: the case would be turned or mirrored";
   if (Object.hasOwn(json, "gltf_from_lps") && !same(json.gltf_from_lps, FRAMES.gltf)) fail(`case.json ${wrong}`);
-  if (!Object.hasOwn(json, "coordinates")) return;
+  if (!mustState && !Object.hasOwn(json, "coordinates")) return;
   const coordinates = member(json, "coordinates", "object", "case.json");
   const fixed = {
     space: "patient LPS",
@@ -125,7 +125,8 @@ export function readManifest(buffer) {
   const extensions = Object.hasOwn(json, "required_extensions") ? json.required_extensions : [];
   if (!Array.isArray(extensions) || extensions.length > 0)
     fail("case.json requires an extension that this reader does not know");
-  checkFrames(json);
+  const isFirst = Number(version[2]) === 0; // 1.0 has neither coordinates nor tables of arrays
+  checkFrames(json, !isFirst);
   const grid = readGridGeometry(json);
   const scan = readGeometry(json, "scan_geometry"); // where the voxels of the scan file lie
   let scanValues = null; // intensity = slope * stored number + intercept
@@ -171,7 +172,7 @@ export function readManifest(buffer) {
     ...figures,
     labels,
     materialLabels,
-    listsArrays: Number(version[2]) > 0,
+    listsArrays: !isFirst,
     files: readFileEntries(json),
     landmarks,
     json,

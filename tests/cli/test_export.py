@@ -1,6 +1,7 @@
 """A finished segmentation in, a case, and its labels out and in again: identical."""
 
 import json
+import shutil
 
 import nibabel
 import nrrd
@@ -10,7 +11,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from heartcase.cli.main import main
+from heartcase.pipeline.cautions import Severity, severity_of
 from heartcase.pipeline.data import Segmentation
+from heartcase.pipeline.formats.write_dicom_seg import dicom_seg_bytes
 from heartcase.pipeline.markers import load_segmentation
 from heartcase.pipeline.run import build_case
 from heartcase.pipeline.write import write_segmentation
@@ -157,6 +160,59 @@ def test_the_exports_open_on_the_scan_and_hold_nobody(case, built, tmp_path, cap
     capsys.readouterr()
     assert export(path, tmp_path / "z.dcm", "--json") == 0
     assert json.loads(capsys.readouterr().out)["bytes"] == (tmp_path / "z.dcm").stat().st_size
+
+
+def test_labels_are_not_tied_to_another_patients_scan(case, built, tmp_path, capsys):
+    _, _, path = case
+    folder = tmp_path / "John Roe"
+    shutil.copytree(built / "Jane Doe", folder)
+    first = sorted(folder.iterdir())[SCAN.size[2] // 2]
+    dataset = pydicom.dcmread(first)
+    pixels = dataset.pixel_array.copy()
+    pixels[13, 15] += 1
+    dataset.PixelData = pixels.tobytes()
+    dataset.save_as(first)
+    for suffix in (".dcm", ".seg.nrrd"):
+        assert export(path, tmp_path / f"x{suffix}", "--scan", folder) == 2
+        said = capsys.readouterr().err
+        assert "--scan: this is not the scan that the case was made from" in said
+        assert "Roe" not in said
+        assert not (tmp_path / f"x{suffix}").exists()
+
+
+@pytest.mark.parametrize("suffix", [".seg.nrrd", ".dcm"])
+def test_exported_labels_corrected_elsewhere_make_a_case_again(case, built, tmp_path, suffix):
+    """What docs/labels.md promises: out, corrected, in again; the grown walls of the file are grown anew."""
+    labels, manifest, path = case
+    wall = manifest.labels["aorta wall"].value
+    assert (labels == wall).any()
+    corrected = labels.copy()
+    corrected[labels == 1] = 9
+    k, j, i = (int(n) for n in np.argwhere(labels == 1).mean(axis=0).round())
+    corrected[k - 2 : k + 3, j - 3 : j + 4, i - 3 : i + 4] = 1
+    if suffix == ".dcm":
+        content = dicom_seg_bytes(Segmentation(corrected, manifest.scan_geometry, manifest.labels), case_id="HC-0001")
+        (tmp_path / "finished.dcm").write_bytes(content)
+    else:
+        # as 3D Slicer does: the volume changed, the table of segments kept
+        assert export(path, tmp_path / "x.seg.nrrd", "--scan", built / "Jane Doe") == 0
+        values, header = nrrd.read(str(tmp_path / "x.seg.nrrd"))
+        np.testing.assert_array_equal(values.T, labels)
+        nrrd.write(str(tmp_path / "finished.seg.nrrd"), np.asfortranarray(corrected.T), header)
+    text = RECIPE.replace("finished.seg.nrrd", f"finished{suffix}")
+    (tmp_path / "recipe.toml").write_text(text.replace("Jane Doe", str(built / "Jane Doe")))
+    result = build_case(load_recipe(tmp_path / "recipe.toml"), directory=tmp_path, out=tmp_path / "out")
+    (note,) = [line for line in result.warnings if "grown again" in line]
+    assert severity_of(note) is Severity.NOTE
+    assert "the aorta wall is not taken from the finished segmentation" in note
+    assert any("grown again" in line for line in result.manifest.warnings)
+    assert "grown again" in result.report.read_text()
+    entry = next(entry for entry in result.manifest.files if entry.role.value == "labels")
+    again = nrrd.read(str(result.case / entry.name))[0].T
+    for value in (1, 5, 9, wall):
+        before, after = corrected == value, again == value
+        overlap = 2 * (before & after).sum() / (before.sum() + after.sum())
+        assert overlap > (0.85 if value == wall else 0.9), (value, overlap)
 
 
 def test_what_cannot_be_exported_is_said(case, built, tmp_path, capsys):

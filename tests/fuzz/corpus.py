@@ -100,6 +100,7 @@ def _stl_parts(folder: Path) -> Path:
     ball = trimesh.creation.icosphere(subdivisions=1, radius=3.0)
     ball.apply_translation(GEOMETRY.index_to_world((4.0, 3.0, 3.0)))
     (parts / "aorta.stl").write_bytes(ball.export(file_type="stl"))
+    ball.apply_translation((2.0, 0.0, 0.0))
     (parts / "left ventricle.stl").write_text(ball.export(file_type="stl_ascii"))
     return parts
 

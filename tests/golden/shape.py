@@ -160,7 +160,7 @@ def _landmarks(grid: SimulationGrid) -> tuple[Landmark, ...]:
 def _scan() -> Scan:
     """A ramp along each axis: 40 units a voxel along i, 7 along j, 1 along k."""
     k, j, i = np.indices((6, 7, 8))
-    geometry = Geometry.of(shape=k.shape, origin_mm=ORIGIN_MM, spacing_mm=(2.0, 2.5, 3.0), direction=_direction())
+    geometry = Geometry.of(shape=k.shape, origin_mm=ORIGIN_MM, spacing_mm=(3.5, 3.75, 4.25), direction=_direction())
     return Scan((40 * i + 7 * j + k - 100).astype(np.float32), geometry, modality="CT")
 
 

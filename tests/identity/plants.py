@@ -81,12 +81,13 @@ def write_dicom(folder: Path, scan: Scan) -> None:
     geometry = scan.geometry
     positions = np.array([geometry.index_to_world((0, 0, k)) for k in range(geometry.size[2])])
     stored = np.clip(np.round(scan.values), -2000, 30000).astype(np.int16)
-    uid = f"1.2.826.0.1.3680043.8.498.{UID_PART}"
+    uid = "1.2.826.0.1.3680043.8.498"
     paths = write_series(folder, stored, positions, pixel_spacing=geometry.spacing_mm[:2], modality="MR")
     for number, path in enumerate(paths):
         dataset = pydicom.dcmread(path)
-        dataset.SOPInstanceUID = dataset.file_meta.MediaStorageSOPInstanceUID = f"{uid}.{number}"
-        dataset.SeriesInstanceUID = dataset.StudyInstanceUID = f"{uid}.777"
+        dataset.SOPInstanceUID = dataset.file_meta.MediaStorageSOPInstanceUID = f"{uid}.{number}.{UID_PART}"
+        dataset.SeriesInstanceUID = dataset.StudyInstanceUID = f"{uid}.{UID_PART}.{DATE}"
+        dataset.FrameOfReferenceUID = f"{uid}.777.{UID_PART}"
         dataset.file_meta.SourceApplicationEntityTitle = token(16)
         assert plant_in(dataset) > 1000
         path.unlink()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import shutil
 from pathlib import Path
 
@@ -212,8 +213,8 @@ def test_finished_segmentation(hospital: Path, tmp_path: Path, ear: Ear, suffix:
         finished = tmp_path / f"{NAME} parts"
         finished.mkdir()
         write_stl(finished / f"{MUSCLE}.stl", OUTER_MM)
-        write_stl(finished / f"{MUSCLE} {CAVITY}.stl", INNER_MM)
-    names = f"names = {{ '{CAVITY}' = 'cavity', '{MUSCLE}' = 'muscle', '{MUSCLE} {CAVITY}' = 'cavity' }}"
+        write_stl(finished / f"{MUSCLE}_{CAVITY}.stl", INNER_MM)
+    names = f"names = {{ '{CAVITY}' = 'cavity', '{MUSCLE}' = 'muscle', '{MUSCLE}_{CAVITY}' = 'cavity' }}"
     recipe = recipe_for(
         tmp_path, hospital / f"{FILE}.nrrd", f"[segment]\nmethod = 'labels'\nfile = '{finished}'\n{names}"
     )
@@ -318,3 +319,43 @@ def test_key_file_alone_says_whose_case_it_is(hospital: Path, tmp_path: Path, ea
     assert found_in_tree(out, TOKENS) == {}
     inside = ear.run("build", recipe, "--out", out, "--key-file", out / "ball.case" / "keys.jsonl", code=2)
     assert "inside the case" in inside
+
+
+def test_places_that_cannot_be_read_are_not_named(hospital: Path, tmp_path: Path, ear: Ear) -> None:
+    """Also where the system itself, or the parser of the command line, would quote them."""
+    long_name = tmp_path / (NAME * 40)
+    for place in (long_name, tmp_path / f"{NAME} gone", tmp_path / f"{NAME}\udcff"):
+        for command in ("info", "validate", "new"):
+            ear.run(command, place, code=None)
+        ear.run("build", recipe_for(tmp_path, long_name, "[segment]\nmethod = 'threshold'\n"), code=1)
+    case = tmp_path / "x.case"
+    ear.run("export", case, "--out", tmp_path / "x.dcm", "--scan", tmp_path / NAME / "gone", code=1)
+    ear.run("info", "a", f"{NAME}/b", code=2)
+    ear.run("build", recipe_for(tmp_path, hospital / "x", "").parent, "--out", tmp_path / "out", code=1)
+
+
+@pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="who may do everything can read everything")
+def test_places_without_rights_are_not_named(hospital: Path, tmp_path: Path, ear: Ear) -> None:
+    locked = tmp_path / f"{NAME} locked"
+    shutil.copytree(hospital / f"{NAME} series", locked / "series")
+    locked.chmod(0)
+    try:
+        for command in ("info", "new", "validate", "preview"):
+            ear.run(
+                command, locked / "series", *(("--out", tmp_path / "x.png") if command == "preview" else ()), code=1
+            )
+        ear.run("build", recipe_for(tmp_path, locked / "series", ""), "--out", tmp_path / "out", code=1)
+    finally:
+        locked.chmod(0o700)
+
+
+def test_a_fault_of_our_own_is_told_without_its_text(tmp_path: Path, ear: Ear, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(path: Path) -> None:
+        raise KeyError(f"{NAME} {path}")
+
+    monkeypatch.setattr("heartcase.cli.validate.check_bundle", fail)
+    said = ear.run("validate", tmp_path / NAME, code=70)
+    assert "KeyError in cli/validate.py" in said
+    monkeypatch.setenv("HEARTCASE_DEBUG", "1")
+    with pytest.raises(KeyError):
+        main(["validate", str(tmp_path)])

@@ -1,4 +1,4 @@
-"""A small case through every stage, and a fingerprint of each stage's output."""
+"""Small cases through every stage, and a fingerprint of each stage's output."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import pygltflib
@@ -26,11 +27,13 @@ from heartcase.pipeline.write import write_scan
 from heartcase.schemas.bundle import ARRAYS, FileRole
 from heartcase.schemas.bundle_reader import open_bundle
 from heartcase.schemas.geometry import Geometry
-from heartcase.schemas.recipe import parse_recipe
+from heartcase.schemas.recipe import Part, parse_recipe
+from tests.pipeline.stage_recipes import SMALL_RECIPES
 
 Arrays = dict[str, np.ndarray]
+Outputs = dict[str, dict[str, Arrays]]
 
-INPUTS = {
+INPUTS: dict[str, tuple[str, ...]] = {
     "read": (),
     "markers": ("read",),
     "filter": ("read",),
@@ -40,9 +43,15 @@ INPUTS = {
     "grid": ("edit",),
     "surface": ("edit",),
     "map": ("surface", "grid"),
-    "bundle": ("grid", "surface", "map"),
+    "bundle": ("filter", "grid", "surface", "map"),
 }
 """What each stage takes: where an input changed, a changed output is no fault of the stage."""
+
+INPUTS_ELSEWHERE: dict[str, dict[str, tuple[str, ...]]] = {
+    "labels": {"segment": ("read",)},
+    "threshold": {"segment": ("filter",)},
+}
+"""Where a recipe's stage takes something else: a finished segmentation is not filtered, thresholds have no markers."""
 
 # Two chambers in a ball of muscle, a vessel that leaves the right one upward; mm from the ball's centre.
 LEFT, RIGHT, CHAMBER_MM = np.array([-8.0, 0, -2]), np.array([8.0, 0, -2]), 6.5
@@ -130,29 +139,49 @@ def write_inputs(directory: Path) -> None:
     (directory / "recipe.toml").write_text(text)
 
 
-def stage_outputs(directory: Path) -> dict[str, Arrays]:
-    """Run every stage on the small case; the arrays that each puts out."""
-    write_inputs(directory)
+def stage_outputs(directory: Path) -> Outputs:
+    """Run every stage of each recipe; the arrays that each puts out: name of the recipe -> stage -> name -> array."""
+    outputs: Outputs = {}
+    # The report is no part of a case, and its pictures take most of the time.
+    with patch("heartcase.pipeline.report.build_report.build_report", lambda **_: ""):
+        for name, write in {"watershed": write_inputs, **SMALL_RECIPES}.items():
+            (directory / name).mkdir()
+            write(directory / name)
+            outputs[name] = _outputs_of_recipe(directory / name)
+    return outputs
+
+
+def inputs_of(recipe: str, stage: str) -> list[str]:
+    """All stages that a stage of a recipe depends on."""
+    inputs = INPUTS | INPUTS_ELSEWHERE.get(recipe, {})
+    return [earlier for one in inputs[stage] for earlier in (one, *inputs_of(recipe, one))]
+
+
+def _outputs_of_recipe(directory: Path) -> dict[str, Arrays]:
     recipe = parse_recipe((directory / "recipe.toml").read_text())
     runner = Runner(Cache(directory / "cache"), SilentListener(), force=False)
     nodes = StageOutputs()
     stated = recipe
     for stage in STAGES[:-1]:
+        if stage in ("surface", "map") and Part.SURFACE not in recipe.parts:
+            continue
         RUN_STAGE[stage](recipe, directory, runner, nodes)
         if stage == "read":
             recipe = resolve_recipe(recipe, nodes.scan.get())
-    scan = nodes.scan.get()
+    scan, grid = nodes.scan.get(), nodes.grid.get()
     outputs = {
         "read": {"values": scan.values, "affine": scan.geometry.affine},
-        "markers": {"labels": nodes.markers.get().labels},
         "filter": {"values": nodes.filtered.get().values},
         "segment": {"labels": nodes.segmentation.get().labels},
         "walls": _of_structures(nodes.grown.get()),
-        "edit": _of_structures(nodes.structures.get()),
-        "grid": _arrays_of(nodes.grid.get()) | {"affine": nodes.grid.get().geometry.affine},
-        "surface": _arrays_of(nodes.surface.get()),
-        "map": _arrays_of(nodes.grid_map.get()),
+        "grid": _arrays_of(grid) | {"affine": grid.geometry.affine},
     }
+    if nodes.markers is not None:
+        outputs["markers"] = {"labels": nodes.markers.get().labels}
+    if recipe.edits:
+        outputs["edit"] = _of_structures(nodes.structures.get())
+    if nodes.surface is not None:
+        outputs |= {"surface": _arrays_of(nodes.surface.get()), "map": _arrays_of(nodes.grid_map.get())}
     case = build_case(stated, directory=directory, out=directory / "out", cache=directory / "cache").case
     return outputs | {"bundle": _of_bundle(case)}
 
@@ -188,6 +217,9 @@ def _of_bundle(case: Path) -> Arrays:
         [(one.label, one.youngs_modulus_kpa, one.density_kg_m3) for one in bundle.manifest.materials], float
     )
     found["grid_affine"] = bundle.manifest.grid_geometry.affine
+    if bundle.manifest.scan_values is not None:
+        stored = bundle.manifest.scan_values
+        found["scan_values"] = np.array([stored.slope, stored.intercept, stored.error_max], float)
     return found
 
 

@@ -106,7 +106,7 @@ def test_the_locked_recipe_builds_the_same_bytes_by_the_same_keys(work, locked, 
     with altered_defaults(monkeypatch) as count:
         assert count > 40
         later = parse_recipe(text)
-        third = build_case(later, directory=work, out=work / "first", cache=store)
+        third = build_case(later, directory=work, out=work / "second", cache=store)
         assert not third.changed
         assert set(third.reused) >= {*second.reused, "bundle"}
     assert third.warnings == first.warnings
@@ -188,14 +188,45 @@ def test_other_markers_are_refused_by_their_number(work, tmp_path):
     assert recipe.lock is None
 
 
+@pytest.mark.parametrize(
+    ("table", "change"),
+    [
+        ("filter", {"iterations": 9}),
+        ("walls", {"band_mm": 7.0}),
+        ("grid", {"node_count": 31_000}),
+        ("surface", {"triangle_count": 2001}),
+    ],
+)
+def test_a_lock_that_was_edited_is_built_with_a_warning(work, locked, table, change):
+    edited = relocked(locked, **{table: lambda settings: settings | change})
+    (warning,) = check_lock(edited, work, scan_of(work))
+    assert "the locked recipe was edited after it was locked" in warning
+    # locking it again makes the edit its own
+    again = lock_recipe(edited, directory=work, out=work)
+    assert getattr(again, table).model_dump().items() >= change.items()
+    assert check_lock(again, work, scan_of(work)) == ()
+
+
+def test_what_says_the_same_is_no_edit(work, locked):
+    scan = scan_of(work)
+    data = tomllib.loads(locked)
+    turned = toml_text({key: data[key] for key in reversed(data)}) + "# a note\n"
+    assert check_lock(parse_recipe(turned), work, scan) == ()
+    # a lock of before this hash was kept says nothing about it
+    older = relocked(locked, lock=lambda table: {k: v for k, v in table.items() if k != "settings_sha256"})
+    assert check_lock(older, work, scan) == ()
+
+
 def test_other_stage_versions_are_the_first_warning(work, locked, monkeypatch):
     monkeypatch.setitem(runner.STAGE_VERSIONS, "walls", 99)
     monkeypatch.setitem(runner.STAGE_VERSIONS, "markers", 98)
     recipe = relocked(locked, surface=lambda table: {k: v for k, v in table.items() if k != "atlas"})
-    first, second = check_lock(recipe, work, scan_of(work))
+    first, second, third = check_lock(recipe, work, scan_of(work))
     assert "walls 99" in first
     assert "markers 98" in first
-    assert 'surface.atlas, which takes the default, "cone"' in second
+    # a line that was taken out is an edit as well
+    assert "was edited after it was locked" in second
+    assert 'surface.atlas, which takes the default, "cone"' in third
     assert stage_changes(recipe.lock.stages).keys() == {"walls", "markers"}
     threshold = recipe.model_copy(update={"segment": recipe.segment.model_copy(update={"method": "threshold"})})
     assert "markers" not in check_lock(threshold, work, scan_of(work))[0]

@@ -11,14 +11,16 @@ import SimpleITK
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from heartcase.pipeline.data import Markers, Scan
+from heartcase.pipeline.artifacts import artifact_from_bytes, artifact_to_bytes
+from heartcase.pipeline.cautions import Severity, severity_of
+from heartcase.pipeline.data import Markers, Scan, Segmentation
 from heartcase.pipeline.markers import load_markers, load_segmentation, rasterise_strokes, resample_labels
 from heartcase.pipeline.paint import paint_passed_voxels
 from heartcase.pipeline.read import LabelVolume, read_labels
 from heartcase.pipeline.write import write_scan
 from heartcase.schemas.errors import MarkerError
 from heartcase.schemas.geometry import Geometry
-from heartcase.schemas.labels import default_label_table
+from heartcase.schemas.labels import LabelTable, default_label_table
 from heartcase.schemas.recipe import MarkerFile
 from heartcase.schemas.settings import Stroke
 
@@ -183,7 +185,7 @@ def test_label_volume_on_the_scans_grid(tmp_path: Path, suffix: str) -> None:
     values = np.zeros(OBLIQUE.shape, np.uint8)
     values[3, 4, 5], values[5, 6, 7], values[0, 0, 0] = 1, 2, 77
     write_labels(tmp_path / f"m{suffix}", values, OBLIQUE)
-    files = [MarkerFile(path=f"m{suffix}", names={"77": "background", "2": "Aorta"})]
+    files = [MarkerFile(path=f"m{suffix}", names={"77": "background", "2": "Aorta", "1": "LV"})]
     markers = load_markers(files, (), TABLE, OBLIQUE, tmp_path)
     expected = np.full(OBLIQUE.shape, UNMARKED, np.uint8)
     expected[3, 4, 5], expected[5, 6, 7], expected[0, 0, 0] = 1, 5, 0
@@ -440,7 +442,7 @@ def test_a_code_names_a_segment_that_its_name_does_not(tmp_path: Path) -> None:
     [
         ("hvsmr-2.0", range(9), range(9)),
         ("totalsegmentator-heartchambers", range(8), (0, 9, 3, 1, 4, 2, 5, 6)),
-        ("totalsegmentator-total", (0, 52, 62, 63), (0, 5, 7, 8)),
+        ("totalsegmentator-total-v2", (0, 52, 62, 63), (0, 5, 7, 8)),
     ],
 )
 def test_values_by_convention(tmp_path: Path, convention, given, expected) -> None:
@@ -454,8 +456,154 @@ def test_a_value_that_a_convention_lacks_is_refused_or_left_out(tmp_path: Path) 
     values = np.resize(np.array([0, 5, 52, 61], np.uint8), PLAIN.shape)
     write_labels(tmp_path / "l.nii.gz", values, PLAIN)
     with pytest.raises(MarkerError, match="no label: value 5, value 61 of the file"):
-        load_segmentation(tmp_path / "l.nii.gz", {}, TABLE, PLAIN, convention="totalsegmentator-total")
+        load_segmentation(tmp_path / "l.nii.gz", {}, TABLE, PLAIN, convention="totalsegmentator-total-v2")
     found = load_segmentation(
-        tmp_path / "l.nii.gz", {"61": "LA"}, TABLE, PLAIN, convention="totalsegmentator-total", others="ignore"
+        tmp_path / "l.nii.gz", {"61": "LA"}, TABLE, PLAIN, convention="totalsegmentator-total-v2", others="ignore"
     )
     np.testing.assert_array_equal(np.unique(found.labels), [0, 3, 5])
+
+
+@pytest.mark.parametrize("suffix", [".nii.gz", ".nrrd"])
+def test_a_value_forgotten_under_names_becomes_no_other_organ(tmp_path: Path, suffix: str) -> None:
+    """Value 4 of the table is the right atrium; of the file, whatever its painter meant."""
+    values = np.resize(np.array([0, 1, 4, 6], np.uint8), PLAIN.shape)
+    write_labels(tmp_path / f"l{suffix}", values, PLAIN)
+    names = {"1": "aorta"}
+    with pytest.raises(MarkerError, match="value 4, value 6 of the file have no name under names"):
+        load_segmentation(tmp_path / f"l{suffix}", names, TABLE, PLAIN)
+    with pytest.raises(MarkerError, match="value 4 of the file has no name under names"):
+        load_markers([MarkerFile(path=f"l{suffix}", names=names | {"6": "LA"})], (), TABLE, PLAIN, tmp_path)
+    found = load_segmentation(tmp_path / f"l{suffix}", names, TABLE, PLAIN, others="ignore").labels
+    np.testing.assert_array_equal(found, np.where(values == 1, 5, 0))
+    found = load_segmentation(tmp_path / f"l{suffix}", names | {"4": "LV", "6": "background"}, TABLE, PLAIN).labels
+    np.testing.assert_array_equal(found, np.select([values == 1, values == 4], [5, 1], 0))
+    found = load_segmentation(tmp_path / f"l{suffix}", {}, TABLE, PLAIN).labels
+    np.testing.assert_array_equal(found, values)
+
+
+def test_a_convention_does_not_fall_back_to_the_table(tmp_path: Path) -> None:
+    values = np.resize(np.array([0, 1, 8], np.uint8), PLAIN.shape)
+    write_labels(tmp_path / "l.nii.gz", values, PLAIN)
+    with pytest.raises(MarkerError, match="no label: value 8 of the file"):
+        load_segmentation(tmp_path / "l.nii.gz", {"1": "LV"}, TABLE, PLAIN, convention="totalsegmentator-heartchambers")
+
+
+def test_walls_that_are_grown_again_are_left_out_and_said(tmp_path: Path) -> None:
+    values = np.zeros(PLAIN.shape, np.uint8)
+    values[1, 1, 1], values[2, 2, 2], values[3, 3, 3], values[4, 4, 4] = 1, 2, 3, 4
+    segments = [
+        {"Name": name, "LabelValue": str(number), "Layer": "0"}
+        for number, name in enumerate(("aorta", "Aorta_Wall", "RV wall", "Jane wall"), start=1)
+    ]
+    seg_nrrd(tmp_path / "s.seg.nrrd", values, PLAIN, segments)
+    with pytest.raises(MarkerError, match="no label: segment 4 of the file") as caught:
+        load_segmentation(tmp_path / "s.seg.nrrd", {}, TABLE, PLAIN)
+    assert "segment 2" not in str(caught.value)
+    found = load_segmentation(tmp_path / "s.seg.nrrd", {"Jane wall": "SVC wall"}, TABLE, PLAIN)
+    np.testing.assert_array_equal(found.labels, np.where(values == 1, 5, 0))
+    (warning,) = found.warnings
+    assert severity_of(warning) is Severity.NOTE
+    for name in ("morphologically right ventricle wall", "aorta wall", "superior vena cava wall"):
+        assert name in warning
+    assert "Jane" not in warning
+    again = artifact_from_bytes(artifact_to_bytes(found), Segmentation)
+    assert again.warnings == found.warnings
+    # a wall of the table is a label like any other, and a cavity without a thickness grows none
+    own = load_segmentation(tmp_path / "s.seg.nrrd", {}, TABLE.with_walls(), PLAIN, others="ignore")
+    assert own.labels[2, 2, 2] == TABLE.with_walls()["aorta wall"].value
+    assert own.warnings == ()
+    segments[1]["Name"] = "LV wall"
+    seg_nrrd(tmp_path / "s.seg.nrrd", values, PLAIN, segments)
+    with pytest.raises(MarkerError, match="no label: segment 2, segment 4 of the file"):
+        load_segmentation(tmp_path / "s.seg.nrrd", {}, TABLE, PLAIN)
+    # markers are painted by hand: a wall among them is a mistake
+    with pytest.raises(MarkerError, match="no label: segment 2, segment 3, segment 4"):
+        load_markers([MarkerFile(path="s.seg.nrrd")], (), TABLE, PLAIN, tmp_path)
+
+
+def test_what_leaves_nothing_out_keeps_its_bytes() -> None:
+    bare = Segmentation(np.zeros(PLAIN.shape, np.uint8), PLAIN, TABLE)
+    assert b"warnings" not in artifact_to_bytes(bare)
+    assert artifact_from_bytes(artifact_to_bytes(bare), Segmentation).warnings == ()
+
+
+SMALL = LabelTable(labels=tuple(TABLE[name] for name in ("background", "LV", "myocardium")))
+
+
+@pytest.mark.parametrize(
+    ("name", "code", "contrary"),
+    [
+        ("RV", "87878005", True),
+        ("aorta", "87878005", True),
+        ("LV", "53085002", True),
+        ("LV", "74281007", True),
+        ("aorta", "74281007", True),
+        ("LV", "87878005", False),
+        ("Segment 1", "87878005", False),
+        ("myocardium", "49848007", False),
+        ("lv myocardium", "74281007", False),
+        ("LV", "85756007", False),
+    ],
+)
+def test_a_name_and_a_code_that_contradict_each_other_in_a_small_table(tmp_path, name, code, contrary) -> None:
+    values = np.zeros(PLAIN.shape, np.uint8)
+    values[1, 1, 1] = 1
+    entry = {"Name": name, "LabelValue": "1", "Layer": "0", "Tags": terminology(code, "x")}
+    seg_nrrd(tmp_path / "s.seg.nrrd", values, PLAIN, [entry])
+    for others in ("refuse", "ignore"):
+        if contrary:
+            with pytest.raises(MarkerError, match="code of segment 1 of the file stand for different"):
+                load_segmentation(tmp_path / "s.seg.nrrd", {}, SMALL, PLAIN, others=others)
+        else:
+            assert load_segmentation(tmp_path / "s.seg.nrrd", {}, SMALL, PLAIN, others=others).labels.any()
+    for key in (name, "1"):
+        mapped = load_segmentation(tmp_path / "s.seg.nrrd", {key: "myocardium"}, SMALL, PLAIN)
+        assert mapped.labels[1, 1, 1] == 9
+
+
+def test_a_structure_that_would_vanish_is_refused(tmp_path: Path) -> None:
+    values = np.zeros(PLAIN.shape, np.uint8)
+    values[2:5, 2:5, 2:5], values[2:5, 2:5, 11:13] = 1, 2
+    write_labels(tmp_path / "s.nii.gz", values, PLAIN)
+    part = PLAIN.cropped((0, 0, 0), (9, 13, 12))
+    with pytest.raises(MarkerError, match="value 2 of the file would vanish"):
+        load_segmentation(tmp_path / "s.nii.gz", {}, TABLE, part)
+    kept = load_segmentation(tmp_path / "s.nii.gz", {"1": "LV", "2": "background"}, TABLE, part)
+    assert set(np.unique(kept.labels)) == {0, 1}
+    layers = np.zeros((*PLAIN.shape, 2), np.uint8)
+    layers[2:5, 2:5, 2:5, 0] = layers[2:6, 2:5, 2:5, 1] = 1
+    keys = [{"LabelValue": "1", "Layer": str(n)} for n in (0, 1)]
+    seg_nrrd(tmp_path / "s.seg.nrrd", layers, PLAIN, [{"Name": "aorta"} | keys[0], {"Name": "LA"} | keys[1]])
+    with pytest.raises(MarkerError, match="segment 1 of the file would vanish"):
+        load_segmentation(tmp_path / "s.seg.nrrd", {}, TABLE, PLAIN)
+
+
+def test_values_of_totalsegmentator_1_are_not_taken_for_those_of_2(tmp_path: Path) -> None:
+    """Version 1: 44-48 myocardium and chambers, 49 pulmonary artery, 51 and 52 iliac arteries."""
+
+    def load(counts: dict[int, int], names: dict[str, str] | None = None) -> set[int]:
+        values = np.zeros(PLAIN.shape, np.uint8)
+        values.ravel()[: sum(counts.values())] = np.repeat(list(counts), list(counts.values()))
+        write_labels(tmp_path / "l.nii.gz", values, PLAIN)
+        options = {"convention": "totalsegmentator-total-v2"}
+        found = load_segmentation(tmp_path / "l.nii.gz", names or {}, TABLE, PLAIN, others="ignore", **options)
+        return set(np.unique(found.labels).tolist())
+
+    for old in (
+        {46: 90, 52: 5},
+        {44: 80, 45: 50, 46: 60, 47: 40, 48: 60, 49: 30, 52: 4},
+        {46: 90, 51: 6, 52: 5, 50: 99},
+    ):
+        with pytest.raises(MarkerError, match="another version's numbering"):
+            load(old)
+    assert load({44: 9, 45: 8, 51: 200, 52: 40}) == {0, 5}
+    assert load({52: 40, 62: 9}) == {0, 5, 7}
+
+
+@pytest.mark.parametrize("number", ["1" + "0" * 400, "-1" + "0" * 400, "1e999", "1" + "0" * 5000])
+def test_point_lists_with_numbers_beyond_any_size(tmp_path: Path, number: str) -> None:
+    mrk(tmp_path / "m.mrk.json", points("Fiducial", "LPS", [(0, 0, 4711)], ["aorta"]))
+    text = (tmp_path / "m.mrk.json").read_text()
+    (tmp_path / "m.mrk.json").write_text(text.replace("4711.0", number))
+    with pytest.raises(MarkerError, match=r"not a point list|not a number"):
+        load_markers([MarkerFile(path="m.mrk.json")], (), TABLE, PLAIN, tmp_path)

@@ -3,6 +3,7 @@ from __future__ import annotations
 import gzip
 import os
 import re
+import struct
 from pathlib import Path
 
 import nibabel
@@ -10,7 +11,7 @@ import nrrd
 import numpy as np
 import pytest
 import SimpleITK
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from heartcase.pipeline.data import Scan, Segmentation
@@ -186,6 +187,61 @@ def test_nifti_without_orientation_is_read_as_itk_does_and_says_so(tmp_path: Pat
     np.testing.assert_array_equal(scan.geometry.origin_mm, other.GetOrigin())
 
 
+def two_forms(path: Path, sform: np.ndarray, qform: np.ndarray) -> Path:
+    image = nibabel.Nifti1Image(np.zeros((60, 50, 40), np.int16), sform)
+    image.set_sform(sform, 1)
+    image.set_qform(qform, 1)
+    nibabel.save(image, path)
+    return path
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    turn=st.tuples(*[st.floats(-np.pi, np.pi)] * 3) | st.tuples(st.just(np.pi), *[st.floats(-1e-3, 1e-3)] * 2),
+    hand=st.sampled_from((1.0, -1.0)),
+    moved=st.floats(0.3, 30.0),
+)
+@example(turn=(0.0, 0.0, np.pi - 6e-4), hand=1.0, moved=1.0)
+def test_nifti_whose_forms_agree_is_read_and_a_shifted_or_mirrored_one_refused(
+    tmp_path_factory: pytest.TempPathFactory, turn: tuple[float, float, float], hand: float, moved: float
+) -> None:
+    """Half turns lose most digits: the first part of the quaternion is not stored (nifti1.h)."""
+    affine = np.eye(4)
+    affine[:3, :3] = rotation(turn) @ np.diag([4.0, 6.0, 8.0 * hand])
+    affine[:3, 3] = -200.0, 150.0, 900.0
+    path = tmp_path_factory.getbasetemp() / "forms.nii"
+    scan = read_scan(two_forms(path, affine, affine))
+    np.testing.assert_allclose(scan.geometry.affine, RAS_TO_LPS @ affine, atol=1e-4)
+    other = affine.copy()
+    other[0, 3] += moved + 0.1 + 2.0 * np.sqrt(5e-7) * np.linalg.norm([59 * 4, 49 * 6, 39 * 8])
+    with pytest.raises(ScanError, match="two orientations"):
+        read_scan(two_forms(path, affine, other))
+    other = affine @ np.diag([1.0, 1.0, -1.0, 1.0])
+    other[:3, 3] += 39 * affine[:3, 2]
+    with pytest.raises(ScanError, match="two orientations"):
+        read_scan(two_forms(path, affine, other))
+
+
+@pytest.mark.parametrize(
+    ("place", "numbers", "words"),
+    [
+        (80, (-1.0,), "voxel size below zero"),
+        (88, (-3.0,), "voxel size below zero"),
+        (112, (2.0, np.nan), "intercept is not a number"),
+        (112, (1.0, np.inf), "intercept is not a number"),
+    ],
+)
+def test_nifti_headers_that_other_programs_read_otherwise_are_refused(tmp_path, place, numbers, words) -> None:
+    image = nibabel.Nifti1Image(np.arange(60, dtype=np.int16).reshape(3, 4, 5), None)
+    image.set_qform(np.diag([1.0, 2.0, 3.0, 1.0]), 1)
+    nibabel.save(image, tmp_path / "s.nii")
+    content = bytearray((tmp_path / "s.nii").read_bytes())
+    struct.pack_into(f"<{len(numbers)}f", content, place, *numbers)
+    (tmp_path / "s.nii").write_bytes(content)
+    with pytest.raises(ScanError, match=words):
+        read_scan(tmp_path / "s.nii")
+
+
 NRRD_BASE = ("type: short", "dimension: 3", "sizes: 2 3 4", "encoding: raw", "endian: little")
 DIRECTIONS = "space directions: (1,0,0) (0,2,0) (0,0,3)"
 ORIGIN = "space origin: (1,2,3)"
@@ -206,6 +262,36 @@ def test_nrrd_in_ras_and_without_space(tmp_path: Path) -> None:
     assert bare.geometry.spacing_mm == (1.0, 2.0, 3.0)
     assert "not stated" in bare.acquisition["orientation"]
     np.testing.assert_array_equal(bare.values.ravel(), np.arange(24))
+
+
+@pytest.mark.parametrize(
+    ("lines", "words"),
+    [
+        ((), "voxel spacing of every axis"),
+        (("spacings: 1 2",), "voxel spacing of every axis"),
+        (("spacings: 1.5 nan 3",), "voxel spacing of every axis"),
+        (("spacings: 1 -2 3",), "voxel spacing of every axis"),
+        (("spacings: 1 x 3",), "damaged"),
+        (("space: LPS", ORIGIN), "voxel spacing of every axis"),
+        (("space: LPS", "space directions: (1,0,0) none (0,0,3)"), "voxel spacing of every axis"),
+        (("space: LPS", "space directions: (1,0,0) (0,nan,0) (0,0,3)"), "voxel spacing of every axis"),
+        (("spacings: 1 2 3", 'units: "cm" "cm" "cm"'), "millimetres"),
+        (("space: LPS", DIRECTIONS, 'space units: "mm" "cm" "mm"'), "millimetres"),
+    ],
+)
+def test_nrrd_without_a_spacing_in_mm_is_refused(tmp_path: Path, lines: tuple[str, ...], words: str) -> None:
+    with pytest.raises(ScanError, match=words):
+        read_scan(nrrd_file(tmp_path / "a.nrrd", *NRRD_BASE, *lines))
+
+
+def test_nrrd_layers_need_the_spacing_of_their_three_axes_alone(tmp_path: Path) -> None:
+    base = ("type: short", "dimension: 4", "sizes: 2 2 2 3", "encoding: raw", "endian: little")
+    path = tmp_path / "a.seg.nrrd"
+    segments = [f"Segment{n}_{key}:={text}" for n in (0, 1) for key, text in (("LabelValue", "1"), ("Layer", str(n)))]
+    data = np.zeros(24, "<i2").tobytes()
+    axes = ("kinds: list domain domain domain", "space: LPS")
+    nrrd_file(path, *base, *axes, "space directions: none (1,0,0) (0,2,0) (0,0,3)", ORIGIN, *segments, data=data)
+    assert read_labels(path).geometry.spacing_mm == (1.0, 2.0, 3.0)
 
 
 def test_detached_headers(tmp_path: Path) -> None:
@@ -306,7 +392,7 @@ def malformed(tmp_path: Path) -> dict[str, tuple[str, bytes, str]]:
         "nrrd damaged": (".nrrd", _flipped(nrrd_gz, len(nrrd_gz) // 2), "damaged"),
         "nrrd claims gzip": (".nrrd", text(*[s.replace("raw", "gzip") for s in lps], DIRECTIONS), "damaged"),
         "nrrd sheared": (".nrrd", text(*lps, "space directions: (1,0,0) (0.3,2,0) (0,0,3)"), "right angles"),
-        "nrrd zero spacing": (".nrrd", text(*lps, "space directions: (1,0,0) (0,2,0) (0,0,0)"), "damaged"),
+        "nrrd zero spacing": (".nrrd", text(*lps, "space directions: (1,0,0) (0,2,0) (0,0,0)"), "above zero"),
         "nrrd in metres": (".nrrd", text(*lps, DIRECTIONS, 'space units: "m" "m" "m"'), "millimetres"),
         "nrrd 4-D": (
             ".nrrd",

@@ -12,12 +12,13 @@ import time
 
 import numpy as np
 import pytest
+import SimpleITK
 
 from heartcase.pipeline.run import STAGES, build_case
 from heartcase.schemas.bundle import FileRole
 from heartcase.schemas.bundle_check import check_bundle
 from heartcase.schemas.bundle_reader import open_bundle
-from heartcase.schemas.errors import HeartcaseError, ScanError, UsageError
+from heartcase.schemas.errors import BundleError, HeartcaseError, ScanError, UsageError
 from heartcase.schemas.recipe import load_recipe
 from tests.ball import write_ball_recipe, write_ball_scan
 from tests.crash import Crash, crash_after
@@ -259,3 +260,91 @@ def test_an_error_of_a_stage_is_one_line_and_exit_code_one(scan_directory, tmp_p
     assert run.returncode == 1
     assert "Traceback" not in run.stderr
     assert [line for line in run.stderr.splitlines() if line.startswith("heartcase: ")]
+
+
+def test_a_damaged_case_is_mended_by_building_again(tmp_path):
+    """Also where the damage left every size as it was, or put a link in a file's place."""
+    write_ball_scan(tmp_path / "ball.nii.gz")
+    recipe = load_recipe(write_ball_recipe(tmp_path / "ball.nii.gz", tmp_path / "ball.toml", cell_mm=5.0))
+    build_case(recipe, directory=tmp_path, out=tmp_path)
+    case = tmp_path / "ball.case"
+    grid, report = next(case.glob("grid-*")), tmp_path / "ball.report.html"
+    sound = grid.read_bytes()
+    page = report.read_bytes()
+
+    def flip():
+        damaged = bytearray(sound)
+        damaged[-3] ^= 1
+        grid.write_bytes(damaged)
+
+    def link():
+        (tmp_path / "elsewhere").write_bytes(sound)
+        grid.unlink()
+        grid.symlink_to(tmp_path / "elsewhere")
+
+    for damage in (flip, link, lambda: report.write_text("another page")):
+        damage()
+        result = build_case(recipe, directory=tmp_path, out=tmp_path)
+        assert "bundle" not in result.reused
+        assert check_bundle(case) == ()
+        assert not grid.is_symlink()
+        assert b"Bundle hash" in report.read_bytes()
+    assert "bundle" in build_case(recipe, directory=tmp_path, out=tmp_path).reused
+    assert len(page) > 1000
+
+
+def test_the_case_is_untouched_when_its_report_cannot_be_drawn(tmp_path, monkeypatch):
+    write_ball_scan(tmp_path / "ball.nii.gz")
+    path = write_ball_recipe(tmp_path / "ball.nii.gz", tmp_path / "ball.toml", cell_mm=5.0)
+    build_case(load_recipe(path), directory=tmp_path, out=tmp_path)
+    manifest, page = (tmp_path / "ball.case" / "case.json").read_bytes(), (tmp_path / "ball.report.html").read_bytes()
+    path.write_text(path.read_text().replace("cell_mm = 5.0", "cell_mm = 6.0"))
+
+    def fail(**_):
+        raise MemoryError
+
+    monkeypatch.setattr("heartcase.pipeline.report.build_report.build_report", fail)
+    with pytest.raises(MemoryError):
+        build_case(load_recipe(path), directory=tmp_path, out=tmp_path)
+    assert (tmp_path / "ball.case" / "case.json").read_bytes() == manifest
+    assert (tmp_path / "ball.report.html").read_bytes() == page
+
+
+def test_the_same_recipe_gives_the_same_bytes_whatever_was_built_before(tmp_path):
+    """A setting that changes no array is still in the case's provenance."""
+    write_ball_scan(tmp_path / "ball.nii.gz")
+    path = write_ball_recipe(tmp_path / "ball.nii.gz", tmp_path / "ball.toml", cell_mm=5.0)
+    build_case(load_recipe(path), directory=tmp_path, out=tmp_path / "one")
+    path.write_text(path.read_text().replace("radius_mm = 8\n", "radius_mm = 8.01\n"))
+    recipe = load_recipe(path)
+    for out in ("one", "two"):
+        build_case(recipe, directory=tmp_path, out=tmp_path / out)
+    one, two = (tmp_path / out / "ball.case" / "case.json" for out in ("one", "two"))
+    assert one.read_bytes() == two.read_bytes()
+    assert b"8.01" in one.read_bytes()
+
+
+def test_another_case_is_not_replaced_in_silence(tmp_path):
+    write_ball_scan(tmp_path / "ball.nii.gz")
+    path = write_ball_recipe(tmp_path / "ball.nii.gz", tmp_path / "ball.toml", cell_mm=5.0)
+    first = build_case(load_recipe(path), directory=tmp_path, out=tmp_path).manifest
+    path.write_text(path.read_text() + "[region]\ncenter_mm = [0, 0, 0]\nsize_mm = [60, 60, 60]\n")
+    assert build_case(load_recipe(path), directory=tmp_path, out=tmp_path).manifest.case_id == first.case_id
+    scan = SimpleITK.ReadImage(str(tmp_path / "ball.nii.gz"))
+    SimpleITK.WriteImage(scan + 1.0, str(tmp_path / "ball.nii.gz"))
+    with pytest.raises(BundleError, match="another case of this name"):
+        build_case(load_recipe(path), directory=tmp_path, out=tmp_path)
+    assert open_bundle(tmp_path / "ball.case").manifest.case_id == first.case_id
+    second = build_case(load_recipe(path), directory=tmp_path, out=tmp_path, replace=True).manifest
+    assert second.case_id != first.case_id
+
+
+def test_files_of_others_in_a_case_are_never_removed(tmp_path):
+    write_ball_scan(tmp_path / "ball.nii.gz")
+    recipe = load_recipe(write_ball_recipe(tmp_path / "ball.nii.gz", tmp_path / "ball.toml", cell_mm=5.0))
+    case = tmp_path / "ball.case"
+    case.mkdir()
+    (case / "labels-hand-made.nrrd").write_bytes(b"mine")
+    with pytest.raises(BundleError, match="something else"):
+        build_case(recipe, directory=tmp_path, out=tmp_path)
+    assert (case / "labels-hand-made.nrrd").read_bytes() == b"mine"

@@ -149,6 +149,17 @@ def _link(case: CaseCopy) -> None:
     case.path("grid").symlink_to(outside)
 
 
+def _link_manifest(case: CaseCopy) -> None:
+    outside = case.folder.parent / "outside.json"
+    (case.folder / "case.json").rename(outside)
+    (case.folder / "case.json").symlink_to(outside)
+
+
+def _in_quality(value: bytes) -> Callable[[bytes], bytes]:
+    """A value where anything may stand; and the text must hold it then."""
+    return lambda text: text.replace(b'"quality": {}', b'"quality": {"a": ' + value + b"}", 1)
+
+
 def _swap_header_size(size: int) -> Callable[[bytes], bytes]:
     return lambda content: size.to_bytes(8, "little") + content[8:]
 
@@ -200,6 +211,14 @@ DAMAGES: tuple[Damage, ...] = (
     _text("manifest-nan", "not valid JSON", lambda text: text.replace(b'"cell_mm": 4.0', b'"cell_mm": NaN')),
     _text("manifest-infinite", "out of range", lambda text: text.replace(b'"cell_mm": 4.0', b'"cell_mm": 1e999')),
     _text("manifest-key-twice", "same key twice", lambda text: text.replace(b"{", b'{"format": 1,', 1)),
+    _text("quality-nan", "not valid JSON", _in_quality(b"NaN")),
+    _text("quality-infinite", "out of range", _in_quality(b"[1e999]")),
+    _text("quality-long-number", "out of range", _in_quality(b"1" * 400)),
+    _text("quality-deep", "too deep", _in_quality(b"[" * 63 + b"]" * 63)),
+    _text("quality-half-character", "case.json", _in_quality(b'"\\ud800"')),
+    _text("manifest-utf-16", "not valid JSON", lambda text: text.decode().encode("utf-16")),
+    _text("manifest-byte-order-mark", "not valid JSON", lambda text: b"\xef\xbb\xbf" + text),
+    Damage("manifest-is-a-link", _link_manifest, "no plain file"),
     Damage("manifest-missing", lambda case: (case.folder / "case.json").unlink(), "case.json is missing"),
     # What the manifest says
     _manifest("other-format", "not a heartcase bundle", lambda m: m.update(format="other")),
@@ -212,6 +231,14 @@ DAMAGES: tuple[Damage, ...] = (
     _manifest("name-backslash", "plain file name", lambda m: _file_entry(m).update(name="..\\x")),
     _manifest("name-empty", "plain file name", lambda m: _file_entry(m).update(name="")),
     Damage("name-climbs-out", _escape, "plain file name"),
+    _manifest(
+        "name-of-a-newer-role",
+        "plain file name",
+        lambda m: (
+            m.update(format_version="1.2"),
+            m["files"].append({"role": "valves", "name": "../v", "size": 3, "sha256": "0" * 64}),
+        ),
+    ),
     _manifest("role-twice", "role of an entry before", lambda m: m["files"].append({**_file_entry(m), "name": "a"})),
     _manifest("no-grid", "no grid file", lambda m: m["files"].remove(_file_entry(m))),
     _manifest(
@@ -235,6 +262,8 @@ DAMAGES: tuple[Damage, ...] = (
     _manifest("gltf-mirrored", "mirrored", lambda m: m["gltf_from_lps"][2].__setitem__(1, 0.001)),
     _manifest("unity-mirrored", "mirrored", lambda m: _frame(m, "unity").update(from_lps_mm=[[1, 0, 0]] * 3)),
     _manifest("unity-turned", "wrong way", lambda m: _frame(m, "unity").update(reverse_triangles=False)),
+    _manifest("coordinates-missing", "coordinates", lambda m: m.pop("coordinates")),
+    _manifest("direction-missing", "direction", lambda m: m["grid_geometry"].pop("direction")),
     _manifest("axes-ras", "not allow", lambda m: m["coordinates"].update(space="patient RAS")),
     _manifest("axes-turned", "not allow", lambda m: m["coordinates"]["axes"].reverse()),
     _manifest("winding-turned", "not allow", lambda m: m["coordinates"].update(winding="clockwise")),

@@ -40,7 +40,8 @@ def test_a_new_case_is_a_draft_and_approving_it_says_who_when_and_what(case):
     )
     assert state == approval_state(case)
     assert state.state == "approved"
-    assert state.words == "approved by consultant cardiologist on 2026-03-04 (log of 1 line)"
+    done = "approved by consultant cardiologist on 2026-03-04"
+    assert state.words == f"{done} (log of 1 line; a withdrawal cut off its end would not show)"
     (line,) = lines(case)
     assert line["time"] == "2026-03-04T05:06:07Z"
     assert line["bundle_sha256"] == bundle_sha256(case)
@@ -163,11 +164,15 @@ def test_a_line_of_a_newer_heartcase_may_say_more(case):
     assert approval_state(case).entry_count == 2
 
 
-@pytest.mark.parametrize("role", ["", "a\nb", "x" * 101, "\x1b[31mred", "abc\u202edef"])
+@pytest.mark.parametrize("role", ["", "   ", "\u200b", "--", "a\nb", "x" * 101, "\x1b[31mred", "abc\u202edef"])
 def test_a_role_is_a_line_of_plain_text(case, role):
     with pytest.raises(UsageError, match="role"):
         approve_case(case, role=role, now=NOW)
     assert not approval_log(case).exists()
+
+
+def test_spaces_around_a_role_are_taken_off(case):
+    assert approve_case(case, role="  surgeon \t").entry.role == "surgeon"
 
 
 def test_roles_of_other_languages_are_fine(case):
@@ -215,3 +220,113 @@ def test_a_crash_at_any_moment_leaves_the_log_before_or_after(case):
             break
     assert not crashed
     assert seen == {True, False}
+
+
+# Which file is whose.
+
+
+def test_a_listed_file_that_is_a_link_is_no_file_of_the_case(case, tmp_path):
+    approved(case)
+    part = next(case.glob("picking-*"))
+    outside = tmp_path / "outside"
+    part.rename(outside)
+    part.symlink_to(outside)  # the same bytes, today
+    with pytest.raises(BundleError, match="missing or was changed"):
+        bundle_sha256(case)
+    assert approval_state(case).state == "changed since approval"
+
+
+def test_a_manifest_that_is_a_link_is_not_approved(case, tmp_path):
+    approved(case)
+    (case / "case.json").rename(tmp_path / "m.json")
+    (case / "case.json").symlink_to(tmp_path / "m.json")
+    assert approval_state(case).state == "changed since approval"
+    for withdraw in (False, True):
+        with pytest.raises(BundleError, match="is a link"):
+            approved(case, withdraw=withdraw)
+
+
+@pytest.mark.parametrize("name", ["../out.bin", "./flow.bin", "grid/../flow.bin", "FLOW.bin", ".flow.bin", 7, None])
+def test_a_name_that_is_no_plain_file_name_is_never_hashed(case, tmp_path, name):
+    import hashlib
+
+    for place in (tmp_path / "out.bin", case / "flow.bin", case / "FLOW.bin", case / ".flow.bin"):
+        place.write_bytes(b"abc")
+    (case / "grid").mkdir()
+    manifest = json.loads((case / "case.json").read_text()) | {"format_version": "1.2"}
+    entry = {"role": "flow", "name": name, "size": 3, "sha256": hashlib.sha256(b"abc").hexdigest()}
+    manifest["files"].append(entry)
+    (case / "case.json").write_text(json.dumps(manifest))
+    with pytest.raises(BundleError):
+        bundle_sha256(case)
+    entry["name"] = "flow.bin"
+    (case / "case.json").write_text(json.dumps(manifest))
+    assert len(bundle_sha256(case)) == 64
+
+
+def test_what_is_approved_is_what_is_validated_roles_of_newer_versions_too(case):
+    import hashlib
+
+    manifest = json.loads((case / "case.json").read_text()) | {"format_version": "1.2"}
+    manifest["files"].append(
+        {"role": "flow", "name": "flow-0.bin", "size": 3, "sha256": hashlib.sha256(b"abc").hexdigest()}
+    )
+    (case / "case.json").write_text(json.dumps(manifest))
+    for content in (None, b"abd", b"abc"):
+        if content is not None:
+            (case / "flow-0.bin").write_bytes(content)
+        if content == b"abc":
+            assert approved(case).state == "approved"
+        else:
+            with pytest.raises(BundleError, match=r"files\.flow"):
+                approved(case)
+
+
+def test_one_case_has_one_log_by_whatever_way_it_is_reached(case, tmp_path, monkeypatch):
+    link = tmp_path / "link.case"
+    link.symlink_to(case)
+    assert approval_log(link) == approval_log(case)
+    approved(link)
+    assert approval_state(case).state == "approved"
+    approved(case, withdraw=True)
+    assert approval_state(link).words.startswith("draft: the approval was withdrawn")
+    monkeypatch.chdir(case)
+    assert approval_log(".") == approval_log("../link.case") == approval_log(case)
+
+
+def test_two_folders_never_share_a_log(tmp_path):
+    folders = [
+        tmp_path / name for name in ("x", "x.case", "x.case.case", "x.folder", "x.folder.case", "x.folder-", ".case")
+    ]
+    assert len({approval_log(folder) for folder in folders}) == len(folders)
+
+
+def test_a_build_waits_until_the_line_is_written(case, monkeypatch):
+    """The locks of the case and of its folder are held from the hash to the line."""
+    import fcntl
+    import os
+
+    from heartcase.schemas import approval
+
+    def is_held(directory):
+        descriptor = os.open(directory, os.O_RDONLY)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+        finally:
+            os.close(descriptor)
+        return False
+
+    held = {}
+    for name in ("bundle_sha256", "atomic_write"):
+        real = getattr(approval, name)
+
+        def spied(*arguments, real=real, name=name):
+            held.setdefault(name, [is_held(case), is_held(case.parent)])
+            return real(*arguments)
+
+        monkeypatch.setattr(approval, name, spied)
+    approved(case)
+    assert held == {"bundle_sha256": [True, True], "atomic_write": [True, True]}
+    assert not is_held(case)

@@ -83,7 +83,15 @@ def test_a_file_with_a_role_of_a_newer_minor_version_is_ignored(case, manifest):
     changed = manifest | {"format_version": NEWER, "files": [extra, *manifest["files"]]}
     bundle = open_bundle(with_manifest(case, changed))
     assert {entry.role for entry in bundle.manifest.files} == {FileRole(one["role"]) for one in manifest["files"]}
-    assert check_bundle(case) == ()
+    # Validate vouches for all bytes, as an approval does.
+    assert [str(problem) for problem in check_bundle(case)] == [
+        "files.flow: the file flow-0.vtk is missing: build the case again"
+    ]
+    (case / "flow-0.vtk").write_bytes(b"flow")
+    assert ["was changed" in str(problem) for problem in check_bundle(case)] == [True]
+    extra["sha256"] = hashlib.sha256(b"flow").hexdigest()
+    assert check_bundle(with_manifest(case, changed)) == ()
+    (case / "flow-0.vtk").unlink()
     for version in (FORMAT_VERSION, f"{MAJOR}.0"):
         with pytest.raises(BundleError, match=r"files\[1\].role"):
             open_bundle(with_manifest(case, changed | {"format_version": version}))
@@ -164,3 +172,12 @@ def test_a_required_extension_that_is_not_known_is_refused_by_name(case, manifes
 def test_a_list_of_files_that_is_none_is_refused(case, manifest, files):
     with pytest.raises(BundleError, match="files"):
         open_bundle(with_manifest(case, manifest | {"format_version": NEWER, "files": files}))
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"name": "../v"}, {"name": "/v"}, {"name": 7}, {"size": -1}, {"sha256": "0"}, {"name": "a/b"}]
+)
+def test_a_file_with_a_role_of_a_newer_minor_version_must_be_sound_all_the_same(case, manifest, wrong):
+    extra = {"role": "flow", "name": "flow-0.vtk", "size": 4, "sha256": "0" * 64} | wrong
+    with pytest.raises(BundleError, match=r"files\[1\]"):
+        open_bundle(with_manifest(case, manifest | {"format_version": NEWER, "files": [extra, *manifest["files"]]}))

@@ -378,10 +378,13 @@ def test_other_axes_than_the_formats_are_refused(case, change, place):
 def test_frames_of_a_newer_minor_version_are_ignored(case):
     def newer(data):
         data["format_version"] = "1.9"
-        data["coordinates"]["frames"].append(data["coordinates"]["frames"][0] | {"name": "vulkan"})
+        data["coordinates"]["frames"].append(
+            data["coordinates"]["frames"][0] | {"name": "vulkan", "unit": "mm", "hand": 3}
+        )
 
     edit_manifest(case, newer)
-    assert len(open_bundle(case).manifest.coordinates.frames) == 4
+    assert [frame.name for frame in open_bundle(case).manifest.coordinates.frames] == ["gltf", "unity", "unreal"]
+    assert check_bundle(case) == ()
 
 
 # The scan part.

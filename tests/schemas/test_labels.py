@@ -65,3 +65,12 @@ def test_default_colours_can_be_told_apart(sight):
     for one, other in itertools.combinations(range(len(labels)), 2):
         difference = color.deltaE_ciede2000(lab[one], lab[other])
         assert difference > 12.0, (labels[one].name, labels[other].name, difference)
+
+
+def test_a_grown_wall_does_not_take_the_name_of_a_label():
+    aorta = Label(value=1, name="aorta", role=Role.VESSEL_LUMEN, wall_thickness_mm=2.0)
+    wall = Label(value=2, name="Aorta wall", role=Role.WALL)
+    with pytest.raises(ValidationError, match="is a label of its own"):
+        LabelTable(labels=(aorta, wall))
+    assert len(LabelTable(labels=(aorta, wall.model_copy(update={"wall_of": 1}))).with_walls()) == 3
+    assert len(LabelTable(labels=(aorta.model_copy(update={"wall_thickness_mm": 0.0}), wall)).with_walls()) == 3

@@ -74,7 +74,7 @@ def test_the_conventions_of_files_without_names():
 
     assert values("hvsmr-2.0") == {n: n for n in range(1, 9)}
     assert values("totalsegmentator-heartchambers") == {1: 9, 2: 3, 3: 1, 4: 4, 5: 2, 6: 5, 7: 6}
-    assert values("totalsegmentator-total") == {52: 5, 53: None, 61: None, 62: 7, 63: 8}
+    assert values("totalsegmentator-total-v2") == {52: 5, 53: None, 61: None, 62: 7, 63: 8}
 
 
 def test_a_labels_own_name_comes_before_a_synonym_and_two_that_fit_are_none():

@@ -1,15 +1,18 @@
 """List what a DICOM folder holds, and choose one stack of it.
 
-A series is named by its number in the list and the end of its UID: a tag's text may identify a patient.
+A series is named by its number in the list and a hash of its UID: a tag's text, and a UID, may identify a patient.
 """
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
+from heartcase.pipeline.cautions import note
 from heartcase.pipeline.formats.dicom_headers import OTHER_MODALITIES
 from heartcase.pipeline.formats.dicom_phases import PhaseStack, StackGroup
 from heartcase.pipeline.formats.raw_volume import geometry_from_affine
@@ -17,9 +20,11 @@ from heartcase.pipeline.formats.stack import Stack, find_stack
 from heartcase.schemas.errors import Problem, ScanError
 from heartcase.schemas.geometry import Geometry
 
-__all__ = ["SeriesInfo", "choose", "describe_volume", "listed", "stack_geometry"]
+__all__ = ["Choice", "SeriesInfo", "choose", "describe_volume", "listed", "named", "stack_geometry"]
 
-SHORTEST_SUFFIX = 6
+SHORTEST_CODE = 6
+ALIKE_IN_PHASES = ("image_kind", "sequence", "b_value", "inversion_time_ms", "tube_voltage_kv")
+"""What cardiac phases that are series of their own must state alike."""
 SMALL_STACK = 9
 """Images that a localiser has at most, where the headers do not call it one."""
 SMALL_PART = 0.25
@@ -28,6 +33,12 @@ TIMES_SHOWN = 40
 """How many times an error lists."""
 GEOMETRY_TOLERANCE_MM = 0.01
 """Cardiac phases that are series of their own lie at one place to this."""
+SINGLE_TIME_PART = 0.05
+"""Part of a time by which a given one may differ from the only one that is stated; see SINGLE_TIME_FLOOR_MS."""
+SINGLE_TIME_FLOOR_MS = {"trigger": 5.0, "echo": 0.05}
+"""What a given time may differ from the only one that is stated in any case, ms."""
+TIE_MS = 1e-6
+"""Times that differ by less are the same: rounded digits."""
 
 
 @dataclass(frozen=True)
@@ -44,8 +55,9 @@ class SeriesInfo:
     """``CT``, ``MR``, a kind of image that is not read (``PT``, ``US`` ...), or ``unknown``."""
     description: str
     """What it is, in words made from geometry, modality and physics."""
-    uid_suffix: str
-    """The end of its UID, long enough to tell it from the others; empty for other formats."""
+    uid_code: str
+    """The start of the SHA-256 of its UID: six hexadecimal digits, or more until it differs from the others' and is no
+    number; empty for other formats."""
     trigger_times_ms: tuple[float, ...] = ()
     """Times of the cardiac phases after the R wave, ms, ascending; empty where none is stated."""
     echo_times_ms: tuple[float, ...] = ()
@@ -55,6 +67,17 @@ class SeriesInfo:
     def has_choice(self) -> bool:
         """Whether a time is needed to choose one stack of it."""
         return max(len(self.trigger_times_ms), len(self.echo_times_ms)) > 1
+
+
+class Choice(NamedTuple):
+    """One stack of a folder."""
+
+    group: StackGroup
+    """What its number stands for."""
+    stack: PhaseStack
+    """Its images."""
+    notes: tuple[str, ...] = ()
+    """What a reader should know of how it was chosen."""
 
 
 def describe_volume(geometry: Geometry, modality: str) -> str:
@@ -76,7 +99,7 @@ def stack_geometry(stack: Stack) -> Geometry:
 
 def listed(groups: Sequence[StackGroup]) -> tuple[SeriesInfo, ...]:
     """What the user may choose from, in order."""
-    uids = sorted({group.series_uid for group in groups})
+    digests = {_digest(group.series_uid) for group in groups}
     found = []
     for number, group in enumerate(groups, start=1):
         triggers, echoes = _times(group.stacks)
@@ -88,7 +111,7 @@ def listed(groups: Sequence[StackGroup]) -> tuple[SeriesInfo, ...]:
                 spacing_mm=spacing,
                 modality=group.modality,
                 description=description,
-                uid_suffix=_suffix(group.series_uid, uids),
+                uid_code=_code(_digest(group.series_uid), digests),
                 trigger_times_ms=triggers,
                 echo_times_ms=echoes,
             )
@@ -126,16 +149,20 @@ def _times(stacks: Sequence[PhaseStack]) -> tuple[tuple[float, ...], tuple[float
     return tuple(triggers), tuple(echoes)
 
 
-def _suffix(uid: str, every: list[str]) -> str:
-    length = SHORTEST_SUFFIX
-    while length < len(uid) and sum(other.endswith(uid[-length:]) for other in every) > 1:
+def _digest(uid: str) -> str:
+    return hashlib.sha256(uid.encode("utf-8", "surrogateescape")).hexdigest()
+
+
+def _code(digest: str, every: set[str]) -> str:
+    length = SHORTEST_CODE
+    while digest[:length].isdecimal() or sum(other.startswith(digest[:length]) for other in every) > 1:
         length += 1
-    return uid[-length:]
+    return digest[:length]
 
 
 def choose(
     groups: Sequence[StackGroup], *, series: str | None, trigger_time_ms: float | None, echo_time_ms: float | None
-) -> tuple[StackGroup, PhaseStack]:
+) -> Choice:
     """Choose one stack.
 
     Parameters
@@ -143,26 +170,29 @@ def choose(
     groups
         All that the folder holds.
     series
-        Number in :func:`listed` or end of the UID; None takes the one that is left without localisers.
+        As in :func:`named`; None takes the one that is left without localisers, and a note tells of small stacks that
+        are not called localisers and were passed over.
     trigger_time_ms, echo_time_ms
-        The nearest cardiac phase and echo is taken, the earlier of two that are as near. Phases may be series of
-        their own, if they are alike in all else.
+        The nearest cardiac phase and echo is taken, the earlier of two that are as near (a note says so). It may be
+        off by half the median step between the times that are stated; where one is, by 5% of it, or by 5 ms (trigger
+        time) or 0.05 ms (echo time) where that is more. Phases may be series of their own, if they are alike in all
+        else.
 
     Returns
     -------
-    StackGroup, PhaseStack
+    Choice
         The group and the stack of it.
 
     Raises
     ------
     ScanError
-        The choice is not clear: it lists what there is.
+        The choice is not clear, or no time is near the given one: it lists what there is.
     """
-    candidates = _candidates(groups) if series is None else _named(groups, series)
+    candidates = _candidates(groups) if series is None else named(groups, series)
     if len(candidates) > 1 and (trigger_time_ms is not None or echo_time_ms is not None) and _are_phases(candidates):
         pool = [(group, group.stacks[0]) for group in candidates]
     elif len(candidates) > 1:
-        what = "the folder holds several series" if series is None else "several stacks end like the given --series"
+        what = "the folder holds several series" if series is None else "the given --series holds several stacks"
         raise ScanError(
             _with_list(f"{what}: choose one with --series NUMBER, or series in the recipe's [scan]", groups)
         )
@@ -171,16 +201,16 @@ def choose(
     modality = pool[0][0].modality
     if modality in OTHER_MODALITIES:
         raise ScanError(f"the images are {modality}: a CT or MR series is needed")
-    echoes = [stack.echo_time_ms for _, stack in pool]
+    notes = _passed_over(groups, candidates) if series is None else []
     if echo_time_ms is not None:
-        nearest = _nearest(echoes, echo_time_ms, "echo")
+        nearest = _nearest([stack.echo_time_ms for _, stack in pool], echo_time_ms, "echo", notes)
         pool = [one for one in pool if one[1].echo_time_ms == nearest]
     if trigger_time_ms is not None:
-        nearest = _nearest([stack.trigger_time_ms for _, stack in pool], trigger_time_ms, "trigger")
+        nearest = _nearest([stack.trigger_time_ms for _, stack in pool], trigger_time_ms, "trigger", notes)
         pool = [one for one in pool if one[1].trigger_time_ms == nearest]
     if len(pool) > 1:
         raise ScanError(_which_time([stack for _, stack in pool]))
-    return pool[0]
+    return Choice(*pool[0], tuple(notes))
 
 
 def _candidates(groups: Sequence[StackGroup]) -> list[StackGroup]:
@@ -193,15 +223,51 @@ def _candidates(groups: Sequence[StackGroup]) -> list[StackGroup]:
     return [group for group in stacks if group.image_count > small]
 
 
-def _named(groups: Sequence[StackGroup], series: str) -> list[StackGroup]:
+def _passed_over(groups: Sequence[StackGroup], taken: Sequence[StackGroup]) -> list[str]:
+    """A note on the other series whose stacks are as small as a localiser's but are not called so."""
+    known = {group.series_uid for group in taken}
+    scans = [group for group in groups if not group.is_localizer and group.modality not in OTHER_MODALITIES]
+    count = len({group.series_uid for group in scans} - known)
+    if not count:
+        return []
+    what = f"{count} other series {'were' if count > 1 else 'was'} passed over as small as a localiser"
+    return [note(f"{what}: if one is wanted, choose it with --series, or series in the recipe's [scan]")]
+
+
+def named(groups: Sequence[StackGroup], series: str) -> list[StackGroup]:
+    """The groups that a text stands for.
+
+    Parameters
+    ----------
+    groups
+        All that the folder holds.
+    series
+        Number in :func:`listed`, which digits alone always are; or a whole UID, or six or more digits of its code,
+        which stand for the stacks of the series without its localisers.
+
+    Raises
+    ------
+    ScanError
+        There is none, or the code fits several series: it lists what there is.
+    """
     wanted = series.strip()
-    if wanted.isdecimal() and wanted.isascii() and 1 <= int(wanted) <= len(groups):
-        return [groups[int(wanted) - 1]]
-    matching = [group for group in groups if wanted and group.series_uid.endswith(wanted)]
+    matching: list[StackGroup] = []
+    if wanted.isdecimal() and wanted.isascii():
+        if len(wanted) < 10 and 1 <= int(wanted) <= len(groups):
+            return [groups[int(wanted) - 1]]
+    elif wanted:
+        is_code = len(wanted) >= SHORTEST_CODE
+        matching = [
+            group
+            for group in groups
+            if group.series_uid == wanted or (is_code and _digest(group.series_uid).startswith(wanted.lower()))
+        ]
     if len({group.series_uid for group in matching}) == 1:
         return _candidates(matching)
-    fits = "several series end" if matching else "no series has this number or ends"
-    raise ScanError(_with_list(f"{fits} like the given --series: choose a number from the list", groups))
+    fits = "several series have this code" if matching else "no series has this number, code or UID"
+    raise ScanError(
+        _with_list(f"{fits} (--series, or series in the recipe's [scan]): choose a number from the list", groups)
+    )
 
 
 def _are_phases(groups: Sequence[StackGroup]) -> bool:
@@ -212,6 +278,13 @@ def _are_phases(groups: Sequence[StackGroup]) -> bool:
         geometries = [stack_geometry(find_stack(group.stacks[0].slices)) for group in groups]
     except ScanError:
         return False
+    stated = {
+        tuple(image.traits.get(trait) for trait in ALIKE_IN_PHASES)
+        for group in groups
+        for image in group.stacks[0].slices
+    }
+    if len(stated) > 1:
+        return False
     times = {(group.stacks[0].echo_time_ms, group.stacks[0].trigger_time_ms) for group in groups}
     return len(times) == len(groups) and all(
         one.size == geometries[0].size
@@ -220,35 +293,60 @@ def _are_phases(groups: Sequence[StackGroup]) -> bool:
     )
 
 
-def _nearest(times: Sequence[float | None], wanted: float, what: str) -> float:
+def _nearest(times: Sequence[float | None], wanted: float, what: str, notes: list[str]) -> float:
+    """The time that is meant; ``notes`` gets a line where two are as near."""
     stated = sorted({time for time in times if time is not None})
+    option, key = f"--{what}-time", f"{what}_time_ms"
     if not stated:
-        raise ScanError(f"no image states its {what} time: leave --{what}-time out, and choose with --series")
-    return min(stated, key=lambda time: abs(time - wanted))
+        raise ScanError(
+            f"no image states its {what} time: leave {option} out ({key} in the recipe's [scan]), and choose with "
+            "--series, or series there"
+        )
+    nearest = min(stated, key=lambda time: (abs(time - wanted), time))
+    reach = float(np.median(np.diff(stated))) / 2.0 if len(stated) > 1 else SINGLE_TIME_PART * stated[0]
+    if len(stated) == 1:
+        reach = max(reach, SINGLE_TIME_FLOOR_MS[what])
+    if abs(nearest - wanted) > reach + TIE_MS:
+        there = f"they are {_numbers(stated)} ms" if len(stated) > 1 else f"the only one is {stated[0]:g} ms"
+        remedy = "choose one of them with" if len(stated) > 1 else "give this one, or none, with"
+        raise ScanError(
+            f"no {what} time is near {wanted:g} ms, {there}: {remedy} {option} MS, or {key} in the recipe's [scan]"
+        )
+    as_near = [time for time in stated if abs(abs(time - wanted) - abs(nearest - wanted)) <= TIE_MS]
+    if len(as_near) > 1:
+        notes.append(
+            f"the {what} times {as_near[0]:g} and {as_near[-1]:g} ms are as near to the given {wanted:g} ms: the "
+            "earlier one was taken"
+        )
+    return as_near[0]
 
 
 def _which_time(stacks: Sequence[PhaseStack]) -> str:
     triggers, echoes = _times(stacks)
     parts = []
     if len(echoes) > 1:
-        parts.append(f"{len(echoes)} echoes (echo times {_numbers(echoes)} ms): choose one with --echo-time MS")
+        parts.append(
+            f"{len(echoes)} echoes (echo times {_numbers(echoes)} ms): choose one with --echo-time MS, or echo_time_ms "
+            "in the recipe's [scan]"
+        )
     if len(triggers) > 1:
         parts.append(
-            f"{len(triggers)} cardiac phases (trigger times {_numbers(triggers)} ms): choose one with --trigger-time MS"
+            f"{len(triggers)} cardiac phases (trigger times {_numbers(triggers)} ms): choose one with --trigger-time "
+            "MS, or trigger_time_ms in the recipe's [scan]"
         )
     if not parts:
         parts = ["several stacks, of which some state no time: export the one that is wanted as a series of its own"]
-    return f"the series holds {'; and '.join(parts)}, or in the recipe's [scan]"
+    return f"the series holds {'; and '.join(parts)}"
 
 
-def _numbers(times: tuple[float, ...]) -> str:
+def _numbers(times: Sequence[float]) -> str:
     shown = ", ".join(f"{time:g}" for time in times[:TIMES_SHOWN])
     return shown + (f" ... {times[-1]:g}" if len(times) > TIMES_SHOWN else "")
 
 
 def _with_list(problem: str, groups: Sequence[StackGroup]) -> list[Problem]:
     lines = [
-        Problem(f"series {info.number}", f"{info.slice_count} images, {info.description} (UID ...{info.uid_suffix})")
+        Problem(f"series {info.number}", f"{info.slice_count} images, {info.description} (code {info.uid_code})")
         for info in listed(groups)
     ]
     return [Problem("", problem), *lines]

@@ -8,12 +8,15 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import stat
 from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
+from pydicom.dataset import Dataset
+from pydicom.sequence import Sequence
 
 from heartcase.pipeline.formats.dicom_tags import (
     has_preamble,
@@ -22,10 +25,11 @@ from heartcase.pipeline.formats.dicom_tags import (
     read_header,
     sequence_of,
     text_of,
+    values_of,
     words_of,
 )
 from heartcase.pipeline.formats.raw_volume import require_file
-from heartcase.pipeline.formats.stack import Slice
+from heartcase.pipeline.formats.stack import Rescale, Slice
 from heartcase.schemas.errors import ScanError
 
 __all__ = ["ImageSeries", "find_series", "is_dicom", "quiet_pydicom"]
@@ -83,11 +87,23 @@ HEADER_TAGS = [
     *("SOPClassUID", "SOPInstanceUID", "SeriesInstanceUID", "SeriesNumber", "Modality", "NumberOfFrames", "Rows"),
     *("Columns", "SamplesPerPixel", "PhotometricInterpretation", "ImagePositionPatient", "ImageOrientationPatient"),
     *("PixelSpacing", "RescaleSlope", "RescaleIntercept", "SharedFunctionalGroupsSequence"),
-    *("PerFrameFunctionalGroupsSequence", "ImageType", "SequenceName", "ConvolutionKernel"),
+    *("PerFrameFunctionalGroupsSequence", "ImageType", "SequenceName", "ConvolutionKernel", "ModalityLUTSequence"),
+    *("StudyInstanceUID", "FrameOfReferenceUID"),
     *(keyword for group, keyword, _, _ in PHYSICS.values()),
     *(keyword for places, _, _ in TRAITS.values() for group, keyword in places if not group),
 ]
+VALUES = "PixelValueTransformationSequence"
+FRAME_TYPES = ("MRImageFrameTypeSequence", "CTImageFrameTypeSequence")
+GROUPS = frozenset(
+    (
+        *("PlanePositionSequence", "PlaneOrientationSequence", "PixelMeasuresSequence", VALUES, CONTENT, *FRAME_TYPES),
+        *(group for group, *_ in PHYSICS.values() if group),
+        *(group for places, _, _ in TRAITS.values() for group, _ in places if group),
+    )
+)
+"""Functional groups that are read."""
 FILE_LIMIT = 100_000
+Groups = dict[str, dict[str, Any]]
 
 
 @dataclass(frozen=True)
@@ -95,7 +111,7 @@ class ImageSeries:
     """The images of one series UID."""
 
     uid: str
-    """Its UID: only the end of it may be shown."""
+    """Its UID: not to be shown."""
     modality: str
     """``CT``, ``MR``, another defined term of :data:`OTHER_MODALITIES`, or ``unknown``."""
     slices: tuple[Slice, ...]
@@ -117,13 +133,25 @@ def _files(path: Path) -> list[Path]:
     if not path.is_dir():
         require_file(path)
         return [path]
-    found = []
-    for directory, folders, names in os.walk(path):
-        folders.sort()
-        found += [Path(directory) / name for name in sorted(names)]
-        if len(found) > FILE_LIMIT:
-            raise ScanError(f"there are more than {FILE_LIMIT} files in this folder: give the folder of the scan alone")
-    return [file for file in found if file.is_file()]
+    found: list[Path] = []
+    try:
+        for directory, folders, names in os.walk(path, onerror=_refuse_folder):
+            folders.sort()
+            found += [Path(directory) / name for name in sorted(names)]
+            if len(found) > FILE_LIMIT:
+                raise ScanError(
+                    f"there are more than {FILE_LIMIT} files in this folder: give the folder of the scan alone"
+                )
+        return [file for file in found if stat.S_ISREG(file.stat().st_mode)]
+    except OSError as error:
+        _refuse_folder(error)
+
+
+def _refuse_folder(error: OSError) -> NoReturn:
+    raise ScanError(
+        "a folder or file in it cannot be opened, so that images may be missing: check that it may be read, and that "
+        "no link leads nowhere"
+    ) from None
 
 
 def find_series(path: Path) -> tuple[ImageSeries, ...]:
@@ -143,7 +171,7 @@ def find_series(path: Path) -> tuple[ImageSeries, ...]:
     Raises
     ------
     ScanError
-        There is no image, or a file is damaged.
+        There is no image, a file is damaged, a folder or file cannot be opened, or copies of an image disagree.
     """
     slices: dict[str, list[Slice]] = defaultdict(list)
     modalities: dict[str, set[str]] = defaultdict(set)
@@ -194,20 +222,32 @@ def _without_copies(slices: list[Slice]) -> tuple[Slice, ...]:
     """Each image once, in the order of the files; the other files that claim to be it go along."""
     first: dict[tuple[Any, ...], int] = {}
     kept: list[Slice] = []
+    contradicted: set[int] = set()
     for image in slices:
         identity = (image.uid, image.frame, image.shape, image.position, image.orientation, image.spacing)
         number = first.setdefault(identity, len(kept)) if image.uid else len(kept)
         if number == len(kept):
             kept.append(image)
         else:
+            contradicted |= {number} if _statements(kept[number]) != _statements(image) else set()
             kept[number] = dataclasses.replace(kept[number], copies=(*kept[number].copies, image.path))
+    if contradicted:
+        several = len(contradicted) > 1
+        raise ScanError(
+            f"{len(contradicted)} image{'s are' if several else ' is'} there more than once, and the copies state "
+            "different rescales, kinds or times: remove the files that are wrong"
+        )
     return tuple(kept)
+
+
+def _statements(image: Slice) -> tuple[Any, ...]:
+    return image.slope, image.intercept, image.rescale, image.coordinates, image.traits
 
 
 def _slices(header: Any, file: Path) -> list[Slice]:
     """One slice for a plain file, one for each frame of a multi-frame file; none where the frames do not add up."""
     frames = sequence_of(header, "PerFrameFunctionalGroupsSequence")
-    shared = (sequence_of(header, "SharedFunctionalGroupsSequence") or [None])[0]
+    shared = _functional_groups((sequence_of(header, "SharedFunctionalGroupsSequence") or [None])[0])
     frame_count = int((numbers_of(header, "NumberOfFrames", 1) or (1.0,))[0])
     if frames and len(frames) != frame_count:
         return []
@@ -217,11 +257,12 @@ def _slices(header: Any, file: Path) -> list[Slice]:
     uid = text_of(header, "SOPInstanceUID")
     image_type = words_of(header, "ImageType")
     sequence = "/".join((*words_of(header, "SequenceName"), *words_of(header, "ConvolutionKernel")))
+    coordinates = "/".join(text_of(header, keyword) for keyword in ("StudyInstanceUID", "FrameOfReferenceUID"))
 
     per_frame: list[Any] = list(frames) if frames else [None]
     slices = []
     for index, frame in enumerate(per_frame):
-        groups = (frame, shared, header)
+        groups = (_functional_groups(frame), shared, header)
         placed = frame is not None or frame_count == 1
         traits: dict[str, float | str] = {}
         for name, (places, low, high) in TRAITS.items():
@@ -231,7 +272,9 @@ def _slices(header: Any, file: Path) -> list[Slice]:
                     traits[name] = found[0]
                     break
         kind = _frame_type(groups) or image_type
-        traits |= {name: text for name, text in (("image_kind", "/".join(kind)), ("sequence", sequence)) if text}
+        texts = {"image_kind": "/".join(kind), "sequence": sequence, "stack_id": _stack_id(groups)}
+        traits |= {name: text for name, text in texts.items() if text}
+        rescale, slope, intercept = _rescale(groups, is_plain=frame is None)
         physics = {}
         for name, (group, keyword, low, high) in PHYSICS.items():
             found = _find(groups, group, keyword, 1)
@@ -246,31 +289,57 @@ def _slices(header: Any, file: Path) -> list[Slice]:
                 position=_find(groups, "PlanePositionSequence", "ImagePositionPatient", 3) if placed else None,
                 orientation=_find(groups, "PlaneOrientationSequence", "ImageOrientationPatient", 6),
                 spacing=_find(groups, "PixelMeasuresSequence", "PixelSpacing", 2),
-                slope=(_find(groups, "PixelValueTransformationSequence", "RescaleSlope", 1) or (1.0,))[0],
-                intercept=(_find(groups, "PixelValueTransformationSequence", "RescaleIntercept", 1) or (0.0,))[0],
+                slope=slope,
+                intercept=intercept,
                 traits=traits,
                 physics=physics,
                 is_localizer="LOCALIZER" in kind,
                 uid=uid,
+                rescale=rescale,
+                coordinates=coordinates,
             )
         )
     return slices
 
 
-def _find(groups: tuple[Any, Any, Any], group: str, keyword: str, count: int) -> tuple[float, ...] | None:
+def _functional_groups(item: Any) -> Groups:
+    """The functional groups of a frame, or those that all frames share: sequence -> its one item's values."""
+    groups: Groups = {}
+    for keyword, value in (values_of(item, GROUPS) if isinstance(item, Dataset) else {}).items():
+        if isinstance(value, Sequence) and len(value) > 0:
+            groups[keyword] = values_of(value[0])
+    return groups
+
+
+def _find(groups: tuple[Groups, Groups, Any], group: str, keyword: str, count: int) -> tuple[float, ...] | None:
     """A tag of a functional group: the frame's, the one that all frames share, or the plain tag of the header."""
-    frame, shared, header = groups
-    for place in (frame, shared) if group else ():
-        inner = sequence_of(place, group)
-        if inner and (found := numbers_of(inner[0], keyword, count)) is not None:
+    for place in groups[:2] if group else ():
+        if group in place and (found := numbers_of(place[group], keyword, count)) is not None:
             return found
-    return numbers_of(header, keyword, count)
+    return numbers_of(groups[2], keyword, count)
 
 
-def _frame_type(groups: tuple[Any, Any, Any]) -> tuple[str, ...]:
+def _rescale(groups: tuple[Groups, Groups, Any], *, is_plain: bool) -> tuple[Rescale, float, float]:
+    """What is stated of the rescale, with slope and intercept; the first place that states any of it counts."""
+    table = groups[2].get("ModalityLUTSequence", ()) if is_plain else ()
+    if table is None or len(table) > 0:
+        return "unreadable" if table is None else "table", 1.0, 0.0
+    for place in (groups[0].get(VALUES, {}), groups[1].get(VALUES, {}), groups[2]):
+        if "RescaleSlope" in place or "RescaleIntercept" in place:
+            slope, intercept = (numbers_of(place, keyword, 1) for keyword in ("RescaleSlope", "RescaleIntercept"))
+            if slope is None or intercept is None:
+                return "unreadable", 1.0, 0.0
+            return "stated", slope[0], intercept[0]
+    return "unstated", 1.0, 0.0
+
+
+def _frame_type(groups: tuple[Groups, Groups, Any]) -> tuple[str, ...]:
     for place in groups[:2]:
-        for group in ("MRImageFrameTypeSequence", "CTImageFrameTypeSequence"):
-            inner = sequence_of(place, group)
-            if inner:
-                return (*words_of(inner[0], "FrameType"), *words_of(inner[0], "ComplexImageComponent"))
+        for group in FRAME_TYPES:
+            if group in place:
+                return (*words_of(place[group], "FrameType"), *words_of(place[group], "ComplexImageComponent"))
     return ()
+
+
+def _stack_id(groups: tuple[Groups, Groups, Any]) -> str:
+    return next((text for place in groups[:2] if (text := text_of(place.get(CONTENT, {}), "StackID"))), "")

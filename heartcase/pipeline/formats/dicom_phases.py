@@ -1,9 +1,10 @@
 """Which images of a series belong to one stack, where the series holds several.
 
-Images of another size, spacing or orientation are another stack (a localiser among them). Images that share a slice
-position are told apart by what their headers state: kind of image, echo, energy, b-value, cardiac phase, time,
-acquisition. A stack is made of what states the same at every position. Nothing is told apart by file names or
-instance numbers, which say nothing about the patient.
+Images of another size, spacing, orientation, study or coordinate system are another stack (a localiser among them).
+Images that share a slice position are told apart by what their headers state: kind of image, echo, energy, b-value,
+cardiac phase, time, acquisition. A stack is made of what states the same at every position. Stacks whose positions
+differ, such as one in the gaps of another, are told apart by the same. Nothing is told apart by file names or instance
+numbers, which say nothing about the patient.
 """
 
 from __future__ import annotations
@@ -11,16 +12,18 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from heartcase.pipeline.formats.dicom_headers import ImageSeries
 from heartcase.pipeline.formats.stack import COSINE_TOLERANCE, SPACING_TOLERANCE, Slice, places_of, stack_problem
 
-__all__ = ["PhaseStack", "StackGroup", "stack_groups"]
+__all__ = ["TIME_TOLERANCE_MS", "PhaseStack", "StackGroup", "stack_groups"]
 
 SPLIT_BY = (
     "image_kind",
+    "stack_id",
     "echo_time_ms",
     "tube_voltage_kv",
     "b_value",
@@ -32,6 +35,15 @@ SPLIT_BY = (
     "sequence",
 )
 """Traits in the order in which they are tried."""
+SPLIT_BETWEEN = ("stack_id", "tube_voltage_kv", "inversion_time_ms", "temporal_position", "sequence")
+"""Traits that tell apart stacks of which one lies in the gaps of the other."""
+SPLIT_IN_TIME = ("cardiac_phase_percent", "trigger_time_ms")
+"""Traits that tell apart stacks at other positions, wherever these lie."""
+TIME_TOLERANCE_MS = 50.0
+"""Largest difference between the trigger times of a stack that goes without a word: heartbeats differ, and a heart
+moves little in this time."""
+PERCENT_TOLERANCE = 5.0
+"""As above, as a part of the heartbeat."""
 CHOSEN_BY_TIME = ("echo_time_ms", "temporal_position", "cardiac_phase_percent", "trigger_time_ms")
 """Traits that one group of stacks may differ in: a time chooses among them."""
 KIND_WORDS = {
@@ -94,13 +106,13 @@ class StackGroup:
     """What one number of the list stands for: the stacks of a series that differ in cardiac phase and echo alone."""
 
     series_uid: str
-    """Only its end may be shown."""
+    """Not to be shown."""
     modality: str
     """As in :class:`~heartcase.pipeline.formats.dicom_headers.ImageSeries`."""
     stacks: tuple[PhaseStack, ...]
     """By echo time, then time."""
     kind: str
-    """What tells it from the other groups of the series, in words; empty where there is one."""
+    """What tells it from other groups, in words; may be empty."""
     is_localizer: bool
     """Whether the headers call it a localiser."""
     left_out: str = ""
@@ -123,11 +135,14 @@ def stack_groups(series: ImageSeries) -> tuple[StackGroup, ...]:
     Returns
     -------
     tuple of StackGroup
-        One or more: the largest first, ties in the order of the headers. A group is not always an even stack: what is
-        wrong with it is said when it is chosen.
+        One or more: the largest first, whatever the order of the images. A group is not always an even stack: what
+        is wrong with it is said when it is chosen.
     """
     groups: list[tuple[tuple[PhaseStack, ...], list[str]]] = []
+    systems = sorted({image.coordinates for image in series.slices})
     for alike in _alike(series.slices):
+        where = f"coordinate system {systems.index(alike[0].coordinates) + 1} of {len(systems)}"
+        system = [where] if len(systems) > 1 else []
         leaves = _split(alike, SPLIT_BY, ()) if _is_placed(alike[0]) else [((), alike)]
         branches: dict[Branch, list[tuple[Branch, tuple[Slice, ...]]]] = defaultdict(list)
         for branch, slices in leaves:
@@ -137,9 +152,10 @@ def stack_groups(series: ImageSeries) -> tuple[StackGroup, ...]:
             times = [(stack.echo_time_ms, stack.trigger_time_ms) for _, stack in found]
             if len(set(times)) == len(times):
                 ordered = sorted((stack for _, stack in found), key=_time_order)
-                groups.append((tuple(ordered), _words(members[0][0], ordered[0].slices, is_one=len(ordered) == 1)))
+                words = _words(members[0][0], ordered[0].slices, is_one=len(ordered) == 1)
+                groups.append((tuple(ordered), words + system))
             else:
-                groups += [((stack,), _words(branch, stack.slices, is_one=True)) for branch, stack in found]
+                groups += [((stack,), _words(branch, stack.slices, is_one=True) + system) for branch, stack in found]
     groups.sort(key=lambda group: -_count(group[0]))
     repeated = Counter(", ".join(words) for _, words in groups)
     seen: Counter[str] = Counter()
@@ -151,8 +167,7 @@ def stack_groups(series: ImageSeries) -> tuple[StackGroup, ...]:
         is_localizer = all(image.is_localizer for stack in stacks for image in stack.slices)
         others = [other for other, _ in groups if _count(other) < _count(stacks)]
         left_out = _left_out(stacks[0].slices[0], others)
-        shown = numbered if len(groups) > 1 else ""
-        made.append(StackGroup(series.uid, series.modality, stacks, shown, is_localizer, left_out))
+        made.append(StackGroup(series.uid, series.modality, stacks, numbered, is_localizer, left_out))
     return tuple(made)
 
 
@@ -176,6 +191,8 @@ def _left_out(first: Slice, others: Sequence[Sequence[PhaseStack]]) -> str:
             why["another size"] = None
         elif not _is_parallel(first, image):
             why["another orientation"] = None
+        elif image.coordinates != first.coordinates:
+            why["another study or coordinate system"] = None
         else:
             why["another pixel spacing"] = None
     are = "images of the series are" if len(images) > 1 else "image of the series is"
@@ -187,11 +204,11 @@ def _is_placed(image: Slice) -> bool:
 
 
 def _alike(slices: Sequence[Slice]) -> list[tuple[Slice, ...]]:
-    """Images of one size, spacing and orientation, within the tolerance of a stack."""
+    """Images of one size, spacing, orientation and coordinate system, within the tolerance of a stack."""
     found: list[tuple[Slice, list[Slice]]] = []
     known: dict[Hashable, list[Slice]] = {}
-    for image in slices:
-        exact = (image.shape, _is_placed(image), image.is_grey, image.orientation, image.spacing)
+    for image in sorted(slices, key=_header_order):
+        exact = (image.shape, _is_placed(image), image.is_grey, image.orientation, image.spacing, image.coordinates)
         if exact not in known:
             members = next((members for first, members in found if _is_alike(first, image)), None)
             if members is None:
@@ -202,8 +219,15 @@ def _alike(slices: Sequence[Slice]) -> list[tuple[Slice, ...]]:
     return [tuple(members) for _, members in found]
 
 
+def _header_order(image: Slice) -> tuple[Hashable, ...]:
+    """Sorts by what the header says, since the first of a stack stands for it."""
+    return image.shape, image.orientation or (), image.spacing or (), image.coordinates, image.position or (), image.uid
+
+
 def _is_alike(first: Slice, image: Slice) -> bool:
     if (first.shape, _is_placed(first), first.is_grey) != (image.shape, _is_placed(image), image.is_grey):
+        return False
+    if first.coordinates != image.coordinates:
         return False
     if not _is_placed(first):
         return True
@@ -224,7 +248,7 @@ def _split(
     if places.max() == 0:  # one slice: no choice of a time makes a stack of it
         return [(branch, slices)]
     if len(set(places.tolist())) == len(slices):
-        return [(branch, slices)] if stack_problem(slices) is None else _split_interleaved(slices, traits, branch)
+        return _split_apart(slices, branch)
     for number, trait in enumerate(traits):
         values = [image.traits.get(trait) for image in slices]
         at_place: dict[int, set[float | str | None]] = defaultdict(set)
@@ -254,17 +278,43 @@ def _is_orderly(at_place: dict[int, set[float | str | None]], class_count: int) 
     return 2 * sum(count > 1 for count in counts) >= len(counts) and class_count <= 2 * max(counts)
 
 
-def _split_interleaved(
-    slices: tuple[Slice, ...], traits: tuple[str, ...], branch: Branch
-) -> list[tuple[Branch, tuple[Slice, ...]]]:
-    """Stacks whose positions differ: split by a trait of which every value has an even stack of its own."""
-    for trait in traits:
+def _split_apart(slices: tuple[Slice, ...], branch: Branch) -> list[tuple[Branch, tuple[Slice, ...]]]:
+    """Stacks whose positions differ: split by a trait of which every value has an even stack of its own.
+
+    Where all positions together are even too, only such traits split as never differ within a stack.
+    """
+    is_even = stack_problem(slices) is None
+    for trait in SPLIT_BY:
+        if trait in dict(branch) or (is_even and trait not in (*SPLIT_BETWEEN, *SPLIT_IN_TIME)):
+            continue
+        values = [image.traits.get(trait) for image in slices]
+        classes = _distant(values, trait) if is_even and trait in SPLIT_IN_TIME else values
         parts: dict[Hashable, list[Slice]] = defaultdict(list)
-        for image in slices:
-            parts[image.traits.get(trait)].append(image)
-        if 1 < len(parts) <= len(slices) // 2 and all(stack_problem(part) is None for part in parts.values()):
-            return [((*branch, (trait, one)), tuple(parts[one])) for one in sorted(parts, key=_sortable)]
+        for image, one in zip(slices, classes, strict=True):
+            parts[one].append(image)
+        if not 1 < len(parts) <= len(slices) // 2 or any(stack_problem(part) for part in parts.values()):
+            continue
+        if not is_even or trait in SPLIT_IN_TIME or _is_between(slices, classes):
+            found: list[tuple[Branch, tuple[Slice, ...]]] = []
+            for one in sorted(parts, key=_sortable):
+                found += _split_apart(tuple(parts[one]), (*branch, (trait, one)))
+            return found
     return [(branch, slices)]
+
+
+def _distant(values: Sequence[float | str | None], trait: str) -> list[Hashable]:
+    """Number of the class of each time: the times of neighbouring classes differ by more than the tolerance."""
+    tolerance = TIME_TOLERANCE_MS if trait == "trigger_time_ms" else PERCENT_TOLERANCE
+    stated = np.unique([value for value in values if isinstance(value, float)])
+    starts = stated[1:][np.diff(stated) > tolerance]
+    return [int(np.searchsorted(starts, value, side="right")) if isinstance(value, float) else None for value in values]
+
+
+def _is_between(slices: tuple[Slice, ...], classes: Sequence[Hashable]) -> bool:
+    """Whether a class has positions on both sides of one of another, unlike slabs that follow each other."""
+    along = [classes[index] for index in np.argsort(places_of(slices), kind="stable")]
+    changes = sum(one != other for one, other in pairwise(along))
+    return bool(changes >= len(set(along)))
 
 
 def _ranks(

@@ -64,8 +64,10 @@ def read_pixels(slices: tuple[Slice, ...], progress: Callable[[], None] = lambda
     Raises
     ------
     ScanError
-        A file is damaged, or compressed in a way that is not read; it names the slice.
+        A file is damaged, or compressed in a way that is not read; it names the slice. Or some slices state a rescale
+        and others do not.
     """
+    _check_rescale(slices)
     rows, columns = slices[0].shape
     values = np.empty((len(slices), rows, columns), dtype=np.float32)
     by_file: dict[Path, list[int]] = {}
@@ -84,6 +86,23 @@ def read_pixels(slices: tuple[Slice, ...], progress: Callable[[], None] = lambda
                     raise ScanError(error.problems[0].message, place=f"slice {number + 1}") from None
                 progress()
     return values
+
+
+def _check_rescale(slices: tuple[Slice, ...]) -> None:
+    for number, image in enumerate(slices):
+        if image.rescale == "unreadable":
+            raise ScanError(
+                "its rescale slope and intercept, or modality LUT, cannot be read, so that its values are unknown: "
+                "export the series again",
+                place=f"slice {number + 1}",
+            )
+    bare = [number for number, image in enumerate(slices) if image.rescale == "unstated"]
+    if 0 < len(bare) < len(slices):
+        raise ScanError(
+            "it states no rescale slope and intercept while other slices do, so that its values are unknown: export "
+            "the series again",
+            place=f"slice {bare[0] + 1}",
+        )
 
 
 def fill_padding(values: Float32) -> Float32:
@@ -195,7 +214,7 @@ def _compare_copies(path: Path, stored: npt.NDArray[Any], image: Slice) -> None:
 
 def _values(dataset: Any, stored: npt.NDArray[Any], image: Slice) -> Float64:
     padding = _padding(dataset, stored)
-    if image.frame is None and dataset.get("ModalityLUTSequence"):
+    if image.rescale == "table":
         try:
             values = np.asarray(apply_modality_lut(stored, dataset), dtype=np.float64)
         except Exception:  # as above

@@ -1,7 +1,9 @@
 """Read a DICOM segmentation object (SEG): binary, fractional and label map (PS3.3 A.51, A.90 and C.8.20).
 
 Frames may come in any order, and those in which nothing is marked may be missing; where each lies is taken from its
-own plane position. Segments are told apart by their place in the file's list: their labels may name a patient.
+own plane position. How thick a plane is must be known and is not guessed: the stated distance between planes, the
+slices of the scan, or a stated thickness at which all planes lie. Segments are told apart by their place in the file's
+list: their labels may name a patient.
 """
 
 from __future__ import annotations
@@ -32,6 +34,8 @@ DAMAGED = "the segmentation is cut short or damaged: export it again"
 COSINE_TOLERANCE = 1e-4
 PLACE_TOLERANCE = 0.01
 """How far a frame may lie from its place, in slice spacings along the normal and in pixels across it."""
+SLICE_TOLERANCE = 0.1
+"""How far a plane may lie from a slice of the scan, in slice spacings: a scan's own slices are evened out when read."""
 FRAME_LIMIT = 100_000
 
 Float64 = npt.NDArray[np.float64]
@@ -45,18 +49,23 @@ class _Frame:
     orientation: Float64
     spacing: Float64
     between: float | None
-    """Distance between slices, or their thickness where that is not given."""
+    """Distance between slices, where it is stated."""
+    thickness: float | None
+    """Thickness of a slice, where it is stated; slices may overlap or leave gaps."""
     segment: int | None
     """Segment number; None in a label map."""
 
 
-def read_dicom_seg(path: Path) -> LabelVolume:
+def read_dicom_seg(path: Path, scan: Geometry | None = None) -> LabelVolume:
     """Read a DICOM SEG.
 
     Parameters
     ----------
     path
         The file, or a folder with this one DICOM file in it.
+    scan
+        The scan's lattice, or a part of it: where the file does not state the distance between its planes, and they lie
+        on slices of the scan, it is the scan's.
 
     Returns
     -------
@@ -68,11 +77,12 @@ def read_dicom_seg(path: Path) -> LabelVolume:
     Raises
     ------
     MarkerError
-        It is not one segmentation, says not where it lies, is unevenly spaced, or is damaged.
+        It is not one segmentation, says not where it lies or how thick its planes are, is unevenly spaced, lists two
+        segments under one number, or is damaged.
     """
     with quiet_pydicom():
         try:
-            return _read(_one_file(path))
+            return _read(_one_file(path), scan)
         except HeartcaseError:
             raise
         except Exception:  # pydicom raises errors of every kind on damaged files
@@ -91,20 +101,25 @@ def _one_file(path: Path) -> Path:
     return files[0]
 
 
-def _read(file: Path) -> LabelVolume:
+def _read(file: Path, scan: Geometry | None) -> LabelVolume:
     dataset = pydicom.dcmread(file, force=True)
     if str(dataset.get("SOPClassUID", "")) not in SEG_CLASSES:
         raise MarkerError("the DICOM file is no segmentation (SEG): is it a slice of the scan? Export a DICOM SEG")
     is_map = str(dataset.SegmentationType).upper() == "LABELMAP"
     frames = _frames(dataset, is_map)
     check_size((int(dataset.Columns), int(dataset.Rows), len(frames)))
-    geometry, places = _lattice(frames, rows=int(dataset.Rows), columns=int(dataset.Columns))
+    geometry, places = _lattice(frames, scan, rows=int(dataset.Rows), columns=int(dataset.Columns))
     check_size(geometry.size)
     listed = [item for item in dataset.SegmentSequence if int(item.SegmentNumber) != 0]
     place_in_list = np.zeros(65536, np.uint16)
     for place, item in enumerate(listed, start=1):
+        if place_in_list[int(item.SegmentNumber)]:
+            raise MarkerError(
+                "two segments of the file have the same number, so no one can tell them apart: correct it"
+            )
         place_in_list[int(item.SegmentNumber)] = place
     merged = np.zeros(geometry.shape, np.uint16)
+    painted: set[int] = set()
     for frame, k, stored in zip(frames, places, _stored(dataset, len(frames)), strict=True):
         if frame.segment is None:
             shown = place_in_list[stored]
@@ -116,11 +131,13 @@ def _read(file: Path) -> LabelVolume:
                 raise MarkerError("a frame shows a segment that the file does not list: export it again")
             shown = stored * place_in_list[frame.segment]
         np.maximum(merged[k], shown, out=merged[k])
+        painted |= set(np.unique(shown).tolist()) - {0}
     segments = {
         place: SegmentInfo(place, " ".join(str(item.get("SegmentLabel", "")).split())[:64], _snomed(item))
         for place, item in enumerate(listed, start=1)
     }
-    return LabelVolume(merged.astype(np.uint8) if len(listed) < 256 else merged, geometry, segments)
+    vanished = tuple(sorted(painted - set(np.unique(merged).tolist())))
+    return LabelVolume(merged.astype(np.uint8) if len(listed) < 256 else merged, geometry, segments, vanished)
 
 
 def _frames(dataset: Any, is_map: bool) -> list[_Frame]:
@@ -150,7 +167,8 @@ def _frames(dataset: Any, is_map: bool) -> list[_Frame]:
                 position=np.array(position, float),
                 orientation=np.array(orientation, float),
                 spacing=np.array(spacing, float),
-                between=float(between or thickness or 0.0) or None,
+                between=None if between is None else float(between),
+                thickness=None if thickness is None else float(thickness),
                 segment=None
                 if is_map
                 else int(find(frame, "SegmentIdentificationSequence", "ReferencedSegmentNumber")),
@@ -159,7 +177,9 @@ def _frames(dataset: Any, is_map: bool) -> list[_Frame]:
     return frames
 
 
-def _lattice(frames: list[_Frame], *, rows: int, columns: int) -> tuple[Geometry, npt.NDArray[np.int64]]:
+def _lattice(
+    frames: list[_Frame], scan: Geometry | None, *, rows: int, columns: int
+) -> tuple[Geometry, npt.NDArray[np.int64]]:
     """The lattice that all frames lie on, and the slice of each."""
     first = frames[0]
     alike = all(
@@ -175,32 +195,60 @@ def _lattice(frames: list[_Frame], *, rows: int, columns: int) -> tuple[Geometry
     numbers = (positions, first.orientation, first.spacing)
     if not all(np.isfinite(one).all() for one in numbers) or np.linalg.norm(normal) < 0.5 or first.spacing.min() <= 0.0:
         raise MarkerError("the position, direction or spacing in the headers is zero or not a number: export again")
-    along = positions @ (normal / np.linalg.norm(normal))
-    order = np.sort(along)
-    gaps = np.diff(order)
-    gaps = gaps[gaps > PLACE_TOLERANCE * (first.between or gaps.max(initial=0.0))]
-    extent = order[-1] - order[0]
-    stated = first.between
-    if not gaps.size:
-        spacing, count = stated or 1.0, 1
-    else:
-        # a stated thickness may be that of overlapping slices: it counts only where the planes lie on its multiples
-        fits = stated is not None and _is_even(gaps, stated)
-        spacing = stated if fits and stated is not None else float(gaps.min())
-        count = round(extent / spacing) + 1
-        if not _is_even(gaps, spacing):
-            raise MarkerError("the planes are unevenly spaced: resample the segmentation onto the scan, and export it")
-        spacing = extent / (count - 1)
-    places = np.rint((along - order[0]) / spacing).astype(np.int64)
+    normal /= np.linalg.norm(normal)
+    along = positions @ normal
+    start, spacing, places = _planes(along, normal, first, scan)
     affine = np.eye(4)
     affine[:3, 0], affine[:3, 1] = row * first.spacing[1], column * first.spacing[0]
-    affine[:3, 2] = normal / np.linalg.norm(normal) * spacing
-    affine[:3, 3] = positions[np.argmin(along)]
+    affine[:3, 2] = normal * spacing
+    affine[:3, 3] = positions[np.argmin(along)] + normal * (start - along.min())
     expected = affine[:3, 3] + places[:, np.newaxis] * affine[:3, 2]
     off = np.abs((positions - expected) @ np.stack([row, column], axis=1)).max()
     if off > PLACE_TOLERANCE * first.spacing.min():
         raise MarkerError("the planes are shifted sideways against each other: resample the segmentation onto the scan")
-    return geometry_from_affine(affine, (count, rows, columns)), places
+    return geometry_from_affine(affine, (int(places.max()) + 1, rows, columns)), places
+
+
+def _planes(
+    along: Float64, normal: Float64, frame: _Frame, scan: Geometry | None
+) -> tuple[float, float, npt.NDArray[np.int64]]:
+    """Place of the first plane along the normal, distance between planes, and number of each frame's plane from 0."""
+    stated = frame.between
+    if stated is not None and not stated > 0.0:
+        raise MarkerError("the stated distance between planes is zero, negative or not a number: export it again")
+    low, extent = float(along.min()), float(np.ptp(along))
+    gaps = np.diff(np.sort(along))
+    gaps = gaps[gaps > PLACE_TOLERANCE * (stated or gaps.max(initial=0.0))]
+    if stated is None or not _is_even(gaps, stated):
+        slices = None if scan is None else _slices_of(scan, normal)
+        if slices is not None:
+            numbers = (along - slices[0]) / slices[1]
+            places = np.rint(numbers)
+            if (np.abs(numbers - places) <= SLICE_TOLERANCE).all():
+                first = float(places.min())
+                return slices[0] + first * slices[1], slices[1], (places - first).astype(np.int64)
+        if gaps.size and not _is_even(gaps, float(gaps.min())):
+            raise MarkerError("the planes are unevenly spaced: resample the segmentation onto the scan, and export it")
+        if stated is not None:
+            raise MarkerError("the planes do not lie at the distance that the file states: export it with its scan")
+        stated = frame.thickness
+        if stated is None or not gaps.size or (np.abs(gaps - stated) > PLACE_TOLERANCE * stated).any():
+            raise MarkerError(
+                "the file does not state the distance between its planes (SpacingBetweenSlices), and they are no "
+                "slices of the scan at hand, so which planes are missing cannot be told: export it again with its scan"
+            )
+    count = round(extent / stated) + 1
+    spacing = extent / (count - 1) if count > 1 else stated
+    return low, spacing, np.rint((along - low) / spacing).astype(np.int64)
+
+
+def _slices_of(scan: Geometry, normal: Float64) -> tuple[float, float] | None:
+    """Place of one of the scan's slices along a normal, and their distance; None where none lie across it."""
+    cosines = normal @ scan.direction_matrix
+    axis = int(np.argmax(np.abs(cosines)))
+    if 1.0 - abs(cosines[axis]) > COSINE_TOLERANCE:
+        return None
+    return float(normal @ np.array(scan.origin_mm)), scan.spacing_mm[axis]
 
 
 def _is_even(gaps: Float64, spacing: float) -> bool:

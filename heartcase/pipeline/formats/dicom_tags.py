@@ -5,15 +5,25 @@ from __future__ import annotations
 import logging
 import warnings
 import zlib
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 import pydicom
+from pydicom.datadict import keyword_for_tag
 
-__all__ = ["numbers_of", "quiet_pydicom", "read_data_set", "read_header", "sequence_of", "text_of", "words_of"]
+__all__ = [
+    "numbers_of",
+    "quiet_pydicom",
+    "read_data_set",
+    "read_header",
+    "sequence_of",
+    "text_of",
+    "values_of",
+    "words_of",
+]
 
 DEFLATED = b"1.2.840.10008.1.2.1.99"
 INFLATED_LIMIT = 2**31
@@ -46,7 +56,7 @@ def has_preamble(stream: IO[bytes]) -> bool | None:
 def read_header(file: Path, tags: list[str]) -> dict[str, Any] | None:
     """Values of the named tags that a file holds, read up to its pixels; None where it does not start as DICOM does.
 
-    A tag whose value cannot be read is left out.
+    A tag whose value cannot be read has the value None.
     """
     with file.open("rb") as stream:
         preamble = has_preamble(stream)
@@ -54,14 +64,22 @@ def read_header(file: Path, tags: list[str]) -> dict[str, Any] | None:
             return None
         _check_deflated(stream)
         dataset = pydicom.dcmread(stream, stop_before_pixels=True, specific_tags=list(tags), force=not preamble)
-    # A dict, since looking up the many tags that are not there is slow in a data set.
-    values, found = {}, dataset.keys()
-    for tag in tuple(found):
-        try:
-            element = dataset[tag]
-            values[element.keyword] = element.value
-        except Exception:  # pydicom raises errors of every kind on damaged files
-            continue
+    return values_of(dataset)
+
+
+def values_of(dataset: Any, keywords: Collection[str] | None = None) -> dict[str, Any]:
+    """The values of a data set by keyword, all or those that are named; None for one that cannot be read.
+
+    A dict, since looking up the many tags that are not there is slow in a data set.
+    """
+    values: dict[str, Any] = {}
+    for tag in tuple(dataset.keys()):
+        keyword = keyword_for_tag(tag)
+        if keywords is None or keyword in keywords:
+            try:
+                values[keyword] = dataset[tag].value
+            except Exception:  # pydicom raises errors of every kind on damaged files
+                values[keyword] = None
     return values
 
 

@@ -71,7 +71,7 @@ def read_point_lists(path: Path) -> tuple[MarkupList, ...]:
         markups = content["markups"]
         stem = path.name.lower().removesuffix(".json").removesuffix(".mrk")
         lists = [_markup(number, markup, stem) for number, markup in enumerate(markups, start=1)]
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError):
         raise MarkerError(DAMAGED) from None
     return tuple(markup for markup in lists if len(markup.points_mm))
 

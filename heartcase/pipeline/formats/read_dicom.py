@@ -13,16 +13,28 @@ import numpy as np
 
 from heartcase.pipeline.cautions import anatomy, note
 from heartcase.pipeline.data import Scan
-from heartcase.pipeline.formats.dicom_choice import SeriesInfo, choose, describe_volume, listed
+from heartcase.pipeline.formats.dicom_choice import Choice, SeriesInfo, choose, describe_volume, listed
 from heartcase.pipeline.formats.dicom_headers import find_series, is_dicom
-from heartcase.pipeline.formats.dicom_phases import PhaseStack, StackGroup, stack_groups
+from heartcase.pipeline.formats.dicom_phases import TIME_TOLERANCE_MS, PhaseStack, StackGroup, stack_groups
 from heartcase.pipeline.formats.dicom_pixels import fill_padding, read_pixels
 from heartcase.pipeline.formats.raw_volume import check_size, geometry_from_affine
 from heartcase.pipeline.formats.stack import Stack, find_stack
 from heartcase.pipeline.formats.straighten import straight_shape, straightened, with_missing
 from heartcase.schemas.errors import ScanError
 
-__all__ = ["SeriesInfo", "chosen_file", "describe_volume", "is_dicom", "read_dicom", "series_of"]
+__all__ = [
+    "SeriesInfo",
+    "chosen_file",
+    "describe_volume",
+    "groups_of",
+    "is_dicom",
+    "read_dicom",
+    "scan_of_stack",
+    "series_of",
+]
+
+ONE_VALUE = {"tube_voltage_kv": ("tube voltage", "kV"), "inversion_time_ms": ("inversion time", "ms")}
+"""Traits that a stack should state alike -> name and unit."""
 
 
 def series_of(path: Path) -> tuple[SeriesInfo, ...]:
@@ -35,7 +47,7 @@ def series_of(path: Path) -> tuple[SeriesInfo, ...]:
     ScanError
         There is no DICOM image, or a file is damaged.
     """
-    return listed(_groups(path))
+    return listed(groups_of(path))
 
 
 def read_dicom(
@@ -54,9 +66,10 @@ def read_dicom(
     path
         Folder, searched with its subfolders, or one file.
     series
-        Number in :func:`series_of` or end of the UID; may be left out where there is one stack beside localisers.
+        Number or code in :func:`series_of`, or the UID; may be left out where there is one stack beside localisers.
     trigger_time_ms
-        The cardiac phase nearest to this time after the R wave, ms.
+        The cardiac phase nearest to this time after the R wave, ms; see
+        :func:`~heartcase.pipeline.formats.dicom_choice.choose` for how near it must be.
     echo_time_ms
         The echo nearest to this echo time, ms.
     interpolate_missing
@@ -76,26 +89,37 @@ def read_dicom(
     ScanError
         The choice is not clear, or the images do not form one evenly spaced straight stack.
     """
-    groups = _groups(path)
-    group, chosen = choose(groups, series=series, trigger_time_ms=trigger_time_ms, echo_time_ms=echo_time_ms)
+    choice = choose(groups_of(path), series=series, trigger_time_ms=trigger_time_ms, echo_time_ms=echo_time_ms)
     try:
-        stack = find_stack(chosen.slices, interpolate_missing=interpolate_missing, straighten_tilt=straighten_tilt)
+        stack = find_stack(
+            choice.stack.slices, interpolate_missing=interpolate_missing, straighten_tilt=straighten_tilt
+        )
     except ScanError as error:
-        left_out = f" ({group.left_out})" if group.left_out else ""
+        left_out = f" ({choice.group.left_out})" if choice.group.left_out else ""
         raise ScanError(error.problems[0].message + left_out) from None
+    return scan_of_stack(stack, choice)
+
+
+def scan_of_stack(stack: Stack, choice: Choice) -> Scan:
+    """Read the pixels of a stack; ``choice`` says what it was found as.
+
+    Raises
+    ------
+    ScanError
+        A file is damaged or holds values that are not finite.
+    """
     check_size(straight_shape(stack)[::-1])
     values = fill_padding(read_pixels(stack.slices))
     values, affine = straightened(values, stack)
     values = with_missing(values, stack)
     if not np.isfinite(values).all():
         raise ScanError("the rescaled values are not finite numbers: export the series again")
-    modality = group.modality
     return Scan(
         values=values,
         geometry=geometry_from_affine(affine, values.shape),
-        modality=modality,
-        acquisition=_acquisition(chosen),
-        warnings=tuple(_warnings(stack, chosen, group)),
+        modality=choice.group.modality,
+        acquisition=_acquisition(choice.stack),
+        warnings=tuple(_warnings(stack, choice)),
     )
 
 
@@ -109,11 +133,18 @@ def chosen_file(
     ScanError
         The choice is not clear.
     """
-    _, chosen = choose(_groups(path), series=series, trigger_time_ms=trigger_time_ms, echo_time_ms=echo_time_ms)
-    return chosen.slices[0].path
+    choice = choose(groups_of(path), series=series, trigger_time_ms=trigger_time_ms, echo_time_ms=echo_time_ms)
+    return choice.stack.slices[0].path
 
 
-def _groups(path: Path) -> tuple[StackGroup, ...]:
+def groups_of(path: Path) -> tuple[StackGroup, ...]:
+    """The groups of stacks of a folder, or of one file, in the order of their numbers.
+
+    Raises
+    ------
+    ScanError
+        There is no DICOM image, or a file is damaged.
+    """
     return tuple(group for series in find_series(path) for group in stack_groups(series))
 
 
@@ -130,8 +161,9 @@ def _acquisition(chosen: PhaseStack) -> dict[str, float]:
     return physics | {name: value for name, value in stated.items() if value is not None}
 
 
-def _warnings(stack: Stack, chosen: PhaseStack, group: StackGroup) -> list[str]:
-    warnings: list[str] = []
+def _warnings(stack: Stack, choice: Choice) -> list[str]:
+    group, chosen, notes = choice
+    warnings: list[str] = list(notes)
     if stack.missing:
         numbers = ", ".join(str(place + 1) for place in stack.missing)
         spacing = float(np.linalg.norm(stack.affine[:3, 2]))
@@ -150,12 +182,17 @@ def _warnings(stack: Stack, chosen: PhaseStack, group: StackGroup) -> list[str]:
         for other in group.stacks
         if other is not chosen and other.echo_time_ms == chosen.echo_time_ms
     ]
-    times = [time for time in others if time is not None]
-    if chosen.trigger_time_ms is not None and times:
-        step = min(abs(time - chosen.trigger_time_ms) for time in times)
-        if chosen.trigger_spread_ms > 0.5 * step:
+    steps = [abs(time - (chosen.trigger_time_ms or 0.0)) for time in others if time is not None]
+    if chosen.trigger_spread_ms > min([TIME_TOLERANCE_MS, *(0.5 * step for step in steps)]):
+        warnings.append(
+            f"the trigger times of the slices differ by up to {chosen.trigger_spread_ms:.0f} ms: the heartbeat "
+            "changed during the scan, or they show several phases of it, so the slices may not fit together"
+        )
+    for trait, (words, unit) in ONE_VALUE.items():
+        values = [value for image in chosen.slices if isinstance(value := image.traits.get(trait), float)]
+        if len(set(values)) > 1:
             warnings.append(
-                f"the trigger times of the slices differ by up to {chosen.trigger_spread_ms:.0f} ms: the heartbeat "
-                "changed during the scan, so the slices may not fit together"
+                f"the {words} of the slices is not one: {min(values):g} to {max(values):g} {unit}, so that their grey "
+                "values may not mean the same"
             )
     return [*warnings, note(group.left_out)] if group.left_out else warnings

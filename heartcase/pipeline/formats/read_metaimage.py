@@ -28,7 +28,7 @@ from heartcase.pipeline.formats.raw_volume import (
 )
 from heartcase.schemas.errors import ScanError
 
-__all__ = ["read_metaimage"]
+__all__ = ["metaimage_data_file", "read_metaimage"]
 
 ELEMENT_TYPES = {
     "MET_CHAR": "i1",
@@ -45,6 +45,9 @@ ELEMENT_TYPES = {
     "MET_DOUBLE": "f8",
 }
 """Type of the values -> NumPy's name without the byte order."""
+SPACING_KEYS = ("ElementSpacing", "ElementSize")
+DIRECTION_KEYS = ("TransformMatrix", "Rotation", "Orientation")
+MILLIMETRES = ("", "?", "mm", "millimeter", "millimeters", "millimetre", "millimetres")
 _NOT_METAIMAGE = "the file is not a MetaImage file, or its start is damaged: export it again"
 
 
@@ -64,12 +67,9 @@ def read_metaimage(path: Path) -> RawVolume:
     Raises
     ------
     ScanError
-        It cannot be read, is damaged or sheared, or has more axes.
+        It cannot be read, is damaged or sheared, is without a spacing, not in mm, scales its values, or has more axes.
     """
-    require_file(path)
-    with path.open("rb") as file:
-        start = file.read(HEADER_LIMIT)
-    fields, end = _fields(start)
+    fields, end = _header(path)
     size = integers_of(fields["DimSize"])
     channels = integers_of(fields.get("ElementNumberOfChannels", "1"))
     check_size(size or (0,), components=channels[0] if channels else 0)
@@ -80,20 +80,51 @@ def read_metaimage(path: Path) -> RawVolume:
     element = ELEMENT_TYPES.get(fields.get("ElementType", "").removesuffix("_ARRAY"))
     if element is None:
         raise ScanError("the header gives no known type of values: export the file again")
+    _check_meaning(fields)
     order = ">" if _is_true(fields, "BinaryDataByteOrderMSB", "ElementByteOrderMSB") else "<"
     dtype = np.dtype(order + element)
     count = math.prod(size) * channels[0]
-    is_local = fields["ElementDataFile"].upper() == "LOCAL"
-    data = path if is_local else local_data_file(path, fields["ElementDataFile"])
-    offset = end if is_local else _skipped(fields, data, count * dtype.itemsize)
+    detached = _data_file(path, fields)
+    data = detached or path
+    offset = end if detached is None else _skipped(fields, data, count * dtype.itemsize)
     values = _values(data, offset, count, dtype, fields)
     shape = (*size[::-1], channels[0]) if channels[0] > 1 else size[::-1]
     geometry = geometry_from_affine(_affine(fields), size[::-1])
-    return RawVolume(values=values.reshape(shape), geometry=geometry)
+    stated = any(key in fields for key in DIRECTION_KEYS)
+    return RawVolume(values=values.reshape(shape), geometry=geometry, orientation_is_stated=stated)
 
 
-def _fields(start: bytes) -> tuple[dict[str, str], int]:
+def metaimage_data_file(path: Path) -> Path | None:
+    """The file that a MetaImage header takes its values from, whatever the header's own file is called.
+
+    Parameters
+    ----------
+    path
+        .mha or .mhd file.
+
+    Returns
+    -------
+    Path or None
+        None where the values follow the header in its own file.
+
+    Raises
+    ------
+    ScanError
+        It is no MetaImage file, or the data file is not beside it.
+    """
+    return _data_file(path, _header(path)[0])
+
+
+def _data_file(path: Path, fields: dict[str, str]) -> Path | None:
+    name = fields["ElementDataFile"]
+    return None if name.upper() == "LOCAL" else local_data_file(path, name)
+
+
+def _header(path: Path) -> tuple[dict[str, str], int]:
     """Key -> text of the header, and where it ends."""
+    require_file(path)
+    with path.open("rb") as file:
+        start = file.read(HEADER_LIMIT)
     end = re.search(rb"^\s*ElementDataFile\s*=\s*([^\r\n]*)(\r?\n|$)", start, re.M)
     fields: dict[str, str] = {}
     for line in start[: end.end() if end else 0].decode("utf-8", errors="replace").splitlines():
@@ -106,6 +137,19 @@ def _fields(start: bytes) -> tuple[dict[str, str], int]:
 
 def _is_true(fields: dict[str, str], *keys: str) -> bool:
     return any(fields.get(key, "").lower() in ("true", "1") for key in keys)
+
+
+def _check_meaning(fields: dict[str, str]) -> None:
+    """Refuse lengths in another unit, and values that are to be scaled."""
+    if fields.get("DistanceUnits", "").lower() not in MILLIMETRES:
+        raise ScanError("the positions are not in millimetres: convert the scan to millimetres and export it again")
+    for key, neutral in (("Slope", 1.0), ("Offset", 0.0)):
+        try:
+            is_neutral = float(fields.get(f"ElementToIntensityFunction{key}", neutral)) == neutral
+        except ValueError:
+            is_neutral = False
+        if not is_neutral:
+            raise ScanError("the header scales the values by an intensity function: export the scan with true values")
 
 
 def _skipped(fields: dict[str, str], data: Path, byte_count: int) -> int:
@@ -143,9 +187,14 @@ def _inflated(content: bytes, byte_count: int) -> bytes:
 
 def _affine(fields: dict[str, str]) -> npt.NDArray[np.float64]:
     """Map from index to LPS mm; the matrix's rows are the directions of the axes."""
-    spacing = _numbers(fields, ("ElementSpacing", "ElementSize"), (1.0, 1.0, 1.0))
+    spacing = _numbers(fields, SPACING_KEYS, (math.nan,) * 3)
     origin = _numbers(fields, ("Offset", "Position", "Origin"), (0.0, 0.0, 0.0))
-    rows = _numbers(fields, ("TransformMatrix", "Rotation", "Orientation"), (1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0))
+    rows = _numbers(fields, DIRECTION_KEYS, (1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0))
+    if not ((spacing > 0.0) & (spacing < math.inf)).all():
+        raise ScanError(
+            "the header does not give the voxel spacing of every axis as a number above zero: export the file again, "
+            "with its spacing"
+        )
     affine = np.eye(4)
     with np.errstate(over="ignore", invalid="ignore"):
         affine[:3, :3] = rows.reshape(3, 3).T * spacing

@@ -2,7 +2,8 @@
 
 Read here and not through ITK because ITK fills up a truncated file with zeros, and where the sform is sheared takes
 the qform without a word. The format is that of the NIfTI-1.1 and NIfTI-2 headers of the NIfTI data format working
-group (nifti1.h, nifti2.h); as there, the sform goes before the qform.
+group (nifti1.h, nifti2.h); as there, the sform goes before the qform. A file in which they disagree is refused: each
+program would put it elsewhere.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import gzip
 import struct
 import zlib
+from itertools import product
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -18,6 +20,7 @@ import numpy.typing as npt
 
 from heartcase.pipeline.formats.raw_volume import RawVolume, check_size, geometry_from_affine, require_file
 from heartcase.schemas.errors import ScanError
+from heartcase.schemas.geometry import Geometry
 
 __all__ = ["read_nifti"]
 
@@ -37,6 +40,10 @@ OTHER_TYPES = {128: "colour", 2304: "colour", 32: "complex", 1792: "complex", 20
 UNIT_MM = {0: 1.0, 1: 1000.0, 2: 1.0, 3: 0.001}
 RAS_TO_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
 DAMAGED = "the file is cut short or damaged: copy or export it again"
+AGREEMENT_MM = 0.1
+"""How far sform and qform may put a corner of the volume apart, beside what rounding explains."""
+QUATERNION_ROUNDING = 2.5e-7
+"""How far float32 rounding of the quaternion may be off in 1 - b2 - c2 - d2."""
 
 
 class _Header:
@@ -101,21 +108,48 @@ class _Header:
             raise ScanError(f"the voxel values are {kind}: export the scan with one plain number per voxel")
         return np.dtype(self.order + SCALAR_TYPES[self.datatype])
 
-    def affine_lps(self) -> npt.NDArray[np.float64]:
-        """Map from index to patient LPS mm, shape (4, 4); where none is stated the axes are taken as L, P, S."""
-        affine = np.eye(4)
-        if self.sform_code > 0:
-            affine[:3] = np.array(self.srow, dtype=np.float64).reshape(3, 4)
-        elif self.qform_code > 0:
-            affine = self._qform()
-        else:
-            affine[:3, :3] = np.diag(np.abs(self.pixdim[1:4]))
-            affine = RAS_TO_LPS @ affine
-        with np.errstate(over="ignore", invalid="ignore"):
-            affine[:3] *= UNIT_MM.get(self.units & 7, 1.0)
-            return RAS_TO_LPS @ affine
+    def geometry(self) -> Geometry:
+        """Where the voxel centres lie; where no orientation is stated the axes are taken as L, P, S.
 
+        Raises
+        ------
+        ScanError
+            There is no such lattice, or sform and qform put it at different places.
+        """
+        if self.sform_code <= 0 and self.qform_code <= 0:
+            return self._lattice(RAS_TO_LPS @ np.diag([*np.abs(self.pixdim[1:4]), 1.0]))
+        if self.sform_code <= 0:
+            return self._lattice(self._qform())
+        sform = np.eye(4)
+        sform[:3] = np.array(self.srow, dtype=np.float64).reshape(3, 4)
+        geometry = self._lattice(sform)
+        if self.qform_code > 0:
+            corners = np.array(list(product((0, 1), repeat=3))) * (np.array(self.size()) - 1)
+            world = geometry.index_to_world(corners)
+            apart = np.abs(self._lattice(self._qform()).index_to_world(corners) - world).max()
+            if apart > AGREEMENT_MM + self._turn_by_rounding() * np.linalg.norm(world[-1] - world[0]):
+                raise ScanError(
+                    f"the header states two orientations (sform and qform) that lie {apart:.1f} mm apart: find out "
+                    "which one is right, and export the scan with that one alone"
+                )
+        return geometry
+
+    def _lattice(self, affine: npt.NDArray[np.float64]) -> Geometry:
+        """Geometry of a map from index to RAS in the header's unit."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            in_mm = affine * np.array([[UNIT_MM.get(self.units & 7, 1.0)]] * 3 + [[1.0]])
+            return geometry_from_affine(RAS_TO_LPS @ in_mm, self.size()[::-1])
+
+    def _turn_by_rounding(self) -> float:
+        """Angle, rad, by which the qform may be off because the first part of its quaternion is not stored."""
+        a_squared = 1.0 - sum(float(part) * float(part) for part in self.quatern[:3])
+        low, high = max(0.0, a_squared - QUATERNION_ROUNDING), max(0.0, a_squared + QUATERNION_ROUNDING)
+        return 2.0 * float(np.sqrt(high) - np.sqrt(low))
+
+    @np.errstate(over="ignore", invalid="ignore")
     def _qform(self) -> npt.NDArray[np.float64]:
+        if min(self.pixdim[1:4]) < 0.0:
+            raise ScanError("the header gives a voxel size below zero beside its qform: export the file again")
         b, c, d, *offset = (float(value) for value in self.quatern)
         a_squared = 1.0 - (b * b + c * c + d * d)
         if a_squared < 1e-7:
@@ -162,7 +196,7 @@ def _read(stream: BinaryIO) -> RawVolume:
     header = _Header(start)
     size, dtype = header.size(), header.dtype()
     shape = size[::-1]
-    geometry = geometry_from_affine(header.affine_lps(), shape)
+    geometry = header.geometry()
     shortest = 348 if header.version == 1 else 540
     if not shortest <= header.vox_offset <= 2**24:
         raise ScanError(DAMAGED)
@@ -173,11 +207,9 @@ def _read(stream: BinaryIO) -> RawVolume:
     # Reading on to the end makes gzip compare its checksum.
     stream.read(2**16)
     values = np.frombuffer(body, dtype=dtype, count=int(np.prod(size))).reshape(shape)
-    if (
-        header.slope != 0.0
-        and np.isfinite([header.slope, header.inter]).all()
-        and (header.slope, header.inter) != (1, 0)
-    ):
+    if np.isfinite(header.slope) and header.slope != 0.0 and (header.slope, header.inter) != (1, 0):
+        if not np.isfinite(header.inter):
+            raise ScanError("the header scales the values, but its intercept is not a number: export the file again")
         with np.errstate(over="ignore", invalid="ignore"):
             values = values * np.float64(header.slope) + np.float64(header.inter)
     return RawVolume(
@@ -203,7 +235,7 @@ def read_nifti(path: Path) -> RawVolume:
     Raises
     ------
     ScanError
-        It is not such a file, it is cut short or damaged, or its axes are sheared.
+        It is not such a file, it is cut short or damaged, its axes are sheared, or sform and qform disagree.
     """
     require_file(path)
     try:

@@ -1,7 +1,8 @@
 """Read NRRD (.nrrd, .nhdr, .seg.nrrd) files through SimpleITK.
 
-SimpleITK gives the values and the geometry. The text header is looked at first, because ITK ignores units, reads
-whatever file a detached header names, and takes a damaged compressed stream for values without a word.
+SimpleITK gives the values and the geometry. The text header is looked at first, because ITK ignores units, takes a
+missing spacing for 1 mm, reads whatever file a detached header names, and takes a damaged compressed stream for values
+without a word. The fields are those of Teem's definition of the NRRD file format.
 """
 
 from __future__ import annotations
@@ -28,11 +29,12 @@ from heartcase.pipeline.formats.raw_volume import (
 )
 from heartcase.schemas.errors import ScanError
 
-__all__ = ["read_nrrd"]
+__all__ = ["nrrd_data_file", "read_nrrd"]
 
 ZLIB_OR_GZIP = 47
 SPACE = re.compile(r"(left|right|l|r)-?(anterior|posterior|a|p)-?(superior|inferior|s|i)", re.IGNORECASE)
 
+MILLIMETRES = {"", "mm", "millimeter", "millimeters", "millimetre", "millimetres"}
 
 NRRD_BYTES = {
     **dict.fromkeys(("signed char", "int8", "int8_t", "uchar", "unsigned char", "uint8", "uint8_t"), 1),
@@ -81,6 +83,33 @@ def _check_stream(path: Path, start: int, *, byte_count: int | None) -> None:
         raise ScanError(DAMAGED)
 
 
+def _check_spacing(fields: dict[str, str], axes: list[int]) -> None:
+    """Refuse a header that does not give the spacing of these axes in mm."""
+    units = [word.strip().lower() for word in re.findall(r'"([^"]*)"', fields.get("units", ""))]
+    stated = {units[axis] for axis in axes if axis < len(units)}
+    stated |= {word.strip().lower() for word in re.findall(r'"([^"]*)"', fields.get("space units", ""))}
+    if stated - MILLIMETRES:
+        raise ScanError("the positions are not in millimetres: convert the scan to millimetres and export it again")
+    if "space directions" in fields:
+        vectors = re.findall(r"\(([^()]*)\)|none", fields["space directions"], re.IGNORECASE)
+        spacings = [math.hypot(*_numbers_of(vectors[axis].replace(",", " "))) for axis in axes if axis < len(vectors)]
+    else:
+        words = fields.get("spacings", "").split()
+        spacings = [_numbers_of(words[axis])[0] for axis in axes if axis < len(words)]
+    if len(spacings) < len(axes) or not all(0.0 < spacing < math.inf for spacing in spacings):
+        raise ScanError(
+            "the header does not give the voxel spacing of every axis as a number above zero: export the file again, "
+            "with its spacing"
+        )
+
+
+def _numbers_of(text: str) -> list[float]:
+    try:
+        return [float(word) for word in text.split()] or [math.nan]
+    except ValueError:
+        raise ScanError(DAMAGED) from None
+
+
 def read_nrrd(path: Path) -> RawVolume:
     """Read an NRRD file: one volume, or a list of segmentation layers over one volume.
 
@@ -97,8 +126,63 @@ def read_nrrd(path: Path) -> RawVolume:
     Raises
     ------
     ScanError
-        It cannot be read, is damaged, sheared, not in mm, or has more axes.
+        It cannot be read, is damaged, sheared, without a spacing, not in mm, or has more axes.
     """
+    fields, pairs, end = _header(path)
+    sizes = integers_of(fields.get("sizes", ""))
+    check_size(sizes or (0,))
+    kinds = fields.get("kinds", "").lower().split()
+    lists = [kind for kind in kinds if kind not in ("domain", "space", "???", "none")]
+    if len(sizes) > 4 or (len(sizes) == 4 and not (len(lists) == 1 and lists[0] != "time")) or "time" in lists:
+        raise ScanError(NOT_ONE_VOLUME.format(dimension=len(sizes)))
+    if len(sizes) < 3 or (len(sizes) == 3 and lists):
+        raise ScanError("this is a flat image: a volume of several slices is needed")
+    _check_spacing(fields, [axis for axis in range(len(sizes)) if kinds[axis : axis + 1] != lists or not lists])
+    detached = _data_file(path, fields)
+    data = detached or path
+    has_skips = any(fields.get(key, "0") != "0" for key in ("byte skip", "byteskip", "line skip", "lineskip"))
+    element = NRRD_BYTES.get(" ".join(fields.get("type", "").lower().split()))
+    if element is None:
+        raise ScanError("the header gives no known type of values: export the file again")
+    if not has_skips:
+        offset = end if detached is None else 0
+        encoding, byte_count = fields.get("encoding", "").lower(), math.prod(sizes) * element
+        if encoding in ("gzip", "gz"):
+            _check_stream(data, offset, byte_count=byte_count)
+        elif encoding == "raw" and data.stat().st_size - offset < byte_count:
+            raise ScanError(DAMAGED)
+    stated = SPACE.match(fields.get("space", "")) is not None and "space directions" in fields
+    return _read_image(path, pairs, orientation_is_stated=stated)
+
+
+def nrrd_data_file(path: Path) -> Path | None:
+    """The file that an NRRD header takes its values from, whatever the header's own file is called.
+
+    Parameters
+    ----------
+    path
+        .nrrd, .nhdr or .seg.nrrd file.
+
+    Returns
+    -------
+    Path or None
+        None where the values follow the header in its own file.
+
+    Raises
+    ------
+    ScanError
+        It is no NRRD file, or the data file is not beside it.
+    """
+    return _data_file(path, _header(path)[0])
+
+
+def _data_file(path: Path, fields: dict[str, str]) -> Path | None:
+    name = fields.get("data file", fields.get("datafile"))
+    return None if name is None else local_data_file(path, name)
+
+
+def _header(path: Path) -> tuple[dict[str, str], dict[str, str], int]:
+    """Fields and key-value pairs of the header, and the byte at which values that follow it start."""
     require_file(path)
     with path.open("rb") as file:
         start = file.read(HEADER_LIMIT)
@@ -117,29 +201,4 @@ def read_nrrd(path: Path) -> RawVolume:
         if field:
             key, value = field.group(1).strip(), field.group(3).strip()
             (pairs if field.group(2) else fields)[key if field.group(2) else key.lower()] = value
-    sizes = integers_of(fields.get("sizes", ""))
-    check_size(sizes or (0,))
-    kinds = fields.get("kinds", "").lower().split()
-    lists = [kind for kind in kinds if kind not in ("domain", "space", "???", "none")]
-    if len(sizes) > 4 or (len(sizes) == 4 and not (len(lists) == 1 and lists[0] != "time")) or "time" in lists:
-        raise ScanError(NOT_ONE_VOLUME.format(dimension=len(sizes)))
-    if len(sizes) < 3 or (len(sizes) == 3 and lists):
-        raise ScanError("this is a flat image: a volume of several slices is needed")
-    units = {unit.strip().lower() for unit in re.findall(r'"([^"]*)"', fields.get("space units", ""))}
-    if units - {"", "mm", "millimeter", "millimeters", "millimetre", "millimetres"}:
-        raise ScanError("the positions are not in millimetres: convert the scan to millimetres and export it again")
-    name = fields.get("data file", fields.get("datafile"))
-    data = local_data_file(path, name) if name is not None else path
-    has_skips = any(fields.get(key, "0") != "0" for key in ("byte skip", "byteskip", "line skip", "lineskip"))
-    element = NRRD_BYTES.get(" ".join(fields.get("type", "").lower().split()))
-    if element is None:
-        raise ScanError("the header gives no known type of values: export the file again")
-    if not has_skips:
-        offset = end.end() if end and name is None else 0
-        encoding, byte_count = fields.get("encoding", "").lower(), math.prod(sizes) * element
-        if encoding in ("gzip", "gz"):
-            _check_stream(data, offset, byte_count=byte_count)
-        elif encoding == "raw" and data.stat().st_size - offset < byte_count:
-            raise ScanError(DAMAGED)
-    stated = SPACE.match(fields.get("space", "")) is not None
-    return _read_image(path, pairs, orientation_is_stated=stated)
+    return fields, pairs, end.end() if end else 0

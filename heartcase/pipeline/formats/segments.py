@@ -46,6 +46,15 @@ class LabelVolume:
     """Where the voxel centres lie: the file's own grid."""
     segments: dict[int, SegmentInfo] = field(default_factory=dict)
     """Value -> its segment, where the file lists segments."""
+    vanished: tuple[int, ...] = ()
+    """Values of segments that mark something, but no voxel here: others cover it, or it lies off the lattice."""
+    warnings: tuple[str, ...] = ()
+    """What was assumed in reading it, in plain words."""
+
+    @property
+    def marks_anything(self) -> bool:
+        """Whether anything is labelled, be it on the lattice or not."""
+        return bool(self.vanished) or bool(self.values.any())
 
 
 @dataclass(frozen=True)
@@ -58,7 +67,7 @@ class _Segment:
     snomed: str | None
 
 
-def segments_of(values: UInt16, header: Mapping[str, str]) -> tuple[UInt16, dict[int, SegmentInfo]]:
+def segments_of(values: UInt16, header: Mapping[str, str]) -> tuple[UInt16, dict[int, SegmentInfo], tuple[int, ...]]:
     """Resolve the layers of a segmentation to one value per voxel.
 
     Parameters
@@ -75,6 +84,8 @@ def segments_of(values: UInt16, header: Mapping[str, str]) -> tuple[UInt16, dict
         and where segments overlap the later one of the table wins.
     segments
         Value -> segment; empty where the file has no table.
+    vanished
+        Values of segments that later ones cover wholly.
 
     Raises
     ------
@@ -83,18 +94,21 @@ def segments_of(values: UInt16, header: Mapping[str, str]) -> tuple[UInt16, dict
     """
     segments = _segments(header, layer_count=values.shape[3] if values.ndim == 4 else 1)
     if values.ndim == 3:
-        return values, {s.value: SegmentInfo(n, s.name, s.snomed) for n, s in enumerate(segments, start=1)}
+        return values, {s.value: SegmentInfo(n, s.name, s.snomed) for n, s in enumerate(segments, start=1)}, ()
     if not segments:
         raise MarkerError("every voxel holds several values but no table names segments: export a plain label volume")
     merged = np.zeros(values.shape[:3], dtype=np.uint16)
     explained = values == 0
+    painted = set()
     for number, segment in enumerate(segments, start=1):
         inside = values[..., segment.layer] == segment.value
         merged[inside] = number
+        painted |= {number} if inside.any() else set()
         explained[..., segment.layer] |= inside
     if not explained.all():
         raise MarkerError("the volume holds values that its segment table does not name: save it again in 3D Slicer")
-    return merged, {n: SegmentInfo(n, s.name, s.snomed) for n, s in enumerate(segments, start=1)}
+    vanished = tuple(sorted(painted - set(np.unique(merged).tolist())))
+    return merged, {n: SegmentInfo(n, s.name, s.snomed) for n, s in enumerate(segments, start=1)}, vanished
 
 
 def _segments(header: Mapping[str, str], *, layer_count: int) -> list[_Segment]:

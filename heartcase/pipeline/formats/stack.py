@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -30,10 +31,13 @@ MISSING_IN_A_ROW = 2
 """Slices next to each other that may be interpolated."""
 MISSING_PART = 1.0 / 3.0
 """Part of the stack's slices that may be interpolated."""
+ECHO_TOLERANCE = 0.02
+"""Largest relative difference in echo time within a stack: rounded digits."""
 NAMED_GAPS = 5
 """How many gaps an error names."""
 
 Float64 = npt.NDArray[np.float64]
+Rescale = Literal["stated", "unstated", "unreadable", "table"]
 
 
 @dataclass(frozen=True)
@@ -68,6 +72,10 @@ class Slice:
     """Identity of the image, to recognise copies by; goes into no message."""
     copies: tuple[Path, ...] = ()
     """Other files that claim to be this image."""
+    rescale: Rescale = "unstated"
+    """What the header says of slope and intercept; ``table`` for a modality LUT."""
+    coordinates: str = ""
+    """Identity of the study and of the coordinate system that the position refers to; goes into no message."""
 
 
 @dataclass(frozen=True)
@@ -133,8 +141,8 @@ def find_stack(slices: Sequence[Slice], *, interpolate_missing: bool = False, st
     Raises
     ------
     ScanError
-        Colour, no position, mixed sizes, spacings or orientations, fewer than two slices, several images at one
-        position, a tilted gantry, missing slices, or uneven spacing.
+        Colour, no position, mixed sizes, spacings, orientations, kinds of image, echoes or b-values, fewer than two
+        slices, several images at one position, a tilted gantry, missing slices, or uneven spacing.
     """
     _check_alike(slices)
     row, column, normal = _axes(slices)
@@ -144,7 +152,8 @@ def find_stack(slices: Sequence[Slice], *, interpolate_missing: bool = False, st
     along, positions = along[order], positions[order]
     gaps = np.diff(along)
     _check_duplicates(gaps)
-    spacing = np.array(slices[0].spacing)
+    _check_kinds(slices)
+    spacing = np.median([image.spacing for image in slices], axis=0)
     drift = positions - positions[0] - (along - along[0])[:, np.newaxis] * normal
     angle = _tilt_degrees(drift, along, spacing)
     if angle > 0.0 and not straighten_tilt:
@@ -179,13 +188,28 @@ def _check_alike(slices: Sequence[Slice]) -> None:
     if any(image.shape != first.shape for image in slices):
         differing.append("size")
     orientations = np.array([image.orientation for image in slices])
-    if np.abs(orientations - orientations[0]).max() > COSINE_TOLERANCE:
+    if np.abs(orientations - np.median(orientations, axis=0)).max() > COSINE_TOLERANCE:
         differing.append("orientation")
     spacings = np.array([image.spacing for image in slices])
     if spacings.min() <= 0.0:
         raise ScanError("the headers give a pixel spacing of zero or less: export the series again")
-    if np.abs(spacings / spacings[0] - 1.0).max() > SPACING_TOLERANCE:
+    if np.abs(spacings / np.median(spacings, axis=0) - 1.0).max() > SPACING_TOLERANCE:
         differing.append("pixel spacing")
+    _refuse_differing(differing)
+
+
+def _check_kinds(slices: Sequence[Slice]) -> None:
+    differing = []
+    if len({image.traits.get("image_kind") for image in slices}) > 1:
+        differing.append("kind (such as magnitude and phase)")
+    for trait, words, tolerance in (("echo_time_ms", "echo time", ECHO_TOLERANCE), ("b_value", "b-value", 0.0)):
+        values = [value for image in slices if isinstance(value := image.traits.get(trait), float)]
+        if values and max(values) - min(values) > tolerance * max(values):
+            differing.append(words)
+    _refuse_differing(differing)
+
+
+def _refuse_differing(differing: Sequence[str]) -> None:
     if differing:
         raise ScanError(
             f"the images of the series differ in {' and '.join(differing)}, so they are several stacks: export the "
@@ -194,8 +218,11 @@ def _check_alike(slices: Sequence[Slice]) -> None:
 
 
 def _axes(slices: Sequence[Slice]) -> tuple[Float64, Float64, Float64]:
-    """Orthonormal directions of rows, columns and stack; rounded digits of the header are evened out."""
-    cosines = np.array(slices[0].orientation)
+    """Orthonormal directions of rows, columns and stack; rounded digits of the headers are evened out.
+
+    Medians, since they are the same in any order of the images.
+    """
+    cosines = np.median([image.orientation for image in slices], axis=0)
     row, column = cosines[:3], cosines[3:]
     lengths = np.linalg.norm(row), np.linalg.norm(column)
     if max(abs(lengths[0] - 1.0), abs(lengths[1] - 1.0), abs(row @ column)) > COSINE_TOLERANCE:
@@ -287,6 +314,9 @@ def _steps(gaps: Float64, may_interpolate: bool) -> list[int]:
         if may_interpolate:
             remedy += " (at most two slices in a row and a third of all are interpolated, at even spacing)"
         elif missing:
-            remedy += ", or have it filled from its neighbours with --interpolate-missing"
+            remedy += (
+                ", or have it filled from its neighbours with --interpolate-missing, or interpolate_missing = true in "
+                "the recipe's [scan]"
+            )
         raise ScanError(f"{'; '.join(problems[:NAMED_GAPS])}{rest}: {remedy}")
     return steps

@@ -26,8 +26,11 @@ STEPS = 65536
 """Parts of a voxel that vertices are rounded to."""
 REACH = 8192
 """Largest distance of a vertex from the lattice's first voxel, in voxels: products of differences then fit 64 bits."""
+RAY_LIMIT = 2**26
+"""Most pairs of a face and a ray through its bounding rectangle: some hundred for every ray of a large scan."""
 SIZE_LIMIT = 2**30
 PART_LIMIT = 250
+SYSTEM = re.compile(rb"(?i)\b(?:SPACE|COORDSYS|COORDINATE[ _]?SYSTEM)\s*[=:]\s*([LR][AP][SI])\b")
 
 Float64 = npt.NDArray[np.float64]
 Int64 = npt.NDArray[np.int64]
@@ -39,6 +42,8 @@ class _Mesh:
     """Shape (vertex_count, 3), LPS mm, each place once."""
     triangles: Int64
     """Vertex numbers, shape (triangle_count, 3)."""
+    space_is_stated: bool = True
+    """Whether the file says that it is LPS or RAS."""
 
 
 def holds_parts(path: Path) -> bool:
@@ -52,7 +57,8 @@ def read_parts(path: Path, geometry: Geometry) -> LabelVolume:
     Parameters
     ----------
     path
-        Folder of .stl files, binary or text, in mm. LPS, or RAS where the file's header says ``SPACE=RAS``.
+        Folder of .stl files, binary or text, in mm. LPS, or RAS where the file's header says so (``SPACE=RAS``,
+        ``SPACE: RAS`` or ``COORDSYS=RAS``).
     geometry
         The scan's lattice.
 
@@ -60,12 +66,14 @@ def read_parts(path: Path, geometry: Geometry) -> LabelVolume:
     -------
     LabelVolume
         On ``geometry``. Part n, by the alphabet of the file names, has the value n; where parts overlap the later one
-        wins. The name of a part is its file's, without the ending.
+        wins. The name of a part is its file's, without the ending. Parts that mark no voxel are listed as vanished, and
+        a warning says which parts were taken as LPS because they do not say what they are.
 
     Raises
     ------
     MarkerError
-        With every part that cannot be read, is not closed, or lies far away.
+        With every part that cannot be read, is not closed, lies far away, or says neither LPS nor RAS and lies on the
+        scan better when it is taken as RAS.
     """
     files = sorted(
         (file for file in path.iterdir() if file.suffix.lower() == ".stl"), key=lambda f: (f.name.casefold(), f.name)
@@ -74,11 +82,14 @@ def read_parts(path: Path, geometry: Geometry) -> LabelVolume:
         raise MarkerError(f"the folder holds more than {PART_LIMIT} parts: keep the parts of the heart alone")
     check_size(geometry.size)
     values = np.zeros(geometry.shape, np.uint8)
-    problems = []
+    problems, silent = [], []
     for number, file in enumerate(files, start=1):
         try:
             mesh = _read_stl(file)
             _check_closed(mesh)
+            if not mesh.space_is_stated:
+                _check_side(mesh.vertices_mm, geometry)
+                silent.append(number)
             values[inside_of_mesh(mesh.vertices_mm, mesh.triangles, geometry)] = number
         except HeartcaseError as error:
             place = f"part {number} of the folder, by the alphabet"
@@ -86,7 +97,37 @@ def read_parts(path: Path, geometry: Geometry) -> LabelVolume:
     if problems:
         raise MarkerError(problems)
     names = {number: " ".join(file.stem.split())[:64] for number, file in enumerate(files, start=1)}
-    return LabelVolume(values, geometry, {number: SegmentInfo(number, name) for number, name in names.items()})
+    return LabelVolume(
+        values,
+        geometry,
+        {number: SegmentInfo(number, name) for number, name in names.items()},
+        vanished=tuple(sorted(set(names) - set(np.unique(values).tolist()))),
+        warnings=_taken_as_lps(silent),
+    )
+
+
+def _taken_as_lps(silent: list[int]) -> tuple[str, ...]:
+    if not silent:
+        return ()
+    numbers = ", ".join(map(str, silent))
+    return (
+        "LPS was assumed for surfaces of the finished segmentation that say neither LPS nor RAS (by the alphabet: part "
+        f"{numbers}): see in the pictures that they lie on the scan",
+    )
+
+
+def _check_side(vertices_mm: Float64, geometry: Geometry) -> None:
+    """Refuse a surface that lies on the scan better when it is taken as RAS."""
+
+    def share_inside(points_mm: Float64) -> float:
+        index = geometry.world_to_index(points_mm)
+        return float(((index >= -0.5) & (index <= np.array(geometry.size) - 0.5)).all(axis=1).mean())
+
+    if share_inside(vertices_mm * (-1.0, -1.0, 1.0)) > share_inside(vertices_mm):
+        raise MarkerError(
+            "the surface does not say whether it is in LPS or RAS, and lies on the scan better as RAS: export it as "
+            "LPS, or with SPACE=RAS in its first line"
+        )
 
 
 def inside_of_mesh(vertices_mm: Float64, triangles: Int64, geometry: Geometry) -> npt.NDArray[np.bool_]:
@@ -109,15 +150,31 @@ def inside_of_mesh(vertices_mm: Float64, triangles: Int64, geometry: Geometry) -
     Raises
     ------
     MarkerError
-        A vertex lies more than 8192 voxels away.
+        A vertex lies more than 8192 voxels away, or the faces are so many and so large that no organ has them.
     """
     index = geometry.world_to_index(vertices_mm)
     if not (np.abs(index) < REACH).all():
         raise MarkerError("the surface lies far outside the scan: is it in mm, and was it made on this scan?")
+    vertices = np.rint(index * STEPS).astype(np.int64)
+    if _ray_count(vertices, triangles, geometry) > RAY_LIMIT:
+        raise MarkerError(
+            "the surface has too many faces that reach across the whole scan: is it in mm, and the surface of an organ?"
+        )
     crossings = np.zeros((*geometry.shape[:2], geometry.size[0] + 1), np.int16)
-    _count_crossings(np.rint(index * STEPS).astype(np.int64), np.asarray(triangles, np.int64), crossings)
+    _count_crossings(vertices, np.asarray(triangles, np.int64), crossings)
     inside: npt.NDArray[np.bool_] = np.cumsum(crossings[..., :-1], axis=2) != 0
     return inside
+
+
+def _ray_count(vertices: Int64, triangles: Int64, geometry: Geometry) -> int:
+    """How often a ray runs through the bounding rectangle of a face."""
+    counts = np.ones(len(triangles), np.int64)
+    for axis in (1, 2):
+        along = vertices[:, axis][triangles]
+        low = np.maximum(0, -(-along.min(axis=1) // STEPS))
+        high = np.minimum(geometry.size[axis] - 1, along.max(axis=1) // STEPS)
+        counts *= np.maximum(0, high - low + 1)
+    return int(counts.sum())
 
 
 @numba.njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
@@ -204,7 +261,10 @@ def _read_stl(file: Path) -> _Mesh:
         raise MarkerError("the file is not an STL surface, or is cut short: export it again")
     if not len(corners) or not np.isfinite(corners).all():
         raise MarkerError("the file holds no triangle, or a corner that is not a number: export it again")
-    if re.search(rb"(?i)\bSPACE=RAS\b", header):
+    systems = {found.upper() for found in SYSTEM.findall(header)}
+    if systems - {b"LPS", b"RAS"} or len(systems) > 1:
+        raise MarkerError("the file says that it is in neither LPS nor RAS, or in both: export it in one of them")
+    if systems == {b"RAS"}:
         corners = corners * (-1.0, -1.0, 1.0)
     # adding zero makes -0.0 and 0.0 the same place
     vertices, numbers = np.unique(corners + 0.0, axis=0, return_inverse=True)
@@ -212,4 +272,4 @@ def _read_stl(file: Path) -> _Mesh:
     distinct = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
     if not distinct.any():
         raise MarkerError("the file holds no triangle with an area: export it again")
-    return _Mesh(vertices, triangles[distinct])
+    return _Mesh(vertices, triangles[distinct], bool(systems))

@@ -12,14 +12,15 @@ from dataclasses import dataclass, field
 from heartcase import __version__
 from heartcase.pipeline.cautions import CautionGroup, grouped
 from heartcase.pipeline.data import GridMap, Scan, Segmentation, SimulationGrid, Structures, Surface
+from heartcase.pipeline.openings import Opening, Verdict
 from heartcase.pipeline.report.hand_work import hand_work_facts, region_words
-from heartcase.pipeline.report.plain_words import Fact, cardiac_phase_words, figure_facts, setting_lines
+from heartcase.pipeline.report.plain_words import Fact, cardiac_phase_words, figure_facts, placed, setting_lines
 from heartcase.pipeline.report.report_pictures import Picture, ThicknessRow, slice_parts, surface_parts
 from heartcase.schemas.bundle import CaseManifest, StageRecord
 from heartcase.schemas.labels import BACKGROUND, LabelTable, Role
 from heartcase.schemas.recipe import Recipe
 
-__all__ = ["ReportData", "StageRow", "StructureRow", "build_report", "render_report"]
+__all__ = ["OpeningRow", "ReportData", "StageRow", "StructureRow", "build_report", "render_report"]
 
 _NOTICE: str = CaseManifest.model_fields["notice"].default
 _ROLE_WORDS = {
@@ -29,6 +30,13 @@ _ROLE_WORDS = {
     Role.WALL: "vessel wall",
     Role.DEVICE: "patch or device",
     Role.BACKGROUND: "background",
+}
+_VERDICT_WORDS = {
+    Verdict.UNEXPECTED: "not in a normal heart, and the recipe does not say that it is meant",
+    Verdict.OTHER_VENTRICLE: "the great artery arises from the other ventricle: is that the malformation?",
+    Verdict.UNKNOWN: "a name that heartcase does not know: look at it",
+    Verdict.STATED: "not in a normal heart; meant, says",
+    Verdict.EXPECTED: "in every normal heart",
 }
 _TOTALS = {
     "Blood in the chambers": (Role.BLOOD,),
@@ -69,6 +77,26 @@ class StructureRow:
 
 
 @dataclass(frozen=True)
+class OpeningRow:
+    """Where two cavities are open to each other."""
+
+    between: str
+    """Names of the two."""
+    area_mm2: float
+    """Area, mm2."""
+    diameter_mm: float
+    """Diameter of a circle of this area, mm."""
+    patches: int
+    """Pieces of it."""
+    place: str
+    """A point of the largest piece."""
+    verdict: str
+    """What is to be thought of it."""
+    is_doubtful: bool
+    """Whether there is a warning about it."""
+
+
+@dataclass(frozen=True)
 class StageRow:
     """One stage: how long it took and how it was set."""
 
@@ -98,6 +126,8 @@ class ReportData:
     """Version of heartcase."""
     case_id: str | None = None
     """Made-up identifier of the case."""
+    bundle_sha256: str = ""
+    """The bundle hash of the case that the page is about; empty where it is not known."""
     notice: str = _NOTICE
     """Shown first."""
     warnings: Sequence[CautionGroup] = ()
@@ -122,6 +152,8 @@ class ReportData:
     """Structures with volumes, in the label table's order."""
     totals: Sequence[tuple[str, float]] = ()
     """What -> volume, ml: sums over the structures."""
+    openings: Sequence[OpeningRow] = ()
+    """Openings between chambers and vessels, the worst first."""
     quality: Mapping[str, Sequence[Fact]] = field(default_factory=dict)
     """Title -> figures."""
     hand_work: Sequence[Fact] = ()
@@ -160,6 +192,8 @@ def build_report(
     stages: Sequence[StageRecord],
     warnings: Sequence[str],
     case_id: str | None = None,
+    bundle_sha256: str = "",
+    openings: Sequence[Opening] = (),
 ) -> str:
     """Draw the pictures of a case and write its report.
 
@@ -185,6 +219,10 @@ def build_report(
         In any order; marked in :mod:`heartcase.pipeline.cautions`.
     case_id
         Made-up identifier of the case.
+    bundle_sha256
+        The bundle hash of the case.
+    openings
+        Where cavities are open to each other, the worst first.
 
     Returns
     -------
@@ -208,6 +246,7 @@ def build_report(
         ReportData(
             case_name=recipe.name,
             case_id=case_id,
+            bundle_sha256=bundle_sha256,
             warnings=grouped(warnings),
             key_facts=_key_facts(grid, surface, scan, totals),
             scan_facts=_scan_facts(recipe, scan),
@@ -219,6 +258,7 @@ def build_report(
             thickness_rows=shown.thickness_rows,
             structures=rows,
             totals=list(totals.items()),
+            openings=[_opening_row(one) for one in openings],
             quality={title: facts for title, facts in quality.items() if facts},
             hand_work=hand_work_facts(recipe, scan),
             stages=_stage_rows(stages, timings_s),
@@ -240,8 +280,8 @@ def _totals(table: LabelTable, volumes_ml: Mapping[int, float]) -> dict[str, flo
 def _key_facts(grid: SimulationGrid, surface: Surface | None, scan: Scan, totals: Mapping[str, float]) -> list[Fact]:
     facts = [
         Fact("Cardiac phase", cardiac_phase_words(scan.acquisition)),
-        Fact("Tissue", f"{totals['All tissue']:.1f} ml"),
-        Fact("Blood", f"{totals['All blood']:.1f} ml"),
+        Fact("Tissue in the scan", f"{totals['All tissue']:.1f} ml"),
+        Fact("Blood in the scan", f"{totals['All blood']:.1f} ml"),
         Fact("Cells of the simulation", f"{len(grid.cells):,}"),
         Fact("Edge of a cell", f"{grid.geometry.spacing_mm[0]:.2f} mm"),
         Fact("Points of the simulation", f"{len(grid.nodes):,}"),
@@ -266,6 +306,23 @@ def _scan_facts(recipe: Recipe, scan: Scan) -> list[Fact]:
     others = {name: value for name, value in scan.acquisition.items() if name not in _PHASE}
     facts += [Fact(fact.name, fact.value) for fact in figure_facts(others)]
     return facts
+
+
+def _opening_row(one: Opening) -> OpeningRow:
+    words = _VERDICT_WORDS[one.verdict]
+    if one.stated_by:
+        words = f"{words} {one.stated_by}"
+    if one.asked_mm2 is not None:
+        words = f"{words}, which asks for {one.asked_mm2:,.0f} mm²"
+    return OpeningRow(
+        f"{one.names[0]} and {one.names[1]}",
+        one.area_mm2,
+        one.diameter_mm,
+        one.patches,
+        placed(one.center_mm),
+        words,
+        one.is_doubtful,
+    )
 
 
 def _stage_rows(stages: Sequence[StageRecord], timings_s: Mapping[str, float]) -> list[StageRow]:

@@ -123,12 +123,18 @@ def outcome_of(situation: Situation, folder: Path) -> Outcome:
 
 
 def all_situations() -> tuple[Situation, ...]:
-    """Every situation, those that are read first."""
-    from tests.pipeline.formats import dicom_situations_read, dicom_situations_refused, dicom_situations_stacks
+    """Every situation: how images are stored, which belong together, where headers disagree, what is refused."""
+    from tests.pipeline.formats import (
+        dicom_situations_mixed,
+        dicom_situations_read,
+        dicom_situations_refused,
+        dicom_situations_stacks,
+    )
 
     return (
         *dicom_situations_read.SITUATIONS,
         *dicom_situations_stacks.SITUATIONS,
+        *dicom_situations_mixed.SITUATIONS,
         *dicom_situations_refused.SITUATIONS,
     )
 

@@ -14,7 +14,7 @@ from pydicom.dataset import FileDataset
 from tests.pipeline.formats.dicom_series import header, put_pixels
 from tests.pipeline.formats.dicom_situations import STORED, Situation, write
 from tests.pipeline.formats.dicom_situations_read import POSITIONS, compressed, enhanced, lossless_jpeg
-from tests.pipeline.formats.dicom_situations_stacks import LEAN, NORMAL, cine, echoes, tilted, without
+from tests.pipeline.formats.dicom_situations_stacks import LEAN, NORMAL, cine, echoes, phase, tilted, without
 
 __all__ = ["SITUATIONS"]
 
@@ -52,6 +52,11 @@ def _cut(count: int) -> Callable[[Path], None]:
 def _two_series(folder: Path) -> None:
     write(folder, series=2)
     write(folder, series=3, EchoTime=1.5)
+
+
+def _uneven_phases(folder: Path) -> None:
+    for number, time in enumerate((25.0, 50.0, 75.0, 700.0)):
+        write(folder, phase(number), first_instance=1 + 100 * number, TriggerTime=time)
 
 
 def _moved(*places: tuple[int, float]) -> np.ndarray:
@@ -146,7 +151,47 @@ SITUATIONS = (
         {"trigger_time_ms": 5.0},
         refused="no image states its trigger time",
     ),
-    Situation("one slice missing", without(4), refused="1 slice is missing between slice 4 .*--interpolate-missing"),
+    Situation(
+        "a trigger time far from every phase",
+        cine,
+        {"trigger_time_ms": 1700.0},
+        refused="no trigger time is near 1700 ms, .*10, 50, 90, 130, 170 ms.*trigger_time_ms in the recipe",
+    ),
+    Situation(
+        "a trigger time just beyond half a step",
+        cine,
+        {"trigger_time_ms": 190.5},
+        refused="no trigger time is near 190.5 ms",
+    ),
+    Situation(
+        "a trigger time between phases that lie far apart from the others",
+        _uneven_phases,
+        {"trigger_time_ms": 375.0},
+        refused="no trigger time is near 375 ms, .*25, 50, 75, 700 ms",
+    ),
+    Situation(
+        "a trigger time far from the only one",
+        _series(TriggerTime=375.0),
+        {"trigger_time_ms": 3750.0},
+        refused="no trigger time is near 3750 ms, the only one is 375 ms",
+    ),
+    Situation(
+        "an echo time far from every echo",
+        echoes,
+        {"echo_time_ms": 34.5},
+        refused="no echo time is near 34.5 ms, .*1.15, 3.45, 5.75 ms.*echo_time_ms in the recipe",
+    ),
+    Situation(
+        "an echo time far from the only one",
+        _series(EchoTime=1.5),
+        {"echo_time_ms": 2.0},
+        refused="no echo time is near 2 ms, the only one is 1.5 ms",
+    ),
+    Situation(
+        "one slice missing",
+        without(4),
+        refused="1 slice is missing between slice 4 .*--interpolate-missing, or interpolate_missing = true",
+    ),
     Situation(
         "three slices missing in a row, told to interpolate",
         without(3, 4, 5),

@@ -78,6 +78,11 @@ def _enhanced_phases(group: str, tags: dict[str, list[float]], *, wanted: int = 
     return make
 
 
+def _one_time(folder: Path) -> Truth:
+    write(folder, TriggerTime=371.5)
+    return Truth(STORED)
+
+
 def _phases_as_series(folder: Path) -> Truth:
     for number in range(3):
         write(folder / str(number), phase(number), series=10 + number, TriggerTime=100.0 * number)
@@ -260,6 +265,19 @@ _TRIGGER = {"trigger_time_ms": 95.0}
 
 SITUATIONS = (
     Situation("cine in one series, by trigger time", read_cine, _TRIGGER, has_acquisition={"trigger_time_ms": 90.0}),
+    Situation(
+        "cine in one series, a trigger time midway between two phases",
+        read_cine,
+        {"trigger_time_ms": 110.0},
+        has_acquisition={"trigger_time_ms": 90.0},
+        warns="trigger times 90 and 130 ms are as near to the given 110 ms: the earlier one was taken",
+    ),
+    Situation(
+        "one trigger time, a rounded one given",
+        _one_time,
+        {"trigger_time_ms": 375.0},
+        has_acquisition={"trigger_time_ms": 371.5},
+    ),
     Situation("cine, the heartbeat changed a little between slices", lambda f: read_cine(f, jitter=0.05), _TRIGGER),
     Situation(
         "cine, the heartbeat changed a lot between slices",
@@ -320,7 +338,11 @@ SITUATIONS = (
         _localizers_in_the_series,
         warns="9 images of the series are left out: another size",
     ),
-    Situation("200 slices in subfolders, a localiser beside", _big),
+    Situation(
+        "200 slices in subfolders, a localiser beside that is not called so",
+        _big,
+        warns="1 other series was passed over as small as a localiser",
+    ),
     Situation("reports, screenshots, presentation states and a DICOMDIR beside", lambda f: _with(f, _other_objects)),
     Situation("files that are not DICOM beside, and empty ones", lambda f: _with(f, _litter)),
     Situation("a PET series beside", lambda f: _with(f, _pet_beside)),

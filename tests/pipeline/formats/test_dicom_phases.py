@@ -94,9 +94,11 @@ def test_what_is_listed(tmp_path: Path) -> None:
     with pytest.raises(ScanError, match=r"--trigger-time MS"):
         read_scan(tmp_path)
     np.testing.assert_array_equal(read_scan(tmp_path, trigger_time_ms=110.0).values, phase(2))
-    np.testing.assert_array_equal(read_scan(tmp_path, trigger_time_ms=1e4, series="1").values, phase(4))
-    with pytest.raises(ScanError, match="several stacks end like the given --series"):
-        read_scan(tmp_path, series=listed[1].uid_suffix)
+    np.testing.assert_array_equal(read_scan(tmp_path, trigger_time_ms=190.0, series="1").values, phase(4))
+    with pytest.raises(ScanError, match="no trigger time is near 10000 ms"):
+        read_scan(tmp_path, trigger_time_ms=1e4, series="1")
+    with pytest.raises(ScanError, match="the given --series holds several stacks"):
+        read_scan(tmp_path, series=listed[1].uid_code)
     assert read_scan(tmp_path, series="3").geometry.size == (40, 40, 3)
 
 

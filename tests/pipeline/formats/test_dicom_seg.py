@@ -19,10 +19,12 @@ from heartcase.pipeline.formats.dicom_seg import read_dicom_seg
 from heartcase.pipeline.formats.dicom_source import find_source
 from heartcase.pipeline.formats.write_dicom_seg import dicom_seg_bytes
 from heartcase.pipeline.markers import load_segmentation
-from heartcase.schemas.errors import MarkerError, ScanError, UsageError
+from heartcase.pipeline.read import read_scan
+from heartcase.schemas.errors import MarkerError, UsageError
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable, default_label_table
 from tests.pipeline.formats.dicom_series import repr_ds, write_series
+from tests.pipeline.formats.test_dicom_source import manifest_of
 
 TABLE = default_label_table().with_walls()
 TURN = Rotation.from_euler("xyz", [10, 20, 30], degrees=True).as_matrix()
@@ -161,14 +163,34 @@ def test_any_order_of_frames_on_any_lattice(tmp_path_factory, data):
     np.testing.assert_array_equal(load_segmentation(folder / "s.dcm", {}, TABLE, geometry).labels, merged(layers))
 
 
-def test_without_a_stated_spacing_the_smallest_gap_counts(tmp_path):
-    layers = two_layers(OBLIQUE)
+@pytest.mark.parametrize("thickness", [None, 0.9, 1.0, 2.0, 4.0])
+@pytest.mark.parametrize("planes", [(1, 3, 5), (1, 2, 5), (4,)])
+def test_without_a_stated_distance_planes_are_the_scans_slices(tmp_path, planes, thickness):
+    layers = np.zeros((*OBLIQUE.shape, 2), np.uint8)
+    layers[list(planes), 2:7, 3:8, 0] = 1
+    layers[list(planes), 1:4, 5:9, 1] = 1
     seg = highdicom_seg(source_images(OBLIQUE, tmp_path), layers)
     for shared in seg.SharedFunctionalGroupsSequence:
         del shared.PixelMeasuresSequence[0].SpacingBetweenSlices
-        shared.PixelMeasuresSequence[0].SliceThickness = 1.7
+        if thickness is None:
+            del shared.PixelMeasuresSequence[0].SliceThickness
+        else:
+            shared.PixelMeasuresSequence[0].SliceThickness = thickness * OBLIQUE.spacing_mm[2]
     seg.save_as(tmp_path / "s.dcm")
-    np.testing.assert_array_equal(load_segmentation(tmp_path / "s.dcm", {}, TABLE, OBLIQUE).labels, merged(layers))
+    flipped, cropped = OBLIQUE.flipped(2), OBLIQUE.cropped((1, 1, -2), (8, 7, 6))
+    found = load_segmentation(tmp_path / "s.dcm", {}, TABLE, OBLIQUE).labels
+    np.testing.assert_array_equal(found, merged(layers))
+    np.testing.assert_array_equal(load_segmentation(tmp_path / "s.dcm", {}, TABLE, flipped).labels[::-1], found)
+    part = load_segmentation(tmp_path / "s.dcm", {}, TABLE, cropped).labels if min(planes) < 4 else None
+    assert part is None or np.array_equal(part[2:], found[:4, 1:8, 1:9])
+    # elsewhere only planes that are just so thick as their distance can be told
+    other = OBLIQUE.model_copy(update={"spacing_mm": (0.8, 1.3, 2.2)})
+    for scan in (None, other):
+        if planes == (1, 3, 5) and thickness == 2.0:
+            assert read_dicom_seg(tmp_path / "s.dcm", scan).geometry.spacing_mm[2] == pytest.approx(5.8, abs=1e-6)
+        else:
+            with pytest.raises(MarkerError, match="does not state the distance"):
+                read_dicom_seg(tmp_path / "s.dcm", scan)
 
 
 def test_what_cannot_be_placed_or_read_is_refused_in_one_line(tmp_path):
@@ -202,6 +224,17 @@ def test_what_cannot_be_placed_or_read_is_refused_in_one_line(tmp_path):
             moved = np.array(place.ImagePositionPatient, float) + 0.1 * n * OBLIQUE.index_to_world_matrix[:, 0]
             place.ImagePositionPatient = [f"{v:.6f}" for v in moved]
 
+    def apart(value):
+        def change(seg):
+            seg.SharedFunctionalGroupsSequence[0].PixelMeasuresSequence[0].SpacingBetweenSlices = value
+
+        return change
+
+    def numbered_alike(seg):
+        seg.SegmentSequence[1].SegmentNumber = 1
+        for frame in seg.PerFrameFunctionalGroupsSequence:
+            frame.SegmentIdentificationSequence[0].ReferencedSegmentNumber = 1
+
     def unlisted(seg):
         seg.SegmentSequence = seg.SegmentSequence[:1]
 
@@ -209,6 +242,10 @@ def test_what_cannot_be_placed_or_read_is_refused_in_one_line(tmp_path):
     assert "unevenly spaced" in refused(uneven)
     assert "shifted sideways" in refused(sheared)
     assert "does not list" in refused(unlisted)
+    assert "same number" in refused(numbered_alike)
+    assert "zero, negative" in refused(apart(-2.9))
+    assert "zero, negative" in refused(apart(0.0))
+    assert "distance that the file states" in refused(apart(2.0))
     assert "damaged" in refused(lambda seg: setattr(seg, "PixelData", seg.PixelData[:20]))
     assert "damaged" in refused(lambda seg: setattr(seg, "NumberOfFrames", 3))
     assert "damaged" in refused(lambda seg: delattr(seg, "Rows"))
@@ -292,7 +329,8 @@ def test_our_segmentation_comes_back_from_highdicom_and_from_us(tmp_path_factory
 def test_a_segmentation_of_a_scan_refers_to_it_and_holds_nothing_else_of_it(tmp_path):
     images = source_images(OBLIQUE, tmp_path)
     cropped = OBLIQUE.cropped((3, 2, 1), (6, 5, 4))
-    source = find_source(tmp_path / "scan", cropped, series=None)
+    manifest = manifest_of(read_scan(tmp_path / "scan"), start=(3, 2, 1), size=(6, 5, 4))
+    source = find_source(tmp_path / "scan", manifest)
     assert source.offset == (3, 2, 1)
     made = segmentation(cropped)
     content = dicom_seg_bytes(made, case_id="HC-0001", source=source)
@@ -313,29 +351,6 @@ def test_a_segmentation_of_a_scan_refers_to_it_and_holds_nothing_else_of_it(tmp_
     alone = dicom_seg_bytes(made, case_id="HC-0001")
     for uid in (images[0].StudyInstanceUID, images[0].SeriesInstanceUID, images[0].FrameOfReferenceUID):
         assert uid.encode() not in alone
-
-
-def test_another_scan_or_one_of_several_frames_of_reference_is_refused(tmp_path):
-    source_images(OBLIQUE, tmp_path)
-    with pytest.raises(UsageError, match="no series there has slices"):
-        find_source(tmp_path / "scan", OBLIQUE.cropped((0, 0, 0), (9, 9, 7)), series=None)
-    moved = OBLIQUE.model_copy(update={"origin_mm": (0.0, 0.0, 0.0)})
-    with pytest.raises(UsageError, match="no series there has slices"):
-        find_source(tmp_path / "scan", moved, series=None)
-    positions = OBLIQUE.index_to_world([(0, 0, k) for k in range(6)])
-    paths = write_series(
-        tmp_path / "scan",
-        np.zeros(OBLIQUE.shape, np.int16),
-        positions,
-        orientation=TURN[:, :2].T.ravel(),
-        pixel_spacing=(1.3, 0.8),
-        series=2,
-    )
-    with pytest.raises(UsageError, match="2 series there"):
-        find_source(tmp_path / "scan", OBLIQUE, series=None)
-    assert find_source(tmp_path / "scan", OBLIQUE, series="1").frame_of_reference_uid.endswith("4711")
-    with pytest.raises(ScanError, match="frame of reference"):
-        find_source(tmp_path / "scan", OBLIQUE, series=pydicom.dcmread(paths[0]).SeriesInstanceUID[-9:])
 
 
 def test_an_empty_case_has_nothing_to_export():

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import hashlib
 import logging
+import os
 import re
 import shutil
 import warnings
@@ -17,9 +19,22 @@ from pydicom.dataset import Dataset
 from pydicom.uid import JPEG2000Lossless, RLELossless
 
 from heartcase.pipeline.formats import dicom_pixels
+from heartcase.pipeline.formats.dicom_choice import listed, named
+from heartcase.pipeline.formats.dicom_headers import ImageSeries
+from heartcase.pipeline.formats.dicom_phases import stack_groups
+from heartcase.pipeline.formats.stack import Slice
 from heartcase.pipeline.read import list_series, read_scan
 from heartcase.schemas.errors import ScanError
-from tests.pipeline.formats.dicom_series import AXIAL, CT, header, put_pixels, write_enhanced, write_series
+from tests.pipeline.formats.dicom_series import (
+    AXIAL,
+    CT,
+    ROOT,
+    header,
+    put_pixels,
+    repr_ds,
+    write_enhanced,
+    write_series,
+)
 
 VOLUME = np.random.default_rng(1).integers(-1000, 1000, size=(7, 5, 6)).astype(np.int16)
 UP = np.array([0.0, 0.0, 1.0])
@@ -193,27 +208,92 @@ def test_several_series_are_listed_and_chosen(tmp_path: Path) -> None:
     write_series(tmp_path / "b", VOLUME[:4] + 1, along(4, 5.0 * UP), series=3)
     coronal = (1.0, 0.0, 0.0, 0.0, 0.0, -1.0)
     write_series(tmp_path / "c", VOLUME[:1] + 2, along(1, UP), series=4, orientation=coronal)
-    listed = list_series(tmp_path)
-    assert [(info.number, info.slice_count, info.modality) for info in listed] == [
+    found = list_series(tmp_path)
+    assert [(info.number, info.slice_count, info.modality) for info in found] == [
         (1, 4, "CT"),
         (2, 1, "CT"),
         (3, 7, "MR"),
     ]
-    assert listed[0].spacing_mm == (0.7, 0.7, 5.0)
-    assert listed[1].spacing_mm is None
-    assert listed[2].description == "MR, axial, 6 x 5 x 7 voxels of 0.7 x 0.7 x 2 mm, echo time 2.5 ms"
-    assert all(len(info.uid_suffix) >= 6 for info in listed)
+    assert found[0].spacing_mm == (0.7, 0.7, 5.0)
+    assert found[1].spacing_mm is None
+    assert found[2].description == "MR, axial, 6 x 5 x 7 voxels of 0.7 x 0.7 x 2 mm, echo time 2.5 ms"
+    assert all(len(info.uid_code) >= 6 for info in found)
     with pytest.raises(ScanError) as caught:
         read_scan(tmp_path)
     lines = str(caught.value).splitlines()
     assert "--series" in lines[0]
     assert len(lines) == 4
-    assert listed[2].description in lines[3]
+    assert found[2].description in lines[3]
     np.testing.assert_array_equal(read_scan(tmp_path, series="1").values, VOLUME[:4] + 1)
-    np.testing.assert_array_equal(read_scan(tmp_path, series=listed[2].uid_suffix).values, VOLUME)
-    for wrong in ("17", "", "nothing", "0"):
+    np.testing.assert_array_equal(read_scan(tmp_path, series=found[2].uid_code).values, VOLUME)
+    np.testing.assert_array_equal(read_scan(tmp_path, series=f"{ROOT}900012").values, VOLUME)
+    for wrong in ("12", "17", "", "nothing", "0", "9" * 5000, found[2].uid_code[:5], f"{ROOT}9000", "900012"):
         with pytest.raises(ScanError, match="no series has this number"):
             read_scan(tmp_path, series=wrong)
+
+
+def test_a_code_is_no_number_and_tells_apart() -> None:
+    """Found by trial: the SHA-256 of these start with six decimal digits, or with the same six digits."""
+    decimal = next(uid for n in range(1000) if _sha(uid := f"1.2.{n}")[:6].isdecimal())
+    first: dict[str, str] = {}
+    pair = next(
+        (first[start], uid)
+        for n in range(100_000)
+        if first.setdefault(start := _sha(uid := f"1.3.{n}")[:6], uid) != uid
+    )
+    image = Slice(Path(), None, (8, 8), True, (0, 0, 0), AXIAL, (1.0, 1.0), 1.0, 0.0)
+    groups = [group for uid in (decimal, *pair) for group in stack_groups(ImageSeries(uid, "CT", (image,)))]
+    codes = [info.uid_code for info in listed(groups)]
+    assert all(code == _sha(uid)[: len(code)] for code, uid in zip(codes, (decimal, *pair), strict=True))
+    assert len(set(codes)) == 3
+    assert not codes[0].isdecimal()
+    assert [named(groups, code)[0] for code in codes] == groups
+    with pytest.raises(ScanError, match="several series have this code"):
+        named(groups, _sha(pair[0])[:6])
+
+
+def _sha(uid: str) -> str:
+    return hashlib.sha256(uid.encode()).hexdigest()
+
+
+@settings(max_examples=10, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(order=st.permutations(range(7)), seed=st.integers(0, 99))
+def test_file_names_change_nothing(tmp_path: Path, order, seed: int) -> None:
+    """Directions and spacings are rounded a little differently in each header."""
+    scans = []
+    for names in (range(7), order):
+        jitter = np.random.default_rng(seed).uniform(-2e-4, 2e-4, (7, 8))
+
+        def each(dataset, index: int, jitter=jitter) -> None:
+            dataset.ImageOrientationPatient = [repr_ds(v) for v in AXIAL + jitter[index, :6]]
+            dataset.PixelSpacing = [repr_ds(v) for v in 0.7 * (1.0 + jitter[index, 6:])]
+
+        scans.append(read_scan(_series_with(tmp_path, along(7, STEP), order=names, each=each)))
+    assert scans[0].geometry == scans[1].geometry
+    np.testing.assert_array_equal(scans[0].values, scans[1].values)
+
+
+@pytest.mark.parametrize("is_listed", [False, True])
+def test_a_folder_that_cannot_be_opened_is_not_passed_over(tmp_path: Path, monkeypatch, is_listed: bool) -> None:
+    """Neither where it cannot be listed, nor where its files cannot be looked at."""
+    write_series(tmp_path / "Secretname", VOLUME, along(7, UP))
+    write_series(tmp_path / "Secretname" / "locked", VOLUME[:1], along(8, UP)[7:], first_instance=8)
+
+    def refusing(function):
+        def call(path, *args, **options):
+            if "locked" in str(path) and (not is_listed or "s1" in str(path)):
+                raise PermissionError(13, "Permission denied", str(path))
+            return function(path, *args, **options)
+
+        return call
+
+    if is_listed:
+        monkeypatch.setattr(Path, "stat", refusing(Path.stat))
+    else:
+        monkeypatch.setattr(os, "scandir", refusing(os.scandir))
+    with pytest.raises(ScanError, match="cannot be opened, so that images may be missing") as caught:
+        read_scan(tmp_path / "Secretname")
+    assert "Secret" not in str(caught.value)
 
 
 def test_a_localizer_of_one_image_does_not_make_a_choice_necessary(tmp_path: Path) -> None:

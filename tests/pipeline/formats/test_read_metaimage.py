@@ -67,7 +67,7 @@ def test_every_type_in_both_byte_orders(tmp_path: Path, element: str, big_endian
 
 
 def test_text_and_skipped_bytes(tmp_path: Path) -> None:
-    head = "ObjectType = Image\nNDims = 3\nDimSize = 3 2 2\nElementType = MET_SHORT\n"
+    head = "ObjectType = Image\nNDims = 3\nDimSize = 3 2 2\nElementSpacing = 1 2 3\nElementType = MET_SHORT\n"
     values = np.arange(-6, 6, dtype="<i2").reshape(2, 2, 3)
     text = tmp_path / "text.mha"
     text.write_text(f"{head}BinaryData = False\nElementDataFile = LOCAL\n" + " ".join(map(str, values.ravel())))
@@ -80,10 +80,44 @@ def test_text_and_skipped_bytes(tmp_path: Path) -> None:
 
 
 def test_a_stream_that_holds_more_or_less_is_refused(tmp_path: Path) -> None:
-    head = "ObjectType = Image\nNDims = 3\nDimSize = 3 2 2\nElementType = MET_SHORT\nCompressedData = True\n"
+    head = "ObjectType = Image\nNDims = 3\nDimSize = 3 2 2\nElementSpacing = 1 2 3\n"
+    head += "ElementType = MET_SHORT\nCompressedData = True\n"
     path = tmp_path / "volume.mha"
     for count in (11, 13, 10**6):
         packed = zlib.compress(np.zeros(count, "<i2").tobytes())
         path.write_bytes(f"{head}ElementDataFile = LOCAL\n".encode() + packed)
         with pytest.raises(ScanError, match="damaged"):
             read_metaimage(path)
+
+
+@pytest.mark.parametrize(
+    ("lines", "words"),
+    [
+        ("", "voxel spacing of every axis"),
+        ("ElementSpacing = 1 nan 3", "voxel spacing of every axis"),
+        ("ElementSpacing = 1 -2 3", "voxel spacing of every axis"),
+        ("ElementSpacing = 1 0 3", "voxel spacing of every axis"),
+        ("ElementSpacing = 1 inf 3", "voxel spacing of every axis"),
+        ("ElementSize = 1 2 3\nDistanceUnits = cm", "millimetres"),
+        ("ElementSpacing = 1 2 3\nElementToIntensityFunctionSlope = 2", "intensity function"),
+        ("ElementSpacing = 1 2 3\nElementToIntensityFunctionOffset = -1024", "intensity function"),
+        ("ElementSpacing = 1 2 3\nElementToIntensityFunctionSlope = x", "intensity function"),
+    ],
+)
+def test_what_itk_guesses_or_ignores_is_refused(tmp_path: Path, lines: str, words: str) -> None:
+    path = tmp_path / "volume.mha"
+    head = f"ObjectType = Image\nNDims = 3\nDimSize = 3 2 2\n{lines}\nElementType = MET_SHORT\n"
+    path.write_bytes(f"{head}ElementDataFile = LOCAL\n".encode() + bytes(24))
+    with pytest.raises(ScanError, match=words):
+        read_metaimage(path)
+
+
+@pytest.mark.parametrize("key", ["TransformMatrix", "Rotation", "Orientation", "AnatomicalOrientation", ""])
+def test_whether_the_orientation_is_stated(tmp_path: Path, key: str) -> None:
+    """AnatomicalOrientation only repeats in letters what a matrix says, and ITK does not read it."""
+    line = f"{key} = 1 0 0 0 1 0 0 0 1\n" if key and not key.startswith("Ana") else "AnatomicalOrientation = RAI\n"
+    path = tmp_path / "volume.mha"
+    head = "ObjectType = Image\nNDims = 3\nDimSize = 3 2 2\nElementSpacing = 1 2 3\nDistanceUnits = mm\n"
+    head += f"{line}ElementToIntensityFunctionSlope = 1.0\nElementType = MET_SHORT\nElementDataFile = LOCAL\n"
+    path.write_bytes(head.encode() + bytes(24))
+    assert read_metaimage(path).orientation_is_stated == (key in ("TransformMatrix", "Rotation", "Orientation"))

@@ -116,17 +116,20 @@ def ball(radius, *centre):
 @pytest.mark.parametrize("text", [False, True])
 def test_parts_are_named_by_their_files_and_later_ones_win(tmp_path, text):
     write(tmp_path / "LV.stl", ball(3.0, -2, 1, 0), text=text, header="x SPACE=LPS")
-    write(tmp_path / "heart_atrium_left.STL", ball(3.0, 2, -1, 0), text=text, header="x SPACE=RAS")
+    write(tmp_path / "heart_atrium_left.STL", ball(3.0, 2, -1, 2), text=text, header="x SPACE=RAS")
     write(tmp_path / "Aorta.stl", ball(1.5, 2, 4, 3), text=text)
     segmentation = load_segmentation(tmp_path, {}, TABLE, PLAIN)
     ventricle = inside(ball(3.0, -2, 1, 0), PLAIN)
-    atrium = inside(ball(3.0, -2, 1, 0), PLAIN)  # its file is RAS: the same place
+    atrium = inside(ball(3.0, -2, 1, 2), PLAIN)  # its file is RAS
     expected = np.zeros(PLAIN.shape, np.uint8)
     expected[inside(ball(1.5, 2, 4, 3), PLAIN)] = 5
     expected[atrium] = 3
     expected[ventricle] = 1
     np.testing.assert_array_equal(segmentation.labels, expected)
-    assert set(np.unique(expected)) == {0, 1, 5}
+    assert set(np.unique(expected)) == {0, 1, 3, 5}
+    (warning,) = segmentation.warnings
+    assert "LPS was assumed" in warning
+    assert "part 1)" in warning
     with pytest.raises(MarkerError, match="give the scan"):
         load_segmentation(tmp_path, {}, TABLE, None)
 
@@ -170,3 +173,61 @@ def test_the_order_of_faces_does_not_matter(tmp_path):
     first = read_parts(tmp_path, PLAIN).values
     write(tmp_path / "LV.stl", shuffled)
     np.testing.assert_array_equal(read_parts(tmp_path, PLAIN).values, first)
+
+
+@pytest.mark.parametrize(
+    "header", ["SPACE=RAS", "x SPACE: RAS", "COORDSYS=RAS", "coordinate system = ras;", "Space=RAS"]
+)
+def test_headers_that_say_ras(tmp_path, header):
+    write(tmp_path / "LV.stl", ball(3.0, -2, 1, 0), header=header)
+    volume = read_parts(tmp_path, PLAIN)
+    np.testing.assert_array_equal(volume.values > 0, inside(ball(3.0, 2, -1, 0), PLAIN))
+    assert volume.warnings == ()
+
+
+@pytest.mark.parametrize("header", ["SPACE=LAS", "SPACE=RAS COORDSYS=LPS"])
+def test_headers_that_say_something_else(tmp_path, header):
+    write(tmp_path / "LV.stl", ball(3.0, -2, 1, 0), header=header)
+    with pytest.raises(MarkerError, match="neither LPS nor RAS, or in both"):
+        read_parts(tmp_path, PLAIN)
+
+
+OFF_CENTRE = PLAIN.model_copy(update={"origin_mm": (5.0, -4.0, 3.0)})
+
+
+@pytest.mark.parametrize("shift", [(0, 0, 0), (4, 3, 0), (7, 0, 0)])
+def test_a_silent_surface_that_lies_better_as_ras_is_refused(tmp_path, shift):
+    """Also one that lies partly in the scan either way."""
+    middle = OFF_CENTRE.index_to_world((5, 5, 5)) - np.array(shift)
+    write(tmp_path / "jane.stl", ball(2.5, *(middle * (-1, -1, 1))))
+    with pytest.raises(MarkerError, match=r"part 1 .* better as RAS") as caught:
+        read_parts(tmp_path, OFF_CENTRE)
+    assert "jane" not in str(caught.value)
+    write(tmp_path / "jane.stl", ball(2.5, *middle))
+    (warning,) = read_parts(tmp_path, OFF_CENTRE).warnings
+    assert "neither LPS nor RAS" in warning
+
+
+def test_a_part_of_which_nothing_is_left_is_refused_unless_it_is_left_out(tmp_path):
+    write(tmp_path / "LV.stl", ball(3.0, -2, 1, 0), header="SPACE=LPS")
+    write(tmp_path / "RV.stl", ball(3.0, 500, 1, 0), header="SPACE=LPS")
+    with pytest.raises(MarkerError, match="segment 2 of the file would vanish"):
+        load_segmentation(tmp_path, {}, TABLE, PLAIN)
+    assert set(np.unique(load_segmentation(tmp_path, {"rv": "background"}, TABLE, PLAIN).labels)) == {0, 1}
+    (tmp_path / "RV.stl").rename(tmp_path / "a knee.stl")
+    with pytest.raises(MarkerError, match="no label: segment 1 of the file"):
+        load_segmentation(tmp_path, {}, TABLE, PLAIN)
+    assert set(np.unique(load_segmentation(tmp_path, {}, TABLE, PLAIN, others="ignore").labels)) == {0, 1}
+    write(tmp_path / "thorax.stl", ball(5.0, -2, 1, 0), header="SPACE=LPS")
+    with pytest.raises(MarkerError, match="segment 2 of the file would vanish"):
+        load_segmentation(tmp_path, {}, TABLE, PLAIN, others="ignore")
+
+
+def test_many_faces_around_the_whole_scan_are_refused_at_once(tmp_path):
+    lattice = Geometry.of(shape=(256, 256, 256), origin_mm=(-128, -128, -128))
+    one = trimesh.creation.box(extents=(900, 900, 900))
+    vertices = np.concatenate([np.asarray(one.vertices) + n / 16 for n in range(300)])
+    faces = np.concatenate([np.asarray(one.faces) + len(one.vertices) * n for n in range(300)])
+    with pytest.raises(MarkerError, match="too many faces that reach across"):
+        inside_of_mesh(vertices, faces, lattice)
+    assert inside_of_mesh(vertices[:8], faces[:12], lattice).all()

@@ -1,0 +1,311 @@
+"""Where blood of one chamber or vessel meets that of another without a wall between, and whether a heart has that.
+
+Walls grow into background only, so two cavities whose outlines touch are open to each other. At a valve that is
+right; at a septum it is a hole that the patient may not have.
+
+What touches, and over which area, is found in :mod:`heartcase.pipeline.contacts`; here it is judged.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from heartcase.pipeline.cautions import Caution, anatomy, note
+from heartcase.pipeline.contacts import Contact, find_contact
+from heartcase.pipeline.data import Segmentation, Structures
+from heartcase.schemas.labels import Label
+from heartcase.schemas.landmarks import Landmark
+from heartcase.schemas.settings import Edit, SeptalDefect
+from heartcase.schemas.terms import Term, term_by_name
+
+__all__ = [
+    "POINT_REACH_MM",
+    "Opening",
+    "Verdict",
+    "find_openings",
+    "opening_cautions",
+    "opening_figures",
+    "states_an_opening",
+]
+
+Bool = npt.NDArray[np.bool_]
+Float64 = npt.NDArray[np.float64]
+
+POINT_REACH_MM = 8.0
+"""What a landmark that is a point speaks for: this far around it. A ring speaks for its own radius."""
+REACH_VOXELS = 2.0
+"""How much farther than its radius a stated defect reaches, in edges of a cube with the volume of a voxel."""
+MORE_THAN_ASKED = 1.5
+"""An opening at a septal_defect edit is looked at when it is this many times as large as the edit asks for."""
+_NORMAL_PAIRS = (
+    ("lv", "la"),
+    ("lv", "aorta"),
+    ("rv", "ra"),
+    ("rv", "pa"),
+    ("ra", "svc"),
+    ("ra", "ivc"),
+    ("ra", "coronary sinus"),
+    ("ra", "raa"),
+    ("la", "pulmonary vein"),
+    ("la", "laa"),
+)
+_OTHER_VENTRICLE = (("lv", "pa"), ("rv", "aorta"))
+_STATING_WORDS = re.compile(
+    r"defect|fistula|shunt|anastomos[ei]s|fenestration|ductus|window|opening|connection|drainage"
+    r"|(?<![a-z])(?:asd|vsd|avsd|pfo|pda)(?![a-z])"
+)
+
+
+class Verdict(StrEnum):
+    """What is to be thought of an opening."""
+
+    EXPECTED = "expected"
+    """A normal heart has it: a valve, a vein's mouth, an appendage."""
+    STATED = "stated"
+    """The recipe says that it is meant."""
+    OTHER_VENTRICLE = "other ventricle"
+    """A great artery arises from the ventricle that is not its own, as some malformed hearts have it."""
+    UNKNOWN = "unknown"
+    """The vocabulary does not know one of the two."""
+    UNEXPECTED = "unexpected"
+    """No normal heart has it, and the recipe does not say that this one does."""
+
+
+_WORST_FIRST = (Verdict.UNEXPECTED, Verdict.OTHER_VENTRICLE, Verdict.UNKNOWN, Verdict.STATED, Verdict.EXPECTED)
+
+
+@dataclass(frozen=True)
+class Opening:
+    """Where two cavities are open to each other, as far as one verdict goes."""
+
+    labels: tuple[int, int]
+    """Values of the two labels, the lower first."""
+    names: tuple[str, str]
+    """Their names in the label table."""
+    area_mm2: float
+    """Area of all patches together, mm2."""
+    patches: int
+    """Pieces of it that do not touch."""
+    center_mm: tuple[float, float, float]
+    """The point of the largest patch that is nearest to its mean, world mm."""
+    verdict: Verdict
+    """What is to be thought of it."""
+    stated_by: str = ""
+    """What in the recipe says that it is meant."""
+    asked_mm2: float | None = None
+    """Area that the septal_defect edit asks for, mm2."""
+
+    @property
+    def diameter_mm(self) -> float:
+        """Diameter of a circle of this area, mm."""
+        return 2.0 * math.sqrt(self.area_mm2 / math.pi)
+
+    @property
+    def is_too_large(self) -> bool:
+        """Whether it is larger than the edit that states it asks for, by more than voxels explain."""
+        return self.asked_mm2 is not None and self.area_mm2 > MORE_THAN_ASKED * self.asked_mm2
+
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether a person must look at it."""
+        return self.is_too_large or self.verdict not in (Verdict.EXPECTED, Verdict.STATED)
+
+
+@dataclass(frozen=True)
+class _Statement:
+    """A place of the recipe at which an opening is meant: a canal, or a ball where there is no axis."""
+
+    words: str
+    center_mm: Float64
+    radius_mm: float
+    axis: Float64 | None = None
+    half_length_mm: float = 0.0
+    asked_mm2: float | None = None
+
+    @property
+    def line_mm(self) -> tuple[Float64, Float64]:
+        """The ends of the canal's axis."""
+        reach = self.half_length_mm * (np.zeros(3) if self.axis is None else self.axis)
+        return self.center_mm - reach, self.center_mm + reach
+
+    def covers(self, points_mm: Float64, margin_mm: float) -> Bool:
+        """Which points, shape (n, 3), lie within its reach."""
+        away = points_mm - self.center_mm
+        if self.axis is None:
+            near: Bool = np.linalg.norm(away, axis=1) <= self.radius_mm + margin_mm
+            return near
+        along = away @ self.axis
+        across = np.linalg.norm(away - along[:, None] * self.axis, axis=1)
+        within: Bool = (across <= self.radius_mm + margin_mm) & (np.abs(along) <= self.half_length_mm + margin_mm)
+        return within
+
+
+def find_openings(
+    structures: Structures,
+    labels: Segmentation,
+    edits: Sequence[Edit] = (),
+    landmarks: Sequence[Landmark] = (),
+) -> tuple[Opening, ...]:
+    """Find every place where two labels of blood or vessel lumen touch with no tissue between.
+
+    Parameters
+    ----------
+    structures
+        The final structures, after edits and end cuts.
+    labels
+        The label of every voxel of their lattice: :func:`heartcase.pipeline.run.labels_of`.
+    edits
+        The recipe's edits: a ``septal_defect`` states the opening at its canal.
+    landmarks
+        The recipe's landmarks: one that :func:`states_an_opening` states the opening around it, out to its radius or,
+        for a point, :data:`POINT_REACH_MM`.
+
+    Returns
+    -------
+    tuple of Opening
+        The worst verdict first, then by area, the largest first. The faces of one pair are told apart by what states
+        them: what lies beyond the reach of a stated defect is an opening of its own. Pairs of a normal heart are one
+        opening each; whether one of their patches lies where it should not is not judged.
+    """
+    statements = _statements(edits, landmarks)
+    contact = find_contact(structures, labels, [one.line_mm for one in statements if one.axis is not None])
+    points, pairs = contact.points_mm, contact.pairs
+    margin = REACH_VOXELS * labels.geometry.voxel_volume_mm3 ** (1.0 / 3.0)
+    found: list[Opening] = []
+    for values in np.unique(pairs, axis=0):
+        of_pair = (pairs == values).all(axis=1)
+        pair = (labels.table[int(values[0])], labels.table[int(values[1])])
+        plain = _verdict(*pair)
+        if plain is Verdict.EXPECTED:
+            found.append(_opening(contact[of_pair], pair, plain))
+            continue
+        for statement in statements:
+            covered = of_pair & statement.covers(points, margin)
+            if covered.any():
+                of_pair &= ~covered
+                one = _opening(contact[covered], pair, Verdict.STATED)
+                found.append(replace(one, stated_by=statement.words, asked_mm2=statement.asked_mm2))
+        if of_pair.any():
+            found.append(_opening(contact[of_pair], pair, plain))
+    return tuple(sorted(found, key=lambda one: (_WORST_FIRST.index(one.verdict), -one.area_mm2, one.labels)))
+
+
+def opening_cautions(openings: Sequence[Opening]) -> tuple[Caution, ...]:
+    """What the user must know about the openings, in their order."""
+    return tuple(caution for one in openings for caution in _cautions(one))
+
+
+def opening_figures(openings: Sequence[Opening]) -> list[dict[str, Any]]:
+    """The openings as plain values for the manifest, rounded to 0.1 mm2 and 0.1 mm."""
+    figures = []
+    for one in openings:
+        figure: dict[str, Any] = {
+            "between": list(one.names),
+            "labels": list(one.labels),
+            "area_mm2": round(one.area_mm2, 1),
+            "patches": one.patches,
+            "center_mm": [round(value, 1) + 0.0 for value in one.center_mm],
+            "verdict": one.verdict.value,
+        }
+        if one.stated_by:
+            figure["stated_by"] = one.stated_by
+        if one.asked_mm2 is not None:
+            figure["asked_mm2"] = round(one.asked_mm2, 1)
+        figures.append(figure)
+    return figures
+
+
+def states_an_opening(landmark: Landmark) -> bool:
+    """Whether a landmark says by its name that two cavities are open to each other there: "defect", "VSD" and so on."""
+    return _STATING_WORDS.search(landmark.name.casefold().replace("_", " ")) is not None
+
+
+def _verdict(first: Label, second: Label) -> Verdict:
+    one, other = first.term, second.term
+    if one is None or other is None:
+        return Verdict.UNKNOWN
+    pair = frozenset((one, other))
+    if len(pair) == 1 or pair in _EXPECTED:
+        return Verdict.EXPECTED
+    return Verdict.OTHER_VENTRICLE if pair in _DISCORDANT else Verdict.UNEXPECTED
+
+
+def _term_pairs(pairs: Sequence[tuple[str, str]]) -> frozenset[frozenset[Term]]:
+    def term(name: str) -> Term:
+        found = term_by_name(name)
+        if found is None:
+            raise KeyError(name)
+        return found
+
+    return frozenset(frozenset((term(one), term(other))) for one, other in pairs)
+
+
+_EXPECTED = _term_pairs(_NORMAL_PAIRS)
+_DISCORDANT = _term_pairs(_OTHER_VENTRICLE)
+
+
+def _opening(contact: Contact, pair: tuple[Label, Label], verdict: Verdict) -> Opening:
+    """Measure the faces of one pair; ``pair`` is by ascending value."""
+    return Opening((pair[0].value, pair[1].value), (pair[0].name, pair[1].name), *contact.extent(), verdict)
+
+
+def _statements(edits: Sequence[Edit], landmarks: Sequence[Landmark]) -> tuple[_Statement, ...]:
+    return (*_stated_by_edits(edits), *_stated_by_landmarks(landmarks))
+
+
+def _stated_by_edits(edits: Sequence[Edit]) -> Iterator[_Statement]:
+    for number, edit in enumerate(edits, start=1):
+        if isinstance(edit, SeptalDefect):
+            yield _Statement(
+                f"edits[{number}]",
+                np.array(edit.position_mm),
+                0.5 * edit.diameter_mm,
+                np.array(edit.axis) / np.linalg.norm(edit.axis),
+                0.5 * edit.length_mm,
+                0.25 * math.pi * edit.diameter_mm**2,
+            )
+
+
+def _stated_by_landmarks(landmarks: Sequence[Landmark]) -> Iterator[_Statement]:
+    for landmark in landmarks:
+        if states_an_opening(landmark):
+            points = np.array(landmark.points_mm)
+            center = points.mean(axis=0)
+            radius = float(np.linalg.norm(points - center, axis=1).max())
+            if len(points) == 1:
+                radius = landmark.radius_mm or POINT_REACH_MM
+            yield _Statement(f"the landmark '{landmark.name}'", center, radius)
+
+
+def _cautions(one: Opening) -> Iterator[Caution]:
+    place = f"({', '.join(f'{value:.1f}' for value in one.center_mm)}) mm"
+    pieces = f" in {one.patches} patches, the largest" if one.patches > 1 else ""
+    where = f"{one.names[0]} and {one.names[1]} are open to each other over {_area(one.area_mm2)}{pieces} near {place}"
+    if one.verdict is Verdict.UNEXPECTED:
+        yield anatomy(
+            f"{where}: paint the wall between them (a stroke of background, or of the muscle), or, if the patient has "
+            "this opening, say so: an edit of kind septal_defect, or a landmark (point or ring) there whose name says "
+            "defect, VSD or ASD"
+        )
+    elif one.verdict is Verdict.OTHER_VENTRICLE:
+        yield Caution(f"{where}: the great artery arises from the other ventricle; is that the malformation?")
+    elif one.verdict is Verdict.UNKNOWN:
+        yield Caution(f"{where}: a name that heartcase does not know, so look whether a wall belongs between them")
+    elif one.verdict is Verdict.STATED:
+        asked = "" if one.asked_mm2 is None else f", which asks for {_area(one.asked_mm2)}"
+        if one.is_too_large:
+            yield Caution(f"{where}, at {one.stated_by}{asked}: the wall around the defect may be missing as well")
+        else:
+            yield note(f"{where}, as stated by {one.stated_by}{asked}")
+
+
+def _area(area_mm2: float) -> str:
+    return f"{area_mm2:,.0f} mm²" if area_mm2 >= 10.0 else f"{area_mm2:.1f} mm²"
