@@ -9,6 +9,7 @@ import click
 
 from heartcase.cli.output import working
 from heartcase.cli.stage_io import optional_recipe, read_scan_or_output, scan_options
+from heartcase.schemas.errors import UsageError
 
 __all__ = ["command"]
 
@@ -63,6 +64,10 @@ def command(
     name = output.name.removesuffix(".case")
     case_id = (loaded.case_id if loaded else None) or made_up_case_id(name, volume.values_sha256)
     labels = labels_of(fields) if fields else None
+    if labels is not None and not labels.geometry.matches(volume.geometry):
+        raise UsageError(
+            "lie on another lattice than the scan: give the scan that they were made from", place="--structures"
+        )
     content = assemble_bundle(
         name=name,
         case_id=case_id,

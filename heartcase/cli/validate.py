@@ -57,11 +57,11 @@ def _problems(path: Path) -> tuple[Problem, ...]:
     except HeartcaseError as error:
         return error.problems
     missing = recipe.missing_files(path.parent)
-    if recipe.lock is None or missing:
+    if recipe.lock is None:
         return missing
     from heartcase.pipeline.lock import changed_files
 
-    return tuple(changed_files(recipe, path.parent))
+    return (*missing, *changed_files(recipe, path.parent))
 
 
 def _is_script(path: Path) -> bool:

@@ -152,7 +152,8 @@ def find_contact(
         part = near[start : start + CHUNK, None]
         owner = ownership_at_points(box, coarse.index_to_world(part + (offsets + 0.5) / factor - 0.5))
         i, j, k = (factor * (part - low) + offsets).reshape(-1, 3).T
-        values[k, j, i] = np.where(owner.tissue_mm < 0.0, BACKGROUND, owner.void_label)
+        # Where a patch meets the rim of its hole neither may own a point, and the distance to tissue is zero there.
+        values[k, j, i] = np.where(owner.tissue_mm <= 0.0, BACKGROUND, owner.void_label)
     first = factor * low
     nz, ny, nx = values.shape
     fine = coarse.refined(factor).cropped((int(first[0]), int(first[1]), int(first[2])), (nx, ny, nz))
@@ -212,7 +213,7 @@ def _without_tissue(contact: Contact, structures: Structures) -> Contact:
         unit = np.eye(3)[contact.axis[start : start + CHUNK]]
         probes = contact.index[start : start + CHUNK] + steps[:, None, None] * unit
         tissue_mm = ownership_at_points(structures, contact.geometry.index_to_world(probes)).tissue_mm
-        parts.append((tissue_mm.reshape(count, -1) >= 0.0).all(axis=0))
+        parts.append((tissue_mm.reshape(count, -1) > 0.0).all(axis=0))
     return contact[np.concatenate(parts)]
 
 

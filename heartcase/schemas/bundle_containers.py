@@ -19,7 +19,7 @@ from safetensors import SafetensorError, safe_open
 from heartcase.schemas.bundle import FORMAT_VERSION, CaseManifest, FileRole
 from heartcase.schemas.bundle_manifest import stated
 from heartcase.schemas.bundle_surfaces import rest_basis
-from heartcase.schemas.bundle_values import Parts
+from heartcase.schemas.bundle_values import Arrays, Parts
 from heartcase.schemas.coordinates import Coordinates
 from heartcase.schemas.errors import Problem
 from heartcase.schemas.geometry import Geometry
@@ -166,7 +166,7 @@ def render_problems(manifest: CaseManifest, file: Path, parts: Parts) -> Iterabl
         if any(one != attributes[0] for one in attributes) or any(one.get("mode", 4) != 4 for one in primitives):
             raise ValueError
         read = _Reader(document, binary)
-        corners = np.concatenate([read(one["indices"], "SCALAR", _UINT32) for one in primitives]).reshape(-1, 3)
+        corners = [read(one["indices"], "SCALAR", _UINT32).reshape(-1, 3) for one in primitives]
         vertices = {
             name: read(attributes[0][name], kind, _FLOAT)
             for name, kind in (("POSITION", "VEC3"), ("NORMAL", "VEC3"), ("TANGENT", "VEC4"))
@@ -187,7 +187,7 @@ def render_problems(manifest: CaseManifest, file: Path, parts: Parts) -> Iterabl
 
 
 def _shown_problems(
-    manifest: CaseManifest, parts: Parts, corners: npt.NDArray[Any], shown: dict[str, npt.NDArray[Any]]
+    manifest: CaseManifest, parts: Parts, corners: list[npt.NDArray[Any]], shown: dict[str, npt.NDArray[Any]]
 ) -> Iterable[Problem]:
     place, surface = "files.render", parts.get(FileRole.SURFACE, {})
     welded = surface.get("render_to_welded")
@@ -196,10 +196,15 @@ def _shown_problems(
     for name, key in (("POSITION", "vertices"), ("NORMAL", "normals")):
         if key in surface and not np.array_equal(shown.get(name, np.empty(0)), surface[key][welded]):
             yield Problem(place, f"its {key} are not those of the surface part")
-    if len(corners) and int(corners.max()) >= len(welded):
+    if any(len(some) and int(some.max()) >= len(welded) for some in corners):
         yield Problem(place, "its triangles name vertices that it does not have")
-    elif "triangles" in surface and not np.array_equal(_ordered(welded[corners]), _ordered(surface["triangles"])):
-        yield Problem(place, "its triangles are not those of the surface part")
+    elif {"triangles", "triangle_label", "triangle_is_cut"} <= set(surface):
+        expected = _by_void(surface)
+        is_same = len(expected) == len(corners) and all(
+            np.array_equal(_ordered(welded[some]), _ordered(want)) for some, want in zip(corners, expected, strict=True)
+        )
+        if not is_same:
+            yield Problem(place, "its triangles are not those of the surface part, void by void")
     tangent, found = parts.get(FileRole.MAPPING, {}).get("tangent"), rest_basis(manifest, parts)
     if tangent is None or found is None or "TANGENT" not in shown or len(tangent) != len(welded):
         return
@@ -209,6 +214,13 @@ def _shown_problems(
         np.abs(rest - theirs[:, :3]).max() <= TANGENT_TOLERANCE and np.array_equal(theirs[:, 3], tangent[:, 3])
     ):
         yield Problem("mapping.tangent", "does not give the tangents of the GLB at rest")
+
+
+def _by_void(surface: Arrays) -> list[npt.NDArray[Any]]:
+    """The triangles beside each void, by ascending label, then those of cut faces."""
+    label, is_cut = surface["triangle_label"], surface["triangle_is_cut"] != 0
+    beside = [surface["triangles"][~is_cut & (label == void)] for void in np.unique(label[~is_cut])]
+    return [*beside, surface["triangles"][is_cut]] if is_cut.any() else beside
 
 
 def _ordered(triangles: npt.NDArray[Any]) -> npt.NDArray[np.int64]:

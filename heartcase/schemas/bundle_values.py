@@ -48,6 +48,10 @@ def figure_problems(manifest: CaseManifest) -> Iterable[Problem]:
         points = getattr(landmark, "points_mm", None)
         if points is not None and np.abs(points).max() > LANDMARK_FAR_MM:
             yield Problem(f"landmarks[{number}]", "lies more than 100 m away")
+    names = [getattr(landmark, "name", None) for landmark in stated(manifest, "landmarks") or ()]
+    for number, name in enumerate(names, start=1):
+        if name is not None and name in names[: number - 1]:
+            yield Problem(f"landmarks[{number}]", "has the name of one before it")
     labels = [material.label for material in stated(manifest, "materials") or () if hasattr(material, "label")]
     twice = sorted({label for label in labels if labels.count(label) > 1})
     if twice:

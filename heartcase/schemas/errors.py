@@ -176,7 +176,7 @@ def problems_from_validation(error: ValidationError, *, place: str = "") -> tupl
             message = "unknown setting: check its spelling, or remove it"
         elif kind == "missing":
             message = "is missing: add it"
-        elif isinstance(detail["input"], str | int | float | bool):
+        elif isinstance(detail["input"], str | int | float | bool) and not _is_path(detail["input"]):
             message += f" (found {detail['input']!r})"
         problems.append(Problem(dotted, message))
     return tuple(problems)
@@ -217,6 +217,11 @@ _PATTERN_WORDS = {
     r"^[0-9a-f]{64}$": "it is 64 digits from 0 to f",
 }
 """Pattern -> what it allows, in words."""
+
+
+def _is_path(value: str | int | float | bool) -> bool:
+    """Whether a value may be a path, which may be named after a patient and is not quoted."""
+    return isinstance(value, str) and ("/" in value or "\\" in value)
 
 
 def _joined(outer: str, inner: str) -> str:

@@ -121,6 +121,16 @@ PLANTS: dict[str, tuple[Plant, str, str]] = {
         "landmarks[2]",
         "100 m",
     ),
+    "landmark twice": (
+        in_manifest(lambda m: m["landmarks"].append(m["landmarks"][2])),
+        "landmarks[6]",
+        "one before it",
+    ),
+    "another void": (
+        values("surface", "triangle_label", lambda a: [0] * len(a)),
+        "files.render",
+        "void by void",
+    ),
     "no material": (in_manifest(lambda m: m["materials"].pop(0)), "materials", "none"),
     "two materials": (in_manifest(lambda m: m["materials"].append(m["materials"][-1])), "materials", "more than one"),
     "another stiffness": (
@@ -178,7 +188,7 @@ SHAPELESS: dict[str, tuple[Plant, str, str]] = {
 """The same, of a manifest or a part that does not fit the format. A file is appended to last."""
 
 HIDES: dict[str, Collection[str]] = {
-    "number too high": ("open",),
+    "number too high": ("open", "another void"),
     "left-handed": ("mirrored scan",),
     "coverage": ("volume",),
     "negative stiffness": ("another stiffness", "step that is not the cells'", "steps"),
