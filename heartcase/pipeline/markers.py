@@ -5,7 +5,7 @@ What a file calls its segments and points may be a patient's name: messages call
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +15,9 @@ from heartcase.pipeline.cautions import note
 from heartcase.pipeline.data import Markers, Segmentation
 from heartcase.pipeline.formats.point_lists import MarkupList, read_point_lists
 from heartcase.pipeline.formats.raw_volume import placed
+from heartcase.pipeline.formats.segments import SegmentInfo
 from heartcase.pipeline.formats.stl_parts import holds_parts, read_parts
-from heartcase.pipeline.naming import Naming, called, label_lookup, listed, value_of
+from heartcase.pipeline.naming import Naming, called, label_lookup, left_out, listed, value_of
 from heartcase.pipeline.paint import paint_capsule, paint_passed_voxels, pull_nearest
 from heartcase.pipeline.read import LabelVolume, read_labels
 from heartcase.schemas.errors import MarkerError, Problem
@@ -161,8 +162,9 @@ def load_segmentation(
     """
     place = "segmentation"
     try:
-        volume = _finished(Path(path), geometry)
-        lookup = label_lookup(volume, Naming(names, convention, others, leaves_out_walls=True), table)
+        naming = Naming(names, convention, others, leaves_out_walls=True)
+        volume = _finished(Path(path), geometry, left_out(naming, table))
+        lookup = label_lookup(volume, naming, table)
         geometry = geometry or volume.geometry
         values = resample_labels(volume, geometry)
     except MarkerError as error:
@@ -194,12 +196,12 @@ def _walls_left_out(walls: Sequence[str]) -> tuple[str, ...]:
     )
 
 
-def _finished(path: Path, geometry: Geometry | None) -> LabelVolume:
+def _finished(path: Path, geometry: Geometry | None, is_left_out: Callable[[SegmentInfo], bool]) -> LabelVolume:
     if not holds_parts(path):
-        return read_labels(path, geometry)
+        return read_labels(path, geometry, is_left_out)
     if geometry is None:
         raise MarkerError("surfaces have no voxels of their own: give the scan that they were made on")
-    return read_parts(path, geometry)
+    return read_parts(path, geometry, is_left_out)
 
 
 def resample_labels(volume: LabelVolume, geometry: Geometry) -> npt.NDArray[np.uint8] | npt.NDArray[np.uint16]:
@@ -277,8 +279,9 @@ def _paint(labels: UInt8, points_mm: npt.NDArray[np.float64], radius_mm: float, 
 
 
 def _painted_volume(path: Path, file: MarkerFile, table: LabelTable, geometry: Geometry) -> UInt8:
-    volume = read_labels(path, geometry)
-    lookup = label_lookup(volume, Naming(file.names, file.convention, file.others), table).values
+    naming = Naming(file.names, file.convention, file.others)
+    volume = read_labels(path, geometry, left_out(naming, table))
+    lookup = label_lookup(volume, naming, table).values
     values = resample_labels(volume, geometry)
     if not volume.marks_anything:
         raise MarkerError("the file marks nothing: paint in it, or leave it out")

@@ -5,7 +5,7 @@ What a file calls its segments may be a patient's name: messages call them by th
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +17,7 @@ from heartcase.schemas.errors import MarkerError, Problem
 from heartcase.schemas.labels import Label, LabelTable
 from heartcase.schemas.terms import CONVENTIONS, contradicts, is_of_another_version
 
-__all__ = ["LabelLookup", "Naming", "called", "label_lookup", "listed", "value_of"]
+__all__ = ["LabelLookup", "Naming", "called", "label_lookup", "left_out", "listed", "value_of"]
 
 UInt8 = npt.NDArray[np.uint8]
 UNMARKED = Markers.UNMARKED
@@ -81,18 +81,9 @@ def label_lookup(volume: LabelVolume, naming: Naming, table: LabelTable) -> Labe
     unknown, contrary = [], []
     for value in values:
         segment = volume.segments.get(value)
-        label = None
-        if segment is not None:
-            given = {_as_compared(key) for key in naming.names}
-            key = next((key for key in (segment.name, str(value)) if _as_compared(key) in given), None)
-            label = value_of(segment.name if key is None else key, naming.names, table)
-            coded = table.find_code(segment.snomed) if segment.snomed else None
-            if key is None and _is_contrary(segment, label, coded):
-                contrary.append(value)
-            if label is None and coded is not None:
-                label = coded.value
-        if label is None:
-            label = value_of(str(value), naming.names, table)
+        label, is_contrary = _label_of(segment, value, naming, table)
+        if is_contrary:
+            contrary.append(value)
         if label is None and not volume.segments:
             label = _value_without_name(value, naming, table)
         if label is None:
@@ -117,6 +108,35 @@ def label_lookup(volume: LabelVolume, naming: Naming, table: LabelTable) -> Labe
     if problems:
         raise MarkerError(Problem("", message) for message in problems)
     return LabelLookup(lookup, tuple(walls[value] for value in sorted(walls)))
+
+
+def _label_of(segment: SegmentInfo | None, value: int, naming: Naming, table: LabelTable) -> tuple[int | None, bool]:
+    """Label value that names, name or code give a segment, or ``names`` a value; and whether name and code disagree."""
+    label, is_contrary = None, False
+    if segment is not None:
+        given = {_as_compared(key) for key in naming.names}
+        key = next((key for key in (segment.name, str(value)) if _as_compared(key) in given), None)
+        label = value_of(segment.name if key is None else key, naming.names, table)
+        coded = table.find_code(segment.snomed) if segment.snomed else None
+        is_contrary = key is None and _is_contrary(segment, label, coded)
+        if label is None and coded is not None:
+            label = coded.value
+    return value_of(str(value), naming.names, table) if label is None else label, is_contrary
+
+
+def left_out(naming: Naming, table: LabelTable) -> Callable[[SegmentInfo], bool]:
+    """Which segments of a file with several layers are not taken: they must not cover those that are."""
+    grown = table.with_walls()
+
+    def is_left_out(segment: SegmentInfo) -> bool:
+        label, is_contrary = _label_of(segment, segment.number, naming, table)
+        if label is not None or is_contrary:
+            return False
+        return naming.others == "ignore" or (
+            naming.leaves_out_walls and value_of(segment.name, naming.names, grown) is not None
+        )
+
+    return is_left_out
 
 
 def _is_contrary(segment: SegmentInfo, label: int | None, coded: Label | None) -> bool:

@@ -20,7 +20,7 @@ from heartcase.pipeline.formats.read_dicom import SeriesInfo, describe_volume, i
 from heartcase.pipeline.formats.read_metaimage import metaimage_data_file, read_metaimage
 from heartcase.pipeline.formats.read_nifti import read_nifti
 from heartcase.pipeline.formats.read_nrrd import nrrd_data_file, read_nrrd
-from heartcase.pipeline.formats.segments import LabelVolume, segments_of
+from heartcase.pipeline.formats.segments import LabelVolume, SegmentInfo, keep_all, segments_of
 from heartcase.schemas.errors import MarkerError, Problem, ScanError
 from heartcase.schemas.geometry import Geometry
 
@@ -164,7 +164,9 @@ def list_series(path: Path | str) -> tuple[SeriesInfo, ...]:
         raise placed(error, "scan", ScanError) from None
 
 
-def read_labels(path: Path | str, scan: Geometry | None = None) -> LabelVolume:
+def read_labels(
+    path: Path | str, scan: Geometry | None = None, left_out: Callable[[SegmentInfo], bool] = keep_all
+) -> LabelVolume:
     """Read a label volume: painted markers or a finished segmentation.
 
     Parameters
@@ -173,6 +175,8 @@ def read_labels(path: Path | str, scan: Geometry | None = None) -> LabelVolume:
         .nii, .nii.gz, .nrrd, .nhdr, .seg.nrrd, .mha or .mhd file; or a DICOM SEG, as a file or in a folder of its own.
     scan
         The scan's lattice: tells how far the planes of a DICOM SEG are apart where the file does not.
+    left_out
+        Which segments nobody wants: they take no voxel from those that overlap them.
 
     Returns
     -------
@@ -189,12 +193,12 @@ def read_labels(path: Path | str, scan: Geometry | None = None) -> LabelVolume:
     path = Path(path)
     try:
         if is_dicom_source(path):
-            return read_dicom_seg(path, scan)
+            return read_dicom_seg(path, scan, left_out)
         raw = _read_file(path)
     except ScanError as error:
         raise placed(error, "", MarkerError) from None
     values = _as_whole_numbers(raw.values)
-    values, segments, vanished = segments_of(values, raw.header)
+    values, segments, vanished = segments_of(values, raw.header, left_out)
     fits = values.max(initial=0) < 256
     return LabelVolume(values.astype(np.uint8) if fits else values, raw.geometry, segments, vanished)
 

@@ -607,3 +607,18 @@ def test_point_lists_with_numbers_beyond_any_size(tmp_path: Path, number: str) -
     (tmp_path / "m.mrk.json").write_text(text.replace("4711.0", number))
     with pytest.raises(MarkerError, match=r"not a point list|not a number"):
         load_markers([MarkerFile(path="m.mrk.json")], (), TABLE, PLAIN, tmp_path)
+
+
+@pytest.mark.parametrize(("name", "others"), [("a tumour", "ignore"), ("aorta wall", "refuse")])
+def test_a_segment_that_is_not_taken_covers_none_that_is(tmp_path: Path, name: str, others: str) -> None:
+    """Whatever nobody wants, or will be grown again, comes later in the list and overlaps."""
+    values = np.zeros((*PLAIN.shape, 2), np.uint8)
+    values[2:6, 4, 4, 0] = 1
+    values[4:8, 4, 4, 1] = 1
+    seg_nrrd(tmp_path / "m.seg.nrrd", values, PLAIN, [{"Name": "aorta"}, {"Name": name}])
+    segmentation = load_segmentation(tmp_path / "m.seg.nrrd", {}, TABLE, None, others=others)
+    np.testing.assert_array_equal(segmentation.labels[:, 4, 4], [0, 0, 5, 5, 5, 5, 0, 0, 0, 0, 0, 0])
+    assert len(segmentation.warnings) == (1 if others == "refuse" else 0)
+    file = MarkerFile(path="m.seg.nrrd", others="ignore")
+    markers = load_markers([file], (), TABLE, PLAIN, tmp_path).labels[:, 4, 4]
+    np.testing.assert_array_equal(markers, np.where(segmentation.labels[:, 4, 4] == 5, 5, UNMARKED))

@@ -8,7 +8,7 @@ list: their labels may name a patient.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from pydicom.sr.coding import Code
 
 from heartcase.pipeline.formats.dicom_headers import is_dicom, quiet_pydicom
 from heartcase.pipeline.formats.raw_volume import check_size, geometry_from_affine
-from heartcase.pipeline.formats.segments import LabelVolume, SegmentInfo
+from heartcase.pipeline.formats.segments import LabelVolume, SegmentInfo, keep_all
 from heartcase.schemas.errors import HeartcaseError, MarkerError
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.terms import TERMS
@@ -56,7 +56,9 @@ class _Frame:
     """Segment number; None in a label map."""
 
 
-def read_dicom_seg(path: Path, scan: Geometry | None = None) -> LabelVolume:
+def read_dicom_seg(
+    path: Path, scan: Geometry | None = None, left_out: Callable[[SegmentInfo], bool] = keep_all
+) -> LabelVolume:
     """Read a DICOM SEG.
 
     Parameters
@@ -66,6 +68,8 @@ def read_dicom_seg(path: Path, scan: Geometry | None = None) -> LabelVolume:
     scan
         The scan's lattice, or a part of it: where the file does not state the distance between its planes, and they lie
         on slices of the scan, it is the scan's.
+    left_out
+        Which segments nobody wants: they take no voxel from others, and count as vanished.
 
     Returns
     -------
@@ -82,7 +86,7 @@ def read_dicom_seg(path: Path, scan: Geometry | None = None) -> LabelVolume:
     """
     with quiet_pydicom():
         try:
-            return _read(_one_file(path), scan)
+            return _read(_one_file(path), scan, left_out)
         except HeartcaseError:
             raise
         except Exception:  # pydicom raises errors of every kind on damaged files
@@ -101,7 +105,7 @@ def _one_file(path: Path) -> Path:
     return files[0]
 
 
-def _read(file: Path, scan: Geometry | None) -> LabelVolume:
+def _read(file: Path, scan: Geometry | None, left_out: Callable[[SegmentInfo], bool]) -> LabelVolume:
     dataset = pydicom.dcmread(file, force=True)
     if str(dataset.get("SOPClassUID", "")) not in SEG_CLASSES:
         raise MarkerError("the DICOM file is no segmentation (SEG): is it a slice of the scan? Export a DICOM SEG")
@@ -118,6 +122,12 @@ def _read(file: Path, scan: Geometry | None) -> LabelVolume:
                 "two segments of the file have the same number, so no one can tell them apart: correct it"
             )
         place_in_list[int(item.SegmentNumber)] = place
+    segments = {
+        place: SegmentInfo(place, " ".join(str(item.get("SegmentLabel", "")).split())[:64], _snomed(item))
+        for place, item in enumerate(listed, start=1)
+    }
+    is_wanted = np.ones(len(listed) + 1, bool)
+    is_wanted[[place for place, segment in segments.items() if left_out(segment)]] = False
     merged = np.zeros(geometry.shape, np.uint16)
     painted: set[int] = set()
     for frame, k, stored in zip(frames, places, _stored(dataset, len(frames)), strict=True):
@@ -130,12 +140,8 @@ def _read(file: Path, scan: Geometry | None) -> LabelVolume:
             if place_in_list[frame.segment] == 0:
                 raise MarkerError("a frame shows a segment that the file does not list: export it again")
             shown = stored * place_in_list[frame.segment]
-        np.maximum(merged[k], shown, out=merged[k])
+        np.maximum(merged[k], np.where(is_wanted[shown], shown, 0), out=merged[k])
         painted |= set(np.unique(shown).tolist()) - {0}
-    segments = {
-        place: SegmentInfo(place, " ".join(str(item.get("SegmentLabel", "")).split())[:64], _snomed(item))
-        for place, item in enumerate(listed, start=1)
-    }
     vanished = tuple(sorted(painted - set(np.unique(merged).tolist())))
     return LabelVolume(merged.astype(np.uint8) if len(listed) < 256 else merged, geometry, segments, vanished)
 

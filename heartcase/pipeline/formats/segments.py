@@ -7,7 +7,7 @@ The name of a segment may be a patient's: it is compared with label names and go
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -19,7 +19,7 @@ from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND, Label
 from heartcase.schemas.terms import term_by_code
 
-__all__ = ["LabelVolume", "SegmentInfo", "segment_table", "segments_of"]
+__all__ = ["LabelVolume", "SegmentInfo", "keep_all", "segment_table", "segments_of"]
 
 UInt16 = npt.NDArray[np.uint16]
 
@@ -67,7 +67,14 @@ class _Segment:
     snomed: str | None
 
 
-def segments_of(values: UInt16, header: Mapping[str, str]) -> tuple[UInt16, dict[int, SegmentInfo], tuple[int, ...]]:
+def keep_all(segment: SegmentInfo) -> bool:
+    """Leave no segment out."""
+    return False
+
+
+def segments_of(
+    values: UInt16, header: Mapping[str, str], left_out: Callable[[SegmentInfo], bool] = keep_all
+) -> tuple[UInt16, dict[int, SegmentInfo], tuple[int, ...]]:
     """Resolve the layers of a segmentation to one value per voxel.
 
     Parameters
@@ -76,6 +83,8 @@ def segments_of(values: UInt16, header: Mapping[str, str]) -> tuple[UInt16, dict
         Shape (z, y, x), or (z, y, x, layer) for several layers.
     header
         Key-value pairs of the NRRD header; empty for other formats.
+    left_out
+        Which segments nobody wants: they take no voxel from others, and count as vanished.
 
     Returns
     -------
@@ -85,7 +94,7 @@ def segments_of(values: UInt16, header: Mapping[str, str]) -> tuple[UInt16, dict
     segments
         Value -> segment; empty where the file has no table.
     vanished
-        Values of segments that later ones cover wholly.
+        Values of segments that later ones cover wholly, or that are left out.
 
     Raises
     ------
@@ -100,15 +109,17 @@ def segments_of(values: UInt16, header: Mapping[str, str]) -> tuple[UInt16, dict
     merged = np.zeros(values.shape[:3], dtype=np.uint16)
     explained = values == 0
     painted = set()
+    infos = {n: SegmentInfo(n, s.name, s.snomed) for n, s in enumerate(segments, start=1)}
     for number, segment in enumerate(segments, start=1):
         inside = values[..., segment.layer] == segment.value
-        merged[inside] = number
+        if not left_out(infos[number]):
+            merged[inside] = number
         painted |= {number} if inside.any() else set()
         explained[..., segment.layer] |= inside
     if not explained.all():
         raise MarkerError("the volume holds values that its segment table does not name: save it again in 3D Slicer")
     vanished = tuple(sorted(painted - set(np.unique(merged).tolist())))
-    return merged, {n: SegmentInfo(n, s.name, s.snomed) for n, s in enumerate(segments, start=1)}, vanished
+    return merged, infos, vanished
 
 
 def _segments(header: Mapping[str, str], *, layer_count: int) -> list[_Segment]:

@@ -8,6 +8,7 @@ face is decided in whole numbers: a closed surface has no leak, whatever edges a
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.formats.raw_volume import check_size, require_file
-from heartcase.pipeline.formats.segments import LabelVolume, SegmentInfo
+from heartcase.pipeline.formats.segments import LabelVolume, SegmentInfo, keep_all
 from heartcase.schemas.errors import HeartcaseError, MarkerError, Problem
 from heartcase.schemas.geometry import Geometry
 
@@ -51,7 +52,7 @@ def holds_parts(path: Path) -> bool:
     return path.is_dir() and any(file.suffix.lower() == ".stl" for file in path.iterdir())
 
 
-def read_parts(path: Path, geometry: Geometry) -> LabelVolume:
+def read_parts(path: Path, geometry: Geometry, left_out: Callable[[SegmentInfo], bool] = keep_all) -> LabelVolume:
     """Read all parts of a folder onto a lattice.
 
     Parameters
@@ -61,6 +62,8 @@ def read_parts(path: Path, geometry: Geometry) -> LabelVolume:
         ``SPACE: RAS`` or ``COORDSYS=RAS``).
     geometry
         The scan's lattice.
+    left_out
+        Which parts nobody wants: they take no voxel from others, and count as vanished.
 
     Returns
     -------
@@ -81,6 +84,7 @@ def read_parts(path: Path, geometry: Geometry) -> LabelVolume:
     if len(files) > PART_LIMIT:
         raise MarkerError(f"the folder holds more than {PART_LIMIT} parts: keep the parts of the heart alone")
     check_size(geometry.size)
+    names = {number: " ".join(file.stem.split())[:64] for number, file in enumerate(files, start=1)}
     values = np.zeros(geometry.shape, np.uint8)
     problems, silent = [], []
     for number, file in enumerate(files, start=1):
@@ -90,13 +94,13 @@ def read_parts(path: Path, geometry: Geometry) -> LabelVolume:
             if not mesh.space_is_stated:
                 _check_side(mesh.vertices_mm, geometry)
                 silent.append(number)
-            values[inside_of_mesh(mesh.vertices_mm, mesh.triangles, geometry)] = number
+            if not left_out(SegmentInfo(number, names[number])):
+                values[inside_of_mesh(mesh.vertices_mm, mesh.triangles, geometry)] = number
         except HeartcaseError as error:
             place = f"part {number} of the folder, by the alphabet"
             problems += [Problem(place, problem.message) for problem in error.problems]
     if problems:
         raise MarkerError(problems)
-    names = {number: " ".join(file.stem.split())[:64] for number, file in enumerate(files, start=1)}
     return LabelVolume(
         values,
         geometry,

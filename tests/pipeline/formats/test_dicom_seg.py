@@ -273,7 +273,7 @@ def test_names_and_codes_that_contradict_each_other_are_refused_by_number(tmp_pa
     assert "no label: segment 2 of the file" in second
     assert "Jane" not in str(caught.value)
     found = load_segmentation(tmp_path / "s.dcm", {"right_ventricle": "RV"}, TABLE, OBLIQUE, others="ignore")
-    np.testing.assert_array_equal(found.labels == 2, two_layers(OBLIQUE)[..., 0] > two_layers(OBLIQUE)[..., 1])
+    np.testing.assert_array_equal(found.labels == 2, two_layers(OBLIQUE)[..., 0] == 1)
     assert set(np.unique(found.labels)) == {0, 2}
 
 
@@ -357,3 +357,12 @@ def test_an_empty_case_has_nothing_to_export():
     empty = Segmentation(np.zeros(OBLIQUE.shape, np.uint8), OBLIQUE, LabelTable(labels=TABLE.labels))
     with pytest.raises(UsageError, match="nothing to export"):
         dicom_seg_bytes(empty, case_id="HC-0001")
+
+
+def test_a_segment_that_nobody_wants_covers_none_that_is_wanted(tmp_path):
+    layers = two_layers(OBLIQUE)
+    tumour = described(2, "x", codes.SCT.Neoplasm)
+    seg = highdicom_seg(source_images(OBLIQUE, tmp_path), layers, segments=[SEGMENTS[0], tumour])
+    seg.save_as(tmp_path / "s.dcm")
+    found = load_segmentation(tmp_path / "s.dcm", {}, TABLE, OBLIQUE, others="ignore")
+    np.testing.assert_array_equal(found.labels, layers[..., 0])

@@ -217,10 +217,12 @@ def test_a_part_of_which_nothing_is_left_is_refused_unless_it_is_left_out(tmp_pa
     (tmp_path / "RV.stl").rename(tmp_path / "a knee.stl")
     with pytest.raises(MarkerError, match="no label: segment 1 of the file"):
         load_segmentation(tmp_path, {}, TABLE, PLAIN)
-    assert set(np.unique(load_segmentation(tmp_path, {}, TABLE, PLAIN, others="ignore").labels)) == {0, 1}
+    alone = load_segmentation(tmp_path, {}, TABLE, PLAIN, others="ignore").labels
+    assert set(np.unique(alone)) == {0, 1}
     write(tmp_path / "thorax.stl", ball(5.0, -2, 1, 0), header="SPACE=LPS")
+    np.testing.assert_array_equal(load_segmentation(tmp_path, {}, TABLE, PLAIN, others="ignore").labels, alone)
     with pytest.raises(MarkerError, match="segment 2 of the file would vanish"):
-        load_segmentation(tmp_path, {}, TABLE, PLAIN, others="ignore")
+        load_segmentation(tmp_path, {"thorax": "RV"}, TABLE, PLAIN, others="ignore")
 
 
 def test_many_faces_around_the_whole_scan_are_refused_at_once(tmp_path):
@@ -231,3 +233,11 @@ def test_many_faces_around_the_whole_scan_are_refused_at_once(tmp_path):
     with pytest.raises(MarkerError, match="too many faces that reach across"):
         inside_of_mesh(vertices, faces, lattice)
     assert inside_of_mesh(vertices[:8], faces[:12], lattice).all()
+
+
+def test_a_part_that_nobody_wants_covers_none_that_is_wanted(tmp_path):
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=4.0)
+    ball.export(tmp_path / "aorta.stl")
+    trimesh.creation.box((8.0, 4.0, 4.0)).export(tmp_path / "x tumour.stl")
+    found = load_segmentation(tmp_path, {}, TABLE, PLAIN, others="ignore")
+    np.testing.assert_array_equal(found.labels == 5, inside(ball, PLAIN))
