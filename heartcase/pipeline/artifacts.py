@@ -83,12 +83,12 @@ def artifact_from_bytes(content: bytes, expected: type[T]) -> T:
         length = int.from_bytes(content[:8], "little")
         header = json.loads(content[8 : 8 + length])
         metadata = json.loads(header["__metadata__"]["heartcase"])
-        rest = json.loads(metadata["fields"])
+        found, rest = str(metadata["artifact"]), dict(json.loads(metadata["fields"]))
         arrays = load_safetensors(content)
     except (ValueError, KeyError, TypeError, SafetensorError):
         raise StageError("the file is not the output of a stage, or it is damaged", place="input") from None
-    if metadata["artifact"] != expected.__name__:
-        raise StageError(f"holds a {metadata['artifact']}, but a {expected.__name__} is needed", place="input")
+    if found != expected.__name__:
+        raise StageError(f"holds a {found}, but a {expected.__name__} is needed", place="input")
     values: dict[str, Any] = {}
     try:
         for item in dataclasses.fields(expected):  # type: ignore[arg-type]
