@@ -199,7 +199,7 @@ def _show_series(facts: dict[str, Any]) -> None:
     print_table(
         [column.replace("_", " ") for column in columns],
         [[_cell(row[column]) for column in columns] for row in rows],
-        title=f"Here is {what}: choose one with {' and '.join(options)}",
+        title=f"This folder holds {what}: choose one with {' and '.join(options)}",
     )
 
 

@@ -179,8 +179,11 @@ class Recipe(Model):
         def check(place: str, name: str, known: LabelTable, others: Collection[str] = ()) -> None:
             if known.find(name) is None and name.lower() not in others:
                 listed = ", ".join(label.name for label in table)
-                near = difflib.get_close_matches(name.lower(), [*(label.name.lower() for label in known), *others], n=1)
-                hint = f"did you mean {near[0]!r}?" if near else f"the labels are: {listed}"
+                # People write the short name; both lead to the label.
+                spelt = {one: label.name for label in known for one in _spellings(label.name)}
+                spelt |= {other: other for other in others}
+                near = difflib.get_close_matches(name.lower(), spelt, n=1)
+                hint = f"did you mean {spelt[near[0]]!r}?" if near else f"the labels are: {listed}"
                 problems.append(Problem(place, f"there is no label {name!r}; {hint}"))
 
         for n, stroke in enumerate(self.strokes, start=1):
@@ -217,6 +220,12 @@ class Recipe(Model):
         return self
 
 
+def _spellings(name: str) -> tuple[str, ...]:
+    """A label's name in small letters, with and without the word for morphology."""
+    lowered = name.lower()
+    return lowered, lowered.removeprefix("morphologically ")
+
+
 def parse_recipe(text: str) -> Recipe:
     """Read a recipe from TOML text.
 
@@ -234,7 +243,25 @@ def parse_recipe(text: str) -> Recipe:
     try:
         return Recipe.model_validate(data)
     except ValidationError as error:
-        raise RecipeError(problems_from_validation(error)) from None
+        raise RecipeError((*problems_from_validation(error), *_hidden_problems(data, error))) from None
+
+
+_NEUTRAL: dict[str, Any] = {"heartcase_recipe": RECIPE_VERSION, "name": "x", "scan": {"path": "x"}}
+_JUDGED_TOGETHER = {"labels", "segment", "markers", "strokes", "ends", "edits", "landmarks", "parts"}
+"""Settings whose names are checked against each other: where one is wrong in itself the others cannot be judged."""
+
+
+def _hidden_problems(data: dict[str, Any], error: ValidationError) -> tuple[Problem, ...]:
+    """What is wrong between settings, which the model looks at only where each setting is right in itself."""
+    wrong = {detail["loc"][0] for detail in error.errors(include_url=False) if detail["loc"]}
+    if not wrong or wrong & _JUDGED_TOGETHER:
+        return ()
+    rest = {key: value for key, value in data.items() if key not in wrong}
+    try:
+        Recipe.model_validate(rest | {key: value for key, value in _NEUTRAL.items() if key in wrong})
+    except ValidationError as hidden:
+        return problems_from_validation(hidden)
+    return ()
 
 
 def _toml_hint(text: str, error: tomllib.TOMLDecodeError) -> str:

@@ -130,3 +130,15 @@ def test_a_recipe_round_trips_through_json():
     recipe = parse_recipe(MINIMAL)
     assert Recipe.model_validate_json(recipe.model_dump_json()) == recipe
     assert tomllib.loads(MINIMAL)["name"] == recipe.name
+
+
+def test_a_wrong_setting_does_not_hide_an_unknown_label():
+    text = MINIMAL.replace("heartcase_recipe = 1", "heartcase_recipe = 1\ncolour = 3") + (
+        '[[strokes]]\nlabel = "left ventrikel"\npoints_mm = [[0, 0, 0]]\n[grid]\ncell_mm = -1\n'
+    )
+    with pytest.raises(RecipeError) as caught:
+        parse_recipe(text)
+    said = "\n".join(map(str, caught.value.problems))
+    assert "colour: unknown setting" in said
+    assert "grid.cell_mm: must be above 0" in said
+    assert "there is no label 'left ventrikel'; did you mean 'morphologically left ventricle'?" in said
