@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numba
 import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
@@ -43,12 +44,9 @@ def gradient_magnitude(
     if sigma_mm > 0.0:
         for axis, h in enumerate(spacing):
             smooth = _blur(smooth, axis, sigma_mm / h)
-    square = np.zeros(smooth.shape, np.float32)
-    for axis, h in enumerate(spacing):
-        if smooth.shape[axis] > 1:
-            slope = np.gradient(smooth, np.float32(h), axis=axis)
-            square += slope * slope
-    return np.sqrt(square, out=square)
+    length = np.empty(smooth.shape, np.float32)
+    _slope_lengths(np.ascontiguousarray(smooth), np.array(spacing, np.float32), length)
+    return length
 
 
 def _blur(values: Float32, axis: int, sigma: float) -> Float32:
@@ -63,3 +61,48 @@ def _blur(values: Float32, axis: int, sigma: float) -> Float32:
     blurred = ndimage.gaussian_filter1d(padded, sigma, axis=axis, mode="nearest", truncate=BLUR_REACH)
     inner: Float32 = np.take(blurred, range(reach, reach + count), axis=axis)
     return inner
+
+
+@numba.njit(cache=True, nogil=True)
+def _row_lengths(row, ym, yp, zm, zp, hx, hy, hz, out):  # type: ignore[no-untyped-def]
+    """Slopes of one row from itself and from its neighbours; ``hx`` to ``hz`` divide a central difference."""
+    last = len(row) - 1
+    for i in range(len(row)):
+        y = (yp[i] - ym[i]) * hy
+        z = (zp[i] - zm[i]) * hz
+        out[i] = y * y + z * z
+    for i in range(1, last):
+        x = (row[i + 1] - row[i - 1]) * hx
+        out[i] += x * x
+    if last > 0:
+        x = (row[1] - row[0]) * (hx + hx)
+        out[0] += x * x
+        x = (row[last] - row[last - 1]) * (hx + hx)
+        out[last] += x * x
+    for i in range(len(row)):
+        out[i] = np.sqrt(out[i])
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _slope_lengths(values, spacing, length):  # type: ignore[no-untyped-def]
+    nz, ny, nx = values.shape
+    half = np.float32(0.5)
+    for line in numba.prange(nz * ny):
+        k = line // ny
+        j = line - k * ny
+        # at the border the difference to the one neighbour there is
+        km, kp = max(k - 1, 0), min(k + 1, nz - 1)
+        jm, jp = max(j - 1, 0), min(j + 1, ny - 1)
+        hz = np.float32(1.0) / (spacing[0] * np.float32(max(kp - km, 1)))
+        hy = np.float32(1.0) / (spacing[1] * np.float32(max(jp - jm, 1)))
+        _row_lengths(
+            values[k, j],
+            values[k, jm],
+            values[k, jp],
+            values[km, j],
+            values[kp, j],
+            half / spacing[2],
+            hy,
+            hz,
+            length[k, j],
+        )

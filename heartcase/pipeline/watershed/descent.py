@@ -1,0 +1,207 @@
+"""Steepest descent on a landscape: which way each voxel drains, and in which basin it ends."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["ROOT", "basins_of", "row_chunks", "side_offsets", "steepest_descent"]
+
+Float32 = npt.NDArray[np.float32]
+Int32 = npt.NDArray[np.int32]
+Int64 = npt.NDArray[np.int64]
+UInt8 = npt.NDArray[np.uint8]
+
+ROOT = 3
+"""Direction of a voxel without lower neighbour. The others, by ascending index of the neighbour: 0 z - 1, 1 y - 1,
+2 x - 1, 4 x + 1, 5 y + 1, 6 z + 1."""
+MOST_CHUNKS = 16
+
+
+def side_offsets(shape: tuple[int, ...]) -> Int64:
+    """Difference of the flat index to the neighbour in each of the seven directions, int64, shape (7,)."""
+    _, ny, nx = shape
+    return np.array([-nx * ny, -nx, -1, 0, 1, nx, nx * ny], np.int64)
+
+
+def row_chunks(shape: tuple[int, ...]) -> Int64:
+    """Bounds of about equal runs of the volume's rows for the threads, int64; no result depends on them."""
+    rows = shape[0] * shape[1]
+    count = min(rows, numba.get_num_threads(), MOST_CHUNKS)
+    return np.linspace(0, rows, count + 1).astype(np.int64)
+
+
+def steepest_descent(height: Float32) -> UInt8:
+    """Direction to the lowest of a voxel and its six neighbours.
+
+    Parameters
+    ----------
+    height
+        Finite float32, shape [z, y, x], C order. Of equal heights the voxel with the lower index is lower.
+
+    Returns
+    -------
+    ndarray
+        uint8, same shape: see :data:`ROOT`.
+    """
+    direction = np.empty(height.shape, np.uint8)
+    _directions(height, direction)
+    return direction
+
+
+def basins_of(direction: UInt8) -> tuple[Int32, Int64]:
+    """Number the basins by the index of their lowest voxel, and find the basin of each voxel.
+
+    Parameters
+    ----------
+    direction
+        From :func:`steepest_descent`.
+
+    Returns
+    -------
+    basin
+        int32, same shape.
+    root
+        Flat index of each basin's lowest voxel, int64, ascending.
+    """
+    basin = np.empty(direction.shape, np.int32)
+    chunks = row_chunks(direction.shape) * direction.shape[2]
+    counts = _root_counts(direction.ravel(), chunks)
+    first = np.concatenate([[0], np.cumsum(counts)])
+    root = np.empty(int(first[-1]), np.int64)
+    _number_roots(direction.ravel(), chunks, first, basin.reshape(-1), root)
+    _follow(direction.ravel(), chunks, side_offsets(direction.shape), basin.reshape(-1))
+    return basin, root
+
+
+@numba.njit(cache=True, nogil=True, inline="always")
+def _lowest_side(zm, ym, xm, here, xp, yp, zp):  # type: ignore[no-untyped-def]
+    best = zm
+    side = 0
+    if ym < best:
+        best = ym
+        side = 1
+    if xm < best:
+        best = xm
+        side = 2
+    if here < best:
+        best = here
+        side = 3
+    if xp < best:
+        best = xp
+        side = 4
+    if yp < best:
+        best = yp
+        side = 5
+    if zp < best:
+        side = 6
+    return side
+
+
+@numba.njit(cache=True, nogil=True)
+def _row_directions(row, zm, ym, yp, zp, out):  # type: ignore[no-untyped-def]
+    last = len(row) - 1
+    wall = np.float32(np.inf)
+    out[0] = _lowest_side(zm[0], ym[0], wall, row[0], row[min(1, last)] if last > 0 else wall, yp[0], zp[0])
+    for i in range(1, last):
+        out[i] = _lowest_side(zm[i], ym[i], row[i - 1], row[i], row[i + 1], yp[i], zp[i])
+    if last > 0:
+        out[last] = _lowest_side(zm[last], ym[last], row[last - 1], row[last], wall, yp[last], zp[last])
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _directions(height, direction):  # type: ignore[no-untyped-def]
+    nz, ny, nx = height.shape
+    wall = np.full(nx, np.inf, np.float32)
+    for line in numba.prange(nz * ny):
+        k = line // ny
+        j = line - k * ny
+        zm = height[k - 1, j] if k > 0 else wall
+        ym = height[k, j - 1] if j > 0 else wall
+        yp = height[k, j + 1] if j < ny - 1 else wall
+        zp = height[k + 1, j] if k < nz - 1 else wall
+        _row_directions(height[k, j], zm, ym, yp, zp, direction[k, j])
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _root_counts(direction, chunks):  # type: ignore[no-untyped-def]
+    counts = np.zeros(len(chunks) - 1, np.int64)
+    for c in numba.prange(len(chunks) - 1):
+        count = 0
+        for v in range(chunks[c], chunks[c + 1]):
+            count += direction[v] == ROOT
+        counts[c] = count
+    return counts
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _number_roots(direction, chunks, first, basin, root):  # type: ignore[no-untyped-def]
+    for c in numba.prange(len(chunks) - 1):
+        number = first[c]
+        for v in range(chunks[c], chunks[c + 1]):
+            if direction[v] == ROOT:
+                basin[v] = number
+                root[number] = v
+                number += 1
+            else:
+                basin[v] = -1
+
+
+@numba.njit(cache=True, nogil=True)
+def _sweep(direction, low, high, waiting, count, forward, offsets, basin):  # type: ignore[no-untyped-def]
+    """Give the voxels that wait the number of the neighbour they drain to, where that is known; how many still wait.
+
+    ``waiting[low:high]`` holds them: at its end for a sweep forward, at its start for one back, and the other way round
+    when it is done. Another thread may give a neighbour its number meanwhile; it is then known now or in a later sweep.
+    """
+    left = 0
+    if forward:
+        for n in range(high - count, high):
+            v = waiting[n]
+            number = basin[v + offsets[direction[v]]]
+            basin[v] = number
+            waiting[low + left] = v
+            left += number < 0
+    else:
+        for n in range(low + count - 1, low - 1, -1):
+            v = waiting[n]
+            number = basin[v + offsets[direction[v]]]
+            basin[v] = number
+            waiting[high - 1 - left] = v
+            left += number < 0
+    return left
+
+
+@numba.njit(cache=True, nogil=True)
+def _sweep_until_stuck(direction, low, high, waiting, count, offsets, basin):  # type: ignore[no-untyped-def]
+    before = count + 1
+    while 0 < count < before:
+        before = count
+        count = _sweep(direction, low, high, waiting, count, False, offsets, basin)
+        count = _sweep(direction, low, high, waiting, count, True, offsets, basin)
+    return count
+
+
+@numba.njit(cache=True, nogil=True)
+def _first_sweep(direction, low, high, waiting, offsets, basin):  # type: ignore[no-untyped-def]
+    left = 0
+    for v in range(low, high):
+        number = basin[v + offsets[direction[v]]]
+        basin[v] = number
+        waiting[low + left] = v
+        left += number < 0
+    return left
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _follow(direction, chunks, offsets, basin):  # type: ignore[no-untyped-def]
+    """Hand the basins' numbers up the descents; no branch depends on the data, which could not be predicted."""
+    waiting = np.empty(len(direction), np.int32)
+    count = np.zeros(len(chunks) - 1, np.int64)
+    for c in numba.prange(len(chunks) - 1):
+        left = _first_sweep(direction, chunks[c], chunks[c + 1], waiting, offsets, basin)
+        count[c] = _sweep_until_stuck(direction, chunks[c], chunks[c + 1], waiting, left, offsets, basin)
+    while count.sum() > 0:
+        for c in numba.prange(len(chunks) - 1):
+            count[c] = _sweep_until_stuck(direction, chunks[c], chunks[c + 1], waiting, count[c], offsets, basin)

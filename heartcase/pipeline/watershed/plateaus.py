@@ -1,0 +1,136 @@
+"""Flat minima, and their division where several labels mark one: half way, by steps (a first-in first-out flood)."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from heartcase.pipeline.watershed.descent import side_offsets
+
+__all__ = ["divide_flat", "flat_minima"]
+
+Float32 = npt.NDArray[np.float32]
+Int32 = npt.NDArray[np.int32]
+Int64 = npt.NDArray[np.int64]
+
+
+def flat_minima(height: Float32, root: Int64, key: Int64, first: Int32, second: Int32) -> Int32:
+    """Number the flat minima of two voxels or more.
+
+    Parameters
+    ----------
+    height
+        The landscape, float32, shape [z, y, x].
+    root
+        Flat index of each basin's lowest voxel, int64.
+    key, first, second
+        Keys of the joining faces and the basins on their sides.
+
+    Returns
+    -------
+    ndarray
+        Number of the flat at each basin's bottom, int32; -1 where its lowest voxel stands alone, or where the flat has
+        a lower neighbour. The basin's voxels as high as its lowest one are those of the flat.
+    """
+    bits = height.view(np.int32).ravel()
+    return _flat_minima(bits, height.shape, side_offsets(height.shape), root, key, first, second)
+
+
+@numba.njit(cache=True, nogil=True)
+def divide_flat(bits, basin, flat, shape, offsets, voxels, marks, unmarked):  # type: ignore[no-untyped-def]
+    """Divide a flat minimum among its marked voxels, in place: each voxel goes to the marked one with fewest steps.
+
+    Parameters
+    ----------
+    bits, basin, marks
+        Heights as bits, basins and labels of all voxels, one-dimensional; ``marks`` is painted on.
+    flat
+        Number of the flat minimum at each basin's bottom.
+    shape, offsets
+        Of the volume: (z, y, x), and from :func:`heartcase.pipeline.watershed.descent.side_offsets`.
+    voxels
+        Flat indices of the marked voxels of the flat, ascending.
+    unmarked
+        Value in ``marks`` of what is not marked.
+    """
+    nz, ny, nx = shape
+    shore = voxels
+    level = bits[shore[0]]
+    number = flat[basin[shore[0]]]
+    while len(shore) > 0:
+        reached = np.empty(6 * len(shore), np.int64)
+        count = 0
+        # in ascending order, so that of neighbours equally near the one with the lowest index gives its label
+        for v in shore:
+            i = v % nx
+            j = v // nx % ny
+            k = v // (nx * ny)
+            for side in range(7):
+                if (
+                    side == 3
+                    or (side == 0 and k == 0)
+                    or (side == 1 and j == 0)
+                    or (side == 2 and i == 0)
+                    or (side == 4 and i == nx - 1)
+                    or (side == 5 and j == ny - 1)
+                    or (side == 6 and k == nz - 1)
+                ):
+                    continue
+                u = v + offsets[side]
+                if marks[u] == unmarked and bits[u] == level and flat[basin[u]] == number:
+                    marks[u] = marks[v]
+                    reached[count] = u
+                    count += 1
+        shore = np.sort(reached[:count])
+
+
+@numba.njit(cache=True, nogil=True)
+def _find(leader, b):  # type: ignore[no-untyped-def]
+    while leader[b] != b:
+        leader[b] = leader[leader[b]]
+        b = leader[b]
+    return b
+
+
+@numba.njit(cache=True, nogil=True)
+def _flat_minima(bits, shape, offsets, root, key, first, second):  # type: ignore[no-untyped-def]
+    count = len(root)
+    leader = np.arange(count).astype(np.int32)
+    for e in range(len(key)):
+        a, b = first[e], second[e]
+        level = key[e] >> 32
+        if level == bits[root[a]] and level == bits[root[b]]:
+            leader[max(_find(leader, a), _find(leader, b))] = min(_find(leader, a), _find(leader, b))
+    is_minimum = np.ones(count, np.bool_)
+    for e in range(len(key)):
+        a, b = first[e], second[e]
+        level = key[e] >> 32
+        # the lowest way out of a flat that has a lower neighbour is as high as the flat itself
+        if level == bits[root[a]] and level > bits[root[b]]:
+            is_minimum[_find(leader, a)] = False
+        if level == bits[root[b]] and level > bits[root[a]]:
+            is_minimum[_find(leader, b)] = False
+    flat = np.full(count, -1, np.int32)
+    for b in range(count):
+        if _has_equal_neighbour(bits, shape, offsets, root[b]):
+            top = _find(leader, b)
+            if is_minimum[top]:
+                flat[b] = top
+    return flat
+
+
+@numba.njit(cache=True, nogil=True)
+def _has_equal_neighbour(bits, shape, offsets, v):  # type: ignore[no-untyped-def]
+    nz, ny, nx = shape
+    i = v % nx
+    j = v // nx % ny
+    k = v // (nx * ny)
+    return (
+        (k > 0 and bits[v + offsets[0]] == bits[v])
+        or (j > 0 and bits[v + offsets[1]] == bits[v])
+        or (i > 0 and bits[v + offsets[2]] == bits[v])
+        or (i < nx - 1 and bits[v + offsets[4]] == bits[v])
+        or (j < ny - 1 and bits[v + offsets[5]] == bits[v])
+        or (k < nz - 1 and bits[v + offsets[6]] == bits[v])
+    )

@@ -1,0 +1,331 @@
+"""The minimum spanning tree of a landscape: basins, and the lowest faces that join them.
+
+It serves every set of markers, so it is worked out once per scan. The faces between basins are found slab by slab and
+joined by Boruvka's algorithm (Nesetril, Milkova and Nesetrilova, Discrete Mathematics 233, 2001, translate the papers of
+1926); since the order of the faces is strict there is one minimum spanning tree only, whatever the threads do.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from heartcase.pipeline.watershed.descent import ROOT, basins_of, row_chunks, side_offsets, steepest_descent
+from heartcase.pipeline.watershed.plateaus import flat_minima
+from heartcase.schemas.errors import StageError
+
+__all__ = ["MOST_VOXELS", "BasinTree", "build_basin_tree"]
+
+Float32 = npt.NDArray[np.float32]
+Int32 = npt.NDArray[np.int32]
+Int64 = npt.NDArray[np.int64]
+UInt8 = npt.NDArray[np.uint8]
+
+MOST_VOXELS = 1 << 29
+"""Voxels of the largest volume: a face's key holds the index of its higher voxel in 29 bits."""
+NO_KEY = np.int64(2**63 - 1)
+NO_PAIR = -1
+NOTED = 1 << 14
+"""Pairs of basins whose faces were met last; enough for those of a row and the slice before it."""
+HASH = np.int64(0x9E3779B97F4A7C15 - (1 << 64))
+"""The golden ratio's multiplier of Knuth, The Art of Computer Programming 3, 6.4."""
+
+
+@dataclass(frozen=True)
+class BasinTree:
+    """A landscape's minimum spanning tree under the order of :mod:`heartcase.pipeline.watershed`.
+
+    A face's *key* is an int64 that ascends in that order: the bits of the height of its higher voxel, 29 bits of that
+    voxel's index, and three bits: 0 for the face to the voxel's lowest neighbour, else 1 and the direction of the lower
+    voxel (see :data:`heartcase.pipeline.watershed.descent.ROOT`).
+    """
+
+    height: Float32
+    """The landscape, float32, shape [z, y, x], >= 0."""
+    direction: UInt8
+    """Direction of steepest descent of each voxel, uint8."""
+    basin: Int32
+    """Basin of each voxel, int32."""
+    root: Int64
+    """Flat index of each basin's lowest voxel, int64, ascending."""
+    key: Int64
+    """Keys of the faces that join the basins, ascending, int64, shape (basins - 1,)."""
+
+    @property
+    def basin_count(self) -> int:
+        """Number of basins."""
+        return len(self.root)
+
+    @cached_property
+    def ends(self) -> tuple[Int64, Int64]:
+        """Flat indices of the higher and of the lower voxel of each joining face."""
+        higher = (self.key >> 3) & (MOST_VOXELS - 1)
+        return higher, higher + side_offsets(self.height.shape)[(self.key & 7) - 1]
+
+    @cached_property
+    def basins(self) -> tuple[Int32, Int32]:
+        """The basins that each joining face joins: that of its higher and that of its lower voxel."""
+        flat = self.basin.ravel()
+        higher, lower = self.ends
+        return flat[higher], flat[lower]
+
+    @cached_property
+    def flat(self) -> Int32:
+        """Number of the flat minimum of two voxels or more at each basin's bottom, int32; -1 where there is none."""
+        return flat_minima(self.height, self.root, self.key, *self.basins)
+
+    @cached_property
+    def neighbours(self) -> tuple[Int64, Int32]:
+        """Joining faces of each basin: ``faces[start[b]:start[b + 1]]`` for basin ``b``."""
+        return _neighbours(self.basin_count, *self.basins)
+
+    @cached_property
+    def voxels(self) -> tuple[Int64, Int32]:
+        """Voxels of each basin, by ascending index: ``voxels[start[b]:start[b + 1]]`` for basin ``b``."""
+        return _voxel_lists(self.basin.ravel(), self.basin_count)
+
+
+def build_basin_tree(height: Float32) -> BasinTree:
+    """Find the basins of a landscape and join them.
+
+    Parameters
+    ----------
+    height
+        Finite float32 >= 0, shape [z, y, x]: the gradient magnitude.
+
+    Raises
+    ------
+    StageError
+        A height is negative or not finite, or there are more than 2^29 voxels.
+    """
+    height = np.ascontiguousarray(height, np.float32)
+    if height.size > MOST_VOXELS:
+        raise StageError(
+            f"the scan has {height.size:,} voxels, more than {MOST_VOXELS:,}: cut a region of interest out",
+            place="segment",
+        )
+    lowest = _lowest_bits(height.view(np.int32).ravel())
+    if lowest < 0:
+        # a negative zero would sort below everything; adding zero makes it positive
+        height = height + np.float32(0.0)
+    if not height.size or _lowest_bits(height.view(np.int32).ravel()) < 0:
+        raise StageError("the gradient is negative or not a number somewhere: check the scan", place="segment")
+    direction = steepest_descent(height)
+    basin, root = basins_of(direction)
+    return BasinTree(height, direction, basin, root, joining_faces(height, direction, basin, root))
+
+
+def joining_faces(height: Float32, direction: UInt8, basin: Int32, root: Int64) -> Int64:
+    """Keys of the faces of the minimum spanning tree between basins.
+
+    Parameters
+    ----------
+    height, direction, basin, root
+        As in :class:`BasinTree`.
+
+    Returns
+    -------
+    ndarray
+        int64, shape (basins - 1,), ascending.
+    """
+    tree = np.empty(len(root) - 1, np.int64)
+    if not len(tree):
+        return tree
+    flat, offsets, chunks = basin.ravel(), side_offsets(height.shape), row_chunks(height.shape)
+    start = chunks * 3 * height.shape[2]
+    # as large as it could have to be; pages that are never written take no memory
+    key, pair = np.empty(int(start[-1]) + 1, np.int64), np.empty(int(start[-1]) + 1, np.int64)
+    pair[-1] = NO_PAIR
+    best = np.full((len(chunks) - 1, len(root)), NO_KEY, np.int64)
+    stop = np.empty(len(chunks) - 1, np.int64)
+    _find_candidates(height.view(np.int32), basin, chunks, offsets, start, stop, key, pair, best)
+    component = np.arange(len(root), dtype=np.int32)
+    found, count = 0, len(root)
+    while count > 1:
+        found, mapping, count = _merge(best, flat, offsets, component, tree, found)
+        component = mapping[component]
+        best = np.full((len(chunks) - 1, count), NO_KEY, np.int64)
+        _contract(start, stop, key, pair, mapping, best)
+    tree.sort()
+    return tree
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _lowest_bits(bits):  # type: ignore[no-untyped-def]
+    """Lowest value of the heights' bits, or -2 where one is infinite or NaN; -1 - or less - where one is negative."""
+    lowest = np.int32(0)
+    for n in numba.prange(len(bits)):
+        lowest = min(lowest, bits[n] if bits[n] < 0x7F800000 else np.int32(-2))
+    return lowest
+
+
+@numba.njit(cache=True, nogil=True)
+def _find_in_rows(bits, basin, low, high, ny, nx, last, offsets, at, key, pair):  # type: ignore[no-untyped-def]
+    """Faces between basins in the rows ``low`` to ``high`` - 1, all but a few of those that are not the lowest.
+
+    Most of the faces between two basins follow closely on each other, so a small table of where the faces of a pair
+    were noted last is enough to note one instead of five. Nothing here branches on the data: it cannot be predicted.
+    """
+    lower = np.empty(3 * nx, np.int32)
+    side = np.empty(3 * nx, np.int32)
+    noted = np.full(NOTED, len(pair) - 1, np.int64)
+    for line in range(low, high):
+        begin = line * nx
+        count = 0
+        for u in range(begin, begin + nx - 1):
+            lower[count] = u
+            side[count] = 4
+            count += basin[u] != basin[u + 1]
+        if line % ny < ny - 1:
+            for u in range(begin, begin + nx):
+                lower[count] = u
+                side[count] = 5
+                count += basin[u] != basin[u + nx]
+        if line < last:
+            step = nx * ny
+            for u in range(begin, begin + nx):
+                lower[count] = u
+                side[count] = 6
+                count += basin[u] != basin[u + step]
+        for n in range(count):
+            u = np.int64(lower[n])
+            w = u + offsets[side[n]]
+            up = np.int64(bits[u] > bits[w])
+            higher = w - up * (w - u)
+            down = np.int64(side[n]) * (2 * up - 1) + 6 - 6 * up
+            one = (np.int64(max(bits[u], bits[w])) << 32) | (higher << 3) | (1 + down)
+            at = _note(one, basin[u], basin[w], noted, at, key, pair)
+    return at
+
+
+@numba.njit(cache=True, nogil=True, inline="always")
+def _note(one, a, b, noted, at, key, pair):  # type: ignore[no-untyped-def]
+    """Put a face between ``a`` and ``b`` down in the list that ends at ``at``, or in the place of a higher one."""
+    both = (np.int64(min(a, b)) << 32) | np.int64(max(a, b))
+    slot = (both * HASH >> 40) & (NOTED - 1)
+    place = np.int64(noted[slot])
+    known = -np.int64(pair[place] == both)
+    place = (place & known) | (at & ~known)
+    key[place] = min((key[place] & known) | (NO_KEY & ~known), one)
+    pair[place] = both
+    noted[slot] = place
+    return at + 1 + known
+
+
+@numba.njit(cache=True, nogil=True)
+def _lowest_of_each(low, high, key, pair, best):  # type: ignore[no-untyped-def]
+    for e in range(low, high):
+        a = pair[e] >> 32
+        b = pair[e] & 0x7FFFFFFF
+        best[a] = min(best[a], key[e])
+        best[b] = min(best[b], key[e])
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _find_candidates(bits, basin, chunks, offsets, start, stop, key, pair, best):  # type: ignore[no-untyped-def]
+    nz, ny, nx = bits.shape
+    last = (nz - 1) * ny
+    flat_bits, flat_basin = bits.ravel(), basin.ravel()
+    for c in numba.prange(len(chunks) - 1):
+        stop[c] = _find_in_rows(
+            flat_bits, flat_basin, chunks[c], chunks[c + 1], ny, nx, last, offsets, start[c], key, pair
+        )
+        _lowest_of_each(start[c], stop[c], key, pair, best[c])
+
+
+@numba.njit(cache=True, nogil=True)
+def _merge(best, basin, offsets, component, tree, found):  # type: ignore[no-untyped-def]
+    """Join each component with the one beyond its lowest face; the new number of each component, and how many."""
+    count = best.shape[1]
+    parent = np.empty(count, np.int32)
+    lowest = np.empty(count, np.int64)
+    for c in range(count):
+        one = best[0, c]
+        for n in range(1, best.shape[0]):
+            one = min(one, best[n, c])
+        hi = (one >> 3) & (MOST_VOXELS - 1)
+        other = component[basin[hi]]
+        if other == c:
+            other = component[basin[hi + offsets[(one & 7) - 1]]]
+        parent[c] = other
+        lowest[c] = one
+    for c in range(count):
+        other = parent[c]
+        # of two that chose the same face the one with the lower number leads
+        if lowest[other] == lowest[c] and c < other:
+            parent[c] = c
+        else:
+            tree[found] = lowest[c]
+            found += 1
+    mapping = np.empty(count, np.int32)
+    fresh = 0
+    for c in range(count):
+        if parent[c] == c:
+            mapping[c] = fresh
+            fresh += 1
+    for c in range(count):
+        top = c
+        while parent[top] != top:
+            top = parent[top]
+        u = c
+        while parent[u] != top:
+            parent[u], u = top, parent[u]
+        mapping[c] = mapping[top]
+    return found, mapping, fresh
+
+
+@numba.njit(cache=True, nogil=True)
+def _contract_chunk(low, high, key, pair, mapping):  # type: ignore[no-untyped-def]
+    noted = np.full(NOTED, len(pair) - 1, np.int64)
+    at = low
+    for e in range(low, high):
+        one = key[e]
+        a = mapping[pair[e] >> 32]
+        b = mapping[pair[e] & 0x7FFFFFFF]
+        if a != b:
+            at = _note(one, a, b, noted, at, key, pair)
+    return at
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _contract(start, stop, key, pair, mapping, best):  # type: ignore[no-untyped-def]
+    """Number the components anew in the list of faces, drop those inside one, and find each one's lowest."""
+    for c in numba.prange(len(stop)):
+        stop[c] = _contract_chunk(start[c], stop[c], key, pair, mapping)
+        _lowest_of_each(start[c], stop[c], key, pair, best[c])
+
+
+@numba.njit(cache=True, nogil=True)
+def _neighbours(count, first, second):  # type: ignore[no-untyped-def]
+    start = np.zeros(count + 1, np.int64)
+    for e in range(len(first)):
+        start[first[e] + 1] += 1
+        start[second[e] + 1] += 1
+    for b in range(count):
+        start[b + 1] += start[b]
+    at = start[:-1].copy()
+    faces = np.empty(2 * len(first), np.int32)
+    for e in range(len(first)):
+        for b in (first[e], second[e]):
+            faces[at[b]] = e
+            at[b] += 1
+    return start, faces
+
+
+@numba.njit(cache=True, nogil=True)
+def _voxel_lists(basin, count):  # type: ignore[no-untyped-def]
+    start = np.zeros(count + 1, np.int64)
+    for v in range(len(basin)):
+        start[basin[v] + 1] += 1
+    for b in range(count):
+        start[b + 1] += start[b]
+    at = start[:-1].copy()
+    voxels = np.empty(len(basin), np.int32)
+    for v in range(len(basin)):
+        voxels[at[basin[v]]] = v
+        at[basin[v]] += 1
+    return start, voxels
