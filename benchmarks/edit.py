@@ -1,7 +1,8 @@
 """A septal defect in the true heart: made and evaluated on the scan's lattice, against the phantom with that hole.
 
-``stock`` paints the canal into the label volume, voxel by voxel at their centres, as a general editor does. Diameter
-and place are measured in the plane across the canal's middle, on points 0.05 mm apart.
+``stock`` paints the canal into the label volume, voxel by voxel at their centres, as a general editor does. Diameters
+and place are measured in the plane across the canal's middle, on points 0.05 mm apart: that of a circle of the hole's
+area, and for a hole that is not round its extents along its two axes. Half a voxel is the bound.
 """
 
 from __future__ import annotations
@@ -45,9 +46,11 @@ class Edited:
 
 def prepare(params: dict[str, Any]) -> Inputs:
     septum, diameter = params.pop("septum"), params.pop("diameter_mm")
+    shape = {key: params.pop(key) for key in ("shape", "width_mm", "long_axis") if key in params}
     source = phantom_inputs(params)
     heart = source.phantom
     defect = heart.ventricular_defect(diameter) if septum == "ventricular" else heart.atrial_defect(diameter)
+    defect = SeptalDefect.model_validate(defect.model_dump() | shape)
     segmentation = Segmentation(bare_truth(source), source.truth.geometry, heart.table)
     return Inputs(source, grow_walls(segmentation, WallsSettings(), heart.ends), defect, source.truth.labels)
 
@@ -63,8 +66,8 @@ def stock(inputs: Inputs) -> Edited:
     gap = points - np.array(inputs.defect.position_mm)
     axis = np.array(inputs.defect.axis) / np.linalg.norm(inputs.defect.axis)
     axial = gap @ axis
-    radial = np.linalg.norm(gap - axial[:, None] * axis, axis=1)
-    canal = (radial < 0.5 * inputs.defect.diameter_mm) & (np.abs(axial) < 0.5 * inputs.defect.length_mm)
+    side, up = _plane(inputs.defect)
+    canal = _in_section(inputs.defect, gap @ side, gap @ up) & (np.abs(axial) < 0.5 * inputs.defect.length_mm)
     tissue = np.isin(inputs.labels, inputs.source.truth.table.tissue_values)
     return Edited(None, tissue & ~canal.reshape(geometry.shape))
 
@@ -76,10 +79,7 @@ def errors(inputs: Inputs, output: Edited) -> dict[str, float]:
     """Diameter and place of the hole in the plane across its middle, and the tissue that differs from the truth."""
     defect = inputs.defect
     middle = np.array(defect.position_mm)
-    axis = np.array(defect.axis) / np.linalg.norm(defect.axis)
-    side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
-    side /= np.linalg.norm(side)
-    up = np.cross(axis, side)
+    side, up = _plane(defect)
     half = 0.5 * defect.diameter_mm + 2.0
     along = np.arange(-half, half + 0.5 * STEP_MM, STEP_MM)
     u, v = np.meshgrid(along, along)
@@ -89,11 +89,31 @@ def errors(inputs: Inputs, output: Edited) -> dict[str, float]:
     tissue = _tissue(inputs, output, points)
     hole, true_hole = (~found & (np.hypot(u, v).ravel() < half) for found in (tissue, true_tissue))
     centre, true_centre = (np.stack([u.ravel()[h], v.ravel()[h]]).mean(axis=1) for h in (hole, true_hole))
-    return {
+    found = {
         "diameter error [mm]": abs(_diameter(hole) - _diameter(true_hole)),
         "position error [mm]": float(np.linalg.norm(centre - true_centre)),
         "tissue differing in the plane [%]": 100.0 * float((tissue != true_tissue).mean()),
     }
+    if defect.width_mm is not None:
+        for name, along in (("long", u.ravel()), ("short", v.ravel())):
+            found[f"{name} diameter error [mm]"] = abs(float(np.ptp(along[hole]) - np.ptp(along[true_hole])))
+    return found
+
+
+def _plane(defect: SeptalDefect) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Unit vectors along the long and the short diameter."""
+    axis = np.array(defect.axis) / np.linalg.norm(defect.axis)
+    long = np.eye(3)[np.argmin(np.abs(axis))] if defect.long_axis is None else np.array(defect.long_axis)
+    side = long - (long @ axis) * axis
+    side /= np.linalg.norm(side)
+    return side, np.cross(axis, side)
+
+
+def _in_section(defect: SeptalDefect, u: npt.NDArray[np.float64], v: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
+    long, short = 0.5 * defect.diameter_mm, 0.5 * (defect.width_mm or defect.diameter_mm)
+    if defect.shape == "slit":
+        return np.asarray(np.hypot(np.maximum(np.abs(u) - (long - short), 0.0), v) < short)
+    return np.asarray((u / long) ** 2 + (v / short) ** 2 < 1.0)
 
 
 def _tissue(inputs: Inputs, output: Edited, points: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
+import itertools
 import json
 import multiprocessing
 import os
@@ -10,6 +12,7 @@ import platform
 import statistics
 import sys
 import time
+from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from types import ModuleType
@@ -18,11 +21,15 @@ import click
 from rich.console import Console
 
 from heartcase import __version__
-from heartcase.schemas.benchmark import BenchmarkCase, BenchmarkRecord, load_cases
+from heartcase.schemas.benchmark import BenchmarkCase, BenchmarkRecord, MethodSkipped, load_cases
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.files import atomic_write
 
 __all__ = ["command", "run_method"]
+
+
+_FIRST_RUN: set[tuple[str, str]] = set()
+"""Groups and methods that this process has warmed up."""
 
 
 @click.command()
@@ -32,36 +39,105 @@ __all__ = ["command", "run_method"]
     "--json", "json_file", type=click.Path(path_type=Path, readable=False), help="Write the records to this file."
 )
 @click.option(
+    "--plots",
+    "plot_directory",
+    type=click.Path(path_type=Path, file_okay=False, readable=False),
+    help="Write pictures of time against error to this folder.",
+)
+@click.option(
+    "--report",
+    "report_directory",
+    type=click.Path(path_type=Path, file_okay=False, readable=False),
+    help="Write a page with the machine, a table and the pictures to this folder.",
+)
+@click.option(
     "--dir",
     "directory",
     type=click.Path(path_type=Path, readable=False),
     default=Path("benchmarks"),
     help="benchmarks/",
 )
-def command(names: tuple[str, ...], only_list: bool, json_file: Path | None, directory: Path) -> None:
+def command(
+    names: tuple[str, ...],
+    only_list: bool,
+    json_file: Path | None,
+    plot_directory: Path | None,
+    report_directory: Path | None,
+    directory: Path,
+) -> None:
     """Run the benchmark cases whose names start with NAMES (all when left out).
 
     Each method runs in a process of its own: once to warm up, then repeatedly; the median is reported with the error.
+    The cases of a sweep share one process per method. A method that cannot run here is left out with its reason.
     """
     cases = [case for case in load_cases(directory) if not names or case.name.startswith(names)]
     if not cases:
         raise UsageError(f"no case starts with {' or '.join(names)}; see 'heartcase bench --list'", place="NAMES")
     if only_list:
-        for case in cases:
-            click.echo(f"{case.name:<32} {', '.join(case.methods)}")
+        for line in _listing(cases):
+            click.echo(line)
         return
-    console = Console(stderr=True)
-    records: list[BenchmarkRecord] = []
-    for case in cases:
-        for method in case.methods:
-            with console.status(f"{case.name}: {method}"):
-                record = _in_own_process(directory, case, method)
-            records.append(record)
-            click.echo(_line(record, records))
+    if plot_directory is not None or report_directory is not None:
+        # Without its library the command must fail before the long run, not after it.
+        from heartcase.cli.bench_plots import write_plots
+        from heartcase.cli.bench_report import write_report
+    records, skipped = _run(cases, directory)
     if json_file is not None:
         data = [record.model_dump(mode="json") for record in records]
         json_file.parent.mkdir(parents=True, exist_ok=True)
         atomic_write(json_file, (json.dumps(data, indent=1) + "\n").encode())
+    if plot_directory is not None:
+        for path in write_plots(records, plot_directory):
+            click.echo(path.name)
+    if report_directory is not None:
+        click.echo(write_report(records, skipped, report_directory).name)
+
+
+def _listing(cases: list[BenchmarkCase]) -> list[str]:
+    """One line for each case, and one for each sweep."""
+    counts = Counter(case.group for case in cases if case.group is not None)
+    lines: dict[str, str] = {}
+    for case in cases:
+        swept = f"  ({counts[case.group]} cases: {', '.join(case.sweep)})" if case.group is not None else ""
+        name = case.group or case.name
+        lines.setdefault(name, f"{name:<32} {', '.join(case.methods)}{swept}")
+    return list(lines.values())
+
+
+def _run(cases: list[BenchmarkCase], directory: Path) -> tuple[list[BenchmarkRecord], list[tuple[str, str, str]]]:
+    """Records, and (case, method, reason) of what was left out; prints each as it comes."""
+    console = Console(stderr=True)
+    records: list[BenchmarkRecord] = []
+    skipped: list[tuple[str, str, str]] = []
+    done, total, started = 0, sum(len(case.methods) for case in cases), time.monotonic()
+    for _, grouped in itertools.groupby(cases, key=lambda case: case.group or case.name):
+        swept = list(grouped)
+        with contextlib.ExitStack() as stack:
+            # A case after the other with its methods beside each other, so that all meet the same load of the machine.
+            pools = {method: stack.enter_context(_process()) for method in swept[0].methods}
+            for case in swept:
+                for method, pool in pools.items():
+                    left = _time_left(done, total, time.monotonic() - started)
+                    with console.status(f"{done + 1} of {total}{left}: {case.name}, {method}"):
+                        try:
+                            record = pool.submit(run_method, directory, case, method).result()
+                        except MethodSkipped as error:
+                            reason = error.problems[0].message
+                            skipped.append((case.name, method, reason))
+                            click.echo(f"{case.name:<30} {method:<12} left out: {reason}")
+                        else:
+                            records.append(record)
+                            click.echo(_line(record, records))
+                    done += 1
+    return records, skipped
+
+
+def _time_left(done: int, total: int, seconds: float) -> str:
+    """About how much longer, when enough is done to say."""
+    if done < 3:
+        return ""
+    minutes = seconds / done * (total - done) / 60.0
+    return f", about {minutes:.0f} min left" if minutes >= 1.0 else ", less than a minute left"
 
 
 def _line(record: BenchmarkRecord, records: list[BenchmarkRecord]) -> str:
@@ -73,14 +149,15 @@ def _line(record: BenchmarkRecord, records: list[BenchmarkRecord]) -> str:
     return "\n".join(lines)
 
 
-def _in_own_process(directory: Path, case: BenchmarkCase, method: str) -> BenchmarkRecord:
-    spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(max_workers=1, mp_context=spawn) as pool:
-        return pool.submit(run_method, directory, case, method).result()
+def _process() -> ProcessPoolExecutor:
+    return ProcessPoolExecutor(max_workers=1, mp_context=multiprocessing.get_context("spawn"))
 
 
 def _load_module(directory: Path, name: str) -> ModuleType:
+    loaded = sys.modules.get(f"heartcase_benchmark_{name}")
     path = directory / f"{name}.py"
+    if loaded is not None and loaded.__file__ == str(path):
+        return loaded
     if not path.is_file():
         raise UsageError(f"there is no module {name}.py in the benchmark directory", place="cases.toml")
     sys.path.insert(0, str(directory.resolve()))
@@ -97,27 +174,41 @@ def run_method(directory: Path, case: BenchmarkCase, method: str) -> BenchmarkRe
     """Run one method on one case in this process.
 
     The module has ``prepare(params) -> inputs``, ``METHODS: name -> function(inputs) -> output`` and
-    ``errors(inputs, output) -> dict``.
+    ``errors(inputs, output) -> dict``; ``REPEATS: name -> runs`` where a method needs another number than the case. The
+    first case of a sweep warms up the others.
+
+    Raises
+    ------
+    UsageError
+        The module or the method is not there.
+    MethodSkipped
+        The method cannot run here; its reason says what to do.
     """
     module = _load_module(directory, case.module)
     if method not in module.METHODS:
         raise UsageError(f"{case.name}: the module has no method {method!r}", place="cases.toml")
     inputs = module.prepare(dict(case.params))
     run = module.METHODS[method]
-    output = run(inputs)
+    output = None
+    if case.group is None or (case.group, method) not in _FIRST_RUN:
+        output = run(inputs)
+        _FIRST_RUN.add((case.group or case.name, method))
     seconds = []
-    for _ in range(case.repeats):
+    repeats = int(getattr(module, "REPEATS", {}).get(method, case.repeats))
+    for _ in range(repeats):
         start = time.perf_counter()
         output = run(inputs)
         seconds.append(time.perf_counter() - start)
     memory = _peak_memory_mb()
     return BenchmarkRecord(
         case=case.name,
+        group=case.group,
+        swept=tuple(case.sweep),
         method=method,
         seconds=statistics.median(seconds),
         errors={name: float(value) for name, value in module.errors(inputs, output).items()},
         params=case.params,
-        repeats=case.repeats,
+        repeats=repeats,
         peak_memory_mb=memory,
         machine=_machine(),
         version=__version__,

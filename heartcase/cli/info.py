@@ -93,7 +93,7 @@ def recipe_facts(recipe: Recipe, directory: Path) -> dict[str, Any]:
         "labels": [_label_facts(label) for label in recipe.table],
         "marker_file_count": len(recipe.markers),
         "stroke_count": len(recipe.strokes),
-        "edits": [edit.kind for edit in recipe.edits],
+        "edits": [edit.kind if edit.enabled else f"{edit.kind} (switched off)" for edit in recipe.edits],
         "end_marker_count": len(recipe.ends),
         "pin_count": len(recipe.pins),
         "landmarks": [landmark.name for landmark in recipe.landmarks],

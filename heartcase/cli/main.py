@@ -21,6 +21,7 @@ COMMANDS: dict[str, str] = {
     "build": "Build a case from a recipe.",
     "info": "Say what a scan, a recipe's scan or a case is.",
     "validate": "Check a case, a recipe or a script, and list every problem.",
+    "paint": "Paint markers on a recipe's scan, for a viewer to drive.",
     "lock": "Write a recipe with every setting stated.",
     "upgrade": "Say what a newer heartcase would change in a file.",
     "approve": "Note that a case was reviewed and approved.",

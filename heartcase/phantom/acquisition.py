@@ -56,6 +56,7 @@ def acquire_mri(
     bias: float = 0.08,
     seed: int = 1,
     supersampling: int = 3,
+    signal: Float64 | None = None,
 ) -> SyntheticScan:
     """Steady-state free precession MRI with fat suppression: magnitude of a complex signal.
 
@@ -73,6 +74,8 @@ def acquire_mri(
         Seed of the noise and of the bias field.
     supersampling
         Points per voxel and axis where a voxel may hold a border.
+    signal
+        What :func:`noise_free` gives for the same phantom, lattice and ``MRI_UNITS``, where it is at hand; not changed.
 
     Returns
     -------
@@ -83,8 +86,9 @@ def acquire_mri(
     if not 0.0 <= bias < 1.0:
         raise UsageError("the bias must be at least 0 and below 1", place="bias")
     generator = np.random.Generator(np.random.PCG64(seed))
-    signal = noise_free(phantom, geometry, MRI_UNITS, supersampling=supersampling)
-    signal *= 1.0 + bias * _bias_field(geometry.shape, generator)
+    if signal is None:
+        signal = noise_free(phantom, geometry, MRI_UNITS, supersampling=supersampling)
+    signal = signal * (1.0 + bias * _bias_field(geometry.shape, generator))
     sigma = (MRI_UNITS[BLOOD] - MRI_UNITS[MYOCARDIUM]) / contrast_to_noise
     real = signal + sigma * generator.standard_normal(geometry.shape)
     imaginary = sigma * generator.standard_normal(geometry.shape)
@@ -98,6 +102,7 @@ def acquire_ct(
     contrast_to_noise: float = 8.0,
     seed: int = 1,
     supersampling: int = 3,
+    signal: Float64 | None = None,
 ) -> SyntheticScan:
     """CT with contrast medium in all chambers, in Hounsfield units with Gaussian noise.
 
@@ -113,10 +118,13 @@ def acquire_ct(
         Seed of the noise.
     supersampling
         Points per voxel and axis where a voxel may hold a border.
+    signal
+        What :func:`noise_free` gives for the same phantom, lattice and ``CT_UNITS``, where it is at hand; not changed.
     """
     _check(contrast_to_noise, supersampling)
     generator = np.random.Generator(np.random.PCG64(seed))
-    signal = noise_free(phantom, geometry, CT_UNITS, supersampling=supersampling)
+    if signal is None:
+        signal = noise_free(phantom, geometry, CT_UNITS, supersampling=supersampling)
     sigma = (CT_UNITS[BLOOD] - CT_UNITS[MYOCARDIUM]) / contrast_to_noise
     noisy = signal + sigma * generator.standard_normal(geometry.shape)
     return SyntheticScan(noisy.astype(np.float32), geometry, "CT", contrast_to_noise, sigma)

@@ -46,7 +46,7 @@ def _evaluate(tables, ends, canals, x, y, z, d, c):  # type: ignore[no-untyped-d
         c[cavity] = max(c[cavity], value)
     k = _FAR
     for canal in range(canals.shape[0]):
-        k = min(k, _cylinder(canals, canal, 0, x, y, z))
+        k = min(k, _canal(canals, canal, x, y, z))
     return k
 
 
@@ -60,6 +60,31 @@ def _cylinder(rows, row, first, x, y, z):  # type: ignore[no-untyped-def]
     axial = gx * ax + gy * ay + gz * az
     radial = np.sqrt(max(gx * gx + gy * gy + gz * gz - axial * axial, 0.0))
     return max(radial - rows[row, first + 6], -axial, axial - rows[row, first + 7])
+
+
+@numba.njit(cache=True, nogil=True)
+def _canal(rows, row, x, y, z):  # type: ignore[no-untyped-def]
+    """Value of a defect (a cylinder as above, the unit vector of its long diameter, half the short one, shape).
+
+    Shape 0 is round, 1 an ellipse, 2 a straight slit with round ends. An ellipse's value is exact along its short
+    diameter only, and less in size than the distance elsewhere.
+    """
+    if rows[row, 12] == 0.0:
+        return _cylinder(rows, row, 0, x, y, z)
+    gx = x - rows[row, 0]
+    gy = y - rows[row, 1]
+    gz = z - rows[row, 2]
+    axial = gx * rows[row, 3] + gy * rows[row, 4] + gz * rows[row, 5]
+    u = gx * rows[row, 8] + gy * rows[row, 9] + gz * rows[row, 10]
+    v = np.sqrt(max(gx * gx + gy * gy + gz * gz - axial * axial - u * u, 0.0))
+    long = rows[row, 6]
+    short = rows[row, 11]
+    if rows[row, 12] == 1.0:
+        radial = short * (np.sqrt((u / long) ** 2 + (v / short) ** 2) - 1.0)
+    else:
+        beyond = max(abs(u) - (long - short), 0.0)
+        radial = np.sqrt(beyond * beyond + v * v) - short
+    return max(radial, -axial, axial - rows[row, 7])
 
 
 @numba.njit(cache=True, nogil=True)

@@ -1,22 +1,28 @@
 """Marker strokes for the phantom, drawn where a person would: along the middle of cavities and walls, around the heart.
 
-At most ten strokes a label, none thicker than 2 mm in radius. Every stroke stays inside its structure.
+At most ten strokes a label, none thicker than 2 mm in radius. Every stroke stays inside its structure. What a few
+short strokes reach is measured with :func:`first_strokes`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
 
 from heartcase.phantom.anatomy import LONG_AXIS, SEPTUM_AXIS, UPWARD_AXIS
 from heartcase.phantom.heart import HeartPhantom
+from heartcase.schemas.errors import UsageError
 from heartcase.schemas.settings import Stroke
 
-__all__ = ["marker_strokes"]
+__all__ = ["LONGEST_SHORT_STROKE_MM", "first_strokes", "marker_strokes"]
 
 Float64 = npt.NDArray[np.float64]
+LONGEST_SHORT_STROKE_MM = 30.0
+"""Length of what one movement of the hand paints; longer lines count as several strokes."""
 _OPENINGS = (
     ("left ventricle", "left atrium"),
     ("left ventricle", "aorta"),
@@ -29,6 +35,53 @@ _OPENINGS = (
 
 def marker_strokes(phantom: HeartPhantom) -> tuple[Stroke, ...]:
     """Strokes for every label of the phantom's table, the background last."""
+    return tuple(_stroke(*line) for line in _drawn_lines(phantom))
+
+
+def first_strokes(phantom: HeartPhantom, count: int) -> tuple[Stroke, ...]:
+    """The first ``count`` short strokes of every label, in the order in which a person would add them.
+
+    The lines of :func:`marker_strokes` are cut into strokes of at most :data:`LONGEST_SHORT_STROKE_MM`. A label's first
+    stroke is the one nearest to its middle; each further one is the farthest from those that are there (Gonzalez,
+    1985), so later strokes go towards ends and borders. The strokes of a smaller count are among those of a larger.
+
+    Parameters
+    ----------
+    phantom
+        The heart.
+    count
+        Strokes a label, background included; fewer where a small label has no more.
+
+    Returns
+    -------
+    tuple of Stroke
+        Label by label, in the order in which they are painted.
+
+    Raises
+    ------
+    UsageError
+        The count is below one.
+    """
+    if count < 1:
+        raise UsageError("every label needs at least one stroke", place="strokes")
+    pieces: dict[str, list[tuple[float, Float64]]] = {}
+    for label, radius, points in _drawn_lines(phantom):
+        lines = _cut(points, LONGEST_SHORT_STROKE_MM)
+        pieces.setdefault(label, []).extend((radius, line) for line in lines)
+    return tuple(
+        _stroke(label, *drawn[n])
+        for label, drawn in pieces.items()
+        for n in _middle_first([line for _, line in drawn], count)
+    )
+
+
+def _stroke(label: str, radius: float, points: Float64) -> Stroke:
+    rounded = tuple((round(float(x), 1), round(float(y), 1), round(float(z), 1)) for x, y, z in points)
+    return Stroke(label=label, radius_mm=radius, points_mm=rounded)
+
+
+def _drawn_lines(phantom: HeartPhantom) -> list[tuple[str, float, Float64]]:
+    """Label, radius of the brush and line of every stroke."""
     radius = round(1.5 * phantom.scale, 1)
     fine = round(1.1 * phantom.scale, 1)
     drawn: list[tuple[str, float, Float64]] = []
@@ -40,15 +93,38 @@ def marker_strokes(phantom: HeartPhantom) -> tuple[Stroke, ...]:
         drawn.append((label, radius, _inside(phantom, label, points, radius)))
     for points in _outlines(phantom, fine):
         drawn.append(("background", fine, points))
-    return tuple(
-        Stroke(
-            label=label,
-            radius_mm=width,
-            points_mm=tuple((round(float(x), 1), round(float(y), 1), round(float(z), 1)) for x, y, z in points),
-        )
-        for label, width, points in drawn
-        if len(points)
-    )
+    return [line for line in drawn if len(line[2])]
+
+
+def _cut(points: Float64, longest_mm: float) -> list[Float64]:
+    """A polyline in pieces of equal length, at most the given one."""
+    at = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    piece_count = max(1, int(np.ceil(at[-1] / longest_mm)))
+    bounds = np.linspace(0.0, at[-1], piece_count + 1)
+    pieces = []
+    for low, high in pairwise(bounds):
+        inner = at[(at > low) & (at < high)]
+        where = np.concatenate([[low], inner, [high]])
+        pieces.append(np.stack([np.interp(where, at, points[:, axis]) for axis in range(3)], axis=1))
+    return pieces
+
+
+def _middle_first(lines: list[Float64], count: int) -> list[int]:
+    """Numbers of the first lines: the one nearest to the middle of all, then always the farthest from those taken."""
+    dense = [_resampled(line, 2.0) for line in lines]
+    middle = np.concatenate(dense).mean(axis=0)
+    # Rounded, so that an order does not hang on the last bits.
+    off = [round(float(np.linalg.norm(points - middle, axis=1).mean()), 2) for points in dense]
+    taken = [int(np.argmin(off))]
+    away = [np.full(len(points), np.inf) for points in dense]
+    while len(taken) < min(count, len(lines)):
+        tree = cKDTree(dense[taken[-1]])
+        away = [np.minimum(before, tree.query(points)[0]) for before, points in zip(away, dense, strict=True)]
+        far = [round(float(distance.mean()), 2) for distance in away]
+        for n in taken:
+            far[n] = -1.0
+        taken.append(int(np.argmax(far)))
+    return taken
 
 
 def _cavity_lines(phantom: HeartPhantom) -> list[tuple[str, Float64]]:

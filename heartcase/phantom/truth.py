@@ -67,11 +67,16 @@ class Truth:
         for defect in self.defects:
             axis = _unit(defect.axis)
             start = np.array(defect.position_mm) - 0.5 * defect.length_mm * axis
-            canals.append([*start, *axis, 0.5 * defect.diameter_mm, defect.length_mm])
+            row = [*start, *axis, 0.5 * defect.diameter_mm, defect.length_mm]
+            if defect.width_mm is None or defect.long_axis is None:
+                canals.append([*row, 0.0, 0.0, 0.0, 0.5 * defect.diameter_mm, 0.0])
+                continue
+            long = np.array(defect.long_axis) - (np.array(defect.long_axis) @ axis) * axis
+            canals.append([*row, *_unit(long), 0.5 * defect.width_mm, 1.0 if defect.shape == "elliptic" else 2.0])
         return (
             self.tables.kernel_arguments,
             np.array(ends, dtype=float).reshape(-1, 9),
-            np.array(canals, dtype=float).reshape(-1, 8),
+            np.array(canals, dtype=float).reshape(-1, 13),
             thickness,
             walls.astype(np.int64),
         )
@@ -211,7 +216,7 @@ class Truth:
         return samples[self._crosses(samples, unit, region)]
 
 
-def _unit(axis: Sequence[float]) -> Float64:
+def _unit(axis: Sequence[float] | Float64) -> Float64:
     vector = np.asarray(axis, dtype=float)
     unit: Float64 = vector / np.linalg.norm(vector)
     return unit

@@ -26,7 +26,7 @@ from heartcase.pipeline.fields import ownership_at_points
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND, LabelTable, Role
 
-__all__ = ["Contact", "Extent", "find_contact"]
+__all__ = ["Contact", "Extent", "faces_between", "find_contact", "without_tissue"]
 
 Bool = npt.NDArray[np.bool_]
 Float64 = npt.NDArray[np.float64]
@@ -142,7 +142,7 @@ def find_contact(
     coarse = labels.geometry
     near = _voxels_near(labels, lines_mm)
     if len(near) == 0:
-        return _faces_between(np.zeros((1, 1, 1), np.uint8), coarse, labels.table)
+        return faces_between(np.zeros((1, 1, 1), np.uint8), coarse, _blood_pairs(labels.table))
     factor = int(np.clip(math.ceil(float(np.mean(coarse.spacing_mm)) / FINE_MM), 1, MOST_FINE))
     low, size = near.min(axis=0), np.ptp(near, axis=0) + 1
     box = _box(structures, low - 1, low + size + 1)
@@ -157,7 +157,7 @@ def find_contact(
     first = factor * low
     nz, ny, nx = values.shape
     fine = coarse.refined(factor).cropped((int(first[0]), int(first[1]), int(first[2])), (nx, ny, nz))
-    contact = _without_tissue(_faces_between(values, fine, labels.table), box)
+    contact = without_tissue(faces_between(values, fine, _blood_pairs(labels.table)), box)
     is_patched = any(structures.table[value].role is Role.DEVICE for value in structures.values)
     return _without_pockets(contact, labels) if is_patched else contact
 
@@ -166,7 +166,7 @@ def _voxels_near(labels: Segmentation, lines_mm: Sequence[tuple[Float64, Float64
     """Voxels to look at closely, as indices (i, j, k), shape (n, 3), in the order of the volume."""
     geometry = labels.geometry
     size = np.array(geometry.size)
-    faces = _faces_between(labels.labels, geometry, labels.table)
+    faces = faces_between(labels.labels, geometry, _blood_pairs(labels.table))
     seeds = [np.floor(faces.index), np.ceil(faces.index)]
     for start, end in lines_mm:
         count = math.ceil(float(np.linalg.norm(end - start)) / min(geometry.spacing_mm)) + 1
@@ -180,18 +180,40 @@ def _voxels_near(labels: Segmentation, lines_mm: Sequence[tuple[Float64, Float64
     return np.stack(np.unravel_index(np.flatnonzero(near), near.shape)[::-1], axis=1)
 
 
-def _faces_between(values: UInt8, geometry: Geometry, table: LabelTable) -> Contact:
-    """All faces with blood of two labels on their sides, by axis, then in the order of the volume."""
+def _blood_pairs(table: LabelTable) -> Bool:
+    """Pairs of values that are blood of two labels, shape (256, 256)."""
     is_blood = np.zeros(256, np.bool_)
     is_blood[list(table.blood_values)] = True
-    blood = is_blood[values]
+    pairs: Bool = np.logical_and.outer(is_blood, is_blood) & ~np.eye(256, dtype=np.bool_)
+    return pairs
+
+
+def faces_between(values: UInt8, geometry: Geometry, is_wanted: Bool) -> Contact:
+    """Find all faces between voxels of two values that are wanted together.
+
+    Parameters
+    ----------
+    values
+        Value of each voxel, shape [z, y, x].
+    geometry
+        Their lattice.
+    is_wanted
+        Whether a face between these two values counts, shape (256, 256).
+
+    Returns
+    -------
+    Contact
+        By axis, then in the order of the volume.
+    """
     index, axes, first, second = [], [], [], []
     for axis in range(3):
         before: list[slice] = [slice(None)] * 3
         behind = list(before)
         before[2 - axis], behind[2 - axis] = slice(None, -1), slice(1, None)
         one, other = values[tuple(before)], values[tuple(behind)]
-        where = np.nonzero((one != other) & blood[tuple(before)] & blood[tuple(behind)])
+        flat = np.flatnonzero(one != other)
+        flat = flat[is_wanted[one.ravel()[flat], other.ravel()[flat]]]
+        where = np.unravel_index(flat, one.shape)
         middles = np.stack(where[::-1], axis=1).astype(np.float64)
         middles[:, axis] += 0.5
         index.append(middles)
@@ -201,7 +223,7 @@ def _faces_between(values: UInt8, geometry: Geometry, table: LabelTable) -> Cont
     return Contact(np.concatenate(index), np.concatenate(axes), np.concatenate(first), np.concatenate(second), geometry)
 
 
-def _without_tissue(contact: Contact, structures: Structures) -> Contact:
+def without_tissue(contact: Contact, structures: Structures) -> Contact:
     """The faces without a wall or a patch, thinner than a voxel, between the centres beside them."""
     if len(contact.axis) == 0:
         return contact

@@ -26,11 +26,16 @@ __all__ = [
     "SimulationGrid",
     "Structures",
     "Surface",
+    "ThicknessTable",
 ]
 
 Float32 = npt.NDArray[np.float32]
 Int32 = npt.NDArray[np.int32]
 UInt8 = npt.NDArray[np.uint8]
+
+
+SHAPE_POINTS = {"cylinder": 2, "elliptic": 4, "slit": 4, "strokes": 1}
+"""Shape of a reshaping -> least number of its points."""
 
 
 @dataclass(frozen=True)
@@ -92,11 +97,13 @@ class Reshaping(NamedTuple):
     """A part of space that goes from some structures to others: one edit, or the cut at a vessel's end."""
 
     shape: str
-    """``cylinder`` (round, flat ends) or ``strokes`` (all points within the radius of a polyline)."""
+    """``cylinder`` (round, flat ends); ``elliptic`` or ``slit`` (flat ends, the cross-section an ellipse or a straight
+    slit with round ends); ``strokes`` (all points within the radius of a polyline)."""
     points_mm: tuple[tuple[float, float, float], ...]
-    """The middles of the cylinder's two ends; the polyline. World mm."""
+    """The middles of the two flat ends, and for ``elliptic`` and ``slit`` the tips of the long and of the short half
+    diameter from the point between them; the polyline. World mm."""
     radius_mm: float
-    """Radius of the cylinder or of the brush."""
+    """Radius of the cylinder or of the brush; half of the long diameter."""
     sources: tuple[str, ...]
     """Names of the labels that lose what lies in the shape."""
     targets: tuple[str, ...]
@@ -105,8 +112,25 @@ class Reshaping(NamedTuple):
     @property
     def thickness_mm(self) -> float:
         """Least extent of the shape, mm."""
-        height = math.dist(self.points_mm[0], self.points_mm[-1]) if self.shape == "cylinder" else math.inf
-        return min(2.0 * self.radius_mm, height)
+        if self.shape == "strokes":
+            return 2.0 * self.radius_mm
+        low, high = self.points_mm[:2]
+        middle = [0.5 * (a + b) for a, b in zip(low, high, strict=True)]
+        half = self.radius_mm if self.shape == "cylinder" else math.dist(middle, self.points_mm[3])
+        return min(2.0 * half, math.dist(low, high))
+
+
+class ThicknessTable(NamedTuple):
+    """Thickness of one cavity's wall that varies from place to place (:mod:`heartcase.pipeline.wall_thickness`)."""
+
+    cavity: int
+    """Label value of the cavity."""
+    kind: str
+    """``centreline`` or ``positions``."""
+    points_mm: tuple[tuple[float, float, float], ...]
+    """World mm."""
+    thickness_mm: tuple[float, ...]
+    """At each point, mm; 0 for no wall."""
 
 
 @dataclass(frozen=True)
@@ -119,9 +143,9 @@ class Structures:
     1. The stored fields, interpolated. They are distances to the faces of the *bare* structures, before any wall: they
        divide space without gap or overlap, and two that touch are each other's negative near the common face.
     2. Walls. A wall label of the table (``wall_of``) that has no stored field is everything bare background within
-       ``wall_thickness_mm`` of its cavity. It is worked out at the point itself, never sampled, so that a wall
-       thinner than a voxel keeps its thickness. Where walls meet the nearer cavity's wins; the background gets what
-       is left.
+       ``wall_thickness_mm`` of its cavity, or within what the cavity's table of thicknesses says there. It is worked
+       out at the point itself, never sampled, so that a wall thinner than a voxel keeps its thickness. Where walls
+       meet the nearer cavity's wins; the background gets what is left.
     3. The reshapings, in order, worked out at the point as well, so that edits are as sharp as their shapes.
 
     A structure with a stored field whose label is not of the two last kinds is just that field, so structures that
@@ -142,16 +166,25 @@ class Structures:
     reshapings: tuple[Reshaping, ...] = ()
     """Cuts at vessel ends and edits, in order. One that names a label which the table does not have is left out."""
     warnings: tuple[str, ...] = ()
-    """What went amiss, in plain words: structures that the smoothing shrank or lost, vessel ends that stay closed."""
+    """What went amiss, in plain words: structures that the smoothing shrank or lost, vessel ends that stay closed,
+    compartments of blood that were joined or split, walls with a gap."""
+    thickness_tables: tuple[ThicknessTable, ...] = field(default=(), metadata={"is_kept_when_empty": False})
+    """Thickness of the walls that are not equally thick all over; one for each of their cavities."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "reshapings", tuple(Reshaping(*one) for one in self.reshapings))
+        # The kernels look at these points unasked.
+        for one in self.reshapings:
+            if len(one.points_mm) < SHAPE_POINTS.get(one.shape, len(one.points_mm) + 1):
+                raise TypeError(f"a reshaping of shape {one.shape!r} with {len(one.points_mm)} points is none")
+        object.__setattr__(self, "thickness_tables", tuple(ThicknessTable(*one) for one in self.thickness_tables))
 
     @property
     def grown_walls(self) -> dict[int, tuple[int, float]]:
-        """Wall value -> (cavity value, thickness in mm) of the walls that are worked out at the point."""
+        """Wall value -> (cavity value, greatest thickness in mm) of the walls that are worked out at the point."""
+        varying = {one.cavity: max(one.thickness_mm) for one in self.thickness_tables}
         return {
-            label.value: (label.wall_of, self.table[label.wall_of].wall_thickness_mm)
+            label.value: (label.wall_of, varying.get(label.wall_of, self.table[label.wall_of].wall_thickness_mm))
             for label in self.table
             if label.wall_of is not None
             and label.value not in self.distance_mm
@@ -175,7 +208,8 @@ class Structures:
     @property
     def thinnest_layer_mm(self) -> float | None:
         """Thickness of the thinnest grown wall or patch, mm: sample finer than this; None where there is none."""
-        layers = [thickness for _, thickness in self.grown_walls.values()]
+        least = {one.cavity: min(t for t in one.thickness_mm if t > 0.0) for one in self.thickness_tables}
+        layers = [least.get(cavity, thickness) for cavity, thickness in self.grown_walls.values()]
         layers += [one.thickness_mm for one in self.reshapings if self._adds_tissue(one)]
         return min(layers, default=None)
 

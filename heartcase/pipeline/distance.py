@@ -38,6 +38,8 @@ LEAST_SIGMA_VOXELS = 0.6
 """Narrowest blur along an axis: a narrower one leaves the steps of thick slices."""
 RETURN_VOXELS = 0.5
 """Lead over the next label, in voxels, of a voxel that gets its old label back."""
+FAR_SIGMAS = 2.0
+"""Standard deviations of the blur, and a voxel, beyond which a label's lead says nothing about its own face."""
 OFFSET_LIMIT = 0.1
 """Most that a field is moved for the sake of its interpolation, in voxels."""
 BORDER_VOXELS = 3
@@ -112,7 +114,7 @@ def label_distances(
         lead = np.where(inside[box], 0.5 * (lowest[box] - second[box]), 0.0).astype(np.float32)
         own = _within(first_order[number], box, labels.shape, far)
         np.copyto(lead, 0.5 * (own - lowest[box]), where=~inside[box])
-        return _completed(lead, inside, box, spacing, band_mm)
+        return _completed(lead, inside, box, spacing, band_mm, FAR_SIGMAS * smoothing_mm + width)
 
     with ThreadPoolExecutor(max_workers=2) as pool:
         fields = list(pool.map(one, range(len(values))))
@@ -254,9 +256,15 @@ def _within(part: _Part, box: Box, shape: tuple[int, ...], outside: float) -> Fl
     return values[box]
 
 
-def _completed(lead: Float32, inside: Bool, box: Box, spacing: Float64, band_mm: float) -> Float32:
-    """Exact distances in the band, and beyond it a distance between voxels."""
+def _completed(lead: Float32, inside: Bool, box: Box, spacing: Float64, band_mm: float, far_mm: float) -> Float32:
+    """Exact distances in the band, and beyond it a distance between voxels.
+
+    Beyond the volume's border the lead goes straight on, but not where the label is farther than ``far_mm``: there it
+    falls towards a face between two *other* labels, and would reach zero as if the label were just outside.
+    """
     shape = inside.shape
+    anisotropy = tuple(float(v) for v in spacing)
+    outer = np.asarray(edt.edt(~inside, anisotropy=anisotropy, parallel=1))
     pads = [
         (BORDER_VOXELS if part.start == 0 else 0, BORDER_VOXELS if part.stop == size else 0)
         if part.stop - part.start > BORDER_VOXELS
@@ -264,12 +272,12 @@ def _completed(lead: Float32, inside: Bool, box: Box, spacing: Float64, band_mm:
         for part, size in zip(box, shape, strict=True)
     ]
     padded = np.pad(lead, pads, mode="reflect", reflect_type="odd")
+    is_far = outer[box] > far_mm
+    padded = np.maximum(padded, np.pad(np.where(is_far, lead, np.float32(-np.inf)), pads, mode="edge"))
     near = signed_distance(padded, tuple(spacing[::-1]), band_mm=band_mm)
     near = offset_for_interpolation(near, np.float32(OFFSET_LIMIT * spacing.min()))
     near = near[tuple(slice(low, low + n) for (low, _), n in zip(pads, lead.shape, strict=True))]
-    anisotropy = tuple(float(v) for v in spacing)
     half = 0.5 * float(spacing.mean())
-    outer = np.asarray(edt.edt(~inside, anisotropy=anisotropy, parallel=1))
     field: Float32 = np.maximum(outer - half, band_mm, dtype=np.float32)
     if inside.all():
         inner = np.full(lead.shape, np.inf, np.float32)

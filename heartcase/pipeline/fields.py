@@ -19,6 +19,8 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.data import Structures
+from heartcase.pipeline.shapes import SHAPE_KINDS, shape_distance
+from heartcase.pipeline.wall_thickness import ThicknessArrays, table_thickness, thickness_arrays
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND
 
@@ -62,10 +64,11 @@ class _Layout(NamedTuple):
     wall_cavity: Int32
     """Slots of the grown walls and of their cavities, by ascending cavity."""
     wall_mm: Float32
+    """Thickness of each wall; the greatest one where a table says how it varies."""
     to_world: Float64
     """Map from index (i, j, k) to world, shape (3, 4)."""
     shape_kind: Int32
-    """0 cylinder, 1 strokes; one per reshaping."""
+    """Number of :data:`~heartcase.pipeline.shapes.SHAPE_KINDS`; one per reshaping."""
     shape_first: Int32
     """First point of each shape, and the number of all points at the end."""
     shape_points: Float64
@@ -102,7 +105,7 @@ def ownership_on_lattice(structures: Structures, lattice: Geometry) -> Ownership
     tissue = np.empty(lattice.shape, np.float32)
     void_label = np.empty(lattice.shape, np.uint8)
     tissue_label = np.empty(lattice.shape, np.uint8)
-    _evaluate_lattice(_layout(structures), start, step, tissue, void_label, tissue_label)
+    _evaluate_lattice(_layout(structures), _varying(structures), start, step, tissue, void_label, tissue_label)
     return Ownership(tissue, void_label, tissue_label)
 
 
@@ -112,7 +115,7 @@ def ownership_at_points(structures: Structures, points_mm: npt.ArrayLike) -> Own
     tissue = np.empty(len(index), np.float32)
     void_label = np.empty(len(index), np.uint8)
     tissue_label = np.empty(len(index), np.uint8)
-    _evaluate_points(_layout(structures), index, tissue, void_label, tissue_label)
+    _evaluate_points(_layout(structures), _varying(structures), index, tissue, void_label, tissue_label)
     return Ownership(tissue, void_label, tissue_label)
 
 
@@ -142,6 +145,16 @@ def _layout(structures: Structures) -> _Layout:
     )
 
 
+def _varying(structures: Structures) -> ThicknessArrays:
+    """The tables of the walls that are grown, read as far from the cavity as the fields are exact."""
+    grown = sorted(structures.grown_walls.values())
+    cavities, thickest_mm = [cavity for cavity, _ in grown], max((t for _, t in grown), default=0.0)
+    tables = [table for table in structures.thickness_tables if table.cavity in cavities]
+    margin = max(structures.band_mm - thickest_mm, 0.0)
+    walls = [cavities.index(table.cavity) for table in tables]
+    return thickness_arrays(tables, walls, nearest_mm=-margin, farthest_mm=thickest_mm + margin)
+
+
 def _shapes(
     structures: Structures, slot: dict[int, int]
 ) -> tuple[Int32, Int32, Float64, Float64, Float64, Float64, Bool, Bool]:
@@ -160,7 +173,7 @@ def _shapes(
         target[n, [names[name] for name in one.targets]] = True
     points = [point for one in used for point in one.points_mm]
     return (
-        np.array([0 if one.shape == "cylinder" else 1 for one in used], np.int32),
+        np.array([SHAPE_KINDS[one.shape] for one in used], np.int32),
         first,
         np.array(points, np.float64).reshape(-1, 3),
         np.array([one.radius_mm for one in used], np.float64),
@@ -174,47 +187,6 @@ def _shapes(
 def _interleave(fields: tuple[Float32, ...], stack: Float32) -> None:
     for n, field in enumerate(fields):
         stack[..., n] = field
-
-
-@numba.njit(cache=True, nogil=True)
-def _cylinder_distance(points, radius, x, y, z):  # type: ignore[no-untyped-def]
-    """Signed distance to a cylinder with flat ends, exact inside and out."""
-    ax = points[1, 0] - points[0, 0]
-    ay = points[1, 1] - points[0, 1]
-    az = points[1, 2] - points[0, 2]
-    length = np.sqrt(ax * ax + ay * ay + az * az)
-    px = x - points[0, 0]
-    py = y - points[0, 1]
-    pz = z - points[0, 2]
-    along = (px * ax + py * ay + pz * az) / length
-    across = np.sqrt(max(px * px + py * py + pz * pz - along * along, 0.0)) - radius
-    beyond = abs(along - 0.5 * length) - 0.5 * length
-    if across > 0.0 and beyond > 0.0:
-        return np.sqrt(across * across + beyond * beyond)
-    return max(across, beyond)
-
-
-@numba.njit(cache=True, nogil=True)
-def _strokes_distance(points, radius, x, y, z):  # type: ignore[no-untyped-def]
-    """Signed distance to the chain of capsules along a polyline."""
-    lowest = np.inf
-    for n in range(max(len(points) - 1, 1)):
-        last = min(n + 1, len(points) - 1)
-        ax = points[last, 0] - points[n, 0]
-        ay = points[last, 1] - points[n, 1]
-        az = points[last, 2] - points[n, 2]
-        px = x - points[n, 0]
-        py = y - points[n, 1]
-        pz = z - points[n, 2]
-        square = ax * ax + ay * ay + az * az
-        t = 0.0
-        if square > 0.0:
-            t = min(max((px * ax + py * ay + pz * az) / square, 0.0), 1.0)
-        px -= t * ax
-        py -= t * ay
-        pz -= t * az
-        lowest = min(lowest, px * px + py * py + pz * pz)
-    return np.sqrt(lowest) - radius
 
 
 @numba.njit(cache=True, nogil=True)
@@ -250,7 +222,25 @@ def _row(stack, y, z, low, high, row):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
-def _grow_walls(layout, v):  # type: ignore[no-untyped-def]
+def _vary(layout, tables, x, y, z, v, thick, scale):  # type: ignore[no-untyped-def]
+    """Thickness at a point, given by its index, of the walls that have a table, and what makes a distance of it."""
+    m = layout.to_world
+    for n in range(len(tables.wall)):
+        w = tables.wall[n]
+        cavity = v[layout.wall_cavity[w]]
+        thick[w] = layout.wall_mm[w]
+        scale[w] = np.float32(1.0)
+        if tables.nearest_mm <= cavity <= tables.farthest_mm:
+            wx = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]
+            wy = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]
+            wz = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
+            value, slope = table_thickness(tables, n, wx, wy, wz)
+            thick[w] = np.float32(value)
+            scale[w] = np.float32(1.0 / np.sqrt(1.0 + slope * slope))
+
+
+@numba.njit(cache=True, nogil=True)
+def _grow_walls(layout, v, thick, scale):  # type: ignore[no-untyped-def]
     """Give the walls their part of the bare background; ``v`` holds the cavities and the bare background."""
     count = len(layout.wall_slot)
     bare = v[layout.background]
@@ -260,7 +250,7 @@ def _grow_walls(layout, v):  # type: ignore[no-untyped-def]
     winner = 0
     for w in range(count):
         cavity = v[layout.wall_cavity[w]]
-        body = cavity - layout.wall_mm[w]
+        body = (cavity - thick[w]) * scale[w]
         if body < np.float32(0.0):
             if cavity < inside:
                 inside = cavity
@@ -271,7 +261,7 @@ def _grow_walls(layout, v):  # type: ignore[no-untyped-def]
     outer = nearest
     for w in range(count):
         cavity = v[layout.wall_cavity[w]]
-        value = max(cavity - layout.wall_mm[w], bare)
+        value = max((cavity - thick[w]) * scale[w], bare)
         if inside < np.inf:
             value = max(value, np.float32(0.5) * (cavity - inside))
         v[layout.wall_slot[w]] = value
@@ -292,10 +282,7 @@ def _reshape(layout, x, y, z, v):  # type: ignore[no-untyped-def]
         wy = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]
         wz = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
         points = layout.shape_points[layout.shape_first[n] : layout.shape_first[n + 1]]
-        if layout.shape_kind[n] == 0:
-            shape = np.float32(_cylinder_distance(points, layout.shape_radius[n], wx, wy, wz))
-        else:
-            shape = np.float32(_strokes_distance(points, layout.shape_radius[n], wx, wy, wz))
+        shape = np.float32(shape_distance(layout.shape_kind[n], points, layout.shape_radius[n], wx, wy, wz))
         source = layout.source[n]
         target = layout.target[n]
         taken = np.float32(np.inf)
@@ -324,14 +311,16 @@ def _reshape(layout, x, y, z, v):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
-def _evaluate_one(layout, x, y, z, raw, v):  # type: ignore[no-untyped-def]
+def _evaluate_one(layout, tables, x, y, z, raw, v, thick, scale):  # type: ignore[no-untyped-def]
     """Finish a point, given by its index, from the interpolated stored fields ``raw``."""
     if len(v) > len(raw):
         v[:] = np.float32(NOWHERE_MM)
     for s in range(len(raw)):
         v[layout.stored_slot[s]] = raw[s]
     if len(layout.wall_slot) > 0 and layout.background >= 0:
-        _grow_walls(layout, v)
+        if len(tables.wall) > 0:
+            _vary(layout, tables, x, y, z, v, thick, scale)
+        _grow_walls(layout, v, thick, scale)
     if len(layout.shape_kind) > 0:
         _reshape(layout, x, y, z, v)
     lowest_tissue = np.float32(np.inf)
@@ -356,7 +345,7 @@ def _evaluate_one(layout, x, y, z, raw, v):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, parallel=True)
-def _evaluate_lattice(layout, start, step, tissue, void_label, tissue_label):  # type: ignore[no-untyped-def]
+def _evaluate_lattice(layout, tables, start, step, tissue, void_label, tissue_label):  # type: ignore[no-untyped-def]
     nz, ny, nx = tissue.shape
     count = layout.stack.shape[2]
     stored = layout.stack.shape[3]
@@ -366,6 +355,8 @@ def _evaluate_lattice(layout, start, step, tissue, void_label, tissue_label):  #
         row = np.empty((last - first + 1) * stored, np.float32)
         raw = np.empty(stored, np.float32)
         v = np.empty(len(layout.labels), np.float32)
+        thick = layout.wall_mm.copy()
+        scale = np.ones(len(thick), np.float32)
         for j in range(ny):
             y = start[1] + j * step[1]
             z = start[2] + k * step[2]
@@ -376,25 +367,27 @@ def _evaluate_lattice(layout, start, step, tissue, void_label, tissue_label):  #
                 a = (i0 - first) * stored
                 b = (i1 - first) * stored
                 _lerp(row[a : a + stored], row[b : b + stored], fx, raw)
-                one = _evaluate_one(layout, x, y, z, raw, v)
+                one = _evaluate_one(layout, tables, x, y, z, raw, v, thick, scale)
                 tissue[k, j, i] = one[0]
                 void_label[k, j, i] = one[1]
                 tissue_label[k, j, i] = one[2]
 
 
 @numba.njit(cache=True, nogil=True, parallel=True)
-def _evaluate_points(layout, index, tissue, void_label, tissue_label):  # type: ignore[no-untyped-def]
+def _evaluate_points(layout, tables, index, tissue, void_label, tissue_label):  # type: ignore[no-untyped-def]
     count = layout.stack.shape[2]
     stored = layout.stack.shape[3]
     for chunk in numba.prange((len(index) + CHUNK - 1) // CHUNK):
         row = np.empty(2 * stored, np.float32)
         raw = np.empty(stored, np.float32)
         v = np.empty(len(layout.labels), np.float32)
+        thick = layout.wall_mm.copy()
+        scale = np.ones(len(thick), np.float32)
         for p in range(chunk * CHUNK, min((chunk + 1) * CHUNK, len(index))):
             i0, i1, fx = _place(index[p, 0], count)
             _row(layout.stack, index[p, 1], index[p, 2], i0, i1, row)
             _lerp(row[:stored], row[(i1 - i0) * stored : (i1 - i0 + 1) * stored], fx, raw)
-            one = _evaluate_one(layout, index[p, 0], index[p, 1], index[p, 2], raw, v)
+            one = _evaluate_one(layout, tables, index[p, 0], index[p, 1], index[p, 2], raw, v, thick, scale)
             tissue[p] = one[0]
             void_label[p] = one[1]
             tissue_label[p] = one[2]

@@ -55,7 +55,7 @@ def resolve_recipe(recipe: Recipe, scan: Scan) -> Recipe:
         update={
             "case_id": recipe.case_id or made_up_case_id(recipe.name, scan.whole_sha256 or scan.values_sha256),
             "labels": recipe.table.labels,
-            "filter": resolve_filter(recipe.filter, scan.geometry),
+            "filter": resolve_filter(recipe.filter, scan),
             "walls": resolve_walls(recipe.walls, scan.geometry, recipe.table),
             "grid": resolve_grid(recipe.grid),
         }

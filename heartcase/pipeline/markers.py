@@ -26,7 +26,7 @@ from heartcase.schemas.labels import BACKGROUND, LabelTable
 from heartcase.schemas.recipe import MarkerFile
 from heartcase.schemas.settings import Stroke
 
-__all__ = ["check_markers", "load_markers", "load_segmentation", "rasterise_strokes", "resample_labels"]
+__all__ = ["check_markers", "load_markers", "load_segmentation", "rasterise_strokes", "resample_labels", "stroke_voxels"]
 
 UInt8 = npt.NDArray[np.uint8]
 UNMARKED = Markers.UNMARKED
@@ -84,8 +84,7 @@ def load_markers(
         except MarkerError as error:
             problems += placed(error, place, MarkerError).problems
     try:
-        painted = rasterise_strokes(strokes, table, geometry)
-        np.copyto(labels, painted, where=painted != UNMARKED)
+        _paint_strokes(labels, strokes, table, geometry)
     except MarkerError as error:
         problems += error.problems
     if problems:
@@ -241,7 +240,7 @@ def rasterise_strokes(strokes: Sequence[Stroke], table: LabelTable, geometry: Ge
     Returns
     -------
     ndarray
-        uint8, shape ``geometry.shape``: label value of each voxel whose centre is within the radius of the line, and
+        uint8, shape ``geometry.shape``: label value (255 for an eraser) of each voxel whose centre is within the radius of the line, and
         of each voxel that the line itself passes (so that a thin brush leaves no gap, and radius 0 a line); 255
         elsewhere. What reaches out of the lattice is cut off.
 
@@ -251,31 +250,61 @@ def rasterise_strokes(strokes: Sequence[Stroke], table: LabelTable, geometry: Ge
         With every stroke whose label is not in the table or that lies wholly outside the scan.
     """
     labels = np.full(geometry.shape, UNMARKED, dtype=np.uint8)
+    _paint_strokes(labels, strokes, table, geometry)
+    return labels
+
+
+def stroke_voxels(stroke: Stroke, geometry: Geometry) -> npt.NDArray[np.int64]:
+    """Voxels that a stroke marks or erases, see :func:`rasterise_strokes`.
+
+    Returns
+    -------
+    ndarray
+        Flat indices into a C-order array of ``geometry.shape``, ascending, int64; none where it lies outside.
+    """
+    return _polyline_voxels(np.array(stroke.points_mm), stroke.radius_mm, geometry)
+
+
+def _polyline_voxels(points_mm: npt.NDArray[np.float64], radius_mm: float, geometry: Geometry) -> npt.NDArray[np.int64]:
+    index = geometry.world_to_index(points_mm)
+    spacing = np.array(geometry.spacing_mm)
+    reach = radius_mm / spacing + 1.0
+    # a box around the line, so that a short stroke costs the same in a large scan
+    low = np.clip(np.floor(index.min(axis=0) - reach), 0, np.array(geometry.size)).astype(np.int64)
+    high = np.clip(np.ceil(index.max(axis=0) + reach) + 1, low, np.array(geometry.size)).astype(np.int64)
+    box = np.zeros((high - low)[::-1], np.uint8)
+    if not box.size:
+        return np.empty(0, np.int64)
+    index = index - low
+    for start, end in zip(index[: max(1, len(index) - 1)], index[1:] if len(index) > 1 else index, strict=True):
+        if radius_mm > 0.0:
+            paint_capsule(box, start, end, spacing, radius_mm, 1)
+        paint_passed_voxels(box, start, end, 1)
+    k, j, i = np.nonzero(box)
+    found: npt.NDArray[np.int64] = ((k + low[2]) * geometry.size[1] + j + low[1]) * geometry.size[0] + i + low[0]
+    return found
+
+
+def _paint_strokes(labels: UInt8, strokes: Sequence[Stroke], table: LabelTable, geometry: Geometry) -> None:
+    """Paint strokes over what is there."""
     problems = []
     for number, stroke in enumerate(strokes, start=1):
         place = f"strokes[{number}]"
-        value = value_of(stroke.label, {}, table)
+        value = UNMARKED if stroke.label is None else value_of(stroke.label, {}, table)
+        called_stroke = "the eraser's stroke" if stroke.label is None else f"the stroke {stroke.label!r}"
         if value is None:
             problems.append(Problem(place, f"there is no label {stroke.label!r} ({listed(table)})"))
         elif not _paint(labels, np.array(stroke.points_mm), stroke.radius_mm, value, geometry):
-            problems.append(
-                Problem(place, _outside(np.array(stroke.points_mm), f"the stroke {stroke.label!r}", geometry))
-            )
+            problems.append(Problem(place, _outside(np.array(stroke.points_mm), called_stroke, geometry)))
     if problems:
         raise MarkerError(problems)
-    return labels
 
 
 def _paint(labels: UInt8, points_mm: npt.NDArray[np.float64], radius_mm: float, value: int, geometry: Geometry) -> bool:
     """Paint one polyline; whether it marked anything."""
-    index = geometry.world_to_index(points_mm)
-    spacing = np.array(geometry.spacing_mm)
-    painted = False
-    for start, end in zip(index[: max(1, len(index) - 1)], index[1:] if len(index) > 1 else index, strict=True):
-        if radius_mm > 0.0:
-            painted |= bool(paint_capsule(labels, start, end, spacing, radius_mm, value))
-        painted |= paint_passed_voxels(labels, start, end, value)
-    return painted
+    voxels = _polyline_voxels(points_mm, radius_mm, geometry)
+    labels.reshape(-1)[voxels] = value
+    return bool(len(voxels))
 
 
 def _painted_volume(path: Path, file: MarkerFile, table: LabelTable, geometry: Geometry) -> UInt8:

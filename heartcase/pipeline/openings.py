@@ -129,6 +129,10 @@ class _Statement:
     axis: Float64 | None = None
     half_length_mm: float = 0.0
     asked_mm2: float | None = None
+    long_axis: Float64 | None = None
+    """Direction of the long diameter of a canal that is not round; its part at right angles to the axis counts."""
+    short_radius_mm: float = 0.0
+    """Half of the short diameter of such a canal."""
 
     @property
     def line_mm(self) -> tuple[Float64, Float64]:
@@ -143,9 +147,20 @@ class _Statement:
             near: Bool = np.linalg.norm(away, axis=1) <= self.radius_mm + margin_mm
             return near
         along = away @ self.axis
-        across = np.linalg.norm(away - along[:, None] * self.axis, axis=1)
-        within: Bool = (across <= self.radius_mm + margin_mm) & (np.abs(along) <= self.half_length_mm + margin_mm)
+        across = np.linalg.norm(self._from_middle_line(away - along[:, None] * self.axis), axis=1)
+        radius = self.radius_mm if self.long_axis is None else self.short_radius_mm
+        within: Bool = (across <= radius + margin_mm) & (np.abs(along) <= self.half_length_mm + margin_mm)
         return within
+
+    def _from_middle_line(self, across: Float64) -> Float64:
+        """Vectors in the plane of the opening, less the way along the middle line of one that is not round."""
+        if self.long_axis is None or self.axis is None:
+            return across
+        side = self.long_axis - (self.long_axis @ self.axis) * self.axis
+        side = side / np.linalg.norm(side)
+        half = self.radius_mm - self.short_radius_mm
+        shortened: Float64 = across - np.clip(across @ side, -half, half)[:, None] * side
+        return shortened
 
 
 def find_openings(
@@ -263,14 +278,17 @@ def _statements(edits: Sequence[Edit], landmarks: Sequence[Landmark]) -> tuple[_
 
 def _stated_by_edits(edits: Sequence[Edit]) -> Iterator[_Statement]:
     for number, edit in enumerate(edits, start=1):
-        if isinstance(edit, SeptalDefect):
+        if isinstance(edit, SeptalDefect) and edit.enabled:
+            long_axis = None if edit.long_axis is None else np.array(edit.long_axis)
             yield _Statement(
                 f"edits[{number}]",
                 np.array(edit.position_mm),
                 0.5 * edit.diameter_mm,
                 np.array(edit.axis) / np.linalg.norm(edit.axis),
                 0.5 * edit.length_mm,
-                0.25 * math.pi * edit.diameter_mm**2,
+                edit.area_mm2,
+                long_axis,
+                0.5 * (edit.width_mm or edit.diameter_mm),
             )
 
 

@@ -14,6 +14,8 @@ Float64 = npt.NDArray[np.float64]
 
 TOUCHING = 1.0 + 1e-9
 """A voxel centre on the brush's rim is painted, whatever the rounding."""
+STANDING = 1e-12
+"""Part of a voxel below which a line does not move along an axis: a quotient by less could overflow."""
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
@@ -102,7 +104,7 @@ def paint_passed_voxels(labels: npt.NDArray[np.uint8], start: Float64, end: Floa
     start, end = clipped
     crossings = [np.array([0.0, 1.0])]
     for first, last in zip(start, end, strict=True):
-        if first != last:
+        if abs(last - first) > STANDING:
             faces = np.arange(np.ceil(min(first, last) - 0.5), np.floor(max(first, last) - 0.5) + 1.0) + 0.5
             crossings.append((faces - first) / (last - first))
     t = np.unique(np.clip(np.concatenate(crossings), 0.0, 1.0))
@@ -119,7 +121,7 @@ def _clipped(start: Float64, end: Float64, size: npt.NDArray[np.int64]) -> tuple
     enter, leave = 0.0, 1.0
     for axis in range(3):
         low, high = -0.5 - start[axis], size[axis] - 0.5 - start[axis]
-        if along[axis] == 0.0:
+        if abs(along[axis]) <= STANDING:
             if low > 0.0 or high < 0.0:
                 return None
             continue

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import cc3d
 import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.cautions import anatomy
 from heartcase.pipeline.data import Markers, Scan, Segmentation
-from heartcase.pipeline.flood import flood_from_markers
-from heartcase.pipeline.gradient import gradient_magnitude
+from heartcase.pipeline.watershed.forest import solve_forest
+from heartcase.pipeline.watershed.kept import scan_tree
+from heartcase.pipeline.watershed.tree import BasinTree
 from heartcase.schemas.errors import MarkerError, Problem, StageError
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND, LabelTable
@@ -26,7 +29,14 @@ PIECES_NAMED = 3
 """How many stray pieces of a label a warning describes; the rest is counted."""
 
 
-def segment_scan(filtered: Scan, markers: Markers | None, settings: SegmentSettings, table: LabelTable) -> Segmentation:
+def segment_scan(
+    filtered: Scan,
+    markers: Markers | None,
+    settings: SegmentSettings,
+    table: LabelTable,
+    *,
+    make_tree: Callable[[], BasinTree] | None = None,
+) -> Segmentation:
     """Give each voxel a label, by marker-based watershed or by intensity ranges.
 
     A marked voxel keeps the label it was marked with, by either method.
@@ -41,11 +51,13 @@ def segment_scan(filtered: Scan, markers: Markers | None, settings: SegmentSetti
         Method and its numbers. A finished segmentation (``method="labels"``) is read, not computed: not here.
     table
         What the label values stand for.
+    make_tree
+        Gives the tree of the scan's gradient where it is kept; it is worked out when left out.
 
     Returns
     -------
     Segmentation
-        Labels on the scan's lattice.
+        Labels on the scan's lattice: by watershed, those of :mod:`heartcase.pipeline.watershed`.
 
     Raises
     ------
@@ -71,10 +83,8 @@ def segment_scan(filtered: Scan, markers: Markers | None, settings: SegmentSetti
                 "no voxel of the scan is marked; paint at least one marker for each structure and one for background",
                 place="markers",
             )
-        gradient = gradient_magnitude(
-            filtered.values, filtered.geometry.spacing_mm, sigma_mm=settings.gradient_sigma_mm
-        )
-        labels = flood_from_markers(gradient, markers.labels, unmarked=Markers.UNMARKED)
+        tree = make_tree() if make_tree else scan_tree(filtered, gradient_sigma_mm=settings.gradient_sigma_mm)
+        labels = solve_forest(tree, markers.labels).labels
     else:
         labels = segment_by_threshold(filtered.values, settings.ranges, table)
         marked = np.zeros(labels.shape, bool) if markers is None else markers.labels != Markers.UNMARKED

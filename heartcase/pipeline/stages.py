@@ -114,6 +114,7 @@ def _markers(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutput
 def _segment(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutputs) -> None:
     from heartcase.pipeline.markers import load_segmentation
     from heartcase.pipeline.segment import segment_scan
+    from heartcase.pipeline.watershed.kept import scan_tree
 
     scan, filtered, markers = have(nodes.scan), have(nodes.filtered), nodes.markers
     settings = resolved(recipe.segment) | {"labels": _all(recipe.labels)}
@@ -138,7 +139,18 @@ def _segment(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutput
         "segment",
         settings=settings,
         inputs={"scan": filtered} | ({"markers": markers} if markers else {}),
-        compute=lambda: segment_scan(filtered.get(), markers.get() if markers else None, recipe.segment, recipe.table),
+        compute=lambda: segment_scan(
+            filtered.get(),
+            markers.get() if markers else None,
+            recipe.segment,
+            recipe.table,
+            make_tree=lambda: scan_tree(
+                filtered.get(),
+                gradient_sigma_mm=recipe.segment.gradient_sigma_mm,
+                cache=runner.cache,
+                scan_sha256=filtered.sha256,
+            ),
+        ),
         kind=Segmentation,
     )
 
@@ -160,12 +172,18 @@ def _edit(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutputs) 
     from heartcase.pipeline.edit import apply_edits
 
     grown = have(nodes.grown)
-    if not recipe.edits:
+    # Not what an edit is called, nor those that are switched off; messages name an edit by its number.
+    settings = [
+        {"number": number} | edit.model_dump(mode="json", exclude={"name", "enabled"})
+        for number, edit in enumerate(recipe.edits, start=1)
+        if edit.enabled
+    ]
+    if not settings:
         nodes.structures = grown
         return
     nodes.structures = runner.run(
         "edit",
-        settings={"edits": _all(recipe.edits)},
+        settings={"edits": settings},
         inputs={"structures": grown},
         compute=lambda: apply_edits(grown.get(), recipe.edits),
         kind=Structures,

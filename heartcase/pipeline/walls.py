@@ -1,12 +1,13 @@
 """The walls stage: distance fields of the structures, and walls grown outward from the cavities (thesis 11.2.3).
 
-Only the bare structures get a field here. A wall is a thickness in the label table, worked out by
-:mod:`heartcase.pipeline.fields` wherever it is asked for, so it is exact however thin it is.
+Only the bare structures get a field here. A wall is a thickness in the label table, or a table of thicknesses by
+place, worked out by :mod:`heartcase.pipeline.fields` wherever it is asked for, so it is exact however thin it is.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import cast
 
 import numpy as np
@@ -14,10 +15,11 @@ import numpy.typing as npt
 from scipy.ndimage import map_coordinates
 
 from heartcase.pipeline.cautions import anatomy
-from heartcase.pipeline.data import Segmentation, Structures
+from heartcase.pipeline.data import Segmentation, Structures, ThicknessTable
 from heartcase.pipeline.distance import default_smoothing_mm, label_distances
 from heartcase.pipeline.ends import cut_ends
 from heartcase.pipeline.fields import ownership_on_lattice
+from heartcase.pipeline.leaks import leak_cautions
 from heartcase.schemas.errors import Problem, StageError
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND, LabelTable
@@ -47,9 +49,9 @@ def grow_walls(segmentation: Segmentation, settings: WallsSettings, ends: Sequen
     Parameters
     ----------
     segmentation
-        Labels. The thicknesses are those of its table.
+        Labels. The thicknesses are those of its table, where the settings say nothing else.
     settings
-        Smoothing and band; the band is at least a voxel more than the thickest wall.
+        Smoothing, band, and thicknesses that vary; the band is at least a voxel more than the thickest wall.
     ends
         Discs beyond which a vessel and its wall are taken away.
 
@@ -61,17 +63,16 @@ def grow_walls(segmentation: Segmentation, settings: WallsSettings, ends: Sequen
     Raises
     ------
     StageError
-        Nothing is segmented, a voxel's label is not in the table, or an end marker lies outside or cuts no vessel
-        in two.
+        Nothing is segmented, a voxel's label is not in the table, a table of thicknesses is for a label that is not
+        there or grows no wall, or an end marker lies outside or cuts no vessel in two.
     """
     geometry = segmentation.geometry
-    _check(segmentation)
+    _check(segmentation, settings)
     table = segmentation.table.with_walls()
     spacing = np.array(geometry.spacing_mm)
     settings = resolve_walls(settings, geometry, table)
     smoothing, band = cast(float, settings.smoothing_mm), cast(float, settings.band_mm)
-    thickest = max((label.wall_thickness_mm for label in table), default=0.0)
-    clearance = thickest + 3.0 * smoothing + 2.0 * float(spacing.max())
+    clearance = settings.thickest_mm(table) + 3.0 * smoothing + 2.0 * float(spacing.max())
     cut = cut_ends(segmentation, table, ends, clearance_mm=clearance)
     labels = cut.labels
     distances = label_distances(
@@ -81,7 +82,7 @@ def grow_walls(segmentation: Segmentation, settings: WallsSettings, ends: Sequen
         far = float(np.linalg.norm(spacing * np.array(geometry.size)))
         distances[BACKGROUND] = np.full(geometry.shape, far, np.float32)
     axes = [np.array(end.axis) / np.linalg.norm(end.axis) for end in cut.ends]
-    return Structures(
+    structures = Structures(
         distance_mm=dict(sorted(distances.items())),
         geometry=geometry,
         table=table,
@@ -91,7 +92,19 @@ def grow_walls(segmentation: Segmentation, settings: WallsSettings, ends: Sequen
             for end, axis in zip(cut.ends, axes, strict=True)
         ),
         reshapings=cut.reshapings,
-        warnings=(*cut.warnings, *_warnings(labels, distances, geometry, table)),
+        thickness_tables=tuple(
+            ThicknessTable(table[one.label].value, one.kind, one.points_mm, one.thickness_mm)
+            for one in settings.thickness
+        ),
+    )
+    return replace(
+        structures,
+        warnings=(
+            *cut.warnings,
+            *_warnings(labels, distances, geometry, table),
+            *_table_warnings(structures),
+            *leak_cautions(structures, labels),
+        ),
     )
 
 
@@ -102,7 +115,7 @@ def resolve_walls(settings: WallsSettings, geometry: Geometry, table: LabelTable
     """
     spacing = np.array(geometry.spacing_mm)
     smoothing = default_smoothing_mm(spacing) if settings.smoothing_mm is None else settings.smoothing_mm
-    thickest = max((label.wall_thickness_mm for label in table), default=0.0)
+    thickest = settings.thickest_mm(table)
     band = settings.band_mm or thickest + BAND_VOXELS * float(spacing.mean())
     band = max(band, thickest + float(spacing.max()))
     return settings.model_copy(update={"smoothing_mm": smoothing, "band_mm": band})
@@ -127,7 +140,7 @@ def structure_volumes_ml(structures: Structures) -> dict[int, float]:
     return {int(value): float(counts[value] * fine.voxel_volume_mm3 / 1000.0) for value in np.flatnonzero(counts)}
 
 
-def _check(segmentation: Segmentation) -> None:
+def _check(segmentation: Segmentation, settings: WallsSettings) -> None:
     there = [int(value) for value in np.flatnonzero(np.bincount(segmentation.labels.ravel(), minlength=256))]
     unknown = [value for value in there if value not in segmentation.table]
     problems = [
@@ -136,6 +149,12 @@ def _check(segmentation: Segmentation) -> None:
     ]
     if there == [BACKGROUND]:
         problems.append(Problem("walls", "nothing is segmented: check the markers and the region of interest"))
+    problems += [
+        Problem(f"walls.thickness[{number}]", f"there is no label {one.label!r}: check the name")
+        for number, one in enumerate(settings.thickness, start=1)
+        if segmentation.table.find(one.label) is None
+    ]
+    problems += settings.thickness_problems(segmentation.table)
     if problems:
         raise StageError(problems)
 
@@ -164,6 +183,25 @@ def _warnings(labels: UInt8, distances: dict[int, Float32], geometry: Geometry, 
             warnings.append(
                 f"{table[value].name}: the smoothing takes {100.0 * (1.0 - kept):.0f}% of its volume, as it is small; "
                 "take a smaller walls.smoothing_mm"
+            )
+    return tuple(warnings)
+
+
+def _table_warnings(structures: Structures) -> tuple[str, ...]:
+    """Tables of thicknesses that have no effect, or that speak of places elsewhere."""
+    warnings: list[str] = []
+    grown = {cavity for cavity, _ in structures.grown_walls.values()}
+    for table in structures.thickness_tables:
+        name = structures.table[table.cavity].name
+        if table.cavity in structures.distance_mm and table.cavity not in grown:
+            warnings.append(f"{name}: its wall is segmented, so its table of thicknesses has no effect")
+        index = structures.geometry.world_to_index(np.array(table.points_mm))
+        if not ((index > -0.5) & (index < np.array(structures.geometry.size) - 0.5)).all(axis=1).any():
+            warnings.append(
+                anatomy(
+                    f"{name}: no point of its table of thicknesses lies in the scan: give the points in LPS mm "
+                    "(programs that show RAS have x and y of the opposite sign)"
+                )
             )
     return tuple(warnings)
 

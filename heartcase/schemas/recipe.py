@@ -10,7 +10,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
 
 from heartcase.schemas.base import CaseId, Model, Name
 from heartcase.schemas.errors import ModelProblems, Problem, RecipeError, problems_from_validation
@@ -19,6 +19,7 @@ from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.lock import RecipeLock, fill_unset
 from heartcase.schemas.migrate import RECIPE
 from heartcase.schemas.settings import (
+    CloseDefect,
     Convention,
     Edit,
     EndMarker,
@@ -30,6 +31,7 @@ from heartcase.schemas.settings import (
     RegionSettings,
     Sculpt,
     SegmentSettings,
+    SeptalDefect,
     Stroke,
     SurfaceSettings,
     WallsSettings,
@@ -123,7 +125,7 @@ class Recipe(Model):
     ends: tuple[EndMarker, ...] = ()
     """Where vessels are cut off."""
     edits: tuple[Edit, ...] = ()
-    """Septal defects and sculpting, in order."""
+    """Septal defects, sculpting and cleaning of structures, in order."""
     grid: GridSettings = GridSettings()
     """Simulation grid."""
     surface: SurfaceSettings = SurfaceSettings()
@@ -170,7 +172,7 @@ class Recipe(Model):
         return version
 
     @model_validator(mode="after")
-    def _names_are_known(self) -> Recipe:
+    def _names_are_known(self, info: ValidationInfo) -> Recipe:
         table = self.table
         with_walls = table.with_walls()
         devices = {edit.label.lower() for edit in self.edits if edit.kind == "close_defect"}
@@ -187,7 +189,8 @@ class Recipe(Model):
                 problems.append(Problem(place, f"there is no label {name!r}; {hint}"))
 
         for n, stroke in enumerate(self.strokes, start=1):
-            check(f"strokes[{n}]", stroke.label, table)
+            if stroke.label is not None:
+                check(f"strokes[{n}]", stroke.label, table)
         for n, marker in enumerate(self.markers, start=1):
             for name in marker.names.values():
                 check(f"markers[{n}].names", name, table)
@@ -198,15 +201,22 @@ class Recipe(Model):
         for n, end in enumerate(self.ends, start=1):
             check(f"ends[{n}]", end.label, table)
         for n, edit in enumerate(self.edits, start=1):
-            if isinstance(edit, Sculpt):
-                check(f"edits[{n}]", edit.label, with_walls, devices)
-                if edit.into is not None:
-                    check(f"edits[{n}].into", edit.into, with_walls, devices)
-            elif not isinstance(edit, Sculpt) and not any(edit.axis):
-                problems.append(Problem(f"edits[{n}].axis", "must not be zero"))
+            if isinstance(edit, SeptalDefect | CloseDefect):
+                if not any(edit.axis):
+                    problems.append(Problem(f"edits[{n}].axis", "must not be zero"))
+                continue
+            for place, named in ((f"edits[{n}]", edit.label), (f"edits[{n}].into", getattr(edit, "into", None))):
+                if named is None:
+                    continue
+                check(place, named, with_walls, devices)
+                # Only what has a field of its own can be smoothed, filled or cleaned.
+                wall = with_walls.find(named)
+                if not isinstance(edit, Sculpt) and wall is not None and wall.value not in table:
+                    problems.append(Problem(place, f"{wall.name!r} is a grown wall and follows its cavity: name that"))
         for name in self.materials.labels:
             check("materials.labels", name, with_walls, devices)
-        if self.segment.method == "watershed" and not self.markers and not self.strokes:
+        needs_markers = info.context is None or info.context["needs_markers"]
+        if needs_markers and self.segment.method == "watershed" and not self.markers and not self.strokes:
             problems.append(Problem("segment", "the watershed needs markers: add [[markers]] or [[strokes]]"))
         seen: set[str] = set()
         for landmark in self.landmarks:
@@ -226,8 +236,15 @@ def _spellings(name: str) -> tuple[str, ...]:
     return lowered, lowered.removeprefix("morphologically ")
 
 
-def parse_recipe(text: str) -> Recipe:
+def parse_recipe(text: str, *, needs_markers: bool = True) -> Recipe:
     """Read a recipe from TOML text.
+
+    Parameters
+    ----------
+    text
+        The recipe.
+    needs_markers
+        Whether a watershed without any marker is a problem. It is none for who is going to paint them.
 
     Raises
     ------
@@ -241,7 +258,7 @@ def parse_recipe(text: str) -> Recipe:
     data, _ = RECIPE.migrated(data)
     fill_unset(data)
     try:
-        return Recipe.model_validate(data)
+        return Recipe.model_validate(data, context={"needs_markers": needs_markers})
     except ValidationError as error:
         raise RecipeError((*problems_from_validation(error), *_hidden_problems(data, error))) from None
 

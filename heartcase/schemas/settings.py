@@ -2,33 +2,44 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+import math
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
 from heartcase.schemas.base import Model, Name, PointMm, PositiveMm, Vector3
+from heartcase.schemas.errors import ModelProblems, Problem
+from heartcase.schemas.labels import LabelTable
 
 __all__ = [
     "CloseDefect",
     "Convention",
+    "DefectShape",
     "Edit",
     "EndMarker",
+    "Fill",
     "FilterSettings",
     "GridSettings",
+    "KeepLargest",
     "MapSettings",
     "MaterialSettings",
     "MaterialsSettings",
     "Pin",
     "RegionSettings",
+    "RemoveIslands",
     "Sculpt",
     "SegmentSettings",
     "SeptalDefect",
+    "Smooth",
     "Stroke",
     "SurfaceSettings",
     "ThresholdRange",
+    "WallThickness",
     "WallsSettings",
 ]
 
+LEAST_SINE = 0.02
+"""Sine of the angle below which two directions count as parallel: about one degree."""
 
 Convention = Literal["hvsmr-2.0", "totalsegmentator-heartchambers", "totalsegmentator-total-v2"]
 """Whose values a label volume without names holds; the tables are in :mod:`heartcase.schemas.terms`."""
@@ -56,8 +67,9 @@ class FilterSettings(Model):
     """Gradient anisotropic diffusion (Perona and Malik), or no filter."""
     iterations: Annotated[int, Field(ge=1, le=200)] = 5
     """Number of diffusion steps."""
-    conductance: Annotated[float, Field(gt=0.0, le=100.0)] = 1.0
-    """Edge threshold in units of the scan's root mean square gradient: lower keeps weaker edges."""
+    conductance: Annotated[float, Field(gt=0.0, le=100.0)] | None = None
+    """Edge threshold in units of the scan's root mean square gradient: lower keeps weaker edges. From the scan's own
+    noise when left out."""
     time_step: Annotated[float, Field(gt=0.0)] | None = None
     """Diffusion time step; the stability limit of the scan's spacing when left out."""
 
@@ -112,14 +124,24 @@ class SegmentSettings(Model):
 
 
 class Stroke(Model):
-    """A painted marker: a round brush of a radius along a polyline."""
+    """A painted marker: a round brush of a radius along a polyline. Or an eraser: it takes markers away."""
 
-    label: Name
-    """Name of the label that it marks; ``background`` marks what is not heart."""
+    label: Name | None = None
+    """Name of the label that it marks; ``background`` marks what is not heart. Left out where it erases."""
     radius_mm: Annotated[float, Field(ge=0.0, le=50.0)] = 1.5
     """Radius of the brush; 0 marks the voxels that the line passes."""
     points_mm: Annotated[tuple[PointMm, ...], Field(min_length=1)]
     """The polyline, LPS mm; a single point is a dab."""
+    erase: bool = False
+    """Take away what marker files and earlier strokes marked here, instead of marking."""
+
+    @model_validator(mode="after")
+    def _marks_or_erases(self) -> Stroke:
+        if self.label is None and not self.erase:
+            raise ValueError("label is missing: name the label to mark, or set erase = true")
+        if self.label is not None and self.erase:
+            raise ValueError("a stroke that erases takes any label away: leave label out")
+        return self
 
 
 class EndMarker(Model):
@@ -141,6 +163,42 @@ class EndMarker(Model):
         return self
 
 
+class WallThickness(Model):
+    """Thickness of one cavity's wall by a table of places, instead of one ``wall_thickness_mm`` all over."""
+
+    label: Name
+    """Name of the cavity; its label must have a ``wall_thickness_mm``, which the table replaces."""
+    kind: Literal["centreline", "positions"]
+    """``centreline``: the points are a line along the vessel; between two of them the thickness is linear in the way
+    along the line, taken at the line's nearest point. ``positions``: the mean of all points weighted by one over the
+    fourth power of the distance, so each point speaks for its surroundings."""
+    points_mm: Annotated[tuple[PointMm, ...], Field(min_length=1, max_length=1000)]
+    """Where the thickness is known, LPS mm; a centreline has at least two points, in order."""
+    thickness_mm: Annotated[tuple[Annotated[float, Field(ge=0.0, le=50.0)], ...], Field(min_length=1)]
+    """Thickness at each point, mm; where it is 0 there is no wall and the cavity is open."""
+
+    @model_validator(mode="after")
+    def _table_is_whole(self) -> WallThickness:
+        problems = []
+        if len(self.points_mm) != len(self.thickness_mm):
+            problems.append(
+                f"points_mm has {len(self.points_mm)} points and thickness_mm {len(self.thickness_mm)} numbers: give "
+                "one number for each point"
+            )
+        if self.kind == "centreline" and len(self.points_mm) < 2:
+            problems.append("a centreline needs at least two points")
+        beside = zip(self.points_mm[:-1], self.points_mm[1:], strict=True)
+        if self.kind == "centreline" and any(one == other for one, other in beside):
+            problems.append("two points of the centreline in a row are the same: remove one of them")
+        if self.kind == "positions" and len(set(self.points_mm)) < len(self.points_mm):
+            problems.append("two positions are the same: remove one of them")
+        if not any(self.thickness_mm):
+            problems.append("all thicknesses are 0: for no wall at all set wall_thickness_mm = 0 in the label")
+        if problems:
+            raise ValueError("; ".join(problems))
+        return self
+
+
 class WallsSettings(Model):
     """Distance fields of the structures, and walls grown outward from the cavities (thesis 11.2.3)."""
 
@@ -149,57 +207,190 @@ class WallsSettings(Model):
     spacing when left out."""
     band_mm: PositiveMm | None = None
     """Distance up to which the fields are exact; the thickest wall and three voxels when left out."""
+    thickness: tuple[WallThickness, ...] = ()
+    """Walls whose thickness varies, one table for each cavity."""
+
+    def thickness_problems(self, table: LabelTable) -> tuple[Problem, ...]:
+        """What is wrong between the tables of thickness and a label table; names that are no label are left out."""
+        problems: list[Problem] = []
+        seen: set[int] = set()
+        for number, one in enumerate(self.thickness, start=1):
+            label, place = table.find(one.label), f"walls.thickness[{number}]"
+            if label is None:
+                continue
+            if label.wall_thickness_mm == 0.0:
+                message = f"{label.name!r} grows no wall: give its label a wall_thickness_mm, or remove this table"
+                problems.append(Problem(place, message))
+            if label.value in seen:
+                problems.append(Problem(place, f"{label.name!r} has a table already: put all its points into one"))
+            seen.add(label.value)
+        return tuple(problems)
+
+    def thickest_mm(self, table: LabelTable) -> float:
+        """Thickness of the thickest wall that a label table and the tables of thickness ask for, mm; 0 for none."""
+        thickness = {label.value: label.wall_thickness_mm for label in table}
+        for one in self.thickness:
+            label = table.find(one.label)
+            if label is not None:
+                thickness[label.value] = max(one.thickness_mm)
+        return max(thickness.values(), default=0.0)
 
 
-class SeptalDefect(Model):
-    """Make a hole in a septum (atrial or ventricular septal defect): a round canal along an axis."""
+class _EditLine(Model):
+    """What every edit has."""
+
+    name: Name | None = None
+    """What the edit is for, in a few words: for people and for the report."""
+    enabled: bool = True
+    """false leaves the edit in the recipe and does not carry it out."""
+
+
+DefectShape = Literal["circular", "elliptic", "slit"]
+"""Cross-section of a septal defect or a patch: a circle, an ellipse, or a straight slit with round ends."""
+
+
+class _Round(_EditLine):
+    """A cross-section at a place, at right angles to an axis."""
+
+    position_mm: PointMm
+    """Centre, LPS mm: for a hole in the middle of the septum."""
+    diameter_mm: PositiveMm
+    """Diameter; the long one of an ellipse, the length of a slit with its round ends."""
+    axis: Vector3
+    """Direction through the septum; any length."""
+    shape: DefectShape = "circular"
+    """Cross-section: a circle, an ellipse, or a straight slit with round ends."""
+    width_mm: PositiveMm | None = None
+    """Elliptic and slit: the short diameter, at most ``diameter_mm``."""
+    long_axis: Vector3 | None = None
+    """Elliptic and slit: direction of the long diameter; any length; only its part at right angles to ``axis``
+    counts."""
+
+    @property
+    def area_mm2(self) -> float:
+        """Area of the cross-section, mm2."""
+        if self.width_mm is None:
+            return 0.25 * math.pi * self.diameter_mm**2
+        if self.shape == "elliptic":
+            return 0.25 * math.pi * self.diameter_mm * self.width_mm
+        return 0.25 * math.pi * self.width_mm**2 + (self.diameter_mm - self.width_mm) * self.width_mm
+
+    @model_validator(mode="after")
+    def _shape_has_its_sizes(self) -> Self:
+        problems: list[Problem] = []
+        is_long = self.shape != "circular"
+        for key in ("width_mm", "long_axis"):
+            stated = getattr(self, key) is not None
+            if stated and not is_long:
+                problems.append(Problem(key, "a circular one has none: leave it out, or set shape"))
+            elif is_long and not stated:
+                problems.append(Problem(key, f"is missing: a shape that is {self.shape!r} needs it"))
+        if is_long and self.width_mm is not None and self.width_mm > self.diameter_mm:
+            problems.append(Problem("width_mm", "must not be above diameter_mm, which is the long one: exchange them"))
+        if is_long and self.long_axis is not None:
+            if not any(self.long_axis):
+                problems.append(Problem("long_axis", "must not be zero"))
+            elif any(self.axis) and _sine_between(self.axis, self.long_axis) < LEAST_SINE:
+                problems.append(Problem("long_axis", "is parallel to axis: it must point along the septum"))
+        if problems:
+            raise ModelProblems(problems)
+        return self
+
+
+class SeptalDefect(_Round):
+    """Make a hole in a septum (atrial or ventricular septal defect): a canal along an axis."""
 
     kind: Literal["septal_defect"]
     """Which edit."""
-    position_mm: PointMm
-    """Centre of the hole, in the middle of the septum, LPS mm."""
-    diameter_mm: PositiveMm
-    """Diameter of the hole."""
-    axis: Vector3
-    """Direction through the septum; any length."""
     length_mm: PositiveMm = 20.0
     """Length of the canal, centred on the position: more than the septum's thickness."""
 
 
-class CloseDefect(Model):
-    """Close a septal defect with a patch: a round sheet of a device label."""
+class CloseDefect(_Round):
+    """Close a septal defect with a patch: a flat sheet of a device label, somewhat larger than the defect."""
 
     kind: Literal["close_defect"]
     """Which edit."""
-    position_mm: PointMm
-    """Centre of the patch, LPS mm."""
-    diameter_mm: PositiveMm
-    """Diameter of the patch: somewhat more than the defect's."""
-    axis: Vector3
-    """Direction through the septum; any length."""
     thickness_mm: PositiveMm = 2.0
     """Thickness of the patch."""
     label: Name = "patch"
     """Name of the patch's label; made with the role ``device`` where the table has none of this name."""
 
 
-class Sculpt(Model):
-    """Add to or remove from a structure with a round brush along a polyline (a single point is a sphere)."""
+class _Brush(_EditLine):
+    """A round brush along a polyline (a single point is a sphere), at one structure."""
 
-    kind: Literal["add", "remove"]
-    """Add to the structure from whatever is there, or remove from it."""
     label: Name
-    """Structure that grows or shrinks."""
+    """Structure that is shaped."""
     radius_mm: PositiveMm
     """Radius of the brush."""
     points_mm: Annotated[tuple[PointMm, ...], Field(min_length=1)]
     """The polyline, LPS mm."""
+
+
+class Sculpt(_Brush):
+    """Add to or remove from a structure with a brush."""
+
+    kind: Literal["add", "remove"]
+    """Add to the structure from whatever is there, or remove from it."""
     into: Name | None = None
     """Remove: structure that the removed part becomes; the nearest other one when left out."""
 
 
-Edit = Annotated[SeptalDefect | CloseDefect | Sculpt, Field(discriminator="kind")]
+class Smooth(_Brush):
+    """Smooth the border of a structure within a brush; its grown wall follows."""
+
+    kind: Literal["smooth"]
+    """Which edit."""
+    sigma_mm: PositiveMm | None = None
+    """Standard deviation of the blur: bumps up to about twice as wide go; a third of ``radius_mm`` when left out."""
+
+
+class Fill(_Brush):
+    """Fill holes and notches of a structure within a brush; its grown wall follows."""
+
+    kind: Literal["fill"]
+    """Which edit."""
+    gap_mm: PositiveMm | None = None
+    """What a ball of this diameter cannot reach from outside the structure is filled, to about a voxel; the brush's
+    own diameter when left out."""
+
+
+class KeepLargest(_EditLine):
+    """Keep the largest piece of a structure and give the others away."""
+
+    kind: Literal["keep_largest"]
+    """Which edit."""
+    label: Name
+    """Structure of which one piece is kept."""
+    into: Name | None = None
+    """Structure that the other pieces become; the nearest other one when left out."""
+
+
+class RemoveIslands(_EditLine):
+    """Give small pieces of a structure away; its largest piece always stays."""
+
+    kind: Literal["remove_islands"]
+    """Which edit."""
+    label: Name | None = None
+    """Structure whose small pieces go; every one but the background when left out."""
+    smallest_ml: Annotated[float, Field(gt=0.0, le=1000.0)] = 0.1
+    """Volume below which a piece goes, ml."""
+    into: Name | None = None
+    """Structure that the pieces become; the nearest other one when left out."""
+
+
+Edit = Annotated[
+    SeptalDefect | CloseDefect | Sculpt | Smooth | Fill | KeepLargest | RemoveIslands, Field(discriminator="kind")
+]
 """One line of the recipe's ``edits``."""
+
+
+def _sine_between(first: Vector3, second: Vector3) -> float:
+    """Sine of the angle between two directions."""
+    dot = sum(a * b for a, b in zip(first, second, strict=True))
+    lengths = math.hypot(*first) * math.hypot(*second)
+    return math.sqrt(max(1.0 - (dot / lengths) ** 2, 0.0))
 
 
 class GridSettings(Model):

@@ -164,6 +164,28 @@ def test_a_defect_joins_the_sides(adult, adult_voxels, which):
     assert holed.truth.tissue_distance(np.array(defect.position_mm)) == pytest.approx(4.0, abs=0.02)
 
 
+@pytest.mark.parametrize("shape", ["elliptic", "slit"])
+def test_a_long_defect_is_a_hole_of_its_shape(adult, shape):
+    plain = adult.ventricular_defect(12.0)
+    more = {"shape": shape, "width_mm": 5.0, "long_axis": tuple(LONG_AXIS + 0.3 * SEPTUM_AXIS)}
+    defect = type(plain).model_validate(plain.model_dump() | more)
+    truth = HeartPhantom.adult(defects=[defect]).truth
+    axis = np.array(defect.axis) / np.linalg.norm(defect.axis)
+    long = LONG_AXIS - (LONG_AXIS @ axis) * axis
+    long /= np.linalg.norm(long)
+    u, v = np.meshgrid(*(np.arange(-7.0321, 7.0, 0.1),) * 2)
+    points = np.array(defect.position_mm) + u[..., None] * long + v[..., None] * np.cross(axis, long)
+    if shape == "elliptic":
+        true = (u / 6.0) ** 2 + (v / 2.5) ** 2 < 1.0
+    else:
+        true = np.hypot(np.maximum(np.abs(u) - 3.5, 0.0), v) < 2.5
+    solid = np.isin(adult.truth.label(points), truth.table.tissue_values)
+    found = np.isin(truth.label(points), truth.table.tissue_values)
+    assert (found == (solid & ~true)).all()
+    assert true[solid].sum() > 0.9 * true.sum()
+    assert truth.tissue_distance(np.array(defect.position_mm)) == pytest.approx(2.5, abs=0.02)
+
+
 def test_every_cavity_and_the_tissue_are_in_one_piece(adult_voxels, adult):
     _, _, labels = adult_voxels
     for value in (*range(1, 10), 13, 14):

@@ -3,13 +3,14 @@
 import cc3d
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from heartcase.pipeline.artifacts import artifact_from_bytes, artifact_to_bytes
 from heartcase.pipeline.data import Segmentation, Structures
 from heartcase.pipeline.edit import apply_edits
 from heartcase.pipeline.fields import ownership_at_points, ownership_on_lattice
 from heartcase.pipeline.walls import grow_walls, structure_volumes_ml
-from heartcase.schemas.errors import StageError
+from heartcase.schemas.errors import StageError, problems_from_validation
 from heartcase.schemas.labels import Label, LabelTable, Role
 from heartcase.schemas.settings import CloseDefect, Sculpt, SeptalDefect, WallsSettings
 from tests.pipeline.lattices import LATTICES, lattice, points_of
@@ -95,6 +96,73 @@ def test_a_defect_has_its_diameter_and_place(kind, diameter):
         assert v[hole].mean() == pytest.approx(-0.7, abs=0.02)
     points, _, _ = disc(9.0)
     assert (owners(edited, points) == owners(structures, points)).all()
+
+
+SKEW = tuple(SIDE + 0.4 * UP + 0.7 * NORMAL)
+"""A long axis as a person would give it: neither of length one nor at right angles to the axis."""
+
+
+def plane_of(long_axis):
+    """The part of a long axis across ``NORMAL``, and what is at right angles to both."""
+    long = np.array(long_axis) - (np.array(long_axis) @ NORMAL) * NORMAL
+    long /= np.linalg.norm(long)
+    return long, np.cross(NORMAL, long)
+
+
+def in_shape(shape, long, short, u, v):
+    if shape == "elliptic":
+        return (2.0 * u / long) ** 2 + (2.0 * v / short) ** 2 < 1.0
+    return np.hypot(np.maximum(np.abs(u) - 0.5 * (long - short), 0.0), v) < 0.5 * short
+
+
+@pytest.mark.parametrize("kind", LATTICES)
+@pytest.mark.parametrize("shape", ["elliptic", "slit"])
+def test_a_defect_has_its_shape(kind, shape):
+    structures = two_cavities(kind)
+    round_one = defect(9.0)
+    one = SeptalDefect.model_validate(round_one.model_dump() | {"shape": shape, "width_mm": 3.0, "long_axis": SKEW})
+    edited = apply_edits(structures, (one,))
+    assert compartments(edited) == 1
+    assert edited.thinnest_layer_mm is None
+    long, short = plane_of(SKEW)
+    for height in (-2.0, 0.0, 2.0):
+        points, u, _ = disc(height)
+        hole = np.isin(owners(edited, points), (1, 2))
+        true = in_shape(shape, 9.0, 3.0, points @ long, points @ short)
+        step = u[0, 1] - u[0, 0]
+        assert hole.sum() * step**2 == pytest.approx(one.area_mm2, rel=0.01)
+        assert np.ptp((points @ long)[hole]) == pytest.approx(9.0, abs=0.06)
+        assert np.ptp((points @ short)[hole]) == pytest.approx(3.0, abs=0.06)
+        assert (hole != true).mean() < 0.003
+
+
+@pytest.mark.parametrize("shape", ["elliptic", "slit"])
+def test_a_patch_has_its_shape(shape):
+    wide = SeptalDefect.model_validate(defect(9.0).model_dump() | {"shape": shape, "width_mm": 5.0, "long_axis": SKEW})
+    sheet = CloseDefect.model_validate(
+        patch(7.0, thickness=0.6).model_dump() | {"shape": shape, "width_mm": 2.5, "long_axis": SKEW}
+    )
+    edited = apply_edits(two_cavities(), (wide, sheet))
+    assert edited.thinnest_layer_mm == pytest.approx(0.6)
+    points, _, _ = disc()
+    long, short = plane_of(SKEW)
+    found = owners(edited, points) == edited.table["patch"].value
+    assert (found != in_shape(shape, 7.0, 2.5, points @ long, points @ short)).mean() < 0.003
+
+
+@pytest.mark.parametrize(
+    ("update", "places"),
+    [
+        ({"shape": "slit"}, ["width_mm", "long_axis"]),
+        ({"width_mm": 2.0, "long_axis": (1.0, 0.0, 0.0)}, ["width_mm", "long_axis"]),
+        ({"shape": "elliptic", "width_mm": 5.1, "long_axis": tuple(NORMAL)}, ["width_mm", "long_axis"]),
+        ({"shape": "elliptic", "width_mm": 5.0, "long_axis": (0.0, 0.0, 0.0)}, ["long_axis"]),
+    ],
+)
+def test_sizes_that_do_not_fit_the_shape_are_refused(update, places):
+    with pytest.raises(ValidationError) as error:
+        SeptalDefect.model_validate(defect().model_dump() | update)
+    assert [problem.place for problem in problems_from_validation(error.value)] == places
 
 
 def test_the_canal_is_the_nearer_cavitys():

@@ -1,6 +1,8 @@
+import os
 import re
+import subprocess
+import sys
 
-import numba
 import numpy as np
 import pytest
 import SimpleITK
@@ -8,8 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from heartcase.phantom.acquisition import CT_UNITS, MRI_UNITS, noise_free
+from heartcase.phantom.heart import HeartPhantom
 from heartcase.pipeline.data import Scan
-from heartcase.pipeline.filter import diffuse, filter_scan, time_step_limit
+from heartcase.pipeline.diffusion import diffuse
+from heartcase.pipeline.filter import default_conductance, filter_scan, resolve_filter, time_step_limit
 from heartcase.schemas.errors import StageError
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.settings import FilterSettings
@@ -72,7 +77,9 @@ def test_equals_simpleitk_on_cubic_voxels(spacing, conductance):
 
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), ANISOTROPIC, (3.0, 0.5, 0.5)])
-@pytest.mark.parametrize("shape", [(7, 8, 9), (1, 12, 13), (6, 1, 9), (2, 3, 1)])
+@pytest.mark.parametrize(
+    "shape", [(7, 8, 9), (1, 12, 13), (6, 1, 9), (2, 3, 1), (17, 45, 130), (9, 3, 2500), (1, 1, 40), (40, 1, 1)]
+)
 def test_equals_the_double_precision_reference(spacing, shape):
     values = step_with_noise(shape)
     scan = make_scan(values, spacing)
@@ -149,16 +156,157 @@ def test_scaling_and_shifting_the_intensities_scales_and_shifts_the_result():
     np.testing.assert_allclose(other, plain * 1024.0, rtol=0, atol=1024.0 * 5 * 8 * EPSILON * np.abs(values).max())
 
 
+@settings(max_examples=40, deadline=None)
+@given(
+    shape=st.tuples(st.integers(1, 20), st.integers(1, 40), st.integers(2, 150)),
+    spacing=st.tuples(*[st.floats(0.3, 4.0)] * 3),
+    conductance=st.sampled_from([0.2, 1.0, 5.0]),
+    seed=st.integers(0, 99),
+)
+def test_any_shape_equals_the_reference(shape, spacing, conductance, seed):
+    values = step_with_noise(shape, seed)
+    step = min(time_step_limit(make_scan(values, spacing).geometry), 1.0)
+    want = reference_diffusion(values, spacing, 2, conductance, step)
+    got = diffuse(values, spacing, iterations=2, conductance=conductance, time_step=step)
+    assert np.abs(got - want).max() <= 2 * 16 * EPSILON * np.abs(values).max()
+
+
+@pytest.mark.parametrize("size", [1e-30, 1e-6, 1e6, 1e30])
+@pytest.mark.parametrize("conductance", [1e-12, 1.0, None])
+def test_tiny_and_huge_intensities_give_what_ordinary_ones_do(size, conductance):
+    values = step_with_noise() / np.float32(1000.0)
+    chosen = FilterSettings(conductance=conductance)
+    plain = filter_scan(make_scan(values), chosen).values
+    got = filter_scan(make_scan(values * np.float32(size)), chosen).values
+    np.testing.assert_allclose(got / np.float32(size), plain, rtol=0, atol=5 * 16 * EPSILON * np.abs(values).max())
+
+
+THREADS = """
+import hashlib, sys
+import numpy as np
+from heartcase.pipeline.data import Scan
+from heartcase.pipeline.filter import filter_scan, resolve_filter
+from heartcase.schemas.geometry import Geometry
+from heartcase.schemas.settings import FilterSettings
+values = np.random.default_rng(1).normal(0.0, 9.0, (21, 37, 93)).astype(np.float32)
+scan = Scan(values=values, geometry=Geometry.of(shape=values.shape, spacing_mm=(0.7, 1.1, 2.5)))
+print(resolve_filter(FilterSettings(), scan).model_dump_json())
+print(hashlib.sha256(filter_scan(scan, FilterSettings()).values.tobytes()).hexdigest())
+"""
+
+
 def test_the_number_of_threads_does_not_matter():
-    values = step_with_noise((13, 17, 19))
-    before = numba.get_num_threads()
-    try:
-        numba.set_num_threads(1)
-        one = filter_scan(make_scan(values, ANISOTROPIC), FilterSettings()).values
-    finally:
-        numba.set_num_threads(before)
-    many = filter_scan(make_scan(values, ANISOTROPIC), FilterSettings()).values
-    assert one.tobytes() == many.tobytes()
+    said = {
+        subprocess.run(
+            [sys.executable, "-c", THREADS],
+            env=os.environ | {"NUMBA_NUM_THREADS": str(count)},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for count in (1, 2)
+    }
+    assert len(said) == 1
+
+
+def blocks_of_tissue(seed, sigma, shape=(24, 40, 44)):
+    """Three tissues and noise."""
+    values = np.zeros(shape)
+    values[4:20, 5:30, 6:36] = 300.0
+    values[8:16, 10:24, 10:28] = 500.0
+    return values, (values + np.random.default_rng(seed).normal(0.0, sigma, shape)).astype(np.float32)
+
+
+@pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (0.8, 0.8, 2.0)])
+@pytest.mark.parametrize("sigma", [5.0, 20.0, 60.0])
+def test_the_default_conductance_removes_noise_at_any_level(sigma, spacing):
+    clean, noisy = blocks_of_tissue(2, sigma)
+    got = filter_scan(make_scan(noisy, spacing), FilterSettings()).values
+
+    def error(values):
+        return float(np.sqrt(np.mean((values - clean) ** 2)))
+
+    assert error(got) < 0.6 * error(noisy)
+
+
+@pytest.fixture(scope="module")
+def chest():
+    """Geometry and noise-free MRI and CT of the child's heart at 2 mm, without partial volume."""
+    phantom = HeartPhantom.of_size("child")
+    geometry = phantom.scan_geometry(2.0)
+    signals = {units: noise_free(phantom, geometry, units, supersampling=1) for units in (MRI_UNITS, CT_UNITS)}
+    return geometry, signals
+
+
+@pytest.mark.parametrize("contrast_to_noise", [5.0, 10.0, 20.0])
+@pytest.mark.parametrize("units", [MRI_UNITS, CT_UNITS], ids=["mri", "ct"])
+def test_the_default_conductance_suits_every_level_of_noise_in_a_chest(chest, units, contrast_to_noise):
+    """A conductance of 1, the default of before, suits one of them."""
+    geometry, clean = chest[0], chest[1][units]
+    sigma = (units[1] - units[2]) / contrast_to_noise
+    generator = np.random.default_rng(11)
+    noisy = clean + generator.normal(0.0, sigma, clean.shape)
+    if units is MRI_UNITS:
+        noisy = np.hypot(noisy, generator.normal(0.0, sigma, clean.shape))
+    scan = Scan(noisy.astype(np.float32), geometry)
+    inside = clean > units[4]  # the heart, the liver and soft tissue: no lung, no fat
+
+    def error(conductance):
+        got = filter_scan(scan, FilterSettings(conductance=conductance)).values
+        return float(np.sqrt(np.mean((got - clean)[inside] ** 2))) / sigma
+
+    assert error(None) < 0.9
+    assert error(None) < 1.05 * error(1.0)
+
+
+def test_a_scan_without_noise_comes_through():
+    clean, _ = blocks_of_tissue(1, 1.0)
+    got = filter_scan(make_scan(clean), FilterSettings()).values
+    assert np.abs(got - clean).max() < 1e-6 * 500.0
+    at_one = filter_scan(make_scan(clean), FilterSettings(conductance=1.0)).values
+    assert np.abs(at_one - clean).max() > 0.1
+
+
+def test_clamped_air_does_not_change_the_default_much():
+    _, noisy = blocks_of_tissue(3, 20.0)
+    whole = np.pad(np.round(noisy), ((0, 0), (0, 60), (0, 0)), constant_values=-1024.0).astype(np.int16)
+    padded = np.pad(whole, ((20, 0), (0, 0), (0, 0)), constant_values=-2048).astype(np.float32)
+
+    def threshold(values):
+        """K in units of intensity per mm."""
+        z, y, x = np.gradient(np.pad(values.astype(float), 1, mode="edge"))
+        inner = (slice(1, -1),) * 3
+        root_mean_square = np.sqrt(np.mean((z**2 + y**2 + x**2)[inner]))
+        return default_conductance(make_scan(values)) * root_mean_square
+
+    assert threshold(padded) == pytest.approx(threshold(noisy), rel=0.15)
+
+
+def test_what_is_left_out_is_filled_in_once():
+    _, noisy = blocks_of_tissue(1, 30.0)
+    scan = make_scan(noisy, ANISOTROPIC)
+    resolved = resolve_filter(FilterSettings(), scan)
+    assert resolved.time_step == time_step_limit(scan.geometry)
+    assert resolved.conductance == default_conductance(scan)
+    assert float(f"{resolved.conductance:.4g}") == resolved.conductance
+    assert resolve_filter(resolved, scan) == resolved
+    np.testing.assert_array_equal(filter_scan(scan, resolved).values, filter_scan(scan, FilterSettings()).values)
+    stated = FilterSettings(conductance=0.7, time_step=0.01)
+    assert resolve_filter(stated, scan) == stated
+    off = FilterSettings(method="none")
+    assert resolve_filter(off, scan) == off
+
+
+def test_the_default_conductance_of_a_constant_is_a_number():
+    scan = make_scan(np.full((3, 4, 5), 7.0))
+    assert resolve_filter(FilterSettings(), scan).conductance == 1.0
+
+
+@pytest.mark.parametrize(("factor", "shift"), [(4.0, 0.0), (1.0, 1024.0), (0.25, -512.0)])
+def test_the_default_conductance_does_not_depend_on_the_unit_of_the_intensities(factor, shift):
+    _, noisy = blocks_of_tissue(5, 25.0)
+    plain = default_conductance(make_scan(np.round(noisy)))
+    assert default_conductance(make_scan(np.round(noisy) * factor + shift)) == pytest.approx(plain, rel=2e-3)
 
 
 def test_only_the_values_change():
@@ -181,7 +329,9 @@ def test_values_that_are_not_finite_are_refused(bad):
     values = step_with_noise()
     values[1, 2, 3] = bad
     with pytest.raises(StageError, match="1 voxels of the scan are NaN or infinite"):
-        filter_scan(make_scan(values), FilterSettings())
+        filter_scan(make_scan(values), FilterSettings(conductance=1.0))
+    with pytest.raises(StageError, match="1 voxels of the scan are NaN or infinite"):
+        resolve_filter(FilterSettings(), make_scan(values))
 
 
 def test_a_step_beyond_the_limit_is_refused_and_the_limit_that_is_stated_works():

@@ -308,6 +308,23 @@ def test_an_edit_states_its_own_opening_and_its_area_is_told():
     assert caution.severity is Severity.NOTE
     (same,) = openings_of(structures)
     assert same.verdict is Verdict.UNEXPECTED
+    (off,) = openings_of(structures, edits=[canal().model_copy(update={"enabled": False})])
+    assert off.verdict is Verdict.UNEXPECTED
+
+
+@pytest.mark.parametrize(("shape", "asked"), [("elliptic", np.pi * 6.0 * 2.5), ("slit", 7.0 * 5.0 + np.pi * 2.5**2)])
+def test_a_long_defect_asks_for_its_own_area_and_speaks_for_its_own_shape(shape, asked):
+    more = {"shape": shape, "width_mm": 5.0, "long_axis": (0.0, 1.0, 0.5)}
+    edit = SeptalDefect.model_validate(canal(12.0).model_dump() | more)
+    structures = apply_edits(walled(holes=()), [edit])
+    (one,) = openings_of(structures, edits=[edit])
+    assert one.verdict is Verdict.STATED
+    assert one.asked_mm2 == pytest.approx(asked)
+    assert one.area_mm2 == pytest.approx(asked, rel=0.15)
+    # A hole beside its flank, which a round defect of this length would speak for, is another one.
+    beside = walled(holes=((11.5, -1.0, 2.5),))
+    found = openings_of(apply_edits(beside, [edit]), edits=[edit])
+    assert [opening.verdict for opening in found] == [Verdict.UNEXPECTED, Verdict.STATED]
 
 
 def test_an_edit_in_a_wall_that_is_missing_already_is_looked_at():

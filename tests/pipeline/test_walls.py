@@ -6,6 +6,7 @@ import pytest
 from scipy.spatial import cKDTree
 from skimage.measure import marching_cubes
 
+from heartcase.phantom.heart import HeartPhantom
 from heartcase.pipeline.data import Segmentation, Structures
 from heartcase.pipeline.fields import ownership_at_points, ownership_on_lattice
 from heartcase.pipeline.walls import grow_walls, structure_volumes_ml
@@ -237,3 +238,46 @@ def test_same_structures_with_any_number_of_threads():
     finally:
         numba.set_num_threads(before)
     assert results[0] == results[1]
+
+
+@pytest.fixture(scope="module")
+def right_ventricle():
+    """The adult phantom's true labels at 2.5 mm without walls, and points well inside one true label each."""
+    phantom = HeartPhantom.adult()
+    geometry = phantom.scan_geometry(2.5, margin_mm=6.0)
+    labels = phantom.truth.label(points_of(geometry))
+    labels[np.isin(labels, [one.value for one in phantom.truth.table if one.wall_of is not None])] = 0
+    points = np.random.default_rng(6).uniform(-0.5, np.array(geometry.size) - 0.5, (60_000, 3))
+    points = geometry.index_to_world(points)
+    true = phantom.truth.label(points)
+    offsets = np.concatenate([np.eye(3), -np.eye(3)])
+    deep = (phantom.truth.label(points[:, None] + offsets) == true[:, None]).all(axis=1)
+    return phantom, Segmentation(labels, geometry, phantom.table), points[deep], true[deep]
+
+
+def test_the_right_ventricles_free_wall_is_grown_and_the_septum_left_alone(right_ventricle):
+    phantom, segmentation, points, true = right_ventricle
+    structures = grow_walls(segmentation, WallsSettings(), phantom.ends)
+    wall = structures.table.wall_value(2)
+    assert structures.table[wall].role is Role.MYOCARDIUM
+    found = owners(structures, points)
+    free, septum = true == phantom.truth.table.wall_value(2), true == 9
+    assert free.sum() > 100
+    assert septum.sum() > 300
+    assert np.mean(found[free] == wall) > 0.98
+    assert np.mean(found[septum] == 9) > 0.995
+    assert not np.any(found[septum] == wall)
+
+
+def test_no_wall_where_the_recipe_asks_for_none(right_ventricle):
+    phantom, segmentation, points, true = right_ventricle
+    bare = segmentation.table["morphologically right ventricle"].model_copy(update={"wall_thickness_mm": 0.0})
+    table = segmentation.table.with_label(bare)
+    structures = grow_walls(Segmentation(segmentation.labels, segmentation.geometry, table), WallsSettings(), ())
+    assert structures.table.wall_value(2) is None
+    free = true == phantom.truth.table.wall_value(2)
+    others = [one.value for one in structures.table if one.wall_of is not None]
+    found = owners(structures, points[free])
+    assert set(found) <= {0, *others}
+    assert np.mean(found == 0) > 0.9
+    assert np.mean(owners(structures, points[true == 9]) == 9) > 0.995

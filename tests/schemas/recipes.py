@@ -30,6 +30,16 @@ def _edits(label):
                 {"kind": st.sampled_from(["add", "remove"]), "label": label, "radius_mm": lengths, "points_mm": lines},
                 optional={"into": label},
             ),
+            st.fixed_dictionaries(
+                {"kind": st.just("smooth"), "label": label, "radius_mm": lengths, "points_mm": lines},
+                optional={"sigma_mm": lengths, "enabled": st.booleans()},
+            ),
+            st.fixed_dictionaries(
+                {"kind": st.just("fill"), "label": label, "radius_mm": lengths, "points_mm": lines},
+                optional={"gap_mm": lengths, "name": st.just("mend the septum")},
+            ),
+            st.fixed_dictionaries({"kind": st.just("keep_largest"), "label": label}, optional={"into": label}),
+            st.fixed_dictionaries({"kind": st.just("remove_islands")}, optional={"label": label, "into": label}),
         ),
         max_size=3,
     )

@@ -11,6 +11,7 @@ from heartcase.pipeline.data import Scan
 from heartcase.pipeline.report.plain_words import Fact, placed, setting_lines
 from heartcase.schemas.labels import Label, LabelTable, default_label_table
 from heartcase.schemas.recipe import Recipe
+from heartcase.schemas.settings import CloseDefect, Edit, KeepLargest, RemoveIslands, SeptalDefect
 
 __all__ = ["hand_work_facts", "region_words"]
 
@@ -76,7 +77,7 @@ def _painted(recipe: Recipe) -> Iterator[Fact]:
     by_label: dict[str, list[float]] = {}
     for stroke in recipe.strokes:
         length = sum(math.dist(a, b) for a, b in itertools.pairwise(stroke.points_mm))
-        by_label.setdefault(stroke.label, []).append(length)
+        by_label.setdefault("markers erased" if stroke.label is None else stroke.label, []).append(length)
     for label, lengths in by_label.items():
         strokes = "1 stroke" if len(lengths) == 1 else f"{len(lengths)} strokes"
         yield Fact(f"Painted: {label}", f"{strokes}, {sum(lengths):.0f} mm in all")
@@ -101,14 +102,30 @@ def _shaped(recipe: Recipe) -> Iterator[Fact]:
         yield Fact("Landmark", f"{landmark.name} ({landmark.kind})")
 
 
-def _edit_words(edit: Any) -> str:
-    if edit.kind == "septal_defect":
-        return f"septal defect of {edit.diameter_mm:g} mm made at {placed(edit.position_mm)}"
-    if edit.kind == "close_defect":
-        return f"defect closed with a patch of {edit.diameter_mm:g} mm at {placed(edit.position_mm)}"
-    verb = "added to" if edit.kind == "add" else "removed from"
+def _edit_words(edit: Edit) -> str:
+    called = f"{edit.name}: " if edit.name else ""
+    off = "" if edit.enabled else " (switched off: not carried out)"
+    return f"{called}{_deed(edit)}{off}"
+
+
+def _deed(edit: Edit) -> str:
+    if isinstance(edit, SeptalDefect):
+        return f"septal defect of {_size(edit)} made at {placed(edit.position_mm)}"
+    if isinstance(edit, CloseDefect):
+        return f"defect closed with a patch of {_size(edit)} at {placed(edit.position_mm)}"
+    if isinstance(edit, KeepLargest):
+        return f"only the largest piece of {edit.label} kept"
+    if isinstance(edit, RemoveIslands):
+        return f"pieces of {edit.label or 'all structures'} below {edit.smallest_ml:g} ml removed"
+    verb = {"add": "added to", "remove": "removed from", "smooth": "smoothed", "fill": "holes filled in"}[edit.kind]
     where = f"{len(edit.points_mm)} point(s) from {placed(edit.points_mm[0])}"
     return f"{verb} {edit.label}: brush of {edit.radius_mm:g} mm radius, {where}"
+
+
+def _size(edit: SeptalDefect | CloseDefect) -> str:
+    if edit.width_mm is None:
+        return f"{edit.diameter_mm:g} mm"
+    return f"{edit.diameter_mm:g} x {edit.width_mm:g} mm ({edit.shape})"
 
 
 def _untouched(recipe: Recipe, scan: Scan | None) -> Recipe:

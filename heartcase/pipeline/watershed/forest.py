@@ -108,6 +108,14 @@ class Forest:
         )
         return _as_box(low, high)
 
+    def restore(self, voxels: Int64, values: UInt8) -> Box | None:
+        """Mark voxels with labels of their own, or take their markers away (255); the box in which labels changed."""
+        found = np.unique(values)
+        if len(found) == 1:
+            return self.paint(voxels, int(found[0]))
+        self.painted.reshape(-1)[voxels] = values
+        return self.solve()
+
     def solve(self) -> Box | None:
         """Work everything out anew from ``painted``; the box in which labels changed."""
         tree = self.tree
@@ -426,8 +434,8 @@ def _carry(foot, level, label, landscape, graph, marks, foot_label, foot_level, 
 def _paint_basins(changed, first_voxel, voxel_list, direction, offsets, marks, lowest_mark, foot_label, labels, shape):  # type: ignore[no-untyped-def]
     """Label the voxels of some basins anew; lowest and highest (z, y, x) at which that changed something."""
     nz, ny, nx = shape
-    low_k, low_j, low_i = nz, ny, nx
-    high_k, high_j, high_i = -1, -1, -1
+    low_k, low_j, low_i = np.int64(nz), np.int64(ny), np.int64(nx)
+    high_k, high_j, high_i = np.int64(-1), np.int64(-1), np.int64(-1)
     # exact for any index below 2^29, and much quicker than a division of integers
     per_slice, per_row = 1.0 / (nx * ny), 1.0 / nx
     for b in changed:

@@ -34,7 +34,8 @@ def flat_minima(height: Float32, root: Int64, key: Int64, first: Int32, second: 
         a lower neighbour. The basin's voxels as high as its lowest one are those of the flat.
     """
     bits = height.view(np.int32).ravel()
-    return _flat_minima(bits, height.shape, side_offsets(height.shape), root, key, first, second)
+    found: Int32 = _flat_minima(bits, height.shape, side_offsets(height.shape), root, key, first, second)
+    return found
 
 
 @numba.njit(cache=True, nogil=True)

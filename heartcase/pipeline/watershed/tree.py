@@ -81,12 +81,14 @@ class BasinTree:
     @cached_property
     def neighbours(self) -> tuple[Int64, Int32]:
         """Joining faces of each basin: ``faces[start[b]:start[b + 1]]`` for basin ``b``."""
-        return _neighbours(self.basin_count, *self.basins)
+        start, faces = _neighbours(self.basin_count, *self.basins)
+        return start, faces
 
     @cached_property
     def voxels(self) -> tuple[Int64, Int32]:
         """Voxels of each basin, by ascending index: ``voxels[start[b]:start[b + 1]]`` for basin ``b``."""
-        return _voxel_lists(self.basin.ravel(), self.basin_count)
+        start, voxels = _voxel_lists(self.basin.ravel(), self.basin_count)
+        return start, voxels
 
 
 def build_basin_tree(height: Float32) -> BasinTree:
@@ -192,13 +194,13 @@ def _find_in_rows(bits, basin, low, high, ny, nx, last, offsets, at, key, pair):
                 side[count] = 6
                 count += basin[u] != basin[u + step]
         for n in range(count):
-            u = np.int64(lower[n])
-            w = u + offsets[side[n]]
-            up = np.int64(bits[u] > bits[w])
-            higher = w - up * (w - u)
+            here = np.int64(lower[n])
+            there = here + offsets[side[n]]
+            up = np.int64(bits[here] > bits[there])
+            higher = there - up * (there - here)
             down = np.int64(side[n]) * (2 * up - 1) + 6 - 6 * up
-            one = (np.int64(max(bits[u], bits[w])) << 32) | (higher << 3) | (1 + down)
-            at = _note(one, basin[u], basin[w], noted, at, key, pair)
+            one = (np.int64(max(bits[here], bits[there])) << 32) | (higher << 3) | (1 + down)
+            at = _note(one, basin[here], basin[there], noted, at, key, pair)
     return at
 
 

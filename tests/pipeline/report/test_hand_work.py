@@ -42,6 +42,18 @@ kind = "close_defect"
 position_mm = [5, -15, -10]
 diameter_mm = 8
 axis = [1, 0, 0]
+[[edits]]
+kind = "septal_defect"
+name = "second one"
+enabled = false
+position_mm = [5, -15, -10]
+shape = "slit"
+diameter_mm = 8
+width_mm = 3
+axis = [1, 0, 0]
+long_axis = [0, 0, 1]
+[[edits]]
+kind = "remove_islands"
 [[ends]]
 label = "aorta"
 position_mm = [1, 2, 60]
@@ -84,6 +96,9 @@ def test_everything_that_a_person_did_is_told(scan):
     assert facts["Segmentation"] == "taken as it was given"
     assert facts["Edit 1"] == "added to aorta: brush of 2 mm radius, 2 point(s) from (1.0, 2.0, 3.0) mm"
     assert facts["Edit 2"] == "defect closed with a patch of 8 mm at (5.0, -15.0, -10.0) mm"
+    slit = "septal defect of 8 x 3 mm (slit) made at (5.0, -15.0, -10.0) mm"
+    assert facts["Edit 3"] == f"second one: {slit} (switched off: not carried out)"
+    assert facts["Edit 4"] == "pieces of all structures below 0.1 ml removed"
     assert facts["Vessel cut off"] == "aorta at (1.0, 2.0, 60.0) mm"
     assert facts["Held fixed by hand"] == "ball of 6 mm radius at (0.0, 0.0, 60.0) mm"
     assert facts["Setting for smoothing the scan"] == "iterations = 9"

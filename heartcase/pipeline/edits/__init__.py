@@ -1,0 +1,1 @@
+"""The edit stage: what each kind of edit does."""

@@ -1,0 +1,198 @@
+"""What leaks once the walls are grown: compartments of blood that were joined or split, cavities open to the outside.
+
+The structures are looked at on a lattice of twice the resolution, near the border of the blood only; a wall thinner
+than that is looked for between its points as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import numpy.typing as npt
+
+from heartcase.pipeline.apart import Change, compartment_changes
+from heartcase.pipeline.cautions import Caution, anatomy, note
+from heartcase.pipeline.contacts import Contact, Extent, faces_between, without_tissue
+from heartcase.pipeline.data import Structures
+from heartcase.pipeline.fields import ownership_at_points, ownership_on_lattice
+from heartcase.pipeline.wall_thickness import thickness_at_points
+from heartcase.schemas.geometry import Geometry
+from heartcase.schemas.labels import BACKGROUND
+
+__all__ = ["leak_cautions"]
+
+Bool = npt.NDArray[np.bool_]
+UInt8 = npt.NDArray[np.uint8]
+
+FACTOR = 2
+"""Points along each edge of a voxel."""
+TISSUE = 255
+"""What stands for all tissue; no label has this value."""
+LEAST_GAP_MM2 = 1.0
+"""Gaps of a smaller area are where three structures meet, and are not reported."""
+CHUNK = 50_000
+"""Voxels that are looked at together: bounds the memory."""
+MOST_CAUTIONS = 5
+"""Joins, splits and gaps that are told one by one, the largest; the rest is counted."""
+
+
+def leak_cautions(structures: Structures, labels: UInt8) -> tuple[Caution, ...]:
+    """Compare the compartments of blood with those of the segmentation, and look for gaps in the walls.
+
+    Parameters
+    ----------
+    structures
+        Fields and walls.
+    labels
+        The segmentation that they were made from, with the vessels continued to their ends; shape
+        ``structures.geometry.shape``.
+
+    Returns
+    -------
+    tuple of Caution
+        In plain words, with labels, areas and places in mm: joined compartments, split ones, gaps; each the largest
+        first.
+    """
+    blood = np.array(structures.table.blood_values, np.uint8)
+    corner, part = _box_with_blood(structures, labels, blood)
+    if part is None:
+        return ()
+    fine, geometry = _fine_labels(structures, part, corner, blood)
+    changes = compartment_changes(part, fine, blood.tolist(), geometry)
+    joined = sorted((one for one in changes if one.is_joined), key=lambda one: -one.extent.area_mm2)
+    split = sorted((one for one in changes if not one.is_joined), key=lambda one: -one.extent.area_mm2)
+    gaps = sorted(_gaps(structures, fine, geometry), key=lambda one: -one[1].area_mm2)
+    return (
+        *_listed([_of_joined(structures, one) for one in joined]),
+        *_listed([_of_split(structures, one) for one in split]),
+        *_listed([_of_gap(structures, *one) for one in gaps]),
+    )
+
+
+def _box_with_blood(structures: Structures, labels: UInt8, blood: UInt8) -> tuple[tuple[int, int, int], UInt8 | None]:
+    """First voxel (i, j, k) and labels of the smallest box that holds all blood and two voxels around it."""
+    is_blood = np.zeros(256, np.bool_)
+    is_blood[blood] = True
+    mask = is_blood[labels]
+    there = [np.flatnonzero(mask.any(axis=axes)) for axes in ((1, 2), (0, 2), (0, 1))]
+    if len(there[0]) == 0:
+        return (0, 0, 0), None
+    low = [max(int(one[0]) - 2, 0) for one in there]
+    z, y, x = (slice(start, int(one[-1]) + 3) for start, one in zip(low, there, strict=True))
+    return (low[2], low[1], low[0]), labels[z, y, x]
+
+
+def _fine_labels(
+    structures: Structures, labels: UInt8, corner: tuple[int, int, int], blood: UInt8
+) -> tuple[UInt8, Geometry]:
+    """Label of every fine point of a box, ``TISSUE`` for all tissue.
+
+    It is worked out near the border of the blood; elsewhere it is that of the voxel's centre.
+    """
+    nz, ny, nx = labels.shape
+    geometry = structures.geometry.cropped(corner, (nx, ny, nz))
+    owner = ownership_on_lattice(structures, geometry)
+    coarse = np.where(owner.tissue_mm <= 0.0, np.uint8(TISSUE), owner.void_label)
+    is_blood = np.zeros(256, np.bool_)
+    is_blood[blood] = True
+    near = np.argwhere(_beside_border(is_blood[labels]) | _beside_border(is_blood[coarse]))
+    fine = np.repeat(np.repeat(np.repeat(coarse, FACTOR, axis=0), FACTOR, axis=1), FACTOR, axis=2)
+    offsets = np.array(list(np.ndindex(FACTOR, FACTOR, FACTOR)))
+    for start in range(0, len(near), CHUNK):
+        voxels = near[start : start + CHUNK, None]
+        index = voxels + (offsets + 0.5) / FACTOR - 0.5
+        found = ownership_at_points(structures, geometry.index_to_world(index[..., ::-1].reshape(-1, 3)))
+        k, j, i = (FACTOR * voxels + offsets).reshape(-1, 3).T
+        fine[k, j, i] = np.where(found.tissue_mm <= 0.0, np.uint8(TISSUE), found.void_label)
+    return fine, geometry.refined(FACTOR)
+
+
+def _beside_border(mask: Bool) -> Bool:
+    """Voxels on both sides of the faces between a mask and the rest."""
+    beside = np.zeros(mask.shape, np.bool_)
+    for axis in range(3):
+        one, other = np.swapaxes(mask, 0, axis), np.swapaxes(beside, 0, axis)
+        differs = one[1:] != one[:-1]
+        other[1:] |= differs
+        other[:-1] |= differs
+    return beside
+
+
+def _gaps(structures: Structures, fine: UInt8, geometry: Geometry) -> Iterator[tuple[int, Extent, bool]]:
+    """Walled cavities whose blood touches the background: value, extent, and whether a table of thicknesses says so."""
+    cavities = [cavity for cavity, _ in structures.grown_walls.values()]
+    is_wanted = np.zeros((256, 256), np.bool_)
+    is_wanted[BACKGROUND, cavities] = is_wanted[cavities, BACKGROUND] = True
+    faces = faces_between(fine, geometry, is_wanted)
+    faces = without_tissue(faces[~_at_ends(faces, structures)], structures)
+    tables = {table.cavity: table for table in structures.thickness_tables}
+    width = max(geometry.spacing_mm)
+    for cavity in sorted(cavities):
+        own = (faces.first == cavity) | (faces.second == cavity)
+        is_stated = np.zeros(len(own), np.bool_)
+        table = tables.get(cavity)
+        if table is not None and min(table.thickness_mm) == 0.0 and own.any():
+            thickness, slope = thickness_at_points(table, faces.points_mm[own])
+            is_stated[own] = thickness - width * slope <= 0.5 * width  # the wall tapers off around here
+        for chosen, stated in ((own & ~is_stated, False), (own & is_stated, True)):
+            if chosen.any():
+                extent = faces[chosen].extent()
+                if extent.area_mm2 >= LEAST_GAP_MM2:
+                    yield cavity, extent, stated
+
+
+def _at_ends(faces: Contact, structures: Structures) -> Bool:
+    """Faces that lie in an end marker's disc, where the vessel is cut open."""
+    points = faces.points_mm
+    width = float(max(structures.geometry.spacing_mm))
+    at_end = np.zeros(len(points), np.bool_)
+    for position, axis, radius in structures.fixed_planes:
+        offset = points - np.array(position)
+        along = offset @ np.array(axis)
+        across = np.linalg.norm(offset - along[:, None] * np.array(axis), axis=1)
+        at_end |= (np.abs(along) <= width) & (across <= radius + width)
+    return at_end
+
+
+def _listed(cautions: list[Caution]) -> list[Caution]:
+    rest = len(cautions) - MOST_CAUTIONS
+    if rest <= 0:
+        return cautions
+    more = Caution(f"and {rest} more places like the last, which are smaller", cautions[MOST_CAUTIONS - 1].severity)
+    return [*cautions[:MOST_CAUTIONS], more]
+
+
+def _of_joined(structures: Structures, change: Change) -> Caution:
+    one, other = (structures.table[value].name for value in change.labels)
+    what = f"the blood of {one} and of {other}" if one != other else f"two parts of the blood of {one}"
+    return anatomy(
+        f"{what}: apart in the segmentation, but joined {_where(change.extent)} where the outlines are smoothed; paint "
+        "a stroke of background, or of the muscle, between them, or take a smaller walls.smoothing_mm"
+    )
+
+
+def _of_split(structures: Structures, change: Change) -> Caution:
+    one, other = (structures.table[value].name for value in change.labels)
+    what = f"the blood of {one} and of {other}" if one != other else f"the blood of {one}"
+    return anatomy(
+        f"{what}: in one piece in the segmentation, but cut in two {_where(change.extent)} where the passage is "
+        "narrow; widen it there with a stroke, or take a smaller walls.smoothing_mm"
+    )
+
+
+def _of_gap(structures: Structures, cavity: int, extent: Extent, is_stated: bool) -> Caution:
+    name = structures.table[cavity].name
+    if is_stated:
+        return note(f"{name}: open to the outside {_where(extent)}, as its table of thicknesses says")
+    return anatomy(
+        f"{name}: its wall has a gap {_where(extent)}, so it is open to the outside there; if a vessel is cut off "
+        "there, mark it (an entry of 'ends'), else look at the segmentation there"
+    )
+
+
+def _where(extent: Extent) -> str:
+    area = f"{extent.area_mm2:,.0f}" if extent.area_mm2 >= 10.0 else f"{extent.area_mm2:.1f}"
+    pieces = f" in {extent.patches} patches, the largest" if extent.patches > 1 else ""
+    place = ", ".join(f"{value:.1f}" for value in extent.center_mm)
+    return f"over {area} mm²{pieces} near ({place}) mm"

@@ -1,0 +1,141 @@
+"""A painting session on a recipe: what the build made of its scan so far, and the strokes back into its file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from heartcase.pipeline.cache import Cache
+from heartcase.pipeline.lock import resolve_recipe
+from heartcase.pipeline.runner import BuildListener, Runner, SilentListener
+from heartcase.pipeline.session import SegmentationSession
+from heartcase.pipeline.stages import RUN_STAGE, StageOutputs, have
+from heartcase.pipeline.watershed.kept import scan_tree
+from heartcase.schemas.errors import RecipeError, UsageError
+from heartcase.schemas.files import atomic_write
+from heartcase.schemas.recipe import Recipe, parse_recipe
+from heartcase.schemas.settings import Stroke
+from heartcase.schemas.toml import toml_text
+
+__all__ = ["RecipeSession", "open_session"]
+
+
+@dataclass
+class RecipeSession:
+    """A session, and the recipe's file that its strokes go into. Made by :func:`open_session`."""
+
+    session: SegmentationSession
+    """What is painted on."""
+    recipe: Recipe
+    """The recipe as it was opened, with everything resolved."""
+    path: Path
+    """Its file."""
+    opened_text: str
+    """Its text as it was opened: kept to the letter, with its comments."""
+    written_text: str
+    """Its text as it was written last."""
+
+    def save(self) -> int:
+        """Write the session's strokes at the end of the recipe; how many they are.
+
+        Saving again, also after an undo, leaves what the session holds then. A crash leaves the old file or the new.
+
+        Raises
+        ------
+        RecipeError
+            Another program changed the file meanwhile, or its strokes are one array, which cannot be added to.
+        """
+        if _text_of(self.path) != self.written_text:
+            raise RecipeError(
+                "the recipe was changed by another program since it was opened: save under another name, and copy the "
+                "strokes from there",
+                place="recipe",
+            )
+        return self.save_as(self.path)
+
+    def save_as(self, path: Path) -> int:
+        """Write the recipe with the session's strokes to another file; how many they are.
+
+        Raises
+        ------
+        RecipeError
+            Its strokes are one array, which cannot be added to, or the file cannot be written.
+        """
+        text = self.opened_text + _strokes_text(self.session.strokes)
+        try:
+            parse_recipe(text, needs_markers=False)
+        except RecipeError:
+            raise RecipeError(
+                "strokes cannot be added at the end of this recipe: write its strokes as [[strokes]] tables instead of "
+                "strokes = [...]",
+                place="strokes",
+            ) from None
+        try:
+            atomic_write(path, text.encode("utf-8"))
+        except OSError as error:
+            raise RecipeError(f"cannot be written: {error.strerror}", place="recipe") from None
+        if path == self.path:
+            self.written_text = text
+        return len(self.session.strokes)
+
+
+def open_session(
+    path: Path, *, out: Path, cache: Path | None = None, listener: BuildListener | None = None
+) -> RecipeSession:
+    """Open a recipe for painting; scan, filter and tree are taken from the build's cache where they are there.
+
+    Parameters
+    ----------
+    path
+        The recipe's file.
+    out
+        Directory that the case is built in.
+    cache
+        Directory of the cache; ``out/.heartcase-cache`` when left out.
+    listener
+        Told of progress.
+
+    Raises
+    ------
+    HeartcaseError
+        A problem with the recipe, the scan or the markers; or the recipe's method is not the watershed.
+    """
+    text = _text_of(path)
+    recipe = parse_recipe(text, needs_markers=False)
+    if recipe.segment.method != "watershed":
+        raise UsageError(
+            f"the recipe's segment.method is {recipe.segment.method!r}: only the watershed is painted", place="segment"
+        )
+    runner = Runner(Cache(cache or out / ".heartcase-cache"), listener or SilentListener(), force=False)
+    nodes = StageOutputs()
+    RUN_STAGE["read"](recipe, path.parent, runner, nodes)
+    recipe = resolve_recipe(recipe, have(nodes.scan).get())
+    RUN_STAGE["filter"](recipe, path.parent, runner, nodes)
+    filtered = have(nodes.filtered)
+    from heartcase.pipeline.markers import load_markers
+
+    markers = load_markers(recipe.markers, recipe.strokes, recipe.table, filtered.get().geometry, path.parent)
+    tree = scan_tree(
+        filtered.get(),
+        gradient_sigma_mm=recipe.segment.gradient_sigma_mm,
+        cache=runner.cache,
+        scan_sha256=filtered.sha256,
+    )
+    session = SegmentationSession(tree, filtered.get().geometry, recipe.table, markers=markers)
+    return RecipeSession(session, recipe, path, text, text)
+
+
+def _text_of(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise RecipeError("there is no such file; check the path", place="recipe") from None
+    except (OSError, UnicodeDecodeError):
+        raise RecipeError("the file cannot be read as UTF-8 text", place="recipe") from None
+
+
+def _strokes_text(strokes: tuple[Stroke, ...]) -> str:
+    if not strokes:
+        return ""
+    tables = [stroke.model_dump(mode="json", exclude_defaults=True) for stroke in strokes]
+    return "\n# Painted in a session.\n" + toml_text({"strokes": tables})

@@ -1,0 +1,67 @@
+"""The tree of a scan's landscape, kept in the build's cache: opening a case again does not pay for it again."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from heartcase.pipeline.cache import Cache, stage_key
+from heartcase.pipeline.data import Scan
+from heartcase.pipeline.gradient import gradient_magnitude
+from heartcase.pipeline.watershed.descent import basins_of
+from heartcase.pipeline.watershed.tree import BasinTree, build_basin_tree
+
+__all__ = ["TREE_VERSION", "KeptTree", "scan_tree"]
+
+TREE_VERSION = 1
+"""Raised whenever the gradient or the order of the faces changes."""
+
+
+@dataclass(frozen=True)
+class KeptTree:
+    """What is kept: the rest follows from it and from the scan, quicker than it is read."""
+
+    direction: npt.NDArray[np.uint8]
+    """Direction of steepest descent of each voxel, uint8, shape [z, y, x]."""
+    key: npt.NDArray[np.int64]
+    """Keys of the joining faces, ascending, int64."""
+
+
+def scan_tree(
+    filtered: Scan, *, gradient_sigma_mm: float, cache: Cache | None = None, scan_sha256: str = ""
+) -> BasinTree:
+    """The tree of a scan's gradient magnitude.
+
+    Parameters
+    ----------
+    filtered
+        The smoothed scan.
+    gradient_sigma_mm
+        Scale of the Gaussian derivative, mm; 0 takes central differences.
+    cache
+        Where the tree is looked for and kept; None works it out.
+    scan_sha256
+        Hash of the smoothed scan, as its stage has it; needed with ``cache``.
+
+    Raises
+    ------
+    StageError
+        See :func:`heartcase.pipeline.watershed.tree.build_basin_tree`.
+    """
+    height = gradient_magnitude(filtered.values, filtered.geometry.spacing_mm, sigma_mm=gradient_sigma_mm)
+    if cache is None:
+        return build_basin_tree(height)
+    settings = {"gradient_sigma_mm": gradient_sigma_mm}
+    key = stage_key(stage="basins", version=TREE_VERSION, settings=settings, inputs={"scan": scan_sha256})
+    kept = cache.load("basins", key, KeptTree)
+    if kept is not None and kept.direction.shape == height.shape:
+        basin, root = basins_of(kept.direction)
+        if len(root) == len(kept.key) + 1:
+            return BasinTree(height, kept.direction, basin, root, kept.key)
+    start = time.perf_counter()
+    tree = build_basin_tree(height)
+    cache.store("basins", key, KeptTree(tree.direction, tree.key), seconds=time.perf_counter() - start)
+    return tree
