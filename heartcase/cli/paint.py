@@ -64,7 +64,7 @@ _REQUEST: TypeAdapter[_Paint | _Step | _SaveAs | _Slice | _Box] = TypeAdapter(
     help="Directory that the case is built in, with the build's cache.",
 )
 def command(recipe: Path, out: Path) -> None:
-    """Paint on RECIPE's scan: one JSON object a line in, one JSON object a line out; for viewers to drive.
+    r"""Paint on RECIPE's scan: one JSON object a line in, one JSON object a line out; for viewers to drive.
 
     \b
     {"do": "paint", "label": "aorta", "radius_mm": 2, "points_mm": [[0, 0, 0]]}

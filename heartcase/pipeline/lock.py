@@ -221,7 +221,7 @@ def _is_used(stage: str, recipe: Recipe) -> bool:
     if stage == "markers":
         return recipe.segment.method == "watershed"
     if stage == "edit":
-        return bool(recipe.edits)
+        return any(edit.enabled for edit in recipe.edits)
     return stage not in ("surface", "map") or Part.SURFACE in recipe.parts
 
 

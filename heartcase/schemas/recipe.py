@@ -200,6 +200,9 @@ class Recipe(Model):
             check(f"segment.ranges[{n}]", wanted.label, table)
         for n, end in enumerate(self.ends, start=1):
             check(f"ends[{n}]", end.label, table)
+        for n, varying in enumerate(self.walls.thickness, start=1):
+            check(f"walls.thickness[{n}]", varying.label, table)
+        problems += self.walls.thickness_problems(table)
         for n, edit in enumerate(self.edits, start=1):
             if isinstance(edit, SeptalDefect | CloseDefect):
                 if not any(edit.axis):
@@ -264,7 +267,7 @@ def parse_recipe(text: str, *, needs_markers: bool = True) -> Recipe:
 
 
 _NEUTRAL: dict[str, Any] = {"heartcase_recipe": RECIPE_VERSION, "name": "x", "scan": {"path": "x"}}
-_JUDGED_TOGETHER = {"labels", "segment", "markers", "strokes", "ends", "edits", "landmarks", "parts"}
+_JUDGED_TOGETHER = {"labels", "segment", "markers", "strokes", "walls", "ends", "edits", "landmarks", "parts"}
 """Settings whose names are checked against each other: where one is wrong in itself the others cannot be judged."""
 
 

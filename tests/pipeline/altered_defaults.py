@@ -20,9 +20,9 @@ CANDIDATES: list[Any] = [
     *(True, False, 9, 200, 1.25, 0.5, 300, "CT", "x", "HC-AAAA", "#123456", "87878005", _POINT),
     {"x": "cavity"},
     [{"path": "x"}],
-    [{"label": "cavity", "points_mm": [_POINT]}],
+    [{"label": "cavity", "erase": False, "points_mm": [_POINT]}],
     [{"label": "cavity", "position_mm": _POINT, "axis": _POINT, "radius_mm": 2.0}],
-    [{"kind": "septal_defect", "position_mm": _POINT, "axis": _POINT, "diameter_mm": 2.0}],
+    [{"kind": "keep_largest", "label": "cavity"}],
     [{"position_mm": _POINT, "radius_mm": 2.0}],
     [{"name": "x", "kind": "point", "points_mm": [_POINT]}],
     [{"label": "cavity", "lower": 2.0}],
@@ -30,7 +30,8 @@ CANDIDATES: list[Any] = [
     ["picking"],
     {"center_mm": _POINT, "size_mm": (9.0, 9.0, 9.0)},
     {"cavity": {}},
-    *("hvsmr-2.0", "none", "threshold", "xatlas", "ignore"),
+    *("hvsmr-2.0", "none", "threshold", "xatlas", "ignore", "slit"),
+    [{"label": "cavity", "kind": "positions", "points_mm": [_POINT], "thickness_mm": [1.0]}],
 ]
 """Values, one of which is allowed and not the default, for every setting; add one where a new setting needs it."""
 

@@ -120,7 +120,7 @@ def test_later_defaults_change_a_recipe_but_not_its_lock(work, locked, monkeypat
     with altered_defaults(monkeypatch):
         assert resolve_recipe(parse_recipe(locked), scan).model_dump(mode="json") == before
         # The plain recipe does not withstand it.
-        with pytest.raises(RecipeError, match="only a blood or vessel_lumen label can grow a wall"):
+        with pytest.raises(RecipeError, match="leave label out"):
             parse_recipe(plain)
         # Without the list of what stays unset, a default of a later version gets in.
         with pytest.raises(RecipeError, match="cell_mm or node_count, not both"):

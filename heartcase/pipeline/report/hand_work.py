@@ -140,9 +140,13 @@ def _untouched(recipe: Recipe, scan: Scan | None) -> Recipe:
 
 def _settings(recipe: Recipe, scan: Scan | None) -> Iterator[Fact]:
     usual = default_label_table()
+    varying = {recipe.table.find(one.label): one.thickness_mm for one in recipe.walls.thickness}
     for label in recipe.table:
         standard = _counterpart(label, usual)
-        if standard is not None and standard.wall_thickness_mm != label.wall_thickness_mm:
+        if label in varying:
+            numbers = varying[label]
+            yield Fact(f"Wall thickness: {label.name}", f"{min(numbers):g} to {max(numbers):g} mm, by place")
+        elif standard is not None and standard.wall_thickness_mm != label.wall_thickness_mm:
             meaning = f"Usual for an adult: {standard.wall_thickness_mm:g} mm."
             yield Fact(f"Wall thickness: {label.name}", f"{label.wall_thickness_mm:g} mm", meaning)
         elif standard is None and label.wall_thickness_mm > 0.0:

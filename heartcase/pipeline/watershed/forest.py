@@ -292,8 +292,8 @@ def _reach(foot, level, label, following, foot_label, foot_level):  # type: igno
 
 @numba.njit(cache=True, nogil=True)
 def _solve(landscape, faces, marks, lowest_mark, foot_label, foot_level):  # type: ignore[no-untyped-def]
-    """Kruskal's algorithm over the joining faces and the faces under the lowest marked voxels, in their common order."""
-    bits, direction, basin, offsets = landscape
+    """Kruskal's algorithm over the joining faces and those under the lowest marked voxels, in their common order."""
+    bits, direction, _, offsets = landscape
     key, higher, lower, first, second = faces
     foot_label[:] = UNMARKED
     foot_level[:] = NO_KEY
@@ -397,11 +397,11 @@ def _mend(landscape, graph, voxels, label, marks, foot_label, foot_level, lowest
 
 @numba.njit(cache=True, nogil=True)
 def _carry(foot, level, label, landscape, graph, marks, foot_label, foot_level, lowest_mark, is_changed, changed):  # type: ignore[no-untyped-def]
-    """Offer a label to a foot by a way as high as ``level``, and from there to all that it reaches lower than they have.
+    """Offer a label to a foot by a way as high as ``level``, and on to all feet that have a higher way now.
 
     Where the way is the one that a foot has already, only its label is new.
     """
-    bits, direction, basin, offsets = landscape
+    _, direction, basin, offsets = landscape
     start, faces, key = graph
     if not (level < foot_level[foot] or (level == foot_level[foot] and label != foot_label[foot])):
         return

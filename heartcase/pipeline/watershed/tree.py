@@ -1,8 +1,8 @@
 """The minimum spanning tree of a landscape: basins, and the lowest faces that join them.
 
 It serves every set of markers, so it is worked out once per scan. The faces between basins are found slab by slab and
-joined by Boruvka's algorithm (Nesetril, Milkova and Nesetrilova, Discrete Mathematics 233, 2001, translate the papers of
-1926); since the order of the faces is strict there is one minimum spanning tree only, whatever the threads do.
+joined by Boruvka's algorithm of 1926 (Nesetril, Milkova and Nesetrilova, Discrete Mathematics 233, 2001). The order of
+the faces is strict, so there is one minimum spanning tree only, whatever the threads do.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.pipeline.watershed.descent import ROOT, basins_of, row_chunks, side_offsets, steepest_descent
+from heartcase.pipeline.watershed.descent import basins_of, row_chunks, side_offsets, steepest_descent
 from heartcase.pipeline.watershed.plateaus import flat_minima
 from heartcase.schemas.errors import StageError
 

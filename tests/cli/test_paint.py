@@ -1,0 +1,156 @@
+import base64
+import json
+import tomllib
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from heartcase.cli.main import cli
+from heartcase.pipeline.session_file import open_session
+from heartcase.schemas.errors import RecipeError, UsageError
+from heartcase.schemas.recipe import load_recipe
+from heartcase.schemas.settings import Stroke
+from tests.cli.small_case import write_scan
+
+RECIPE = """
+# a comment that stays
+heartcase_recipe = 1
+name = "painted"
+
+[scan]
+path = "scan.nii.gz"
+
+[[strokes]]
+label = "background"
+radius_mm = 0.0
+points_mm = [{corner}]
+"""
+
+
+@pytest.fixture
+def recipe(tmp_path):
+    import SimpleITK
+
+    image = SimpleITK.ReadImage(str(write_scan(tmp_path / "scan.nii.gz")))
+    corner, middle = (
+        [round(x, 2) for x in image.TransformContinuousIndexToPhysicalPoint(index)] for index in ((1, 1, 1), (5, 4, 3))
+    )
+    path = tmp_path / "painted.toml"
+    path.write_text(RECIPE.format(corner=corner))
+    return path, middle
+
+
+def talk(path, *requests):
+    lines = "".join(request if isinstance(request, str) else json.dumps(request) for request in requests)
+    lines = "\n".join(request if isinstance(request, str) else json.dumps(request) for request in requests)
+    done = CliRunner().invoke(cli, ["paint", str(path), "--out", str(path.parent / "out")], input=lines + "\n")
+    assert done.exit_code == 0, done.output
+    return [json.loads(line) for line in done.stdout.splitlines()]
+
+
+def test_a_viewer_paints_looks_takes_back_and_saves(recipe):
+    path, middle = recipe
+    hello, *answers = talk(
+        path,
+        {"do": "slice", "axis": "k", "index": 3},
+        {"do": "paint", "label": "aorta", "radius_mm": 1.0, "points_mm": [middle]},
+        {"do": "box", "low": [5, 4, 3], "high": [5, 4, 3]},
+        {"do": "undo"},
+        {"do": "redo"},
+        {"do": "paint", "erase": True, "radius_mm": 0.5, "points_mm": [middle]},
+        {"do": "undo"},
+        {"do": "changed"},
+        {"do": "changed"},
+        {"do": "save"},
+        {"do": "quit"},
+    )
+    assert hello["size"] == [12, 10, 8]
+    assert hello["labels"]["aorta"] == 5
+    assert all(answer["ok"] for answer in answers)
+    shown = np.frombuffer(base64.b64decode(answers[0]["labels"]), np.uint8)
+    assert answers[0]["size"] == [12, 10]
+    assert (shown == 0).all()
+    assert answers[1]["changed"] is not None
+    assert base64.b64decode(answers[2]["labels"]) == b"\x05"
+    assert answers[3]["changed"] == answers[1]["changed"] == answers[4]["changed"]
+    assert answers[7]["changed"] is not None
+    assert answers[8]["changed"] is None
+    assert answers[9]["stroke_count"] == 1
+    text = path.read_text()
+    assert "# a comment that stays" in text
+    assert [stroke.label for stroke in load_recipe(path).strokes] == ["background", "aorta"]
+    assert tomllib.loads(text)["strokes"][1]["points_mm"] == [middle]
+
+
+def test_every_wrong_request_is_answered_and_the_session_goes_on(recipe):
+    path, middle = recipe
+    before = path.read_text()
+    _, *answers = talk(
+        path,
+        "not json",
+        {"do": "dance"},
+        {"do": "paint", "label": "aorta"},
+        {"do": "paint", "label": "spleen", "points_mm": [middle]},
+        {"do": "paint", "label": "aorta", "points_mm": [[1e6, 0, 0]]},
+        {"do": "paint", "points_mm": [middle]},
+        {"do": "undo"},
+        {"do": "redo"},
+        {"do": "slice", "axis": "k", "index": 8},
+        {"do": "box", "low": [0, 0, 0], "high": [12, 1, 1]},
+        {"do": "paint", "label": "aorta", "points_mm": [middle]},
+    )
+    assert [answer["ok"] for answer in answers] == [False] * 10 + [True]
+    assert all(problem["message"] for answer in answers[:-1] for problem in answer["problems"])
+    assert path.read_text() == before
+
+
+def test_the_painted_strokes_give_the_same_labels_when_the_recipe_is_opened_again(recipe):
+    path, middle = recipe
+    opened = open_session(path, out=path.parent)
+    opened.session.paint(Stroke(label="aorta", radius_mm=1.5, points_mm=(tuple(middle),)))
+    opened.session.paint(Stroke(erase=True, radius_mm=0.0, points_mm=(tuple(middle),)))
+    assert opened.save() == 2
+    again = open_session(path, out=path.parent)
+    np.testing.assert_array_equal(again.session.labels, opened.session.labels)
+    np.testing.assert_array_equal(again.session.markers().labels, opened.session.markers().labels)
+    # what was saved is not saved twice, and an undo takes it out again
+    opened.session.undo()
+    assert opened.save() == 1
+    assert len(load_recipe(path).strokes) == 2
+
+
+def test_a_recipe_without_any_marker_can_be_opened(recipe):
+    path, _ = recipe
+    path.write_text(path.read_text().split("[[strokes]]")[0])
+    assert (open_session(path, out=path.parent).session.labels == 255).all()
+
+
+def test_another_programs_change_of_the_recipe_is_not_lost(recipe):
+    path, middle = recipe
+    opened = open_session(path, out=path.parent)
+    opened.session.paint(Stroke(label="aorta", points_mm=(tuple(middle),)))
+    path.write_text(path.read_text() + "# somebody else\n")
+    with pytest.raises(RecipeError, match="changed by another program"):
+        opened.save()
+    assert path.read_text().endswith("# somebody else\n")
+    other = path.with_name("other.toml")
+    assert opened.save_as(other) == 1
+    assert len(load_recipe(other).strokes) == 2
+
+
+def test_what_cannot_be_painted_on_is_refused(recipe):
+    path, middle = recipe
+    text = path.read_text()
+    head, tail = text.split("[scan]")
+    path.write_text(head + "strokes = [{label = 'aorta', points_mm = [[0, 0, 0]]}]\n[scan]" + tail.split("[[")[0])
+    text = path.read_text().replace("[0, 0, 0]", str(middle))
+    path.write_text(text)
+    opened = open_session(path, out=path.parent)
+    opened.session.paint(Stroke(label="background", points_mm=(tuple(middle),)))
+    with pytest.raises(RecipeError, match=r"\[\[strokes\]\] tables"):
+        opened.save()
+    assert path.read_text() == text
+    path.write_text(text + '\n[segment]\nmethod = "threshold"\nranges = [{label = "aorta", lower = 1.0}]\n')
+    with pytest.raises(UsageError, match="only the watershed"):
+        open_session(path, out=path.parent)
