@@ -19,7 +19,8 @@ from heartcase.pipeline.data import Segmentation, Structures
 from heartcase.pipeline.edit import apply_edits
 from heartcase.pipeline.fields import ownership_at_points, ownership_on_lattice
 from heartcase.pipeline.walls import grow_walls
-from heartcase.schemas.settings import SeptalDefect, WallsSettings
+from heartcase.schemas.edit_settings import SeptalDefect
+from heartcase.schemas.settings import WallsSettings
 
 STEP_MM = 0.05
 

@@ -12,11 +12,12 @@ import numpy.typing as npt
 
 from heartcase.phantom.anatomy import EXTENSION_MM, LONG_AXIS, SEPTUM_AXIS, UPWARD_AXIS, Anatomy, build_anatomy
 from heartcase.phantom.truth import Truth
+from heartcase.schemas.edit_settings import SeptalDefect
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable, default_label_table
 from heartcase.schemas.landmarks import Landmark
-from heartcase.schemas.settings import EndMarker, SeptalDefect
+from heartcase.schemas.settings import EndMarker
 
 __all__ = ["HeartPhantom"]
 

@@ -16,8 +16,9 @@ from scipy.spatial import cKDTree
 from heartcase.phantom.border import STEEPNESS, border_distances
 from heartcase.phantom.regions import TISSUE, label_points, region_values
 from heartcase.phantom.tables import DistanceTables
+from heartcase.schemas.edit_settings import SeptalDefect
 from heartcase.schemas.labels import LabelTable
-from heartcase.schemas.settings import EndMarker, SeptalDefect
+from heartcase.schemas.settings import EndMarker
 
 __all__ = ["TOLERANCE_MM", "Truth"]
 

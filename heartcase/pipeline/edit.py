@@ -17,9 +17,7 @@ from heartcase.pipeline.data import Reshaping, Structures
 from heartcase.pipeline.edits.brushes import fill_structure, smooth_structure
 from heartcase.pipeline.edits.pieces import keep_largest_piece, remove_islands
 from heartcase.pipeline.edits.probes import Found, joins_cavities, look
-from heartcase.schemas.errors import Problem, StageError
-from heartcase.schemas.labels import BACKGROUND, Label, LabelTable, Role
-from heartcase.schemas.settings import (
+from heartcase.schemas.edit_settings import (
     CloseDefect,
     Edit,
     Fill,
@@ -29,6 +27,8 @@ from heartcase.schemas.settings import (
     SeptalDefect,
     Smooth,
 )
+from heartcase.schemas.errors import Problem, StageError
+from heartcase.schemas.labels import BACKGROUND, Label, LabelTable, Role
 
 __all__ = ["apply_edits"]
 

@@ -21,9 +21,9 @@ import numpy.typing as npt
 from heartcase.pipeline.cautions import Caution, anatomy, note
 from heartcase.pipeline.contacts import Contact, find_contact
 from heartcase.pipeline.data import Segmentation, Structures
+from heartcase.schemas.edit_settings import Edit, SeptalDefect
 from heartcase.schemas.labels import Label
 from heartcase.schemas.landmarks import Landmark
-from heartcase.schemas.settings import Edit, SeptalDefect
 from heartcase.schemas.terms import Term, term_by_name
 
 __all__ = [

@@ -13,15 +13,14 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
 
 from heartcase.schemas.base import CaseId, Model, Name
+from heartcase.schemas.edit_settings import CloseDefect, Edit, Sculpt, SeptalDefect
 from heartcase.schemas.errors import ModelProblems, Problem, RecipeError, problems_from_validation
 from heartcase.schemas.labels import Label, LabelTable, default_label_table
 from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.lock import RecipeLock, fill_unset
 from heartcase.schemas.migrate import RECIPE
 from heartcase.schemas.settings import (
-    CloseDefect,
     Convention,
-    Edit,
     EndMarker,
     FilterSettings,
     GridSettings,
@@ -29,9 +28,7 @@ from heartcase.schemas.settings import (
     MaterialsSettings,
     Pin,
     RegionSettings,
-    Sculpt,
     SegmentSettings,
-    SeptalDefect,
     Stroke,
     SurfaceSettings,
     WallsSettings,

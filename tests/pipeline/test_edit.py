@@ -10,9 +10,10 @@ from heartcase.pipeline.data import Segmentation, Structures
 from heartcase.pipeline.edit import apply_edits
 from heartcase.pipeline.fields import ownership_at_points, ownership_on_lattice
 from heartcase.pipeline.walls import grow_walls, structure_volumes_ml
+from heartcase.schemas.edit_settings import CloseDefect, Sculpt, SeptalDefect
 from heartcase.schemas.errors import StageError, problems_from_validation
 from heartcase.schemas.labels import Label, LabelTable, Role
-from heartcase.schemas.settings import CloseDefect, Sculpt, SeptalDefect, WallsSettings
+from heartcase.schemas.settings import WallsSettings
 from tests.pipeline.lattices import LATTICES, lattice, points_of
 
 NORMAL = np.array([0.48, 0.6, 0.64])

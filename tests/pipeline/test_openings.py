@@ -26,10 +26,11 @@ from heartcase.pipeline.openings import (
 from heartcase.pipeline.run import build_case, labels_of
 from heartcase.pipeline.walls import grow_walls
 from heartcase.pipeline.write import write_scan, write_segmentation
+from heartcase.schemas.edit_settings import CloseDefect, SeptalDefect
 from heartcase.schemas.labels import Label, LabelTable, Role
 from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.recipe import parse_recipe
-from heartcase.schemas.settings import CloseDefect, SeptalDefect, WallsSettings
+from heartcase.schemas.settings import WallsSettings
 from heartcase.schemas.terms import TERMS
 from tests.pipeline.lattices import LATTICES, directions, lattice, points_of
 

@@ -18,9 +18,9 @@ from heartcase.pipeline.data import Reshaping, Structures
 from heartcase.pipeline.edits.borders import Borders, Box
 from heartcase.pipeline.edits.probes import look, overlap
 from heartcase.pipeline.shapes import distance_on_lattice
+from heartcase.schemas.edit_settings import Fill, Smooth
 from heartcase.schemas.errors import StageError
 from heartcase.schemas.labels import BACKGROUND, Label
-from heartcase.schemas.settings import Fill, Smooth
 
 __all__ = ["fill_structure", "smooth_structure"]
 

@@ -16,8 +16,8 @@ import numpy.typing as npt
 from heartcase.pipeline.cautions import Caution, note
 from heartcase.pipeline.data import Structures
 from heartcase.pipeline.edits.borders import Borders, distance_beyond_band
+from heartcase.schemas.edit_settings import RemoveIslands
 from heartcase.schemas.labels import BACKGROUND, Label
-from heartcase.schemas.settings import RemoveIslands
 
 __all__ = ["keep_largest_piece", "remove_islands"]
 

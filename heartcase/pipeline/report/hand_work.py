@@ -9,9 +9,9 @@ from typing import Any
 
 from heartcase.pipeline.data import Scan
 from heartcase.pipeline.report.plain_words import Fact, placed, setting_lines
+from heartcase.schemas.edit_settings import CloseDefect, Edit, KeepLargest, RemoveIslands, SeptalDefect
 from heartcase.schemas.labels import Label, LabelTable, default_label_table
 from heartcase.schemas.recipe import Recipe
-from heartcase.schemas.settings import CloseDefect, Edit, KeepLargest, RemoveIslands, SeptalDefect
 
 __all__ = ["hand_work_facts", "region_words"]
 

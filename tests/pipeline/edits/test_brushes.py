@@ -10,9 +10,10 @@ from heartcase.pipeline.data import Segmentation, Structures
 from heartcase.pipeline.edit import apply_edits
 from heartcase.pipeline.fields import ownership_at_points
 from heartcase.pipeline.walls import grow_walls, structure_volumes_ml
+from heartcase.schemas.edit_settings import Fill, Sculpt, SeptalDefect, Smooth
 from heartcase.schemas.errors import StageError
 from heartcase.schemas.labels import Label, LabelTable, Role
-from heartcase.schemas.settings import Fill, Sculpt, SeptalDefect, Smooth, WallsSettings
+from heartcase.schemas.settings import WallsSettings
 from tests.pipeline.lattices import directions, lattice, points_of
 
 FAR = 100.0

@@ -12,10 +12,11 @@ from heartcase.pipeline.edit import apply_edits
 from heartcase.pipeline.edits.borders import Borders
 from heartcase.pipeline.fields import ownership_on_lattice
 from heartcase.pipeline.walls import grow_walls, structure_volumes_ml
+from heartcase.schemas.edit_settings import KeepLargest, RemoveIslands
 from heartcase.schemas.errors import StageError
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import Label, LabelTable, Role
-from heartcase.schemas.settings import KeepLargest, RemoveIslands, WallsSettings
+from heartcase.schemas.settings import WallsSettings
 from tests.pipeline.lattices import lattice, points_of
 
 TABLE = LabelTable(
