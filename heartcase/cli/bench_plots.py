@@ -114,7 +114,7 @@ def _panels(errors: Sequence[str], title: str) -> tuple[Any, list[Any]]:
     figure = Figure(
         figsize=(max(6.4, 3.7 * columns), 2.7 * rows + 1.1), dpi=110, facecolor="white", layout="constrained"
     )
-    figure.suptitle(title, color=_INK, fontsize=12)
+    figure.suptitle(title, x=0.01, ha="left", color=_INK, fontsize=12)
     axes = list(figure.subplots(rows, columns, squeeze=False).ravel())
     for unused in axes[len(errors) :]:
         unused.set_axis_off()
@@ -122,6 +122,8 @@ def _panels(errors: Sequence[str], title: str) -> tuple[Any, list[Any]]:
 
 
 def _finish(figure: Any, axes: Sequence[Any], records: Sequence[BenchmarkRecord], note: str) -> Any:
+    from matplotlib.ticker import FormatStrFormatter
+
     handles, labels = axes[0].get_legend_handles_labels()
     for one in axes:
         one.spines[["top", "right"]].set_visible(False)
@@ -131,9 +133,10 @@ def _finish(figure: Any, axes: Sequence[Any], records: Sequence[BenchmarkRecord]
         values = [value for line in one.get_lines() for value in line.get_ydata() if math.isfinite(value)]
         if values and min(values) > 0.0 and max(values) > 20.0 * min(values):
             one.set_yscale("log")
+            one.yaxis.set_major_formatter(FormatStrFormatter("%g"))
         elif values:
             one.set_ylim(0.0, 1.1 * max(values) or 1.0)
-    figure.legend(handles, labels, loc="outside lower center", ncols=min(5, len(handles)), frameon=False, fontsize=9)
+    figure.legend(handles, labels, loc="outside upper right", ncols=len(handles), frameon=False, fontsize=9)
     caption = f"{note}\n{records[0].machine}, heartcase {records[0].version}"
     figure.supxlabel(caption, fontsize=8, color=_INK)
     return figure
@@ -141,6 +144,9 @@ def _finish(figure: Any, axes: Sequence[Any], records: Sequence[BenchmarkRecord]
 
 def _time_figure(title: str, records: Sequence[BenchmarkRecord], errors: Sequence[str]) -> Any:
     """One panel for each error: time (logarithmic) to the right, error upwards, a mark per method."""
+    from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
+
+    low, high = (f(record.seconds for record in records) for f in (min, max))
     figure, axes = _panels(errors, title)
     styles = _styles(records)
     for one, name in zip(axes, errors, strict=True):
@@ -150,9 +156,11 @@ def _time_figure(title: str, records: Sequence[BenchmarkRecord], errors: Sequenc
                 continue
             seconds = [record.seconds for record in points]
             drawn = [as_error(name, record.errors[name])[1] for record in points]
-            one.plot(seconds, drawn, label=method, **style)
+            one.plot(seconds, drawn, label=method, **style | {"linestyle": "none"})
         one.set_xscale("log")
-        low, high = (f(record.seconds for record in records) for f in (min, max))
+        one.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 30.0 * low else (1.0,)))
+        one.xaxis.set_major_formatter(FormatStrFormatter("%g"))
+        one.xaxis.set_minor_formatter(NullFormatter())
         one.set_xlim(low / 2.0, high * 2.0)
         one.set_xlabel("time of one run (s)", fontsize=8, color=_INK)
         one.set_ylabel(as_error(name, 0.0)[0], fontsize=8, color=_INK)

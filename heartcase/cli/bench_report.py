@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import statistics
 from collections.abc import Sequence
 from pathlib import Path
@@ -75,16 +74,19 @@ def _sweep_tables(records: Sequence[BenchmarkRecord]) -> list[str]:
     cases = grouped(records, lambda record: record.case)
     lines = []
     for thing, names in grouped(errors, _thing).items():
-        figures = ", ".join(name.removeprefix(f"{thing} ") for name in names)
-        lines += [f"{thing}: {figures}", ""]
+        lines += [f"{thing}: {', '.join(name.removeprefix(f'{thing} ') for name in names)}", ""]
         lines += ["| " + " | ".join([*swept, *methods]) + " |", "|---|" + "---|" * (len(swept) + len(methods) - 1)]
         for part in cases.values():
             cells = [str(part[0].params[name]) for name in swept]
-            best = min((as_error(names[0], record.errors[names[0]])[1] for record in part), default=math.nan)
+            by_method = {record.method: record for record in part}
+            best = min(round(as_error(names[0], record.errors[names[0]])[1], 3) for record in part)
             for method in methods:
-                record = next((one for one in part if one.method == method), None)
-                text = " / ".join(f"{record.errors[name]:.3g}" for name in names) if record is not None else "-"
-                wins = record is not None and as_error(names[0], record.errors[names[0]])[1] <= best
+                if method not in by_method:
+                    cells.append("-")
+                    continue
+                figures = by_method[method].errors
+                text = " / ".join(f"{figures[name]:.3g}" for name in names)
+                wins = round(as_error(names[0], figures[names[0]])[1], 3) <= best
                 cells.append(f"**{text}**" if wins else text)
             lines.append("| " + " | ".join(cells) + " |")
         lines.append("")

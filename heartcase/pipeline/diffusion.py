@@ -103,11 +103,11 @@ def _square_gradient_sums(u, scale):  # type: ignore[no-untyped-def]
     nz, ny, nx = u.shape
     sums = np.empty(nz)
     for k in numba.prange(nz):
-        row_sum = np.zeros(nx)
+        row_sum = np.zeros(nx, np.float32)
         down, here, up = u[max(k - 1, 0)], u[k], u[min(k + 1, nz - 1)]
         for j in range(ny):
             _add_squares(row_sum, here[j], here[max(j - 1, 0)], here[min(j + 1, ny - 1)], down[j], up[j], scale)
-        sums[k] = row_sum.sum()
+        sums[k] = row_sum.astype(np.float64).sum()
     return sums
 
 

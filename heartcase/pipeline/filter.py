@@ -27,8 +27,10 @@ __all__ = ["default_conductance", "filter_scan", "resolve_filter", "time_step_li
 NOISE_GRADIENTS = 2.0
 """K of the default conductance in units of the root mean square gradient that the scan's noise makes.
 
-From the least error of adult and child phantoms, MRI and CT, 1 to 2.5 mm, contrast to noise 5 to 20: the error hardly
-depends on it from 1.6 to 2.2.
+From the least error of adult and child phantoms, MRI and CT, 1.75 and 2.5 mm, contrast to noise 5 to 20: the error
+hardly depends on it from 1.6 to 2.2. An edge-enhancing diffusion with a tensor (Weickert, "Anisotropic Diffusion in
+Image Processing", 1998) had 20 to 30% less error at a contrast to noise of 5 and 40 to 120% more at 20, where it rounds
+off what is thin: it is not offered.
 """
 CONDUCTANCE_RANGE = (0.001, 100.0)
 """Least and largest default conductance."""
@@ -82,6 +84,13 @@ def filter_scan(scan: Scan, settings: FilterSettings) -> Scan:
 def resolve_filter(settings: FilterSettings, scan: Scan) -> FilterSettings:
     """Settings with what they leave to the scan filled in: time step and conductance.
 
+    Parameters
+    ----------
+    settings
+        Any; settings that state both come back as they are.
+    scan
+        The scan that is filtered.
+
     Raises
     ------
     StageError
@@ -122,12 +131,13 @@ def default_conductance(scan: Scan) -> float:
 
 
 def _check_values(scan: Scan) -> None:
+    if np.isfinite(scan.values.min()) and np.isfinite(scan.values.max()):
+        return
     bad = int(np.size(scan.values) - np.count_nonzero(np.isfinite(scan.values)))
-    if bad:
-        raise StageError(
-            f"{bad} voxels of the scan are NaN or infinite; give them the intensity of air or crop them away",
-            place="filter",
-        )
+    raise StageError(
+        f"{bad} voxels of the scan are NaN or infinite; give them the intensity of air or crop them away",
+        place="filter",
+    )
 
 
 def time_step_limit(geometry: Geometry) -> float:

@@ -17,6 +17,7 @@ from heartcase.pipeline.formats.point_lists import MarkupList, read_point_lists
 from heartcase.pipeline.formats.raw_volume import placed
 from heartcase.pipeline.formats.segments import SegmentInfo
 from heartcase.pipeline.formats.stl_parts import holds_parts, read_parts
+from heartcase.pipeline.marker_help import label_cores
 from heartcase.pipeline.naming import Naming, called, label_lookup, left_out, listed, value_of
 from heartcase.pipeline.paint import paint_capsule, paint_passed_voxels, pull_nearest
 from heartcase.pipeline.read import LabelVolume, read_labels
@@ -26,7 +27,14 @@ from heartcase.schemas.labels import BACKGROUND, LabelTable
 from heartcase.schemas.recipe import MarkerFile
 from heartcase.schemas.settings import Stroke
 
-__all__ = ["check_markers", "load_markers", "load_segmentation", "rasterise_strokes", "resample_labels", "stroke_voxels"]
+__all__ = [
+    "check_markers",
+    "load_markers",
+    "load_segmentation",
+    "rasterise_strokes",
+    "resample_labels",
+    "stroke_voxels",
+]
 
 UInt8 = npt.NDArray[np.uint8]
 UNMARKED = Markers.UNMARKED
@@ -77,6 +85,8 @@ def load_markers(
         try:
             path = directory / file.path
             if path.name.lower().endswith(POINT_LIST_SUFFIXES):
+                if file.core_mm is not None:
+                    raise MarkerError("points have no core: leave core_mm out, radius_mm is the dab around each point")
                 painted = _painted_points(path, file, table, geometry)
             else:
                 painted = _painted_volume(path, file, table, geometry)
@@ -320,7 +330,12 @@ def _painted_volume(path: Path, file: MarkerFile, table: LabelTable, geometry: G
             f"{called(volume, lost)} lie outside the scan or its region of interest, or are thinner than its voxels: "
             "check that they were painted on this scan, with a brush of a voxel's width or more"
         )
-    return lookup[values]
+    if file.core_mm is None:
+        return lookup[values]
+    draft = lookup[values]
+    if file.background:
+        draft[values == 0] = BACKGROUND
+    return label_cores(draft, geometry, file.core_mm)
 
 
 def _lost(volume: LabelVolume, values: npt.NDArray[np.uint8] | npt.NDArray[np.uint16]) -> list[int]:

@@ -57,6 +57,8 @@ class StrokePlace:
     """Certainty of the place, 0 to 1."""
     radius_mm: float
     """Distance to the nearest voxel that would not change: a narrower brush stays inside."""
+    worth_ml: float
+    """What a look is worth: ``change_ml``, at most 5 ml, by how likely it seems that the label is wrong."""
 
 
 @dataclass(frozen=True)
@@ -66,8 +68,7 @@ class StrokePlaces:
     places: tuple[StrokePlace, ...]
     """The most worth a look first."""
     rest_ml: float
-    """The most that one stroke could change elsewhere, where the certainty is below :data:`SURE` and the rival's
-    strokes are nearer than the label's own, ml."""
+    """Worth of the best place that is not among them, ml: when the places are right, little more is to be gained."""
 
 
 @dataclass(frozen=True)
@@ -76,8 +77,6 @@ class _Candidates:
 
     basin: Int64
     ml: Float64
-    nearness: Float64
-    """Distance to the label's own marks over the sum with that to the rival's."""
     worth: Float64
 
 
@@ -133,10 +132,10 @@ def suggest_strokes(
                 float(found.ml[n]),
                 float(feet.certainty[basin]),
                 _depth_mm(forest, np.flatnonzero(would[pieces.piece]), int(forest.tree.root[basin]), geometry),
+                float(found.worth[n]),
             )
         )
-    rest = (found.nearness > 0.5) & ~taken[pieces.piece[found.basin]]
-    return StrokePlaces(tuple(places), float(found.ml[rest].max(initial=0.0)))
+    return StrokePlaces(tuple(places), float(found.worth[open_to_choice].max(initial=0.0)))
 
 
 def _candidates(forest: Forest, feet: FootCertainty, pieces: ForestPieces, geometry: Geometry) -> _Candidates:
@@ -154,7 +153,7 @@ def _candidates(forest: Forest, feet: FootCertainty, pieces: ForestPieces, geome
             distance[wanted == label] = tree.query(root_mm[wanted == label])[0]
     nearness = own_mm / np.maximum(own_mm + rival_mm, np.finfo(float).tiny)
     worth = np.minimum(ml[basin], LARGE_ML) * (1.0 - sure[basin]) ** DOUBT_POWER * nearness**DISTANCE_POWER
-    return _Candidates(basin, ml[basin], nearness, worth)
+    return _Candidates(basin, ml[basin], worth)
 
 
 def _positions_mm(voxels: Int64, geometry: Geometry) -> Float64:

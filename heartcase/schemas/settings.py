@@ -89,6 +89,10 @@ class SegmentSettings(Model):
     """Watershed: scale of the Gaussian derivative; 0 takes central differences."""
     ranges: tuple[ThresholdRange, ...] = ()
     """Threshold: intensity range of each label; a voxel in two ranges gets the first."""
+    automatic: tuple[Literal["background", "lung"], ...] = ()
+    """Watershed: background markers that the program sets, under all files and strokes: ``background``, what is dark and
+    reaches the scan's border, and what is more than 40 mm outside the box around all that is marked as heart; ``lung``,
+    every large dark region. Needs some of the heart marked."""
     smallest_piece_ml: Annotated[float, Field(ge=0.0)] = 0.0
     """Pieces of a label that are smaller than this become background; 0 keeps all."""
     file: str | None = None

@@ -6,7 +6,16 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["ROOT", "basins_of", "row_chunks", "side_offsets", "steepest_descent"]
+__all__ = [
+    "ROOT",
+    "basins_of",
+    "neighbour_ranks",
+    "ranks_at",
+    "row_chunks",
+    "side_of_rank",
+    "side_offsets",
+    "steepest_descent",
+]
 
 Float32 = npt.NDArray[np.float32]
 Int32 = npt.NDArray[np.int32]
@@ -48,6 +57,25 @@ def steepest_descent(height: Float32) -> UInt8:
     direction = np.empty(height.shape, np.uint8)
     _directions(height, direction)
     return direction
+
+
+def neighbour_ranks(height: Float32) -> Int32:
+    """Order of each voxel's six neighbours, the lowest first.
+
+    Parameters
+    ----------
+    height
+        Finite float32, shape [z, y, x], C order. Of equal heights the voxel with the lower index is lower.
+
+    Returns
+    -------
+    ndarray
+        int32, same shape: the number of neighbours that are lower than the one in direction ``d`` in the three bits from
+        ``3 * d`` on. What lies outside the volume comes last.
+    """
+    ranks = np.empty(height.shape, np.int32)
+    _ranks(height, ranks)
+    return ranks
 
 
 def basins_of(direction: UInt8) -> tuple[Int32, Int64]:
@@ -122,6 +150,88 @@ def _directions(height, direction):  # type: ignore[no-untyped-def]
         yp = height[k, j + 1] if j < ny - 1 else wall
         zp = height[k + 1, j] if k < nz - 1 else wall
         _row_directions(height[k, j], zm, ym, yp, zp, direction[k, j])
+
+
+@numba.njit(cache=True, nogil=True, inline="always")
+def _count_lower(zm, ym, xm, xp, yp, zp):  # type: ignore[no-untyped-def]
+    """How many neighbours are lower than each, three bits for each direction."""
+    ym_zm = np.int32(ym < zm)
+    xm_zm = np.int32(xm < zm)
+    xp_zm = np.int32(xp < zm)
+    yp_zm = np.int32(yp < zm)
+    zp_zm = np.int32(zp < zm)
+    xm_ym = np.int32(xm < ym)
+    xp_ym = np.int32(xp < ym)
+    yp_ym = np.int32(yp < ym)
+    zp_ym = np.int32(zp < ym)
+    xp_xm = np.int32(xp < xm)
+    yp_xm = np.int32(yp < xm)
+    zp_xm = np.int32(zp < xm)
+    yp_xp = np.int32(yp < xp)
+    zp_xp = np.int32(zp < xp)
+    zp_yp = np.int32(zp < yp)
+    ranks = ym_zm + xm_zm + xp_zm + yp_zm + zp_zm
+    ranks |= (np.int32(1) - ym_zm + xm_ym + xp_ym + yp_ym + zp_ym) << np.int32(3)
+    ranks |= (np.int32(2) - xm_zm - xm_ym + xp_xm + yp_xm + zp_xm) << np.int32(6)
+    ranks |= (np.int32(3) - xp_zm - xp_ym - xp_xm + yp_xp + zp_xp) << np.int32(12)
+    ranks |= (np.int32(4) - yp_zm - yp_ym - yp_xm - yp_xp + zp_yp) << np.int32(15)
+    ranks |= (np.int32(5) - zp_zm - zp_ym - zp_xm - zp_xp - zp_yp) << np.int32(18)
+    return ranks
+
+
+@numba.njit(cache=True, nogil=True)
+def _row_ranks(row, zm, ym, yp, zp, out):  # type: ignore[no-untyped-def]
+    last = len(row) - 1
+    wall = np.float32(np.inf)
+    out[0] = _count_lower(zm[0], ym[0], wall, row[1] if last > 0 else wall, yp[0], zp[0])
+    for i in range(1, last):
+        out[i] = _count_lower(zm[i], ym[i], row[i - 1], row[i + 1], yp[i], zp[i])
+    if last > 0:
+        out[last] = _count_lower(zm[last], ym[last], row[last - 1], wall, yp[last], zp[last])
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _ranks(height, ranks):  # type: ignore[no-untyped-def]
+    nz, ny, nx = height.shape
+    wall = np.full(nx, np.inf, np.float32)
+    for line in numba.prange(nz * ny):
+        k = line // ny
+        j = line - k * ny
+        zm = height[k - 1, j] if k > 0 else wall
+        ym = height[k, j - 1] if j > 0 else wall
+        yp = height[k, j + 1] if j < ny - 1 else wall
+        zp = height[k + 1, j] if k < nz - 1 else wall
+        _row_ranks(height[k, j], zm, ym, yp, zp, ranks[k, j])
+
+
+@numba.njit(cache=True, nogil=True, inline="always")
+def side_of_rank(ranks, rank):  # type: ignore[no-untyped-def]
+    """Direction of the neighbour with a rank, from a voxel's :func:`neighbour_ranks`."""
+    side = 0
+    side += 1 * (((ranks >> 3) & 7) == rank)
+    side += 2 * (((ranks >> 6) & 7) == rank)
+    side += 4 * (((ranks >> 12) & 7) == rank)
+    side += 5 * (((ranks >> 15) & 7) == rank)
+    side += 6 * (((ranks >> 18) & 7) == rank)
+    return side
+
+
+@numba.njit(cache=True, nogil=True)
+def ranks_at(height, v):  # type: ignore[no-untyped-def]
+    """:func:`neighbour_ranks` of one voxel, by its flat index."""
+    nz, ny, nx = height.shape
+    k = v // (nx * ny)
+    j = v // nx - k * ny
+    i = v % nx
+    wall = np.float32(np.inf)
+    return _count_lower(
+        height[k - 1, j, i] if k > 0 else wall,
+        height[k, j - 1, i] if j > 0 else wall,
+        height[k, j, i - 1] if i > 0 else wall,
+        height[k, j, i + 1] if i < nx - 1 else wall,
+        height[k, j + 1, i] if j < ny - 1 else wall,
+        height[k + 1, j, i] if k < nz - 1 else wall,
+    )
 
 
 @numba.njit(cache=True, nogil=True, parallel=True)

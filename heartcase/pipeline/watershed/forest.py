@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from heartcase.pipeline.watershed.descent import ROOT, row_chunks, side_offsets
 from heartcase.pipeline.watershed.plateaus import divide_flat
-from heartcase.pipeline.watershed.tree import MOST_VOXELS, NO_KEY, BasinTree
+from heartcase.pipeline.watershed.tree import NO_KEY, BasinTree
 
 __all__ = ["UNMARKED", "Box", "Forest", "solve_forest"]
 
@@ -84,7 +84,7 @@ class Forest:
         first_voxel, voxel_list = tree.voxels
         changed = _mend(
             (bits, tree.direction.ravel(), basin, side_offsets(tree.height.shape)),
-            (start, faces, tree.key),
+            (start, faces, tree.key, *tree.ends),
             voxels,
             label,
             self.marks.reshape(-1),
@@ -337,7 +337,7 @@ def _solve(landscape, faces, marks, lowest_mark, foot_label, foot_level):  # typ
 def _mend(landscape, graph, voxels, label, marks, foot_label, foot_level, lowest_mark):  # type: ignore[no-untyped-def]
     """Mark voxels, and carry the label as far as its way is lower than what was there; the basins to paint anew."""
     bits, direction, basin, offsets = landscape
-    start, faces, key = graph
+    start, faces, key, higher, lower = graph
     count = len(lowest_mark)
     touched = np.empty(len(voxels), np.int64)
     touched_count = 0
@@ -373,9 +373,9 @@ def _mend(landscape, graph, voxels, label, marks, foot_label, foot_level, lowest
     for b in touched:
         for n in range(start[b], start[b + 1]):
             one = key[faces[n]]
-            higher = (one >> 3) & (MOST_VOXELS - 1)
-            lower = higher + offsets[(one & 7) - 1]
-            here, there = (higher, lower) if basin[higher] == b else (lower, higher)
+            here, there = higher[faces[n]], lower[faces[n]]
+            if basin[here] != b:
+                here, there = there, here
             mark = _mark_below(here, direction, offsets, marks)
             if mark != UNMARKED and _mark_below(there, direction, offsets, marks) == UNMARKED:
                 _carry(
@@ -402,7 +402,7 @@ def _carry(foot, level, label, landscape, graph, marks, foot_label, foot_level, 
     Where the way is the one that a foot has already, only its label is new.
     """
     _, direction, basin, offsets = landscape
-    start, faces, key = graph
+    start, faces, key, higher, lower = graph
     if not (level < foot_level[foot] or (level == foot_level[foot] and label != foot_label[foot])):
         return
     stack = [(np.int64(foot), np.int64(level))]
@@ -416,9 +416,9 @@ def _carry(foot, level, label, landscape, graph, marks, foot_label, foot_level, 
         foot_level[b] = level
         for n in range(start[b], start[b + 1]):
             one = key[faces[n]]
-            higher = (one >> 3) & (MOST_VOXELS - 1)
-            lower = higher + offsets[(one & 7) - 1]
-            here, there = (higher, lower) if basin[higher] == b else (lower, higher)
+            here, there = higher[faces[n]], lower[faces[n]]
+            if basin[here] != b:
+                here, there = there, here
             other = basin[there]
             beyond = max(level, one)
             if not (beyond < foot_level[other] or (beyond == foot_level[other] and label != foot_label[other])):

@@ -11,18 +11,17 @@ import numpy.typing as npt
 from heartcase.pipeline.cache import Cache, stage_key
 from heartcase.pipeline.data import Scan
 from heartcase.pipeline.gradient import gradient_magnitude
-from heartcase.pipeline.watershed.descent import basins_of
-from heartcase.pipeline.watershed.tree import BasinTree, build_basin_tree
+from heartcase.pipeline.watershed.tree import BasinTree, build_basin_tree, restored_tree
 
 __all__ = ["TREE_VERSION", "KeptTree", "scan_tree"]
 
-TREE_VERSION = 1
+TREE_VERSION = 2
 """Raised whenever the gradient or the order of the faces changes."""
 
 
 @dataclass(frozen=True)
 class KeptTree:
-    """What is kept: the rest follows from it and from the scan, quicker than it is read."""
+    """What is kept: the rest follows from it and the scan, quicker than it is read."""
 
     direction: npt.NDArray[np.uint8]
     """Direction of steepest descent of each voxel, uint8, shape [z, y, x]."""
@@ -58,9 +57,9 @@ def scan_tree(
     key = stage_key(stage="basins", version=TREE_VERSION, settings=settings, inputs={"scan": scan_sha256})
     kept = cache.load("basins", key, KeptTree)
     if kept is not None and kept.direction.shape == height.shape:
-        basin, root = basins_of(kept.direction)
-        if len(root) == len(kept.key) + 1:
-            return BasinTree(height, kept.direction, basin, root, kept.key)
+        restored = restored_tree(height, kept.direction, kept.key)
+        if restored is not None:
+            return restored
     start = time.perf_counter()
     tree = build_basin_tree(height)
     cache.store("basins", key, KeptTree(tree.direction, tree.key), seconds=time.perf_counter() - start)

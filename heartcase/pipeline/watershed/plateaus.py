@@ -94,27 +94,43 @@ def _find(leader, b):  # type: ignore[no-untyped-def]
     return b
 
 
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _has_flat_bottom(bits, shape, offsets, root):  # type: ignore[no-untyped-def]
+    """Basins whose lowest voxel has a neighbour as high."""
+    has_flat = np.empty(len(root), np.bool_)
+    for b in numba.prange(len(root)):
+        has_flat[b] = _has_equal_neighbour(bits, shape, offsets, root[b])
+    return has_flat
+
+
 @numba.njit(cache=True, nogil=True)
 def _flat_minima(bits, shape, offsets, root, key, first, second):  # type: ignore[no-untyped-def]
     count = len(root)
+    flat = np.full(count, -1, np.int32)
+    has_flat = _has_flat_bottom(bits, shape, offsets, root)
+    if not has_flat.any():
+        return flat
     leader = np.arange(count).astype(np.int32)
     for e in range(len(key)):
         a, b = first[e], second[e]
+        if not (has_flat[a] and has_flat[b]):
+            continue
         level = key[e] >> 32
         if level == bits[root[a]] and level == bits[root[b]]:
             leader[max(_find(leader, a), _find(leader, b))] = min(_find(leader, a), _find(leader, b))
     is_minimum = np.ones(count, np.bool_)
     for e in range(len(key)):
         a, b = first[e], second[e]
+        if not (has_flat[a] or has_flat[b]):
+            continue
         level = key[e] >> 32
         # the lowest way out of a flat that has a lower neighbour is as high as the flat itself
         if level == bits[root[a]] and level > bits[root[b]]:
             is_minimum[_find(leader, a)] = False
         if level == bits[root[b]] and level > bits[root[a]]:
             is_minimum[_find(leader, b)] = False
-    flat = np.full(count, -1, np.int32)
     for b in range(count):
-        if _has_equal_neighbour(bits, shape, offsets, root[b]):
+        if has_flat[b]:
             top = _find(leader, b)
             if is_minimum[top]:
                 flat[b] = top

@@ -14,11 +14,19 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.pipeline.watershed.descent import basins_of, row_chunks, side_offsets, steepest_descent
+from heartcase.pipeline.watershed.descent import (
+    basins_of,
+    neighbour_ranks,
+    ranks_at,
+    row_chunks,
+    side_of_rank,
+    side_offsets,
+    steepest_descent,
+)
 from heartcase.pipeline.watershed.plateaus import flat_minima
 from heartcase.schemas.errors import StageError
 
-__all__ = ["MOST_VOXELS", "BasinTree", "build_basin_tree"]
+__all__ = ["MOST_VOXELS", "BasinTree", "build_basin_tree", "restored_tree"]
 
 Float32 = npt.NDArray[np.float32]
 Int32 = npt.NDArray[np.int32]
@@ -40,8 +48,7 @@ class BasinTree:
     """A landscape's minimum spanning tree under the order of :mod:`heartcase.pipeline.watershed`.
 
     A face's *key* is an int64 that ascends in that order: the bits of the height of its higher voxel, 29 bits of that
-    voxel's index, and three bits: 0 for the face to the voxel's lowest neighbour, else 1 and the direction of the lower
-    voxel (see :data:`heartcase.pipeline.watershed.descent.ROOT`).
+    voxel's index, and in three bits how many of that voxel's neighbours are lower than the face's lower voxel.
     """
 
     height: Float32
@@ -54,6 +61,8 @@ class BasinTree:
     """Flat index of each basin's lowest voxel, int64, ascending."""
     key: Int64
     """Keys of the faces that join the basins, ascending, int64, shape (basins - 1,)."""
+    lower: Int32
+    """Flat index of the lower voxel of each joining face, int32."""
 
     @property
     def basin_count(self) -> int:
@@ -63,15 +72,13 @@ class BasinTree:
     @cached_property
     def ends(self) -> tuple[Int64, Int64]:
         """Flat indices of the higher and of the lower voxel of each joining face."""
-        higher = (self.key >> 3) & (MOST_VOXELS - 1)
-        return higher, higher + side_offsets(self.height.shape)[(self.key & 7) - 1]
+        return (self.key >> 3) & (MOST_VOXELS - 1), self.lower.astype(np.int64)
 
     @cached_property
     def basins(self) -> tuple[Int32, Int32]:
         """The basins that each joining face joins: that of its higher and that of its lower voxel."""
-        flat = self.basin.ravel()
-        higher, lower = self.ends
-        return flat[higher], flat[lower]
+        first, second = _owners(self.basin.ravel(), *self.ends)
+        return first, second
 
     @cached_property
     def flat(self) -> Int32:
@@ -118,25 +125,36 @@ def build_basin_tree(height: Float32) -> BasinTree:
         raise StageError("the gradient is negative or not a number somewhere: check the scan", place="segment")
     direction = steepest_descent(height)
     basin, root = basins_of(direction)
-    return BasinTree(height, direction, basin, root, joining_faces(height, direction, basin, root))
+    key, lower = joining_faces(height, basin, root)
+    return BasinTree(height, direction, basin, root, key, lower)
 
 
-def joining_faces(height: Float32, direction: UInt8, basin: Int32, root: Int64) -> Int64:
-    """Keys of the faces of the minimum spanning tree between basins.
+def restored_tree(height: Float32, direction: UInt8, key: Int64) -> BasinTree | None:
+    """A tree from what :mod:`heartcase.pipeline.watershed.kept` keeps; None where the parts do not fit each other."""
+    basin, root = basins_of(direction)
+    if len(root) != len(key) + 1:
+        return None
+    return BasinTree(height, direction, basin, root, key, _lower_ends(key, height, side_offsets(height.shape)))
+
+
+def joining_faces(height: Float32, basin: Int32, root: Int64) -> tuple[Int64, Int32]:
+    """The faces of the minimum spanning tree between basins.
 
     Parameters
     ----------
-    height, direction, basin, root
+    height, basin, root
         As in :class:`BasinTree`.
 
     Returns
     -------
-    ndarray
+    key
         int64, shape (basins - 1,), ascending.
+    lower
+        Flat index of each face's lower voxel, int32.
     """
     tree = np.empty(len(root) - 1, np.int64)
     if not len(tree):
-        return tree
+        return tree, np.empty(0, np.int32)
     flat, offsets, chunks = basin.ravel(), side_offsets(height.shape), row_chunks(height.shape)
     start = chunks * 3 * height.shape[2]
     # as large as it could have to be; pages that are never written take no memory
@@ -144,16 +162,18 @@ def joining_faces(height: Float32, direction: UInt8, basin: Int32, root: Int64) 
     pair[-1] = NO_PAIR
     best = np.full((len(chunks) - 1, len(root)), NO_KEY, np.int64)
     stop = np.empty(len(chunks) - 1, np.int64)
-    _find_candidates(height.view(np.int32), basin, chunks, offsets, start, stop, key, pair, best)
+    ranks = neighbour_ranks(height).reshape(-1)
+    _find_candidates(height.view(np.int32), basin, ranks, chunks, offsets, start, stop, key, pair, best)
     component = np.arange(len(root), dtype=np.int32)
     found, count = 0, len(root)
     while count > 1:
-        found, mapping, count = _merge(best, flat, offsets, component, tree, found)
+        lowest, parent = _lowest_faces(best, flat, ranks, offsets, component)
+        found, mapping, count = _merge(lowest, parent, tree, found)
         component = mapping[component]
         best = np.full((len(chunks) - 1, count), NO_KEY, np.int64)
         _contract(start, stop, key, pair, mapping, best)
     tree.sort()
-    return tree
+    return tree, _lower_by_rank(tree, ranks, offsets)
 
 
 @numba.njit(cache=True, nogil=True, parallel=True)
@@ -166,7 +186,7 @@ def _lowest_bits(bits):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
-def _find_in_rows(bits, basin, low, high, ny, nx, last, offsets, at, key, pair):  # type: ignore[no-untyped-def]
+def _find_in_rows(bits, basin, ranks, low, high, ny, nx, last, offsets, at, key, pair):  # type: ignore[no-untyped-def]
     """Faces between basins in the rows ``low`` to ``high`` - 1, all but a few of those that are not the lowest.
 
     Most of the faces between two basins follow closely on each other, so a small table of where the faces of a pair
@@ -199,7 +219,8 @@ def _find_in_rows(bits, basin, low, high, ny, nx, last, offsets, at, key, pair):
             up = np.int64(bits[here] > bits[there])
             higher = there - up * (there - here)
             down = np.int64(side[n]) * (2 * up - 1) + 6 - 6 * up
-            one = (np.int64(max(bits[here], bits[there])) << 32) | (higher << 3) | (1 + down)
+            rank = np.int64(ranks[higher] >> (3 * down)) & 7
+            one = (np.int64(max(bits[here], bits[there])) << 32) | (higher << 3) | rank
             at = _note(one, basin[here], basin[there], noted, at, key, pair)
     return at
 
@@ -228,33 +249,40 @@ def _lowest_of_each(low, high, key, pair, best):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, parallel=True)
-def _find_candidates(bits, basin, chunks, offsets, start, stop, key, pair, best):  # type: ignore[no-untyped-def]
+def _find_candidates(bits, basin, ranks, chunks, offsets, start, stop, key, pair, best):  # type: ignore[no-untyped-def]
     nz, ny, nx = bits.shape
     last = (nz - 1) * ny
     flat_bits, flat_basin = bits.ravel(), basin.ravel()
     for c in numba.prange(len(chunks) - 1):
         stop[c] = _find_in_rows(
-            flat_bits, flat_basin, chunks[c], chunks[c + 1], ny, nx, last, offsets, start[c], key, pair
+            flat_bits, flat_basin, ranks, chunks[c], chunks[c + 1], ny, nx, last, offsets, start[c], key, pair
         )
         _lowest_of_each(start[c], stop[c], key, pair, best[c])
 
 
-@numba.njit(cache=True, nogil=True)
-def _merge(best, basin, offsets, component, tree, found):  # type: ignore[no-untyped-def]
-    """Join each component with the one beyond its lowest face; the new number of each component, and how many."""
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _lowest_faces(best, basin, ranks, offsets, component):  # type: ignore[no-untyped-def]
+    """The lowest face of each component, of those that the threads found, and the component beyond it."""
     count = best.shape[1]
-    parent = np.empty(count, np.int32)
     lowest = np.empty(count, np.int64)
-    for c in range(count):
+    parent = np.empty(count, np.int32)
+    for c in numba.prange(count):
         one = best[0, c]
         for n in range(1, best.shape[0]):
             one = min(one, best[n, c])
         hi = (one >> 3) & (MOST_VOXELS - 1)
         other = component[basin[hi]]
         if other == c:
-            other = component[basin[hi + offsets[(one & 7) - 1]]]
-        parent[c] = other
+            other = component[basin[hi + offsets[side_of_rank(ranks[hi], one & 7)]]]
         lowest[c] = one
+        parent[c] = other
+    return lowest, parent
+
+
+@numba.njit(cache=True, nogil=True)
+def _merge(lowest, parent, tree, found):  # type: ignore[no-untyped-def]
+    """Join each component with the one beyond its lowest face; the new number of each component, and how many."""
+    count = len(lowest)
     for c in range(count):
         other = parent[c]
         # of two that chose the same face the one with the lower number leads
@@ -299,6 +327,35 @@ def _contract(start, stop, key, pair, mapping, best):  # type: ignore[no-untyped
     for c in numba.prange(len(stop)):
         stop[c] = _contract_chunk(start[c], stop[c], key, pair, mapping)
         _lowest_of_each(start[c], stop[c], key, pair, best[c])
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _lower_by_rank(key, ranks, offsets):  # type: ignore[no-untyped-def]
+    lower = np.empty(len(key), np.int32)
+    for e in numba.prange(len(key)):
+        v = (key[e] >> 3) & (MOST_VOXELS - 1)
+        lower[e] = v + offsets[side_of_rank(ranks[v], key[e] & 7)]
+    return lower
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _lower_ends(key, height, offsets):  # type: ignore[no-untyped-def]
+    """The same where the ranks are not at hand."""
+    lower = np.empty(len(key), np.int32)
+    for e in numba.prange(len(key)):
+        v = (key[e] >> 3) & (MOST_VOXELS - 1)
+        lower[e] = v + offsets[side_of_rank(ranks_at(height, v), key[e] & 7)]
+    return lower
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _owners(basin, higher, lower):  # type: ignore[no-untyped-def]
+    first = np.empty(len(higher), np.int32)
+    second = np.empty(len(higher), np.int32)
+    for e in numba.prange(len(higher)):
+        first[e] = basin[higher[e]]
+        second[e] = basin[lower[e]]
+    return first, second
 
 
 @numba.njit(cache=True, nogil=True)

@@ -31,8 +31,7 @@ class Order:
 
     def face(self, one, other):
         higher, lower = sorted((one, other), key=self.rank, reverse=True)
-        lowest = min(neighbours(higher, self.height.shape), key=self.rank)
-        return (*self.rank(higher), lower != lowest, int(self.index[lower]))
+        return (*self.rank(higher), *self.rank(lower))
 
 
 def with_flats_divided(height, markers):
