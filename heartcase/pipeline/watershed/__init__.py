@@ -2,12 +2,12 @@
 
 What it computes, exactly
     Voxels are joined through their six faces. A voxel is *higher* than another when its height is greater, or equal
-    and its index (x fastest) greater. Faces are in strict order: by their higher voxel, and those of one higher voxel by
-    their lower one. Every voxel gets the label of the marked voxel that it hangs on in the minimum spanning forest under
-    this order which is rooted in all marked voxels: so its label reaches it over the lowest pass there is, and there is
-    one such forest only. (Cousty, Bertrand, Najman and Couprie, "Watershed cuts: minimum spanning forests and the drop of
-    water principle", IEEE Trans. Pattern Analysis and Machine Intelligence 31, 2009: the watershed cuts are the cuts of
-    such forests.)
+    and its index (x fastest) greater. Faces are in strict order: by their higher voxel, and those of one higher voxel
+    by their lower one. Every voxel gets the label of the marked voxel that it hangs on in the minimum spanning forest
+    under this order which is rooted in all marked voxels: so its label reaches it over the lowest pass there is, and
+    there is one such forest only. (Cousty, Bertrand, Najman and Couprie, "Watershed cuts: minimum spanning forests and
+    the drop of water principle", IEEE Trans. Pattern Analysis and Machine Intelligence 31, 2009: the watershed cuts are
+    the cuts of such forests.)
 
     One rule comes before it. A flat minimum (voxels of one height that hang together and have no lower neighbour)
     which is marked with two labels or more is divided first: each of its voxels takes the label of the marked voxel

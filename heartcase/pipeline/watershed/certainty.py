@@ -1,7 +1,7 @@
 """How sure a watershed's labels are: the pass that a label came over against the lowest one of any other label.
 
-The *pass* of a label to a voxel is the lowest height that a way of neighbouring voxels from the voxel to one marked with
-the label must climb to, both ends included (a minimax path). A voxel's label is one whose pass is lowest; ``own`` is
+The *pass* of a label to a voxel is the lowest height that a way of neighbouring voxels from the voxel to one marked
+with the label must climb to, both ends included (a minimax path). A voxel's label is one whose pass is lowest; ``own`` is
 that pass, ``other`` the lowest pass of all other labels, and
 
     certainty = 1 - own / other
@@ -26,7 +26,8 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.watershed.descent import row_chunks, side_offsets
-from heartcase.pipeline.watershed.forest import UNMARKED, Forest, _mark_below
+from heartcase.pipeline.watershed.forest import Forest
+from heartcase.pipeline.watershed.marks import UNMARKED, mark_below
 
 __all__ = ["FootCertainty", "foot_certainty", "voxel_certainty"]
 
@@ -102,7 +103,7 @@ def voxel_certainty(forest: Forest, feet: FootCertainty | None = None) -> Float3
     tree = forest.tree
     certainty = np.empty(tree.height.shape, np.float32)
     _fill_voxels(
-        row_chunks(certainty.shape) * certainty.shape[2],
+        row_chunks(certainty.shape) * tree.height.shape[2],
         (tree.height.ravel(), tree.direction.ravel(), tree.basin.ravel(), side_offsets(certainty.shape)),
         forest.marks.ravel(),
         forest.lowest_mark,
@@ -220,7 +221,7 @@ def _fill_voxels(chunks, landscape, marks, lowest_mark, foot_label, own, other, 
             b = basin[v]
             low, high = own[b], other[b]
             if lowest_mark[b] >= 0:
-                mark = _mark_below(v, direction, offsets, marks)
+                mark = mark_below(v, direction, offsets, marks)
                 if mark != UNMARKED:
                     # past the mark below it the way leads on down to the foot, whatever label that has
                     low = height[v]

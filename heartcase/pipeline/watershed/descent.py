@@ -70,8 +70,8 @@ def neighbour_ranks(height: Float32) -> Int32:
     Returns
     -------
     ndarray
-        int32, same shape: the number of neighbours that are lower than the one in direction ``d`` in the three bits from
-        ``3 * d`` on. What lies outside the volume comes last.
+        int32, same shape: the number of neighbours that are lower than the one in direction ``d``, in the three bits
+        from ``3 * d`` on. What lies outside the volume comes last.
     """
     ranks = np.empty(height.shape, np.int32)
     _ranks(height, ranks)

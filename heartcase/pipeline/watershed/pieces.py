@@ -4,9 +4,9 @@ All feet that got their label by the same face make a *piece*: before this face 
 label. The face hangs the piece on a marked voxel, or on a foot of another piece, its *parent*. A marker of another
 label on the lowest voxel of any basin of the piece takes exactly the feet of the piece and of all pieces that hang on
 it, directly or through others: within the piece all ways are lower than its face, what hangs on it follows its new
-label, and from everywhere else a lower way leads to the markers that are there. (So it is with every marker in these
-feet that lies lower than the face; :func:`heartcase.pipeline.watershed.forest.solve_forest` of the markers with it gives
-the same. The one exception is a flat minimum that is marked with two labels: it is divided.)
+label, and from everywhere else a lower way leads to the markers that are there. (So it is with every stroke inside
+these feet that marks such a lowest voxel; :func:`heartcase.pipeline.watershed.forest.solve_forest` of the markers with
+it gives the same. The one exception is a flat minimum that is marked with two labels: it is divided.)
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.watershed.descent import side_offsets
-from heartcase.pipeline.watershed.forest import UNMARKED, Forest, _mark_below
+from heartcase.pipeline.watershed.forest import Forest
+from heartcase.pipeline.watershed.marks import UNMARKED, mark_below
 
 __all__ = ["NO_PIECE", "ForestPieces", "forest_pieces"]
 
@@ -64,8 +65,8 @@ def forest_pieces(forest: Forest) -> ForestPieces:
         A solved forest.
     """
     tree = forest.tree
-    level, first_foot, piece = np.unique(forest.foot_level, return_index=True, return_inverse=True)
-    piece = piece.astype(np.int32)
+    level, first_foot, number = np.unique(forest.foot_level, return_index=True, return_inverse=True)
+    piece: Int32 = number.astype(np.int32)
     direction, basin, marks = tree.direction.ravel(), tree.basin.ravel(), forest.marks.ravel()
     offsets = side_offsets(tree.height.shape)
     parent = np.full(len(level), NO_PIECE, np.int32)
@@ -91,7 +92,7 @@ def _find_parents(hung, higher, lower, landscape, marks, lowest_mark, piece, par
     for n in range(len(hung)):
         v = lower[n] if piece[basin[higher[n]]] == hung[n] else higher[n]
         b = basin[v]
-        if lowest_mark[b] < 0 or _mark_below(v, direction, offsets, marks) == UNMARKED:
+        if lowest_mark[b] < 0 or mark_below(v, direction, offsets, marks) == UNMARKED:
             parent[hung[n]] = piece[b]
 
 
@@ -100,7 +101,7 @@ def _count_voxels(landscape, marks, lowest_mark, piece, count):  # type: ignore[
     direction, basin, offsets = landscape
     for v in range(len(basin)):
         b = basin[v]
-        if lowest_mark[b] < 0 or _mark_below(v, direction, offsets, marks) == UNMARKED:
+        if lowest_mark[b] < 0 or mark_below(v, direction, offsets, marks) == UNMARKED:
             count[piece[b]] += 1
 
 

@@ -55,7 +55,7 @@ def expected(height, markers, labels):
 def test_passes_and_certainties_are_those_of_the_voxel_graph(shape, levels, seed, count, labels):
     height, markers = landscape(shape, levels, seed), painted(shape, count, labels, seed)
     forest = solve_forest(build_basin_tree(height), markers)
-    every, own, other, certainty = expected(height, forest.marks, forest.labels)
+    every, _, _, certainty = expected(height, forest.marks, forest.labels)
     got = foot_certainty(forest)
     root, foot = forest.tree.root, forest.foot_label
     root_passes = np.array([every[label].ravel()[root] for label in every]).reshape(len(every), len(root))

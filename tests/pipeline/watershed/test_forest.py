@@ -1,3 +1,5 @@
+from unittest.mock import patch
+
 import numpy as np
 import pytest
 import SimpleITK
@@ -7,6 +9,7 @@ from scipy import ndimage, sparse
 from scipy.sparse.csgraph import minimum_spanning_tree
 from skimage.segmentation import watershed
 
+from heartcase.pipeline.watershed import forest as forest_module
 from heartcase.pipeline.watershed.forest import UNMARKED, solve_forest
 from heartcase.pipeline.watershed.tree import build_basin_tree
 from tests.pipeline.watershed import textbook
@@ -58,8 +61,14 @@ def test_the_two_textbook_forms_agree(shape, levels, seed, count):
     levels=level_counts,
     seed=st.integers(0, 2**32 - 1),
     steps=st.integers(1, 15),
+    most_mended=st.sampled_from([0.0, 0.1, 1.0]),
 )
-def test_any_sequence_of_strokes_ends_where_a_fresh_solve_does(shape, levels, seed, steps):
+def test_any_sequence_of_strokes_ends_where_a_fresh_solve_does(shape, levels, seed, steps, most_mended):
+    with patch.object(forest_module, "MOST_MENDED", most_mended):
+        paint_and_erase(shape, levels, seed, steps)
+
+
+def paint_and_erase(shape, levels, seed, steps):
     random = np.random.default_rng(seed)
     tree = build_basin_tree(landscape(shape, levels, seed))
     forest = solve_forest(tree, painted(shape, int(random.integers(0, 4)), 3, seed))
@@ -67,7 +76,7 @@ def test_any_sequence_of_strokes_ends_where_a_fresh_solve_does(shape, levels, se
         before = forest.labels.copy()
         start = random.integers(0, tree.height.size)
         voxels = np.unique(np.minimum(start + random.integers(0, 6, random.integers(1, 6)), tree.height.size - 1))
-        box = forest.paint(voxels, UNMARKED if random.random() < 0.15 else int(random.integers(0, 4)))
+        box = forest.paint(voxels, UNMARKED if random.random() < 0.4 else int(random.integers(0, 4)))
         fresh = solve_forest(tree, forest.painted)
         np.testing.assert_array_equal(forest.labels, fresh.labels)
         np.testing.assert_array_equal(forest.foot_level, fresh.foot_level)
@@ -88,7 +97,8 @@ def smooth_noise(seed, shape, sigma=1.0):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_long_sequences_on_larger_landscapes_end_where_a_fresh_solve_does(seed):
+def test_long_sequences_on_larger_landscapes_end_where_a_fresh_solve_does(seed, monkeypatch):
+    monkeypatch.setattr(forest_module, "MOST_MENDED", 0.3 * seed)
     random = np.random.default_rng(seed)
     shape = (18, 23, 20)
     height = smooth_noise(seed, shape)
@@ -100,10 +110,29 @@ def test_long_sequences_on_larger_landscapes_end_where_a_fresh_solve_does(seed):
     for step in range(60):
         centre, radius = random.uniform(0, 1, 3) * shape, random.uniform(0.5, 3.5)
         ball = (z - centre[0]) ** 2 + (y - centre[1]) ** 2 + (x - centre[2]) ** 2 <= radius**2
-        forest.paint(np.flatnonzero(ball), UNMARKED if step % 15 == 14 else int(random.integers(0, 5)))
+        forest.paint(np.flatnonzero(ball), UNMARKED if step % 4 == 3 else int(random.integers(0, 5)))
         fresh = solve_forest(tree, forest.painted)
         np.testing.assert_array_equal(forest.labels, fresh.labels)
         np.testing.assert_array_equal(forest.foot_level, fresh.foot_level)
+
+
+@settings(max_examples=100, deadline=None)
+@given(shape=shapes, levels=level_counts, seed=st.integers(0, 2**32 - 1))
+def test_restored_labels_are_those_of_a_fresh_solve(shape, levels, seed):
+    random = np.random.default_rng(seed)
+    tree = build_basin_tree(landscape(shape, levels, seed))
+    forest = solve_forest(tree, painted(shape, 12, 3, seed))
+    before = forest.labels.copy()
+    voxels = np.unique(random.integers(0, tree.height.size, 8))
+    with patch.object(forest_module, "MOST_MENDED", 1.0):
+        box = forest.restore(voxels, random.choice(np.array([0, 1, 2, UNMARKED], np.uint8), len(voxels)))
+    fresh = solve_forest(tree, forest.painted)
+    np.testing.assert_array_equal(forest.labels, fresh.labels)
+    np.testing.assert_array_equal(forest.foot_level, fresh.foot_level)
+    outside = before != forest.labels
+    if box is not None:
+        outside[box] = False
+    assert not outside.any()
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -1,0 +1,113 @@
+"""What the marked voxels are to their basins and flat minima."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from heartcase.pipeline.watershed.descent import ROOT
+
+__all__ = [
+    "CONTESTED",
+    "UNMARKED",
+    "find_lowest_marks",
+    "is_flat_contested",
+    "mark_below",
+    "marked_voxels",
+    "note_flats",
+    "own_key",
+    "reach",
+]
+
+UNMARKED = 255
+"""Value of a voxel without marker, and of a foot that no label reaches."""
+CONTESTED = -2
+"""Of a flat minimum: several labels mark it."""
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def marked_voxels(marks, chunks):  # type: ignore[no-untyped-def]
+    """Flat indices of the marked voxels, ascending."""
+    count = np.zeros(len(chunks), np.int64)
+    for c in numba.prange(len(chunks) - 1):
+        found = 0
+        for v in range(chunks[c], chunks[c + 1]):
+            found += marks[v] != UNMARKED
+        count[c + 1] = found
+    first = np.cumsum(count)
+    voxels = np.empty(first[-1], np.int64)
+    for c in numba.prange(len(chunks) - 1):
+        at = first[c]
+        for v in range(chunks[c], chunks[c + 1]):
+            if marks[v] != UNMARKED:
+                voxels[at] = v
+                at += 1
+    return voxels
+
+
+@numba.njit(cache=True, nogil=True)
+def note_flats(bits, basin, root, flat, marks, voxels, flat_label):  # type: ignore[no-untyped-def]
+    """Which label marks each flat minimum, or that several do."""
+    flat_label[:] = -1
+    for v in voxels:
+        b = basin[v]
+        number = flat[b]
+        if number >= 0 and bits[v] == bits[root[b]]:
+            if flat_label[number] == -1:
+                flat_label[number] = marks[v]
+            elif flat_label[number] != marks[v]:
+                flat_label[number] = CONTESTED
+
+
+@numba.njit(cache=True, nogil=True)
+def is_flat_contested(bits, basin, root, flat, flat_label, voxels, label):  # type: ignore[no-untyped-def]
+    """Whether a flat minimum with some voxels that get a label (255: lose theirs) holds several labels, then or before.
+
+    Notes the label where not. That of a flat whose markers are all gone stays noted: it is solved anew in vain.
+    """
+    for v in voxels:
+        number = flat[basin[v]]
+        if number >= 0 and bits[v] == bits[root[basin[v]]]:
+            if label == UNMARKED:
+                if flat_label[number] == CONTESTED:
+                    return True
+            elif flat_label[number] == -1:
+                flat_label[number] = label
+            elif flat_label[number] != label:
+                return True
+    return False
+
+
+@numba.njit(cache=True, nogil=True)
+def find_lowest_marks(bits, basin, voxels, lowest):  # type: ignore[no-untyped-def]
+    """Note each basin's lowest marked voxel in ``lowest``, which holds -1."""
+    for v in voxels:
+        old = lowest[basin[v]]
+        if old < 0 or bits[v] < bits[old] or (bits[v] == bits[old] and v < old):
+            lowest[basin[v]] = v
+
+
+@numba.njit(cache=True, nogil=True)
+def mark_below(v, direction, offsets, marks):  # type: ignore[no-untyped-def]
+    """Label of the first marked voxel on the way down from a voxel, itself included; 255 where it ends in the foot."""
+    while marks[v] == UNMARKED and direction[v] != ROOT:
+        v += offsets[direction[v]]
+    return marks[v]
+
+
+@numba.njit(cache=True, nogil=True)
+def own_key(v, bits, direction):  # type: ignore[no-untyped-def]
+    """Key of the face under a marked voxel, through which it reaches the foot; 0 where it is in the foot."""
+    if direction[v] == ROOT:
+        return np.int64(0)
+    return (np.int64(bits[v]) << 32) | (np.int64(v) << 3)
+
+
+@numba.njit(cache=True, nogil=True)
+def reach(foot, level, label, following, foot_label, foot_level):  # type: ignore[no-untyped-def]
+    """Give a label to all feet that hang together with one and have none."""
+    at = foot
+    while foot_label[at] == UNMARKED:
+        foot_label[at] = label
+        foot_level[at] = level
+        at = following[at]

@@ -1,0 +1,79 @@
+"""Painting of the labels: of all voxels, or of those of the basins that changed."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from heartcase.pipeline.watershed.marks import UNMARKED, mark_below
+
+__all__ = ["paint_basins", "paint_rows"]
+
+MARKED_BASIN = 254
+"""In the table of the feet's labels: look at the voxel itself."""
+
+
+@numba.njit(cache=True, nogil=True)
+def paint_basins(changed, first_voxel, voxel_list, direction, offsets, marks, lowest_mark, foot_label, labels, shape):  # type: ignore[no-untyped-def]
+    """Label the voxels of some basins anew; lowest and highest (z, y, x) at which that changed something."""
+    nz, ny, nx = shape
+    low_k, low_j, low_i = np.int64(nz), np.int64(ny), np.int64(nx)
+    high_k, high_j, high_i = np.int64(-1), np.int64(-1), np.int64(-1)
+    # exact for any index below 2^29, and much quicker than a division of integers
+    per_slice, per_row = 1.0 / (nx * ny), 1.0 / nx
+    for b in changed:
+        is_marked = lowest_mark[b] >= 0
+        foot = foot_label[b]
+        for n in range(first_voxel[b], first_voxel[b + 1]):
+            v = np.int64(voxel_list[n])
+            label = foot
+            if is_marked:
+                mark = mark_below(v, direction, offsets, marks)
+                if mark != UNMARKED:
+                    label = mark
+            if labels[v] != label:
+                labels[v] = label
+                k = np.int64((v + 0.5) * per_slice)
+                rest = v - k * (nx * ny)
+                j = np.int64((rest + 0.5) * per_row)
+                i = rest - j * nx
+                low_k, low_j, low_i = min(low_k, k), min(low_j, j), min(low_i, i)
+                high_k, high_j, high_i = max(high_k, k), max(high_j, j), max(high_i, i)
+    return np.array([low_k, low_j, low_i]), np.array([high_k, high_j, high_i])
+
+
+@numba.njit(cache=True, nogil=True)
+def _paint_row(row, begin, basin, table, direction, offsets, marks, foot_label):  # type: ignore[no-untyped-def]
+    """Label a row; the first and the last place at which that changed something."""
+    first = len(row)
+    last = -1
+    for i in range(len(row)):
+        v = begin + i
+        label = table[basin[v]]
+        if label == MARKED_BASIN:
+            mark = mark_below(v, direction, offsets, marks)
+            label = mark if mark != UNMARKED else foot_label[basin[v]]
+        if row[i] != label:
+            row[i] = label
+            first = min(first, i)
+            last = i
+    return first, last
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def paint_rows(rows, direction, basin, offsets, marks, lowest_mark, foot_label, labels):  # type: ignore[no-untyped-def]
+    """Label all voxels; for each chunk of rows the lowest and highest (z, y, x) at which that changed something."""
+    nz, ny, nx = labels.shape
+    low = np.empty((len(rows) - 1, 3), np.int64)
+    high = np.full((len(rows) - 1, 3), -1, np.int64)
+    table = np.where(lowest_mark >= 0, np.uint8(MARKED_BASIN), foot_label)
+    for c in numba.prange(len(rows) - 1):
+        low[c, 0], low[c, 1], low[c, 2] = nz, ny, nx
+        for line in range(rows[c], rows[c + 1]):
+            k = line // ny
+            j = line - k * ny
+            first, last = _paint_row(labels[k, j], line * nx, basin, table, direction, offsets, marks, foot_label)
+            if last >= 0:
+                low[c, 0], low[c, 1], low[c, 2] = min(low[c, 0], k), min(low[c, 1], j), min(low[c, 2], first)
+                high[c, 0], high[c, 1], high[c, 2] = max(high[c, 0], k), max(high[c, 1], j), max(high[c, 2], last)
+    return low, high
