@@ -20,7 +20,7 @@ from heartcase.pipeline.session import SegmentationSession
 from heartcase.pipeline.watershed.forest import solve_forest
 from heartcase.pipeline.watershed.kept import scan_tree
 from heartcase.pipeline.watershed.tree import BasinTree
-from heartcase.schemas.settings import FilterSettings, Stroke
+from heartcase.schemas.settings import FilterSettings, SegmentSettings, Stroke
 
 REPEATS = {"heartcase": 300, "anew": 20, "skimage": 2}
 STROKE_LENGTH_MM = 10.0
@@ -40,7 +40,7 @@ class Inputs:
 def prepare(params: dict[str, Any]) -> Inputs:
     source = phantom_inputs(params)
     filtered = filter_scan(source.scan, FilterSettings())
-    tree = scan_tree(filtered, gradient_sigma_mm=0.0)
+    tree = scan_tree(filtered, gradient_sigma_mm=0.0, shape_sigma_mm=SegmentSettings().shape_sigma_mm)
     session = SegmentationSession(tree, filtered.geometry, source.phantom.table, markers=source.markers)
     return Inputs(source, tree, session, _strokes(source, max(REPEATS.values()) + 1))
 

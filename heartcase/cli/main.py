@@ -22,6 +22,7 @@ COMMANDS: dict[str, str] = {
     "info": "Say what a scan, a recipe's scan or a case is.",
     "validate": "Check a case, a recipe or a script, and list every problem.",
     "paint": "Paint markers on a recipe's scan, for a viewer to drive.",
+    "suggest": "Name the places where one more stroke is worth most.",
     "lock": "Write a recipe with every setting stated.",
     "upgrade": "Say what a newer heartcase would change in a file.",
     "approve": "Note that a case was reviewed and approved.",

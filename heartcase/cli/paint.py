@@ -13,6 +13,7 @@ import click
 from pydantic import Field, TypeAdapter, ValidationError
 
 from heartcase.cli.output import working
+from heartcase.cli.suggest import places_json
 from heartcase.schemas.base import Model
 from heartcase.schemas.errors import HeartcaseError, Problem, UsageError, problems_from_validation
 from heartcase.schemas.settings import Stroke
@@ -37,6 +38,11 @@ class _SaveAs(Model):
     path: Annotated[str, Field(min_length=1)]
 
 
+class _Suggest(Model):
+    do: Literal["suggest"]
+    count: Annotated[int, Field(ge=1, le=100)] = 5
+
+
 class _Slice(Model):
     do: Literal["slice"]
     axis: Literal["i", "j", "k"]
@@ -49,8 +55,8 @@ class _Box(Model):
     high: tuple[int, int, int]
 
 
-_REQUEST: TypeAdapter[_Paint | _Step | _SaveAs | _Slice | _Box] = TypeAdapter(
-    Annotated[_Paint | _Step | _SaveAs | _Slice | _Box, Field(discriminator="do")]
+_REQUEST: TypeAdapter[_Paint | _Step | _SaveAs | _Suggest | _Slice | _Box] = TypeAdapter(
+    Annotated[_Paint | _Step | _SaveAs | _Suggest | _Slice | _Box, Field(discriminator="do")]
 )
 
 
@@ -72,6 +78,7 @@ def command(recipe: Path, out: Path) -> None:
     {"do": "undo"}   {"do": "redo"}   {"do": "changed"}
     {"do": "slice", "axis": "k", "index": 40}
     {"do": "box", "low": [0, 0, 0], "high": [9, 9, 9]}
+    {"do": "suggest", "count": 5}
     {"do": "save"}   {"do": "save_as", "path": "other.toml"}   {"do": "quit"}
 
     Positions are patient LPS mm, boxes voxel indices (i, j, k), both ends included. Labels come as base64 of a byte a
@@ -118,6 +125,8 @@ def _obey(opened: RecipeSession, line: str) -> dict[str, Any] | None:
     session = opened.session
     if isinstance(request, _Paint):
         return _changed(session.paint(Stroke.model_validate(request.model_dump(exclude={"do"}))))
+    if isinstance(request, _Suggest):
+        return places_json(session.suggest(count=request.count), session.table)
     if isinstance(request, _Slice):
         return _labels(session.labels_of_slice(request.axis, request.index))
     if isinstance(request, _SaveAs):

@@ -70,5 +70,7 @@ def command(
         files = [MarkerFile(path=str(path.resolve())) for path in markers]
         files = [*(loaded.markers if loaded else ()), *files]
         strokes = loaded.strokes if loaded else ()
-        painted = load_markers(files, strokes, table, volume.geometry, directory)
+        painted = load_markers(
+            files, strokes, table, volume.geometry, directory, scan=volume, automatic=settings.automatic
+        )
     save_output(output, segment_scan(volume, painted, settings, table))

@@ -7,7 +7,7 @@ reach; what lies further out loses its label; the exact plane is a reshaping of 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import cc3d
@@ -33,14 +33,16 @@ FULL_SHARE = 0.9
 """Least part of its area that a cross-section keeps over half a radius, where the lumen is not yet its tip."""
 SPECK_SHARE = 0.2
 """Cross-sections of less than this part of the usual area are a spike of the tip."""
-BODY_SHARE = 0.75
-"""Cross-sections of more than this part of the disc's area belong to the chamber that the vessel leaves."""
+BODY_SHARE = 0.5
+"""Cross-sections that reach more than this part of the disc's rim belong to the chamber that the vessel leaves."""
 OPEN_SHARE = 0.5
 """Part of its area that the lumen must keep to count as open."""
+STUMP_TAPER = 0.1
+"""How much narrower the room for a stump gets per mm behind the disc: a lumen is known to a part of a voxel only."""
 GAP_VOXELS = 2.0
 """Gap between lumen and disc that is closed without a word."""
 SECTION_SAMPLES = 4
-"""Sections that are averaged, over 1.5 voxels, into the one that is continued."""
+"""Sections that are averaged, over up to 1.5 voxels, into the one that is continued."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,8 @@ class _Disc:
     position: Float64
     axis: Float64
     radius_mm: float
+    wall_mm: float
+    """Thickness of the vessel's wall; no lumen is left beyond the disc whose wall would stick out of the cylinder."""
     clearance_mm: float
     geometry: Geometry
     box: Box
@@ -78,15 +82,27 @@ class _Disc:
         """Voxels of the box in front of the disc and behind it."""
         return (self.across <= self.radius_mm) & (self.along <= self.clearance_mm)
 
+    @property
+    def stump(self) -> Bool:
+        """Voxels of the box behind the disc whose wall, were they lumen, would lie in the cylinder that is cut off."""
+        room = self.radius_mm - self.wall_mm - STUMP_TAPER * self.along
+        return self.cylinder & (self.along >= 0.0) & (self.across <= room)
+
 
 def cut_ends(
-    segmentation: Segmentation, table: LabelTable, ends: Sequence[EndMarker], *, clearance_mm: float
+    segmentation: Segmentation,
+    table: LabelTable,
+    ends: Sequence[EndMarker],
+    *,
+    clearance_mm: float,
+    thickness_mm: Mapping[int, float] | None = None,
 ) -> EndCuts:
     """Make each vessel run straight on through its end marker, and take its label from the voxels beyond.
 
     A stump of ``clearance_mm`` stays so that the fields are undisturbed at the plane; a reshaping takes it away. Where
     the lumen rounds off before the stump's end, or stops up to the disc's radius short of the disc, its last full
-    cross-section is continued along the axis: into background only, and nowhere beside other blood.
+    cross-section is continued along the axis: into background only, and nowhere beside other blood. No part of a stump
+    comes so near the rim that its wall would stick out of the cylinder behind the disc, which is all that is cut off.
 
     Parameters
     ----------
@@ -98,6 +114,8 @@ def cut_ends(
         End markers.
     clearance_mm
         Length of the stump: more than the thickest wall and the reach of the smoothing.
+    thickness_mm
+        Greatest thickness of the wall of each label value, where it is not the table's.
 
     Returns
     -------
@@ -122,7 +140,8 @@ def cut_ends(
         except KeyError:
             problems.append(Problem(place, f"there is no label {end.label!r}: check the name"))
             continue
-        disc = _disc_of(segmentation, end, label.value, clearance_mm)
+        wall_mm = (thickness_mm or {}).get(label.value, label.wall_thickness_mm)
+        disc = _disc_of(segmentation, end, label.value, wall_mm, clearance_mm)
         message = _refusal(segmentation, disc)
         if disc is None or message:
             problems.append(Problem(place, message.format(name=label.name)))
@@ -151,7 +170,9 @@ def _cut(disc: _Disc, end: EndMarker, table: LabelTable) -> Reshaping:
     return Reshaping("cylinder", points, end.radius_mm, sources, (table[BACKGROUND].name,))
 
 
-def _disc_of(segmentation: Segmentation, end: EndMarker, value: int, clearance_mm: float) -> _Disc | None:
+def _disc_of(
+    segmentation: Segmentation, end: EndMarker, value: int, wall_mm: float, clearance_mm: float
+) -> _Disc | None:
     """Look at the lattice around an end marker; None outside the volume."""
     geometry = segmentation.geometry
     position = np.array(end.position_mm)
@@ -169,7 +190,7 @@ def _disc_of(segmentation: Segmentation, end: EndMarker, value: int, clearance_m
     offset = geometry.index_to_world(np.stack([i, j, k], axis=-1)) - position
     along = offset @ axis
     across = np.sqrt(np.maximum(np.einsum("...x,...x->...", offset, offset) - along * along, 0.0))
-    return _Disc(value, position, axis, end.radius_mm, clearance_mm, geometry, box, along, across)
+    return _Disc(value, position, axis, end.radius_mm, wall_mm, clearance_mm, geometry, box, along, across)
 
 
 def _refusal(segmentation: Segmentation, disc: _Disc | None) -> str:
@@ -219,7 +240,7 @@ def _clear_beyond(labels: UInt8, segmentation: Segmentation, disc: _Disc) -> Non
     """Take the label from what is connected to the vessel beyond its stump, in place."""
     _, after, pieces = _sides(segmentation.labels == disc.value, disc)
     beyond = np.isin(pieces, sorted(after))
-    beyond[disc.box] &= ~(disc.cylinder & (disc.along >= 0.0))
+    beyond[disc.box] &= ~disc.stump
     labels[beyond] = BACKGROUND
 
 
@@ -227,14 +248,16 @@ def _continue_lumen(labels: UInt8, disc: _Disc, blood_values: Sequence[int]) -> 
     """Continue a lumen through its disc in place; what the user must know."""
     near = labels[disc.box]
     lumen = _lumen_before(near, disc)
-    steps, areas = _areas(lumen, disc)
-    last = _last_full_section(steps, areas, disc)
+    steps, areas, rims = _areas(lumen, disc)
+    first, last = _full_sections(steps, areas, rims > BODY_SHARE, disc)
+    is_outside = (disc.along >= 0.0) & ~disc.stump
+    near[lumen & is_outside] = BACKGROUND
     if last >= disc.clearance_mm:
         return []
-    section = _continued(lumen, disc, last)
+    section = _continued(lumen, disc, first, last)
     blood = np.isin(near, list(blood_values)) & ~lumen
     beyond = disc.cylinder & (disc.along > last)
-    grown = section & beyond & (near == BACKGROUND) & ~binary_dilation(blood)
+    grown = section & beyond & ~is_outside & (near == BACKGROUND) & ~binary_dilation(blood)
     tail = lumen & beyond & (disc.along > 0.0) & ~section
     near[tail] = BACKGROUND
     near[grown] = disc.value
@@ -246,7 +269,7 @@ def _continue_lumen(labels: UInt8, disc: _Disc, blood_values: Sequence[int]) -> 
             f"the segmented vessel stops {gap:.1f} mm before this end marker and was continued straight to it: "
             "if that is wrong, move the marker, or add a stroke to the vessel"
         )
-    _, opened = _areas((near == disc.value) & disc.cylinder, disc)
+    _, opened, _ = _areas((near == disc.value) & disc.cylinder, disc)
     if opened[steps <= 0.0][-1] < OPEN_SHARE * areas[np.searchsorted(steps, last)]:
         messages.append(
             anatomy("other structures close the vessel at this end marker: move the marker towards the heart")
@@ -263,53 +286,68 @@ def _lumen_before(near: UInt8, disc: _Disc) -> Bool:
     return lumen
 
 
-def _areas(lumen: Bool, disc: _Disc) -> tuple[Float64, Float64]:
-    """Areas of the cross-sections along the axis: places, mm beyond the disc, and areas, mm2."""
+def _areas(lumen: Bool, disc: _Disc) -> tuple[Float64, Float64, Float64]:
+    """Cross-sections along the axis: places, mm beyond the disc, areas, mm2, and parts of the rim in the lumen."""
     step = 0.5 * float(min(disc.geometry.spacing_mm))
     side = np.cross(disc.axis, np.eye(3)[np.argmin(np.abs(disc.axis))])
     side /= np.linalg.norm(side)
     count = int(np.ceil(disc.radius_mm / step))
     u, v = np.meshgrid(*(2 * [np.arange(-count, count + 1) * step]))
     within = np.hypot(u, v) <= disc.radius_mm
+    is_rim = np.hypot(u[within], v[within]) > disc.radius_mm - step
     flat = disc.position + u[within][:, None] * side + v[within][:, None] * np.cross(disc.axis, side)
     places = np.arange(-np.floor(3.0 * disc.radius_mm / step), np.floor(disc.clearance_mm / step) + 1) * step
     mask = lumen.astype(np.float32)
     corner = np.array([part.start for part in disc.box[::-1]])
-    areas = np.empty(len(places))
+    areas, rims = np.empty(len(places)), np.empty(len(places))
     for n, place in enumerate(places):
         index = disc.geometry.world_to_index(flat + place * disc.axis) - corner
         values = map_coordinates(mask, index[:, ::-1].T, order=1, mode="nearest")
         areas[n] = step * step * np.count_nonzero(values >= 0.5)
-    return places, areas
+        rims[n] = np.mean(values[is_rim] >= 0.5)
+    return places, areas, rims
 
 
-def _last_full_section(places: Float64, areas: Float64, disc: _Disc) -> float:
-    """Where the lumen is not yet its rounded tip, mm beyond the disc; the clearance where it runs on by itself."""
+def _full_sections(places: Float64, areas: Float64, is_body: Bool, disc: _Disc) -> tuple[float, float]:
+    """First and last place, mm beyond the disc, of the stretch that is continued: it ends where the rounded tip begins.
+
+    Both are the clearance where the lumen runs on by itself. The stretch belongs to the vessel alone: where it leaves a
+    chamber, or another vessel, just before the disc, what is left of it may be hardly longer than a thick slice.
+    """
     there = areas > 0.0
     if areas[-1] >= OPEN_SHARE * max(areas[places <= 0.0][-1], areas[there].min(initial=np.inf)):
-        return disc.clearance_mm
+        return disc.clearance_mm, disc.clearance_mm
     step = places[1] - places[0]
-    tip = float(places[there][-1])
-    usual = float(np.median(areas[there & (places >= tip - disc.radius_mm)]))
+    voxel = float(max(disc.geometry.spacing_mm))
+    end = int(np.flatnonzero(there)[-1])
+    tip = float(places[end])
+    start = int(np.flatnonzero(is_body)[-1]) + 1 if is_body.any() else 0
+    # A lumen wider than its disc looks like a body up to its very tip.
+    start = 0 if (end + 1 - start) * step <= voxel else start
+    vessel = there & (places >= max(places[start], tip - disc.radius_mm))
+    usual = float(np.median(areas[vessel]))
     radius = np.sqrt(usual / np.pi)
-    lag = max(1, round(max(0.5 * radius, float(max(disc.geometry.spacing_mm))) / step))
+    lag = max(1, round(max(0.5 * radius, voxel) / step))
+    first = start + lag
     share = np.zeros(len(areas))
-    np.divide(areas[lag:], areas[:-lag], out=share[lag:], where=areas[:-lag] > 0.0)
-    is_body = areas > BODY_SHARE * np.pi * disc.radius_mm**2
-    share[is_body | (areas < SPECK_SHARE * usual) | (places < tip - 1.5 * disc.radius_mm)] = 0.0
+    np.divide(areas[first:], areas[start:-lag], out=share[first:], where=areas[start:-lag] > 0.0)
+    is_spike = areas < SPECK_SHARE * usual
+    share[is_spike | (places < tip - 1.5 * disc.radius_mm)] = 0.0
     is_full = share >= FULL_SHARE
     stays_full = is_full.copy()
     half = max(1, lag // 2)
     stays_full[half:] &= is_full[:-half]
-    for candidates in (stays_full, is_full, share >= share.max()):
-        if candidates.any():
-            break
-    last = int(np.flatnonzero(candidates)[-1])
-    return float(places[max(last - half, 0)])
+    if stays_full.any():
+        is_full = stays_full
+    # Nothing keeps its area where the vessel is shorter than that: then half a radius is taken for the tip.
+    back = half if is_full.any() else round(0.5 * radius / step)
+    last = max(int(np.flatnonzero(is_full if is_full.any() else ~is_spike)[-1]) - back, start)
+    other = np.flatnonzero(areas[: last + 1] * FULL_SHARE > areas[last])
+    return float(places[int(other[-1]) + 1 if len(other) else 0]), float(places[last])
 
 
-def _continued(lumen: Bool, disc: _Disc, last: float) -> Bool:
-    """Voxels whose projection along the axis onto the section at ``last`` lies in the lumen."""
+def _continued(lumen: Bool, disc: _Disc, first: float, last: float) -> Bool:
+    """Voxels whose projection along the axis onto the sections from ``first`` to ``last`` mostly lies in the lumen."""
     voxel = float(max(disc.geometry.spacing_mm))
     ends = disc.geometry.world_to_index(np.stack([disc.position, disc.position + disc.axis]))
     direction = (ends[1] - ends[0])[::-1]
@@ -317,7 +355,7 @@ def _continued(lumen: Bool, disc: _Disc, last: float) -> Bool:
     way = disc.along[tuple(where.T)] - last
     mask = lumen.astype(np.float32)
     share = np.zeros(len(where))
-    for back in np.linspace(0.0, 1.5 * voxel, SECTION_SAMPLES):
+    for back in np.linspace(0.0, min(1.5 * voxel, last - first), SECTION_SAMPLES):
         source = where - (way + back)[:, None] * direction
         share += map_coordinates(mask, source.T, order=1, mode="nearest")
     section = np.zeros(lumen.shape, np.bool_)

@@ -15,6 +15,8 @@ Float32 = npt.NDArray[np.float32]
 
 BLUR_REACH = 4.0
 """Standard deviations after which the Gaussian is cut off."""
+PART = 1024
+"""Voxels of a slice that are blurred together across the slices, so that they stay in the cache."""
 
 
 def gradient_magnitude(
@@ -54,13 +56,104 @@ def _blur(values: Float32, axis: int, sigma: float) -> Float32:
     count = values.shape[axis]
     if count == 1:
         return values
+    weights, reach = _blur_weights(count, sigma)
+    blurred = np.empty(values.shape, np.float32)
+    blur = (_blur_along_z, _blur_along_y, _blur_rows)[axis]
+    blur(np.ascontiguousarray(values), weights, reach, blurred)
+    return blurred
+
+
+def _blur_weights(count: int, sigma: float) -> tuple[Float32, int]:
+    """What the voxels of a line give to each blurred one, shape (blurred, voxel), and how far away they are at most."""
     reach = math.ceil(BLUR_REACH * sigma) + 1
-    pad = [(0, 0)] * values.ndim
-    pad[axis] = (reach, reach)
-    padded = np.pad(values, pad, mode="reflect", reflect_type="odd")
-    blurred = ndimage.gaussian_filter1d(padded, sigma, axis=axis, mode="nearest", truncate=BLUR_REACH)
-    inner: Float32 = np.take(blurred, range(reach, reach + count), axis=axis)
-    return inner
+    padded = np.pad(np.eye(count), [(reach, reach), (0, 0)], mode="reflect", reflect_type="odd")
+    weights = ndimage.gaussian_filter1d(padded, sigma, axis=0, mode="nearest", truncate=BLUR_REACH)
+    return np.ascontiguousarray(weights[reach : reach + count], np.float32), reach
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"contract"})
+def _add_four(one, two, three, four, weights, out):  # type: ignore[no-untyped-def]
+    a, b, c, d = weights[0], weights[1], weights[2], weights[3]
+    for i in range(len(out)):
+        out[i] += a * one[i] + b * two[i] + c * three[i] + d * four[i]
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"contract"})
+def _add_one(row, weight, out):  # type: ignore[no-untyped-def]
+    for i in range(len(out)):
+        out[i] += weight * row[i]
+
+
+@numba.njit(cache=True, nogil=True)
+def _blur_row(row, weights, reach, padded, out):  # type: ignore[no-untyped-def]
+    count = len(row)
+    out[:] = np.float32(0.0)
+    if count <= 2 * reach:
+        for i in range(count):
+            for n in range(max(i - reach, 0), min(i + reach + 1, count)):
+                out[i] += weights[i, n] * row[n]
+        return
+    # what lies past the ends is reflected, so that all voxels have the same weights
+    for i in range(count):
+        padded[reach + i] = row[i]
+    for t in range(1, reach + 1):
+        padded[reach - t] = row[0] + row[0] - row[t]
+        padded[reach + count - 1 + t] = row[count - 1] + row[count - 1] - row[count - 1 - t]
+    kernel = weights[reach, : 2 * reach + 1]
+    t = 0
+    while t + 4 <= len(kernel):
+        _add_four(
+            padded[t : t + count],
+            padded[t + 1 : t + 1 + count],
+            padded[t + 2 : t + 2 + count],
+            padded[t + 3 : t + 3 + count],
+            kernel[t : t + 4],
+            out,
+        )
+        t += 4
+    while t < len(kernel):
+        _add_one(padded[t : t + count], kernel[t], out)
+        t += 1
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _blur_rows(values, weights, reach, blurred):  # type: ignore[no-untyped-def]
+    nz, ny, nx = values.shape
+    for k in numba.prange(nz):
+        padded = np.empty(nx + 2 * reach, np.float32)
+        for j in range(ny):
+            _blur_row(values[k, j], weights, reach, padded, blurred[k, j])
+
+
+@numba.njit(cache=True, nogil=True)
+def _blur_sheet(rows, weights, reach, blurred):  # type: ignore[no-untyped-def]
+    """Blur across the rows of a sheet of them."""
+    count = len(rows)
+    for here in range(count):
+        out = blurred[here]
+        out[:] = np.float32(0.0)
+        n, stop = max(here - reach, 0), min(here + reach + 1, count)
+        while n + 4 <= stop:
+            _add_four(rows[n], rows[n + 1], rows[n + 2], rows[n + 3], weights[here, n : n + 4], out)
+            n += 4
+        while n < stop:
+            _add_one(rows[n], weights[here, n], out)
+            n += 1
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _blur_along_y(values, weights, reach, blurred):  # type: ignore[no-untyped-def]
+    for k in numba.prange(values.shape[0]):
+        _blur_sheet(values[k], weights, reach, blurred[k])
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _blur_along_z(values, weights, reach, blurred):  # type: ignore[no-untyped-def]
+    nz, ny, nx = values.shape
+    slices, blurred_slices = values.reshape(nz, ny * nx), blurred.reshape(nz, ny * nx)
+    for part in numba.prange((ny * nx + PART - 1) // PART):
+        low, high = part * PART, min((part + 1) * PART, ny * nx)
+        _blur_sheet(slices[:, low:high], weights, reach, blurred_slices[:, low:high])
 
 
 @numba.njit(cache=True, nogil=True)
@@ -85,7 +178,7 @@ def _row_lengths(row, ym, yp, zm, zp, hx, hy, hz, out):  # type: ignore[no-untyp
 
 @numba.njit(cache=True, nogil=True, parallel=True)
 def _slope_lengths(values, spacing, length):  # type: ignore[no-untyped-def]
-    nz, ny, nx = values.shape
+    nz, ny, _ = values.shape
     half = np.float32(0.5)
     for line in numba.prange(nz * ny):
         k = line // ny

@@ -5,19 +5,20 @@ What a file calls its segments and points may be a patient's name: messages call
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.cautions import note
-from heartcase.pipeline.data import Markers, Segmentation
+from heartcase.pipeline.data import Markers, Scan, Segmentation
 from heartcase.pipeline.formats.point_lists import MarkupList, read_point_lists
 from heartcase.pipeline.formats.raw_volume import placed
 from heartcase.pipeline.formats.segments import SegmentInfo
 from heartcase.pipeline.formats.stl_parts import holds_parts, read_parts
-from heartcase.pipeline.marker_help import label_cores
+from heartcase.pipeline.marker_help import ERASED, AutomaticMarkers, label_cores
 from heartcase.pipeline.naming import Naming, called, label_lookup, left_out, listed, value_of
 from heartcase.pipeline.paint import paint_capsule, paint_passed_voxels, pull_nearest
 from heartcase.pipeline.read import LabelVolume, read_labels
@@ -33,6 +34,7 @@ __all__ = [
     "load_segmentation",
     "rasterise_strokes",
     "resample_labels",
+    "stated_markers",
     "stroke_voxels",
 ]
 
@@ -47,11 +49,15 @@ def load_markers(
     table: LabelTable,
     geometry: Geometry,
     directory: Path,
+    *,
+    scan: Scan | None = None,
+    automatic: Collection[str] = (),
 ) -> Markers:
     """Gather all markers of a recipe.
 
     Marker files come first, in their order, then the strokes; later ones paint over earlier ones. In a label volume 0
-    means that nothing is marked; a value or segment that is mapped to the background's name marks background.
+    means that nothing is marked; a value or segment that is mapped to the background's name marks background. Of a file
+    with ``core_mm`` the cores are taken, see :func:`heartcase.pipeline.marker_help.label_cores`.
 
     Parameters
     ----------
@@ -67,6 +73,9 @@ def load_markers(
         The scan's lattice. A label volume on another lattice gives each voxel the label at its centre.
     directory
         Where relative paths start.
+    scan, automatic
+        The scan, and which background the program marks on it under all of these: see
+        :class:`heartcase.pipeline.marker_help.AutomaticMarkers`.
 
     Returns
     -------
@@ -77,6 +86,27 @@ def load_markers(
     ------
     MarkerError
         With every file that cannot be read, every name that is no label, and every marker that lies outside the scan.
+    """
+    stated = stated_markers(recipe_markers, strokes, table, geometry, directory)
+    if automatic and scan is not None:
+        return AutomaticMarkers(scan, automatic, stated).markers
+    return Markers(labels=_without_erased(stated), geometry=geometry)
+
+
+def stated_markers(
+    recipe_markers: Sequence[MarkerFile],
+    strokes: Sequence[Stroke],
+    table: LabelTable,
+    geometry: Geometry,
+    directory: Path,
+) -> UInt8:
+    """What marker files and strokes say of each voxel; arguments and errors are those of :func:`load_markers`.
+
+    Returns
+    -------
+    ndarray
+        uint8, shape ``geometry.shape``: a label, 255 where nothing is said, or
+        :data:`heartcase.pipeline.marker_help.ERASED` where an eraser passed last.
     """
     labels = np.full(geometry.shape, UNMARKED, dtype=np.uint8)
     problems: list[Problem] = []
@@ -99,11 +129,24 @@ def load_markers(
         problems += error.problems
     if problems:
         raise MarkerError(problems)
-    return Markers(labels=labels, geometry=geometry)
+    return labels
 
 
-def check_markers(markers: Markers, table: LabelTable) -> None:
+def _without_erased(stated: UInt8) -> UInt8:
+    return np.where(stated == ERASED, np.uint8(UNMARKED), stated)
+
+
+def check_markers(markers: Markers, table: LabelTable, *, automatic: Collection[str] = ()) -> None:
     """Refuse markers that cannot make a case, before anything long is computed.
+
+    Parameters
+    ----------
+    markers
+        All markers.
+    table
+        Label table.
+    automatic
+        Which background the program was to mark: then the words say why it did not.
 
     Raises
     ------
@@ -112,9 +155,13 @@ def check_markers(markers: Markers, table: LabelTable) -> None:
     """
     marked = set(np.unique(markers.labels).tolist()) - {UNMARKED}
     problems = []
+    if automatic and not marked - {BACKGROUND}:
+        message = "nothing of the heart is marked, so the program cannot tell what is not heart: mark the heart first"
+        problems.append(Problem("segment.automatic", message))
     if BACKGROUND not in marked:
+        why = ", and the program found nothing that is surely not heart" if automatic else ""
         problems.append(
-            Problem("markers", "nothing is marked as background: mark some of what is not heart, all around it")
+            Problem("markers", f"nothing is marked as background{why}: mark some of what is not heart, all around it")
         )
     if not any(table[value].role.is_tissue or table[value].wall_thickness_mm > 0.0 for value in marked):
         unmarked = ", ".join(label.name for label in table if label.value not in marked)
@@ -250,9 +297,9 @@ def rasterise_strokes(strokes: Sequence[Stroke], table: LabelTable, geometry: Ge
     Returns
     -------
     ndarray
-        uint8, shape ``geometry.shape``: label value (255 for an eraser) of each voxel whose centre is within the radius of the line, and
-        of each voxel that the line itself passes (so that a thin brush leaves no gap, and radius 0 a line); 255
-        elsewhere. What reaches out of the lattice is cut off.
+        uint8, shape ``geometry.shape``: label value (255 for an eraser) of each voxel whose centre is within the radius
+        of the line, and of each voxel that the line itself passes (so that a thin brush leaves no gap, and radius 0 a
+        line); 255 elsewhere. What reaches out of the lattice is cut off.
 
     Raises
     ------
@@ -261,7 +308,7 @@ def rasterise_strokes(strokes: Sequence[Stroke], table: LabelTable, geometry: Ge
     """
     labels = np.full(geometry.shape, UNMARKED, dtype=np.uint8)
     _paint_strokes(labels, strokes, table, geometry)
-    return labels
+    return _without_erased(labels)
 
 
 def stroke_voxels(stroke: Stroke, geometry: Geometry) -> npt.NDArray[np.int64]:
@@ -296,11 +343,11 @@ def _polyline_voxels(points_mm: npt.NDArray[np.float64], radius_mm: float, geome
 
 
 def _paint_strokes(labels: UInt8, strokes: Sequence[Stroke], table: LabelTable, geometry: Geometry) -> None:
-    """Paint strokes over what is there."""
+    """Paint strokes over what is there; where an eraser passes is ERASED then."""
     problems = []
     for number, stroke in enumerate(strokes, start=1):
         place = f"strokes[{number}]"
-        value = UNMARKED if stroke.label is None else value_of(stroke.label, {}, table)
+        value = ERASED if stroke.label is None else value_of(stroke.label, {}, table)
         called_stroke = "the eraser's stroke" if stroke.label is None else f"the stroke {stroke.label!r}"
         if value is None:
             problems.append(Problem(place, f"there is no label {stroke.label!r} ({listed(table)})"))
@@ -334,7 +381,9 @@ def _painted_volume(path: Path, file: MarkerFile, table: LabelTable, geometry: G
         return lookup[values]
     draft = lookup[values]
     if file.background:
-        draft[values == 0] = BACKGROUND
+        # beyond the file's own border it says nothing
+        says_something = resample_labels(replace(volume, values=np.ones_like(volume.values)), geometry) != 0
+        draft[says_something & (values == 0)] = BACKGROUND
     return label_cores(draft, geometry, file.core_mm)
 
 

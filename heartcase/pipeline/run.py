@@ -6,7 +6,7 @@ import hashlib
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,6 +24,9 @@ from heartcase.schemas.bundle_reader import open_bundle
 from heartcase.schemas.errors import BundleError, UsageError
 from heartcase.schemas.files import atomic_write, remove_leftovers, sha256_of_file
 from heartcase.schemas.recipe import Part, Recipe
+
+if TYPE_CHECKING:
+    from heartcase.pipeline.confidence import Sureness
 
 __all__ = ["STAGES", "BuildListener", "BuildResult", "build_case", "labels_of"]
 
@@ -208,6 +211,7 @@ def _finish(
     )
     runner.seconds["bundle"] = time.perf_counter() - start
     html = build_report(
+        sureness=_sureness(recipe, runner, nodes),
         recipe=recipe,
         scan=scan,
         segmentation=segmentation,
@@ -232,6 +236,24 @@ def _finish(
     runner.learn("bundle", time.perf_counter() - start)
     runner.listener.stage_finished("bundle", seconds=time.perf_counter() - start, reused=not changed)
     return BuildResult(case, report, content.manifest, runner.seconds, tuple(runner.reused), changed, tuple(warnings))
+
+
+def _sureness(recipe: Recipe, runner: Runner, nodes: StageOutputs) -> Sureness | None:
+    """How sure the watershed is, from the tree that the cache keeps; None for other methods."""
+    from heartcase.pipeline.confidence import sureness_of
+    from heartcase.pipeline.watershed.kept import scan_tree
+
+    if nodes.markers is None:
+        return None
+    filtered = have(nodes.filtered)
+    tree = scan_tree(
+        filtered.get(),
+        gradient_sigma_mm=recipe.segment.gradient_sigma_mm,
+        shape_sigma_mm=recipe.segment.shape_sigma_mm,
+        cache=runner.cache,
+        scan_sha256=filtered.sha256,
+    )
+    return sureness_of(tree, nodes.markers.get())
 
 
 def _unchanged(case: Path, report: Path, cache: Cache, key: str) -> CaseManifest | None:

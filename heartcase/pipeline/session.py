@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.data import Markers, Scan, Segmentation
+from heartcase.pipeline.marker_help import ERASED, AutomaticMarkers
 from heartcase.pipeline.markers import rasterise_strokes, stroke_voxels
 from heartcase.pipeline.watershed.forest import UNMARKED, Box, solve_forest
 from heartcase.pipeline.watershed.tree import BasinTree
 from heartcase.schemas.errors import MarkerError, UsageError
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable
-from heartcase.schemas.settings import Stroke
+from heartcase.schemas.settings import SegmentSettings, Stroke
+
+if TYPE_CHECKING:
+    from heartcase.pipeline.suggest import StrokePlaces
 
 __all__ = ["SegmentationSession"]
 
@@ -46,7 +51,8 @@ class SegmentationSession:
     table
         What may be painted.
     markers
-        What is marked at the start; nothing when left out.
+        What is marked at the start; nothing when left out. With automatic markers among them, these follow what is
+        painted: see :class:`heartcase.pipeline.marker_help.AutomaticMarkers`.
 
     Raises
     ------
@@ -55,10 +61,18 @@ class SegmentationSession:
     """
 
     def __init__(
-        self, tree: BasinTree, geometry: Geometry, table: LabelTable, *, markers: Markers | None = None
+        self,
+        tree: BasinTree,
+        geometry: Geometry,
+        table: LabelTable,
+        *,
+        markers: Markers | AutomaticMarkers | None = None,
     ) -> None:
         if tree.height.shape != geometry.shape:
             raise UsageError("the tree was made on another scan", place="session")
+        self._automatic = markers if isinstance(markers, AutomaticMarkers) else None
+        if isinstance(markers, AutomaticMarkers):
+            markers = markers.markers
         painted = np.full(geometry.shape, UNMARKED, np.uint8) if markers is None else markers.labels
         if markers is not None:
             if not markers.geometry.matches(geometry):
@@ -82,13 +96,14 @@ class SegmentationSession:
         filtered: Scan,
         table: LabelTable,
         *,
-        markers: Markers | None = None,
-        gradient_sigma_mm: float = 0.0,
+        markers: Markers | AutomaticMarkers | None = None,
+        settings: SegmentSettings | None = None,
     ) -> SegmentationSession:
         """A session on a smoothed scan, without a cache."""
         from heartcase.pipeline.watershed.kept import scan_tree
 
-        tree = scan_tree(filtered, gradient_sigma_mm=gradient_sigma_mm)
+        settings = settings or SegmentSettings()
+        tree = scan_tree(filtered, gradient_sigma_mm=settings.gradient_sigma_mm, shape_sigma_mm=settings.shape_sigma_mm)
         return cls(tree, filtered.geometry, table, markers=markers)
 
     def paint(self, stroke: Stroke) -> Box | None:
@@ -125,7 +140,7 @@ class SegmentationSession:
             raise UsageError("there is no stroke to take back", place="undo")
         last = self._done.pop()
         self._undone.append(last.stroke)
-        return self._note(self._forest.restore(last.voxels, last.before))
+        return self._note(self._mark(last.voxels, last.before))
 
     def redo(self) -> Box | None:
         """Paint the stroke again that was taken back last; the box in which labels changed.
@@ -198,9 +213,30 @@ class SegmentationSession:
         MarkerError
             Nothing is marked.
         """
+        self._check_that_anything_is_marked()
+        return Segmentation(self._forest.labels.copy(), self.geometry, self.table)
+
+    def suggest(self, *, count: int = 5) -> StrokePlaces:
+        """Where one more stroke would change most: see :func:`heartcase.pipeline.suggest.suggest_strokes`.
+
+        Parameters
+        ----------
+        count
+            Number of places, at most.
+
+        Raises
+        ------
+        MarkerError
+            Nothing is marked.
+        """
+        from heartcase.pipeline.suggest import suggest_strokes
+
+        self._check_that_anything_is_marked()
+        return suggest_strokes(self._forest, self.geometry, count=count)
+
+    def _check_that_anything_is_marked(self) -> None:
         if self._forest.labels.flat[0] == UNMARKED:
             raise MarkerError("no voxel of the scan is marked: paint first", place="markers")
-        return Segmentation(self._forest.labels.copy(), self.geometry, self.table)
 
     def _carry_out(self, stroke: Stroke) -> Box | None:
         voxels = stroke_voxels(stroke, self.geometry)
@@ -208,10 +244,18 @@ class SegmentationSession:
         if not len(voxels) or (stroke.label is not None and label is None):
             # the same words as for a recipe's stroke
             rasterise_strokes((stroke,), self.table, self.geometry)
-        before = self._forest.painted.ravel()[voxels]
-        box = self._forest.paint(voxels, UNMARKED if label is None else label.value)
+        stated = self._forest.painted if self._automatic is None else self._automatic.stated
+        erased = UNMARKED if self._automatic is None else ERASED
+        before = stated.ravel()[voxels]
+        box = self._mark(voxels, np.full(len(voxels), erased if label is None else label.value, np.uint8))
         self._done.append(_Done(stroke, voxels, before))
         return self._note(box)
+
+    def _mark(self, voxels: npt.NDArray[np.int64], values: UInt8) -> Box | None:
+        """Mark voxels, and what automatic markers follow from that; a box around the labels that changed."""
+        if self._automatic is not None:
+            voxels, values = self._automatic.paint(voxels, values)
+        return self._forest.restore(voxels, values)
 
     def _note(self, box: Box | None) -> Box | None:
         if box is not None and self._changed is not None:

@@ -112,16 +112,21 @@ def open_session(
     recipe = resolve_recipe(recipe, have(nodes.scan).get())
     RUN_STAGE["filter"](recipe, path.parent, runner, nodes)
     filtered = have(nodes.filtered)
-    from heartcase.pipeline.markers import load_markers
+    from heartcase.pipeline.marker_help import AutomaticMarkers
+    from heartcase.pipeline.markers import load_markers, stated_markers
 
-    markers = load_markers(recipe.markers, recipe.strokes, recipe.table, filtered.get().geometry, path.parent)
+    scan, markers = have(nodes.scan).get(), None
+    stated = (recipe.markers, recipe.strokes, recipe.table, scan.geometry, path.parent)
+    if recipe.segment.automatic:
+        markers = AutomaticMarkers(scan, recipe.segment.automatic, stated_markers(*stated))
     tree = scan_tree(
         filtered.get(),
         gradient_sigma_mm=recipe.segment.gradient_sigma_mm,
+        shape_sigma_mm=recipe.segment.shape_sigma_mm,
         cache=runner.cache,
         scan_sha256=filtered.sha256,
     )
-    session = SegmentationSession(tree, filtered.get().geometry, recipe.table, markers=markers)
+    session = SegmentationSession(tree, filtered.get().geometry, recipe.table, markers=markers or load_markers(*stated))
     return RecipeSession(session, recipe, path, text, text)
 
 

@@ -102,13 +102,24 @@ def _markers(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutput
 
     if recipe.segment.method != "watershed":
         return
-    geometry = have(nodes.scan).get().geometry
+    scan, automatic = have(nodes.scan).get(), sorted({*recipe.segment.automatic})
+    settings: dict[str, Any] = {"strokes": _all(recipe.strokes), "files": len(recipe.markers)}
+    if automatic:
+        settings["automatic"] = automatic
     nodes.markers = runner.run_always(
         "markers",
-        settings={"strokes": _all(recipe.strokes), "files": len(recipe.markers)},
-        compute=lambda: load_markers(recipe.markers, recipe.strokes, recipe.table, geometry, directory),
+        settings=settings,
+        compute=lambda: load_markers(
+            recipe.markers,
+            recipe.strokes,
+            recipe.table,
+            scan.geometry,
+            directory,
+            scan=scan,
+            automatic=automatic,
+        ),
     )
-    check_markers(nodes.markers.get(), recipe.table)
+    check_markers(nodes.markers.get(), recipe.table, automatic=automatic)
 
 
 def _segment(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutputs) -> None:
@@ -118,8 +129,9 @@ def _segment(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutput
 
     scan, filtered, markers = have(nodes.scan), have(nodes.filtered), nodes.markers
     settings = resolved(recipe.segment) | {"labels": _all(recipe.labels)}
-    for naming_files in ("file", "names", "convention", "others"):
-        settings.pop(naming_files)
+    # what concerns a file's names or the markers is in what they give
+    for elsewhere in ("file", "names", "convention", "others", "automatic"):
+        settings.pop(elsewhere)
     if recipe.segment.method == "labels":
         finished = directory / cast(str, recipe.segment.file)
         nodes.segmentation = runner.run_always(
@@ -147,6 +159,7 @@ def _segment(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutput
             make_tree=lambda: scan_tree(
                 filtered.get(),
                 gradient_sigma_mm=recipe.segment.gradient_sigma_mm,
+                shape_sigma_mm=recipe.segment.shape_sigma_mm,
                 cache=runner.cache,
                 scan_sha256=filtered.sha256,
             ),

@@ -22,11 +22,12 @@ from scipy.spatial import cKDTree
 
 from heartcase.pipeline.watershed.certainty import FootCertainty, foot_certainty
 from heartcase.pipeline.watershed.descent import side_offsets
-from heartcase.pipeline.watershed.forest import UNMARKED, Forest, _mark_below
+from heartcase.pipeline.watershed.forest import Forest
+from heartcase.pipeline.watershed.marks import UNMARKED, mark_below
 from heartcase.pipeline.watershed.pieces import ForestPieces, forest_pieces
 from heartcase.schemas.geometry import Geometry
 
-__all__ = ["SURE", "StrokePlace", "StrokePlaces", "suggest_strokes"]
+__all__ = ["DISTANCE_POWER", "DOUBT_POWER", "SURE", "StrokePlace", "StrokePlaces", "suggest_strokes"]
 
 Bool = npt.NDArray[np.bool_]
 Float64 = npt.NDArray[np.float64]
@@ -140,7 +141,7 @@ def suggest_strokes(
 
 def _candidates(forest: Forest, feet: FootCertainty, pieces: ForestPieces, geometry: Geometry) -> _Candidates:
     """All basins that are unsure, would change enough, and have a rival."""
-    ml = pieces.flipped_count[pieces.piece] * (geometry.voxel_volume_mm3 / 1000.0)
+    ml = pieces.flipped_count[pieces.piece].astype(np.float64) * (geometry.voxel_volume_mm3 / 1000.0)
     sure = feet.certainty.astype(np.float64)
     basin = np.flatnonzero((feet.rival != UNMARKED) & (sure < SURE) & (ml >= LEAST_ML))
     root_mm = _positions_mm(forest.tree.root[basin], geometry)
@@ -152,7 +153,8 @@ def _candidates(forest: Forest, feet: FootCertainty, pieces: ForestPieces, geome
         for wanted, distance in ((own, own_mm), (rival, rival_mm)):
             distance[wanted == label] = tree.query(root_mm[wanted == label])[0]
     nearness = own_mm / np.maximum(own_mm + rival_mm, np.finfo(float).tiny)
-    worth = np.minimum(ml[basin], LARGE_ML) * (1.0 - sure[basin]) ** DOUBT_POWER * nearness**DISTANCE_POWER
+    doubt = (1.0 - sure[basin]) ** DOUBT_POWER
+    worth = np.minimum(ml[basin], LARGE_ML) * doubt * nearness**DISTANCE_POWER
     return _Candidates(basin, ml[basin], worth)
 
 
@@ -186,5 +188,5 @@ def _foot_voxels(forest: Forest, basins: Int64) -> Int64:
     offsets, direction, marks = side_offsets(tree.height.shape), tree.direction.ravel(), forest.marks.ravel()
     keep = np.ones(len(voxels), np.bool_)
     for n in np.flatnonzero(forest.lowest_mark[owner] >= 0):
-        keep[n] = _mark_below(voxels[n], direction, offsets, marks) == UNMARKED
+        keep[n] = mark_below(voxels[n], direction, offsets, marks) == UNMARKED
     return voxels[keep]

@@ -100,7 +100,8 @@ def _along_centreline(points, thickness, x, y, z):  # type: ignore[no-untyped-de
         py = y - points[n, 1]
         pz = z - points[n, 2]
         square = ax * ax + ay * ay + az * az
-        t = (px * ax + py * ay + pz * az) / square
+        # Points may be so near each other, or so far away, that their distance has no square.
+        t = (px * ax + py * ay + pz * az) / square if 0.0 < square < np.inf else 0.0
         between = 0.0 < t < 1.0
         t = min(max(t, 0.0), 1.0)
         px -= t * ax
@@ -125,7 +126,7 @@ def _among_positions(points, thickness, x, y, z):  # type: ignore[no-untyped-def
         if distance < lowest:
             lowest = distance
             nearest = n
-    if lowest == 0.0:
+    if lowest == 0.0 or lowest == np.inf:
         return thickness[nearest], 0.0
     # relative to the nearest position, so that equal numbers give just that number and nothing overflows
     total = 0.0

@@ -73,7 +73,8 @@ def grow_walls(segmentation: Segmentation, settings: WallsSettings, ends: Sequen
     settings = resolve_walls(settings, geometry, table)
     smoothing, band = cast(float, settings.smoothing_mm), cast(float, settings.band_mm)
     clearance = settings.thickest_mm(table) + 3.0 * smoothing + 2.0 * float(spacing.max())
-    cut = cut_ends(segmentation, table, ends, clearance_mm=clearance)
+    varying = {table[one.label].value: max(one.thickness_mm) for one in settings.thickness}
+    cut = cut_ends(segmentation, table, ends, clearance_mm=clearance, thickness_mm=varying)
     labels = cut.labels
     distances = label_distances(
         labels, geometry.spacing_mm, smoothing_mm=smoothing, band_mm=band, blood_values=table.blood_values

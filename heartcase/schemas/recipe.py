@@ -93,17 +93,15 @@ class MarkerFile(Model):
     radius_mm: Annotated[float, Field(ge=0.0, le=50.0)] = 1.5
     """Point lists: radius of the dab around each point."""
     core_mm: Annotated[float, Field(gt=0.0, le=50.0)] | None = None
-    """Label volumes: take the file as a draft, and of each label only what lies at least this deep inside it; of a label
-    that is nowhere so deep, its deepest parts. All of the file is taken as markers when left out."""
+    """Label volumes: take the file as a draft, and of each label only what lies at least this deep inside it; of a
+    label that is nowhere so deep, its deepest parts. All of the file is taken as markers when left out."""
     background: bool = False
-    """Label volumes with ``core_mm``: what holds 0 is background, as deep from every label."""
+    """Label volumes with ``core_mm``: where the file holds 0 is background, as far from every label."""
 
     @model_validator(mode="after")
     def _background_needs_a_core(self) -> MarkerFile:
         if self.background and self.core_mm is None:
-            raise ValueError(
-                "background = true needs core_mm: how deep a draft is to be trusted, such as core_mm = 3.0"
-            )
+            raise ValueError("background = true needs core_mm: how far in a draft is to be trusted, such as 3.0")
         return self
 
 

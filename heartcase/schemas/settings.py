@@ -87,10 +87,13 @@ class SegmentSettings(Model):
     """Marker-based watershed on the gradient magnitude; intensity ranges; or a finished segmentation as it is."""
     gradient_sigma_mm: Annotated[float, Field(ge=0.0, le=20.0)] = 0.0
     """Watershed: scale of the Gaussian derivative; 0 takes central differences."""
+    shape_sigma_mm: Annotated[float, Field(ge=0.0, le=20.0)] = 3.0
+    """Watershed: blur for the shape, which decides where the gradient is only noise, such as in an open valve; 0 leaves
+    the shape out."""
     ranges: tuple[ThresholdRange, ...] = ()
     """Threshold: intensity range of each label; a voxel in two ranges gets the first."""
     automatic: tuple[Literal["background", "lung"], ...] = ()
-    """Watershed: background markers that the program sets, under all files and strokes: ``background``, what is dark and
+    """Watershed: background markers that the program sets under all files and strokes: ``background``, what is dark and
     reaches the scan's border, and what is more than 40 mm outside the box around all that is marked as heart; ``lung``,
     every large dark region. Needs some of the heart marked."""
     smallest_piece_ml: Annotated[float, Field(ge=0.0)] = 0.0

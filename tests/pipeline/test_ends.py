@@ -137,6 +137,27 @@ def test_a_curved_tube(beyond_voxels):
     check_open(structures, end, lambda before: 6.0, tolerance=tolerance_for(6.0) + 0.01)
 
 
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("bend", [14.0, 25.0])
+def test_no_wall_is_left_beside_the_stump_of_a_vessel_that_turns_away(kind, bend):
+    """Behind its disc the tube bends out of the cylinder that is cut off, in a scan that shows it whole."""
+    geometry = lattice(kind, 60.0)
+    points = points_of(geometry)
+    side, other = sides_of(AXIS)
+    x, y, z = points @ side + bend, points @ other, points @ AXIS
+    along = bend * np.arctan2(z, x)
+    inside = (np.hypot(np.hypot(x, z) - bend, y) < 6.0) & (np.abs(along) < 0.45 * np.pi * bend)
+    end = marker(radius_mm=9.0)
+    structures = grown(inside, geometry, end)
+    check_open(structures, end, lambda before: 6.0, tolerance=tolerance_for(6.0) + 0.03)
+    flat = np.arange(-20.0, 20.1, 0.5)
+    u, v, w = np.meshgrid(flat, flat, np.arange(0.5, 16.1, 0.5))
+    beyond = u[..., None] * side + v[..., None] * other + w[..., None] * AXIS
+    owner = ownership_at_points(structures, beyond.reshape(-1, 3))
+    assert (owner.tissue_mm > 0.0).all()
+    assert (owner.void_label == 0).all()
+
+
 def test_a_lumen_that_runs_on_by_itself_is_left_as_it_is():
     geometry = lattice("oblique", 44.0)
     labels = tube(geometry, radius_mm=6.0).astype(np.uint8)
@@ -154,6 +175,43 @@ def test_a_vein_on_a_body_is_continued_by_its_own_section():
     end = marker(radius_mm=9.0)
     structures = grown(body | vein, geometry, end)
     check_open(structures, end, lambda before: 5.0, tolerance=2.0 * tolerance_for(5.0))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_short_branches_beside_each_other_on_a_tube_are_cut_clean(kind):
+    """Branches that leave a wide tube 5 mm before their discs, not two thick slices: no wall is left over."""
+    geometry = lattice(kind, 64.0)
+    points = points_of(geometry)
+    inside = np.hypot(points[..., 0], points[..., 2] + 14.0) < 9.0
+    ends = []
+    for y, lean in ((-13.0, -0.35), (0.0, 0.1), (13.0, 0.35)):
+        axis = np.array([0.0, lean, 1.0]) / np.hypot(1.0, lean)
+        offset = points - [0.0, y, 0.0]
+        along = offset @ axis
+        across = np.linalg.norm(offset - along[..., None] * axis, axis=-1)
+        inside |= (across < 3.5) & (along <= 0.0) & (along > -14.0)
+        ends.append(marker((0.0, y, 0.0), axis, radius_mm=7.5))
+    structures = grown(inside, geometry, *ends)
+    for end in ends:
+        tissue, lumen = areas(structures, end, 0.1)
+        # So little of a branch is seen that its radius is known to half a millimetre only.
+        radius = np.sqrt(lumen / np.pi)
+        assert radius == pytest.approx(3.5, abs=0.5)
+        assert tissue == pytest.approx(np.pi * ((radius + WALL_MM) ** 2 - radius**2), rel=0.1)
+    x, y, z = np.meshgrid(np.arange(-12.0, 12.1, 0.5), np.arange(-26.0, 26.1, 0.5), np.arange(4.0, 16.1, 0.5))
+    above = ownership_at_points(structures, np.stack([x, y, z], axis=-1).reshape(-1, 3))
+    assert (above.tissue_mm > 0.0).all()
+    assert (above.void_label == 0).all()
+    assert structures.warnings == ()
+
+
+@pytest.mark.parametrize("kind", ["even", "flat"])
+@pytest.mark.parametrize("is_round", [False, True])
+def test_a_disc_that_the_lumen_nearly_fills(kind, is_round):
+    geometry = lattice(kind, 60.0)
+    end = marker(radius_mm=18.2)
+    structures = grown(tube(geometry, radius_mm=16.0, stop_mm=-5.0, is_round=is_round), geometry, end)
+    check_open(structures, end, lambda before: 16.0, tolerance=tolerance_for(16.0))
 
 
 def test_the_continuation_takes_background_only_and_joins_no_blood():

@@ -110,6 +110,15 @@ def test_a_table_of_equal_numbers_is_the_constant_wall_byte_for_byte(thickness, 
         assert one.tobytes() == other.tobytes()
 
 
+@pytest.mark.parametrize("kind", ["centreline", "positions"])
+@pytest.mark.parametrize("away", [1e-170, 1e200])
+def test_points_whose_distance_has_no_square_give_a_thickness_of_the_table(kind, away):
+    table = ThicknessTable(1, kind, ((away, 0.0, 0.0), (0.0, 0.0, 0.0) if away < 1.0 else (0.0, away, 0.0)), (1.0, 3.0))
+    thickness, slope = thickness_at_points(table, [(0.0, 0.0, 0.0), (2.0, -1.0, 5.0)])
+    assert ((thickness >= 1.0) & (thickness <= 3.0)).all()
+    assert np.isfinite(slope).all()
+
+
 def test_the_field_of_a_tapered_wall_is_the_distance_to_a_cone():
     geometry = centred(26.0, (1.0, 1.0, 1.0))
     table = LabelTable(labels=(Label(value=1, name="aorta", role=Role.VESSEL_LUMEN, wall_thickness_mm=1.0),))

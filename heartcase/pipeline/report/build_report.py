@@ -11,8 +11,10 @@ from dataclasses import dataclass, field
 
 from heartcase import __version__
 from heartcase.pipeline.cautions import CautionGroup, grouped
+from heartcase.pipeline.confidence import Sureness
 from heartcase.pipeline.data import GridMap, Scan, Segmentation, SimulationGrid, Structures, Surface
 from heartcase.pipeline.openings import Opening, Verdict
+from heartcase.pipeline.report.confidence_part import ConfidencePart, confidence_part
 from heartcase.pipeline.report.hand_work import hand_work_facts, region_words
 from heartcase.pipeline.report.plain_words import Fact, cardiac_phase_words, figure_facts, placed, setting_lines
 from heartcase.pipeline.report.report_pictures import Picture, ThicknessRow, slice_parts, surface_parts
@@ -138,6 +140,8 @@ class ReportData:
     """The scan: size, spacing, modality, acquisition."""
     slices: Sequence[Picture] = ()
     """Slices with outlines."""
+    confidence: ConfidencePart | None = None
+    """How sure the outlines are; None where they do not come from a watershed."""
     sides: Sequence[Picture] = ()
     """The surface from four sides."""
     views: Sequence[Picture] = ()
@@ -194,6 +198,7 @@ def build_report(
     case_id: str | None = None,
     bundle_sha256: str = "",
     openings: Sequence[Opening] = (),
+    sureness: Sureness | None = None,
 ) -> str:
     """Draw the pictures of a case and write its report.
 
@@ -223,6 +228,8 @@ def build_report(
         The bundle hash of the case.
     openings
         Where cavities are open to each other, the worst first.
+    sureness
+        How sure the segmentation is; None where it was not made by watershed.
 
     Returns
     -------
@@ -236,7 +243,7 @@ def build_report(
         if label.value != BACKGROUND and label.value in volumes_ml
     ]
     totals = _totals(table, volumes_ml)
-    shown = surface_parts(surface, recipe.landmarks)
+    shown = surface_parts(surface, recipe.landmarks, recipe.walls)
     quality = {
         "Simulation grid": figure_facts(grid.quality),
         "Visible surface": figure_facts(surface.quality) if surface is not None else [],
@@ -251,6 +258,7 @@ def build_report(
             key_facts=_key_facts(grid, surface, scan, totals),
             scan_facts=_scan_facts(recipe, scan),
             slices=slice_parts(scan, segmentation, structures),
+            confidence=confidence_part(scan, segmentation, sureness) if sureness is not None else None,
             sides=shown.sides,
             views=shown.views,
             without_short_axis=shown.without_short_axis,

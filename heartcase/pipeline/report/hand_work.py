@@ -25,7 +25,7 @@ _STAGES = {
 }
 """Settings of the recipe -> what they set, for those that have defaults."""
 
-_TOLD_APART = {"method", "ranges", "file", "names"}
+_TOLD_APART = {"method", "ranges", "file", "names", "automatic"}
 
 
 def hand_work_facts(recipe: Recipe, scan: Scan | None = None) -> list[Fact]:
@@ -83,6 +83,13 @@ def _painted(recipe: Recipe) -> Iterator[Fact]:
         yield Fact(f"Painted: {label}", f"{strokes}, {sum(lengths):.0f} mm in all")
     if recipe.markers:
         yield Fact("Marker files", str(len(recipe.markers)), "Painted or placed in another program.")
+    drafts = [file.core_mm for file in recipe.markers if file.core_mm is not None]
+    if drafts:
+        depths = ", ".join(f"{depth:g}" for depth in sorted({*drafts}))
+        yield Fact("Drafts among them", f"{len(drafts)}, of which only what lies {depths} mm deep counts")
+    if recipe.segment.method == "watershed" and recipe.segment.automatic:
+        kinds = " and ".join(sorted({*recipe.segment.automatic}))
+        yield Fact("Markers set by the program", kinds, "As the recipe asks: what is surely not heart.")
     if recipe.segment.method == "labels":
         yield Fact("Segmentation", "taken as it was given", "The outlines were not made by heartcase.")
     for wanted in recipe.segment.ranges if recipe.segment.method == "threshold" else ():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,8 +23,9 @@ from heartcase.pipeline.report.views import CutView, Place, four_chamber_view, p
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable
 from heartcase.schemas.landmarks import Landmark
+from heartcase.schemas.settings import WallsSettings
 
-__all__ = ["Picture", "SurfaceParts", "ThicknessRow", "slice_parts", "surface_parts"]
+__all__ = ["Picture", "SurfaceParts", "ThicknessRow", "embedded_picture", "slice_parts", "surface_parts"]
 
 UInt8 = npt.NDArray[np.uint8]
 
@@ -65,7 +66,7 @@ class ThicknessRow:
     colour: str
     """``#rrggbb``."""
     wanted_mm: float | None
-    """Thickness that the recipe asks for; None for tissue that was segmented."""
+    """Thickness that the recipe asks for; None for tissue that was segmented, and where it varies along the vessel."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,7 @@ def slice_parts(scan: Scan, segmentation: Segmentation, structures: Structures) 
         scan.values, scan.geometry, labels, structures.table, modality=scan.modality, footnote=phase
     )
     return [
-        _picture(
+        embedded_picture(
             f"{stack.capitalize()} slices",
             f"Four {stack} slices of the scan with the outline of each structure in its colour. {phase}.",
             picture,
@@ -109,8 +110,13 @@ def _is_parallel(one: Geometry, other: Geometry) -> bool:
     return bool(np.allclose(one.direction_matrix, other.direction_matrix, atol=1e-6))
 
 
-def surface_parts(surface: Surface | None, landmarks: Sequence[Landmark] = ()) -> SurfaceParts:
-    """Draw the surface from four sides, in the surgeon's view, cut open and by thickness; measure the thickness."""
+def surface_parts(
+    surface: Surface | None, landmarks: Sequence[Landmark] = (), walls: WallsSettings | None = None
+) -> SurfaceParts:
+    """Draw the surface from four sides, in the surgeon's view, cut open and by thickness; measure the thickness.
+
+    ``walls`` are the recipe's, of which some may vary in thickness.
+    """
     if surface is None or len(surface.triangles) == 0:
         return SurfaceParts()
     points, faces, tissue, table = surface.vertices_mm, surface.triangles, surface.triangle_tissue, surface.table
@@ -123,7 +129,7 @@ def surface_parts(surface: Surface | None, landmarks: Sequence[Landmark] = ()) -
         "normals": surface.normals,
     }
     sides = [
-        _picture(title, f"The surface of the heart from the {view} side.", surface_picture(**mesh, view=view))
+        embedded_picture(title, f"The surface of the heart from the {view} side.", surface_picture(**mesh, view=view))
         for view, title in _SIDES.items()
     ]
     views = _views(mesh, places_of(landmarks))
@@ -137,7 +143,7 @@ def surface_parts(surface: Surface | None, landmarks: Sequence[Landmark] = ()) -
     }
     both: tuple[View, ...] = ("anterior", "posterior")
     maps = [
-        _picture(
+        embedded_picture(
             _SIDES[view],
             f"The surface from the {view} side, coloured by the thickness of the tissue in mm.",
             surface_picture(**mesh, **colouring, view=view),
@@ -145,13 +151,14 @@ def surface_parts(surface: Surface | None, landmarks: Sequence[Landmark] = ()) -
         for view in both
     ]
     maps.append(
-        _picture(
+        embedded_picture(
             "How the thickness is spread",
             "Histogram of the thickness over the surface, one curve per tissue. The table below gives the figures.",
             _histogram(thick, surface, figures),
         )
     )
-    rows = [ThicknessRow(one, table[one.label].colour, _wanted_mm(table, one.label)) for one in figures]
+    varying = {label.value for one in (walls.thickness if walls else ()) if (label := table.find(one.label))}
+    rows = [ThicknessRow(one, table[one.label].colour, _wanted_mm(table, one.label, varying)) for one in figures]
     return SurfaceParts(sides, views, len(views) < _VIEW_COUNT, maps, rows)
 
 
@@ -159,7 +166,7 @@ def _views(mesh: dict[str, Any], places: Mapping[str, Place]) -> list[Picture]:
     """The surgeon's view, the four-chamber and the short-axis cut, and a cut from the front."""
     shape = {name: mesh[name] for name in ("vertices_mm", "triangles", "triangle_label", "table")}
     marks = {place.name: place.position_mm for place in places.values()}
-    surgeon = _picture(
+    surgeon = embedded_picture(
         "Surgeon's view",
         "The closed heart as a surgeon sees it who stands at the patient's right side: the head is on the left.",
         surface_picture(**mesh, view="surgeon"),
@@ -173,7 +180,7 @@ def _views(mesh: dict[str, Any], places: Mapping[str, Place]) -> list[Picture]:
         ("Cut from the front", CutView(front, np.array([0.0, 0.0, 1.0]), "Plane through the middle of the heart.")),
     )
     return [surgeon] + [
-        _picture(
+        embedded_picture(
             title,
             f"The heart cut open, with the inner sides of the chambers and vessels, and the cut walls. {view.source}",
             cutaway_picture(**mesh, plane=view.plane, up=view.up, marks=marks),
@@ -184,9 +191,10 @@ def _views(mesh: dict[str, Any], places: Mapping[str, Place]) -> list[Picture]:
     ]
 
 
-def _wanted_mm(table: LabelTable, tissue: int) -> float | None:
+def _wanted_mm(table: LabelTable, tissue: int, varying: Collection[int]) -> float | None:
+    """The one thickness that is asked for; None where there is none, or more than one."""
     cavity = table[tissue].wall_of
-    return table[cavity].wall_thickness_mm if cavity is not None else None
+    return None if cavity is None or cavity in varying else table[cavity].wall_thickness_mm
 
 
 def _histogram(thickness: npt.NDArray[np.float32], surface: Surface, figures: Sequence[ThicknessFigures]) -> UInt8:
@@ -217,7 +225,8 @@ def _histogram(thickness: npt.NDArray[np.float32], surface: Surface, figures: Se
     return np.array(canvas.buffer_rgba())[..., :3].copy()  # type: ignore[no-untyped-call]
 
 
-def _picture(title: str, alt: str, pixels: UInt8, *, lossy: bool = False, note: str = "") -> Picture:
+def embedded_picture(title: str, alt: str, pixels: UInt8, *, lossy: bool = False, note: str = "") -> Picture:
+    """A picture as the page holds it: PNG, or JPEG where it may be lossy."""
     if lossy:
         stream = io.BytesIO()
         Image.fromarray(pixels).save(stream, format="JPEG", quality=88, subsampling=0)

@@ -38,6 +38,15 @@ STACKS: tuple[Stack, ...] = ("axial", "coronal", "sagittal")
 _INCH_PIXELS = 140
 _CT_LOWEST_HU = -250.0
 _MARGIN_MM = 12.0
+_OVERLAY_ALPHA = 0.65
+
+
+@dataclass(frozen=True)
+class _Overlay:
+    """Colours over a scan."""
+
+    numbers: npt.NDArray[np.generic]
+    colours: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -133,6 +142,8 @@ def slice_pictures(
     stacks: Sequence[Stack] = STACKS,
     width: int = 1600,
     footnote: str = "",
+    overlay: npt.ArrayLike | None = None,
+    overlay_colours: Sequence[str] = (),
 ) -> dict[Stack, UInt8]:
     """Rows of slices from three sides, with the outline of each label in its colour.
 
@@ -158,6 +169,10 @@ def slice_pictures(
         Width of each row of slices, pixels.
     footnote
         Written below each row, such as the cardiac phase.
+    overlay
+        Number of a colour that is laid over each voxel, 0 for none, shape ``geometry.shape``; nothing when left out.
+    overlay_colours
+        Colour 1 and so on, ``#rrggbb``.
 
     Returns
     -------
@@ -171,8 +186,10 @@ def slice_pictures(
     low, high = display_window(scan[crop], modality=modality) if window is None else window
     drawn = () if table is None else sorted(table, key=lambda label: label.role.is_blood)
     colours = {label.value: label.colour for label in drawn if label.value != BACKGROUND}
+    laid_over = None if overlay is None else _Overlay(np.asarray(overlay), tuple(overlay_colours))
     return {
-        stack: _row(scan, tags, geometry, stack, box, count, (low, high), colours, width, footnote) for stack in stacks
+        stack: _row(scan, tags, geometry, stack, box, count, (low, high), colours, width, footnote, laid_over)
+        for stack in stacks
     }
 
 
@@ -201,6 +218,7 @@ def _row(
     colours: dict[int, str],
     width: int,
     footnote: str,
+    overlay: _Overlay | None,
 ) -> UInt8:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -224,6 +242,8 @@ def _row(
         shown = box[view.through][0] + number
         grey = view.take(scan[crop], number)
         axes.imshow(grey, cmap="gray", vmin=window[0], vmax=window[1], extent=extent, interpolation="bilinear")
+        if overlay is not None:
+            _lay_over(axes, view.take(overlay.numbers[crop], number), overlay.colours, extent)
         if labels is not None:
             _outline(axes, view.take(labels[crop], number), wide, tall, colours)
         axes.set_xlim(0.0, wide)
@@ -239,6 +259,22 @@ def _row(
         )
     canvas.draw()  # type: ignore[no-untyped-call]
     return np.array(canvas.buffer_rgba())[..., :3].copy()  # type: ignore[no-untyped-call]
+
+
+def _lay_over(axes, numbers, colours: Sequence[str], extent) -> None:  # type: ignore[no-untyped-def]
+    from matplotlib.colors import ListedColormap
+
+    shown = np.ma.masked_equal(numbers, 0)
+    cmap = ListedColormap(list(colours))
+    axes.imshow(
+        shown,
+        cmap=cmap,
+        vmin=0.5,
+        vmax=len(colours) + 0.5,
+        extent=extent,
+        alpha=_OVERLAY_ALPHA,
+        interpolation="nearest",
+    )
 
 
 def _outline(axes, labels, wide: float, tall: float, colours: dict[int, str]) -> None:  # type: ignore[no-untyped-def]

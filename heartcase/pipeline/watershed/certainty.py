@@ -1,8 +1,8 @@
 """How sure a watershed's labels are: the pass that a label came over against the lowest one of any other label.
 
 The *pass* of a label to a voxel is the lowest height that a way of neighbouring voxels from the voxel to one marked
-with the label must climb to, both ends included (a minimax path). A voxel's label is one whose pass is lowest; ``own`` is
-that pass, ``other`` the lowest pass of all other labels, and
+with the label must climb to, both ends included (a minimax path). A voxel's label is one whose pass is lowest; ``own``
+is that pass, ``other`` the lowest pass of all other labels, and
 
     certainty = 1 - own / other
 

@@ -10,13 +10,13 @@ import numpy.typing as npt
 
 from heartcase.pipeline.cache import Cache, stage_key
 from heartcase.pipeline.data import Scan
-from heartcase.pipeline.gradient import gradient_magnitude
+from heartcase.pipeline.landscape import landscape
 from heartcase.pipeline.watershed.tree import BasinTree, build_basin_tree, restored_tree
 
 __all__ = ["TREE_VERSION", "KeptTree", "scan_tree"]
 
 TREE_VERSION = 2
-"""Raised whenever the gradient or the order of the faces changes."""
+"""Raised whenever the landscape or the order of the faces changes."""
 
 
 @dataclass(frozen=True)
@@ -30,16 +30,21 @@ class KeptTree:
 
 
 def scan_tree(
-    filtered: Scan, *, gradient_sigma_mm: float, cache: Cache | None = None, scan_sha256: str = ""
+    filtered: Scan,
+    *,
+    gradient_sigma_mm: float,
+    shape_sigma_mm: float,
+    cache: Cache | None = None,
+    scan_sha256: str = "",
 ) -> BasinTree:
-    """The tree of a scan's gradient magnitude.
+    """The tree of a scan's :func:`heartcase.pipeline.landscape.landscape`.
 
     Parameters
     ----------
     filtered
         The smoothed scan.
-    gradient_sigma_mm
-        Scale of the Gaussian derivative, mm; 0 takes central differences.
+    gradient_sigma_mm, shape_sigma_mm
+        Blur before the gradient and for the shape, mm; 0 for none.
     cache
         Where the tree is looked for and kept; None works it out.
     scan_sha256
@@ -50,10 +55,10 @@ def scan_tree(
     StageError
         See :func:`heartcase.pipeline.watershed.tree.build_basin_tree`.
     """
-    height = gradient_magnitude(filtered.values, filtered.geometry.spacing_mm, sigma_mm=gradient_sigma_mm)
+    settings = {"gradient_sigma_mm": gradient_sigma_mm, "shape_sigma_mm": shape_sigma_mm}
+    height = landscape(filtered.values, filtered.geometry.spacing_mm, **settings)
     if cache is None:
         return build_basin_tree(height)
-    settings = {"gradient_sigma_mm": gradient_sigma_mm}
     key = stage_key(stage="basins", version=TREE_VERSION, settings=settings, inputs={"scan": scan_sha256})
     kept = cache.load("basins", key, KeptTree)
     if kept is not None and kept.direction.shape == height.shape:

@@ -47,7 +47,7 @@ class ForestPieces:
     own_count: Int64
     """Voxels of each piece's feet."""
     flipped_count: Int64
-    """Voxels that a marker in the piece takes: of its feet and of those of all pieces that hang on it. 0 for level 0."""
+    """Voxels that a marker in the piece takes: those of its feet and of all pieces that hang on it; 0 for level 0."""
 
     def hanging_on(self, piece: int) -> npt.NDArray[np.bool_]:
         """Which pieces a marker in a piece takes, itself included, bool, shape (pieces,)."""

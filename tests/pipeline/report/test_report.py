@@ -189,6 +189,26 @@ def test_thickness_table_gives_measured_and_asked_for(html, heart):
     assert float(row.group(2)) == pytest.approx(5.0, abs=0.25)
 
 
+def test_a_wall_that_varies_along_the_vessel_has_no_single_thickness_that_was_asked_for(heart):
+    tables = """
+[[walls.thickness]]
+label = "Aorta"
+kind = "positions"
+points_mm = [[0, 0, 40], [0, 0, 60]]
+thickness_mm = [1.0, 3.0]
+"""
+    text = re.sub(r"\s+", " ", Page(page_of(heart, recipe=RECIPE + tables, surface=heart.surface)).text)
+    rows = text[text.index("Asked for") :]
+    atrium = heart.table["morphologically left atrium"]
+    aorta_wall, atrium_wall = (
+        re.escape(heart.table[heart.table.wall_value(one.value)].name) for one in (heart.table["aorta"], atrium)
+    )
+    assert re.search(aorta_wall + r" \u2013 \d\.\d ", rows)
+    found = re.search(atrium_wall + r" (\d\.\d) \d\.\d ", rows)
+    assert found is not None
+    assert float(found.group(1)) == atrium.wall_thickness_mm
+
+
 def test_hand_work_times_and_provenance_are_stated(html):
     text = re.sub(r"\s+", " ", Page(html).text)
     assert "Painted: left ventricle 2 strokes, 35 mm in all" in text
@@ -203,10 +223,10 @@ def test_hand_work_times_and_provenance_are_stated(html):
     assert "Distance of the surface from the grid median 0.25, largest 1.5 cells" in text
 
 
-def page_of(heart, *, scan=None, surface=None) -> str:
+def page_of(heart, *, scan=None, surface=None, recipe=RECIPE) -> str:
     """The page of a case about which little is known."""
     return build_report(
-        recipe=parse_recipe(RECIPE),
+        recipe=parse_recipe(recipe),
         scan=scan or heart.scan,
         segmentation=heart.segmentation,
         structures=heart.structures,

@@ -132,19 +132,20 @@ def test_a_kept_tree_is_the_tree(tmp_path, monkeypatch):
     values = np.random.default_rng(6).normal(0.0, 50.0, (9, 10, 11)).astype(np.float32)
     scan = Scan(values, Geometry.of(shape=values.shape, spacing_mm=(1.0, 1.0, 2.0)))
     cache = Cache(tmp_path)
-    first = scan_tree(scan, gradient_sigma_mm=0.0, cache=cache, scan_sha256="a")
+    given = {"gradient_sigma_mm": 0.0, "shape_sigma_mm": 2.0, "cache": cache, "scan_sha256": "a"}
+    first = scan_tree(scan, **given)
 
     def no_work(height):
         raise AssertionError("worked out again")
 
     with monkeypatch.context() as patched:
         patched.setattr(kept, "build_basin_tree", no_work)
-        again = scan_tree(scan, gradient_sigma_mm=0.0, cache=cache, scan_sha256="a")
+        again = scan_tree(scan, **given)
         for name in ("height", "direction", "basin", "root", "key"):
             np.testing.assert_array_equal(getattr(again, name), getattr(first, name))
-        for changed in ({"scan_sha256": "b"}, {"gradient_sigma_mm": 1.0}):
+        for changed in ({"scan_sha256": "b"}, {"gradient_sigma_mm": 1.0}, {"shape_sigma_mm": 0.0}):
             with pytest.raises(AssertionError, match="worked out"):
-                scan_tree(scan, **({"gradient_sigma_mm": 0.0, "cache": cache, "scan_sha256": "a"} | changed))
+                scan_tree(scan, **(given | changed))
     for file in tmp_path.glob("basins-*.safetensors"):
         file.write_bytes(file.read_bytes()[:-3] + b"xyz")
-    np.testing.assert_array_equal(scan_tree(scan, gradient_sigma_mm=0.0, cache=cache, scan_sha256="a").key, first.key)
+    np.testing.assert_array_equal(scan_tree(scan, **given).key, first.key)

@@ -1,0 +1,84 @@
+"""``heartcase suggest``: where one more stroke is worth most, and when to stop."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from heartcase.cli.output import echo_json, print_table, working
+
+if TYPE_CHECKING:
+    from heartcase.pipeline.suggest import StrokePlaces
+    from heartcase.schemas.labels import LabelTable
+
+__all__ = ["command", "places_json"]
+
+
+@click.command()
+@click.argument("recipe", type=click.Path(path_type=Path, readable=False))
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, readable=False),
+    default=Path("out"),
+    show_default=True,
+    help="Directory that the case is built in, with the build's cache.",
+)
+@click.option("--count", type=click.IntRange(1, 100), default=5, show_default=True, help="Places to name, at most.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+def command(recipe: Path, out: Path, count: int, as_json: bool) -> None:
+    """Name the places of RECIPE's segmentation where one more stroke is worth most.
+
+    Look at each in the scan. Where its label is wrong, paint the right one there: a dab of a brush narrower than the
+    radius given changes exactly the volume given. Where it is right, nothing need be done.
+    """
+    from heartcase.pipeline.session_file import open_session
+
+    with working("segmenting"):
+        opened = open_session(recipe, out=out)
+        table = opened.session.table
+        found = opened.session.suggest(count=count)
+    if as_json:
+        echo_json(places_json(found, table))
+        return
+    if not found.places:
+        click.echo("No place is unsure enough to be worth a stroke.")
+        return
+    rows = [
+        (
+            ", ".join(f"{x:.1f}" for x in place.position_mm),
+            table[place.label].name,
+            table[place.rival].name,
+            f"{place.change_ml:.2f}",
+            f"{place.certainty:.2f}",
+            f"{place.radius_mm:.1f}",
+            f"{place.worth_ml:.2f}",
+        )
+        for place in found.places
+    ]
+    right = ("would change, ml", "certainty", "brush below, mm", "worth, ml")
+    print_table(("at (LPS), mm", "is now", "could be", *right), rows, right=right)
+    click.echo(
+        f"The best place after these is worth {found.rest_ml:.2f} ml: when that is less than you care for, and these "
+        "are right, stop."
+    )
+
+
+def places_json(found: StrokePlaces, table: LabelTable) -> dict[str, Any]:
+    """Places as programs read them."""
+    return {
+        "places": [
+            {
+                "position_mm": list(place.position_mm),
+                "label": table[place.label].name,
+                "rival": table[place.rival].name,
+                "change_ml": place.change_ml,
+                "certainty": place.certainty,
+                "radius_mm": place.radius_mm,
+                "worth_ml": place.worth_ml,
+            }
+            for place in found.places
+        ],
+        "rest_ml": found.rest_ml,
+    }

@@ -1,0 +1,75 @@
+"""The landscape that the watershed floods: the gradient, and below the noise the shape of the structures.
+
+Steep places are ridges. Where two structures are open to each other, as a ventricle and an atrium are through their
+valve, the gradient is nothing but noise, and the lowest pass is anywhere. There the *shape* decides: the gradient of
+the blurred scan is small in the middle of a chamber and larger in a narrow, which has walls nearby. What it adds cannot
+exceed half of the scan's usual gradient, and so it moves no border that can be seen:
+
+    height = g + c * s / sqrt(c^2 + s^2)
+
+with the gradient magnitude g, that of the blurred scan s, and c half the median of g. Measured on phantoms (adult and
+child, MRI and CT, 1 to 2.5 mm, and 1 x 1 x 3 mm) it leaves blood pool and myocardium as they were (Dice to 0.001), and
+divides the chambers better.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from heartcase.pipeline.gradient import gradient_magnitude
+
+__all__ = ["landscape"]
+
+Float32 = npt.NDArray[np.float32]
+
+SHAPE_SHARE = 0.5
+"""Most that the shape adds, in medians of the gradient. From 0.5 to 2 the mean Dice of all structures is as good; with
+more, single strokes in small structures are lost."""
+SAMPLE_VOXELS = 200_000
+"""Voxels of which the median is taken, at least where there are as many."""
+
+
+def landscape(
+    values: npt.ArrayLike, spacing_mm: tuple[float, float, float], *, gradient_sigma_mm: float, shape_sigma_mm: float
+) -> Float32:
+    """Height of each voxel for the watershed.
+
+    Parameters
+    ----------
+    values
+        Finite intensities, shape [z, y, x].
+    spacing_mm
+        Voxel spacing along x, y, z, mm.
+    gradient_sigma_mm
+        Standard deviation of the Gaussian blur before the gradient is taken, mm; 0 blurs nothing.
+    shape_sigma_mm
+        Standard deviation of the blur for the shape, mm; 0 takes the gradient alone.
+
+    Returns
+    -------
+    ndarray
+        Intensity per mm, float32, same shape, >= 0.
+    """
+    height = gradient_magnitude(values, spacing_mm, sigma_mm=gradient_sigma_mm)
+    if shape_sigma_mm > 0.0:
+        most = SHAPE_SHARE * _usual(height)
+        if most > 0.0:
+            shape = gradient_magnitude(values, spacing_mm, sigma_mm=shape_sigma_mm)
+            _add_shape(height.reshape(-1), shape.reshape(-1), np.float32(most))
+    return height
+
+
+def _usual(height: Float32) -> float:
+    """Median of what is not zero, such as padding is; of evenly spread voxels."""
+    sample = height.ravel()[:: max(height.size // SAMPLE_VOXELS, 1)]
+    sample = sample[sample > 0.0]
+    return float(np.median(sample)) if len(sample) else 0.0
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _add_shape(height, shape, most):  # type: ignore[no-untyped-def]
+    for n in numba.prange(len(height)):
+        part = shape[n] / most
+        height[n] += most * part / np.sqrt(np.float32(1.0) + part * part)
