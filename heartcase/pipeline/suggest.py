@@ -7,8 +7,7 @@ worth a look is guessed: at each basin's lowest voxel
 
 with the passes ``own`` and ``other`` of :mod:`heartcase.pipeline.watershed.certainty` and the distances to the nearest
 voxels marked with the voxel's label and with its rival's. Larger volumes count no more, since they hold most of a
-structure, with its own strokes. Measured on phantoms with one to five strokes a label, the place is wrong at two of
-five places that are named so, at one of seven of the heart's voxels; without the distances at one of five.
+structure, with its own strokes. ``heartcase bench segment-confidence`` measures how many of the places are wrong.
 """
 
 from __future__ import annotations

@@ -266,6 +266,3 @@ def _solve(landscape, faces, marks, lowest_mark, foot_label, foot_level):  # typ
             reach(a, one, there, following, foot_label, foot_level)
         elif there == UNMARKED and is_foot_b:
             reach(b, one, here, following, foot_label, foot_level)
-
-
-_mark_below = mark_below

@@ -145,3 +145,18 @@ def test_a_wall_of_another_thickness_than_usual_is_told():
     assert facts["Wall thickness: conduit"] == "1 mm"
     usual = label.format("aorta", 2.0, 'snomed = "15825003"\n')
     assert "Wall thickness: aorta" not in told(HEAD + usual + THRESHOLD)
+
+
+def test_drafts_and_what_the_program_marked_are_told():
+    text = (
+        HEAD
+        + '[segment]\nautomatic = ["lung", "background"]\n[[markers]]\npath = "Qwertz.nrrd"\ncore_mm = 2.5\n'
+        + '[[markers]]\npath = "b.nrrd"\n'
+    )
+    facts = {fact.name: fact.value for fact in hand_work_facts(parse_recipe(text))}
+    assert facts["Marker files"] == "2"
+    assert facts["Drafts among them"] == "1, of which only what lies 2.5 mm deep counts"
+    assert facts["Markers set by the program"] == "background and lung"
+    assert not any("automatic" in value for value in facts.values())
+    plain = {fact.name for fact in hand_work_facts(parse_recipe(text.replace("automatic", "# automatic")))}
+    assert "Markers set by the program" not in plain
