@@ -107,7 +107,7 @@ path = {toml_string(scan_path)}   # relative to this file; write folders with /
 
 [filter]
 iterations = 5          # more smooths more
-conductance = 1.0       # lower keeps weaker edges
+# conductance = 1.0     # lower keeps weaker edges; left out, it follows from the scan's own noise
 
 [segment]
 method = "watershed"    # or "threshold" (specimens), or "labels" (a finished segmentation: file = "...")

@@ -33,11 +33,13 @@ def command(recipe: Path, out: Path, count: int, as_json: bool) -> None:
     Look at each in the scan. Where its label is wrong, paint the right one there: a dab of a brush narrower than the
     radius given changes exactly the volume given. Where it is right, nothing need be done.
     """
+    from heartcase.pipeline.markers import check_markers
     from heartcase.pipeline.session_file import open_session
 
     with working("segmenting"):
         opened = open_session(recipe, out=out)
         table = opened.session.table
+        check_markers(opened.session.markers(), table, automatic=opened.recipe.segment.automatic)
         found = opened.session.suggest(count=count)
     if as_json:
         echo_json(places_json(found, table))

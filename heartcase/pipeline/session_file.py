@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from heartcase.pipeline.cache import Cache
@@ -34,6 +34,8 @@ class RecipeSession:
     """Its text as it was opened: kept to the letter, with its comments."""
     written_text: str
     """Its text as it was written last."""
+    copies: set[Path] = field(default_factory=set)
+    """Files that :meth:`save_as` has written."""
 
     def save(self) -> int:
         """Write the session's strokes at the end of the recipe; how many they are.
@@ -56,11 +58,16 @@ class RecipeSession:
     def save_as(self, path: Path) -> int:
         """Write the recipe with the session's strokes to another file; how many they are.
 
+        What is there already is never replaced, unless this session wrote it.
+
         Raises
         ------
         RecipeError
-            Its strokes are one array, which cannot be added to, or the file cannot be written.
+            There is such a file, the recipe's strokes are one array, which cannot be added to, or the file cannot be
+            written.
         """
+        if path.exists() and path.resolve() not in {self.path.resolve(), *self.copies}:
+            raise RecipeError(f"{path.name} is there already and is not replaced: choose another name", place="save_as")
         text = self.opened_text + _strokes_text(self.session.strokes)
         try:
             parse_recipe(text, needs_markers=False)
@@ -76,6 +83,7 @@ class RecipeSession:
             raise RecipeError(f"cannot be written: {error.strerror}", place="recipe") from None
         if path == self.path:
             self.written_text = text
+        self.copies.add(path.resolve())
         return len(self.session.strokes)
 
 

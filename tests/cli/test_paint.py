@@ -154,3 +154,19 @@ def test_what_cannot_be_painted_on_is_refused(recipe):
     path.write_text(text + '\n[segment]\nmethod = "threshold"\nranges = [{label = "aorta", lower = 1.0}]\n')
     with pytest.raises(UsageError, match="only the watershed"):
         open_session(path, out=path.parent)
+
+
+def test_saving_under_another_name_replaces_nothing_that_it_did_not_write(recipe):
+    path, middle = recipe
+    scan = path.with_name("scan.nii.gz")
+    before = scan.read_bytes()
+    requests = [{"do": "save_as", "path": str(name)} for name in (scan, path.with_name("copy.toml"))]
+    _, _, refused, written, again = talk(
+        path, {"do": "paint", "label": "aorta", "radius_mm": 1.0, "points_mm": [middle]}, *requests, requests[1]
+    )
+    assert refused["ok"] is False
+    assert "scan.nii.gz is there already" in json.dumps(refused)
+    assert scan.read_bytes() == before
+    assert written["ok"] is True
+    assert again["ok"] is True
+    assert len(load_recipe(path.with_name("copy.toml")).strokes) == 2

@@ -83,12 +83,14 @@ def test_the_paint_protocol_names_the_same_places_and_follows_the_strokes(recipe
     assert wrong["ok"] is False
 
 
-def test_where_all_is_sure_it_says_so(recipe):
+def test_what_a_build_would_refuse_gets_no_all_clear(recipe):
+    """One label reaches everything where no background is marked, so that nothing is unsure."""
     text = recipe.read_text()
     recipe.write_text(text.split("[[strokes]]")[0] + "[[strokes]]" + text.split("[[strokes]]")[1])
     done = run("suggest", recipe, "--out", recipe.parent)
-    assert done.exit_code == 0
-    assert "No place is unsure" in done.stdout
+    assert done.exit_code != 0
+    assert "nothing is marked as background" in str(done.exception)
+    assert "No place is unsure" not in done.stdout
 
 
 def test_without_any_marker_or_watershed_it_is_refused(recipe):
@@ -96,7 +98,7 @@ def test_without_any_marker_or_watershed_it_is_refused(recipe):
     recipe.write_text(text.split("[[strokes]]")[0])
     done = run("suggest", recipe, "--out", recipe.parent)
     assert done.exit_code != 0
-    assert "no voxel of the scan is marked" in str(done.exception)
+    assert "nothing is marked as background" in str(done.exception)
     recipe.write_text(text + '[segment]\nmethod = "threshold"\nranges = [{label = "aorta", lower = 1.0}]\n')
     done = run("suggest", recipe, "--out", recipe.parent)
     assert "only the watershed" in str(done.exception)
