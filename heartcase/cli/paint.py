@@ -65,9 +65,8 @@ _REQUEST: TypeAdapter[_Paint | _Step | _SaveAs | _Suggest | _Slice | _Box] = Typ
 @click.option(
     "--out",
     type=click.Path(path_type=Path, readable=False),
-    default=Path("out"),
-    show_default=True,
-    help="Directory that the case is built in, with the build's cache.",
+    default=Path(),
+    help="Where the case goes, with the build's cache; here by default.",
 )
 def command(recipe: Path, out: Path) -> None:
     r"""Paint on RECIPE's scan: one JSON object a line in, one JSON object a line out; for viewers to drive.

@@ -21,9 +21,8 @@ __all__ = ["command", "places_json"]
 @click.option(
     "--out",
     type=click.Path(path_type=Path, readable=False),
-    default=Path("out"),
-    show_default=True,
-    help="Directory that the case is built in, with the build's cache.",
+    default=Path(),
+    help="Where the case goes, with the build's cache; here by default.",
 )
 @click.option("--count", type=click.IntRange(1, 100), default=5, show_default=True, help="Places to name, at most.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
