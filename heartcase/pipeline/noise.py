@@ -8,8 +8,8 @@ along one axis.
 
 Both numbers are those of white noise. Scanners interpolate and reconstruct with smooth kernels, so neighbours share
 noise, and the finest coefficient then sees less than half of it; the differences along one axis, which are what a
-gradient sees, still hold it. So ``difference_sigma`` is there too: it has more bias from edges (5 to 40% too high) and
-little from correlation.
+gradient sees, still hold it. So ``difference_sigma`` is there too: it has more bias from edges (it is
+too high) and little from correlation.
 """
 
 from __future__ import annotations

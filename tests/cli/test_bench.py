@@ -130,7 +130,7 @@ def test_the_repository_s_own_cases_are_sound():
     cases = load_cases(ROOT / "benchmarks")
     assert {case.module for case in cases} <= {path.stem for path in (ROOT / "benchmarks").glob("*.py")}
     table = [case for case in cases if case.name.startswith("accuracy-")]
-    assert len(table) == 4 * 3 * 3
+    assert len(table) == 4 * 3 * 5
     assert {tuple(case.methods) for case in table} == {("heartcase", "skimage", "growcut", "randomwalker")}
 
 
