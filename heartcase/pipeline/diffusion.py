@@ -56,7 +56,7 @@ def diffuse(
         return old.copy()
     inverse_spacing = 1.0 / np.array(spacing_mm)
     weight = np.where(np.array(old.shape[::-1]) > 1, time_step * inverse_spacing**2, 0.0).astype(np.float32)
-    buffers = [np.empty_like(old) for _ in range(min(iterations, 2))]
+    edges = np.empty((2, -(-old.shape[0] // _SLAB), old[0].size), np.float32)
     for step in range(iterations):
         mean_square = mean_square_gradient(old, spacing_mm, extent)
         if not mean_square > 0.0:
@@ -64,8 +64,10 @@ def diffuse(
         # the exponent is in powers of two
         factor = math.sqrt(math.log2(math.e) / (2.0 * mean_square)) / conductance
         scale = _scale(np.minimum(inverse_spacing * factor, _DIFFERENCE_LIMIT / extent))
-        new = buffers[step % len(buffers)]
-        _step(_planes(old), _planes(new), old.shape[2], scale, weight)
+        # all steps but the first are taken in place: memory that comes fresh from the system costs as much as a step
+        new = np.empty_like(old) if step == 0 else old
+        _keep_edges(edges, _planes(old))
+        _step(_planes(old), _planes(new), old.shape[2], scale, weight, edges)
         old = new
     return old if old is not values else old.copy()
 
@@ -210,17 +212,27 @@ def _z_fluxes(out, here, up, start, nx, scale, work):  # type: ignore[no-untyped
 
 
 @numba.njit(cache=True, nogil=True, parallel=True)
-def _step(planes, new, nx, scale, weight):  # type: ignore[no-untyped-def]
-    """One Jacobi step; ``planes`` and ``new`` hold a plane of rows of ``nx`` voxels in each row."""
+def _keep_edges(edges, planes):  # type: ignore[no-untyped-def]
+    """Copy the first and the last plane of each slab: its neighbours need them after they are overwritten."""
     nz = planes.shape[0]
-    for slab in numba.prange((nz + _SLAB - 1) // _SLAB):
-        _step_slab(planes, new, nx, slab * _SLAB, min((slab + 1) * _SLAB, nz), scale, weight)
+    for slab in numba.prange(edges.shape[1]):
+        edges[0, slab] = planes[slab * _SLAB]
+        edges[1, slab] = planes[min((slab + 1) * _SLAB, nz) - 1]
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _step(planes, new, nx, scale, weight, edges):  # type: ignore[no-untyped-def]
+    """One Jacobi step; ``planes`` and ``new``, which may be the same, hold a plane of rows of ``nx`` voxels in a row."""
+    for slab in numba.prange(edges.shape[1]):
+        _step_slab(planes, new, nx, slab, scale, weight, edges)
 
 
 @numba.njit(cache=True, nogil=True)
-def _step_slab(planes, new, nx, first, last, scale, weight):  # type: ignore[no-untyped-def]
-    """The step in planes ``first`` to ``last`` - 1, a block of rows at a time."""
+def _step_slab(planes, new, nx, slab, scale, weight, edges):  # type: ignore[no-untyped-def]
+    """The step in the planes of a slab, a block of rows at a time, each plane from a copy of what it held before."""
     nz, size = planes.shape
+    first, last = slab * _SLAB, min((slab + 1) * _SLAB, nz)
+    kept = np.empty((2, size), np.float32)
     block = nx * max(1, _BLOCK // nx)
     quarter = np.float32(0.25) * scale
     work = np.empty((4, block + nx), np.float32)
@@ -234,9 +246,15 @@ def _step_slab(planes, new, nx, first, last, scale, weight):  # type: ignore[no-
     if first > 0:
         for start in range(0, size, block):
             stop = min(start + block, size)
-            _z_fluxes(z_low[start:stop], planes[first - 1], planes[first], start, nx, scale, work)
+            _z_fluxes(z_low[start:stop], edges[1, slab - 1], planes[first], start, nx, scale, work)
     for k in range(first, last):
-        down, here, up = planes[max(k - 1, 0)], planes[k], planes[min(k + 1, nz - 1)]
+        here = kept[k % 2]
+        here[:] = planes[k]
+        down, up = kept[(k - 1) % 2], planes[min(k + 1, nz - 1)]
+        if k == first:
+            down = edges[1, slab - 1] if k > 0 else here
+        if k + 1 == last:
+            up = edges[0, slab + 1] if last < nz else here
         y_flux[:nx] = 0.0
         for start in range(0, size, block):
             stop = min(start + block, size)
