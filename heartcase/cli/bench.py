@@ -9,11 +9,15 @@ import json
 import multiprocessing
 import os
 import platform
+import signal
 import statistics
 import sys
+import tempfile
 import time
 from collections import Counter
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
 
@@ -22,7 +26,7 @@ from rich.console import Console
 
 from heartcase import __version__
 from heartcase.schemas.benchmark import BenchmarkCase, BenchmarkRecord, MethodSkipped, load_cases
-from heartcase.schemas.errors import UsageError
+from heartcase.schemas.errors import Problem, UsageError
 from heartcase.schemas.files import atomic_write
 
 __all__ = ["command", "run_method"]
@@ -30,6 +34,15 @@ __all__ = ["command", "run_method"]
 
 _FIRST_RUN: set[tuple[str, str]] = set()
 """Groups and methods that this process has warmed up."""
+
+
+@dataclass
+class _Outcome:
+    """What was measured so far."""
+
+    records: list[BenchmarkRecord] = field(default_factory=list)
+    skipped: list[tuple[str, str, str]] = field(default_factory=list)
+    """Case, method and reason of what was left out."""
 
 
 @click.command()
@@ -69,6 +82,7 @@ def command(
 
     Each method runs in a process of its own: once to warm up, then repeatedly; the median is reported with the error.
     The cases of a sweep share one process per method. A method that cannot run here is left out with its reason.
+    Stop it at any moment: what was measured until then is written.
     """
     cases = [case for case in load_cases(directory) if not names or case.name.startswith(names)]
     if not cases:
@@ -79,18 +93,71 @@ def command(
         return
     if plot_directory is not None or report_directory is not None:
         # Without its library the command must fail before the long run, not after it.
-        from heartcase.cli.bench_plots import write_plots
-        from heartcase.cli.bench_report import write_report
-    records, skipped = _run(cases, directory)
+        importlib.import_module("heartcase.cli.bench_report")
+    _check_outputs(json_file, plot_directory, report_directory)
+    outcome = _Outcome()
+    try:
+        _run(cases, directory, outcome)
+    except BaseException:
+        # Hours may have been measured until a case fails or somebody stops it.
+        is_asked_for = any(path is not None for path in (json_file, plot_directory, report_directory))
+        if outcome.records and is_asked_for:
+            _write(outcome, json_file, plot_directory, report_directory)
+            total = sum(len(case.methods) for case in cases)
+            click.echo(f"stopped early: {len(outcome.records)} of {total} measurements were written", err=True)
+        raise
+    _write(outcome, json_file, plot_directory, report_directory)
+
+
+def _check_outputs(json_file: Path | None, plot_directory: Path | None, report_directory: Path | None) -> None:
+    """Refuse outputs that cannot be written, before the long run; nothing is left behind.
+
+    Raises
+    ------
+    UsageError
+        With every one of them.
+    """
+    problems = []
+    if json_file is not None and json_file.is_dir():
+        problems.append(Problem("--json", "is a folder: give a file name, for instance bench.json"))
+    elif json_file is not None:
+        problems += _folder_problems("--json", json_file.absolute().parent)
+    for option, folder in (("--plots", plot_directory), ("--report", report_directory)):
+        if folder is not None:
+            problems += _folder_problems(option, folder.absolute())
+    if problems:
+        raise UsageError(problems)
+
+
+def _folder_problems(option: str, folder: Path) -> list[Problem]:
+    """Why no file can be made in a folder, or the folder itself cannot be."""
+    try:
+        there = next(path for path in (folder, *folder.parents) if path.exists())
+        with tempfile.TemporaryFile(dir=there):
+            return []
+    except OSError as error:
+        reason = (error.strerror or "the system gives no reason").lower()
+        return [Problem(option, f"cannot be written to ({reason}): choose another place")]
+
+
+def _write(
+    outcome: _Outcome, json_file: Path | None, plot_directory: Path | None, report_directory: Path | None
+) -> None:
+    """Write what was measured wherever it is wanted."""
+    records = outcome.records
     if json_file is not None:
         data = [record.model_dump(mode="json") for record in records]
         json_file.parent.mkdir(parents=True, exist_ok=True)
         atomic_write(json_file, (json.dumps(data, indent=1) + "\n").encode())
     if plot_directory is not None:
+        from heartcase.cli.bench_plots import write_plots
+
         for path in write_plots(records, plot_directory):
             click.echo(path.name)
     if report_directory is not None:
-        click.echo(write_report(records, skipped, report_directory).name)
+        from heartcase.cli.bench_report import write_report
+
+        click.echo(write_report(records, outcome.skipped, report_directory).name)
 
 
 def _listing(cases: list[BenchmarkCase]) -> list[str]:
@@ -104,17 +171,16 @@ def _listing(cases: list[BenchmarkCase]) -> list[str]:
     return list(lines.values())
 
 
-def _run(cases: list[BenchmarkCase], directory: Path) -> tuple[list[BenchmarkRecord], list[tuple[str, str, str]]]:
-    """Records, and (case, method, reason) of what was left out; prints each as it comes."""
+def _run(cases: list[BenchmarkCase], directory: Path, outcome: _Outcome) -> None:
+    """Measure, and add each record, or what was left out, to the outcome; prints each as it comes."""
     console = Console(stderr=True)
-    records: list[BenchmarkRecord] = []
-    skipped: list[tuple[str, str, str]] = []
     done, total, started = 0, sum(len(case.methods) for case in cases), time.monotonic()
     for _, grouped in itertools.groupby(cases, key=lambda case: case.group or case.name):
         swept = list(grouped)
         with contextlib.ExitStack() as stack:
             # A case after the other with its methods beside each other, so that all meet the same load of the machine.
             pools = {method: stack.enter_context(_process()) for method in swept[0].methods}
+            stack.enter_context(_runs_end_with_us())
             for case in swept:
                 for method, pool in pools.items():
                     left = _time_left(done, total, time.monotonic() - started)
@@ -123,13 +189,12 @@ def _run(cases: list[BenchmarkCase], directory: Path) -> tuple[list[BenchmarkRec
                             record = pool.submit(run_method, directory, case, method).result()
                         except MethodSkipped as error:
                             reason = error.problems[0].message
-                            skipped.append((case.name, method, reason))
+                            outcome.skipped.append((case.name, method, reason))
                             click.echo(f"{case.name:<30} {method:<12} left out: {reason}")
                         else:
-                            records.append(record)
-                            click.echo(_line(record, records))
+                            outcome.records.append(record)
+                            click.echo(_line(record, outcome.records))
                     done += 1
-    return records, skipped
 
 
 def _time_left(done: int, total: int, seconds: float) -> str:
@@ -150,7 +215,20 @@ def _line(record: BenchmarkRecord, records: list[BenchmarkRecord]) -> str:
 
 
 def _process() -> ProcessPoolExecutor:
-    return ProcessPoolExecutor(max_workers=1, mp_context=multiprocessing.get_context("spawn"))
+    """A process for the runs of one method; Ctrl-C, which a terminal sends to all, is for the command to answer."""
+    context = multiprocessing.get_context("spawn")
+    return ProcessPoolExecutor(1, context, initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_IGN))
+
+
+@contextlib.contextmanager
+def _runs_end_with_us() -> Iterator[None]:
+    """End the processes on Ctrl-C, instead of waiting for what they are running."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        for process in multiprocessing.active_children():
+            process.terminate()
+        raise
 
 
 def _load_module(directory: Path, name: str) -> ModuleType:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import math
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -16,6 +16,8 @@ __all__ = ["THING", "as_error", "drawn_errors", "grouped", "write_plots"]
 
 Item = TypeVar("Item")
 Key = TypeVar("Key")
+Styles = dict[str, dict[str, Any]]
+"""Method -> how its marks and lines are drawn, the same in all pictures of a run."""
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
 """Okabe and Ito's palette, which the colour-blind can tell apart; ours is the first."""
 _MARKS = ("o", "s", "^", "D", "v", "P", "X")
@@ -43,18 +45,19 @@ def write_plots(records: Sequence[BenchmarkRecord], directory: Path) -> list[Pat
     """
     written: list[Path] = []
     directory.mkdir(parents=True, exist_ok=True)
+    styles = _styles({record.method for record in records})
     for title, part in grouped(records, lambda record: record.group or record.case).items():
         errors = drawn_errors(part)
         if not errors:
             continue
         if part[0].group is None:
-            written.append(_save(_time_figure(title, part, errors), directory / f"{title}.png"))
+            written.append(_save(_time_figure(title, part, errors, styles), directory / f"{title}.png"))
             continue
         last = part[0].swept[-1]
         for name, one in grouped(part, _picture_name).items():
             path = directory / f"{name}-{last}.png"
-            written.append(_save(_swept_figure(name, one, errors, last), path))
-            written.append(_save(_time_figure(name, one, errors), directory / f"{name}-time.png"))
+            written.append(_save(_swept_figure(name, one, errors, last, styles), path))
+            written.append(_save(_time_figure(name, one, errors, styles), directory / f"{name}-time.png"))
     return written
 
 
@@ -86,16 +89,16 @@ def as_error(name: str, value: float) -> tuple[str, float]:
     return name, value
 
 
-def _styles(records: Sequence[BenchmarkRecord]) -> dict[str, dict[str, Any]]:
-    """Colour and mark of each method: ours filled and on top, the others hollow and larger, so that equals show."""
-    methods = sorted({record.method for record in records}, key=lambda method: (method != "heartcase", method))
+def _styles(methods: Collection[str]) -> Styles:
+    """Colour and mark of each method of a run: ours filled and on top, the others hollow and larger, so equals show."""
     styles = {}
-    for n, method in enumerate(methods):
+    for n, method in enumerate(sorted(methods, key=lambda method: (method != "heartcase", method))):
         ours = method == "heartcase"
         colour = _COLOURS[n % len(_COLOURS)]
         styles[method] = {
             "color": colour,
-            "marker": _MARKS[n % len(_MARKS)],
+            # another mark where the colours begin again
+            "marker": _MARKS[(n + n // len(_COLOURS)) % len(_MARKS)],
             "markersize": 5.0 if ours else 9.0,
             "markerfacecolor": colour if ours else "none",
             "markeredgewidth": 1.4,
@@ -142,13 +145,12 @@ def _finish(figure: Any, axes: Sequence[Any], records: Sequence[BenchmarkRecord]
     return figure
 
 
-def _time_figure(title: str, records: Sequence[BenchmarkRecord], errors: Sequence[str]) -> Any:
+def _time_figure(title: str, records: Sequence[BenchmarkRecord], errors: Sequence[str], styles: Styles) -> Any:
     """One panel for each error: time (logarithmic) to the right, error upwards, a mark per method."""
     from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
     low, high = (f(record.seconds for record in records) for f in (min, max))
     figure, axes = _panels(errors, title)
-    styles = _styles(records)
     for one, name in zip(axes, errors, strict=True):
         for method, style in styles.items():
             points = [record for record in records if record.method == method and name in record.errors]
@@ -171,14 +173,17 @@ def _time_figure(title: str, records: Sequence[BenchmarkRecord], errors: Sequenc
     return _finish(figure, axes, records, note)
 
 
-def _swept_figure(title: str, records: Sequence[BenchmarkRecord], errors: Sequence[str], parameter: str) -> Any:
+def _swept_figure(
+    title: str, records: Sequence[BenchmarkRecord], errors: Sequence[str], parameter: str, styles: Styles
+) -> Any:
     """One panel for each error: the parameter to the right, error upwards, a curve per method."""
     figure, axes = _panels(errors, title)
-    styles = _styles(records)
     places = {value: n for n, value in enumerate(_swept_values(records, parameter))}
     for one, name in zip(axes, errors, strict=True):
         for method, style in styles.items():
             points = [record for record in records if record.method == method and name in record.errors]
+            if not points:
+                continue
             at = [places[str(record.params[parameter])] for record in points]
             one.plot(at, [as_error(name, record.errors[name])[1] for record in points], label=method, **style)
         one.set_xticks(list(places.values()), list(places))

@@ -50,6 +50,7 @@ def write_report(records: Sequence[BenchmarkRecord], skipped: Sequence[tuple[str
             lines.append(f"- {method}, {len(missing)} cases from {missing[0][0]} to {missing[-1][0]}: {reason}")
         lines.append("")
     page = directory / "benchmarks.md"
+    directory.mkdir(parents=True, exist_ok=True)
     atomic_write(page, "\n".join(lines).encode())
     return page
 

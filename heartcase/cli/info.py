@@ -10,6 +10,7 @@ import numpy as np
 
 from heartcase.cli.output import echo_json, file_size, print_facts, print_table, working
 from heartcase.cli.stage_io import scan_options
+from heartcase.pipeline.cautions import counted
 from heartcase.schemas.bundle import MANIFEST_NAME
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.geometry import Geometry
@@ -219,7 +220,7 @@ def _show_recipe(facts: dict[str, Any]) -> None:
     rows: list[tuple[str, object]] = [
         ("Segmentation", facts["method"]),
         ("Labels", ", ".join(label["name"] for label in facts["labels"][1:])),
-        ("Markers", f"{facts['stroke_count']} strokes, {facts['marker_file_count']} files"),
+        ("Markers", f"{counted(facts['stroke_count'], 'stroke')}, {counted(facts['marker_file_count'], 'file')}"),
         ("Edits", ", ".join(kind.replace("_", " ") for kind in facts["edits"]) or "none"),
         ("Vessel ends", facts["end_marker_count"]),
         ("Pins", facts["pin_count"]),

@@ -89,6 +89,7 @@ def starter_recipe(
     return f"""\
 # A heartcase recipe: with the scan it says everything that makes the case.
 # Build it with   heartcase build THIS_FILE     Check it with   heartcase validate THIS_FILE
+# Paint on it in a viewer with   heartcase paint THIS_FILE     Where to paint more says   heartcase suggest THIS_FILE
 # Points are in patient space: x to the left, y to the back, z to the head (LPS), in mm.
 
 heartcase_recipe = 1
@@ -111,12 +112,20 @@ iterations = 5          # more smooths more
 
 [segment]
 method = "watershed"    # or "threshold" (specimens), or "labels" (a finished segmentation: file = "...")
+# automatic = ["background", "lung"]     # the program marks what is surely not heart, under your markers
 
 # Markers. Paint them in 3D Slicer or ITK-SNAP and name the file here ...
 # [[markers]]
 # path = "markers.seg.nrrd"       # segments named like the labels below; or .nii.gz, .nrrd, .mrk.json
 # names = {{ "Segment_1" = "left ventricle", "Segment_2" = "background" }}     # where the names differ
 # names = {{ "1" = "left ventricle", "10" = "background" }}      # a .nii.gz has numbers; 0 means: not marked
+
+# ... or start from a draft (a network's labels, another tool's): only what lies deep inside its structures counts ...
+# [[markers]]
+# path = "draft.nii.gz"
+# convention = "totalsegmentator-heartchambers"     # what its values stand for; or names, as above
+# core_mm = 3.0           # how deep
+# background = true       # where the draft holds 0 is background, as far from every structure
 
 # ... or write strokes: a round brush along a line. Mark every structure, and what is not heart as background.
 [[strokes]]
@@ -128,6 +137,12 @@ points_mm = [{list(center_mm)}]     # replace: this is only the middle of the sc
 label = "background"
 radius_mm = 2.0
 points_mm = [{[round(center_mm[0] - 0.45 * extent_mm[0], 1), *center_mm[1:]]}]     # replace
+
+# An eraser: it takes away what was marked there before.
+# [[strokes]]
+# erase = true
+# radius_mm = 2.0
+# points_mm = [{list(center_mm)}]
 
 # NEEDED for every vessel that ends inside the scan: where it is cut open. Without it the vessel becomes a closed sac.
 # The axis points out of the heart; the tissue at the cut is held fixed.
@@ -143,6 +158,13 @@ points_mm = [{[round(center_mm[0] - 0.45 * extent_mm[0], 1), *center_mm[1:]]}]  
 # position_mm = {list(center_mm)}
 # diameter_mm = 8.0
 # axis = [1.0, 0.0, 0.0]
+
+# A wall that is not equally thick everywhere, instead of the one wall_thickness_mm of its label:
+# [[walls.thickness]]
+# label = "aorta"
+# kind = "centreline"     # or "positions"
+# points_mm = [{list(center_mm)}, {[*center_mm[:2], round(center_mm[2] + 20.0, 1)]}]
+# thickness_mm = [2.0, 1.5]
 
 [grid]
 node_count = 30000       # or cell_mm = 2.5

@@ -17,6 +17,7 @@ from heartcase.cli.suggest import places_json
 from heartcase.schemas.base import Model
 from heartcase.schemas.errors import HeartcaseError, Problem, UsageError, problems_from_validation
 from heartcase.schemas.settings import Stroke
+from heartcase.schemas.strict_json import parse_json
 
 if TYPE_CHECKING:
     from heartcase.pipeline.session_file import RecipeSession
@@ -55,12 +56,29 @@ class _Box(Model):
     high: tuple[int, int, int]
 
 
-_REQUEST: TypeAdapter[_Paint | _Step | _SaveAs | _Suggest | _Slice | _Box] = TypeAdapter(
-    Annotated[_Paint | _Step | _SaveAs | _Suggest | _Slice | _Box, Field(discriminator="do")]
-)
+_Request = _Paint | _Step | _SaveAs | _Suggest | _Slice | _Box
+_REQUEST: TypeAdapter[_Request] = TypeAdapter(Annotated[_Request, Field(discriminator="do")])
+_SHAPE = 'one JSON object in one line, such as {"do": "undo"}'
 
 
-@click.command()
+_HELP = """\
+Paint on RECIPE's scan: one JSON object a line in, one JSON object a line out; for viewers to drive.
+
+\b
+{"do": "paint", "label": "aorta", "radius_mm": 2, "points_mm": [[0, 0, 0]]}
+{"do": "paint", "erase": true, "radius_mm": 2, "points_mm": [[0, 0, 0]]}
+{"do": "undo"}   {"do": "redo"}   {"do": "changed"}
+{"do": "slice", "axis": "k", "index": 40}
+{"do": "box", "low": [0, 0, 0], "high": [9, 9, 9]}
+{"do": "suggest", "count": 5}
+{"do": "save"}   {"do": "save_as", "path": "other.toml"}   {"do": "quit"}
+
+Positions are patient LPS mm, boxes voxel indices (i, j, k), both ends included. Labels come as base64 of a byte a
+voxel, i fastest. The end of the input ends it too; strokes that were not saved are lost then.
+"""
+
+
+@click.command(help=_HELP)
 @click.argument("recipe", type=click.Path(path_type=Path, readable=False))
 @click.option(
     "--out",
@@ -69,20 +87,7 @@ _REQUEST: TypeAdapter[_Paint | _Step | _SaveAs | _Suggest | _Slice | _Box] = Typ
     help="Where the case goes, with the build's cache; here by default.",
 )
 def command(recipe: Path, out: Path) -> None:
-    r"""Paint on RECIPE's scan: one JSON object a line in, one JSON object a line out; for viewers to drive.
-
-    \b
-    {"do": "paint", "label": "aorta", "radius_mm": 2, "points_mm": [[0, 0, 0]]}
-    {"do": "paint", "erase": true, "radius_mm": 2, "points_mm": [[0, 0, 0]]}
-    {"do": "undo"}   {"do": "redo"}   {"do": "changed"}
-    {"do": "slice", "axis": "k", "index": 40}
-    {"do": "box", "low": [0, 0, 0], "high": [9, 9, 9]}
-    {"do": "suggest", "count": 5}
-    {"do": "save"}   {"do": "save_as", "path": "other.toml"}   {"do": "quit"}
-
-    Positions are patient LPS mm, boxes voxel indices (i, j, k), both ends included. Labels come as base64 of a byte a
-    voxel, i fastest. The end of the input ends it too; strokes that were not saved are lost then.
-    """
+    """Paint on a recipe's scan."""
     from heartcase.pipeline.session_file import open_session
 
     with working("opening"):
@@ -97,15 +102,15 @@ def command(recipe: Path, out: Path) -> None:
             "unmarked": 255,
         }
     )
-    for line in sys.stdin:
+    for line in sys.stdin.buffer:
         if not line.strip():
             continue
         start = time.perf_counter()
+        answer: dict[str, Any] | None
         try:
             answer = _obey(opened, line)
         except HeartcaseError as error:
-            _answer({"problems": [{"place": problem.place, "message": problem.message} for problem in error.problems]})
-            continue
+            answer = {"problems": [{"place": problem.place, "message": problem.message} for problem in error.problems]}
         if answer is None:
             return
         _answer(answer | {"milliseconds": round(1e3 * (time.perf_counter() - start), 3)})
@@ -115,12 +120,27 @@ def _answer(data: dict[str, Any]) -> None:
     click.echo(json.dumps({"ok": "problems" not in data} | data, ensure_ascii=False, allow_nan=False))
 
 
-def _obey(opened: RecipeSession, line: str) -> dict[str, Any] | None:
-    """Carry a request out; what to answer, or None to end."""
+def _request(line: bytes) -> _Request:
+    """What a line asks for."""
     try:
-        request = _REQUEST.validate_json(line)
+        data = parse_json(line.rstrip())
+    except UnicodeDecodeError:
+        raise UsageError("is not UTF-8 text: write it as UTF-8", place="request") from None
+    except ValueError as error:
+        where = f" at character {error.pos + 1}" if isinstance(error, json.JSONDecodeError) else f" ({error})"
+        raise UsageError(f"is not valid JSON{where}: give {_SHAPE}", place="request") from None
+    if not isinstance(data, dict):
+        raise UsageError(f"must be {_SHAPE}", place="request")
+    try:
+        # without "do" it is told which ones there are
+        return _REQUEST.validate_python({"do": None} | data)
     except ValidationError as error:
         raise UsageError(problems_from_validation(error, place="request")) from None
+
+
+def _obey(opened: RecipeSession, line: bytes) -> dict[str, Any] | None:
+    """Carry a request out; what to answer, or None to end."""
+    request = _request(line)
     session = opened.session
     if isinstance(request, _Paint):
         return _changed(session.paint(Stroke.model_validate(request.model_dump(exclude={"do"}))))

@@ -25,7 +25,8 @@ __all__ = ["command"]
 def command(ctx: click.Context, path: Path, as_json: bool) -> None:
     """Check PATH, a case directory, a recipe (.toml) or a simulation script (.toml), and list every problem.
 
-    Of a case the hash of every file and every value is checked; of a recipe also that the files it names are there.
+    Of a case the hash of every file and every value is checked; of a recipe also that the files it names are there,
+    and that its strokes mark background and tissue where no file or program marks anything.
     Exit code 0: sound; 1: problems were found.
     """
     problems = _problems(path)
@@ -56,12 +57,22 @@ def _problems(path: Path) -> tuple[Problem, ...]:
         recipe = load_recipe(path)
     except HeartcaseError as error:
         return error.problems
-    missing = recipe.missing_files(path.parent)
+    problems = (*recipe.missing_files(path.parent), *_stroke_problems(recipe))
     if recipe.lock is None:
-        return missing
+        return problems
     from heartcase.pipeline.lock import changed_files
 
-    return (*missing, *changed_files(recipe, path.parent))
+    return (*problems, *changed_files(recipe, path.parent))
+
+
+def _stroke_problems(recipe: Recipe) -> tuple[Problem, ...]:
+    try:
+        from heartcase.pipeline.stages import stroke_problems
+
+        return stroke_problems(recipe)
+    except ImportError:
+        # without the libraries that build, the recipe is still checked for all else
+        return ()
 
 
 def _is_script(path: Path) -> bool:

@@ -19,6 +19,7 @@ __all__ = [
     "anatomy",
     "caution_from_json",
     "caution_to_json",
+    "counted",
     "grouped",
     "note",
     "severity_of",
@@ -117,6 +118,11 @@ def grouped(warnings: Iterable[str]) -> tuple[CautionGroup, ...]:
         if lines:
             groups.append(CautionGroup(severity, title, advice, lines))
     return tuple(groups)
+
+
+def counted(number: int, thing: str) -> str:
+    """A number of things in words: ``1 piece``, ``3 pieces``."""
+    return f"{number} {thing}{'' if number == 1 else 's'}"
 
 
 def caution_to_json(warning: str) -> str | dict[str, Any]:

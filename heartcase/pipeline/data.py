@@ -75,6 +75,8 @@ class Markers:
     """Label value of each marked voxel, shape ``geometry.shape``; 255 where nothing is marked (0 is background)."""
     geometry: Geometry
     """The scan's geometry."""
+    warnings: tuple[str, ...] = field(default=(), metadata={"is_kept_when_empty": False})
+    """What a file marks that may not be meant, in plain words."""
 
     UNMARKED = 255
 

@@ -222,7 +222,7 @@ def _keep_edges(edges, planes):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, parallel=True)
 def _step(planes, new, nx, scale, weight, edges):  # type: ignore[no-untyped-def]
-    """One Jacobi step; ``planes`` and ``new``, which may be the same, hold a plane of rows of ``nx`` voxels in a row."""
+    """One Jacobi step; ``planes`` and ``new``, maybe the same, hold a plane of rows of ``nx`` voxels in each row."""
     for slab in numba.prange(edges.shape[1]):
         _step_slab(planes, new, nx, slab, scale, weight, edges)
 

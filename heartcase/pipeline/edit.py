@@ -8,11 +8,13 @@ follow. Taking an edit out of the recipe, or setting ``enabled = false``, takes 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from heartcase.pipeline.cautions import Caution, severity_of
 from heartcase.pipeline.data import Reshaping, Structures
 from heartcase.pipeline.edits.brushes import fill_structure, smooth_structure
 from heartcase.pipeline.edits.pieces import keep_largest_piece, remove_islands
@@ -26,11 +28,12 @@ from heartcase.schemas.edit_settings import (
     Sculpt,
     SeptalDefect,
     Smooth,
+    edit_place,
 )
 from heartcase.schemas.errors import Problem, StageError
 from heartcase.schemas.labels import BACKGROUND, Label, LabelTable, Role
 
-__all__ = ["apply_edits"]
+__all__ = ["apply_edits", "with_edit_names"]
 
 Point = tuple[float, float, float]
 
@@ -83,10 +86,33 @@ def apply_edits(structures: Structures, edits: Sequence[Edit]) -> Structures:
         try:
             structures = _apply(structures, edit, place)
         except StageError as error:
-            problems += [Problem(place, problem.message) for problem in error.problems]
+            problems += [Problem(edit_place(number, edit), problem.message) for problem in error.problems]
     if problems:
         raise StageError(problems)
     return structures
+
+
+def with_edit_names(warnings: Iterable[str], edits: Sequence[Edit]) -> tuple[str, ...]:
+    """Warnings of :func:`apply_edits` with the names of the edits beside their numbers, for people.
+
+    The stage itself knows numbers only, so that a new name for an edit computes nothing anew.
+
+    Parameters
+    ----------
+    warnings
+        Any warnings; those that do not begin with the number of a named edit stay as they are.
+    edits
+        The recipe's edits.
+    """
+    return tuple(_with_name(warning, edits) for warning in warnings)
+
+
+def _with_name(warning: str, edits: Sequence[Edit]) -> str:
+    found = re.match(r"edits\[(\d+)\]", warning)
+    number = int(found.group(1)) if found else 0
+    if found is None or not 0 < number <= len(edits) or not edits[number - 1].name:
+        return warning
+    return Caution(edit_place(number, edits[number - 1]) + warning[found.end() :], severity_of(warning))
 
 
 def _apply(structures: Structures, edit: Edit, place: str) -> Structures:

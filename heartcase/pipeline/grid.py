@@ -15,7 +15,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.pipeline.cautions import anatomy, note
+from heartcase.pipeline.cautions import anatomy, counted, note
 from heartcase.pipeline.cells.hinges import HingeRepairs, hanging_cells, mend_hinges
 from heartcase.pipeline.cells.passages import blocked_openings, open_passages
 from heartcase.pipeline.cells.repair import CellState, Index, cell_coverage, close_leaks, find_leaks, join_tissue
@@ -103,8 +103,9 @@ def build_grid(structures: Structures, settings: GridSettings, *, pins: Sequence
     hanging = hanging_cells(tissue, corners, nodes, fixed)
     if hanging:
         warnings.append(
-            f"{len(hanging)} part(s) of the tissue hang on the rest by an edge or a corner only and can swing freely, "
-            f"at {_places(samples, hanging)}: make the cells smaller, or pin them ([[pins]])"
+            f"{counted(len(hanging), 'part')} of the tissue {'hangs' if len(hanging) == 1 else 'hang'} on the rest by "
+            f"an edge or a corner only and can swing freely, at {_places(samples, hanging)}: make the cells smaller, "
+            "or hold the tissue there ([[pins]])"
         )
     fine_ml = _tissue_volume_mm3(samples) * 1e-3
     grid_ml = float(coverage.sum(dtype=np.float64)) * samples.cell_mm**3 * 1e-3
@@ -224,8 +225,9 @@ def _shape_cells(
         if stranded:
             warnings.append(
                 anatomy(
-                    f"{len(stranded)} part(s) of the tissue are loose in the simulation although the scan joins them "
-                    f"to the rest, at {_places(samples, stranded)}: make the cells smaller"
+                    f"{counted(len(stranded), 'part')} of the tissue {'is' if len(stranded) == 1 else 'are'} loose in "
+                    f"the simulation, but joined to the rest in the scan, at {_places(samples, stranded)}: make the "
+                    "cells smaller"
                 )
             )
     leaks = find_leaks(samples, pieces, state)
@@ -242,8 +244,9 @@ def _shape_cells(
         places = _places(samples, blocked)
         warnings.append(
             anatomy(
-                f"{len(blocked)} opening(s) about as narrow as a simulation cell are closed in the simulation, not in "
-                f"the scan, at {places}: make the cells smaller where such an opening matters"
+                f"{counted(len(blocked), 'opening')} about as narrow as a simulation cell "
+                f"{'is' if len(blocked) == 1 else 'are'} closed in the simulation, not in the scan, at {places}: make "
+                "the cells smaller where such an opening matters"
             )
         )
     quality: dict[str, Any] = {
@@ -293,8 +296,8 @@ def _topology_warnings(quality: dict[str, Any]) -> list[str]:
             meaning = "what belongs together is apart" if now > was else "separate parts were joined or lost"
             warnings.append(
                 anatomy(
-                    f"the {name} is in {was} separate piece(s) at the scan's resolution but in {now} in the simulation "
-                    f"cells: {meaning}; make the cells smaller"
+                    f"the {name} is in {counted(was, 'separate piece')} at the scan's resolution but in {now} in the "
+                    f"simulation cells: {meaning}; make the cells smaller"
                 )
             )
     holes = ((tissue, 1, "tunnels through the tissue"), (tissue, 2, "hollows in it"), (blood, 1, "loops of the blood"))

@@ -6,7 +6,7 @@ What a file calls its segments and points may be a patient's name: messages call
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +29,7 @@ from heartcase.schemas.recipe import MarkerFile
 from heartcase.schemas.settings import Stroke
 
 __all__ = [
+    "StatedMarkers",
     "check_markers",
     "load_markers",
     "load_segmentation",
@@ -89,8 +90,19 @@ def load_markers(
     """
     stated = stated_markers(recipe_markers, strokes, table, geometry, directory)
     if automatic and scan is not None:
-        return AutomaticMarkers(scan, automatic, stated).markers
-    return Markers(labels=_without_erased(stated), geometry=geometry)
+        return replace(AutomaticMarkers(scan, automatic, stated.labels).markers, warnings=stated.warnings)
+    return Markers(labels=_without_erased(stated.labels), geometry=geometry, warnings=stated.warnings)
+
+
+@dataclass(frozen=True)
+class StatedMarkers:
+    """What marker files and strokes say, before the program marks anything."""
+
+    labels: UInt8
+    """Of each voxel, shape [z, y, x]: a label, 255 where nothing is said, or
+    :data:`heartcase.pipeline.marker_help.ERASED` where an eraser passed last."""
+    warnings: tuple[str, ...]
+    """What a file marks that may not be meant, in plain words."""
 
 
 def stated_markers(
@@ -99,15 +111,9 @@ def stated_markers(
     table: LabelTable,
     geometry: Geometry,
     directory: Path,
-) -> UInt8:
-    """What marker files and strokes say of each voxel; arguments and errors are those of :func:`load_markers`.
-
-    Returns
-    -------
-    ndarray
-        uint8, shape ``geometry.shape``: a label, 255 where nothing is said, or
-        :data:`heartcase.pipeline.marker_help.ERASED` where an eraser passed last.
-    """
+) -> StatedMarkers:
+    """What marker files and strokes say of each voxel; arguments and errors are those of :func:`load_markers`."""
+    warnings: list[str] = []
     labels = np.full(geometry.shape, UNMARKED, dtype=np.uint8)
     problems: list[Problem] = []
     for number, file in enumerate(recipe_markers, start=1):
@@ -121,6 +127,8 @@ def stated_markers(
             else:
                 painted = _painted_volume(path, file, table, geometry)
             np.copyto(labels, painted, where=painted != UNMARKED)
+            if file.background:
+                warnings += _taken_for_background(painted, place, table)
         except MarkerError as error:
             problems += placed(error, place, MarkerError).problems
     try:
@@ -129,7 +137,19 @@ def stated_markers(
         problems += error.problems
     if problems:
         raise MarkerError(problems)
-    return labels
+    return StatedMarkers(labels, tuple(warnings))
+
+
+def _taken_for_background(painted: UInt8, place: str, table: LabelTable) -> list[str]:
+    """A warning where a draft that marks background knows nothing of some structures: it takes them for background."""
+    present = set(np.unique(painted).tolist())
+    absent = [label.name for label in table if label.value not in present and label.value != BACKGROUND]
+    if not absent:
+        return []
+    return [
+        f"{place} holds no {', '.join(absent)}, and with background = true it marks as background what it holds no "
+        "label for: where this heart has one of these, paint it, also over the middle of it"
+    ]
 
 
 def _without_erased(stated: UInt8) -> UInt8:

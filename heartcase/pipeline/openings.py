@@ -21,7 +21,7 @@ import numpy.typing as npt
 from heartcase.pipeline.cautions import Caution, anatomy, note
 from heartcase.pipeline.contacts import Contact, find_contact
 from heartcase.pipeline.data import Segmentation, Structures
-from heartcase.schemas.edit_settings import Edit, SeptalDefect
+from heartcase.schemas.edit_settings import Edit, SeptalDefect, edit_place
 from heartcase.schemas.labels import Label
 from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.terms import Term, term_by_name
@@ -281,7 +281,7 @@ def _stated_by_edits(edits: Sequence[Edit]) -> Iterator[_Statement]:
         if isinstance(edit, SeptalDefect) and edit.enabled:
             long_axis = None if edit.long_axis is None else np.array(edit.long_axis)
             yield _Statement(
-                f"edits[{number}]",
+                edit_place(number, edit),
                 np.array(edit.position_mm),
                 0.5 * edit.diameter_mm,
                 np.array(edit.axis) / np.linalg.norm(edit.axis),

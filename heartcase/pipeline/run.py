@@ -17,7 +17,7 @@ from heartcase.pipeline.cautions import worst_first
 from heartcase.pipeline.data import Segmentation, Structures
 from heartcase.pipeline.lock import check_lock, resolve_recipe
 from heartcase.pipeline.runner import STAGE_VERSIONS, STAGES, BuildListener, Runner, SilentListener
-from heartcase.pipeline.stages import RUN_STAGE, StageOutputs, have
+from heartcase.pipeline.stages import RUN_STAGE, StageOutputs, filtered_tree, have
 from heartcase.schemas.approval import bundle_sha256
 from heartcase.schemas.bundle import CaseManifest
 from heartcase.schemas.bundle_reader import open_bundle
@@ -133,6 +133,7 @@ def _finish(
     recipe: Recipe, runner: Runner, nodes: StageOutputs, out: Path, lock_warnings: tuple[str, ...]
 ) -> BuildResult:
     """Write the bundle and the report; the recipe is resolved."""
+    from heartcase.pipeline.edit import with_edit_names
     from heartcase.pipeline.ends import closed_vessels
     from heartcase.pipeline.mesh.glb import glb_bytes
     from heartcase.pipeline.openings import find_openings, opening_cautions, opening_figures
@@ -183,11 +184,13 @@ def _finish(
     warnings = worst_first(
         lock_warnings,
         scan.warnings,
+        markers.warnings if markers else (),
         segmentation.warnings,
         segmentation_warnings(segmentation, markers, filtered=scan),
         closed_vessels(segmentation, recipe.ends),
         opening_cautions(openings),
-        *(getattr(outputs[stage], "warnings", ()) for stage in ("walls", "grid", "map", "surface")),
+        with_edit_names(structures.warnings, recipe.edits),
+        *(getattr(outputs[stage], "warnings", ()) for stage in ("grid", "map", "surface")),
     )
     content = assemble_bundle(
         name=recipe.name,
@@ -241,19 +244,10 @@ def _finish(
 def _sureness(recipe: Recipe, runner: Runner, nodes: StageOutputs) -> Sureness | None:
     """How sure the watershed is, from the tree that the cache keeps; None for other methods."""
     from heartcase.pipeline.confidence import sureness_of
-    from heartcase.pipeline.watershed.kept import scan_tree
 
     if nodes.markers is None:
         return None
-    filtered = have(nodes.filtered)
-    tree = scan_tree(
-        filtered.get(),
-        gradient_sigma_mm=recipe.segment.gradient_sigma_mm,
-        shape_sigma_mm=recipe.segment.shape_sigma_mm,
-        cache=runner.cache,
-        scan_sha256=filtered.sha256,
-    )
-    return sureness_of(tree, nodes.markers.get())
+    return sureness_of(filtered_tree(recipe, have(nodes.filtered), runner.cache), nodes.markers.get())
 
 
 def _unchanged(case: Path, report: Path, cache: Cache, key: str) -> CaseManifest | None:

@@ -25,7 +25,7 @@ STAGE_VERSIONS = {
     "segment": 2,
     "walls": 4,
     "edit": 2,
-    "grid": 3,
+    "grid": 4,
     "surface": 3,
     "map": 2,
     "bundle": 3,

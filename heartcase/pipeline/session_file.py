@@ -9,11 +9,10 @@ from heartcase.pipeline.cache import Cache
 from heartcase.pipeline.lock import resolve_recipe
 from heartcase.pipeline.runner import BuildListener, Runner, SilentListener
 from heartcase.pipeline.session import SegmentationSession
-from heartcase.pipeline.stages import RUN_STAGE, StageOutputs, have
-from heartcase.pipeline.watershed.kept import scan_tree
+from heartcase.pipeline.stages import RUN_STAGE, StageOutputs, filtered_tree, have
 from heartcase.schemas.errors import RecipeError, UsageError
 from heartcase.schemas.files import atomic_write
-from heartcase.schemas.recipe import Recipe, parse_recipe
+from heartcase.schemas.recipe import Recipe, parse_recipe, read_recipe_text
 from heartcase.schemas.settings import Stroke
 from heartcase.schemas.toml import toml_text
 
@@ -47,7 +46,7 @@ class RecipeSession:
         RecipeError
             Another program changed the file meanwhile, or its strokes are one array, which cannot be added to.
         """
-        if _text_of(self.path) != self.written_text:
+        if read_recipe_text(self.path) != self.written_text:
             raise RecipeError(
                 "the recipe was changed by another program since it was opened: save under another name, and copy the "
                 "strokes from there",
@@ -108,7 +107,7 @@ def open_session(
     HeartcaseError
         A problem with the recipe, the scan or the markers; or the recipe's method is not the watershed.
     """
-    text = _text_of(path)
+    text = read_recipe_text(path)
     recipe = parse_recipe(text, needs_markers=False)
     if recipe.segment.method != "watershed":
         raise UsageError(
@@ -126,25 +125,10 @@ def open_session(
     scan, markers = have(nodes.scan).get(), None
     stated = (recipe.markers, recipe.strokes, recipe.table, scan.geometry, path.parent)
     if recipe.segment.automatic:
-        markers = AutomaticMarkers(scan, recipe.segment.automatic, stated_markers(*stated))
-    tree = scan_tree(
-        filtered.get(),
-        gradient_sigma_mm=recipe.segment.gradient_sigma_mm,
-        shape_sigma_mm=recipe.segment.shape_sigma_mm,
-        cache=runner.cache,
-        scan_sha256=filtered.sha256,
-    )
+        markers = AutomaticMarkers(scan, recipe.segment.automatic, stated_markers(*stated).labels)
+    tree = filtered_tree(recipe, filtered, runner.cache)
     session = SegmentationSession(tree, filtered.get().geometry, recipe.table, markers=markers or load_markers(*stated))
     return RecipeSession(session, recipe, path, text, text)
-
-
-def _text_of(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise RecipeError("there is no such file; check the path", place="recipe") from None
-    except (OSError, UnicodeDecodeError):
-        raise RecipeError("the file cannot be read as UTF-8 text", place="recipe") from None
 
 
 def _strokes_text(strokes: tuple[Stroke, ...]) -> str:

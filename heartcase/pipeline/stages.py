@@ -6,16 +6,24 @@ import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
+import numpy as np
+
+from heartcase.pipeline.cache import Cache
 from heartcase.pipeline.data import GridMap, Markers, Scan, Segmentation, SimulationGrid, Structures, Surface
 from heartcase.pipeline.runner import Node, Runner
 from heartcase.schemas.base import Model
-from heartcase.schemas.errors import ScanError
+from heartcase.schemas.errors import MarkerError, Problem, ScanError
+from heartcase.schemas.geometry import Geometry
+from heartcase.schemas.labels import BACKGROUND
 from heartcase.schemas.recipe import Part, Recipe
 from heartcase.schemas.settings import resolved
 
-__all__ = ["RUN_STAGE", "StageOutputs", "have", "region_of_scan"]
+if TYPE_CHECKING:
+    from heartcase.pipeline.watershed.tree import BasinTree
+
+__all__ = ["RUN_STAGE", "StageOutputs", "filtered_tree", "have", "region_of_scan", "stroke_problems"]
 
 T = TypeVar("T")
 
@@ -122,10 +130,36 @@ def _markers(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutput
     check_markers(nodes.markers.get(), recipe.table, automatic=automatic)
 
 
+def stroke_problems(recipe: Recipe) -> tuple[Problem, ...]:
+    """Why a build would refuse a recipe's markers, as far as that is sure without the scan.
+
+    A marker file may mark anything, and what the program marks by itself (``segment.automatic``) may be background.
+    Where there is neither, nothing is marked but what the strokes name.
+
+    Returns
+    -------
+    tuple of Problem
+        In the words of :func:`heartcase.pipeline.markers.check_markers`; none where a marker file is named.
+    """
+    from heartcase.pipeline.markers import check_markers
+
+    if recipe.segment.method != "watershed" or recipe.markers:
+        return ()
+    automatic, table = sorted({*recipe.segment.automatic}), recipe.table
+    marked = {table[stroke.label].value for stroke in recipe.strokes if stroke.label is not None}
+    if automatic:
+        marked.add(BACKGROUND)
+    labels = np.array([[[Markers.UNMARKED, *sorted(marked)]]], np.uint8)
+    try:
+        check_markers(Markers(labels, Geometry.of(shape=labels.shape)), table, automatic=automatic)
+    except MarkerError as error:
+        return error.problems
+    return ()
+
+
 def _segment(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutputs) -> None:
     from heartcase.pipeline.markers import load_segmentation
     from heartcase.pipeline.segment import segment_scan
-    from heartcase.pipeline.watershed.kept import scan_tree
 
     scan, filtered, markers = have(nodes.scan), have(nodes.filtered), nodes.markers
     settings = resolved(recipe.segment) | {"labels": _all(recipe.labels)}
@@ -156,15 +190,22 @@ def _segment(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutput
             markers.get() if markers else None,
             recipe.segment,
             recipe.table,
-            make_tree=lambda: scan_tree(
-                filtered.get(),
-                gradient_sigma_mm=recipe.segment.gradient_sigma_mm,
-                shape_sigma_mm=recipe.segment.shape_sigma_mm,
-                cache=runner.cache,
-                scan_sha256=filtered.sha256,
-            ),
+            make_tree=lambda: filtered_tree(recipe, filtered, runner.cache),
         ),
         kind=Segmentation,
+    )
+
+
+def filtered_tree(recipe: Recipe, filtered: Node[Scan], cache: Cache) -> BasinTree:
+    """The watershed's tree of a recipe's smoothed scan: kept from before, or made and kept."""
+    from heartcase.pipeline.watershed.kept import scan_tree
+
+    return scan_tree(
+        filtered.get(),
+        gradient_sigma_mm=recipe.segment.gradient_sigma_mm,
+        shape_sigma_mm=recipe.segment.shape_sigma_mm,
+        cache=cache,
+        scan_sha256=filtered.sha256,
     )
 
 
@@ -185,7 +226,7 @@ def _edit(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutputs) 
     from heartcase.pipeline.edit import apply_edits
 
     grown = have(nodes.grown)
-    # Not what an edit is called, nor those that are switched off; messages name an edit by its number.
+    # Not what an edit is called, nor those that are switched off; the stage names an edit by its number.
     settings = [
         {"number": number} | edit.model_dump(mode="json", exclude={"name", "enabled"})
         for number, edit in enumerate(recipe.edits, start=1)

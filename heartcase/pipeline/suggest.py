@@ -7,7 +7,8 @@ worth a look is guessed: at each basin's lowest voxel
 
 with the passes ``own`` and ``other`` of :mod:`heartcase.pipeline.watershed.certainty` and the distances to the nearest
 voxels marked with the voxel's label and with its rival's. Larger volumes count no more, since they hold most of a
-structure, with its own strokes. ``heartcase bench segment-confidence`` measures how many of the places are wrong.
+structure, with its own strokes. Background far from the heart is not worth a look: air in a corner of the scan is as
+unsure as can be, as nobody marks it. ``heartcase bench segment-confidence`` measures how many of the places are wrong.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from heartcase.pipeline.watershed.forest import Forest
 from heartcase.pipeline.watershed.marks import UNMARKED, mark_below
 from heartcase.pipeline.watershed.pieces import ForestPieces, forest_pieces
 from heartcase.schemas.geometry import Geometry
+from heartcase.schemas.labels import BACKGROUND
 
 __all__ = ["DISTANCE_POWER", "DOUBT_POWER", "SURE", "StrokePlace", "StrokePlaces", "suggest_strokes"]
 
@@ -37,6 +39,8 @@ SURE = 0.5
 LEAST_ML = 0.02
 """Less than this is not worth a stroke."""
 LARGE_ML = 5.0
+FAR_MM = 20.0
+"""Background further than this from everything that is labelled as heart is not named."""
 DOUBT_POWER = 4
 DISTANCE_POWER = 2
 
@@ -143,6 +147,7 @@ def _candidates(forest: Forest, feet: FootCertainty, pieces: ForestPieces, geome
     ml = pieces.flipped_count[pieces.piece].astype(np.float64) * (geometry.voxel_volume_mm3 / 1000.0)
     sure = feet.certainty.astype(np.float64)
     basin = np.flatnonzero((feet.rival != UNMARKED) & (sure < SURE) & (ml >= LEAST_ML))
+    basin = basin[~_far_from_heart(forest, basin, geometry)]
     root_mm = _positions_mm(forest.tree.root[basin], geometry)
     own_mm, rival_mm = np.empty(len(basin)), np.empty(len(basin))
     marks = forest.marks.ravel()
@@ -155,6 +160,17 @@ def _candidates(forest: Forest, feet: FootCertainty, pieces: ForestPieces, geome
     doubt = (1.0 - sure[basin]) ** DOUBT_POWER
     worth = np.minimum(ml[basin], LARGE_ML) * doubt * nearness**DISTANCE_POWER
     return _Candidates(basin, ml[basin], worth)
+
+
+def _far_from_heart(forest: Forest, basin: Int64, geometry: Geometry) -> Bool:
+    """Which basins are background whose lowest voxel is far from that of every basin of the heart."""
+    far: Bool = forest.foot_label[basin] == BACKGROUND
+    heart = np.flatnonzero((forest.foot_label != BACKGROUND) & (forest.foot_label != UNMARKED))
+    if far.any():
+        tree = cKDTree(_positions_mm(forest.tree.root[heart], geometry))
+        away_mm = tree.query(_positions_mm(forest.tree.root[basin[far]], geometry), distance_upper_bound=FAR_MM)[0]
+        far[far] = ~np.isfinite(away_mm)
+    return far
 
 
 def _positions_mm(voxels: Int64, geometry: Geometry) -> Float64:

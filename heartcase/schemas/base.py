@@ -1,18 +1,41 @@
-"""What all schema models share: strict, immutable, numbers finite."""
+"""What all schema models share: strict, immutable, numbers finite, true and false never as text."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler
+from pydantic_core import CoreSchema
 
 __all__ = ["CaseId", "Colour", "Model", "Name", "PointMm", "PositiveMm", "Vector3"]
 
 
+def _make_booleans_strict(node: Any) -> None:
+    """Mark every boolean of a core schema as strict, in place."""
+    if isinstance(node, dict):
+        if node.get("type") == "bool":
+            node["strict"] = True
+        inner = [value for key, value in node.items() if key not in ("default", "metadata")]
+    else:
+        inner = list(node) if isinstance(node, list | tuple) else []
+    for value in inner:
+        _make_booleans_strict(value)
+
+
 class Model(BaseModel):
-    """Base of the schema models: unknown keys refused, instances immutable, no NaN or infinity."""
+    """Base of the schema models: unknown keys refused, instances immutable, no NaN or infinity.
+
+    A field that is true or false takes nothing else: ``"no"``, which pydantic would read as false, is refused.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True)
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """The schema that pydantic makes, with its booleans strict."""
+        schema = handler(source)
+        _make_booleans_strict(schema)
+        return schema
 
 
 Vector3 = tuple[float, float, float]

@@ -20,6 +20,7 @@ __all__ = [
     "Sculpt",
     "SeptalDefect",
     "Smooth",
+    "edit_place",
 ]
 
 LEAST_SINE = 0.02
@@ -174,6 +175,11 @@ Edit = Annotated[
     SeptalDefect | CloseDefect | Sculpt | Smooth | Fill | KeepLargest | RemoveIslands, Field(discriminator="kind")
 ]
 """One line of the recipe's ``edits``."""
+
+
+def edit_place(number: int, edit: Edit) -> str:
+    """What messages call the edit with this number, counted from 1: ``edits[2]``, or ``edits[2] "residual VSD"``."""
+    return f'edits[{number}] "{edit.name}"' if edit.name else f"edits[{number}]"
 
 
 def _sine_between(first: Vector3, second: Vector3) -> float:

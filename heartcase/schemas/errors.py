@@ -23,6 +23,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from pydantic import ValidationError
+from pydantic_core import ErrorDetails
 
 __all__ = [
     "BundleError",
@@ -170,6 +171,9 @@ def problems_from_validation(error: ValidationError, *, place: str = "") -> tupl
         kind = detail["type"]
         if kind in _PLAIN_WORDS:
             message = _PLAIN_WORDS[kind].format(**limits)
+        if kind in ("union_tag_invalid", "union_tag_not_found"):
+            problems.append(_kind_problem(detail, dotted))
+            continue
         if kind == "string_pattern_mismatch" and limits.get("pattern") in _PATTERN_WORDS:
             message = f"{message}: {_PATTERN_WORDS[limits['pattern']]}"
         if kind == "extra_forbidden":
@@ -189,8 +193,13 @@ _PLAIN_WORDS = {
     "float_parsing": "must be a number",
     "float_type": "must be a number",
     "finite_number": "must be a finite number",
-    "bool_parsing": "must be true or false",
-    "bool_type": "must be true or false",
+    "bool_parsing": "must be true or false, without quotes",
+    "bool_type": "must be true or false, without quotes",
+    "tuple_type": "must be a list in [brackets]",
+    "list_type": "must be a list in [brackets]",
+    "dict_type": "must be a table of names with values",
+    "model_type": "must be a table of names with values",
+    "model_attributes_type": "must be a table of names with values",
     "string_type": 'must be text in "quotes"',
     "greater_than": "must be above {gt:g}",
     "greater_than_equal": "must be at least {ge:g}",
@@ -217,6 +226,19 @@ _PATTERN_WORDS = {
     r"^[0-9a-f]{64}$": "it is 64 digits from 0 to f",
 }
 """Pattern -> what it allows, in words."""
+
+
+def _kind_problem(detail: ErrorDetails, dotted: str) -> Problem:
+    """That a table does not say, or says wrongly, which of several kinds it is."""
+    limits = detail["ctx"]
+    key = str(limits["discriminator"]).strip("'")
+    place = _joined(dotted, key)
+    if "expected_tags" not in limits:
+        return Problem(place, "is missing: add it")
+    found = detail["input"].get(key) if isinstance(detail["input"], dict) else None
+    shown = f" (found {found!r})" if isinstance(found, str | int | float) and not _is_path(found) else ""
+    first, _, last = str(limits["expected_tags"]).rpartition(", ")
+    return Problem(place, f"must be {first} or {last}{shown}" if first else f"must be {last}{shown}")
 
 
 def _is_path(value: str | int | float | bool) -> bool:

@@ -34,7 +34,16 @@ from heartcase.schemas.settings import (
     WallsSettings,
 )
 
-__all__ = ["RECIPE_VERSION", "MarkerFile", "Part", "Recipe", "ScanSource", "load_recipe", "parse_recipe"]
+__all__ = [
+    "RECIPE_VERSION",
+    "MarkerFile",
+    "Part",
+    "Recipe",
+    "ScanSource",
+    "load_recipe",
+    "parse_recipe",
+    "read_recipe_text",
+]
 
 RECIPE_VERSION = RECIPE.newest
 """Version of the recipe's format that this heartcase writes."""
@@ -315,10 +324,49 @@ def load_recipe(path: Path | str) -> Recipe:
     RecipeError
         It cannot be read, or with every problem that was found in it.
     """
+    return parse_recipe(read_recipe_text(path))
+
+
+_SCAN_SUFFIXES = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd", ".dcm", ".ima")
+_DICOM_MARK, _DICOM_MARK_AT = b"DICM", 128
+
+
+def read_recipe_text(path: Path | str) -> str:
+    """The text of a recipe's file.
+
+    Raises
+    ------
+    RecipeError
+        It is not there, cannot be read, is a folder, or looks like a scan.
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise RecipeError(
+            "this is a folder, not a recipe: give the recipe, a .toml file; for a folder of DICOM files  heartcase new "
+            "FOLDER  writes one",
+            place="recipe",
+        )
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        if _looks_like_a_scan(path):
+            raise RecipeError(
+                "this looks like a scan, not a recipe: write a recipe for it with  heartcase new SCAN  and give that",
+                place="recipe",
+            )
+        return path.read_text(encoding="utf-8")
     except FileNotFoundError:
         raise RecipeError("there is no such file; check the path", place="recipe") from None
-    except (OSError, UnicodeDecodeError):
-        raise RecipeError("the file cannot be read as UTF-8 text", place="recipe") from None
-    return parse_recipe(text)
+    except UnicodeDecodeError:
+        raise RecipeError(
+            "the file cannot be read as UTF-8 text: give the recipe, a .toml file, which  heartcase new SCAN  writes",
+            place="recipe",
+        ) from None
+    except OSError as error:
+        reason = (error.strerror or "the system gives no reason").lower()
+        raise RecipeError(f"the file cannot be read: {reason}", place="recipe") from None
+
+
+def _looks_like_a_scan(path: Path) -> bool:
+    """Whether a file is named like a scan, or begins like a DICOM file."""
+    with path.open("rb") as file:
+        start = file.read(_DICOM_MARK_AT + len(_DICOM_MARK))
+    return path.name.lower().endswith(_SCAN_SUFFIXES) or start[_DICOM_MARK_AT:] == _DICOM_MARK

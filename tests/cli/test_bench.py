@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from itertools import product
 from pathlib import Path
 
@@ -130,7 +133,8 @@ def test_the_repository_s_own_cases_are_sound():
     cases = load_cases(ROOT / "benchmarks")
     assert {case.module for case in cases} <= {path.stem for path in (ROOT / "benchmarks").glob("*.py")}
     table = [case for case in cases if case.name.startswith("accuracy-")]
-    assert len(table) == 4 * 3 * 5
+    # the table itself, and the child that nothing was chosen on
+    assert len(table) == 4 * 3 * 5 + 2 * 3 * 3
     assert {tuple(case.methods) for case in table} == {("heartcase", "skimage", "growcut", "randomwalker")}
 
 
@@ -153,6 +157,64 @@ def test_a_run_goes_on_without_a_method_that_cannot_run(tmp_path, capsys):
     page = (out / "benchmarks.md").read_text()
     assert "- absent, 4 cases" in page
     assert all(f"]({name})" in page for name in names)
+
+
+def test_outputs_that_cannot_be_written_are_refused_before_the_run(tmp_path, capsys):
+    write_cases(tmp_path)
+    file = tmp_path / "file"
+    file.write_text("mine")
+    before = sorted(tmp_path.rglob("*"))
+    wrong = ["--json", str(file / "deep" / "a.json"), "--plots", str(file / "plots"), "--report", str(file / "report")]
+    assert main(["bench", "toy-one", "--dir", str(tmp_path), *wrong]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert [line.split(":")[1].strip() for line in said.err.splitlines()] == ["--json", "--plots", "--report"]
+    assert said.err.count("cannot be written to (not a directory): choose another place") == 3
+    assert main(["bench", "toy-one", "--dir", str(tmp_path), "--json", str(tmp_path)]) == 2
+    assert "--json: is a folder" in capsys.readouterr().err
+    right = ["--json", str(tmp_path / "new" / "a.json"), "--report", str(tmp_path / "new" / "report")]
+    assert main(["bench", "toy-one", "--dir", str(tmp_path), *wrong[:2], *right[2:]]) == 2
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def stopping(how: str) -> str:
+    """A module whose second method does something in its process."""
+    return MODULE.replace('    return 2.0 / inputs["strokes"]', f"    import os, signal, time\n    {how}")
+
+
+def test_what_was_measured_until_a_case_fails_is_written(tmp_path, capsys):
+    write_cases(tmp_path)
+    (tmp_path / "toy.py").write_text(stopping("raise OSError(5, 'Input/output error')"))
+    out = tmp_path / "out"
+    options = ["--dir", str(tmp_path), "--json", str(out / "a.json"), "--report", str(out)]
+    assert main(["bench", *options]) == 1
+    said = capsys.readouterr().err
+    assert "stopped early: 1 of 14 measurements were written" in said
+    assert "input/output error" in said
+    assert [one["method"] for one in json.loads((out / "a.json").read_text())] == ["heartcase"]
+    assert "toy-one" in (out / "benchmarks.md").read_text()
+    assert main(["bench", *options[:2]]) == 1
+    assert "stopped early" not in capsys.readouterr().err
+
+
+@pytest.mark.skipif(os.name != "posix", reason="sends a signal")
+@pytest.mark.parametrize("measured", [0, 1])
+def test_what_was_measured_until_somebody_stops_it_is_written(tmp_path, measured):
+    write_cases(tmp_path)
+    if measured == 0:
+        swapped = CASES.replace('methods = ["heartcase", "peer"]', 'methods = ["peer", "heartcase"]')
+        (tmp_path / "cases.toml").write_text(swapped)
+    (tmp_path / "toy.py").write_text(stopping("os.kill(os.getppid(), signal.SIGINT); time.sleep(300.0)"))
+    out = tmp_path / "a.json"
+    command = [sys.executable, "-m", "heartcase", "bench", "--dir", str(tmp_path), "--json", str(out)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 130, done.stderr
+    assert "Traceback" not in done.stderr
+    assert "heartcase: interrupted" in done.stderr
+    assert ("stopped early: 1 of 14 measurements were written" in done.stderr) == (measured == 1)
+    assert out.exists() == (measured == 1)
+    if measured:
+        assert [one["method"] for one in json.loads(out.read_text())] == ["heartcase"]
 
 
 def test_names_select_by_prefix_and_a_sweep_is_one_line_of_the_list(tmp_path, capsys):
@@ -182,6 +244,24 @@ def test_pictures_are_pictures_and_the_same_each_time(tmp_path):
         pixels = np.asarray(Image.open(one).convert("RGB")).reshape(-1, 3)
         colours = {tuple(colour) for colour in np.unique(pixels, axis=0).tolist()}
         assert {(0x00, 0x72, 0xB2), (0xD5, 0x5E, 0x00)} <= colours
+
+
+def test_a_method_has_its_colour_also_where_another_is_missing(tmp_path):
+    records = [
+        record(method, strokes=n, seconds=s, dice=0.9, mean=1.0 / n, one=0.5)
+        for method, s in (("heartcase", 0.1), ("a peer", 10.0), ("peer", 10.0))
+        for n in (1, 10)
+    ]
+    records += [
+        one.model_copy(update={"case": f"other-{one.case}", "group": "other"})
+        for one in records
+        if one.method != "a peer"
+    ]
+    for path in write_plots(records, tmp_path):
+        pixels = np.asarray(Image.open(path).convert("RGB")).reshape(-1, 3)
+        colours = {tuple(colour) for colour in np.unique(pixels, axis=0).tolist()}
+        assert (0x00, 0x9E, 0x73) in colours  # of "peer", the third by name
+        assert ((0xD5, 0x5E, 0x00) in colours) == (not path.name.startswith("other"))
 
 
 def test_an_overlap_is_drawn_as_what_is_missing():

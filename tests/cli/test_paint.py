@@ -170,3 +170,61 @@ def test_saving_under_another_name_replaces_nothing_that_it_did_not_write(recipe
     assert written["ok"] is True
     assert again["ok"] is True
     assert len(load_recipe(path.with_name("copy.toml")).strokes) == 2
+
+
+def test_the_help_shows_the_requests_a_line_each():
+    said = CliRunner().invoke(cli, ["paint", "--help"]).output
+    assert "\\b" not in said
+    assert '\n  {"do": "suggest", "count": 5}\n' in said
+
+
+def told(answer):
+    return {problem["place"]: problem["message"] for problem in answer["problems"]}
+
+
+def test_every_answer_says_how_long_it_took(recipe):
+    path, _ = recipe
+    _, *answers = talk(path, {"do": "changed"}, {"do": "dance"}, "broken", {"do": "slice", "axis": "k", "index": 99})
+    assert [answer["ok"] for answer in answers] == [True, False, False, False]
+    assert all(answer["milliseconds"] >= 0.0 for answer in answers)
+
+
+def test_wrong_requests_are_told_in_plain_words_with_what_is_possible(recipe):
+    path, middle = recipe
+    dab = {"do": "paint", "label": "aorta", "points_mm": [middle]}
+    kinds = "'paint', 'undo', 'redo', 'changed', 'save', 'quit', 'save_as', 'suggest', 'slice' or 'box'"
+    example = 'one JSON object in one line, such as {"do": "undo"}'
+    wrong = [
+        ({"do": "dance"}, "request.do", f"must be {kinds} (found 'dance')"),
+        ({"do": 5}, "request.do", f"must be {kinds} (found 5)"),
+        ({}, "request.do", f"must be {kinds}"),
+        ('{"do": "undo"', "request", f"is not valid JSON at character 14: give {example}"),
+        ('{"do": NaN}', "request", f"is not valid JSON (NaN is no JSON): give {example}"),
+        ("[1]", "request", f"must be {example}"),
+        (dab | {"points_mm": 5}, "request.paint.points_mm", "must be a list in [brackets] (found 5)"),
+        (dab | {"radius_mm": "wide"}, "request.paint.radius_mm", "must be a number (found 'wide')"),
+        ({"do": "slice", "axis": "x", "index": 1}, "request.slice.axis", "must be 'i', 'j' or 'k' (found 'x')"),
+        ({"do": "paint", "erase": "no", "points_mm": [middle]}, "request.paint.erase", "must be true or false"),
+    ]
+    _, *answers = talk(path, *(request for request, _, _ in wrong))
+    for answer, (_, place, words) in zip(answers, wrong, strict=True):
+        assert list(told(answer)) == [place]
+        assert told(answer)[place].startswith(words)
+        assert not any(raw in told(answer)[place] for raw in ("Input", "discriminator", "valid tuple", "valid array"))
+
+
+def test_a_line_that_is_no_text_is_answered_too(recipe):
+    path, _ = recipe
+    line = b'{"do": "save_as", "path": "\xff"}\n{"do": "changed"}\n'
+    done = CliRunner().invoke(cli, ["paint", str(path), "--out", str(path.parent / "out")], input=line)
+    _, wrong, right = (json.loads(answer) for answer in done.stdout.splitlines())
+    assert told(wrong) == {"request": "is not UTF-8 text: write it as UTF-8"}
+    assert right["ok"]
+
+
+def test_a_scan_or_a_folder_is_no_recipe_to_paint_on(recipe):
+    path, _ = recipe
+    with pytest.raises(RecipeError, match="looks like a scan, not a recipe"):
+        open_session(path.with_name("scan.nii.gz"), out=path.parent)
+    with pytest.raises(RecipeError, match="a folder, not a recipe"):
+        open_session(path.parent, out=path.parent)

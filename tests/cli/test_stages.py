@@ -1,6 +1,7 @@
 """The stage commands one after the other, as a user types them, against the build of the same recipe."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -164,3 +165,71 @@ def test_outputs_hold_what_their_type_says(work):
         ("surface", Surface),
     ):
         assert isinstance(load_artifact(work / f"{name}.safetensors", kind), kind)
+
+
+UNMARKED = {
+    "nothing but erasers": (lambda text: re.sub(r'label = "\w+"\nradius', "erase = true\nradius", text), 2),
+    "no background": (lambda text: text.replace('label = "background"', 'label = "muscle"'), 1),
+    "no tissue": (lambda text: text.replace('label = "muscle"\nradius', 'label = "cavity"\nradius'), 1),
+    "background alone": (lambda text: re.sub(r'label = "\w+"\nradius', 'label = "background"\nradius', text), 1),
+    "nothing for the program to start at": (
+        lambda text: (
+            re.sub(r'label = "\w+"\nradius', 'label = "background"\nradius', text)
+            + '[segment]\nautomatic = ["background"]\n'
+        ),
+        2,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", UNMARKED)
+def test_validate_tells_what_build_would_refuse_of_the_strokes(work, tmp_path, capsys, name):
+    change, count = UNMARKED[name]
+    recipe = tmp_path / "unmarked.toml"
+    recipe.write_text(change((work / "ball.toml").read_text()))
+    (tmp_path / "scan.nii.gz").write_bytes((work / "scan.nii.gz").read_bytes())
+    assert run("build", recipe, "--out", tmp_path, "--until", "markers") == 1
+    refused = [line.removeprefix("heartcase: ") for line in capsys.readouterr().err.splitlines() if ": " in line]
+    assert len(refused) == count
+    assert run("validate", recipe) == 1
+    said = capsys.readouterr().out.splitlines()
+    assert said[:-1] == refused
+    assert said[-1].endswith("found")
+
+
+@pytest.mark.parametrize("more", ['[[markers]]\npath = "m.nrrd"\n', '[segment]\nautomatic = ["background"]\n'])
+def test_validate_says_nothing_of_markers_that_it_cannot_know(work, tmp_path, capsys, more):
+    for name in ("scan.nii.gz", "m.nrrd"):
+        (tmp_path / name).write_bytes((work / "scan.nii.gz").read_bytes())
+    recipe = tmp_path / "unknown.toml"
+    text = (work / "ball.toml").read_text().replace('label = "background"', 'label = "muscle"')
+    recipe.write_text(text + more)
+    assert run("validate", recipe) == 0
+    assert capsys.readouterr().out == "sound\n"
+    threshold = '[segment]\nmethod = "threshold"\nranges = [{ label = "muscle", lower = 1 }]\n'
+    recipe.write_text(text + threshold)
+    assert run("validate", recipe) == 0
+
+
+def test_a_scan_or_a_folder_in_place_of_a_recipe_is_told_by_every_command(work, tmp_path, capsys):
+    output = tmp_path / "x.safetensors"
+    for command in ("build", "lock", "paint", "suggest", "edit", "grid"):
+        for path, words in ((work / "scan.nii.gz", "looks like a scan"), (work, "is a folder")):
+            more = ("--recipe", path) if command in ("edit", "grid") else ("--out", tmp_path / "out")
+            inputs = (work / "scan.nii.gz", output) if command in ("edit", "grid") else (path,)
+            assert run(command, *inputs, *more) == 1, command
+            assert f"heartcase: recipe: this {words}, not a recipe" in capsys.readouterr().err
+
+
+def test_a_named_edit_is_called_by_its_name_and_a_new_name_computes_no_stage_anew(work, tmp_path, capsys):
+    text = (work / "ball.toml").read_text()
+    (tmp_path / "scan.nii.gz").write_bytes((work / "scan.nii.gz").read_bytes())
+    recipe = tmp_path / "ball.toml"
+    told = []
+    for name in ("", 'name = "tidy up"\n', 'name = "swept"\n'):
+        recipe.write_text(text + f'[[edits]]\nkind = "keep_largest"\nlabel = "cavity"\n{name}')
+        assert run("build", recipe, "--out", tmp_path, "--json") == 0
+        result = json.loads(capsys.readouterr().out)
+        told += [line.partition(":")[0] for line in result["warnings"] if line.startswith("edits")]
+    assert told == ["edits[1]", 'edits[1] "tidy up"', 'edits[1] "swept"']
+    assert {"edit", "grid", "surface", "map"} <= set(result["reused"])

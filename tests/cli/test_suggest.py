@@ -102,3 +102,17 @@ def test_without_any_marker_or_watershed_it_is_refused(recipe):
     recipe.write_text(text + '[segment]\nmethod = "threshold"\nranges = [{label = "aorta", lower = 1.0}]\n')
     done = run("suggest", recipe, "--out", recipe.parent)
     assert "only the watershed" in str(done.exception)
+
+
+def test_where_nothing_is_unsure_that_is_said(tmp_path):
+    values = np.zeros(SHAPE, np.float32)
+    values[:, :, 13:] = 500.0
+    SimpleITK.WriteImage(SimpleITK.GetImageFromArray(values), str(tmp_path / "scan.nii.gz"))
+    lines = ["heartcase_recipe = 1", 'name = "plain"', "[scan]", 'path = "scan.nii.gz"']
+    for name, i in {"background": 3.0, "aorta": 22.0}.items():
+        lines += ["[[strokes]]", f'label = "{name}"', "radius_mm = 1.0", f"points_mm = [[{i}, 10.0, 9.0]]"]
+    recipe = tmp_path / "plain.toml"
+    recipe.write_text("\n".join(lines) + "\n")
+    done = run("suggest", recipe, "--out", tmp_path)
+    assert done.exit_code == 0, done.output
+    assert done.stdout.splitlines() == ["No place is unsure enough to be worth a stroke."]

@@ -6,11 +6,12 @@ import pytest
 from pydantic import ValidationError
 
 from heartcase.pipeline.artifacts import artifact_from_bytes, artifact_to_bytes
+from heartcase.pipeline.cautions import Severity, note, severity_of
 from heartcase.pipeline.data import Segmentation, Structures
-from heartcase.pipeline.edit import apply_edits
+from heartcase.pipeline.edit import apply_edits, with_edit_names
 from heartcase.pipeline.fields import ownership_at_points, ownership_on_lattice
 from heartcase.pipeline.walls import grow_walls, structure_volumes_ml
-from heartcase.schemas.edit_settings import CloseDefect, Sculpt, SeptalDefect
+from heartcase.schemas.edit_settings import CloseDefect, KeepLargest, Sculpt, SeptalDefect
 from heartcase.schemas.errors import StageError, problems_from_validation
 from heartcase.schemas.labels import Label, LabelTable, Role
 from heartcase.schemas.settings import WallsSettings
@@ -313,3 +314,24 @@ def test_every_edit_that_meets_nothing_is_reported():
         start=1,
     ):
         assert words in found[f"edits[{number}]"]
+
+
+def test_an_edit_is_told_by_its_name_too_where_it_has_one():
+    wrong = sculpt("add", "septum", ((0.0, 0.0, 0.0),), 1.0)
+    edits = (wrong, wrong.model_copy(update={"name": "residual VSD"}))
+    with pytest.raises(StageError) as error:
+        apply_edits(two_cavities(), edits)
+    assert [problem.place for problem in error.value.problems] == ["edits[1]", 'edits[2] "residual VSD"']
+    lines = (note("edits[2]: changes nothing"), "edits[1]: odd", "aorta: edits[2]", "edits[3]: of another recipe")
+    told = with_edit_names(lines, edits)
+    assert told == ('edits[2] "residual VSD": changes nothing', *lines[1:])
+    assert severity_of(told[0]) is Severity.NOTE
+
+
+def test_a_name_changes_nothing_of_the_stage_s_output():
+    plain = KeepLargest(kind="keep_largest", label="septum")
+    outputs = [
+        artifact_to_bytes(apply_edits(two_cavities(), (one,)))
+        for one in (plain, plain.model_copy(update={"name": "a name"}))
+    ]
+    assert outputs[0] == outputs[1]

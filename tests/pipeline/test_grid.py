@@ -283,7 +283,7 @@ def test_without_repair_the_same_defect_closes_and_is_reported():
             break
     assert blood_pieces(raw) == 2
     assert any("opening" in warning and "mm" in warning for warning in raw.warnings)
-    assert any(warning.startswith("the blood is in 1 separate piece(s)") for warning in raw.warnings)
+    assert any(warning.startswith("the blood is in 1 separate piece at") for warning in raw.warnings)
     fixed = grid_of(*made)
     assert blood_pieces(fixed) == 1
     assert fixed.quality["repairs"]["opening_cells_removed"] > 0

@@ -347,8 +347,26 @@ def test_what_lies_beyond_a_draft_is_not_its_background(tmp_path):
     whole[inside] = draft.ravel()
     depth = edt.edt(whole.astype(np.uint16) + 1, anisotropy=SPACING[::-1], black_border=False)
     np.testing.assert_array_equal(labels == 0, (whole == 0) & (depth >= 2.0))
-    without = load_markers((file.model_copy(update={"background": False}),), (), TABLE, GEOMETRY, tmp_path).labels
-    assert set(np.unique(without)) == {5, UNMARKED}
+    without = load_markers((file.model_copy(update={"background": False}),), (), TABLE, GEOMETRY, tmp_path)
+    assert set(np.unique(without.labels)) == {5, UNMARKED}
+    assert without.warnings == ()
+
+
+def test_a_draft_that_lacks_structures_says_that_it_takes_them_for_background(tmp_path):
+    # all but the venae cavae
+    absent = [label for label in TABLE if label.name.endswith("vena cava")]
+    assert len(absent) == 2
+    draft = np.zeros(GEOMETRY.shape, np.uint8)
+    for n, label in enumerate(one for one in TABLE if one not in absent):
+        draft[2:8, 2:30, 3 + 4 * n : 6 + 4 * n] = label.value
+    write_labels(tmp_path / "draft.nrrd", draft, GEOMETRY)
+    file = MarkerFile(path="draft.nrrd", core_mm=1.0, background=True)
+    (warning,) = load_markers((file,), (), TABLE, GEOMETRY, tmp_path).warnings
+    assert warning.startswith(f"markers[1] holds no {absent[0].name}, {absent[1].name}, and with background = true")
+    for n, label in enumerate(absent):
+        draft[12:18, 2:30, 3 + 20 * n : 20 + 20 * n] = label.value
+    write_labels(tmp_path / "draft.nrrd", draft, GEOMETRY)
+    assert load_markers((file,), (), TABLE, GEOMETRY, tmp_path).warnings == ()
 
 
 def test_points_have_no_core(tmp_path):

@@ -307,6 +307,9 @@ def test_an_edit_states_its_own_opening_and_its_area_is_told():
     assert one.area_mm2 == pytest.approx(one.asked_mm2, rel=0.15)
     (caution,) = opening_cautions([one])
     assert caution.severity is Severity.NOTE
+    (named,) = openings_of(structures, edits=[canal().model_copy(update={"name": "residual VSD"})])
+    assert named.stated_by == 'edits[1] "residual VSD"'
+    assert 'as stated by edits[1] "residual VSD", which asks for' in opening_cautions([named])[0]
     (same,) = openings_of(structures)
     assert same.verdict is Verdict.UNEXPECTED
     (off,) = openings_of(structures, edits=[canal().model_copy(update={"enabled": False})])

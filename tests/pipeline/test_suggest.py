@@ -112,3 +112,20 @@ def test_without_markers_or_with_one_label_there_is_nothing_to_say():
         found = suggest_strokes(solve_forest(build_basin_tree(rough(1, shape)), markers), oblique(shape))
         assert found.places == ()
         assert found.rest_ml == 0.0
+
+
+def test_a_doubtful_lake_in_the_background_is_named_only_near_the_heart():
+    # a plain of background and one of the heart, 7 high between them; in the background two lakes behind walls of 6
+    shape = (5, 5, 80)
+    height = np.ones(shape, np.float32)
+    height[:, :, 70] = 7.0
+    for lake, wall in ((10, 20), (60, 50)):
+        height[:, :, wall] = 6.0
+        height[2, 2, lake] = 0.5
+    height[2, 2, 35] = height[2, 2, 75] = 0.25
+    geometry = oblique(shape, (1.0, 1.0, 1.0))
+    forest = solve_forest(build_basin_tree(height), marked(shape, label0=(35, 2, 2)[::-1], label3=(2, 2, 75)))
+    near = [geometry.index_to_world((60, 2, 2))]
+    found = suggest_strokes(forest, geometry)
+    np.testing.assert_allclose([place.position_mm for place in found.places], near, atol=1e-9)
+    assert found.rest_ml == 0.0

@@ -1,4 +1,5 @@
 import json
+import re
 import tomllib
 from pathlib import Path
 
@@ -91,6 +92,103 @@ def test_a_missing_or_binary_file_is_refused_in_one_line(tmp_path):
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(RecipeError, match="UTF-8"):
         load_recipe(tmp_path / "binary.toml")
+
+
+@pytest.mark.parametrize("name", ["jane.nii.gz", "jane.NRRD", "jane.mhd", "jane.dcm", "IM0001"])
+def test_a_scan_in_place_of_a_recipe_is_told_to_be_one(tmp_path, name):
+    content = b"\x00" * 128 + b"DICM" if name == "IM0001" else b"NDims = 3\n"
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(RecipeError, match=r"looks like a scan, not a recipe.*heartcase new SCAN") as error:
+        load_recipe(tmp_path / name)
+    assert "jane" not in str(error.value)
+    with pytest.raises(RecipeError, match="no such file"):
+        load_recipe(tmp_path / "none.nii.gz")
+
+
+def test_a_folder_in_place_of_a_recipe_is_told_to_be_one(tmp_path):
+    with pytest.raises(RecipeError, match="this is a folder, not a recipe"):
+        load_recipe(tmp_path)
+
+
+@pytest.mark.parametrize("value", ['"no"', '"true"', "1", "0"])
+@pytest.mark.parametrize(
+    ("place", "text"),
+    [
+        ("grid.repair", "[grid]\nrepair = {}\n"),
+        ("scan.straighten_tilt", "[scan]\npath = 's'\nstraighten_tilt = {}\n"),
+        ("edits[1].keep_largest.enabled", "[[edits]]\nkind = 'keep_largest'\nlabel = 'aorta'\nenabled = {}\n"),
+        ("markers[1].background", "[[markers]]\npath = 'm'\ncore_mm = 3\nbackground = {}\n"),
+        ("strokes[2].erase", "[[strokes]]\npoints_mm = [[0, 0, 0]]\nerase = {}\n"),
+    ],
+)
+def test_true_and_false_are_written_without_quotes(place, text, value):
+    text = MINIMAL.replace('scan.path = "scan.nii.gz"', "" if "scan" in place else "scan.path = 's'") + text
+    with pytest.raises(RecipeError) as error:
+        parse_recipe(text.format(value))
+    (problem,) = error.value.problems
+    assert problem.place == place
+    assert problem.message.startswith("must be true or false, without quotes (found ")
+    parse_recipe(text.format("true"))
+
+
+def test_numbers_are_read_as_before():
+    recipe = parse_recipe(MINIMAL + "[grid]\ncell_mm = 2\nrepair = false\n[filter]\niterations = 3.0\n")
+    assert (recipe.grid.cell_mm, recipe.grid.repair, recipe.filter.iterations) == (2.0, False, 3)
+    assert isinstance(recipe.grid.cell_mm, float)
+    assert Recipe.model_validate_json(recipe.model_dump_json()) == recipe
+
+
+def test_what_kind_an_edit_is_of_is_told_in_plain_words():
+    with pytest.raises(RecipeError) as error:
+        parse_recipe(MINIMAL + "[[edits]]\nkind = 'hole'\n[[edits]]\nlabel = 'aorta'\n[[edits]]\nkind = 5\n")
+    kinds = "'septal_defect', 'close_defect', 'add', 'remove', 'smooth', 'fill', 'keep_largest' or 'remove_islands'"
+    assert [str(problem) for problem in error.value.problems] == [
+        f"edits[1].kind: must be {kinds} (found 'hole')",
+        "edits[2].kind: is missing: add it",
+        f"edits[3].kind: must be {kinds} (found 5)",
+    ]
+    with pytest.raises(RecipeError) as error:
+        parse_recipe(MINIMAL.replace("[[0, 0, 0]]", "5") + "[materials]\nlabels = 5\n[grid]\nrepair = []\n")
+    assert {problem.place: problem.message for problem in error.value.problems} == {
+        "strokes[1].points_mm": "must be a list in [brackets] (found 5)",
+        "materials.labels": "must be a table of names with values (found 5)",
+        "grid.repair": "must be true or false, without quotes",
+    }
+
+
+def uncommented(text):
+    """A recipe with every setting that is shown as a comment; of two for one key the first."""
+    lines, key = [], ""
+    for line in text.splitlines():
+        found = re.match(r"# (\[+[\w.]+\]+|(\w+) = .*)", line)
+        if found and found.group(2) and found.group(2) == key:
+            continue
+        key = (found and found.group(2)) or ""
+        lines.append(line.removeprefix("# ") if found else line)
+    return "\n".join(lines)
+
+
+@pytest.mark.parametrize("modality", ["CT", "unknown"])
+def test_what_the_starter_recipe_shows_as_comments_is_valid_too(modality):
+    text = starter_recipe(
+        name="first",
+        scan_path="scan.nii",
+        choice={},
+        center_mm=(1.0, 2.0, 3.0),
+        extent_mm=(300.0, 300.0, 100.0),
+        modality=modality,
+    )
+    assert "heartcase paint THIS_FILE" in text
+    assert "heartcase suggest THIS_FILE" in text
+    assert max(len(line) for line in text.splitlines()) <= 120
+    recipe = parse_recipe(uncommented(text))
+    assert recipe.segment.automatic == ("background", "lung")
+    assert [(file.core_mm, file.background) for file in recipe.markers] == [(None, False), (3.0, True)]
+    assert recipe.markers[1].convention == "totalsegmentator-heartchambers"
+    assert [stroke.erase for stroke in recipe.strokes] == [False, False, True]
+    assert [one.label for one in recipe.walls.thickness] == ["aorta"]
+    assert (recipe.filter.conductance, len(recipe.ends), len(recipe.edits), len(recipe.pins)) == (1.0, 1, 1, 1)
+    assert recipe.region is not None
 
 
 def test_the_starter_recipe_is_valid_and_lists_every_label():

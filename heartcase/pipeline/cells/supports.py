@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.pipeline.cautions import counted
 from heartcase.pipeline.cells.sampling import CellSamples
 from heartcase.pipeline.cells.topology import components
 from heartcase.pipeline.data import Structures
@@ -99,9 +100,12 @@ def floating_pieces(geometry: Geometry, tissue: Bool, corners: Int32, fixed: UIn
     sizes = np.bincount(of_cell, minlength=count + 1)[loose]
     largest = loose[np.argmax(sizes)]
     x, y, z = geometry.index_to_world(np.argwhere(labels == largest)[:, ::-1].mean(axis=0))
+    cells = counted(int(sizes.sum()), "cell")
+    one = len(loose) == 1
     return [
-        f"{len(loose)} piece(s) of tissue ({int(sizes.sum())} cells) are attached to nothing that is held still and "
-        f"can drift away; the largest is at ({x:.1f}, {y:.1f}, {z:.1f}) mm: hold it there ([[pins]]) or remove it"
+        f"{counted(len(loose), 'piece')} of tissue ({cells}) {'is' if one else 'are'} attached to nothing that is held "
+        f"still and can drift away; {'it' if one else 'the largest'} is at ({x:.1f}, {y:.1f}, {z:.1f}) mm: hold it "
+        "there ([[pins]]) or remove it"
     ]
 
 

@@ -13,7 +13,7 @@ import edt
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.pipeline.cautions import Caution, note
+from heartcase.pipeline.cautions import Caution, counted, note
 from heartcase.pipeline.data import Structures
 from heartcase.pipeline.edits.borders import Borders, distance_beyond_band
 from heartcase.schemas.edit_settings import RemoveIslands
@@ -51,9 +51,8 @@ def remove_islands(
 def _told(structures: Structures, gone: dict[str, list[int]], nothing: str, place: str) -> Structures:
     lines: list[Caution] = []
     for name, counts in gone.items():
-        pieces = "1 piece" if len(counts) == 1 else f"{len(counts)} pieces"
         volume = sum(counts) * structures.geometry.voxel_volume_mm3 / 1000.0
-        lines.append(note(f"{place}: {pieces} of '{name}' given away, {volume:.2f} ml in all"))
+        lines.append(note(f"{place}: {counted(len(counts), 'piece')} of '{name}' given away, {volume:.2f} ml in all"))
     if not gone:
         lines.append(note(f"{place}: {nothing}, so the edit changes nothing"))
     return replace(structures, warnings=(*structures.warnings, *lines))

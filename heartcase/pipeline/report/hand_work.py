@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
+from heartcase.pipeline.cautions import counted
 from heartcase.pipeline.data import Scan
 from heartcase.pipeline.report.plain_words import Fact, placed, setting_lines
 from heartcase.schemas.edit_settings import CloseDefect, Edit, KeepLargest, RemoveIslands, SeptalDefect
@@ -79,8 +80,7 @@ def _painted(recipe: Recipe) -> Iterator[Fact]:
         length = sum(math.dist(a, b) for a, b in itertools.pairwise(stroke.points_mm))
         by_label.setdefault("markers erased" if stroke.label is None else stroke.label, []).append(length)
     for label, lengths in by_label.items():
-        strokes = "1 stroke" if len(lengths) == 1 else f"{len(lengths)} strokes"
-        yield Fact(f"Painted: {label}", f"{strokes}, {sum(lengths):.0f} mm in all")
+        yield Fact(f"Painted: {label}", f"{counted(len(lengths), 'stroke')}, {sum(lengths):.0f} mm in all")
     if recipe.markers:
         yield Fact("Marker files", str(len(recipe.markers)), "Painted or placed in another program.")
     drafts = [file.core_mm for file in recipe.markers if file.core_mm is not None]
@@ -125,7 +125,7 @@ def _deed(edit: Edit) -> str:
     if isinstance(edit, RemoveIslands):
         return f"pieces of {edit.label or 'all structures'} below {edit.smallest_ml:g} ml removed"
     verb = {"add": "added to", "remove": "removed from", "smooth": "smoothed", "fill": "holes filled in"}[edit.kind]
-    where = f"{len(edit.points_mm)} point(s) from {placed(edit.points_mm[0])}"
+    where = f"{counted(len(edit.points_mm), 'point')} from {placed(edit.points_mm[0])}"
     return f"{verb} {edit.label}: brush of {edit.radius_mm:g} mm radius, {where}"
 
 
@@ -151,8 +151,9 @@ def _settings(recipe: Recipe, scan: Scan | None) -> Iterator[Fact]:
     for label in recipe.table:
         standard = _counterpart(label, usual)
         if label in varying:
-            numbers = varying[label]
-            yield Fact(f"Wall thickness: {label.name}", f"{min(numbers):g} to {max(numbers):g} mm, by place")
+            thinnest, thickest = (f"{number:g}" for number in (min(varying[label]), max(varying[label])))
+            words = f"{thinnest} mm" if thinnest == thickest else f"{thinnest} to {thickest} mm, by place"
+            yield Fact(f"Wall thickness: {label.name}", words)
         elif standard is not None and standard.wall_thickness_mm != label.wall_thickness_mm:
             meaning = f"Usual for an adult: {standard.wall_thickness_mm:g} mm."
             yield Fact(f"Wall thickness: {label.name}", f"{label.wall_thickness_mm:g} mm", meaning)

@@ -1,14 +1,17 @@
 """Warnings: the worst first, each once, and their weight survives the cache."""
 
 import itertools
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import heartcase
 from heartcase.pipeline.artifacts import artifact_from_bytes, artifact_to_bytes
-from heartcase.pipeline.cautions import Caution, Severity, anatomy, grouped, note, severity_of, worst_first
+from heartcase.pipeline.cautions import Caution, Severity, anatomy, counted, grouped, note, severity_of, worst_first
 from heartcase.pipeline.data import Scan
 from heartcase.pipeline.ends import closed_vessels
 from heartcase.pipeline.segment import segmentation_warnings
@@ -84,3 +87,13 @@ def test_an_aorta_without_an_end_outranks_a_loose_piece():
     assert pieces.severity is Severity.LOOK
     assert np.prod(heart.segmentation.geometry.spacing_mm) == pytest.approx(64.0)
     assert "0.064 ml near (-62, -62, -62) mm" in pieces
+
+
+def test_things_are_counted_in_words():
+    assert [counted(number, "piece") for number in (0, 1, 2)] == ["0 pieces", "1 piece", "2 pieces"]
+
+
+def test_no_message_leaves_the_plural_to_the_reader():
+    sources = list(Path(heartcase.__file__).parent.rglob("*.py"))
+    assert len(sources) > 100
+    assert [path.name for path in sources if re.search(r"\} \w+\(s\)", path.read_text(encoding="utf-8"))] == []

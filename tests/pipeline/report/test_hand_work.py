@@ -94,7 +94,7 @@ def test_everything_that_a_person_did_is_told(scan):
     assert facts["Scan changed before use"] == "2 missing slices were filled in from their neighbours"
     assert facts["Region of interest"] == "a box of 100 x 90 x 80 mm around (1.0, 2.0, 3.0) mm"
     assert facts["Segmentation"] == "taken as it was given"
-    assert facts["Edit 1"] == "added to aorta: brush of 2 mm radius, 2 point(s) from (1.0, 2.0, 3.0) mm"
+    assert facts["Edit 1"] == "added to aorta: brush of 2 mm radius, 2 points from (1.0, 2.0, 3.0) mm"
     assert facts["Edit 2"] == "defect closed with a patch of 8 mm at (5.0, -15.0, -10.0) mm"
     slit = "septal defect of 8 x 3 mm (slit) made at (5.0, -15.0, -10.0) mm"
     assert facts["Edit 3"] == f"second one: {slit} (switched off: not carried out)"
@@ -160,3 +160,18 @@ def test_drafts_and_what_the_program_marked_are_told():
     assert not any("automatic" in value for value in facts.values())
     plain = {fact.name for fact in hand_work_facts(parse_recipe(text.replace("automatic", "# automatic")))}
     assert "Markers set by the program" not in plain
+
+
+@pytest.mark.parametrize(
+    ("points", "numbers", "words"),
+    [
+        ("[[1, 2, 3]]", "[2.0]", "2 mm"),
+        ("[[1, 2, 3], [1, 2, 9]]", "[1.5, 1.5]", "1.5 mm"),
+        ("[[1, 2, 3], [1, 2, 9]]", "[1.5, 3]", "1.5 to 3 mm, by place"),
+    ],
+)
+def test_a_wall_that_varies_is_told_by_its_range(points, numbers, words):
+    table = (
+        f'[[walls.thickness]]\nlabel = "aorta"\nkind = "positions"\npoints_mm = {points}\nthickness_mm = {numbers}\n'
+    )
+    assert told(HEAD + THRESHOLD + table)["Wall thickness: aorta"] == words

@@ -1,0 +1,168 @@
+"""Where a triangle mesh passes through itself.
+
+Two triangles count as intersecting when an edge of one strictly crosses the inside of the other. Neighbours that share
+an edge or a vertex are judged by the same rule: what they share lies in both planes, so it crosses neither. Triangles
+that only touch, or overlap within one plane, do not count; folds are found by their normals.
+
+Signs of volumes are taken in float64 with a forward error bound (Shewchuk, "Adaptive precision floating-point
+arithmetic and fast robust geometric predicates", Discrete & Computational Geometry 18, 1997): what is not certain
+counts as touching.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["self_intersections"]
+
+Float64 = npt.NDArray[np.float64]
+Int32 = npt.NDArray[np.int32]
+
+_ERROR_BOUND = (7.0 + 56.0 * 2.0**-53) * 2.0**-53
+"""Of a volume's sign, in units of the sum of its products' sizes: Shewchuk's o3derrboundA."""
+_BOX_EDGES = 1.5
+"""Edge of a cell of the search lattice, in mean edges of the triangles' boxes."""
+_CELLS_PER_TRIANGLE = 8
+
+
+def self_intersections(vertices: npt.NDArray[np.floating], triangles: Int32) -> Int32:
+    """Find all pairs of triangles that cross.
+
+    Parameters
+    ----------
+    vertices
+        Shape (vertex_count, 3).
+    triangles
+        Shape (triangle_count, 3).
+
+    Returns
+    -------
+    Int32
+        Shape (pair_count, 2), lower triangle first, ascending.
+    """
+    if not len(triangles):
+        return np.zeros((0, 2), np.int32)
+    corner = np.ascontiguousarray(vertices, np.float64)[triangles]
+    low, high = corner.min(axis=1), corner.max(axis=1)
+    origin = low.min(axis=0)
+    extent = high.max(axis=0) - origin
+    cell = max(_BOX_EDGES * float((high - low).mean()), 1e-12)
+    while np.prod(np.floor(extent / cell) + 1.0) > max(_CELLS_PER_TRIANGLE * len(triangles), 64):
+        cell *= 1.25
+    size = np.floor(extent / cell).astype(np.int64) + 1
+    first = np.minimum(((low - origin) / cell).astype(np.int64), size - 1)
+    last = np.minimum(((high - origin) / cell).astype(np.int64), size - 1)
+    start, held = _fill_cells(first, last, size)
+    counts = _cross_count(corner, low, high, first, last, size, start, held)
+    begin = np.concatenate([[0], np.cumsum(counts)])
+    pairs = np.empty((int(begin[-1]), 2), np.int32)
+    _cross_list(corner, low, high, first, last, size, start, held, begin, pairs)
+    return pairs
+
+
+@numba.njit(cache=True, nogil=True)
+def _fill_cells(first, last, size):  # type: ignore[no-untyped-def]
+    """Triangles of each cell of the search lattice, ascending: where each cell begins, and the list."""
+    start = np.zeros(size[0] * size[1] * size[2] + 1, np.int64)
+    for t in range(len(first)):
+        for i in range(first[t, 0], last[t, 0] + 1):
+            for j in range(first[t, 1], last[t, 1] + 1):
+                for k in range(first[t, 2], last[t, 2] + 1):
+                    start[(i * size[1] + j) * size[2] + k + 1] += 1
+    start = np.cumsum(start)
+    held = np.empty(start[-1], np.int32)
+    place = start[:-1].copy()
+    for t in range(len(first)):
+        for i in range(first[t, 0], last[t, 0] + 1):
+            for j in range(first[t, 1], last[t, 1] + 1):
+                for k in range(first[t, 2], last[t, 2] + 1):
+                    c = (i * size[1] + j) * size[2] + k
+                    held[place[c]] = t
+                    place[c] += 1
+    return start, held
+
+
+@numba.njit(cache=True, nogil=True)
+def _side(a, b, c, d):  # type: ignore[no-untyped-def]
+    """Sign of the volume of (a, b, c, d): 1, -1, or 0 where it is not certain."""
+    ax, ay, az = a[0] - d[0], a[1] - d[1], a[2] - d[2]
+    bx, by, bz = b[0] - d[0], b[1] - d[1], b[2] - d[2]
+    cx, cy, cz = c[0] - d[0], c[1] - d[1], c[2] - d[2]
+    bxcy, cxby = bx * cy, cx * by
+    cxay, axcy = cx * ay, ax * cy
+    axby, bxay = ax * by, bx * ay
+    volume = az * (bxcy - cxby) + bz * (cxay - axcy) + cz * (axby - bxay)
+    most = (abs(bxcy) + abs(cxby)) * abs(az) + (abs(cxay) + abs(axcy)) * abs(bz) + (abs(axby) + abs(bxay)) * abs(cz)
+    bound = _ERROR_BOUND * most
+    return 1 if volume > bound else (-1 if volume < -bound else 0)
+
+
+@numba.njit(cache=True, nogil=True)
+def _edge_crosses(p, q, t):  # type: ignore[no-untyped-def]
+    """Whether the segment from p to q strictly crosses the inside of a triangle."""
+    side = _side(t[0], t[1], t[2], p)
+    if side == 0 or side != -_side(t[0], t[1], t[2], q):
+        return False
+    way = _side(p, q, t[0], t[1])
+    return way != 0 and way == _side(p, q, t[1], t[2]) and way == _side(p, q, t[2], t[0])
+
+
+@numba.njit(cache=True, nogil=True)
+def _crosses(a, b):  # type: ignore[no-untyped-def]
+    for k in range(3):
+        m = (k + 1) % 3
+        if _edge_crosses(a[k], a[m], b) or _edge_crosses(b[k], b[m], a):
+            return True
+    return False
+
+
+@numba.njit(cache=True, nogil=True)
+def _crossed_by(t, corner, low, high, first, last, size, start, held, found):  # type: ignore[no-untyped-def]
+    """Higher triangles that cross triangle ``t``, into ``found`` as far as it reaches; how many there are."""
+    count = 0
+    for i in range(first[t, 0], last[t, 0] + 1):
+        for j in range(first[t, 1], last[t, 1] + 1):
+            for k in range(first[t, 2], last[t, 2] + 1):
+                c = (i * size[1] + j) * size[2] + k
+                for at in range(start[c], start[c + 1]):
+                    u = held[at]
+                    # a pair is looked at in the first cell that both boxes share
+                    if (
+                        u <= t
+                        or i != max(first[t, 0], first[u, 0])
+                        or j != max(first[t, 1], first[u, 1])
+                        or k != max(first[t, 2], first[u, 2])
+                        or low[t, 0] > high[u, 0]
+                        or low[u, 0] > high[t, 0]
+                        or low[t, 1] > high[u, 1]
+                        or low[u, 1] > high[t, 1]
+                        or low[t, 2] > high[u, 2]
+                        or low[u, 2] > high[t, 2]
+                    ):
+                        continue
+                    if _crosses(corner[t], corner[u]):
+                        if count < len(found):
+                            found[count] = u
+                        count += 1
+    return count
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _cross_count(corner, low, high, first, last, size, start, held):  # type: ignore[no-untyped-def]
+    counts = np.empty(len(corner), np.int64)
+    for t in numba.prange(len(corner)):
+        counts[t] = _crossed_by(t, corner, low, high, first, last, size, start, held, np.empty(0, np.int32))
+    return counts
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _cross_list(corner, low, high, first, last, size, start, held, begin, pairs):  # type: ignore[no-untyped-def]
+    for t in numba.prange(len(corner)):
+        count = begin[t + 1] - begin[t]
+        if count > 0:
+            found = np.empty(count, np.int32)
+            _crossed_by(t, corner, low, high, first, last, size, start, held, found)
+            pairs[begin[t] : begin[t + 1], 0] = t
+            pairs[begin[t] : begin[t + 1], 1] = np.sort(found)
