@@ -40,6 +40,8 @@ RETURN_VOXELS = 0.5
 """Lead over the next label, in voxels, of a voxel that gets its old label back."""
 FAR_SIGMAS = 2.0
 """Standard deviations of the blur, and a voxel, beyond which a label's lead says nothing about its own face."""
+LEAD_SHARE = 0.6
+"""Part of a label's distance that its lead is at least, where it is about the label's own face."""
 OFFSET_LIMIT = 0.1
 """Most that a field is moved for the sake of its interpolation, in voxels."""
 BORDER_VOXELS = 3
@@ -259,8 +261,9 @@ def _within(part: _Part, box: Box, shape: tuple[int, ...], outside: float) -> Fl
 def _completed(lead: Float32, inside: Bool, box: Box, spacing: Float64, band_mm: float, far_mm: float) -> Float32:
     """Exact distances in the band, and beyond it a distance between voxels.
 
-    Beyond the volume's border the lead goes straight on, but not where the label is farther than ``far_mm``: there it
-    falls towards a face between two *other* labels, and would reach zero as if the label were just outside.
+    Beyond the volume's border the lead goes straight on, but not where the label is farther than ``far_mm``, or clearly
+    farther than the lead says: there it falls towards a face between two *other* labels, and would reach zero as if the
+    label were just outside.
     """
     shape = inside.shape
     anisotropy = tuple(float(v) for v in spacing)
@@ -272,12 +275,12 @@ def _completed(lead: Float32, inside: Bool, box: Box, spacing: Float64, band_mm:
         for part, size in zip(box, shape, strict=True)
     ]
     padded = np.pad(lead, pads, mode="reflect", reflect_type="odd")
-    is_far = outer[box] > far_mm
+    half = 0.5 * float(spacing.mean())
+    is_far = (outer[box] > far_mm) | (lead < LEAD_SHARE * (outer[box] - half))
     padded = np.maximum(padded, np.pad(np.where(is_far, lead, np.float32(-np.inf)), pads, mode="edge"))
     near = signed_distance(padded, tuple(spacing[::-1]), band_mm=band_mm)
     near = offset_for_interpolation(near, np.float32(OFFSET_LIMIT * spacing.min()))
     near = near[tuple(slice(low, low + n) for (low, _), n in zip(pads, lead.shape, strict=True))]
-    half = 0.5 * float(spacing.mean())
     field: Float32 = np.maximum(outer - half, band_mm, dtype=np.float32)
     if inside.all():
         inner = np.full(lead.shape, np.inf, np.float32)

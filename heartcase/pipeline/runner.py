@@ -23,7 +23,7 @@ STAGE_VERSIONS = {
     "markers": 1,
     "filter": 2,
     "segment": 2,
-    "walls": 4,
+    "walls": 5,
     "edit": 2,
     "grid": 4,
     "surface": 3,

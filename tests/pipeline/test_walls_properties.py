@@ -117,3 +117,14 @@ def test_what_ends_at_the_border_of_the_volume_makes_no_wall_there(layers):
     distance = cKDTree(there).query(np.stack([i, j, k], axis=1) * 1.75)[0].reshape(labels.shape)
     outside = labels != 1
     assert (structures.distance_mm[1] - np.minimum(distance, structures.band_mm))[outside].min() > -1.75
+
+
+def test_a_label_behind_another_at_the_border_of_the_volume_is_not_drawn_nearer():
+    """A case that the property above found: beyond the border the lead fell towards the face of one before two."""
+    labels = np.zeros((14, 13, 12), np.uint8)
+    labels[8:11, 2:10, 0:4] = 2
+    labels[2:10, 1:9, 1:6] = 1
+    geometry = Geometry.of(shape=labels.shape, spacing_mm=(1.0, 4.0, 1.0))
+    structures = grow_walls(Segmentation(labels, geometry, table_of(2.0, 4.6)), WallsSettings(), ())
+    # from the middles of the first voxels to the box's face it is 7.5 mm; that face is drawn out by up to a voxel
+    assert structures.distance_mm[2][0, 2:10, 0].min() > 5.0
