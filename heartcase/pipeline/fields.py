@@ -24,7 +24,16 @@ from heartcase.pipeline.wall_thickness import ThicknessArrays, table_thickness, 
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND
 
-__all__ = ["Ownership", "ownership_at_points", "ownership_on_lattice"]
+__all__ = [
+    "FieldReader",
+    "Ownership",
+    "evaluate_owner",
+    "evaluate_tissue",
+    "ownership_at_points",
+    "ownership_on_lattice",
+    "scratch",
+    "steps_through",
+]
 
 Bool = npt.NDArray[np.bool_]
 Float32 = npt.NDArray[np.float32]
@@ -81,13 +90,32 @@ class _Layout(NamedTuple):
     """Shape (reshapings, slots)."""
 
 
-def ownership_on_lattice(structures: Structures, lattice: Geometry) -> Ownership:
+@dataclass(frozen=True)
+class FieldReader:
+    """Structures in the order in which kernels read them: make it once where they are read again and again."""
+
+    structures: Structures
+    """What is read."""
+    layout: _Layout
+    """For kernels: stored fields, walls and reshapings."""
+    tables: ThicknessArrays
+    """For kernels: walls that vary."""
+
+    @classmethod
+    def of(cls, structures: Structures | FieldReader) -> FieldReader:
+        """Reader of some structures; a reader is returned as it is."""
+        if isinstance(structures, FieldReader):
+            return structures
+        return cls(structures, _layout(structures), _varying(structures))
+
+
+def ownership_on_lattice(structures: Structures | FieldReader, lattice: Geometry) -> Ownership:
     """Evaluate the structures at every point of a lattice parallel to their own.
 
     Parameters
     ----------
     structures
-        The structures.
+        The structures, or their reader.
     lattice
         Points to evaluate at; any spacing and origin, axes parallel to the fields'. Points outside take the value
         of the nearest point of the fields' lattice.
@@ -97,25 +125,39 @@ def ownership_on_lattice(structures: Structures, lattice: Geometry) -> Ownership
     Ownership
         Arrays of shape ``lattice.shape``.
     """
-    start = structures.geometry.world_to_index(lattice.index_to_world((0.0, 0.0, 0.0)))
-    steps = np.linalg.inv(structures.geometry.index_to_world_matrix) @ lattice.index_to_world_matrix
-    step = np.diag(steps).copy()
-    if not np.allclose(steps, np.diag(step), atol=1e-6 * np.abs(step).max()):
-        raise ValueError("the lattice must be parallel to the fields' own")
+    reader = FieldReader.of(structures)
+    start, step = steps_through(reader.structures.geometry, lattice)
     tissue = np.empty(lattice.shape, np.float32)
     void_label = np.empty(lattice.shape, np.uint8)
     tissue_label = np.empty(lattice.shape, np.uint8)
-    _evaluate_lattice(_layout(structures), _varying(structures), start, step, tissue, void_label, tissue_label)
+    _evaluate_lattice(reader.layout, reader.tables, start, step, tissue, void_label, tissue_label)
     return Ownership(tissue, void_label, tissue_label)
 
 
-def ownership_at_points(structures: Structures, points_mm: npt.ArrayLike) -> Ownership:
-    """Evaluate the structures at world points, shape (n, 3) in mm; arrays of shape (n,)."""
-    index = np.ascontiguousarray(structures.geometry.world_to_index(points_mm)).reshape(-1, 3)
+def steps_through(geometry: Geometry, lattice: Geometry) -> tuple[Float64, Float64]:
+    """Index of a lattice's first point among a geometry's voxels, and the steps to the next along i, j, k.
+
+    Raises
+    ------
+    ValueError
+        They are not parallel.
+    """
+    start: Float64 = geometry.world_to_index(lattice.index_to_world((0.0, 0.0, 0.0)))
+    steps = np.linalg.inv(geometry.index_to_world_matrix) @ lattice.index_to_world_matrix
+    step: Float64 = np.diag(steps).copy()
+    if not np.allclose(steps, np.diag(step), atol=1e-6 * np.abs(step).max()):
+        raise ValueError("the lattice must be parallel to the fields' own")
+    return start, step
+
+
+def ownership_at_points(structures: Structures | FieldReader, points_mm: npt.ArrayLike) -> Ownership:
+    """Evaluate structures, or their reader, at world points, shape (n, 3) in mm; arrays of shape (n,)."""
+    reader = FieldReader.of(structures)
+    index = np.ascontiguousarray(reader.structures.geometry.world_to_index(points_mm)).reshape(-1, 3)
     tissue = np.empty(len(index), np.float32)
     void_label = np.empty(len(index), np.uint8)
     tissue_label = np.empty(len(index), np.uint8)
-    _evaluate_points(_layout(structures), _varying(structures), index, tissue, void_label, tissue_label)
+    _evaluate_points(reader.layout, reader.tables, index, tissue, void_label, tissue_label)
     return Ownership(tissue, void_label, tissue_label)
 
 
@@ -239,7 +281,7 @@ def _vary(layout, tables, x, y, z, v, thick, scale):  # type: ignore[no-untyped-
             scale[w] = np.float32(1.0 / np.sqrt(1.0 + slope * slope))
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, inline="always")
 def _grow_walls(layout, v, thick, scale):  # type: ignore[no-untyped-def]
     """Give the walls their part of the bare background; ``v`` holds the cavities and the bare background."""
     count = len(layout.wall_slot)
@@ -269,14 +311,14 @@ def _grow_walls(layout, v, thick, scale):  # type: ignore[no-untyped-def]
     v[layout.background] = max(bare, -outer)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, inline="always")
 def _reshape(layout, x, y, z, v):  # type: ignore[no-untyped-def]
     """Carry out the reshapings at a point, given by its index."""
     m = layout.to_world
     for n in range(len(layout.shape_kind)):
-        low = layout.shape_low[n]
-        high = layout.shape_high[n]
-        if x < low[0] or y < low[1] or z < low[2] or x > high[0] or y > high[1] or z > high[2]:
+        if x < layout.shape_low[n, 0] or y < layout.shape_low[n, 1] or z < layout.shape_low[n, 2]:
+            continue
+        if x > layout.shape_high[n, 0] or y > layout.shape_high[n, 1] or z > layout.shape_high[n, 2]:
             continue
         wx = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]
         wy = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]
@@ -310,11 +352,12 @@ def _reshape(layout, x, y, z, v):  # type: ignore[no-untyped-def]
                 v[s] = min(v[s], gain)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, inline="always")
 def _evaluate_one(layout, tables, x, y, z, raw, v, thick, scale):  # type: ignore[no-untyped-def]
     """Finish a point, given by its index, from the interpolated stored fields ``raw``."""
     if len(v) > len(raw):
-        v[:] = np.float32(NOWHERE_MM)
+        for s in range(len(v)):
+            v[s] = np.float32(NOWHERE_MM)
     for s in range(len(raw)):
         v[layout.stored_slot[s]] = raw[s]
     if len(layout.wall_slot) > 0 and layout.background >= 0:
@@ -342,6 +385,50 @@ def _evaluate_one(layout, tables, x, y, z, raw, v, thick, scale):  # type: ignor
     if lowest_tissue > 0.0 and lowest_void < 0.0:
         return max(lowest_tissue, -lowest_void), void, tissue
     return lowest_tissue - lowest_void, void, tissue
+
+
+@numba.njit(cache=True, nogil=True, inline="always")
+def _interpolate(stack, x, y, z, raw):  # type: ignore[no-untyped-def]
+    """All stored fields at one point, by the same steps as :func:`_row` and :func:`_lerp`."""
+    nz, ny, nx, stored = stack.shape
+    i, i1, fx = _place(x, nx)
+    j, j1, fy = _place(y, ny)
+    k, k1, fz = _place(z, nz)
+    one = np.float32(1.0)
+    w00 = (one - fz) * (one - fy)
+    w01 = (one - fz) * fy
+    w10 = fz * (one - fy)
+    w11 = fz * fy
+    flat = stack.reshape(-1)
+    a, b = ((k * ny + j) * nx + i) * stored, ((k * ny + j1) * nx + i) * stored
+    c, d = ((k1 * ny + j) * nx + i) * stored, ((k1 * ny + j1) * nx + i) * stored
+    on = (i1 - i) * stored
+    for s in range(stored):
+        first = flat[a + s] * w00 + flat[b + s] * w01 + flat[c + s] * w10 + flat[d + s] * w11
+        second = flat[a + on + s] * w00 + flat[b + on + s] * w01 + flat[c + on + s] * w10 + flat[d + on + s] * w11
+        raw[s] = first + fx * (second - first)
+
+
+@numba.njit(cache=True, nogil=True)
+def scratch(layout):  # type: ignore[no-untyped-def]
+    """What :func:`evaluate_tissue` writes into; each thread needs its own."""
+    raw = np.empty(layout.stack.shape[3], np.float32)
+    v = np.empty(len(layout.labels), np.float32)
+    return raw, v, layout.wall_mm.copy(), np.ones(len(layout.wall_mm), np.float32)
+
+
+@numba.njit(cache=True, nogil=True, inline="always")
+def evaluate_owner(layout, tables, x, y, z, spare):  # type: ignore[no-untyped-def]
+    """Tissue field, void label and tissue label at one point, given by its index; ``spare`` from scratch()."""
+    raw, v, thick, scale = spare
+    _interpolate(layout.stack, x, y, z, raw)
+    return _evaluate_one(layout, tables, x, y, z, raw, v, thick, scale)
+
+
+@numba.njit(cache=True, nogil=True)
+def evaluate_tissue(layout, tables, x, y, z, spare):  # type: ignore[no-untyped-def]
+    """Tissue field at one point, given by its index (x, y, z) among the fields' voxels; ``spare`` from scratch()."""
+    return evaluate_owner(layout, tables, x, y, z, spare)[0]
 
 
 @numba.njit(cache=True, nogil=True, parallel=True)
@@ -375,19 +462,10 @@ def _evaluate_lattice(layout, tables, start, step, tissue, void_label, tissue_la
 
 @numba.njit(cache=True, nogil=True, parallel=True)
 def _evaluate_points(layout, tables, index, tissue, void_label, tissue_label):  # type: ignore[no-untyped-def]
-    count = layout.stack.shape[2]
-    stored = layout.stack.shape[3]
     for chunk in numba.prange((len(index) + CHUNK - 1) // CHUNK):
-        row = np.empty(2 * stored, np.float32)
-        raw = np.empty(stored, np.float32)
-        v = np.empty(len(layout.labels), np.float32)
-        thick = layout.wall_mm.copy()
-        scale = np.ones(len(thick), np.float32)
+        spare = scratch(layout)
         for p in range(chunk * CHUNK, min((chunk + 1) * CHUNK, len(index))):
-            i0, i1, fx = _place(index[p, 0], count)
-            _row(layout.stack, index[p, 1], index[p, 2], i0, i1, row)
-            _lerp(row[:stored], row[(i1 - i0) * stored : (i1 - i0 + 1) * stored], fx, raw)
-            one = _evaluate_one(layout, tables, index[p, 0], index[p, 1], index[p, 2], raw, v, thick, scale)
+            one = evaluate_owner(layout, tables, index[p, 0], index[p, 1], index[p, 2], spare)
             tissue[p] = one[0]
             void_label[p] = one[1]
             tissue_label[p] = one[2]

@@ -8,30 +8,28 @@ shrinks, but along creases, where marching cubes leaves saw teeth: there it is, 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from heartcase.pipeline.cautions import note
 from heartcase.pipeline.data import Structures, Surface
-from heartcase.pipeline.fields import ownership_at_points
+from heartcase.pipeline.fields import FieldReader
 from heartcase.pipeline.mesh.atlas import Atlas, make_atlas, tangents
 from heartcase.pipeline.mesh.decimate import decimate, folded_triangles, mesh_defects, relax_folds
 from heartcase.pipeline.mesh.extract import (
     FullMesh,
     drop_small_shells,
     extract,
-    opposites,
     shell_volumes,
     smooth_creases,
 )
+from heartcase.pipeline.mesh.half_edges import opposites
+from heartcase.pipeline.mesh.intersections import self_intersections
 from heartcase.pipeline.mesh.mesh_distance import mesh_distance_mm
 from heartcase.pipeline.mesh.normal_map import bake_normal_map, draw_to_surface, gradient_step_mm
-from heartcase.schemas.geometry import Geometry
+from heartcase.pipeline.mesh.tags import TriangleTags, cut_faces, tag_keys, tag_triangles
 from heartcase.schemas.settings import SurfaceSettings
 
 __all__ = ["build_surface"]
@@ -44,10 +42,8 @@ Bool = npt.NDArray[np.bool_]
 
 SPECK_MM3 = 20.0
 SPECK_FRACTION = 1e-3
-ISLAND_TRIANGLES = 8
 SHOWN_SHARE = 1e-3
 """Triangles that are folded, without area or beyond the count asked for are warned of beyond this part of all."""
-CUT_COSINE = 0.9
 DISTANCE_SAMPLE = 200_000
 
 
@@ -75,7 +71,8 @@ def build_surface(structures: Structures, settings: SurfaceSettings, *, render: 
         There is no tissue.
     """
     warnings: list[str] = []
-    whole = extract(structures)
+    reader = FieldReader.of(structures)
+    whole = extract(reader)
     full, dropped = drop_small_shells(whole, volume_mm3=SPECK_MM3, fraction=SPECK_FRACTION)
     if np.abs(dropped).sum() > SPECK_MM3:
         warnings.append(
@@ -87,27 +84,28 @@ def build_surface(structures: Structures, settings: SurfaceSettings, *, render: 
         )
     if full.is_capped:
         warnings.append("the scan is too large to show its thinnest walls in full detail: make the [region] smaller")
-    centre, normal, _ = _faces(full.vertices_mm, full.triangles)
+    opposite = opposites(full.triangles)
+    is_cut = cut_faces(structures, full.vertices_mm, full.triangles, full.lattice)
+    key = tag_keys(full, is_cut, opposite)
     still = np.zeros(len(full.vertices_mm), bool)
-    still[full.triangles[_cut_faces(structures, centre, normal, full.lattice)]] = True
-    full, creased = smooth_creases(full, still)
-    full_tags = _tags(structures, full.vertices_mm, full.triangles, full.lattice)
+    still[full.triangles[is_cut]] = True
+    full, creased = smooth_creases(full, still, opposite=opposite)
     vertices, triangles, _ = decimate(
-        full.vertices_mm, full.triangles, full_tags.key(), triangle_count=settings.triangle_count
+        full.vertices_mm, full.triangles, key, triangle_count=settings.triangle_count, opposite=opposite
     )
     reach = 0.5 * min(full.lattice.spacing_mm)
     vertices, relaxed = relax_folds(vertices, triangles, reach_mm=reach)
     vertices_mm = vertices.astype(np.float32)
     vertices = vertices_mm.astype(np.float64)
-    tags = _tags(structures, vertices, triangles, full.lattice)
-    normals = _vertex_normals(structures, vertices, triangles, tags.is_cut, reach)
+    tags = tag_triangles(reader, vertices, triangles, full.lattice)
+    normals = _vertex_normals(reader, vertices, triangles, tags.is_cut, reach)
     quality = _quality(structures, whole, full, dropped, vertices, triangles, tags, relaxed, creased)
     warnings += _shape_warnings(quality, settings.triangle_count)
     if render and settings.normal_map_size > 0:
         atlas = make_atlas(vertices, triangles, size=settings.normal_map_size, method=settings.atlas)
         render_tangents = tangents(atlas, vertices_mm, normals)
         normal_map = bake_normal_map(
-            structures,
+            reader,
             atlas,
             vertices_mm,
             normals,
@@ -163,6 +161,12 @@ def _shape_warnings(quality: dict[str, Any], asked: int) -> list[str]:
                 "triangles if they disturb"
             )
         )
+    crossing = quality["self_intersection_count"]
+    if crossing:
+        warnings.append(
+            f"the visible surface passes through itself at {crossing} pairs of triangles and may not cut or print "
+            "cleanly there: ask for more triangles"
+        )
     if count > (1.0 + SHOWN_SHARE) * asked:
         warnings.append(
             note(
@@ -173,80 +177,12 @@ def _shape_warnings(quality: dict[str, Any], asked: int) -> list[str]:
     return warnings
 
 
-@dataclass(frozen=True)
-class _Tags:
-    """What lies on both sides of each triangle."""
-
-    void: UInt8
-    tissue: UInt8
-    is_cut: Bool
-
-    def key(self) -> npt.NDArray[np.int64]:
-        return self.void.astype(np.int64) + 256 * self.is_cut
-
-
-def _tags(structures: Structures, vertices: Float64, triangles: Int32, lattice: Geometry) -> _Tags:
-    """Look a third of a lattice cell to both sides of each triangle; islands take their neighbours' tag."""
-    centre, normal, _ = _faces(vertices, triangles)
-    way = min(lattice.spacing_mm) / 3.0
-    void = ownership_at_points(structures, centre + way * normal).void_label
-    tissue = ownership_at_points(structures, centre - way * normal).tissue_label
-    is_cut = _cut_faces(structures, centre, normal, lattice)
-    key = np.where(is_cut, 256, void.astype(np.int64))
-    adjacent = opposites(triangles)
-    length = np.linalg.norm(vertices[np.roll(triangles, -1, axis=1)] - vertices[triangles], axis=2).ravel()
-    key = _without_islands(key, adjacent, length)
-    tissue = _without_islands(tissue.astype(np.int64), adjacent, length).astype(np.uint8)
-    return _Tags(np.where(key == 256, 0, key).astype(np.uint8), tissue, key == 256)
-
-
 def _faces(vertices: Float64, triangles: Int32) -> tuple[Float64, Float64, Float64]:
     """Centre, unit normal and area of each triangle."""
     corner = vertices[triangles]
     doubled = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     length = np.linalg.norm(doubled, axis=1)
     return corner.mean(axis=1), doubled / np.maximum(length, 1e-30)[:, None], 0.5 * length
-
-
-def _cut_faces(structures: Structures, centre: Float64, normal: Float64, lattice: Geometry) -> Bool:
-    """Triangles in an outer face of the volume, or in the disc of an end marker, that face outward there."""
-    index = lattice.world_to_index(centre)
-    is_cut = np.zeros(len(centre), bool)
-    for axis in range(3):
-        along = normal @ lattice.direction_matrix[:, axis]
-        is_cut |= (index[:, axis] < -0.25) & (along < -CUT_COSINE)
-        is_cut |= (index[:, axis] > lattice.size[axis] - 0.75) & (along > CUT_COSINE)
-    for point, outward, radius in structures.fixed_planes:
-        axis_unit = np.array(outward) / np.linalg.norm(outward)
-        height = centre @ axis_unit - float(np.dot(point, axis_unit))
-        near = np.flatnonzero((np.abs(height) < 0.5 * min(lattice.spacing_mm)) & (normal @ axis_unit > CUT_COSINE))
-        beside = np.linalg.norm(centre[near] - np.array(point) - height[near, None] * axis_unit, axis=1)
-        is_cut[near[beside <= radius]] = True
-    return is_cut
-
-
-def _without_islands(key: npt.NDArray[np.int64], adjacent: Int32, length: Float64) -> npt.NDArray[np.int64]:
-    """Give islands of few triangles the tag with which they share the longest border (ties: the lower)."""
-    key = key.copy()
-    owner = np.arange(len(adjacent)) // 3
-    other = adjacent // 3
-    for _ in range(4):
-        same = key[owner] == key[other]
-        links = coo_array((np.ones(int(same.sum()), np.int8), (owner[same], other[same])), shape=(len(key), len(key)))
-        count, part = connected_components(links, directed=False)
-        small = np.bincount(part, minlength=count) < ISLAND_TRIANGLES
-        rim = ~same & small[part[owner]] & ~small[part[other]]
-        if not rim.any():
-            break
-        tags, column = np.unique(key[other[rim]], return_inverse=True)
-        border = np.zeros((count, len(tags)))
-        np.add.at(border, (part[owner[rim]], column), length[rim])
-        chosen = np.unique(part[owner[rim]])
-        value = np.full(count, -1, np.int64)
-        value[chosen] = tags[border[chosen].argmax(axis=1)]
-        new = value[part]
-        key = np.where(new >= 0, new, key)
-    return key
 
 
 def _vertex_labels(count: int, triangles: Int32, label: UInt8) -> UInt8:
@@ -256,9 +192,7 @@ def _vertex_labels(count: int, triangles: Int32, label: UInt8) -> UInt8:
     return lowest
 
 
-def _vertex_normals(
-    structures: Structures, vertices: Float64, triangles: Int32, is_cut: Bool, reach_mm: float
-) -> Float32:
+def _vertex_normals(reader: FieldReader, vertices: Float64, triangles: Int32, is_cut: Bool, reach_mm: float) -> Float32:
     """Normals of the field's root beside each vertex; of the mesh around cut faces and where the field is creased."""
     corner = vertices[triangles]
     _, face, _ = _faces(vertices, triangles)
@@ -268,7 +202,7 @@ def _vertex_normals(
         cosine = (a * b).sum(axis=1) / np.maximum(np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1), 1e-30)
         np.add.at(mesh, triangles[:, k], np.arccos(np.clip(cosine, -1.0, 1.0))[:, None] * face)
     mesh /= np.maximum(np.linalg.norm(mesh, axis=1), 1e-30)[:, None]
-    _, normal = draw_to_surface(structures, vertices, step_mm=gradient_step_mm(structures), reach_mm=reach_mm)
+    _, normal = draw_to_surface(reader, vertices, step_mm=gradient_step_mm(reader.structures), reach_mm=reach_mm)
     keep_mesh = (normal * mesh).sum(axis=1) < 0.5
     keep_mesh[triangles[is_cut]] = True
     normal[keep_mesh] = mesh[keep_mesh]
@@ -282,7 +216,7 @@ def _quality(
     dropped: Float64,
     vertices: Float64,
     triangles: Int32,
-    tags: _Tags,
+    tags: TriangleTags,
     relaxed: int,
     creased: int,
 ) -> dict[str, Any]:
@@ -310,12 +244,12 @@ def _quality(
         "flipped_triangle_count": int(folded_triangles(vertices, triangles).sum()),
         "creased_vertex_count": creased,
         "relaxed_vertex_count": relaxed,
+        "self_intersection_count": len(self_intersections(vertices, triangles)),
         "euler_characteristic": len(vertices) - edges + len(triangles),
         "shell_count": len(volumes),
         "component_count": int((volumes > 0.0).sum()),
         "dropped_shell_count": len(dropped),
         "dropped_volume_mm3": round(float(np.abs(dropped).sum()), 3),
-        "split_vertex_count": int(len(whole.vertices_mm) - len(np.unique(whole.vertices_mm, axis=0))),
         "volume_ml": round(float(volumes.sum()) / 1000.0, 4),
         "volume_change_fraction": round(float(volumes.sum() / full_volumes.sum()) - 1.0, 6),
         "distance_mean_mm": round(float(both.mean()), 5),

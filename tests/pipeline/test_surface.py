@@ -13,7 +13,6 @@ from heartcase.pipeline.mesh.extract import (
     extraction_lattice,
     shell_volumes,
     smooth_creases,
-    split_fans,
 )
 from heartcase.pipeline.mesh.mesh_distance import mesh_distance_mm
 from heartcase.pipeline.surface import build_surface
@@ -248,20 +247,6 @@ def test_folds_are_relaxed():
     assert 0 < moved < 40
     still = np.linalg.norm(mended - vertices, axis=1) == 0.0
     assert still.sum() == len(vertices) - moved
-
-
-def test_two_fans_in_one_vertex_are_parted():
-    one = trimesh.creation.icosphere(subdivisions=1)
-    count = len(one.vertices)
-    vertices = np.concatenate([one.vertices, one.vertices + 2.0 * one.vertices[0]])
-    far = int(np.argmin(np.linalg.norm(one.vertices + one.vertices[0], axis=1)))
-    triangles = np.concatenate([one.faces, one.faces + count]).astype(np.int32)
-    triangles[triangles == far + count] = 0
-    parted, split, source = split_fans(vertices, triangles)
-    assert len(parted) == len(vertices) + 1
-    assert source[-1] == 0
-    assert not np.allclose(parted[0], parted[-1])
-    assert len(trimesh.Trimesh(parted, split, process=False).split()) == 2
 
 
 def test_distance_to_a_mesh_matches_an_independent_library():

@@ -2,7 +2,8 @@
 
 Charts grow triangle by triangle from a seed while the normals stay within a cone around the chart's mean normal, and
 are then projected along it: nothing is stretched by more than 1 / cos(45 degrees). A projection can still fold over
-itself where a chart winds around; such triangles are taken out and start charts of their own.
+itself where a chart winds around; such triangles are taken out and start charts of their own. Specks of up to three
+triangles, which would cost a gutter each, join a neighbour that they face within 60 degrees.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy.typing as npt
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from heartcase.pipeline.mesh.extract import opposites
+from heartcase.pipeline.mesh.half_edges import opposites
 from heartcase.schemas.errors import StageError
 
 __all__ = ["Atlas", "make_atlas", "tangents"]
@@ -28,6 +29,11 @@ Int32 = npt.NDArray[np.int32]
 CONE_COSINE = float(np.cos(np.radians(45.0)))
 GUTTER_TEXELS = 2
 TURN_COUNT = 12
+MERGE_TRIANGLES = 3
+"""Charts of at most so many triangles, specks, are given to a neighbour."""
+MERGE_COSINE = 0.5
+"""Least cosine between their triangles and its axis: they are stretched by at most two."""
+MERGE_ROUNDS = 3
 
 
 @dataclass(frozen=True)
@@ -173,12 +179,46 @@ def _charts(vertices: Float64, triangles: Int32) -> tuple[Int32, Float64]:
     normal = doubled / np.maximum(area, 1e-30)[:, None]
     opposite = opposites(triangles)
     chart = np.full(len(triangles), -1, np.int32)
+    length = np.linalg.norm(vertices[np.roll(triangles, -1, axis=1)] - vertices[triangles], axis=2).ravel()
     axes = np.empty((0, 3))
-    while (chart < 0).any():
-        before = len(axes)
-        axes = _grow(normal, area, opposite, chart, axes, CONE_COSINE)
-        _evict(vertices, triangles, normal, chart, axes, before)
+    for turn in range(MERGE_ROUNDS + 1):
+        while (chart < 0).any():
+            before = len(axes)
+            axes = _grow(normal, area, opposite, chart, axes, CONE_COSINE)
+            _evict(vertices, triangles, normal, chart, axes, before)
+        if turn == MERGE_ROUNDS or not _merge_small(normal, length, opposite, chart, axes):
+            break
+        _evict(vertices, triangles, normal, chart, axes, 0)
     return _connected(chart, axes, opposite)
+
+
+def _merge_small(normal: Float64, length: Float64, opposite: Int32, chart: Int32, axes: Float64) -> bool:
+    """Give small charts to the larger neighbour with the longest common border whose axis they still face.
+
+    A chart costs a gutter all around; most small ones are what growing and taking out overlaps has left over.
+
+    Returns
+    -------
+    bool
+        Whether any chart was given away; ``chart`` is changed in place.
+    """
+    small = np.bincount(chart, minlength=len(axes)) <= MERGE_TRIANGLES
+    edge = np.flatnonzero(np.repeat(small[chart], 3))
+    mine, other = chart[edge // 3], chart[opposite[edge] // 3]
+    beside = ~small[other]
+    if not beside.any():
+        return False
+    pairs, pair = np.unique(np.stack([mine[beside], other[beside]], axis=1), axis=0, return_inverse=True)
+    border = np.bincount(pair.ravel(), weights=length[edge[beside]], minlength=len(pairs))
+    taken_by = np.full(len(axes), -1, np.int32)
+    # the longest border last, so that it counts; of equal ones the lower chart
+    for n in np.lexsort((-pairs[:, 1], border)).tolist():
+        giver, taker = pairs[n]
+        if (normal[chart == giver] @ axes[taker] >= MERGE_COSINE).all():
+            taken_by[giver] = taker
+    new = taken_by[chart]
+    chart[new >= 0] = new[new >= 0]
+    return bool((new >= 0).any())
 
 
 def _connected(chart: Int32, axes: Float64, opposite: Int32) -> tuple[Int32, Float64]:

@@ -1,129 +1,34 @@
-"""Kernels of the edge collapse: quadrics, a heap of edges, and the checks that keep the mesh sound.
+"""Kernels of the edge collapse: its order, and the checks that keep the mesh sound.
 
-The mesh is half-edges: ``3 t + c`` runs from corner c of triangle t to its next corner. An entry of the heap is stale
-when one of its ends has changed since it was made; ties in cost go to the lower half-edge.
+The mesh is half-edges: ``3 t + c`` runs from corner c of triangle t to its next corner. As long as there are many more
+triangles than wanted, the cheapest part of all edges is collapsed in the order of the mesh, so that memory is read
+along; then a heap takes one edge after the other. An entry of the heap is stale when one of its ends has changed since
+it was made; ties in cost go to the lower half-edge.
 """
 
 from __future__ import annotations
 
 import numba
 import numpy as np
+import numpy.typing as npt
+
+from heartcase.pipeline.mesh.quadrics import best_place, edge_costs, next_edge, previous_edge, vertex_quadrics
 
 __all__ = ["collapse"]
 
-BORDER_WEIGHT = 2.0
-SHAPE_WEIGHT = 1e-4
 LEAST_COSINE = 0.4
 LEAST_QUALITY = 0.12
 SPECK_AREA = 0.01
 TWO_ROOT_3 = 2.0 * 3.0**0.5
 
-
-@numba.njit(inline="always")
-def _next(h):  # type: ignore[no-untyped-def]
-    return h - 2 if h % 3 == 2 else h + 1
-
-
-@numba.njit(inline="always")
-def _previous(h):  # type: ignore[no-untyped-def]
-    return h + 2 if h % 3 == 0 else h - 1
-
-
-@numba.njit(cache=True, nogil=True)
-def _add_plane(quadric, nx, ny, nz, d, weight):  # type: ignore[no-untyped-def]
-    quadric[0] += weight * nx * nx
-    quadric[1] += weight * nx * ny
-    quadric[2] += weight * nx * nz
-    quadric[3] += weight * ny * ny
-    quadric[4] += weight * ny * nz
-    quadric[5] += weight * nz * nz
-    quadric[6] += weight * nx * d
-    quadric[7] += weight * ny * d
-    quadric[8] += weight * nz * d
-    quadric[9] += weight * d * d
-
-
-@numba.njit(cache=True, nogil=True)
-def _quadrics(position, tail, opposite, tags):  # type: ignore[no-untyped-def]
-    quadric = np.zeros((len(position), 10))
-    for t in range(len(tail) // 3):
-        a, b, c = tail[3 * t], tail[3 * t + 1], tail[3 * t + 2]
-        n = np.cross(position[b] - position[a], position[c] - position[a])
-        doubled = np.sqrt((n * n).sum())
-        if doubled <= 0.0:
-            continue
-        n /= doubled
-        d = -(n * position[a]).sum()
-        weight = doubled / 6.0
-        for v in (a, b, c):
-            _add_plane(quadric[v], n[0], n[1], n[2], d, weight)
-            x, y, z = position[v]
-            s = SHAPE_WEIGHT * weight
-            q = quadric[v]
-            q[0] += s
-            q[3] += s
-            q[5] += s
-            q[6] -= s * x
-            q[7] -= s * y
-            q[8] -= s * z
-            q[9] += s * (x * x + y * y + z * z)
-        for corner in range(3):
-            h = 3 * t + corner
-            if tags[opposite[h] // 3] != tags[t]:
-                u, v = tail[h], tail[_next(h)]
-                edge = position[v] - position[u]
-                m = np.cross(edge, n)
-                length = np.sqrt((m * m).sum())
-                if length > 0.0:
-                    m /= length
-                    d_edge = -(m * position[u]).sum()
-                    _add_plane(quadric[u], m[0], m[1], m[2], d_edge, BORDER_WEIGHT * length * length / 6.0)
-                    _add_plane(quadric[v], m[0], m[1], m[2], d_edge, BORDER_WEIGHT * length * length / 6.0)
-    return quadric
-
-
-@numba.njit(cache=True, nogil=True)
-def _best(quadric, position, u, v, out):  # type: ignore[no-untyped-def]
-    """Cost of joining u and v; the best place goes to ``out``."""
-    a = quadric[u, 0] + quadric[v, 0]
-    b = quadric[u, 1] + quadric[v, 1]
-    c = quadric[u, 2] + quadric[v, 2]
-    d = quadric[u, 3] + quadric[v, 3]
-    e = quadric[u, 4] + quadric[v, 4]
-    f = quadric[u, 5] + quadric[v, 5]
-    g = quadric[u, 6] + quadric[v, 6]
-    h = quadric[u, 7] + quadric[v, 7]
-    i = quadric[u, 8] + quadric[v, 8]
-    k = quadric[u, 9] + quadric[v, 9]
-    mx = 0.5 * (position[u, 0] + position[v, 0])
-    my = 0.5 * (position[u, 1] + position[v, 1])
-    mz = 0.5 * (position[u, 2] + position[v, 2])
-    pull = 1e-3 * (a + d + f) / 3.0
-    aa = a + pull
-    dd = d + pull
-    ff = f + pull
-    rx = pull * mx - g
-    ry = pull * my - h
-    rz = pull * mz - i
-    c00 = dd * ff - e * e
-    c01 = c * e - b * ff
-    c02 = b * e - c * dd
-    determinant = aa * c00 + b * c01 + c * c02
-    if determinant > 0.0:
-        c11 = aa * ff - c * c
-        c12 = b * c - aa * e
-        c22 = aa * dd - b * b
-        mx = (c00 * rx + c01 * ry + c02 * rz) / determinant
-        my = (c01 * rx + c11 * ry + c12 * rz) / determinant
-        mz = (c02 * rx + c12 * ry + c22 * rz) / determinant
-    out[0] = mx
-    out[1] = my
-    out[2] = mz
-    cost = (
-        a * mx * mx + d * my * my + f * mz * mz + k
-        + 2.0 * (b * mx * my + c * mx * mz + e * my * mz + g * mx + h * my + i * mz)
-    )  # fmt: skip
-    return max(cost, 0.0)
+HEAP_FACTOR = 2.0
+"""Times the wanted triangles, from which on edges go one by one."""
+SWEEP_SHARE = 0.3
+"""Part of the edges, the cheapest, that one sweep may collapse."""
+SWEEP_SAMPLE = 7
+"""Every so manieth edge tells what the cheapest part costs."""
+SWEEP_LEAST = 0.01
+"""Part of the triangles that a sweep must take away, or it was the last."""
 
 
 @numba.njit(cache=True, nogil=True)
@@ -162,8 +67,8 @@ def _add_normals(position, tail, opposite, start, normal):  # type: ignore[no-un
     g = start
     while True:
         v = tail[g]
-        b = tail[_next(g)]
-        c = tail[_previous(g)]
+        b = tail[next_edge(g)]
+        c = tail[previous_edge(g)]
         ux = position[b, 0] - position[v, 0]
         uy = position[b, 1] - position[v, 1]
         uz = position[b, 2] - position[v, 2]
@@ -178,7 +83,7 @@ def _add_normals(position, tail, opposite, start, normal):  # type: ignore[no-un
         normal[2] += nz
         sides = 2.0 * (ux * ux + uy * uy + uz * uz + wx * wx + wy * wy + wz * wz - ux * wx - uy * wy - uz * wz)
         least = min(least, TWO_ROOT_3 * np.sqrt(nx * nx + ny * ny + nz * nz) / sides)
-        g = _next(opposite[g])
+        g = next_edge(opposite[g])
         if g == start:
             return least
 
@@ -195,8 +100,8 @@ def _keeps_shape(position, tail, opposite, start, gone_a, gone_b, p, around, flo
         t = g // 3
         if t not in (gone_a, gone_b):
             v = tail[g]
-            b = tail[_next(g)]
-            c = tail[_previous(g)]
+            b = tail[next_edge(g)]
+            c = tail[previous_edge(g)]
             ex = position[c, 0] - position[b, 0]
             ey = position[c, 1] - position[b, 1]
             ez = position[c, 2] - position[b, 2]
@@ -232,7 +137,7 @@ def _keeps_shape(position, tail, opposite, start, gone_a, gone_b, p, around, flo
                 return False
             if TWO_ROOT_3 * new < floor * after:
                 return False
-        g = _next(opposite[g])
+        g = next_edge(opposite[g])
         if g == start:
             return True
 
@@ -242,27 +147,27 @@ def _keeps_manifold(tail, opposite, h, mark, epoch):  # type: ignore[no-untyped-
     """Link condition: the ends of ``h`` share just the two corners beside it, and those keep three neighbours."""
     g = h
     while True:
-        mark[tail[_next(g)]] = epoch
-        g = _next(opposite[g])
+        mark[tail[next_edge(g)]] = epoch
+        g = next_edge(opposite[g])
         if g == h:
             break
     shared = 0
     start = opposite[h]
     g = start
     while True:
-        if mark[tail[_next(g)]] == epoch:
+        if mark[tail[next_edge(g)]] == epoch:
             shared += 1
-        g = _next(opposite[g])
+        g = next_edge(opposite[g])
         if g == start:
             break
     if shared != 2:
         return False
-    for corner in (_previous(h), _previous(start)):
+    for corner in (previous_edge(h), previous_edge(start)):
         count = 0
         g = corner
         while True:
             count += 1
-            g = _next(opposite[g])
+            g = next_edge(opposite[g])
             if g == corner:
                 break
         if count <= 3:
@@ -271,7 +176,78 @@ def _keeps_manifold(tail, opposite, h, mark, epoch):  # type: ignore[no-untyped-
 
 
 @numba.njit(cache=True, nogil=True)
-def collapse(position, tail, opposite, tags, wanted):  # type: ignore[no-untyped-def]
+def _may_join(position, tail, opposite, h, p, around, mark, epoch):  # type: ignore[no-untyped-def]
+    """Whether an edge may be collapsed to ``p``; ``around`` and ``mark`` are work space."""
+    o = opposite[h]
+    around[:] = 0.0
+    around[3] = _add_normals(position, tail, opposite, h, around)
+    around[4] = _add_normals(position, tail, opposite, o, around)
+    floor = min(LEAST_QUALITY, around[3], around[4])
+    return (
+        _keeps_shape(position, tail, opposite, h, h // 3, o // 3, p, around, floor)
+        and _keeps_shape(position, tail, opposite, o, h // 3, o // 3, p, around, floor)
+        and _keeps_manifold(tail, opposite, h, mark, epoch)
+    )
+
+
+@numba.njit(cache=True, nogil=True)
+def _join(position, tail, opposite, quadric, alive, h, p):  # type: ignore[no-untyped-def]
+    """Collapse an edge into its tail, which goes to ``p``; a half-edge that leaves it."""
+    o = opposite[h]
+    u = tail[h]
+    v = tail[next_edge(h)]
+    near = opposite[next_edge(h)]
+    near_back = opposite[previous_edge(h)]
+    far = opposite[next_edge(o)]
+    far_back = opposite[previous_edge(o)]
+    g = o
+    while True:
+        tail[g] = u
+        g = next_edge(opposite[g])
+        if g == o:
+            break
+    opposite[near] = near_back
+    opposite[near_back] = near
+    opposite[far] = far_back
+    opposite[far_back] = far
+    alive[h // 3] = False
+    alive[o // 3] = False
+    for k in range(10):
+        quadric[u, k] += quadric[v, k]
+    position[u] = p
+    return near_back
+
+
+@numba.njit(cache=True, nogil=True)
+def _sweep(position, tail, opposite, quadric, alive, cost, limit, mark, left, wanted):  # type: ignore[no-untyped-def]
+    """Collapse edges of at most the cost ``limit`` in their order, but none beside a vertex that has moved already."""
+    p = np.empty(3)
+    around = np.empty(5)
+    mark[:] = -1
+    moved = np.zeros(len(position), np.bool_)
+    for h in range(len(tail)):
+        if cost[h] > limit or not alive[h // 3]:
+            continue
+        if left <= wanted:
+            break
+        u, v = tail[h], tail[next_edge(h)]
+        if moved[u] or moved[v]:
+            continue
+        best_place(quadric, position, u, v, p)
+        if _may_join(position, tail, opposite, h, p, around, mark, h):
+            _join(position, tail, opposite, quadric, alive, h, p)
+            moved[u] = True
+            left -= 2
+    return left
+
+
+def collapse(
+    position: npt.NDArray[np.float64],
+    tail: npt.NDArray[np.int32],
+    opposite: npt.NDArray[np.int32],
+    tags: npt.NDArray[np.int64],
+    wanted: int,
+) -> npt.NDArray[np.bool_]:
     """Collapse edges in place until ``wanted`` triangles are left or none may go; which triangles are left.
 
     Parameters
@@ -287,19 +263,36 @@ def collapse(position, tail, opposite, tags, wanted):  # type: ignore[no-untyped
     wanted
         Triangles to leave.
     """
-    quadric = _quadrics(position, tail, opposite, tags)
-    triangle_count = len(tail) // 3
-    alive = np.ones(triangle_count, np.bool_)
+    quadric = vertex_quadrics(position, tail, opposite, tags)
+    alive = np.ones(len(tail) // 3, np.bool_)
+    mark = np.empty(len(position), np.int32)
+    left, before = len(alive), 2 * len(alive)
+    until = max(int(HEAP_FACTOR * wanted), wanted)
+    cost = np.empty(len(tail), np.float32)
+    while left > until and before - left > SWEEP_LEAST * before:
+        edge_costs(position, tail, opposite, quadric, alive, cost)
+        sample = cost[np.isfinite(cost)][::SWEEP_SAMPLE]
+        cheap = int(SWEEP_SHARE * (len(sample) - 1))
+        before = left
+        limit = np.partition(sample, cheap)[cheap]
+        left = _sweep(position, tail, opposite, quadric, alive, cost, limit, mark, left, until)
+    _collapse_by_heap(position, tail, opposite, quadric, alive, mark, left, wanted)
+    return alive
+
+
+@numba.njit(cache=True, nogil=True)
+def _collapse_by_heap(position, tail, opposite, quadric, alive, mark, left, wanted):  # type: ignore[no-untyped-def]
+    """Collapse the cheapest edge, again and again."""
     changed = np.zeros(len(position), np.int32)
-    mark = np.full(len(position), -1, np.int32)
-    capacity = 3 * len(tail) + 64
+    mark[:] = -1
+    # an edge for every two half-edges that are left, and room for those that collapses add
+    capacity = 4 * left + 64
     cost = np.empty(capacity)
     edge = np.empty(capacity, np.int32)
     born = np.empty(capacity, np.int32)
     p = np.empty(3)
     around = np.empty(5)
     size = 0
-    left = triangle_count
     clock = 0
     left_at_fill = left + 1
     while left > wanted:
@@ -309,7 +302,7 @@ def collapse(position, tail, opposite, tags, wanted):  # type: ignore[no-untyped
             left_at_fill = left
             for h in range(len(tail)):
                 if alive[h // 3] and h < opposite[h]:
-                    cost[size] = _best(quadric, position, tail[h], tail[_next(h)], p)
+                    cost[size] = best_place(quadric, position, tail[h], tail[next_edge(h)], p)
                     edge[size] = h
                     born[size] = clock
                     size += 1
@@ -324,49 +317,22 @@ def collapse(position, tail, opposite, tags, wanted):  # type: ignore[no-untyped
         if not alive[h // 3]:
             continue
         u = tail[h]
-        v = tail[_next(h)]
+        v = tail[next_edge(h)]
         if changed[u] > birth or changed[v] > birth:
             continue
-        o = opposite[h]
-        _best(quadric, position, u, v, p)
-        around[:] = 0.0
-        around[3] = _add_normals(position, tail, opposite, h, around)
-        around[4] = _add_normals(position, tail, opposite, o, around)
-        floor = min(LEAST_QUALITY, around[3], around[4])
-        if not _keeps_shape(position, tail, opposite, h, h // 3, o // 3, p, around, floor):
-            continue
-        if not _keeps_shape(position, tail, opposite, o, h // 3, o // 3, p, around, floor):
-            continue
-        if not _keeps_manifold(tail, opposite, h, mark, clock):
-            clock += 1
-            continue
+        best_place(quadric, position, u, v, p)
+        may_join = _may_join(position, tail, opposite, h, p, around, mark, clock)
         clock += 1
-        near = opposite[_next(h)]
-        near_back = opposite[_previous(h)]
-        far = opposite[_next(o)]
-        far_back = opposite[_previous(o)]
-        g = o
-        while True:
-            tail[g] = u
-            g = _next(opposite[g])
-            if g == o:
-                break
-        opposite[near] = near_back
-        opposite[near_back] = near
-        opposite[far] = far_back
-        opposite[far_back] = far
-        alive[h // 3] = False
-        alive[o // 3] = False
+        if not may_join:
+            continue
+        near_back = _join(position, tail, opposite, quadric, alive, h, p)
         left -= 2
-        for k in range(10):
-            quadric[u, k] += quadric[v, k]
-        position[u] = p
         changed[u] = clock
         if size + 64 > capacity:
             kept = 0
             for place in range(size):
                 e = edge[place]
-                if alive[e // 3] and changed[tail[e]] <= born[place] and changed[tail[_next(e)]] <= born[place]:
+                if alive[e // 3] and changed[tail[e]] <= born[place] and changed[tail[next_edge(e)]] <= born[place]:
                     cost[kept], edge[kept], born[kept] = cost[place], edge[place], born[place]
                     kept += 1
             size = kept
@@ -375,12 +341,11 @@ def collapse(position, tail, opposite, tags, wanted):  # type: ignore[no-untyped
         g = near_back
         while True:
             if size < capacity:
-                cost[size] = _best(quadric, position, u, tail[_next(g)], p)
+                cost[size] = best_place(quadric, position, u, tail[next_edge(g)], p)
                 edge[size] = g
                 born[size] = clock
                 size += 1
                 _sift_up(cost, edge, born, size - 1)
-            g = _next(opposite[g])
+            g = next_edge(opposite[g])
             if g == near_back:
                 break
-    return alive

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.mesh.collapse import collapse
-from heartcase.pipeline.mesh.extract import opposites
+from heartcase.pipeline.mesh.half_edges import opposites
 
 __all__ = ["MeshDefects", "decimate", "folded_triangles", "mesh_defects", "relax_folds"]
 
@@ -28,6 +28,7 @@ def decimate(
     tags: npt.NDArray[np.integer],
     *,
     triangle_count: int,
+    opposite: Int32 | None = None,
 ) -> tuple[Float64, Int32, Int32]:
     """Collapse edges in the order of their quadric error until few enough triangles are left.
 
@@ -42,6 +43,8 @@ def decimate(
         Tag of each triangle, shape (triangle_count,): borders between tags are kept in place.
     triangle_count
         Stop at this many.
+    opposite
+        Opposite half-edges, where they are at hand; not changed.
 
     Returns
     -------
@@ -57,7 +60,8 @@ def decimate(
     middle = vertices.mean(axis=0)
     position = vertices - middle
     tail = triangles.astype(np.int32).ravel()
-    alive = collapse(position, tail, opposites(triangles), np.asarray(tags).astype(np.int64), triangle_count)
+    beside = opposites(triangles) if opposite is None else opposite.copy()
+    alive = collapse(position, tail, beside, np.asarray(tags).astype(np.int64), triangle_count)
     source = np.flatnonzero(alive).astype(np.int32)
     left = tail.reshape(-1, 3)[source]
     used = np.unique(left)

@@ -1,23 +1,23 @@
 """The tissue's border at full resolution: marching cubes on a refined lattice, closed where the volume ends.
 
-Marching cubes places a vertex on a lattice edge by linear interpolation, which is wrong where the tissue field has a
-kink between the two ends (in the middle of a thin wall, or of a narrow gap). So each vertex slides along its own edge
-to the field's root: it is then exact, and can neither leave its cell nor turn a triangle over.
+Marching cubes as published places a vertex on a lattice edge by linear interpolation, which is wrong where the tissue
+field has a kink between the two ends (in the middle of a thin wall, or of a narrow gap). So each vertex slides along
+its own edge to the field's root: it is then exact, and can neither leave its cell nor turn a triangle over.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numba
 import numpy as np
 import numpy.typing as npt
 from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from skimage.measure import marching_cubes
 
 from heartcase.pipeline.data import Structures
-from heartcase.pipeline.fields import ownership_at_points, ownership_on_lattice
+from heartcase.pipeline.fields import FieldReader
+from heartcase.pipeline.mesh.cubes import padded_field, triangulated_border
+from heartcase.pipeline.mesh.half_edges import connected_parts, opposites
 from heartcase.schemas.errors import StageError
 from heartcase.schemas.geometry import Geometry
 
@@ -26,7 +26,6 @@ __all__ = [
     "drop_small_shells",
     "extract",
     "extraction_lattice",
-    "opposites",
     "shell_volumes",
     "smooth_creases",
 ]
@@ -34,12 +33,11 @@ __all__ = [
 Float32 = npt.NDArray[np.float32]
 Float64 = npt.NDArray[np.float64]
 Int32 = npt.NDArray[np.int32]
+UInt8 = npt.NDArray[np.uint8]
 Bool = npt.NDArray[np.bool_]
 
 SPACING_PER_LAYER = 0.6
 POINT_CAP = 40_000_000
-ROOT_MARGIN = 0.004
-ROOT_STEPS = 4
 CREASE_DEGREES = 35.0
 CREASE_ROUNDS = 5
 
@@ -52,6 +50,8 @@ class FullMesh:
     """World mm, shape (vertex_count, 3)."""
     triangles: Int32
     """Counter-clockwise from outside the tissue, shape (triangle_count, 3)."""
+    void_label: UInt8
+    """Label of the void beside each vertex, shape (vertex_count,)."""
     on_end: Bool
     """Whether a vertex lies on the outer face of the volume, shape (vertex_count,)."""
     lattice: Geometry
@@ -98,16 +98,16 @@ def extraction_lattice(structures: Structures, *, point_cap: int = POINT_CAP) ->
     return lattice, is_capped
 
 
-def extract(structures: Structures, *, point_cap: int = POINT_CAP) -> FullMesh:
+def extract(structures: Structures | FieldReader, *, point_cap: int = POINT_CAP) -> FullMesh:
     """Extract the closed border of the tissue.
 
-    Marching cubes with the topologically consistent tables of Lewiner et al. (J. Graphics Tools 8, 2003), so that the
-    mesh is closed and manifold; vertices slide along their lattice edges to the root of the tissue field.
+    Marching cubes with the cases of :mod:`heartcase.pipeline.mesh.cube_cases`, so that the mesh is closed and manifold;
+    vertices slide along their lattice edges to the root of the tissue field.
 
     Parameters
     ----------
     structures
-        The fields.
+        The fields, or their reader.
     point_cap
         Most points that the lattice may have.
 
@@ -121,186 +121,38 @@ def extract(structures: Structures, *, point_cap: int = POINT_CAP) -> FullMesh:
     StageError
         There is no tissue.
     """
-    lattice, is_capped = extraction_lattice(structures, point_cap=point_cap)
-    field = ownership_on_lattice(structures, lattice).tissue_mm
-    smallest = min(lattice.spacing_mm)
-    padded = _padded(field, ROOT_MARGIN * smallest)
-    if not (padded < 0.0).any():
+    reader = FieldReader.of(structures)
+    lattice, is_capped = extraction_lattice(reader.structures, point_cap=point_cap)
+    index, void_label, triangles = triangulated_border(reader, lattice, padded_field(reader, lattice))
+    if not len(triangles):
         raise StageError("there is no tissue to show: check the markers and wall thicknesses", place="surface")
-    zyx, faces, _, _ = marching_cubes(padded, 0.0, gradient_direction="ascent")
-    triangles = np.ascontiguousarray(faces, dtype=np.int32)
     if not lattice.is_right_handed:
         triangles = np.ascontiguousarray(triangles[:, ::-1])
-    index = zyx[:, ::-1].astype(np.float64) - 1.0
-    size = np.array(lattice.size)
-    on_end = ((index < -0.25) | (index > size - 0.75)).any(axis=1)
-    index = _slide_to_root(structures, lattice, padded, index, on_end)
-    vertices, triangles, source = split_fans(lattice.index_to_world(index), triangles)
-    return FullMesh(vertices, triangles, on_end[source], lattice, is_capped)
+    on_end = np.asarray(((index < -0.25) | (index > np.array(lattice.size) - 0.75)).any(axis=1))
+    return FullMesh(lattice.index_to_world(index), triangles, void_label, on_end, lattice, is_capped)
 
 
-def _padded(field: Float32, least: float) -> Float32:
-    """The field with a layer around it that mirrors the border to the positive, and with no value nearer to zero."""
-    padded = np.pad(field, 1, mode="edge")
-    for axis in range(3):
-        for end in (0, -1):
-            layer = np.moveaxis(padded, axis, 0)[end]
-            np.abs(layer, out=layer)
-    near = np.abs(padded) < least
-    padded[near] = np.where(padded[near] < 0.0, -least, least)
-    return padded
-
-
-def _slide_to_root(structures: Structures, lattice: Geometry, padded: Float32, index: Float64, on_end: Bool) -> Float64:
-    """Move each vertex along its lattice edge to the root of the field (Illinois variant of regula falsi)."""
-    nearest = np.round(index)
-    offset = np.abs(index - nearest)
-    axis = offset.argmax(axis=1)
-    rest = np.arange(len(index))
-    off_axis = offset.sum(axis=1) - offset[rest, axis]
-    movable = np.flatnonzero(~on_end & (off_axis < 1e-3))
-    axis = axis[movable]
-    start = nearest[movable]
-    rows = np.arange(len(movable))
-    start[rows, axis] = np.floor(index[movable, axis])
-    low = np.zeros(len(movable))
-    high = np.ones(len(movable))
-    corner = start.astype(np.int64) + 1
-    f_low = padded[corner[:, 2], corner[:, 1], corner[:, 0]].astype(np.float64)
-    corner[rows, axis] += 1
-    f_high = padded[corner[:, 2], corner[:, 1], corner[:, 0]].astype(np.float64)
-    parameter = f_low / (f_low - f_high)
-    side = np.zeros(len(movable), np.int8)
-    tolerance = 1e-4 * min(lattice.spacing_mm)
-    active = rows
-    for _ in range(ROOT_STEPS):
-        point = start[active].copy()
-        point[np.arange(len(active)), axis[active]] += parameter[active]
-        value = ownership_at_points(structures, lattice.index_to_world(point)).tissue_mm.astype(np.float64)
-        open_ = np.abs(value) > tolerance
-        active, value = active[open_], value[open_]
-        if len(active) == 0:
-            break
-        is_low = (value < 0.0) == (f_low[active] < 0.0)
-        halve_high = is_low & (side[active] == -1)
-        halve_low = ~is_low & (side[active] == 1)
-        f_high[active[halve_high]] *= 0.5
-        f_low[active[halve_low]] *= 0.5
-        low[active[is_low]] = parameter[active[is_low]]
-        f_low[active[is_low]] = value[is_low]
-        high[active[~is_low]] = parameter[active[~is_low]]
-        f_high[active[~is_low]] = value[~is_low]
-        side[active] = np.where(is_low, -1, 1)
-        a, b = low[active], high[active]
-        parameter[active] = a + (b - a) * f_low[active] / (f_low[active] - f_high[active])
-    moved = index.copy()
-    moved[movable] = start
-    moved[movable, axis] += np.clip(parameter, ROOT_MARGIN, 1.0 - ROOT_MARGIN)
-    return moved
-
-
-@numba.njit(cache=True, nogil=True)
-def _count_fans(triangles, opposite, vertex_count):  # type: ignore[no-untyped-def]
-    corner_vertex = np.empty(triangles.size, np.int32)
-    corner_vertex[:] = -1
-    source = np.empty(triangles.size, np.int32)
-    first = np.zeros(vertex_count, np.bool_)
-    count = vertex_count
-    for v in range(vertex_count):
-        source[v] = v
-    for h in range(triangles.size):
-        if corner_vertex[h] >= 0:
-            continue
-        v = triangles[h // 3, h % 3]
-        number = v
-        if first[v]:
-            number = count
-            source[count] = v
-            count += 1
-        first[v] = True
-        g = h
-        while corner_vertex[g] < 0:
-            corner_vertex[g] = number
-            o = opposite[g]
-            g = o - o % 3 + (o + 1) % 3
-    return corner_vertex, source[:count]
-
-
-def split_fans(vertices: Float64, triangles: Int32) -> tuple[Float64, Int32, Int32]:
-    """Give each fan of triangles its own vertex where several fans meet in one point.
-
-    Parameters
-    ----------
-    vertices, triangles
-        A closed mesh whose edges all have two triangles.
-
-    Returns
-    -------
-    vertices, triangles
-        The mesh with manifold vertices: new vertices follow the old, drawn 2% towards their own fan.
-    source : Int32
-        Old vertex of each vertex.
-    """
-    corner_vertex, source = _count_fans(triangles, opposites(triangles), len(vertices))
-    if len(source) == len(vertices):
-        return vertices, triangles, source
-    split = corner_vertex.reshape(-1, 3).astype(np.int32)
-    moved = vertices[source]
-    shared = np.isin(source, source[len(vertices) :])
-    middle = moved[split].mean(axis=1)
-    total = np.zeros_like(moved)
-    count = np.zeros(len(moved))
-    for corner in range(3):
-        np.add.at(total, split[:, corner], middle)
-        np.add.at(count, split[:, corner], 1.0)
-    moved[shared] += 0.02 * (total[shared] / count[shared, None] - moved[shared])
-    return moved, split, source
-
-
-def opposites(triangles: Int32) -> Int32:
-    """Opposite half-edge of each half-edge of a closed manifold mesh.
-
-    Half-edge ``3 t + c`` goes from corner c of triangle t to its next corner.
-
-    Returns
-    -------
-    Int32
-        Shape (3 * triangle_count,).
-
-    Raises
-    ------
-    ValueError
-        An edge has not exactly one half-edge in each direction.
-    """
-    tail = triangles.ravel().astype(np.int64)
-    head = np.roll(triangles, -1, axis=1).ravel().astype(np.int64)
-    width = int(triangles.max()) + 1
-    forward = tail * width + head
-    backward = head * width + tail
-    order = np.argsort(forward, kind="stable")
-    position = np.searchsorted(forward[order], backward)
-    position[position == len(order)] = 0
-    opposite = order[position]
-    unique = len(forward) < 2 or bool((np.diff(forward[order]) > 0).all())
-    if not unique or not np.array_equal(forward[opposite], backward):
-        raise ValueError("the mesh is not closed and manifold")
-    return opposite.astype(np.int32)
-
-
-def shell_volumes(vertices: Float64, triangles: Int32) -> tuple[Int32, Float64]:
+def shell_volumes(vertices: Float64, triangles: Int32, *, opposite: Int32 | None = None) -> tuple[Int32, Float64]:
     """Shell (connected part of the mesh) of each triangle, and the signed volume of each shell in mm3.
 
     A shell with a negative volume is a bubble in the tissue, or a cavity's inner face.
     """
-    tail = triangles.ravel()
-    head = np.roll(triangles, -1, axis=1).ravel()
-    links = coo_array((np.ones(len(tail), np.int8), (tail, head)), shape=(len(vertices), len(vertices)))
-    count, part = connected_components(links, directed=False)
-    shell = part[triangles[:, 0]].astype(np.int32)
-    corner = vertices[triangles] - vertices.mean(axis=0)
-    six = np.einsum("ij,ij->i", corner[:, 0], np.cross(corner[:, 1], corner[:, 2]))
-    volumes: Float64 = np.bincount(shell, weights=six / 6.0, minlength=count).astype(np.float64)
+    beside = opposites(triangles) if opposite is None else opposite
+    shell, sizes = connected_parts(np.zeros(len(triangles), np.int64), beside)
+    volumes = _volumes(vertices, triangles, vertices.mean(axis=0), shell, len(sizes))
     return shell, volumes
+
+
+@numba.njit(cache=True, nogil=True)
+def _volumes(vertices, triangles, middle, shell, count):  # type: ignore[no-untyped-def]
+    """Signed volume of each shell."""
+    six = np.zeros(count)
+    for t in range(len(triangles)):
+        ax, ay, az = vertices[triangles[t, 0]] - middle
+        bx, by, bz = vertices[triangles[t, 1]] - middle
+        cx, cy, cz = vertices[triangles[t, 2]] - middle
+        six[shell[t]] += ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
+    return six / 6.0
 
 
 def drop_small_shells(mesh: FullMesh, *, volume_mm3: float, fraction: float) -> tuple[FullMesh, Float64]:
@@ -328,14 +180,20 @@ def drop_small_shells(mesh: FullMesh, *, volume_mm3: float, fraction: float) -> 
     if not small.any():
         return mesh, volumes[small]
     triangles = mesh.triangles[~small[shell]]
-    used = np.unique(triangles)
-    number = np.zeros(len(mesh.vertices_mm), np.int32)
-    number[used] = np.arange(len(used), dtype=np.int32)
-    kept = FullMesh(mesh.vertices_mm[used], number[triangles], mesh.on_end[used], mesh.lattice, mesh.is_capped)
+    used = np.zeros(len(mesh.vertices_mm), np.bool_)
+    used[triangles] = True
+    number = np.cumsum(used, dtype=np.int32) - np.int32(1)
+    kept = replace(
+        mesh,
+        vertices_mm=mesh.vertices_mm[used],
+        triangles=number[triangles],
+        void_label=mesh.void_label[used],
+        on_end=mesh.on_end[used],
+    )
     return kept, volumes[small]
 
 
-def smooth_creases(mesh: FullMesh, still: Bool) -> tuple[FullMesh, int]:
+def smooth_creases(mesh: FullMesh, still: Bool, *, opposite: Int32 | None = None) -> tuple[FullMesh, int]:
     """Smooth the saw teeth that marching cubes leaves along creases, and nothing else.
 
     Taubin's smoothing, which does not shrink (A signal processing approach to fair surface design, SIGGRAPH 1995), of
@@ -347,6 +205,8 @@ def smooth_creases(mesh: FullMesh, still: Bool) -> tuple[FullMesh, int]:
         The mesh.
     still
         Vertices that stay (those of cut faces), shape (vertex_count,).
+    opposite
+        Opposite half-edges, where they are at hand.
 
     Returns
     -------
@@ -357,14 +217,10 @@ def smooth_creases(mesh: FullMesh, still: Bool) -> tuple[FullMesh, int]:
     """
     vertices, triangles = mesh.vertices_mm, mesh.triangles
     tail, head = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
-    corner = vertices[triangles]
-    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-30)[:, None]
-    bend = (np.repeat(normal, 3, axis=0) * normal[opposites(triangles) // 3]).sum(axis=1)
-    edge = np.linalg.norm(vertices[head] - vertices[tail], axis=1)
-    sharp = (bend < np.cos(np.radians(CREASE_DEGREES))) & (edge > 0.2 * min(mesh.lattice.spacing_mm))
-    chosen = np.zeros(len(vertices), bool)
-    chosen[tail[sharp]] = True
+    beside = opposites(triangles) if opposite is None else opposite
+    chosen = _at_creases(
+        vertices, triangles, beside, float(np.cos(np.radians(CREASE_DEGREES))), 0.2 * min(mesh.lattice.spacing_mm)
+    )
     chosen[head[chosen[tail]]] = True
     chosen &= ~(still | mesh.on_end)
     if not chosen.any():
@@ -383,4 +239,28 @@ def smooth_creases(mesh: FullMesh, still: Bool) -> tuple[FullMesh, int]:
     length = np.linalg.norm(way, axis=1)
     reach = 0.5 * min(mesh.lattice.spacing_mm)
     vertices[chosen] = start + way * np.minimum(1.0, reach / np.maximum(length, 1e-12))[:, None]
-    return FullMesh(vertices, triangles, mesh.on_end, mesh.lattice, mesh.is_capped), int(chosen.sum())
+    return replace(mesh, vertices_mm=vertices), int(chosen.sum())
+
+
+@numba.njit(cache=True, nogil=True)
+def _at_creases(vertices, triangles, opposite, cosine, least):  # type: ignore[no-untyped-def]
+    """Vertices at an edge of at least a length whose triangles' normals are further apart than a cosine says."""
+    normal = np.empty((len(triangles), 3))
+    for t in range(len(triangles)):
+        a, b, c = vertices[triangles[t, 0]], vertices[triangles[t, 1]], vertices[triangles[t, 2]]
+        x = (b[1] - a[1]) * (c[2] - a[2]) - (b[2] - a[2]) * (c[1] - a[1])
+        y = (b[2] - a[2]) * (c[0] - a[0]) - (b[0] - a[0]) * (c[2] - a[2])
+        z = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+        length = max(np.sqrt(x * x + y * y + z * z), 1e-30)
+        normal[t, 0], normal[t, 1], normal[t, 2] = x / length, y / length, z / length
+    found = np.zeros(len(vertices), np.bool_)
+    for t in range(len(triangles)):
+        for k in range(3):
+            o = opposite[3 * t + k] // 3
+            if normal[t, 0] * normal[o, 0] + normal[t, 1] * normal[o, 1] + normal[t, 2] * normal[o, 2] >= cosine:
+                continue
+            u, v = triangles[t, k], triangles[t, (k + 1) % 3]
+            x, y, z = vertices[v, 0] - vertices[u, 0], vertices[v, 1] - vertices[u, 1], vertices[v, 2] - vertices[u, 2]
+            if x * x + y * y + z * z > least * least:
+                found[u] = True
+    return found

@@ -15,16 +15,14 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.pipeline.mesh.triangle_grid import triangle_grid
+
 __all__ = ["self_intersections"]
 
-Float64 = npt.NDArray[np.float64]
 Int32 = npt.NDArray[np.int32]
 
 _ERROR_BOUND = (7.0 + 56.0 * 2.0**-53) * 2.0**-53
 """Of a volume's sign, in units of the sum of its products' sizes: Shewchuk's o3derrboundA."""
-_BOX_EDGES = 1.5
-"""Edge of a cell of the search lattice, in mean edges of the triangles' boxes."""
-_CELLS_PER_TRIANGLE = 8
 
 
 def self_intersections(vertices: npt.NDArray[np.floating], triangles: Int32) -> Int32:
@@ -44,44 +42,13 @@ def self_intersections(vertices: npt.NDArray[np.floating], triangles: Int32) -> 
     """
     if not len(triangles):
         return np.zeros((0, 2), np.int32)
-    corner = np.ascontiguousarray(vertices, np.float64)[triangles]
-    low, high = corner.min(axis=1), corner.max(axis=1)
-    origin = low.min(axis=0)
-    extent = high.max(axis=0) - origin
-    cell = max(_BOX_EDGES * float((high - low).mean()), 1e-12)
-    while np.prod(np.floor(extent / cell) + 1.0) > max(_CELLS_PER_TRIANGLE * len(triangles), 64):
-        cell *= 1.25
-    size = np.floor(extent / cell).astype(np.int64) + 1
-    first = np.minimum(((low - origin) / cell).astype(np.int64), size - 1)
-    last = np.minimum(((high - origin) / cell).astype(np.int64), size - 1)
-    start, held = _fill_cells(first, last, size)
-    counts = _cross_count(corner, low, high, first, last, size, start, held)
+    grid = triangle_grid(vertices, triangles)
+    low, high = grid.corner.min(axis=1), grid.corner.max(axis=1)
+    counts = _cross_count(grid, low, high)
     begin = np.concatenate([[0], np.cumsum(counts)])
     pairs = np.empty((int(begin[-1]), 2), np.int32)
-    _cross_list(corner, low, high, first, last, size, start, held, begin, pairs)
+    _cross_list(grid, low, high, begin, pairs)
     return pairs
-
-
-@numba.njit(cache=True, nogil=True)
-def _fill_cells(first, last, size):  # type: ignore[no-untyped-def]
-    """Triangles of each cell of the search lattice, ascending: where each cell begins, and the list."""
-    start = np.zeros(size[0] * size[1] * size[2] + 1, np.int64)
-    for t in range(len(first)):
-        for i in range(first[t, 0], last[t, 0] + 1):
-            for j in range(first[t, 1], last[t, 1] + 1):
-                for k in range(first[t, 2], last[t, 2] + 1):
-                    start[(i * size[1] + j) * size[2] + k + 1] += 1
-    start = np.cumsum(start)
-    held = np.empty(start[-1], np.int32)
-    place = start[:-1].copy()
-    for t in range(len(first)):
-        for i in range(first[t, 0], last[t, 0] + 1):
-            for j in range(first[t, 1], last[t, 1] + 1):
-                for k in range(first[t, 2], last[t, 2] + 1):
-                    c = (i * size[1] + j) * size[2] + k
-                    held[place[c]] = t
-                    place[c] += 1
-    return start, held
 
 
 @numba.njit(cache=True, nogil=True)
@@ -119,16 +86,17 @@ def _crosses(a, b):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
-def _crossed_by(t, corner, low, high, first, last, size, start, held, found):  # type: ignore[no-untyped-def]
+def _crossed_by(t, grid, low, high, found):  # type: ignore[no-untyped-def]
     """Higher triangles that cross triangle ``t``, into ``found`` as far as it reaches; how many there are."""
+    corner, first, last, size = grid.corner, grid.first, grid.last, grid.size
     count = 0
-    for i in range(first[t, 0], last[t, 0] + 1):
+    for k in range(first[t, 2], last[t, 2] + 1):
         for j in range(first[t, 1], last[t, 1] + 1):
-            for k in range(first[t, 2], last[t, 2] + 1):
-                c = (i * size[1] + j) * size[2] + k
-                for at in range(start[c], start[c + 1]):
-                    u = held[at]
-                    # a pair is looked at in the first cell that both boxes share
+            for i in range(first[t, 0], last[t, 0] + 1):
+                c = (k * size[1] + j) * size[0] + i
+                for at in range(grid.start[c], grid.start[c + 1]):
+                    u = grid.item[at]
+                    # a pair is looked at in the first box that both reach into
                     if (
                         u <= t
                         or i != max(first[t, 0], first[u, 0])
@@ -150,19 +118,19 @@ def _crossed_by(t, corner, low, high, first, last, size, start, held, found):  #
 
 
 @numba.njit(cache=True, nogil=True, parallel=True)
-def _cross_count(corner, low, high, first, last, size, start, held):  # type: ignore[no-untyped-def]
-    counts = np.empty(len(corner), np.int64)
-    for t in numba.prange(len(corner)):
-        counts[t] = _crossed_by(t, corner, low, high, first, last, size, start, held, np.empty(0, np.int32))
+def _cross_count(grid, low, high):  # type: ignore[no-untyped-def]
+    counts = np.empty(len(low), np.int64)
+    for t in numba.prange(len(low)):
+        counts[t] = _crossed_by(t, grid, low, high, np.empty(0, np.int32))
     return counts
 
 
 @numba.njit(cache=True, nogil=True, parallel=True)
-def _cross_list(corner, low, high, first, last, size, start, held, begin, pairs):  # type: ignore[no-untyped-def]
-    for t in numba.prange(len(corner)):
+def _cross_list(grid, low, high, begin, pairs):  # type: ignore[no-untyped-def]
+    for t in numba.prange(len(low)):
         count = begin[t + 1] - begin[t]
         if count > 0:
             found = np.empty(count, np.int32)
-            _crossed_by(t, corner, low, high, first, last, size, start, held, found)
+            _crossed_by(t, grid, low, high, found)
             pairs[begin[t] : begin[t + 1], 0] = t
             pairs[begin[t] : begin[t + 1], 1] = np.sort(found)

@@ -1,10 +1,12 @@
-"""Exact distance from points to a triangle mesh, by a grid of triangles."""
+"""Exact distance from points to a triangle mesh, by a lattice of boxes."""
 
 from __future__ import annotations
 
 import numba
 import numpy as np
 import numpy.typing as npt
+
+from heartcase.pipeline.mesh.triangle_grid import triangle_grid
 
 __all__ = ["mesh_distance_mm"]
 
@@ -27,41 +29,9 @@ def mesh_distance_mm(points_mm: Float64, vertices_mm: Float64, triangles: Int32)
     Float64
         Shape (n,), in mm.
     """
-    corner = np.ascontiguousarray(vertices_mm[triangles], dtype=np.float64)
-    low, high = corner.min(axis=1), corner.max(axis=1)
-    cell = max(1.5 * float((high - low).max(axis=1).mean()), 1e-9)
-    origin = low.min(axis=0)
-    extent = high.max(axis=0) - origin
-    cell = max(cell, float(np.cbrt((extent + cell).prod() / 8e6)))
-    size = np.floor(extent / cell).astype(np.int64) + 1
-    first = np.floor((low - origin) / cell).astype(np.int64)
-    last = np.floor((high - origin) / cell).astype(np.int64)
-    start, item = _fill(first, last, size)
     distance = np.empty(len(points_mm))
-    _query(np.ascontiguousarray(points_mm, dtype=np.float64), corner, origin, cell, size, start, item, distance)
+    _query(np.ascontiguousarray(points_mm, dtype=np.float64), triangle_grid(vertices_mm, triangles), distance)
     return distance
-
-
-@numba.njit(cache=True, nogil=True)
-def _fill(first, last, size):  # type: ignore[no-untyped-def]
-    start = np.zeros(size[0] * size[1] * size[2] + 1, np.int64)
-    for turn in range(2):
-        if turn == 1:
-            for c in range(len(start) - 1):
-                start[c + 1] += start[c]
-            item = np.empty(start[-1], np.int32)
-            place = start[:-1].copy()
-        for t in range(len(first)):
-            for k in range(first[t, 2], last[t, 2] + 1):
-                for j in range(first[t, 1], last[t, 1] + 1):
-                    for i in range(first[t, 0], last[t, 0] + 1):
-                        c = (k * size[1] + j) * size[0] + i
-                        if turn == 0:
-                            start[c + 1] += 1
-                        else:
-                            item[place[c]] = t
-                            place[c] += 1
-    return start, item
 
 
 @numba.njit(cache=True, nogil=True)
@@ -104,7 +74,8 @@ def _square_to_triangle(px, py, pz, a, b, c):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, parallel=True)
-def _query(points, corner, origin, cell, size, start, item, distance):  # type: ignore[no-untyped-def]
+def _query(points, grid, distance):  # type: ignore[no-untyped-def]
+    corner, origin, cell, size, start, item = grid.corner, grid.origin, grid.edge, grid.size, grid.start, grid.item
     reach = size[0] + size[1] + size[2]
     for p in numba.prange(len(points)):
         x, y, z = points[p]

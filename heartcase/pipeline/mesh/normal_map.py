@@ -1,7 +1,7 @@
 """The normals of the fields themselves, baked into a tangent-space normal map (thesis 11.2.2), and at the vertices.
 
-A texel's point on the coarse triangle is drawn to the root of the tissue field by two damped Newton steps; the field's
-gradient there, by central differences, is the normal. No full-resolution mesh takes part.
+A texel's point on the coarse triangle is drawn to the root of the tissue field; the field's gradient there, by central
+differences, is the normal. No full-resolution mesh takes part.
 """
 
 from __future__ import annotations
@@ -11,17 +11,17 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.data import Structures
-from heartcase.pipeline.fields import ownership_at_points
+from heartcase.pipeline.fields import FieldReader, evaluate_tissue, scratch
 from heartcase.pipeline.mesh.atlas import Atlas
 
-__all__ = ["bake_normal_map", "draw_to_surface", "field_gradient", "gradient_step_mm"]
+__all__ = ["bake_normal_map", "draw_to_surface", "gradient_step_mm"]
 
 Float32 = npt.NDArray[np.float32]
 Float64 = npt.NDArray[np.float64]
 Int32 = npt.NDArray[np.int32]
 UInt8 = npt.NDArray[np.uint8]
 
-CHUNK = 1 << 19
+CHUNK = 1024
 FLAT = (128, 128, 255)
 DILATION_TEXELS = 8
 
@@ -33,20 +33,8 @@ def gradient_step_mm(structures: Structures) -> float:
     return half if wall is None else min(half, 0.35 * wall)
 
 
-def field_gradient(structures: Structures, points_mm: Float64, step_mm: float) -> Float64:
-    """Gradient of the tissue field in world space by central differences, shape (n, 3)."""
-    gradient = np.empty((len(points_mm), 3))
-    for axis in range(3):
-        offset = np.zeros(3)
-        offset[axis] = step_mm
-        above = ownership_at_points(structures, points_mm + offset).tissue_mm
-        below = ownership_at_points(structures, points_mm - offset).tissue_mm
-        gradient[:, axis] = (above.astype(np.float64) - below) / (2.0 * step_mm)
-    return gradient
-
-
 def draw_to_surface(
-    structures: Structures, points_mm: Float64, *, step_mm: float, reach_mm: float
+    reader: FieldReader, points_mm: Float64, *, step_mm: float, reach_mm: float
 ) -> tuple[Float64, Float64]:
     """Draw points to the nearest root of the tissue field, and give the outward normals there.
 
@@ -54,8 +42,8 @@ def draw_to_surface(
 
     Parameters
     ----------
-    structures
-        The fields.
+    reader
+        The structures.
     points_mm
         World points, shape (n, 3).
     step_mm
@@ -70,27 +58,14 @@ def draw_to_surface(
     normals : Float64
         Unit gradients there, shape (n, 3); zero where the field has none.
     """
-    points = np.empty_like(points_mm)
-    normals = np.empty_like(points_mm)
-    for start in range(0, len(points_mm), CHUNK):
-        part = slice(start, start + CHUNK)
-        here = points_mm[part]
-        gradient = field_gradient(structures, here, step_mm)
-        square = np.maximum((gradient * gradient).sum(axis=1), 0.25)
-        value = ownership_at_points(structures, here).tissue_mm.astype(np.float64)
-        limit = reach_mm / np.sqrt(square)
-        way = np.clip(-value / square, -limit, limit)
-        value = ownership_at_points(structures, here + way[:, None] * gradient).tissue_mm.astype(np.float64)
-        way = np.clip(way - value / square, -limit, limit)
-        points[part] = here + way[:, None] * gradient
-        normals[part] = field_gradient(structures, points[part], step_mm)
-    length = np.linalg.norm(normals, axis=1)
-    normals /= np.where(length < 1e-3, np.inf, length)[:, None]
+    points, normals = np.empty_like(points_mm), np.empty_like(points_mm)
+    to_index = np.ascontiguousarray(np.linalg.inv(reader.structures.geometry.affine)[:3])
+    _draw_points(reader.layout, reader.tables, to_index, points_mm, step_mm, reach_mm, points, normals)
     return points, normals
 
 
 def bake_normal_map(
-    structures: Structures,
+    reader: FieldReader,
     atlas: Atlas,
     vertices_mm: Float32,
     normals: Float32,
@@ -102,10 +77,13 @@ def bake_normal_map(
 ) -> UInt8:
     """Bake the tangent-space normal map.
 
+    A texel's point on the coarse triangle is drawn to the root of the field along the interpolated normal, by two
+    Newton steps for a slope of one.
+
     Parameters
     ----------
-    structures
-        The fields.
+    reader
+        The structures.
     atlas
         Render vertices.
     vertices_mm, normals
@@ -127,53 +105,180 @@ def bake_normal_map(
     """
     owner = np.full((size, size), -1, np.int32)
     _rasterise(atlas.uv.astype(np.float64), atlas.triangles, owner)
-    rows, columns = np.nonzero(owner >= 0)
-    triangle = owner[rows, columns]
-    encoded = np.empty((len(rows), 3), np.uint8)
-    corners = atlas.render_to_welded[atlas.triangles]
-    for start in range(0, len(rows), CHUNK):
-        part = slice(start, start + CHUNK)
-        t = triangle[part]
-        weights = _barycentric(atlas.uv.astype(np.float64) * size, atlas.triangles[t], columns[part], rows[part])
-        at = np.einsum("nk,nkd->nd", weights, vertices_mm[corners[t]].astype(np.float64))
-        normal = _unit(np.einsum("nk,nkd->nd", weights, normals[corners[t]].astype(np.float64)))
-        tangent = _unit(np.einsum("nk,nkd->nd", weights, tangents[atlas.triangles[t], :3].astype(np.float64)))
-        hand = tangents[atlas.triangles[t, 0], 3].astype(np.float64)
-        bitangent = _unit(np.cross(normal, tangent) * hand[:, None])
-        true = draw_to_surface(structures, at, step_mm=gradient_step_mm(structures), reach_mm=reach_mm)[1]
-        corner = vertices_mm[corners[t]].astype(np.float64)
-        face = _unit(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]))
-        use_face = flat_triangles[t] | ((true * face).sum(axis=1) < 0.2)
-        true[use_face] = np.where(flat_triangles[t], 1.0, 0.0)[use_face, None] * face[use_face]
-        lost = ~true.any(axis=1)
-        true[lost] = normal[lost]
-        local = np.linalg.solve(np.stack([tangent, bitangent, normal], axis=2), true[:, :, None])[:, :, 0]
-        local[:, 2] = np.maximum(local[:, 2], 0.02)
-        encoded[part] = np.round((_unit(local) + 1.0) * 127.5).astype(np.uint8)
+    corners = np.ascontiguousarray(atlas.render_to_welded[atlas.triangles])
     picture = np.empty((size, size, 3), np.uint8)
     picture[:] = FLAT
-    picture[rows, columns] = encoded
+    _bake_rows(
+        reader.layout,
+        reader.tables,
+        np.ascontiguousarray(np.linalg.inv(reader.structures.geometry.affine)[:3]),
+        owner,
+        atlas.uv.astype(np.float64) * size,
+        atlas.triangles,
+        corners,
+        vertices_mm.astype(np.float64),
+        normals.astype(np.float64),
+        tangents.astype(np.float64),
+        flat_triangles,
+        gradient_step_mm(reader.structures),
+        reach_mm,
+        picture,
+    )
     _dilate(picture, owner >= 0, DILATION_TEXELS)
     return picture
 
 
-def _unit(vectors: npt.NDArray[np.floating]) -> Float64:
-    unit: Float64 = vectors / np.maximum(np.linalg.norm(vectors, axis=-1), 1e-30)[..., None]
-    return unit
+@numba.njit(cache=True, nogil=True)
+def _value(layout, tables, m, p, spare):  # type: ignore[no-untyped-def]
+    """Tissue field at a world point; ``m`` maps world to index."""
+    x = m[0, 0] * p[0] + m[0, 1] * p[1] + m[0, 2] * p[2] + m[0, 3]
+    y = m[1, 0] * p[0] + m[1, 1] * p[1] + m[1, 2] * p[2] + m[1, 3]
+    z = m[2, 0] * p[0] + m[2, 1] * p[1] + m[2, 2] * p[2] + m[2, 3]
+    return np.float64(evaluate_tissue(layout, tables, x, y, z, spare))
 
 
-def _barycentric(texel: Float64, triangles: Int32, column: npt.NDArray[np.intp], row: npt.NDArray[np.intp]) -> Float64:
-    """Weights of the corners at texel centres, clipped to the triangle, shape (n, 3)."""
-    a, b, c = texel[triangles[:, 0]], texel[triangles[:, 1]], texel[triangles[:, 2]]
-    p = np.column_stack([column + 0.5, row + 0.5])
-    u, v, w = b - a, c - a, p - a
-    turn = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
-    turn = np.where(turn == 0.0, 1.0, turn)
-    second = (w[:, 0] * v[:, 1] - w[:, 1] * v[:, 0]) / turn
-    third = (u[:, 0] * w[:, 1] - u[:, 1] * w[:, 0]) / turn
-    weights = np.clip(np.column_stack([1.0 - second - third, second, third]), 0.0, 1.0)
-    total: Float64 = weights / weights.sum(axis=1)[:, None]
-    return total
+@numba.njit(cache=True, nogil=True)
+def _gradient(layout, tables, m, p, step, spare, out):  # type: ignore[no-untyped-def]
+    """Gradient of the tissue field in world space by central differences."""
+    for axis in range(3):
+        middle = p[axis]
+        p[axis] = middle + step
+        above = _value(layout, tables, m, p, spare)
+        p[axis] = middle - step
+        below = _value(layout, tables, m, p, spare)
+        p[axis] = middle
+        out[axis] = (above - below) / (2.0 * step)
+
+
+@numba.njit(cache=True, nogil=True)
+def _walk(layout, tables, m, here, way, square, reach, spare, there):  # type: ignore[no-untyped-def]
+    """Two Newton steps from ``here`` along ``way``, the field's gradient or near it, of squared length ``square``."""
+    limit = reach / np.sqrt(square)
+    length = 0.0
+    there[:] = here
+    for _ in range(2):
+        length -= _value(layout, tables, m, there, spare) / square
+        length = min(max(length, -limit), limit)
+        for axis in range(3):
+            there[axis] = here[axis] + length * way[axis]
+
+
+@numba.njit(cache=True, nogil=True)
+def _make_unit(v, least):  # type: ignore[no-untyped-def]
+    """Divide a vector by its length, or make it zero where that is too small."""
+    length = np.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+    factor = 1.0 / length if length > least else 0.0
+    for axis in range(3):
+        v[axis] *= factor
+    return factor > 0.0
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _draw_points(layout, tables, m, points, step, reach, drawn, normals):  # type: ignore[no-untyped-def]
+    for chunk in numba.prange((len(points) + CHUNK - 1) // CHUNK):
+        spare = scratch(layout)
+        here, there, way = np.empty(3), np.empty(3), np.empty(3)
+        for n in range(chunk * CHUNK, min((chunk + 1) * CHUNK, len(points))):
+            here[:] = points[n]
+            _gradient(layout, tables, m, here, step, spare, way)
+            square = max(way[0] * way[0] + way[1] * way[1] + way[2] * way[2], 0.25)
+            _walk(layout, tables, m, here, way, square, reach, spare, there)
+            drawn[n] = there
+            _gradient(layout, tables, m, there, step, spare, way)
+            _make_unit(way, 1e-3)
+            normals[n] = way
+
+
+@numba.njit(cache=True, nogil=True)
+def _mix(weights, values, which, out):  # type: ignore[no-untyped-def]
+    """Weighted sum of the three vectors ``values[which]``."""
+    a, b, c = which[0], which[1], which[2]
+    for axis in range(3):
+        out[axis] = weights[0] * values[a, axis] + weights[1] * values[b, axis] + weights[2] * values[c, axis]
+
+
+@numba.njit(cache=True, nogil=True)
+def _cross(a, b, out):  # type: ignore[no-untyped-def]
+    out[0] = a[1] * b[2] - a[2] * b[1]
+    out[1] = a[2] * b[0] - a[0] * b[2]
+    out[2] = a[0] * b[1] - a[1] * b[0]
+
+
+@numba.njit(cache=True, nogil=True)
+def _dot(a, b):  # type: ignore[no-untyped-def]
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@numba.njit(cache=True, nogil=True)
+def _corner_weights(texel, which, x, y, weights):  # type: ignore[no-untyped-def]
+    """Weights of the corners at a point of the picture, clipped to the triangle."""
+    ax, ay = texel[which[0], 0], texel[which[0], 1]
+    ux, uy = texel[which[1], 0] - ax, texel[which[1], 1] - ay
+    vx, vy = texel[which[2], 0] - ax, texel[which[2], 1] - ay
+    wx, wy = x - ax, y - ay
+    turn = ux * vy - uy * vx
+    if turn == 0.0:
+        turn = 1.0
+    second = (wx * vy - wy * vx) / turn
+    third = (ux * wy - uy * wx) / turn
+    weights[0] = min(max(1.0 - second - third, 0.0), 1.0)
+    weights[1] = min(max(second, 0.0), 1.0)
+    weights[2] = min(max(third, 0.0), 1.0)
+    total = weights[0] + weights[1] + weights[2]
+    for k in range(3):
+        weights[k] /= total
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _bake_rows(  # type: ignore[no-untyped-def]
+    layout, tables, m, owner, texel, triangles, corners, vertices, normals, tangents, flat, step, reach, picture
+):
+    for row in numba.prange(owner.shape[0]):
+        spare = scratch(layout)
+        weights, here, there, true = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+        normal, tangent, bitangent, face = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+        side, other = np.empty(3), np.empty(3)
+        for column in range(owner.shape[1]):
+            t = owner[row, column]
+            if t < 0:
+                continue
+            _corner_weights(texel, triangles[t], column + 0.5, row + 0.5, weights)
+            _mix(weights, vertices, corners[t], here)
+            _mix(weights, normals, corners[t], normal)
+            _mix(weights, tangents, triangles[t], tangent)
+            _make_unit(normal, 1e-30)
+            _make_unit(tangent, 1e-30)
+            _cross(normal, tangent, bitangent)
+            _make_unit(bitangent, 1e-30)
+            hand = tangents[triangles[t, 0], 3]
+            for axis in range(3):
+                bitangent[axis] *= hand
+                side[axis] = vertices[corners[t, 1], axis] - vertices[corners[t, 0], axis]
+                other[axis] = vertices[corners[t, 2], axis] - vertices[corners[t, 0], axis]
+            _cross(side, other, face)
+            _make_unit(face, 1e-30)
+            if flat[t]:
+                true[:] = face
+            else:
+                _walk(layout, tables, m, here, normal, 1.0, reach, spare, there)
+                _gradient(layout, tables, m, there, step, spare, true)
+                # a field that is creased here tells nothing
+                if not _make_unit(true, 1e-3) or _dot(true, face) < 0.2:
+                    true[:] = normal
+            _cross(bitangent, normal, side)
+            volume = _dot(tangent, side)
+            if abs(volume) < 1e-6:
+                continue
+            # along tangent, bitangent and normal, which need not be at right angles between the vertices
+            x = _dot(true, side) / volume
+            _cross(normal, tangent, side)
+            y = _dot(true, side) / volume
+            _cross(tangent, bitangent, side)
+            z = max(_dot(true, side) / volume, 0.02)
+            length = np.sqrt(x * x + y * y + z * z)
+            picture[row, column, 0] = np.uint8(np.rint((x / length + 1.0) * 127.5))
+            picture[row, column, 1] = np.uint8(np.rint((y / length + 1.0) * 127.5))
+            picture[row, column, 2] = np.uint8(np.rint((z / length + 1.0) * 127.5))
 
 
 @numba.njit(cache=True, nogil=True)
@@ -207,26 +312,42 @@ def _rasterise(uv, triangles, owner):  # type: ignore[no-untyped-def]
 def _dilate(picture, filled, rounds):  # type: ignore[no-untyped-def]
     """Continue the filled texels outward, each round by the mean of the filled neighbours."""
     rows, columns = filled.shape
+    seen = filled.copy()
     edge = np.empty((rows * columns, 2), np.int32)
+    first, last = 0, 0
+    for j in range(rows):
+        for i in range(columns):
+            if filled[j, i]:
+                last = _unfilled_around(filled, seen, j, i, edge, last)
     for _ in range(rounds):
-        count = 0
-        for j in range(rows):
-            for i in range(columns):
-                if filled[j, i]:
-                    continue
-                neighbours = 0
-                total = np.zeros(3, np.int64)
-                for dj in range(max(j - 1, 0), min(j + 2, rows)):
-                    for di in range(max(i - 1, 0), min(i + 2, columns)):
-                        if filled[dj, di]:
-                            neighbours += 1
-                            for k in range(3):
-                                total[k] += picture[dj, di, k]
-                if neighbours > 0:
-                    for k in range(3):
-                        picture[j, i, k] = (2 * total[k] + neighbours) // (2 * neighbours)
-                    edge[count, 0] = j
-                    edge[count, 1] = i
-                    count += 1
-        for n in range(count):
+        for n in range(first, last):
+            j, i = edge[n]
+            neighbours = 0
+            total = np.zeros(3, np.int64)
+            for dj in range(max(j - 1, 0), min(j + 2, rows)):
+                for di in range(max(i - 1, 0), min(i + 2, columns)):
+                    if filled[dj, di]:
+                        neighbours += 1
+                        for k in range(3):
+                            total[k] += picture[dj, di, k]
+            for k in range(3):
+                picture[j, i, k] = (2 * total[k] + neighbours) // (2 * neighbours)
+        for n in range(first, last):
             filled[edge[n, 0], edge[n, 1]] = True
+        begin, first = first, last
+        for n in range(begin, first):
+            last = _unfilled_around(filled, seen, edge[n, 0], edge[n, 1], edge, last)
+
+
+@numba.njit(cache=True, nogil=True)
+def _unfilled_around(filled, seen, j, i, edge, count):  # type: ignore[no-untyped-def]
+    """List the unfilled neighbours of a texel that are not listed yet."""
+    rows, columns = filled.shape
+    for dj in range(max(j - 1, 0), min(j + 2, rows)):
+        for di in range(max(i - 1, 0), min(i + 2, columns)):
+            if not seen[dj, di]:
+                seen[dj, di] = True
+                edge[count, 0] = dj
+                edge[count, 1] = di
+                count += 1
+    return count

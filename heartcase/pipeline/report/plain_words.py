@@ -76,6 +76,10 @@ _MEANINGS: dict[str, tuple[str, str]] = {
     "open_edge_count": ("Open edges", "Should be 0: the surface has no hole."),
     "non_manifold_edge_count": ("Edges of more than two triangles", "Should be 0."),
     "degenerate_triangle_count": ("Triangles without area", "Should be 0."),
+    "self_intersection_count": (
+        "Triangles that cross",
+        "Pairs; should be 0: the surface passes through itself there, and may not cut or print cleanly.",
+    ),
     "flipped_triangle_count": ("Triangles turned over", "Should be 0: they show as dark specks."),
     "component_count": ("Separate pieces", "Usually 1."),
     "dropped_shell_count": ("Specks left out", "Tiny pieces and bubbles that are no part of the heart."),

@@ -1,0 +1,93 @@
+"""A closed triangle mesh as half-edges: ``3 t + c`` runs from corner c of triangle t to its next corner."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["connected_parts", "opposites"]
+
+Int32 = npt.NDArray[np.int32]
+
+
+def opposites(triangles: Int32) -> Int32:
+    """Opposite half-edge of each half-edge of a closed manifold mesh.
+
+    Half-edge ``3 t + c`` goes from corner c of triangle t to its next corner.
+
+    Returns
+    -------
+    Int32
+        Shape (3 * triangle_count,).
+
+    Raises
+    ------
+    ValueError
+        An edge has not exactly one half-edge in each direction.
+    """
+    tail = np.ascontiguousarray(triangles, np.int32).ravel()
+    opposite = np.empty(len(tail), np.int32)
+    if not _pair_half_edges(tail, int(triangles.max(initial=-1)) + 1, opposite):
+        raise ValueError("the mesh is not closed and manifold")
+    return opposite
+
+
+@numba.njit(cache=True, nogil=True)
+def _pair_half_edges(tail, vertex_count, opposite):  # type: ignore[no-untyped-def]
+    """Pair each half-edge with the one that runs the other way; whether each has exactly one."""
+    start = np.zeros(vertex_count + 1, np.int32)
+    for h in range(len(tail)):
+        start[tail[h] + 1] += 1
+    for v in range(vertex_count):
+        start[v + 1] += start[v]
+    leaving = np.empty(len(tail), np.int32)
+    place = start[:-1].copy()
+    for h in range(len(tail)):
+        leaving[place[tail[h]]] = h
+        place[tail[h]] += 1
+    for h in range(len(tail)):
+        u = tail[h]
+        v = tail[h - 2 if h % 3 == 2 else h + 1]
+        found = -1
+        for at in range(start[v], start[v + 1]):
+            o = leaving[at]
+            if tail[o - 2 if o % 3 == 2 else o + 1] == u:
+                if found >= 0:
+                    return False
+                found = o
+        if found < 0 or u == v:
+            return False
+        opposite[h] = found
+    return True
+
+
+@numba.njit(cache=True, nogil=True)
+def connected_parts(key, opposite):  # type: ignore[no-untyped-def]
+    """Number of the connected part of equal keys that each triangle is in, and how many triangles each part has.
+
+    Parts are numbered by their first triangle; triangles are connected over edges. ``key`` is int64, shape
+    (triangle_count,).
+    """
+    part = np.full(len(key), -1, np.int32)
+    sizes = np.empty(len(key), np.int64)
+    queue = np.empty(len(key), np.int32)
+    count = 0
+    for seed in range(len(key)):
+        if part[seed] >= 0:
+            continue
+        part[seed] = count
+        queue[0] = seed
+        first, last = 0, 1
+        while first < last:
+            t = queue[first]
+            first += 1
+            for k in range(3):
+                o = opposite[3 * t + k] // 3
+                if part[o] < 0 and key[o] == key[t]:
+                    part[o] = count
+                    queue[last] = o
+                    last += 1
+        sizes[count] = last
+        count += 1
+    return part, sizes[:count]

@@ -1,0 +1,83 @@
+"""A lattice of boxes that tells which triangles of a mesh are near a place."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["TriangleGrid", "triangle_grid"]
+
+Float64 = npt.NDArray[np.float64]
+Int32 = npt.NDArray[np.int32]
+Int64 = npt.NDArray[np.int64]
+
+_EDGES_PER_BOX = 1.5
+_BOX_COUNT = 8_000_000
+
+
+class TriangleGrid(NamedTuple):
+    """Which triangles reach into each box; box (i, j, k) has the number (k * size[1] + j) * size[0] + i."""
+
+    corner: Float64
+    """Corners of the triangles, mm, shape (triangle_count, 3, 3)."""
+    origin: Float64
+    """Lower corner of box (0, 0, 0), mm."""
+    edge: float
+    """Edge of a box, mm."""
+    size: Int64
+    """Boxes along x, y, z."""
+    first: Int64
+    """Lowest box (i, j, k) that each triangle reaches into, shape (triangle_count, 3)."""
+    last: Int64
+    """Highest one."""
+    start: Int64
+    """Where each box begins in ``item``, and the end of the last."""
+    item: Int32
+    """Triangles of each box, ascending."""
+
+
+def triangle_grid(vertices_mm: npt.NDArray[np.floating], triangles: Int32) -> TriangleGrid:
+    """Sort the triangles of a mesh into boxes about as large as one and a half of them.
+
+    Parameters
+    ----------
+    vertices_mm
+        Shape (vertex_count, 3).
+    triangles
+        Shape (triangle_count, 3); at least one.
+    """
+    corner = np.ascontiguousarray(vertices_mm[triangles], np.float64)
+    low, high = corner.min(axis=1), corner.max(axis=1)
+    origin = low.min(axis=0)
+    extent = high.max(axis=0) - origin
+    edge = max(_EDGES_PER_BOX * float((high - low).max(axis=1).mean()), 1e-9 * float(extent.max()), 1e-12)
+    edge = max(edge, float(np.cbrt((extent + edge).prod() / _BOX_COUNT)))
+    size = np.floor(extent / edge).astype(np.int64) + 1
+    first = np.minimum(np.floor((low - origin) / edge).astype(np.int64), size - 1)
+    last = np.minimum(np.floor((high - origin) / edge).astype(np.int64), size - 1)
+    return TriangleGrid(corner, origin, edge, size, first, last, *_fill(first, last, size))
+
+
+@numba.njit(cache=True, nogil=True)
+def _fill(first, last, size):  # type: ignore[no-untyped-def]
+    start = np.zeros(size[0] * size[1] * size[2] + 1, np.int64)
+    for turn in range(2):
+        if turn == 1:
+            for c in range(len(start) - 1):
+                start[c + 1] += start[c]
+            item = np.empty(start[-1], np.int32)
+            place = start[:-1].copy()
+        for t in range(len(first)):
+            for k in range(first[t, 2], last[t, 2] + 1):
+                for j in range(first[t, 1], last[t, 1] + 1):
+                    for i in range(first[t, 0], last[t, 0] + 1):
+                        c = (k * size[1] + j) * size[0] + i
+                        if turn == 0:
+                            start[c + 1] += 1
+                        else:
+                            item[place[c]] = t
+                            place[c] += 1
+    return start, item
