@@ -26,7 +26,7 @@ STAGE_VERSIONS = {
     "walls": 5,
     "edit": 2,
     "grid": 4,
-    "surface": 4,
+    "surface": 5,
     "map": 2,
     "bundle": 3,
 }
