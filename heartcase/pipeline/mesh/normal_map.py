@@ -138,7 +138,7 @@ def bake_normal_map(
     return picture
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, inline="always")
 def _value(layout, tables, m, p, spare):  # type: ignore[no-untyped-def]
     """Tissue field at a world point; ``m`` maps world to index."""
     x = m[0, 0] * p[0] + m[0, 1] * p[1] + m[0, 2] * p[2] + m[0, 3]
@@ -160,7 +160,7 @@ def _gradient(layout, tables, m, p, step, spare, out):  # type: ignore[no-untype
         out[axis] = (above - below) / (2.0 * step)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, inline="always")
 def _tilt(layout, tables, m, p, normal, tangent, span, spare, first, second, out):  # type: ignore[no-untyped-def]
     """Unit normal at a point of the surface: the slope of the field along it, fitted on a ring of radius ``span``.
 
@@ -186,7 +186,7 @@ def _tilt(layout, tables, m, p, normal, tangent, span, spare, first, second, out
         out[axis] = rest * normal[axis] + rise_first * first[axis] + rise_second * second[axis]
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, inline="always")
 def _rise(layout, tables, m, p, way, span, spare):  # type: ignore[no-untyped-def]
     """Slope of the field along a direction by central differences."""
     x, y, z = p[0], p[1], p[2]
@@ -200,7 +200,7 @@ def _rise(layout, tables, m, p, way, span, spare):  # type: ignore[no-untyped-de
     return (above - below) / (2.0 * span)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, inline="always")
 def _walk(layout, tables, m, here, way, square, reach, spare, there):  # type: ignore[no-untyped-def]
     """Two Newton steps from ``here`` along ``way``, the field's gradient or near it, of squared length ``square``."""
     limit = reach / np.sqrt(square)
