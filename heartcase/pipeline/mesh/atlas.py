@@ -203,7 +203,8 @@ def _merge_small(normal: Float64, length: Float64, opposite: Int32, chart: Int32
         Whether any chart was given away; ``chart`` is changed in place.
     """
     small = np.bincount(chart, minlength=len(axes)) <= MERGE_TRIANGLES
-    edge = np.flatnonzero(np.repeat(small[chart], 3))
+    speck = np.flatnonzero(small[chart])
+    edge = (3 * speck[:, None] + np.arange(3)).ravel()
     mine, other = chart[edge // 3], chart[opposite[edge] // 3]
     beside = ~small[other]
     if not beside.any():
@@ -214,7 +215,7 @@ def _merge_small(normal: Float64, length: Float64, opposite: Int32, chart: Int32
     # the longest border last, so that it counts; of equal ones the lower chart
     for n in np.lexsort((-pairs[:, 1], border)).tolist():
         giver, taker = pairs[n]
-        if (normal[chart == giver] @ axes[taker] >= MERGE_COSINE).all():
+        if (normal[speck[chart[speck] == giver]] @ axes[taker] >= MERGE_COSINE).all():
             taken_by[giver] = taker
     new = taken_by[chart]
     chart[new >= 0] = new[new >= 0]

@@ -30,7 +30,9 @@ ROOT_STEPS = 4
 ROOT_TOLERANCE = 1e-3
 """Of the field at a vertex, in lattice spacings."""
 STEEPEST = 1.3
-"""The field changes by at most this much per mm: a block is passed over where its middle is farther from zero."""
+"""Assumed of the field: it changes by at most this much per mm, so a block whose middle is farther from zero is passed
+over. A distance changes by one; interpolation, and gaps where three structures meet, add to it. The tests compare with
+the dense field."""
 BLOCK = 4
 """Edge of a block in points; its eight halves are looked at where its middle leaves it open."""
 FAR_MM = np.float32(1e4)
