@@ -22,7 +22,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from heartcase.pipeline.data import Segmentation, Structures
-from heartcase.pipeline.fields import ownership_at_points
+from heartcase.pipeline.fields import FieldReader, ownership_at_points
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND, LabelTable, Role
 
@@ -223,18 +223,19 @@ def faces_between(values: UInt8, geometry: Geometry, is_wanted: Bool) -> Contact
     return Contact(np.concatenate(index), np.concatenate(axes), np.concatenate(first), np.concatenate(second), geometry)
 
 
-def without_tissue(contact: Contact, structures: Structures) -> Contact:
+def without_tissue(contact: Contact, structures: Structures | FieldReader) -> Contact:
     """The faces without a wall or a patch, thinner than a voxel, between the centres beside them."""
     if len(contact.axis) == 0:
         return contact
-    thinnest = structures.thinnest_layer_mm or math.inf
+    reader = FieldReader.of(structures)
+    thinnest = reader.structures.thinnest_layer_mm or math.inf
     count = int(np.clip(math.ceil(2.0 * max(contact.geometry.spacing_mm) / thinnest), 3, MOST_PROBES))
     steps = (np.arange(count) + 0.5) / count - 0.5
     parts = []
     for start in range(0, len(contact.axis), CHUNK):
         unit = np.eye(3)[contact.axis[start : start + CHUNK]]
         probes = contact.index[start : start + CHUNK] + steps[:, None, None] * unit
-        tissue_mm = ownership_at_points(structures, contact.geometry.index_to_world(probes)).tissue_mm
+        tissue_mm = ownership_at_points(reader, contact.geometry.index_to_world(probes)).tissue_mm
         parts.append((tissue_mm.reshape(count, -1) > 0.0).all(axis=0))
     return contact[np.concatenate(parts)]
 

@@ -38,6 +38,8 @@ LEAST_SIGMA_VOXELS = 0.6
 """Narrowest blur along an axis: a narrower one leaves the steps of thick slices."""
 RETURN_VOXELS = 0.5
 """Lead over the next label, in voxels, of a voxel that gets its old label back."""
+SHIFT_GAIN = np.float32(1.06)
+"""The second blur's shift falls short of the first one's by 10 to 17% on balls of 2 to 10 voxels, by less on tubes."""
 FAR_SIGMAS = 2.0
 """Standard deviations of the blur, and a voxel, beyond which a label's lead says nothing about its own face."""
 LEAD_SHARE = 0.6
@@ -143,9 +145,7 @@ def signed_distance(first_order: Float32, spacing_mm: Sequence[float], *, band_m
     spacing = np.array(spacing_mm, dtype=np.float64)[::-1].copy()
     field = np.ascontiguousarray(first_order, dtype=np.float32)
     square = np.full(field.shape, np.inf, np.float32)
-    foot = np.empty((*field.shape, 3), np.float32)
-    nodes = np.empty((field.size, 3), np.int32)
-    closest_points(field, spacing, float(band_mm), foot, square, nodes)
+    closest_points(field, spacing, float(band_mm), square)
     distance = np.sqrt(square, out=square)
     return np.where(field < 0.0, -distance, distance)
 
@@ -168,7 +168,7 @@ def _first_order(labels: UInt8, values: list[int], boxes: list[Box], spacing: Fl
     for part, shifted in zip(distances, _distances_of(again, labels.shape, spacing, sigma_mm), strict=True):
         shift = np.clip(shifted.values - part.values, -limit, limit)
         shift = _blur(shift, spacing, 1.25 * sigma_mm)
-        parts.append(_Part(part.box, part.values - shift))
+        parts.append(_Part(part.box, part.values - SHIFT_GAIN * shift))
     return parts
 
 

@@ -15,7 +15,7 @@ from heartcase.pipeline.apart import Change, compartment_changes
 from heartcase.pipeline.cautions import Caution, anatomy, note
 from heartcase.pipeline.contacts import Contact, Extent, faces_between, without_tissue
 from heartcase.pipeline.data import Structures
-from heartcase.pipeline.fields import ownership_at_points, ownership_on_lattice
+from heartcase.pipeline.fields import FieldReader, ownership_at_points, ownership_on_lattice
 from heartcase.pipeline.wall_thickness import thickness_at_points
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND
@@ -58,11 +58,12 @@ def leak_cautions(structures: Structures, labels: UInt8) -> tuple[Caution, ...]:
     corner, part = _box_with_blood(structures, labels, blood)
     if part is None:
         return ()
-    fine, geometry = _fine_labels(structures, part, corner, blood)
+    reader = FieldReader.of(structures)
+    fine, geometry = _fine_labels(reader, part, corner, blood)
     changes = compartment_changes(part, fine, blood.tolist(), geometry)
     joined = sorted((one for one in changes if one.is_joined), key=lambda one: -one.extent.area_mm2)
     split = sorted((one for one in changes if not one.is_joined), key=lambda one: -one.extent.area_mm2)
-    gaps = sorted(_gaps(structures, fine, geometry), key=lambda one: -one[1].area_mm2)
+    gaps = sorted(_gaps(reader, fine, geometry), key=lambda one: -one[1].area_mm2)
     return (
         *_listed([_of_joined(structures, one) for one in joined]),
         *_listed([_of_split(structures, one) for one in split]),
@@ -84,15 +85,15 @@ def _box_with_blood(structures: Structures, labels: UInt8, blood: UInt8) -> tupl
 
 
 def _fine_labels(
-    structures: Structures, labels: UInt8, corner: tuple[int, int, int], blood: UInt8
+    reader: FieldReader, labels: UInt8, corner: tuple[int, int, int], blood: UInt8
 ) -> tuple[UInt8, Geometry]:
     """Label of every fine point of a box, ``TISSUE`` for all tissue.
 
     It is worked out near the border of the blood; elsewhere it is that of the voxel's centre.
     """
     nz, ny, nx = labels.shape
-    geometry = structures.geometry.cropped(corner, (nx, ny, nz))
-    owner = ownership_on_lattice(structures, geometry)
+    geometry = reader.structures.geometry.cropped(corner, (nx, ny, nz))
+    owner = ownership_on_lattice(reader, geometry)
     coarse = np.where(owner.tissue_mm <= 0.0, np.uint8(TISSUE), owner.void_label)
     is_blood = np.zeros(256, np.bool_)
     is_blood[blood] = True
@@ -102,7 +103,7 @@ def _fine_labels(
     for start in range(0, len(near), CHUNK):
         voxels = near[start : start + CHUNK, None]
         index = voxels + (offsets + 0.5) / FACTOR - 0.5
-        found = ownership_at_points(structures, geometry.index_to_world(index[..., ::-1].reshape(-1, 3)))
+        found = ownership_at_points(reader, geometry.index_to_world(index[..., ::-1].reshape(-1, 3)))
         k, j, i = (FACTOR * voxels + offsets).reshape(-1, 3).T
         fine[k, j, i] = np.where(found.tissue_mm <= 0.0, np.uint8(TISSUE), found.void_label)
     return fine, geometry.refined(FACTOR)
@@ -119,13 +120,14 @@ def _beside_border(mask: Bool) -> Bool:
     return beside
 
 
-def _gaps(structures: Structures, fine: UInt8, geometry: Geometry) -> Iterator[tuple[int, Extent, bool]]:
+def _gaps(reader: FieldReader, fine: UInt8, geometry: Geometry) -> Iterator[tuple[int, Extent, bool]]:
     """Walled cavities whose blood touches the background: value, extent, and whether a table of thicknesses says so."""
+    structures = reader.structures
     cavities = [cavity for cavity, _ in structures.grown_walls.values()]
     is_wanted = np.zeros((256, 256), np.bool_)
     is_wanted[BACKGROUND, cavities] = is_wanted[cavities, BACKGROUND] = True
     faces = faces_between(fine, geometry, is_wanted)
-    faces = without_tissue(faces[~_at_ends(faces, structures)], structures)
+    faces = without_tissue(faces[~_at_ends(faces, structures)], reader)
     tables = {table.cavity: table for table in structures.thickness_tables}
     width = max(geometry.spacing_mm)
     for cavity in sorted(cavities):
