@@ -2,8 +2,8 @@
 
 Charts grow triangle by triangle from a seed while the normals stay within a cone around the chart's mean normal, and
 are then projected along it: nothing is stretched by more than 1 / cos(45 degrees). A projection can still fold over
-itself where a chart winds around; such triangles are taken out and start charts of their own. Specks of up to three
-triangles, which would cost a gutter each, join a neighbour that they face within 60 degrees.
+itself where a chart winds around; such triangles are taken out and start charts of their own. Small charts, which
+would cost a gutter each, then join a neighbour where one cone of the same width holds both.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ Int32 = npt.NDArray[np.int32]
 CONE_COSINE = float(np.cos(np.radians(45.0)))
 GUTTER_TEXELS = 2
 TURN_COUNT = 12
-MERGE_TRIANGLES = 3
-"""Charts of at most so many triangles, specks, are given to a neighbour."""
-MERGE_COSINE = 0.5
-"""Least cosine between their triangles and its axis: they are stretched by at most two."""
+MERGE_TRIANGLES = 40
+"""Charts of at most so many triangles are given to a neighbour where one cone holds both."""
 MERGE_ROUNDS = 3
+CONE_STEPS = 12
+"""Steps towards the axis of the narrowest cone around two charts."""
 
 
 @dataclass(frozen=True)
@@ -186,40 +186,108 @@ def _charts(vertices: Float64, triangles: Int32) -> tuple[Int32, Float64]:
             before = len(axes)
             axes = _grow(normal, area, opposite, chart, axes, CONE_COSINE)
             _evict(vertices, triangles, normal, chart, axes, before)
-        if turn == MERGE_ROUNDS or not _merge_small(normal, length, opposite, chart, axes):
+        if turn == MERGE_ROUNDS or not _merge(normal, length, opposite, chart, axes, MERGE_TRIANGLES, CONE_COSINE):
             break
         _evict(vertices, triangles, normal, chart, axes, 0)
     return _connected(chart, axes, opposite)
 
 
-def _merge_small(normal: Float64, length: Float64, opposite: Int32, chart: Int32, axes: Float64) -> bool:
-    """Give small charts to the larger neighbour with the longest common border whose axis they still face.
+@numba.njit(cache=True, nogil=True)
+def _merge(normal, length, opposite, chart, axes, most, cosine):  # type: ignore[no-untyped-def]
+    """Give charts of at most ``most`` triangles to a neighbour where one cone holds both; returns whether any went.
 
-    A chart costs a gutter all around; most small ones are what growing and taking out overlaps has left over.
-
-    Returns
-    -------
-    bool
-        Whether any chart was given away; ``chart`` is changed in place.
+    A chart costs a gutter all around, and most small ones are what growing and taking out overlaps has left over. The
+    smallest go first, to the neighbour with the longest common border that can take them; ``chart`` and ``axes`` are
+    changed in place.
     """
-    small = np.bincount(chart, minlength=len(axes)) <= MERGE_TRIANGLES
-    speck = np.flatnonzero(small[chart])
-    edge = (3 * speck[:, None] + np.arange(3)).ravel()
-    mine, other = chart[edge // 3], chart[opposite[edge] // 3]
-    beside = ~small[other]
-    if not beside.any():
-        return False
-    pairs, pair = np.unique(np.stack([mine[beside], other[beside]], axis=1), axis=0, return_inverse=True)
-    border = np.bincount(pair.ravel(), weights=length[edge[beside]], minlength=len(pairs))
-    taken_by = np.full(len(axes), -1, np.int32)
-    # the longest border last, so that it counts; of equal ones the lower chart
-    for n in np.lexsort((-pairs[:, 1], border)).tolist():
-        giver, taker = pairs[n]
-        if (normal[speck[chart[speck] == giver]] @ axes[taker] >= MERGE_COSINE).all():
-            taken_by[giver] = taker
-    new = taken_by[chart]
-    chart[new >= 0] = new[new >= 0]
-    return bool((new >= 0).any())
+    count = len(axes)
+    size = np.zeros(count, np.int32)
+    head = np.full(count, -1, np.int32)
+    following = np.full(len(chart), -1, np.int32)
+    for t in range(len(chart) - 1, -1, -1):
+        size[chart[t]] += 1
+        following[t] = head[chart[t]]
+        head[chart[t]] = t
+    border = np.zeros(count)
+    beside = np.empty(count, np.int32)
+    axis = np.empty(3)
+    any_given = False
+    for giver in np.argsort(size, kind="mergesort"):
+        if size[giver] == 0 or size[giver] > most:
+            continue
+        found = 0
+        t = head[giver]
+        while t >= 0:
+            for k in range(3):
+                other = chart[opposite[3 * t + k] // 3]
+                if other != giver:
+                    if border[other] == 0.0:
+                        beside[found] = other
+                        found += 1
+                    border[other] += length[3 * t + k]
+            t = following[t]
+        given = False
+        while not given:
+            taker = -1
+            for n in range(found):
+                other = beside[n]
+                if border[other] > 0.0 and (taker < 0 or border[other] > border[taker]):
+                    taker = other
+            if taker < 0:
+                break
+            border[taker] = 0.0
+            given = _one_cone(normal, following, head[giver], head[taker], axes[taker], cosine, axis)
+            if given:
+                last = head[giver]
+                chart[last] = taker
+                while following[last] >= 0:
+                    last = following[last]
+                    chart[last] = taker
+                following[last] = head[taker]
+                head[taker] = head[giver]
+                head[giver] = -1
+                size[taker] += size[giver]
+                size[giver] = 0
+                axes[taker] = axis
+                any_given = True
+        for n in range(found):
+            border[beside[n]] = 0.0
+    return any_given
+
+
+@numba.njit(cache=True, nogil=True)
+def _one_cone(normal, following, giver, taker, start, cosine, axis):  # type: ignore[no-untyped-def]
+    """Whether a cone around some axis holds all normals of two lists; the axis is put into ``axis``.
+
+    The axis goes towards the normal that is farthest from it, by ever smaller steps (Badoiu and Clarkson, Smaller
+    core-sets for balls, SODA 2003).
+    """
+    axis[:] = start
+    for step in range(CONE_STEPS):
+        worst = 2.0
+        farthest = -1
+        for first in (giver, taker):
+            t = first
+            while t >= 0:
+                c = normal[t, 0] * axis[0] + normal[t, 1] * axis[1] + normal[t, 2] * axis[2]
+                if c < worst:
+                    worst = c
+                    farthest = t
+                t = following[t]
+        if worst >= cosine:
+            return True
+        if worst < -cosine:
+            return False
+        share = 1.0 / (step + 2.0)
+        total = 0.0
+        for k in range(3):
+            axis[k] += share * (normal[farthest, k] - axis[k])
+            total += axis[k] * axis[k]
+        if total < 1e-12:
+            return False
+        for k in range(3):
+            axis[k] /= np.sqrt(total)
+    return False
 
 
 def _connected(chart: Int32, axes: Float64, opposite: Int32) -> tuple[Int32, Float64]:
@@ -275,8 +343,16 @@ def _grow(normal, area, opposite, chart, axes, cosine):  # type: ignore[no-untyp
             if turn < 2:
                 length = np.sqrt((total * total).sum())
                 mean = total / length if length > 0.0 else normal[seed].copy()
-                if (mean * normal[seed]).sum() >= cosine:
-                    axis = mean
+                toward = (mean * normal[seed]).sum()
+                if toward < cosine:
+                    # the seed itself must stay in the cone
+                    away = mean - toward * normal[seed]
+                    reach = np.sqrt((away * away).sum())
+                    if reach > 0.0:
+                        mean = cosine * normal[seed] + np.sqrt(1.0 - cosine * cosine) / reach * away
+                    else:
+                        mean = normal[seed].copy()
+                axis = mean
         for q in range(last):
             chart[queue[q]] = number
         new_axes[number] = axis
