@@ -17,7 +17,7 @@ from heartcase.pipeline.cautions import note
 from heartcase.pipeline.data import Structures, Surface
 from heartcase.pipeline.fields import FieldReader
 from heartcase.pipeline.mesh.atlas import Atlas, make_atlas, tangents
-from heartcase.pipeline.mesh.decimate import decimate, folded_triangles, mesh_defects, relax_folds
+from heartcase.pipeline.mesh.decimate import Decimated, decimate_soundly, folded_triangles, mesh_defects
 from heartcase.pipeline.mesh.extract import (
     FullMesh,
     drop_small_shells,
@@ -25,10 +25,10 @@ from heartcase.pipeline.mesh.extract import (
     shell_volumes,
     smooth_creases,
 )
+from heartcase.pipeline.mesh.field_normals import fitted_normals
 from heartcase.pipeline.mesh.half_edges import opposites
-from heartcase.pipeline.mesh.intersections import self_intersections
 from heartcase.pipeline.mesh.mesh_distance import mesh_distance_mm
-from heartcase.pipeline.mesh.normal_map import bake_normal_map, draw_to_surface, gradient_step_mm
+from heartcase.pipeline.mesh.normal_map import bake_normal_map
 from heartcase.pipeline.mesh.tags import TriangleTags, cut_faces, tag_keys, tag_triangles
 from heartcase.schemas.settings import SurfaceSettings
 
@@ -90,16 +90,21 @@ def build_surface(structures: Structures, settings: SurfaceSettings, *, render: 
     still = np.zeros(len(full.vertices_mm), bool)
     still[full.triangles[is_cut]] = True
     full, creased = smooth_creases(full, still, opposite=opposite)
-    vertices, triangles, _ = decimate(
-        full.vertices_mm, full.triangles, key, triangle_count=settings.triangle_count, opposite=opposite
-    )
     reach = 0.5 * min(full.lattice.spacing_mm)
-    vertices, relaxed = relax_folds(vertices, triangles, reach_mm=reach)
-    vertices_mm = vertices.astype(np.float32)
+    coarse = decimate_soundly(
+        full.vertices_mm,
+        full.triangles,
+        key,
+        triangle_count=settings.triangle_count,
+        reach_mm=reach,
+        opposite=opposite,
+    )
+    triangles = coarse.triangles
+    vertices_mm = coarse.vertices_mm.astype(np.float32)
     vertices = vertices_mm.astype(np.float64)
     tags = tag_triangles(reader, vertices, triangles, full.lattice)
     normals = _vertex_normals(reader, vertices, triangles, tags.is_cut, reach)
-    quality = _quality(structures, whole, full, dropped, vertices, triangles, tags, relaxed, creased)
+    quality = _quality(structures, whole, full, dropped, coarse, vertices, tags, creased)
     warnings += _shape_warnings(quality, settings.triangle_count)
     if render and settings.normal_map_size > 0:
         atlas = make_atlas(vertices, triangles, size=settings.normal_map_size, method=settings.atlas)
@@ -193,7 +198,7 @@ def _vertex_labels(count: int, triangles: Int32, label: UInt8) -> UInt8:
 
 
 def _vertex_normals(reader: FieldReader, vertices: Float64, triangles: Int32, is_cut: Bool, reach_mm: float) -> Float32:
-    """Normals of the field's root beside each vertex; of the mesh around cut faces and where the field is creased."""
+    """Normals fitted to the field beside each vertex; of the mesh around cut faces and where the field is creased."""
     corner = vertices[triangles]
     _, face, _ = _faces(vertices, triangles)
     mesh = np.zeros_like(vertices)
@@ -202,7 +207,7 @@ def _vertex_normals(reader: FieldReader, vertices: Float64, triangles: Int32, is
         cosine = (a * b).sum(axis=1) / np.maximum(np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1), 1e-30)
         np.add.at(mesh, triangles[:, k], np.arccos(np.clip(cosine, -1.0, 1.0))[:, None] * face)
     mesh /= np.maximum(np.linalg.norm(mesh, axis=1), 1e-30)[:, None]
-    _, normal = draw_to_surface(reader, vertices, step_mm=gradient_step_mm(reader.structures), reach_mm=reach_mm)
+    _, normal, _ = fitted_normals(reader, vertices, mesh, reach_mm=reach_mm)
     keep_mesh = (normal * mesh).sum(axis=1) < 0.5
     keep_mesh[triangles[is_cut]] = True
     normal[keep_mesh] = mesh[keep_mesh]
@@ -214,12 +219,12 @@ def _quality(
     whole: FullMesh,
     full: FullMesh,
     dropped: Float64,
+    coarse: Decimated,
     vertices: Float64,
-    triangles: Int32,
     tags: TriangleTags,
-    relaxed: int,
     creased: int,
 ) -> dict[str, Any]:
+    triangles = coarse.triangles
     centre, _, area = _faces(vertices, triangles)
     every = -(-len(full.vertices_mm) // DISTANCE_SAMPLE)
     to_decimated = mesh_distance_mm(full.vertices_mm[::every], vertices, triangles)
@@ -243,8 +248,9 @@ def _quality(
         **mesh_defects(vertices, triangles),
         "flipped_triangle_count": int(folded_triangles(vertices, triangles).sum()),
         "creased_vertex_count": creased,
-        "relaxed_vertex_count": relaxed,
-        "self_intersection_count": len(self_intersections(vertices, triangles)),
+        "relaxed_vertex_count": coarse.relaxed_count,
+        "care_rounds": coarse.care_rounds,
+        "self_intersection_count": len(coarse.crossing_pairs),
         "euler_characteristic": len(vertices) - edges + len(triangles),
         "shell_count": len(volumes),
         "component_count": int((volumes > 0.0).sum()),

@@ -6,7 +6,13 @@ import pytest
 import trimesh
 
 from heartcase.pipeline.data import Structures, Surface
-from heartcase.pipeline.mesh.decimate import decimate, folded_triangles, mesh_defects, relax_folds
+from heartcase.pipeline.mesh.decimate import (
+    decimate,
+    decimate_soundly,
+    folded_triangles,
+    mesh_defects,
+    relax_folds,
+)
 from heartcase.pipeline.mesh.extract import (
     drop_small_shells,
     extract,
@@ -14,6 +20,7 @@ from heartcase.pipeline.mesh.extract import (
     shell_volumes,
     smooth_creases,
 )
+from heartcase.pipeline.mesh.intersections import self_intersections
 from heartcase.pipeline.mesh.mesh_distance import mesh_distance_mm
 from heartcase.pipeline.surface import build_surface
 from heartcase.schemas.errors import StageError
@@ -242,7 +249,8 @@ def test_folds_are_relaxed():
     neighbour = ball.vertex_neighbors[200][0]
     vertices[200] += 2.2 * (vertices[neighbour] - vertices[200])
     assert folded_triangles(vertices, triangles).any()
-    mended, moved = relax_folds(vertices, triangles, reach_mm=3.0)
+    mended, moved, pairs = relax_folds(vertices, triangles, reach_mm=3.0)
+    assert len(pairs) == 0
     assert not folded_triangles(mended, triangles).any()
     assert 0 < moved < 40
     still = np.linalg.norm(mended - vertices, axis=1) == 0.0
@@ -326,3 +334,33 @@ def test_only_creases_are_smoothed_and_by_less_than_half_a_cell():
     _, before = shell_volumes(full.vertices_mm, full.triangles)
     _, after = shell_volumes(smooth.vertices_mm, smooth.triangles)
     assert after == pytest.approx(before, rel=0.005)
+
+
+def test_sheets_that_so_few_triangles_would_cross_get_more_of_them():
+    # two curved sheets 0.8 mm apart, which 400 triangles are too coarse for
+    def sheets(p):
+        r = np.linalg.norm(p, axis=-1)
+        return np.minimum(np.abs(r - 10.0) - 0.8, np.abs(r - 12.4) - 0.8)
+
+    full = extract(solid(sheets, lattice(0.5, 15.0)))
+    tags = np.zeros(len(full.triangles), int)
+    plain, faces, _ = decimate(full.vertices_mm, full.triangles, tags, triangle_count=400)
+    assert len(self_intersections(plain, faces)) > 0
+    sound = decimate_soundly(full.vertices_mm, full.triangles, tags, triangle_count=400, reach_mm=0.3)
+    assert len(sound.crossing_pairs) == len(self_intersections(sound.vertices_mm, sound.triangles)) == 0
+    assert folded_triangles(sound.vertices_mm, sound.triangles).sum() == 0
+    assert 0 < sound.care_rounds <= 6
+    assert len(sound.triangles) < 2.5 * 400
+
+
+def test_care_keeps_triangles_where_it_is_asked_for():
+    full = extract(solid(sphere(10.0), lattice(1.0, 13.0)))
+    tags = np.zeros(len(full.triangles), int)
+    above = full.vertices_mm[:, 2] > 0.0
+    care = np.where(above, 1e4, 1.0)
+    shares = []
+    for factor in (None, care):
+        vertices, triangles, _ = decimate(full.vertices_mm, full.triangles, tags, triangle_count=600, care=factor)
+        shares.append((vertices[triangles].mean(axis=1)[:, 2] > 0.0).mean())
+    assert 0.4 < shares[0] < 0.6
+    assert shares[1] > 0.75

@@ -18,6 +18,8 @@ __all__ = ["collapse"]
 
 LEAST_COSINE = 0.4
 LEAST_QUALITY = 0.12
+FOLD_COSINE = -0.1
+"""Cosine between the normals of two triangles at an edge below which they are a fold."""
 SPECK_AREA = 0.01
 TWO_ROOT_3 = 2.0 * 3.0**0.5
 
@@ -90,11 +92,13 @@ def _add_normals(position, tail, opposite, start, normal):  # type: ignore[no-un
 
 @numba.njit(cache=True, nogil=True)
 def _keeps_shape(position, tail, opposite, start, gone_a, gone_b, p, around, floor):  # type: ignore[no-untyped-def]
-    """Whether moving the tail of ``start`` to ``p`` turns over none of its triangles and makes no needle.
+    """Whether moving the tail of ``start`` to ``p`` turns over none of its triangles and makes no needle and no fold.
 
     The normal of a needle or a speck means little: it is held against the mean normal ``around`` instead.
     """
     mean = np.sqrt(around[0] * around[0] + around[1] * around[1] + around[2] * around[2])
+    lx, ly, lz, last = 0.0, 0.0, 0.0, 0.0
+    is_after = False
     g = start
     while True:
         t = g // 3
@@ -137,6 +141,25 @@ def _keeps_shape(position, tail, opposite, start, gone_a, gone_b, p, around, flo
                 return False
             if TWO_ROOT_3 * new < floor * after:
                 return False
+            # the triangle beyond the edge that stays
+            q = opposite[next_edge(g)]
+            d = tail[previous_edge(q)]
+            hx = position[d, 0] - position[b, 0]
+            hy = position[d, 1] - position[b, 1]
+            hz = position[d, 2] - position[b, 2]
+            mx = hy * ez - hz * ey
+            my = hz * ex - hx * ez
+            mz = hx * ey - hy * ex
+            beyond = np.sqrt(mx * mx + my * my + mz * mz)
+            now = nx * mx + ny * my + nz * mz
+            if now < FOLD_COSINE * new * beyond and now * old < (ox * mx + oy * my + oz * mz) * new:
+                return False
+            if is_after and (nx * lx + ny * ly + nz * lz) < FOLD_COSINE * new * last:
+                return False
+            lx, ly, lz, last = nx, ny, nz, new
+            is_after = True
+        else:
+            is_after = False
         g = next_edge(opposite[g])
         if g == start:
             return True
@@ -247,6 +270,7 @@ def collapse(
     opposite: npt.NDArray[np.int32],
     tags: npt.NDArray[np.int64],
     wanted: int,
+    care: npt.NDArray[np.float64] | None = None,
 ) -> npt.NDArray[np.bool_]:
     """Collapse edges in place until ``wanted`` triangles are left or none may go; which triangles are left.
 
@@ -262,8 +286,12 @@ def collapse(
         Tag of each triangle, int64, shape (triangle_count,).
     wanted
         Triangles to leave.
+    care
+        Factor on the error of each vertex, float64, shape (vertex_count,).
     """
     quadric = vertex_quadrics(position, tail, opposite, tags)
+    if care is not None:
+        quadric *= care[:, None]
     alive = np.ones(len(tail) // 3, np.bool_)
     mark = np.empty(len(position), np.int32)
     left, before = len(alive), 2 * len(alive)

@@ -3,11 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from heartcase.pipeline.fields import FieldReader
-from heartcase.pipeline.mesh.normal_map import draw_to_surface, gradient_step_mm
 from heartcase.pipeline.surface import build_surface
 from heartcase.schemas.settings import SurfaceSettings
-from tests.pipeline.solids import LEFT_HANDED, OBLIQUE, bump_normals, bumps, lattice, points, solid, sphere, walled
+from tests.pipeline.solids import LEFT_HANDED, OBLIQUE, bump_normals, bumps, lattice, points, solid, walled
 
 
 def samples(surface, count):
@@ -64,23 +62,6 @@ def test_the_map_beats_the_vertex_normals_against_the_truth(atlas, direction):
     with_map = degrees(shaded(surface, triangle, weights), truth)
     assert with_map.mean() < 0.65 * without.mean()
     assert np.quantile(with_map, 0.95) < 0.8 * np.quantile(without, 0.95)
-
-
-def test_points_are_drawn_to_the_root_with_its_normal():
-    structures = walled(sphere(12.0), 1.5, lattice(1.5, 17.0))
-    rng = np.random.default_rng(2)
-    direction = unit(rng.standard_normal((400, 3)))
-    radius = np.where(rng.random(400) < 0.5, 12.0, 13.5)
-    start = direction * (radius + rng.uniform(-0.3, 0.3, 400))[:, None]
-    found, normals = draw_to_surface(
-        FieldReader.of(structures), start, step_mm=gradient_step_mm(structures), reach_mm=0.5
-    )
-    # Interpolation errs by at most h^2 / 8 (2 / r).
-    assert np.abs(np.linalg.norm(found, axis=1) - radius).max() < 1.5**2 / 8.0 * 2.0 / 12.0 + 0.01
-    outward = direction * np.where(radius > 12.5, 1.0, -1.0)[:, None]
-    assert degrees(normals, outward).max() < np.degrees(0.5 * 1.5 * np.sqrt(3.0) / 12.0)
-    far, _ = draw_to_surface(FieldReader.of(structures), direction * 8.0, step_mm=0.5, reach_mm=0.5)
-    assert np.linalg.norm(far - direction * 8.0, axis=1).max() < 0.5 + 1e-9
 
 
 def test_charts_are_continued_into_the_gutters_and_the_rest_is_flat():
