@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.cautions import anatomy, counted, note
+from heartcase.pipeline.cells.changes import Change, topology_changes
 from heartcase.pipeline.cells.hinges import HingeRepairs, hanging_cells, mend_hinges
 from heartcase.pipeline.cells.passages import blocked_openings, open_passages
 from heartcase.pipeline.cells.repair import CellState, Index, cell_coverage, close_leaks, find_leaks, join_tissue
@@ -30,6 +31,7 @@ from heartcase.pipeline.cells.sampling import (
 from heartcase.pipeline.cells.supports import fixed_nodes, floating_pieces
 from heartcase.pipeline.cells.topology import betti_numbers, components, distance_in_samples
 from heartcase.pipeline.data import SimulationGrid, Structures
+from heartcase.pipeline.fields import FieldReader
 from heartcase.schemas.errors import StageError
 from heartcase.schemas.labels import LabelTable
 from heartcase.schemas.lattice import cell_nodes
@@ -53,6 +55,7 @@ FACE_CORNERS: Int32 = np.array(
 _MAX_SAMPLES = 1_500_000_000
 _MAX_CELLS = 100_000_000
 _NAMED_PLACES = 5
+_LISTED_PLACES = 100
 _COUNT_TOLERANCE = 0.02
 
 
@@ -71,7 +74,8 @@ def build_grid(structures: Structures, settings: GridSettings, *, pins: Sequence
     Returns
     -------
     SimulationGrid
-        ``quality`` compares volume and Betti numbers with the full resolution; ``warnings`` name what differs.
+        ``quality`` compares volume and Betti numbers with the full resolution and lists where the topology differs;
+        ``warnings`` name what differs, with positions.
 
     Raises
     ------
@@ -84,10 +88,11 @@ def build_grid(structures: Structures, settings: GridSettings, *, pins: Sequence
             "loses thin tissue)",
             place="grid",
         )
+    reader = FieldReader.of(structures)
     if settings.cell_mm is not None:
-        samples = _sample(structures, settings.cell_mm)
+        samples = _sample(reader, settings.cell_mm)
     else:
-        samples = _samples_for_count(structures, settings)
+        samples = _samples_for_count(reader, settings)
     if not (samples.coverage >= settings.coverage_min).any():
         raise StageError("no cell holds enough tissue: make the cells smaller, or check the walls", place="grid")
     pieces = void_pieces(samples)
@@ -146,24 +151,24 @@ def resolve_grid(settings: GridSettings) -> GridSettings:
     return settings.model_copy(update={"node_count": DEFAULT_NODE_COUNT})
 
 
-def _sample(structures: Structures, cell_mm: float, factor: int | None = None) -> CellSamples:
-    lattice = cell_lattice(structures.geometry, cell_mm)
-    factor = factor or sample_factor(structures.geometry, cell_mm)
+def _sample(reader: FieldReader, cell_mm: float, factor: int | None = None) -> CellSamples:
+    lattice = cell_lattice(reader.structures.geometry, cell_mm)
+    factor = factor or sample_factor(reader.structures.geometry, cell_mm)
     if np.prod(lattice.size) > _MAX_CELLS or np.prod(lattice.size) * factor**3 > _MAX_SAMPLES:
         raise StageError(
             f"cells of {cell_mm:.3g} mm are too small for this region: ask for a larger cell_mm or fewer nodes",
             place="grid",
         )
-    return sample_cells(structures, lattice, factor)
+    return sample_cells(reader, lattice, factor)
 
 
-def _samples_for_count(structures: Structures, settings: GridSettings) -> CellSamples:
+def _samples_for_count(reader: FieldReader, settings: GridSettings) -> CellSamples:
     """Solve for the cell edge with the fewest samples per cell, then correct it with as many as the grid takes."""
     wanted = cast(int, resolve_grid(settings).node_count)
-    volume = structures.geometry
+    volume = reader.structures.geometry
     region_mm3 = volume.voxel_volume_mm3 * float(np.prod(volume.size))
     cell_mm = (region_mm3 / (4.0 * wanted)) ** (1 / 3)
-    samples = _sample(structures, cell_mm, 2)
+    samples = _sample(reader, cell_mm, 2)
     tissue_mm3 = _tissue_volume_mm3(samples)
     if tissue_mm3 == 0.0:
         raise StageError("there is no tissue in the region of interest: check walls and region", place="grid")
@@ -172,7 +177,7 @@ def _samples_for_count(structures: Structures, settings: GridSettings) -> CellSa
     coarse = True
     tried: list[tuple[float, float, CellSamples]] = []
     for _ in range(10):
-        samples = _sample(structures, cell_mm, 2 if coarse else None)
+        samples = _sample(reader, cell_mm, 2 if coarse else None)
         count = _node_count(samples.coverage >= settings.coverage_min)
         gap = abs(count - wanted) / wanted
         is_final = samples.factor == sample_factor(volume, cell_mm)
@@ -185,7 +190,7 @@ def _samples_for_count(structures: Structures, settings: GridSettings) -> CellSa
             continue
         cell_mm *= (count / wanted) ** (1 / 2.7)
     if not tried:
-        return _sample(structures, cell_mm)
+        return _sample(reader, cell_mm)
     return min(tried, key=lambda one: one[:2])[2]
 
 
@@ -267,6 +272,7 @@ def _shape_cells(
         ("tissue", 26, fine_tissue, unrepaired.tissue, state.tissue),
         ("blood", 6, fine_blood, unrepaired.is_blood & ~unrepaired.tissue, state.is_blood & ~state.tissue),
     )
+    changes: dict[str, list[Change]] = {}
     for name, connectivity, fine, raw, final in figures:
         numbers = [betti_numbers(mask, 6 if connectivity == 6 else 26).as_list() for mask in (fine, raw, final)]
         quality[f"betti_{name}"] = {"full_resolution": numbers[0], "unrepaired": numbers[1], "grid": numbers[2]}
@@ -275,7 +281,16 @@ def _shape_cells(
             "full_resolution": _piece_count(fine, None, samples.factor**3, connectivity),
             "grid": _piece_count(final, amount, 1.0, connectivity),
         }
-    return state, quality, warnings + _topology_warnings(quality)
+        cells = final.repeat(samples.factor, 0).repeat(samples.factor, 1).repeat(samples.factor, 2)
+        changes[name] = topology_changes(
+            fine, cells, samples.tissue_mm, 6 if connectivity == 6 else 26, reach=samples.factor
+        )
+        quality[f"{name}_changes"] = len(changes[name])
+    quality["change_places_mm"] = {
+        name: [[round(x, 1) for x in _place(samples, change)] for change in found[:_LISTED_PLACES]]
+        for name, found in changes.items()
+    }
+    return state, quality, warnings + _topology_warnings(samples, quality, changes)
 
 
 def _piece_count(mask: Bool, amount: Float32 | None, least: float, connectivity: int) -> int:
@@ -285,41 +300,61 @@ def _piece_count(mask: Bool, amount: Float32 | None, least: float, connectivity:
     return int((np.bincount(labels.ravel(), weights, minlength=count + 1)[1:] >= least).sum())
 
 
-def _topology_warnings(quality: dict[str, Any]) -> list[str]:
-    """Where the number of pieces larger than a cell differs; failing that, where small holes differ."""
+def _topology_warnings(samples: CellSamples, quality: dict[str, Any], changes: dict[str, list[Change]]) -> list[str]:
+    """Where the number of pieces larger than a cell differs, and where small holes differ."""
     tissue, blood = quality["betti_tissue"], quality["betti_blood"]
     warnings: list[str] = []
+    left = dict(changes)
     for name in ("tissue", "blood"):
         pieces = quality[f"{name}_pieces_over_a_cell"]
         was, now = pieces["full_resolution"], pieces["grid"]
-        if was != now:
+        # Without a change the same pieces are there, and one of them is about as large as a cell.
+        if was != now and changes[name]:
             meaning = "what belongs together is apart" if now > was else "separate parts were joined or lost"
             warnings.append(
                 anatomy(
                     f"the {name} is in {counted(was, 'separate piece')} at the scan's resolution but in {now} in the "
-                    f"simulation cells: {meaning}; make the cells smaller"
+                    f"simulation cells: {meaning}, at {_named([_place(samples, one) for one in changes[name]])}; make "
+                    "the cells smaller"
                 )
             )
-    holes = ((tissue, 1, "tunnels through the tissue"), (tissue, 2, "hollows in it"), (blood, 1, "loops of the blood"))
-    counts = [(what, betti["full_resolution"][at], betti["grid"][at]) for betti, at, what in holes]
-    differing = [f"{was} {what} in the scan, {now} in the simulation" for what, was, now in counts if was != now]
-    if differing and not warnings:
+            left[name] = []
+    if any(left.values()):
+        holes = (
+            (tissue, 1, "tunnels through the tissue"),
+            (tissue, 2, "hollows in it"),
+            (blood, 1, "loops of the blood"),
+            (blood, 2, "islands in the blood"),
+        )
+        counts = [(what, betti["full_resolution"][at], betti["grid"][at]) for betti, at, what in holes]
+        differing = [f"{was} {what} in the scan, {now} in the simulation" for what, was, now in counts if was != now]
+        where = left["blood"] + left["tissue"]
         warnings.append(
             note(
-                f"the simulation does not keep every small hole ({' and '.join(differing[:2])}): make the cells "
-                "smaller only where a hole smaller than a cell matters"
+                "the simulation does not keep every small hole "
+                f"({' and '.join(differing[:2]) or 'as many as in the scan, but not the same ones'}), at "
+                f"{_named([_place(samples, change) for change in where])}: make the cells smaller only where a hole "
+                "smaller than a cell matters"
             )
         )
     return warnings
 
 
+def _place(samples: CellSamples, change: Change) -> list[float]:
+    """World position of a change, mm."""
+    cell = (np.array(change.place[::-1]) + 0.5) / samples.factor - 0.5
+    return [float(x) for x in samples.geometry.index_to_world(cell)]
+
+
 def _places(samples: CellSamples, cells: Sequence[Index]) -> str:
     """The first few cells (k, j, i) as world positions in mm."""
-    named = []
-    for cell in sorted(set(cells))[:_NAMED_PLACES]:
-        x, y, z = samples.geometry.index_to_world(cell[::-1])
-        named.append(f"({x:.1f}, {y:.1f}, {z:.1f})")
-    more = len(set(cells)) - len(named)
+    return _named([[float(x) for x in samples.geometry.index_to_world(cell[::-1])] for cell in sorted(set(cells))])
+
+
+def _named(places: Sequence[Sequence[float]]) -> str:
+    """The first few world positions, mm, in words."""
+    named = [f"({x:.1f}, {y:.1f}, {z:.1f})" for x, y, z in places[:_NAMED_PLACES]]
+    more = len(places) - len(named)
     return ", ".join(named) + " mm" + (f" and {more} more" if more else "")
 
 

@@ -23,11 +23,11 @@ STAGE_VERSIONS = {
     "markers": 1,
     "filter": 2,
     "segment": 2,
-    "walls": 5,
+    "walls": 6,
     "edit": 2,
-    "grid": 4,
-    "surface": 5,
-    "map": 2,
+    "grid": 5,
+    "surface": 6,
+    "map": 3,
     "bundle": 3,
 }
 """Raised whenever a stage's output changes for the same input, so that the cache forgets the old one."""

@@ -120,7 +120,8 @@ def surface_of(made: Structures) -> Surface:
     for corner in range(3):
         np.add.at(normals, triangles[:, corner], normal)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    label = ownership_at_points(made, vertices).void_label
+    # On the border itself two voids may be equally near.
+    label = ownership_at_points(made, vertices + 0.02 * normals).void_label
     triangles = np.ascontiguousarray(triangles, dtype=np.int32)
     return Surface(
         vertices_mm=vertices.astype(np.float32),

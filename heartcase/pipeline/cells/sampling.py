@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.data import Structures
-from heartcase.pipeline.fields import ownership_on_lattice
+from heartcase.pipeline.fields import FieldReader, ownership_on_lattice
 from heartcase.schemas.geometry import Geometry
 
 __all__ = ["CellSamples", "VoidPieces", "cell_lattice", "sample_cells", "sample_factor", "void_pieces"]
@@ -115,7 +115,7 @@ def sample_factor(volume: Geometry, cell_mm: float) -> int:
     return max(2, math.ceil(cell_mm / min(volume.spacing_mm) - 1e-6))
 
 
-def sample_cells(structures: Structures, lattice: Geometry, factor: int) -> CellSamples:
+def sample_cells(structures: Structures | FieldReader, lattice: Geometry, factor: int) -> CellSamples:
     """Sample the fields inside each cell and measure how much of it is tissue.
 
     A sample stands for a small cube; the tissue's part of it is taken as linear in the mean of the field over it,
@@ -124,14 +124,15 @@ def sample_cells(structures: Structures, lattice: Geometry, factor: int) -> Cell
     Parameters
     ----------
     structures
-        The fields.
+        The fields, or their reader.
     lattice
         Cells, from :func:`cell_lattice`.
     factor
         Samples along each edge of a cell.
     """
-    owner = ownership_on_lattice(structures, lattice.refined(factor))
-    inside = _inside(structures.geometry, lattice, factor)
+    reader = FieldReader.of(structures)
+    owner = ownership_on_lattice(reader, lattice.refined(factor))
+    inside = _inside(reader.structures.geometry, lattice, factor)
     coverage = np.zeros(lattice.shape, np.float32)
     cell_label = np.zeros(lattice.shape, np.uint8)
     width = lattice.spacing_mm[0] / factor

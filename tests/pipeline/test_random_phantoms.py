@@ -1,0 +1,114 @@
+"""What must hold of surface, grid and map of any heart: 50 hearts drawn at random, and 500 more."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import lru_cache
+
+import numpy as np
+import pytest
+import trimesh
+
+from heartcase.pipeline.data import GridMap, SimulationGrid, Surface
+from heartcase.pipeline.grid import build_grid
+from heartcase.pipeline.map import map_surface
+from heartcase.pipeline.mesh.decimate import folded_triangles
+from heartcase.pipeline.mesh.intersections import self_intersections
+from heartcase.pipeline.picking import picking_surface, split_faces
+from heartcase.pipeline.surface import build_surface
+from tests.pipeline.random_phantoms import RandomHeart, random_heart
+from tests.pipeline.sides import sides
+
+QUICK, MANY = 10, 550
+
+
+def seeds() -> Iterator[object]:
+    for seed in range(MANY):
+        yield seed if seed < QUICK else pytest.param(seed, marks=pytest.mark.slow)
+
+
+every_seed = pytest.mark.parametrize("seed", list(seeds()), scope="module")
+
+
+@lru_cache(maxsize=QUICK)
+def made(seed: int) -> tuple[RandomHeart, SimulationGrid, Surface, GridMap]:
+    heart = random_heart(seed)
+    grid = build_grid(heart.structures, heart.grid_settings, pins=heart.pins)
+    surface = build_surface(heart.structures, heart.surface_settings, render=False)
+    return heart, grid, surface, map_surface(surface, grid, heart.map_settings)
+
+
+def edges_of(triangles: np.ndarray) -> np.ndarray:
+    return np.concatenate([triangles[:, pair] for pair in ([0, 1], [1, 2], [2, 0])])
+
+
+@every_seed
+def test_the_surface_is_closed_and_manifold(seed):
+    heart, _, surface, _ = made(seed)
+    edges = edges_of(surface.triangles)
+    ways, count = np.unique(edges, axis=0, return_counts=True)
+    assert count.max() == 1, heart.words
+    np.testing.assert_array_equal(ways, np.unique(edges[:, ::-1], axis=0), err_msg=heart.words)
+    mesh = trimesh.Trimesh(surface.vertices_mm, surface.triangles, process=False)
+    assert mesh.is_watertight, heart.words
+    assert mesh.is_winding_consistent, heart.words
+    assert surface.quality["non_manifold_edge_count"] == surface.quality["open_edge_count"] == 0, heart.words
+
+
+@every_seed
+def test_no_triangle_is_turned_over_or_passes_through_another(seed):
+    heart, _, surface, _ = made(seed)
+    vertices = surface.vertices_mm.astype(np.float64)
+    assert folded_triangles(vertices, surface.triangles).sum() == 0, heart.words
+    assert len(self_intersections(vertices, surface.triangles)) == 0, heart.words
+
+
+@every_seed
+def test_no_vertex_follows_what_is_beyond_a_wall_or_a_gap(seed):
+    heart, grid, surface, mapped = made(seed)
+    found = sides(heart.structures, surface, grid, mapped)
+    assert not found.wrong.any(), (heart.words, surface.vertices_mm[found.wrong].tolist())
+    assert found.inner.sum() == mapped.quality["inner_face_count"], heart.words
+    assert mapped.quality["other_label_count"] == 0, heart.words
+
+
+@every_seed
+def test_vertices_are_near_the_triangle_that_they_follow(seed):
+    heart, grid, surface, mapped = made(seed)
+    corners = grid.node_positions_mm()[mapped.triangle_nodes]
+    reference = np.einsum("vc,vcx->vx", mapped.weights.astype(float), corners)
+    assert np.linalg.norm(reference - surface.vertices_mm, axis=1).max() < 2.0 * heart.cell_mm, heart.words
+
+
+@every_seed
+def test_the_picking_surface_is_closed_and_is_the_grids_boundary(seed):
+    heart, grid, _, _ = made(seed)
+    surface = picking_surface(grid)
+    edges = edges_of(surface.triangles)
+    forward, forward_count = np.unique(edges, axis=0, return_counts=True)
+    backward, backward_count = np.unique(edges[:, ::-1], axis=0, return_counts=True)
+    np.testing.assert_array_equal(forward, backward, err_msg=heart.words)
+    np.testing.assert_array_equal(forward_count, backward_count, err_msg=heart.words)
+    np.testing.assert_array_equal(surface.nodes, np.unique(grid.faces))
+    np.testing.assert_array_equal(surface.nodes[surface.triangles], split_faces(grid.faces))
+    corners = grid.node_positions_mm()[surface.nodes][surface.triangles]
+    volume = np.einsum("tx,tx->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0
+    assert volume == pytest.approx(len(grid.cells) * grid.geometry.voxel_volume_mm3, rel=1e-6), heart.words
+
+
+@every_seed
+def test_topology_is_kept_or_its_loss_is_placed(seed):
+    heart, grid, _, _ = made(seed)
+    quality = grid.quality
+    for name in ("tissue", "blood"):
+        numbers = quality[f"betti_{name}"]
+        places = quality["change_places_mm"][name]
+        assert len(places) == min(quality[f"{name}_changes"], 100), heart.words
+        assert numbers["full_resolution"] == numbers["grid"] or places, heart.words
+    for name in ("blood", "tissue"):
+        places = quality["change_places_mm"][name]
+        if places:
+            x, y, z = places[0]
+            assert any(f"({x:.1f}, {y:.1f}, {z:.1f})" in warning for warning in grid.warnings), heart.words
+            break
+    assert quality["leaks_left"] == 0, heart.words
