@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,14 +11,17 @@ import click
 
 from heartcase.cli.output import echo_json, file_size, working
 from heartcase.schemas.bundle import CaseManifest, FileRole
-from heartcase.schemas.errors import BundleError, UsageError
+from heartcase.schemas.errors import BundleError, Problem, UsageError
 from heartcase.schemas.files import atomic_write
+from heartcase.simulator.export import SURFACE_FORMATS
 
 if TYPE_CHECKING:
     from heartcase.pipeline.data import Segmentation
+    from heartcase.pipeline.exports.models import TaggedMesh
     from heartcase.pipeline.formats.dicom_source import SourceSeries
+    from heartcase.schemas.bundle_reader import OpenBundle
 
-__all__ = ["WRITERS", "command"]
+__all__ = ["MODELS", "WRITERS", "command"]
 
 
 @dataclass(frozen=True)
@@ -26,9 +29,14 @@ class _Export:
     """What the writers take."""
 
     case: Path
-    manifest: CaseManifest
+    bundle: OpenBundle
     scan: Path | None
     series: str | None
+
+    @property
+    def manifest(self) -> CaseManifest:
+        """What the case says of itself."""
+        return self.bundle.manifest
 
     @property
     def case_id(self) -> str:
@@ -60,6 +68,14 @@ class _Export:
         if not labels.geometry.matches(self.manifest.scan_geometry):
             raise BundleError("the labels do not lie on the lattice of the case's scan: build it again", place="CASE")
         return find_source(self.scan, self.manifest, series=self.series)
+
+    def surface(self, model: str) -> TaggedMesh:
+        """The hollow or the solid model."""
+        from heartcase.pipeline.exports.models import hollow_model, solid_model, walls_smoothing_mm
+
+        if model == "hollow":
+            return hollow_model(self.bundle)
+        return solid_model(self.labels(), smoothing_mm=walls_smoothing_mm(self.bundle))
 
 
 def _seg_nrrd(export: _Export) -> bytes:
@@ -96,6 +112,87 @@ WRITERS: dict[str, Callable[[_Export], bytes]] = {
 
 _WITH_SCAN = (".seg.nrrd", ".dcm")
 
+MODELS: dict[str, tuple[str, ...]] = {
+    "hollow": (".stl", ".ply", ".3mf", ".vtu", ".vtk"),
+    "solid": (".stl", ".ply", ".3mf", ".vtu", ".vtk"),
+    "cells": (".inp", ".msh", ".vtu", ".vtk"),
+}
+"""Model -> endings that can hold it; where --model is left out, the first model that an ending holds is written."""
+
+_PRINTED = (".stl", ".ply", ".3mf")
+
+MIN_THICKNESS_MM = 1.0
+"""Two lines of the usual 0.4 mm nozzle and a margin; a wall that nothing supports asks as much of resin and powder."""
+
+
+@dataclass(frozen=True)
+class _Made:
+    """A file that is ready to be written."""
+
+    content: bytes
+    what: str
+    """What it holds, in words."""
+    facts: dict[str, object] = field(default_factory=dict)
+    """What --json adds."""
+    warnings: tuple[str, ...] = ()
+
+
+def _printed(export: _Export, model: str, suffix: str, min_thickness_mm: float) -> _Made:
+    """A hollow or solid model for a printer, checked."""
+    from heartcase.pipeline.exports.print_check import check_for_printing
+    from heartcase.pipeline.exports.print_files import ply_bytes, three_mf_bytes
+
+    mesh = export.surface(model)
+    check = check_for_printing(mesh, min_thickness_mm=min_thickness_mm)
+    if suffix == ".ply":
+        content = ply_bytes(mesh, case_id=export.case_id)
+    elif suffix == ".3mf":
+        content = three_mf_bytes(mesh, title=f"{model} model of case {export.case_id}")
+    else:
+        comment = f"SPACE=LPS; patient LPS, mm; case {export.case_id}"
+        content = SURFACE_FORMATS[suffix](mesh.vertices_mm, mesh.normals, mesh.triangles, mesh.colours, comment)
+    return _Made(content, f"the {model} model", {"print_check": asdict(check)}, (*mesh.warnings, *check.warnings))
+
+
+def _for_meshio(export: _Export, model: str, suffix: str) -> _Made:
+    """A model or the grid in a format that meshio writes."""
+    from heartcase.pipeline.exports.meshio_files import grid_hexahedra, hexahedra_bytes, surface_bytes
+
+    if model == "cells":
+        cells = grid_hexahedra(export.bundle)
+        return _Made(hexahedra_bytes(cells, suffix), f"{len(cells.hexahedra):,} hexahedra")
+    mesh = export.surface(model)
+    return _Made(surface_bytes(mesh, suffix), f"the surface of the {model} model", warnings=mesh.warnings)
+
+
+def _suffix_of(name: str) -> str:
+    """The ending of a file name that says its format.
+
+    Raises
+    ------
+    UsageError
+        It says none.
+    """
+    endings = [*WRITERS, *dict.fromkeys(ending for held in MODELS.values() for ending in held)]
+    for ending in endings:
+        if name.lower().endswith(ending):
+            return ending
+    raise UsageError(f"the file must end in one of: {', '.join(endings)}", place="--out")
+
+
+def _problems(suffix: str, model: str | None, scan: Path | None, min_thickness_mm: float | None) -> list[Problem]:
+    """Options that do not go with the ending."""
+    problems = []
+    if scan is not None and suffix not in _WITH_SCAN:
+        problems.append(Problem("--scan", f"serves only for {' and '.join(_WITH_SCAN)}: leave it out"))
+    if model is not None and suffix not in MODELS[model]:
+        held = [name for name, endings in MODELS.items() if suffix in endings]
+        holds = f"{' or '.join(held)}" if held else "labels, and no model: leave it out"
+        problems.append(Problem("--model", f"{suffix} holds {holds}; {model} is written as {', '.join(MODELS[model])}"))
+    if min_thickness_mm is not None and suffix not in _PRINTED:
+        problems.append(Problem("--min-thickness-mm", f"serves only for {', '.join(_PRINTED)}: leave it out"))
+    return problems
+
 
 @click.command()
 @click.argument("case", type=click.Path(path_type=Path, readable=False))
@@ -105,8 +202,21 @@ _WITH_SCAN = (".seg.nrrd", ".dcm")
     "output",
     type=click.Path(path_type=Path, readable=False),
     required=True,
-    help="The file to write: .seg.nrrd or .dcm (DICOM SEG) with names, colours and codes; .nii.gz or .nrrd with the "
-    "label values alone.",
+    help="The file to write. Labels: .seg.nrrd or .dcm (DICOM SEG) with names, colours and codes; .nii.gz or .nrrd "
+    "with the label values alone. For printing: .stl, .ply, .3mf. For ParaView: .vtu, .vtk. For finite elements: "
+    ".inp (Abaqus), .msh (Gmsh 2.2).",
+)
+@click.option(
+    "--model",
+    type=click.Choice(list(MODELS)),
+    help="hollow: the tissue, with open chambers. solid: the blood, as a cast. cells: the simulation grid as "
+    "hexahedra. Left out, it is hollow, and cells for .inp and .msh.",
+)
+@click.option(
+    "--min-thickness-mm",
+    type=click.FloatRange(0.01, 20.0),
+    help="The thinnest that the printer prints; where the model is thinner, a warning says how much of it and where. "
+    f"{MIN_THICKNESS_MM:g} mm when left out: two lines of the usual 0.4 mm nozzle, and a margin.",
 )
 @click.option(
     "--scan",
@@ -121,25 +231,47 @@ _WITH_SCAN = (".seg.nrrd", ".dcm")
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object about the file.")
 @working("exporting")
-def command(case: Path, output: Path, scan: Path | None, series: str | None, as_json: bool) -> None:
-    """Write the labels of CASE for another program.
+def command(
+    case: Path,
+    output: Path,
+    model: str | None,
+    min_thickness_mm: float | None,
+    scan: Path | None,
+    series: str | None,
+    as_json: bool,
+) -> None:
+    """Write the labels of CASE, a model to print, or a mesh, for another program.
+
+    The ending of the file says what is written; positions are patient LPS in mm. A model that is not closed is refused;
+    all else that may disturb its print is a warning.
 
     Nothing of the patient is in the file: the case's made-up identifier takes the place of name and number, and dates
     are empty or fixed. Only with --scan are UIDs of the scan written.
     """
     from heartcase.schemas.bundle_reader import open_bundle
 
-    suffix = next((ending for ending in WRITERS if output.name.lower().endswith(ending)), None)
-    if suffix is None:
-        raise UsageError(f"the file must end in one of: {', '.join(WRITERS)}", place="--out")
-    if scan is not None and suffix not in _WITH_SCAN:
-        raise UsageError(f"serves only for {' and '.join(_WITH_SCAN)}: leave it out", place="--scan")
-    content = WRITERS[suffix](_Export(case, open_bundle(case).manifest, scan, series))
+    suffix = _suffix_of(output.name)
+    problems = _problems(suffix, model, scan, min_thickness_mm)
+    if problems:
+        raise UsageError(problems)
+    export = _Export(case, open_bundle(case), scan, series)
+    if suffix in WRITERS:
+        made = _Made(WRITERS[suffix](export), "the labels")
+    else:
+        model = model or next(name for name, endings in MODELS.items() if suffix in endings)
+        if suffix in _PRINTED:
+            made = _printed(export, model, suffix, min_thickness_mm or MIN_THICKNESS_MM)
+        else:
+            made = _for_meshio(export, model, suffix)
     try:
-        atomic_write(output, content)
+        atomic_write(output, made.content)
     except OSError as error:
         raise UsageError(f"cannot be written: {error.strerror}", place="--out") from None
+    for warning in made.warnings:
+        click.echo(f"warning: {warning}", err=True)
     if as_json:
-        echo_json({"format": suffix, "bytes": len(content)})
+        named = {} if model is None else {"model": model}
+        facts = {"format": suffix, "bytes": len(made.content)} | named | made.facts
+        echo_json(facts | ({"warnings": made.warnings} if model else {}))
     else:
-        click.echo(f"wrote the labels, {file_size(len(content))}")
+        click.echo(f"wrote {made.what}, {file_size(len(made.content))}")

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from enum import StrEnum
-from typing import Annotated
+from typing import Annotated, Any
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from heartcase.schemas.base import Colour, Model, Name
 from heartcase.schemas.terms import TERMS, Term, normalised, term_by_code, term_by_name
@@ -18,6 +18,25 @@ _MYOCARDIUM = next(term for term in TERMS if term.name == "myocardium")
 
 BACKGROUND = 0
 """The label value of everything that is not part of the heart."""
+
+_COLOURS = {
+    "morphologically left ventricle": "#d41515",
+    "morphologically right ventricle": "#4c529f",
+    "morphologically left atrium": "#fa7f43",
+    "morphologically right atrium": "#a8b9d2",
+    "morphologically left ventricular myocardium": "#c1a29a",
+    "morphologically right ventricular myocardium": "#997a67",
+    "myocardium": "#c1a29a",
+    "aorta": "#993848",
+    "pulmonary artery": "#9a8bd6",
+    "superior vena cava": "#267e89",
+    "inferior vena cava": "#f2d64b",
+    "pulmonary vein": "#ebf1c7",
+    "coronary sinus": "#1b158d",
+    "left atrial appendage": "#381a14",
+    "right atrial appendage": "#221a37",
+}
+"""Name of a term -> its colour, so that a structure looks the same in every case whose recipe states none."""
 
 
 class Role(StrEnum):
@@ -51,13 +70,25 @@ class Label(Model):
     role: Role
     """What kind of thing it is."""
     colour: Colour = "#a0a0a0"
-    """Colour in pictures and in the surface."""
+    """Colour in pictures and in the surface. Left out, it is the fixed one of its structure, by code or else by name;
+    grey where the vocabulary lacks the structure."""
     wall_thickness_mm: Annotated[float, Field(ge=0.0, le=50.0)] = 0.0
     """Thickness of the wall to grow around this cavity, in mm; 0 grows none."""
     wall_of: int | None = None
     """For a grown wall: the value of the cavity around which it was grown."""
     snomed: Annotated[str, Field(pattern=r"^[0-9]{6,18}$")] | None = None
     """SNOMED CT concept identifier."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _colour_of_structure(cls, data: Any) -> Any:
+        if not isinstance(data, Mapping) or "colour" in data:
+            return data
+        code, name = data.get("snomed"), data.get("name")
+        term = (term_by_code(code) if isinstance(code, str) else None) or (
+            term_by_name(name) if isinstance(name, str) else None
+        )
+        return data if term is None else {**data, "colour": _COLOURS[term.name]}
 
     @property
     def term(self) -> Term | None:
@@ -244,21 +275,22 @@ def default_label_table() -> LabelTable:
 
     Wall thicknesses are usual adult values in mm; the left ventricle has none because its myocardium is segmented.
     """
-    rows: tuple[tuple[int, str, Role, str, float, str | None], ...] = (
-        (0, "background", Role.BACKGROUND, "#000000", 0.0, None),
-        (1, "morphologically left ventricle", Role.BLOOD, "#d41515", 0.0, "87878005"),
-        (2, "morphologically right ventricle", Role.BLOOD, "#4c529f", 4.0, "53085002"),
-        (3, "morphologically left atrium", Role.BLOOD, "#fa7f43", 2.5, "82471001"),
-        (4, "morphologically right atrium", Role.BLOOD, "#a8b9d2", 2.5, "73829009"),
-        (5, "aorta", Role.VESSEL_LUMEN, "#993848", 2.0, "15825003"),
-        (6, "pulmonary artery", Role.VESSEL_LUMEN, "#9a8bd6", 2.0, "81040000"),
-        (7, "superior vena cava", Role.VESSEL_LUMEN, "#267e89", 1.5, "48345005"),
-        (8, "inferior vena cava", Role.VESSEL_LUMEN, "#f2d64b", 1.5, "64131007"),
-        (9, "morphologically left ventricular myocardium", Role.MYOCARDIUM, "#c1a29a", 0.0, "49848007"),
+    rows: tuple[tuple[int, str, Role, float, str | None], ...] = (
+        (1, "morphologically left ventricle", Role.BLOOD, 0.0, "87878005"),
+        (2, "morphologically right ventricle", Role.BLOOD, 4.0, "53085002"),
+        (3, "morphologically left atrium", Role.BLOOD, 2.5, "82471001"),
+        (4, "morphologically right atrium", Role.BLOOD, 2.5, "73829009"),
+        (5, "aorta", Role.VESSEL_LUMEN, 2.0, "15825003"),
+        (6, "pulmonary artery", Role.VESSEL_LUMEN, 2.0, "81040000"),
+        (7, "superior vena cava", Role.VESSEL_LUMEN, 1.5, "48345005"),
+        (8, "inferior vena cava", Role.VESSEL_LUMEN, 1.5, "64131007"),
+        (9, "morphologically left ventricular myocardium", Role.MYOCARDIUM, 0.0, "49848007"),
     )
-    return LabelTable(
-        labels=tuple(
-            Label(value=value, name=name, role=role, colour=colour, wall_thickness_mm=wall, snomed=snomed)
-            for value, name, role, colour, wall, snomed in rows
-        )
+    background = Label(
+        value=BACKGROUND, name="background", role=Role.BACKGROUND, colour="#000000", wall_thickness_mm=0.0, snomed=None
     )
+    structures = (
+        Label(value=value, name=name, role=role, wall_thickness_mm=wall, snomed=snomed)
+        for value, name, role, wall, snomed in rows
+    )
+    return LabelTable(labels=(background, *structures))

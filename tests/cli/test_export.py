@@ -2,17 +2,23 @@
 
 import json
 import shutil
+import zipfile
+from dataclasses import replace
 
+import meshio
 import nibabel
 import nrrd
 import numpy as np
 import pydicom
 import pytest
+import pyvista
+import trimesh
 from scipy.spatial.transform import Rotation
 
 from heartcase.cli.main import main
 from heartcase.pipeline.cautions import Severity, severity_of
 from heartcase.pipeline.data import Segmentation
+from heartcase.pipeline.exports import models
 from heartcase.pipeline.formats.write_dicom_seg import dicom_seg_bytes
 from heartcase.pipeline.markers import load_segmentation
 from heartcase.pipeline.run import build_case
@@ -102,6 +108,14 @@ def case(built):
     values, header = nrrd.read(str(path / entry.name))
     assert header["space"] == "left-posterior-superior"
     return values.transpose(2, 1, 0), manifest, path
+
+
+@pytest.fixture(scope="module")
+def whole(built):
+    """A case of the same scan with a surface too."""
+    text = RECIPE.replace('name = "finished"', 'name = "whole"').replace('["labels"]', '["labels", "surface"]')
+    (built / "whole.toml").write_text(text + "[surface]\ntriangle_count = 4000\nnormal_map_size = 0\n")
+    return build_case(load_recipe(built / "whole.toml"), directory=built, out=built).case
 
 
 def export(path, out, *options):
@@ -218,7 +232,7 @@ def test_exported_labels_corrected_elsewhere_make_a_case_again(case, built, tmp_
 def test_what_cannot_be_exported_is_said(case, built, tmp_path, capsys):
     _, _, path = case
     assert export(path, tmp_path / "x.pdf") == 2
-    assert "must end in one of: .seg.nrrd, .dcm" in capsys.readouterr().err
+    assert "must end in one of: .seg.nrrd, .dcm, .nii.gz, .nrrd, .stl, .ply, .3mf, .vtu," in capsys.readouterr().err
     bare, _ = write_case(tmp_path)
     assert export(bare, tmp_path / "x.dcm") == 2
     assert "made without labels: add 'labels' to parts" in capsys.readouterr().err
@@ -242,3 +256,175 @@ def test_a_corrected_segmentation_reruns_only_what_follows(built):
     assert told.computed == ["read", "segment", "walls", "grid", "bundle"]
     assert "filter" in result.reused
     assert "walls" not in result.reused
+
+
+MODELS = [
+    *((model, suffix) for model in ("hollow", "solid") for suffix in (".stl", ".ply", ".3mf", ".vtu", ".vtk")),
+    *(("cells", suffix) for suffix in (".inp", ".msh", ".vtu", ".vtk")),
+]
+
+
+@pytest.mark.parametrize(("model", "suffix"), MODELS)
+def test_models_are_the_same_bytes_and_hold_nobody(whole, built, tmp_path, capsys, model, suffix):
+    for name in ("a", "b"):
+        assert export(whole, tmp_path / f"{name}{suffix}", "--model", model) == 0
+    content = (tmp_path / f"a{suffix}").read_bytes()
+    assert content == (tmp_path / f"b{suffix}").read_bytes()
+    if suffix == ".3mf":
+        with zipfile.ZipFile(tmp_path / f"a{suffix}") as archive:
+            content += archive.read("3D/3dmodel.model")
+    for secret in (b"Jane", b"JANE", b"20230117", b"1.2.826.0.1.3680043", b"whole", str(built).encode()):
+        assert secret not in content
+    said = capsys.readouterr()
+    assert said.out.count("wrote ") == 2
+    assert all(line.startswith("warning: ") for line in said.err.splitlines())
+
+
+def test_printed_models_are_closed_and_as_large_as_the_case_says(whole, tmp_path, capsys):
+    manifest = open_bundle(whole).manifest
+    volumes = manifest.quality["volumes_ml"]
+    tissue = sum(volumes[label.name] for label in manifest.labels if label.role.is_tissue and label.name in volumes)
+    blood = sum(volumes[label.name] for label in manifest.labels if label.role.is_blood and label.name in volumes)
+    for model, expected in (("hollow", tissue), ("solid", blood)):
+        capsys.readouterr()
+        assert export(whole, tmp_path / "x.stl", "--model", model, "--json") == 0
+        told = json.loads(capsys.readouterr().out)
+        assert (told["format"], told["model"]) == (".stl", model)
+        for suffix in (".stl", ".ply"):
+            assert export(whole, tmp_path / f"x{suffix}", "--model", model) == 0
+            mesh = trimesh.load(tmp_path / f"x{suffix}")
+            assert mesh.is_watertight
+            assert mesh.is_winding_consistent
+            assert mesh.volume / 1000.0 == pytest.approx(expected, rel=0.03)
+            assert told["print_check"]["volume_ml"] == pytest.approx(mesh.volume / 1000.0, rel=1e-5)
+            assert told["print_check"]["extent_mm"] == pytest.approx(mesh.extents, abs=1e-3)
+            shells = [shell.volume for shell in mesh.split(only_watertight=False)]
+            assert told["print_check"]["piece_count"] == sum(volume > 0 for volume in shells)
+            assert told["print_check"]["closed_hollow_count"] == sum(volume < 0 for volume in shells)
+            # where the heart lies in the scan, not beside it or mirrored
+            assert np.abs(mesh.bounds.mean(axis=0) - (3, 3, 2)).max() < 4.0
+    assert export(whole, tmp_path / "default.stl") == 0
+    assert export(whole, tmp_path / "hollow.stl", "--model", "hollow") == 0
+    assert (tmp_path / "default.stl").read_bytes() == (tmp_path / "hollow.stl").read_bytes()
+
+
+def test_an_exported_cast_read_as_an_stl_part_is_the_blood(whole, tmp_path, capsys):
+    """The header says LPS, so nothing is assumed, and the voxels are those of the case."""
+    labels = load_segmentation(tmp_path / "l.nrrd", {}, *_table_and_geometry(whole, tmp_path))
+    (tmp_path / "parts").mkdir()
+    assert export(whole, tmp_path / "parts" / "aorta.stl", "--model", "solid") == 0
+    table, geometry = open_bundle(whole).manifest.labels, labels.geometry
+    cast = load_segmentation(tmp_path / "parts", {}, table, geometry)
+    assert cast.warnings == ()
+    blood = np.isin(labels.labels, table.blood_values)
+    inside = cast.labels == table["aorta"].value
+    assert 2 * (blood & inside).sum() / (blood.sum() + inside.sum()) > 0.985
+
+
+def _table_and_geometry(case, directory):
+    manifest = open_bundle(case).manifest
+    assert export(case, directory / "l.nrrd") == 0
+    return manifest.labels, manifest.scan_geometry
+
+
+def test_thin_walls_are_warned_of_and_written_all_the_same(whole, tmp_path, capsys):
+    assert export(whole, tmp_path / "x.stl", "--min-thickness-mm", 3, "--json") == 0
+    said = capsys.readouterr()
+    told = json.loads(said.out)
+    (line,) = [line for line in said.err.splitlines() if "is thinner than 3 mm" in line]
+    assert line == f"warning: {told['warnings'][0]}"
+    thin = told["print_check"]["thin"]
+    assert 0.05 < thin["area_fraction"] < 0.6
+    # the wall that was grown around the aorta is 2 mm thick
+    place = np.array(thin["largest_patch_mm"]) - (6, 6, 10)
+    assert np.linalg.norm(place) < 8.0
+    assert (tmp_path / "x.stl").stat().st_size == told["bytes"]
+    assert export(whole, tmp_path / "x.stl", "--min-thickness-mm", 0.5) == 0
+    assert "thinner" not in capsys.readouterr().err
+
+
+def test_the_grid_as_hexahedra_has_the_volumes_of_the_case(whole, tmp_path):
+    figures = open_bundle(whole).manifest.simulation
+    assert export(whole, tmp_path / "x.msh") == 0
+    assert export(whole, tmp_path / "x.vtu", "--model", "cells") == 0
+    mesh = meshio.read(tmp_path / "x.msh")
+    corners = mesh.points[mesh.cells_dict["hexahedron"]]
+    edges = np.stack([corners[:, n] - corners[:, 0] for n in (1, 3, 4)], axis=1)
+    volumes = np.linalg.det(edges)
+    assert volumes.sum() == pytest.approx(figures.cell_count * figures.cell_mm**3, rel=1e-9)
+    tissue = (volumes * mesh.cell_data["coverage"][0]).sum() / 1000.0
+    assert tissue == pytest.approx(figures.tissue_volume_ml, rel=1e-6)
+    seen = pyvista.read(tmp_path / "x.vtu")
+    assert seen.cell_quality("scaled_jacobian")["scaled_jacobian"].min() == pytest.approx(1.0, abs=1e-9)
+    assert seen["fixed"].sum() == figures.fixed_node_count
+
+
+WRONG = [
+    (("x.stl", "--model", "cells"), "--model: .stl holds hollow or solid; cells is written as .inp, .msh, .vtu, .vtk"),
+    (("x.inp", "--model", "hollow"), "--model: .inp holds cells; hollow is written as .stl, .ply, .3mf, .vtu, .vtk"),
+    (("x.dcm", "--model", "solid"), "--model: .dcm holds labels, and no model: leave it out"),
+    (("x.vtu", "--min-thickness-mm", "2"), "--min-thickness-mm: serves only for .stl, .ply, .3mf: leave it out"),
+    (("x.stl", "--scan", "nowhere"), "--scan: serves only for .seg.nrrd and .dcm: leave it out"),
+    (("x.obj",), "--out: the file must end in one of: "),
+]
+
+
+@pytest.mark.parametrize(
+    ("request_made", "says"), WRONG, ids=lambda value: value[0] if isinstance(value, tuple) else ""
+)
+def test_wrong_requests_are_told_in_one_line(whole, tmp_path, capsys, request_made, says):
+    name, *options = request_made
+    (tmp_path / name).write_bytes(b"as it was")
+    assert export(whole, tmp_path / name, *options) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"heartcase: {says}")
+    assert (tmp_path / name).read_bytes() == b"as it was"
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+def test_all_that_is_wrong_is_told_at_once(whole, tmp_path, capsys):
+    assert export(whole, tmp_path / "x.inp", "--model", "solid", "--min-thickness-mm", "2", "--scan", "nowhere") == 2
+    assert len(capsys.readouterr().err.splitlines()) == 3
+
+
+def test_a_case_without_the_part_is_told(case, tmp_path, capsys):
+    """The first case has labels and no surface, the second a surface and no labels."""
+    _, _, path = case
+    bare, _ = write_case(tmp_path)
+    for source, model, part in ((path, "hollow", "surface"), (bare, "solid", "labels")):
+        for suffix in (".stl", ".vtu"):
+            target = tmp_path / f"x{suffix}"
+            target.write_bytes(b"as it was")
+            assert export(source, target, "--model", model) != 0
+            (line,) = capsys.readouterr().err.splitlines()
+            assert part in line
+            assert "build" in line
+            assert target.read_bytes() == b"as it was"
+    assert export(path, tmp_path / "cells.vtk", "--model", "cells") == 0
+
+
+def test_a_target_that_cannot_be_written_is_told(whole, tmp_path, capsys):
+    for suffix in (".3mf", ".inp"):
+        assert export(whole, tmp_path / "nowhere" / f"x{suffix}") == 2
+        assert capsys.readouterr().err.splitlines()[-1].startswith("heartcase: --out: cannot be written: ")
+        (tmp_path / f"folder{suffix}").mkdir()
+        assert export(whole, tmp_path / f"folder{suffix}") == 2
+        assert capsys.readouterr().err.splitlines()[-1].startswith("heartcase: --out: cannot be written: ")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["folder.3mf", "folder.inp"]
+
+
+def test_a_surface_that_is_not_closed_is_refused(whole, tmp_path, capsys, monkeypatch):
+
+    def with_a_gap(bundle):
+        mesh = hollow_model(bundle)
+        names = ("triangles", "triangle_label", "triangle_tissue", "triangle_is_cut")
+        return replace(mesh, **{name: getattr(mesh, name)[1:] for name in names})
+
+    hollow_model = models.hollow_model
+    monkeypatch.setattr(models, "hollow_model", with_a_gap)
+    (tmp_path / "x.stl").write_bytes(b"as it was")
+    assert export(whole, tmp_path / "x.stl") == 1
+    assert "surface: the surface is not closed at 3 edges" in capsys.readouterr().err
+    assert (tmp_path / "x.stl").read_bytes() == b"as it was"
+    # ParaView shows it all the same
+    assert export(whole, tmp_path / "x.vtu") == 0

@@ -221,7 +221,19 @@ def test_finished_segmentation(hospital: Path, tmp_path: Path, ear: Ear, suffix:
     out = tmp_path / "out"
     ear.run("build", recipe, "--out", out)
     assert found_in_tree(out, TOKENS) == {}
-    for name in ("labels.seg.nrrd", "labels.nii.gz", "labels.dcm"):
+    files = (
+        "labels.seg.nrrd",
+        "labels.nii.gz",
+        "labels.dcm",
+        "x.stl",
+        "x.ply",
+        "x.3mf",
+        "x.vtu",
+        "x.vtk",
+        "x.inp",
+        "x.msh",
+    )
+    for name in files:
         ear.run("export", out / "ball.case", "--out", out / name)
     assert found_in_tree(out, TOKENS) == {}
 

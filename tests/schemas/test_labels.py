@@ -6,6 +6,7 @@ from pydantic import ValidationError
 from skimage import color
 
 from heartcase.schemas.labels import Label, LabelTable, Role, default_label_table
+from heartcase.schemas.terms import TERMS
 
 
 def test_the_default_table_has_a_heart_with_four_chambers():
@@ -57,7 +58,9 @@ SIGHT = {
 @pytest.mark.parametrize("sight", SIGHT)
 def test_default_colours_can_be_told_apart(sight):
     """CIEDE2000 between any two structures; about 2 is just noticeable side by side."""
-    labels = [label for label in default_label_table() if label.value]
+    # the plain myocardium looks as the left ventricle's: a table has one or the other
+    terms = [term for term in TERMS if term.name != "myocardium"]
+    labels = [Label(value=n, name=term.name, role=Role.BLOOD) for n, term in enumerate(terms, start=1)]
     rgb = np.array([[int(label.colour[at : at + 2], 16) / 255 for at in (1, 3, 5)] for label in labels])
     linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
     seen = np.clip(linear @ np.array(SIGHT[sight]).T, 0.0, 1.0)
@@ -65,6 +68,15 @@ def test_default_colours_can_be_told_apart(sight):
     for one, other in itertools.combinations(range(len(labels)), 2):
         difference = color.deltaE_ciede2000(lab[one], lab[other])
         assert difference > 12.0, (labels[one].name, labels[other].name, difference)
+
+
+def test_a_structure_has_its_colour_whatever_it_is_called():
+    default = {label.name: label.colour for label in default_label_table()}
+    for name, snomed in (("LV", None), ("heart ventricle left", None), ("systemic ventricle", "87878005")):
+        assert Label(value=3, name=name, role=Role.BLOOD, snomed=snomed).colour == "#d41515"
+    assert default["morphologically left ventricle"] == "#d41515"
+    assert Label(value=3, name="LV", role=Role.BLOOD, colour="#00ff00").colour == "#00ff00"
+    assert Label(value=3, name="cavity", role=Role.BLOOD).colour == "#a0a0a0"
 
 
 def test_a_grown_wall_does_not_take_the_name_of_a_label():

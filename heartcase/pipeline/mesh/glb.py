@@ -12,7 +12,7 @@ import numpy.typing as npt
 from PIL import Image
 
 from heartcase.pipeline.data import Surface
-from heartcase.schemas.labels import BACKGROUND, LabelTable, Role
+from heartcase.schemas.labels import BACKGROUND, Label, LabelTable, Role
 
 __all__ = ["LPS_MM_TO_GLTF", "glb_bytes"]
 
@@ -21,7 +21,8 @@ LPS_MM_TO_GLTF = np.array(
 )
 """Patient LPS in mm to metres with Y up: (x, y, z) -> (x, z, -y) / 1000; the front of the patient faces the viewer."""
 
-TISSUE_COLOUR = "#b5605a"
+OUTSIDE_TERMS = ("morphologically left ventricular myocardium", "myocardium")
+TISSUE_COLOUR = Label(value=1, name="myocardium", role=Role.MYOCARDIUM).colour
 CUT_COLOUR = "#e3b5a4"
 ROUGHNESS = 0.6
 
@@ -157,10 +158,11 @@ class _Writer:
 
 
 def _look(table: LabelTable, label: int) -> tuple[str, str]:
-    """Name and colour of the faces beside a void."""
+    """Name and colour of the faces beside a void; the outside looks as the left ventricle's muscle, in any order."""
     if label != BACKGROUND and label in table:
         return table[label].name, table[label].colour
     tissue = [entry for entry in table if entry.role is Role.MYOCARDIUM and entry.wall_of is None]
+    tissue.sort(key=lambda entry: entry.term is None or entry.term.name not in OUTSIDE_TERMS)
     return "outside", tissue[0].colour if tissue else TISSUE_COLOUR
 
 

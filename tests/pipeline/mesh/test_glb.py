@@ -3,6 +3,7 @@ from __future__ import annotations
 import io
 import json
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pygltflib
@@ -12,6 +13,7 @@ from PIL import Image
 
 from heartcase.pipeline.mesh.glb import LPS_MM_TO_GLTF, glb_bytes
 from heartcase.pipeline.surface import build_surface
+from heartcase.schemas.labels import Label, LabelTable, Role
 from heartcase.schemas.settings import SurfaceSettings
 from tests.pipeline.solids import lattice, tube, walled
 
@@ -119,3 +121,20 @@ def test_without_a_map_there_is_no_texture():
 
 def test_the_same_bytes_twice(surface):
     assert glb_bytes(surface) == glb_bytes(surface)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_the_outside_looks_the_same_in_any_order_of_the_labels(surface, turned):
+    names = ["morphologically right ventricular myocardium", "left ventricular myocardium"]
+    muscles = [
+        Label(value=value, name=name, role=Role.MYOCARDIUM)
+        for value, name in zip((5, 6), reversed(names) if turned else names, strict=True)
+    ]
+    table = LabelTable(labels=(*surface.table, *muscles))
+    document, _ = chunks(glb_bytes(replace(surface, table=table)))
+    plain, _ = chunks(glb_bytes(surface))
+    colours = [d["materials"][0]["pbrMetallicRoughness"]["baseColorFactor"] for d in (document, plain)]
+    # #c1a29a, the colour of the left ventricle's myocardium in the default table, also where no label is one
+    expected = [((int(c, 16) / 255 + 0.055) / 1.055) ** 2.4 for c in ("c1", "a2", "9a")]
+    assert colours[0][:3] == pytest.approx(expected, abs=1e-6)
+    assert colours[1] == colours[0]
