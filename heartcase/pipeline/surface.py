@@ -21,14 +21,15 @@ from heartcase.pipeline.mesh.decimate import Decimated, decimate_soundly, folded
 from heartcase.pipeline.mesh.extract import (
     FullMesh,
     drop_small_shells,
+    enclosed_volume_mm3,
     extract,
     shell_volumes,
     smooth_creases,
 )
 from heartcase.pipeline.mesh.field_normals import fitted_normals
 from heartcase.pipeline.mesh.half_edges import opposites
-from heartcase.pipeline.mesh.mesh_distance import mesh_distance_mm
 from heartcase.pipeline.mesh.normal_map import bake_normal_map
+from heartcase.pipeline.mesh.surface_error import ERROR_QUANTILE, fewest_triangles, two_sided_distances_mm
 from heartcase.pipeline.mesh.tags import TriangleTags, cut_faces, tag_keys, tag_triangles
 from heartcase.schemas.settings import SurfaceSettings
 
@@ -44,7 +45,6 @@ SPECK_MM3 = 20.0
 SPECK_FRACTION = 1e-3
 SHOWN_SHARE = 1e-3
 """Triangles that are folded, without area or beyond the count asked for are warned of beyond this part of all."""
-DISTANCE_SAMPLE = 200_000
 
 
 def build_surface(structures: Structures, settings: SurfaceSettings, *, render: bool = True) -> Surface:
@@ -91,14 +91,18 @@ def build_surface(structures: Structures, settings: SurfaceSettings, *, render: 
     still[full.triangles[is_cut]] = True
     full, creased = smooth_creases(full, still, opposite=opposite)
     reach = 0.5 * min(full.lattice.spacing_mm)
-    coarse = decimate_soundly(
-        full.vertices_mm,
-        full.triangles,
-        key,
-        triangle_count=settings.triangle_count,
-        reach_mm=reach,
-        opposite=opposite,
-    )
+
+    def decimated(count: int) -> Decimated:
+        return decimate_soundly(
+            full.vertices_mm, full.triangles, key, triangle_count=count, reach_mm=reach, opposite=opposite
+        )
+
+    if settings.error_mm is None:
+        coarse = decimated(settings.triangle_count)
+    else:
+        coarse = fewest_triangles(
+            full.vertices_mm, full.triangles, decimated, error_mm=settings.error_mm, most=settings.triangle_count
+        )
     triangles = coarse.triangles
     vertices_mm = coarse.vertices_mm.astype(np.float32)
     vertices = vertices_mm.astype(np.float64)
@@ -106,6 +110,11 @@ def build_surface(structures: Structures, settings: SurfaceSettings, *, render: 
     normals = _vertex_normals(reader, vertices, triangles, tags.is_cut, reach)
     quality = _quality(structures, whole, full, dropped, coarse, vertices, tags, creased)
     warnings += _shape_warnings(quality, settings.triangle_count)
+    if settings.error_mm is not None and quality["distance_p99_mm"] > settings.error_mm:
+        warnings.append(
+            f"with {len(triangles)} triangles 1% of the visible surface is {quality['distance_p99_mm']:.2g} mm or more "
+            f"off its full resolution, not {settings.error_mm:g} mm: allow more with surface.triangle_count"
+        )
     if render and settings.normal_map_size > 0:
         atlas = make_atlas(vertices, triangles, size=settings.normal_map_size, method=settings.atlas)
         render_tangents = tangents(atlas, vertices_mm, normals)
@@ -225,13 +234,10 @@ def _quality(
     creased: int,
 ) -> dict[str, Any]:
     triangles = coarse.triangles
-    centre, _, area = _faces(vertices, triangles)
-    every = -(-len(full.vertices_mm) // DISTANCE_SAMPLE)
-    to_decimated = mesh_distance_mm(full.vertices_mm[::every], vertices, triangles)
-    to_full = mesh_distance_mm(np.concatenate([vertices, centre]), full.vertices_mm, full.triangles)
-    both = np.concatenate([to_decimated, to_full])
+    _, _, area = _faces(vertices, triangles)
+    both = two_sided_distances_mm(full.vertices_mm, full.triangles, vertices, triangles)
     _, volumes = shell_volumes(vertices, triangles)
-    _, full_volumes = shell_volumes(full.vertices_mm, full.triangles)
+    full_volume = enclosed_volume_mm3(full.vertices_mm, full.triangles)
     edges = 3 * len(triangles) // 2
     names = {0: "outside", **{label.value: label.name for label in structures.table if label.value != 0}}
     areas = {
@@ -257,9 +263,9 @@ def _quality(
         "dropped_shell_count": len(dropped),
         "dropped_volume_mm3": round(float(np.abs(dropped).sum()), 3),
         "volume_ml": round(float(volumes.sum()) / 1000.0, 4),
-        "volume_change_fraction": round(float(volumes.sum() / full_volumes.sum()) - 1.0, 6),
+        "volume_change_fraction": round(float(volumes.sum() / full_volume) - 1.0, 6),
         "distance_mean_mm": round(float(both.mean()), 5),
-        "distance_p99_mm": round(float(np.quantile(both, 0.99)), 5),
+        "distance_p99_mm": round(float(np.quantile(both, ERROR_QUANTILE)), 5),
         "distance_max_mm": round(float(both.max()), 5),
         "cut_triangle_count": int(tags.is_cut.sum()),
         "area_cm2": areas,

@@ -253,7 +253,9 @@ class SurfaceSettings(Model):
     """Extraction, decimation and normal map of the surface (thesis 11.2.2)."""
 
     triangle_count: Annotated[int, Field(ge=100, le=5_000_000)] = 80_000
-    """Triangles after decimation; the full surface is kept where it has fewer."""
+    """Triangles after decimation; the full surface is kept where it has fewer. With error_mm the most there may be."""
+    error_mm: Annotated[float, Field(gt=0.0, le=10.0)] | None = None
+    """Take as few triangles as keep 99% of the surface within so many mm of its full resolution."""
     normal_map_size: Annotated[int, Field(ge=0, le=8192)] = 1024
     """Edge of the normal map in texels; 0 makes neither atlas nor normal map."""
     atlas: Literal["cone", "xatlas"] = "cone"

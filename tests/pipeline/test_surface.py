@@ -364,3 +364,21 @@ def test_care_keeps_triangles_where_it_is_asked_for():
         shares.append((vertices[triangles].mean(axis=1)[:, 2] > 0.0).mean())
     assert 0.4 < shares[0] < 0.6
     assert shares[1] > 0.75
+
+
+def test_as_few_triangles_as_an_asked_error_takes():
+    structures = solid(torus(12.0, 4.0), lattice(1.0, 18.0))
+    counts = []
+    for error_mm in (0.2, 0.05):
+        surface = build_surface(structures, SurfaceSettings(error_mm=error_mm, normal_map_size=0))
+        vertices, count = surface.vertices_mm.astype(float), len(surface.triangles)
+        counts.append(count)
+        assert surface.quality["distance_p99_mm"] <= error_mm
+        fewer = build_surface(structures, SurfaceSettings(triangle_count=int(0.8 * count), normal_map_size=0))
+        assert fewer.quality["distance_p99_mm"] > error_mm
+        away = np.abs(torus(12.0, 4.0)(vertices))
+        assert np.quantile(away, 0.99) < error_mm + 1.0 / 8.0 / 4.0
+    assert counts[0] < counts[1]
+    coarse = build_surface(structures, SurfaceSettings(error_mm=0.001, triangle_count=1000, normal_map_size=0))
+    assert len(coarse.triangles) == 1000
+    assert any("surface.triangle_count" in warning for warning in coarse.warnings)

@@ -201,14 +201,17 @@ def relax_folds(vertices: Float64, triangles: Int32, *, reach_mm: float) -> tupl
     tail, head = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
     start = vertices
 
-    def judged(vertices: Float64) -> tuple[npt.NDArray[np.bool_], Int32]:
-        bad = folded_triangles(vertices, triangles, opposite=opposite)
-        pairs = self_intersections(vertices, triangles)
-        bad[pairs.ravel()] = True
-        return bad, pairs
+    pairs = self_intersections(vertices, triangles)
+    crosses = len(pairs) > 0
 
-    bad, pairs = judged(vertices)
-    fewest, best, best_pairs = int(bad.sum()), vertices, pairs
+    def judged(vertices: Float64) -> npt.NDArray[np.bool_]:
+        bad = folded_triangles(vertices, triangles, opposite=opposite)
+        if crosses:
+            bad[self_intersections(vertices, triangles).ravel()] = True
+        return bad
+
+    bad = judged(vertices)
+    fewest, best = int(bad.sum()), vertices
     for turn in range(FOLD_ROUNDS):
         if not bad.any():
             break
@@ -225,10 +228,11 @@ def relax_folds(vertices: Float64, triangles: Int32, *, reach_mm: float) -> tupl
         length = np.linalg.norm(way, axis=1)
         vertices = vertices.copy()
         vertices[chosen] = start[chosen] + way * np.minimum(1.0, reach_mm / np.maximum(length, 1e-12))[:, None]
-        bad, pairs = judged(vertices)
+        bad = judged(vertices)
         if bad.sum() < fewest:
-            fewest, best, best_pairs = int(bad.sum()), vertices, pairs
-    return best, int((best != start).any(axis=1).sum()), best_pairs
+            fewest, best = int(bad.sum()), vertices
+    moved = int((best != start).any(axis=1).sum())
+    return best, moved, self_intersections(best, triangles) if moved else pairs
 
 
 class MeshDefects(dict[str, int]):

@@ -24,6 +24,7 @@ from heartcase.schemas.geometry import Geometry
 __all__ = [
     "FullMesh",
     "drop_small_shells",
+    "enclosed_volume_mm3",
     "extract",
     "extraction_lattice",
     "shell_volumes",
@@ -141,6 +142,12 @@ def shell_volumes(vertices: Float64, triangles: Int32, *, opposite: Int32 | None
     shell, sizes = connected_parts(np.zeros(len(triangles), np.int64), beside)
     volumes = _volumes(vertices, triangles, vertices.mean(axis=0), shell, len(sizes))
     return shell, volumes
+
+
+def enclosed_volume_mm3(vertices: Float64, triangles: Int32) -> float:
+    """Signed volume that a closed mesh encloses, mm3: bubbles count against it."""
+    whole = np.zeros(len(triangles), np.int32)
+    return float(_volumes(vertices, triangles, vertices.mean(axis=0), whole, 1)[0])
 
 
 @numba.njit(cache=True, nogil=True)
