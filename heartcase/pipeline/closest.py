@@ -1,12 +1,12 @@
 """Kernels of the distance to the zero level of a smooth field.
 
-Beside the zero level each node walks to its closest point on it. There the level's normal and its second fundamental
-form are known, so the distance of every node farther off follows from the nearest such point to second order in how
-far off that point lies: with the way ``r`` from it, ``a = r . n`` and the rest ``t`` along the level, the distance is
-``a + t . H (1 + a H)^-1 t / 2``, since along a normal the Hessian ``H`` of a distance turns into ``H (1 + a H)^-1``.
-Which point is nearest is found by an exact transform of the nodes beside the level (Felzenszwalb and Huttenlocher,
-Distance transforms of sampled functions, Theory of Computing 8, 2012), mended by the neighbours' finds. Where the
-expansion says nothing (towards a centre of curvature), a node walks.
+Beside the zero level each node walks to its closest point on it, and there the level's normal and its second
+fundamental form are noted. A node farther off takes the nearest of these points (by an exact transform of the nodes
+beside the level: Felzenszwalb and Huttenlocher, Distance transforms of sampled functions, Theory of Computing 8, 2012;
+and by what its neighbours found), foretells its own closest point by the level's bend there, and walks on from that:
+mostly one look at the field is enough, and what is left of the way is added to second order. Along a normal the Hessian
+``H`` of a distance turns into ``H (1 + a H)^-1`` at the distance ``a``; towards a centre of curvature it says nothing,
+and the node walks as it can.
 
 Points are in voxels (z, y, x); distances in mm. All loops are serial, so the result depends on nothing but the input.
 """
@@ -27,13 +27,13 @@ OFF_VOXELS = 0.1
 GAIN_VOXELS = 0.02
 """So is what a step along the level would bring, where it is less than this, in voxels."""
 SLIDE_VOXELS = 1.5
-"""Farthest from the nearest known point, along the level, that the expansion is used."""
+"""Farthest from the nearest known point, along the level, that a closest point is foretold."""
 BEND_VOXELS = 0.2
-"""Most that the expansion's second order may amount to, in voxels."""
+"""Most that the level may fall away from its tangent plane on that way, in voxels."""
 DAMPED = 0.5
 """Part of a step along the level that is taken where the bend is of no help."""
 FOCUS = 0.35
-"""Least factor by which the expansion may shrink the level: at a centre of curvature it is zero."""
+"""Least factor by which the way to the node may shrink the level: at a centre of curvature it is zero."""
 
 
 @numba.njit(cache=True, nogil=True, inline="always")

@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
-from scipy.ndimage import map_coordinates
+from scipy.ndimage import map_coordinates, zoom
 from scipy.spatial import cKDTree
+from skimage import measure
 
 from heartcase.pipeline.apart import bridging_voxels
 from heartcase.pipeline.distance import default_smoothing_mm, label_distances, signed_distance
@@ -179,3 +180,32 @@ def test_same_labels_same_bytes():
     labels = three_regions(lattice("flat", 40.0))
     first, second = (label_distances(labels, (1.0, 1.0, 3.0), smoothing_mm=1.3, band_mm=6.0) for _ in range(2))
     assert all(first[value].tobytes() == second[value].tobytes() for value in first)
+
+
+@pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (0.7, 1.1, 2.0)])
+@pytest.mark.parametrize("seed", range(4))
+def test_redistancing_of_random_levels_is_that_of_a_fine_mesh(seed, spacing):
+    rng = np.random.default_rng(seed)
+    size = np.array([26, 30, 34])
+    h = np.array(spacing[::-1])
+    place = np.stack(
+        np.meshgrid(*[np.arange(n) * step for n, step in zip(size, h, strict=True)], indexing="ij"), axis=-1
+    )
+    middle = rng.uniform(0.3, 0.7, (4, 3)) * size * h
+    radius = rng.uniform(4.0, 7.0, 4)
+    away = np.linalg.norm(place[..., None, :] - middle, axis=-1) - radius
+    field = -2.0 * np.log(np.exp(-away / 2.0).sum(axis=-1))  # a smooth union of balls
+    found = signed_distance(field.astype(np.float32), spacing, band_mm=6.0)
+    fine = zoom(field, 4, order=3, grid_mode=False)
+    scale = (np.array(field.shape) - 1.0) / (np.array(fine.shape) - 1.0) * h
+    vertices = measure.marching_cubes(fine, 0.0)[0] * scale
+    true, _ = cKDTree(vertices).query(place.reshape(-1, 3))
+    true = true.reshape(field.shape)
+    inner = np.zeros(field.shape, np.bool_)
+    inner[2:-2, 2:-2, 2:-2] = True
+    near = inner & np.isfinite(found) & (true < 5.5)
+    assert np.isfinite(found[inner & (true < 5.5)]).all()
+    error = np.abs(np.abs(found) - true)[near] / max(spacing)
+    assert error.mean() < 0.02
+    assert np.percentile(error, 99) < 0.08
+    assert (np.sign(found[near]) == np.sign(field[near])).all()

@@ -70,6 +70,9 @@ _MEANINGS: dict[str, tuple[str, str]] = {
     "openings_closed": ("Openings lost", "Should be 0: passages that are narrower than a cell."),
     "betti_tissue": ("Tissue", "Pieces, tunnels and enclosed hollows. They should not change."),
     "betti_blood": ("Blood", "Pieces, tunnels and enclosed hollows. They should not change."),
+    "tissue_changes": ("Places where the tissue's shape changed", "Tunnels, hollows or pieces gained or lost."),
+    "blood_changes": ("Places where the blood's shape changed", "Loops, hollows or pieces gained or lost."),
+    "change_places_mm": ("Where, in LPS", ""),
     "triangle_count": ("Triangles", "Small flat pieces that make up the visible surface."),
     "full_triangle_count": ("Triangles before simplifying", ""),
     "vertex_count": ("Points of the surface", ""),
@@ -81,6 +84,7 @@ _MEANINGS: dict[str, tuple[str, str]] = {
         "Pairs; should be 0: the surface passes through itself there, and may not cut or print cleanly.",
     ),
     "flipped_triangle_count": ("Triangles turned over", "Should be 0: they show as dark specks."),
+    "care_rounds": ("Times it was simplified anew", "Because it passed through itself or was folded."),
     "component_count": ("Separate pieces", "Usually 1."),
     "dropped_shell_count": ("Specks left out", "Tiny pieces and bubbles that are no part of the heart."),
     "volume_ml": ("Tissue inside the surface", ""),
@@ -89,6 +93,7 @@ _MEANINGS: dict[str, tuple[str, str]] = {
     "distance_p99_mm": ("Distance from the full surface, 99% are below", ""),
     "distance_max_mm": ("Distance from the full surface, largest", ""),
     "other_label_count": ("Points tied to another structure", "Should be 0 or very few."),
+    "inner_face_count": ("Points that follow cells around them", "In gaps and corners too narrow for a cell."),
     "curvature_share": ("Points with curvature correction", "Share of the surface that follows strong bending."),
     "offset_cells": ("Distance of the surface from the grid", ""),
 }
@@ -109,6 +114,9 @@ _INLINE = {
     "grid": "in the cells",
 }
 """Figures of one thing that are told in one line."""
+
+LISTED_PLACES = 5
+"""So many places are told one by one."""
 
 _PRIVATE_SETTINGS = {"path", "file", "origin", "names", "series"}
 
@@ -203,6 +211,10 @@ def _value_of(key: str, value: Any) -> str:
         return f"{pieces} / {tunnels} / {hollows}"
     if key.endswith(("_share", "_fraction")):
         return f"{100.0 * float(value):.3g} %"
+    if isinstance(value, list | tuple) and key.endswith("places_mm"):
+        more = len(value) - LISTED_PLACES
+        told = ", ".join(placed(point) for point in value[:LISTED_PLACES]) or "none"
+        return told + (f" and {more} more" if more > 0 else "")
     unit = _UNITS.get(_unit_ending(key), "")
     text = _list_of(value) if isinstance(value, list | tuple) else _number(value)
     return f"{text} {unit}".strip()

@@ -344,6 +344,7 @@ def test_figures_are_put_in_words_with_units():
             "thickness_cells": {"p5": 0.5, "p50": 1.0},
             "volume_change_fraction": -0.00012,
             "unheard_of": float("nan"),
+            "change_places_mm": {"tissue": [[1.25, 2.0, -3.0]] * 7, "blood": []},
         }
     )
     words = {fact.name: fact.value for fact in facts}
@@ -358,6 +359,8 @@ def test_figures_are_put_in_words_with_units():
     assert words["Cells added to stop leaks"] == "3"
     assert words["Is closed"] == "yes"
     assert words["Unheard of"] == "not known"
+    assert words["Where, in LPS: tissue"] == ", ".join(["(1.2, 2.0, -3.0) mm"] * 5) + " and 2 more"
+    assert words["Where, in LPS: blood"] == "none"
 
 
 def test_figures_stand_in_the_same_order_however_they_come():
