@@ -10,7 +10,7 @@ or a choice of side: less than a case needs, in their favour.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import edt
 import numpy as np
@@ -70,14 +70,19 @@ def prepare(params: dict[str, Any]) -> Inputs:
     return Inputs(source, labels, map_size)
 
 
-def heartcase(inputs: Inputs) -> Shown:
+def heartcase(inputs: Inputs, baker: Literal["quick", "exact"] = "quick") -> Shown:
     structures = grow_walls(inputs.segmentation, WallsSettings(), inputs.source.phantom.ends)
     grid = build_grid(structures, GridSettings())
-    surface = build_surface(structures, SurfaceSettings(triangle_count=TRIANGLE_COUNT, normal_map_size=inputs.map_size))
+    settings = SurfaceSettings(triangle_count=TRIANGLE_COUNT, normal_map_size=inputs.map_size, baker=baker)
+    surface = build_surface(structures, settings)
     map_surface(surface, grid, MapSettings())
     atlas = Atlas(surface.render_to_welded, surface.render_triangles, surface.render_uv, 0, 0.0, 0.0)
     vertices = surface.vertices_mm.astype(np.float64)
     return Shown(vertices, surface.triangles, surface.normals, atlas, surface.render_tangents, surface.normal_map)
+
+
+def heartcase_exact(inputs: Inputs) -> Shown:
+    return heartcase(inputs, "exact")
 
 
 def stock(inputs: Inputs) -> Shown:
@@ -126,7 +131,7 @@ def naive(inputs: Inputs) -> Shown:
     return _finish(inputs, field, spacing, full, coarse, large_charts=False)
 
 
-METHODS = {"heartcase": heartcase, "stock": stock, "naive": naive}
+METHODS = {"heartcase": heartcase, "heartcase_exact": heartcase_exact, "stock": stock, "naive": naive}
 
 
 def _tissue_field(segmentation: Segmentation) -> tuple[npt.NDArray[np.float32], float, Any]:

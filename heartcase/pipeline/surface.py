@@ -127,6 +127,7 @@ def build_surface(structures: Structures, settings: SurfaceSettings, *, render: 
             tags.is_cut,
             size=settings.normal_map_size,
             reach_mm=reach,
+            full=(full.vertices_mm, full.triangles) if settings.baker == "exact" else None,
         )
         quality |= {
             "chart_count": atlas.chart_count,

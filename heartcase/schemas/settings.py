@@ -260,6 +260,8 @@ class SurfaceSettings(Model):
     """Edge of the normal map in texels; 0 makes neither atlas nor normal map."""
     atlas: Literal["cone", "xatlas"] = "cone"
     """UV charts: cones grown greedily and projected, or xatlas (slower)."""
+    baker: Literal["quick", "exact"] = "quick"
+    """Normal map from the fields at points 1.5 voxels apart, or for each texel from the full surface (slower)."""
 
     @model_validator(mode="after")
     def _map_has_room(self) -> SurfaceSettings:

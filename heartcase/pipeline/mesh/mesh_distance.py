@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from heartcase.pipeline.mesh.triangle_grid import triangle_grid
 
-__all__ = ["mesh_distance_mm"]
+__all__ = ["mesh_distance_mm", "nearest_on_mesh"]
 
 Float64 = npt.NDArray[np.float64]
 Int32 = npt.NDArray[np.int32]
@@ -36,7 +36,10 @@ def mesh_distance_mm(points_mm: Float64, vertices_mm: Float64, triangles: Int32)
 
 @numba.njit(cache=True, nogil=True)
 def _square_to_triangle(px, py, pz, a, b, c):  # type: ignore[no-untyped-def]
-    """Ericson, Real-Time Collision Detection, 2005, section 5.1.5."""
+    """Square of the distance, and the weights of the second and third corner at the nearest point.
+
+    Ericson, Real-Time Collision Detection, 2005, section 5.1.5.
+    """
     abx, aby, abz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     acx, acy, acz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
     apx, apy, apz = px - a[0], py - a[1], pz - a[2]
@@ -70,36 +73,51 @@ def _square_to_triangle(px, py, pz, a, b, c):  # type: ignore[no-untyped-def]
     x = apx - v * abx - w * acx
     y = apy - v * aby - w * acy
     z = apz - v * abz - w * acz
-    return x * x + y * y + z * z
+    return x * x + y * y + z * z, v, w
+
+
+@numba.njit(cache=True, nogil=True)
+def nearest_on_mesh(grid, x, y, z, facing, way, least, farthest):  # type: ignore[no-untyped-def]
+    """Nearest triangle to a point: its number, -1 where there is none, the square of the distance, two weights.
+
+    ``facing`` are the unit normals of the triangles, and only those are looked at whose cosine with ``way`` is at least
+    ``least``; without any normals all are. Nothing need be found beyond ``farthest`` mm.
+    """
+    corner, origin, cell, size, start, item = grid.corner, grid.origin, grid.edge, grid.size, grid.start, grid.item
+    i = min(max(int(np.floor((x - origin[0]) / cell)), 0), size[0] - 1)
+    j = min(max(int(np.floor((y - origin[1]) / cell)), 0), size[1] - 1)
+    k = min(max(int(np.floor((z - origin[2]) / cell)), 0), size[2] - 1)
+    best, found, best_v, best_w = np.inf, -1, 0.0, 0.0
+    for ring in range(size[0] + size[1] + size[2]):
+        for kk in range(max(k - ring, 0), min(k + ring, size[2] - 1) + 1):
+            for jj in range(max(j - ring, 0), min(j + ring, size[1] - 1) + 1):
+                inner = abs(kk - k) < ring and abs(jj - j) < ring
+                for ii in range(max(i - ring, 0), min(i + ring, size[0] - 1) + 1):
+                    if inner and abs(ii - i) < ring:
+                        continue
+                    c = (kk * size[1] + jj) * size[0] + ii
+                    for e in range(start[c], start[c + 1]):
+                        t = item[e]
+                        if len(facing) and (
+                            facing[t, 0] * way[0] + facing[t, 1] * way[1] + facing[t, 2] * way[2] < least
+                        ):
+                            continue
+                        square, v, w = _square_to_triangle(x, y, z, corner[t, 0], corner[t, 1], corner[t, 2])
+                        if square < best:
+                            best, found, best_v, best_w = square, t, v, w
+        free = min(
+            x - (origin[0] + (i - ring) * cell), origin[0] + (i + ring + 1) * cell - x,
+            y - (origin[1] + (j - ring) * cell), origin[1] + (j + ring + 1) * cell - y,
+            z - (origin[2] + (k - ring) * cell), origin[2] + (k + ring + 1) * cell - z,
+        )  # fmt: skip
+        if free > 0.0 and (best <= free * free or free > farthest):
+            break
+    return found, best, best_v, best_w
 
 
 @numba.njit(cache=True, nogil=True, parallel=True)
 def _query(points, grid, distance):  # type: ignore[no-untyped-def]
-    corner, origin, cell, size, start, item = grid.corner, grid.origin, grid.edge, grid.size, grid.start, grid.item
-    reach = size[0] + size[1] + size[2]
+    none = np.empty((0, 3))
     for p in numba.prange(len(points)):
-        x, y, z = points[p]
-        i = min(max(int(np.floor((x - origin[0]) / cell)), 0), size[0] - 1)
-        j = min(max(int(np.floor((y - origin[1]) / cell)), 0), size[1] - 1)
-        k = min(max(int(np.floor((z - origin[2]) / cell)), 0), size[2] - 1)
-        best = np.inf
-        for ring in range(reach):
-            for kk in range(max(k - ring, 0), min(k + ring, size[2] - 1) + 1):
-                for jj in range(max(j - ring, 0), min(j + ring, size[1] - 1) + 1):
-                    inner = abs(kk - k) < ring and abs(jj - j) < ring
-                    for ii in range(max(i - ring, 0), min(i + ring, size[0] - 1) + 1):
-                        if inner and abs(ii - i) < ring:
-                            continue
-                        c = (kk * size[1] + jj) * size[0] + ii
-                        for e in range(start[c], start[c + 1]):
-                            t = item[e]
-                            square = _square_to_triangle(x, y, z, corner[t, 0], corner[t, 1], corner[t, 2])
-                            best = min(best, square)
-            free = min(
-                x - (origin[0] + (i - ring) * cell), origin[0] + (i + ring + 1) * cell - x,
-                y - (origin[1] + (j - ring) * cell), origin[1] + (j + ring + 1) * cell - y,
-                z - (origin[2] + (k - ring) * cell), origin[2] + (k + ring + 1) * cell - z,
-            )  # fmt: skip
-            if free > 0.0 and best <= free * free:
-                break
-        distance[p] = np.sqrt(best)
+        found = nearest_on_mesh(grid, points[p, 0], points[p, 1], points[p, 2], none, points[p], -1.0, np.inf)
+        distance[p] = np.sqrt(found[1])

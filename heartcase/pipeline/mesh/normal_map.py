@@ -1,7 +1,8 @@
 """The normals of the fields themselves, baked into a tangent-space normal map (thesis 11.2.2).
 
 Each coarse triangle is covered by points about a voxel apart, where :mod:`heartcase.pipeline.mesh.field_normals` fits
-the normals; its texels lie between them. No full-resolution mesh takes part.
+the normals; its texels lie between them, and no full-resolution mesh takes part. The exact baker looks, for every
+texel, for the nearest point of the full-resolution mesh that faces the same way, and takes the normal fitted there.
 """
 
 from __future__ import annotations
@@ -16,10 +17,13 @@ from heartcase.pipeline.mesh.field_normals import (
     cross,
     dot,
     fit_normal,
+    fitted_normals,
     make_unit,
     ring_spans_mm,
     to_index_matrix,
 )
+from heartcase.pipeline.mesh.mesh_distance import nearest_on_mesh
+from heartcase.pipeline.mesh.triangle_grid import triangle_grid
 
 __all__ = ["bake_normal_map"]
 
@@ -34,6 +38,8 @@ DILATION_TEXELS = 8
 POINT_VOXELS = 1.5
 """Normals are fitted on rings of at least 1.5 voxels: between points this far apart, in voxels, they hardly bend."""
 MOST_PARTS = 64
+LEAST_FACING = 0.5
+"""Cosine of a texel's normal with that of a triangle of the full mesh below which it is another side of the tissue."""
 
 
 def bake_normal_map(
@@ -46,6 +52,7 @@ def bake_normal_map(
     *,
     size: int,
     reach_mm: float,
+    full: tuple[Float64, Int32] | None = None,
 ) -> UInt8:
     """Bake the tangent-space normal map.
 
@@ -68,6 +75,8 @@ def bake_normal_map(
         Edge of the map in texels.
     reach_mm
         How far from the mesh the true surface may lie.
+    full
+        Vertices (mm) and triangles of the full-resolution mesh, for the exact baker.
 
     Returns
     -------
@@ -79,31 +88,19 @@ def bake_normal_map(
     _rasterise(atlas.uv.astype(np.float64), atlas.triangles, owner)
     corners = np.ascontiguousarray(atlas.render_to_welded[atlas.triangles])
     vertices, unit = vertices_mm.astype(np.float64), normals.astype(np.float64)
-    voxel = float(np.mean(reader.structures.geometry.spacing_mm))
-    edge = np.linalg.norm(vertices[np.roll(corners, -1, axis=1)] - vertices[corners], axis=2).max(axis=1)
-    parts = np.clip(np.ceil(edge / (POINT_VOXELS * voxel)), 1, MOST_PARTS).astype(np.int64)
-    start = np.concatenate([[0], np.cumsum((parts + 1) * (parts + 2) // 2)])
-    known = np.empty((int(start[-1]), 3), np.float32)
-    spans, to_index = ring_spans_mm(reader), to_index_matrix(reader)
-    _fit_lattices(
-        reader.layout,
-        reader.tables,
-        to_index,
-        corners,
-        vertices,
-        unit,
-        flat_triangles,
-        parts,
-        start,
-        spans,
-        reach_mm,
-        known,
-    )
+    texel = atlas.uv.astype(np.float64) * size
+    given = np.zeros((0, 0, 3), np.float32)
+    if full is None:
+        parts, start, known = _fitted_between(reader, corners, vertices, unit, flat_triangles, reach_mm)
+    else:
+        parts, start, known = np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3), np.float32)
+        given = np.zeros((size, size, 3), np.float32)
+        _look_up(reader, owner, texel, atlas.triangles, corners, vertices, unit, full, reach_mm, given)
     picture = np.empty((size, size, 3), np.uint8)
     picture[:] = FLAT
     _bake_rows(
         owner,
-        atlas.uv.astype(np.float64) * size,
+        texel,
         atlas.triangles,
         corners,
         vertices,
@@ -113,10 +110,83 @@ def bake_normal_map(
         parts,
         start,
         known,
+        given,
         picture,
     )
     _dilate(picture, owner >= 0, DILATION_TEXELS)
     return picture
+
+
+def _fitted_between(
+    reader: FieldReader,
+    corners: Int32,
+    vertices: Float64,
+    normals: Float64,
+    flat: npt.NDArray[np.bool_],
+    reach_mm: float,
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], Float32]:
+    """Parts of each triangle's edge, where its points begin, and the normals at all points."""
+    voxel = float(np.mean(reader.structures.geometry.spacing_mm))
+    edge = np.linalg.norm(vertices[np.roll(corners, -1, axis=1)] - vertices[corners], axis=2).max(axis=1)
+    parts = np.clip(np.ceil(edge / (POINT_VOXELS * voxel)), 1, MOST_PARTS).astype(np.int64)
+    start = np.concatenate([[0], np.cumsum((parts + 1) * (parts + 2) // 2)])
+    known = np.empty((int(start[-1]), 3), np.float32)
+    spans, to_index = ring_spans_mm(reader), to_index_matrix(reader)
+    _fit_lattices(
+        reader.layout, reader.tables, to_index, corners, vertices, normals, flat, parts, start, spans, reach_mm, known
+    )
+    return parts, start, known
+
+
+def _look_up(
+    reader: FieldReader,
+    owner: Int32,
+    texel: Float64,
+    triangles: Int32,
+    corners: Int32,
+    vertices: Float64,
+    normals: Float64,
+    full: tuple[Float64, Int32],
+    reach_mm: float,
+    given: Float32,
+) -> None:
+    """Normals of the full mesh at its points nearest to the texels; zero where none is near."""
+    points, faces = full
+    grid = triangle_grid(points, faces)
+    doubled = np.cross(grid.corner[:, 1] - grid.corner[:, 0], grid.corner[:, 2] - grid.corner[:, 0])
+    rough: Float64 = np.empty(points.shape)
+    for axis in range(3):
+        rough[:, axis] = np.bincount(faces.ravel(), np.repeat(doubled[:, axis], 3), len(points))
+    rough /= np.maximum(np.linalg.norm(rough, axis=1), 1e-30)[:, None]
+    facing = doubled / np.maximum(np.linalg.norm(doubled, axis=1), 1e-30)[:, None]
+    _, fitted, _ = fitted_normals(reader, points, rough, reach_mm=reach_mm)
+    is_creased = (fitted * rough).sum(axis=1) < LEAST_FACING
+    fitted[is_creased] = rough[is_creased]
+    _look_up_rows(owner, texel, triangles, corners, vertices, normals, grid, facing, faces, fitted, reach_mm, given)
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _look_up_rows(  # type: ignore[no-untyped-def]
+    owner, texel, triangles, corners, vertices, normals, grid, facing, faces, fitted, reach, given
+):
+    for row in numba.prange(owner.shape[0]):
+        weights, here, normal, out = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+        for column in range(owner.shape[1]):
+            t = owner[row, column]
+            if t < 0:
+                continue
+            _corner_weights(texel, triangles[t], column + 0.5, row + 0.5, weights)
+            _mix(weights, vertices, corners[t], here)
+            _mix(weights, normals, corners[t], normal)
+            make_unit(normal, 1e-30)
+            found, square, v, w = nearest_on_mesh(
+                grid, here[0], here[1], here[2], facing, normal, LEAST_FACING, 4.0 * reach
+            )
+            if found >= 0 and square <= 16.0 * reach * reach:
+                weights[0], weights[1], weights[2] = 1.0 - v - w, v, w
+                _mix(weights, fitted, faces[found], out)
+                make_unit(out, 1e-3)
+                given[row, column] = out
 
 
 @numba.njit(cache=True, nogil=True)
@@ -201,7 +271,7 @@ def _between(known, start, parts, weights, out):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, parallel=True)
 def _bake_rows(  # type: ignore[no-untyped-def]
-    owner, texel, triangles, corners, vertices, normals, tangents, flat, parts, start, known, picture
+    owner, texel, triangles, corners, vertices, normals, tangents, flat, parts, start, known, given, picture
 ):
     for row in numba.prange(owner.shape[0]):
         weights, true, side, other = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
@@ -226,9 +296,15 @@ def _bake_rows(  # type: ignore[no-untyped-def]
             make_unit(face, 1e-30)
             if flat[t]:
                 true[:] = face
-            elif not _between(known, start[t], parts[t], weights, true) or dot(true, face) < 0.2:
+            else:
+                if len(given):
+                    true[:] = given[row, column]
+                    is_known = make_unit(true, 0.5)
+                else:
+                    is_known = _between(known, start[t], parts[t], weights, true)
                 # a field that is creased here tells nothing
-                true[:] = normal
+                if not is_known or dot(true, face) < 0.2:
+                    true[:] = normal
             cross(bitangent, normal, side)
             volume = dot(tangent, side)
             if abs(volume) < 1e-6:

@@ -5,7 +5,7 @@ import pytest
 
 from heartcase.pipeline.surface import build_surface
 from heartcase.schemas.settings import SurfaceSettings
-from tests.pipeline.solids import LEFT_HANDED, OBLIQUE, bump_normals, bumps, lattice, points, solid, walled
+from tests.pipeline.solids import LEFT_HANDED, OBLIQUE, bump_normals, bumps, lattice, points, solid, sphere, walled
 
 
 def samples(surface, count):
@@ -51,10 +51,11 @@ def degrees(one, two):
 
 
 @pytest.mark.parametrize("direction", [np.eye(3), OBLIQUE @ LEFT_HANDED])
-@pytest.mark.parametrize("atlas", ["cone", "xatlas"])
-def test_the_map_beats_the_vertex_normals_against_the_truth(atlas, direction):
+@pytest.mark.parametrize(("atlas", "baker"), [("cone", "quick"), ("cone", "exact"), ("xatlas", "quick")])
+def test_the_map_beats_the_vertex_normals_against_the_truth(atlas, baker, direction):
     structures = solid(bumps, lattice(0.7, 22.0, direction=direction))
-    surface = build_surface(structures, SurfaceSettings(triangle_count=3000, normal_map_size=512, atlas=atlas))
+    settings = SurfaceSettings(triangle_count=3000, normal_map_size=512, atlas=atlas, baker=baker)
+    surface = build_surface(structures, settings)
     triangle, weights = samples(surface, 20_000)
     at = mixed(weights, surface.vertices_mm[surface.triangles[triangle]])
     truth = bump_normals(at)
@@ -90,3 +91,15 @@ def test_cut_faces_are_baked_flat():
     corner = surface.vertices_mm[surface.triangles[triangle[cut]]].astype(float)
     face = unit(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]))
     assert degrees(shaded(surface, triangle[cut], weights[cut]), face).mean() < 4.0
+
+
+def test_the_exact_baker_takes_the_near_side_of_a_thin_wall():
+    # Its two sides are nearer to each other than the coarse triangles are to either.
+    structures = walled(sphere(12.0), 1.0, lattice(0.8, 15.0))
+    surface = build_surface(structures, SurfaceSettings(triangle_count=400, normal_map_size=256, baker="exact"))
+    triangle, weights = samples(surface, 20_000)
+    at = mixed(weights, surface.vertices_mm[surface.triangles[triangle]])
+    outward = np.where(surface.triangle_label[triangle] == 0, 1.0, -1.0)[:, None] * unit(at)
+    error = degrees(shaded(surface, triangle, weights), outward)
+    assert error.mean() < 1.5
+    assert error.max() < 15.0
