@@ -31,7 +31,7 @@ CANDIDATES: list[Any] = [
     ["lung"],
     {"center_mm": _POINT, "size_mm": (9.0, 9.0, 9.0)},
     {"cavity": {}},
-    *("hvsmr-2.0", "none", "threshold", "xatlas", "ignore", "slit"),
+    *("hvsmr-2.0", "none", "threshold", "xatlas", "exact", "ignore", "slit"),
     [{"label": "cavity", "kind": "positions", "points_mm": [_POINT], "thickness_mm": [1.0]}],
 ]
 """Values, one of which is allowed and not the default, for every setting; add one where a new setting needs it."""

@@ -19,7 +19,7 @@ from heartcase.pipeline.surface import build_surface
 from tests.pipeline.random_phantoms import RandomHeart, random_heart
 from tests.pipeline.sides import sides
 
-QUICK, MANY = 10, 550
+QUICK, MANY = 6, 550
 
 
 def seeds() -> Iterator[object]:
