@@ -26,7 +26,7 @@ STAGE_VERSIONS = {
     "walls": 6,
     "edit": 2,
     "grid": 5,
-    "surface": 7,
+    "surface": 8,
     "map": 3,
     "bundle": 3,
 }

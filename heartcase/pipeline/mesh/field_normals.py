@@ -28,9 +28,8 @@ RING_WAYS = 4
 """Directions along the surface in which the field's rise is taken, each both ways."""
 RING_MISFIT = 0.09
 """Largest misfit of a rise, over the radius in voxels, at which a ring's rises are those of one plane."""
-RING_CHANGE = 0.022
-"""Largest difference of a wider ring's slope to the measure's, a degree and a half. More would smooth the adult phantom
-further, and flatten bumps that are six voxels apart until the map is no help there."""
+RING_CHANGE = 0.0
+"""Largest difference of a wider ring's slope to the measure's; 0 takes no wider ring, as they flatten real detail."""
 
 
 def to_index_matrix(reader: FieldReader) -> Float64:

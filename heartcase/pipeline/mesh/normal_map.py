@@ -35,7 +35,7 @@ UInt8 = npt.NDArray[np.uint8]
 CHUNK = 64
 FLAT = (128, 128, 255)
 DILATION_TEXELS = 8
-POINT_VOXELS = 1.5
+POINT_VOXELS = 1.0
 """Normals are fitted on rings of at least 1.5 voxels: between points this far apart, in voxels, they hardly bend."""
 MOST_PARTS = 64
 LEAST_FACING = 0.5
