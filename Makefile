@@ -23,7 +23,7 @@ case: $(VENV)/installed
 	@echo 'Look at out/adult-phantom.report.html and out/pull.png'
 
 test: $(VENV)/installed check plain
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 check: $(VENV)/installed
 	$(BIN)/ruff format --check .
