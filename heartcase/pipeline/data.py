@@ -172,6 +172,8 @@ class Structures:
     compartments of blood that were joined or split, walls with a gap."""
     thickness_tables: tuple[ThicknessTable, ...] = field(default=(), metadata={"is_kept_when_empty": False})
     """Thickness of the walls that are not equally thick all over; one for each of their cavities."""
+    has_voxel_steps: bool = field(default=False, metadata={"is_kept_when_empty": False})
+    """Whether the fields came from labels, whose voxels leave small steps in them: normals are smoothed then."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "reshapings", tuple(Reshaping(*one) for one in self.reshapings))

@@ -23,10 +23,10 @@ STAGE_VERSIONS = {
     "markers": 1,
     "filter": 2,
     "segment": 2,
-    "walls": 6,
+    "walls": 7,
     "edit": 2,
     "grid": 5,
-    "surface": 8,
+    "surface": 9,
     "map": 3,
     "bundle": 3,
 }

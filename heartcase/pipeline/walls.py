@@ -97,6 +97,7 @@ def grow_walls(segmentation: Segmentation, settings: WallsSettings, ends: Sequen
             ThicknessTable(table[one.label].value, one.kind, one.points_mm, one.thickness_mm)
             for one in settings.thickness
         ),
+        has_voxel_steps=True,
     )
     return replace(
         structures,

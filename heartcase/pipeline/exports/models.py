@@ -144,7 +144,7 @@ def solid_model(labels: Segmentation, *, smoothing_mm: float | None = None) -> T
     if BACKGROUND not in distances:
         far = float(np.linalg.norm(np.array(geometry.spacing_mm) * geometry.size))
         distances[BACKGROUND] = np.full(geometry.shape, far, np.float32)
-    structures = Structures(dict(sorted(distances.items())), geometry, table, settings.band_mm)
+    structures = Structures(dict(sorted(distances.items())), geometry, table, settings.band_mm, has_voxel_steps=True)
     surface = build_surface(structures, SurfaceSettings(normal_map_size=0), render=False)
     return TaggedMesh(
         vertices_mm=surface.vertices_mm,

@@ -1,14 +1,16 @@
 """Normals of the tissue field, free of the steps that labels of voxels leave in it.
 
 A point beside the surface is drawn to the root of the field. There the field's slope along the surface is fitted on a
-ring around the point, and tilts the normal that is known roughly. The wider the ring, the less do the voxels' steps
-show, but the more of what is really there is flattened, too. So a ring of two voxels is the measure: a wider one is
-taken where its rises are those of one plane, and its slope that of the measure but for what the steps explain; a
-narrower one where the measure itself is bent. The gradient at the point itself is, against the truth, no better than
-the normals of a coarse mesh (``heartcase bench geometry-chain``).
+ring around the point, and tilts the normal that is known roughly. Fields that came from labels hold the voxels' steps:
+the wider the ring, the less do they show, so the widest ring is taken on which the field rises like one plane. Fields
+without steps are read on a narrow ring, as a wider one flattens what is really there. Against the truth, the gradient
+of a stepped field at the point itself is no better than the normals of a coarse mesh
+(``heartcase bench geometry-chain``).
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -16,20 +18,29 @@ import numpy.typing as npt
 
 from heartcase.pipeline.fields import FieldReader, evaluate_tissue, scratch
 
-__all__ = ["cross", "dot", "fit_normal", "fitted_normals", "make_unit", "ring_spans_mm", "to_index_matrix"]
+__all__ = ["Rings", "cross", "dot", "fit_normal", "fitted_normals", "make_unit", "rings_of", "to_index_matrix"]
 
 Bool = npt.NDArray[np.bool_]
 Float64 = npt.NDArray[np.float64]
 
 CHUNK = 256
-RING_SPANS_VOXELS = (2.0, 3.5, 3.0, 2.5, 1.5)
-"""Radii of the rings: the measure, the wider ones, the narrower one."""
+STEPPED_SPANS_VOXELS = (3.5, 3.0, 2.5, 2.0, 1.5)
+"""Radii of the rings in fields that came from labels, from wide to narrow."""
+SMOOTH_SPANS_VOXELS = (0.5,)
+"""Radii of the rings in fields without steps."""
 RING_WAYS = 4
 """Directions along the surface in which the field's rise is taken, each both ways."""
 RING_MISFIT = 0.09
 """Largest misfit of a rise, over the radius in voxels, at which a ring's rises are those of one plane."""
-RING_CHANGE = 0.0
-"""Largest difference of a wider ring's slope to the measure's; 0 takes no wider ring, as they flatten real detail."""
+
+
+class Rings(NamedTuple):
+    """The rings on which normals are fitted."""
+
+    spans_mm: Float64
+    """Radii, from wide to narrow."""
+    misfits: Float64
+    """Largest misfit of a ring's rises at which they are those of one plane."""
 
 
 def to_index_matrix(reader: FieldReader) -> Float64:
@@ -37,9 +48,11 @@ def to_index_matrix(reader: FieldReader) -> Float64:
     return np.ascontiguousarray(np.linalg.inv(reader.structures.geometry.affine)[:3])
 
 
-def ring_spans_mm(reader: FieldReader) -> Float64:
-    """Radii of the rings for these structures, mm."""
-    return np.array(RING_SPANS_VOXELS) * float(np.mean(reader.structures.geometry.spacing_mm))
+def rings_of(reader: FieldReader) -> Rings:
+    """The rings for these structures."""
+    structures = reader.structures
+    voxels = np.array(STEPPED_SPANS_VOXELS if structures.has_voxel_steps else SMOOTH_SPANS_VOXELS)
+    return Rings(voxels * float(np.mean(structures.geometry.spacing_mm)), RING_MISFIT / voxels)
 
 
 def fitted_normals(
@@ -68,9 +81,9 @@ def fitted_normals(
         Where one does, shape (n,).
     """
     drawn, fitted, found = np.empty_like(points_mm), np.empty_like(points_mm), np.empty(len(points_mm), np.bool_)
-    spans = ring_spans_mm(reader)
+    rings = rings_of(reader)
     _fit_points(
-        reader.layout, reader.tables, to_index_matrix(reader), points_mm, normals, spans, reach_mm, drawn, fitted, found
+        reader.layout, reader.tables, to_index_matrix(reader), points_mm, normals, rings, reach_mm, drawn, fitted, found
     )
     return drawn, fitted, found
 
@@ -131,11 +144,11 @@ def _slope(layout, tables, m, at, first, second, span, spare, rise):  # type: ig
 
 
 @numba.njit(cache=True, nogil=True)
-def fit_normal(layout, tables, m, here, normal, spans, reach, spare, work, there, out):  # type: ignore[no-untyped-def]
+def fit_normal(layout, tables, m, here, normal, rings, reach, spare, work, there, out):  # type: ignore[no-untyped-def]
     """Draw a point to the field's root along a rough normal, and fit the normal there; returns whether a ring fits.
 
-    ``there`` receives the drawn point, ``out`` the normal; where no ring fits, that of the narrowest. ``spans`` are the
-    radii in mm. ``work`` has shape (3, RING_WAYS).
+    ``there`` receives the drawn point, ``out`` the normal; where no ring fits, that of the narrowest.
+    ``work`` has shape (3, RING_WAYS).
     """
     away = 0.0
     there[:] = here
@@ -154,19 +167,11 @@ def fit_normal(layout, tables, m, here, normal, spans, reach, spare, work, there
         first[axis] = (1.0 if axis == least else 0.0) - along * normal[axis]
     make_unit(first, 1e-30)
     cross(normal, first, second)
-    u, v, misfit = _slope(layout, tables, m, there, first, second, spans[0], spare, rise)
-    fits = misfit < RING_MISFIT / RING_SPANS_VOXELS[0]
-    measure_u, measure_v = u, v
-    for n in range(1, len(spans)):
-        is_wider = spans[n] > spans[0]
-        if fits and not is_wider:
-            break
-        new_u, new_v, misfit = _slope(layout, tables, m, there, first, second, spans[n], spare, rise)
-        is_plane = misfit < RING_MISFIT / RING_SPANS_VOXELS[n]
-        change = (new_u - measure_u) ** 2 + (new_v - measure_v) ** 2
-        if not is_wider or (is_plane and change < RING_CHANGE * RING_CHANGE):
-            u, v = new_u, new_v
-            fits = is_plane
+    u, v, fits = 0.0, 0.0, False
+    for n in range(len(rings.spans_mm)):
+        u, v, misfit = _slope(layout, tables, m, there, first, second, rings.spans_mm[n], spare, rise)
+        fits = misfit < rings.misfits[n]
+        if fits:
             break
     rest = np.sqrt(max(1.0 - u * u - v * v, 0.1))
     for axis in range(3):
@@ -176,11 +181,11 @@ def fit_normal(layout, tables, m, here, normal, spans, reach, spare, work, there
 
 
 @numba.njit(cache=True, nogil=True, parallel=True)
-def _fit_points(layout, tables, m, points, normals, spans, reach, drawn, fitted, found):  # type: ignore[no-untyped-def]
+def _fit_points(layout, tables, m, points, normals, rings, reach, drawn, fitted, found):  # type: ignore[no-untyped-def]
     for chunk in numba.prange((len(points) + CHUNK - 1) // CHUNK):
         spare = scratch(layout)
         work = np.empty((3, max(RING_WAYS, 3)))
         for n in range(chunk * CHUNK, min((chunk + 1) * CHUNK, len(points))):
             found[n] = fit_normal(
-                layout, tables, m, points[n], normals[n], spans, reach, spare, work, drawn[n], fitted[n]
+                layout, tables, m, points[n], normals[n], rings, reach, spare, work, drawn[n], fitted[n]
             )

@@ -1,6 +1,6 @@
 """The normals of the fields themselves, baked into a tangent-space normal map (thesis 11.2.2).
 
-Each coarse triangle is covered by points about a voxel apart, where :mod:`heartcase.pipeline.mesh.field_normals` fits
+Each coarse triangle is covered by points, half a ring apart, where :mod:`heartcase.pipeline.mesh.field_normals` fits
 the normals; its texels lie between them, and no full-resolution mesh takes part. The exact baker looks, for every
 texel, for the nearest point of the full-resolution mesh that faces the same way, and takes the normal fitted there.
 """
@@ -19,7 +19,7 @@ from heartcase.pipeline.mesh.field_normals import (
     fit_normal,
     fitted_normals,
     make_unit,
-    ring_spans_mm,
+    rings_of,
     to_index_matrix,
 )
 from heartcase.pipeline.mesh.mesh_distance import nearest_on_mesh
@@ -35,8 +35,8 @@ UInt8 = npt.NDArray[np.uint8]
 CHUNK = 64
 FLAT = (128, 128, 255)
 DILATION_TEXELS = 8
-POINT_VOXELS = 1.0
-"""Normals are fitted on rings of at least 1.5 voxels: between points this far apart, in voxels, they hardly bend."""
+POINT_RINGS = 0.45
+"""Distance of the points where normals are fitted, over the widest ring's radius: between them they hardly bend."""
 MOST_PARTS = 64
 LEAST_FACING = 0.5
 """Cosine of a texel's normal with that of a triangle of the full mesh below which it is another side of the tissue."""
@@ -126,14 +126,14 @@ def _fitted_between(
     reach_mm: float,
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], Float32]:
     """Parts of each triangle's edge, where its points begin, and the normals at all points."""
-    voxel = float(np.mean(reader.structures.geometry.spacing_mm))
+    rings, to_index = rings_of(reader), to_index_matrix(reader)
+    apart = POINT_RINGS * rings.spans_mm[0]
     edge = np.linalg.norm(vertices[np.roll(corners, -1, axis=1)] - vertices[corners], axis=2).max(axis=1)
-    parts = np.clip(np.ceil(edge / (POINT_VOXELS * voxel)), 1, MOST_PARTS).astype(np.int64)
+    parts = np.clip(np.ceil(edge / apart), 1, MOST_PARTS).astype(np.int64)
     start = np.concatenate([[0], np.cumsum((parts + 1) * (parts + 2) // 2)])
     known = np.empty((int(start[-1]), 3), np.float32)
-    spans, to_index = ring_spans_mm(reader), to_index_matrix(reader)
     _fit_lattices(
-        reader.layout, reader.tables, to_index, corners, vertices, normals, flat, parts, start, spans, reach_mm, known
+        reader.layout, reader.tables, to_index, corners, vertices, normals, flat, parts, start, rings, reach_mm, known
     )
     return parts, start, known
 
@@ -225,7 +225,7 @@ def _number(i, j, parts):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, parallel=True)
 def _fit_lattices(  # type: ignore[no-untyped-def]
-    layout, tables, m, corners, vertices, normals, flat, parts, start, spans, reach, known
+    layout, tables, m, corners, vertices, normals, flat, parts, start, rings, reach, known
 ):
     """Normals at the points of every triangle that is not flat."""
     for chunk in numba.prange((len(corners) + CHUNK - 1) // CHUNK):
@@ -245,7 +245,7 @@ def _fit_lattices(  # type: ignore[no-untyped-def]
                     out[:] = normal
                     if i != count and j != count and i + j != 0:
                         _mix(weights, vertices, corners[t], here)
-                        fit_normal(layout, tables, m, here, normal, spans, reach, spare, work, there, out)
+                        fit_normal(layout, tables, m, here, normal, rings, reach, spare, work, there, out)
                     known[start[t] + _number(i, j, count)] = out
 
 

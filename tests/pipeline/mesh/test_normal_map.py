@@ -1,11 +1,25 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from heartcase.pipeline.distance import default_smoothing_mm, label_distances
 from heartcase.pipeline.surface import build_surface
 from heartcase.schemas.settings import SurfaceSettings
-from tests.pipeline.solids import LEFT_HANDED, OBLIQUE, bump_normals, bumps, lattice, points, solid, sphere, walled
+from tests.pipeline.solids import (
+    LEFT_HANDED,
+    OBLIQUE,
+    bump_normals,
+    bumps,
+    lattice,
+    points,
+    solid,
+    sphere,
+    torus,
+    walled,
+)
 
 
 def samples(surface, count):
@@ -16,6 +30,16 @@ def samples(surface, count):
     triangle = rng.choice(len(area), count, p=area / area.sum())
     weights = rng.dirichlet((1.0, 1.0, 1.0), count)
     return triangle, weights
+
+
+def area_weighted(surface):
+    """Vertex normals of the mesh itself: what a viewer shows that is given none."""
+    corner = surface.vertices_mm[surface.triangles].astype(float)
+    doubled = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    normals = np.zeros(surface.vertices_mm.shape)
+    for k in range(3):
+        np.add.at(normals, surface.triangles[:, k], doubled)
+    return unit(normals)
 
 
 def mixed(weights, values):
@@ -59,7 +83,27 @@ def test_the_map_beats_the_vertex_normals_against_the_truth(atlas, baker, direct
     triangle, weights = samples(surface, 20_000)
     at = mixed(weights, surface.vertices_mm[surface.triangles[triangle]])
     truth = bump_normals(at)
-    without = degrees(unit(mixed(weights, surface.normals[surface.triangles[triangle]])), truth)
+    with_map = degrees(shaded(surface, triangle, weights), truth)
+    for normals in (surface.normals, area_weighted(surface)):
+        without = degrees(unit(mixed(weights, normals[surface.triangles[triangle]])), truth)
+        assert with_map.mean() < 0.65 * without.mean()
+        assert np.quantile(with_map, 0.95) < 0.8 * np.quantile(without, 0.95)
+
+
+@pytest.mark.parametrize("baker", ["quick", "exact"])
+@pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (0.8, 0.8, 1.6)])
+def test_the_map_of_labels_is_nearer_to_the_truth_than_the_mesh(baker, spacing):
+    body = torus(14.0, 6.0)
+    geometry = lattice(spacing, 24.0, direction=OBLIQUE)
+    labels = (body(points(geometry)) < 0.0).astype(np.uint8)
+    fields = label_distances(labels, spacing, smoothing_mm=default_smoothing_mm(spacing), band_mm=6.0)
+    structures = replace(solid(body, geometry), distance_mm=fields, has_voxel_steps=True)
+    surface = build_surface(structures, SurfaceSettings(triangle_count=4000, normal_map_size=512, baker=baker))
+    triangle, weights = samples(surface, 20_000)
+    at = mixed(weights, surface.vertices_mm[surface.triangles[triangle]])
+    ring = at * [1.0, 1.0, 0.0]
+    truth = unit(at - 14.0 * unit(ring))
+    without = degrees(unit(mixed(weights, area_weighted(surface)[surface.triangles[triangle]])), truth)
     with_map = degrees(shaded(surface, triangle, weights), truth)
     assert with_map.mean() < 0.65 * without.mean()
     assert np.quantile(with_map, 0.95) < 0.8 * np.quantile(without, 0.95)
