@@ -34,7 +34,7 @@ class Inputs:
 
 def prepare(params: dict[str, Any]) -> Inputs:
     stage = params.pop("stage")
-    settings = SurfaceSettings(triangle_count=params.pop("triangle_count", 80_000))
+    settings = SurfaceSettings(triangle_count=params.pop("triangle_count", 80_000), level_counts=())
     source = phantom_inputs(params)
     labels = Segmentation(bare_truth(source), source.truth.geometry, source.phantom.table)
     structures = grow_walls(labels, WallsSettings(), source.phantom.ends)

@@ -73,7 +73,9 @@ def prepare(params: dict[str, Any]) -> Inputs:
 def heartcase(inputs: Inputs, baker: Literal["quick", "exact"] = "quick") -> Shown:
     structures = grow_walls(inputs.segmentation, WallsSettings(), inputs.source.phantom.ends)
     grid = build_grid(structures, GridSettings())
-    settings = SurfaceSettings(triangle_count=TRIANGLE_COUNT, normal_map_size=inputs.map_size, baker=baker)
+    settings = SurfaceSettings(
+        triangle_count=TRIANGLE_COUNT, normal_map_size=inputs.map_size, baker=baker, level_counts=()
+    )
     surface = build_surface(structures, settings)
     map_surface(surface, grid, MapSettings())
     atlas = Atlas(surface.render_to_welded, surface.render_triangles, surface.render_uv, 0, 0.0, 0.0)

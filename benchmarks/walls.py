@@ -111,7 +111,7 @@ METHODS = {"heartcase": heartcase, "stock": stock, "level_set": level_set}
 def errors(inputs: Inputs, output: Structures | Voxels | Levels) -> dict[str, float]:
     """Thickness of each wall between its inner and its outer surface, against the true thickness."""
     if isinstance(output, Structures):
-        surface = build_surface(output, SurfaceSettings(triangle_count=200_000), render=False)
+        surface = build_surface(output, SurfaceSettings(triangle_count=200_000, level_counts=()), render=False)
         mesh = (surface.vertices_mm, surface.triangles, surface.triangle_label, surface.triangle_tissue)
         walls = wall_thickness_errors(*mesh, output.table, margin_mm=MARGIN_MM)
     elif isinstance(output, Voxels):

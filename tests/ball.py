@@ -59,9 +59,10 @@ def write_ball_scan(path):
     write_scan(Scan(values.astype(np.float32), geometry, "MR"), path)
 
 
-def write_ball_recipe(scan, path, *, cell_mm=4.0, parts="", more=""):
-    """Write the recipe for a scan of the ball; ``more`` is appended."""
+def write_ball_recipe(scan, path, *, cell_mm=4.0, parts="", more="", surface=""):
+    """Write the recipe for a scan of the ball; ``more`` is appended, ``surface`` put among the surface's settings."""
     path.parent.mkdir(exist_ok=True)
     relative = os.path.relpath(scan, path.parent)
-    path.write_text(RECIPE.format(scan=relative, cell_mm=cell_mm, parts=parts) + more)
+    text = RECIPE.format(scan=relative, cell_mm=cell_mm, parts=parts) + more
+    path.write_text(text.replace("[surface]\n", f"[surface]\n{surface}"))
     return path

@@ -11,6 +11,7 @@ from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable, default_label_table
 from heartcase.schemas.lattice import cell_nodes
 from heartcase.schemas.settings import MaterialsSettings
+from heartcase.schemas.surface_kinds import SurfaceKind
 
 TABLE: LabelTable = default_label_table().with_walls()
 MYOCARDIUM = 9
@@ -68,6 +69,7 @@ def block_surface(grid: SimulationGrid) -> tuple[Surface, GridMap, PickingSurfac
         triangle_label=np.zeros(triangle_count, np.uint8),
         triangle_tissue=np.full(triangle_count, MYOCARDIUM, np.uint8),
         triangle_is_cut=np.zeros(triangle_count, np.uint8),
+        triangle_kind=np.full(triangle_count, SurfaceKind.EPICARDIUM, np.uint8),
         normals=normals,
         vertex_label=np.zeros(count, np.uint8),
         table=TABLE,

@@ -28,7 +28,7 @@ __all__ = ["command"]
 @click.option(
     "--structures",
     type=click.Path(path_type=Path, readable=False),
-    help="Output of 'walls' or 'edit': adds the labels.",
+    help="Output of 'walls' or 'edit': adds the labels and the rims of defects.",
 )
 @click.option(
     "--recipe", type=click.Path(path_type=Path, readable=False), help="Materials and landmarks from a recipe."
@@ -51,7 +51,9 @@ def command(
     from heartcase.pipeline.case_id import made_up_case_id
     from heartcase.pipeline.data import GridMap, SimulationGrid, Structures, Surface
     from heartcase.pipeline.mesh.glb import glb_bytes
+    from heartcase.pipeline.openings import find_openings
     from heartcase.pipeline.picking import picking_surface
+    from heartcase.pipeline.rims import with_rims
     from heartcase.pipeline.run import labels_of
     from heartcase.pipeline.write import segmentation_nrrd_bytes
     from heartcase.schemas.settings import MaterialsSettings
@@ -68,6 +70,9 @@ def command(
         raise UsageError(
             "lie on another lattice than the scan: give the scan that they were made from", place="--structures"
         )
+    if mesh is not None and fields is not None and labels is not None:
+        edits, landmarks = (loaded.edits, loaded.landmarks) if loaded else ((), ())
+        mesh = with_rims(mesh, find_openings(fields, labels, edits, landmarks), fields.geometry)
     content = assemble_bundle(
         name=name,
         case_id=case_id,
@@ -79,7 +84,7 @@ def command(
         surface=mesh,
         grid_map=load_artifact(grid_map, GridMap) if grid_map else None,
         picking=picking_surface(cells),
-        glb=glb_bytes(mesh, case_id=case_id) if mesh else None,
+        glbs=[glb_bytes(one, case_id=case_id) for one in (mesh, *mesh.levels)] if mesh else (),
         labels_nrrd=segmentation_nrrd_bytes(labels, case_id=case_id) if labels else None,
         landmarks=loaded.landmarks if loaded else (),
         modality=volume.modality,

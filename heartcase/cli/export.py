@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from heartcase.cli.output import echo_json, file_size, working
-from heartcase.schemas.bundle import CaseManifest, FileRole
+from heartcase.schemas.bundle import LEVEL_MAX, CaseManifest, FileRole
 from heartcase.schemas.errors import BundleError, Problem, UsageError
 from heartcase.schemas.files import atomic_write
 from heartcase.simulator.export import SURFACE_FORMATS
@@ -32,6 +32,7 @@ class _Export:
     bundle: OpenBundle
     scan: Path | None
     series: str | None
+    level: int = 0
 
     @property
     def manifest(self) -> CaseManifest:
@@ -74,7 +75,7 @@ class _Export:
         from heartcase.pipeline.exports.models import hollow_model, solid_model, walls_smoothing_mm
 
         if model == "hollow":
-            return hollow_model(self.bundle)
+            return hollow_model(self.bundle, level=self.level)
         return solid_model(self.labels(), smoothing_mm=walls_smoothing_mm(self.bundle))
 
 
@@ -180,9 +181,20 @@ def _suffix_of(name: str) -> str:
     raise UsageError(f"the file must end in one of: {', '.join(endings)}", place="--out")
 
 
-def _problems(suffix: str, model: str | None, scan: Path | None, min_thickness_mm: float | None) -> list[Problem]:
-    """Options that do not go with the ending."""
+def _problems(
+    suffix: str,
+    model: str | None,
+    scan: Path | None,
+    series: str | None,
+    min_thickness_mm: float | None,
+    level: int,
+) -> list[Problem]:
+    """Options that do not go with the ending or with each other."""
     problems = []
+    if series is not None and scan is None:
+        problems.append(Problem("--series", "says which series of --scan: give that too, or leave it out"))
+    if level and (model or "hollow" if suffix in MODELS["hollow"] else None) != "hollow":
+        problems.append(Problem("--level", "only the hollow model has levels of detail: leave it out"))
     if scan is not None and suffix not in _WITH_SCAN:
         problems.append(Problem("--scan", f"serves only for {' and '.join(_WITH_SCAN)}: leave it out"))
     if model is not None and suffix not in MODELS[model]:
@@ -219,6 +231,12 @@ def _problems(suffix: str, model: str | None, scan: Path | None, min_thickness_m
     f"{MIN_THICKNESS_MM:g} mm when left out: two lines of the usual 0.4 mm nozzle, and a margin.",
 )
 @click.option(
+    "--level",
+    type=click.IntRange(0, LEVEL_MAX),
+    default=0,
+    help="Level of detail of the hollow model; 0 is the finest.",
+)
+@click.option(
     "--scan",
     type=click.Path(path_type=Path, readable=False),
     help="The DICOM folder that the case was made from, so that the labels open on it; a scan with other values is "
@@ -236,6 +254,7 @@ def command(
     output: Path,
     model: str | None,
     min_thickness_mm: float | None,
+    level: int,
     scan: Path | None,
     series: str | None,
     as_json: bool,
@@ -251,10 +270,13 @@ def command(
     from heartcase.schemas.bundle_reader import open_bundle
 
     suffix = _suffix_of(output.name)
-    problems = _problems(suffix, model, scan, min_thickness_mm)
+    problems = _problems(suffix, model, scan, series, min_thickness_mm, level)
     if problems:
         raise UsageError(problems)
-    export = _Export(case, open_bundle(case), scan, series)
+    export = _Export(case, open_bundle(case), scan, series, level)
+    if level not in (0, *export.bundle.levels):
+        there = ", ".join(map(str, export.bundle.levels)) or "no surface at all"
+        raise UsageError(f"the case has no level of detail {level}; it has {there}", place="--level")
     if suffix in WRITERS:
         made = _Made(WRITERS[suffix](export), "the labels")
     else:

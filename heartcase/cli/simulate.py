@@ -16,6 +16,7 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemaining
 from heartcase.cli.film import Filmer, check_animation_name, check_picture_name, write_animation, write_picture
 from heartcase.cli.output import echo_json
 from heartcase.schemas.approval import approval_state
+from heartcase.schemas.bundle import LEVEL_MAX
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.script import SimulationScript
 from heartcase.simulator.export import SURFACE_FORMATS, write_surface
@@ -45,6 +46,9 @@ _STEP = click.FloatRange(min=0.0, max=1.0, min_open=True)
 @click.option("--seconds", type=_SECONDS, help="Simulated time; the script's, or 2 without a script.")
 @click.option("--step", "step_s", type=_STEP, help="Time step in s; the case's default when left out.")
 @click.option("--backend", type=click.Choice(["cpu", "reference"]), default="cpu", help="Which kernel steps.")
+@click.option(
+    "--level", type=click.IntRange(0, LEVEL_MAX), default=0, help="Level of detail of the surface; 0 is the finest."
+)
 @click.option("--surface", "surface_out", type=_OUT, help="Write the final surface here (.ply, .stl, .obj).")
 @click.option("--animation", type=_OUT, help="Write an animation here (.gif, .mp4).")
 @click.option("--picture", type=_OUT, help="Write a picture of start and furthest deformation (.png).")
@@ -55,6 +59,7 @@ def command(
     seconds: float | None,
     step_s: float | None,
     backend: str,
+    level: int,
     surface_out: Path | None,
     animation: Path | None,
     picture: Path | None,
@@ -68,7 +73,8 @@ def command(
         raise UsageError("must be numbers", place="--seconds, --step")
     _check_names(surface_out, animation, picture)
     script = load_script(script_path) if script_path is not None else None
-    loaded = load_case(case, needs=("surface", "colours"), curvature=script.curvature if script else "flagged")
+    curvature = script.curvature if script else "flagged"
+    loaded = load_case(case, needs=("surface", "colours"), curvature=curvature, level=level)
     script = _completed(script, loaded, seconds, step_s)
     simulation = Simulation(
         loaded.model,

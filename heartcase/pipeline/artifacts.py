@@ -49,26 +49,35 @@ _MODELS: dict[str, type] = {"geometry": Geometry, "table": LabelTable}
 def artifact_to_bytes(artifact: Any) -> bytes:
     """Serialise a stage's output; equal outputs give equal bytes."""
     arrays: dict[str, npt.NDArray[Any]] = {}
+    rest = _taken_apart(artifact, "", arrays)
+    metadata = {"artifact": type(artifact).__name__, "fields": json.dumps(rest, sort_keys=True, allow_nan=False)}
+    # The library writes metadata in hash order, so one key alone keeps the bytes the same from run to run.
+    return save_safetensors(arrays, {"heartcase": json.dumps(metadata, sort_keys=True)})
+
+
+def _taken_apart(artifact: Any, prefix: str, arrays: dict[str, npt.NDArray[Any]]) -> dict[str, Any]:
+    """The fields that are no arrays, ready for JSON; arrays go to ``arrays``, under their path in the artifact."""
     rest: dict[str, Any] = {}
     for item in dataclasses.fields(artifact):
         value = getattr(artifact, item.name)
+        place = prefix + item.name
         if not item.metadata.get("is_kept_when_empty", True) and not value:
             continue  # a field that came later: what does not use it keeps its hash
         if isinstance(value, np.ndarray):
-            arrays[item.name] = np.ascontiguousarray(value)
+            arrays[place] = np.ascontiguousarray(value)
         elif isinstance(value, dict) and value and all(isinstance(v, np.ndarray) for v in value.values()):
             rest[item.name] = {"keys": sorted(value)}
             for key in sorted(value):
-                arrays[f"{item.name}/{key}"] = np.ascontiguousarray(value[key])
+                arrays[f"{place}/{key}"] = np.ascontiguousarray(value[key])
+        elif item.metadata.get("of_its_own_kind", False):
+            rest[item.name] = [_taken_apart(one, f"{place}/{n}/", arrays) for n, one in enumerate(value)]
         elif item.name in _MODELS:
             rest[item.name] = value.model_dump(mode="json")
         elif item.name == "warnings":
             rest[item.name] = [caution_to_json(warning) for warning in value]
         else:
             rest[item.name] = value
-    metadata = {"artifact": type(artifact).__name__, "fields": json.dumps(rest, sort_keys=True, allow_nan=False)}
-    # The library writes metadata in hash order, so one key alone keeps the bytes the same from run to run.
-    return save_safetensors(arrays, {"heartcase": json.dumps(metadata, sort_keys=True)})
+    return rest
 
 
 def artifact_from_bytes(content: bytes, expected: type[T]) -> T:
@@ -89,24 +98,33 @@ def artifact_from_bytes(content: bytes, expected: type[T]) -> T:
         raise StageError("the file is not the output of a stage, or it is damaged", place="input") from None
     if found != expected.__name__:
         raise StageError(f"holds a {found}, but a {expected.__name__} is needed", place="input")
-    values: dict[str, Any] = {}
     try:
-        for item in dataclasses.fields(expected):  # type: ignore[arg-type]
-            if item.name in arrays:
-                values[item.name] = arrays[item.name]
-            elif item.name in rest and isinstance(rest[item.name], dict) and set(rest[item.name]) == {"keys"}:
-                values[item.name] = {key: arrays[f"{item.name}/{key}"] for key in rest[item.name]["keys"]}
-            elif not item.metadata.get("is_kept_when_empty", True) and item.name not in rest:
-                continue
-            elif item.name in _MODELS:
-                values[item.name] = TypeAdapter(_MODELS[item.name]).validate_json(json.dumps(rest[item.name]))
-            elif item.name == "warnings":
-                values[item.name] = tuple(caution_from_json(warning) for warning in rest[item.name])
-            else:
-                values[item.name] = _as_tuples(rest[item.name]) if item.name != "quality" else rest[item.name]
-        return expected(**values)
+        return _put_together(expected, rest, "", arrays)
     except (KeyError, TypeError, ValidationError):
         raise StageError("was written by another version: run the stage again", place="input") from None
+
+
+def _put_together(expected: type[T], rest: dict[str, Any], prefix: str, arrays: dict[str, npt.NDArray[Any]]) -> T:
+    """The reverse of :func:`_taken_apart`."""
+    values: dict[str, Any] = {}
+    for item in dataclasses.fields(expected):  # type: ignore[arg-type]
+        place = prefix + item.name
+        if place in arrays:
+            values[item.name] = arrays[place]
+        elif item.name in rest and isinstance(rest[item.name], dict) and set(rest[item.name]) == {"keys"}:
+            values[item.name] = {key: arrays[f"{place}/{key}"] for key in rest[item.name]["keys"]}
+        elif not item.metadata.get("is_kept_when_empty", True) and item.name not in rest:
+            continue
+        elif item.metadata.get("of_its_own_kind", False):
+            inner = enumerate(rest[item.name])
+            values[item.name] = tuple(_put_together(expected, one, f"{place}/{n}/", arrays) for n, one in inner)
+        elif item.name in _MODELS:
+            values[item.name] = TypeAdapter(_MODELS[item.name]).validate_json(json.dumps(rest[item.name]))
+        elif item.name == "warnings":
+            values[item.name] = tuple(caution_from_json(warning) for warning in rest[item.name])
+        else:
+            values[item.name] = _as_tuples(rest[item.name]) if item.name != "quality" else rest[item.name]
+    return expected(**values)
 
 
 def _as_tuples(value: Any) -> Any:

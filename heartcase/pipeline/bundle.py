@@ -25,6 +25,7 @@ from heartcase.pipeline.data import GridMap, PickingSurface, SimulationGrid, Sur
 from heartcase.pipeline.scan_part import ScanPart
 from heartcase.schemas.bundle import (
     ARRAYS,
+    LEVEL_MAX,
     MANIFEST_NAME,
     ArrayEntry,
     CaseManifest,
@@ -52,7 +53,7 @@ __all__ = [
     "write_bundle",
 ]
 
-_SUFFIX = {FileRole.RENDER: ".glb", FileRole.LABELS: ".seg.nrrd"}
+_SUFFIX = {FileRole.RENDER.at(level): ".glb" for level in range(LEVEL_MAX + 1)} | {FileRole.LABELS: ".seg.nrrd"}
 _DATA_FILE = re.compile(rf"({'|'.join(FileRole)})-[0-9a-f]{{16}}(\.safetensors|\.glb|\.seg\.nrrd)")
 """Names that :func:`assemble_bundle` gives: nothing else in a case's directory is ever removed."""
 
@@ -127,7 +128,7 @@ def assemble_bundle(
     surface: Surface | None = None,
     grid_map: GridMap | None = None,
     picking: PickingSurface | None = None,
-    glb: bytes | None = None,
+    glbs: Sequence[bytes] = (),
     labels_nrrd: bytes | None = None,
     scan: ScanPart | None = None,
     landmarks: Sequence[Landmark] = (),
@@ -144,8 +145,11 @@ def assemble_bundle(
         Name of the case.
     case_id
         Made-up identifier of the case.
-    grid, surface, grid_map, picking, glb, labels_nrrd, scan
-        The parts; those that are None are left out. ``glb`` and ``labels_nrrd`` are whole files.
+    grid, surface, grid_map, picking, labels_nrrd, scan
+        The parts; those that are None are left out, and levels of detail beyond the format's. ``labels_nrrd`` is a
+        whole file.
+    glbs
+        Whole files, one for each level of detail, from fine to coarse; none where nobody wants them.
     materials
         Elastic constants of every tissue label.
     scan_geometry, scan_sha256, modality, acquisition
@@ -177,22 +181,21 @@ def assemble_bundle(
             "fixed": grid.fixed,
         }
     }
-    if surface is not None:
-        names = ("normals", "triangles", "triangle_label", "triangle_tissue", "triangle_is_cut", "vertex_label")
-        parts[FileRole.SURFACE] = {item: getattr(surface, item) for item in names}
-        parts[FileRole.SURFACE] |= {"vertices": surface.vertices_mm, "render_to_welded": surface.render_to_welded}
-    if grid_map is not None:
+    for level, one in enumerate((surface, *surface.levels)[: LEVEL_MAX + 1] if surface else ()):
+        names = ("normals", "triangles", "triangle_label", "triangle_tissue", "triangle_is_cut", "triangle_kind")
+        part = {item: getattr(one, item) for item in (*names, "vertex_label", "render_to_welded")}
+        parts[FileRole.SURFACE.at(level)] = part | {"vertices": one.vertices_mm}
+    for level, tie in enumerate((grid_map, *grid_map.levels)[: LEVEL_MAX + 1] if grid_map else ()):
         names = ("triangle_nodes", "weights", "normal", "curvature", "tangent", "nearest_node")
-        parts[FileRole.MAPPING] = {item: getattr(grid_map, item) for item in names}
-        parts[FileRole.MAPPING]["offset"] = grid_map.offset_mm
+        part = {item: getattr(tie, item) for item in names}
+        parts[FileRole.MAPPING.at(level)] = part | {"offset": tie.offset_mm}
     if picking is not None:
         parts[FileRole.PICKING] = {item: getattr(picking, item) for item in ("nodes", "triangles", "triangle_label")}
     if scan is not None:
         parts[FileRole.SCAN] = {"intensity": scan.intensity}
     aligned = {role: _checked_file(role, arrays) for role, arrays in parts.items()}
     contents = {role: file.content for role, file in aligned.items()}
-    if glb is not None:
-        contents[FileRole.RENDER] = glb
+    contents |= {FileRole.RENDER.at(level): glb for level, glb in enumerate(glbs[: LEVEL_MAX + 1])}
     if labels_nrrd is not None:
         contents[FileRole.LABELS] = labels_nrrd
     files: dict[str, bytes] = {}

@@ -270,6 +270,8 @@ class Surface:
     """Label of the tissue behind each triangle, shape (triangle_count,)."""
     triangle_is_cut: UInt8
     """1 where the triangle closes tissue that the region of interest or an end marker cuts."""
+    triangle_kind: UInt8
+    """:class:`~heartcase.schemas.surface_kinds.SurfaceKind` of each triangle, shape (triangle_count,)."""
     normals: Float32
     """Unit vertex normals of the true surface, out of the tissue, shape (vertex_count, 3)."""
     vertex_label: UInt8
@@ -291,6 +293,8 @@ class Surface:
     """Figures for the report."""
     warnings: tuple[str, ...] = ()
     """What is wrong with the mesh, in plain words."""
+    levels: tuple[Surface, ...] = field(default=(), metadata={"is_kept_when_empty": False, "of_its_own_kind": True})
+    """Coarser levels of detail, from fine to coarse; they have no levels of their own."""
 
 
 @dataclass(frozen=True)
@@ -317,6 +321,8 @@ class GridMap:
     """Figures for the report."""
     warnings: tuple[str, ...] = ()
     """Vertices that had no face of their own label, and the like."""
+    levels: tuple[GridMap, ...] = field(default=(), metadata={"is_kept_when_empty": False, "of_its_own_kind": True})
+    """How the surface's coarser levels of detail follow the grid."""
 
 
 @dataclass(frozen=True)

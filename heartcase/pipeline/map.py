@@ -9,6 +9,7 @@ there is no such triangle: a vertex there follows a face between the tissue cell
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -75,8 +76,14 @@ def map_surface(surface: Surface, grid: SimulationGrid, settings: MapSettings) -
     -------
     GridMap
         ``quality`` counts vertices that had to take a face between tissue cells or one of another label, and says
-        how far vertices lie from their reference points, in cells.
+        how far vertices lie from their reference points, in cells. Coarser levels of detail are tied likewise.
     """
+    levels = tuple(_map_level(level, grid, settings) for level in surface.levels)
+    return replace(_map_level(surface, grid, settings), levels=levels)
+
+
+def _map_level(surface: Surface, grid: SimulationGrid, settings: MapSettings) -> GridMap:
+    """Tie one level of detail."""
     positions = grid.node_positions_mm()
     vertices = surface.vertices_mm.astype(np.float64)
     normals = surface.normals.astype(np.float64)

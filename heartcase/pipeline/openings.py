@@ -11,12 +11,13 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
 
 from heartcase.pipeline.cautions import Caution, anatomy, note
 from heartcase.pipeline.contacts import Contact, find_contact
@@ -45,6 +46,8 @@ REACH_VOXELS = 2.0
 """How much farther than its radius a stated defect reaches, in edges of a cube with the volume of a voxel."""
 MORE_THAN_ASKED = 1.5
 """An opening at a septal_defect edit is looked at when it is this many times as large as the edit asks for."""
+CANAL_COSINE = 0.7
+"""What faces along a canal's axis less than this is its wall."""
 _NORMAL_PAIRS = (
     ("lv", "la"),
     ("lv", "aorta"),
@@ -80,43 +83,6 @@ class Verdict(StrEnum):
 
 
 _WORST_FIRST = (Verdict.UNEXPECTED, Verdict.OTHER_VENTRICLE, Verdict.UNKNOWN, Verdict.STATED, Verdict.EXPECTED)
-
-
-@dataclass(frozen=True)
-class Opening:
-    """Where two cavities are open to each other, as far as one verdict goes."""
-
-    labels: tuple[int, int]
-    """Values of the two labels, the lower first."""
-    names: tuple[str, str]
-    """Their names in the label table."""
-    area_mm2: float
-    """Area of all patches together, mm2."""
-    patches: int
-    """Pieces of it that do not touch."""
-    center_mm: tuple[float, float, float]
-    """The point of the largest patch that is nearest to its mean, world mm."""
-    verdict: Verdict
-    """What is to be thought of it."""
-    stated_by: str = ""
-    """What in the recipe says that it is meant."""
-    asked_mm2: float | None = None
-    """Area that the septal_defect edit asks for, mm2."""
-
-    @property
-    def diameter_mm(self) -> float:
-        """Diameter of a circle of this area, mm."""
-        return 2.0 * math.sqrt(self.area_mm2 / math.pi)
-
-    @property
-    def is_too_large(self) -> bool:
-        """Whether it is larger than the edit that states it asks for, by more than voxels explain."""
-        return self.asked_mm2 is not None and self.area_mm2 > MORE_THAN_ASKED * self.asked_mm2
-
-    @property
-    def is_doubtful(self) -> bool:
-        """Whether a person must look at it."""
-        return self.is_too_large or self.verdict not in (Verdict.EXPECTED, Verdict.STATED)
 
 
 @dataclass(frozen=True)
@@ -163,6 +129,63 @@ class _Statement:
         return shortened
 
 
+@dataclass(frozen=True)
+class Opening:
+    """Where two cavities are open to each other, as far as one verdict goes."""
+
+    labels: tuple[int, int]
+    """Values of the two labels, the lower first."""
+    names: tuple[str, str]
+    """Their names in the label table."""
+    area_mm2: float
+    """Area of all patches together, mm2."""
+    patches: int
+    """Pieces of it that do not touch."""
+    center_mm: tuple[float, float, float]
+    """The point of the largest patch that is nearest to its mean, world mm."""
+    verdict: Verdict
+    """What is to be thought of it."""
+    stated_by: str = ""
+    """What in the recipe says that it is meant."""
+    asked_mm2: float | None = None
+    """Area that the septal_defect edit asks for, mm2."""
+    points_mm: Float64 = field(default_factory=lambda: np.empty((0, 3)), compare=False, repr=False)
+    """Centres of the faces between the two, world mm, shape (face_count, 3)."""
+    statement: _Statement | None = field(default=None, compare=False, repr=False)
+    """The place that the recipe states."""
+
+    @property
+    def diameter_mm(self) -> float:
+        """Diameter of a circle of this area, mm."""
+        return 2.0 * math.sqrt(self.area_mm2 / math.pi)
+
+    @property
+    def is_too_large(self) -> bool:
+        """Whether it is larger than the edit that states it asks for, by more than voxels explain."""
+        return self.asked_mm2 is not None and self.area_mm2 > MORE_THAN_ASKED * self.asked_mm2
+
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether a person must look at it."""
+        return self.is_too_large or self.verdict not in (Verdict.EXPECTED, Verdict.STATED)
+
+    def has_rim_at(self, points_mm: Float64, normals: Float64, reach_mm: float) -> Bool:
+        """Which points of the tissue's border are its rim: near its faces, or on the wall of the canal it was cut by.
+
+        Parameters
+        ----------
+        points_mm, normals
+            Points and unit normals of the border, shape (n, 3).
+        reach_mm
+            How far from a face.
+        """
+        near: Bool = np.isfinite(cKDTree(self.points_mm).query(points_mm, distance_upper_bound=reach_mm, workers=1)[0])
+        if self.statement is not None and self.statement.axis is not None:
+            is_wall = np.abs(normals @ self.statement.axis) < CANAL_COSINE
+            near |= is_wall & self.statement.covers(points_mm, reach_mm)
+        return near
+
+
 def find_openings(
     structures: Structures,
     labels: Segmentation,
@@ -207,7 +230,9 @@ def find_openings(
             if covered.any():
                 of_pair &= ~covered
                 one = _opening(contact[covered], pair, Verdict.STATED)
-                found.append(replace(one, stated_by=statement.words, asked_mm2=statement.asked_mm2))
+                found.append(
+                    replace(one, stated_by=statement.words, asked_mm2=statement.asked_mm2, statement=statement)
+                )
         if of_pair.any():
             found.append(_opening(contact[of_pair], pair, plain))
     return tuple(sorted(found, key=lambda one: (_WORST_FIRST.index(one.verdict), -one.area_mm2, one.labels)))
@@ -269,7 +294,13 @@ _DISCORDANT = _term_pairs(_OTHER_VENTRICLE)
 
 def _opening(contact: Contact, pair: tuple[Label, Label], verdict: Verdict) -> Opening:
     """Measure the faces of one pair; ``pair`` is by ascending value."""
-    return Opening((pair[0].value, pair[1].value), (pair[0].name, pair[1].name), *contact.extent(), verdict)
+    return Opening(
+        (pair[0].value, pair[1].value),
+        (pair[0].name, pair[1].name),
+        *contact.extent(),
+        verdict,
+        points_mm=contact.points_mm,
+    )
 
 
 def _statements(edits: Sequence[Edit], landmarks: Sequence[Landmark]) -> tuple[_Statement, ...]:

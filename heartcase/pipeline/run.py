@@ -139,6 +139,7 @@ def _finish(
     from heartcase.pipeline.openings import find_openings, opening_cautions, opening_figures
     from heartcase.pipeline.picking import picking_surface
     from heartcase.pipeline.report.build_report import build_report
+    from heartcase.pipeline.rims import with_rims
     from heartcase.pipeline.scan_part import scan_part
     from heartcase.pipeline.segment import segmentation_warnings
     from heartcase.pipeline.walls import structure_volumes_ml
@@ -175,12 +176,18 @@ def _finish(
     volumes_ml = structure_volumes_ml(structures)
     labels = labels_of(structures)
     openings = find_openings(structures, labels, recipe.edits, recipe.landmarks)
+    if surface is not None:
+        surface = with_rims(surface, openings, structures.geometry)
+    shown = (surface, *surface.levels) if surface is not None else ()
     outputs: dict[str, Any] = {"walls": structures, "grid": grid, "surface": surface, "map": grid_map}
     quality: dict[str, Any] = {
         "volumes_ml": {structures.table[value].name: round(volume, 3) for value, volume in volumes_ml.items()},
         "openings": opening_figures(openings),
     }
     quality |= {stage: output.quality for stage, output in outputs.items() if getattr(output, "quality", None)}
+    if grid_map is not None:
+        pairs = zip(shown[1:], grid_map.levels, strict=True)
+        quality["levels"] = [{"surface": one.quality, "map": tie.quality} for one, tie in pairs]
     warnings = worst_first(
         lock_warnings,
         scan.warnings,
@@ -203,7 +210,7 @@ def _finish(
         surface=surface,
         grid_map=grid_map,
         picking=picking_surface(grid) if Part.PICKING in recipe.parts else None,
-        glb=glb_bytes(surface, case_id=recipe.case_id) if surface is not None and Part.RENDER in recipe.parts else None,
+        glbs=[glb_bytes(one, case_id=recipe.case_id) for one in shown] if Part.RENDER in recipe.parts else (),
         labels_nrrd=segmentation_nrrd_bytes(labels, case_id=recipe.case_id) if Part.LABELS in recipe.parts else None,
         scan=scan_part(have(nodes.filtered).get()) if Part.SCAN in recipe.parts else None,
         landmarks=recipe.landmarks,

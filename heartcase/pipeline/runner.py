@@ -26,9 +26,9 @@ STAGE_VERSIONS = {
     "walls": 7,
     "edit": 2,
     "grid": 5,
-    "surface": 9,
-    "map": 3,
-    "bundle": 3,
+    "surface": 10,
+    "map": 4,
+    "bundle": 4,
 }
 """Raised whenever a stage's output changes for the same input, so that the cache forgets the old one."""
 

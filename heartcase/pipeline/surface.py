@@ -8,6 +8,7 @@ shrinks, but along creases, where marching cubes leaves saw teeth: there it is, 
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -31,7 +32,9 @@ from heartcase.pipeline.mesh.half_edges import opposites
 from heartcase.pipeline.mesh.normal_map import bake_normal_map
 from heartcase.pipeline.mesh.surface_error import ERROR_QUANTILE, fewest_triangles, two_sided_distances_mm
 from heartcase.pipeline.mesh.tags import TriangleTags, cut_faces, tag_keys, tag_triangles
-from heartcase.schemas.settings import SurfaceSettings
+from heartcase.pipeline.mesh.triangle_grid import TriangleGrid, triangle_grid
+from heartcase.schemas.settings import LEAST_MAP_SIZE, SurfaceSettings
+from heartcase.schemas.surface_kinds import plain_kinds
 
 __all__ = ["build_surface"]
 
@@ -47,15 +50,36 @@ SHOWN_SHARE = 1e-3
 """Triangles that are folded, without area or beyond the count asked for are warned of beyond this part of all."""
 
 
+@dataclass(frozen=True)
+class _Source:
+    """What all levels of detail are made from."""
+
+    structures: Structures
+    reader: FieldReader
+    whole: FullMesh
+    """As extracted."""
+    full: FullMesh
+    """Without specks, creases smoothed."""
+    dropped: Float64
+    """Volume of each speck, mm3."""
+    creased_count: int
+    mesh: TriangleGrid
+    """Triangles of the full mesh."""
+    volume_mm3: float
+    """Volume that it encloses."""
+    reach_mm: float
+    """How far from the full mesh the true surface may lie."""
+
+
 def build_surface(structures: Structures, settings: SurfaceSettings, *, render: bool = True) -> Surface:
-    """Make the visible surface of the tissue.
+    """Make the visible surface of the tissue, and its coarser levels of detail.
 
     Parameters
     ----------
     structures
         The fields.
     settings
-        Triangle count, size of the normal map, kind of atlas.
+        Triangle counts, size of the normal map, kind of atlas.
     render
         Whether to make the atlas and the normal map.
 
@@ -63,7 +87,8 @@ def build_surface(structures: Structures, settings: SurfaceSettings, *, render: 
     -------
     Surface
         Closed and manifold; with figures in ``quality``. Without ``render``, or with a map of size 0, render vertices
-        are the welded vertices, with zero texture coordinates and tangents, and the normal map is empty.
+        are the welded vertices, with zero texture coordinates and tangents, and the normal map is empty. No triangle
+        is a defect's rim yet (:mod:`heartcase.pipeline.rims`).
 
     Raises
     ------
@@ -91,6 +116,11 @@ def build_surface(structures: Structures, settings: SurfaceSettings, *, render: 
     still[full.triangles[is_cut]] = True
     full, creased = smooth_creases(full, still, opposite=opposite)
     reach = 0.5 * min(full.lattice.spacing_mm)
+    mesh, volume_mm3 = (
+        triangle_grid(full.vertices_mm, full.triangles),
+        enclosed_volume_mm3(full.vertices_mm, full.triangles),
+    )
+    source = _Source(structures, reader, whole, full, dropped, creased, mesh, volume_mm3, reach)
 
     def decimated(count: int) -> Decimated:
         return decimate_soundly(
@@ -101,22 +131,53 @@ def build_surface(structures: Structures, settings: SurfaceSettings, *, render: 
         coarse = decimated(settings.triangle_count)
     else:
         coarse = fewest_triangles(
-            full.vertices_mm, full.triangles, decimated, error_mm=settings.error_mm, most=settings.triangle_count
+            full.vertices_mm, mesh, decimated, error_mm=settings.error_mm, most=settings.triangle_count
         )
+    size = settings.normal_map_size if render else 0
+    surface = _finished(source, coarse, settings, size)
+    quality = surface.quality
+    warnings += _shape_warnings(quality, settings.triangle_count)
+    if settings.error_mm is not None and quality["distance_p99_mm"] > settings.error_mm:
+        warnings.append(
+            f"with {quality['triangle_count']} triangles 1% of the visible surface is "
+            f"{quality['distance_p99_mm']:.2g} mm or more off its full resolution, not {settings.error_mm:g} mm: allow "
+            "more with surface.triangle_count"
+        )
+    levels = _levels(source, surface, settings, size)
+    return replace(surface, warnings=tuple(warnings), levels=levels)
+
+
+def _levels(source: _Source, finest: Surface, settings: SurfaceSettings, size: int) -> tuple[Surface, ...]:
+    """Coarser levels of detail, each decimated from the one before it."""
+    levels: list[Surface] = []
+    size = max(size // 2, LEAST_MAP_SIZE) if size else 0
+    for count in settings.level_counts:
+        last = levels[-1] if levels else finest
+        if count >= len(last.triangles):
+            continue
+        coarse = decimate_soundly(
+            last.vertices_mm.astype(np.float64),
+            last.triangles,
+            last.triangle_kind.astype(np.int64) * 256 + last.triangle_label,
+            triangle_count=count,
+            reach_mm=source.reach_mm,
+        )
+        if len(coarse.triangles) < len(last.triangles):
+            levels.append(_finished(source, coarse, settings, size))
+    return tuple(levels)
+
+
+def _finished(source: _Source, coarse: Decimated, settings: SurfaceSettings, size: int) -> Surface:
+    """Tags, normals, atlas and normal map of ``size`` texels of a decimated mesh."""
+    reader, full, table = source.reader, source.full, source.structures.table
     triangles = coarse.triangles
     vertices_mm = coarse.vertices_mm.astype(np.float32)
     vertices = vertices_mm.astype(np.float64)
     tags = tag_triangles(reader, vertices, triangles, full.lattice)
-    normals = _vertex_normals(reader, vertices, triangles, tags.is_cut, reach)
-    quality = _quality(structures, whole, full, dropped, coarse, vertices, tags, creased)
-    warnings += _shape_warnings(quality, settings.triangle_count)
-    if settings.error_mm is not None and quality["distance_p99_mm"] > settings.error_mm:
-        warnings.append(
-            f"with {len(triangles)} triangles 1% of the visible surface is {quality['distance_p99_mm']:.2g} mm or more "
-            f"off its full resolution, not {settings.error_mm:g} mm: allow more with surface.triangle_count"
-        )
-    if render and settings.normal_map_size > 0:
-        atlas = make_atlas(vertices, triangles, size=settings.normal_map_size, method=settings.atlas)
+    normals = _vertex_normals(reader, vertices, triangles, tags.is_cut, source.reach_mm)
+    quality = _quality(source, coarse, vertices, tags)
+    if size > 0:
+        atlas = make_atlas(vertices, triangles, size=size, method=settings.atlas)
         render_tangents = tangents(atlas, vertices_mm, normals)
         normal_map = bake_normal_map(
             reader,
@@ -125,9 +186,9 @@ def build_surface(structures: Structures, settings: SurfaceSettings, *, render: 
             normals,
             render_tangents,
             tags.is_cut,
-            size=settings.normal_map_size,
-            reach_mm=reach,
-            full=(full.vertices_mm, full.triangles) if settings.baker == "exact" else None,
+            size=size,
+            reach_mm=max(source.reach_mm, quality["distance_p99_mm"]),
+            full=(full.vertices_mm, full.triangles, source.mesh) if settings.baker == "exact" else None,
         )
         quality |= {
             "chart_count": atlas.chart_count,
@@ -146,16 +207,16 @@ def build_surface(structures: Structures, settings: SurfaceSettings, *, render: 
         triangle_label=tags.void,
         triangle_tissue=tags.tissue,
         triangle_is_cut=tags.is_cut.astype(np.uint8),
+        triangle_kind=plain_kinds(tags.void, tags.tissue, tags.is_cut, table),
         normals=normals,
         vertex_label=_vertex_labels(len(vertices), triangles, tags.void),
-        table=structures.table,
+        table=table,
         render_to_welded=atlas.render_to_welded,
         render_triangles=atlas.triangles,
         render_uv=atlas.uv,
         render_tangents=render_tangents,
         normal_map=normal_map,
         quality=quality,
-        warnings=tuple(warnings),
     )
 
 
@@ -224,21 +285,12 @@ def _vertex_normals(reader: FieldReader, vertices: Float64, triangles: Int32, is
     return normal.astype(np.float32)
 
 
-def _quality(
-    structures: Structures,
-    whole: FullMesh,
-    full: FullMesh,
-    dropped: Float64,
-    coarse: Decimated,
-    vertices: Float64,
-    tags: TriangleTags,
-    creased: int,
-) -> dict[str, Any]:
+def _quality(source: _Source, coarse: Decimated, vertices: Float64, tags: TriangleTags) -> dict[str, Any]:
+    structures, full = source.structures, source.full
     triangles = coarse.triangles
     _, _, area = _faces(vertices, triangles)
-    both = two_sided_distances_mm(full.vertices_mm, full.triangles, vertices, triangles)
+    both = two_sided_distances_mm(full.vertices_mm, source.mesh, vertices, triangles)
     _, volumes = shell_volumes(vertices, triangles)
-    full_volume = enclosed_volume_mm3(full.vertices_mm, full.triangles)
     edges = 3 * len(triangles) // 2
     names = {0: "outside", **{label.value: label.name for label in structures.table if label.value != 0}}
     areas = {
@@ -254,17 +306,17 @@ def _quality(
         "vertex_count": len(vertices),
         **mesh_defects(vertices, triangles),
         "flipped_triangle_count": int(folded_triangles(vertices, triangles).sum()),
-        "creased_vertex_count": creased,
+        "creased_vertex_count": source.creased_count,
         "relaxed_vertex_count": coarse.relaxed_count,
         "care_rounds": coarse.care_rounds,
         "self_intersection_count": len(coarse.crossing_pairs),
         "euler_characteristic": len(vertices) - edges + len(triangles),
         "shell_count": len(volumes),
         "component_count": int((volumes > 0.0).sum()),
-        "dropped_shell_count": len(dropped),
-        "dropped_volume_mm3": round(float(np.abs(dropped).sum()), 3),
+        "dropped_shell_count": len(source.dropped),
+        "dropped_volume_mm3": round(float(np.abs(source.dropped).sum()), 3),
         "volume_ml": round(float(volumes.sum()) / 1000.0, 4),
-        "volume_change_fraction": round(float(volumes.sum() / full_volume) - 1.0, 6),
+        "volume_change_fraction": round(float(volumes.sum() / source.volume_mm3) - 1.0, 6),
         "distance_mean_mm": round(float(both.mean()), 5),
         "distance_p99_mm": round(float(np.quantile(both, ERROR_QUANTILE)), 5),
         "distance_max_mm": round(float(both.max()), 5),

@@ -7,7 +7,7 @@ describes; :mod:`heartcase.schemas.bundle_reader` opens.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Annotated, Any
 
@@ -24,6 +24,8 @@ __all__ = [
     "ARRAYS",
     "FORMAT_NAME",
     "FORMAT_VERSION",
+    "LEVELS",
+    "LEVEL_MAX",
     "MANIFEST_NAME",
     "ArrayEntry",
     "ArraySpec",
@@ -37,7 +39,7 @@ __all__ = [
 ]
 
 FORMAT_NAME = "heartcase-bundle"
-FORMAT_VERSION = "1.1"
+FORMAT_VERSION = "1.2"
 MANIFEST_NAME = "case.json"
 
 ALIGNMENT = 64
@@ -58,6 +60,48 @@ class FileRole(StrEnum):
     RENDER = "render"
     LABELS = "labels"
     SCAN = "scan"
+    SURFACE_1 = "surface_1"
+    MAPPING_1 = "mapping_1"
+    RENDER_1 = "render_1"
+    SURFACE_2 = "surface_2"
+    MAPPING_2 = "mapping_2"
+    RENDER_2 = "render_2"
+
+    @property
+    def level(self) -> int:
+        """Level of detail: 0 is the finest, and what does not come in levels."""
+        return LEVELS.get(self, (self, 0))[1]
+
+    @property
+    def finest(self) -> FileRole:
+        """The role of the same kind at level 0."""
+        return LEVELS.get(self, (self, 0))[0]
+
+    def at(self, level: int) -> FileRole:
+        """The role of the same kind at another level of detail; what does not come in levels is itself.
+
+        Raises
+        ------
+        ValueError
+            The format has no such level: there are 0 to :data:`LEVEL_MAX`.
+        """
+        if not 0 <= level <= LEVEL_MAX:
+            raise ValueError(f"there is no level of detail {level}")
+        return next((role for role, place in LEVELS.items() if place == (self.finest, level)), self.finest)
+
+
+LEVELS: dict[FileRole, tuple[FileRole, int]] = {
+    FileRole.SURFACE_1: (FileRole.SURFACE, 1),
+    FileRole.MAPPING_1: (FileRole.MAPPING, 1),
+    FileRole.RENDER_1: (FileRole.RENDER, 1),
+    FileRole.SURFACE_2: (FileRole.SURFACE, 2),
+    FileRole.MAPPING_2: (FileRole.MAPPING, 2),
+    FileRole.RENDER_2: (FileRole.RENDER, 2),
+}
+"""Coarser levels of detail: role -> the role of the finest level, and the number of the level."""
+
+LEVEL_MAX = 2
+"""Coarsest level of detail that the format has."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +118,21 @@ class ArraySpec:
     """SI unit or mm; ``1`` for pure numbers."""
     meaning: str
     """One line."""
+    since: str = "1.0"
+    """Version of the format that has it first."""
+
+    def is_in(self, version: str | None) -> bool:
+        """Whether every case of a version has it; where the version is not known, whether those of any have."""
+        return _numbers(self.since) <= _numbers(version or "1.0")
+
+    def at(self, level: int) -> ArraySpec:
+        """The same array at a coarser level of detail, with counts of its own."""
+        shape = tuple(f"{n}_{level}" if isinstance(n, str) and n != "node_count" else n for n in self.shape)
+        return replace(self, shape=shape)
+
+
+def _numbers(version: str) -> tuple[int, ...]:
+    return tuple(int(part) for part in version.split("."))
 
 
 ARRAYS: dict[FileRole, tuple[ArraySpec, ...]] = {
@@ -95,6 +154,7 @@ ARRAYS: dict[FileRole, tuple[ArraySpec, ...]] = {
         ArraySpec("triangle_is_cut", "uint8", ("triangle_count",), "1", "1 on faces where the tissue was cut off"),
         ArraySpec("vertex_label", "uint8", ("vertex_count",), "1", "label of the void at the vertex"),
         ArraySpec("render_to_welded", "int32", ("render_vertex_count",), "1", "welded vertex of each GLB vertex"),
+        ArraySpec("triangle_kind", "uint8", ("triangle_count",), "1", "1 endocardium to 7 cut face", since="1.2"),
     ),
     FileRole.MAPPING: (
         ArraySpec("triangle_nodes", "int32", ("vertex_count", 3), "1", "nodes of the vertex's triangle"),
@@ -119,6 +179,9 @@ ARRAYS: dict[FileRole, tuple[ArraySpec, ...]] = {
             "filtered scan on scan_geometry, [k][j][i]; intensity = slope * value + intercept of scan_values",
         ),
     ),
+}
+ARRAYS |= {
+    role: tuple(spec.at(n) for spec in ARRAYS[role.finest]) for role, (finest, n) in LEVELS.items() if finest in ARRAYS
 }
 """The arrays of each safetensors role. Node and vertex numbers are checked to lie in range on opening."""
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from heartcase.schemas.bundle import MANIFEST_NAME, CaseManifest, FileRole
+from heartcase.schemas.bundle import LEVEL_MAX, MANIFEST_NAME, CaseManifest, FileRole
 from heartcase.schemas.bundle_containers import labels_problems, render_problems, safetensors_problems
 from heartcase.schemas.bundle_manifest import listed_files, read_manifest, salvaged_manifest, stated
 from heartcase.schemas.bundle_reader import OpenBundle, inspect_files, stated_problems
@@ -49,15 +50,27 @@ def check_bundle(path: Path | str) -> tuple[Problem, ...]:
     problems += [*found, *stated_problems(bundle), *figure_problems(manifest)]
     parts, found = _parts(bundle)
     problems += found
-    for check in (grid_problems, surface_problems, mapping_problems, picking_problems):
+    for check in (grid_problems, picking_problems):
         problems += check(manifest, parts)
+    for level in range(LEVEL_MAX + 1):
+        # The surface's checks know one level: a coarser one is shown to them as if it were the finest.
+        at_level = parts | {role: parts.get(role.at(level), {}) for role in (FileRole.SURFACE, FileRole.MAPPING)}
+        found = [*surface_problems(manifest, at_level), *mapping_problems(manifest, at_level)]
+        if _is_there(bundle, FileRole.RENDER.at(level)):
+            found += render_problems(manifest, bundle.path(FileRole.RENDER.at(level)), at_level)
+        problems += [_at_level(problem, level) for problem in found]
     for role, layout in bundle.headers.items():
         problems += safetensors_problems(bundle.path(role), role, layout, stated(manifest, "format_version"))
     if _is_there(bundle, FileRole.LABELS):
         problems += labels_problems(manifest, bundle.path(FileRole.LABELS))
-    if _is_there(bundle, FileRole.RENDER):
-        problems += render_problems(manifest, bundle.path(FileRole.RENDER), parts)
     return tuple(dict.fromkeys(problems))
+
+
+def _at_level(problem: Problem, level: int) -> Problem:
+    """A problem of the surface's parts, at the level where it was found."""
+    names = problem.place.split(".")
+    roles = {role.value: role.at(level).value for role in FileRole if role.level == 0}
+    return replace(problem, place=".".join(roles.get(name, name) for name in names))
 
 
 def _parts(bundle: OpenBundle) -> tuple[dict[FileRole, Arrays], list[Problem]]:

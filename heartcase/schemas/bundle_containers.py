@@ -25,6 +25,7 @@ from heartcase.schemas.errors import Problem
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.safetensors_layout import Layout
 from heartcase.schemas.strict_json import parse_json
+from heartcase.schemas.surface_kinds import group_labels
 
 __all__ = ["labels_problems", "render_problems", "safetensors_problems"]
 
@@ -55,7 +56,7 @@ def safetensors_problems(file: Path, role: FileRole, layout: Layout, version: st
     size = file.stat().st_size
     for name, (begin, end) in layout.others.items():
         if not re.fullmatch(r"_pad[0-9]{1,9}", name):
-            if version in ("1.0", FORMAT_VERSION):
+            if version in ("1.0", "1.1", FORMAT_VERSION):
                 yield Problem(place, "holds an array that the format does not have")
         elif 0 <= begin <= end <= size and _has_bytes(file, begin, end):
             yield Problem(place, "the padding between its arrays is not zero")
@@ -198,13 +199,13 @@ def _shown_problems(
             yield Problem(place, f"its {key} are not those of the surface part")
     if any(len(some) and int(some.max()) >= len(welded) for some in corners):
         yield Problem(place, "its triangles name vertices that it does not have")
-    elif {"triangles", "triangle_label", "triangle_is_cut"} <= set(surface):
-        expected = _by_void(surface)
+    elif {"triangles", "triangle_label", "triangle_tissue", "triangle_is_cut"} <= set(surface):
+        expected = _by_kind(surface) if "triangle_kind" in surface else _by_void(surface)
         is_same = len(expected) == len(corners) and all(
             np.array_equal(_ordered(welded[some]), _ordered(want)) for some, want in zip(corners, expected, strict=True)
         )
         if not is_same:
-            yield Problem(place, "its triangles are not those of the surface part, void by void")
+            yield Problem(place, "its triangles are not those of the surface part, kind by kind")
     tangent, found = parts.get(FileRole.MAPPING, {}).get("tangent"), rest_basis(manifest, parts)
     if tangent is None or found is None or "TANGENT" not in shown or len(tangent) != len(welded):
         return
@@ -217,10 +218,17 @@ def _shown_problems(
 
 
 def _by_void(surface: Arrays) -> list[npt.NDArray[Any]]:
-    """The triangles beside each void, by ascending label, then those of cut faces."""
+    """Before version 1.2: the triangles beside each void, by ascending label, then those of cut faces."""
     label, is_cut = surface["triangle_label"], surface["triangle_is_cut"] != 0
     beside = [surface["triangles"][~is_cut & (label == void)] for void in np.unique(label[~is_cut])]
     return [*beside, surface["triangles"][is_cut]] if is_cut.any() else beside
+
+
+def _by_kind(surface: Arrays) -> list[npt.NDArray[Any]]:
+    """The triangles of each kind, ascending, and within a kind by label where they are told apart by it."""
+    kinds = surface["triangle_kind"]
+    group = 256 * kinds.astype(np.int64) + group_labels(kinds, surface["triangle_label"], surface["triangle_tissue"])
+    return [surface["triangles"][group == one] for one in np.unique(group)]
 
 
 def _ordered(triangles: npt.NDArray[Any]) -> npt.NDArray[np.int64]:

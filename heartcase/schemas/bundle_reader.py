@@ -15,11 +15,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.schemas.bundle import ARRAYS, CaseManifest, FileRole
+from heartcase.schemas.bundle import ARRAYS, LEVEL_MAX, LEVELS, CaseManifest, FileRole
 from heartcase.schemas.bundle_manifest import KNOWN_EXTENSIONS, MANIFEST_SIZE_MAX, read_manifest, stated
 from heartcase.schemas.coordinates import Coordinates
 from heartcase.schemas.errors import BundleError, Problem
 from heartcase.schemas.safetensors_layout import Layout, count_problems, listing_problems, map_array, read_layout
+from heartcase.schemas.surface_kinds import SurfaceKind
 
 __all__ = [
     "KNOWN_EXTENSIONS",
@@ -38,6 +39,12 @@ _INDEX_ARRAYS: dict[tuple[FileRole, str], str] = {
     (FileRole.MAPPING, "nearest_node"): "node_count",
     (FileRole.PICKING, "nodes"): "node_count",
     (FileRole.PICKING, "triangles"): "picking_vertex_count",
+}
+_INDEX_ARRAYS |= {
+    (role, name): count if count == "node_count" else f"{count}_{level}"
+    for role, (finest, level) in LEVELS.items()
+    for (one, name), count in _INDEX_ARRAYS.items()
+    if one is finest
 }
 _LABEL_ARRAYS = {"cell_label", "triangle_label", "triangle_tissue", "vertex_label"}
 _LARGEST = {"cell_coverage": 1.0, "cell_stiffness": 1e6, "cell_density": 2e4}
@@ -78,6 +85,11 @@ class OpenBundle:
         """Whether the case was made with this part."""
         return self.manifest.file(role) is not None
 
+    @property
+    def levels(self) -> tuple[int, ...]:
+        """Levels of detail of the surface that the case has, 0 being the finest; none where it has no surface."""
+        return tuple(level for level in range(LEVEL_MAX + 1) if self.has(FileRole.SURFACE.at(level)))
+
     def arrays(self, role: FileRole, names: Sequence[str] | None = None) -> dict[str, npt.NDArray[Any]]:
         """Map the arrays of a part into memory, read-only, and check their values.
 
@@ -93,7 +105,9 @@ class OpenBundle:
         BundleError
             The part is absent, or values are out of range or not finite; all problems at once.
         """
-        wanted = [spec.name for spec in ARRAYS[role]] if names is None else list(names)
+        # A case of an older version lacks what came later.
+        there = self.headers[role].arrays if role in self.headers else [spec.name for spec in ARRAYS[role]]
+        wanted = [spec.name for spec in ARRAYS[role] if spec.name in there] if names is None else list(names)
         loaded = {name: self.inspect_array(role, name) for name in wanted}
         problems = [problem for _, found in loaded.values() for problem in found]
         if problems:
@@ -129,6 +143,8 @@ class OpenBundle:
                     yield Problem(place, "holds label values that the label table does not have")
             elif name in _FLAG_ARRAYS and int(array.max()) > 1:
                 yield Problem(place, "must be 0 or 1")
+            if name == "triangle_kind" and not np.isin(array, list(SurfaceKind)).all():
+                yield Problem(place, f"must be one of {min(SurfaceKind)} to {max(SurfaceKind)}")
             if name in _LARGEST:
                 if not (array > 0).all():
                     yield Problem(place, "must be above zero everywhere")
@@ -180,7 +196,7 @@ def inspect_files(directory: Path, manifest: CaseManifest) -> tuple[OpenBundle, 
         if (size := file.stat().st_size) != entry.size:
             problems.append(Problem(place, f"has {size} bytes instead of {entry.size}: it was changed"))
         if entry.role in ARRAYS:
-            headers[entry.role], found = read_layout(file, entry.role)
+            headers[entry.role], found = read_layout(file, entry.role, stated(manifest, "format_version"))
             problems += found
             found = count_problems(entry.role, headers[entry.role], counts)
             misfits |= {problem.place for problem in found}

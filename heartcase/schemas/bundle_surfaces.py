@@ -12,7 +12,9 @@ from heartcase.schemas.bundle_manifest import stated
 from heartcase.schemas.bundle_values import Arrays, Parts
 from heartcase.schemas.errors import Problem
 from heartcase.schemas.geometry import Geometry
+from heartcase.schemas.labels import LabelTable
 from heartcase.schemas.lattice import cell_nodes
+from heartcase.schemas.surface_kinds import SurfaceKind, plain_kinds
 
 __all__ = ["mapping_problems", "picking_problems", "rest_basis", "surface_problems"]
 
@@ -33,6 +35,7 @@ def surface_problems(manifest: CaseManifest, parts: Parts) -> Iterable[Problem]:
     """The visible surface by itself: closed, outwards, its normals unit and outwards too."""
     surface = parts.get(FileRole.SURFACE, {})
     vertices, triangles, normals = (surface.get(name) for name in ("vertices", "triangles", "normals"))
+    yield from _kind_problems(manifest, surface)
     if normals is not None and len(normals):
         lengths = np.linalg.norm(normals.astype(np.float64), axis=1)
         if np.abs(lengths - 1.0).max() > DIRECTION_TOLERANCE:
@@ -52,6 +55,18 @@ def surface_problems(manifest: CaseManifest, parts: Parts) -> Iterable[Problem]:
             np.add.at(facing, triangles[:, corner], faces)
         if 2 * np.count_nonzero((facing * normals).sum(axis=1) > 0.0) < len(points):
             yield Problem("surface.normals", "point into the tissue: the case would be lit from inside")
+
+
+def _kind_problems(manifest: CaseManifest, surface: Arrays) -> Iterable[Problem]:
+    """The kinds must follow from the labels on both sides; whether a triangle is a defect's rim, nothing else says."""
+    names = ("triangle_kind", "triangle_label", "triangle_tissue", "triangle_is_cut")
+    labels = stated(manifest, "labels")
+    if not isinstance(labels, LabelTable) or not set(names) <= set(surface):
+        return
+    kinds, void, tissue, is_cut = (surface[name] for name in names)
+    wrong = kinds != plain_kinds(void, tissue, is_cut, labels)
+    if (wrong & ((kinds != SurfaceKind.DEFECT_RIM) | (is_cut != 0))).any():
+        yield Problem("surface.triangle_kind", "does not fit the labels on both sides of the triangles")
 
 
 def _is_closed(triangles: npt.NDArray[np.int32]) -> bool:

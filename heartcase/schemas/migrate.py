@@ -111,6 +111,11 @@ BUNDLE_CHANGES: dict[str, tuple[str, ...]] = {
         "the case has an identifier that is on every output",
         "the filtered scan can be a part of the case, for a simulator that shows slices",
     ),
+    "1.2": (
+        "every triangle of the surface has a kind: endocardium, epicardium, a vessel's inside or outside, a device, a "
+        "defect's rim, a cut face; the GLB has a primitive for each",
+        "the surface can come in coarser levels of detail, each with its own normal map and mapping",
+    ),
 }
 """Minor version of the bundle's format -> what it added."""
 

@@ -39,8 +39,10 @@ class Layout:
     """What the header holds under ``__metadata__``."""
 
 
-def read_layout(file: Path, role: FileRole) -> tuple[Layout, list[Problem]]:
+def read_layout(file: Path, role: FileRole, version: str | None) -> tuple[Layout, list[Problem]]:
     """Read the layout of a safetensors file: length of the header (8 bytes, little-endian), JSON, then the data.
+
+    ``version`` is the format's, None where it is not known: an array that came later is not missed.
 
     Returns
     -------
@@ -68,7 +70,8 @@ def read_layout(file: Path, role: FileRole) -> tuple[Layout, list[Problem]]:
     for spec in ARRAYS[role]:
         where = f"{role.value}.{spec.name}"
         if spec.name not in spans:
-            problems.append(Problem(where, "is missing"))
+            if spec.is_in(version):
+                problems.append(Problem(where, "is missing"))
             continue
         dtype, shape, *offsets = spans.pop(spec.name)
         begin, end = offsets if len(offsets) == 2 else (0, -1)

@@ -11,6 +11,7 @@ from heartcase.schemas.errors import Problem
 from heartcase.schemas.labels import LabelTable
 
 __all__ = [
+    "LEAST_MAP_SIZE",
     "Convention",
     "EndMarker",
     "FilterSettings",
@@ -249,6 +250,10 @@ class GridSettings(Model):
         return self
 
 
+LEAST_MAP_SIZE = 128
+"""Edge of the smallest normal map, in texels."""
+
+
 class SurfaceSettings(Model):
     """Extraction, decimation and normal map of the surface (thesis 11.2.2)."""
 
@@ -256,6 +261,9 @@ class SurfaceSettings(Model):
     """Triangles after decimation; the full surface is kept where it has fewer. With error_mm the most there may be."""
     error_mm: Annotated[float, Field(gt=0.0, le=10.0)] | None = None
     """Take as few triangles as keep 99% of the surface within so many mm of its full resolution."""
+    level_counts: Annotated[tuple[Annotated[int, Field(ge=100)], ...], Field(max_length=2)] = (20_000, 5_000)
+    """Triangles of coarser levels of detail, from fine to coarse, each with a mapping and a normal map of its own, of
+    half the size; a level that would not be coarser than the one before it is left out."""
     normal_map_size: Annotated[int, Field(ge=0, le=8192)] = 1024
     """Edge of the normal map in texels; 0 makes neither atlas nor normal map."""
     atlas: Literal["cone", "xatlas"] = "cone"
@@ -265,8 +273,10 @@ class SurfaceSettings(Model):
 
     @model_validator(mode="after")
     def _map_has_room(self) -> SurfaceSettings:
-        if 0 < self.normal_map_size < 128:
-            raise ValueError("normal_map_size must be 0 (no normal map) or at least 128")
+        if 0 < self.normal_map_size < LEAST_MAP_SIZE:
+            raise ValueError(f"normal_map_size must be 0 (no normal map) or at least {LEAST_MAP_SIZE}")
+        if list(self.level_counts) != sorted(set(self.level_counts), reverse=True):
+            raise ValueError("level_counts must fall from one level to the next")
         return self
 
 

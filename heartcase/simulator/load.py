@@ -61,7 +61,11 @@ class Case:
 
 
 def load_case(
-    path: Path | str, *, needs: Sequence[Need] = ("grid", "surface"), curvature: Curvature = "flagged"
+    path: Path | str,
+    *,
+    needs: Sequence[Need] = ("grid", "surface"),
+    curvature: Curvature = "flagged",
+    level: int = 0,
 ) -> Case:
     """Load a case bundle.
 
@@ -73,11 +77,13 @@ def load_case(
         What the scene needs; nothing else is read.
     curvature
         Where the surface follows the interpolated basis: per-vertex flag, everywhere, nowhere.
+    level
+        Level of detail of the surface: 0 is the finest; other levels are not read.
 
     Raises
     ------
     UsageError
-        A need is unknown.
+        A need is unknown, or the case does not have the level.
     BundleError
         The bundle is broken, or was made without a part that is needed.
     """
@@ -85,13 +91,16 @@ def load_case(
     if unknown:
         raise UsageError(f"a scene cannot need {', '.join(unknown)}; it can need {', '.join(get_args(Need))}")
     bundle = open_bundle(path)
-    model = _model(bundle)
     wants_surface = bool({"surface", "tangents", "colours"} & set(needs))
+    if wants_surface and level not in bundle.levels:
+        there = ", ".join(map(str, bundle.levels)) or "no surface at all"
+        raise UsageError(f"the case has no level of detail {level}; it has {there}", place="level")
+    model = _model(bundle)
     return Case(
         manifest=bundle.manifest,
         model=model,
-        surface=_surface(bundle, model, curvature, tangents="tangents" in needs) if wants_surface else None,
-        triangle_colours=_triangle_colours(bundle) if "colours" in needs else None,
+        surface=_surface(bundle, model, curvature, level, tangents="tangents" in needs) if wants_surface else None,
+        triangle_colours=_triangle_colours(bundle, level) if "colours" in needs else None,
         picking=make_picking(model, **bundle.arrays(FileRole.PICKING, ("nodes", "triangles")))
         if "picking" in needs
         else None,
@@ -121,10 +130,12 @@ def _model(bundle: OpenBundle) -> LatticeModel:
         raise BundleError(error.problems) from None
 
 
-def _surface(bundle: OpenBundle, model: LatticeModel, curvature: Curvature, *, tangents: bool) -> SurfaceModel:
+def _surface(
+    bundle: OpenBundle, model: LatticeModel, curvature: Curvature, level: int, *, tangents: bool
+) -> SurfaceModel:
     names = ["triangle_nodes", "weights", "offset", "normal", "curvature"]
-    mapping = bundle.arrays(FileRole.MAPPING, [*names, "tangent"] if tangents else names)
-    mesh = bundle.arrays(FileRole.SURFACE, ["triangles", "render_to_welded"] if tangents else ["triangles"])
+    mapping = bundle.arrays(FileRole.MAPPING.at(level), [*names, "tangent"] if tangents else names)
+    mesh = bundle.arrays(FileRole.SURFACE.at(level), ["triangles", "render_to_welded"] if tangents else ["triangles"])
     return make_surface(
         model,
         triangle_nodes=mapping["triangle_nodes"],
@@ -139,9 +150,9 @@ def _surface(bundle: OpenBundle, model: LatticeModel, curvature: Curvature, *, t
     )
 
 
-def _triangle_colours(bundle: OpenBundle) -> npt.NDArray[np.uint8]:
+def _triangle_colours(bundle: OpenBundle, level: int) -> npt.NDArray[np.uint8]:
     """Colour of the cavity that a triangle faces; outside, of the tissue behind it."""
-    mesh = bundle.arrays(FileRole.SURFACE, ("triangle_label", "triangle_tissue"))
+    mesh = bundle.arrays(FileRole.SURFACE.at(level), ("triangle_label", "triangle_tissue"))
     palette = np.zeros((256, 3), np.uint8)
     for label in bundle.manifest.labels:
         palette[label.value] = [int(label.colour[at : at + 2], 16) for at in (1, 3, 5)]

@@ -415,9 +415,9 @@ def test_a_target_that_cannot_be_written_is_told(whole, tmp_path, capsys):
 
 def test_a_surface_that_is_not_closed_is_refused(whole, tmp_path, capsys, monkeypatch):
 
-    def with_a_gap(bundle):
-        mesh = hollow_model(bundle)
-        names = ("triangles", "triangle_label", "triangle_tissue", "triangle_is_cut")
+    def with_a_gap(bundle, **more):
+        mesh = hollow_model(bundle, **more)
+        names = ("triangles", "triangle_label", "triangle_tissue", "triangle_is_cut", "triangle_kind")
         return replace(mesh, **{name: getattr(mesh, name)[1:] for name in names})
 
     hollow_model = models.hollow_model

@@ -37,7 +37,8 @@ def run(*arguments):
 
 
 def test_the_stages_one_by_one_make_the_case_that_build_makes(work):
-    recipe = work / "ball.toml"
+    levels = "level_counts = [600, 250]\n"
+    recipe = write_ball_recipe(work / "scan.nii.gz", work / "levels.toml", surface=levels)
     steps = [
         ("filter", work / "scan.nii.gz", work / "filtered.safetensors", "--recipe", recipe),
         ("segment", work / "filtered.safetensors", work / "labels.safetensors", "--recipe", recipe),
@@ -57,7 +58,8 @@ def test_the_stages_one_by_one_make_the_case_that_build_makes(work):
         assert run(*step) == 0, step
     by_hand, built = open_bundle(work / "by-hand" / "ball.case"), open_bundle(work / "ball.case")
     assert check_bundle(work / "by-hand" / "ball.case") == ()
-    for role in set(FileRole) - {FileRole.SCAN}:
+    assert {entry.role for entry in built.manifest.files} == set(FileRole) - {FileRole.SCAN}
+    for role in (entry.role for entry in built.manifest.files):
         assert by_hand.manifest.file(role).sha256 == built.manifest.file(role).sha256, role
 
 

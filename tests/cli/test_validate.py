@@ -128,8 +128,8 @@ PLANTS: dict[str, tuple[Plant, str, str]] = {
     ),
     "another void": (
         values("surface", "triangle_label", lambda a: [0] * len(a)),
-        "files.render",
-        "void by void",
+        "surface.triangle_kind",
+        "both sides",
     ),
     "no material": (in_manifest(lambda m: m["materials"].pop(0)), "materials", "none"),
     "two materials": (in_manifest(lambda m: m["materials"].append(m["materials"][-1])), "materials", "more than one"),

@@ -22,6 +22,7 @@ from heartcase.schemas.labels import Label, LabelTable, Role
 from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.lattice import cell_nodes
 from heartcase.schemas.settings import MapSettings
+from heartcase.schemas.surface_kinds import plain_kinds
 
 __all__ = ["CASE_NAME", "LANDMARKS", "golden_content"]
 
@@ -120,6 +121,7 @@ def _surface(grid: SimulationGrid) -> Surface:
     around = [np.stack([quads[:, n], quads[:, (n + 1) % 4], centre], axis=1) for n in range(4)]
     triangles = np.stack(around, axis=1).reshape(-1, 3).astype(np.int32)
     triangle_label = np.repeat(grid.face_label, 4)
+    triangle_tissue = np.repeat(grid.cell_label[grid.face_cell], 4)
     vertex_label = np.full(len(places), 255, np.uint8)
     np.minimum.at(vertex_label, triangles.ravel(), np.repeat(triangle_label, 3))
     world = normals @ grid.geometry.direction_matrix.T
@@ -131,8 +133,9 @@ def _surface(grid: SimulationGrid) -> Surface:
         vertices_mm=grid.geometry.index_to_world(places - 0.5).astype(np.float32),
         triangles=triangles,
         triangle_label=triangle_label,
-        triangle_tissue=np.repeat(grid.cell_label[grid.face_cell], 4),
+        triangle_tissue=triangle_tissue,
         triangle_is_cut=np.repeat(is_cut, 4).astype(np.uint8),
+        triangle_kind=plain_kinds(triangle_label, triangle_tissue, np.repeat(is_cut, 4), grid.table),
         normals=world.astype(np.float32),
         vertex_label=vertex_label,
         table=grid.table,
@@ -183,7 +186,7 @@ def golden_content() -> BundleContent:
         surface=surface,
         grid_map=map_surface(surface, grid, MapSettings()),
         picking=picking_surface(grid),
-        glb=glb_bytes(surface, case_id=CASE_ID),
+        glbs=[glb_bytes(surface, case_id=CASE_ID)],
         scan=scan_part(scan),
         landmarks=_landmarks(grid),
     )

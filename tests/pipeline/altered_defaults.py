@@ -28,6 +28,7 @@ CANDIDATES: list[Any] = [
     [{"label": "cavity", "lower": 2.0}],
     [{"value": 3, "name": "cavity", "role": "blood"}],
     ["picking"],
+    [9_000],
     ["lung"],
     {"center_mm": _POINT, "size_mm": (9.0, 9.0, 9.0)},
     {"cavity": {}},

@@ -12,6 +12,7 @@ from heartcase.pipeline.data import Structures, Surface
 from heartcase.pipeline.fields import ownership_at_points, ownership_on_lattice
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import Label, LabelTable, Role
+from heartcase.schemas.surface_kinds import SurfaceKind
 
 Points = npt.NDArray[np.float64]
 Distance = Callable[[Points], Points]
@@ -129,6 +130,7 @@ def surface_of(made: Structures) -> Surface:
         triangle_label=label[triangles].min(axis=1),
         triangle_tissue=np.full(len(triangles), WALL, np.uint8),
         triangle_is_cut=np.zeros(len(triangles), np.uint8),
+        triangle_kind=np.full(len(triangles), SurfaceKind.ENDOCARDIUM, np.uint8),
         normals=normals.astype(np.float32),
         vertex_label=label,
         table=made.table,

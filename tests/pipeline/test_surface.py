@@ -22,6 +22,7 @@ from heartcase.pipeline.mesh.extract import (
 )
 from heartcase.pipeline.mesh.intersections import self_intersections
 from heartcase.pipeline.mesh.mesh_distance import mesh_distance_mm
+from heartcase.pipeline.mesh.triangle_grid import triangle_grid
 from heartcase.pipeline.surface import build_surface
 from heartcase.schemas.errors import StageError
 from heartcase.schemas.labels import Label, LabelTable, Role
@@ -263,7 +264,7 @@ def test_distance_to_a_mesh_matches_an_independent_library():
     rng = np.random.default_rng(3)
     ball = trimesh.creation.icosphere(subdivisions=2, radius=5.0)
     queries = rng.uniform(-9.0, 9.0, (500, 3))
-    ours = mesh_distance_mm(queries, np.array(ball.vertices), np.array(ball.faces, dtype=np.int32))
+    ours = mesh_distance_mm(queries, triangle_grid(np.array(ball.vertices), np.array(ball.faces, dtype=np.int32)))
     mesh = pv.PolyData.from_regular_faces(np.array(ball.vertices), np.array(ball.faces))
     _, closest = mesh.find_closest_cell(queries, return_closest_point=True)
     assert ours == pytest.approx(np.linalg.norm(queries - closest, axis=1), abs=1e-5)

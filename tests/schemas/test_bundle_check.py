@@ -233,7 +233,7 @@ def test_tangents_are_those_of_the_glb_at_rest(tmp_path: Path) -> None:
         surface=surface,
         grid_map=map_surface(surface, grid, MapSettings()),
         picking=picking,
-        glb=glb_bytes(surface),
+        glbs=[glb_bytes(surface)],
     )
     write_bundle(tmp_path / "t.case", content)
     assert said(tmp_path / "t.case") == []

@@ -89,7 +89,8 @@ def grid_hexahedra(bundle: OpenBundle) -> Hexahedra:
 def surface_bytes(mesh: TaggedMesh, suffix: str) -> bytes:
     """Content of a .vtu or .vtk file of a surface, LPS mm.
 
-    Points have ``normals``; triangles have ``triangle_label``, ``triangle_tissue`` and ``triangle_is_cut``.
+    Points have ``normals``; triangles have ``triangle_label``, ``triangle_tissue``, ``triangle_is_cut``, and those of
+    a hollow model ``triangle_kind``.
     """
     return _written(
         meshio.Mesh(
@@ -100,7 +101,8 @@ def surface_bytes(mesh: TaggedMesh, suffix: str) -> bytes:
                 "triangle_label": [mesh.triangle_label],
                 "triangle_tissue": [mesh.triangle_tissue],
                 "triangle_is_cut": [mesh.triangle_is_cut],
-            },
+            }
+            | ({} if mesh.triangle_kind is None else {"triangle_kind": [mesh.triangle_kind]}),
         ),
         suffix,
     )

@@ -21,6 +21,7 @@ from heartcase.schemas.bundle_reader import OpenBundle
 from heartcase.schemas.errors import StageError
 from heartcase.schemas.labels import BACKGROUND, Label, LabelTable, Role
 from heartcase.schemas.settings import SurfaceSettings, WallsSettings
+from heartcase.schemas.surface_kinds import plain_kinds
 
 __all__ = ["TaggedMesh", "hollow_model", "solid_model", "walls_smoothing_mm"]
 
@@ -33,7 +34,6 @@ _CAST_ROLE = {
     Role.BLOOD: Role.MYOCARDIUM,
     Role.VESSEL_LUMEN: Role.MYOCARDIUM,
 }
-_ARRAYS = ("vertices", "normals", "triangles", "triangle_label", "triangle_tissue", "triangle_is_cut")
 
 
 @dataclass(frozen=True)
@@ -55,6 +55,8 @@ class TaggedMesh:
     """1 where the region of interest or a vessel's end cuts the model, shape (triangle_count,)."""
     table: LabelTable
     """What the labels stand for."""
+    triangle_kind: UInt8 | None = None
+    """:class:`~heartcase.schemas.surface_kinds.SurfaceKind` of each triangle of a hollow model."""
     warnings: tuple[str, ...] = ()
     """What the model lacks, in plain words."""
 
@@ -81,23 +83,26 @@ class TaggedMesh:
         return coloured
 
 
-def hollow_model(bundle: OpenBundle) -> TaggedMesh:
-    """The surface of a case: its tissue, with open chambers.
+def hollow_model(bundle: OpenBundle, *, level: int = 0) -> TaggedMesh:
+    """The surface of a case: its tissue, with open chambers; ``level`` is the level of detail, 0 the finest.
 
     Raises
     ------
     BundleError
         The case was made without a surface, or it is damaged.
     """
-    surface = bundle.arrays(FileRole.SURFACE, _ARRAYS)
+    surface = bundle.arrays(FileRole.SURFACE.at(level))
+    void, tissue, is_cut = (np.array(surface[f"triangle_{name}"]) for name in ("label", "tissue", "is_cut"))
+    kinds = surface.get("triangle_kind")
     return TaggedMesh(
         vertices_mm=np.array(surface["vertices"]),
         normals=np.array(surface["normals"]),
         triangles=np.array(surface["triangles"]),
-        triangle_label=np.array(surface["triangle_label"]),
-        triangle_tissue=np.array(surface["triangle_tissue"]),
-        triangle_is_cut=np.array(surface["triangle_is_cut"]),
+        triangle_label=void,
+        triangle_tissue=tissue,
+        triangle_is_cut=is_cut,
         table=bundle.manifest.labels,
+        triangle_kind=plain_kinds(void, tissue, is_cut, bundle.manifest.labels) if kinds is None else np.array(kinds),
     )
 
 
@@ -145,7 +150,7 @@ def solid_model(labels: Segmentation, *, smoothing_mm: float | None = None) -> T
         far = float(np.linalg.norm(np.array(geometry.spacing_mm) * geometry.size))
         distances[BACKGROUND] = np.full(geometry.shape, far, np.float32)
     structures = Structures(dict(sorted(distances.items())), geometry, table, settings.band_mm, has_voxel_steps=True)
-    surface = build_surface(structures, SurfaceSettings(normal_map_size=0), render=False)
+    surface = build_surface(structures, SurfaceSettings(normal_map_size=0, level_counts=()), render=False)
     return TaggedMesh(
         vertices_mm=surface.vertices_mm,
         normals=surface.normals,

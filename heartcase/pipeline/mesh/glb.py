@@ -12,7 +12,8 @@ import numpy.typing as npt
 from PIL import Image
 
 from heartcase.pipeline.data import Surface
-from heartcase.schemas.labels import BACKGROUND, Label, LabelTable, Role
+from heartcase.schemas.labels import Label, LabelTable, Role
+from heartcase.schemas.surface_kinds import SurfaceKind, group_labels
 
 __all__ = ["LPS_MM_TO_GLTF", "glb_bytes"]
 
@@ -23,7 +24,11 @@ LPS_MM_TO_GLTF = np.array(
 
 OUTSIDE_TERMS = ("morphologically left ventricular myocardium", "myocardium")
 TISSUE_COLOUR = Label(value=1, name="myocardium", role=Role.MYOCARDIUM).colour
-CUT_COLOUR = "#e3b5a4"
+FIXED_LOOKS = {
+    SurfaceKind.DEFECT_RIM: ("defect rim", "#f2b01e"),
+    SurfaceKind.CUT_FACE: ("cut face", "#e3b5a4"),
+}
+"""Name and colour of kinds that look the same beside every structure."""
 ROUGHNESS = 0.6
 
 FLOAT, UINT32 = 5126, 5125
@@ -34,9 +39,9 @@ LINEAR, LINEAR_MIPMAP_LINEAR, CLAMP_TO_EDGE = 9729, 9987, 33071
 def glb_bytes(surface: Surface, *, case_id: str | None = None) -> bytes:
     """Write a surface as GLB.
 
-    One mesh under a root node that turns patient millimetres into metres with Y up. One primitive for each void beside
-    the tissue, by ascending label, and one for cut faces; all share the same vertex arrays. Where the surface has a
-    normal map, it is embedded with texture coordinates and tangents.
+    One mesh under a root node that turns patient millimetres into metres with Y up. One primitive for each kind of
+    triangle, ascending, of chambers and vessels one for each label; all share the same vertex arrays. Where the
+    surface has a normal map, it is embedded with texture coordinates and tangents.
 
     Parameters
     ----------
@@ -69,14 +74,13 @@ def glb_bytes(surface: Surface, *, case_id: str | None = None) -> bytes:
         ]
         document["textures"] = [{"sampler": 0, "source": 0}]
         material["normalTexture"] = {"index": 0}
-    primitives, materials = [], []
-    is_cut = surface.triangle_is_cut.astype(bool)
-    for label in sorted({int(value) for value in np.unique(surface.triangle_label[~is_cut])}):
-        name, colour = _look(surface.table, label)
-        chosen = ~is_cut & (surface.triangle_label == label)
+    materials: list[dict[str, Any]] = []
+    group = group_labels(surface.triangle_kind, surface.triangle_label, surface.triangle_tissue)
+    primitives = []
+    for kind, label in np.unique(np.stack([surface.triangle_kind, group], axis=1), axis=0).tolist():
+        chosen = (surface.triangle_kind == kind) & (group == label)
+        name, colour = _look(surface.table, SurfaceKind(kind), label)
         primitives.append((name, colour, surface.render_triangles[chosen]))
-    if is_cut.any():
-        primitives.append(("cut face", CUT_COLOUR, surface.render_triangles[is_cut]))
     gltf_primitives = []
     for name, colour, triangles in primitives:
         materials.append(
@@ -157,13 +161,15 @@ class _Writer:
         )
 
 
-def _look(table: LabelTable, label: int) -> tuple[str, str]:
-    """Name and colour of the faces beside a void; the outside looks as the left ventricle's muscle, in any order."""
-    if label != BACKGROUND and label in table:
+def _look(table: LabelTable, kind: SurfaceKind, label: int) -> tuple[str, str]:
+    """Name and colour of a primitive; the epicardium looks as the left ventricle's muscle, in any order of labels."""
+    if kind in FIXED_LOOKS:
+        return FIXED_LOOKS[kind]
+    if kind is not SurfaceKind.EPICARDIUM:
         return table[label].name, table[label].colour
     tissue = [entry for entry in table if entry.role is Role.MYOCARDIUM and entry.wall_of is None]
     tissue.sort(key=lambda entry: entry.term is None or entry.term.name not in OUTSIDE_TERMS)
-    return "outside", tissue[0].colour if tissue else TISSUE_COLOUR
+    return "epicardium", tissue[0].colour if tissue else TISSUE_COLOUR
 
 
 def _linear(colour: str) -> list[float]:

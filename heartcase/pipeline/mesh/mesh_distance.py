@@ -6,7 +6,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.pipeline.mesh.triangle_grid import triangle_grid
+from heartcase.pipeline.mesh.triangle_grid import TriangleGrid
 
 __all__ = ["mesh_distance_mm", "nearest_on_mesh"]
 
@@ -14,15 +14,15 @@ Float64 = npt.NDArray[np.float64]
 Int32 = npt.NDArray[np.int32]
 
 
-def mesh_distance_mm(points_mm: Float64, vertices_mm: Float64, triangles: Int32) -> Float64:
+def mesh_distance_mm(points_mm: Float64, mesh: TriangleGrid) -> Float64:
     """Distance of each point to the nearest point of a mesh.
 
     Parameters
     ----------
     points_mm
         Shape (n, 3).
-    vertices_mm, triangles
-        The mesh; at least one triangle.
+    mesh
+        From :func:`~heartcase.pipeline.mesh.triangle_grid.triangle_grid`.
 
     Returns
     -------
@@ -30,7 +30,7 @@ def mesh_distance_mm(points_mm: Float64, vertices_mm: Float64, triangles: Int32)
         Shape (n,), in mm.
     """
     distance = np.empty(len(points_mm))
-    _query(np.ascontiguousarray(points_mm, dtype=np.float64), triangle_grid(vertices_mm, triangles), distance)
+    _query(np.ascontiguousarray(points_mm, dtype=np.float64), mesh, distance)
     return distance
 
 

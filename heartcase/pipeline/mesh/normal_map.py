@@ -23,7 +23,7 @@ from heartcase.pipeline.mesh.field_normals import (
     to_index_matrix,
 )
 from heartcase.pipeline.mesh.mesh_distance import nearest_on_mesh
-from heartcase.pipeline.mesh.triangle_grid import triangle_grid
+from heartcase.pipeline.mesh.triangle_grid import TriangleGrid
 
 __all__ = ["bake_normal_map"]
 
@@ -52,7 +52,7 @@ def bake_normal_map(
     *,
     size: int,
     reach_mm: float,
-    full: tuple[Float64, Int32] | None = None,
+    full: tuple[Float64, Int32, TriangleGrid] | None = None,
 ) -> UInt8:
     """Bake the tangent-space normal map.
 
@@ -76,7 +76,7 @@ def bake_normal_map(
     reach_mm
         How far from the mesh the true surface may lie.
     full
-        Vertices (mm) and triangles of the full-resolution mesh, for the exact baker.
+        Vertices (mm) and triangles of the full-resolution mesh, and where they lie, for the exact baker.
 
     Returns
     -------
@@ -146,13 +146,12 @@ def _look_up(
     corners: Int32,
     vertices: Float64,
     normals: Float64,
-    full: tuple[Float64, Int32],
+    full: tuple[Float64, Int32, TriangleGrid],
     reach_mm: float,
     given: Float32,
 ) -> None:
     """Normals of the full mesh at its points nearest to the texels; zero where none is near."""
-    points, faces = full
-    grid = triangle_grid(points, faces)
+    points, faces, grid = full
     doubled = np.cross(grid.corner[:, 1] - grid.corner[:, 0], grid.corner[:, 2] - grid.corner[:, 0])
     rough: Float64 = np.empty(points.shape)
     for axis in range(3):

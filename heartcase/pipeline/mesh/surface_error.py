@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from heartcase.pipeline.mesh.decimate import Decimated
 from heartcase.pipeline.mesh.mesh_distance import mesh_distance_mm
+from heartcase.pipeline.mesh.triangle_grid import TriangleGrid, triangle_grid
 
 __all__ = ["ERROR_QUANTILE", "fewest_triangles", "two_sided_distances_mm"]
 
@@ -25,13 +26,13 @@ CLOSE_ENOUGH = 1.05
 
 
 def two_sided_distances_mm(
-    full_vertices: Float64, full_triangles: Int32, vertices: Float64, triangles: Int32
+    full_vertices: Float64, full_mesh: TriangleGrid, vertices: Float64, triangles: Int32
 ) -> Float64:
     """Distances between two meshes, both ways: from vertices of the full one, and vertices and centres of the other.
 
     Parameters
     ----------
-    full_vertices, full_triangles
+    full_vertices, full_mesh
         The full mesh, mm; about a hundred thousand of its vertices are taken.
     vertices, triangles
         The decimated mesh, mm.
@@ -42,15 +43,15 @@ def two_sided_distances_mm(
         Millimetres, shape (sample_count,).
     """
     every = -(-len(full_vertices) // DISTANCE_SAMPLE)
-    there = mesh_distance_mm(full_vertices[::every], vertices, triangles)
+    there = mesh_distance_mm(full_vertices[::every], triangle_grid(vertices, triangles))
     centre = vertices[triangles].mean(axis=1)
-    back = mesh_distance_mm(np.concatenate([vertices, centre]), full_vertices, full_triangles)
+    back = mesh_distance_mm(np.concatenate([vertices, centre]), full_mesh)
     return np.concatenate([there, back])
 
 
 def fewest_triangles(
     full_vertices: Float64,
-    full_triangles: Int32,
+    full_mesh: TriangleGrid,
     decimated: Callable[[int], Decimated],
     *,
     error_mm: float,
@@ -60,7 +61,7 @@ def fewest_triangles(
 
     Parameters
     ----------
-    full_vertices, full_triangles
+    full_vertices, full_mesh
         The full mesh, mm.
     decimated
         Makes a mesh of a count of triangles.
@@ -69,14 +70,14 @@ def fewest_triangles(
     most
         Most triangles; with so many it is not asked how far off they are.
     """
-    low, high = min(LEAST_TRIANGLES, most), min(most, len(full_triangles))
+    low, high = min(LEAST_TRIANGLES, most), min(most, len(full_mesh.corner))
     best = decimated(high)
     for _ in range(SEARCH_ROUNDS):
         if high <= CLOSE_ENOUGH * low:
             break
         middle = round(float(np.sqrt(low * high)))
         found = decimated(middle)
-        distances = two_sided_distances_mm(full_vertices, full_triangles, found.vertices_mm, found.triangles)
+        distances = two_sided_distances_mm(full_vertices, full_mesh, found.vertices_mm, found.triangles)
         if np.quantile(distances, ERROR_QUANTILE) <= error_mm:
             best, high = found, middle
         else:

@@ -16,6 +16,7 @@ Int64 = npt.NDArray[np.int64]
 
 _EDGES_PER_BOX = 1.5
 _BOX_COUNT = 8_000_000
+_CHUNK = 4096
 
 
 class TriangleGrid(NamedTuple):
@@ -29,9 +30,9 @@ class TriangleGrid(NamedTuple):
     """Edge of a box, mm."""
     size: Int64
     """Boxes along x, y, z."""
-    first: Int64
+    first: Int32
     """Lowest box (i, j, k) that each triangle reaches into, shape (triangle_count, 3)."""
-    last: Int64
+    last: Int32
     """Highest one."""
     start: Int64
     """Where each box begins in ``item``, and the end of the last."""
@@ -49,16 +50,46 @@ def triangle_grid(vertices_mm: npt.NDArray[np.floating], triangles: Int32) -> Tr
     triangles
         Shape (triangle_count, 3); at least one.
     """
-    corner = np.ascontiguousarray(vertices_mm[triangles], np.float64)
-    low, high = corner.min(axis=1), corner.max(axis=1)
-    origin = low.min(axis=0)
-    extent = high.max(axis=0) - origin
-    edge = max(_EDGES_PER_BOX * float((high - low).max(axis=1).mean()), 1e-9 * float(extent.max()), 1e-12)
+    vertices = np.ascontiguousarray(vertices_mm, np.float64)
+    corner = np.empty((len(triangles), 3, 3))
+    low, high, widths = _take_corners(vertices, triangles, corner)
+    origin, extent = low.min(axis=0), high.max(axis=0) - low.min(axis=0)
+    edge = max(_EDGES_PER_BOX * float(widths.sum()) / len(triangles), 1e-9 * float(extent.max()), 1e-12)
     edge = max(edge, float(np.cbrt((extent + edge).prod() / _BOX_COUNT)))
     size = np.floor(extent / edge).astype(np.int64) + 1
-    first = np.minimum(np.floor((low - origin) / edge).astype(np.int64), size - 1)
-    last = np.minimum(np.floor((high - origin) / edge).astype(np.int64), size - 1)
+    first, last = np.empty((len(triangles), 3), np.int32), np.empty((len(triangles), 3), np.int32)
+    _find_boxes(corner, origin, edge, size, first, last)
     return TriangleGrid(corner, origin, edge, size, first, last, *_fill(first, last, size))
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _take_corners(vertices, triangles, corner):  # type: ignore[no-untyped-def]
+    """Corners of all triangles; lowest and highest place, and sum of the triangles' widths, of each chunk of them."""
+    chunks = (len(triangles) + _CHUNK - 1) // _CHUNK
+    low, high, widths = np.full((chunks, 3), np.inf), np.full((chunks, 3), -np.inf), np.zeros(chunks)
+    for chunk in numba.prange(chunks):
+        for t in range(chunk * _CHUNK, min((chunk + 1) * _CHUNK, len(triangles))):
+            width = 0.0
+            for axis in range(3):
+                a, b, c = (
+                    vertices[triangles[t, 0], axis], vertices[triangles[t, 1], axis], vertices[triangles[t, 2], axis],
+                )  # fmt: skip
+                corner[t, 0, axis], corner[t, 1, axis], corner[t, 2, axis] = a, b, c
+                least, most = min(a, b, c), max(a, b, c)
+                low[chunk, axis], high[chunk, axis] = min(low[chunk, axis], least), max(high[chunk, axis], most)
+                width = max(width, most - least)
+            widths[chunk] += width
+    return low, high, widths
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _find_boxes(corner, origin, edge, size, first, last):  # type: ignore[no-untyped-def]
+    for chunk in numba.prange((len(corner) + _CHUNK - 1) // _CHUNK):
+        for t in range(chunk * _CHUNK, min((chunk + 1) * _CHUNK, len(corner))):
+            for axis in range(3):
+                a, b, c = corner[t, 0, axis], corner[t, 1, axis], corner[t, 2, axis]
+                first[t, axis] = min(int(np.floor((min(a, b, c) - origin[axis]) / edge)), size[axis] - 1)
+                last[t, axis] = min(int(np.floor((max(a, b, c) - origin[axis]) / edge)), size[axis] - 1)
 
 
 @numba.njit(cache=True, nogil=True)

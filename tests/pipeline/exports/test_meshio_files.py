@@ -110,7 +110,7 @@ def test_a_surface_in_meshio_and_vtk(bundle, tmp_path, suffix, capfd):
     np.testing.assert_array_equal(read.points, mesh.vertices_mm)
     np.testing.assert_array_equal(read.cells_dict["triangle"], mesh.triangles)
     seen = pyvista.read(path)
-    assert set(seen.cell_data) == {"triangle_label", "triangle_tissue", "triangle_is_cut"}
+    assert set(seen.cell_data) == {"triangle_label", "triangle_tissue", "triangle_is_cut", "triangle_kind"}
     for name in seen.cell_data:
         np.testing.assert_array_equal(read.cell_data[name][0], getattr(mesh, name))
         np.testing.assert_array_equal(seen.cell_data[name], getattr(mesh, name))

@@ -9,6 +9,7 @@ from heartcase.pipeline.data import Segmentation
 from heartcase.pipeline.exports.models import hollow_model, solid_model, walls_smoothing_mm
 from heartcase.pipeline.exports.print_check import check_for_printing
 from heartcase.pipeline.mesh.mesh_distance import mesh_distance_mm
+from heartcase.pipeline.mesh.triangle_grid import triangle_grid
 from heartcase.pipeline.run import labels_of
 from heartcase.pipeline.surface import build_surface
 from heartcase.pipeline.walls import grow_walls
@@ -81,9 +82,14 @@ def test_the_cast_is_named_by_its_chambers(solid):
 def test_the_cast_fills_just_what_the_hollow_model_leaves_open(structures, solid):
     surface = build_surface(structures, SurfaceSettings(triangle_count=20_000), render=False)
     inside = surface.triangles[surface.triangle_label != 0]
-    assert mesh_distance_mm(solid.vertices_mm.astype(float), surface.vertices_mm.astype(float), inside).max() < 0.02
+    assert (
+        mesh_distance_mm(
+            solid.vertices_mm.astype(float), triangle_grid(surface.vertices_mm.astype(float), inside)
+        ).max()
+        < 0.02
+    )
     used = surface.vertices_mm[np.unique(inside)].astype(float)
-    away = mesh_distance_mm(used, solid.vertices_mm.astype(float), solid.triangles)
+    away = mesh_distance_mm(used, triangle_grid(solid.vertices_mm.astype(float), solid.triangles))
     assert away.max() < 0.02
 
 

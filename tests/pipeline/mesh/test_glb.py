@@ -67,12 +67,12 @@ def test_structure_and_arrays(surface):
     assert np.array_equal(array(document, binary, shared["TEXCOORD_0"]), surface.render_uv)
     indices = [array(document, binary, primitive["indices"]).reshape(-1, 3) for primitive in primitives]
     cut = surface.triangle_is_cut == 1
-    assert np.array_equal(indices[0], surface.render_triangles[~cut & (surface.triangle_label == 0)])
-    assert np.array_equal(indices[1], surface.render_triangles[surface.triangle_label == 1])
+    assert np.array_equal(indices[0], surface.render_triangles[surface.triangle_label == 1])
+    assert np.array_equal(indices[1], surface.render_triangles[~cut & (surface.triangle_label == 0)])
     assert np.array_equal(indices[2], surface.render_triangles[cut])
     materials = [document["materials"][primitive["material"]] for primitive in primitives]
-    assert [material["name"] for material in materials] == ["outside", "cavity", "cut face"]
-    colour = materials[1]["pbrMetallicRoughness"]["baseColorFactor"]
+    assert [material["name"] for material in materials] == ["cavity", "epicardium", "cut face"]
+    colour = materials[0]["pbrMetallicRoughness"]["baseColorFactor"]
     # sRGB d0 = 208: ((208 / 255 + 0.055) / 1.055) ** 2.4
     assert colour[0] == pytest.approx(0.6308, abs=1e-4)
     assert colour[3] == 1.0
@@ -133,7 +133,8 @@ def test_the_outside_looks_the_same_in_any_order_of_the_labels(surface, turned):
     table = LabelTable(labels=(*surface.table, *muscles))
     document, _ = chunks(glb_bytes(replace(surface, table=table)))
     plain, _ = chunks(glb_bytes(surface))
-    colours = [d["materials"][0]["pbrMetallicRoughness"]["baseColorFactor"] for d in (document, plain)]
+    outside = [next(m for m in d["materials"] if m["name"] == "epicardium") for d in (document, plain)]
+    colours = [material["pbrMetallicRoughness"]["baseColorFactor"] for material in outside]
     # #c1a29a, the colour of the left ventricle's myocardium in the default table, also where no label is one
     expected = [((int(c, 16) / 255 + 0.055) / 1.055) ** 2.4 for c in ("c1", "a2", "9a")]
     assert colours[0][:3] == pytest.approx(expected, abs=1e-6)

@@ -11,6 +11,7 @@ from heartcase.pipeline.mesh.thickness import vertex_normals
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable, default_label_table
 from heartcase.schemas.lattice import cell_nodes
+from heartcase.schemas.surface_kinds import plain_kinds
 
 CAVITIES = {
     1: ((22.0, -12.0, -14.0), (17.0, 17.0, 26.0)),
@@ -98,6 +99,7 @@ def surface_of(fields: dict[int, np.ndarray], geometry: Geometry, table: LabelTa
         triangle_label=triangle_label,
         triangle_tissue=triangle_tissue,
         triangle_is_cut=np.zeros(len(triangles), np.uint8),
+        triangle_kind=plain_kinds(triangle_label, triangle_tissue, np.zeros(len(triangles)), table),
         normals=vertex_normals(vertices, triangles).astype(np.float32),
         vertex_label=np.zeros(count, np.uint8),
         table=table,
