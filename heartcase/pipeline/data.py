@@ -174,6 +174,8 @@ class Structures:
     """Thickness of the walls that are not equally thick all over; one for each of their cavities."""
     has_voxel_steps: bool = field(default=False, metadata={"is_kept_when_empty": False})
     """Whether the fields came from labels, whose voxels leave small steps in them: normals are smoothed then."""
+    quality: dict[str, Any] = field(default_factory=dict, metadata={"is_kept_when_empty": False})
+    """What the smoothing of the outlines did: volumes and narrowest lumens before and after, for the report."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "reshapings", tuple(Reshaping(*one) for one in self.reshapings))

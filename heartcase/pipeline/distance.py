@@ -1,18 +1,17 @@
 """From a label volume to smooth signed-distance fields whose faces lie between the voxels.
 
 Each label's mask is blurred; a point belongs to the label whose blurred mask is highest there, so the labels divide
-space without gap or overlap and two that touch see one face from either side. Put through the inverse of the blur's
-step response, the lead over the highest other label is the distance to that face to first order. A blur draws a
-curved face towards its centre of curvature by ``sigma**2`` times the mean curvature; to undo that, the division is
-blurred once more, and the (smoothed) shift of the second blur is taken off the first. The distance is then measured
-to the closest point of the zero level (iteration of Chopp, SIAM J. Sci. Comput. 23, 2001).
+space without gap or overlap and two that touch see one face from either side (:mod:`heartcase.pipeline.division`). Put
+through the inverse of the blur's step response, the lead over the highest other label is the distance to that face to
+first order. A blur draws a curved face towards its centre of curvature by ``sigma**2`` times the mean curvature; to
+undo that, the division is blurred once more, and the (smoothed) shift of the second blur is taken off the first. The
+distance is then measured to the closest point of the zero level (iteration of Chopp, SIAM J. Sci. Comput. 23, 2001).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 
 import edt
 import numba
@@ -23,6 +22,15 @@ from scipy.special import erf
 
 from heartcase.pipeline.apart import bridging_voxels
 from heartcase.pipeline.closest import closest_points, offset_for_interpolation
+from heartcase.pipeline.division import (
+    Box,
+    Part,
+    Touch,
+    divide,
+    find_touches,
+    heights_of_groups,
+    leads_of,
+)
 
 __all__ = ["default_smoothing_mm", "label_distances", "signed_distance"]
 
@@ -30,8 +38,6 @@ Bool = npt.NDArray[np.bool_]
 Float32 = npt.NDArray[np.float32]
 Float64 = npt.NDArray[np.float64]
 UInt8 = npt.NDArray[np.uint8]
-Box = tuple[slice, slice, slice]
-
 SATURATION = 3.0
 """Standard deviations of the blur up to which its step response is inverted."""
 LEAST_SIGMA_VOXELS = 0.6
@@ -50,14 +56,6 @@ BORDER_VOXELS = 3
 """Voxels by which the faces are continued straight on beyond the volume's border."""
 
 
-@dataclass(frozen=True)
-class _Part:
-    """A label's array within its box; outside it takes a constant."""
-
-    box: Box
-    values: Float32
-
-
 def default_smoothing_mm(spacing_mm: npt.ArrayLike) -> float:
     """Standard deviation of the blur when the settings leave it out: 0.8 of the mean voxel spacing, mm."""
     return 0.8 * float(np.asarray(spacing_mm, dtype=np.float64).mean())
@@ -70,6 +68,7 @@ def label_distances(
     smoothing_mm: float,
     band_mm: float,
     blood_values: Sequence[int] = (),
+    tissue_values: Sequence[int] = (),
 ) -> dict[int, Float32]:
     """Signed distance to the smooth border of every label that is there.
 
@@ -86,6 +85,9 @@ def label_distances(
         Distance up to which the fields are exact; beyond it they are a distance between voxels.
     blood_values
         Values of blood: voxels whose smoothing would join or split its compartments keep their label.
+    tissue_values
+        Values of tissue. Where two labels of blood, or two of tissue, touch, the border that both have to the rest
+        is smoothed as if they were one.
 
     Returns
     -------
@@ -99,25 +101,32 @@ def label_distances(
         return {values[0]: np.full(labels.shape, -_diagonal_mm(labels.shape, spacing), np.float32)}
     margin = np.ceil(6.0 * smoothing_mm / spacing).astype(np.int64) + 4
     boxes = [_box_around(labels == value, margin) for value in values]
-    first_order = _first_order(labels, values, boxes, spacing, smoothing_mm)
+    group = _groups(values, blood_values, tissue_values)
+    group_mm, inner_mm = _first_order(labels, values, boxes, group, spacing, smoothing_mm)
     width = float(spacing.mean())
-    far = SATURATION * smoothing_mm + width
-    lowest, second, owner = _two_lowest(labels.shape, first_order, far)
-    given_back = bridging_voxels(labels, np.array(values, np.uint8)[owner], blood_values)
+    divided = divide(group_mm, inner_mm, group)
+    given_back = bridging_voxels(labels, np.array(values, np.uint8)[divided.owner], blood_values)
     if given_back.any():
-        for value, part in zip(values, first_order, strict=True):
-            mine = (given_back & (labels == value))[part.box]
-            part.values[mine] = lowest[part.box][mine] - RETURN_VOXELS * width
-        lowest, second, owner = _two_lowest(labels.shape, first_order, far)
+        for number, value in enumerate(values):
+            mine = given_back & (labels == value)
+            lowest = np.min([one[mine] for n, one in enumerate(group_mm) if n != group[number]], axis=0)
+            group_mm[group[number]][mine] = lowest - RETURN_VOXELS * width
+            inner = inner_mm[number]
+            if inner is not None:
+                inner.values[mine[inner.box]] = -RETURN_VOXELS * width
+        divided = divide(group_mm, inner_mm, group)
+
+    outer = [0.5 * lead for lead in leads_of([-one for one in group_mm])]
 
     def one(number: int) -> Float32 | None:
-        inside = owner == number
+        inside = divided.owner == number
         if not inside.any():
             return None
         box = _box_around(inside, np.ceil(band_mm / spacing).astype(np.int64) + 2)
-        lead = np.where(inside[box], 0.5 * (lowest[box] - second[box]), 0.0).astype(np.float32)
-        own = _within(first_order[number], box, labels.shape, far)
-        np.copyto(lead, 0.5 * (own - lowest[box]), where=~inside[box])
+        lead = outer[group[number]][box].copy()
+        inner = inner_mm[number]
+        if inner is not None:
+            np.maximum(lead, _within(inner, box, labels.shape, SATURATION * smoothing_mm + width), out=lead)
         return _completed(lead, inside, box, spacing, band_mm, FAR_SIGMAS * smoothing_mm + width)
 
     with ThreadPoolExecutor(max_workers=2) as pool:
@@ -150,37 +159,78 @@ def signed_distance(first_order: Float32, spacing_mm: Sequence[float], *, band_m
     return np.where(field < 0.0, -distance, distance)
 
 
-def _first_order(labels: UInt8, values: list[int], boxes: list[Box], spacing: Float64, sigma_mm: float) -> list[_Part]:
-    """Distance of each label to first order, about mm, negative inside, saturated away from its border."""
-    blurred = [
-        _Part(box, _blur((labels[box] == value).astype(np.float32), spacing, sigma_mm))
-        for value, box in zip(values, boxes, strict=True)
-    ]
-    distances = _distances_of(blurred, labels.shape, spacing, sigma_mm)
-    if sigma_mm == 0.0:
-        return distances
-    width = float(spacing.mean())
-    again = [
-        _Part(part.box, _blur(np.clip(0.5 - part.values / width, 0.0, 1.0), spacing, sigma_mm)) for part in distances
-    ]
-    limit = 0.5 * float(spacing.min())
-    parts = []
-    for part, shifted in zip(distances, _distances_of(again, labels.shape, spacing, sigma_mm), strict=True):
-        shift = np.clip(shifted.values - part.values, -limit, limit)
-        shift = _blur(shift, spacing, 1.25 * sigma_mm)
-        parts.append(_Part(part.box, part.values - SHIFT_GAIN * shift))
-    return parts
+def _groups(values: Sequence[int], blood_values: Sequence[int], tissue_values: Sequence[int]) -> list[int]:
+    """Number of each label's group: blood, tissue, and every other label by itself; as many as are there."""
+    names = [-1 if v in blood_values else -2 if v in tissue_values else v for v in values]
+    order = list(dict.fromkeys(names))
+    return [order.index(name) for name in names]
 
 
-def _distances_of(blurred: list[_Part], shape: tuple[int, ...], spacing: Float64, sigma_mm: float) -> list[_Part]:
-    """Inverse step response of each label's lead over the highest other one."""
-    negated = [_Part(part.box, -part.values) for part in blurred]
-    lowest, second, owner = _two_lowest(shape, negated, 0.0)
-    parts = []
-    for number, part in enumerate(negated):
-        other = np.where(owner[part.box] == number, second[part.box], lowest[part.box])
-        parts.append(_Part(part.box, _inverse_response(part.values - other, spacing, sigma_mm)))
-    return parts
+def _first_order(
+    labels: UInt8, values: list[int], boxes: list[Box], group: list[int], spacing: Float64, sigma_mm: float
+) -> tuple[list[Float32], list[Part | None]]:
+    """Distance to first order of each group and of each label within its group, about mm, negative inside."""
+
+    def blur(values: Float32) -> Float32:
+        return _blur(values, spacing, sigma_mm)
+
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        masks = list(pool.map(lambda n: blur((labels[boxes[n]] == values[n]).astype(np.float32)), range(len(values))))
+        blurred = [Part(box, mask) for box, mask in zip(boxes, masks, strict=True)]
+        touches = find_touches(labels, values, boxes, group, blur)
+        group_mm = _group_distances(blurred, group, touches, labels.shape, spacing, sigma_mm)
+        inner_mm = _inner_distances(blurred, group, labels.shape, spacing, sigma_mm)
+        if sigma_mm == 0.0:
+            return group_mm, inner_mm
+        width = float(spacing.mean())
+
+        def soft(number: int) -> Float32:
+            """The label's mask again, with borders as wide as a voxel: its part of its group's."""
+            mask: Float32 = np.clip(0.5 - group_mm[group[number]][boxes[number]] / width, 0.0, 1.0)
+            inner = inner_mm[number]
+            return mask if inner is None else mask * np.clip(0.5 - inner.values / width, 0.0, 1.0)
+
+        again = list(pool.map(lambda n: blur(soft(n)), range(len(values))))
+        blurred = [Part(box, mask) for box, mask in zip(boxes, again, strict=True)]
+        shifted = _group_distances(blurred, group, touches, labels.shape, spacing, sigma_mm)
+        limit = 0.5 * float(spacing.min())
+
+        def correct(number: int) -> None:
+            shift = np.clip(shifted[number] - group_mm[number], -limit, limit)
+            group_mm[number] -= SHIFT_GAIN * _blur(shift, spacing, 1.25 * sigma_mm)
+
+        list(pool.map(correct, range(len(group_mm))))
+    return group_mm, inner_mm
+
+
+def _group_distances(
+    blurred: list[Part],
+    group: list[int],
+    touches: Sequence[Touch],
+    shape: tuple[int, ...],
+    spacing: Float64,
+    sigma_mm: float,
+) -> list[Float32]:
+    """Inverse step response of each group's lead over the highest other one."""
+    heights = heights_of_groups(blurred, group, touches, shape)
+    return [_inverse_response(lead, spacing, sigma_mm) for lead in leads_of(heights)]
+
+
+def _inner_distances(
+    blurred: list[Part], group: list[int], shape: tuple[int, ...], spacing: Float64, sigma_mm: float
+) -> list[Part | None]:
+    """Inverse step response of each label's lead over the highest other one of its group."""
+    inner: list[Part | None] = [None] * len(blurred)
+    for one in set(group):
+        members = [number for number in range(len(group)) if group[number] == one]
+        if len(members) == 1:
+            continue
+        negated = [Part(blurred[number].box, -blurred[number].values) for number in members]
+        lowest, second, owner = _two_lowest(shape, negated, 0.0)
+        for place, (number, part) in enumerate(zip(members, negated, strict=True)):
+            other = np.where(owner[part.box] == place, second[part.box], lowest[part.box])
+            inner[number] = Part(part.box, _inverse_response(part.values - other, spacing, sigma_mm))
+    return inner
 
 
 def _inverse_response(lead: Float32, spacing: Float64, sigma_mm: float) -> Float32:
@@ -208,7 +258,7 @@ def _blur(values: Float32, spacing: Float64, sigma_mm: float) -> Float32:
     return values
 
 
-def _two_lowest(shape: tuple[int, ...], parts: list[_Part], outside: float) -> tuple[Float32, Float32, UInt8]:
+def _two_lowest(shape: tuple[int, ...], parts: list[Part], outside: float) -> tuple[Float32, Float32, UInt8]:
     """Lowest and second lowest value of all parts at each voxel, and the number of the lowest (ties: the first)."""
     lowest = np.full(shape, outside, np.float32)
     second = np.full(shape, outside, np.float32)
@@ -251,7 +301,7 @@ def _box_around(mask: Bool, margin: npt.NDArray[np.int64]) -> Box:
     return slices[0], slices[1], slices[2]
 
 
-def _within(part: _Part, box: Box, shape: tuple[int, ...], outside: float) -> Float32:
+def _within(part: Part, box: Box, shape: tuple[int, ...], outside: float) -> Float32:
     """A part's values in another box."""
     values = np.full(shape, outside, np.float32)
     values[part.box] = part.values

@@ -12,7 +12,6 @@ from typing import cast
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import map_coordinates
 
 from heartcase.pipeline.cautions import anatomy
 from heartcase.pipeline.data import Segmentation, Structures, ThicknessTable
@@ -20,6 +19,7 @@ from heartcase.pipeline.distance import default_smoothing_mm, label_distances
 from heartcase.pipeline.ends import cut_ends
 from heartcase.pipeline.fields import ownership_on_lattice
 from heartcase.pipeline.leaks import leak_cautions
+from heartcase.pipeline.smoothing_effects import smoothing_effects
 from heartcase.schemas.errors import Problem, StageError
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND, LabelTable
@@ -30,10 +30,6 @@ __all__ = ["grow_walls", "resolve_walls", "structure_volumes_ml"]
 Float32 = npt.NDArray[np.float32]
 UInt8 = npt.NDArray[np.uint8]
 
-LOSS_LIMIT = 0.10
-"""Part of its volume that a structure may lose to the smoothing before it is reported."""
-LARGE_VOXELS = 20_000
-"""Structures of more voxels than this are not asked what they lost: their surface is too small a part of them."""
 BAND_VOXELS = 3.0
 """Voxels beyond the thickest wall up to which the fields are exact by default."""
 
@@ -77,7 +73,12 @@ def grow_walls(segmentation: Segmentation, settings: WallsSettings, ends: Sequen
     cut = cut_ends(segmentation, table, ends, clearance_mm=clearance, thickness_mm=varying)
     labels = cut.labels
     distances = label_distances(
-        labels, geometry.spacing_mm, smoothing_mm=smoothing, band_mm=band, blood_values=table.blood_values
+        labels,
+        geometry.spacing_mm,
+        smoothing_mm=smoothing,
+        band_mm=band,
+        blood_values=table.blood_values,
+        tissue_values=table.tissue_values,
     )
     if BACKGROUND not in distances:
         far = float(np.linalg.norm(spacing * np.array(geometry.size)))
@@ -99,11 +100,13 @@ def grow_walls(segmentation: Segmentation, settings: WallsSettings, ends: Sequen
         ),
         has_voxel_steps=True,
     )
+    figures, warnings = smoothing_effects(labels, distances, geometry, table)
     return replace(
         structures,
+        quality=figures,
         warnings=(
             *cut.warnings,
-            *_warnings(labels, distances, geometry, table),
+            *warnings,
             *_table_warnings(structures),
             *leak_cautions(structures, labels),
         ),
@@ -161,34 +164,6 @@ def _check(segmentation: Segmentation, settings: WallsSettings) -> None:
         raise StageError(problems)
 
 
-def _warnings(labels: UInt8, distances: dict[int, Float32], geometry: Geometry, table: LabelTable) -> tuple[str, ...]:
-    """Structures that the smoothing shrank or lost."""
-    warnings: list[str] = []
-    counts = np.bincount(labels.ravel(), minlength=256)
-    width = float(np.mean(geometry.spacing_mm))
-    for value in table.values:
-        voxels = int(counts[value])
-        if voxels == 0 or value == BACKGROUND:
-            continue
-        if value not in distances:
-            warnings.append(
-                anatomy(
-                    f"{table[value].name}: vanished in the smoothing of the outlines, as it is too thin for it; take a "
-                    "smaller walls.smoothing_mm"
-                )
-            )
-            continue
-        if voxels > LARGE_VOXELS:
-            continue
-        kept = _volume_voxels(distances[value], width) / voxels
-        if kept < 1.0 - LOSS_LIMIT:
-            warnings.append(
-                f"{table[value].name}: the smoothing takes {100.0 * (1.0 - kept):.0f}% of its volume, as it is small; "
-                "take a smaller walls.smoothing_mm"
-            )
-    return tuple(warnings)
-
-
 def _table_warnings(structures: Structures) -> tuple[str, ...]:
     """Tables of thicknesses that have no effect, or that speak of places elsewhere."""
     warnings: list[str] = []
@@ -206,14 +181,3 @@ def _table_warnings(structures: Structures) -> tuple[str, ...]:
                 )
             )
     return tuple(warnings)
-
-
-def _volume_voxels(distance: Float32, width: float) -> float:
-    """Volume inside a field in voxels, from 27 points in each voxel near its face."""
-    near = np.argwhere(np.abs(distance) < 2.0 * width)
-    within = int(np.count_nonzero(distance <= -2.0 * width))
-    inside = 0
-    for offset in np.ndindex(3, 3, 3):
-        points = (near + (np.array(offset) - 1.0) / 3.0).T
-        inside += int(np.count_nonzero(map_coordinates(distance, points, order=1, mode="nearest") < 0.0))
-    return within + inside / 27.0

@@ -143,6 +143,7 @@ def solid_model(labels: Segmentation, *, smoothing_mm: float | None = None) -> T
         smoothing_mm=settings.smoothing_mm,
         band_mm=settings.band_mm,
         blood_values=blood,
+        tissue_values=labels.table.tissue_values,
     )
     if not any(value in distances for value in blood):
         raise StageError("all blood is too small for the smoothing of the outlines, so nothing is cast", place="labels")

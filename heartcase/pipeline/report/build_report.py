@@ -16,7 +16,14 @@ from heartcase.pipeline.data import GridMap, Scan, Segmentation, SimulationGrid,
 from heartcase.pipeline.openings import Opening, Verdict
 from heartcase.pipeline.report.confidence_part import ConfidencePart, confidence_part
 from heartcase.pipeline.report.hand_work import hand_work_facts, region_words
-from heartcase.pipeline.report.plain_words import Fact, cardiac_phase_words, figure_facts, placed, setting_lines
+from heartcase.pipeline.report.plain_words import (
+    Fact,
+    cardiac_phase_words,
+    figure_facts,
+    placed,
+    setting_lines,
+    smoothing_facts,
+)
 from heartcase.pipeline.report.report_pictures import Picture, ThicknessRow, slice_parts, surface_parts
 from heartcase.schemas.bundle import CaseManifest, StageRecord
 from heartcase.schemas.labels import BACKGROUND, LabelTable, Role
@@ -245,6 +252,7 @@ def build_report(
     totals = _totals(table, volumes_ml)
     shown = surface_parts(surface, recipe.landmarks, recipe.walls)
     quality = {
+        "Smoothing of the outlines": smoothing_facts(structures.quality),
         "Simulation grid": figure_facts(grid.quality),
         "Visible surface": figure_facts(surface.quality) if surface is not None else [],
         "Tie between surface and grid": figure_facts(grid_map.quality) if grid_map is not None else [],

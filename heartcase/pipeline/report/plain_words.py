@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-__all__ = ["Fact", "cardiac_phase_words", "figure_facts", "placed", "setting_lines"]
+__all__ = ["Fact", "cardiac_phase_words", "figure_facts", "placed", "setting_lines", "smoothing_facts"]
 
 
 @dataclass(frozen=True)
@@ -140,6 +140,21 @@ def figure_facts(figures: Mapping[str, Any]) -> list[Fact]:
                 Fact(f"{name}: {inner}", _value_of(key, figure), "", is_technical) for inner, figure in value.items()
             ]
     return sorted(facts, key=lambda fact: fact.is_technical)
+
+
+def smoothing_facts(figures: Mapping[str, Any]) -> list[Fact]:
+    """What the smoothing of the outlines did (the quality of the walls stage), narrow places first."""
+    facts = [
+        Fact(
+            f"Narrow place, {one['label']}",
+            f"{one['segmented_mm']:.1f} mm as segmented, {one['smoothed_mm']:.1f} mm as smoothed",
+            f"Diameter of a circle of the same area, near {placed(one['position_mm'])}.",
+        )
+        for one in figures.get("narrowest_lumens", ())
+    ]
+    changes = figures.get("volume_change_percent", {})
+    facts += [Fact(f"Volume, {name}", f"{change:+.1f} %", "", is_technical=True) for name, change in changes.items()]
+    return facts
 
 
 def setting_lines(settings: Mapping[str, Any]) -> list[str]:
