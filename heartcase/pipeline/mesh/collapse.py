@@ -18,7 +18,7 @@ __all__ = ["collapse"]
 
 LEAST_COSINE = 0.4
 LEAST_QUALITY = 0.12
-FOLD_COSINE = -0.1
+GUARD_COSINE = -0.1
 """Cosine between the normals of two triangles at an edge below which they are a fold."""
 SPECK_AREA = 0.01
 TWO_ROOT_3 = 2.0 * 3.0**0.5
@@ -152,9 +152,9 @@ def _keeps_shape(position, tail, opposite, start, gone_a, gone_b, p, around, flo
             mz = hx * ey - hy * ex
             beyond = np.sqrt(mx * mx + my * my + mz * mz)
             now = nx * mx + ny * my + nz * mz
-            if now < FOLD_COSINE * new * beyond and now * old < (ox * mx + oy * my + oz * mz) * new:
+            if now < GUARD_COSINE * new * beyond and now * old < (ox * mx + oy * my + oz * mz) * new:
                 return False
-            if is_after and (nx * lx + ny * ly + nz * lz) < FOLD_COSINE * new * last:
+            if is_after and (nx * lx + ny * ly + nz * lz) < GUARD_COSINE * new * last:
                 return False
             lx, ly, lz, last = nx, ny, nz, new
             is_after = True
