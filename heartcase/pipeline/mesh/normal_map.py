@@ -22,6 +22,7 @@ from heartcase.pipeline.mesh.field_normals import (
     rings_of,
     to_index_matrix,
 )
+from heartcase.pipeline.mesh.half_edges import opposites
 from heartcase.pipeline.mesh.mesh_distance import nearest_on_mesh
 from heartcase.pipeline.mesh.triangle_grid import TriangleGrid
 
@@ -133,7 +134,19 @@ def _fitted_between(
     start = np.concatenate([[0], np.cumsum((parts + 1) * (parts + 2) // 2)])
     known = np.empty((int(start[-1]), 3), np.float32)
     _fit_lattices(
-        reader.layout, reader.tables, to_index, corners, vertices, normals, flat, parts, start, rings, reach_mm, known
+        reader.layout,
+        reader.tables,
+        to_index,
+        corners,
+        vertices,
+        normals,
+        flat,
+        opposites(corners),
+        parts,
+        start,
+        rings,
+        reach_mm,
+        known,
     )
     return parts, start, known
 
@@ -222,12 +235,28 @@ def _number(i, j, parts):  # type: ignore[no-untyped-def]
     return j * (parts + 1) - (j * (j - 1)) // 2 + i
 
 
+@numba.njit(cache=True, nogil=True, inline="always")
+def _place_on_edge(edge, step, parts):  # type: ignore[no-untyped-def]
+    """Place of a triangle's point that is so many steps along an edge; edge 0 goes from corner 0 to corner 1."""
+    if edge == 0:
+        return _number(step, 0, parts)
+    return _number(parts - step, step, parts) if edge == 1 else _number(0, parts - step, parts)
+
+
+@numba.njit(cache=True, nogil=True, inline="always")
+def _giver(t, edge, parts, flat, opposite):  # type: ignore[no-untyped-def]
+    """Half-edge whose triangle fits the points that both have on an edge; -1 where triangle ``t`` does so itself."""
+    other = opposite[3 * t + edge]
+    return other if other // 3 < t and parts[other // 3] == parts[t] and not flat[other // 3] else -1
+
+
 @numba.njit(cache=True, nogil=True, parallel=True)
 def _fit_lattices(  # type: ignore[no-untyped-def]
-    layout, tables, m, corners, vertices, normals, flat, parts, start, rings, reach, known
+    layout, tables, m, corners, vertices, normals, flat, opposite, parts, start, rings, reach, known
 ):
-    """Normals at the points of every triangle that is not flat."""
-    for chunk in numba.prange((len(corners) + CHUNK - 1) // CHUNK):
+    """Normals at the points of every triangle that is not flat; on an edge that two share, fitted once."""
+    chunks = (len(corners) + CHUNK - 1) // CHUNK
+    for chunk in numba.prange(chunks):
         spare = scratch(layout)
         weights, here, there, normal, out = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
         work = np.empty((3, 8))
@@ -237,15 +266,31 @@ def _fit_lattices(  # type: ignore[no-untyped-def]
             count = parts[t]
             for j in range(count + 1):
                 for i in range(count + 1 - j):
+                    is_corner = i == count or j == count or i + j == 0
+                    if not is_corner and (
+                        (j == 0 and _giver(t, 0, parts, flat, opposite) >= 0)
+                        or (i + j == count and _giver(t, 1, parts, flat, opposite) >= 0)
+                        or (i == 0 and _giver(t, 2, parts, flat, opposite) >= 0)
+                    ):
+                        continue
                     weights[1], weights[2] = i / count, j / count
                     weights[0] = (count - i - j) / count
                     _mix(weights, normals, corners[t], normal)
                     make_unit(normal, 1e-30)
                     out[:] = normal
-                    if i != count and j != count and i + j != 0:
+                    if not is_corner:
                         _mix(weights, vertices, corners[t], here)
                         fit_normal(layout, tables, m, here, normal, rings, reach, spare, work, there, out)
                     known[start[t] + _number(i, j, count)] = out
+    for chunk in numba.prange(chunks):
+        for t in range(chunk * CHUNK, min((chunk + 1) * CHUNK, len(corners))):
+            for edge in range(3):
+                giver = _giver(t, edge, parts, flat, opposite)
+                if flat[t] or giver < 0:
+                    continue
+                for step in range(1, parts[t]):
+                    theirs = start[giver // 3] + _place_on_edge(giver % 3, parts[t] - step, parts[t])
+                    known[start[t] + _place_on_edge(edge, step, parts[t])] = known[theirs]
 
 
 @numba.njit(cache=True, nogil=True, inline="always")

@@ -6,6 +6,10 @@ import numpy as np
 import pytest
 
 from heartcase.pipeline.distance import default_smoothing_mm, label_distances
+from heartcase.pipeline.fields import FieldReader
+from heartcase.pipeline.mesh import normal_map
+from heartcase.pipeline.mesh.field_normals import rings_of, to_index_matrix
+from heartcase.pipeline.mesh.half_edges import opposites
 from heartcase.pipeline.surface import build_surface
 from heartcase.schemas.settings import SurfaceSettings
 from tests.pipeline.solids import (
@@ -147,3 +151,24 @@ def test_the_exact_baker_takes_the_near_side_of_a_thin_wall():
     error = degrees(shaded(surface, triangle, weights), outward)
     assert error.mean() < 1.5
     assert error.max() < 15.0
+
+
+def test_points_that_two_triangles_share_are_fitted_once_and_right():
+    structures = solid(torus(14.0, 6.0), lattice(0.8, 24.0, direction=OBLIQUE))
+    surface = build_surface(structures, SurfaceSettings(triangle_count=2500, normal_map_size=0, level_counts=()))
+    corners, vertices = surface.triangles, surface.vertices_mm.astype(float)
+    reader = FieldReader.of(structures)
+    edge = np.linalg.norm(vertices[np.roll(corners, -1, axis=1)] - vertices[corners], axis=2).max(axis=1)
+    parts = np.ceil(edge / 0.6).astype(np.int64)
+    start = np.concatenate([[0], np.cumsum((parts + 1) * (parts + 2) // 2)])
+    known = {}
+    # where every half-edge is its own opposite, no triangle gives anything to another
+    for name, opposite in (("shared", opposites(corners)), ("alone", np.arange(corners.size, dtype=np.int32))):
+        known[name] = np.full((int(start[-1]), 3), np.nan, np.float32)
+        normal_map._fit_lattices(
+            *(reader.layout, reader.tables, to_index_matrix(reader), corners, vertices, surface.normals.astype(float)),
+            *(np.zeros(len(corners), bool), opposite, parts, start, rings_of(reader), 0.4, known[name]),
+        )
+    assert np.isfinite(known["shared"]).all()
+    away = degrees(unit(known["shared"].astype(float)), unit(known["alone"].astype(float)))
+    assert away.max() < 0.1
