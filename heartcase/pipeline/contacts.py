@@ -38,7 +38,7 @@ FINE_MM = 0.6
 MOST_FINE = 3
 NEIGHBOUR = 1.45
 """Faces are neighbours when their centres are no farther apart than this, in voxels: they share at least a corner."""
-NORMAL_STEPS = 6
+NORMAL_STEPS = 8
 """Steps from neighbour to neighbour over which a face's normal is averaged."""
 POCKET_SHARE = 0.1
 """A piece with less than this part of a label's voxels may be what a patch cuts off: blood that leads nowhere."""

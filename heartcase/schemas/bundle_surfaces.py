@@ -63,6 +63,10 @@ def _kind_problems(manifest: CaseManifest, surface: Arrays) -> Iterable[Problem]
     labels = stated(manifest, "labels")
     if not isinstance(labels, LabelTable) or not set(names) <= set(surface):
         return
+    if any(
+        not {"value", "role", "wall_of"} <= set(label.__dict__) for label in stated(manifest, "labels.labels") or ()
+    ):
+        return
     kinds, void, tissue, is_cut = (surface[name] for name in names)
     wrong = kinds != plain_kinds(void, tissue, is_cut, labels)
     if (wrong & ((kinds != SurfaceKind.DEFECT_RIM) | (is_cut != 0))).any():

@@ -58,13 +58,12 @@ def plain_kinds(void: UInt8, tissue: UInt8, is_cut: npt.ArrayLike, table: LabelT
     inside = np.full(256, SurfaceKind.ENDOCARDIUM, np.uint8)
     outside = np.full(256, SurfaceKind.EPICARDIUM, np.uint8)
     is_device = np.zeros(256, np.bool_)
+    roles = {label.value: label.role for label in table}
     for label in table:
         if label.role is Role.VESSEL_LUMEN:
             inside[label.value] = SurfaceKind.VESSEL_INSIDE
-        elif label.role is Role.WALL:
-            cavity = table[label.wall_of] if label.wall_of is not None and label.wall_of in table else None
-            if cavity is None or cavity.role is Role.VESSEL_LUMEN:
-                outside[label.value] = SurfaceKind.VESSEL_OUTSIDE
+        elif label.role is Role.WALL and (label.wall_of is None or roles.get(label.wall_of) is not Role.BLOOD):
+            outside[label.value] = SurfaceKind.VESSEL_OUTSIDE
         is_device[label.value] = label.role is Role.DEVICE
     kinds = np.where(void == BACKGROUND, outside[tissue], inside[void])
     kinds[is_device[tissue]] = SurfaceKind.DEVICE
