@@ -8,13 +8,15 @@ it was made; ties in cost go to the lower half-edge.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numba
 import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.mesh.quadrics import best_place, edge_costs, next_edge, previous_edge, vertex_quadrics
 
-__all__ = ["collapse"]
+__all__ = ["Collapsing", "finished", "swept"]
 
 LEAST_COSINE = 0.4
 LEAST_QUALITY = 0.12
@@ -264,30 +266,42 @@ def _sweep(position, tail, opposite, quadric, alive, cost, limit, mark, left, wa
     return left
 
 
-def collapse(
+@dataclass(frozen=True)
+class Collapsing:
+    """A mesh while its edges are collapsed."""
+
+    position: npt.NDArray[np.float64]
+    """Vertices, shape (vertex_count, 3), near the origin; those that are gone stay as they were."""
+    tail: npt.NDArray[np.int32]
+    """Vertex at which each half-edge starts, shape (3 * triangle_count,)."""
+    opposite: npt.NDArray[np.int32]
+    """Opposite half-edges, same shape."""
+    quadric: npt.NDArray[np.float64]
+    """Of each vertex, shape (vertex_count, 10)."""
+    alive: npt.NDArray[np.bool_]
+    """Triangles that are left, shape (triangle_count,)."""
+
+
+def swept(
     position: npt.NDArray[np.float64],
     tail: npt.NDArray[np.int32],
     opposite: npt.NDArray[np.int32],
     tags: npt.NDArray[np.int64],
     wanted: int,
     care: npt.NDArray[np.float64] | None = None,
-) -> npt.NDArray[np.bool_]:
-    """Collapse edges in place until ``wanted`` triangles are left or none may go; which triangles are left.
+) -> Collapsing:
+    """Collapse cheap edges, sweep by sweep, until about twice the wanted triangles are left.
 
     Parameters
     ----------
-    position
-        Vertices, float64, shape (vertex_count, 3), near the origin.
-    tail
-        Vertex at which each half-edge starts, int32, shape (3 * triangle_count,).
-    opposite
-        Opposite half-edges, int32, same shape.
+    position, tail, opposite
+        As in :class:`Collapsing`; changed in place.
     tags
-        Tag of each triangle, int64, shape (triangle_count,).
+        Tag of each triangle, shape (triangle_count,).
     wanted
-        Triangles to leave.
+        Triangles that are wanted in the end.
     care
-        Factor on the error of each vertex, float64, shape (vertex_count,).
+        Factor on the error of each vertex, shape (vertex_count,).
     """
     quadric = vertex_quadrics(position, tail, opposite, tags)
     if care is not None:
@@ -304,8 +318,21 @@ def collapse(
         before = left
         limit = np.partition(sample, cheap)[cheap]
         left = _sweep(position, tail, opposite, quadric, alive, cost, limit, mark, left, until)
-    _collapse_by_heap(position, tail, opposite, quadric, alive, mark, left, wanted)
-    return alive
+    return Collapsing(position, tail, opposite, quadric, alive)
+
+
+def finished(mesh: Collapsing, wanted: int, care: npt.NDArray[np.float64] | None = None) -> Collapsing:
+    """Collapse the cheapest edge again and again, until ``wanted`` triangles are left or none may go.
+
+    The mesh is not changed, so another count, or more care at some vertices, can be tried from it again.
+    """
+    one = Collapsing(*(array.copy() for array in vars(mesh).values()))
+    if care is not None:
+        one.quadric[:] *= care[:, None]
+    mark = np.empty(len(one.position), np.int32)
+    left = int(one.alive.sum())
+    _collapse_by_heap(one.position, one.tail, one.opposite, one.quadric, one.alive, mark, left, wanted)
+    return one
 
 
 @numba.njit(cache=True, nogil=True)

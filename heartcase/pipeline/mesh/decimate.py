@@ -8,13 +8,12 @@ or the full mesh already had, are left to be smoothed out afterwards.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from heartcase.pipeline.mesh.collapse import collapse
+from heartcase.pipeline.mesh.collapse import Collapsing, finished, swept
 from heartcase.pipeline.mesh.half_edges import opposites
 from heartcase.pipeline.mesh.intersections import self_intersections
 
@@ -95,17 +94,34 @@ def decimate(
     """
     if len(triangles) <= triangle_count:
         return vertices, triangles, np.arange(len(triangles), dtype=np.int32)
-    middle = vertices.mean(axis=0)
-    position = vertices - middle
-    tail = triangles.astype(np.int32).ravel()
+    begun = _begun(vertices, triangles, tags, triangle_count, opposite, care)
+    return _result(finished(begun, triangle_count), vertices.mean(axis=0))
+
+
+def _begun(
+    vertices: Float64,
+    triangles: Int32,
+    tags: npt.NDArray[np.integer],
+    triangle_count: int,
+    opposite: Int32 | None,
+    care: Float64 | None,
+) -> Collapsing:
+    """A mesh with most of its edges collapsed, about its middle."""
     beside = opposites(triangles) if opposite is None else opposite.copy()
-    alive = collapse(position, tail, beside, np.asarray(tags).astype(np.int64), triangle_count, care)
-    source = np.flatnonzero(alive).astype(np.int32)
-    left = tail.reshape(-1, 3)[source]
+    tail = triangles.astype(np.int32).ravel()
+    return swept(
+        vertices - vertices.mean(axis=0), tail, beside, np.asarray(tags).astype(np.int64), triangle_count, care
+    )
+
+
+def _result(mesh: Collapsing, middle: Float64) -> tuple[Float64, Int32, Int32]:
+    """Vertices and triangles that are left, and the old number of each triangle."""
+    source = np.flatnonzero(mesh.alive).astype(np.int32)
+    left = mesh.tail.reshape(-1, 3)[source]
     used = np.unique(left)
-    number = np.zeros(len(vertices), np.int32)
+    number = np.zeros(len(mesh.position), np.int32)
     number[used] = np.arange(len(used), dtype=np.int32)
-    return position[used] + middle, number[left], source
+    return mesh.position[used] + middle, number[left], source
 
 
 def decimate_soundly(
@@ -115,14 +131,14 @@ def decimate_soundly(
     *,
     triangle_count: int,
     reach_mm: float,
-    **more: Any,
+    opposite: Int32 | None = None,
 ) -> Decimated:
     """Decimate, relax folds, and where the result passes through itself or is folded still, take more care there.
 
-    Where two sheets are nearer to each other than the error of so few triangles, they cross. The full mesh is decimated
-    once more then, with the error counting more around those places, so that triangles go there from elsewhere; from
-    the third time on there are a quarter more triangles against crossings, too, and vertices may move twice as far
-    from the fourth.
+    Where two sheets are nearer to each other than the error of so few triangles, they cross. The last half of the
+    collapses is done once more then, with the error counting more around those places, so that triangles go there from
+    elsewhere; after that the full mesh is decimated again. From the third time on there are a quarter more triangles
+    against crossings, too, and vertices may move twice as far from the fourth.
 
     Parameters
     ----------
@@ -130,8 +146,8 @@ def decimate_soundly(
         As for :func:`decimate`.
     reach_mm
         How far a vertex may move for the sake of a fold.
-    more
-        ``opposite``, as for :func:`decimate`.
+    opposite
+        As for :func:`decimate`.
 
     Returns
     -------
@@ -140,10 +156,14 @@ def decimate_soundly(
     """
     care = np.ones(len(vertices))
     count = triangle_count
+    begun: Collapsing | None = None
     for turn in range(CARE_ROUNDS + 1):
-        coarse, faces, _ = decimate(
-            vertices, triangles, tags, triangle_count=count, care=care if turn else None, **more
-        )
+        if len(triangles) <= count:
+            coarse, faces = vertices, triangles
+        else:
+            if turn != 1 or begun is None:
+                begun = _begun(vertices, triangles, tags, count, opposite, care if turn else None)
+            coarse, faces, _ = _result(finished(begun, count, care if turn == 1 else None), vertices.mean(axis=0))
         coarse, relaxed, pairs = relax_folds(
             coarse, faces, reach_mm=reach_mm * (1.0 if 2 * turn < CARE_ROUNDS else 2.0)
         )
