@@ -143,13 +143,16 @@ def build_surface(structures: Structures, settings: SurfaceSettings, *, render: 
             f"{quality['distance_p99_mm']:.2g} mm or more off its full resolution, not {settings.error_mm:g} mm: allow "
             "more with surface.triangle_count"
         )
-    levels = _levels(source, surface, settings, size)
-    return replace(surface, warnings=tuple(warnings), levels=levels)
+    levels, lost = _levels(source, surface, settings, size)
+    return replace(surface, warnings=(*warnings, *lost), levels=levels)
 
 
-def _levels(source: _Source, finest: Surface, settings: SurfaceSettings, size: int) -> tuple[Surface, ...]:
-    """Coarser levels of detail, each decimated from the one before it."""
+def _levels(
+    source: _Source, finest: Surface, settings: SurfaceSettings, size: int
+) -> tuple[tuple[Surface, ...], tuple[str, ...]]:
+    """Coarser levels of detail, each decimated from the one before it, and why one is left out."""
     levels: list[Surface] = []
+    lost: list[str] = []
     size = max(size // 2, LEAST_MAP_SIZE) if size else 0
     for count in settings.level_counts:
         last = levels[-1] if levels else finest
@@ -162,9 +165,16 @@ def _levels(source: _Source, finest: Surface, settings: SurfaceSettings, size: i
             triangle_count=count,
             reach_mm=source.reach_mm,
         )
-        if len(coarse.triangles) < len(last.triangles):
+        if len(coarse.crossing_pairs):
+            lost.append(
+                note(
+                    f"the level of detail with {count} triangles is left out, as thin walls would pass through each "
+                    "other with so few: nothing need be done unless a slow display needs it"
+                )
+            )
+        elif len(coarse.triangles) < len(last.triangles):
             levels.append(_finished(source, coarse, settings, size))
-    return tuple(levels)
+    return tuple(levels), tuple(lost)
 
 
 def _finished(source: _Source, coarse: Decimated, settings: SurfaceSettings, size: int) -> Surface:
