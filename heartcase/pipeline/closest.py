@@ -2,9 +2,9 @@
 
 Beside the zero level each node walks to its closest point on it, and there the level's normal and its second
 fundamental form are noted. A node farther off takes the nearest of these points (by an exact transform of the nodes
-beside the level: Felzenszwalb and Huttenlocher, Distance transforms of sampled functions, Theory of Computing 8, 2012;
-and by what its neighbours found), foretells its own closest point by the level's bend there, and walks on from that:
-mostly one look at the field is enough, and what is left of the way is added to second order. Along a normal the Hessian
+beside the level, :mod:`heartcase.pipeline.feature_transform`, and by what its neighbours found), foretells its own
+closest point by the level's bend there, and walks on from that: mostly one look at the field is enough, and what is
+left of the way is added to second order. Along a normal the Hessian
 ``H`` of a distance turns into ``H (1 + a H)^-1`` at the distance ``a``; towards a centre of curvature it says nothing,
 and the node walks as it can.
 
@@ -15,6 +15,8 @@ from __future__ import annotations
 
 import numba
 import numpy as np
+
+from heartcase.pipeline.feature_transform import nearest_seeds
 
 __all__ = ["closest_points", "offset_for_interpolation"]
 
@@ -323,101 +325,6 @@ def _foretell(h, k, j, i, foot, n, shape, smallest, point, pace):  # type: ignor
 
 
 @numba.njit(cache=True, nogil=True)
-def _lower_envelope(cost, here, count, width, reach, last, bound, out):  # type: ignore[no-untyped-def]
-    """For each place of a line the entry that is nearest: least ``cost`` plus the squared way along the line.
-
-    ``here`` are the entries, -1 where there is none, and ``cost`` their squared distances from the line; entries
-    beyond ``reach`` of the line are left out.
-    """
-    square = width * width
-    top = -1
-    for q in range(count):
-        if here[q] < 0 or cost[q] > reach:
-            continue
-        start = -np.inf
-        while top >= 0:
-            p = last[top]
-            start = ((cost[q] + square * q * q) - (cost[p] + square * p * p)) / (2.0 * square * (q - p))
-            if start > bound[top]:
-                break
-            top -= 1
-        if top < 0:
-            start = -np.inf
-        top += 1
-        last[top] = q
-        bound[top] = start
-    if top < 0:
-        for q in range(count):
-            out[q] = -1
-        return
-    n = 0
-    for q in range(count):
-        while n < top and bound[n + 1] < q:
-            n += 1
-        out[q] = here[last[n]]
-
-
-@numba.njit(cache=True, nogil=True)
-def _nearest_seeds(seed, place, h, reach):  # type: ignore[no-untyped-def]
-    """Turn numbers of nodes, -1 elsewhere, into the number of the nearest such node, where one may lie in reach."""
-    nz, ny, nx = seed.shape
-    longest = max(nz, ny, nx)
-    far = reach * reach
-    cost = np.empty(longest)
-    here = np.empty(longest, np.int32)
-    out = np.empty(longest, np.int32)
-    last = np.empty(longest, np.int32)
-    bound = np.empty(longest)
-    plane = np.empty((ny, nx), np.int32)
-    for k in range(nz):
-        any_here = False
-        for j in range(ny):
-            nearest = -1
-            for i in range(nx):
-                if seed[k, j, i] >= 0:
-                    nearest = seed[k, j, i]
-                plane[j, i] = nearest
-            any_here |= nearest >= 0
-            if nearest < 0:
-                continue
-            nearest = -1
-            for i in range(nx - 1, -1, -1):
-                if seed[k, j, i] >= 0:
-                    nearest = seed[k, j, i]
-                before = plane[j, i]
-                if nearest >= 0 and (before < 0 or place[nearest, 2] - i < i - place[before, 2]):
-                    plane[j, i] = nearest
-        if not any_here:
-            continue
-        for i in range(nx):
-            for j in range(ny):
-                n = plane[j, i]
-                here[j] = n
-                if n >= 0:
-                    cost[j] = ((place[n, 2] - i) * h[2]) ** 2
-            _lower_envelope(cost, here, ny, h[1], far, last, bound, out)
-            for j in range(ny):
-                seed[k, j, i] = out[j]
-    slab = np.empty((nx, nz), np.int32)
-    for j in range(ny):
-        for k in range(nz):
-            for i in range(nx):
-                slab[i, k] = seed[k, j, i]
-        for i in range(nx):
-            for k in range(nz):
-                n = slab[i, k]
-                here[k] = n
-                if n >= 0:
-                    cost[k] = ((place[n, 2] - i) * h[2]) ** 2 + ((place[n, 1] - j) * h[1]) ** 2
-            _lower_envelope(cost, here, nz, h[0], far, last, bound, out)
-            for k in range(nz):
-                slab[i, k] = out[k]
-        for k in range(nz):
-            for i in range(nx):
-                seed[k, j, i] = slab[i, k]
-
-
-@numba.njit(cache=True, nogil=True)
 def _nearest_of_neighbours(seed, foot, h, k, j, i, nearest):  # type: ignore[no-untyped-def]
     """The nearest of the points that a node and its 26 neighbours found, and the square of the distance."""
     nz, ny, nx = seed.shape
@@ -474,7 +381,7 @@ def closest_points(f, h, reach, square):  # type: ignore[no-untyped-def]
             length[n] = _walk(f, h, k, j, i, foot[n], np.sqrt(best), pace, w, out, True)
         _shape_at(f, h, foot[n], w, out, shape[n])
     far = reach + 2.0 * h.max()
-    _nearest_seeds(seed, place, h, far)
+    nearest_seeds(seed, place, h, far)
     least = reach + smallest
     for k in range(nz):
         for j in range(ny):

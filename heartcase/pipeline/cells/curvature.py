@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.data import SimulationGrid
+from heartcase.pipeline.vectors import cross
 from heartcase.schemas.lattice import CELL_DIAGONALS, CELL_EDGES, cell_nodes
 
 __all__ = ["curvature_errors", "grid_springs", "node_neighbours"]
@@ -89,13 +90,6 @@ def _normalise(v):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
-def _cross(a, b, out):  # type: ignore[no-untyped-def]
-    out[0] = a[1] * b[2] - a[2] * b[1]
-    out[1] = a[2] * b[0] - a[0] * b[2]
-    out[2] = a[0] * b[1] - a[1] * b[0]
-
-
-@numba.njit(cache=True, nogil=True)
 def _displace(x, normal, curvature, out):  # type: ignore[no-untyped-def]
     """Move a point as a plate through the origin with this normal and curvature tensor bends."""
     height = normal[0] * x[0] + normal[1] * x[1] + normal[2] * x[2]
@@ -126,9 +120,9 @@ def _plate_curvature(normal, mode, curvature):  # type: ignore[no-untyped-def]
     first = np.zeros(3)
     second = np.empty(3)
     first[axis] = 1.0
-    _cross(normal, first, second)
+    cross(normal, first, second)
     _normalise(second)
-    _cross(second, normal, first)
+    cross(second, normal, first)
     for a in range(3):
         for b in range(3):
             if mode == 0:
@@ -146,9 +140,9 @@ def _bases(points, around, counts, weights, flat, curved, scratch):  # type: ign
         flat[0, x] = points[1, x] - points[0, x]
         scratch[x] = points[2, x] - points[0, x]
     _normalise(flat[0])
-    _cross(flat[0], scratch, flat[1])
+    cross(flat[0], scratch, flat[1])
     _normalise(flat[1])
-    _cross(flat[1], flat[0], flat[2])
+    cross(flat[1], flat[0], flat[2])
     curved[1, :] = 0.0
     for c in range(3):
         sx, sy, sz = 0.0, 0.0, 0.0
@@ -168,10 +162,10 @@ def _bases(points, around, counts, weights, flat, curved, scratch):  # type: ign
         curved[1, 2] += weights[c] * sz / length
     if _normalise(curved[1]) < 1e-6:
         return False
-    _cross(curved[1], flat[0], curved[2])
+    cross(curved[1], flat[0], curved[2])
     if _normalise(curved[2]) < 1e-6:
         return False
-    _cross(curved[2], curved[1], curved[0])
+    cross(curved[2], curved[1], curved[0])
     return True
 
 

@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 
 from heartcase.pipeline.data import Surface
 from heartcase.pipeline.mesh.triangle_grid import triangle_grid
+from heartcase.pipeline.vectors import dot, square_to_triangle
 from heartcase.schemas.geometry import Geometry
 
 __all__ = ["NodeTriangles", "TieChooser", "closest_weights"]
@@ -158,44 +159,11 @@ def closest_weights(points: Float64, corners: Float64) -> Float32:
 
 
 @numba.njit(cache=True, nogil=True)
-def _dot(a, b):  # type: ignore[no-untyped-def]
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@numba.njit(cache=True, nogil=True)
 def _closest_point(p, a, b, c, weights):  # type: ignore[no-untyped-def]
-    """Weights of the point of triangle (a, b, c) that is closest to p; returns the squared distance.
-
-    By the regions of the plane that each corner, edge and the inside own.
-    """
-    ab, ac, ap = b - a, c - a, p - a
-    d1, d2 = _dot(ab, ap), _dot(ac, ap)
-    bp, cp = p - b, p - c
-    d3, d4 = _dot(ab, bp), _dot(ac, bp)
-    d5, d6 = _dot(ab, cp), _dot(ac, cp)
-    va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
-    v, w = 0.0, 0.0
-    if d1 <= 0.0 and d2 <= 0.0:
-        pass
-    elif d3 >= 0.0 and d4 <= d3:
-        v = 1.0
-    elif d6 >= 0.0 and d5 <= d6:
-        w = 1.0
-    elif vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
-        v = d1 / (d1 - d3)
-    elif vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
-        w = d2 / (d2 - d6)
-    elif va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
-        w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
-        v = 1.0 - w
-    else:
-        v = vb / (va + vb + vc)
-        w = vc / (va + vb + vc)
-    weights[0] = 1.0 - v - w
-    weights[1] = v
-    weights[2] = w
-    away = p - (a + v * ab + w * ac)
-    return _dot(away, away)
+    """Weights of the point of triangle (a, b, c) that is closest to p; returns the squared distance."""
+    squared, second, third = square_to_triangle(p[0], p[1], p[2], a, b, c)
+    weights[0], weights[1], weights[2] = 1.0 - second - third, second, third
+    return squared
 
 
 @numba.njit(cache=True, nogil=True)
@@ -260,7 +228,7 @@ def _starts_in_tissue(mesh, v, way):  # type: ignore[no-untyped-def]
     q = p + 1e-3 * way
     weights, normal, side = np.empty(3), np.zeros(3), np.zeros(3)
     nearest = np.inf
-    slack = 1e-12 * _dot(way, way)
+    slack = 1e-12 * dot(way, way)
     for n in range(mesh.start[v], mesh.start[v + 1]):
         three = mesh.triangles[mesh.incident[n]]
         a, b, c = mesh.vertices[three[0]], mesh.vertices[three[1]], mesh.vertices[three[2]]
@@ -274,10 +242,10 @@ def _starts_in_tissue(mesh, v, way):  # type: ignore[no-untyped-def]
         normal[0] = e[1] * f[2] - e[2] * f[1]
         normal[1] = e[2] * f[0] - e[0] * f[2]
         normal[2] = e[0] * f[1] - e[1] * f[0]
-        length = np.sqrt(_dot(normal, normal))
+        length = np.sqrt(dot(normal, normal))
         if length > 0.0:
             side += normal / length
-    return _dot(way, side) < 0.0
+    return dot(way, side) < 0.0
 
 
 @numba.njit(cache=True, nogil=True)
@@ -290,10 +258,10 @@ def _is_beyond(mesh, boxes, v, facing, to, skin, beyond):  # type: ignore[no-unt
     if goes_in == 0.0 and not _starts_in_tissue(mesh, v, way):
         return False
     # It ends in tissue: in that of a cell that is none, for having too little, or in the skin of a wall.
-    inside = (1.0 - goes_in) * np.sqrt(_dot(way, way))
+    inside = (1.0 - goes_in) * np.sqrt(dot(way, way))
     if inside > skin:
         return True
-    return _dot(way, facing) > 0.0 and _first_and_last(v, to, beyond * facing, mesh.triangles, boxes)[0]
+    return dot(way, facing) > 0.0 and _first_and_last(v, to, beyond * facing, mesh.triangles, boxes)[0]
 
 
 @numba.njit(cache=True, nogil=True)
@@ -370,7 +338,7 @@ def _choose(mesh, boxes, who, triangles, tried, reach, is_any, chosen, score):  
             for c in range(len(value)):
                 corner = triangles.corners[tried[n, c]]
                 squared = _closest_point(mesh.vertices[v], corner[0], corner[1], corner[2], weights)
-                away = max(-_dot(mesh.normals[v], triangles.facing[tried[n, c]]), 0.0)
+                away = max(-dot(mesh.normals[v], triangles.facing[tried[n, c]]), 0.0)
                 value[c] = np.sqrt(squared) + penalty * away
             chosen[n], score[n] = -1, np.inf
             for _ in range(len(value)):

@@ -17,8 +17,9 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.fields import FieldReader, evaluate_tissue, scratch
+from heartcase.pipeline.vectors import cross, make_unit
 
-__all__ = ["Rings", "cross", "dot", "fit_normal", "fitted_normals", "make_unit", "rings_of", "to_index_matrix"]
+__all__ = ["Rings", "fit_normal", "fitted_normals", "rings_of", "to_index_matrix"]
 
 Bool = npt.NDArray[np.bool_]
 Float64 = npt.NDArray[np.float64]
@@ -86,30 +87,6 @@ def fitted_normals(
         reader.layout, reader.tables, to_index_matrix(reader), points_mm, normals, rings, reach_mm, drawn, fitted, found
     )
     return drawn, fitted, found
-
-
-@numba.njit(cache=True, nogil=True, inline="always")
-def dot(a, b):  # type: ignore[no-untyped-def]
-    """Scalar product."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@numba.njit(cache=True, nogil=True, inline="always")
-def cross(a, b, out):  # type: ignore[no-untyped-def]
-    """Vector product."""
-    out[0] = a[1] * b[2] - a[2] * b[1]
-    out[1] = a[2] * b[0] - a[0] * b[2]
-    out[2] = a[0] * b[1] - a[1] * b[0]
-
-
-@numba.njit(cache=True, nogil=True)
-def make_unit(v, least):  # type: ignore[no-untyped-def]
-    """Divide a vector by its length, or make it zero where that is too small; returns whether it is not."""
-    length = np.sqrt(dot(v, v))
-    factor = 1.0 / length if length > least else 0.0
-    for axis in range(3):
-        v[axis] *= factor
-    return factor > 0.0
 
 
 @numba.njit(cache=True, nogil=True, inline="always")

@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.mesh.triangle_grid import TriangleGrid
+from heartcase.pipeline.vectors import square_to_triangle
 
 __all__ = ["mesh_distance_mm", "nearest_on_mesh"]
 
@@ -35,48 +36,6 @@ def mesh_distance_mm(points_mm: Float64, mesh: TriangleGrid) -> Float64:
 
 
 @numba.njit(cache=True, nogil=True)
-def _square_to_triangle(px, py, pz, a, b, c):  # type: ignore[no-untyped-def]
-    """Square of the distance, and the weights of the second and third corner at the nearest point.
-
-    Ericson, Real-Time Collision Detection, 2005, section 5.1.5.
-    """
-    abx, aby, abz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    acx, acy, acz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
-    apx, apy, apz = px - a[0], py - a[1], pz - a[2]
-    d1 = abx * apx + aby * apy + abz * apz
-    d2 = acx * apx + acy * apy + acz * apz
-    v = w = 0.0
-    if not (d1 <= 0.0 and d2 <= 0.0):
-        bpx, bpy, bpz = px - b[0], py - b[1], pz - b[2]
-        d3 = abx * bpx + aby * bpy + abz * bpz
-        d4 = acx * bpx + acy * bpy + acz * bpz
-        cpx, cpy, cpz = px - c[0], py - c[1], pz - c[2]
-        d5 = abx * cpx + aby * cpy + abz * cpz
-        d6 = acx * cpx + acy * cpy + acz * cpz
-        va = d3 * d6 - d5 * d4
-        vb = d5 * d2 - d1 * d6
-        vc = d1 * d4 - d3 * d2
-        if d3 >= 0.0 and d4 <= d3:
-            v = 1.0
-        elif vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
-            v = d1 / (d1 - d3) if d1 != d3 else 0.0
-        elif d6 >= 0.0 and d5 <= d6:
-            w = 1.0
-        elif vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
-            w = d2 / (d2 - d6) if d2 != d6 else 0.0
-        elif va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
-            w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
-            v = 1.0 - w
-        else:
-            v = vb / (va + vb + vc)
-            w = vc / (va + vb + vc)
-    x = apx - v * abx - w * acx
-    y = apy - v * aby - w * acy
-    z = apz - v * abz - w * acz
-    return x * x + y * y + z * z, v, w
-
-
-@numba.njit(cache=True, nogil=True)
 def nearest_on_mesh(grid, x, y, z, facing, way, least, farthest):  # type: ignore[no-untyped-def]
     """Nearest triangle to a point: its number, -1 where there is none, the square of the distance, two weights.
 
@@ -102,7 +61,7 @@ def nearest_on_mesh(grid, x, y, z, facing, way, least, farthest):  # type: ignor
                             facing[t, 0] * way[0] + facing[t, 1] * way[1] + facing[t, 2] * way[2] < least
                         ):
                             continue
-                        square, v, w = _square_to_triangle(x, y, z, corner[t, 0], corner[t, 1], corner[t, 2])
+                        square, v, w = square_to_triangle(x, y, z, corner[t, 0], corner[t, 1], corner[t, 2])
                         if square < best:
                             best, found, best_v, best_w = square, t, v, w
         free = min(

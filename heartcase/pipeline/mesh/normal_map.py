@@ -13,18 +13,11 @@ import numpy.typing as npt
 
 from heartcase.pipeline.fields import FieldReader, scratch
 from heartcase.pipeline.mesh.atlas import Atlas
-from heartcase.pipeline.mesh.field_normals import (
-    cross,
-    dot,
-    fit_normal,
-    fitted_normals,
-    make_unit,
-    rings_of,
-    to_index_matrix,
-)
+from heartcase.pipeline.mesh.field_normals import fit_normal, fitted_normals, rings_of, to_index_matrix
 from heartcase.pipeline.mesh.half_edges import opposites
 from heartcase.pipeline.mesh.mesh_distance import nearest_on_mesh
 from heartcase.pipeline.mesh.triangle_grid import TriangleGrid
+from heartcase.pipeline.vectors import cross, dot, make_unit
 
 __all__ = ["bake_normal_map"]
 

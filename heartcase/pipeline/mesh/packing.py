@@ -1,0 +1,102 @@
+"""Charts side by side in a square picture: each turned to lie in its smallest box, the boxes packed by a skyline."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from heartcase.schemas.errors import StageError
+
+__all__ = ["GUTTER_TEXELS", "pack", "turned"]
+
+Float64 = npt.NDArray[np.float64]
+Int32 = npt.NDArray[np.int32]
+
+GUTTER_TEXELS = 2
+"""Texels that are kept free on each side of a chart."""
+TURN_COUNT = 12
+
+
+def turned(flat: Float64, chart: Int32, count: int) -> tuple[Float64, Float64, Float64]:
+    """Turn each chart so that its bounding box is smallest and lies on its long side; its box."""
+    best = np.full(count, np.inf)
+    angle = np.zeros(count)
+    order = np.argsort(chart, kind="stable")
+    first = np.searchsorted(chart[order], np.arange(count))
+    ordered = flat[order]
+
+    def box(points: Float64) -> tuple[Float64, Float64]:
+        return np.minimum.reduceat(points, first, axis=0), np.maximum.reduceat(points, first, axis=0)
+
+    for turn in range(2 * TURN_COUNT):
+        theta = np.pi * turn / (2 * TURN_COUNT)
+        matrix = np.array([[np.cos(theta), -np.sin(theta)], [np.sin(theta), np.cos(theta)]])
+        low, high = box(ordered @ matrix.T)
+        extent = high - low
+        area = extent.prod(axis=1)
+        better = (area < best * (1.0 - 1e-9)) & (extent[:, 0] >= extent[:, 1])
+        best[better] = area[better]
+        angle[better] = theta
+    cosine, sine = np.cos(angle)[chart], np.sin(angle)[chart]
+    flat_turned = np.column_stack([cosine * flat[:, 0] - sine * flat[:, 1], sine * flat[:, 0] + cosine * flat[:, 1]])
+    low, high = box(flat_turned[order])
+    return flat_turned, low, high
+
+
+def pack(extent_mm: Float64, size: int) -> tuple[Float64, float]:
+    """Lower corners in texels, gutter included, of the charts' boxes at the largest scale at which they fit."""
+    order = np.lexsort((np.arange(len(extent_mm)), -extent_mm[:, 0], -extent_mm[:, 1]))
+    low = 0.0
+    high = float(size / np.sqrt(max(float(extent_mm.prod(axis=1).sum()), 1e-12)))
+    place = np.zeros((len(extent_mm), 2))
+    found = False
+    for _ in range(40):
+        scale = 0.5 * (low + high)
+        boxes = np.ceil(extent_mm[order] * scale).astype(np.int64) + 2 * GUTTER_TEXELS
+        fits, corners = _skyline(boxes, size)
+        if fits:
+            low, found = scale, True
+            place[order] = corners
+            if high - low < 2e-3 * high:
+                break
+        else:
+            high = scale
+    if not found:
+        raise StageError(
+            f"the surface's {len(extent_mm)} charts do not fit into {size} x {size} texels: ask for a larger map",
+            place="surface.normal_map_size",
+        )
+    return place, low
+
+
+@numba.njit(cache=True, nogil=True)
+def _skyline(boxes, size):  # type: ignore[no-untyped-def]
+    """Put boxes one by one where their upper side comes lowest, leftmost on a tie."""
+    top = np.zeros(size, np.int64)
+    corners = np.zeros((len(boxes), 2))
+    window = np.empty(size, np.int64)
+    for n in range(len(boxes)):
+        width, height = boxes[n]
+        if width > size or height > size:
+            return False, corners
+        best = size + 1
+        best_x = -1
+        first, last = 0, 0
+        for x in range(size):
+            while last > first and top[window[last - 1]] <= top[x]:
+                last -= 1
+            window[last] = x
+            last += 1
+            begin = x - width + 1
+            if window[first] < begin:
+                first += 1
+            if begin >= 0 and top[window[first]] + height < best:
+                best = top[window[first]] + height
+                best_x = begin
+        if best_x < 0 or best > size:
+            return False, corners
+        corners[n, 0] = best_x
+        corners[n, 1] = best - height
+        top[best_x : best_x + width] = best
+    return True, corners
