@@ -27,7 +27,7 @@ STAGE_VERSIONS = {
     "edit": 3,
     "grid": 5,
     "surface": 10,
-    "map": 4,
+    "map": 5,
     "bundle": 4,
 }
 """Raised whenever a stage's output changes for the same input, so that the cache forgets the old one."""
