@@ -120,7 +120,8 @@ def tangents(atlas: Atlas, vertices_mm: npt.NDArray[np.floating], normals: npt.N
         other = np.eye(3)[np.abs(normal[lost]).argmin(axis=1)]
         tangent[lost] = np.cross(normal[lost], other)
         length[lost] = np.linalg.norm(tangent[lost], axis=1)
-    tangent /= length[:, None]
+    # a vertex without a normal, which only a broken mesh has, gets no tangent
+    tangent /= np.maximum(length, 1e-30)[:, None]
     return np.column_stack([tangent, np.where(hand < 0.0, -1.0, 1.0)]).astype(np.float32)
 
 
