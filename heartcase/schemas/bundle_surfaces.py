@@ -145,10 +145,17 @@ def _nearest_problems(manifest: CaseManifest, parts: Parts, positions: Float64) 
     places = geometry.index_to_world(grid["nodes"] - 0.5)
     vertices = parts[FileRole.SURFACE]["vertices"].astype(np.float64)
     distance = np.linalg.norm(vertices - places[parts[FileRole.MAPPING]["nearest_node"]], axis=1)
-    least = np.linalg.norm(vertices[:, None] - positions, axis=2).min(axis=1)
     boundary = _boundary_nodes(grid)
-    if boundary is not None:
-        outer = places[boundary]
+    if boundary is None:
+        return
+    # A vertex may follow a face between cells, with nodes that are not of the boundary.
+    is_outer = np.zeros(len(places), np.bool_)
+    is_outer[boundary] = True
+    least = np.linalg.norm(vertices[:, None] - positions, axis=2)
+    least[~is_outer[parts[FileRole.MAPPING]["triangle_nodes"]]] = np.inf
+    least = least.min(axis=1)
+    outer = places[boundary]
+    if len(outer):
         for vertex in np.unique(np.linspace(0, len(vertices) - 1, NEAREST_SAMPLES).astype(int)).tolist():
             least[vertex] = np.linalg.norm(outer - vertices[vertex], axis=1).min()
     if (distance > least + (NEAREST_EXCESS_CELLS + 1e-3) * geometry.spacing_mm[0]).any():

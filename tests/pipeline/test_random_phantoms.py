@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Iterator
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
 
+from heartcase.pipeline.bundle import assemble_bundle, resolve_materials, write_bundle
 from heartcase.pipeline.data import GridMap, SimulationGrid, Surface
 from heartcase.pipeline.grid import build_grid
 from heartcase.pipeline.map import map_surface
 from heartcase.pipeline.mesh.decimate import folded_triangles
+from heartcase.pipeline.mesh.glb import glb_bytes
 from heartcase.pipeline.mesh.intersections import self_intersections
 from heartcase.pipeline.picking import picking_surface, split_faces
 from heartcase.pipeline.surface import build_surface
+from heartcase.schemas.bundle_check import check_bundle
+from heartcase.schemas.settings import MaterialsSettings
 from tests.pipeline.random_phantoms import RandomHeart, random_heart
 from tests.pipeline.sides import sides
 
@@ -112,3 +118,25 @@ def test_topology_is_kept_or_its_loss_is_placed(seed):
             assert any(f"({x:.1f}, {y:.1f}, {z:.1f})" in warning for warning in grid.warnings), heart.words
             break
     assert quality["leaks_left"] == 0, heart.words
+
+
+@every_seed
+def test_the_case_of_it_is_sound(seed):
+    """Also where vertices follow faces between cells, whose nodes are not of the boundary."""
+    heart, grid, surface, mapped = made(seed)
+    geometry = heart.structures.geometry
+    content = assemble_bundle(
+        name="random",
+        grid=grid,
+        materials=resolve_materials(MaterialsSettings(), grid.table),
+        scan_geometry=geometry,
+        scan_sha256="0" * 64,
+        stages=(),
+        surface=surface,
+        grid_map=mapped,
+        picking=picking_surface(grid),
+        glbs=[glb_bytes(one) for one in (surface, *surface.levels)],
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        write_bundle(Path(folder) / "random.case", content)
+        assert check_bundle(Path(folder) / "random.case") == (), heart.words
