@@ -166,7 +166,7 @@ def command(
     surface = result.manifest.quality.get("surface", {})
     if "triangle_count" in surface:
         levels = [f"{one['surface']['triangle_count']:,}" for one in result.manifest.quality.get("levels", ())]
-        coarser = f"; coarser levels of {' and '.join(levels)}" if levels else ""
+        coarser = f"; coarser level{'s' * (len(levels) > 1)} of {' and '.join(levels)}" if levels else ""
         click.echo(f"Surface {surface['triangle_count']:,} triangles{coarser}")
     click.echo(f"Step    {figures.step_default_s * 1e3:.3f} ms ({figures.steps_per_second:,.0f} steps per second)")
     click.echo(f"Time    {seconds:.1f} s")

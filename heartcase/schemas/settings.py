@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from heartcase.schemas.base import Model, Name, PointMm, PositiveMm, Vector3
 from heartcase.schemas.errors import Problem
@@ -275,9 +275,14 @@ class SurfaceSettings(Model):
     def _map_has_room(self) -> SurfaceSettings:
         if 0 < self.normal_map_size < LEAST_MAP_SIZE:
             raise ValueError(f"normal_map_size must be 0 (no normal map) or at least {LEAST_MAP_SIZE}")
-        if list(self.level_counts) != sorted(set(self.level_counts), reverse=True):
-            raise ValueError("level_counts must fall from one level to the next")
         return self
+
+    @field_validator("level_counts")
+    @classmethod
+    def _levels_fall(cls, counts: tuple[int, ...]) -> tuple[int, ...]:
+        if list(counts) != sorted(set(counts), reverse=True):
+            raise ValueError("must fall from one level to the next, such as [20000, 5000]")
+        return counts
 
 
 class MapSettings(Model):
