@@ -20,7 +20,6 @@ from heartcase.schemas.bundle_manifest import KNOWN_EXTENSIONS, MANIFEST_SIZE_MA
 from heartcase.schemas.coordinates import Coordinates
 from heartcase.schemas.errors import BundleError, Problem
 from heartcase.schemas.safetensors_layout import Layout, count_problems, listing_problems, map_array, read_layout
-from heartcase.schemas.surface_kinds import SurfaceKind
 
 __all__ = [
     "KNOWN_EXTENSIONS",
@@ -143,8 +142,6 @@ class OpenBundle:
                     yield Problem(place, "holds label values that the label table does not have")
             elif name in _FLAG_ARRAYS and int(array.max()) > 1:
                 yield Problem(place, "must be 0 or 1")
-            if name == "triangle_kind" and not np.isin(array, list(SurfaceKind)).all():
-                yield Problem(place, f"must be one of {min(SurfaceKind)} to {max(SurfaceKind)}")
             if name in _LARGEST:
                 if not (array > 0).all():
                     yield Problem(place, "must be above zero everywhere")
