@@ -104,8 +104,8 @@ def label_distances(
     group = _groups(values, blood_values, tissue_values)
     group_mm, inner_mm = _first_order(labels, values, boxes, group, spacing, smoothing_mm)
     width = float(spacing.mean())
-    divided = divide(group_mm, inner_mm, group)
-    given_back = bridging_voxels(labels, np.array(values, np.uint8)[divided.owner], blood_values)
+    owner = divide(group_mm, inner_mm, group)
+    given_back = bridging_voxels(labels, np.array(values, np.uint8)[owner], blood_values)
     if given_back.any():
         for number, value in enumerate(values):
             mine = given_back & (labels == value)
@@ -114,12 +114,12 @@ def label_distances(
             inner = inner_mm[number]
             if inner is not None:
                 inner.values[mine[inner.box]] = -RETURN_VOXELS * width
-        divided = divide(group_mm, inner_mm, group)
+        owner = divide(group_mm, inner_mm, group)
 
     outer = [0.5 * lead for lead in leads_of([-one for one in group_mm])]
 
     def one(number: int) -> Float32 | None:
-        inside = divided.owner == number
+        inside = owner == number
         if not inside.any():
             return None
         box = _box_around(inside, np.ceil(band_mm / spacing).astype(np.int64) + 2)

@@ -269,7 +269,7 @@ class SurfaceSettings(Model):
     atlas: Literal["cone", "xatlas"] = "cone"
     """UV charts: cones grown greedily and projected, or xatlas (slower)."""
     baker: Literal["quick", "exact"] = "quick"
-    """Normal map from the fields at points a voxel apart, or for each texel from the full surface (slower)."""
+    """Normal map from the fields at points about 1.6 voxels apart, or for each texel from the full surface (slower)."""
 
     @model_validator(mode="after")
     def _map_has_room(self) -> SurfaceSettings:

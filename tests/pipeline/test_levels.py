@@ -10,7 +10,7 @@ import pytest
 
 from heartcase.cli.main import main
 from heartcase.pipeline.artifacts import artifact_from_bytes, artifact_to_bytes
-from heartcase.pipeline.data import GridMap, Surface
+from heartcase.pipeline.data import Surface
 from heartcase.pipeline.run import build_case
 from heartcase.pipeline.surface import build_surface
 from heartcase.schemas.bundle import ARRAYS, FORMAT_VERSION, LEVEL_MAX, LEVELS, FileRole
@@ -203,4 +203,3 @@ def test_the_mapping_ties_each_level(case):
     nodes = len(whole.arrays(FileRole.GRID, ["nodes"])["nodes"])
     for level in (1, 2):
         assert whole.arrays(FileRole.MAPPING.at(level), ["triangle_nodes"])["triangle_nodes"].max() < nodes
-    assert GridMap.__dataclass_fields__["levels"].default == ()
