@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import cc3d
+import numba
 import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csr_array
@@ -140,25 +141,73 @@ def compartment_changes(
 
 def _large_pieces(blood: Bool, least: int) -> UInt32:
     """Number the 6-connected pieces of at least so many voxels from 1 in the order of the volume; 0 elsewhere."""
-    pieces = cc3d.connected_components(blood, connectivity=6)
-    is_large = np.bincount(pieces.ravel()) >= least
+    pieces, count = cc3d.connected_components(blood, connectivity=6, return_N=True, out_dtype=np.uint32)
+    is_large = _sizes(pieces.ravel(), int(count)) >= least
     is_large[0] = False
     numbers = np.cumsum(is_large, dtype=np.uint32)
     numbers[~is_large] = 0
-    large: UInt32 = numbers[pieces]
+    _renumber(pieces.ravel(), numbers)
+    large: UInt32 = pieces
     return large
+
+
+@numba.njit(cache=True, nogil=True)
+def _sizes(pieces, count):  # type: ignore[no-untyped-def]
+    """Voxels of each number up to ``count``."""
+    sizes = np.zeros(count + 1, np.int64)
+    for n in range(len(pieces)):
+        sizes[pieces[n]] += 1
+    return sizes
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _renumber(pieces, numbers):  # type: ignore[no-untyped-def]
+    for n in numba.prange(len(pieces)):
+        pieces[n] = numbers[pieces[n]]
 
 
 def _overlaps(before: UInt32, after: UInt32, factor: int) -> Any:
     """Common fine voxels of each piece before (row) and after (column), a sparse array."""
     shape = (int(before.max()) + 1, int(after.max()) + 1)
-    total = csr_array(shape, dtype=np.int64)
-    for z, y, x in np.ndindex(factor, factor, factor):
-        part = after[z::factor, y::factor, x::factor]
-        both = np.flatnonzero((before > 0) & (part > 0))
-        pairs = (before.ravel()[both], part.ravel()[both])
-        total = total + csr_array((np.ones(len(both), np.int64), pairs), shape=shape)
-    return total
+    rows, columns, counts = _common(before, after, factor, np.zeros(1, np.int64))
+    return csr_array((counts, (rows, columns)), shape=shape)
+
+
+@numba.njit(cache=True, nogil=True)
+def _common(before, after, factor, counts):  # type: ignore[no-untyped-def]
+    """Runs along x of voxels of one piece before and one after: both numbers, and how many voxels."""
+    rows, columns = np.zeros(len(counts), np.uint32), np.zeros(len(counts), np.uint32)
+    found = 0
+    for k in range(after.shape[0]):
+        for j in range(after.shape[1]):
+            coarse, fine = before[k // factor, j // factor], after[k, j]
+            last_row, last_column = np.uint32(0), np.uint32(0)
+            for i in range(len(coarse)):
+                row = coarse[i]
+                if row == 0:
+                    last_row = row
+                    continue
+                for x in range(factor * i, factor * i + factor):
+                    column = fine[x]
+                    if column == 0:
+                        last_row = column
+                    elif row == last_row and column == last_column:
+                        counts[found - 1] += 1
+                    else:
+                        if found == len(rows):
+                            size = 2 * found
+                            rows, columns, counts = _longer(rows, size), _longer(columns, size), _longer(counts, size)
+                        rows[found], columns[found], counts[found] = row, column, 1
+                        last_row, last_column = row, column
+                        found += 1
+    return rows[:found], columns[:found], counts[:found]
+
+
+@numba.njit(cache=True, nogil=True)
+def _longer(values, size):  # type: ignore[no-untyped-def]
+    longer = np.zeros(size, values.dtype)
+    longer[: len(values)] = values
+    return longer
 
 
 def _refined(values: npt.NDArray[Any], factor: int, box: Box) -> npt.NDArray[Any]:

@@ -11,9 +11,8 @@ distance is then measured to the closest point of the zero level (iteration of C
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 
-import edt
 import numba
 import numpy as np
 import numpy.typing as npt
@@ -31,6 +30,7 @@ from heartcase.pipeline.division import (
     heights_of_groups,
     leads_of,
 )
+from heartcase.pipeline.feature_transform import distance_to_marked
 
 __all__ = ["default_smoothing_mm", "label_distances", "signed_distance"]
 
@@ -129,9 +129,27 @@ def label_distances(
             np.maximum(lead, _within(inner, box, labels.shape, SATURATION * smoothing_mm + width), out=lead)
         return _completed(lead, inside, box, spacing, band_mm, FAR_SIGMAS * smoothing_mm + width)
 
+    # the label with the longest border first, so that both threads end together
+    borders = _face_counts(owner, len(values))
+    first = sorted(range(len(values)), key=lambda number: -int(borders[number]))
     with ThreadPoolExecutor(max_workers=2) as pool:
-        fields = list(pool.map(one, range(len(values))))
-    return {value: field for value, field in zip(values, fields, strict=True) if field is not None}
+        fields = dict(zip(first, pool.map(one, first), strict=True))
+    found = {value: fields[number] for number, value in enumerate(values)}
+    return {value: field for value, field in found.items() if field is not None}
+
+
+@numba.njit(cache=True, nogil=True)
+def _face_counts(owner, count):  # type: ignore[no-untyped-def]
+    """Faces along x between each label and others."""
+    faces = np.zeros(count, np.int64)
+    nz, ny, nx = owner.shape
+    for k in range(nz):
+        for j in range(ny):
+            for i in range(1, nx):
+                if owner[k, j, i] != owner[k, j, i - 1]:
+                    faces[owner[k, j, i]] += 1
+                    faces[owner[k, j, i - 1]] += 1
+    return faces
 
 
 def signed_distance(first_order: Float32, spacing_mm: Sequence[float], *, band_mm: float) -> Float32:
@@ -178,7 +196,7 @@ def _first_order(
         masks = list(pool.map(lambda n: blur((labels[boxes[n]] == values[n]).astype(np.float32)), range(len(values))))
         blurred = [Part(box, mask) for box, mask in zip(boxes, masks, strict=True)]
         touches = find_touches(labels, values, boxes, group, blur)
-        group_mm = _group_distances(blurred, group, touches, labels.shape, spacing, sigma_mm)
+        group_mm = _group_distances(blurred, group, touches, labels.shape, spacing, sigma_mm, pool)
         inner_mm = _inner_distances(blurred, group, labels.shape, spacing, sigma_mm)
         if sigma_mm == 0.0:
             return group_mm, inner_mm
@@ -192,7 +210,7 @@ def _first_order(
 
         again = list(pool.map(lambda n: blur(soft(n)), range(len(values))))
         blurred = [Part(box, mask) for box, mask in zip(boxes, again, strict=True)]
-        shifted = _group_distances(blurred, group, touches, labels.shape, spacing, sigma_mm)
+        shifted = _group_distances(blurred, group, touches, labels.shape, spacing, sigma_mm, pool)
         limit = 0.5 * float(spacing.min())
 
         def correct(number: int) -> None:
@@ -210,10 +228,11 @@ def _group_distances(
     shape: tuple[int, ...],
     spacing: Float64,
     sigma_mm: float,
+    pool: Executor,
 ) -> list[Float32]:
     """Inverse step response of each group's lead over the highest other one."""
     heights = heights_of_groups(blurred, group, touches, shape)
-    return [_inverse_response(lead, spacing, sigma_mm) for lead in leads_of(heights)]
+    return list(pool.map(lambda lead: _inverse_response(lead, spacing, sigma_mm), leads_of(heights)))
 
 
 def _inner_distances(
@@ -241,9 +260,19 @@ def _inverse_response(lead: Float32, spacing: Float64, sigma_mm: float) -> Float
     response = erf(steps / np.sqrt(2.0))
     even = np.linspace(response[0], response[-1], 65537)
     table = (np.interp(even, response, steps) * sigma_mm).astype(np.float32)
-    place = np.clip((lead - even[0]) * ((len(even) - 1) / (even[-1] - even[0])) + 0.5, 0, len(even) - 1)
-    distance: Float32 = table[place.astype(np.int32)]
+    distance = np.empty(lead.shape, np.float32)
+    scale = np.float32((len(even) - 1) / (even[-1] - even[0]))
+    _look_up(np.ascontiguousarray(lead).ravel(), np.float32(even[0]), scale, table, distance.ravel())
     return distance
+
+
+@numba.njit(cache=True, nogil=True)
+def _look_up(values, first, scale, table, found):  # type: ignore[no-untyped-def]
+    """Nearest entry of a table to each value, its ends beyond them."""
+    last = np.float32(len(table) - 1)
+    for n in range(len(values)):
+        place = (values[n] - first) * scale + np.float32(0.5)
+        found[n] = table[np.int32(min(max(place, np.float32(0.0)), last))]
 
 
 def _blur(values: Float32, spacing: Float64, sigma_mm: float) -> Float32:
@@ -316,8 +345,7 @@ def _completed(lead: Float32, inside: Bool, box: Box, spacing: Float64, band_mm:
     label were just outside.
     """
     shape = inside.shape
-    anisotropy = tuple(float(v) for v in spacing)
-    outer = np.asarray(edt.edt(~inside, anisotropy=anisotropy, parallel=1))
+    outer = _distance_to(inside, spacing)
     pads = [
         (BORDER_VOXELS if part.start == 0 else 0, BORDER_VOXELS if part.stop == size else 0)
         if part.stop - part.start > BORDER_VOXELS
@@ -332,15 +360,19 @@ def _completed(lead: Float32, inside: Bool, box: Box, spacing: Float64, band_mm:
     near = offset_for_interpolation(near, np.float32(OFFSET_LIMIT * spacing.min()))
     near = near[tuple(slice(low, low + n) for (low, _), n in zip(pads, lead.shape, strict=True))]
     field: Float32 = np.maximum(outer - half, band_mm, dtype=np.float32)
-    if inside.all():
-        inner = np.full(lead.shape, np.inf, np.float32)
-    else:
-        inner = np.asarray(edt.edt(inside[box], anisotropy=anisotropy, parallel=1))
+    inner = _distance_to(~inside[box], spacing)
     part = field[box]
     np.copyto(part, -np.maximum(inner - half, band_mm), where=inside[box])
     known = np.isfinite(near)
     np.copyto(part, near, where=known)
     return field
+
+
+def _distance_to(marked: Bool, spacing: Float64) -> Float32:
+    """Distance of each voxel to the nearest marked one, mm."""
+    distance = np.empty(marked.shape, np.float32)
+    distance_to_marked(marked, spacing, distance)
+    return distance
 
 
 def _diagonal_mm(shape: tuple[int, ...], spacing: Float64) -> float:

@@ -8,6 +8,7 @@ reach; what lies further out loses its label; the exact plane is a reshaping of 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import cc3d
@@ -197,26 +198,51 @@ def _refusal(segmentation: Segmentation, disc: _Disc | None) -> str:
     """What is wrong with a marker, or an empty string."""
     if disc is None:
         return "the disc lies outside the volume: move its position_mm onto the end of '{name}'"
-    vessel = segmentation.labels == disc.value
-    if not vessel.any():
+    sides = _sides(segmentation.labels, disc)
+    if sides is None:
         return "there is no '{name}' in the segmentation: check the markers, or remove this end marker"
-    before, after, _ = _sides(vessel, disc)
-    if before & after:
+    if sides.before & sides.after:
         return "the disc does not cut through '{name}': enlarge radius_mm, or set the axis along the vessel"
     return ""
 
 
-def _sides(vessel: Bool, disc: _Disc) -> tuple[set[int], set[int], npt.NDArray[np.uint32]]:
-    """Pieces of a vessel without the layer at the disc that lie right before it and right beyond, and all pieces."""
+@dataclass(frozen=True)
+class _Sides:
+    """A vessel without the layer at the disc, in pieces."""
+
+    before: set[int]
+    """Pieces that lie right before the disc."""
+    after: set[int]
+    """Pieces that lie right beyond it."""
+    pieces: npt.NDArray[np.uint32]
+    """Piece of each voxel of a box around the vessel and the disc; 0 off the vessel."""
+    box: Box
+    disc_box: Box
+    """The disc's box within that box."""
+
+
+def _sides(labels: UInt8, disc: _Disc) -> _Sides | None:
+    """The vessel's pieces; None where there is no such vessel."""
+    vessel = labels == disc.value
+    there = [np.flatnonzero(vessel.any(axis=axes)) for axes in ((1, 2), (0, 2), (0, 1))]
+    if len(there[0]) == 0:
+        return None
+    z, y, x = (
+        slice(min(int(one[0]), part.start), max(int(one[-1]) + 1, part.stop))
+        for one, part in zip(there, disc.box, strict=True)
+    )
+    box = (z, y, x)
+    c, b, a = (slice(part.start - of.start, part.stop - of.start) for part, of in zip(disc.box, box, strict=True))
+    disc_box = (c, b, a)
     voxel = float(max(disc.geometry.spacing_mm))
     on_disc = disc.across <= disc.radius_mm
-    divided = vessel.copy()
-    divided[disc.box] &= ~(on_disc & (disc.along >= 0.0) & (disc.along <= 1.8 * voxel))
-    pieces = cc3d.connected_components(divided, connectivity=6)
-    near = pieces[disc.box]
+    divided = vessel[box]
+    divided[disc_box] &= ~(on_disc & (disc.along >= 0.0) & (disc.along <= 1.8 * voxel))
+    pieces = cc3d.connected_components(np.ascontiguousarray(divided), connectivity=6)
+    near = pieces[disc_box]
     before = {int(n) for n in np.unique(near[on_disc & (disc.along < 0.0) & (disc.along >= -1.8 * voxel)])} - {0}
     after = {int(n) for n in np.unique(near[on_disc & (disc.along > 1.8 * voxel) & (disc.along <= 3.6 * voxel)])} - {0}
-    return before, after, pieces
+    return _Sides(before, after, pieces, box, disc_box)
 
 
 def _way_to_vessel(segmentation: Segmentation, disc: _Disc) -> str:
@@ -238,10 +264,12 @@ def _way_to_vessel(segmentation: Segmentation, disc: _Disc) -> str:
 
 def _clear_beyond(labels: UInt8, segmentation: Segmentation, disc: _Disc) -> None:
     """Take the label from what is connected to the vessel beyond its stump, in place."""
-    _, after, pieces = _sides(segmentation.labels == disc.value, disc)
-    beyond = np.isin(pieces, sorted(after))
-    beyond[disc.box] &= ~disc.stump
-    labels[beyond] = BACKGROUND
+    sides = _sides(segmentation.labels, disc)
+    if sides is None:
+        return
+    beyond = np.isin(sides.pieces, sorted(sides.after))
+    beyond[sides.disc_box] &= ~disc.stump
+    labels[sides.box][beyond] = BACKGROUND
 
 
 def _continue_lumen(labels: UInt8, disc: _Disc, blood_values: Sequence[int]) -> list[str]:
@@ -299,12 +327,20 @@ def _areas(lumen: Bool, disc: _Disc) -> tuple[Float64, Float64, Float64]:
     places = np.arange(-np.floor(3.0 * disc.radius_mm / step), np.floor(disc.clearance_mm / step) + 1) * step
     mask = lumen.astype(np.float32)
     corner = np.array([part.start for part in disc.box[::-1]])
+    ends = disc.geometry.world_to_index(np.stack([disc.position, disc.position + disc.axis]))
+    index = (disc.geometry.world_to_index(flat) - corner)[:, ::-1]
+    way = (ends[1] - ends[0])[::-1]
     areas, rims = np.empty(len(places)), np.empty(len(places))
-    for n, place in enumerate(places):
-        index = disc.geometry.world_to_index(flat + place * disc.axis) - corner
-        values = map_coordinates(mask, index[:, ::-1].T, order=1, mode="nearest")
-        areas[n] = step * step * np.count_nonzero(values >= 0.5)
-        rims[n] = np.mean(values[is_rim] >= 0.5)
+
+    def measure(part: slice) -> None:
+        at = index + places[part, None, None] * way
+        is_lumen = map_coordinates(mask, np.moveaxis(at, -1, 0), order=1, mode="nearest") >= 0.5
+        areas[part] = step * step * np.count_nonzero(is_lumen, axis=1)
+        rims[part] = np.mean(is_lumen[:, is_rim], axis=1)
+
+    halves = slice(0, len(places) // 2), slice(len(places) // 2, len(places))
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        list(pool.map(measure, halves))
     return places, areas, rims
 
 

@@ -1,7 +1,8 @@
-"""The nearest marked node of every node of a lattice, exactly.
+"""The nearest marked node of every node of a lattice, or its distance, exactly.
 
 Felzenszwalb and Huttenlocher, Distance transforms of sampled functions, Theory of Computing 8, 2012: axis by axis, the
-lower envelope of parabolas. It is serial, so the result depends on nothing but the input.
+lower envelope of parabolas. It is serial, so the result depends on nothing but the input, and several can be worked
+out at the same time.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-__all__ = ["nearest_seeds"]
+__all__ = ["distance_to_marked", "nearest_seeds"]
 
 
 @numba.njit(cache=True, nogil=True)
@@ -117,3 +118,87 @@ def nearest_seeds(seed, place, h, reach):  # type: ignore[no-untyped-def]
         for k in range(nz):
             for i in range(nx):
                 seed[k, j, i] = slab[i, k]
+
+
+@numba.njit(cache=True, nogil=True)
+def _lower_envelope_value(cost, count, width, last, bound, out):  # type: ignore[no-untyped-def]
+    """For each place of a line the least ``cost`` plus squared way along the line; no entry where it is infinite."""
+    square = width * width
+    top = -1
+    for q in range(count):
+        if cost[q] == np.inf:
+            continue
+        start = -np.inf
+        while top >= 0:
+            p = last[top]
+            start = 0.5 * ((cost[q] - cost[p]) / (square * (q - p)) + (q + p))
+            if start > bound[top]:
+                break
+            top -= 1
+        if top < 0:
+            start = -np.inf
+        top += 1
+        last[top] = q
+        bound[top] = start
+    if top < 0:
+        out[:count] = np.inf
+        return
+    bound[top + 1] = np.inf
+    n = 0
+    for q in range(count):
+        while bound[n + 1] < q:
+            n += 1
+        p = last[n]
+        out[q] = cost[p] + square * (q - p) * (q - p)
+
+
+@numba.njit(cache=True, nogil=True)
+def distance_to_marked(marked, h, distance):  # type: ignore[no-untyped-def]
+    """Distance of every node to the nearest marked one.
+
+    Parameters
+    ----------
+    marked
+        Shape [z, y, x].
+    h
+        Spacing along z, y, x, mm.
+    distance
+        float32, same shape: receives mm; 0 at marked nodes, infinity where none is marked.
+    """
+    nz, ny, nx = marked.shape
+    longest = max(nz, ny, nx)
+    last = np.empty(longest, np.int32)
+    bound = np.empty(longest + 1)
+    out = np.empty(longest)
+    plane = np.empty((nx, ny))
+    for k in range(nz):
+        any_here = False
+        for j in range(ny):
+            steps = np.inf
+            for i in range(nx):
+                steps = 0.0 if marked[k, j, i] else steps + 1.0
+                plane[i, j] = steps
+            any_here |= steps < np.inf
+            steps = np.inf
+            for i in range(nx - 1, -1, -1):
+                steps = 0.0 if marked[k, j, i] else steps + 1.0
+                way = min(steps, plane[i, j]) * h[2]
+                plane[i, j] = way * way
+        for i in range(nx):
+            if any_here:
+                _lower_envelope_value(plane[i], ny, h[1], last, bound, out)
+                plane[i] = out[:ny]
+        for j in range(ny):
+            for i in range(nx):
+                distance[k, j, i] = plane[i, j]
+    slab = np.empty((nx, nz))
+    for j in range(ny):
+        for k in range(nz):
+            for i in range(nx):
+                slab[i, k] = distance[k, j, i]
+        for i in range(nx):
+            _lower_envelope_value(slab[i], nz, h[0], last, bound, out)
+            slab[i] = out[:nz]
+        for k in range(nz):
+            for i in range(nx):
+                distance[k, j, i] = np.sqrt(slab[i, k])

@@ -12,13 +12,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import edt
 import numba
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import label as label_regions
 from scipy.ndimage import map_coordinates
 
+from heartcase.pipeline.feature_transform import distance_to_marked
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable
 
@@ -89,7 +89,8 @@ def narrowest_lumens(
     inner = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
     spacing = np.array(geometry.spacing_mm, np.float64)[::-1]
     part = np.ascontiguousarray(blood[inner])
-    depth = np.asarray(edt.edt(part, anisotropy=tuple(spacing.tolist()), black_border=False, parallel=1))
+    depth = np.empty(part.shape, np.float32)
+    distance_to_marked(~part, spacing, depth)
     order = np.argsort(-depth.ravel(), kind="stable")[: int(part.sum())]
     voxel = float(spacing.mean())
     found = _saddles(depth, order, spacing, WIDER, LEAST_DEPTH_VOXELS * voxel, LEAST_VOXELS)

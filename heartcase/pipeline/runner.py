@@ -23,10 +23,10 @@ STAGE_VERSIONS = {
     "markers": 1,
     "filter": 2,
     "segment": 2,
-    "walls": 8,
+    "walls": 9,
     "edit": 3,
     "grid": 5,
-    "surface": 10,
+    "surface": 11,
     "map": 5,
     "bundle": 4,
 }

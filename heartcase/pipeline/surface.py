@@ -98,7 +98,8 @@ def build_surface(structures: Structures, settings: SurfaceSettings, *, render: 
     warnings: list[str] = []
     reader = FieldReader.of(structures)
     whole = extract(reader)
-    full, dropped = drop_small_shells(whole, volume_mm3=SPECK_MM3, fraction=SPECK_FRACTION)
+    opposite = opposites(whole.triangles)
+    full, dropped = drop_small_shells(whole, volume_mm3=SPECK_MM3, fraction=SPECK_FRACTION, opposite=opposite)
     if np.abs(dropped).sum() > SPECK_MM3:
         warnings.append(
             note(
@@ -109,7 +110,8 @@ def build_surface(structures: Structures, settings: SurfaceSettings, *, render: 
         )
     if full.is_capped:
         warnings.append("the scan is too large to show its thinnest walls in full detail: make the [region] smaller")
-    opposite = opposites(full.triangles)
+    if full is not whole:
+        opposite = opposites(full.triangles)
     is_cut = cut_faces(structures, full.vertices_mm, full.triangles, full.lattice)
     key = tag_keys(full, is_cut, opposite)
     still = np.zeros(len(full.vertices_mm), bool)

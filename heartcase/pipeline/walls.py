@@ -19,6 +19,7 @@ from heartcase.pipeline.distance import default_smoothing_mm, label_distances
 from heartcase.pipeline.ends import cut_ends
 from heartcase.pipeline.fields import ownership_on_lattice
 from heartcase.pipeline.leaks import leak_cautions
+from heartcase.pipeline.side_by_side import side_by_side
 from heartcase.pipeline.smoothing_effects import smoothing_effects
 from heartcase.schemas.errors import Problem, StageError
 from heartcase.schemas.geometry import Geometry
@@ -100,7 +101,9 @@ def grow_walls(segmentation: Segmentation, settings: WallsSettings, ends: Sequen
         ),
         has_voxel_steps=True,
     )
-    figures, warnings = smoothing_effects(labels, distances, geometry, table)
+    leaks, (figures, warnings) = side_by_side(
+        lambda: leak_cautions(structures, labels), lambda: smoothing_effects(labels, distances, geometry, table)
+    )
     return replace(
         structures,
         quality=figures,
@@ -108,7 +111,7 @@ def grow_walls(segmentation: Segmentation, settings: WallsSettings, ends: Sequen
             *cut.warnings,
             *warnings,
             *_table_warnings(structures),
-            *leak_cautions(structures, labels),
+            *leaks,
         ),
     )
 

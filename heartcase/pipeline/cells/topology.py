@@ -11,9 +11,10 @@ from itertools import product
 from typing import Literal
 
 import cc3d
-import edt
 import numpy as np
 import numpy.typing as npt
+
+from heartcase.pipeline.feature_transform import distance_to_marked
 
 __all__ = ["Betti", "betti_numbers", "components", "distance_in_samples", "euler_characteristic"]
 
@@ -57,7 +58,8 @@ def components(mask: Bool, connectivity: Connectivity) -> tuple[npt.NDArray[np.u
 
 def distance_in_samples(mask: Bool) -> npt.NDArray[np.float32]:
     """Distance of each point of a mask to the nearest point off it, in samples; the array's border is not off it."""
-    distance: npt.NDArray[np.float32] = edt.edt(np.ascontiguousarray(mask), black_border=False, parallel=1)
+    distance = np.empty(mask.shape, np.float32)
+    distance_to_marked(~mask, np.ones(3), distance)
     return distance
 
 

@@ -73,7 +73,7 @@ def make_atlas(
     render_triangles = inverse.reshape(-1, 3).astype(np.int32)
     welded = (unique // count).astype(np.int32)
     render_chart = (unique % count).astype(np.int32)
-    flat = project(vertices_mm[welded], axes[render_chart])
+    flat = project(vertices_mm[welded], axes, render_chart)
     flat, low, high = turned(flat, render_chart, count)
     place, scale = pack(high - low, size)
     texel = (flat - low[render_chart]) * scale + place[render_chart] + GUTTER_TEXELS

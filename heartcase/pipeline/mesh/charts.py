@@ -56,10 +56,10 @@ def cut_into_charts(vertices: Float64, triangles: Int32) -> tuple[Int32, Float64
         while (chart < 0).any():
             before = len(axes)
             axes = _grow(normal, area, opposite, chart, axes, CONE_COSINE)
-            _evict(vertices, triangles, normal, chart, axes, before)
+            _evict(vertices, triangles, chart, axes, before)
         if turn == MERGE_ROUNDS or not _merge(normal, length, opposite, chart, axes, MERGE_TRIANGLES, CONE_COSINE):
             break
-        _evict(vertices, triangles, normal, chart, axes, 0)
+        _evict(vertices, triangles, chart, axes, 0)
     return _connected(chart, axes, opposite)
 
 
@@ -239,21 +239,33 @@ def _frames(axes: Float64) -> tuple[Float64, Float64]:
     return right, np.cross(axes, right)
 
 
-def project(points: Float64, axes: Float64) -> Float64:
-    """Points along their axes onto the picture: to the right, and DOWN, as seen against the axis."""
+def project(points: Float64, axes: Float64, chart: Int32) -> Float64:
+    """Points of charts along their axes onto the picture: to the right, and DOWN, as seen against the axis."""
     right, up = _frames(axes)
-    return np.column_stack([(points * right).sum(axis=1), -(points * up).sum(axis=1)])
+    flat = np.empty((len(points), 2))
+    _project(np.ascontiguousarray(points), right, up, chart, flat)
+    return flat
 
 
-def _evict(vertices: Float64, triangles: Int32, normal: Float64, chart: Int32, axes: Float64, first_new: int) -> None:
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _project(points, right, up, chart, flat):  # type: ignore[no-untyped-def]
+    for n in numba.prange(len(points)):
+        c = chart[n]
+        x, y = 0.0, 0.0
+        for k in range(3):
+            x += points[n, k] * right[c, k]
+            y -= points[n, k] * up[c, k]
+        flat[n, 0], flat[n, 1] = x, y
+
+
+def _evict(vertices: Float64, triangles: Int32, chart: Int32, axes: Float64, first_new: int) -> None:
     """Take triangles that overlap an earlier one of their chart out of it (chart -1)."""
     members = np.flatnonzero(chart >= first_new)
     order = members[np.argsort(chart[members], kind="stable")]
     start = np.searchsorted(chart[order], np.arange(first_new, len(axes) + 1))
-    axis = axes[chart[order]]
-    flat = np.stack([project(vertices[triangles[order, k]], axis) for k in range(3)], axis=1)
-    out = _overlapping(flat, start)
-    chart[order[out]] = -1
+    corners = vertices[triangles[order].ravel()]
+    flat = project(corners, axes, np.repeat(chart[order], 3)).reshape(-1, 3, 2)
+    chart[order[_overlapping(flat, start)]] = -1
 
 
 @numba.njit(cache=True, nogil=True)
@@ -284,59 +296,72 @@ def _triangles_overlap(a, b, slack):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
-def _overlapping(flat, start):  # type: ignore[no-untyped-def]
-    """Triangles that overlap a kept one of lower rank in the same chart, by a hash grid per chart."""
-    out = np.zeros(len(flat), np.bool_)
-    following = np.full(0, -1, np.int32)
-    for c in range(len(start) - 1):
-        begin, end = start[c], start[c + 1]
-        if end - begin < 2:
-            continue
-        low_x, low_y, high_x, high_y, reach = np.inf, np.inf, -np.inf, -np.inf, 0.0
-        for t in range(begin, end):
-            x0, x1 = flat[t, :, 0].min(), flat[t, :, 0].max()
-            y0, y1 = flat[t, :, 1].min(), flat[t, :, 1].max()
-            low_x, high_x = min(low_x, x0), max(high_x, x1)
-            low_y, high_y = min(low_y, y0), max(high_y, y1)
-            reach += max(x1 - x0, y1 - y0)
-        cell = max(reach / (end - begin), 1e-12) * 1.5
+def _find_overlapping(flat, begin, end, out):  # type: ignore[no-untyped-def]
+    """Mark the triangles of one chart that overlap a kept one of lower rank in it, by a hash grid."""
+    low_x, low_y, high_x, high_y, reach = np.inf, np.inf, -np.inf, -np.inf, 0.0
+    box = np.empty((end - begin, 4))
+    for n in range(end - begin):
+        t = begin + n
+        x0, x1 = min(flat[t, 0, 0], flat[t, 1, 0], flat[t, 2, 0]), max(flat[t, 0, 0], flat[t, 1, 0], flat[t, 2, 0])
+        y0, y1 = min(flat[t, 0, 1], flat[t, 1, 1], flat[t, 2, 1]), max(flat[t, 0, 1], flat[t, 1, 1], flat[t, 2, 1])
+        box[n, 0], box[n, 1], box[n, 2], box[n, 3] = x0, x1, y0, y1
+        low_x, high_x = min(low_x, x0), max(high_x, x1)
+        low_y, high_y = min(low_y, y0), max(high_y, y1)
+        reach += max(x1 - x0, y1 - y0)
+    cell = max(reach / (end - begin), 1e-12) * 1.5
+    columns = int((high_x - low_x) / cell) + 1
+    rows = int((high_y - low_y) / cell) + 1
+    while columns * rows > 16 * (end - begin) + 64:
+        cell *= 1.5
         columns = int((high_x - low_x) / cell) + 1
         rows = int((high_y - low_y) / cell) + 1
-        while columns * rows > 16 * (end - begin) + 64:
-            cell *= 1.5
-            columns = int((high_x - low_x) / cell) + 1
-            rows = int((high_y - low_y) / cell) + 1
-        head = np.full(columns * rows, -1, np.int32)
-        entry_count = 0
-        for t in range(begin, end):
-            wide = int((flat[t, :, 0].max() - low_x) / cell) - int((flat[t, :, 0].min() - low_x) / cell) + 1
-            tall = int((flat[t, :, 1].max() - low_y) / cell) - int((flat[t, :, 1].min() - low_y) / cell) + 1
-            entry_count += wide * tall
-        following = np.empty(entry_count, np.int32)
-        holder = np.empty(entry_count, np.int32)
-        entry = 0
-        slack = 1e-6 * cell
-        for t in range(begin, end):
-            i0, i1 = int((flat[t, :, 0].min() - low_x) / cell), int((flat[t, :, 0].max() - low_x) / cell)
-            j0, j1 = int((flat[t, :, 1].min() - low_y) / cell), int((flat[t, :, 1].max() - low_y) / cell)
-            hit = False
-            for j in range(j0, j1 + 1):
-                for i in range(i0, i1 + 1):
-                    e = head[j * columns + i]
-                    while e >= 0 and not hit:
-                        hit = _triangles_overlap(flat[t], flat[holder[e]], slack)
-                        e = following[e]
-                    if hit:
-                        break
+    head = np.full(columns * rows, -1, np.int32)
+    entry_count = 0
+    place = np.empty((end - begin, 4), np.int32)
+    for n in range(end - begin):
+        place[n, 0], place[n, 1] = int((box[n, 0] - low_x) / cell), int((box[n, 1] - low_x) / cell)
+        place[n, 2], place[n, 3] = int((box[n, 2] - low_y) / cell), int((box[n, 3] - low_y) / cell)
+        entry_count += (place[n, 1] - place[n, 0] + 1) * (place[n, 3] - place[n, 2] + 1)
+    following = np.empty(entry_count, np.int32)
+    holder = np.empty(entry_count, np.int32)
+    entry = 0
+    slack = 1e-6 * cell
+    for n in range(end - begin):
+        i0, i1, j0, j1 = place[n]
+        hit = False
+        for j in range(j0, j1 + 1):
+            for i in range(i0, i1 + 1):
+                e = head[j * columns + i]
+                while e >= 0 and not hit:
+                    other = holder[e]
+                    if (
+                        box[n, 0] < box[other, 1]
+                        and box[other, 0] < box[n, 1]
+                        and box[n, 2] < box[other, 3]
+                        and box[other, 2] < box[n, 3]
+                    ):
+                        hit = _triangles_overlap(flat[begin + n], flat[begin + other], slack)
+                    e = following[e]
                 if hit:
                     break
             if hit:
-                out[t] = True
-                continue
-            for j in range(j0, j1 + 1):
-                for i in range(i0, i1 + 1):
-                    holder[entry] = t
-                    following[entry] = head[j * columns + i]
-                    head[j * columns + i] = entry
-                    entry += 1
+                break
+        if hit:
+            out[begin + n] = True
+            continue
+        for j in range(j0, j1 + 1):
+            for i in range(i0, i1 + 1):
+                holder[entry] = n
+                following[entry] = head[j * columns + i]
+                head[j * columns + i] = entry
+                entry += 1
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _overlapping(flat, start):  # type: ignore[no-untyped-def]
+    """Triangles that overlap a kept one of lower rank in the same chart."""
+    out = np.zeros(len(flat), np.bool_)
+    for c in numba.prange(len(start) - 1):
+        if start[c + 1] - start[c] > 1:
+            _find_overlapping(flat, start[c], start[c + 1], out)
     return out

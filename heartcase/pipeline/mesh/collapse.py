@@ -2,7 +2,8 @@
 
 The mesh is half-edges: ``3 t + c`` runs from corner c of triangle t to its next corner. As long as there are many more
 triangles than wanted, the cheapest part of all edges is collapsed in the order of the mesh, so that memory is read
-along; then a heap takes one edge after the other. An entry of the heap is stale when one of its ends has changed since
+along. Parts of the mesh are swept at the same time; what lies between two of them waits for the next sweep, which
+cuts the mesh elsewhere. Then a heap takes one edge after the other. An entry of the heap is stale when one of its ends has changed since
 it was made; ties in cost go to the lower half-edge.
 """
 
@@ -14,7 +15,14 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.pipeline.mesh.quadrics import best_place, edge_costs, next_edge, previous_edge, vertex_quadrics
+from heartcase.pipeline.mesh.quadrics import (
+    best_place,
+    edge_costs,
+    next_edge,
+    previous_edge,
+    vertex_quadrics,
+    vertices_between,
+)
 
 __all__ = ["Collapsing", "finished", "swept"]
 
@@ -27,12 +35,15 @@ TWO_ROOT_3 = 2.0 * 3.0**0.5
 
 HEAP_FACTOR = 2.0
 """Times the wanted triangles, from which on edges go one by one."""
-SWEEP_SHARE = 0.3
+SWEEP_SHARE = 0.4
 """Part of the edges, the cheapest, that one sweep may collapse."""
 SWEEP_SAMPLE = 7
-"""Every so manieth edge tells what the cheapest part costs."""
+"""Every so manieth half-edge tells what the cheapest part costs."""
 SWEEP_LEAST = 0.01
 """Part of the triangles that a sweep must take away, or it was the last."""
+PART_TRIANGLES = 60_000
+"""Least size of the parts of the mesh that are swept at the same time."""
+MOST_PARTS = 16
 
 
 @numba.njit(cache=True, nogil=True)
@@ -244,26 +255,43 @@ def _join(position, tail, opposite, quadric, alive, h, p):  # type: ignore[no-un
 
 
 @numba.njit(cache=True, nogil=True)
-def _sweep(position, tail, opposite, quadric, alive, cost, limit, mark, left, wanted):  # type: ignore[no-untyped-def]
-    """Collapse edges of at most the cost ``limit`` in their order, but none beside a vertex that has moved already."""
+def _sweep_part(position, tail, opposite, quadric, alive, cost, limit, mark, moved, still, begin, end, most):  # type: ignore[no-untyped-def]
+    """Collapse edges of the triangles from ``begin`` to ``end`` in their order; returns how many triangles go."""
     p = np.empty(3)
     around = np.empty(5)
-    mark[:] = -1
-    moved = np.zeros(len(position), np.bool_)
-    for h in range(len(tail)):
+    gone = 0
+    for h in range(3 * begin, 3 * end):
         if cost[h] > limit or not alive[h // 3]:
             continue
-        if left <= wanted:
+        if gone + 2 > most:
             break
         u, v = tail[h], tail[next_edge(h)]
-        if moved[u] or moved[v]:
+        if moved[u] or moved[v] or still[u] or still[v]:
             continue
         best_place(quadric, position, u, v, p)
         if _may_join(position, tail, opposite, h, p, around, mark, h):
             _join(position, tail, opposite, quadric, alive, h, p)
             moved[u] = True
-            left -= 2
-    return left
+            gone += 2
+    return gone
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _sweep(position, tail, opposite, quadric, alive, cost, limit, parts, most):  # type: ignore[no-untyped-def]
+    """Collapse edges of at most the cost ``limit``, but none beside a vertex that has moved already.
+
+    ``parts`` are the bounds of the parts of the mesh, ``most`` how many triangles each may lose; returns how many do.
+    """
+    mark = np.full(len(position), -1, np.int32)
+    moved = np.zeros(len(position), np.bool_)
+    still = vertices_between(tail, opposite, alive, parts, True)
+    gone = np.zeros(len(most), np.int64)
+    for part in numba.prange(len(most)):
+        gone[part] = _sweep_part(
+            position, tail, opposite, quadric, alive, cost, limit, mark, moved, still,
+            parts[part], parts[part + 1], most[part],
+        )  # fmt: skip
+    return gone.sum()
 
 
 @dataclass(frozen=True)
@@ -303,22 +331,38 @@ def swept(
     care
         Factor on the error of each vertex, shape (vertex_count,).
     """
-    quadric = vertex_quadrics(position, tail, opposite, tags)
+    alive = np.ones(len(tail) // 3, np.bool_)
+    quadric = vertex_quadrics(position, tail, opposite, tags, _parts_of(alive, turn=0)[0])
     if care is not None:
         quadric *= care[:, None]
-    alive = np.ones(len(tail) // 3, np.bool_)
-    mark = np.empty(len(position), np.int32)
     left, before = len(alive), 2 * len(alive)
     until = max(int(HEAP_FACTOR * wanted), wanted)
     cost = np.empty(len(tail), np.float32)
+    turn = 0
     while left > until and before - left > SWEEP_LEAST * before:
         edge_costs(position, tail, opposite, quadric, alive, cost)
-        sample = cost[np.isfinite(cost)][::SWEEP_SAMPLE]
+        sample = cost[::SWEEP_SAMPLE]
+        sample = sample[np.isfinite(sample)]
         cheap = int(SWEEP_SHARE * (len(sample) - 1))
         before = left
         limit = np.partition(sample, cheap)[cheap]
-        left = _sweep(position, tail, opposite, quadric, alive, cost, limit, mark, left, until)
+        parts, size = _parts_of(alive, turn=turn)
+        most = np.diff(np.cumsum(size, dtype=np.int64) * (left - until) // left, prepend=0)
+        left -= _sweep(position, tail, opposite, quadric, alive, cost, limit, parts, most)
+        turn += 1
     return Collapsing(position, tail, opposite, quadric, alive)
+
+
+def _parts_of(alive: npt.NDArray[np.bool_], *, turn: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Bounds of parts with about as many triangles that are left each, and how many; every other turn half a part on.
+
+    The number of parts depends on the mesh alone, so that the result does not depend on the number of threads.
+    """
+    there = np.flatnonzero(alive)
+    count = min(max(len(there) // PART_TRIANGLES, 1), MOST_PARTS)
+    share = (np.arange(1, count + turn % 2) - 0.5 * (turn % 2)) / count if count > 1 else np.zeros(0)
+    place = np.concatenate([[0], (share * len(there)).astype(np.int64), [len(there)]])
+    return np.concatenate([[0], there[place[1:-1]], [len(alive)]]), np.diff(place)
 
 
 def finished(mesh: Collapsing, wanted: int, care: npt.NDArray[np.float64] | None = None) -> Collapsing:

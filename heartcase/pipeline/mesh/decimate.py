@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
 
 from heartcase.pipeline.mesh.collapse import Collapsing, finished, swept
 from heartcase.pipeline.mesh.half_edges import opposites
@@ -32,7 +32,7 @@ Int32 = npt.NDArray[np.int32]
 
 FOLD_COSINE = -0.2
 FOLD_ROUNDS = 16
-CARE_ROUNDS = 6
+CARE_ROUNDS = 10
 """Most times that a mesh is decimated again."""
 CARE_FACTOR = 25.0
 """By so much more the error counts each time where the mesh crossed itself: it should become a fifth."""
@@ -164,9 +164,7 @@ def decimate_soundly(
             if turn != 1 or begun is None:
                 begun = _begun(vertices, triangles, tags, count, opposite, care if turn else None)
             coarse, faces, _ = _result(finished(begun, count, care if turn == 1 else None), vertices.mean(axis=0))
-        coarse, relaxed, pairs = relax_folds(
-            coarse, faces, reach_mm=reach_mm * (1.0 if 2 * turn < CARE_ROUNDS else 2.0)
-        )
+        coarse, relaxed, pairs = relax_folds(coarse, faces, reach_mm=reach_mm * (1.0 if turn < 3 else 2.0))
         bad = folded_triangles(coarse, faces)
         bad[pairs.ravel()] = True
         if turn == CARE_ROUNDS or not bad.any():
@@ -174,10 +172,8 @@ def decimate_soundly(
         corner = coarse[faces[bad]]
         edge = np.linalg.norm(np.roll(corner, -1, axis=1) - corner, axis=2).max(axis=1)
         middle = corner.mean(axis=1)
-        near = np.zeros(len(vertices), bool)
-        found = cKDTree(vertices).query_ball_point(middle, CARE_EDGES * edge, workers=1)
-        near[np.unique(np.concatenate([np.asarray(one, np.int64) for one in found]))] = True
-        care[near] *= CARE_FACTOR
+        upward = np.argsort(middle[:, 2], kind="stable")
+        care[_within(vertices, middle[upward], CARE_EDGES * edge[upward])] *= CARE_FACTOR
         if turn >= 2 and len(pairs):
             count += count // 4
     return Decimated(coarse, faces, relaxed, turn, pairs)
@@ -188,14 +184,50 @@ def folded_triangles(vertices: Float64, triangles: Int32, *, opposite: Int32 | N
 
     No edge of a solid that is sharp by up to 90 degrees, decimated or not, makes a triangle count.
     """
-    beside = (opposites(triangles) if opposite is None else opposite).reshape(-1, 3) // 3
-    corner = vertices[triangles]
-    doubled = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    around = doubled[beside].sum(axis=1)
-    cosine = (doubled * around).sum(axis=1)
-    limit = FOLD_COSINE * np.linalg.norm(doubled, axis=1) * np.linalg.norm(around, axis=1)
-    folded: npt.NDArray[np.bool_] = cosine < limit
+    beside = opposites(triangles) if opposite is None else opposite
+    folded = np.empty(len(triangles), np.bool_)
+    _find_folded(np.ascontiguousarray(vertices, np.float64), triangles, beside, folded)
     return folded
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _find_folded(vertices, triangles, opposite, folded):  # type: ignore[no-untyped-def]
+    doubled = np.empty((len(triangles), 3))
+    for t in numba.prange(len(triangles)):
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        ux, uy, uz = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
+        vx, vy, vz = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]
+        doubled[t, 0] = uy * vz - uz * vy
+        doubled[t, 1] = uz * vx - ux * vz
+        doubled[t, 2] = ux * vy - uy * vx
+    for t in numba.prange(len(triangles)):
+        p, q, r = opposite[3 * t] // 3, opposite[3 * t + 1] // 3, opposite[3 * t + 2] // 3
+        together, own, around = 0.0, 0.0, 0.0
+        for axis in range(3):
+            one = doubled[t, axis]
+            beside = doubled[p, axis] + doubled[q, axis] + doubled[r, axis]
+            together += one * beside
+            own += one * one
+            around += beside * beside
+        folded[t] = together < FOLD_COSINE * np.sqrt(own) * np.sqrt(around)
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _within(vertices, middles, reaches):  # type: ignore[no-untyped-def]
+    """Whether a vertex is within the reach of one of some places, mm, which ascend along z."""
+    near = np.zeros(len(vertices), np.bool_)
+    most = reaches.max()
+    for v in numba.prange(len(vertices)):
+        for n in range(np.searchsorted(middles[:, 2], vertices[v, 2] - most), len(middles)):
+            if middles[n, 2] > vertices[v, 2] + most:
+                break
+            x, y, z = (
+                vertices[v, 0] - middles[n, 0], vertices[v, 1] - middles[n, 1], vertices[v, 2] - middles[n, 2],
+            )  # fmt: skip
+            if x * x + y * y + z * z <= reaches[n] * reaches[n]:
+                near[v] = True
+                break
+    return near
 
 
 def relax_folds(vertices: Float64, triangles: Int32, *, reach_mm: float) -> tuple[Float64, int, Int32]:

@@ -154,15 +154,19 @@ def enclosed_volume_mm3(vertices: Float64, triangles: Int32) -> float:
 def _volumes(vertices, triangles, middle, shell, count):  # type: ignore[no-untyped-def]
     """Signed volume of each shell."""
     six = np.zeros(count)
+    x, y, z = middle
     for t in range(len(triangles)):
-        ax, ay, az = vertices[triangles[t, 0]] - middle
-        bx, by, bz = vertices[triangles[t, 1]] - middle
-        cx, cy, cz = vertices[triangles[t, 2]] - middle
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        ax, ay, az = vertices[a, 0] - x, vertices[a, 1] - y, vertices[a, 2] - z
+        bx, by, bz = vertices[b, 0] - x, vertices[b, 1] - y, vertices[b, 2] - z
+        cx, cy, cz = vertices[c, 0] - x, vertices[c, 1] - y, vertices[c, 2] - z
         six[shell[t]] += ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
     return six / 6.0
 
 
-def drop_small_shells(mesh: FullMesh, *, volume_mm3: float, fraction: float) -> tuple[FullMesh, Float64]:
+def drop_small_shells(
+    mesh: FullMesh, *, volume_mm3: float, fraction: float, opposite: Int32 | None = None
+) -> tuple[FullMesh, Float64]:
     """Leave out specks of tissue and bubbles: shells below both a volume and a fraction of the tissue.
 
     Parameters
@@ -173,15 +177,17 @@ def drop_small_shells(mesh: FullMesh, *, volume_mm3: float, fraction: float) -> 
         Shells of at least this volume stay.
     fraction
         Shells of at least this fraction of the tissue's volume stay.
+    opposite
+        Opposite half-edges, where they are at hand.
 
     Returns
     -------
     mesh : FullMesh
-        Without them, in the same order.
+        Without them, in the same order; the same mesh where there are none.
     volumes_mm3 : Float64
         Signed volumes of the shells left out, by place in the mesh.
     """
-    shell, volumes = shell_volumes(mesh.vertices_mm, mesh.triangles)
+    shell, volumes = shell_volumes(mesh.vertices_mm, mesh.triangles, opposite=opposite)
     limit = min(volume_mm3, fraction * float(volumes.sum()))
     small = np.abs(volumes) < limit
     if not small.any():

@@ -33,7 +33,7 @@ def opposites(triangles: Int32) -> Int32:
     return opposite
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, parallel=True)
 def _pair_half_edges(tail, vertex_count, opposite):  # type: ignore[no-untyped-def]
     """Pair each half-edge with the one that runs the other way; whether each has exactly one."""
     start = np.zeros(vertex_count + 1, np.int32)
@@ -46,20 +46,20 @@ def _pair_half_edges(tail, vertex_count, opposite):  # type: ignore[no-untyped-d
     for h in range(len(tail)):
         leaving[place[tail[h]]] = h
         place[tail[h]] += 1
-    for h in range(len(tail)):
+    lost = 0
+    for h in numba.prange(len(tail)):
         u = tail[h]
         v = tail[h - 2 if h % 3 == 2 else h + 1]
         found = -1
+        count = 0
         for at in range(start[v], start[v + 1]):
             o = leaving[at]
             if tail[o - 2 if o % 3 == 2 else o + 1] == u:
-                if found >= 0:
-                    return False
                 found = o
-        if found < 0 or u == v:
-            return False
+                count += 1
         opposite[h] = found
-    return True
+        lost += count != 1 or u == v
+    return lost == 0
 
 
 @numba.njit(cache=True, nogil=True)

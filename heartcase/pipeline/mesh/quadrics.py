@@ -10,7 +10,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-__all__ = ["best_place", "edge_costs", "next_edge", "previous_edge", "vertex_quadrics"]
+__all__ = ["best_place", "edge_costs", "next_edge", "previous_edge", "vertex_quadrics", "vertices_between"]
 
 BORDER_WEIGHT = 2.0
 """Of the planes that keep a border between tags in place, beside the triangles' own."""
@@ -44,24 +44,55 @@ def _add_plane(quadric, nx, ny, nz, d, weight):  # type: ignore[no-untyped-def]
     quadric[9] += weight * d * d
 
 
+@numba.njit(cache=True, nogil=True, parallel=True)
+def vertices_between(tail, opposite, alive, parts, widely):  # type: ignore[no-untyped-def]
+    """Vertices with triangles in two parts of a mesh; ``widely``: and all their neighbours.
+
+    Collapses of edges between the other vertices, in different parts, read and write nothing of each other: the
+    triangles around both ends, and those beyond them, lie in one part. ``parts`` are the bounds of the parts, among the
+    triangles. Whichever thread comes first, what is written is true.
+    """
+    found = np.zeros(tail.max() + 1, np.bool_)
+    if len(parts) == 2:
+        return found
+    for part in numba.prange(len(parts) - 1):
+        for h in range(3 * parts[part], 3 * parts[part + 1]):
+            if alive[h // 3] and not parts[part] <= opposite[h] // 3 < parts[part + 1]:
+                found[tail[h]] = True
+                found[tail[next_edge(h)]] = True
+    if not widely:
+        return found
+    wide = found.copy()
+    for part in numba.prange(len(parts) - 1):
+        for h in range(3 * parts[part], 3 * parts[part + 1]):
+            if alive[h // 3] and found[tail[h]]:
+                wide[tail[next_edge(h)]] = True
+    return wide
+
+
 @numba.njit(cache=True, nogil=True)
-def vertex_quadrics(position, tail, opposite, tags):  # type: ignore[no-untyped-def]
-    """Quadric of each vertex: of its triangles' planes, and of planes through the borders between tags."""
-    quadric = np.zeros((len(position), 10))
-    for t in range(len(tail) // 3):
-        a, b, c = tail[3 * t], tail[3 * t + 1], tail[3 * t + 2]
-        n = np.cross(position[b] - position[a], position[c] - position[a])
-        doubled = np.sqrt((n * n).sum())
-        if doubled <= 0.0:
-            continue
-        n /= doubled
-        d = -(n * position[a]).sum()
-        weight = doubled / 6.0
-        for v in (a, b, c):
-            _add_plane(quadric[v], n[0], n[1], n[2], d, weight)
-            x, y, z = position[v]
-            s = SHAPE_WEIGHT * weight
+def _add_triangle(t, position, tail, opposite, tags, between, wanted, quadric):  # type: ignore[no-untyped-def]
+    """Add a triangle's planes to those of its vertices whose ``between`` is as wanted."""
+    a, b, c = tail[3 * t], tail[3 * t + 1], tail[3 * t + 2]
+    if between[a] != wanted and between[b] != wanted and between[c] != wanted:
+        return
+    ux, uy, uz = position[b, 0] - position[a, 0], position[b, 1] - position[a, 1], position[b, 2] - position[a, 2]
+    vx, vy, vz = position[c, 0] - position[a, 0], position[c, 1] - position[a, 1], position[c, 2] - position[a, 2]
+    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    doubled = np.sqrt(nx * nx + ny * ny + nz * nz)
+    if doubled <= 0.0:
+        return
+    nx, ny, nz = nx / doubled, ny / doubled, nz / doubled
+    d = -(nx * position[a, 0] + ny * position[a, 1] + nz * position[a, 2])
+    weight = doubled / 6.0
+    s = SHAPE_WEIGHT * weight
+    for corner in range(3):
+        h = 3 * t + corner
+        v = tail[h]
+        if between[v] == wanted:
+            x, y, z = position[v, 0], position[v, 1], position[v, 2]
             q = quadric[v]
+            _add_plane(q, nx, ny, nz, d, weight)
             q[0] += s
             q[3] += s
             q[5] += s
@@ -69,18 +100,33 @@ def vertex_quadrics(position, tail, opposite, tags):  # type: ignore[no-untyped-
             q[7] -= s * y
             q[8] -= s * z
             q[9] += s * (x * x + y * y + z * z)
-        for corner in range(3):
-            h = 3 * t + corner
-            if tags[opposite[h] // 3] != tags[t]:
-                u, v = tail[h], tail[next_edge(h)]
-                edge = position[v] - position[u]
-                m = np.cross(edge, n)
-                length = np.sqrt((m * m).sum())
-                if length > 0.0:
-                    m /= length
-                    d_edge = -(m * position[u]).sum()
-                    _add_plane(quadric[u], m[0], m[1], m[2], d_edge, BORDER_WEIGHT * length * length / 6.0)
-                    _add_plane(quadric[v], m[0], m[1], m[2], d_edge, BORDER_WEIGHT * length * length / 6.0)
+        if tags[opposite[h] // 3] == tags[t]:
+            continue
+        w = tail[next_edge(h)]
+        ex, ey, ez = position[w, 0] - position[v, 0], position[w, 1] - position[v, 1], position[w, 2] - position[v, 2]
+        mx, my, mz = ey * nz - ez * ny, ez * nx - ex * nz, ex * ny - ey * nx
+        length = np.sqrt(mx * mx + my * my + mz * mz)
+        if length > 0.0:
+            mx, my, mz = mx / length, my / length, mz / length
+            d_edge = -(mx * position[v, 0] + my * position[v, 1] + mz * position[v, 2])
+            for end in (v, w):
+                if between[end] == wanted:
+                    _add_plane(quadric[end], mx, my, mz, d_edge, BORDER_WEIGHT * length * length / 6.0)
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def vertex_quadrics(position, tail, opposite, tags, parts):  # type: ignore[no-untyped-def]
+    """Quadric of each vertex: of its triangles' planes, and of planes through the borders between tags.
+
+    ``parts`` are bounds among the triangles: of parts that are worked on at the same time.
+    """
+    quadric = np.zeros((len(position), 10))
+    between = vertices_between(tail, opposite, np.ones(len(tail) // 3, np.bool_), parts, False)
+    for part in numba.prange(len(parts) - 1):
+        for t in range(parts[part], parts[part + 1]):
+            _add_triangle(t, position, tail, opposite, tags, between, False, quadric)
+    for t in range(len(tail) // 3):
+        _add_triangle(t, position, tail, opposite, tags, between, True, quadric)
     return quadric
 
 

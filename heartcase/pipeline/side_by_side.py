@@ -1,0 +1,66 @@
+"""Two pieces of work at the same time, where neither needs the other's result."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
+
+import numba
+import numpy as np
+
+__all__ = ["side_by_side"]
+
+A = TypeVar("A")
+B = TypeVar("B")
+
+_SAFE_LAYERS = ("tbb", "omp")
+"""Threading layers of numba that let two threads run parallel kernels at the same time; the third one aborts."""
+
+
+def side_by_side(first: Callable[[], A], second: Callable[[], B]) -> tuple[A, B]:
+    """Do two pieces of work, at the same time where there are threads for it and numba's threading layer allows.
+
+    Much of what is neither a kernel nor waits for one runs in one thread only, so even with two cores there is room.
+
+    Parameters
+    ----------
+    first
+        Done in the calling thread.
+    second
+        Done in another one.
+
+    Returns
+    -------
+    tuple
+        Both results.
+
+    Raises
+    ------
+    Exception
+        What either raised, the first one's first; by then both have ended.
+    """
+    count = numba.get_num_threads()
+    if count < 2 or not _may_share():
+        return first(), second()
+
+    def with_threads() -> B:
+        numba.set_num_threads(count)
+        return second()
+
+    with ThreadPoolExecutor(max_workers=1) as pool:
+        other = pool.submit(with_threads)
+        one = first()
+    return one, other.result()
+
+
+def _may_share() -> bool:
+    _start_threads(np.zeros(2))
+    return str(numba.threading_layer()) in _SAFE_LAYERS
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _start_threads(values):  # type: ignore[no-untyped-def]
+    """The threading layer is known only after the first parallel kernel."""
+    for n in numba.prange(len(values)):
+        values[n] += 1.0
