@@ -32,6 +32,7 @@ from heartcase.pipeline.cells.supports import fixed_nodes, floating_pieces
 from heartcase.pipeline.cells.topology import betti_numbers, components, distance_in_samples
 from heartcase.pipeline.data import SimulationGrid, Structures
 from heartcase.pipeline.fields import FieldReader
+from heartcase.pipeline.side_by_side import side_by_side
 from heartcase.schemas.errors import StageError
 from heartcase.schemas.labels import LabelTable
 from heartcase.schemas.lattice import cell_nodes
@@ -96,7 +97,9 @@ def build_grid(structures: Structures, settings: GridSettings, *, pins: Sequence
     if not (samples.coverage >= settings.coverage_min).any():
         raise StageError("no cell holds enough tissue: make the cells smaller, or check the walls", place="grid")
     pieces = void_pieces(samples)
-    state, quality, warnings = _shape_cells(samples, pieces, settings, structures.table)
+    (state, quality, warnings), thickness = side_by_side(
+        lambda: _shape_cells(samples, pieces, settings, structures.table), lambda: _thickness_percentiles(samples)
+    )
 
     tissue = state.tissue
     cells = np.ascontiguousarray(np.argwhere(tissue)[:, ::-1].astype(np.int32))
@@ -124,7 +127,7 @@ def build_grid(structures: Structures, settings: GridSettings, *, pins: Sequence
         "tissue_volume_ml": fine_ml,
         "grid_volume_ml": grid_ml,
         "volume_error_percent": 100.0 * (grid_ml - fine_ml) / fine_ml,
-        "thickness_cells": _thickness_percentiles(samples),
+        "thickness_cells": thickness,
         "hinges_left": len(hanging),
         **quality,
     }
@@ -244,7 +247,10 @@ def _shape_cells(
                 f"{places}: make the cells smaller"
             )
         )
-    blocked = blocked_openings(samples, pieces, state, blood_width)
+    blocked, (figures, changes) = side_by_side(
+        lambda: blocked_openings(samples, pieces, state, blood_width),
+        lambda: _compared(samples, fine_tissue, fine_blood, unrepaired, state),
+    )
     if blocked:
         places = _places(samples, blocked)
         warnings.append(
@@ -268,6 +274,15 @@ def _shape_cells(
         "leaks_left": len(leaks),
         "openings_closed": len(blocked),
     }
+    quality |= figures
+    return state, quality, warnings + _topology_warnings(samples, quality, changes)
+
+
+def _compared(
+    samples: CellSamples, fine_tissue: Bool, fine_blood: Bool, unrepaired: CellState, state: CellState
+) -> tuple[dict[str, Any], dict[str, list[Change]]]:
+    """Betti numbers of tissue and blood at the samples, before and after the repairs, and where they changed."""
+    quality: dict[str, Any] = {}
     figures = (
         ("tissue", 26, fine_tissue, unrepaired.tissue, state.tissue),
         ("blood", 6, fine_blood, unrepaired.is_blood & ~unrepaired.tissue, state.is_blood & ~state.tissue),
@@ -290,7 +305,7 @@ def _shape_cells(
         name: [[round(x, 1) for x in _place(samples, change)] for change in found[:_LISTED_PLACES]]
         for name, found in changes.items()
     }
-    return state, quality, warnings + _topology_warnings(samples, quality, changes)
+    return quality, changes
 
 
 def _piece_count(mask: Bool, amount: Float32 | None, least: float, connectivity: int) -> int:

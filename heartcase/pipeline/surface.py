@@ -33,6 +33,7 @@ from heartcase.pipeline.mesh.normal_map import bake_normal_map
 from heartcase.pipeline.mesh.surface_error import ERROR_QUANTILE, fewest_triangles, two_sided_distances_mm
 from heartcase.pipeline.mesh.tags import TriangleTags, cut_faces, tag_keys, tag_triangles
 from heartcase.pipeline.mesh.triangle_grid import TriangleGrid, triangle_grid
+from heartcase.pipeline.side_by_side import side_by_side
 from heartcase.schemas.settings import LEAST_MAP_SIZE, SurfaceSettings
 from heartcase.schemas.surface_kinds import plain_kinds
 
@@ -56,8 +57,6 @@ class _Source:
 
     structures: Structures
     reader: FieldReader
-    whole: FullMesh
-    """As extracted."""
     full: FullMesh
     """Without specks, creases smoothed."""
     dropped: Float64
@@ -113,28 +112,31 @@ def build_surface(structures: Structures, settings: SurfaceSettings, *, render: 
     if full is not whole:
         opposite = opposites(full.triangles)
     is_cut = cut_faces(structures, full.vertices_mm, full.triangles, full.lattice)
-    key = tag_keys(full, is_cut, opposite)
     still = np.zeros(len(full.vertices_mm), bool)
     still[full.triangles[is_cut]] = True
-    full, creased = smooth_creases(full, still, opposite=opposite)
-    reach = 0.5 * min(full.lattice.spacing_mm)
-    mesh, volume_mm3 = (
-        triangle_grid(full.vertices_mm, full.triangles),
-        enclosed_volume_mm3(full.vertices_mm, full.triangles),
+    extracted = full
+    (full, creased), key = side_by_side(
+        lambda: smooth_creases(extracted, still, opposite=opposite), lambda: tag_keys(extracted, is_cut, opposite)
     )
-    source = _Source(structures, reader, whole, full, dropped, creased, mesh, volume_mm3, reach)
+    reach = 0.5 * min(full.lattice.spacing_mm)
 
     def decimated(count: int) -> Decimated:
         return decimate_soundly(
             full.vertices_mm, full.triangles, key, triangle_count=count, reach_mm=reach, opposite=opposite
         )
 
+    def sorted_full() -> TriangleGrid:
+        return triangle_grid(full.vertices_mm, full.triangles)
+
     if settings.error_mm is None:
-        coarse = decimated(settings.triangle_count)
+        coarse, mesh = side_by_side(lambda: decimated(settings.triangle_count), sorted_full)
     else:
+        mesh = sorted_full()
         coarse = fewest_triangles(
             full.vertices_mm, mesh, decimated, error_mm=settings.error_mm, most=settings.triangle_count
         )
+    volume_mm3 = enclosed_volume_mm3(full.vertices_mm, full.triangles)
+    source = _Source(structures, reader, full, dropped, creased, mesh, volume_mm3, reach)
     size = settings.normal_map_size if render else 0
     surface = _finished(source, coarse, settings, size)
     quality = surface.quality
@@ -187,9 +189,16 @@ def _finished(source: _Source, coarse: Decimated, settings: SurfaceSettings, siz
     vertices = vertices_mm.astype(np.float64)
     tags = tag_triangles(reader, vertices, triangles, full.lattice)
     normals = _vertex_normals(reader, vertices, triangles, tags.is_cut, source.reach_mm)
-    quality = _quality(source, coarse, vertices, tags)
+    identity = np.arange(len(vertices), dtype=np.int32)
+    atlas, quality = side_by_side(
+        lambda: (
+            make_atlas(vertices, triangles, size=size, method=settings.atlas)
+            if size > 0
+            else Atlas(identity, triangles, np.zeros((len(vertices), 2), np.float32), 0, 0.0, 0.0)
+        ),
+        lambda: _quality(source, coarse, vertices, tags),
+    )
     if size > 0:
-        atlas = make_atlas(vertices, triangles, size=size, method=settings.atlas)
         render_tangents = tangents(atlas, vertices_mm, normals)
         normal_map = bake_normal_map(
             reader,
@@ -208,10 +217,7 @@ def _finished(source: _Source, coarse: Decimated, settings: SurfaceSettings, siz
             "texels_per_mm": round(atlas.texels_per_mm, 4),
         }
     else:
-        count = len(vertices)
-        identity = np.arange(count, dtype=np.int32)
-        atlas = Atlas(identity, triangles, np.zeros((count, 2), np.float32), 0, 0.0, 0.0)
-        render_tangents = np.zeros((count, 4), np.float32)
+        render_tangents = np.zeros((len(vertices), 4), np.float32)
         normal_map = np.zeros((0, 0, 3), np.uint8)
     return Surface(
         vertices_mm=vertices_mm,

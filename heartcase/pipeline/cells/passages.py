@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numba
 import numpy as np
@@ -65,11 +66,17 @@ def open_passages(samples: CellSamples, pieces: VoidPieces, state: CellState, bl
     """
     # A chain of samples surely runs through a canal that is wider than the threshold by a sample's diagonal.
     width = max(OPENING_CELLS - np.sqrt(3.0) / samples.factor, 0.0)
-    search = _search(samples, pieces, state, blood_width, width, may_leak=False)
+    def again(search: _Search | None = None) -> _Search:
+        """A search in the cells as they are now: the last one, where it opened nothing."""
+        if search is not None and not search.opened:
+            return search
+        return _search(samples, pieces, state, blood_width, width, may_leak=False)
+
+    search = again()
     count = _open_lost(search, samples, blood_width)
-    search = _search(samples, pieces, state, blood_width, width, may_leak=False)
+    search = again(search)
     count += _open_ends(search, _node_width(search, blood_width) >= LUMEN_CELLS - 0.5 / samples.factor)
-    search = _search(samples, pieces, state, blood_width, width, may_leak=False)
+    search = again(search)
     return count + len(_open_ways(search))
 
 
@@ -134,14 +141,19 @@ class _Search:
     """Cost of opening each node's cell."""
     cells: Int64
     """Index (k, j, i) of each node's cell."""
-    touching: set[tuple[int, int]] | None
-    """Contacts that opened cells must have with each other; None where leaks do not matter."""
+    may_leak: bool
+    """Whether opened cells may lack a contact with each other."""
     opened: dict[Index, int]
     """Node of each cell that was opened."""
 
+    @cached_property
+    def touching(self) -> set[tuple[int, int]]:
+        """Contacts that opened cells must have with each other."""
+        return {(int(a), int(b)) for a, b in self.graph.contacts}
+
     def open(self, path: list[int]) -> Index | None:
         """Open the cells of a path unless that leaks; returns the fullest of them."""
-        if self.touching is not None and not self._fits(path):
+        if not self.may_leak and not self._fits(path):
             return None
         fresh = [node for node in path if self.state.tissue[index_of(self.cells[node])]]
         for node in fresh:
@@ -151,7 +163,6 @@ class _Search:
         return index_of(self.cells[max(fresh, key=lambda node: (self.cost[node], -node))]) if fresh else None
 
     def _fits(self, path: list[int]) -> bool:
-        assert self.touching is not None
         trial = dict(self.opened)
         if any(trial.setdefault(index_of(self.cells[node]), node) != node for node in path):
             return False
@@ -188,7 +199,7 @@ def _search(
         ways=graph.ways[usable[graph.ways].all(axis=1)],
         cost=_PER_CELL + samples.coverage.ravel()[graph.node_cell].astype(np.float64),
         cells=np.stack(np.unravel_index(graph.node_cell, state.tissue.shape), axis=1),
-        touching=None if may_leak else {(int(a), int(b)) for a, b in graph.contacts},
+        may_leak=may_leak,
         opened={},
     )
 
@@ -261,9 +272,14 @@ def _open_ways(search: _Search) -> list[Index]:
     rival = np.isfinite(distance[a]) & np.isfinite(distance[b]) & (source[a] != source[b])
     a, b = a[rival], b[rival]
     middle: list[Index] = []
+    # cells only become void here, so what is joined stays joined
+    joined: set[tuple[int, int]] = set()
     for n in np.lexsort((b, a, distance[a] + distance[b])):
-        ends = cells[source[a[n]]], cells[source[b[n]]]
-        if _connected_nearby(state.tissue, state.is_blood, *ends[0], *ends[1], _WINDOW):
+        pair = int(source[a[n]]), int(source[b[n]])
+        if pair in joined:
+            continue
+        if _connected_nearby(state.tissue, state.is_blood, *cells[pair[0]], *cells[pair[1]], _WINDOW):
+            joined.add(pair)
             continue
         fullest = search.open(_trace(before, int(a[n]), search.tissue) + _trace(before, int(b[n]), search.tissue))
         if fullest is not None:
