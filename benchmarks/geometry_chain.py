@@ -26,6 +26,7 @@ from heartcase.pipeline.map import map_surface
 from heartcase.pipeline.mesh.atlas import Atlas, tangents
 from heartcase.pipeline.mesh.decimate import mesh_defects
 from heartcase.pipeline.mesh.intersections import self_intersections
+from heartcase.pipeline.side_by_side import side_by_side
 from heartcase.pipeline.surface import build_surface
 from heartcase.pipeline.walls import grow_walls
 from heartcase.schemas.benchmark import MethodSkipped
@@ -72,11 +73,12 @@ def prepare(params: dict[str, Any]) -> Inputs:
 
 def heartcase(inputs: Inputs, baker: Literal["quick", "exact"] = "quick") -> Shown:
     structures = grow_walls(inputs.segmentation, WallsSettings(), inputs.source.phantom.ends)
-    grid = build_grid(structures, GridSettings())
     settings = SurfaceSettings(
         triangle_count=TRIANGLE_COUNT, normal_map_size=inputs.map_size, baker=baker, level_counts=()
     )
-    surface = build_surface(structures, settings)
+    surface, grid = side_by_side(
+        lambda: build_surface(structures, settings), lambda: build_grid(structures, GridSettings())
+    )
     map_surface(surface, grid, MapSettings())
     atlas = Atlas(surface.render_to_welded, surface.render_triangles, surface.render_uv, 0, 0.0, 0.0)
     vertices = surface.vertices_mm.astype(np.float64)

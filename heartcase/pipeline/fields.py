@@ -46,6 +46,9 @@ NOWHERE_MM = 1e4
 """Field of a label that only a reshaping makes, before it does."""
 CHUNK = 4096
 INTERLEAVED_PLANES = 2
+BLOCK = 4
+"""Edge, in lattice cells, of the blocks for which it is known which fields matter in them."""
+ALL_FIELDS = 255
 
 
 @dataclass(frozen=True)
@@ -90,6 +93,12 @@ class _Layout(NamedTuple):
     source: Bool
     target: Bool
     """Shape (reshapings, slots)."""
+    stored_wall: Int32
+    """Number of the wall that is grown around each stored field, or -1."""
+    block_count: UInt8
+    """How many stored fields matter in each block of lattice cells, shape (z, y, x); 255 where all may."""
+    block_fields: UInt8
+    """Which, ascending, shape (z, y, x, stored)."""
 
 
 @dataclass(frozen=True)
@@ -175,18 +184,28 @@ def _layout(structures: Structures) -> _Layout:
     stack = np.empty((*structures.geometry.shape, len(stored)), np.float32)
     _interleave(tuple(structures.distance_mm[value] for value in stored), stack)
     walls = sorted((cavity, value, thickness) for value, (cavity, thickness) in structures.grown_walls.items())
-    return _Layout(
+    cavities = [cavity for cavity, *_ in walls]
+    shapes = _shapes(structures, slot)
+    nz, ny, nx = (max(-(-(n - 1) // BLOCK), 1) for n in structures.geometry.shape)
+    layout = _Layout(
         stack,
         np.array([slot[value] for value in stored], np.int32),
         np.array(labels, np.uint8),
         len(tissues),
         slot.get(BACKGROUND, -1),
         np.array([slot[value] for _, value, _ in walls], np.int32),
-        np.array([slot[cavity] for cavity, _, _ in walls], np.int32),
+        np.array([slot[cavity] for cavity in cavities], np.int32),
         np.array([thickness for *_, thickness in walls], np.float32),
         np.ascontiguousarray(structures.geometry.affine[:3]),
-        *_shapes(structures, slot),
+        *shapes,
+        np.array([cavities.index(value) if value in cavities else -1 for value in stored], np.int32),
+        np.full((nz, ny, nx), ALL_FIELDS, np.uint8),
+        np.zeros((nz, ny, nx, len(stored)), np.uint8),
     )
+    has_tissue = any(value in stored for value in tissues) or len(walls) > 0
+    if has_tissue and BACKGROUND in stored and not structures.thickness_tables:
+        _find_fields_of_blocks(layout, layout.block_count, layout.block_fields)
+    return layout
 
 
 def _varying(structures: Structures) -> ThicknessArrays:
@@ -247,28 +266,71 @@ def _place(x, count):  # type: ignore[no-untyped-def]
     return low, min(low + 1, count - 1), np.float32(x - low)
 
 
-@numba.njit(cache=True, nogil=True)
-def _lerp(first, second, weight, out):  # type: ignore[no-untyped-def]
-    for s in range(len(out)):
-        out[s] = first[s] + weight * (second[s] - first[s])
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _find_fields_of_blocks(layout, block_count, block_fields):  # type: ignore[no-untyped-def]
+    """Find the fields that can be lowest anywhere in each block, in blocks that no reshaping reaches.
+
+    A tissue, or a cavity, whose least value exceeds the greatest one of another is not the lowest anywhere. A cavity
+    matters to the walls where it is not farther, its wall's thickness taken off, than another one is everywhere, and
+    where its own wall may be. The background always matters.
+    """
+    nz, ny, nx, stored = layout.stack.shape
+    for bk in numba.prange(block_count.shape[0]):
+        low, high = np.empty(stored, np.float32), np.empty(stored, np.float32)
+        for bj in range(block_count.shape[1]):
+            for bi in range(block_count.shape[2]):
+                if _is_reshaped(layout, bk, bj, bi):
+                    continue
+                low[:] = np.inf
+                high[:] = -np.inf
+                for k in range(bk * BLOCK, min(bk * BLOCK + BLOCK + 1, nz)):
+                    for j in range(bj * BLOCK, min(bj * BLOCK + BLOCK + 1, ny)):
+                        for i in range(bi * BLOCK, min(bi * BLOCK + BLOCK + 1, nx)):
+                            row = layout.stack[k, j, i]
+                            for s in range(stored):
+                                low[s] = min(low[s], row[s])
+                                high[s] = max(high[s], row[s])
+                tissue, void, body = np.float32(np.inf), np.float32(np.inf), np.float32(np.inf)
+                for s in range(stored):
+                    slot = layout.stored_slot[s]
+                    if slot < layout.tissue_count:
+                        tissue = min(tissue, high[s])
+                    elif slot != layout.background:
+                        void = min(void, high[s])
+                        if layout.stored_wall[s] >= 0:
+                            body = min(body, high[s] - layout.wall_mm[layout.stored_wall[s]])
+                # what is interpolated may differ in its last digits
+                slack = np.float32(1e-3)
+                count = 0
+                for s in range(stored):
+                    slot = layout.stored_slot[s]
+                    if slot < layout.tissue_count:
+                        matters = low[s] <= tissue + slack
+                    else:
+                        matters = slot == layout.background or low[s] <= void + slack
+                        if layout.stored_wall[s] >= 0:
+                            nearest = low[s] - layout.wall_mm[layout.stored_wall[s]]
+                            matters |= nearest <= max(body, np.float32(0.0)) + slack
+                    if matters:
+                        block_fields[bk, bj, bi, count] = s
+                        count += 1
+                block_count[bk, bj, bi] = count
 
 
 @numba.njit(cache=True, nogil=True)
-def _row(stack, y, z, low, high, row):  # type: ignore[no-untyped-def]
-    """Interpolate along y and z: all stored fields at voxels ``low`` to ``high`` of a row along x."""
-    j, j1, fy = _place(y, stack.shape[1])
-    k, k1, fz = _place(z, stack.shape[0])
-    one = np.float32(1.0)
-    w00 = (one - fz) * (one - fy)
-    w01 = (one - fz) * fy
-    w10 = fz * (one - fy)
-    w11 = fz * fy
-    a = stack[k, j, low : high + 1].reshape(-1)
-    b = stack[k, j1, low : high + 1].reshape(-1)
-    c = stack[k1, j, low : high + 1].reshape(-1)
-    d = stack[k1, j1, low : high + 1].reshape(-1)
-    for n in range(len(a)):
-        row[n] = a[n] * w00 + b[n] * w01 + c[n] * w10 + d[n] * w11
+def _is_reshaped(layout, bk, bj, bi):  # type: ignore[no-untyped-def]
+    """Whether a reshaping may reach into a block; those at the border hold all that lies beyond."""
+    blocks = layout.block_count.shape
+    for n in range(len(layout.shape_kind)):
+        apart = False
+        for axis in range(3):
+            b = bi if axis == 0 else (bj if axis == 1 else bk)
+            last = blocks[2 - axis] - 1
+            apart |= b < last and b * BLOCK + BLOCK < layout.shape_low[n, axis]
+            apart |= b > 0 and b * BLOCK > layout.shape_high[n, axis]
+        if not apart:
+            return True
+    return False
 
 
 @numba.njit(cache=True, nogil=True)
@@ -388,33 +450,17 @@ def _evaluate_one(layout, tables, x, y, z, raw, v, thick, scale):  # type: ignor
             void = layout.labels[s]
     if layout.tissue_count == 0:
         return abs(lowest_void), void, tissue
-    if lowest_tissue < 0.0 and lowest_void > 0.0:
-        return min(lowest_tissue, -lowest_void), void, tissue
-    if lowest_tissue > 0.0 and lowest_void < 0.0:
-        return max(lowest_tissue, -lowest_void), void, tissue
-    return lowest_tissue - lowest_void, void, tissue
+    return _between(lowest_tissue, lowest_void), void, tissue
 
 
 @numba.njit(cache=True, nogil=True, inline="always")
-def _interpolate(stack, x, y, z, raw):  # type: ignore[no-untyped-def]
-    """All stored fields at one point, by the same steps as :func:`_row` and :func:`_lerp`."""
-    nz, ny, nx, stored = stack.shape
-    i, i1, fx = _place(x, nx)
-    j, j1, fy = _place(y, ny)
-    k, k1, fz = _place(z, nz)
-    one = np.float32(1.0)
-    w00 = (one - fz) * (one - fy)
-    w01 = (one - fz) * fy
-    w10 = fz * (one - fy)
-    w11 = fz * fy
-    flat = stack.reshape(-1)
-    a, b = ((k * ny + j) * nx + i) * stored, ((k * ny + j1) * nx + i) * stored
-    c, d = ((k1 * ny + j) * nx + i) * stored, ((k1 * ny + j1) * nx + i) * stored
-    on = (i1 - i) * stored
-    for s in range(stored):
-        first = flat[a + s] * w00 + flat[b + s] * w01 + flat[c + s] * w10 + flat[d + s] * w11
-        second = flat[a + on + s] * w00 + flat[b + on + s] * w01 + flat[c + on + s] * w10 + flat[d + on + s] * w11
-        raw[s] = first + fx * (second - first)
+def _between(tissue, void):  # type: ignore[no-untyped-def]
+    """The tissue field, from the lowest field of a tissue and that of a void."""
+    if tissue < 0.0 and void > 0.0:
+        return min(tissue, -void)
+    if tissue > 0.0 and void < 0.0:
+        return max(tissue, -void)
+    return tissue - void
 
 
 @numba.njit(cache=True, nogil=True)
@@ -428,9 +474,70 @@ def scratch(layout):  # type: ignore[no-untyped-def]
 @numba.njit(cache=True, nogil=True, inline="always")
 def evaluate_owner(layout, tables, x, y, z, spare):  # type: ignore[no-untyped-def]
     """Tissue field, void label and tissue label at one point, given by its index; ``spare`` from scratch()."""
-    raw, v, thick, scale = spare
-    _interpolate(layout.stack, x, y, z, raw)
-    return _evaluate_one(layout, tables, x, y, z, raw, v, thick, scale)
+    nz, ny, nx, stored = layout.stack.shape
+    i, i1, fx = _place(x, nx)
+    j, j1, fy = _place(y, ny)
+    k, k1, fz = _place(z, nz)
+    one = np.float32(1.0)
+    w00 = (one - fz) * (one - fy)
+    w01 = (one - fz) * fy
+    w10 = fz * (one - fy)
+    w11 = fz * fy
+    flat = layout.stack.reshape(-1)
+    a, b = ((k * ny + j) * nx + i) * stored, ((k * ny + j1) * nx + i) * stored
+    c, d = ((k1 * ny + j) * nx + i) * stored, ((k1 * ny + j1) * nx + i) * stored
+    on = (i1 - i) * stored
+    count = layout.block_count[k // BLOCK, j // BLOCK, i // BLOCK]
+    if count == ALL_FIELDS:
+        raw, v, thick, scale = spare
+        for s in range(stored):
+            first = flat[a + s] * w00 + flat[b + s] * w01 + flat[c + s] * w10 + flat[d + s] * w11
+            second = flat[a + on + s] * w00 + flat[b + on + s] * w01 + flat[c + on + s] * w10 + flat[d + on + s] * w11
+            raw[s] = first + fx * (second - first)
+        return _evaluate_one(layout, tables, x, y, z, raw, v, thick, scale)
+    fields = layout.block_fields[k // BLOCK, j // BLOCK, i // BLOCK]
+    lowest_tissue, lowest_void = np.float32(np.inf), np.float32(np.inf)
+    tissue_slot, void_slot = -1, -1
+    bare, nearest, inside = np.float32(np.inf), np.float32(np.inf), np.float32(np.inf)
+    winner = -1
+    for n in range(count):
+        f = np.int64(fields[n])
+        first = flat[a + f] * w00 + flat[b + f] * w01 + flat[c + f] * w10 + flat[d + f] * w11
+        second = flat[a + on + f] * w00 + flat[b + on + f] * w01 + flat[c + on + f] * w10 + flat[d + on + f] * w11
+        value = first + fx * (second - first)
+        slot = layout.stored_slot[f]
+        if slot < layout.tissue_count:
+            if value < lowest_tissue:
+                lowest_tissue = value
+                tissue_slot = slot
+        elif slot == layout.background:
+            bare = value
+        else:
+            if value < lowest_void:
+                lowest_void = value
+                void_slot = slot
+            w = layout.stored_wall[f]
+            if w >= 0:
+                # as in _grow_walls
+                body = value - layout.wall_mm[w]
+                if body < np.float32(0.0):
+                    if value < inside:
+                        inside = value
+                        winner = w
+                elif inside == np.inf and body < nearest:
+                    winner = w
+                nearest = min(nearest, body)
+    if winner >= 0:
+        value = max(nearest, bare)
+        slot = layout.wall_slot[winner]
+        if value < lowest_tissue or (value == lowest_tissue and slot < tissue_slot):
+            lowest_tissue = value
+            tissue_slot = slot
+        bare = max(bare, -nearest)
+    if bare <= lowest_void:
+        lowest_void = bare
+        void_slot = layout.background
+    return _between(lowest_tissue, lowest_void), layout.labels[void_slot], layout.labels[tissue_slot]
 
 
 @numba.njit(cache=True, nogil=True)
@@ -442,27 +549,13 @@ def evaluate_tissue(layout, tables, x, y, z, spare):  # type: ignore[no-untyped-
 @numba.njit(cache=True, nogil=True, parallel=True)
 def _evaluate_lattice(layout, tables, start, step, tissue, void_label, tissue_label):  # type: ignore[no-untyped-def]
     nz, ny, nx = tissue.shape
-    count = layout.stack.shape[2]
-    stored = layout.stack.shape[3]
-    first = _place(min(start[0], start[0] + (nx - 1) * step[0]), count)[0]
-    last = _place(max(start[0], start[0] + (nx - 1) * step[0]), count)[1]
     for k in numba.prange(nz):
-        row = np.empty((last - first + 1) * stored, np.float32)
-        raw = np.empty(stored, np.float32)
-        v = np.empty(len(layout.labels), np.float32)
-        thick = layout.wall_mm.copy()
-        scale = np.ones(len(thick), np.float32)
+        spare = scratch(layout)
         for j in range(ny):
             y = start[1] + j * step[1]
             z = start[2] + k * step[2]
-            _row(layout.stack, y, z, first, last, row)
             for i in range(nx):
-                x = start[0] + i * step[0]
-                i0, i1, fx = _place(x, count)
-                a = (i0 - first) * stored
-                b = (i1 - first) * stored
-                _lerp(row[a : a + stored], row[b : b + stored], fx, raw)
-                one = _evaluate_one(layout, tables, x, y, z, raw, v, thick, scale)
+                one = evaluate_owner(layout, tables, start[0] + i * step[0], y, z, spare)
                 tissue[k, j, i] = one[0]
                 void_label[k, j, i] = one[1]
                 tissue_label[k, j, i] = one[2]

@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import numba
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
@@ -21,6 +22,7 @@ from heartcase.pipeline.cells.ties import NodeTriangles, TieChooser, closest_wei
 from heartcase.pipeline.data import GridMap, SimulationGrid, Surface
 from heartcase.pipeline.grid import FACE_CORNERS
 from heartcase.pipeline.picking import split_faces
+from heartcase.pipeline.side_by_side import side_by_side
 from heartcase.schemas.lattice import cell_nodes, lattice_keys
 from heartcase.schemas.settings import MapSettings
 
@@ -87,7 +89,9 @@ def _map_level(surface: Surface, grid: SimulationGrid, settings: MapSettings) ->
     positions = grid.node_positions_mm()
     vertices = surface.vertices_mm.astype(np.float64)
     normals = surface.normals.astype(np.float64)
-    triangles, is_inner, is_narrow = _choose_triangles(surface, grid, settings, positions)
+    (triangles, is_inner, is_narrow), nearest_node = side_by_side(
+        lambda: _choose_triangles(surface, grid, settings, positions), lambda: _nearest_nodes(surface, grid, positions)
+    )
 
     corners = positions[triangles]
     weights = closest_weights(vertices, corners)
@@ -112,7 +116,7 @@ def _map_level(surface: Surface, grid: SimulationGrid, settings: MapSettings) ->
         normal=_unit(np.einsum("vbx,vx->vb", basis, normals)).astype(np.float32),
         curvature=curvature,
         tangent=_tangents(surface, basis),
-        nearest_node=_nearest_nodes(surface, grid, positions),
+        nearest_node=nearest_node,
         quality=_quality(far, is_inner, is_narrow & ~is_inner, curvature),
         warnings=warnings,
     )
@@ -228,7 +232,7 @@ def _nearest_nodes(surface: Surface, grid: SimulationGrid, positions: Float64) -
 
 
 def _query(points: Float64, places: Float64) -> tuple[Float64, Int64]:
-    distance, at = cKDTree(points).query(places, workers=1)
+    distance, at = cKDTree(points).query(places, workers=numba.get_num_threads())
     return np.asarray(distance, np.float64), np.asarray(at, np.int64)
 
 

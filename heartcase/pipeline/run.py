@@ -107,6 +107,8 @@ def build_case(
     for stage in STAGES[:-1]:
         if stage in ("surface", "map") and Part.SURFACE not in recipe.parts:
             continue
+        if stage == "grid" and Part.SURFACE in recipe.parts and until != stage:
+            continue  # it comes with the surface
         RUN_STAGE[stage](recipe, directory, runner, nodes)
         if stage == "read":
             scan = have(nodes.scan).get()

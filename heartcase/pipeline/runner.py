@@ -11,12 +11,14 @@ from typing import Any, Generic, Protocol, TypeVar
 
 from heartcase.pipeline.artifacts import artifact_to_bytes
 from heartcase.pipeline.cache import Cache, stage_key
+from heartcase.pipeline.side_by_side import may_share, side_by_side
 from heartcase.schemas.bundle import StageRecord
 from heartcase.schemas.files import atomic_write
 
-__all__ = ["SECONDS_GUESSED", "STAGES", "STAGE_VERSIONS", "BuildListener", "Node", "Runner", "SilentListener"]
+__all__ = ["SECONDS_GUESSED", "STAGES", "STAGE_VERSIONS", "BuildListener", "Job", "Node", "Runner", "SilentListener"]
 
 T = TypeVar("T")
+U = TypeVar("U")
 
 STAGE_VERSIONS = {
     "read": 2,
@@ -25,9 +27,9 @@ STAGE_VERSIONS = {
     "segment": 2,
     "walls": 9,
     "edit": 3,
-    "grid": 5,
+    "grid": 6,
     "surface": 11,
-    "map": 5,
+    "map": 6,
     "bundle": 4,
 }
 """Raised whenever a stage's output changes for the same input, so that the cache forgets the old one."""
@@ -83,6 +85,17 @@ class Node(Generic[T]):
         return self.value
 
 
+@dataclass(frozen=True)
+class Job(Generic[T]):
+    """What a stage is to compute."""
+
+    stage: str
+    settings: Any
+    inputs: Mapping[str, Node[Any]]
+    compute: Callable[[], T]
+    kind: type[T]
+
+
 @dataclass
 class Runner:
     """Runs stages through the cache and remembers how."""
@@ -95,29 +108,26 @@ class Runner:
     reused: list[str] = field(default_factory=list)
     records: list[StageRecord] = field(default_factory=list)
 
-    def run(
-        self, stage: str, *, settings: Any, inputs: Mapping[str, Node[Any]], compute: Callable[[], T], kind: type[T]
-    ) -> Node[T]:
-        """Find the stage's output, or compute and keep it."""
-        version = STAGE_VERSIONS[stage]
-        hashes = {name: node.sha256 for name, node in inputs.items()}
-        key = stage_key(stage=stage, version=version, settings=settings, inputs=hashes)
+    def run(self, job: Job[T], *, done: tuple[T, float] | None = None) -> Node[T]:
+        """Find the stage's output, or compute and keep it; ``done``: it is computed already, in so many seconds."""
+        stage, settings = job.stage, job.settings
+        version, key = STAGE_VERSIONS[stage], _key_of(job)
         entry = None if self.force else self.cache.find(stage, key)
         node: Node[T]
 
         def compute_and_store() -> T:
             self.announce(stage)
+            output, seconds = done or _timed(job.compute)
             start = time.perf_counter()
-            output = compute()
-            self.learn(stage, time.perf_counter() - start)
-            stored = self.cache.store(stage, key, output, seconds=time.perf_counter() - start)
+            self.learn(stage, seconds)
+            stored = self.cache.store(stage, key, output, seconds=seconds + time.perf_counter() - start)
             node.sha256 = stored.output_sha256
             self.seconds[stage] = stored.seconds
             self.listener.stage_finished(stage, seconds=stored.seconds, reused=False)
             return output
 
         def fetch() -> T:
-            cached = self.cache.load(stage, key, kind)
+            cached = self.cache.load(stage, key, job.kind)
             if cached is not None:
                 return cached
             self.reused.remove(stage)
@@ -135,6 +145,22 @@ class Runner:
             StageRecord(stage=stage, version=version, settings=_as_dict(settings), output_sha256=node.sha256)
         )
         return node
+
+    def run_both(self, job: Job[T], longer: Job[U]) -> tuple[Node[T], Node[U]]:
+        """Find or compute the outputs of two stages of which neither needs the other, and compute at the same time.
+
+        The longer one runs in this thread, so that it can be interrupted, and is the one that the listener hears of.
+        Stages are recorded in the order of the arguments.
+        """
+        is_kept = not self.force and any(self.cache.find(one.stage, _key_of(one)) for one in (job, longer))
+        if is_kept or not may_share():
+            return self.run(job), self.run(longer)
+        for node in (*job.inputs.values(), *longer.inputs.values()):
+            node.get()
+        second, done = side_by_side(lambda: self.run(longer), lambda: _timed(job.compute))
+        first = self.run(job, done=done)
+        self.records[-2:] = reversed(self.records[-2:])
+        return first, second
 
     def run_always(self, stage: str, *, settings: Any, compute: Callable[[], T]) -> Node[T]:
         """Compute a stage that is cheap or whose input is outside the cache's sight."""
@@ -174,6 +200,18 @@ class Runner:
         """Remember how long a stage took, per million voxels."""
         rates = self._rates() | {stage: round(seconds * 1e6 / max(self.voxel_count, 1), 3)}
         atomic_write(self.cache.directory / "rates.json", json.dumps(rates, sort_keys=True).encode())
+
+
+def _key_of(job: Job[Any]) -> str:
+    hashes = {name: node.sha256 for name, node in job.inputs.items()}
+    return stage_key(stage=job.stage, version=STAGE_VERSIONS[job.stage], settings=job.settings, inputs=hashes)
+
+
+def _timed(compute: Callable[[], T]) -> tuple[T, float]:
+    """An output and the seconds it took."""
+    start = time.perf_counter()
+    output = compute()
+    return output, time.perf_counter() - start
 
 
 def _as_dict(settings: Any) -> dict[str, Any]:

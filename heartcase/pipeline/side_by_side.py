@@ -9,7 +9,7 @@ from typing import TypeVar
 import numba
 import numpy as np
 
-__all__ = ["side_by_side"]
+__all__ = ["may_share", "side_by_side"]
 
 A = TypeVar("A")
 B = TypeVar("B")
@@ -40,9 +40,9 @@ def side_by_side(first: Callable[[], A], second: Callable[[], B]) -> tuple[A, B]
     Exception
         What either raised, the first one's first; by then both have ended.
     """
-    count = numba.get_num_threads()
-    if count < 2 or not _may_share():
+    if not may_share():
         return first(), second()
+    count = numba.get_num_threads()
 
     def with_threads() -> B:
         numba.set_num_threads(count)
@@ -54,7 +54,10 @@ def side_by_side(first: Callable[[], A], second: Callable[[], B]) -> tuple[A, B]
     return one, other.result()
 
 
-def _may_share() -> bool:
+def may_share() -> bool:
+    """Whether :func:`side_by_side` really does two things at the same time here."""
+    if numba.get_num_threads() < 2:
+        return False
     _start_threads(np.zeros(2))
     return str(numba.threading_layer()) in _SAFE_LAYERS
 

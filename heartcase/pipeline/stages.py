@@ -12,7 +12,7 @@ import numpy as np
 
 from heartcase.pipeline.cache import Cache
 from heartcase.pipeline.data import GridMap, Markers, Scan, Segmentation, SimulationGrid, Structures, Surface
-from heartcase.pipeline.runner import Node, Runner
+from heartcase.pipeline.runner import Job, Node, Runner
 from heartcase.schemas.base import Model
 from heartcase.schemas.errors import MarkerError, Problem, ScanError
 from heartcase.schemas.geometry import Geometry
@@ -97,11 +97,13 @@ def _filter(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutputs
 
     scan = have(nodes.scan)
     nodes.filtered = runner.run(
-        "filter",
-        settings=resolved(recipe.filter),
-        inputs={"scan": scan},
-        compute=lambda: filter_scan(scan.get(), recipe.filter),
-        kind=Scan,
+        Job(
+            stage="filter",
+            settings=resolved(recipe.filter),
+            inputs={"scan": scan},
+            compute=lambda: filter_scan(scan.get(), recipe.filter),
+            kind=Scan,
+        )
     )
 
 
@@ -182,17 +184,19 @@ def _segment(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutput
         )
         return
     nodes.segmentation = runner.run(
-        "segment",
-        settings=settings,
-        inputs={"scan": filtered} | ({"markers": markers} if markers else {}),
-        compute=lambda: segment_scan(
-            filtered.get(),
-            markers.get() if markers else None,
-            recipe.segment,
-            recipe.table,
-            make_tree=lambda: filtered_tree(recipe, filtered, runner.cache),
-        ),
-        kind=Segmentation,
+        Job(
+            stage="segment",
+            settings=settings,
+            inputs={"scan": filtered} | ({"markers": markers} if markers else {}),
+            compute=lambda: segment_scan(
+                filtered.get(),
+                markers.get() if markers else None,
+                recipe.segment,
+                recipe.table,
+                make_tree=lambda: filtered_tree(recipe, filtered, runner.cache),
+            ),
+            kind=Segmentation,
+        )
     )
 
 
@@ -214,11 +218,13 @@ def _walls(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutputs)
 
     segmentation = have(nodes.segmentation)
     nodes.grown = runner.run(
-        "walls",
-        settings=resolved(recipe.walls) | {"ends": _all(recipe.ends)},
-        inputs={"segmentation": segmentation},
-        compute=lambda: grow_walls(segmentation.get(), recipe.walls, recipe.ends),
-        kind=Structures,
+        Job(
+            stage="walls",
+            settings=resolved(recipe.walls) | {"ends": _all(recipe.ends)},
+            inputs={"segmentation": segmentation},
+            compute=lambda: grow_walls(segmentation.get(), recipe.walls, recipe.ends),
+            kind=Structures,
+        )
     )
 
 
@@ -236,20 +242,22 @@ def _edit(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutputs) 
         nodes.structures = grown
         return
     nodes.structures = runner.run(
-        "edit",
-        settings={"edits": settings},
-        inputs={"structures": grown},
-        compute=lambda: apply_edits(grown.get(), recipe.edits),
-        kind=Structures,
+        Job(
+            stage="edit",
+            settings={"edits": settings},
+            inputs={"structures": grown},
+            compute=lambda: apply_edits(grown.get(), recipe.edits),
+            kind=Structures,
+        )
     )
 
 
-def _grid(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutputs) -> None:
+def _grid_job(recipe: Recipe, nodes: StageOutputs) -> Job[SimulationGrid]:
     from heartcase.pipeline.grid import build_grid
 
     structures = have(nodes.structures)
-    nodes.grid = runner.run(
-        "grid",
+    return Job(
+        stage="grid",
         settings=resolved(recipe.grid) | {"pins": _all(recipe.pins)},
         inputs={"structures": structures},
         compute=lambda: build_grid(structures.get(), recipe.grid, pins=recipe.pins),
@@ -257,13 +265,17 @@ def _grid(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutputs) 
     )
 
 
-def _surface(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutputs) -> None:
+def _grid(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutputs) -> None:
+    nodes.grid = runner.run(_grid_job(recipe, nodes))
+
+
+def _surface_job(recipe: Recipe, nodes: StageOutputs) -> Job[Surface]:
     from heartcase.pipeline.surface import build_surface
 
     structures = have(nodes.structures)
     render = Part.RENDER in recipe.parts
-    nodes.surface = runner.run(
-        "surface",
+    return Job(
+        stage="surface",
         settings=resolved(recipe.surface) | {"render": render},
         inputs={"structures": structures},
         compute=lambda: build_surface(structures.get(), recipe.surface, render=render),
@@ -271,16 +283,23 @@ def _surface(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutput
     )
 
 
+def _surface(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutputs) -> None:
+    """The surface, and with it the grid, which takes less time and waits for one core where this one does not."""
+    nodes.grid, nodes.surface = runner.run_both(_grid_job(recipe, nodes), _surface_job(recipe, nodes))
+
+
 def _map(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutputs) -> None:
     from heartcase.pipeline.map import map_surface
 
     surface, grid = have(nodes.surface), have(nodes.grid)
     nodes.grid_map = runner.run(
-        "map",
-        settings=resolved(recipe.map),
-        inputs={"surface": surface, "grid": grid},
-        compute=lambda: map_surface(surface.get(), grid.get(), recipe.map),
-        kind=GridMap,
+        Job(
+            stage="map",
+            settings=resolved(recipe.map),
+            inputs={"surface": surface, "grid": grid},
+            compute=lambda: map_surface(surface.get(), grid.get(), recipe.map),
+            kind=GridMap,
+        )
     )
 
 

@@ -351,7 +351,7 @@ def test_sheets_that_so_few_triangles_would_cross_get_more_of_them(count):
     sound = decimate_soundly(full.vertices_mm, full.triangles, tags, triangle_count=count, reach_mm=0.3)
     assert len(sound.crossing_pairs) == len(self_intersections(sound.vertices_mm, sound.triangles)) == 0
     assert folded_triangles(sound.vertices_mm, sound.triangles).sum() == 0
-    assert 0 < sound.care_rounds
+    assert sound.care_rounds > 0
     if count == 300:
         assert len(sound.triangles) < 2.5 * count
 

@@ -66,6 +66,7 @@ def open_passages(samples: CellSamples, pieces: VoidPieces, state: CellState, bl
     """
     # A chain of samples surely runs through a canal that is wider than the threshold by a sample's diagonal.
     width = max(OPENING_CELLS - np.sqrt(3.0) / samples.factor, 0.0)
+
     def again(search: _Search | None = None) -> _Search:
         """A search in the cells as they are now: the last one, where it opened nothing."""
         if search is not None and not search.opened:

@@ -37,7 +37,7 @@ _AROUND = 0.5
 """Cells around the cells of a vertex and a triangle within which the surface must lead from one to the other."""
 _MORE = 4
 """So many times the candidates are tried where all of them are beyond a wall or a gap."""
-_CHUNK = 2048
+_CHUNK = 512
 
 
 class NodeTriangles(NamedTuple):
@@ -126,7 +126,7 @@ class TieChooser:
         for tries in (self._tries, _MORE * self._tries):
             count = min(tries, len(among))
             places = self._mesh.vertices[who[left]]
-            found = tree.query(places, k=count, workers=1)[1].reshape(len(left), count)
+            found = tree.query(places, k=count, workers=numba.get_num_threads())[1].reshape(len(left), count)
             best, value = np.empty(len(left), np.int64), np.empty(len(left))
             tried = np.sort(among[found], axis=1)
             reach = self._penalty_mm, self._skin_mm, self._beyond_mm

@@ -2,9 +2,9 @@
 
 The mesh is half-edges: ``3 t + c`` runs from corner c of triangle t to its next corner. As long as there are many more
 triangles than wanted, the cheapest part of all edges is collapsed in the order of the mesh, so that memory is read
-along. Parts of the mesh are swept at the same time; what lies between two of them waits for the next sweep, which
-cuts the mesh elsewhere. Then a heap takes one edge after the other. An entry of the heap is stale when one of its ends has changed since
-it was made; ties in cost go to the lower half-edge.
+along. Parts of the mesh are swept at the same time; what lies between two of them waits for the next sweep, which cuts
+the mesh elsewhere. Then a heap takes one edge after the other. An entry of the heap is stale when one of its ends has
+changed since it was made; ties in cost go to the lower half-edge.
 """
 
 from __future__ import annotations
