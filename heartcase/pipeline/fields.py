@@ -353,7 +353,10 @@ def _vary(layout, tables, x, y, z, v, thick, scale):  # type: ignore[no-untyped-
 
 @numba.njit(cache=True, nogil=True, inline="always")
 def _grow_walls(layout, v, thick, scale):  # type: ignore[no-untyped-def]
-    """Give the walls their part of the bare background; ``v`` holds the cavities and the bare background."""
+    """Give the walls their part of the bare background; ``v`` holds the cavities and the bare background.
+
+    Returns the slot of the wall whose cavity is nearest.
+    """
     count = len(layout.wall_slot)
     bare = v[layout.background]
     outer = np.float32(np.inf)
@@ -379,6 +382,7 @@ def _grow_walls(layout, v, thick, scale):  # type: ignore[no-untyped-def]
         v[layout.wall_slot[w]] = value
     v[layout.wall_slot[winner]] = max(outer, bare)
     v[layout.background] = max(bare, -outer)
+    return layout.wall_slot[winner]
 
 
 @numba.njit(cache=True, nogil=True, inline="always")
@@ -430,10 +434,11 @@ def _evaluate_one(layout, tables, x, y, z, raw, v, thick, scale):  # type: ignor
             v[s] = np.float32(NOWHERE_MM)
     for s in range(len(raw)):
         v[layout.stored_slot[s]] = raw[s]
+    nearest_wall = -1
     if len(layout.wall_slot) > 0 and layout.background >= 0:
         if len(tables.wall) > 0:
             _vary(layout, tables, x, y, z, v, thick, scale)
-        _grow_walls(layout, v, thick, scale)
+        nearest_wall = _grow_walls(layout, v, thick, scale)
     if len(layout.shape_kind) > 0:
         _reshape(layout, x, y, z, v)
     lowest_tissue = np.float32(np.inf)
@@ -444,6 +449,9 @@ def _evaluate_one(layout, tables, x, y, z, raw, v, thick, scale):  # type: ignor
         if v[s] < lowest_tissue:
             lowest_tissue = v[s]
             tissue = layout.labels[s]
+    # walls are as near as each other where the background between them is what counts
+    if nearest_wall >= 0 and v[nearest_wall] == lowest_tissue:
+        tissue = layout.labels[nearest_wall]
     for s in range(layout.tissue_count, len(v)):
         if v[s] < lowest_void:
             lowest_void = v[s]
@@ -529,10 +537,9 @@ def evaluate_owner(layout, tables, x, y, z, spare):  # type: ignore[no-untyped-d
                 nearest = min(nearest, body)
     if winner >= 0:
         value = max(nearest, bare)
-        slot = layout.wall_slot[winner]
-        if value < lowest_tissue or (value == lowest_tissue and slot < tissue_slot):
+        if value <= lowest_tissue:
             lowest_tissue = value
-            tissue_slot = slot
+            tissue_slot = layout.wall_slot[winner]
         bare = max(bare, -nearest)
     if bare <= lowest_void:
         lowest_void = bare

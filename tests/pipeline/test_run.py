@@ -74,6 +74,25 @@ def test_a_scan_and_markers_become_a_sound_case(built):
     assert (label[radius >= 17] == 0).all()
 
 
+def test_stages_are_recorded_in_their_order_although_two_run_at_once(built):
+    _, _, result = built
+    recorded = [record.stage for record in result.manifest.stages]
+    assert recorded == [stage for stage in STAGES if stage in recorded]
+    assert {"grid", "surface"} < set(recorded)
+    assert min(result.seconds["grid"], result.seconds["surface"]) > 0.0
+
+
+def test_a_surface_is_kept_when_the_grid_beside_it_fails(scan_directory, tmp_path):
+    path = make_recipe(scan_directory, tmp_path)
+    sound = path.read_text()
+    path.write_text(sound.replace("position_mm = [0, 0, 20]", "position_mm = [0, 0, 200]"))
+    assert path.read_text() != sound
+    with pytest.raises(HeartcaseError, match="pins"):
+        build(path, tmp_path / "out")
+    path.write_text(sound)
+    assert "surface" in build(path, tmp_path / "out").reused
+
+
 def test_the_second_build_computes_and_writes_nothing(built):
     path, out, first = built
     before = {p: p.stat().st_mtime_ns for p in [*first.case.iterdir(), first.report]}

@@ -6,12 +6,14 @@ import pytest
 import trimesh
 
 from heartcase.pipeline.data import Structures, Surface
+from heartcase.pipeline.mesh import collapse
 from heartcase.pipeline.mesh.decimate import (
     decimate,
     decimate_soundly,
     folded_triangles,
     mesh_defects,
     relax_folds,
+    without_folds,
 )
 from heartcase.pipeline.mesh.extract import (
     drop_small_shells,
@@ -27,6 +29,7 @@ from heartcase.pipeline.surface import build_surface
 from heartcase.schemas.errors import StageError
 from heartcase.schemas.labels import Label, LabelTable, Role
 from heartcase.schemas.settings import SurfaceSettings
+from tests.pipeline.random_phantoms import random_heart
 from tests.pipeline.solids import LEFT_HANDED, OBLIQUE, lattice, points, solid, sphere, torus, tube, walled
 
 PLAIN = SurfaceSettings(normal_map_size=0)
@@ -354,6 +357,50 @@ def test_sheets_that_so_few_triangles_would_cross_get_more_of_them(count):
     assert sound.care_rounds > 0
     if count == 300:
         assert len(sound.triangles) < 2.5 * count
+
+
+@pytest.mark.parametrize("seed", [18, 25])
+def test_a_neck_of_one_cell_is_no_fold(seed):
+    # in these hearts smoothing alone leaves a fold
+    heart = random_heart(seed)
+    count = heart.triangle_count
+    surface = build_surface(
+        heart.structures, heart.surface_settings.model_copy(update={"level_counts": (count // 3,)}), render=False
+    )
+    for level in (surface, *surface.levels):
+        assert folded_triangles(level.vertices_mm.astype(float), level.triangles).sum() == 0
+        assert_sound(level)
+
+
+def test_collapsing_a_fold_takes_the_fold_and_leaves_the_rest():
+    full = extract(solid(sphere(10.0), lattice(1.0, 13.0)))
+    vertices = full.vertices_mm.copy()
+    # one vertex pulled through the triangles on its other side
+    at = int(full.triangles[500, 0])
+    ring = np.unique(full.triangles[(full.triangles == at).any(axis=1)])
+    far = ring[np.linalg.norm(vertices[ring] - vertices[at], axis=1).argmax()]
+    vertices[at] += 1.3 * (vertices[far] - vertices[at])
+    assert folded_triangles(vertices, full.triangles).sum() > 0
+    smooth, triangles = without_folds(vertices, full.triangles)
+    assert folded_triangles(smooth, triangles).sum() == 0
+    assert len(self_intersections(smooth, triangles)) == 0
+    assert mesh_defects(smooth, triangles).is_clean
+    assert len(full.triangles) - 12 <= len(triangles) < len(full.triangles)
+
+
+def test_parts_that_are_swept_at_the_same_time_make_as_good_a_mesh(monkeypatch):
+    full = extract(solid(torus(12.0, 4.0), lattice(0.5, 18.0)))
+    tags = (full.vertices_mm[full.triangles].mean(axis=1)[:, 0] > 0.0).astype(int)
+    whole = triangle_grid(full.vertices_mm, full.triangles)
+    errors = []
+    for part_triangles in (10**9, 3000):
+        monkeypatch.setattr(collapse, "PART_TRIANGLES", part_triangles)
+        vertices, triangles, source = decimate(full.vertices_mm, full.triangles, tags, triangle_count=3000)
+        assert mesh_defects(vertices, triangles).is_clean
+        assert len(triangles) == 3000
+        assert np.array_equal(source, np.unique(source))
+        errors.append(mesh_distance_mm(vertices, whole).mean())
+    assert errors[1] < 1.1 * errors[0]
 
 
 def test_care_keeps_triangles_where_it_is_asked_for():

@@ -15,6 +15,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.pipeline.mesh.half_edges import opposites
 from heartcase.pipeline.mesh.quadrics import (
     best_place,
     edge_costs,
@@ -24,7 +25,7 @@ from heartcase.pipeline.mesh.quadrics import (
     vertices_between,
 )
 
-__all__ = ["Collapsing", "finished", "swept"]
+__all__ = ["Collapsing", "finished", "joined", "swept"]
 
 LEAST_COSINE = 0.4
 LEAST_QUALITY = 0.12
@@ -363,6 +364,22 @@ def _parts_of(alive: npt.NDArray[np.bool_], *, turn: int) -> tuple[npt.NDArray[n
     share = (np.arange(1, count + turn % 2) - 0.5 * (turn % 2)) / count if count > 1 else np.zeros(0)
     place = np.concatenate([[0], (share * len(there)).astype(np.int64), [len(there)]])
     return np.concatenate([[0], there[place[1:-1]], [len(alive)]]), np.diff(place)
+
+
+def joined(
+    vertices: npt.NDArray[np.float64], triangles: npt.NDArray[np.int32], half_edge: int, share: float
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int32]] | None:
+    """A mesh with one edge collapsed to the point at a share of its length; None where that would not be manifold."""
+    tail, opposite = triangles.astype(np.int32).ravel(), opposites(triangles)
+    if not _keeps_manifold(tail, opposite, half_edge, np.full(len(vertices), -1, np.int32), 0):
+        return None
+    alive = np.ones(len(triangles), np.bool_)
+    u, v = triangles.ravel()[half_edge], triangles[half_edge // 3, (half_edge % 3 + 1) % 3]
+    place = (1.0 - share) * vertices[u] + share * vertices[v]
+    position = vertices.copy()
+    _join(position, tail, opposite, np.zeros((len(vertices), 10)), alive, half_edge, place)
+    left = tail.reshape(-1, 3)[alive]
+    return np.delete(position, v, axis=0), left - (left > v).astype(np.int32)
 
 
 def finished(mesh: Collapsing, wanted: int, care: npt.NDArray[np.float64] | None = None) -> Collapsing:

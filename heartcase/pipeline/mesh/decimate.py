@@ -13,7 +13,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.pipeline.mesh.collapse import Collapsing, finished, swept
+from heartcase.pipeline.mesh.collapse import Collapsing, finished, joined, swept
 from heartcase.pipeline.mesh.half_edges import opposites
 from heartcase.pipeline.mesh.intersections import self_intersections
 
@@ -25,6 +25,7 @@ __all__ = [
     "folded_triangles",
     "mesh_defects",
     "relax_folds",
+    "without_folds",
 ]
 
 Float64 = npt.NDArray[np.float64]
@@ -36,6 +37,8 @@ CARE_ROUNDS = 10
 """Most times that a mesh is decimated again."""
 CARE_FACTOR = 25.0
 """By so much more the error counts each time where the mesh crossed itself: it should become a fifth."""
+MOST_COLLAPSED_FOLDS = 20
+"""Folds beyond which none is collapsed: each collapse looks at them all."""
 CARE_EDGES = 1.0
 """How far around a crossing triangle, in its longest edges."""
 
@@ -165,6 +168,8 @@ def decimate_soundly(
                 begun = _begun(vertices, triangles, tags, count, opposite, care if turn else None)
             coarse, faces, _ = _result(finished(begun, count, care if turn == 1 else None), vertices.mean(axis=0))
         coarse, relaxed, pairs = relax_folds(coarse, faces, reach_mm=reach_mm * (1.0 if turn < 3 else 2.0))
+        if not len(pairs):
+            coarse, faces = without_folds(coarse, faces)
         bad = folded_triangles(coarse, faces)
         bad[pairs.ravel()] = True
         if turn == CARE_ROUNDS or not bad.any():
@@ -177,6 +182,40 @@ def decimate_soundly(
         if turn >= 2 and len(pairs):
             count += count // 4
     return Decimated(coarse, faces, relaxed, turn, pairs)
+
+
+def without_folds(vertices: Float64, triangles: Int32) -> tuple[Float64, Int32]:
+    """Collapse an edge of each folded triangle, where that leaves fewer folds and nothing crosses.
+
+    Such folds are necks of one lattice cell, which smoothing cannot open.
+
+    Parameters
+    ----------
+    vertices, triangles
+        A closed manifold mesh that does not pass through itself.
+
+    Returns
+    -------
+    vertices, triangles
+        The mesh, with two triangles and a vertex less for each collapse; the same one where none helps.
+    """
+    was = vertices, triangles
+    folded = np.flatnonzero(folded_triangles(vertices, triangles))
+    while 0 < len(folded) <= MOST_COLLAPSED_FOLDS:
+        best: tuple[int, Float64, Int32] | None = None
+        for half_edge in (3 * folded[:, None] + np.arange(3)).ravel():
+            for share in (0.0, 0.5, 1.0):
+                trial = joined(vertices, triangles, int(half_edge), share)
+                if trial is None:
+                    continue
+                left = int(folded_triangles(*trial).sum())
+                if left < (len(folded) if best is None else best[0]):
+                    best = left, *trial
+        if best is None:
+            break
+        _, vertices, triangles = best
+        folded = np.flatnonzero(folded_triangles(vertices, triangles))
+    return was if triangles is was[1] or len(self_intersections(vertices, triangles)) else (vertices, triangles)
 
 
 def folded_triangles(vertices: Float64, triangles: Int32, *, opposite: Int32 | None = None) -> npt.NDArray[np.bool_]:
