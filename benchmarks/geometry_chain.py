@@ -9,6 +9,7 @@ or a choice of side: less than a case needs, in their favour.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -30,7 +31,7 @@ from heartcase.pipeline.side_by_side import side_by_side
 from heartcase.pipeline.surface import build_surface
 from heartcase.pipeline.walls import grow_walls
 from heartcase.schemas.benchmark import MethodSkipped
-from heartcase.schemas.settings import GridSettings, MapSettings, SurfaceSettings, WallsSettings
+from heartcase.schemas.settings import EndMarker, GridSettings, MapSettings, SurfaceSettings, WallsSettings
 
 Float64 = npt.NDArray[np.float64]
 
@@ -45,11 +46,13 @@ END_MM = 6.0
 
 @dataclass(frozen=True)
 class Inputs:
-    """True labels of a phantom, as a person paints them: without grown walls."""
+    """Labels as a person paints them, without grown walls, and where vessels end."""
 
-    source: PhantomInputs
     segmentation: Segmentation
+    ends: Sequence[EndMarker]
     map_size: int
+    source: PhantomInputs | None
+    """The phantom whose true labels they are."""
 
 
 @dataclass(frozen=True)
@@ -68,11 +71,11 @@ def prepare(params: dict[str, Any]) -> Inputs:
     map_size = params.pop("map_size", 2048)
     source = phantom_inputs(params)
     labels = Segmentation(bare_truth(source), source.truth.geometry, source.phantom.table)
-    return Inputs(source, labels, map_size)
+    return Inputs(labels, source.phantom.ends, map_size, source)
 
 
 def heartcase(inputs: Inputs, baker: Literal["quick", "exact"] = "quick") -> Shown:
-    structures = grow_walls(inputs.segmentation, WallsSettings(), inputs.source.phantom.ends)
+    structures = grow_walls(inputs.segmentation, WallsSettings(), inputs.ends)
     settings = SurfaceSettings(
         triangle_count=TRIANGLE_COUNT, normal_map_size=inputs.map_size, baker=baker, level_counts=()
     )
@@ -273,7 +276,8 @@ def _unit(vectors: Any) -> Any:
 
 def errors(inputs: Inputs, output: Shown) -> dict[str, float]:
     """Distance to the true surface, both ways, and the angle of the shaded normal to the true one."""
-    truth, ends = inputs.source.phantom.truth, inputs.source.phantom.ends
+    assert inputs.source is not None
+    truth, ends = inputs.source.phantom.truth, inputs.ends
     voxel = min(inputs.segmentation.geometry.spacing_mm)
 
     def judged(points: Float64) -> Any:
@@ -319,12 +323,19 @@ def errors(inputs: Inputs, output: Shown) -> dict[str, float]:
     def degrees(found: Any) -> float:
         return float(np.degrees(np.arccos(np.clip((found * true).sum(axis=1), -1.0, 1.0)))[smooth].mean())
 
-    defects = mesh_defects(output.vertices_mm, output.triangles)
     return {
         "distance to the truth, mean [voxel]": float(both.mean()),
         "distance to the truth, 99% [voxel]": float(np.percentile(both, 99)),
         "shaded normal to the true one, mean [degree]": degrees(shaded),
         "without the map, area-weighted, mean [degree]": degrees(plain),
+        **soundness(output),
+    }
+
+
+def soundness(output: Shown) -> dict[str, float]:
+    """Counts of triangles and of what is wrong with them."""
+    defects = mesh_defects(output.vertices_mm, output.triangles)
+    return {
         "triangles [1]": float(len(output.triangles)),
         "open and non-manifold edges [1]": float(defects["open_edge_count"] + defects["non_manifold_edge_count"]),
         "pairs of triangles that cross [1]": float(len(self_intersections(output.vertices_mm, output.triangles))),

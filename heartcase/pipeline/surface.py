@@ -227,7 +227,7 @@ def _finished(source: _Source, coarse: Decimated, settings: SurfaceSettings, siz
         triangle_is_cut=tags.is_cut.astype(np.uint8),
         triangle_kind=plain_kinds(tags.void, tags.tissue, tags.is_cut, table),
         normals=normals,
-        vertex_label=_vertex_labels(len(vertices), triangles, tags.void),
+        vertex_label=_vertex_labels(vertices, triangles, tags.void),
         table=table,
         render_to_welded=atlas.render_to_welded,
         render_triangles=atlas.triangles,
@@ -279,22 +279,39 @@ def _faces(vertices: Float64, triangles: Int32) -> tuple[Float64, Float64, Float
     return corner.mean(axis=1), doubled / np.maximum(length, 1e-30)[:, None], 0.5 * length
 
 
-def _vertex_labels(count: int, triangles: Int32, label: UInt8) -> UInt8:
-    lowest = np.full(count, 255, np.uint8)
+def _vertex_labels(vertices: Float64, triangles: Int32, label: UInt8) -> UInt8:
+    """Label that the widest angle around each vertex has (ties: the lowest)."""
+    lowest, highest = np.full(len(vertices), 255, np.uint8), np.zeros(len(vertices), np.uint8)
     for corner in range(3):
         np.minimum.at(lowest, triangles[:, corner], label)
+        np.maximum.at(highest, triangles[:, corner], label)
+    mixed = np.flatnonzero(lowest != highest)
+    number = np.full(len(vertices), -1, np.int64)
+    number[mixed] = np.arange(len(mixed))
+    angle = np.zeros((len(mixed), int(label.max(initial=0)) + 1))
+    for corner in range(3):
+        which = np.flatnonzero(number[triangles[:, corner]] >= 0)
+        at = triangles[which]
+        np.add.at(angle, (number[at[:, corner]], label[which]), _angles(vertices, at, corner))
+    lowest[mixed] = angle.argmax(axis=1)
     return lowest
+
+
+def _angles(vertices: Float64, triangles: Int32, corner: int) -> Float64:
+    """Angle of each triangle at one of its corners."""
+    here = vertices[triangles[:, corner]]
+    a, b = vertices[triangles[:, (corner + 1) % 3]] - here, vertices[triangles[:, (corner + 2) % 3]] - here
+    cosine = (a * b).sum(axis=1) / np.maximum(np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1), 1e-30)
+    angle: Float64 = np.arccos(np.clip(cosine, -1.0, 1.0))
+    return angle
 
 
 def _vertex_normals(reader: FieldReader, vertices: Float64, triangles: Int32, is_cut: Bool, reach_mm: float) -> Float32:
     """Normals fitted to the field beside each vertex; of the mesh around cut faces and where the field is creased."""
-    corner = vertices[triangles]
     _, face, _ = _faces(vertices, triangles)
     mesh = np.zeros_like(vertices)
     for k in range(3):
-        a, b = corner[:, (k + 1) % 3] - corner[:, k], corner[:, (k + 2) % 3] - corner[:, k]
-        cosine = (a * b).sum(axis=1) / np.maximum(np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1), 1e-30)
-        np.add.at(mesh, triangles[:, k], np.arccos(np.clip(cosine, -1.0, 1.0))[:, None] * face)
+        np.add.at(mesh, triangles[:, k], _angles(vertices, triangles, k)[:, None] * face)
     mesh /= np.maximum(np.linalg.norm(mesh, axis=1), 1e-30)[:, None]
     _, normal, _ = fitted_normals(reader, vertices, mesh, reach_mm=reach_mm)
     keep_mesh = (normal * mesh).sum(axis=1) < 0.5
