@@ -169,9 +169,9 @@ def _choose_triangles(
         who = np.flatnonzero(surface.vertex_label == value)
         if len(among) == 0:
             continue
-        own, score = chooser.nearest(who, at_boundary, among)
         # A cavity too narrow for a cell has no faces there: its far ones would drag the vertex along.
-        near = score <= any_score[who] + FAR_CELLS * cell_mm
+        own, score = chooser.nearest(who, at_boundary, among, most_mm=any_score[who] + FAR_CELLS * cell_mm)
+        near = own >= 0
         chosen[who[near]] = own[near]
         own_score[who[near]] = score[near]
     nodes = triangles[chosen]

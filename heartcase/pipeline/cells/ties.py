@@ -38,6 +38,8 @@ _AROUND = 0.5
 _MORE = 4
 """So many times the candidates are tried where all of them are beyond a wall or a gap."""
 _CHUNK = 512
+_HAIR = 1e-6
+"""Boxes by which a way is taken to be wider, so that rounding leaves no box out."""
 
 
 class NodeTriangles(NamedTuple):
@@ -98,7 +100,13 @@ class TieChooser:
         self._skin_mm, self._beyond_mm = _IN_TISSUE * cell_mm, _BEYOND * cell_mm
 
     def nearest(
-        self, who: Int64, triangles: NodeTriangles, among: Int64, *, is_any: bool = False
+        self,
+        who: Int64,
+        triangles: NodeTriangles,
+        among: Int64,
+        *,
+        is_any: bool = False,
+        most_mm: Float64 | None = None,
     ) -> tuple[Int64, Float64]:
         """The triangle with the least distance, penalty included (ties: the first), for some vertices.
 
@@ -112,15 +120,18 @@ class TieChooser:
             Those that may be taken; at least one.
         is_any
             Whether walls and gaps in the way do not matter.
+        most_mm
+            Greatest distance, penalty included, at which a triangle is of use to each vertex, shape (m,).
 
         Returns
         -------
         chosen
-            Triangle of each vertex, shape (m,); -1 where all that were tried are beyond a wall or a gap.
+            Triangle of each vertex, shape (m,); -1 where all that were tried are too far or beyond a wall or a gap.
         score
             Its distance and penalty, mm; infinite where there is none.
         """
         chosen, score = np.empty(len(who), np.int64), np.full(len(who), np.inf)
+        most = np.full(len(who), np.inf) if most_mm is None else most_mm
         tree = cKDTree(triangles.corners[among].mean(axis=1))
         left = np.arange(len(who))
         for tries in (self._tries, _MORE * self._tries):
@@ -130,7 +141,7 @@ class TieChooser:
             best, value = np.empty(len(left), np.int64), np.empty(len(left))
             tried = np.sort(among[found], axis=1)
             reach = self._penalty_mm, self._skin_mm, self._beyond_mm
-            _choose(self._mesh, self._boxes, who[left], triangles, tried, reach, is_any, best, value)
+            _choose(self._mesh, self._boxes, who[left], triangles, tried, reach, is_any, most[left], best, value)
             chosen[left], score[left] = best, value
             left = left[best < 0]
             if len(left) == 0 or count == len(among):
@@ -192,20 +203,39 @@ def _crossing(p, way, corner):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
+def _boxes_on_way(axis, begin, end, p, way, boxes):  # type: ignore[no-untyped-def]
+    """First and last layer of boxes along an axis that a part of a way from p passes, a hair's breadth around it."""
+    a = (p[axis] + begin * way[axis] - boxes.origin[axis]) / boxes.edge
+    b = (p[axis] + end * way[axis] - boxes.origin[axis]) / boxes.edge
+    first = max(int(np.floor(min(a, b) - _HAIR)), 0)
+    return first, min(int(np.floor(max(a, b) + _HAIR)), boxes.size[axis] - 1)
+
+
+@numba.njit(cache=True, nogil=True)
+def _part_in_layer(axis, layer, begin, end, p, way, boxes):  # type: ignore[no-untyped-def]
+    """The part of a part of a way from p that lies in a layer of boxes, a hair's breadth around it."""
+    if way[axis] == 0.0:
+        return begin, end
+    a = (boxes.origin[axis] + (layer - _HAIR) * boxes.edge - p[axis]) / way[axis]
+    b = (boxes.origin[axis] + (layer + 1 + _HAIR) * boxes.edge - p[axis]) / way[axis]
+    return max(begin, min(a, b)), min(end, max(a, b))
+
+
+@numba.njit(cache=True, nogil=True)
 def _first_and_last(vertex, p, way, triangles, boxes):  # type: ignore[no-untyped-def]
     """Whether a way from p comes out of tissue, and the part of it after which it last goes in; 0 where it does not.
 
     What is incident to a vertex is left out.
     """
-    low, high = np.empty(3, np.int64), np.empty(3, np.int64)
-    for a in range(3):
-        q = p[a] + way[a]
-        low[a] = max(int(np.floor((min(p[a], q) - boxes.origin[a]) / boxes.edge)), 0)
-        high[a] = min(int(np.floor((max(p[a], q) - boxes.origin[a]) / boxes.edge)), boxes.size[a] - 1)
     goes_in = 0.0
-    for k in range(low[2], high[2] + 1):
-        for j in range(low[1], high[1] + 1):
-            for i in range(low[0], high[0] + 1):
+    first, last = _boxes_on_way(2, 0.0, 1.0, p, way, boxes)
+    for k in range(first, last + 1):
+        from_k, to_k = _part_in_layer(2, k, 0.0, 1.0, p, way, boxes)
+        first_j, last_j = _boxes_on_way(1, from_k, to_k, p, way, boxes)
+        for j in range(first_j, last_j + 1):
+            from_j, to_j = _part_in_layer(1, j, from_k, to_k, p, way, boxes)
+            first_i, last_i = _boxes_on_way(0, from_j, to_j, p, way, boxes)
+            for i in range(first_i, last_i + 1):
                 box = (k * boxes.size[1] + j) * boxes.size[0] + i
                 for n in range(boxes.start[box], boxes.start[box + 1]):
                     t = boxes.item[n]
@@ -326,12 +356,13 @@ def _leads_to(mesh, vertex, cell, low, high, seen, stamp, stack):  # type: ignor
 
 
 @numba.njit(cache=True, nogil=True, parallel=True)
-def _choose(mesh, boxes, who, triangles, tried, reach, is_any, chosen, score):  # type: ignore[no-untyped-def]
+def _choose(mesh, boxes, who, triangles, tried, reach, is_any, most, chosen, score):  # type: ignore[no-untyped-def]
     """The best of the tried triangles (ascending numbers) for each vertex; ties: the first."""
     penalty, skin, beyond = reach
     for chunk in numba.prange((len(who) + _CHUNK - 1) // _CHUNK):
         seen, stack = np.zeros(len(mesh.vertices), np.int64), np.empty(len(mesh.vertices), np.int64)
         low, high, weights, value = np.empty(3), np.empty(3), np.empty(3), np.empty(tried.shape[1])
+        asked, answers = np.empty((tried.shape[1], 3)), np.empty(tried.shape[1], np.bool_)
         stamp = 0
         for n in range(chunk * _CHUNK, min((chunk + 1) * _CHUNK, len(who))):
             v = who[n]
@@ -341,17 +372,32 @@ def _choose(mesh, boxes, who, triangles, tried, reach, is_any, chosen, score):  
                 away = max(-dot(mesh.normals[v], triangles.facing[tried[n, c]]), 0.0)
                 value[c] = np.sqrt(squared) + penalty * away
             chosen[n], score[n] = -1, np.inf
+            asked_count = 0
             for _ in range(len(value)):
                 c = int(np.argmin(value))
+                if value[c] > most[n]:
+                    break
                 t = tried[n, c]
                 corner = triangles.corners[t]
                 if not is_any:
                     _closest_point(mesh.vertices[v], corner[0], corner[1], corner[2], weights)
                     to = weights[0] * corner[0] + weights[1] * corner[1] + weights[2] * corner[2]
-                    stamp += 1
-                    if _is_beyond(mesh, boxes, v, triangles.facing[t], to, skin, beyond) or not _leads_to(
-                        mesh, v, triangles.cells[t], low, high, seen, stamp, stack
-                    ):
+                    is_tied = not _is_beyond(mesh, boxes, v, triangles.facing[t], to, skin, beyond)
+                    if is_tied:
+                        # a cell has several triangles
+                        cell = triangles.cells[t]
+                        at = 0
+                        while at < asked_count and (
+                            asked[at, 0] != cell[0] or asked[at, 1] != cell[1] or asked[at, 2] != cell[2]
+                        ):
+                            at += 1
+                        if at == asked_count:
+                            stamp += 1
+                            asked[at] = cell
+                            answers[at] = _leads_to(mesh, v, cell, low, high, seen, stamp, stack)
+                            asked_count += 1
+                        is_tied = answers[at]
+                    if not is_tied:
                         value[c] = np.inf
                         continue
                 chosen[n], score[n] = t, value[c]

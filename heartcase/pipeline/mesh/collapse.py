@@ -15,7 +15,6 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.pipeline.mesh.half_edges import opposites
 from heartcase.pipeline.mesh.quadrics import (
     best_place,
     edge_costs,
@@ -367,10 +366,14 @@ def _parts_of(alive: npt.NDArray[np.bool_], *, turn: int) -> tuple[npt.NDArray[n
 
 
 def joined(
-    vertices: npt.NDArray[np.float64], triangles: npt.NDArray[np.int32], half_edge: int, share: float
+    vertices: npt.NDArray[np.float64],
+    triangles: npt.NDArray[np.int32],
+    opposite: npt.NDArray[np.int32],
+    half_edge: int,
+    share: float,
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int32]] | None:
     """A mesh with one edge collapsed to the point at a share of its length; None where that would not be manifold."""
-    tail, opposite = triangles.astype(np.int32).ravel(), opposites(triangles)
+    tail, opposite = triangles.astype(np.int32).ravel(), opposite.copy()
     if not _keeps_manifold(tail, opposite, half_edge, np.full(len(vertices), -1, np.int32), 0):
         return None
     alive = np.ones(len(triangles), np.bool_)

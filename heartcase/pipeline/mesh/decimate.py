@@ -202,20 +202,25 @@ def without_folds(vertices: Float64, triangles: Int32) -> tuple[Float64, Int32]:
     was = vertices, triangles
     folded = np.flatnonzero(folded_triangles(vertices, triangles))
     while 0 < len(folded) <= MOST_COLLAPSED_FOLDS:
-        best: tuple[int, Float64, Int32] | None = None
-        for half_edge in (3 * folded[:, None] + np.arange(3)).ravel():
-            for share in (0.0, 0.5, 1.0):
-                trial = joined(vertices, triangles, int(half_edge), share)
-                if trial is None:
-                    continue
-                left = int(folded_triangles(*trial).sum())
-                if left < (len(folded) if best is None else best[0]):
-                    best = left, *trial
-        if best is None:
+        better = _with_fewer_folds(vertices, triangles, folded)
+        if better is None:
             break
-        _, vertices, triangles = best
+        vertices, triangles = better
         folded = np.flatnonzero(folded_triangles(vertices, triangles))
     return was if triangles is was[1] or len(self_intersections(vertices, triangles)) else (vertices, triangles)
+
+
+def _with_fewer_folds(
+    vertices: Float64, triangles: Int32, folded: npt.NDArray[np.integer]
+) -> tuple[Float64, Int32] | None:
+    """The first collapse of an edge of a folded triangle that leaves fewer folds; None where there is none."""
+    opposite = opposites(triangles)
+    for share in (0.5, 0.0, 1.0):
+        for half_edge in (3 * folded[:, None] + np.arange(3)).ravel():
+            trial = joined(vertices, triangles, opposite, int(half_edge), share)
+            if trial is not None and folded_triangles(*trial).sum() < len(folded):
+                return trial
+    return None
 
 
 def folded_triangles(vertices: Float64, triangles: Int32, *, opposite: Int32 | None = None) -> npt.NDArray[np.bool_]:
