@@ -130,6 +130,8 @@ def _merge(normal, length, opposite, chart, axes, most, cosine):  # type: ignore
 def _one_cone(normal, following, giver, taker, start, cosine, axis):  # type: ignore[no-untyped-def]
     """Whether a cone around some axis holds all normals of two lists; the axis is put into ``axis``.
 
+    The cone around ``start`` holds those of the taker.
+
     The axis goes towards the normal that is farthest from it, by ever smaller steps (Badoiu and Clarkson, Smaller
     core-sets for balls, SODA 2003).
     """
@@ -137,8 +139,9 @@ def _one_cone(normal, following, giver, taker, start, cosine, axis):  # type: ig
     for step in range(CONE_STEPS):
         worst = 2.0
         farthest = -1
-        for first in (giver, taker):
-            t = first
+        # the cone to begin with is the taker's own
+        for side in range(1 if step == 0 else 2):
+            t = giver if side == 0 else taker
             while t >= 0:
                 c = normal[t, 0] * axis[0] + normal[t, 1] * axis[1] + normal[t, 2] * axis[2]
                 if c < worst:

@@ -399,16 +399,17 @@ def _dilate(picture, filled, rounds):  # type: ignore[no-untyped-def]
     for _ in range(rounds):
         for n in range(first, last):
             j, i = edge[n]
-            neighbours = 0
-            total = np.zeros(3, np.int64)
+            neighbours, red, green, blue = 0, 0, 0, 0
             for dj in range(max(j - 1, 0), min(j + 2, rows)):
                 for di in range(max(i - 1, 0), min(i + 2, columns)):
                     if filled[dj, di]:
                         neighbours += 1
-                        for k in range(3):
-                            total[k] += picture[dj, di, k]
-            for k in range(3):
-                picture[j, i, k] = (2 * total[k] + neighbours) // (2 * neighbours)
+                        red += picture[dj, di, 0]
+                        green += picture[dj, di, 1]
+                        blue += picture[dj, di, 2]
+            picture[j, i, 0] = (2 * red + neighbours) // (2 * neighbours)
+            picture[j, i, 1] = (2 * green + neighbours) // (2 * neighbours)
+            picture[j, i, 2] = (2 * blue + neighbours) // (2 * neighbours)
         for n in range(first, last):
             filled[edge[n, 0], edge[n, 1]] = True
         begin, first = first, last
