@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from heartcase.pipeline.data import Segmentation, Structures
 from heartcase.pipeline.edit import apply_edits
+from heartcase.pipeline.fields import ownership_on_lattice
 from heartcase.pipeline.walls import grow_walls
 from heartcase.schemas.edit_settings import SeptalDefect
 from heartcase.schemas.errors import StageError
@@ -37,9 +38,12 @@ class RandomHeart:
 
     @property
     def pins(self) -> list[Pin]:
-        """Holds what lies in the middle."""
-        centre = self.structures.geometry.index_to_world((np.array(self.structures.geometry.size) - 1) / 2.0)
-        return [Pin(position_mm=tuple(float(x) for x in centre), radius_mm=REACH_MM)]
+        """Holds a bit of tissue where it is thickest, and no more, so that there is something left to move."""
+        geometry = self.structures.geometry
+        depth = ownership_on_lattice(self.structures, geometry).tissue_mm
+        k, j, i = np.unravel_index(int(depth.argmin()), depth.shape)
+        centre = geometry.index_to_world(np.array([i, j, k], float))
+        return [Pin(position_mm=tuple(float(x) for x in centre), radius_mm=self.cell_mm)]
 
     @property
     def grid_settings(self) -> GridSettings:

@@ -25,7 +25,7 @@ from heartcase.schemas.settings import MaterialsSettings
 from tests.pipeline.random_phantoms import RandomHeart, random_heart
 from tests.pipeline.sides import sides
 
-QUICK, MANY = 6, 550
+QUICK, MANY = 50, 550
 
 
 def seeds() -> Iterator[object]:
@@ -36,7 +36,7 @@ def seeds() -> Iterator[object]:
 every_seed = pytest.mark.parametrize("seed", list(seeds()), scope="module")
 
 
-@lru_cache(maxsize=QUICK)
+@lru_cache(maxsize=2)
 def made(seed: int) -> tuple[RandomHeart, SimulationGrid, Surface, GridMap]:
     heart = random_heart(seed)
     grid = build_grid(heart.structures, heart.grid_settings, pins=heart.pins)
