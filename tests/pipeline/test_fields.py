@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from heartcase.pipeline.data import Reshaping
-from heartcase.pipeline.fields import ALL_FIELDS, FieldReader, ownership_at_points, ownership_on_lattice
+from heartcase.pipeline.field_layout import ALL_FIELDS
+from heartcase.pipeline.fields import FieldReader, ownership_at_points, ownership_on_lattice
 from tests.pipeline.random_phantoms import random_heart
 
 
