@@ -40,6 +40,9 @@ Float64 = npt.NDArray[np.float64]
 Int32 = npt.NDArray[np.int32]
 UInt8 = npt.NDArray[np.uint8]
 
+_Layout = FieldLayout
+"""Its former name: numba's caches of earlier versions do not load without it."""
+
 NOWHERE_MM = 1e4
 """Field of a label that only a reshaping makes, before it does."""
 CHUNK = 4096

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numba
 import numpy as np
 import numpy.typing as npt
 
@@ -15,7 +16,7 @@ from heartcase.pipeline.apart import Change, compartment_changes
 from heartcase.pipeline.cautions import Caution, anatomy, note
 from heartcase.pipeline.contacts import Contact, Extent, faces_between, without_tissue
 from heartcase.pipeline.data import Structures
-from heartcase.pipeline.fields import FieldReader, ownership_at_points, ownership_on_lattice
+from heartcase.pipeline.fields import FieldReader, evaluate_owner, ownership_on_lattice, scratch, steps_through
 from heartcase.pipeline.wall_thickness import thickness_at_points
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND
@@ -31,8 +32,6 @@ TISSUE = 255
 """What stands for all tissue; no label has this value."""
 LEAST_GAP_MM2 = 1.0
 """Gaps of a smaller area are where three structures meet, and are not reported."""
-CHUNK = 50_000
-"""Voxels that are looked at together: bounds the memory."""
 MOST_CAUTIONS = 5
 """Joins, splits and gaps that are told one by one, the largest; the rest is counted."""
 
@@ -97,16 +96,30 @@ def _fine_labels(
     coarse = np.where(owner.tissue_mm <= 0.0, np.uint8(TISSUE), owner.void_label)
     is_blood = np.zeros(256, np.bool_)
     is_blood[blood] = True
-    near = np.argwhere(_beside_border(is_blood[labels]) | _beside_border(is_blood[coarse]))
-    fine = np.repeat(np.repeat(np.repeat(coarse, FACTOR, axis=0), FACTOR, axis=1), FACTOR, axis=2)
-    offsets = np.array(list(np.ndindex(FACTOR, FACTOR, FACTOR)))
-    for start in range(0, len(near), CHUNK):
-        voxels = near[start : start + CHUNK, None]
-        index = voxels + (offsets + 0.5) / FACTOR - 0.5
-        found = ownership_at_points(reader, geometry.index_to_world(index[..., ::-1].reshape(-1, 3)))
-        k, j, i = (FACTOR * voxels + offsets).reshape(-1, 3).T
-        fine[k, j, i] = np.where(found.tissue_mm <= 0.0, np.uint8(TISSUE), found.void_label)
-    return fine, geometry.refined(FACTOR)
+    near = _beside_border(is_blood[labels]) | _beside_border(is_blood[coarse])
+    fine_geometry = geometry.refined(FACTOR)
+    start, step = steps_through(reader.structures.geometry, fine_geometry)
+    fine = np.empty(fine_geometry.shape, np.uint8)
+    _fill_fine(reader.layout, reader.tables, start, step, coarse, near, fine)
+    return fine, fine_geometry
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _fill_fine(layout, tables, start, step, coarse, near, fine):  # type: ignore[no-untyped-def]
+    """Label of each fine point: evaluated in the voxels that are near, else their centre's."""
+    nz, ny, nx = fine.shape
+    for k in numba.prange(nz):
+        spare = scratch(layout)
+        z = start[2] + k * step[2]
+        for j in range(ny):
+            y = start[1] + j * step[1]
+            for i in range(nx):
+                c, b, a = k // FACTOR, j // FACTOR, i // FACTOR
+                if not near[c, b, a]:
+                    fine[k, j, i] = coarse[c, b, a]
+                    continue
+                owner = evaluate_owner(layout, tables, start[0] + i * step[0], y, z, spare)
+                fine[k, j, i] = TISSUE if owner[0] <= 0.0 else owner[1]
 
 
 def _beside_border(mask: Bool) -> Bool:

@@ -15,8 +15,6 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import label as label_regions
-from scipy.ndimage import map_coordinates
 
 from heartcase.pipeline.feature_transform import distance_to_marked
 from heartcase.schemas.geometry import Geometry
@@ -284,17 +282,65 @@ def _area(
     side = np.cross(direction, np.eye(3)[np.abs(direction).argmin()])
     side /= np.linalg.norm(side)
     other = np.cross(direction, side)
-    steps = np.arange(-round(half / step), round(half / step) + 1) * step
-    plane = centre + steps[:, None, None] * side + steps[None, :, None] * other
-    at = np.moveaxis(plane / spacing, -1, 0)
-    value = map_coordinates(lead, at, order=0 if order == 0 else 1, mode="constant", cval=-1.0)
-    regions, _ = label_regions(value > 0.0)
-    inside = np.argwhere(regions > 0)
-    if not len(inside):
-        return 0.0
-    middle = (len(steps) - 1) / 2.0
-    nearest = inside[((inside - middle) ** 2).sum(axis=1).argmin()]
-    region = regions == regions[tuple(nearest)]
-    if region[[0, -1]].any() or region[:, [0, -1]].any():
-        return None
-    return float(region.sum()) * step * step
+    count = round(half / step)
+    found = _points_inside(lead, centre / spacing, side / spacing, other / spacing, step, count, order != 0)
+    return None if found < 0 else float(found) * step * step
+
+
+@numba.njit(cache=True, nogil=True)
+def _points_inside(lead, centre, side, other, step, count, is_linear):  # type: ignore[no-untyped-def]
+    """Points of a plane in the region (``lead`` above 0) that is nearest to its middle; -1 where it meets the edge."""
+    size = 2 * count + 1
+    inside = np.zeros((size, size), np.bool_)
+    nearest, at_a, at_b = np.int64(2 * size * size), -1, -1
+    for a in range(size):
+        for b in range(size):
+            u, v = (a - count) * step, (b - count) * step
+            z, y, x = (
+                centre[0] + u * side[0] + v * other[0],
+                centre[1] + u * side[1] + v * other[1],
+                centre[2] + u * side[2] + v * other[2],
+            )
+            if _is_above(lead, z, y, x, is_linear):
+                inside[a, b] = True
+                square = (a - count) * (a - count) + (b - count) * (b - count)
+                if square < nearest:
+                    nearest, at_a, at_b = square, a, b
+    if at_a < 0:
+        return 0
+    stack = np.empty((size * size, 2), np.int64)
+    stack[0, 0], stack[0, 1] = at_a, at_b
+    inside[at_a, at_b] = False
+    top, found = 1, 0
+    while top > 0:
+        top -= 1
+        a, b = stack[top]
+        found += 1
+        if a == 0 or b == 0 or a == size - 1 or b == size - 1:
+            return -1
+        for way in range(4):
+            c, d = a + (way == 0) - (way == 1), b + (way == 2) - (way == 3)
+            if inside[c, d]:
+                inside[c, d] = False
+                stack[top, 0], stack[top, 1] = c, d
+                top += 1
+    return found
+
+
+@numba.njit(cache=True, nogil=True)
+def _is_above(values, z, y, x, is_linear):  # type: ignore[no-untyped-def]
+    """Whether a field is above zero at a point, by its nearest value or between eight; nothing is above beyond it."""
+    nz, ny, nx = values.shape
+    if z < 0.0 or y < 0.0 or x < 0.0 or z > nz - 1.0 or y > ny - 1.0 or x > nx - 1.0:
+        return False
+    if not is_linear:
+        return values[int(z + 0.5), int(y + 0.5), int(x + 0.5)] > 0.0
+    k, j, i = min(int(z), max(nz - 2, 0)), min(int(y), max(ny - 2, 0)), min(int(x), max(nx - 2, 0))
+    total = 0.0
+    for c in range(2):
+        for b in range(2):
+            for a in range(2):
+                weight = (z - k if c else 1.0 + k - z) * (y - j if b else 1.0 + j - y) * (x - i if a else 1.0 + i - x)
+                if weight > 0.0:
+                    total += weight * values[k + c, j + b, i + a]
+    return total > 0.0

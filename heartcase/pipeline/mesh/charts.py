@@ -152,6 +152,18 @@ def _one_cone(normal, following, giver, taker, start, cosine, axis):  # type: ig
             return True
         if worst < -cosine:
             return False
+        if step == 0:
+            # normals of one cone are no farther apart than it is wide
+            t = taker
+            while t >= 0:
+                c = (
+                    normal[t, 0] * normal[farthest, 0]
+                    + normal[t, 1] * normal[farthest, 1]
+                    + normal[t, 2] * normal[farthest, 2]
+                )
+                if c < 2.0 * cosine * cosine - 1.0 - 1e-9:
+                    return False
+                t = following[t]
         share = 1.0 / (step + 2.0)
         total = 0.0
         for k in range(3):
