@@ -14,16 +14,16 @@ __all__ = ["distance_to_marked", "nearest_seeds"]
 
 
 @numba.njit(cache=True, nogil=True)
-def _lower_envelope(cost, here, count, width, reach, last, bound, out):  # type: ignore[no-untyped-def]
-    """For each place of a line the entry that is nearest: least ``cost`` plus the squared way along the line.
+def _lower_envelope(cost, count, width, last, bound):  # type: ignore[no-untyped-def]
+    """Lower envelope of the parabolas of a line, ``cost`` plus the squared way along it; none where that is infinite.
 
-    ``here`` are the entries, -1 where there is none, and ``cost`` their squared distances from the line; entries
-    beyond ``reach`` of the line are left out.
+    ``last`` receives the places of the parabolas that are lowest somewhere, ``bound`` where each of them begins to be,
+    and an infinite bound after them. Returns how many there are.
     """
     square = width * width
     top = -1
     for q in range(count):
-        if here[q] < 0 or cost[q] > reach:
+        if cost[q] == np.inf:
             continue
         start = -np.inf
         while top >= 0:
@@ -37,15 +37,35 @@ def _lower_envelope(cost, here, count, width, reach, last, bound, out):  # type:
         top += 1
         last[top] = q
         bound[top] = start
-    if top < 0:
-        for q in range(count):
-            out[q] = -1
+    bound[top + 1] = np.inf
+    return top + 1
+
+
+@numba.njit(cache=True, nogil=True)
+def _nearest_entries(cost, here, count, width, last, bound, out):  # type: ignore[no-untyped-def]
+    """For each place of a line the entry of ``here`` with the lowest parabola, -1 where there is none."""
+    if _lower_envelope(cost, count, width, last, bound) == 0:
+        out[:count] = -1
         return
     n = 0
     for q in range(count):
-        while n < top and bound[n + 1] < q:
+        while bound[n + 1] < q:
             n += 1
         out[q] = here[last[n]]
+
+
+@numba.njit(cache=True, nogil=True)
+def _lowest_values(cost, count, width, last, bound, out):  # type: ignore[no-untyped-def]
+    """For each place of a line the value of the lowest parabola, infinite where there is none."""
+    if _lower_envelope(cost, count, width, last, bound) == 0:
+        out[:count] = np.inf
+        return
+    n = 0
+    for q in range(count):
+        while bound[n + 1] < q:
+            n += 1
+        p = last[n]
+        out[q] = cost[p] + width * width * (q - p) * (q - p)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -70,7 +90,7 @@ def nearest_seeds(seed, place, h, reach):  # type: ignore[no-untyped-def]
     here = np.empty(longest, np.int32)
     out = np.empty(longest, np.int32)
     last = np.empty(longest, np.int32)
-    bound = np.empty(longest)
+    bound = np.empty(longest + 1)
     plane = np.empty((ny, nx), np.int32)
     for k in range(nz):
         any_here = False
@@ -96,9 +116,10 @@ def nearest_seeds(seed, place, h, reach):  # type: ignore[no-untyped-def]
             for j in range(ny):
                 n = plane[j, i]
                 here[j] = n
-                if n >= 0:
-                    cost[j] = ((place[n, 2] - i) * h[2]) ** 2
-            _lower_envelope(cost, here, ny, h[1], far, last, bound, out)
+                cost[j] = ((place[n, 2] - i) * h[2]) ** 2 if n >= 0 else np.inf
+                if cost[j] > far:
+                    cost[j] = np.inf
+            _nearest_entries(cost, here, ny, h[1], last, bound, out)
             for j in range(ny):
                 seed[k, j, i] = out[j]
     slab = np.empty((nx, nz), np.int32)
@@ -110,46 +131,17 @@ def nearest_seeds(seed, place, h, reach):  # type: ignore[no-untyped-def]
             for k in range(nz):
                 n = slab[i, k]
                 here[k] = n
+                cost[k] = np.inf
                 if n >= 0:
                     cost[k] = ((place[n, 2] - i) * h[2]) ** 2 + ((place[n, 1] - j) * h[1]) ** 2
-            _lower_envelope(cost, here, nz, h[0], far, last, bound, out)
+                if cost[k] > far:
+                    cost[k] = np.inf
+            _nearest_entries(cost, here, nz, h[0], last, bound, out)
             for k in range(nz):
                 slab[i, k] = out[k]
         for k in range(nz):
             for i in range(nx):
                 seed[k, j, i] = slab[i, k]
-
-
-@numba.njit(cache=True, nogil=True)
-def _lower_envelope_value(cost, count, width, last, bound, out):  # type: ignore[no-untyped-def]
-    """For each place of a line the least ``cost`` plus squared way along the line; no entry where it is infinite."""
-    square = width * width
-    top = -1
-    for q in range(count):
-        if cost[q] == np.inf:
-            continue
-        start = -np.inf
-        while top >= 0:
-            p = last[top]
-            start = 0.5 * ((cost[q] - cost[p]) / (square * (q - p)) + (q + p))
-            if start > bound[top]:
-                break
-            top -= 1
-        if top < 0:
-            start = -np.inf
-        top += 1
-        last[top] = q
-        bound[top] = start
-    if top < 0:
-        out[:count] = np.inf
-        return
-    bound[top + 1] = np.inf
-    n = 0
-    for q in range(count):
-        while bound[n + 1] < q:
-            n += 1
-        p = last[n]
-        out[q] = cost[p] + square * (q - p) * (q - p)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -186,7 +178,7 @@ def distance_to_marked(marked, h, distance):  # type: ignore[no-untyped-def]
                 plane[i, j] = way * way
         for i in range(nx):
             if any_here:
-                _lower_envelope_value(plane[i], ny, h[1], last, bound, out)
+                _lowest_values(plane[i], ny, h[1], last, bound, out)
                 plane[i] = out[:ny]
         for j in range(ny):
             for i in range(nx):
@@ -197,7 +189,7 @@ def distance_to_marked(marked, h, distance):  # type: ignore[no-untyped-def]
             for i in range(nx):
                 slab[i, k] = distance[k, j, i]
         for i in range(nx):
-            _lower_envelope_value(slab[i], nz, h[0], last, bound, out)
+            _lowest_values(slab[i], nz, h[0], last, bound, out)
             slab[i] = out[:nz]
         for k in range(nz):
             for i in range(nx):

@@ -103,6 +103,7 @@ def layout_of(structures: Structures) -> FieldLayout:
     )
     has_tissue = any(value in stored for value in tissues) or len(walls) > 0
     if has_tissue and BACKGROUND in stored and not structures.thickness_tables:
+        # by themselves: what a parallel loop writes to arrays of a tuple was seen to be lost
         _find_fields_of_blocks(layout, layout.block_count, layout.block_fields)
     return layout
 
