@@ -169,45 +169,51 @@ def _renumber(pieces, numbers):  # type: ignore[no-untyped-def]
 def _overlaps(before: UInt32, after: UInt32, factor: int) -> Any:
     """Common fine voxels of each piece before (row) and after (column), a sparse array."""
     shape = (int(before.max()) + 1, int(after.max()) + 1)
-    rows, columns, counts = _common(before, after, factor, np.zeros(1, np.int64))
+    start = np.concatenate([[0], np.cumsum(_count_runs(before, after, factor))])
+    rows, columns, counts = (np.empty(int(start[-1]), kind) for kind in (np.uint32, np.uint32, np.int64))
+    _list_runs(before, after, factor, start, rows, columns, counts)
     return csr_array((counts, (rows, columns)), shape=shape)
 
 
 @numba.njit(cache=True, nogil=True)
-def _common(before, after, factor, counts):  # type: ignore[no-untyped-def]
-    """Runs along x of voxels of one piece before and one after: both numbers, and how many voxels."""
-    rows, columns = np.zeros(len(counts), np.uint32), np.zeros(len(counts), np.uint32)
-    found = 0
-    for k in range(after.shape[0]):
+def _runs_of(coarse, fine, factor, at, rows, columns, counts):  # type: ignore[no-untyped-def]
+    """List the runs of one piece before and one after along a line, from ``at`` on where there is room; the end."""
+    last_row, last_column = np.uint32(0), np.uint32(0)
+    for i in range(len(coarse)):
+        row = coarse[i]
+        for x in range(factor * i, factor * i + factor):
+            column = fine[x] if row > 0 else row
+            if column == 0:
+                last_row = column
+                continue
+            if row != last_row or column != last_column:
+                if at < len(rows):
+                    rows[at], columns[at], counts[at] = row, column, 0
+                last_row, last_column = row, column
+                at += 1
+            if at <= len(rows):
+                counts[at - 1] += 1
+    return at
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _count_runs(before, after, factor):  # type: ignore[no-untyped-def]
+    """Runs in each fine plane."""
+    found = np.zeros(len(after), np.int64)
+    for k in numba.prange(len(after)):
+        none, no_count = np.empty(0, np.uint32), np.empty(0, np.int64)
         for j in range(after.shape[1]):
-            coarse, fine = before[k // factor, j // factor], after[k, j]
-            last_row, last_column = np.uint32(0), np.uint32(0)
-            for i in range(len(coarse)):
-                row = coarse[i]
-                if row == 0:
-                    last_row = row
-                    continue
-                for x in range(factor * i, factor * i + factor):
-                    column = fine[x]
-                    if column == 0:
-                        last_row = column
-                    elif row == last_row and column == last_column:
-                        counts[found - 1] += 1
-                    else:
-                        if found == len(rows):
-                            size = 2 * found
-                            rows, columns, counts = _longer(rows, size), _longer(columns, size), _longer(counts, size)
-                        rows[found], columns[found], counts[found] = row, column, 1
-                        last_row, last_column = row, column
-                        found += 1
-    return rows[:found], columns[:found], counts[:found]
+            found[k] = _runs_of(before[k // factor, j // factor], after[k, j], factor, found[k], none, none, no_count)
+    return found
 
 
-@numba.njit(cache=True, nogil=True)
-def _longer(values, size):  # type: ignore[no-untyped-def]
-    longer = np.zeros(size, values.dtype)
-    longer[: len(values)] = values
-    return longer
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _list_runs(before, after, factor, start, rows, columns, counts):  # type: ignore[no-untyped-def]
+    """Both pieces of each run, and its voxels; the runs of each plane begin at ``start``."""
+    for k in numba.prange(len(after)):
+        at = start[k]
+        for j in range(after.shape[1]):
+            at = _runs_of(before[k // factor, j // factor], after[k, j], factor, at, rows, columns, counts)
 
 
 def _refined(values: npt.NDArray[Any], factor: int, box: Box) -> npt.NDArray[Any]:

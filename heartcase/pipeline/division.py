@@ -178,28 +178,27 @@ def leads_of(heights: Sequence[Float32]) -> list[Float32]:
     """By how much the highest other one is above each; below zero where it is the highest itself."""
     highest, second = (np.full(heights[0].shape, -np.inf, np.float32) for _ in range(2))
     for one in heights:
-        _two_highest(highest, second, one)
-    return [_behind(one, highest, second) for one in heights]
+        _two_highest(highest.ravel(), second.ravel(), one.ravel())
+    leads = [np.empty_like(one) for one in heights]
+    for one, lead in zip(heights, leads, strict=True):
+        _behind(one.ravel(), highest.ravel(), second.ravel(), lead.ravel())
+    return leads
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, parallel=True)
 def _two_highest(highest, second, values):  # type: ignore[no-untyped-def]
-    a, b, c = highest.ravel(), second.ravel(), values.ravel()
-    for n in range(len(c)):
-        if c[n] > a[n]:
-            b[n] = a[n]
-            a[n] = c[n]
-        elif c[n] > b[n]:
-            b[n] = c[n]
+    for n in numba.prange(len(values)):
+        if values[n] > highest[n]:
+            second[n] = highest[n]
+            highest[n] = values[n]
+        elif values[n] > second[n]:
+            second[n] = values[n]
 
 
-@numba.njit(cache=True, nogil=True)
-def _behind(values, highest, second):  # type: ignore[no-untyped-def]
-    lead = np.empty_like(values)
-    a, b, c, d = highest.ravel(), second.ravel(), values.ravel(), lead.ravel()
-    for n in range(len(c)):
-        d[n] = (b[n] if c[n] == a[n] else a[n]) - c[n]
-    return lead
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _behind(values, highest, second, lead):  # type: ignore[no-untyped-def]
+    for n in numba.prange(len(values)):
+        lead[n] = (second[n] if values[n] == highest[n] else highest[n]) - values[n]
 
 
 def divide(group_mm: Sequence[Float32], inner_mm: Sequence[Part | None], group: Sequence[int]) -> UInt8:

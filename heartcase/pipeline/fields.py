@@ -20,6 +20,7 @@ import numpy.typing as npt
 from heartcase.pipeline.data import Structures
 from heartcase.pipeline.field_layout import ALL_FIELDS, BLOCK, FieldLayout, layout_of, varying_walls
 from heartcase.pipeline.shapes import shape_distance
+from heartcase.pipeline.side_by_side import every_other
 from heartcase.pipeline.wall_thickness import ThicknessArrays, table_thickness
 from heartcase.schemas.geometry import Geometry
 
@@ -376,7 +377,9 @@ def _evaluate_lattice(layout, tables, start, step, tissue, void_label, tissue_la
 
 @numba.njit(cache=True, nogil=True, parallel=True)
 def _evaluate_points(layout, tables, index, tissue, void_label, tissue_label):  # type: ignore[no-untyped-def]
-    for chunk in numba.prange((len(index) + CHUNK - 1) // CHUNK):
+    chunks = (len(index) + CHUNK - 1) // CHUNK
+    for number in numba.prange(chunks):
+        chunk = every_other(number, chunks)
         spare = scratch(layout)
         for p in range(chunk * CHUNK, min((chunk + 1) * CHUNK, len(index))):
             one = evaluate_owner(layout, tables, index[p, 0], index[p, 1], index[p, 2], spare)

@@ -171,27 +171,24 @@ def _samples_for_count(reader: FieldReader, settings: GridSettings) -> CellSampl
     volume = reader.structures.geometry
     region_mm3 = volume.voxel_volume_mm3 * float(np.prod(volume.size))
     cell_mm = (region_mm3 / (4.0 * wanted)) ** (1 / 3)
-    samples = _sample(reader, cell_mm, 2)
-    tissue_mm3 = _tissue_volume_mm3(samples)
-    if tissue_mm3 == 0.0:
-        raise StageError("there is no tissue in the region of interest: check walls and region", place="grid")
-    # Walls a few cells thick have about 1.6 nodes per cell of tissue.
-    cell_mm = (1.6 * tissue_mm3 / wanted) ** (1 / 3)
     coarse = True
     tried: list[tuple[float, float, CellSamples]] = []
     for _ in range(10):
         samples = _sample(reader, cell_mm, 2 if coarse else None)
+        if not samples.coverage.any():
+            raise StageError("there is no tissue in the region of interest: check walls and region", place="grid")
         count = _node_count(samples.coverage >= settings.coverage_min)
         gap = abs(count - wanted) / wanted
         is_final = samples.factor == sample_factor(volume, cell_mm)
         if is_final:
             tried.append((gap, cell_mm, samples))
-        if count == 0 or (is_final and gap <= _COUNT_TOLERANCE):
+        if is_final and gap <= _COUNT_TOLERANCE:
             break
         if gap <= _COUNT_TOLERANCE:
             coarse = False
             continue
-        cell_mm *= (count / wanted) ** (1 / 2.7)
+        # walls a few cells thick; an eighth of the nodes halves the cells at least
+        cell_mm *= max(count / wanted, 1 / 8) ** (1 / 2.7)
     if not tried:
         return _sample(reader, cell_mm)
     return min(tried, key=lambda one: one[:2])[2]
@@ -399,20 +396,37 @@ def _thickness_percentiles(samples: CellSamples) -> dict[str, float]:
     """Local thickness of the tissue, in cells: twice the depth at the ridges of the distance to the void."""
     tissue = np.pad(samples.tissue, 1, mode="edge")
     depth = distance_in_samples(tissue)
-    inner = (slice(1, -1),) * 3
-    centre = depth[inner]
-    peak = tissue[inner].copy()
-    ridge = centre.copy()
-    for axis in range(3):
-        low = depth[tuple(slice(None, -2) if a == axis else slice(1, -1) for a in range(3))]
-        high = depth[tuple(slice(2, None) if a == axis else slice(1, -1) for a in range(3))]
-        peak &= (centre >= low) & (centre >= high)
-        # Across a wall the depth is a roof; its height follows from the steeper side and both neighbours.
-        np.maximum(ridge, 0.5 * (low + high) + np.maximum(centre - low, centre - high), out=ridge)
-    if not peak.any():
+    ridge = np.empty(samples.tissue_mm.shape, np.float32)
+    _find_ridges(tissue, depth, ridge)
+    ridge = ridge[ridge > 0.0]
+    if len(ridge) == 0:
         return {}
-    values = np.percentile((2.0 * ridge[peak] - 1.0) / samples.factor, [5, 25, 50, 75, 95])
+    values = np.percentile((2.0 * ridge - 1.0) / samples.factor, [5, 25, 50, 75, 95])
     return {name: float(value) for name, value in zip(("p5", "p25", "p50", "p75", "p95"), values, strict=True)}
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _find_ridges(tissue, depth, ridge):  # type: ignore[no-untyped-def]
+    """Depth at the samples that are as deep as their six neighbours, 0 elsewhere; the first two are a sample wider.
+
+    Across a wall the depth is a roof; its height follows from the steeper side and both neighbours.
+    """
+    nz, ny, nx = ridge.shape
+    half = np.float32(0.5)
+    for z in numba.prange(nz):
+        for y in range(ny):
+            for x in range(nx):
+                ridge[z, y, x] = 0.0
+                here = depth[z + 1, y + 1, x + 1]
+                if not tissue[z + 1, y + 1, x + 1]:
+                    continue
+                a, b = depth[z, y + 1, x + 1], depth[z + 2, y + 1, x + 1]
+                c, d = depth[z + 1, y, x + 1], depth[z + 1, y + 2, x + 1]
+                e, f = depth[z + 1, y + 1, x], depth[z + 1, y + 1, x + 2]
+                if max(a, b, c, d, e, f) > here:
+                    continue
+                height = max(here, half * (a + b) + (here - min(a, b)), half * (c + d) + (here - min(c, d)))
+                ridge[z, y, x] = max(height, half * (e + f) + (here - min(e, f)))
 
 
 @numba.njit(cache=True, nogil=True)

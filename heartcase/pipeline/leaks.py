@@ -17,6 +17,7 @@ from heartcase.pipeline.cautions import Caution, anatomy, note
 from heartcase.pipeline.contacts import Contact, Extent, faces_between, without_tissue
 from heartcase.pipeline.data import Structures
 from heartcase.pipeline.fields import FieldReader, evaluate_owner, ownership_on_lattice, scratch, steps_through
+from heartcase.pipeline.side_by_side import side_by_side
 from heartcase.pipeline.wall_thickness import thickness_at_points
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND
@@ -59,10 +60,12 @@ def leak_cautions(structures: Structures, labels: UInt8) -> tuple[Caution, ...]:
         return ()
     reader = FieldReader.of(structures)
     fine, geometry = _fine_labels(reader, part, corner, blood)
-    changes = compartment_changes(part, fine, blood.tolist(), geometry)
+    changes, found = side_by_side(
+        lambda: compartment_changes(part, fine, blood.tolist(), geometry), lambda: list(_gaps(reader, fine, geometry))
+    )
     joined = sorted((one for one in changes if one.is_joined), key=lambda one: -one.extent.area_mm2)
     split = sorted((one for one in changes if not one.is_joined), key=lambda one: -one.extent.area_mm2)
-    gaps = sorted(_gaps(reader, fine, geometry), key=lambda one: -one[1].area_mm2)
+    gaps = sorted(found, key=lambda one: -one[1].area_mm2)
     return (
         *_listed([_of_joined(structures, one) for one in joined]),
         *_listed([_of_split(structures, one) for one in split]),

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from heartcase.pipeline.cells.curvature import curvature_errors
+from heartcase.pipeline.cells.curvature import curvature_errors, grid_springs, node_neighbours
 from heartcase.pipeline.cells.ties import NodeTriangles, TieChooser, closest_weights
 from heartcase.pipeline.data import GridMap, SimulationGrid, Surface
 from heartcase.pipeline.grid import FACE_CORNERS
@@ -89,8 +89,9 @@ def _map_level(surface: Surface, grid: SimulationGrid, settings: MapSettings) ->
     positions = grid.node_positions_mm()
     vertices = surface.vertices_mm.astype(np.float64)
     normals = surface.normals.astype(np.float64)
-    (triangles, is_inner, is_narrow), nearest_node = side_by_side(
-        lambda: _choose_triangles(surface, grid, settings, positions), lambda: _nearest_nodes(surface, grid, positions)
+    (triangles, is_inner, is_narrow), (nearest_node, neighbours) = side_by_side(
+        lambda: _choose_triangles(surface, grid, settings, positions),
+        lambda: (_nearest_nodes(surface, grid, positions), node_neighbours(grid_springs(grid), len(positions))),
     )
 
     corners = positions[triangles]
@@ -98,7 +99,7 @@ def _map_level(surface: Surface, grid: SimulationGrid, settings: MapSettings) ->
     reference = np.einsum("vc,vcx->vx", weights.astype(np.float64), corners)
     basis = triangle_basis(corners)
     offset = np.einsum("vbx,vx->vb", basis, vertices - reference)
-    flat, curved, aligned = curvature_errors(grid, vertices, normals, triangles, weights)
+    flat, curved, aligned = curvature_errors(grid, neighbours, vertices, normals, triangles, weights)
     curvature = ((curved < CURVATURE_GAIN * flat) & (aligned > CURVATURE_ALIGNMENT)).astype(np.uint8)
     far = np.linalg.norm(vertices - reference, axis=1) / grid.geometry.spacing_mm[0]
     warnings: tuple[str, ...] = ()

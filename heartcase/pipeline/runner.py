@@ -25,11 +25,11 @@ STAGE_VERSIONS = {
     "markers": 1,
     "filter": 2,
     "segment": 2,
-    "walls": 9,
+    "walls": 10,
     "edit": 3,
-    "grid": 6,
-    "surface": 11,
-    "map": 6,
+    "grid": 7,
+    "surface": 12,
+    "map": 7,
     "bundle": 4,
 }
 """Raised whenever a stage's output changes for the same input, so that the cache forgets the old one."""

@@ -18,7 +18,14 @@ from heartcase.pipeline.cautions import note
 from heartcase.pipeline.data import Structures, Surface
 from heartcase.pipeline.fields import FieldReader
 from heartcase.pipeline.mesh.atlas import Atlas, make_atlas, tangents
-from heartcase.pipeline.mesh.decimate import Decimated, decimate_soundly, folded_triangles, mesh_defects
+from heartcase.pipeline.mesh.collapse import Collapsing
+from heartcase.pipeline.mesh.decimate import (
+    Decimated,
+    begun_decimation,
+    decimate_soundly,
+    folded_triangles,
+    mesh_defects,
+)
 from heartcase.pipeline.mesh.extract import (
     FullMesh,
     drop_small_shells,
@@ -98,7 +105,7 @@ def build_surface(structures: Structures, settings: SurfaceSettings, *, render: 
     reader = FieldReader.of(structures)
     whole = extract(reader)
     opposite = opposites(whole.triangles)
-    full, dropped = drop_small_shells(whole, volume_mm3=SPECK_MM3, fraction=SPECK_FRACTION, opposite=opposite)
+    full, dropped, opposite = drop_small_shells(whole, volume_mm3=SPECK_MM3, fraction=SPECK_FRACTION, opposite=opposite)
     if np.abs(dropped).sum() > SPECK_MM3:
         warnings.append(
             note(
@@ -109,8 +116,6 @@ def build_surface(structures: Structures, settings: SurfaceSettings, *, render: 
         )
     if full.is_capped:
         warnings.append("the scan is too large to show its thinnest walls in full detail: make the [region] smaller")
-    if full is not whole:
-        opposite = opposites(full.triangles)
     is_cut = cut_faces(structures, full.vertices_mm, full.triangles, full.lattice)
     still = np.zeros(len(full.vertices_mm), bool)
     still[full.triangles[is_cut]] = True
@@ -120,16 +125,19 @@ def build_surface(structures: Structures, settings: SurfaceSettings, *, render: 
     )
     reach = 0.5 * min(full.lattice.spacing_mm)
 
-    def decimated(count: int) -> Decimated:
+    def decimated(count: int, begun: Collapsing | None = None) -> Decimated:
         return decimate_soundly(
-            full.vertices_mm, full.triangles, key, triangle_count=count, reach_mm=reach, opposite=opposite
+            full.vertices_mm, full.triangles, key, triangle_count=count, reach_mm=reach, opposite=opposite, begun=begun
         )
 
     def sorted_full() -> TriangleGrid:
         return triangle_grid(full.vertices_mm, full.triangles)
 
     if settings.error_mm is None:
-        coarse, mesh = side_by_side(lambda: decimated(settings.triangle_count), sorted_full)
+        # only the end of the decimation leaves a thread free
+        count = settings.triangle_count
+        begun = begun_decimation(full.vertices_mm, full.triangles, key, count, opposite)
+        coarse, mesh = side_by_side(lambda: decimated(count, begun), sorted_full)
     else:
         mesh = sorted_full()
         coarse = fewest_triangles(

@@ -22,6 +22,7 @@ from heartcase.pipeline.mesh.extract import (
     shell_volumes,
     smooth_creases,
 )
+from heartcase.pipeline.mesh.half_edges import opposites
 from heartcase.pipeline.mesh.intersections import self_intersections
 from heartcase.pipeline.mesh.mesh_distance import mesh_distance_mm
 from heartcase.pipeline.mesh.triangle_grid import triangle_grid
@@ -185,7 +186,10 @@ def test_specks_and_bubbles_are_left_out_and_said():
     everything = extract(solid(body, lattice(1.0, 18.0)))
     shells, volumes = shell_volumes(everything.vertices_mm, everything.triangles)
     assert len(volumes) == 3
-    kept, dropped = drop_small_shells(everything, volume_mm3=20.0, fraction=0.01)
+    kept, dropped, opposite = drop_small_shells(
+        everything, volume_mm3=20.0, fraction=0.01, opposite=opposites(everything.triangles)
+    )
+    np.testing.assert_array_equal(opposite, opposites(kept.triangles))
     assert len(dropped) == 2
     assert sorted(np.sign(dropped)) == [-1.0, 1.0]
     _, left = shell_volumes(kept.vertices_mm, kept.triangles)

@@ -45,7 +45,12 @@ def node_neighbours(springs: Int32, node_count: int) -> Int32:
 
 
 def curvature_errors(
-    grid: SimulationGrid, vertices_mm: Float64, normals: Float64, triangle_nodes: Int32, weights: Float32
+    grid: SimulationGrid,
+    neighbours: Int32,
+    vertices_mm: Float64,
+    normals: Float64,
+    triangle_nodes: Int32,
+    weights: Float32,
 ) -> tuple[Float64, Float64, Float64]:
     """Error of the flat and of the interpolated basis where the wall is bent and twisted.
 
@@ -53,6 +58,8 @@ def curvature_errors(
     ----------
     grid
         The grid.
+    neighbours
+        Its nodes' neighbours, from :func:`node_neighbours`.
     vertices_mm
         Surface vertices, world mm, shape (n, 3).
     normals
@@ -71,7 +78,6 @@ def curvature_errors(
     facing = normals @ grid.geometry.direction_matrix
     places = grid.geometry.world_to_index(vertices_mm) + 0.5
     nodes = grid.nodes.astype(np.float64)
-    neighbours = node_neighbours(grid_springs(grid), len(nodes))
     flat = np.empty(len(places))
     curved = np.empty(len(places))
     aligned = np.zeros(len(places))

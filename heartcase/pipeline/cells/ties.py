@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 
 from heartcase.pipeline.data import Surface
 from heartcase.pipeline.mesh.triangle_grid import triangle_grid
+from heartcase.pipeline.side_by_side import every_other
 from heartcase.pipeline.vectors import dot, square_to_triangle
 from heartcase.schemas.geometry import Geometry
 
@@ -32,12 +33,13 @@ _IN_TISSUE = 0.25
 _BEYOND = 0.4
 """Cells beyond a triangle within which a way that ends in tissue, and comes from behind, must not come out of it."""
 _SKIN = 0.05
-"""Cells around a cell that count as the cell where the surface leads: what it holds too little of is left out."""
+"""Cells around a cell that count as the cell where the surface leads: what it holds too little of is left out. And
+cells beside tissue that may be in it."""
 _AROUND = 0.5
 """Cells around the cells of a vertex and a triangle within which the surface must lead from one to the other."""
 _MORE = 4
 """So many times the candidates are tried where all of them are beyond a wall or a gap."""
-_CHUNK = 512
+_CHUNK = 128
 _HAIR = 1e-6
 """Boxes by which a way is taken to be wider, so that rounding leaves no box out."""
 
@@ -249,6 +251,27 @@ def _first_and_last(vertex, p, way, triangles, boxes):  # type: ignore[no-untype
 
 
 @numba.njit(cache=True, nogil=True)
+def _is_near(vertex, p, reach, triangles, boxes):  # type: ignore[no-untyped-def]
+    """Whether a triangle that is not incident to a vertex is within a distance of a place."""
+    weights, low, high = np.empty(3), np.empty(3, np.int64), np.empty(3, np.int64)
+    for axis in range(3):
+        low[axis] = max(int(np.floor((p[axis] - reach - boxes.origin[axis]) / boxes.edge)), 0)
+        high[axis] = min(int(np.floor((p[axis] + reach - boxes.origin[axis]) / boxes.edge)), boxes.size[axis] - 1)
+    for k in range(low[2], high[2] + 1):
+        for j in range(low[1], high[1] + 1):
+            for i in range(low[0], high[0] + 1):
+                box = (k * boxes.size[1] + j) * boxes.size[0] + i
+                for n in range(boxes.start[box], boxes.start[box + 1]):
+                    t = boxes.item[n]
+                    if triangles[t, 0] == vertex or triangles[t, 1] == vertex or triangles[t, 2] == vertex:
+                        continue
+                    three = boxes.corner[t]
+                    if _closest_point(p, three[0], three[1], three[2], weights) <= reach * reach:
+                        return True
+    return False
+
+
+@numba.njit(cache=True, nogil=True)
 def _starts_in_tissue(mesh, v, way):  # type: ignore[no-untyped-def]
     """Whether a way leads from a vertex into the tissue: by the triangles around it that its beginning is nearest to.
 
@@ -286,7 +309,14 @@ def _is_beyond(mesh, boxes, v, facing, to, skin, beyond):  # type: ignore[no-unt
     if comes_out:
         return True
     if goes_in == 0.0 and not _starts_in_tissue(mesh, v, way):
-        return False
+        if dot(way, facing) <= 0.0:
+            return False
+        # The decimated surface is off the true one: right beside tissue may be in it.
+        near = _SKIN / _BEYOND * beyond
+        return _is_near(v, to, near, mesh.triangles, boxes) and (
+            _first_and_last(v, mesh.vertices[v], way + 0.5 * beyond * facing, mesh.triangles, boxes)[0]
+            or _first_and_last(v, to, beyond * facing, mesh.triangles, boxes)[0]
+        )
     # It ends in tissue: in that of a cell that is none, for having too little, or in the skin of a wall.
     inside = (1.0 - goes_in) * np.sqrt(dot(way, way))
     if inside > skin:
@@ -359,7 +389,9 @@ def _leads_to(mesh, vertex, cell, low, high, seen, stamp, stack):  # type: ignor
 def _choose(mesh, boxes, who, triangles, tried, reach, is_any, most, chosen, score):  # type: ignore[no-untyped-def]
     """The best of the tried triangles (ascending numbers) for each vertex; ties: the first."""
     penalty, skin, beyond = reach
-    for chunk in numba.prange((len(who) + _CHUNK - 1) // _CHUNK):
+    chunks = (len(who) + _CHUNK - 1) // _CHUNK
+    for number in numba.prange(chunks):
+        chunk = every_other(number, chunks)
         seen, stack = np.zeros(len(mesh.vertices), np.int64), np.empty(len(mesh.vertices), np.int64)
         low, high, weights, value = np.empty(3), np.empty(3), np.empty(3), np.empty(tried.shape[1])
         asked, answers = np.empty((tried.shape[1], 3)), np.empty(tried.shape[1], np.bool_)

@@ -10,11 +10,13 @@ changed since it was made; ties in cost go to the lower half-edge.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numba
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.pipeline.mesh.half_edges import opposites_of_some
 from heartcase.pipeline.mesh.quadrics import (
     best_place,
     edge_costs,
@@ -24,7 +26,7 @@ from heartcase.pipeline.mesh.quadrics import (
     vertices_between,
 )
 
-__all__ = ["Collapsing", "finished", "joined", "swept"]
+__all__ = ["Collapsing", "Joined", "finished", "joined", "swept"]
 
 LEAST_COSINE = 0.4
 LEAST_QUALITY = 0.12
@@ -308,6 +310,10 @@ class Collapsing:
     """Of each vertex, shape (vertex_count, 10)."""
     alive: npt.NDArray[np.bool_]
     """Triangles that are left, shape (triangle_count,)."""
+    source: npt.NDArray[np.int32]
+    """Number of each triangle in the mesh that it was, same shape."""
+    vertex_source: npt.NDArray[np.int32]
+    """Number of each vertex in the mesh that it was, shape (vertex_count,)."""
 
 
 def swept(
@@ -330,6 +336,11 @@ def swept(
         Triangles that are wanted in the end.
     care
         Factor on the error of each vertex, shape (vertex_count,).
+
+    Returns
+    -------
+    Collapsing
+        What is left, without gaps.
     """
     alive = np.ones(len(tail) // 3, np.bool_)
     quadric = vertex_quadrics(position, tail, opposite, tags, _parts_of(alive, turn=0)[0])
@@ -350,7 +361,31 @@ def swept(
         most = np.diff(np.cumsum(size, dtype=np.int64) * (left - until) // left, prepend=0)
         left -= _sweep(position, tail, opposite, quadric, alive, cost, limit, parts, most)
         turn += 1
-    return Collapsing(position, tail, opposite, quadric, alive)
+    return _packed(position, tail, opposite, quadric, alive)
+
+
+def _packed(
+    position: npt.NDArray[np.float64],
+    tail: npt.NDArray[np.int32],
+    opposite: npt.NDArray[np.int32],
+    quadric: npt.NDArray[np.float64],
+    alive: npt.NDArray[np.bool_],
+) -> Collapsing:
+    """What is left, in the same order: a tenth of the memory, for a heap that jumps about in it."""
+    source = np.flatnonzero(alive)
+    left = tail.reshape(-1, 3)[source]
+    used = np.zeros(len(position), np.bool_)
+    used[left] = True
+    vertex = np.cumsum(used, dtype=np.int32) - np.int32(1)
+    return Collapsing(
+        position[used],
+        vertex[left].ravel(),
+        opposites_of_some(opposite, alive),
+        quadric[used],
+        np.ones(len(source), np.bool_),
+        source.astype(np.int32),
+        np.flatnonzero(used).astype(np.int32),
+    )
 
 
 def _parts_of(alive: npt.NDArray[np.bool_], *, turn: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
@@ -365,13 +400,26 @@ def _parts_of(alive: npt.NDArray[np.bool_], *, turn: int) -> tuple[npt.NDArray[n
     return np.concatenate([[0], there[place[1:-1]], [len(alive)]]), np.diff(place)
 
 
+class Joined(NamedTuple):
+    """A mesh after a collapse."""
+
+    vertices: npt.NDArray[np.float64]
+    """Shape (vertex_count, 3), one less."""
+    triangles: npt.NDArray[np.int32]
+    """Shape (triangle_count, 3), two less, in their order."""
+    kept: npt.NDArray[np.bool_]
+    """Which triangles of the mesh before are left."""
+    moved: npt.NDArray[np.bool_]
+    """Which triangles have the vertex at which the edge's ends met, shape (triangle_count,)."""
+
+
 def joined(
     vertices: npt.NDArray[np.float64],
     triangles: npt.NDArray[np.int32],
     opposite: npt.NDArray[np.int32],
     half_edge: int,
     share: float,
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int32]] | None:
+) -> Joined | None:
     """A mesh with one edge collapsed to the point at a share of its length; None where that would not be manifold."""
     tail, opposite = triangles.astype(np.int32).ravel(), opposite.copy()
     if not _keeps_manifold(tail, opposite, half_edge, np.full(len(vertices), -1, np.int32), 0):
@@ -382,17 +430,18 @@ def joined(
     position = vertices.copy()
     _join(position, tail, opposite, np.zeros((len(vertices), 10)), alive, half_edge, place)
     left = tail.reshape(-1, 3)[alive]
-    return np.delete(position, v, axis=0), left - (left > v).astype(np.int32)
+    return Joined(np.delete(position, v, axis=0), left - (left > v).astype(np.int32), alive, (left == u).any(axis=1))
 
 
 def finished(mesh: Collapsing, wanted: int, care: npt.NDArray[np.float64] | None = None) -> Collapsing:
     """Collapse the cheapest edge again and again, until ``wanted`` triangles are left or none may go.
 
-    The mesh is not changed, so another count, or more care at some vertices, can be tried from it again.
+    The mesh is not changed, so another count, or more care at some vertices (numbered as they were before the sweeps),
+    can be tried from it again.
     """
     one = Collapsing(*(array.copy() for array in vars(mesh).values()))
     if care is not None:
-        one.quadric[:] *= care[:, None]
+        one.quadric[:] *= care[one.vertex_source, None]
     mark = np.empty(len(one.position), np.int32)
     left = int(one.alive.sum())
     _collapse_by_heap(one.position, one.tail, one.opposite, one.quadric, one.alive, mark, left, wanted)

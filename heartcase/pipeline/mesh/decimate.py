@@ -13,13 +13,14 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.pipeline.mesh.collapse import Collapsing, finished, joined, swept
+from heartcase.pipeline.mesh.collapse import Collapsing, Joined, finished, joined, swept
 from heartcase.pipeline.mesh.half_edges import opposites
 from heartcase.pipeline.mesh.intersections import self_intersections
 
 __all__ = [
     "Decimated",
     "MeshDefects",
+    "begun_decimation",
     "decimate",
     "decimate_soundly",
     "folded_triangles",
@@ -97,19 +98,19 @@ def decimate(
     """
     if len(triangles) <= triangle_count:
         return vertices, triangles, np.arange(len(triangles), dtype=np.int32)
-    begun = _begun(vertices, triangles, tags, triangle_count, opposite, care)
+    begun = begun_decimation(vertices, triangles, tags, triangle_count, opposite, care)
     return _result(finished(begun, triangle_count), vertices.mean(axis=0))
 
 
-def _begun(
+def begun_decimation(
     vertices: Float64,
     triangles: Int32,
     tags: npt.NDArray[np.integer],
     triangle_count: int,
-    opposite: Int32 | None,
-    care: Float64 | None,
+    opposite: Int32 | None = None,
+    care: Float64 | None = None,
 ) -> Collapsing:
-    """A mesh with most of its edges collapsed, about its middle."""
+    """A mesh with most of its edges collapsed, about its middle; parameters as for :func:`decimate`."""
     beside = opposites(triangles) if opposite is None else opposite.copy()
     tail = triangles.astype(np.int32).ravel()
     return swept(
@@ -119,12 +120,12 @@ def _begun(
 
 def _result(mesh: Collapsing, middle: Float64) -> tuple[Float64, Int32, Int32]:
     """Vertices and triangles that are left, and the old number of each triangle."""
-    source = np.flatnonzero(mesh.alive).astype(np.int32)
-    left = mesh.tail.reshape(-1, 3)[source]
+    there = np.flatnonzero(mesh.alive)
+    left = mesh.tail.reshape(-1, 3)[there]
     used = np.unique(left)
     number = np.zeros(len(mesh.position), np.int32)
     number[used] = np.arange(len(used), dtype=np.int32)
-    return mesh.position[used] + middle, number[left], source
+    return mesh.position[used] + middle, number[left], mesh.source[there]
 
 
 def decimate_soundly(
@@ -135,6 +136,7 @@ def decimate_soundly(
     triangle_count: int,
     reach_mm: float,
     opposite: Int32 | None = None,
+    begun: Collapsing | None = None,
 ) -> Decimated:
     """Decimate, relax folds, and where the result passes through itself or is folded still, take more care there.
 
@@ -151,6 +153,8 @@ def decimate_soundly(
         How far a vertex may move for the sake of a fold.
     opposite
         As for :func:`decimate`.
+    begun
+        The first sweeps, where they are done: :func:`begun_decimation` for the same arguments.
 
     Returns
     -------
@@ -159,13 +163,12 @@ def decimate_soundly(
     """
     care = np.ones(len(vertices))
     count = triangle_count
-    begun: Collapsing | None = None
     for turn in range(CARE_ROUNDS + 1):
         if len(triangles) <= count:
             coarse, faces = vertices, triangles
         else:
-            if turn != 1 or begun is None:
-                begun = _begun(vertices, triangles, tags, count, opposite, care if turn else None)
+            if begun is None or turn > 1:
+                begun = begun_decimation(vertices, triangles, tags, count, opposite, care if turn else None)
             coarse, faces, _ = _result(finished(begun, count, care if turn == 1 else None), vertices.mean(axis=0))
         coarse, relaxed, pairs = relax_folds(coarse, faces, reach_mm=reach_mm * (1.0 if turn < 3 else 2.0))
         if not len(pairs):
@@ -200,25 +203,25 @@ def without_folds(vertices: Float64, triangles: Int32) -> tuple[Float64, Int32]:
         The mesh, with two triangles and a vertex less for each collapse; the same one where none helps.
     """
     was = vertices, triangles
+    moved = np.zeros(len(triangles), np.bool_)
     folded = np.flatnonzero(folded_triangles(vertices, triangles))
     while 0 < len(folded) <= MOST_COLLAPSED_FOLDS:
         better = _with_fewer_folds(vertices, triangles, folded)
         if better is None:
             break
-        vertices, triangles = better
+        vertices, triangles = better.vertices, better.triangles
+        moved = moved[better.kept] | better.moved
         folded = np.flatnonzero(folded_triangles(vertices, triangles))
-    return was if triangles is was[1] or len(self_intersections(vertices, triangles)) else (vertices, triangles)
+    return was if len(self_intersections(vertices, triangles, among=moved)) else (vertices, triangles)
 
 
-def _with_fewer_folds(
-    vertices: Float64, triangles: Int32, folded: npt.NDArray[np.integer]
-) -> tuple[Float64, Int32] | None:
+def _with_fewer_folds(vertices: Float64, triangles: Int32, folded: npt.NDArray[np.integer]) -> Joined | None:
     """The first collapse of an edge of a folded triangle that leaves fewer folds; None where there is none."""
     opposite = opposites(triangles)
     for share in (0.5, 0.0, 1.0):
         for half_edge in (3 * folded[:, None] + np.arange(3)).ravel():
             trial = joined(vertices, triangles, opposite, int(half_edge), share)
-            if trial is not None and folded_triangles(*trial).sum() < len(folded):
+            if trial is not None and folded_triangles(trial.vertices, trial.triangles).sum() < len(folded):
                 return trial
     return None
 
@@ -298,12 +301,16 @@ def relax_folds(vertices: Float64, triangles: Int32, *, reach_mm: float) -> tupl
     start = vertices
 
     pairs = self_intersections(vertices, triangles)
-    crosses = len(pairs) > 0
+
+    def crossing(vertices: Float64) -> Int32:
+        changed = (vertices != start).any(axis=1)[triangles].any(axis=1)
+        left = pairs[~changed[pairs].any(axis=1)]
+        return np.concatenate([left, self_intersections(vertices, triangles, among=changed)])
 
     def judged(vertices: Float64) -> npt.NDArray[np.bool_]:
         bad = folded_triangles(vertices, triangles, opposite=opposite)
-        if crosses:
-            bad[self_intersections(vertices, triangles).ravel()] = True
+        if len(pairs):
+            bad[crossing(vertices).ravel()] = True
         return bad
 
     bad = judged(vertices)
@@ -328,7 +335,7 @@ def relax_folds(vertices: Float64, triangles: Int32, *, reach_mm: float) -> tupl
         if bad.sum() < fewest:
             fewest, best = int(bad.sum()), vertices
     moved = int((best != start).any(axis=1).sum())
-    return best, moved, self_intersections(best, triangles) if moved else pairs
+    return best, moved, crossing(best) if moved else pairs
 
 
 class MeshDefects(dict[str, int]):

@@ -17,7 +17,7 @@ from scipy.sparse import coo_array
 from heartcase.pipeline.data import Structures
 from heartcase.pipeline.fields import FieldReader
 from heartcase.pipeline.mesh.cubes import padded_field, triangulated_border
-from heartcase.pipeline.mesh.half_edges import connected_parts, opposites
+from heartcase.pipeline.mesh.half_edges import connected_parts, opposites, opposites_of_some
 from heartcase.schemas.errors import StageError
 from heartcase.schemas.geometry import Geometry
 
@@ -37,7 +37,10 @@ Int32 = npt.NDArray[np.int32]
 UInt8 = npt.NDArray[np.uint8]
 Bool = npt.NDArray[np.bool_]
 
-SPACING_PER_LAYER = 0.6
+SPACING_PER_LAYER = 0.45
+"""Over the thinnest wall: two cells across it, and a bit."""
+MOST_PER_LAYER = 0.6
+"""Up to this the voxels' own lattice is taken: at its points, what was apart in the labels is kept apart."""
 POINT_CAP = 40_000_000
 CREASE_DEGREES = 35.0
 CREASE_ROUNDS = 5
@@ -74,17 +77,21 @@ def extraction_lattice(structures: Structures, *, point_cap: int = POINT_CAP) ->
     Returns
     -------
     lattice : Geometry
-        Spacing at most 0.6 of the thinnest wall or patch and 1.5 of the smallest voxel edge, unless the cap forbids it.
+        The voxels' own where none of their edges is above 1.5 of the smallest, or above 0.6 of the thinnest wall or
+        patch. Otherwise at most 1.5 of the smallest edge, 0.45 of the wall and the voxel's own, unless the cap
+        forbids it.
     is_capped : bool
         Whether it does.
     """
     geometry = structures.geometry
     spacing = np.array(geometry.spacing_mm)
     wall = structures.thinnest_layer_mm
-    target = 1.5 * spacing.min() if wall is None else min(1.5 * spacing.min(), SPACING_PER_LAYER * wall)
-    counts = np.array(geometry.size) * np.ceil(spacing / target - 1e-9).astype(np.int64)
-    is_capped = bool(np.prod(counts) > point_cap)
+    target = 1.5 * spacing.min()
+    if wall is not None and spacing.max() > min(target, MOST_PER_LAYER * wall):
+        target = min(target, SPACING_PER_LAYER * wall)
     extent = np.array(geometry.size) * spacing
+    counts = np.maximum(np.ceil(extent / target - 1e-9).astype(np.int64), geometry.size)
+    is_capped = bool(np.prod(counts) > point_cap)
     while np.prod(counts) > point_cap:
         target *= 1.02
         counts = np.ceil(extent / target - 1e-9).astype(np.int64)
@@ -165,8 +172,8 @@ def _volumes(vertices, triangles, middle, shell, count):  # type: ignore[no-unty
 
 
 def drop_small_shells(
-    mesh: FullMesh, *, volume_mm3: float, fraction: float, opposite: Int32 | None = None
-) -> tuple[FullMesh, Float64]:
+    mesh: FullMesh, *, volume_mm3: float, fraction: float, opposite: Int32
+) -> tuple[FullMesh, Float64, Int32]:
     """Leave out specks of tissue and bubbles: shells below both a volume and a fraction of the tissue.
 
     Parameters
@@ -178,7 +185,7 @@ def drop_small_shells(
     fraction
         Shells of at least this fraction of the tissue's volume stay.
     opposite
-        Opposite half-edges, where they are at hand.
+        Opposite half-edges.
 
     Returns
     -------
@@ -186,13 +193,16 @@ def drop_small_shells(
         Without them, in the same order; the same mesh where there are none.
     volumes_mm3 : Float64
         Signed volumes of the shells left out, by place in the mesh.
+    opposite : Int32
+        Opposite half-edges of what is left.
     """
     shell, volumes = shell_volumes(mesh.vertices_mm, mesh.triangles, opposite=opposite)
     limit = min(volume_mm3, fraction * float(volumes.sum()))
     small = np.abs(volumes) < limit
     if not small.any():
-        return mesh, volumes[small]
-    triangles = mesh.triangles[~small[shell]]
+        return mesh, volumes[small], opposite
+    stays = ~small[shell]
+    triangles = mesh.triangles[stays]
     used = np.zeros(len(mesh.vertices_mm), np.bool_)
     used[triangles] = True
     number = np.cumsum(used, dtype=np.int32) - np.int32(1)
@@ -203,7 +213,7 @@ def drop_small_shells(
         void_label=mesh.void_label[used],
         on_end=mesh.on_end[used],
     )
-    return kept, volumes[small]
+    return kept, volumes[small], opposites_of_some(opposite, stays)
 
 
 def smooth_creases(mesh: FullMesh, still: Bool, *, opposite: Int32 | None = None) -> tuple[FullMesh, int]:

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.fields import FieldReader, evaluate_tissue, scratch
+from heartcase.pipeline.side_by_side import every_other
 from heartcase.pipeline.vectors import cross, make_unit
 
 __all__ = ["Rings", "fit_normal", "fitted_normals", "rings_of", "to_index_matrix"]
@@ -159,7 +160,9 @@ def fit_normal(layout, tables, m, here, normal, rings, reach, spare, work, there
 
 @numba.njit(cache=True, nogil=True, parallel=True)
 def _fit_points(layout, tables, m, points, normals, rings, reach, drawn, fitted, found):  # type: ignore[no-untyped-def]
-    for chunk in numba.prange((len(points) + CHUNK - 1) // CHUNK):
+    chunks = (len(points) + CHUNK - 1) // CHUNK
+    for number in numba.prange(chunks):
+        chunk = every_other(number, chunks)
         spare = scratch(layout)
         work = np.empty((3, max(RING_WAYS, 3)))
         for n in range(chunk * CHUNK, min((chunk + 1) * CHUNK, len(points))):

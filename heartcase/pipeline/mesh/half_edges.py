@@ -6,7 +6,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["connected_parts", "opposites"]
+__all__ = ["connected_parts", "opposites", "opposites_of_some"]
 
 Int32 = npt.NDArray[np.int32]
 
@@ -31,6 +31,23 @@ def opposites(triangles: Int32) -> Int32:
     if not _pair_half_edges(tail, int(triangles.max(initial=-1)) + 1, opposite):
         raise ValueError("the mesh is not closed and manifold")
     return opposite
+
+
+def opposites_of_some(opposite: Int32, kept: npt.NDArray[np.bool_]) -> Int32:
+    """Opposite half-edges where only some triangles are kept, numbered anew in the same order.
+
+    Parameters
+    ----------
+    opposite
+        Opposite half-edges of all triangles.
+    kept
+        Triangles that are kept, shape (triangle_count,); no edge joins one of them to another.
+    """
+    number = np.cumsum(kept, dtype=np.int32) - np.int32(1)
+    beside = opposite.reshape(-1, 3)[kept]
+    three = np.int32(3)
+    renumbered: Int32 = three * number[beside // three] + beside % three
+    return renumbered.ravel()
 
 
 @numba.njit(cache=True, nogil=True, parallel=True)

@@ -25,7 +25,9 @@ _ERROR_BOUND = (7.0 + 56.0 * 2.0**-53) * 2.0**-53
 """Of a volume's sign, in units of the sum of its products' sizes: Shewchuk's o3derrboundA."""
 
 
-def self_intersections(vertices: npt.NDArray[np.floating], triangles: Int32) -> Int32:
+def self_intersections(
+    vertices: npt.NDArray[np.floating], triangles: Int32, *, among: npt.NDArray[np.bool_] | None = None
+) -> Int32:
     """Find all pairs of triangles that cross.
 
     Parameters
@@ -34,14 +36,18 @@ def self_intersections(vertices: npt.NDArray[np.floating], triangles: Int32) -> 
         Shape (vertex_count, 3).
     triangles
         Shape (triangle_count, 3).
+    among
+        Where only pairs with one of some triangles are wanted: which, shape (triangle_count,).
 
     Returns
     -------
     Int32
         Shape (pair_count, 2), lower triangle first, ascending.
     """
-    if not len(triangles):
+    if not len(triangles) or (among is not None and not among.any()):
         return np.zeros((0, 2), np.int32)
+    if among is not None:
+        return _pairs_among(vertices, triangles, among)
     grid = triangle_grid(vertices, triangles)
     low, high = grid.corner.min(axis=1), grid.corner.max(axis=1)
     counts = _cross_count(grid, low, high)
@@ -49,6 +55,22 @@ def self_intersections(vertices: npt.NDArray[np.floating], triangles: Int32) -> 
     pairs = np.empty((int(begin[-1]), 2), np.int32)
     _cross_list(grid, low, high, begin, pairs)
     return pairs
+
+
+def _pairs_among(vertices: npt.NDArray[np.floating], triangles: Int32, among: npt.NDArray[np.bool_]) -> Int32:
+    """Pairs with one of some triangles, which alone are sorted into boxes."""
+    which = np.flatnonzero(among)
+    grid = triangle_grid(vertices, triangles[which])
+    corner = np.ascontiguousarray(vertices, np.float64)[triangles]
+    low, high = corner.min(axis=1), corner.max(axis=1)
+    far = grid.origin + grid.edge * grid.size
+    near = np.flatnonzero(((low <= far) & (high >= grid.origin)).all(axis=1))
+    counts = _cross_some_count(grid, corner, low, high, near, which)
+    begin = np.concatenate([[0], np.cumsum(counts)])
+    pairs = np.empty((int(begin[-1]), 2), np.int32)
+    _cross_some_list(grid, corner, low, high, near, which, begin, pairs)
+    pairs.sort(axis=1)
+    return np.unique(pairs, axis=0) if len(pairs) else pairs
 
 
 @numba.njit(cache=True, nogil=True)
@@ -134,3 +156,59 @@ def _cross_list(grid, low, high, begin, pairs):  # type: ignore[no-untyped-def]
             _crossed_by(t, grid, low, high, found)
             pairs[begin[t] : begin[t + 1], 0] = t
             pairs[begin[t] : begin[t + 1], 1] = np.sort(found)
+
+
+@numba.njit(cache=True, nogil=True)
+def _crossed_by_some(t, grid, corner, low, high, which, found):  # type: ignore[no-untyped-def]
+    """Triangles of ``which``, those of the grid, that cross triangle ``t``, into ``found``; how many there are."""
+    size = grid.size
+    begin, end = np.empty(3, np.int64), np.empty(3, np.int64)
+    for axis in range(3):
+        begin[axis] = max(int(np.floor((low[t, axis] - grid.origin[axis]) / grid.edge)), 0)
+        end[axis] = min(int(np.floor((high[t, axis] - grid.origin[axis]) / grid.edge)), size[axis] - 1)
+    count = 0
+    for k in range(begin[2], end[2] + 1):
+        for j in range(begin[1], end[1] + 1):
+            for i in range(begin[0], end[0] + 1):
+                c = (k * size[1] + j) * size[0] + i
+                for at in range(grid.start[c], grid.start[c + 1]):
+                    n = grid.item[at]
+                    u = which[n]
+                    # a pair is looked at in the first box that both reach into
+                    if (
+                        u == t
+                        or i != max(begin[0], grid.first[n, 0])
+                        or j != max(begin[1], grid.first[n, 1])
+                        or k != max(begin[2], grid.first[n, 2])
+                        or low[t, 0] > high[u, 0]
+                        or low[u, 0] > high[t, 0]
+                        or low[t, 1] > high[u, 1]
+                        or low[u, 1] > high[t, 1]
+                        or low[t, 2] > high[u, 2]
+                        or low[u, 2] > high[t, 2]
+                    ):
+                        continue
+                    if _crosses(corner[min(t, u)], corner[max(t, u)]):
+                        if count < len(found):
+                            found[count] = u
+                        count += 1
+    return count
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _cross_some_count(grid, corner, low, high, near, which):  # type: ignore[no-untyped-def]
+    counts = np.empty(len(near), np.int64)
+    for n in numba.prange(len(near)):
+        counts[n] = _crossed_by_some(near[n], grid, corner, low, high, which, np.empty(0, np.int32))
+    return counts
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _cross_some_list(grid, corner, low, high, near, which, begin, pairs):  # type: ignore[no-untyped-def]
+    for n in numba.prange(len(near)):
+        count = begin[n + 1] - begin[n]
+        if count > 0:
+            found = np.empty(count, np.int32)
+            _crossed_by_some(near[n], grid, corner, low, high, which, found)
+            pairs[begin[n] : begin[n + 1], 0] = near[n]
+            pairs[begin[n] : begin[n + 1], 1] = found

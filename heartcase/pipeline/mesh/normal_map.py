@@ -17,6 +17,7 @@ from heartcase.pipeline.mesh.field_normals import fit_normal, fitted_normals, ri
 from heartcase.pipeline.mesh.half_edges import opposites
 from heartcase.pipeline.mesh.mesh_distance import nearest_on_mesh
 from heartcase.pipeline.mesh.triangle_grid import TriangleGrid
+from heartcase.pipeline.side_by_side import every_other, side_by_side
 from heartcase.pipeline.vectors import cross, dot, make_unit
 
 __all__ = ["bake_normal_map"]
@@ -78,15 +79,17 @@ def bake_normal_map(
         Shape (size, size, 3): x, y, z along tangent, bitangent and normal, as glTF 2.0 maps them; charts are continued
         eight texels outward, the rest is flat.
     """
-    owner = np.full((size, size), -1, np.int32)
-    _rasterise(atlas.uv.astype(np.float64), atlas.triangles, owner)
     corners = np.ascontiguousarray(atlas.render_to_welded[atlas.triangles])
     vertices, unit = vertices_mm.astype(np.float64), normals.astype(np.float64)
     texel = atlas.uv.astype(np.float64) * size
     given = np.zeros((0, 0, 3), np.float32)
     if full is None:
-        parts, start, known = _fitted_between(reader, corners, vertices, unit, flat_triangles, reach_mm)
+        (parts, start, known), owner = side_by_side(
+            lambda: _fitted_between(reader, corners, vertices, unit, flat_triangles, reach_mm),
+            lambda: _rasterised(atlas, size),
+        )
     else:
+        owner = _rasterised(atlas, size)
         parts, start, known = np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3), np.float32)
         given = np.zeros((size, size, 3), np.float32)
         _look_up(reader, owner, texel, atlas.triangles, corners, vertices, unit, full, reach_mm, given)
@@ -107,8 +110,16 @@ def bake_normal_map(
         given,
         picture,
     )
-    _dilate(picture, owner >= 0, DILATION_TEXELS)
+    filled = owner >= 0
+    _dilate(picture, filled, _first_edge(filled), DILATION_TEXELS)
     return picture
+
+
+def _rasterised(atlas: Atlas, size: int) -> Int32:
+    """Triangle that holds each texel's centre, -1 where there is none."""
+    owner = np.full((size, size), -1, np.int32)
+    _rasterise(atlas.uv.astype(np.float64), atlas.triangles, owner)
+    return owner
 
 
 def _fitted_between(
@@ -249,7 +260,8 @@ def _fit_lattices(  # type: ignore[no-untyped-def]
 ):
     """Normals at the points of every triangle that is not flat; on an edge that two share, fitted once."""
     chunks = (len(corners) + CHUNK - 1) // CHUNK
-    for chunk in numba.prange(chunks):
+    for number in numba.prange(chunks):
+        chunk = every_other(number, chunks)
         spare = scratch(layout)
         weights, here, there, normal, out = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
         work = np.empty((3, 8))
@@ -385,17 +397,48 @@ def _rasterise(uv, triangles, owner):  # type: ignore[no-untyped-def]
                     owner[j, i] = t
 
 
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _first_edge(filled):  # type: ignore[no-untyped-def]
+    """Unfilled texels beside filled ones, row by row: (row, column), shape (n, 2)."""
+    rows, columns = filled.shape
+    begin = np.zeros(rows + 1, np.int64)
+    for j in numba.prange(rows):
+        for i in range(columns):
+            if not filled[j, i] and _is_beside(filled, j, i):
+                begin[j + 1] += 1
+    for j in range(rows):
+        begin[j + 1] += begin[j]
+    edge = np.empty((begin[rows], 2), np.int32)
+    for j in numba.prange(rows):
+        at = begin[j]
+        for i in range(columns):
+            if not filled[j, i] and _is_beside(filled, j, i):
+                edge[at, 0], edge[at, 1] = j, i
+                at += 1
+    return edge
+
+
 @numba.njit(cache=True, nogil=True)
-def _dilate(picture, filled, rounds):  # type: ignore[no-untyped-def]
+def _is_beside(filled, j, i):  # type: ignore[no-untyped-def]
+    """Whether one of a texel's eight neighbours is filled."""
+    rows, columns = filled.shape
+    for dj in range(max(j - 1, 0), min(j + 2, rows)):
+        for di in range(max(i - 1, 0), min(i + 2, columns)):
+            if filled[dj, di]:
+                return True
+    return False
+
+
+@numba.njit(cache=True, nogil=True)
+def _dilate(picture, filled, first_edge, rounds):  # type: ignore[no-untyped-def]
     """Continue the filled texels outward, each round by the mean of the filled neighbours."""
     rows, columns = filled.shape
     seen = filled.copy()
     edge = np.empty((rows * columns, 2), np.int32)
-    first, last = 0, 0
-    for j in range(rows):
-        for i in range(columns):
-            if filled[j, i]:
-                last = _unfilled_around(filled, seen, j, i, edge, last)
+    first, last = 0, len(first_edge)
+    for n in range(last):
+        edge[n] = first_edge[n]
+        seen[edge[n, 0], edge[n, 1]] = True
     for _ in range(rounds):
         for n in range(first, last):
             j, i = edge[n]

@@ -57,6 +57,23 @@ def test_pairs_are_those_of_exact_arithmetic(seed, vertex_count, triangle_count,
     )
 
 
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    vertex_count=st.integers(4, 30),
+    triangle_count=st.integers(2, 40),
+    share=st.floats(0.0, 1.0),
+    steps=st.sampled_from([3, 1 << 20]),
+)
+def test_pairs_among_some_triangles_are_those_of_all_that_have_one(seed, vertex_count, triangle_count, share, steps):
+    random = np.random.default_rng(seed)
+    vertices = random.integers(0, steps, (vertex_count, 3)) / steps
+    triangles = np.array([random.choice(vertex_count, 3, replace=False) for _ in range(triangle_count)], np.int32)
+    among = random.random(triangle_count) < share
+    every = self_intersections(vertices, triangles)
+    np.testing.assert_array_equal(self_intersections(vertices, triangles, among=among), every[among[every].any(axis=1)])
+
+
 def sphere(subdivisions):
     mesh = icosphere(subdivisions=subdivisions)
     return np.array(mesh.vertices), np.array(mesh.faces, np.int32)
