@@ -14,6 +14,9 @@ __all__ = ["mesh_distance_mm", "nearest_on_mesh"]
 Float64 = npt.NDArray[np.float64]
 Int32 = npt.NDArray[np.int32]
 
+SLACK = 1.0 + 1e-9
+"""Boxes are taken to be nearer by this factor, so that rounding leaves none out."""
+
 
 def mesh_distance_mm(points_mm: Float64, mesh: TriangleGrid) -> Float64:
     """Distance of each point to the nearest point of a mesh.
@@ -35,6 +38,12 @@ def mesh_distance_mm(points_mm: Float64, mesh: TriangleGrid) -> Float64:
     return distance
 
 
+@numba.njit(cache=True, nogil=True, inline="always")
+def _outside(place, begin, width):  # type: ignore[no-untyped-def]
+    """How far a place is outside a stretch."""
+    return max(begin - place, place - begin - width, 0.0)
+
+
 @numba.njit(cache=True, nogil=True)
 def nearest_on_mesh(grid, x, y, z, facing, way, least, farthest):  # type: ignore[no-untyped-def]
     """Nearest triangle to a point: its number, -1 where there is none, the square of the distance, two weights.
@@ -49,10 +58,18 @@ def nearest_on_mesh(grid, x, y, z, facing, way, least, farthest):  # type: ignor
     best, found, best_v, best_w = np.inf, -1, 0.0, 0.0
     for ring in range(size[0] + size[1] + size[2]):
         for kk in range(max(k - ring, 0), min(k + ring, size[2] - 1) + 1):
+            from_layer = _outside(z - origin[2], kk * cell, cell) ** 2
+            if from_layer > SLACK * best:
+                continue
             for jj in range(max(j - ring, 0), min(j + ring, size[1] - 1) + 1):
                 inner = abs(kk - k) < ring and abs(jj - j) < ring
+                from_line = from_layer + _outside(y - origin[1], jj * cell, cell) ** 2
+                if from_line > SLACK * best:
+                    continue
                 for ii in range(max(i - ring, 0), min(i + ring, size[0] - 1) + 1):
                     if inner and abs(ii - i) < ring:
+                        continue
+                    if from_line + _outside(x - origin[0], ii * cell, cell) ** 2 > SLACK * best:
                         continue
                     c = (kk * size[1] + jj) * size[0] + ii
                     for e in range(start[c], start[c + 1]):
