@@ -274,9 +274,8 @@ def command(
     if problems:
         raise UsageError(problems)
     export = _Export(case, open_bundle(case), scan, series, level)
-    if level not in (0, *export.bundle.levels):
-        there = ", ".join(map(str, export.bundle.levels)) or "no surface at all"
-        raise UsageError(f"the case has no level of detail {level}; it has {there}", place="--level")
+    if level:
+        export.bundle.surface_role(level, place="--level")
     if suffix in WRITERS:
         made = _Made(WRITERS[suffix](export), "the labels")
     else:

@@ -10,7 +10,7 @@ import click
 from heartcase.cli.info import kind_of
 from heartcase.cli.output import echo_json, file_size, working
 from heartcase.cli.stage_io import scan_options
-from heartcase.schemas.bundle import FileRole
+from heartcase.schemas.bundle import LEVEL_MAX, FileRole
 from heartcase.schemas.bundle_reader import read_manifest
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.files import atomic_write
@@ -44,10 +44,16 @@ _STACKS = ("axial", "coronal", "sagittal")
     type=click.Choice((*_VIEWS, *_STACKS)),
     help="One picture instead of all: a side or the cutaway of a case, a stack of slices of a scan.",
 )
+@click.option(
+    "--level",
+    type=click.IntRange(0, LEVEL_MAX),
+    default=0,
+    help="Level of detail of a case's surface; 0 is the finest.",
+)
 @scan_options
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object about the picture.")
 @working("drawing")
-def command(path: Path, output: Path, view: str | None, as_json: bool, choice: dict[str, Any]) -> None:
+def command(path: Path, output: Path, view: str | None, level: int, as_json: bool, choice: dict[str, Any]) -> None:
     """Make a picture of PATH: slices of a scan, or the surface of a case from four sides and cut open."""
     if output.suffix.lower() != ".png":
         raise UsageError("the picture must end in .png", place="--out")
@@ -55,8 +61,10 @@ def command(path: Path, output: Path, view: str | None, as_json: bool, choice: d
     if view is not None and (view in _STACKS) == (kind == "case"):
         choices = ", ".join(_VIEWS if kind == "case" else _STACKS)
         raise UsageError(f"{view!r} is no view of a {kind}: choose {choices}", place="--view")
+    if level and kind != "case":
+        raise UsageError(f"a {kind} has no levels of detail: leave it out", place="--level")
     case_id = read_manifest(path).case_id if kind == "case" else None
-    picture = _case_picture(path, view) if kind == "case" else _scan_picture(path, kind, view, choice)
+    picture = _case_picture(path, view, level) if kind == "case" else _scan_picture(path, kind, view, choice)
     from heartcase.pipeline.report.montage import png_bytes
 
     content = png_bytes(picture, comment=f"heartcase {case_id}" if case_id else "")
@@ -91,7 +99,7 @@ def _scan_picture(path: Path, kind: str, view: str | None, choice: dict[str, Any
     return stacked(list(rows.values()))
 
 
-def _case_picture(path: Path, view: str | None) -> npt.NDArray[np.uint8]:
+def _case_picture(path: Path, view: str | None, level: int) -> npt.NDArray[np.uint8]:
     from heartcase.pipeline.report.montage import label_colours, legend_picture, montage, stacked
     from heartcase.pipeline.report.pictures import VIEWS, coronal_plane, cutaway_picture, surface_picture
     from heartcase.schemas.bundle_reader import open_bundle
@@ -99,7 +107,7 @@ def _case_picture(path: Path, view: str | None) -> npt.NDArray[np.uint8]:
     case = open_bundle(path)
     table = case.manifest.labels
     names = ("vertices", "triangles", "normals", "triangle_label", "triangle_tissue")
-    arrays = case.arrays(FileRole.SURFACE, names)
+    arrays = case.arrays(case.surface_role(level, place="--level") if level else FileRole.SURFACE, names)
     mesh: dict[str, Any] = {
         "vertices_mm": arrays["vertices"],
         "triangles": arrays["triangles"],

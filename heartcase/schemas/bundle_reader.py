@@ -18,7 +18,7 @@ import numpy.typing as npt
 from heartcase.schemas.bundle import ARRAYS, LEVEL_MAX, LEVELS, CaseManifest, FileRole
 from heartcase.schemas.bundle_manifest import KNOWN_EXTENSIONS, MANIFEST_SIZE_MAX, read_manifest, stated
 from heartcase.schemas.coordinates import Coordinates
-from heartcase.schemas.errors import BundleError, Problem
+from heartcase.schemas.errors import BundleError, Problem, UsageError
 from heartcase.schemas.safetensors_layout import Layout, count_problems, listing_problems, map_array, read_layout
 
 __all__ = [
@@ -88,6 +88,26 @@ class OpenBundle:
     def levels(self) -> tuple[int, ...]:
         """Levels of detail of the surface that the case has, 0 being the finest; none where it has no surface."""
         return tuple(level for level in range(LEVEL_MAX + 1) if self.has(FileRole.SURFACE.at(level)))
+
+    def surface_role(self, level: int, *, place: str = "level") -> FileRole:
+        """The part that holds a level of detail of the surface.
+
+        Parameters
+        ----------
+        level
+            Level of detail; 0 is the finest.
+        place
+            What an error names.
+
+        Raises
+        ------
+        UsageError
+            The case does not have that level.
+        """
+        if level not in self.levels:
+            there = ", ".join(map(str, self.levels)) or "no surface at all"
+            raise UsageError(f"the case has no level of detail {level}; it has {there}", place=place)
+        return FileRole.SURFACE.at(level)
 
     def arrays(self, role: FileRole, names: Sequence[str] | None = None) -> dict[str, npt.NDArray[Any]]:
         """Map the arrays of a part into memory, read-only, and check their values.

@@ -92,9 +92,8 @@ def load_case(
         raise UsageError(f"a scene cannot need {', '.join(unknown)}; it can need {', '.join(get_args(Need))}")
     bundle = open_bundle(path)
     wants_surface = bool({"surface", "tangents", "colours"} & set(needs))
-    if wants_surface and level not in bundle.levels:
-        there = ", ".join(map(str, bundle.levels)) or "no surface at all"
-        raise UsageError(f"the case has no level of detail {level}; it has {there}", place="level")
+    if wants_surface:
+        bundle.surface_role(level)
     model = _model(bundle)
     return Case(
         manifest=bundle.manifest,

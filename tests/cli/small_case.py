@@ -1,5 +1,6 @@
 """A small scan and a small case on disk for the tests of the command line."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -28,9 +29,10 @@ def write_scan(path: Path) -> Path:
     return path
 
 
-def write_case(directory: Path) -> tuple[Path, AnalyticHeart]:
-    """A case with a grid and a surface."""
+def write_case(directory: Path, *, with_level: bool = False) -> tuple[Path, AnalyticHeart]:
+    """A case with a grid and a surface, and where asked for a coarser level of it."""
     heart = make_heart(spacing_mm=(3.0, 3.0, 3.0))
+    coarse = (make_heart(spacing_mm=(5.0, 5.0, 5.0)).surface,) if with_level else ()
     content = assemble_bundle(
         name="Toy",
         grid=heart.grid,
@@ -38,7 +40,7 @@ def write_case(directory: Path) -> tuple[Path, AnalyticHeart]:
         scan_geometry=heart.scan.geometry,
         scan_sha256="0" * 64,
         stages=[],
-        surface=heart.surface,
+        surface=replace(heart.surface, levels=coarse),
         modality="CT",
         quality={"volumes_ml": {"morphologically left ventricle": 33.0}},
         warnings=["a warning for the reader"],

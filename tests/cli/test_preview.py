@@ -70,6 +70,19 @@ def test_case_becomes_four_sides_and_the_cut(tmp_path, capsys):
     assert np.median(wall[:, 1]) > np.median(blue[:, 1]) + 40
 
 
+def test_a_coarser_level_is_shown_where_there_is_one(tmp_path, capsys):
+    case, _ = write_case(tmp_path, with_level=True)
+    one, other = tmp_path / "one.png", tmp_path / "other.png"
+    assert main(["preview", str(case), "-o", str(one), "--view", "anterior"]) == 0
+    assert main(["preview", str(case), "-o", str(other), "--view", "anterior", "--level", "1"]) == 0
+    # the same heart, drawn with a tenth of the triangles
+    apart = np.abs(pixels(one) - pixels(other)).max(axis=2) > 8
+    assert 0 < apart.sum() < 0.2 * apart.size
+    capsys.readouterr()
+    assert main(["preview", str(case), "-o", str(other), "--level", "2"]) > 0
+    assert "no level of detail 2; it has 0, 1" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -78,6 +91,7 @@ def test_case_becomes_four_sides_and_the_cut(tmp_path, capsys):
         (["scan.nrrd", "-o", "o.png", "--view", "left"], "no view of a scan"),
         (["scan.nrrd", "-o", "no_such_folder/o.png"], "cannot be written"),
         (["r.toml", "-o", "o.png"], "scan is not there"),
+        (["scan.nrrd", "-o", "o.png", "--level", "1"], "a scan has no levels of detail"),
     ],
 )
 def test_problems_are_one_clear_line(tmp_path, capsys, monkeypatch, arguments, words):
