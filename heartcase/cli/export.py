@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
+from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -114,7 +115,7 @@ WRITERS: dict[str, Callable[[_Export], bytes]] = {
 _WITH_SCAN = (".seg.nrrd", ".dcm")
 
 MODELS: dict[str, tuple[str, ...]] = {
-    "hollow": (".stl", ".ply", ".3mf", ".vtu", ".vtk"),
+    "hollow": (".stl", ".ply", ".3mf", ".glb", ".vtu", ".vtk"),
     "solid": (".stl", ".ply", ".3mf", ".vtu", ".vtk"),
     "cells": (".inp", ".msh", ".vtu", ".vtk"),
 }
@@ -153,6 +154,16 @@ def _printed(export: _Export, model: str, suffix: str, min_thickness_mm: float) 
         comment = f"SPACE=LPS; patient LPS, mm; case {export.case_id}"
         content = SURFACE_FORMATS[suffix](mesh.vertices_mm, mesh.normals, mesh.triangles, mesh.colours, comment)
     return _Made(content, f"the {model} model", {"print_check": asdict(check)}, (*mesh.warnings, *check.warnings))
+
+
+def _view(export: _Export) -> _Made:
+    """The case's own GLB, as it is."""
+    role = FileRole.RENDER.at(export.level)
+    content = export.bundle.path(role).read_bytes()
+    entry = export.manifest.file(role)
+    if entry is None or sha256(content).hexdigest() != entry.sha256:
+        raise BundleError(f"the part {role.value!r} is damaged: build the case again", place="CASE")
+    return _Made(content, "the surface with its normal map")
 
 
 def _for_meshio(export: _Export, model: str, suffix: str) -> _Made:
@@ -215,8 +226,8 @@ def _problems(
     type=click.Path(path_type=Path, readable=False),
     required=True,
     help="The file to write. Labels: .seg.nrrd or .dcm (DICOM SEG) with names, colours and codes; .nii.gz or .nrrd "
-    "with the label values alone. For printing: .stl, .ply, .3mf. For ParaView: .vtu, .vtk. For finite elements: "
-    ".inp (Abaqus), .msh (Gmsh 2.2).",
+    "with the label values alone. For printing: .stl, .ply, .3mf. To look at: .glb. For ParaView: .vtu, .vtk. "
+    "For finite elements: .inp (Abaqus), .msh (Gmsh 2.2).",
 )
 @click.option(
     "--model",
@@ -282,6 +293,8 @@ def command(
         model = model or next(name for name, endings in MODELS.items() if suffix in endings)
         if suffix in _PRINTED:
             made = _printed(export, model, suffix, min_thickness_mm or MIN_THICKNESS_MM)
+        elif suffix == ".glb":
+            made = _view(export)
         else:
             made = _for_meshio(export, model, suffix)
     try:
@@ -295,4 +308,4 @@ def command(
         facts = {"format": suffix, "bytes": len(made.content)} | named | made.facts
         echo_json(facts | ({"warnings": made.warnings} if model else {}))
     else:
-        click.echo(f"wrote {made.what}, {file_size(len(made.content))}")
+        click.echo(f"wrote {made.what} to {output.name}, {file_size(len(made.content))}")

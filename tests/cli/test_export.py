@@ -23,7 +23,8 @@ from heartcase.pipeline.formats.write_dicom_seg import dicom_seg_bytes
 from heartcase.pipeline.markers import load_segmentation
 from heartcase.pipeline.run import build_case
 from heartcase.pipeline.write import write_segmentation
-from heartcase.schemas.bundle_reader import open_bundle
+from heartcase.schemas.bundle import FileRole
+from heartcase.schemas.bundle_reader import open_bundle, read_manifest
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import default_label_table
 from heartcase.schemas.recipe import load_recipe
@@ -113,7 +114,9 @@ def case(built):
 @pytest.fixture(scope="module")
 def whole(built):
     """A case of the same scan with a surface too."""
-    text = RECIPE.replace('name = "finished"', 'name = "whole"').replace('["labels"]', '["labels", "surface"]')
+    text = RECIPE.replace('name = "finished"', 'name = "whole"').replace(
+        '["labels"]', '["labels", "surface", "render"]'
+    )
     (built / "whole.toml").write_text(text + "[surface]\ntriangle_count = 4000\nnormal_map_size = 0\n")
     return build_case(load_recipe(built / "whole.toml"), directory=built, out=built).case
 
@@ -232,7 +235,9 @@ def test_exported_labels_corrected_elsewhere_make_a_case_again(case, built, tmp_
 def test_what_cannot_be_exported_is_said(case, built, tmp_path, capsys):
     _, _, path = case
     assert export(path, tmp_path / "x.pdf") == 2
-    assert "must end in one of: .seg.nrrd, .dcm, .nii.gz, .nrrd, .stl, .ply, .3mf, .vtu," in capsys.readouterr().err
+    assert (
+        "must end in one of: .seg.nrrd, .dcm, .nii.gz, .nrrd, .stl, .ply, .3mf, .glb, .vtu," in capsys.readouterr().err
+    )
     bare, _ = write_case(tmp_path)
     assert export(bare, tmp_path / "x.dcm") == 2
     assert "made without labels: add 'labels' to parts" in capsys.readouterr().err
@@ -261,6 +266,7 @@ def test_a_corrected_segmentation_reruns_only_what_follows(built):
 MODELS = [
     *((model, suffix) for model in ("hollow", "solid") for suffix in (".stl", ".ply", ".3mf", ".vtu", ".vtk")),
     *(("cells", suffix) for suffix in (".inp", ".msh", ".vtu", ".vtk")),
+    ("hollow", ".glb"),
 ]
 
 
@@ -278,6 +284,25 @@ def test_models_are_the_same_bytes_and_hold_nobody(whole, built, tmp_path, capsy
     said = capsys.readouterr()
     assert said.out.count("wrote ") == 2
     assert all(line.startswith("warning: ") for line in said.err.splitlines())
+
+
+def test_the_glb_is_the_cases_own_and_is_refused_when_it_is_damaged(whole, case, tmp_path, capsys):
+    own = read_manifest(whole).file(FileRole.RENDER)
+    assert export(whole, tmp_path / "heart.glb") == 0
+    assert (tmp_path / "heart.glb").read_bytes() == (whole / own.name).read_bytes()
+    capsys.readouterr()
+    assert export(whole, tmp_path / "x.glb", "--model", "solid") == 2
+    assert ".glb holds hollow" in capsys.readouterr().err
+    assert export(case[2], tmp_path / "x.glb") > 0
+    assert "no part 'render'" in capsys.readouterr().err
+    broken = tmp_path / "broken.case"
+    shutil.copytree(whole, broken)
+    content = bytearray((broken / own.name).read_bytes())
+    content[-1] ^= 1
+    (broken / own.name).write_bytes(content)
+    assert export(broken, tmp_path / "x.glb") > 0
+    assert "is damaged" in capsys.readouterr().err
+    assert not (tmp_path / "x.glb").exists()
 
 
 def test_printed_models_are_closed_and_as_large_as_the_case_says(whole, tmp_path, capsys):
@@ -361,7 +386,10 @@ def test_the_grid_as_hexahedra_has_the_volumes_of_the_case(whole, tmp_path):
 
 WRONG = [
     (("x.stl", "--model", "cells"), "--model: .stl holds hollow or solid; cells is written as .inp, .msh, .vtu, .vtk"),
-    (("x.inp", "--model", "hollow"), "--model: .inp holds cells; hollow is written as .stl, .ply, .3mf, .vtu, .vtk"),
+    (
+        ("x.inp", "--model", "hollow"),
+        "--model: .inp holds cells; hollow is written as .stl, .ply, .3mf, .glb, .vtu, .vtk",
+    ),
     (("x.dcm", "--model", "solid"), "--model: .dcm holds labels, and no model: leave it out"),
     (("x.vtu", "--min-thickness-mm", "2"), "--min-thickness-mm: serves only for .stl, .ply, .3mf: leave it out"),
     (("x.stl", "--scan", "nowhere"), "--scan: serves only for .seg.nrrd and .dcm: leave it out"),
