@@ -20,8 +20,8 @@ from tests.pipeline.sides import sides
 
 SAMPLES = Path(__file__).parents[2] / "sample_cases"
 AT_THE_LIMIT = {"adult_phantom": 0, "child_phantom": 0, "chest_ct": 1}
-"""Vertices of a level whose side the mesh itself cannot tell: on the chest CT one at the rim of a vessel's cut end, where
-the mesh is off the fields by a seventh of a cell."""
+"""Vertices of a level whose side the mesh itself cannot tell: on the chest CT one at the rim of a vessel's cut end,
+where the mesh is off the fields by a seventh of a cell."""
 
 
 def outputs_of(name: str, folder: Path) -> StageOutputs:
