@@ -135,7 +135,7 @@ def build_grid(structures: Structures, settings: GridSettings, *, pins: Sequence
         geometry=samples.geometry,
         cells=cells,
         cell_coverage=coverage,
-        cell_label=samples.cell_label[tissue],
+        cell_label=_labels_of_cells(samples.cell_label, tissue)[tissue],
         nodes=nodes,
         fixed=fixed,
         faces=faces,
@@ -368,6 +368,22 @@ def _named(places: Sequence[Sequence[float]]) -> str:
     named = [f"({x:.1f}, {y:.1f}, {z:.1f})" for x, y, z in places[:_NAMED_PLACES]]
     more = len(places) - len(named)
     return ", ".join(named) + " mm" + (f" and {more} more" if more else "")
+
+
+def _labels_of_cells(sampled: UInt8, tissue: Bool) -> UInt8:
+    """Label of every tissue cell; one that a repair added and that holds none takes the commonest near it.
+
+    Near are the cells of the smallest cube around it that holds a tissue cell with a label (ties: the lowest label).
+    """
+    label = sampled.copy()
+    known = np.where(tissue, sampled, 0)
+    for place in np.argwhere(tissue & (sampled == 0)).tolist():
+        for reach in range(1, max(tissue.shape) + 1):
+            near = known[tuple(slice(max(at - reach, 0), at + reach + 1) for at in place)]
+            if near.any():
+                label[tuple(place)] = np.bincount(near[near > 0]).argmax()
+                break
+    return label
 
 
 def _boundary(samples: CellSamples, pieces: VoidPieces, state: CellState, corners: Int32) -> tuple[Int32, UInt8, Int32]:

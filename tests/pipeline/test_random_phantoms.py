@@ -1,4 +1,4 @@
-"""What must hold of surface, grid and map of any heart: 50 hearts drawn at random, and 500 more."""
+"""What must hold of surface, grid and map of any heart: 51 hearts drawn at random, and 499 more."""
 
 from __future__ import annotations
 
@@ -26,11 +26,13 @@ from tests.pipeline.random_phantoms import RandomHeart, random_heart
 from tests.pipeline.sides import sides
 
 QUICK, MANY = 50, 550
+FOUND = (109,)
+"""Of the many, one in which a repair adds a cell that holds no tissue."""
 
 
 def seeds() -> Iterator[object]:
     for seed in range(MANY):
-        yield seed if seed < QUICK else pytest.param(seed, marks=pytest.mark.slow)
+        yield seed if seed < QUICK or seed in FOUND else pytest.param(seed, marks=pytest.mark.slow)
 
 
 every_seed = pytest.mark.parametrize("seed", list(seeds()), scope="module")
