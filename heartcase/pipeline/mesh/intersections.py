@@ -108,6 +108,19 @@ def _crosses(a, b):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
+def _are_apart(low, high, t, u):  # type: ignore[no-untyped-def]
+    """Whether the boxes around two triangles do not meet."""
+    return (
+        low[t, 0] > high[u, 0]
+        or low[u, 0] > high[t, 0]
+        or low[t, 1] > high[u, 1]
+        or low[u, 1] > high[t, 1]
+        or low[t, 2] > high[u, 2]
+        or low[u, 2] > high[t, 2]
+    )
+
+
+@numba.njit(cache=True, nogil=True)
 def _crossed_by(t, grid, low, high, found):  # type: ignore[no-untyped-def]
     """Higher triangles that cross triangle ``t``, into ``found`` as far as it reaches; how many there are."""
     corner, first, last, size = grid.corner, grid.first, grid.last, grid.size
@@ -124,12 +137,7 @@ def _crossed_by(t, grid, low, high, found):  # type: ignore[no-untyped-def]
                         or i != max(first[t, 0], first[u, 0])
                         or j != max(first[t, 1], first[u, 1])
                         or k != max(first[t, 2], first[u, 2])
-                        or low[t, 0] > high[u, 0]
-                        or low[u, 0] > high[t, 0]
-                        or low[t, 1] > high[u, 1]
-                        or low[u, 1] > high[t, 1]
-                        or low[t, 2] > high[u, 2]
-                        or low[u, 2] > high[t, 2]
+                        or _are_apart(low, high, t, u)
                     ):
                         continue
                     if _crosses(corner[t], corner[u]):
@@ -180,12 +188,7 @@ def _crossed_by_some(t, grid, corner, low, high, which, found):  # type: ignore[
                         or i != max(begin[0], grid.first[n, 0])
                         or j != max(begin[1], grid.first[n, 1])
                         or k != max(begin[2], grid.first[n, 2])
-                        or low[t, 0] > high[u, 0]
-                        or low[u, 0] > high[t, 0]
-                        or low[t, 1] > high[u, 1]
-                        or low[u, 1] > high[t, 1]
-                        or low[t, 2] > high[u, 2]
-                        or low[u, 2] > high[t, 2]
+                        or _are_apart(low, high, t, u)
                     ):
                         continue
                     if _crosses(corner[min(t, u)], corner[max(t, u)]):
