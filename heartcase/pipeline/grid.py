@@ -187,7 +187,7 @@ def _samples_for_count(reader: FieldReader, settings: GridSettings) -> CellSampl
         if gap <= _COUNT_TOLERANCE:
             coarse = False
             continue
-        # walls a few cells thick; an eighth of the nodes halves the cells at least
+        # 2.7: walls a few cells thick; the cells become about half as large at most, also where none is left
         cell_mm *= max(count / wanted, 1 / 8) ** (1 / 2.7)
     if not tried:
         return _sample(reader, cell_mm)

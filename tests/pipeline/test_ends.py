@@ -2,9 +2,12 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.ndimage import map_coordinates
 
 from heartcase.pipeline.data import Segmentation
-from heartcase.pipeline.ends import cut_ends
+from heartcase.pipeline.ends import HALF, _count_inside, cut_ends
 from heartcase.pipeline.fields import ownership_at_points
 from heartcase.pipeline.walls import grow_walls
 from heartcase.schemas.errors import StageError
@@ -278,3 +281,17 @@ def test_a_marker_outside_the_volume_is_refused():
     geometry = lattice("even", 44.0)
     with pytest.raises(StageError, match="outside the volume"):
         grown(tube(geometry, radius_mm=6.0), geometry, marker(position=(60.0, 0.0, 0.0)))
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), share=st.floats(0.1, 0.9))
+def test_points_of_a_section_are_counted_as_by_linear_interpolation(seed, share):
+    random = np.random.default_rng(seed)
+    mask = random.random(random.integers(2, 9, 3)) < share
+    points = random.uniform(-2.0, 9.0, (40, 3))
+    way, places, is_rim = random.normal(size=3), np.linspace(-3.0, 3.0, 7), random.random(40) < 0.3
+    inside, inside_rim = _count_inside(mask, points, way, places, is_rim)
+    for n, place in enumerate(places):
+        value = map_coordinates(mask.astype(float), (points + place * way).T, order=1, mode="nearest")
+        assert inside[n] == np.count_nonzero(value >= HALF)
+        assert inside_rim[n] == np.count_nonzero(value[is_rim] >= HALF)

@@ -4,9 +4,12 @@ import re
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from heartcase.pipeline.cells.topology import distance_in_samples
 from heartcase.pipeline.data import Structures
-from heartcase.pipeline.grid import build_grid
+from heartcase.pipeline.grid import _find_ridges, _labels_of_cells, build_grid
 from heartcase.schemas.errors import StageError
 from heartcase.schemas.labels import Label, LabelTable, Role
 from heartcase.schemas.lattice import CORNER_OFFSETS, cell_nodes
@@ -422,3 +425,36 @@ def test_structures_are_not_changed():
     assert isinstance(made, Structures)
     for value, values in before.items():
         np.testing.assert_array_equal(made.distance_mm[value], values)
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), share=st.floats(0.3, 0.95))
+def test_ridges_are_those_of_plain_array_arithmetic(seed, share):
+    random = np.random.default_rng(seed)
+    tissue = np.pad(random.random(random.integers(2, 9, 3)) < share, 1, mode="edge")
+    tissue[0, 0, 0] = False
+    depth = distance_in_samples(tissue)
+    inner = (slice(1, -1),) * 3
+    ridge = depth[inner].copy()
+    peak = tissue[inner].copy()
+    for axis in range(3):
+        low, high = (np.roll(depth, step, axis)[inner] for step in (1, -1))
+        peak &= (depth[inner] >= low) & (depth[inner] >= high)
+        np.maximum(ridge, 0.5 * (low + high) + np.maximum(depth[inner] - low, depth[inner] - high), out=ridge)
+    found = np.empty_like(ridge)
+    _find_ridges(tissue, depth, found)
+    np.testing.assert_array_equal(found, np.where(peak, ridge, 0.0))
+
+
+def test_a_cell_without_a_label_takes_the_commonest_near_it():
+    tissue = np.ones((3, 3, 5), bool)
+    label = np.full(tissue.shape, 7, np.uint8)
+    label[1, 1, 1] = 0
+    label[:, :, 3:] = 4
+    found = _labels_of_cells(label, tissue)
+    assert found[1, 1, 1] == 7
+    label[1, 1, 1] = 7
+    np.testing.assert_array_equal(found, label)
+    # a tie goes to the lowest label, and cells that are no tissue do not count
+    row = np.array([[[9, 0, 5, 3]]], np.uint8)
+    assert _labels_of_cells(row, row != 3)[0, 0, 1] == 5

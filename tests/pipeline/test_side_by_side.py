@@ -5,7 +5,7 @@ import threading
 import numba
 import pytest
 
-from heartcase.pipeline.side_by_side import may_share, side_by_side
+from heartcase.pipeline.side_by_side import every_other, may_share, side_by_side
 
 
 @pytest.fixture
@@ -59,3 +59,9 @@ def test_an_error_of_either_comes_out_when_both_have_ended(two_threads, which):
     with pytest.raises(ValueError, match="no"):
         side_by_side(*((wrong, fine) if which == 0 else (fine, wrong)))
     assert ended == [1]
+
+
+def test_every_chunk_is_taken_once_and_the_even_ones_first():
+    for count in range(12):
+        order = [every_other.py_func(number, count) for number in range(count)]
+        assert order == [*range(0, count, 2), *range(1, count, 2)]
