@@ -1,10 +1,9 @@
-"""Kernels of the edge collapse: its order, and the checks that keep the mesh sound.
+"""The edge collapse: the checks that keep the mesh sound, and the sweeps that take most of the edges.
 
 The mesh is half-edges: ``3 t + c`` runs from corner c of triangle t to its next corner. As long as there are many more
 triangles than wanted, the cheapest part of all edges is collapsed in the order of the mesh, so that memory is read
 along. Parts of the mesh are swept at the same time; what lies between two of them waits for the next sweep, which cuts
-the mesh elsewhere. Then a heap takes one edge after the other. An entry of the heap is stale when one of its ends has
-changed since it was made; ties in cost go to the lower half-edge.
+the mesh elsewhere. Then a heap takes one edge after the other (:mod:`heartcase.pipeline.mesh.edge_heap`).
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from heartcase.pipeline.mesh.quadrics import (
     vertices_between,
 )
 
-__all__ = ["Collapsing", "Joined", "finished", "joined", "swept"]
+__all__ = ["Collapsing", "Joined", "join_ends", "joined", "may_join", "swept"]
 
 LEAST_COSINE = 0.4
 LEAST_QUALITY = 0.12
@@ -46,35 +45,6 @@ SWEEP_LEAST = 0.01
 PART_TRIANGLES = 60_000
 """Least size of the parts of the mesh that are swept at the same time."""
 MOST_PARTS = 16
-
-
-@numba.njit(cache=True, nogil=True)
-def _sift_down(cost, edge, born, size, place):  # type: ignore[no-untyped-def]
-    c, h, b = cost[place], edge[place], born[place]
-    while True:
-        child = 2 * place + 1
-        if child >= size:
-            break
-        right = child + 1
-        if right < size and (cost[right] < cost[child] or (cost[right] == cost[child] and edge[right] < edge[child])):
-            child = right
-        if c < cost[child] or (c == cost[child] and h <= edge[child]):
-            break
-        cost[place], edge[place], born[place] = cost[child], edge[child], born[child]
-        place = child
-    cost[place], edge[place], born[place] = c, h, b
-
-
-@numba.njit(cache=True, nogil=True)
-def _sift_up(cost, edge, born, place):  # type: ignore[no-untyped-def]
-    c, h, b = cost[place], edge[place], born[place]
-    while place > 0:
-        parent = (place - 1) // 2
-        if cost[parent] < c or (cost[parent] == c and edge[parent] <= h):
-            break
-        cost[place], edge[place], born[place] = cost[parent], edge[parent], born[parent]
-        place = parent
-    cost[place], edge[place], born[place] = c, h, b
 
 
 @numba.njit(cache=True, nogil=True)
@@ -214,7 +184,7 @@ def _keeps_manifold(tail, opposite, h, mark, epoch):  # type: ignore[no-untyped-
 
 
 @numba.njit(cache=True, nogil=True)
-def _may_join(position, tail, opposite, h, p, around, mark, epoch):  # type: ignore[no-untyped-def]
+def may_join(position, tail, opposite, h, p, around, mark, epoch):  # type: ignore[no-untyped-def]
     """Whether an edge may be collapsed to ``p``; ``around`` and ``mark`` are work space."""
     o = opposite[h]
     around[:] = 0.0
@@ -229,7 +199,7 @@ def _may_join(position, tail, opposite, h, p, around, mark, epoch):  # type: ign
 
 
 @numba.njit(cache=True, nogil=True)
-def _join(position, tail, opposite, quadric, alive, h, p):  # type: ignore[no-untyped-def]
+def join_ends(position, tail, opposite, quadric, alive, h, p):  # type: ignore[no-untyped-def]
     """Collapse an edge into its tail, which goes to ``p``; a half-edge that leaves it."""
     o = opposite[h]
     u = tail[h]
@@ -271,8 +241,8 @@ def _sweep_part(position, tail, opposite, quadric, alive, cost, limit, mark, mov
         if moved[u] or moved[v] or still[u] or still[v]:
             continue
         best_place(quadric, position, u, v, p)
-        if _may_join(position, tail, opposite, h, p, around, mark, h):
-            _join(position, tail, opposite, quadric, alive, h, p)
+        if may_join(position, tail, opposite, h, p, around, mark, h):
+            join_ends(position, tail, opposite, quadric, alive, h, p)
             moved[u] = True
             gone += 2
     return gone
@@ -428,92 +398,6 @@ def joined(
     u, v = triangles.ravel()[half_edge], triangles[half_edge // 3, (half_edge % 3 + 1) % 3]
     place = (1.0 - share) * vertices[u] + share * vertices[v]
     position = vertices.copy()
-    _join(position, tail, opposite, np.zeros((len(vertices), 10)), alive, half_edge, place)
+    join_ends(position, tail, opposite, np.zeros((len(vertices), 10)), alive, half_edge, place)
     left = tail.reshape(-1, 3)[alive]
     return Joined(np.delete(position, v, axis=0), left - (left > v).astype(np.int32), alive, (left == u).any(axis=1))
-
-
-def finished(mesh: Collapsing, wanted: int, care: npt.NDArray[np.float64] | None = None) -> Collapsing:
-    """Collapse the cheapest edge again and again, until ``wanted`` triangles are left or none may go.
-
-    The mesh is not changed, so another count, or more care at some vertices (numbered as they were before the sweeps),
-    can be tried from it again.
-    """
-    one = Collapsing(*(array.copy() for array in vars(mesh).values()))
-    if care is not None:
-        one.quadric[:] *= care[one.vertex_source, None]
-    mark = np.empty(len(one.position), np.int32)
-    left = int(one.alive.sum())
-    _collapse_by_heap(one.position, one.tail, one.opposite, one.quadric, one.alive, mark, left, wanted)
-    return one
-
-
-@numba.njit(cache=True, nogil=True)
-def _collapse_by_heap(position, tail, opposite, quadric, alive, mark, left, wanted):  # type: ignore[no-untyped-def]
-    """Collapse the cheapest edge, again and again."""
-    changed = np.zeros(len(position), np.int32)
-    mark[:] = -1
-    # an edge for every two half-edges that are left, and room for those that collapses add
-    capacity = 4 * left + 64
-    cost = np.empty(capacity)
-    edge = np.empty(capacity, np.int32)
-    born = np.empty(capacity, np.int32)
-    p = np.empty(3)
-    around = np.empty(5)
-    size = 0
-    clock = 0
-    left_at_fill = left + 1
-    while left > wanted:
-        if size == 0:
-            if left == left_at_fill:
-                break
-            left_at_fill = left
-            for h in range(len(tail)):
-                if alive[h // 3] and h < opposite[h]:
-                    cost[size] = best_place(quadric, position, tail[h], tail[next_edge(h)], p)
-                    edge[size] = h
-                    born[size] = clock
-                    size += 1
-            for place in range(size // 2 - 1, -1, -1):
-                _sift_down(cost, edge, born, size, place)
-        h = edge[0]
-        birth = born[0]
-        size -= 1
-        cost[0], edge[0], born[0] = cost[size], edge[size], born[size]
-        if size > 0:
-            _sift_down(cost, edge, born, size, 0)
-        if not alive[h // 3]:
-            continue
-        u = tail[h]
-        v = tail[next_edge(h)]
-        if changed[u] > birth or changed[v] > birth:
-            continue
-        best_place(quadric, position, u, v, p)
-        may_join = _may_join(position, tail, opposite, h, p, around, mark, clock)
-        clock += 1
-        if not may_join:
-            continue
-        near_back = _join(position, tail, opposite, quadric, alive, h, p)
-        left -= 2
-        changed[u] = clock
-        if size + 64 > capacity:
-            kept = 0
-            for place in range(size):
-                e = edge[place]
-                if alive[e // 3] and changed[tail[e]] <= born[place] and changed[tail[next_edge(e)]] <= born[place]:
-                    cost[kept], edge[kept], born[kept] = cost[place], edge[place], born[place]
-                    kept += 1
-            size = kept
-            for place in range(size // 2 - 1, -1, -1):
-                _sift_down(cost, edge, born, size, place)
-        g = near_back
-        while True:
-            if size < capacity:
-                cost[size] = best_place(quadric, position, u, tail[next_edge(g)], p)
-                edge[size] = g
-                born[size] = clock
-                size += 1
-                _sift_up(cost, edge, born, size - 1)
-            g = next_edge(opposite[g])
-            if g == near_back:
-                break

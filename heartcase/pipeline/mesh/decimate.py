@@ -13,7 +13,8 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.pipeline.mesh.collapse import Collapsing, Joined, finished, joined, swept
+from heartcase.pipeline.mesh.collapse import Collapsing, Joined, joined, swept
+from heartcase.pipeline.mesh.edge_heap import finished
 from heartcase.pipeline.mesh.half_edges import opposites
 from heartcase.pipeline.mesh.intersections import self_intersections
 
