@@ -50,7 +50,7 @@ def heartcase(inputs: Inputs) -> SimulationGrid | Surface | GridMap:
         return build_surface(inputs.structures, inputs.settings)
     assert inputs.surface is not None
     assert inputs.grid is not None
-    return map_surface(inputs.surface, inputs.grid, MapSettings())
+    return map_surface(inputs.surface, inputs.grid, inputs.structures, MapSettings())
 
 
 @dataclass(frozen=True)

@@ -82,7 +82,7 @@ def heartcase(inputs: Inputs, baker: Literal["quick", "exact"] = "quick") -> Sho
     surface, grid = side_by_side(
         lambda: build_surface(structures, settings), lambda: build_grid(structures, GridSettings())
     )
-    map_surface(surface, grid, MapSettings())
+    map_surface(surface, grid, structures, MapSettings())
     atlas = Atlas(surface.render_to_welded, surface.render_triangles, surface.render_uv, 0, 0.0, 0.0)
     vertices = surface.vertices_mm.astype(np.float64)
     return Shown(vertices, surface.triangles, surface.normals, atlas, surface.render_tangents, surface.normal_map)

@@ -67,7 +67,7 @@ def prepare(params: dict[str, Any]) -> Inputs:
         name: [np.einsum("vc,vcx->vx", weights, one[nodes].astype(np.float64)) for one in moved]
         for name, moved in motions.items()
     }
-    mapped = map_surface(surface, grid, MapSettings())
+    mapped = map_surface(surface, grid, made.structures, MapSettings())
     return Inputs(surface, grid, mapped, model, motions, wanted)
 
 

@@ -15,19 +15,30 @@ __all__ = ["command"]
 @click.command()
 @click.argument("surface", type=click.Path(path_type=Path, readable=False))
 @click.argument("grid", type=click.Path(path_type=Path, readable=False))
+@click.argument("structures", type=click.Path(path_type=Path, readable=False))
 @click.argument("output", type=click.Path(path_type=Path, readable=False))
 @stage_options
 @working("tying the surface to the grid")
-def command(surface: Path, grid: Path, output: Path, recipe: Path | None, sets: tuple[str, ...]) -> None:
-    """Tie SURFACE to GRID (from 'heartcase surface' and 'grid') and write OUTPUT (.safetensors)."""
+def command(
+    surface: Path, grid: Path, structures: Path, output: Path, recipe: Path | None, sets: tuple[str, ...]
+) -> None:
+    """Tie SURFACE to GRID and write OUTPUT (.safetensors).
+
+    Both were made (by 'heartcase surface' and 'grid') from STRUCTURES, which tell where walls and gaps are.
+    """
     from heartcase.pipeline.artifacts import load_artifact
-    from heartcase.pipeline.data import SimulationGrid, Surface
+    from heartcase.pipeline.data import SimulationGrid, Structures, Surface
     from heartcase.pipeline.map import map_surface
     from heartcase.schemas.settings import MapSettings
 
     loaded = optional_recipe(recipe)
     settings = settings_of(MapSettings, loaded.map if loaded else None, sets)
-    tied = map_surface(load_artifact(surface, Surface), load_artifact(grid, SimulationGrid), settings)
+    tied = map_surface(
+        load_artifact(surface, Surface),
+        load_artifact(grid, SimulationGrid),
+        load_artifact(structures, Structures),
+        settings,
+    )
     save_output(output, tied)
     for warning in tied.warnings:
         click.echo(f"warning: {warning}")

@@ -18,8 +18,9 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from heartcase.pipeline.cells.curvature import curvature_errors, grid_springs, node_neighbours
-from heartcase.pipeline.cells.ties import NodeTriangles, TieChooser, closest_weights
-from heartcase.pipeline.data import GridMap, SimulationGrid, Surface
+from heartcase.pipeline.cells.ties import Check, NodeTriangles, TieChooser, closest_weights
+from heartcase.pipeline.data import GridMap, SimulationGrid, Structures, Surface
+from heartcase.pipeline.fields import FieldReader
 from heartcase.pipeline.grid import FACE_CORNERS
 from heartcase.pipeline.picking import split_faces
 from heartcase.pipeline.side_by_side import side_by_side
@@ -62,7 +63,7 @@ OTHER_LABEL_SHARE = 1e-3
 _CLUSTER_CELLS = 5.0
 
 
-def map_surface(surface: Surface, grid: SimulationGrid, settings: MapSettings) -> GridMap:
+def map_surface(surface: Surface, grid: SimulationGrid, structures: Structures, settings: MapSettings) -> GridMap:
     """Tie each vertex of the surface to a triangle of boundary nodes of its own label (thesis 9.3.3).
 
     Parameters
@@ -71,6 +72,8 @@ def map_surface(surface: Surface, grid: SimulationGrid, settings: MapSettings) -
         The surface; its render arrays may be empty.
     grid
         The grid.
+    structures
+        What both were made from: their fields say where walls and gaps are.
     settings
         Candidates and the penalty for triangles that face away.
 
@@ -79,18 +82,24 @@ def map_surface(surface: Surface, grid: SimulationGrid, settings: MapSettings) -
     GridMap
         ``quality`` counts vertices that had to take a face between tissue cells or one of another label, and says
         how far vertices lie from their reference points, in cells. Coarser levels of detail are tied likewise.
+
+    Raises
+    ------
+    ValueError
+        The grid's cells are not parallel to the structures.
     """
-    levels = tuple(_map_level(level, grid, settings) for level in surface.levels)
-    return replace(_map_level(surface, grid, settings), levels=levels)
+    reader = FieldReader.of(structures)
+    levels = tuple(_map_level(level, grid, reader, settings) for level in surface.levels)
+    return replace(_map_level(surface, grid, reader, settings), levels=levels)
 
 
-def _map_level(surface: Surface, grid: SimulationGrid, settings: MapSettings) -> GridMap:
+def _map_level(surface: Surface, grid: SimulationGrid, reader: FieldReader, settings: MapSettings) -> GridMap:
     """Tie one level of detail."""
     positions = grid.node_positions_mm()
     vertices = surface.vertices_mm.astype(np.float64)
     normals = surface.normals.astype(np.float64)
     (triangles, is_inner, is_narrow), (nearest_node, neighbours) = side_by_side(
-        lambda: _choose_triangles(surface, grid, settings, positions),
+        lambda: _choose_triangles(surface, grid, reader, settings),
         lambda: (_nearest_nodes(surface, grid, positions), node_neighbours(grid_springs(grid), len(positions))),
     )
 
@@ -149,21 +158,23 @@ def triangle_basis(corners: Float64) -> Float64:
 
 
 def _choose_triangles(
-    surface: Surface, grid: SimulationGrid, settings: MapSettings, positions: Float64
+    surface: Surface, grid: SimulationGrid, reader: FieldReader, settings: MapSettings
 ) -> tuple[Int32, Bool, Bool]:
     """The triangle of each vertex, whether it lies between cells, and whether no face of its own void is in reach."""
-    cell_mm = grid.geometry.spacing_mm[0]
+    # the index of a left-handed grid is turned over
+    handed = np.sign(np.linalg.det(grid.geometry.direction_matrix))
 
     def triangles_of(nodes: Int32, cells: Int32) -> NodeTriangles:
-        corners = positions[nodes]
-        return NodeTriangles(corners, triangle_basis(corners)[:, 1], cells)
+        corners = grid.nodes[nodes].astype(np.float64)
+        return NodeTriangles(corners, handed * triangle_basis(corners)[:, 1], cells)
 
-    chooser = TieChooser(surface, grid.geometry, penalty=settings.normal_penalty, tries=settings.candidate_count)
+    penalty, tries = settings.normal_penalty, settings.candidate_count
+    chooser = TieChooser(surface, reader, grid.geometry, penalty=penalty, tries=tries)
     triangles = split_faces(grid.faces)
     at_boundary = triangles_of(triangles, np.repeat(grid.cells[grid.face_cell], 2, axis=0))
     label = np.repeat(grid.face_label, 2)
     everyone = np.arange(len(surface.vertices_mm))
-    chosen, any_score = chooser.nearest(everyone, at_boundary, np.arange(len(triangles)), is_any=True)
+    chosen, any_score = chooser.nearest(everyone, at_boundary, np.arange(len(triangles)), check=Check.NOTHING)
     own_score = np.full(len(everyone), np.inf)
     for value in np.unique(surface.vertex_label):
         among = np.flatnonzero(label == value)
@@ -171,21 +182,21 @@ def _choose_triangles(
         if len(among) == 0:
             continue
         # A cavity too narrow for a cell has no faces there: its far ones would drag the vertex along.
-        own, score = chooser.nearest(who, at_boundary, among, most_mm=any_score[who] + FAR_CELLS * cell_mm)
+        own, score = chooser.nearest(who, at_boundary, among, most=any_score[who] + FAR_CELLS)
         near = own >= 0
         chosen[who[near]] = own[near]
         own_score[who[near]] = score[near]
     nodes = triangles[chosen]
     is_inner = np.zeros(len(everyone), np.bool_)
-    far = np.flatnonzero(own_score > NEAR_CELLS * cell_mm)
+    far = np.flatnonzero(own_score > NEAR_CELLS)
     inner, cells = _inner_triangles(grid, surface.vertices_mm[far].astype(np.float64))
     if len(inner):
         between, among = triangles_of(inner, cells), np.arange(len(inner))
-        own, score = chooser.nearest(far, between, among)
+        own, score = chooser.nearest(far, between, among, check=Check.WALLS_GAPS)
         # The cells around a sliver of tissue that fills none of its own carry it too.
-        lost = np.flatnonzero((own < 0) & (own_score[far] > FAR_CELLS * cell_mm))
-        own[lost], score[lost] = chooser.nearest(far[lost], between, among, is_any=True)
-        nearer = score < np.minimum(own_score[far], FAR_CELLS * cell_mm)
+        lost = np.flatnonzero((own < 0) & (own_score[far] > FAR_CELLS))
+        own[lost], score[lost] = chooser.nearest(far[lost], between, among, check=Check.NOTHING)
+        nearer = score < np.minimum(own_score[far], FAR_CELLS)
         nodes[far[nearer]] = inner[own[nearer]]
         is_inner[far[nearer]] = True
     return nodes, is_inner, ~np.isfinite(own_score)

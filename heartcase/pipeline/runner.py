@@ -29,7 +29,7 @@ STAGE_VERSIONS = {
     "edit": 3,
     "grid": 7,
     "surface": 12,
-    "map": 7,
+    "map": 8,
     "bundle": 4,
 }
 """Raised whenever a stage's output changes for the same input, so that the cache forgets the old one."""

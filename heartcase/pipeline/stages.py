@@ -291,13 +291,13 @@ def _surface(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutput
 def _map(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutputs) -> None:
     from heartcase.pipeline.map import map_surface
 
-    surface, grid = have(nodes.surface), have(nodes.grid)
+    surface, grid, structures = have(nodes.surface), have(nodes.grid), have(nodes.structures)
     nodes.grid_map = runner.run(
         Job(
             stage="map",
             settings=resolved(recipe.map),
-            inputs={"surface": surface, "grid": grid},
-            compute=lambda: map_surface(surface.get(), grid.get(), recipe.map),
+            inputs={"surface": surface, "grid": grid, "structures": structures},
+            compute=lambda: map_surface(surface.get(), grid.get(), structures.get(), recipe.map),
             kind=GridMap,
         )
     )

@@ -46,7 +46,10 @@ def test_the_stages_one_by_one_make_the_case_that_build_makes(work):
         ("edit", work / "structures.safetensors", work / "edited.safetensors", "--recipe", recipe),
         ("grid", work / "edited.safetensors", work / "grid.safetensors", "--recipe", recipe),
         ("surface", work / "edited.safetensors", work / "surface.safetensors", "--recipe", recipe),
-        ("map", work / "surface.safetensors", work / "grid.safetensors", work / "map.safetensors", "--recipe", recipe),
+        (
+            *("map", work / "surface.safetensors", work / "grid.safetensors", work / "edited.safetensors"),
+            *(work / "map.safetensors", "--recipe", recipe),
+        ),
         (
             *("bundle", work / "grid.safetensors", work / "by-hand" / "ball.case", "--scan", work / "scan.nii.gz"),
             *("--surface", work / "surface.safetensors", "--map", work / "map.safetensors"),

@@ -23,6 +23,7 @@ from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.lattice import cell_nodes
 from heartcase.schemas.settings import MapSettings
 from heartcase.schemas.surface_kinds import plain_kinds
+from tests.cell_fields import structures_of_cells
 
 __all__ = ["CASE_NAME", "LANDMARKS", "golden_content"]
 
@@ -184,7 +185,7 @@ def golden_content() -> BundleContent:
         scan_sha256=scan.values_sha256,
         stages=(StageRecord(stage="grid", version=1, settings={}, output_sha256="0" * 64),),
         surface=surface,
-        grid_map=map_surface(surface, grid, MapSettings()),
+        grid_map=map_surface(surface, grid, structures_of_cells(grid, inset=0.25), MapSettings()),
         picking=picking_surface(grid),
         glbs=[glb_bytes(surface, case_id=CASE_ID)],
         scan=scan_part(scan),

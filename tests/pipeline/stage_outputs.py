@@ -42,7 +42,7 @@ INPUTS: dict[str, tuple[str, ...]] = {
     "edit": ("walls",),
     "grid": ("edit",),
     "surface": ("edit",),
-    "map": ("surface", "grid"),
+    "map": ("surface", "grid", "edit"),
     "bundle": ("filter", "grid", "surface", "map"),
 }
 """What each stage takes: where an input changed, a changed output is no fault of the stage."""

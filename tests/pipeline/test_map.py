@@ -100,12 +100,12 @@ def heart(request):
     moved = {value: (lambda p, shape=shape: shape(p - (40.0, -70.0, 30.0))) for value, shape in shapes.items()}
     made = structures(moved, made.geometry)
     pin = Pin(position_mm=(40.0, -70.0, 30.0), radius_mm=30.0)
-    return surface_of(made), build_grid(made, GridSettings(cell_mm=2.0), pins=[pin])
+    return surface_of(made), build_grid(made, GridSettings(cell_mm=2.0), pins=[pin]), made
 
 
 def test_the_rest_state_gives_back_the_vertices(heart):
-    surface, grid = heart
-    mapped = map_surface(surface, grid, MapSettings())
+    surface, grid, made = heart
+    mapped = map_surface(surface, grid, made, MapSettings())
     plain, smooth = deformed(grid, grid.node_positions_mm(), mapped, surface.vertices_mm.astype(float))
     assert np.abs(plain - surface.vertices_mm).max() < 1e-5
     flagged = mapped.curvature.astype(bool)
@@ -126,8 +126,8 @@ def test_weights_are_a_partition_of_one_in_float32(heart):
 
 
 def test_rigid_motion_is_exact(heart):
-    surface, grid = heart
-    mapped = map_surface(surface, grid, MapSettings())
+    surface, grid, made = heart
+    mapped = map_surface(surface, grid, made, MapSettings())
     turn, shift = rotation((2.0, -1.0, 0.5), 77.0), np.array([13.0, -4.0, 21.0])
     positions = grid.node_positions_mm() @ turn.T + shift
     wanted = surface.vertices_mm.astype(float) @ turn.T + shift
@@ -139,8 +139,8 @@ def test_rigid_motion_is_exact(heart):
 
 
 def test_without_penalty_each_vertex_takes_the_nearest_triangle_of_its_label(heart):
-    surface, grid = heart
-    mapped = map_surface(surface, grid, MapSettings(normal_penalty=0.0, candidate_count=64))
+    surface, grid, made = heart
+    mapped = map_surface(surface, grid, made, MapSettings(normal_penalty=0.0, candidate_count=64))
     rest = grid.node_positions_mm()
     got = np.linalg.norm(reference(rest, mapped) - surface.vertices_mm, axis=1)
     triangles, label = split_faces(grid.faces), np.repeat(grid.face_label, 2)
@@ -154,8 +154,8 @@ def test_without_penalty_each_vertex_takes_the_nearest_triangle_of_its_label(hea
 
 
 def test_no_vertex_is_tied_across_a_wall(heart):
-    surface, grid = heart
-    mapped = map_surface(surface, grid, MapSettings())
+    surface, grid, made = heart
+    mapped = map_surface(surface, grid, made, MapSettings())
     label_of = dict(
         zip(map(tuple, split_faces(grid.faces).tolist()), np.repeat(grid.face_label, 2).tolist(), strict=True)
     )
@@ -185,7 +185,7 @@ def test_a_sheet_thinner_than_half_a_cell_is_not_passed_whatever_the_penalty():
     surface = surface_of(made)
     grid = build_grid(made, GridSettings(cell_mm=2.5), pins=[PIN])
     for penalty in (0.0, 0.5, 1.0):
-        mapped = map_surface(surface, grid, MapSettings(normal_penalty=penalty))
+        mapped = map_surface(surface, grid, made, MapSettings(normal_penalty=penalty))
         facing = triangle_basis(grid.node_positions_mm()[mapped.triangle_nodes])[:, 1]
         assert (np.einsum("vx,vx->v", facing, surface.normals) < -0.5).mean() < 0.01
         assert not sides(made, surface, grid, mapped).wrong.any()
@@ -198,7 +198,7 @@ def test_the_penalty_keeps_vertices_off_triangles_that_face_away():
     grid = build_grid(made, GridSettings(cell_mm=2.5), pins=[PIN])
     away = []
     for penalty in (0.0, 1.0):
-        mapped = map_surface(surface, grid, MapSettings(normal_penalty=penalty))
+        mapped = map_surface(surface, grid, made, MapSettings(normal_penalty=penalty))
         facing = triangle_basis(grid.node_positions_mm()[mapped.triangle_nodes])[:, 1]
         away.append((np.einsum("vx,vx->v", facing, surface.normals) < 0.0).sum())
     assert 0 < away[1] < away[0]
@@ -211,11 +211,11 @@ def test_a_label_without_faces_follows_the_cells_around_it_and_says_so():
     strange = dataclasses.replace(
         surface, vertex_label=np.where(surface.vertex_label == LEFT, RIGHT, 0).astype(np.uint8)
     )
-    mapped = map_surface(strange, grid, MapSettings())
+    mapped = map_surface(strange, grid, made, MapSettings())
     is_lost = surface.vertex_label == LEFT
     assert mapped.quality["inner_face_count"] + mapped.quality["other_label_count"] == is_lost.sum()
     assert "moves with what is nearest" in mapped.warnings[0]
-    nearest = map_surface(surface, grid, MapSettings())
+    nearest = map_surface(surface, grid, made, MapSettings())
     np.testing.assert_array_equal(mapped.triangle_nodes[~is_lost], nearest.triangle_nodes[~is_lost])
     reach = np.linalg.norm(reference(grid.node_positions_mm(), mapped) - surface.vertices_mm, axis=1)
     assert reach.max() < 2.0 * np.sqrt(3.0)
@@ -228,7 +228,7 @@ def test_a_gap_narrower_than_a_cell_is_followed_by_the_cells_that_fill_it():
         lattice(13.0, (0.5, 0.5, 0.5), shift=(0.1, 0.2, 0.3)),
     )
     surface, grid = surface_of(made), build_grid(made, GridSettings(cell_mm=2.5), pins=[PIN])
-    mapped = map_surface(surface, grid, MapSettings())
+    mapped = map_surface(surface, grid, made, MapSettings())
     in_gap = (np.abs(surface.vertices_mm[:, 2]) < 1.0) & (np.abs(surface.vertices_mm[:, :2]) < 5.0).all(axis=1)
     reach = np.linalg.norm(reference(grid.node_positions_mm(), mapped) - surface.vertices_mm, axis=1)
     assert in_gap.sum() > 100
@@ -256,15 +256,18 @@ def test_far_faces_of_the_own_label_do_not_drag_a_vertex_along():
     one_face = grid.node_positions_mm()[grid.faces].mean(axis=1)[:, 2].argmin()
     faces = np.where(np.arange(len(grid.faces)) == one_face, LEFT, 0).astype(np.uint8)
     mapped = map_surface(
-        dataclasses.replace(surface, vertex_label=label), dataclasses.replace(grid, face_label=faces), MapSettings()
+        dataclasses.replace(surface, vertex_label=label),
+        dataclasses.replace(grid, face_label=faces),
+        made,
+        MapSettings(),
     )
     reach = np.linalg.norm(reference(grid.node_positions_mm(), mapped) - surface.vertices_mm, axis=1)
     assert reach[top] < 2.0
 
 
 def test_nearest_node_is_the_nearest_of_the_same_side(heart):
-    surface, grid = heart
-    mapped = map_surface(surface, grid, MapSettings())
+    surface, grid, made = heart
+    mapped = map_surface(surface, grid, made, MapSettings())
     rest = grid.node_positions_mm()
     for n in range(0, len(mapped.nearest_node), 53):
         own = np.unique(grid.faces[grid.face_label == surface.vertex_label[n]])
@@ -274,7 +277,7 @@ def test_nearest_node_is_the_nearest_of_the_same_side(heart):
 
 
 def test_tangents_follow_their_welded_vertex(heart):
-    surface, grid = heart
+    surface, grid, made = heart
     count = len(surface.vertices_mm)
     seam = np.concatenate((np.arange(count), np.arange(0, count, 7))).astype(np.int32)
     side = np.where(np.arange(len(seam)) % 3 == 0, -1.0, 1.0).astype(np.float32)
@@ -282,27 +285,27 @@ def test_tangents_follow_their_welded_vertex(heart):
     with_atlas = dataclasses.replace(
         surface, render_to_welded=seam, render_tangents=np.concatenate((tangent, side[:, None]), axis=1)
     )
-    mapped = map_surface(with_atlas, grid, MapSettings())
+    mapped = map_surface(with_atlas, grid, made, MapSettings())
     basis = triangle_basis(grid.node_positions_mm()[mapped.triangle_nodes])[seam]
     np.testing.assert_allclose(np.einsum("vb,vbx->vx", mapped.tangent[:, :3], basis), tangent, atol=1e-6)
     np.testing.assert_array_equal(mapped.tangent[:, 3], side)
 
 
 def test_a_surface_without_atlas_has_no_tangents(heart):
-    surface, grid = heart
-    assert map_surface(surface, grid, MapSettings()).tangent.shape == (0, 4)
+    surface, grid, made = heart
+    assert map_surface(surface, grid, made, MapSettings()).tangent.shape == (0, 4)
     count = len(surface.vertices_mm)
     blank = dataclasses.replace(
         surface, render_to_welded=np.arange(count, dtype=np.int32), render_tangents=np.zeros((count, 4), np.float32)
     )
-    np.testing.assert_array_equal(map_surface(blank, grid, MapSettings()).tangent, 0.0)
+    np.testing.assert_array_equal(map_surface(blank, grid, made, MapSettings()).tangent, 0.0)
 
 
 @pytest.mark.parametrize(("normal", "half_mm"), [((0.0, 0.0, 1.0), 1.5), ((0.3, 0.1, 1.0), 2.0)])
 def test_curvature_correction_is_used_where_it_helps(normal, half_mm):
     made = structures({WALL: common(slab(-half_mm, half_mm, normal), ball(13.0))}, lattice(15.0, shift=(0.2, 0.4, 0.1)))
     surface, grid = surface_of(made), build_grid(made, GridSettings(cell_mm=2.2), pins=[PIN])
-    mapped = map_surface(surface, grid, MapSettings())
+    mapped = map_surface(surface, grid, made, MapSettings())
     flagged = mapped.curvature.astype(bool)
     assert 0.0 < flagged.mean() < 1.0
     vertices = surface.vertices_mm.astype(float)
@@ -347,6 +350,6 @@ def test_walls_of_two_pieces_map_to_their_own_cells():
     shape = union(ball(5.0, (-7.0, 0.0, 0.0)), ball(5.0, (7.0, 0.0, 0.0)))
     made = structures({WALL: shape}, lattice(14.0))
     surface, grid = surface_of(made), build_grid(made, GridSettings(cell_mm=1.6), pins=[PIN])
-    mapped = map_surface(surface, grid, MapSettings())
+    mapped = map_surface(surface, grid, made, MapSettings())
     side = np.sign(grid.node_positions_mm()[mapped.triangle_nodes][..., 0].mean(axis=1))
     np.testing.assert_array_equal(side, np.sign(surface.vertices_mm[:, 0]))

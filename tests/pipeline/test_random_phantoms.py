@@ -43,7 +43,7 @@ def made(seed: int) -> tuple[RandomHeart, SimulationGrid, Surface, GridMap]:
     heart = random_heart(seed)
     grid = build_grid(heart.structures, heart.grid_settings, pins=heart.pins)
     surface = build_surface(heart.structures, heart.surface_settings, render=False)
-    return heart, grid, surface, map_surface(surface, grid, heart.map_settings)
+    return heart, grid, surface, map_surface(surface, grid, heart.structures, heart.map_settings)
 
 
 def edges_of(triangles: np.ndarray) -> np.ndarray:

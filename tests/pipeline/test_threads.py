@@ -47,7 +47,7 @@ def chain() -> dict[str, bytes]:
     surface, grid = side_by_side(
         lambda: build_surface(structures, settings), lambda: build_grid(structures, GridSettings(node_count=4000))
     )
-    mapped = map_surface(surface, grid, MapSettings())
+    mapped = map_surface(surface, grid, structures, MapSettings())
     outputs = {"walls": structures, "surface": surface, "grid": grid, "map": mapped}
     return {name: artifact_to_bytes(output) for name, output in outputs.items()}
 

@@ -27,6 +27,7 @@ from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.safetensors_layout import HEADER_SIZE_MAX
 from heartcase.schemas.settings import MapSettings
 from heartcase.schemas.strict_json import parse_json
+from tests.cell_fields import structures_of_cells
 from tests.factories import MYOCARDIUM, block_case, block_grid, block_surface
 from tests.golden.make import CASE
 from tests.readers.damage import CaseCopy
@@ -231,7 +232,7 @@ def test_tangents_are_those_of_the_glb_at_rest(tmp_path: Path) -> None:
         scan_sha256="0" * 64,
         stages=(),
         surface=surface,
-        grid_map=map_surface(surface, grid, MapSettings()),
+        grid_map=map_surface(surface, grid, structures_of_cells(grid), MapSettings()),
         picking=picking,
         glbs=[glb_bytes(surface)],
     )

@@ -1,0 +1,242 @@
+"""What lies between a place on the heart's border and a cell, read from the fields: walls, gaps, other voids.
+
+The visible surface is decimated, so by itself it says only within its own error where a thin wall or a narrow gap is.
+All places are in cells: cell (i, j, k) goes from (i, j, k) on, along the grid's axes.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from heartcase.pipeline.field_layout import FieldLayout
+from heartcase.pipeline.fields import FieldReader, evaluate_owner, steps_through
+from heartcase.pipeline.vectors import dot
+from heartcase.pipeline.wall_thickness import ThicknessArrays
+from heartcase.schemas.geometry import Geometry
+
+__all__ = [
+    "CellLattice",
+    "FieldsInCells",
+    "Searched",
+    "field_at",
+    "fields_in_cells",
+    "hangs_together",
+    "is_beyond_wall",
+    "looks_elsewhere",
+    "searched",
+]
+
+Float64 = npt.NDArray[np.float64]
+Int64 = npt.NDArray[np.int64]
+
+BESIDE = 0.05
+"""Cells from the border to where the void beside it, or the tissue behind it, is looked up."""
+_BEYOND = 0.25
+"""Cells beyond a face to which a way that comes from behind, and ends in tissue, is followed on."""
+_DEPTH = 0.08
+"""Depth, in cells, from which tissue on a way is a wall; the surface itself is off the fields by some of that."""
+_STEP = 0.02
+"""Least step along a way, in cells."""
+_FINE = 4
+"""Samples along a cell's edge for what hangs together."""
+_AROUND = 1
+"""Cells around those of a vertex and a face within which they must hang together."""
+_FARTHEST = 6
+"""What is more cells apart does not hang together."""
+_EDGE = _FINE * (_FARTHEST + 1 + 2 * _AROUND)
+
+
+class CellLattice(NamedTuple):
+    """How places in cells lie among the fields' voxels."""
+
+    start: Float64
+    """Index of the place (0, 0, 0) among the fields' voxels, shape (3,)."""
+    step: Float64
+    """Voxels to the next cell along each axis, shape (3,)."""
+    size: Int64
+    """Voxels along i, j, k."""
+    spacing: Float64
+    """Cells between voxels along i, j, k."""
+    cells: Int64
+    """Cells along i, j, k."""
+    cell_mm: float
+
+
+class FieldsInCells(NamedTuple):
+    """Fields as the kernels read them at places in cells; put together inside a parallel loop, which takes no such."""
+
+    layout: FieldLayout
+    tables: ThicknessArrays
+    lattice: CellLattice
+
+
+def fields_in_cells(reader: FieldReader, cells: Geometry) -> FieldsInCells:
+    """Fields of a lattice of cubic cells that is parallel to their own; ValueError where it is not."""
+    geometry = reader.structures.geometry
+    start, step = steps_through(geometry, cells)
+    cell_mm = cells.spacing_mm[0]
+    lattice = CellLattice(
+        start - 0.5 * step,
+        step,
+        np.array(geometry.size),
+        np.array(geometry.spacing_mm) / cell_mm,
+        np.array(cells.size),
+        cell_mm,
+    )
+    return FieldsInCells(reader.layout, reader.tables, lattice)
+
+
+class Searched(NamedTuple):
+    """What :func:`hangs_together` writes into; each thread needs its own."""
+
+    stamp: Int64
+    """Number of the last search that came to a sample, shape (1 + samples,); first the number of searches."""
+    stack: Int64
+
+
+@numba.njit(cache=True, nogil=True)
+def searched():  # type: ignore[no-untyped-def]
+    """Room for searches of one thread."""
+    return Searched(np.zeros(1 + _EDGE**3, np.int64), np.empty(_EDGE**3, np.int64))
+
+
+@numba.njit(cache=True, nogil=True)
+def field_at(fields, x, y, z, spare):  # type: ignore[no-untyped-def]
+    """Signed distance to tissue, in cells, at a place, and how far the edge of the scan is, where the field jumps.
+
+    Beyond the scanned volume all is void.
+    """
+    lattice = fields.lattice
+    i = lattice.start[0] + x * lattice.step[0]
+    j = lattice.start[1] + y * lattice.step[1]
+    k = lattice.start[2] + z * lattice.step[2]
+    beyond = max(-0.5 - i, i - lattice.size[0] + 0.5) * lattice.spacing[0]
+    beyond = max(beyond, max(-0.5 - j, j - lattice.size[1] + 0.5) * lattice.spacing[1])
+    beyond = max(beyond, max(-0.5 - k, k - lattice.size[2] + 0.5) * lattice.spacing[2])
+    if beyond > 0.0:
+        return beyond, beyond
+    return evaluate_owner(fields.layout, fields.tables, i, j, k, spare)[0] / lattice.cell_mm, -beyond
+
+
+@numba.njit(cache=True, nogil=True)
+def is_beyond_wall(fields, spare, vertex, normal, facing, to):  # type: ignore[no-untyped-def]
+    """Whether the way from the void beside a vertex to a point of a face leads through tissue into void again.
+
+    It may end in tissue; where it comes from behind the face, it is then followed on beyond it.
+    """
+    begin = vertex + BESIDE * normal
+    way = to - begin
+    if dot(way, facing) > 0.0 and field_at(fields, to[0], to[1], to[2], spare)[0] < 0.0:
+        way = way + _BEYOND * facing
+    length = np.sqrt(dot(way, way))
+    if length == 0.0:
+        return False
+    was_in_void, was_in_wall = False, False
+    at = 0.0
+    while True:
+        p = begin + at / length * way
+        value, edge = field_at(fields, p[0], p[1], p[2], spare)
+        if value >= 0.0 and was_in_wall:
+            return True
+        # the decimated surface may be in tissue
+        was_in_void |= value >= 0.0 or (at == 0.0 and value >= -_DEPTH)
+        was_in_wall |= was_in_void and value < -_DEPTH
+        if at >= length:
+            return False
+        # no field is steeper than a distance
+        step = value + _DEPTH if was_in_void and not was_in_wall else -value
+        at = min(at + max(min(step, edge), _STEP), length)
+
+
+@numba.njit(cache=True, nogil=True)
+def _void_at(fields, place, spare):  # type: ignore[no-untyped-def]
+    """Label of the void whose field is lowest at a place."""
+    i, j, k = fields.lattice.start + place * fields.lattice.step
+    return evaluate_owner(fields.layout, fields.tables, i, j, k, spare)[1]
+
+
+@numba.njit(cache=True, nogil=True)
+def looks_elsewhere(fields, spare, room, vertex, normal, facing, cell):  # type: ignore[no-untyped-def]
+    """Whether a face of a cell looks into another void than a vertex does.
+
+    One of another label is the same void where the two hang together near both.
+    """
+    there = _void_at(fields, cell + 0.5 + (0.5 + BESIDE) * facing, spare)
+    if there == _void_at(fields, vertex + BESIDE * normal, spare):
+        return False
+    beyond = np.empty(3, np.int64)
+    for axis in range(3):
+        beyond[axis] = min(max(cell[axis] + int(np.rint(facing[axis])), 0), fields.lattice.cells[axis] - 1)
+    return not hangs_together(fields, spare, room, vertex, normal, beyond, True)
+
+
+@numba.njit(cache=True, nogil=True)
+def hangs_together(fields, spare, room, vertex, normal, cell, is_void):  # type: ignore[no-untyped-def]
+    """Whether the tissue behind a vertex, or the void before it, and that of a cell hang together near both.
+
+    Judged on samples, four along a cell's edge, within the cells of both and one more to every side; tissue hangs
+    together across corners of samples, void does not. Where there is no such sample at the vertex or in the cell,
+    they do.
+    """
+    begin = vertex + (BESIDE if is_void else -BESIDE) * normal
+    low, high, at = np.empty(3, np.int64), np.empty(3, np.int64), np.empty(3, np.int64)
+    for axis in range(3):
+        at[axis] = min(max(int(np.floor(begin[axis] * _FINE)), 0), _FINE * fields.lattice.cells[axis] - 1)
+        first, last = min(at[axis] // _FINE, cell[axis]), max(at[axis] // _FINE, cell[axis])
+        if last - first > _FARTHEST:
+            return False
+        low[axis] = _FINE * max(first - _AROUND, 0)
+        high[axis] = _FINE * min(last + _AROUND + 1, fields.lattice.cells[axis])
+    room.stamp[0] += 1
+    top, is_there = _add(fields, spare, room, low, high, at, 0, 1, cell, is_void, 3, 0)
+    if not is_there:
+        top, is_there = _add(fields, spare, room, low, high, at, 1, 2, cell, is_void, 3, top)
+    if is_there or top == 0:
+        return True
+    size = high - low
+    while top > 0:
+        top -= 1
+        sample = room.stack[top]
+        at[0] = low[0] + sample % size[0]
+        at[1] = low[1] + sample // size[0] % size[1]
+        at[2] = low[2] + sample // (size[0] * size[1])
+        top, is_there = _add(fields, spare, room, low, high, at, 1, 2, cell, is_void, 1 if is_void else 3, top)
+        if is_there:
+            return True
+    for axis in range(3):
+        at[axis] = _FINE * cell[axis]
+    return not _add(fields, spare, room, low, high, at, 1, _FINE + 1, cell, is_void, 3 * _FINE, 0)[1]
+
+
+@numba.njit(cache=True, nogil=True)
+def _add(fields, spare, room, low, high, at, before, after, cell, is_void, steps, top):  # type: ignore[no-untyped-def]
+    """Put the samples of tissue, or of void, around one that this search has not come to on the stack.
+
+    Those in a box, and at most some steps away. Returns the height of the stack, and whether one of them is of the
+    cell, to which one sample around it belongs.
+    """
+    stamp = room.stamp[0]
+    for k in range(max(at[2] - before, low[2]), min(at[2] + after, high[2])):
+        for j in range(max(at[1] - before, low[1]), min(at[1] + after, high[1])):
+            for i in range(max(at[0] - before, low[0]), min(at[0] + after, high[0])):
+                sample = ((k - low[2]) * (high[1] - low[1]) + j - low[1]) * (high[0] - low[0]) + i - low[0]
+                if room.stamp[1 + sample] == stamp or abs(i - at[0]) + abs(j - at[1]) + abs(k - at[2]) > steps:
+                    continue
+                room.stamp[1 + sample] = stamp
+                value = field_at(fields, (i + 0.5) / _FINE, (j + 0.5) / _FINE, (k + 0.5) / _FINE, spare)[0]
+                if (value >= 0.0) == is_void:
+                    if _is_of(cell[0], i) and _is_of(cell[1], j) and _is_of(cell[2], k):
+                        return top, True
+                    room.stack[top] = sample
+                    top += 1
+    return top, False
+
+
+@numba.njit(cache=True, nogil=True, inline="always")
+def _is_of(cell, sample):  # type: ignore[no-untyped-def]
+    """Whether a sample is of a cell, or next to it, along one axis."""
+    return _FINE * cell - 1 <= sample <= _FINE * (cell + 1)
