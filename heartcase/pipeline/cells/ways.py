@@ -17,6 +17,7 @@ from heartcase.pipeline.fields import FieldReader, evaluate_owner, steps_through
 from heartcase.pipeline.vectors import dot
 from heartcase.pipeline.wall_thickness import ThicknessArrays
 from heartcase.schemas.geometry import Geometry
+from heartcase.schemas.labels import BACKGROUND
 
 __all__ = [
     "CellLattice",
@@ -106,9 +107,10 @@ def searched():  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def field_at(fields, x, y, z, spare):  # type: ignore[no-untyped-def]
-    """Signed distance to tissue, in cells, at a place, and how far the edge of the scan is, where the field jumps.
+    """What a place is, and is in: beyond the scanned volume all is void and background.
 
-    Beyond the scanned volume all is void.
+    Returns the signed distance to tissue, in cells, the label of the nearest void, and how far, in cells, the edge of
+    the scan is at least, where the field jumps.
     """
     lattice = fields.lattice
     i = lattice.start[0] + x * lattice.step[0]
@@ -118,8 +120,9 @@ def field_at(fields, x, y, z, spare):  # type: ignore[no-untyped-def]
     beyond = max(beyond, max(-0.5 - j, j - lattice.size[1] + 0.5) * lattice.spacing[1])
     beyond = max(beyond, max(-0.5 - k, k - lattice.size[2] + 0.5) * lattice.spacing[2])
     if beyond > 0.0:
-        return beyond, beyond
-    return evaluate_owner(fields.layout, fields.tables, i, j, k, spare)[0] / lattice.cell_mm, -beyond
+        return beyond, np.uint8(BACKGROUND), beyond
+    one = evaluate_owner(fields.layout, fields.tables, i, j, k, spare)
+    return one[0] / lattice.cell_mm, one[1], -beyond
 
 
 @numba.njit(cache=True, nogil=True)
@@ -139,11 +142,13 @@ def is_beyond_wall(fields, spare, vertex, normal, facing, to):  # type: ignore[n
     at = 0.0
     while True:
         p = begin + at / length * way
-        value, edge = field_at(fields, p[0], p[1], p[2], spare)
-        if value >= 0.0 and was_in_wall:
+        value, _, edge = field_at(fields, p[0], p[1], p[2], spare)
+        # half a step away may be void
+        is_void = value >= -0.5 * _STEP
+        if is_void and was_in_wall:
             return True
         # the decimated surface may be in tissue
-        was_in_void |= value >= 0.0 or (at == 0.0 and value >= -_DEPTH)
+        was_in_void |= is_void or (at == 0.0 and value >= -_DEPTH)
         was_in_wall |= was_in_void and value < -_DEPTH
         if at >= length:
             return False
@@ -153,20 +158,14 @@ def is_beyond_wall(fields, spare, vertex, normal, facing, to):  # type: ignore[n
 
 
 @numba.njit(cache=True, nogil=True)
-def _void_at(fields, place, spare):  # type: ignore[no-untyped-def]
-    """Label of the void whose field is lowest at a place."""
-    i, j, k = fields.lattice.start + place * fields.lattice.step
-    return evaluate_owner(fields.layout, fields.tables, i, j, k, spare)[1]
-
-
-@numba.njit(cache=True, nogil=True)
 def looks_elsewhere(fields, spare, room, vertex, normal, facing, cell):  # type: ignore[no-untyped-def]
     """Whether a face of a cell looks into another void than a vertex does.
 
     One of another label is the same void where the two hang together near both.
     """
-    there = _void_at(fields, cell + 0.5 + (0.5 + BESIDE) * facing, spare)
-    if there == _void_at(fields, vertex + BESIDE * normal, spare):
+    there, here = cell + 0.5 + (0.5 + BESIDE) * facing, vertex + BESIDE * normal
+    label = field_at(fields, here[0], here[1], here[2], spare)[1]
+    if field_at(fields, there[0], there[1], there[2], spare)[1] == label:
         return False
     beyond = np.empty(3, np.int64)
     for axis in range(3):
@@ -179,8 +178,8 @@ def hangs_together(fields, spare, room, vertex, normal, cell, is_void):  # type:
     """Whether the tissue behind a vertex, or the void before it, and that of a cell hang together near both.
 
     Judged on samples, four along a cell's edge, within the cells of both and one more to every side; tissue hangs
-    together across corners of samples, void does not. Where there is no such sample at the vertex or in the cell,
-    they do.
+    together across corners of samples, void does not. Beyond the scan its nearest place counts. Where there is no
+    such sample at the vertex or in the cell, they do.
     """
     begin = vertex + (BESIDE if is_void else -BESIDE) * normal
     low, high, at = np.empty(3, np.int64), np.empty(3, np.int64), np.empty(3, np.int64)
@@ -220,6 +219,7 @@ def _add(fields, spare, room, low, high, at, before, after, cell, is_void, steps
     cell, to which one sample around it belongs.
     """
     stamp = room.stamp[0]
+    start, step = fields.lattice.start, fields.lattice.step / _FINE
     for k in range(max(at[2] - before, low[2]), min(at[2] + after, high[2])):
         for j in range(max(at[1] - before, low[1]), min(at[1] + after, high[1])):
             for i in range(max(at[0] - before, low[0]), min(at[0] + after, high[0])):
@@ -227,8 +227,10 @@ def _add(fields, spare, room, low, high, at, before, after, cell, is_void, steps
                 if room.stamp[1 + sample] == stamp or abs(i - at[0]) + abs(j - at[1]) + abs(k - at[2]) > steps:
                     continue
                 room.stamp[1 + sample] = stamp
-                value = field_at(fields, (i + 0.5) / _FINE, (j + 0.5) / _FINE, (k + 0.5) / _FINE, spare)[0]
-                if (value >= 0.0) == is_void:
+                x = start[0] + (i + 0.5) * step[0]
+                y = start[1] + (j + 0.5) * step[1]
+                z = start[2] + (k + 0.5) * step[2]
+                if (evaluate_owner(fields.layout, fields.tables, x, y, z, spare)[0] >= 0.0) == is_void:
                     if _is_of(cell[0], i) and _is_of(cell[1], j) and _is_of(cell[2], k):
                         return top, True
                     room.stack[top] = sample
