@@ -39,14 +39,16 @@ Int64 = npt.NDArray[np.int64]
 
 _MORE = 4
 """So many times the candidates are tried where all of them are beyond a wall or a gap."""
-_CHUNK = 128
+_HALF_WIDTH = 0.75
+"""Cells from the middle of half a face to its farthest corner, rounded up: the root of 5/9."""
+_CHUNK = 256
 
 
 class NodeTriangles(NamedTuple):
     """Triangles that a vertex may follow. In cells: cell (i, j, k) goes from (i, j, k) on, along the grid's axes."""
 
     corners: Float64
-    """Corners, cells, shape (n, 3, 3): corner, then along i, j, k."""
+    """Corners of halves of cells' faces, cells, shape (n, 3, 3): corner, then along i, j, k."""
     facing: Float64
     """Unit normals, shape (n, 3)."""
     cells: Int32
@@ -131,16 +133,17 @@ class TieChooser:
         left = np.arange(len(who))
         for tries in (self._tries, _MORE * self._tries):
             count = min(tries, len(among))
-            found = tree.query(self._places[who[left]], k=count, workers=numba.get_num_threads())[1]
+            found = tree.query(self._places[who[left]], k=count, workers=numba.get_num_threads())
+            apart, tried = (np.asarray(x).reshape(len(left), count) for x in found)
             best, value = np.empty(len(left), np.int64), np.empty(len(left))
-            tried = np.sort(among[found.reshape(len(left), count)], axis=1)
             _choose(
                 self._places,
                 self._normals,
                 *self._fields,
                 who[left],
                 triangles,
-                tried,
+                among[tried],
+                apart,
                 self._penalty,
                 check.value,
                 limit[left],
@@ -184,9 +187,9 @@ def _closest_point(p, a, b, c, weights):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, parallel=True)
 def _choose(  # type: ignore[no-untyped-def]
-    places, normals, layout, tables, lattice, who, triangles, tried, penalty, check, most, chosen, score
+    places, normals, layout, tables, lattice, who, triangles, tried, apart, penalty, check, most, chosen, score
 ):
-    """The best of the tried triangles (ascending numbers) for each vertex; ties: the first."""
+    """The best of the tried triangles (by the distance of their middles) for each vertex; ties: the least number."""
     chunks = (len(who) + _CHUNK - 1) // _CHUNK
     for number in numba.prange(chunks):
         chunk = every_other(number, chunks)
@@ -196,18 +199,24 @@ def _choose(  # type: ignore[no-untyped-def]
         asked, answers = np.empty((tried.shape[1], 3)), np.empty(tried.shape[1], np.bool_)
         for n in range(chunk * _CHUNK, min((chunk + 1) * _CHUNK, len(who))):
             place, normal = places[who[n]], normals[who[n]]
-            for c in range(len(value)):
-                corner = triangles.corners[tried[n, c]]
-                squared = _closest_point(place, corner[0], corner[1], corner[2], weights)
-                away = max(-dot(normal, triangles.facing[tried[n, c]]), 0.0)
-                value[c] = np.sqrt(squared) + penalty * away
             chosen[n], score[n] = -1, np.inf
-            asked_count = 0
-            for _ in range(len(value)):
-                c = int(np.argmin(value))
-                if value[c] > most[n]:
+            asked_count, known_count = 0, 0
+            while True:
+                best, t, c = np.inf, -1, -1
+                for m in range(value.size):
+                    if m == known_count:
+                        # all from here on are farther
+                        if apart[n, m] - _HALF_WIDTH > best:
+                            break
+                        corner = triangles.corners[tried[n, m]]
+                        squared = _closest_point(place, corner[0], corner[1], corner[2], weights)
+                        away = max(-dot(normal, triangles.facing[tried[n, m]]), 0.0)
+                        value[m] = np.sqrt(squared) + penalty * away
+                        known_count += 1
+                    if value[m] < best or (value[m] == best and tried[n, m] < t):
+                        best, t, c = value[m], tried[n, m], m
+                if best > most[n] or best == np.inf:
                     break
-                t = tried[n, c]
                 corner = triangles.corners[t]
                 if check > 0:
                     _closest_point(place, corner[0], corner[1], corner[2], weights)
@@ -232,7 +241,7 @@ def _choose(  # type: ignore[no-untyped-def]
                     if not is_tied:
                         value[c] = np.inf
                         continue
-                chosen[n], score[n] = t, value[c]
+                chosen[n], score[n] = t, best
                 break
 
 

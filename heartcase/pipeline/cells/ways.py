@@ -182,6 +182,10 @@ def hangs_together(fields, spare, room, vertex, normal, cell, is_void):  # type:
     such sample at the vertex or in the cell, they do.
     """
     begin = vertex + (BESIDE if is_void else -BESIDE) * normal
+    if not is_void and (
+        _leads_straight(fields, spare, begin, cell) or _leads_straight(fields, spare, begin - normal / _FINE, cell)
+    ):
+        return True
     low, high, at = np.empty(3, np.int64), np.empty(3, np.int64), np.empty(3, np.int64)
     for axis in range(3):
         at[axis] = min(max(int(np.floor(begin[axis] * _FINE)), 0), _FINE * fields.lattice.cells[axis] - 1)
@@ -212,6 +216,33 @@ def hangs_together(fields, spare, room, vertex, normal, cell, is_void):  # type:
 
 
 @numba.njit(cache=True, nogil=True)
+def _leads_straight(fields, spare, begin, cell):  # type: ignore[no-untyped-def]
+    """Whether all samples from that of a place on, each a step nearer to a cell along every axis, are tissue."""
+    cells = fields.lattice.cells
+    i = min(max(int(np.floor(begin[0] * _FINE)), 0), _FINE * cells[0] - 1)
+    j = min(max(int(np.floor(begin[1] * _FINE)), 0), _FINE * cells[1] - 1)
+    k = min(max(int(np.floor(begin[2] * _FINE)), 0), _FINE * cells[2] - 1)
+    for _ in range(_EDGE):
+        if _sample(fields, i, j, k, spare) >= 0.0:
+            return False
+        to_i, to_j, to_k = _towards(cell[0], i), _towards(cell[1], j), _towards(cell[2], k)
+        if to_i == 0 and to_j == 0 and to_k == 0:
+            return True
+        i, j, k = i + to_i, j + to_j, k + to_k
+    return False
+
+
+@numba.njit(cache=True, nogil=True)
+def _sample(fields, i, j, k, spare):  # type: ignore[no-untyped-def]
+    """Tissue field, mm, at a sample; beyond the scan that of its nearest place."""
+    start, step = fields.lattice.start, fields.lattice.step
+    x = start[0] + (i + 0.5) / _FINE * step[0]
+    y = start[1] + (j + 0.5) / _FINE * step[1]
+    z = start[2] + (k + 0.5) / _FINE * step[2]
+    return evaluate_owner(fields.layout, fields.tables, x, y, z, spare)[0]
+
+
+@numba.njit(cache=True, nogil=True)
 def _add(fields, spare, room, low, high, at, before, after, cell, is_void, steps, top):  # type: ignore[no-untyped-def]
     """Put the samples of tissue, or of void, around one that this search has not come to on the stack.
 
@@ -219,19 +250,21 @@ def _add(fields, spare, room, low, high, at, before, after, cell, is_void, steps
     cell, to which one sample around it belongs.
     """
     stamp = room.stamp[0]
-    start, step = fields.lattice.start, fields.lattice.step / _FINE
-    for k in range(max(at[2] - before, low[2]), min(at[2] + after, high[2])):
-        for j in range(max(at[1] - before, low[1]), min(at[1] + after, high[1])):
-            for i in range(max(at[0] - before, low[0]), min(at[0] + after, high[0])):
+    for dk in range(before + after):
+        # what is nearer to the cell comes last, and is gone on from first
+        k = at[2] + (after - 1 - dk if _towards(cell[2], at[2]) < 0 else dk - before)
+        for dj in range(before + after):
+            j = at[1] + (after - 1 - dj if _towards(cell[1], at[1]) < 0 else dj - before)
+            for di in range(before + after):
+                i = at[0] + (after - 1 - di if _towards(cell[0], at[0]) < 0 else di - before)
+                if not (low[0] <= i < high[0] and low[1] <= j < high[1] and low[2] <= k < high[2]):
+                    continue
                 sample = ((k - low[2]) * (high[1] - low[1]) + j - low[1]) * (high[0] - low[0]) + i - low[0]
                 if room.stamp[1 + sample] == stamp or abs(i - at[0]) + abs(j - at[1]) + abs(k - at[2]) > steps:
                     continue
                 room.stamp[1 + sample] = stamp
-                x = start[0] + (i + 0.5) * step[0]
-                y = start[1] + (j + 0.5) * step[1]
-                z = start[2] + (k + 0.5) * step[2]
-                if (evaluate_owner(fields.layout, fields.tables, x, y, z, spare)[0] >= 0.0) == is_void:
-                    if _is_of(cell[0], i) and _is_of(cell[1], j) and _is_of(cell[2], k):
+                if (_sample(fields, i, j, k, spare) >= 0.0) == is_void:
+                    if _towards(cell[0], i) == 0 and _towards(cell[1], j) == 0 and _towards(cell[2], k) == 0:
                         return top, True
                     room.stack[top] = sample
                     top += 1
@@ -239,6 +272,8 @@ def _add(fields, spare, room, low, high, at, before, after, cell, is_void, steps
 
 
 @numba.njit(cache=True, nogil=True, inline="always")
-def _is_of(cell, sample):  # type: ignore[no-untyped-def]
-    """Whether a sample is of a cell, or next to it, along one axis."""
-    return _FINE * cell - 1 <= sample <= _FINE * (cell + 1)
+def _towards(cell, sample):  # type: ignore[no-untyped-def]
+    """Step from a sample towards a cell along one axis; 0 where it is of the cell, or next to it."""
+    if sample < _FINE * cell - 1:
+        return 1
+    return -1 if sample > _FINE * (cell + 1) else 0
