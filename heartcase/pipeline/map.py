@@ -24,6 +24,7 @@ from heartcase.pipeline.fields import FieldReader
 from heartcase.pipeline.grid import FACE_CORNERS
 from heartcase.pipeline.picking import split_faces
 from heartcase.pipeline.side_by_side import side_by_side
+from heartcase.schemas.errors import Problem, StageError
 from heartcase.schemas.lattice import cell_nodes, lattice_keys
 from heartcase.schemas.settings import MapSettings
 
@@ -85,12 +86,31 @@ def map_surface(surface: Surface, grid: SimulationGrid, structures: Structures, 
 
     Raises
     ------
+    StageError
+        A vertex or a normal is not a number.
     ValueError
         The grid's cells are not parallel to the structures.
     """
+    problems = _not_numbers(surface, ())
+    for n, level in enumerate(surface.levels, start=1):
+        problems += _not_numbers(level, ("levels", n))
+    if problems:
+        raise StageError(problems)
     reader = FieldReader.of(structures)
     levels = tuple(_map_level(level, grid, reader, settings) for level in surface.levels)
     return replace(_map_level(surface, grid, reader, settings), levels=levels)
+
+
+def _not_numbers(surface: Surface, place: tuple[str | int, ...]) -> list[Problem]:
+    """What is wrong with vertices or normals that are no numbers."""
+    return [
+        Problem(
+            ".".join(map(str, (*place, name))),
+            f"{int(bad.sum())} of {len(bad)} are not numbers, first number {int(bad.argmax())}: make the surface again",
+        )
+        for name in ("vertices_mm", "normals")
+        if (bad := ~np.isfinite(getattr(surface, name)).all(axis=1)).any()
+    ]
 
 
 def _map_level(surface: Surface, grid: SimulationGrid, reader: FieldReader, settings: MapSettings) -> GridMap:
@@ -174,18 +194,24 @@ def _choose_triangles(
     at_boundary = triangles_of(triangles, np.repeat(grid.cells[grid.face_cell], 2, axis=0))
     label = np.repeat(grid.face_label, 2)
     everyone = np.arange(len(surface.vertices_mm))
-    chosen, any_score = chooser.nearest(everyone, at_boundary, np.arange(len(triangles)), check=Check.NOTHING)
-    own_score = np.full(len(everyone), np.inf)
-    for value in np.unique(surface.vertex_label):
-        among = np.flatnonzero(label == value)
-        who = np.flatnonzero(surface.vertex_label == value)
-        if len(among) == 0:
-            continue
-        # A cavity too narrow for a cell has no faces there: its far ones would drag the vertex along.
-        own, score = chooser.nearest(who, at_boundary, among, most=any_score[who] + FAR_CELLS)
-        near = own >= 0
-        chosen[who[near]] = own[near]
-        own_score[who[near]] = score[near]
+    chosen, own_score = np.full(len(everyone), -1), np.full(len(everyone), np.inf)
+
+    def take_own(who: Int64, most: Float64) -> Int64:
+        """Give vertices a triangle of their own void within reach; returns those that have none."""
+        for value in np.unique(surface.vertex_label[who]):
+            among = np.flatnonzero(label == value)
+            mine = np.flatnonzero(surface.vertex_label[who] == value)
+            if len(among):
+                chosen[who[mine]], own_score[who[mine]] = chooser.nearest(
+                    who[mine], at_boundary, among, most=most[mine]
+                )
+        return who[chosen[who] < 0]
+
+    left = take_own(everyone, np.full(len(everyone), FAR_CELLS))
+    nearest, score = chooser.nearest(left, at_boundary, np.arange(len(triangles)), check=Check.NOTHING)
+    # A cavity too narrow for a cell has no faces there: its far ones would drag the vertex along.
+    lost = take_own(left, score + FAR_CELLS)
+    chosen[lost] = nearest[np.isin(left, lost)]
     nodes = triangles[chosen]
     is_inner = np.zeros(len(everyone), np.bool_)
     far = np.flatnonzero(own_score > NEAR_CELLS)

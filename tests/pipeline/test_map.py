@@ -8,6 +8,7 @@ import trimesh
 from heartcase.pipeline.grid import build_grid
 from heartcase.pipeline.map import NEAR_CELLS, map_surface
 from heartcase.pipeline.picking import split_faces
+from heartcase.schemas.errors import StageError
 from heartcase.schemas.lattice import CELL_DIAGONALS, CELL_EDGES, CORNER_OFFSETS, cell_nodes
 from heartcase.schemas.settings import GridSettings, MapSettings, Pin
 from tests.pipeline.analytic_structures import (
@@ -353,3 +354,19 @@ def test_walls_of_two_pieces_map_to_their_own_cells():
     mapped = map_surface(surface, grid, made, MapSettings())
     side = np.sign(grid.node_positions_mm()[mapped.triangle_nodes][..., 0].mean(axis=1))
     np.testing.assert_array_equal(side, np.sign(surface.vertices_mm[:, 0]))
+
+
+def test_vertices_and_normals_that_are_no_numbers_are_refused(heart):
+    surface, grid, made = heart
+    vertices, normals = surface.vertices_mm.copy(), surface.normals.copy()
+    vertices[3, 1] = np.inf
+    normals[[5, 8]] = np.nan
+    broken = dataclasses.replace(surface, vertices_mm=vertices, normals=normals)
+    with pytest.raises(StageError) as caught:
+        map_surface(dataclasses.replace(surface, levels=(broken,)), grid, made, MapSettings())
+    first, second = caught.value.problems
+    assert first.place == "levels.1.vertices_mm"
+    assert "1 of" in first.message
+    assert "first number 3" in first.message
+    assert second.place == "levels.1.normals"
+    assert "2 of" in second.message

@@ -39,6 +39,8 @@ Int64 = npt.NDArray[np.int64]
 
 _MORE = 4
 """So many times the candidates are tried where all of them are beyond a wall or a gap."""
+_NO_USE = -2
+"""Instead of a triangle, where none that was not tried is near enough either."""
 _HALF_WIDTH = 0.75
 """Cells from the middle of half a face to its farthest corner, rounded up: the root of 5/9."""
 _CHUNK = 256
@@ -151,9 +153,10 @@ class TieChooser:
                 value,
             )
             chosen[left], score[left] = best, value
-            left = left[best < 0]
+            left = left[best == -1]
             if len(left) == 0 or count == len(among):
                 break
+        chosen[chosen == _NO_USE] = -1
         return chosen, score
 
 
@@ -216,6 +219,8 @@ def _choose(  # type: ignore[no-untyped-def]
                     if value[m] < best or (value[m] == best and tried[n, m] < t):
                         best, t, c = value[m], tried[n, m], m
                 if best > most[n] or best == np.inf:
+                    # what was not tried is farther still
+                    chosen[n] = _NO_USE if apart[n, -1] - _HALF_WIDTH > most[n] else -1
                     break
                 corner = triangles.corners[t]
                 if check > 0:

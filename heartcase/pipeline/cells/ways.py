@@ -76,7 +76,7 @@ class FieldsInCells(NamedTuple):
 
 
 def fields_in_cells(reader: FieldReader, cells: Geometry) -> FieldsInCells:
-    """Fields of a lattice of cubic cells that is parallel to their own; ValueError where it is not."""
+    """Fields as read on a lattice of cubic cells; ValueError where it is not parallel to their own."""
     geometry = reader.structures.geometry
     start, step = steps_through(geometry, cells)
     cell_mm = cells.spacing_mm[0]
@@ -129,7 +129,8 @@ def field_at(fields, x, y, z, spare):  # type: ignore[no-untyped-def]
 def is_beyond_wall(fields, spare, vertex, normal, facing, to):  # type: ignore[no-untyped-def]
     """Whether the way from the void beside a vertex to a point of a face leads through tissue into void again.
 
-    It may end in tissue; where it comes from behind the face, it is then followed on beyond it.
+    It may end in tissue; where it comes from behind the face, it is then followed on beyond it. A wall or a void that
+    is less than a fiftieth of a cell long on the way may be missed.
     """
     begin = vertex + BESIDE * normal
     way = to - begin
@@ -152,7 +153,7 @@ def is_beyond_wall(fields, spare, vertex, normal, facing, to):  # type: ignore[n
         was_in_wall |= was_in_void and value < -_DEPTH
         if at >= length:
             return False
-        # no field is steeper than a distance
+        # fields are hardly ever steeper than a distance: up to twice, in hairlines where three structures meet
         step = value + _DEPTH if was_in_void and not was_in_wall else -value
         at = min(at + max(min(step, edge), _STEP), length)
 
@@ -182,10 +183,6 @@ def hangs_together(fields, spare, room, vertex, normal, cell, is_void):  # type:
     such sample at the vertex or in the cell, they do.
     """
     begin = vertex + (BESIDE if is_void else -BESIDE) * normal
-    if not is_void and (
-        _leads_straight(fields, spare, begin, cell) or _leads_straight(fields, spare, begin - normal / _FINE, cell)
-    ):
-        return True
     low, high, at = np.empty(3, np.int64), np.empty(3, np.int64), np.empty(3, np.int64)
     for axis in range(3):
         at[axis] = min(max(int(np.floor(begin[axis] * _FINE)), 0), _FINE * fields.lattice.cells[axis] - 1)
@@ -194,6 +191,10 @@ def hangs_together(fields, spare, room, vertex, normal, cell, is_void):  # type:
             return False
         low[axis] = _FINE * max(first - _AROUND, 0)
         high[axis] = _FINE * min(last + _AROUND + 1, fields.lattice.cells[axis])
+    if not is_void and (
+        _leads_straight(fields, spare, begin, cell) or _leads_straight(fields, spare, begin - normal / _FINE, cell)
+    ):
+        return True
     room.stamp[0] += 1
     top, is_there = _add(fields, spare, room, low, high, at, 0, 1, cell, is_void, 3, 0)
     if not is_there:

@@ -10,20 +10,42 @@ from heartcase.pipeline.cells.ways import (
     fields_in_cells,
     hangs_together,
     is_beyond_wall,
+    looks_elsewhere,
     searched,
 )
 from heartcase.pipeline.fields import FieldReader, ownership_at_points, scratch
 from heartcase.schemas.geometry import Geometry
-from tests.pipeline.analytic_structures import WALL, ball, common, lattice, rotation, slab, structures, union, without
+from tests.pipeline.analytic_structures import (
+    LEFT,
+    RIGHT,
+    WALL,
+    ball,
+    box,
+    common,
+    lattice,
+    rotation,
+    slab,
+    structures,
+    union,
+    without,
+)
 
 CELL_MM = 2.5
 
 
 @numba.njit
 def _fields(fields, places):
-    out, spare = np.empty(len(places)), scratch(fields.layout)
+    out, spare = np.empty((len(places), 3)), scratch(fields.layout)
     for n, p in enumerate(places):
-        out[n] = field_at(fields, p[0], p[1], p[2], spare)[0]
+        out[n, 0], out[n, 1], out[n, 2] = field_at(fields, p[0], p[1], p[2], spare)
+    return out
+
+
+@numba.njit
+def _elsewhere(fields, places, normals, facing, cells):
+    out, spare, room = np.empty(len(places), np.bool_), scratch(fields.layout), searched()
+    for n in range(len(places)):
+        out[n] = looks_elsewhere(fields, spare, room, places[n], normals[n], facing[n], cells[n])
     return out
 
 
@@ -90,8 +112,20 @@ def slow_field(structures, cells):
 def test_the_field_is_that_of_the_structures_and_void_beyond_the_scan(heart):
     structures, cells = heart
     places = np.random.default_rng(1).uniform(-2.0, np.array(cells.size) + 2.0, (2000, 3))
-    fast = _fields(fields_in_cells(FieldReader.of(structures), cells), places)
-    np.testing.assert_allclose(fast, slow_field(structures, cells)(places), atol=1e-5)
+    value, label, edge = _fields(fields_in_cells(FieldReader.of(structures), cells), places).T
+    np.testing.assert_allclose(value, slow_field(structures, cells)(places), atol=1e-5)
+    world = cells.index_to_world(places - 0.5)
+    index = structures.geometry.world_to_index(world)
+    size = np.array(structures.geometry.size)
+    is_inside = ((index > -0.5) & (index < size - 0.5)).all(axis=1)
+    assert 100 < is_inside.sum() < 1900
+    np.testing.assert_array_equal(label, np.where(is_inside, ownership_at_points(structures, world).void_label, 0))
+    # a sphere as wide as the edge is far does not reach it
+    for step in np.eye(3).repeat(2, axis=0) * np.array([0.999, -0.999] * 3)[:, None]:
+        moved = structures.geometry.world_to_index(cells.index_to_world(places - 0.5 + step * edge[:, None]))
+        np.testing.assert_array_equal(((moved > -0.5) & (moved < size - 0.5)).all(axis=1)[is_inside], True)
+    nearest = np.minimum(index + 0.5, size - 0.5 - index) * structures.geometry.spacing_mm / CELL_MM
+    np.testing.assert_allclose(edge[is_inside], nearest.min(axis=1)[is_inside], atol=1e-9)
 
 
 def test_walls_on_a_way_are_those_of_dense_samples(heart):
@@ -160,13 +194,38 @@ def test_what_hangs_together_is_what_the_labels_say(heart, is_void):
     assert found.mean() > 0.3
 
 
-def test_what_is_far_apart_does_not_hang_together(heart):
-    structures, cells = heart
-    places, normals = places_on_the_border(structures, cells, 10)
-    far = np.where(places.mean(axis=1) < 5.0, 9, 0)[:, None] * np.ones(3, int)
-    apart = np.abs(np.floor(places).astype(int) - far).max(axis=1) > 7
-    found = _together(fields_in_cells(FieldReader.of(structures), cells), places, normals, far, False)
-    assert not found[apart].any()
+def test_what_is_far_apart_does_not_hang_together():
+    """Though solid tissue is all that lies between."""
+    made = structures({WALL: box((12.0, 2.0, 2.0))}, lattice(14.0))
+    cells = Geometry.of(shape=(4, 4, 12), origin_mm=(-13.0, -3.75, -3.75), spacing_mm=(CELL_MM,) * 3)
+    vertex, normal = np.array([[0.7, 2.0, 2.0]]), np.array([[-1.0, 0.0, 0.0]])
+    fields = fields_in_cells(FieldReader.of(made), cells)
+    found = [_together(fields, vertex, normal, np.array([[cell, 1, 1]]), False)[0] for cell in range(10)]
+    assert found == [True] * 7 + [False] * 3
+
+
+def test_a_face_that_looks_into_another_void_is_told_from_one_of_the_same_void():
+    """Two cavities on both sides of a wall; one of two labels that are open to each other."""
+    wall = common(slab(-1.0, 1.0), ball(9.0))
+    for is_open in (False, True):
+        shape = without(wall, ball(4.0)) if is_open else wall
+        blood = without(ball(9.0), shape)
+        made = structures(
+            {
+                0: lambda p: -ball(9.0)(p),
+                LEFT: common(blood, lambda p: p[..., 2]),
+                RIGHT: common(blood, lambda p: -p[..., 2]),
+                WALL: shape,
+            },
+            lattice(10.0),
+        )
+        cells = Geometry.of(shape=(9, 8, 8), origin_mm=(-8.75, -8.75, -8.75), spacing_mm=(CELL_MM,) * 3)
+        place = cells.world_to_index((4.1, 0.1, -1.0))[None] + 0.5
+        down, up = np.array([[0.0, 0.0, -1.0]]), np.array([[0.0, 0.0, 1.0]])
+        cell = np.floor(cells.world_to_index((4.1, 0.1, 0.1)) + 0.5).astype(int)[None]
+        fields = fields_in_cells(FieldReader.of(made), cells)
+        assert not _elsewhere(fields, place, down, down, cell)[0]
+        assert _elsewhere(fields, place, down, up, cell)[0] == (not is_open)
 
 
 def test_cells_must_be_parallel_to_the_fields():
