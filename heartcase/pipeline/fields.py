@@ -211,11 +211,14 @@ def _reshape(layout, x, y, z, v):  # type: ignore[no-untyped-def]
         taken = np.float32(np.inf)
         nearest = np.float32(np.inf)
         second = np.float32(np.inf)
+        beside = np.float32(np.inf)
         first = -1
         for s in range(len(v)):
             if source[s]:
                 taken = min(taken, v[s])
                 v[s] = max(v[s], -shape)
+            elif not target[s]:
+                beside = min(beside, v[s])
             if target[s]:
                 if v[s] < nearest:
                     second = nearest
@@ -224,7 +227,12 @@ def _reshape(layout, x, y, z, v):  # type: ignore[no-untyped-def]
                 elif v[s] < second:
                     second = v[s]
         part = max(shape, taken)
+        # what is given away ends where another structure begins, and that one ends there
+        if beside > np.float32(0.0):
+            part = max(part, -beside)
         for s in range(len(v)):
+            if not target[s] and not source[s]:
+                v[s] = max(v[s], -part)
             if target[s]:
                 other = second if s == first else nearest
                 gain = part

@@ -25,11 +25,11 @@ STAGE_VERSIONS = {
     "markers": 1,
     "filter": 2,
     "segment": 2,
-    "walls": 10,
-    "edit": 3,
-    "grid": 7,
-    "surface": 12,
-    "map": 8,
+    "walls": 11,
+    "edit": 4,
+    "grid": 8,
+    "surface": 13,
+    "map": 9,
     "bundle": 4,
 }
 """Raised whenever a stage's output changes for the same input, so that the cache forgets the old one."""

@@ -8,6 +8,8 @@ import pytest
 from heartcase.pipeline.data import Reshaping
 from heartcase.pipeline.field_layout import ALL_FIELDS
 from heartcase.pipeline.fields import FieldReader, ownership_at_points, ownership_on_lattice
+from heartcase.schemas.labels import Label, LabelTable, Role
+from tests.pipeline.analytic_structures import cylinder, lattice, structures
 from tests.pipeline.random_phantoms import random_heart
 
 
@@ -38,12 +40,44 @@ def test_fields_that_are_left_out_change_nothing(seed):
 
 
 def test_blocks_that_a_reshaping_reaches_hold_all_fields():
-    structures = random_heart(0).structures
-    table, geometry = structures.table, structures.geometry
+    heart = random_heart(0).structures
+    table, geometry = heart.table, heart.geometry
     middle = geometry.index_to_world((np.array(geometry.size) - 1) / 2.0)
-    blood = next(label for label in table if label.role.is_blood and label.value in structures.distance_mm)
+    blood = next(label for label in table if label.role.is_blood and label.value in heart.distance_mm)
     ball = Reshaping("strokes", (tuple(map(float, middle)),), 4.0, (table[0].name,), (blood.name,))
-    reader = FieldReader.of(dataclasses.replace(structures, reshapings=(ball,)))
+    reader = FieldReader.of(dataclasses.replace(heart, reshapings=(ball,)))
     k, j, i = (n // 2 // 4 for n in geometry.shape)
     assert reader.layout.block_count[k, j, i] == ALL_FIELDS
     assert (reader.layout.block_count != ALL_FIELDS).any()
+
+
+def test_the_field_has_no_step_where_a_cut_vessel_touches_one_that_goes_on():
+    """The wall between two tubes is the nearer one's: beyond the cut, half of it is gone, the other half is whole."""
+    table = LabelTable(
+        labels=(
+            Label(value=1, name="cut", role=Role.VESSEL_LUMEN, wall_thickness_mm=2.0),
+            Label(value=2, name="whole", role=Role.VESSEL_LUMEN, wall_thickness_mm=2.0),
+            Label(value=3, name="cut wall", role=Role.WALL, wall_of=1),
+            Label(value=4, name="whole wall", role=Role.WALL, wall_of=2),
+        )
+    )
+    tubes = [cylinder(4.0, (0.0, 0.0, 1.0), (side * 4.6, 0.0, 0.0)) for side in (-1.0, 1.0)]
+    plain = structures({1: tubes[0], 2: tubes[1]}, lattice(14.0, (0.5, 0.5, 0.5)), table)
+    cut = Reshaping("cylinder", ((-4.6, 0.0, 0.0), (-4.6, 0.0, 20.0)), 7.0, ("cut", "cut wall"), ("background",))
+    made = dataclasses.replace(plain, reshapings=(cut,), band_mm=10.0)
+    random = np.random.default_rng(0)
+    here = random.uniform((-3.0, -4.0, 1.0), (3.0, 4.0, 10.0), (100_000, 3))
+    way = 0.02 * random.normal(size=here.shape)
+    field = [ownership_at_points(made, points).tissue_mm.astype(float) for points in (here, here + way)]
+    assert (np.abs(field[1] - field[0]) <= 2.0 * np.linalg.norm(way, axis=1) + 1e-4).all()
+    # what is left is the whole tube's wall, up to where the two lumens were equally near
+    radius = np.linalg.norm(here[:, :2] - (4.6, 0.0), axis=1)
+    is_wall = (here[:, 0] > 0.0) & (radius > 4.0) & (radius < 6.0)
+    sure = (np.abs(here[:, 0]) > 0.05) & (np.abs(radius - 4.0) > 0.05) & (np.abs(radius - 6.0) > 0.05)
+    np.testing.assert_array_equal((field[0] < 0.0)[sure], is_wall[sure])
+    # and as deep as the nearest of its borders; aside, where lumens turn away from each other, a little less
+    inside = is_wall & sure
+    depth = np.minimum(np.minimum(radius - 4.0, 6.0 - radius), here[:, 0])
+    assert (-field[0] <= depth + 0.02)[inside].all()
+    middle = inside & (np.abs(here[:, 1]) < 1.0)
+    np.testing.assert_allclose(-field[0][middle], depth[middle], atol=0.02)
