@@ -96,7 +96,10 @@ class Segmentation:
 
 
 class Reshaping(NamedTuple):
-    """A part of space that goes from some structures to others: one edit, or the cut at a vessel's end."""
+    """A part of space that goes from some structures to others: one edit, or the cut at a vessel's end.
+
+    All other structures keep what they hold; their distances end where the part begins, and its own where they begin.
+    """
 
     shape: str
     """``cylinder`` (round, flat ends); ``elliptic`` or ``slit`` (flat ends, the cross-section an ellipse or a straight

@@ -20,11 +20,12 @@ from scipy.spatial import cKDTree
 from heartcase.pipeline.cells.curvature import curvature_errors, grid_springs, node_neighbours
 from heartcase.pipeline.cells.ties import Check, NodeTriangles, TieChooser, closest_weights
 from heartcase.pipeline.data import GridMap, SimulationGrid, Structures, Surface
-from heartcase.pipeline.fields import FieldReader
+from heartcase.pipeline.fields import FieldReader, steps_through
 from heartcase.pipeline.grid import FACE_CORNERS
 from heartcase.pipeline.picking import split_faces
 from heartcase.pipeline.side_by_side import side_by_side
 from heartcase.schemas.errors import Problem, StageError
+from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.lattice import cell_nodes, lattice_keys
 from heartcase.schemas.settings import MapSettings
 
@@ -87,13 +88,21 @@ def map_surface(surface: Surface, grid: SimulationGrid, structures: Structures, 
     Raises
     ------
     StageError
-        A vertex or a normal is not a number.
-    ValueError
-        The grid's cells are not parallel to the structures.
+        A vertex or a normal is not a number; surface, grid and structures are not of one case.
     """
-    problems = _not_numbers(surface, ())
+    problems = _not_numbers(surface, "")
     for n, level in enumerate(surface.levels, start=1):
-        problems += _not_numbers(level, ("levels", n))
+        problems += _not_numbers(level, f"levels.{n}.")
+    if not surface.table == grid.table == structures.table:
+        problems.append(
+            Problem(
+                "structures", "surface, grid and structures are not of one case: give those that both were made from"
+            )
+        )
+    elif not _is_parallel(grid.geometry, structures.geometry):
+        problems.append(
+            Problem("structures", "the grid was not made from them: its axes are others; give those it was made from")
+        )
     if problems:
         raise StageError(problems)
     reader = FieldReader.of(structures)
@@ -101,16 +110,25 @@ def map_surface(surface: Surface, grid: SimulationGrid, structures: Structures, 
     return replace(_map_level(surface, grid, reader, settings), levels=levels)
 
 
-def _not_numbers(surface: Surface, place: tuple[str | int, ...]) -> list[Problem]:
+def _not_numbers(surface: Surface, place: str) -> list[Problem]:
     """What is wrong with vertices or normals that are no numbers."""
     return [
         Problem(
-            ".".join(map(str, (*place, name))),
-            f"{int(bad.sum())} of {len(bad)} are not numbers, first number {int(bad.argmax())}: make the surface again",
+            place + name,
+            f"{bad.sum()} of {len(bad)} are not numbers, the first at vertex {bad.argmax()}: make the surface again",
         )
         for name in ("vertices_mm", "normals")
         if (bad := ~np.isfinite(getattr(surface, name)).all(axis=1)).any()
     ]
+
+
+def _is_parallel(cells: Geometry, fields: Geometry) -> bool:
+    """Whether two lattices have the same axes, but for their order along each."""
+    try:
+        steps_through(fields, cells)
+    except ValueError:
+        return False
+    return True
 
 
 def _map_level(surface: Surface, grid: SimulationGrid, reader: FieldReader, settings: MapSettings) -> GridMap:
@@ -181,12 +199,10 @@ def _choose_triangles(
     surface: Surface, grid: SimulationGrid, reader: FieldReader, settings: MapSettings
 ) -> tuple[Int32, Bool, Bool]:
     """The triangle of each vertex, whether it lies between cells, and whether no face of its own void is in reach."""
-    # the index of a left-handed grid is turned over
-    handed = np.sign(np.linalg.det(grid.geometry.direction_matrix))
 
     def triangles_of(nodes: Int32, cells: Int32) -> NodeTriangles:
         corners = grid.nodes[nodes].astype(np.float64)
-        return NodeTriangles(corners, handed * triangle_basis(corners)[:, 1], cells)
+        return NodeTriangles(corners, triangle_basis(corners)[:, 1], cells)
 
     penalty, tries = settings.normal_penalty, settings.candidate_count
     chooser = TieChooser(surface, reader, grid.geometry, penalty=penalty, tries=tries)
@@ -210,8 +226,8 @@ def _choose_triangles(
     left = take_own(everyone, np.full(len(everyone), FAR_CELLS))
     nearest, score = chooser.nearest(left, at_boundary, np.arange(len(triangles)), check=Check.NOTHING)
     # A cavity too narrow for a cell has no faces there: its far ones would drag the vertex along.
-    lost = take_own(left, score + FAR_CELLS)
-    chosen[lost] = nearest[np.isin(left, lost)]
+    narrow = take_own(left, score + FAR_CELLS)
+    chosen[narrow] = nearest[np.isin(left, narrow)]
     nodes = triangles[chosen]
     is_inner = np.zeros(len(everyone), np.bool_)
     far = np.flatnonzero(own_score > NEAR_CELLS)

@@ -367,6 +367,19 @@ def test_vertices_and_normals_that_are_no_numbers_are_refused(heart):
     first, second = caught.value.problems
     assert first.place == "levels.1.vertices_mm"
     assert "1 of" in first.message
-    assert "first number 3" in first.message
+    assert "the first at vertex 3" in first.message
     assert second.place == "levels.1.normals"
     assert "2 of" in second.message
+
+
+def test_structures_of_another_case_are_refused(heart):
+    surface, grid, made = heart
+    turned = dataclasses.replace(
+        made,
+        geometry=lattice(12.0, direction=rotation((0.0, 0.0, 1.0), 5.0) @ made.geometry.direction_matrix),
+    )
+    with pytest.raises(StageError, match="its axes are others"):
+        map_surface(surface, grid, turned, MapSettings())
+    other = dataclasses.replace(made, table=type(made.table)(labels=made.table.labels[:2]))
+    with pytest.raises(StageError, match="not of one case"):
+        map_surface(surface, grid, other, MapSettings())

@@ -67,6 +67,9 @@ class Check(Enum):
     """Nor may the triangle look into another void."""
 
 
+_WALLS_GAPS, _VOIDS = Check.WALLS_GAPS.value, Check.WALLS_GAPS_VOIDS.value
+
+
 class TieChooser:
     """Looks for the triangles that the vertices of one surface follow."""
 
@@ -223,7 +226,7 @@ def _choose(  # type: ignore[no-untyped-def]
                     chosen[n] = _NO_USE if apart[n, -1] - _HALF_WIDTH > most[n] else -1
                     break
                 corner = triangles.corners[t]
-                if check > 0:
+                if check >= _WALLS_GAPS:
                     _closest_point(place, corner[0], corner[1], corner[2], weights)
                     to = weights[0] * corner[0] + weights[1] * corner[1] + weights[2] * corner[2]
                     is_tied = not is_beyond_wall(fields, spare, place, normal, triangles.facing[t], to)
@@ -240,7 +243,7 @@ def _choose(  # type: ignore[no-untyped-def]
                             answers[at] = hangs_together(fields, spare, room, place, normal, cell, False)
                             asked_count += 1
                         is_tied = answers[at]
-                    if is_tied and check > 1:
+                    if is_tied and check >= _VOIDS:
                         facing = triangles.facing[t]
                         is_tied = not looks_elsewhere(fields, spare, room, place, normal, facing, triangles.cells[t])
                     if not is_tied:

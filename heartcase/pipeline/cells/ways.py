@@ -107,7 +107,7 @@ def searched():  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def field_at(fields, x, y, z, spare):  # type: ignore[no-untyped-def]
-    """What a place is, and is in: beyond the scanned volume all is void and background.
+    """Tissue field and void at a place; beyond the scanned volume all is void and background.
 
     Returns the signed distance to tissue, in cells, the label of the nearest void, and how far, in cells, the edge of
     the scan is at least, where the field jumps.

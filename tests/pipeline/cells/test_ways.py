@@ -161,7 +161,8 @@ def test_walls_on_a_way_are_those_of_dense_samples(heart):
 @pytest.mark.parametrize("is_void", [False, True])
 def test_what_hangs_together_is_what_the_labels_say(heart, is_void):
     structures, cells = heart
-    places, normals = places_on_the_border(structures, cells, 1500)
+    # voids that are apart are rare here: look at more places
+    places, normals = places_on_the_border(structures, cells, 9000 if is_void else 1500)
     size = np.array(cells.size)
     random = np.random.default_rng(3)
     target = np.clip(np.floor(places).astype(int) + random.integers(-2, 3, places.shape), 0, size - 1)
@@ -190,7 +191,7 @@ def test_what_hangs_together_is_what_the_labels_say(heart, is_void):
         wanted = not mine or not theirs or bool(mine & theirs)
         assert found[n] == wanted, n
         asked += not wanted
-    assert asked > (10 if is_void else 50)
+    assert asked > 50
     assert found.mean() > 0.3
 
 
