@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from heartcase.cli.output import working
-from heartcase.cli.stage_io import optional_recipe, read_scan_or_output, scan_options
+from heartcase.cli.stage_io import load_outputs, optional_recipe, read_scan_or_output, scan_options
 from heartcase.schemas.errors import UsageError
 
 __all__ = ["command"]
@@ -46,7 +46,6 @@ def command(
     choice: dict[str, Any],
 ) -> None:
     """Write the case OUTPUT (NAME.case) from GRID and the other stages' outputs."""
-    from heartcase.pipeline.artifacts import load_artifact
     from heartcase.pipeline.bundle import assemble_bundle, resolve_materials, write_bundle
     from heartcase.pipeline.case_id import made_up_case_id
     from heartcase.pipeline.data import GridMap, SimulationGrid, Structures, Surface
@@ -59,10 +58,15 @@ def command(
     from heartcase.schemas.settings import MaterialsSettings
 
     loaded = optional_recipe(recipe)
-    cells = load_artifact(grid, SimulationGrid)
+    cells, mesh, tied, fields = load_outputs(
+        {
+            "GRID": (grid, SimulationGrid),
+            "--surface": (surface, Surface),
+            "--map": (grid_map, GridMap),
+            "--structures": (structures, Structures),
+        }
+    )
     volume = read_scan_or_output(scan, choice)
-    mesh = load_artifact(surface, Surface) if surface else None
-    fields = load_artifact(structures, Structures) if structures else None
     name = output.name.removesuffix(".case")
     case_id = (loaded.case_id if loaded else None) or made_up_case_id(name, volume.values_sha256)
     labels = labels_of(fields) if fields else None
@@ -82,7 +86,7 @@ def command(
         scan_sha256=volume.values_sha256,
         stages=(),
         surface=mesh,
-        grid_map=load_artifact(grid_map, GridMap) if grid_map else None,
+        grid_map=tied,
         picking=picking_surface(cells),
         glbs=[glb_bytes(one, case_id=case_id) for one in (mesh, *mesh.levels)] if mesh else (),
         labels_nrrd=segmentation_nrrd_bytes(labels, case_id=case_id) if labels else None,

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from heartcase.cli.output import working
-from heartcase.cli.stage_io import optional_recipe, save_output, settings_of, stage_options
+from heartcase.cli.stage_io import load_outputs, optional_recipe, save_output, settings_of, stage_options
 
 __all__ = ["command"]
 
@@ -26,19 +26,16 @@ def command(
 
     Both were made (by 'heartcase surface' and 'grid') from STRUCTURES, which tell where walls and gaps are.
     """
-    from heartcase.pipeline.artifacts import load_artifact
     from heartcase.pipeline.data import SimulationGrid, Structures, Surface
     from heartcase.pipeline.map import map_surface
     from heartcase.schemas.settings import MapSettings
 
     loaded = optional_recipe(recipe)
     settings = settings_of(MapSettings, loaded.map if loaded else None, sets)
-    tied = map_surface(
-        load_artifact(surface, Surface),
-        load_artifact(grid, SimulationGrid),
-        load_artifact(structures, Structures),
-        settings,
+    mesh, cells, fields = load_outputs(
+        {"SURFACE": (surface, Surface), "GRID": (grid, SimulationGrid), "STRUCTURES": (structures, Structures)}
     )
+    tied = map_surface(mesh, cells, fields, settings)
     save_output(output, tied)
     for warning in tied.warnings:
         click.echo(f"warning: {warning}")

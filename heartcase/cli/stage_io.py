@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -12,12 +12,13 @@ import click
 from pydantic import ValidationError
 
 from heartcase.schemas.base import Model
-from heartcase.schemas.errors import Problem, RecipeError, UsageError, problems_from_validation
+from heartcase.schemas.errors import Problem, RecipeError, StageError, UsageError, problems_from_validation
 from heartcase.schemas.files import atomic_write
 from heartcase.schemas.recipe import Recipe, load_recipe
 
 __all__ = [
     "SCAN_SUFFIXES",
+    "load_outputs",
     "optional_recipe",
     "read_scan_or_output",
     "save_output",
@@ -119,6 +120,28 @@ def read_scan_or_output(path: Path, choice: dict[str, Any] | None = None) -> Any
     from heartcase.pipeline.read import read_scan
 
     return load_artifact(path, Scan) if path.suffix == ".safetensors" else read_scan(path, **choice or {})
+
+
+def load_outputs(wanted: Mapping[str, tuple[Path | None, type]]) -> list[Any]:
+    """Outputs of stages, by the name of the argument: each the (path, kind); None where there is no path.
+
+    Raises
+    ------
+    StageError
+        Files that cannot be read, or are not those outputs: all of them, by the names of their arguments.
+    """
+    from heartcase.pipeline.artifacts import load_artifact
+
+    found: list[Any] = []
+    problems: list[Problem] = []
+    for name, (path, kind) in wanted.items():
+        try:
+            found.append(load_artifact(path, kind) if path is not None else None)
+        except StageError as error:
+            problems += [Problem(name, problem.message) for problem in error.problems]
+    if problems:
+        raise StageError(problems)
+    return found
 
 
 def save_output(path: Path, output: Any) -> None:

@@ -238,3 +238,20 @@ def test_a_named_edit_is_called_by_its_name_and_a_new_name_computes_no_stage_ane
         told += [line.partition(":")[0] for line in result["warnings"] if line.startswith("edits")]
     assert told == ["edits[1]", 'edits[1] "tidy up"', 'edits[1] "swept"']
     assert {"edit", "grid", "surface", "map"} <= set(result["reused"])
+
+
+def test_all_inputs_of_a_stage_that_are_wrong_are_told_at_once_by_name(work, tmp_path, capsys):
+    output, junk = tmp_path / "map.safetensors", tmp_path / "junk.safetensors"
+    output.write_bytes(b"what was there")
+    junk.write_bytes(b"junk")
+    assert run("map", tmp_path / "none.safetensors", junk, junk, output) == 1
+    error = capsys.readouterr().err
+    for name, words in (("SURFACE", "cannot be read"), ("GRID", "not the output"), ("STRUCTURES", "not the output")):
+        assert re.search(f"{name}: the file .*{words}", error), error
+    assert output.read_bytes() == b"what was there"
+    case = tmp_path / "a.case"
+    assert run("bundle", junk, case, "--surface", junk, "--scan", work / "scan.nii.gz") == 1
+    error = capsys.readouterr().err
+    assert "GRID: " in error
+    assert "--surface: " in error
+    assert not case.exists()
