@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import get_args
 
 import click
 import numpy as np
@@ -19,6 +20,7 @@ from heartcase.schemas.approval import approval_state
 from heartcase.schemas.bundle import LEVEL_MAX
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.script import SimulationScript
+from heartcase.simulator.engine import Backend
 from heartcase.simulator.export import SURFACE_FORMATS, write_surface
 from heartcase.simulator.load import Case, load_case
 from heartcase.simulator.script import SessionSummary, default_script, load_script, run_script, with_positions
@@ -45,7 +47,7 @@ _STEP = click.FloatRange(min=0.0, max=1.0, min_open=True)
 )
 @click.option("--seconds", type=_SECONDS, help="Simulated time; the script's, or 2 without a script.")
 @click.option("--step", "step_s", type=_STEP, help="Time step in s; the case's default when left out.")
-@click.option("--backend", type=click.Choice(["cpu", "reference"]), default="cpu", help="Which kernel steps.")
+@click.option("--backend", type=click.Choice(get_args(Backend)), default="cpu", help="Which kernel steps.")
 @click.option(
     "--level", type=click.IntRange(0, LEVEL_MAX), default=0, help="Level of detail of the surface; 0 is the finest."
 )
@@ -58,7 +60,7 @@ def command(
     script_path: Path | None,
     seconds: float | None,
     step_s: float | None,
-    backend: str,
+    backend: Backend,
     level: int,
     surface_out: Path | None,
     animation: Path | None,
@@ -82,7 +84,7 @@ def command(
         step_s=script.step_s,
         damping_per_s=script.damping_per_s,
         gravity_m_s2=script.gravity_m_s2,
-        backend="reference" if backend == "reference" else "cpu",
+        backend=backend,
     )
     case_id, approval = loaded.manifest.case_id, approval_state(case)
     film_every = max(1, round(script.frames_per_second / FILM_FRAMES_PER_SECOND)) if animation is not None else 0

@@ -30,22 +30,47 @@ _EMPTY_START = LANE_COUNT
 
 @dataclass(frozen=True)
 class LaneLayout:
-    """Where the nodes are in memory, and the constants of each lane."""
+    """Where the nodes are in memory. Springs may be removed or change; the layout stays."""
 
     lane_count: int
     """Length of an array with one value per lane."""
     node_lane: npt.NDArray[np.int64]
     """Lane of each node, shape (node_count,)."""
+    node_slot: npt.NDArray[np.int64]
+    """Number of the node's block times 8 plus its place there, shape (node_count,)."""
     block_rows: npt.NDArray[np.int64]
     """First lane of the block at the same i in the nine ROWS of each block, shape (block_count, 9); an empty block
     where a row has none."""
-    spring_weight: npt.NDArray[np.float32]
-    """Stiffness of the spring from each lane along each of the nine DIRECTIONS [k], shape (9, lane_count)."""
 
     @property
     def block_count(self) -> int:
         """Number of blocks that hold a node."""
         return len(self.block_rows)
+
+    def spring_weight(self, model: LatticeModel) -> npt.NDArray[np.float32]:
+        """Stiffness of the spring from each lane along each of the nine DIRECTIONS [k], shape (9, lane_count)."""
+        weight = np.zeros((len(DIRECTIONS), self.lane_count), np.float32)
+        weight[model.spring_direction, self.node_lane[model.spring_nodes[:, 0]]] = model.spring_weight
+        return weight
+
+    def uniform_weight(self, model: LatticeModel) -> npt.NDArray[np.float32]:
+        """Stiffness of all springs of a block's nodes, where each has 18 and all are alike, else 0 [k].
+
+        Shape (block_count,).
+        """
+        ends = model.spring_nodes.ravel()
+        both = np.repeat(model.spring_weight, 2)
+        lowest = np.where(np.bincount(ends, minlength=model.node_count) == 2 * len(DIRECTIONS), np.inf, 0.0)
+        highest = np.zeros(model.node_count)
+        np.minimum.at(lowest, ends, both)
+        np.maximum.at(highest, ends, both)
+        first = np.flatnonzero(np.diff(self.node_slot // LANE_COUNT, prepend=-1))
+        low, high = np.minimum.reduceat(lowest, first), np.maximum.reduceat(highest, first)
+        return np.where(low == high, low, 0.0).astype(np.float32)
+
+    def blocks_of(self, nodes: npt.NDArray[np.intp]) -> npt.NDArray[np.int64]:
+        """Rows of the blocks that hold some nodes, shape (count, 9)."""
+        return self.block_rows[np.unique(self.node_slot[nodes] // LANE_COUNT)]
 
 
 def lane_layout(model: LatticeModel) -> LaneLayout:
@@ -66,14 +91,14 @@ def lane_layout(model: LatticeModel) -> LaneLayout:
     lane_count = int(start[-1]) + 2 * LANE_COUNT
 
     node_block = np.searchsorted(stored, keys)
-    node_lane = start[node_block] + model.node_index[:, 0] % LANE_COUNT
+    place = model.node_index[:, 0] % LANE_COUNT
+    node_lane = start[node_block] + place
+    node_slot = LANE_COUNT * np.searchsorted(used, keys) + place
 
     rows = np.repeat(blocks[first, None, :], len(ROWS), axis=1)
     rows[:, :, 1:] += ROWS
     row_keys = lattice_keys(rows)
-    place = np.minimum(np.searchsorted(stored, row_keys), len(stored) - 1)
-    block_rows = np.where(stored[place] == row_keys, start[place], _EMPTY_START)
+    nearest = np.minimum(np.searchsorted(stored, row_keys), len(stored) - 1)
+    block_rows = np.where(stored[nearest] == row_keys, start[nearest], _EMPTY_START)
 
-    weight = np.zeros((len(DIRECTIONS), lane_count), np.float32)
-    weight[model.spring_direction, node_lane[model.spring_nodes[:, 0]]] = model.spring_weight
-    return LaneLayout(lane_count=lane_count, node_lane=node_lane, block_rows=block_rows, spring_weight=weight)
+    return LaneLayout(lane_count=lane_count, node_lane=node_lane, node_slot=node_slot, block_rows=block_rows)

@@ -137,6 +137,11 @@ class LatticeModel:
         """Mass of all nodes, kg."""
         return float(self.node_mass.sum(dtype=np.float64)) * self.units.mass_kg
 
+    @property
+    def inverse_mass(self) -> Float32:
+        """Inverse masses [1 / full cell], zero where a node is fixed, shape (node_count,)."""
+        return np.where(self.node_is_fixed, np.float32(0), 1 / self.node_mass).astype(np.float32)
+
     def rest_positions_mm(self) -> Float64:
         """Rest positions of the nodes in patient LPS mm, shape (node_count, 3)."""
         return self.geometry.index_to_world(self.node_index - 0.5)

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.schemas.errors import SimulationError
-from heartcase.simulator.engine import Backend, inverse_mass, make_engine
+from heartcase.simulator.engine import Backend, make_engine
 from heartcase.simulator.instruments import Grab, nodes_in_reach
 from heartcase.simulator.integrate import Energy, Verlet, energy
 from heartcase.simulator.measures import inverted_cells
@@ -43,7 +43,7 @@ class Simulation:
     gravity_m_s2
         Acceleration of gravity, LPS axes, m/s2.
     backend
-        ``cpu`` (numba, float32) or ``reference`` (NumPy, float64).
+        ``cpu`` (numba, float32), ``cuda`` (an NVIDIA GPU, float32) or ``reference`` (NumPy, float64).
 
     Raises
     ------
@@ -74,7 +74,7 @@ class Simulation:
             damping=damping_per_s * units.time_s,
             gravity=(float(gravity[0]), float(gravity[1]), float(gravity[2])),
         )
-        self._inverse_mass = inverse_mass(model)
+        self._inverse_mass = model.inverse_mass
         self._engine = make_engine(model, backend)
         self._state: State | None = None
 
@@ -185,7 +185,7 @@ class Simulation:
 
     def force_on(self, grab: Grab) -> Float64:
         """Force that the tissue exerts on a hand now, N, LPS axes, shape (3,)."""
-        pull = self._engine.forces()[grab.nodes].sum(axis=0, dtype=np.float64)
+        pull = self._engine.forces(grab.nodes).sum(axis=0, dtype=np.float64)
         force: Float64 = pull @ self.model.geometry.direction_matrix.T * self.model.units.force_n
         return force
 

@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from heartcase.schemas.errors import SimulationError
-from heartcase.simulator.engine import PARALLEL_BLOCKS_MIN, make_engine
+from heartcase.simulator.engine import make_engine
+from heartcase.simulator.engine_cpu import PARALLEL_BLOCKS_MIN
 from heartcase.simulator.forces_reference import spring_forces
 from heartcase.simulator.integrate import Verlet
 from heartcase.simulator.kernel_cpu import advance, advance_alone
@@ -138,5 +139,5 @@ def test_coincident_nodes_and_inverted_cells_stay_finite(backend):
 
 
 def test_unknown_backend_is_refused():
-    with pytest.raises(SimulationError, match="cpu, reference"):
+    with pytest.raises(SimulationError, match="cpu, cuda, reference"):
         make_engine(block(1, 1, 1), "abacus")

@@ -31,10 +31,10 @@ def oblique_geometry(shape=(8, 8, 8), cell_mm: float = 2.5) -> Geometry:
 
 
 @st.composite
-def random_models(draw, *, fixed: bool = True, materials: bool = True) -> LatticeModel:
+def random_models(draw, *, fixed: bool = True, materials: bool = True, size_max=(20, 4, 4)) -> LatticeModel:
     """Any cells of a box over blocks of lanes and the origin; any coverage, stiffness, density, fixed nodes."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
-    size = [draw(st.integers(1, limit)) for limit in (20, 4, 4)]
+    size = [draw(st.integers(1, limit)) for limit in size_max]
     corner = [draw(st.integers(-9, 9)) for _ in range(3)]
     cells = block_cells(*size) + np.array(corner, np.int32)
     kept = rng.random(len(cells)) < draw(st.floats(0.1, 1.0))

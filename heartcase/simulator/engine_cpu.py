@@ -1,0 +1,106 @@
+"""The engine on the CPU: float32, all cores, vectors of 8 lanes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+from heartcase.simulator.integrate import Verlet
+from heartcase.simulator.kernel_cpu import advance, advance_alone, lane_forces
+from heartcase.simulator.lanes import lane_layout
+from heartcase.simulator.model import DIRECTIONS, LatticeModel
+from heartcase.simulator.pace import Pace
+from heartcase.simulator.state import State
+
+__all__ = ["PARALLEL_BLOCKS_MIN", "CpuEngine"]
+
+Float32 = npt.NDArray[np.float32]
+
+PARALLEL_BLOCKS_MIN = 1024
+"""Blocks from which on more than one thread pays."""
+
+
+class CpuEngine:
+    """The numba kernel over the lanes of :mod:`heartcase.simulator.lanes`."""
+
+    def __init__(self, model: LatticeModel) -> None:
+        self.layout = lane_layout(model)
+        lane_count = self.layout.lane_count
+        self.weight = _aligned((len(DIRECTIONS), lane_count))
+        self.set_springs(model)
+        self.displacement = _aligned((2, 3, lane_count))
+        self.velocity = _aligned((3, lane_count))
+        self.force = _aligned((3, lane_count))
+        self.inverse_mass = _aligned((1, lane_count))
+        self.set_inverse_mass(model.inverse_mass)
+        self.pace = Pace()
+        self.current = 0
+        self.step_count = 0
+
+    def load(self, state: State) -> None:
+        """Start from this state."""
+        self.prescribe(np.arange(len(self.layout.node_lane)), state.displacement, state.velocity)
+        self.step_count = state.step_count
+
+    def read(self) -> State:
+        """A copy of the state."""
+        lanes = self.layout.node_lane
+        displacement = np.ascontiguousarray(self.displacement[self.current][:, lanes].T)
+        return State(displacement, np.ascontiguousarray(self.velocity[:, lanes].T), self.step_count)
+
+    def prescribe(self, nodes: npt.NDArray[np.intp], displacement: Float32, velocity: Float32) -> None:
+        """Set where nodes are and how they move on."""
+        lanes = self.layout.node_lane[nodes]
+        self.displacement[self.current][:, lanes] = displacement.T
+        self.velocity[:, lanes] = velocity.T
+
+    def set_inverse_mass(self, inverse_mass: Float32) -> None:
+        """Inverse masses; nodes at zero keep their velocity."""
+        self.inverse_mass[0, self.layout.node_lane] = inverse_mass
+
+    def advance(self, step_count: int, verlet: Verlet) -> None:
+        """Take steps."""
+        numbers = (verlet.step, verlet.keep, verlet.kick, *verlet.gravity)
+        constants = tuple(np.float32(number) for number in numbers)
+
+        def in_one_way(kernel: Callable[..., int]) -> Callable[[int], None]:
+            def take(count: int) -> None:
+                self.current = kernel(
+                    self.displacement,
+                    self.velocity,
+                    self.weight,
+                    self.inverse_mass,
+                    self.layout.block_rows,
+                    self.current,
+                    count,
+                    constants,
+                )
+
+            return take
+
+        if self.layout.block_count < PARALLEL_BLOCKS_MIN:
+            in_one_way(advance_alone)(step_count)
+        else:
+            self.pace.run(step_count, (in_one_way(advance_alone), in_one_way(advance)))
+        self.step_count += step_count
+
+    def set_springs(self, model: LatticeModel) -> None:
+        """Go on with the springs of another model of the same nodes."""
+        self.weight[:] = self.layout.spring_weight(model)
+
+    def forces(self, nodes: npt.NDArray[np.intp] | None = None) -> Float32:
+        """Spring forces now, on some nodes or all; only the blocks that hold them are worked out."""
+        rows = self.layout.block_rows if nodes is None else self.layout.blocks_of(nodes)
+        lanes = self.layout.node_lane if nodes is None else self.layout.node_lane[nodes]
+        lane_forces(self.displacement[self.current], self.weight, self.force, rows)
+        return np.ascontiguousarray(self.force[:, lanes].T)
+
+
+def _aligned(shape: tuple[int, ...]) -> Float32:
+    """Zeros that start on a cache line: a vector load across two lines costs double."""
+    line = 16
+    room = np.zeros(int(np.prod(shape)) + line, np.float32)
+    shift = -(room.ctypes.data // room.itemsize) % line
+    return room[shift : shift + int(np.prod(shape))].reshape(shape)

@@ -1,0 +1,229 @@
+"""The engine on a CUDA device: the state stays there, and the host reads what it asks for.
+
+Where ``NUMBA_ENABLE_CUDASIM=1`` is set before numba is loaded, the same code runs in numba's simulator: exact and very
+slow, for tests without a device.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from heartcase.schemas.errors import SimulationError
+from heartcase.simulator.integrate import Verlet
+from heartcase.simulator.lanes import lane_layout
+from heartcase.simulator.model import LatticeModel
+from heartcase.simulator.state import State
+
+__all__ = ["CudaEngine", "Launch", "plan_launch"]
+
+Float32 = npt.NDArray[np.float32]
+
+WARP = 32
+"""Threads that a multiprocessor runs in step."""
+PLAIN_THREADS = 128
+"""Threads of a block in the kernels that do not meet."""
+STEPS_PER_LAUNCH = 100_000
+"""So that Ctrl-C is heard within seconds, and the count of the meetings stays in its 32 bits."""
+
+
+@dataclass(frozen=True)
+class Launch:
+    """How the nodes are shared among threads."""
+
+    block_count: int
+    """Blocks of threads."""
+    thread_count: int
+    """Threads of each block."""
+    sweep_count: int
+    """Sweeps that hold all nodes; one where each thread has a node for good."""
+    share: int
+    """Nodes of each block of threads in a sweep."""
+
+
+def plan_launch(node_count: int, block_count: int, thread_count: int) -> Launch:
+    """Share nodes evenly among at most so many blocks of threads with at most so many threads.
+
+    A block of threads takes ``share`` neighbouring nodes, so that most of what it reads is its own; a sweep takes
+    ``share * block_count`` nodes.
+    """
+    sweep_count = -(-node_count // (block_count * thread_count))
+    share = -(-node_count // (sweep_count * block_count))
+    share = min(-(-share // WARP) * WARP, thread_count)
+    return Launch(
+        block_count=min(block_count, -(-node_count // share)), thread_count=share, sweep_count=sweep_count, share=share
+    )
+
+
+class CudaEngine:
+    """The CUDA kernels: float32, many steps in one launch.
+
+    Parameters
+    ----------
+    model
+        The lattice.
+    resident
+        Whether each thread keeps a node for good: by default where the device has room for all nodes.
+
+    Raises
+    ------
+    SimulationError
+        There is no CUDA device, or what it needs is not installed.
+    """
+
+    def __init__(self, model: LatticeModel, *, resident: bool | None = None) -> None:
+        self._cuda = _cuda()
+        from heartcase.simulator import kernel_cuda
+
+        self._kernels = kernel_cuda
+        self.model = model
+        layout = lane_layout(model)
+        self._layout = layout
+        self._lane_count = layout.lane_count
+        cuda = self._cuda
+        self._node_lane = cuda.to_device(layout.node_lane.astype(np.uint32))
+        self._node_slot = cuda.to_device(layout.node_slot.astype(np.uint32))
+        self._block_rows = cuda.to_device(layout.block_rows.astype(np.uint32).ravel())
+        self.set_springs(model)
+        self._displacement = cuda.to_device(np.zeros(8 * layout.lane_count, np.float32))
+        self._velocity = cuda.to_device(np.zeros(4 * layout.lane_count, np.float32))
+        self._arrivals = cuda.to_device(np.zeros(1, np.uint32))
+        self._constants: dict[Verlet, Any] = {}
+        self._current = 0
+        self.step_count = 0
+        self._launch, self._is_resident = self._plan(resident)
+        self.set_inverse_mass(model.inverse_mass)
+
+    def load(self, state: State) -> None:
+        """Start from this state."""
+        self.prescribe(np.arange(self.model.node_count), state.displacement, state.velocity)
+        self.step_count = state.step_count
+
+    def read(self) -> State:
+        """A copy of the state."""
+        first = self._current * self._lane_count
+        displacement = self._gathered(self._displacement, first)
+        return State(displacement, self._gathered(self._velocity, 0), self.step_count)
+
+    def prescribe(self, nodes: npt.NDArray[np.intp], displacement: Float32, velocity: Float32) -> None:
+        """Set where nodes are and how they move on."""
+        if not len(nodes):
+            return
+        self._kernels.scatter_nodes[self._blocks(len(nodes)), PLAIN_THREADS](
+            self._cuda.to_device(np.asarray(nodes, np.uint32)),
+            self._cuda.to_device(np.ascontiguousarray(displacement, np.float32)),
+            self._cuda.to_device(np.ascontiguousarray(velocity, np.float32)),
+            self._node_lane,
+            self._current * self._lane_count,
+            self._displacement,
+            self._velocity,
+        )
+
+    def set_inverse_mass(self, inverse_mass: Float32) -> None:
+        """Inverse masses; nodes at zero keep their velocity."""
+        self._kernels.write_inverse_mass[self._blocks(len(inverse_mass)), PLAIN_THREADS](
+            self._cuda.to_device(np.ascontiguousarray(inverse_mass, np.float32)), self._node_lane, self._velocity
+        )
+
+    def advance(self, step_count: int, verlet: Verlet) -> None:
+        """Take steps. They are under way when this returns; whatever reads the state waits for them."""
+        constants = self._constants_of(verlet)
+        left = step_count
+        while True:
+            count = min(left, STEPS_PER_LAUNCH)
+            self._advance(count, constants)
+            self._current = (self._current + count) % 2
+            self.step_count += count
+            left -= count
+            if not left:
+                return
+            self._cuda.synchronize()
+
+    def set_springs(self, model: LatticeModel) -> None:
+        """Go on with the springs of another model of the same nodes."""
+        self._spring_weight = self._cuda.to_device(self._layout.spring_weight(model).ravel())
+        self._uniform_weight = self._cuda.to_device(self._layout.uniform_weight(model))
+
+    def forces(self, nodes: npt.NDArray[np.intp] | None = None) -> Float32:
+        """Spring forces now, on some nodes or all."""
+        nodes = np.arange(self.model.node_count) if nodes is None else nodes
+        if not len(nodes):
+            return np.zeros((0, 3), np.float32)
+        force = self._cuda.device_array((len(nodes), 3), np.float32)
+        self._kernels.node_forces[self._blocks(len(nodes)), PLAIN_THREADS](
+            self._displacement,
+            self._spring_weight,
+            self._block_rows,
+            self._node_slot,
+            self._lane_count,
+            self._current,
+            self._cuda.to_device(np.asarray(nodes, np.uint32)),
+            force,
+        )
+        return np.asarray(force.copy_to_host())
+
+    def _advance(self, step_count: int, constants: Any) -> None:
+        launch = self._launch
+        state = (self._displacement, self._velocity, self._spring_weight)
+        where = (self._block_rows, self._node_slot, self._lane_count)
+        what = (self._current, step_count, constants, self._arrivals)
+        if self._is_resident:
+            kernel = self._kernels.advance_resident
+            kernel[launch.block_count, launch.thread_count](*state, *where, *what)
+        else:
+            kernel = self._kernels.advance_streaming
+            sweeps = (launch.sweep_count, launch.share)
+            kernel[launch.block_count, launch.thread_count](*state, self._uniform_weight, *where, *sweeps, *what)
+
+    def _plan(self, resident: bool | None) -> tuple[Launch, bool]:
+        """Compile the kernel that suits the number of nodes, and share them so that all threads run at once."""
+        kernels, node_count = self._kernels, self.model.node_count
+        constants = self._constants_of(Verlet(0.0))
+        for kernel, is_resident in ((kernels.advance_resident, True), (kernels.advance_streaming, False)):
+            if resident not in (None, is_resident):
+                continue
+            self._launch, self._is_resident = Launch(1, WARP, 1, WARP), is_resident
+            self._advance(0, constants)
+            most = kernels.RESIDENT_THREADS if is_resident else kernels.STREAMING_THREADS
+            overload = next(iter(kernel.overloads.values()), None) or kernel.overloads[()]
+            launch = plan_launch(node_count, overload.max_cooperative_grid_blocks(most), most)
+            if launch.sweep_count == 1 or not is_resident:
+                return launch, is_resident
+        raise SimulationError(f"the device has no room to keep {node_count} nodes in registers: leave resident out")
+
+    def _constants_of(self, verlet: Verlet) -> Any:
+        if verlet not in self._constants:
+            numbers = (verlet.step, verlet.keep, verlet.kick, *verlet.gravity)
+            self._constants = {verlet: self._cuda.to_device(np.array(numbers, np.float32))}
+        return self._constants[verlet]
+
+    def _gathered(self, by_lane: Any, first: int) -> Float32:
+        by_node = self._cuda.device_array((self.model.node_count, 3), np.float32)
+        blocks = self._blocks(self.model.node_count)
+        self._kernels.gather_nodes[blocks, PLAIN_THREADS](by_lane, first, self._node_lane, by_node)
+        return np.asarray(by_node.copy_to_host())
+
+    @staticmethod
+    def _blocks(count: int) -> int:
+        return -(-count // PLAIN_THREADS)
+
+
+def _cuda() -> Any:
+    """Numba's CUDA target, where it works.
+
+    Raises
+    ------
+    SimulationError
+        It does not.
+    """
+    remedy = "install heartcase[cuda] on a machine with an NVIDIA GPU and its driver, or choose the backend 'cpu'"
+    try:
+        from numba import cuda
+    except ImportError as error:
+        raise SimulationError(f"numba cannot load CUDA ({error}): {remedy}", place="backend") from None
+    if not cuda.is_available():
+        raise SimulationError(f"there is no CUDA device: {remedy}", place="backend")
+    return cuda

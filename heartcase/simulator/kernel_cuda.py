@@ -1,0 +1,328 @@
+"""The CUDA kernels: the lanes of :mod:`heartcase.simulator.lanes`, a thread per node, many steps in one launch.
+
+The force is :mod:`heartcase.simulator.kernel_cpu`'s, spring for spring in the same order. All threads meet after every
+step, so that one launch takes as many steps as the host wants. A step reads only the displacements of the one before
+and writes only its own nodes: the result does not depend on how the nodes are shared among threads.
+
+Two kernels take the same steps to the same bits. :func:`advance_resident` gives each thread one node, whose springs,
+mass and velocity stay in registers from the first step to the last: all that is read in a step are displacements.
+:func:`advance_streaming` sweeps over any number of nodes, forth and back, and reads their constants in every step.
+
+Vectors are stored by fours, so that a node's is read in one access: x, y, z of the displacement and one unused; x, y,
+z of the velocity and the inverse mass.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+from numba import cuda
+
+from heartcase.simulator.intrinsics_cuda import load_four, meet, register_limit, store_four
+from heartcase.simulator.lanes import LANE_COUNT
+
+__all__ = [
+    "RESIDENT_THREADS",
+    "STREAMING_THREADS",
+    "advance_resident",
+    "advance_streaming",
+    "gather_nodes",
+    "node_forces",
+    "scatter_nodes",
+    "write_inverse_mass",
+]
+
+RESIDENT_THREADS = 256
+"""Threads of a block of :func:`advance_resident`; two blocks fit on a multiprocessor of 65,536 registers."""
+STREAMING_THREADS = 768
+"""Threads of a block of :func:`advance_streaming`; one block fits."""
+
+_U = np.uint32
+_LANE_COUNT = _U(LANE_COUNT)
+_ROW_COUNT = _U(9)
+_TINY = np.float32(1e-30)
+"""Keeps the division defined where two nodes lie on one spot."""
+_M, _O, _P = np.float32(-1.0), np.float32(0.0), np.float32(1.0)
+_EDGE, _DIAGONAL = np.float32(1.0), np.float32(np.sqrt(2.0))
+
+
+@cuda.jit(device=True, fastmath=True)
+def _add_pull(total, own, displacement, place, offset, length, weight):
+    """The force so far plus the pull of one spring; see :mod:`heartcase.simulator.kernel_cpu`."""
+    other = load_four(displacement, _U(place))
+    Dx, Dy, Dz = other[0] - own[0], other[1] - own[1], other[2] - own[2]
+    dx, dy, dz = Dx + offset[0], Dy + offset[1], Dz + offset[2]
+    e = (dx + offset[0]) * Dx + (dy + offset[1]) * Dy + (dz + offset[2]) * Dz
+    d_squared = dx * dx + dy * dy + dz * dz
+    pull = weight * e / (d_squared + length * sqrt(d_squared) + _TINY)
+    return total[0] + pull * dx, total[1] + pull * dy, total[2] + pull * dz
+
+
+@cuda.jit(device=True, fastmath=True)
+def _force(displacement, buffer, own, row, weight):
+    """Sum of the pulls of a node's 18 springs.
+
+    ``buffer`` is where the displacements begin, ``own`` the node's, ``row`` the lanes at its i in the nine ROWS,
+    ``weight`` the stiffness of the springs along the nine DIRECTIONS, each before its opposite.
+    """
+    behind, here, ahead = buffer + row[3], buffer + row[4], buffer + row[5]
+    below, above = buffer + row[1], buffer + row[7]
+    f = (_O, _O, _O)
+    f = _add_pull(f, own, displacement, here + 1, (_P, _O, _O), _EDGE, weight[0])
+    f = _add_pull(f, own, displacement, here - 1, (_M, _O, _O), _EDGE, weight[1])
+    f = _add_pull(f, own, displacement, ahead - 1, (_M, _P, _O), _DIAGONAL, weight[2])
+    f = _add_pull(f, own, displacement, behind + 1, (_P, _M, _O), _DIAGONAL, weight[3])
+    f = _add_pull(f, own, displacement, ahead, (_O, _P, _O), _EDGE, weight[4])
+    f = _add_pull(f, own, displacement, behind, (_O, _M, _O), _EDGE, weight[5])
+    f = _add_pull(f, own, displacement, ahead + 1, (_P, _P, _O), _DIAGONAL, weight[6])
+    f = _add_pull(f, own, displacement, behind - 1, (_M, _M, _O), _DIAGONAL, weight[7])
+    f = _add_pull(f, own, displacement, buffer + row[6], (_O, _M, _P), _DIAGONAL, weight[8])
+    f = _add_pull(f, own, displacement, buffer + row[2], (_O, _P, _M), _DIAGONAL, weight[9])
+    f = _add_pull(f, own, displacement, above - 1, (_M, _O, _P), _DIAGONAL, weight[10])
+    f = _add_pull(f, own, displacement, below + 1, (_P, _O, _M), _DIAGONAL, weight[11])
+    f = _add_pull(f, own, displacement, above, (_O, _O, _P), _EDGE, weight[12])
+    f = _add_pull(f, own, displacement, below, (_O, _O, _M), _EDGE, weight[13])
+    f = _add_pull(f, own, displacement, above + 1, (_P, _O, _P), _DIAGONAL, weight[14])
+    f = _add_pull(f, own, displacement, below - 1, (_M, _O, _M), _DIAGONAL, weight[15])
+    f = _add_pull(f, own, displacement, buffer + row[8], (_O, _P, _P), _DIAGONAL, weight[16])
+    return _add_pull(f, own, displacement, buffer + row[0], (_O, _M, _M), _DIAGONAL, weight[17])
+
+
+@cuda.jit(device=True)
+def _rows(block_rows, slot):
+    """Lanes at a slot's i in the nine ROWS; number 4 is its own. A slot is a block's number times eight plus i."""
+    first, i = _U(slot // _LANE_COUNT * _ROW_COUNT), _U(slot % _LANE_COUNT)
+    return (
+        _U(block_rows[first] + i),
+        _U(block_rows[_U(first + 1)] + i),
+        _U(block_rows[_U(first + 2)] + i),
+        _U(block_rows[_U(first + 3)] + i),
+        _U(block_rows[_U(first + 4)] + i),
+        _U(block_rows[_U(first + 5)] + i),
+        _U(block_rows[_U(first + 6)] + i),
+        _U(block_rows[_U(first + 7)] + i),
+        _U(block_rows[_U(first + 8)] + i),
+    )
+
+
+@cuda.jit(device=True)
+def _weights(spring_weight, lane_count, row):
+    """Stiffness of a node's 18 springs; a spring's is stored at its lower node."""
+    own = row[4]
+    return (
+        spring_weight[own],
+        spring_weight[_U(own - 1)],
+        spring_weight[_U(lane_count + own)],
+        spring_weight[_U(lane_count + row[3] + 1)],
+        spring_weight[_U(2 * lane_count + own)],
+        spring_weight[_U(2 * lane_count + row[3])],
+        spring_weight[_U(3 * lane_count + own)],
+        spring_weight[_U(3 * lane_count + row[3] - 1)],
+        spring_weight[_U(4 * lane_count + own)],
+        spring_weight[_U(4 * lane_count + row[2])],
+        spring_weight[_U(5 * lane_count + own)],
+        spring_weight[_U(5 * lane_count + row[1] + 1)],
+        spring_weight[_U(6 * lane_count + own)],
+        spring_weight[_U(6 * lane_count + row[1])],
+        spring_weight[_U(7 * lane_count + own)],
+        spring_weight[_U(7 * lane_count + row[1] - 1)],
+        spring_weight[_U(8 * lane_count + own)],
+        spring_weight[_U(8 * lane_count + row[0])],
+    )
+
+
+@cuda.jit(device=True)
+def _block_weights(spring_weight, uniform_weight, lane_count, slot, row):
+    """:func:`_weights`, read only where the springs of the slot's block are not all alike."""
+    alike = uniform_weight[_U(slot // _LANE_COUNT)]
+    if alike > _O:
+        return (
+            alike, alike, alike, alike, alike, alike, alike, alike, alike,
+            alike, alike, alike, alike, alike, alike, alike, alike, alike,
+        )  # fmt: skip
+    return _weights(spring_weight, lane_count, row)
+
+
+@cuda.jit(device=True, fastmath=True)
+def _next_velocity(v, force, keep, kick, gravity):
+    """See :mod:`heartcase.simulator.integrate`; where the inverse mass ``v[3]`` is zero the velocity stays."""
+    mass_inverse = v[3]
+    if mass_inverse > _O:
+        return (
+            keep * v[0] + kick * (force[0] * mass_inverse + gravity[0]),
+            keep * v[1] + kick * (force[1] * mass_inverse + gravity[1]),
+            keep * v[2] + kick * (force[2] * mass_inverse + gravity[2]),
+            mass_inverse,
+        )
+    return v
+
+
+@cuda.jit(device=True)
+def _start_meeting(arrivals):
+    """Set the count to zero; numba's own meeting makes it launch the grid only if all of it runs at once."""
+    if cuda.grid(1) == 0:
+        arrivals[0] = 0
+    cuda.cg.this_grid().sync()
+
+
+@cuda.jit(fastmath=True, **register_limit(128))
+def advance_resident(
+    displacement,
+    velocity,
+    spring_weight,
+    block_rows,
+    node_slot,
+    lane_count,
+    current,
+    step_count,
+    constants,
+    arrivals,
+):
+    """Take steps in place, with a thread for every node.
+
+    Parameters
+    ----------
+    displacement
+        Two buffers of lanes, x, y, z [cells] and one unused, float32, shape (2 * lane_count * 4,); the steps
+        alternate between them.
+    velocity
+        x, y, z half a step before [cells / unit of time] and inverse mass [1 / full cell], 0 where motion is
+        prescribed, float32, shape (lane_count * 4,).
+    spring_weight
+        Spring stiffness by direction [k], float32, shape (9 * lane_count,).
+    block_rows
+        First lanes of each block's nine rows, uint32, shape (block_count * 9,).
+    node_slot
+        Number of each node's block times eight plus its place there, uint32, shape (node_count,).
+    lane_count
+        Number of lanes.
+    current
+        Buffer that holds the displacement now; the other after an odd number of steps.
+    step_count
+        Steps to take; times the number of blocks of threads at most 2**32 - 1.
+    constants
+        Step, keep, kick and the three components of gravity, grid units, float32, shape (6,).
+    arrivals
+        Room for the meetings' count, uint32, shape (1,).
+    """
+    _start_meeting(arrivals)
+    number = cuda.grid(1)
+    is_used = number < node_slot.shape[0]
+    slot = _U(0)
+    if is_used:
+        slot = node_slot[number]
+    count = _U(lane_count)
+    row = _rows(block_rows, slot)
+    lane = row[4]
+    weight = _weights(spring_weight, count, row)
+    step, keep, kick = constants[0], constants[1], constants[2]
+    gravity = (constants[3], constants[4], constants[5])
+    now, later = _U(current * count), _U((1 - current) * count)
+    u = load_four(displacement, _U(now + lane))
+    v = load_four(velocity, lane)
+    expected = _U(0)
+    for _ in range(step_count):
+        if is_used:
+            v = _next_velocity(v, _force(displacement, now, u, row, weight), keep, kick, gravity)
+            u = (u[0] + step * v[0], u[1] + step * v[1], u[2] + step * v[2], _O)
+            store_four(displacement, _U(later + lane), u[0], u[1], u[2], u[3])
+        now, later = later, now
+        expected = _U(expected + cuda.gridDim.x)
+        meet(arrivals, expected)
+    if is_used:
+        store_four(velocity, lane, v[0], v[1], v[2], v[3])
+
+
+@cuda.jit(fastmath=True, **register_limit(80))
+def advance_streaming(
+    displacement,
+    velocity,
+    spring_weight,
+    uniform_weight,
+    block_rows,
+    node_slot,
+    lane_count,
+    sweep_count,
+    share,
+    current,
+    step_count,
+    constants,
+    arrivals,
+):
+    """:func:`advance_resident` for any number of nodes.
+
+    Parameters
+    ----------
+    uniform_weight
+        Stiffness of all springs of a block's nodes where they are all alike, else 0 [k], float32, shape
+        (block_count,).
+    sweep_count, share
+        A sweep is a stretch of ``share`` nodes, at most one per thread, for every block of threads; so many sweeps
+        hold all nodes. Every other step takes them in the opposite order, while the last ones' memory is near.
+    """
+    _start_meeting(arrivals)
+    step, keep, kick = constants[0], constants[1], constants[2]
+    gravity = (constants[3], constants[4], constants[5])
+    count = _U(lane_count)
+    now, later = _U(current * count), _U((1 - current) * count)
+    expected = _U(0)
+    for step_number in range(step_count):
+        for sweep in range(sweep_count):
+            turn = sweep if step_number % 2 == 0 else sweep_count - 1 - sweep
+            number = (turn * cuda.gridDim.x + cuda.blockIdx.x) * share + cuda.threadIdx.x
+            if cuda.threadIdx.x < share and number < node_slot.shape[0]:
+                slot = node_slot[number]
+                row = _rows(block_rows, slot)
+                lane = row[4]
+                weight = _block_weights(spring_weight, uniform_weight, count, slot, row)
+                u = load_four(displacement, _U(now + lane))
+                force = _force(displacement, now, u, row, weight)
+                v = _next_velocity(load_four(velocity, lane), force, keep, kick, gravity)
+                store_four(velocity, lane, v[0], v[1], v[2], v[3])
+                place = _U(later + lane)
+                store_four(displacement, place, u[0] + step * v[0], u[1] + step * v[1], u[2] + step * v[2], _O)
+        now, later = later, now
+        expected = _U(expected + cuda.gridDim.x)
+        meet(arrivals, expected)
+
+
+@cuda.jit(fastmath=True)
+def node_forces(displacement, spring_weight, block_rows, node_slot, lane_count, current, nodes, force):
+    """Write the spring forces [grid units] on some nodes, shape (count, 3)."""
+    number = cuda.grid(1)
+    if number < nodes.shape[0]:
+        count = _U(lane_count)
+        now = _U(current * count)
+        row = _rows(block_rows, node_slot[nodes[number]])
+        own = load_four(displacement, _U(now + row[4]))
+        f = _force(displacement, now, own, row, _weights(spring_weight, count, row))
+        force[number, 0], force[number, 1], force[number, 2] = f[0], f[1], f[2]
+
+
+@cuda.jit
+def gather_nodes(by_lane, first, node_lane, by_node):
+    """Copy x, y, z of the vectors by lane, from vector ``first`` on, to the nodes, shape (node_count, 3)."""
+    node = cuda.grid(1)
+    if node < node_lane.shape[0]:
+        vector = load_four(by_lane, _U(first + node_lane[node]))
+        by_node[node, 0], by_node[node, 1], by_node[node, 2] = vector[0], vector[1], vector[2]
+
+
+@cuda.jit
+def scatter_nodes(nodes, displacement_of, velocity_of, node_lane, first, displacement, velocity):
+    """Write displacements and velocities of some nodes, shape (count, 3) each, into their lanes."""
+    number = cuda.grid(1)
+    if number < nodes.shape[0]:
+        lane = node_lane[nodes[number]]
+        u, v = displacement_of[number], velocity_of[number]
+        store_four(displacement, _U(first + lane), u[0], u[1], u[2], _O)
+        store_four(velocity, lane, v[0], v[1], v[2], load_four(velocity, lane)[3])
+
+
+@cuda.jit
+def write_inverse_mass(inverse_mass, node_lane, velocity):
+    """Write the nodes' inverse masses, shape (node_count,), into their lanes."""
+    node = cuda.grid(1)
+    if node < node_lane.shape[0]:
+        velocity[4 * node_lane[node] + 3] = inverse_mass[node]
