@@ -14,7 +14,7 @@ from heartcase.simulator.integrate import Energy, Verlet, energy
 from heartcase.simulator.measures import inverted_cells
 from heartcase.simulator.model import LatticeModel
 from heartcase.simulator.state import State
-from heartcase.simulator.step_size import checked_step, step_limit
+from heartcase.simulator.step_size import checked_step, own_step_limit
 from heartcase.simulator.surface import DeformedSurface, PickingModel, SurfaceModel, deform, deform_picking
 from heartcase.simulator.watchdog import find_trouble
 
@@ -48,7 +48,7 @@ class Simulation:
     Raises
     ------
     SimulationError
-        The step is beyond the case's stability bound, or there is no such backend.
+        The step is beyond the lattice's own limit, or there is no such backend.
     """
 
     def __init__(
@@ -97,8 +97,8 @@ class Simulation:
 
     @property
     def step_limit_s(self) -> float:
-        """Largest step that is stable at rest, s."""
-        return step_limit(self.model)
+        """Largest step that is stable at rest with the springs that there are now, s."""
+        return own_step_limit(self.model)
 
     def prepare(self) -> None:
         """Compile what will be needed, so that the first frame is as quick as the rest."""

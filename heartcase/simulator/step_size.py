@@ -3,22 +3,27 @@
 Central differences are stable while step < 2 / omega, omega the highest angular frequency. Stiffness and mass of the
 lattice are sums over cells, so omega^2 is at most the highest of any single cell alone (Irons and Treharne's element
 bound); a lone cell has omega^2 = 20 k/m, whatever its coverage, because coverage scales its stiffness and its mass
-alike. Held nodes and removed springs only lower it. That holds at rest; stretched springs stiffen up to 24 k/m.
+alike. Held nodes and removed springs only lower it. That holds at rest. Springs stiffen when stretched, but none
+resists a movement of its ends by more than its weight, whatever its length and direction; in a lone cell of springs
+that resist all movements so, omega^2 = 24 k/m, which no deformation of any lattice exceeds.
+
+A lattice's own limit follows from its own highest frequency (:mod:`heartcase.simulator.spectrum`): 12 k/m in the bulk.
 """
 
 from __future__ import annotations
 
-from math import sqrt
+from math import inf, sqrt
 
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.model import LatticeModel
+from heartcase.simulator.spectrum import largest_eigenvalue
 
-__all__ = ["checked_step", "default_step", "step_limit"]
+__all__ = ["checked_step", "default_step", "own_step_limit", "step_limit"]
 
 REST_BOUND = 20.0
 """omega^2 m/k of a lone cell at rest, the highest of any shape."""
 STRETCHED_BOUND = 24.0
-"""omega^2 m/k that stretched springs reach."""
+"""omega^2 m/k that no deformation exceeds."""
 SAFETY = 0.8
 """Default step over the limit of the stretched lattice."""
 
@@ -33,8 +38,18 @@ def step_limit(model: LatticeModel) -> float:
     return 2.0 / (sqrt(REST_BOUND) * _cell_rate(model))
 
 
+def own_step_limit(model: LatticeModel) -> float:
+    """Largest time step that is stable at rest for this very lattice, s: at most 1% below it, and never above.
+
+    Never below :func:`step_limit`; infinite where nothing can move. Ask again after springs were removed.
+    """
+    upper = largest_eigenvalue(model).upper
+    own = 2.0 * model.units.time_s / sqrt(upper) if upper > 0.0 else inf
+    return max(own, step_limit(model))
+
+
 def default_step(model: LatticeModel) -> float:
-    """Time step that also suits stretched tissue, 0.8 x 2 / sqrt(24 k/m), in s."""
+    """Time step that suits tissue however it is deformed, 0.8 x 2 / sqrt(24 k/m), in s."""
     return SAFETY * 2.0 / (sqrt(STRETCHED_BOUND) * _cell_rate(model))
 
 
@@ -44,12 +59,14 @@ def checked_step(model: LatticeModel, step_s: float | None) -> float:
     Raises
     ------
     SimulationError
-        The step is not above zero, or beyond the case's limit.
+        The step is not above zero, or beyond the lattice's own limit.
     """
     if step_s is None:
         return default_step(model)
     limit = step_limit(model)
     if not 0.0 < step_s <= limit:
+        limit = own_step_limit(model)
+    if not 0.0 < step_s <= limit or step_s == inf:
         raise SimulationError(
             f"a step of {step_s:.6g} s is not stable: this case's bound is {limit:.6g} s; give at most that, "
             f"or leave it out for {default_step(model):.6g} s",
