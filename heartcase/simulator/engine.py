@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.schemas.errors import SimulationError
+from heartcase.simulator.contact import NO_PROBES, keep_outside
 from heartcase.simulator.forces_reference import spring_forces
 from heartcase.simulator.integrate import Verlet, verlet_step
 from heartcase.simulator.model import LatticeModel
@@ -34,11 +35,11 @@ class Engine(Protocol):
     def set_inverse_mass(self, inverse_mass: Float32) -> None:
         """Inverse masses [1 / full cell], shape (node_count,); nodes at zero keep their velocity."""
 
-    def advance(self, step_count: int, verlet: Verlet) -> None:
-        """Take steps."""
+    def advance(self, step_count: int, verlet: Verlet, probes: Float32 = NO_PROBES) -> None:
+        """Take steps, with probes (:func:`heartcase.simulator.contact.probe_row`) that move on in each."""
 
     def set_springs(self, model: LatticeModel) -> None:
-        """Go on with the springs of another model of the same nodes."""
+        """Go on with the springs, also the explicit ones, of another model of the same nodes."""
 
     def forces(self, nodes: npt.NDArray[np.intp] | None = None) -> Float32:
         """Spring forces now, shape (node_count, 3), or on some nodes, shape (len(nodes), 3)."""
@@ -92,16 +93,18 @@ class ReferenceEngine:
         """Inverse masses; nodes at zero keep their velocity."""
         self.inverse_mass = inverse_mass.astype(np.float64)
 
-    def advance(self, step_count: int, verlet: Verlet) -> None:
+    def advance(self, step_count: int, verlet: Verlet, probes: Float32 = NO_PROBES) -> None:
         """Take steps."""
-        for _ in range(step_count):
-            self.displacement, self.velocity = verlet_step(
-                self.model, verlet, self.displacement, self.velocity, self.inverse_mass
-            )
+        for step_number in range(step_count):
+            later, velocity = verlet_step(self.model, verlet, self.displacement, self.velocity, self.inverse_mass)
+            if len(probes):
+                how = (self.model, probes, step_number, verlet.step, self.inverse_mass)
+                later, velocity = keep_outside(*how, self.displacement, later, velocity)
+            self.displacement, self.velocity = later, velocity
         self.step_count += step_count
 
     def set_springs(self, model: LatticeModel) -> None:
-        """Go on with the springs of another model of the same nodes."""
+        """Go on with the springs, also the explicit ones, of another model of the same nodes."""
         self.model = model
 
     def forces(self, nodes: npt.NDArray[np.intp] | None = None) -> Float32:

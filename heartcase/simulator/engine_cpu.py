@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.simulator.contact import NO_PROBES, moved_on
+from heartcase.simulator.explicit import SpringsByNode
 from heartcase.simulator.integrate import Verlet
 from heartcase.simulator.kernel_cpu import advance, advance_alone, lane_forces
 from heartcase.simulator.lanes import lane_layout
@@ -20,6 +23,7 @@ Float32 = npt.NDArray[np.float32]
 
 PARALLEL_BLOCKS_MIN = 1024
 """Blocks from which on more than one thread pays."""
+_NO_REST: Float32 = np.zeros((3, 0), np.float32)
 
 
 class CpuEngine:
@@ -60,23 +64,14 @@ class CpuEngine:
         """Inverse masses; nodes at zero keep their velocity."""
         self.inverse_mass[0, self.layout.node_lane] = inverse_mass
 
-    def advance(self, step_count: int, verlet: Verlet) -> None:
+    def advance(self, step_count: int, verlet: Verlet, probes: Float32 = NO_PROBES) -> None:
         """Take steps."""
-        numbers = (verlet.step, verlet.keep, verlet.kick, *verlet.gravity)
-        constants = tuple(np.float32(number) for number in numbers)
 
         def in_one_way(kernel: Callable[..., int]) -> Callable[[int], None]:
             def take(count: int) -> None:
-                self.current = kernel(
-                    self.displacement,
-                    self.velocity,
-                    self.weight,
-                    self.inverse_mass,
-                    self.layout.block_rows,
-                    self.current,
-                    count,
-                    constants,
-                )
+                nonlocal probes
+                self.advance_by(kernel, count, verlet, probes)
+                probes = moved_on(probes, count)
 
             return take
 
@@ -84,18 +79,52 @@ class CpuEngine:
             in_one_way(advance_alone)(step_count)
         else:
             self.pace.run(step_count, (in_one_way(advance_alone), in_one_way(advance)))
+
+    def advance_by(self, kernel: Callable[..., int], step_count: int, verlet: Verlet, probes: Float32) -> None:
+        """Take steps with one of the two kernels, which give the same bits."""
+        numbers = (verlet.step, verlet.keep, verlet.kick, *verlet.gravity)
+        self.current = kernel(
+            self.displacement,
+            self.velocity,
+            self.weight,
+            self.inverse_mass,
+            self.layout.block_rows,
+            self.current,
+            step_count,
+            tuple(np.float32(number) for number in numbers),
+            self._explicit,
+            self._rest if len(probes) else _NO_REST,
+            probes,
+        )
         self.step_count += step_count
 
     def set_springs(self, model: LatticeModel) -> None:
         """Go on with the springs of another model of the same nodes."""
         self.weight[:] = self.layout.spring_weight(model)
+        springs = SpringsByNode.of(model.explicit, model.node_index)
+        nodes = np.flatnonzero(np.diff(springs.first))
+        first = np.append(springs.first[nodes], len(springs.other)).astype(np.int64)
+        lanes = self.layout.node_lane
+        self._explicit = (lanes[nodes], first, lanes[springs.other], springs.offset, springs.stiffness)
+        self.model = model
 
     def forces(self, nodes: npt.NDArray[np.intp] | None = None) -> Float32:
         """Spring forces now, on some nodes or all; only the blocks that hold them are worked out."""
         rows = self.layout.block_rows if nodes is None else self.layout.blocks_of(nodes)
         lanes = self.layout.node_lane if nodes is None else self.layout.node_lane[nodes]
         lane_forces(self.displacement[self.current], self.weight, self.force, rows)
-        return np.ascontiguousarray(self.force[:, lanes].T)
+        force = np.ascontiguousarray(self.force[:, lanes].T)
+        if self.model.explicit.count:
+            explicit = self.model.explicit.forces(self.model.node_index, self.read().displacement)
+            force += explicit if nodes is None else explicit[nodes]
+        return force
+
+    @cached_property
+    def _rest(self) -> Float32:
+        """Rest positions by lane [cells], shape (3, lane_count)."""
+        rest = _aligned((3, self.layout.lane_count))
+        rest[:, self.layout.node_lane] = self.model.node_index.T
+        return rest
 
 
 def _aligned(shape: tuple[int, ...]) -> Float32:

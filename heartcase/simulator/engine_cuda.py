@@ -7,12 +7,15 @@ slow, for tests without a device.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from heartcase.schemas.errors import SimulationError
+from heartcase.simulator.contact import NO_PROBES, moved_on
+from heartcase.simulator.explicit import SpringsByNode
 from heartcase.simulator.integrate import Verlet
 from heartcase.simulator.lanes import lane_layout
 from heartcase.simulator.model import LatticeModel
@@ -91,6 +94,7 @@ class CudaEngine:
         self._displacement = cuda.to_device(np.zeros(8 * layout.lane_count, np.float32))
         self._velocity = cuda.to_device(np.zeros(4 * layout.lane_count, np.float32))
         self._arrivals = cuda.to_device(np.zeros(1, np.uint32))
+        self._no_probes = (cuda.to_device(np.zeros(0, np.float32)), cuda.to_device(NO_PROBES))
         self._constants: dict[Verlet, Any] = {}
         self._current = 0
         self.step_count = 0
@@ -128,15 +132,16 @@ class CudaEngine:
             self._cuda.to_device(np.ascontiguousarray(inverse_mass, np.float32)), self._node_lane, self._velocity
         )
 
-    def advance(self, step_count: int, verlet: Verlet) -> None:
+    def advance(self, step_count: int, verlet: Verlet, probes: Float32 = NO_PROBES) -> None:
         """Take steps. They are under way when this returns; whatever reads the state waits for them."""
         constants = self._constants_of(verlet)
         left = step_count
         while True:
             count = min(left, STEPS_PER_LAUNCH)
-            self._advance(count, constants)
+            self._advance(count, constants, probes)
             self._current = (self._current + count) % 2
             self.step_count += count
+            probes = moved_on(probes, count)
             left -= count
             if not left:
                 return
@@ -146,6 +151,13 @@ class CudaEngine:
         """Go on with the springs of another model of the same nodes."""
         self._spring_weight = self._cuda.to_device(self._layout.spring_weight(model).ravel())
         self._uniform_weight = self._cuda.to_device(self._layout.uniform_weight(model))
+        springs = SpringsByNode.of(model.explicit, model.node_index)
+        self._explicit = (
+            self._cuda.to_device(springs.first.astype(np.uint32)),
+            self._cuda.to_device(self._layout.node_lane[springs.other].astype(np.uint32)),
+            self._cuda.to_device(springs.offset.ravel()),
+            self._cuda.to_device(springs.stiffness),
+        )
 
     def forces(self, nodes: npt.NDArray[np.intp] | None = None) -> Float32:
         """Spring forces now, on some nodes or all."""
@@ -160,23 +172,27 @@ class CudaEngine:
             self._node_slot,
             self._lane_count,
             self._current,
+            *self._explicit,
             self._cuda.to_device(np.asarray(nodes, np.uint32)),
             force,
         )
         return np.asarray(force.copy_to_host())
 
-    def _advance(self, step_count: int, constants: Any) -> None:
+    def _advance(self, step_count: int, constants: Any, probes: Float32 = NO_PROBES) -> None:
         launch = self._launch
         state = (self._displacement, self._velocity, self._spring_weight)
         where = (self._block_rows, self._node_slot, self._lane_count)
         what = (self._current, step_count, constants, self._arrivals)
+        hands = (*self._explicit, *((self._rest, self._cuda.to_device(probes)) if len(probes) else self._no_probes))
         if self._is_resident:
             kernel = self._kernels.advance_resident
-            kernel[launch.block_count, launch.thread_count](*state, *where, *what)
+            kernel[launch.block_count, launch.thread_count](*state, *where, *what, *hands)
         else:
             kernel = self._kernels.advance_streaming
             sweeps = (launch.sweep_count, launch.share)
-            kernel[launch.block_count, launch.thread_count](*state, self._uniform_weight, *where, *sweeps, *what)
+            kernel[launch.block_count, launch.thread_count](
+                *state, self._uniform_weight, *where, *sweeps, *what, *hands
+            )
 
     def _plan(self, resident: bool | None) -> tuple[Launch, bool]:
         """Compile the kernel that suits the number of nodes, and share them so that all threads run at once."""
@@ -205,6 +221,13 @@ class CudaEngine:
         blocks = self._blocks(self.model.node_count)
         self._kernels.gather_nodes[blocks, PLAIN_THREADS](by_lane, first, self._node_lane, by_node)
         return np.asarray(by_node.copy_to_host())
+
+    @cached_property
+    def _rest(self) -> Any:
+        """Rest positions by node on the device, i, j, k and one unused [cells]."""
+        rest = np.zeros((self.model.node_count, 4), np.float32)
+        rest[:, :3] = self.model.node_index
+        return self._cuda.to_device(rest.ravel())
 
     @staticmethod
     def _blocks(count: int) -> int:

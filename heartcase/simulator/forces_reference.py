@@ -13,7 +13,7 @@ Float64 = npt.NDArray[np.float64]
 
 
 def spring_forces(model: LatticeModel, displacement: npt.ArrayLike) -> Float64:
-    """Force of the springs on every node (thesis 8.2): w (length - rest) d / length, summed over its springs.
+    """Force of all springs on every node (thesis 8.2): w (length - rest) d / length, summed over its springs.
 
     Parameters
     ----------
@@ -36,13 +36,17 @@ def spring_forces(model: LatticeModel, displacement: npt.ArrayLike) -> Float64:
     for axis in range(3):
         force[:, axis] += np.bincount(lower, pull[:, axis], minlength=model.node_count)
         force[:, axis] -= np.bincount(higher, pull[:, axis], minlength=model.node_count)
+    if model.explicit.count:
+        force += model.explicit.forces(model.node_index, displacement)
     return force
 
 
 def elastic_energy(model: LatticeModel, displacement: npt.ArrayLike) -> float:
     """Energy in the springs, half the sum of w (length - rest)^2 [grid units of energy]."""
     _, length = _springs(model, displacement)
-    return float(0.5 * np.sum(model.spring_weight * (length - model.spring_length) ** 2))
+    _, stretch = model.explicit.pull(model.node_index, displacement)
+    explicit = 0.5 * np.sum(model.explicit.stiffness * stretch**2)
+    return float(0.5 * np.sum(model.spring_weight * (length - model.spring_length) ** 2) + explicit)
 
 
 def _springs(model: LatticeModel, displacement: npt.ArrayLike) -> tuple[Float64, Float64]:

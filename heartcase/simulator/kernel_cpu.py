@@ -25,10 +25,16 @@ from numba import njit, prange, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
+from heartcase.simulator.contact import make_contact
 from heartcase.simulator.lanes import LANE_COUNT, ROWS
 from heartcase.simulator.model import DIRECTIONS
 
 __all__ = ["advance", "advance_alone", "lane_forces"]
+
+Float32 = npt.NDArray[np.float32]
+Int64 = npt.NDArray[np.int64]
+Constants = tuple[np.float32, np.float32, np.float32, np.float32, np.float32, np.float32]
+ExplicitArrays = tuple[Int64, Int64, Int64, Float32, Float32]
 
 _FLOAT = ir.FloatType()
 _INDEX = ir.IntType(64)
@@ -203,26 +209,112 @@ def _step_of_block(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def lane_forces(
-    displacement: npt.NDArray[np.float32],
-    weight: npt.NDArray[np.float32],
-    force: npt.NDArray[np.float32],
-    rows: npt.NDArray[np.int64],
+    displacement: Float32,
+    weight: Float32,
+    force: Float32,
+    rows: Int64,
 ) -> None:
     """Write the spring forces [grid units], shape (3, lane_count), of displacements [cells], shape (3, lane_count)."""
     for block in range(rows.shape[0]):
         _force_of_block(displacement, weight, force, rows, block)
 
 
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def _pull_explicitly(
+    now: Float32,
+    later: Float32,
+    velocity: Float32,
+    inverse_mass: Float32,
+    explicit: ExplicitArrays,
+    step: np.float32,
+    kick: np.float32,
+) -> None:
+    """Add to a step what the explicit springs do in it, from the displacements before it."""
+    lanes, first, other, offset, stiffness = explicit
+    for number in range(len(lanes)):
+        lane = lanes[number]
+        x, y, z = np.float32(0), np.float32(0), np.float32(0)
+        for spring in range(first[number], first[number + 1]):
+            there = other[spring]
+            dx = offset[spring, 0] + (now[0, there] - now[0, lane])
+            dy = offset[spring, 1] + (now[1, there] - now[1, lane])
+            dz = offset[spring, 2] + (now[2, there] - now[2, lane])
+            length = np.sqrt(dx * dx + dy * dy + dz * dz)
+            if length > 0:
+                pull = stiffness[spring] * (length - offset[spring, 3]) / length
+                x, y, z = x + pull * dx, y + pull * dy, z + pull * dz
+        scale = kick * inverse_mass[0, lane]
+        for axis, force in enumerate((x, y, z)):
+            velocity[axis, lane] += scale * force
+            later[axis, lane] += step * scale * force
+
+
+_pushed_out, _allowed_share = make_contact(njit(nogil=True))
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def _keep_block_outside(
+    now: Float32,
+    later: Float32,
+    velocity: Float32,
+    weight: Float32,
+    inverse_mass: Float32,
+    rest: Float32,
+    row: Int64,
+    probes: Float32,
+    step_number: int,
+    step: np.float32,
+) -> None:
+    """Keep the nodes of a block out of the probes after a step; see :mod:`heartcase.simulator.contact`."""
+    for place in range(LANE_COUNT):
+        lane = row[4] + place
+        if inverse_mass[0, lane] <= 0:
+            continue
+        u = (later[0, lane], later[1, lane], later[2, lane])
+        start = u
+        is_near = False
+        for probe in range(len(probes)):
+            u, is_in_reach = _pushed_out((rest[0, lane], rest[1, lane], rest[2, lane]), u, probes[probe], step_number)
+            is_near = is_near or is_in_reach
+        if not is_near:
+            continue
+        own = (now[0, lane], now[1, lane], now[2, lane])
+        m = (u[0] - own[0], u[1] - own[1], u[2] - own[2])
+        left, near, below = lane - 1, row[3] + place, row[1] + place
+        far, above = row[5] + place, row[7] + place
+        one = np.float32(1)
+        ahead = (
+            (now[0, lane + 1] - own[0] + one, now[1, lane + 1] - own[1], now[2, lane + 1] - own[2]),
+            (now[0, far] - own[0], now[1, far] - own[1] + one, now[2, far] - own[2]),
+            (now[0, above] - own[0], now[1, above] - own[1], now[2, above] - own[2] + one),
+        )
+        behind = (
+            (now[0, left] - own[0] - one, now[1, left] - own[1], now[2, left] - own[2]),
+            (now[0, near] - own[0], now[1, near] - own[1] - one, now[2, near] - own[2]),
+            (now[0, below] - own[0], now[1, below] - own[1], now[2, below] - own[2] - one),
+        )
+        has_ahead = (weight[0, lane] > 0, weight[2, lane] > 0, weight[6, lane] > 0)
+        has_behind = (weight[0, left] > 0, weight[2, near] > 0, weight[6, below] > 0)
+        share = _allowed_share(m, ahead, behind, has_ahead, has_behind)
+        if share < 1 or u != start:
+            for axis, way in enumerate(m):
+                later[axis, lane] = own[axis] + share * way
+                velocity[axis, lane] = share * way / step
+
+
 @njit(cache=True, nogil=True, parallel=True)  # type: ignore[untyped-decorator]
 def advance(
-    displacement: npt.NDArray[np.float32],
-    velocity: npt.NDArray[np.float32],
-    weight: npt.NDArray[np.float32],
-    inverse_mass: npt.NDArray[np.float32],
-    rows: npt.NDArray[np.int64],
+    displacement: Float32,
+    velocity: Float32,
+    weight: Float32,
+    inverse_mass: Float32,
+    rows: Int64,
     current: int,
     step_count: int,
-    constants: tuple[np.float32, np.float32, np.float32, np.float32, np.float32, np.float32],
+    constants: Constants,
+    explicit: ExplicitArrays,
+    rest: Float32,
+    probes: Float32,
 ) -> int:
     """Take steps in place.
 
@@ -244,37 +336,61 @@ def advance(
         Steps to take.
     constants
         Step, keep, kick and the three components of gravity, grid units.
+    explicit
+        Lanes with explicit springs, where the springs of each begin (and the last end); lane at the other end, offset
+        to it with rest length [cells], shape (count, 4), and stiffness [k] of each spring.
+    rest
+        Rest positions [cells], shape (3, lane_count); read where there are probes.
+    probes
+        Probes as of :func:`heartcase.simulator.contact.probe_row`, shape (probe_count, PROBE_SIZE).
 
     Returns
     -------
     int
         Buffer that holds the displacement at the end.
     """
-    for _ in range(step_count):
+    for step_number in range(step_count):
         now = displacement[current]
         later = displacement[1 - current]
         for block in prange(rows.shape[0]):
             _step_of_block(now, later, velocity, weight, inverse_mass, rows, block, constants)
+        if len(explicit[0]):
+            _pull_explicitly(now, later, velocity, inverse_mass, explicit, constants[0], constants[2])
+        if len(probes):
+            for block in prange(rows.shape[0]):
+                _keep_block_outside(
+                    now, later, velocity, weight, inverse_mass, rest, rows[block], probes, step_number, constants[0]
+                )
         current = 1 - current
     return current
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def advance_alone(
-    displacement: npt.NDArray[np.float32],
-    velocity: npt.NDArray[np.float32],
-    weight: npt.NDArray[np.float32],
-    inverse_mass: npt.NDArray[np.float32],
-    rows: npt.NDArray[np.int64],
+    displacement: Float32,
+    velocity: Float32,
+    weight: Float32,
+    inverse_mass: Float32,
+    rows: Int64,
     current: int,
     step_count: int,
-    constants: tuple[np.float32, np.float32, np.float32, np.float32, np.float32, np.float32],
+    constants: Constants,
+    explicit: ExplicitArrays,
+    rest: Float32,
+    probes: Float32,
 ) -> int:
     """:func:`advance` on one thread, to the same bits: quicker where a step is over before threads have met."""
-    for _ in range(step_count):
+    for step_number in range(step_count):
         now = displacement[current]
         later = displacement[1 - current]
         for block in range(rows.shape[0]):
             _step_of_block(now, later, velocity, weight, inverse_mass, rows, block, constants)
+        if len(explicit[0]):
+            _pull_explicitly(now, later, velocity, inverse_mass, explicit, constants[0], constants[2])
+        if len(probes):
+            for block in range(rows.shape[0]):
+                _keep_block_outside(
+                    now, later, velocity, weight, inverse_mass, rest, rows[block], probes, step_number, constants[0]
+                )
         current = 1 - current
     return current

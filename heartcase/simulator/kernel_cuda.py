@@ -19,6 +19,7 @@ from math import sqrt
 import numpy as np
 from numba import cuda
 
+from heartcase.simulator.contact import make_contact
 from heartcase.simulator.intrinsics_cuda import load_four, meet, register_limit, store_four
 from heartcase.simulator.lanes import LANE_COUNT
 
@@ -159,6 +160,64 @@ def _next_velocity(v, force, keep, kick, gravity):
 
 
 @cuda.jit(device=True)
+def _pull_explicitly(f, displacement, buffer, own, begin, end, explicit_lane, explicit_offset, explicit_stiffness):
+    """The force so far plus the pulls of a node's explicit springs."""
+    for spring in range(begin, end):
+        other = load_four(displacement, _U(buffer + explicit_lane[spring]))
+        offset = load_four(explicit_offset, _U(spring))
+        dx, dy, dz = offset[0] + (other[0] - own[0]), offset[1] + (other[1] - own[1]), offset[2] + (other[2] - own[2])
+        length = sqrt(dx * dx + dy * dy + dz * dz)
+        if length > _O:
+            pull = explicit_stiffness[spring] * (length - offset[3]) / length
+            f = (f[0] + pull * dx, f[1] + pull * dy, f[2] + pull * dz)
+    return f
+
+
+_pushed_out, _allowed_share = make_contact(cuda.jit(device=True))
+
+
+@cuda.jit(device=True)
+def _way_to(displacement, place, own, offset):
+    """Vector from a node to the one at a lane."""
+    other = load_four(displacement, _U(place))
+    return other[0] - own[0] + offset[0], other[1] - own[1] + offset[1], other[2] - own[2] + offset[2]
+
+
+@cuda.jit(device=True)
+def _keep_outside(displacement, buffer, own, u, v, rest, row, weight, probes, step_number, step):
+    """Displacement and velocity of a node after a step; see :mod:`heartcase.simulator.contact`."""
+    if v[3] <= _O:
+        return u, v
+    new = (u[0], u[1], u[2])
+    is_near, is_inside = False, False
+    for probe in range(probes.shape[0]):
+        pushed, is_in_reach = _pushed_out(rest, new, probes[probe], step_number)
+        is_near = is_near or is_in_reach
+        is_inside = is_inside or pushed[0] != new[0] or pushed[1] != new[1] or pushed[2] != new[2]
+        new = pushed
+    if not is_near:
+        return u, v
+    m = (new[0] - own[0], new[1] - own[1], new[2] - own[2])
+    ahead = (
+        _way_to(displacement, buffer + row[4] + 1, own, (_P, _O, _O)),
+        _way_to(displacement, buffer + row[5], own, (_O, _P, _O)),
+        _way_to(displacement, buffer + row[7], own, (_O, _O, _P)),
+    )
+    behind = (
+        _way_to(displacement, buffer + row[4] - 1, own, (_M, _O, _O)),
+        _way_to(displacement, buffer + row[3], own, (_O, _M, _O)),
+        _way_to(displacement, buffer + row[1], own, (_O, _O, _M)),
+    )
+    has_ahead = (weight[0] > _O, weight[4] > _O, weight[12] > _O)
+    has_behind = (weight[1] > _O, weight[5] > _O, weight[13] > _O)
+    share = _allowed_share(m, ahead, behind, has_ahead, has_behind)
+    if share >= _P and not is_inside:
+        return u, v
+    x, y, z = share * m[0], share * m[1], share * m[2]
+    return (own[0] + x, own[1] + y, own[2] + z, _O), (x / step, y / step, z / step, v[3])
+
+
+@cuda.jit(device=True)
 def _start_meeting(arrivals):
     """Set the count to zero; numba's own meeting makes it launch the grid only if all of it runs at once."""
     if cuda.grid(1) == 0:
@@ -178,6 +237,12 @@ def advance_resident(
     step_count,
     constants,
     arrivals,
+    explicit_first,
+    explicit_lane,
+    explicit_offset,
+    explicit_stiffness,
+    rest,
+    probes,
 ):
     """Take steps in place, with a thread for every node.
 
@@ -205,6 +270,15 @@ def advance_resident(
         Step, keep, kick and the three components of gravity, grid units, float32, shape (6,).
     arrivals
         Room for the meetings' count, uint32, shape (1,).
+    explicit_first
+        Where the explicit springs of each node begin, and the last end, uint32, shape (node_count + 1,).
+    explicit_lane, explicit_offset, explicit_stiffness
+        Lane at the other end, uint32, shape (count,); offset to it with rest length [cells], float32, shape
+        (4 * count,); stiffness [k], float32, shape (count,).
+    rest
+        Rest positions, i, j, k and one unused, float32, shape (4 * node_count,); read where there are probes.
+    probes
+        Probes as of :func:`heartcase.simulator.contact.probe_row`, float32, shape (probe_count, PROBE_SIZE).
     """
     _start_meeting(arrivals)
     number = cuda.grid(1)
@@ -221,12 +295,23 @@ def advance_resident(
     now, later = _U(current * count), _U((1 - current) * count)
     u = load_four(displacement, _U(now + lane))
     v = load_four(velocity, lane)
+    begin, end = _U(0), _U(0)
+    if is_used and explicit_lane.shape[0] > 0:
+        begin, end = explicit_first[number], explicit_first[number + 1]
     expected = _U(0)
-    for _ in range(step_count):
+    for step_number in range(step_count):
         if is_used:
-            v = _next_velocity(v, _force(displacement, now, u, row, weight), keep, kick, gravity)
-            u = (u[0] + step * v[0], u[1] + step * v[1], u[2] + step * v[2], _O)
-            store_four(displacement, _U(later + lane), u[0], u[1], u[2], u[3])
+            f = _force(displacement, now, u, row, weight)
+            if begin < end:
+                f = _pull_explicitly(
+                    f, displacement, now, u, begin, end, explicit_lane, explicit_offset, explicit_stiffness
+                )
+            v = _next_velocity(v, f, keep, kick, gravity)
+            own, u = u, (u[0] + step * v[0], u[1] + step * v[1], u[2] + step * v[2], _O)
+            if probes.shape[0] > 0:
+                place = load_four(rest, _U(number))
+                u, v = _keep_outside(displacement, now, own, u, v, place, row, weight, probes, step_number, step)
+            store_four(displacement, _U(later + lane), u[0], u[1], u[2], _O)
         now, later = later, now
         expected = _U(expected + cuda.gridDim.x)
         meet(arrivals, expected)
@@ -249,6 +334,12 @@ def advance_streaming(
     step_count,
     constants,
     arrivals,
+    explicit_first,
+    explicit_lane,
+    explicit_offset,
+    explicit_stiffness,
+    rest,
+    probes,
 ):
     """:func:`advance_resident` for any number of nodes.
 
@@ -276,27 +367,54 @@ def advance_streaming(
                 row = _rows(block_rows, slot)
                 lane = row[4]
                 weight = _block_weights(spring_weight, uniform_weight, count, slot, row)
-                u = load_four(displacement, _U(now + lane))
-                force = _force(displacement, now, u, row, weight)
-                v = _next_velocity(load_four(velocity, lane), force, keep, kick, gravity)
+                own = load_four(displacement, _U(now + lane))
+                f = _force(displacement, now, own, row, weight)
+                if explicit_lane.shape[0] > 0:
+                    begin, end = explicit_first[number], explicit_first[number + 1]
+                    f = _pull_explicitly(
+                        f, displacement, now, own, begin, end, explicit_lane, explicit_offset, explicit_stiffness
+                    )
+                v = _next_velocity(load_four(velocity, lane), f, keep, kick, gravity)
+                u = (own[0] + step * v[0], own[1] + step * v[1], own[2] + step * v[2], _O)
+                if probes.shape[0] > 0:
+                    place = load_four(rest, _U(number))
+                    u, v = _keep_outside(displacement, now, own, u, v, place, row, weight, probes, step_number, step)
                 store_four(velocity, lane, v[0], v[1], v[2], v[3])
-                place = _U(later + lane)
-                store_four(displacement, place, u[0] + step * v[0], u[1] + step * v[1], u[2] + step * v[2], _O)
+                store_four(displacement, _U(later + lane), u[0], u[1], u[2], _O)
         now, later = later, now
         expected = _U(expected + cuda.gridDim.x)
         meet(arrivals, expected)
 
 
 @cuda.jit(fastmath=True)
-def node_forces(displacement, spring_weight, block_rows, node_slot, lane_count, current, nodes, force):
+def node_forces(
+    displacement,
+    spring_weight,
+    block_rows,
+    node_slot,
+    lane_count,
+    current,
+    explicit_first,
+    explicit_lane,
+    explicit_offset,
+    explicit_stiffness,
+    nodes,
+    force,
+):
     """Write the spring forces [grid units] on some nodes, shape (count, 3)."""
     number = cuda.grid(1)
     if number < nodes.shape[0]:
+        node = nodes[number]
         count = _U(lane_count)
         now = _U(current * count)
-        row = _rows(block_rows, node_slot[nodes[number]])
+        row = _rows(block_rows, node_slot[node])
         own = load_four(displacement, _U(now + row[4]))
         f = _force(displacement, now, own, row, _weights(spring_weight, count, row))
+        if explicit_lane.shape[0] > 0:
+            begin, end = explicit_first[node], explicit_first[node + 1]
+            f = _pull_explicitly(
+                f, displacement, now, own, begin, end, explicit_lane, explicit_offset, explicit_stiffness
+            )
         force[number, 0], force[number, 1], force[number, 2] = f[0], f[1], f[2]
 
 

@@ -19,9 +19,10 @@ _CORNERS = CORNER_OFFSETS.astype(np.float64)
 
 def spring_energy(model: LatticeModel, displacement: Float) -> float:
     """Energy in the springs [grid units]: half of w (length - rest)^2, summed, in float64."""
-    return float(
-        _spring_energy(model.spring_nodes, model.spring_direction, model.spring_weight, np.asarray(displacement))
-    )
+    _, stretch = model.explicit.pull(model.node_index, displacement)
+    explicit = 0.5 * np.sum(model.explicit.stiffness * stretch**2)
+    lattice = _spring_energy(model.spring_nodes, model.spring_direction, model.spring_weight, np.asarray(displacement))
+    return float(lattice + explicit)
 
 
 def inverted_cells(model: LatticeModel, displacement: Float) -> npt.NDArray[np.bool_]:

@@ -9,7 +9,7 @@ Everything that moves is reckoned in grid units (:class:`GridUnits`): a cell's e
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +17,7 @@ import numpy.typing as npt
 from heartcase.schemas.errors import Problem, SimulationError
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.lattice import CELL_DIAGONALS, CELL_EDGES, CORNER_OFFSETS, cell_nodes, lattice_keys
+from heartcase.simulator.explicit import ExplicitSprings
 
 __all__ = ["DIRECTIONS", "GridUnits", "LatticeModel", "make_model"]
 
@@ -95,6 +96,8 @@ class LatticeModel:
     """Number of each spring's direction in DIRECTIONS: its vector at rest [cells], shape (spring_count,)."""
     spring_weight: Float32
     """Stiffness [k], above zero, shape (spring_count,)."""
+    explicit: ExplicitSprings = field(default_factory=ExplicitSprings.none)
+    """Springs outside the lattice."""
 
     @property
     def node_count(self) -> int:

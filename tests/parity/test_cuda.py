@@ -8,7 +8,7 @@ import sys
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from heartcase.simulator import kernel_cuda
@@ -20,8 +20,8 @@ from heartcase.simulator.intrinsics_cuda import IS_SIMULATED
 from heartcase.simulator.lanes import LANE_COUNT, lane_layout
 from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.state import State
-from tests.parity.test_engines import stretch_at_nodes
-from tests.simulator.lattices import EPS, block, random_field, random_models
+from tests.parity.test_engines import check_explicit_springs, check_probes, stretch_at_nodes
+from tests.simulator.lattices import EPS, block, random_field, random_models, random_probes, tied
 
 SEEDS = st.integers(0, 2**32 - 1)
 EXAMPLES = 12 if IS_SIMULATED else 60
@@ -92,10 +92,30 @@ def test_all_ways_to_share_the_nodes_give_the_same_bytes(monkeypatch):
         engine.advance(1, Verlet(0.3, 0.01))
         engine.advance(STEPS - 1, Verlet(0.3, 0.01))
         ends.append(engine.read())
-    for one, other in (ends[:2], ends[2:]):
+    model = tied(small, 3)
+    probes = random_probes(model, 3)
+    for resident in (True, False):
+        engine = CudaEngine(model, resident=resident)
+        engine.advance(2, Verlet(0.1, 0.01), probes)
+        ends.append(engine.read())
+    for one, other in (ends[:2], ends[2:4], ends[4:]):
         assert one.displacement.tobytes() == other.displacement.tobytes()
         assert one.velocity.tobytes() == other.velocity.tobytes()
-        assert len(np.unique(one.displacement)) > 100
+        assert len(np.unique(one.displacement)) > 20
+
+
+@patient
+@given(models, SEEDS, st.booleans())
+def test_explicit_springs_agree(model, seed, resident):
+    assume(model.node_count > 1)
+    model = tied(model, seed)
+    check_explicit_springs(model, seed, [CudaEngine(model, resident=resident), make_engine(model, "reference")], STEPS)
+
+
+@patient
+@given(models, SEEDS, st.booleans())
+def test_probes_push_alike(model, seed, resident):
+    check_probes(model, seed, [CudaEngine(model, resident=resident), make_engine(model, "reference")], min(STEPS, 30))
 
 
 @given(st.integers(1, 3_000_000), st.integers(1, 300), st.sampled_from([64, 256, 768]))

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from hypothesis import strategies as st
 
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.lattice import cell_nodes
+from heartcase.simulator.contact import probe_row
+from heartcase.simulator.explicit import ExplicitSprings
 from heartcase.simulator.model import LatticeModel, make_model
 
 EPS = float(np.finfo(np.float32).eps)
@@ -69,3 +73,28 @@ def stiffness_matrix(model: LatticeModel) -> np.ndarray:
         behind = spring_forces(model, -push.reshape(-1, 3))
         matrix[:, column] = (behind - ahead).ravel() / (2 * step)
     return matrix
+
+
+def tied(model: LatticeModel, seed: int) -> LatticeModel:
+    """The model with explicit springs between some of its nodes."""
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(1, 6))
+    first = rng.integers(model.node_count, size=count)
+    second = (first + rng.integers(1, model.node_count, size=count)) % model.node_count
+    springs = ExplicitSprings(
+        np.stack([first, second], axis=1).astype(np.int32),
+        rng.uniform(0.05, 1.0, count).astype(np.float32) * np.float32(model.node_mass.min()),
+        rng.uniform(0.0, 2.0, count).astype(np.float32),
+    )
+    return replace(model, explicit=springs)
+
+
+def random_probes(model: LatticeModel, seed: int) -> np.ndarray:
+    """A ball and an ellipsoid that move through some nodes of a lattice."""
+    rng = np.random.default_rng(seed)
+    rows = []
+    for _ in range(2):
+        turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        centre = model.node_index[rng.integers(model.node_count)] + rng.uniform(-0.5, 0.5, 3)
+        rows.append(probe_row(centre, rng.uniform(-0.02, 0.02, 3), rng.uniform(0.7, 1.5, 3), turn))
+    return np.stack(rows)

@@ -1,0 +1,113 @@
+"""Explicit springs: between any two nodes, with a stiffness and a rest length of their own (thesis 8.5.1).
+
+They are few and outside the lattice: what a suture or a patch hangs on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["ExplicitSprings", "SpringsByNode"]
+
+Float32 = npt.NDArray[np.float32]
+Float64 = npt.NDArray[np.float64]
+Int32 = npt.NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class ExplicitSprings:
+    """Explicit springs, in grid units."""
+
+    nodes: Int32
+    """Nodes at both ends, shape (explicit_count, 2)."""
+    stiffness: Float32
+    """Stiffness [k], above zero, shape (explicit_count,)."""
+    rest_length: Float32
+    """Length at rest [cells], not below zero, shape (explicit_count,)."""
+
+    @classmethod
+    def none(cls) -> ExplicitSprings:
+        """No explicit springs."""
+        return cls(np.zeros((0, 2), np.int32), np.zeros(0, np.float32), np.zeros(0, np.float32))
+
+    @property
+    def count(self) -> int:
+        """Number of explicit springs."""
+        return len(self.nodes)
+
+    def with_more(self, more: ExplicitSprings) -> ExplicitSprings:
+        """These, then others."""
+        return ExplicitSprings(
+            np.concatenate([self.nodes, more.nodes]),
+            np.concatenate([self.stiffness, more.stiffness]),
+            np.concatenate([self.rest_length, more.rest_length]),
+        )
+
+    def without(self, removed: npt.NDArray[np.bool_]) -> ExplicitSprings:
+        """All but some, shape (explicit_count,)."""
+        return ExplicitSprings(self.nodes[~removed], self.stiffness[~removed], self.rest_length[~removed])
+
+    def pull(self, node_index: Int32, displacement: npt.ArrayLike) -> tuple[Float64, Float64]:
+        """Pull on the first node of each, shape (explicit_count, 3), and stretch, shape (explicit_count,); float64."""
+        u = np.asarray(displacement, dtype=np.float64)
+        first, second = self.nodes.T
+        d = node_index[second] - node_index[first] + (u[second] - u[first])
+        length = np.linalg.norm(d, axis=1)
+        stretch: Float64 = length - self.rest_length
+        pull = np.divide(self.stiffness * stretch, length, out=np.zeros_like(length), where=length > 0)
+        return pull[:, None] * d, stretch
+
+    def forces(self, node_index: Int32, displacement: npt.ArrayLike) -> Float64:
+        """Force on every node, shape (node_count, 3), float64."""
+        pull, _ = self.pull(node_index, displacement)
+        force = np.zeros((len(node_index), 3))
+        np.add.at(force, self.nodes[:, 0], pull)
+        np.subtract.at(force, self.nodes[:, 1], pull)
+        return force
+
+    def rate_bound(self, inverse_mass: Float32) -> float:
+        """What they add at most to the largest eigenvalue omega^2 of the lattice, however it is deformed.
+
+        A spring resists a movement of its ends by at most its stiffness. With that for all movements, the nonzero
+        eigenvalues are those of a matrix with a row per spring whose entries sum up to what hangs on its two ends,
+        over their masses (Gershgorin's theorem).
+        """
+        if not self.count:
+            return 0.0
+        total = np.bincount(self.nodes.ravel(), np.repeat(self.stiffness, 2), len(inverse_mass)) * inverse_mass
+        return float(total[self.nodes].sum(axis=1).max())
+
+
+@dataclass(frozen=True)
+class SpringsByNode:
+    """Explicit springs by node, as the kernels read them."""
+
+    first: Int32
+    """Where the springs of each node begin, and the last end, shape (node_count + 1,)."""
+    other: Int32
+    """Node at the other end, shape (2 * explicit_count,)."""
+    offset: Float32
+    """Vector to the other end before any movement, and rest length [cells], shape (2 * explicit_count, 4)."""
+    stiffness: Float32
+    """Stiffness [k], shape (2 * explicit_count,)."""
+
+    @classmethod
+    def of(cls, springs: ExplicitSprings, node_index: Int32) -> SpringsByNode:
+        """Sort springs by node; each is there twice."""
+        here = np.concatenate([springs.nodes[:, 0], springs.nodes[:, 1]])
+        there = np.concatenate([springs.nodes[:, 1], springs.nodes[:, 0]])
+        order = np.argsort(here, kind="stable")
+        here, there = here[order], there[order]
+        count = np.bincount(here, minlength=len(node_index))
+        offset = np.empty((len(here), 4), np.float32)
+        offset[:, :3] = node_index[there] - node_index[here]
+        offset[:, 3] = np.tile(springs.rest_length, 2)[order]
+        return cls(
+            first=np.concatenate([[0], np.cumsum(count)]).astype(np.int32),
+            other=there.astype(np.int32),
+            offset=offset,
+            stiffness=np.tile(springs.stiffness, 2)[order],
+        )
