@@ -29,6 +29,8 @@ WARP = 32
 """Threads that a multiprocessor runs in step."""
 PLAIN_THREADS = 128
 """Threads of a block in the kernels that do not meet."""
+NODE_SETS_KEPT = 16
+"""Sets of nodes whose forces were asked for that stay on the device."""
 STEPS_PER_LAUNCH = 100_000
 """So that Ctrl-C is heard within seconds, and the count of the meetings stays in its 32 bits."""
 
@@ -59,6 +61,17 @@ def plan_launch(node_count: int, block_count: int, thread_count: int) -> Launch:
     return Launch(
         block_count=min(block_count, -(-node_count // share)), thread_count=share, sweep_count=sweep_count, share=share
     )
+
+
+class _SharedMemory:
+    """Memory of the host that the device reads and writes in place: what is small passes without a copy."""
+
+    def __init__(self, cuda: Any, node_count: int) -> None:
+        self.nodes = cuda.mapped_array(node_count, np.uint32)
+        self.displacement = cuda.mapped_array((node_count, 3), np.float32)
+        self.velocity = cuda.mapped_array((node_count, 3), np.float32)
+        self.event = cuda.event()
+        """Past once the device has read what was written here."""
 
 
 class CudaEngine:
@@ -94,7 +107,11 @@ class CudaEngine:
         self._displacement = cuda.to_device(np.zeros(8 * layout.lane_count, np.float32))
         self._velocity = cuda.to_device(np.zeros(4 * layout.lane_count, np.float32))
         self._arrivals = cuda.to_device(np.zeros(1, np.uint32))
-        self._no_probes = (cuda.to_device(np.zeros(0, np.float32)), cuda.to_device(NO_PROBES))
+        self._nothing = cuda.to_device(np.zeros(0, np.float32))
+        self._no_probes = self._probes = cuda.to_device(NO_PROBES)
+        self._nodes_seen: dict[bytes, Any] = {}
+        self._shown = _SharedMemory(cuda, model.node_count)
+        self._given: _SharedMemory | None = None
         self._constants: dict[Verlet, Any] = {}
         self._current = 0
         self.step_count = 0
@@ -109,22 +126,36 @@ class CudaEngine:
     def read(self) -> State:
         """A copy of the state."""
         first = self._current * self._lane_count
-        displacement = self._gathered(self._displacement, first)
-        return State(displacement, self._gathered(self._velocity, 0), self.step_count)
+        blocks = self._blocks(self.model.node_count)
+        gather = self._kernels.gather_nodes[blocks, PLAIN_THREADS]
+        gather(self._displacement, first, self._node_lane, self._shown.displacement)
+        gather(self._velocity, 0, self._node_lane, self._shown.velocity)
+        self._cuda.synchronize()
+        return State(np.array(self._shown.displacement), np.array(self._shown.velocity), self.step_count)
 
     def prescribe(self, nodes: npt.NDArray[np.intp], displacement: Float32, velocity: Float32) -> None:
         """Set where nodes are and how they move on."""
         if not len(nodes):
             return
+        if self._given is None or len(self._given.nodes) < len(nodes):
+            self._cuda.synchronize()
+            self._given = _SharedMemory(self._cuda, len(nodes))
+        given = self._given
+        given.event.synchronize()
+        given.nodes[: len(nodes)] = nodes
+        given.displacement[: len(nodes)] = displacement
+        given.velocity[: len(nodes)] = velocity
         self._kernels.scatter_nodes[self._blocks(len(nodes)), PLAIN_THREADS](
-            self._cuda.to_device(np.asarray(nodes, np.uint32)),
-            self._cuda.to_device(np.ascontiguousarray(displacement, np.float32)),
-            self._cuda.to_device(np.ascontiguousarray(velocity, np.float32)),
+            len(nodes),
+            given.nodes,
+            given.displacement,
+            given.velocity,
             self._node_lane,
             self._current * self._lane_count,
             self._displacement,
             self._velocity,
         )
+        given.event.record()
 
     def set_inverse_mass(self, inverse_mass: Float32) -> None:
         """Inverse masses; nodes at zero keep their velocity."""
@@ -152,6 +183,7 @@ class CudaEngine:
         self._spring_weight = self._cuda.to_device(self._layout.spring_weight(model).ravel())
         self._uniform_weight = self._cuda.to_device(self._layout.uniform_weight(model))
         springs = SpringsByNode.of(model.explicit, model.node_index)
+        self._explicit_count = model.explicit.count
         self._explicit = (
             self._cuda.to_device(springs.first.astype(np.uint32)),
             self._cuda.to_device(self._layout.node_lane[springs.other].astype(np.uint32)),
@@ -164,7 +196,6 @@ class CudaEngine:
         nodes = np.arange(self.model.node_count) if nodes is None else nodes
         if not len(nodes):
             return np.zeros((0, 3), np.float32)
-        force = self._cuda.device_array((len(nodes), 3), np.float32)
         self._kernels.node_forces[self._blocks(len(nodes)), PLAIN_THREADS](
             self._displacement,
             self._spring_weight,
@@ -173,22 +204,25 @@ class CudaEngine:
             self._lane_count,
             self._current,
             *self._explicit,
-            self._cuda.to_device(np.asarray(nodes, np.uint32)),
-            force,
+            self._on_device(nodes),
+            self._shown.displacement,
         )
-        return np.asarray(force.copy_to_host())
+        self._cuda.synchronize()
+        return np.array(self._shown.displacement[: len(nodes)])
 
     def _advance(self, step_count: int, constants: Any, probes: Float32 = NO_PROBES) -> None:
         launch = self._launch
         state = (self._displacement, self._velocity, self._spring_weight)
         where = (self._block_rows, self._node_slot, self._lane_count)
         what = (self._current, step_count, constants, self._arrivals)
-        hands = (*self._explicit, *((self._rest, self._cuda.to_device(probes)) if len(probes) else self._no_probes))
+        has_hands = self._explicit_count > 0 or len(probes) > 0
+        rest = self._rest if len(probes) else self._nothing
+        hands = (*self._explicit, rest, self._on_device_probes(probes) if len(probes) else self._no_probes)
         if self._is_resident:
-            kernel = self._kernels.advance_resident
+            kernel = self._kernels.advance_resident[has_hands]
             kernel[launch.block_count, launch.thread_count](*state, *where, *what, *hands)
         else:
-            kernel = self._kernels.advance_streaming
+            kernel = self._kernels.advance_streaming[has_hands]
             sweeps = (launch.sweep_count, launch.share)
             kernel[launch.block_count, launch.thread_count](
                 *state, self._uniform_weight, *where, *sweeps, *what, *hands
@@ -198,13 +232,14 @@ class CudaEngine:
         """Compile the kernel that suits the number of nodes, and share them so that all threads run at once."""
         kernels, node_count = self._kernels, self.model.node_count
         constants = self._constants_of(Verlet(0.0))
-        for kernel, is_resident in ((kernels.advance_resident, True), (kernels.advance_streaming, False)):
+        for family, is_resident in ((kernels.advance_resident, True), (kernels.advance_streaming, False)):
             if resident not in (None, is_resident):
                 continue
             self._launch, self._is_resident = Launch(1, WARP, 1, WARP), is_resident
             self._advance(0, constants)
             most = kernels.RESIDENT_THREADS if is_resident else kernels.STREAMING_THREADS
-            overload = next(iter(kernel.overloads.values()), None) or kernel.overloads[()]
+            overloads = family[self._explicit_count > 0].overloads
+            overload = next(iter(overloads.values()), None) or overloads[()]
             launch = plan_launch(node_count, overload.max_cooperative_grid_blocks(most), most)
             if launch.sweep_count == 1 or not is_resident:
                 return launch, is_resident
@@ -216,11 +251,22 @@ class CudaEngine:
             self._constants = {verlet: self._cuda.to_device(np.array(numbers, np.float32))}
         return self._constants[verlet]
 
-    def _gathered(self, by_lane: Any, first: int) -> Float32:
-        by_node = self._cuda.device_array((self.model.node_count, 3), np.float32)
-        blocks = self._blocks(self.model.node_count)
-        self._kernels.gather_nodes[blocks, PLAIN_THREADS](by_lane, first, self._node_lane, by_node)
-        return np.asarray(by_node.copy_to_host())
+    def _on_device(self, nodes: npt.NDArray[np.intp]) -> Any:
+        """Numbers of nodes on the device, kept for the next time: a hand asks for the same every frame."""
+        key = nodes.tobytes()
+        if key not in self._nodes_seen:
+            if len(self._nodes_seen) == NODE_SETS_KEPT:
+                del self._nodes_seen[next(iter(self._nodes_seen))]
+            self._nodes_seen[key] = self._cuda.to_device(np.asarray(nodes, np.uint32))
+        return self._nodes_seen[key]
+
+    def _on_device_probes(self, probes: Float32) -> Any:
+        """Probes on the device, in the same memory as long as there are as many."""
+        if self._probes.shape != probes.shape:
+            self._probes = self._cuda.to_device(probes)
+        else:
+            self._probes.copy_to_device(probes)
+        return self._probes
 
     @cached_property
     def _rest(self) -> Any:

@@ -4,9 +4,9 @@ The force is :mod:`heartcase.simulator.kernel_cpu`'s, spring for spring in the s
 step, so that one launch takes as many steps as the host wants. A step reads only the displacements of the one before
 and writes only its own nodes: the result does not depend on how the nodes are shared among threads.
 
-Two kernels take the same steps to the same bits. :func:`advance_resident` gives each thread one node, whose springs,
+Two kernels take the same steps to the same bits. ``advance_resident`` gives each thread one node, whose springs,
 mass and velocity stay in registers from the first step to the last: all that is read in a step are displacements.
-:func:`advance_streaming` sweeps over any number of nodes, forth and back, and reads their constants in every step.
+``advance_streaming`` sweeps over any number of nodes, forth and back, and reads their constants in every step.
 
 Vectors are stored by fours, so that a node's is read in one access: x, y, z of the displacement and one unused; x, y,
 z of the velocity and the inverse mass.
@@ -34,10 +34,10 @@ __all__ = [
     "write_inverse_mass",
 ]
 
-RESIDENT_THREADS = 256
-"""Threads of a block of :func:`advance_resident`; two blocks fit on a multiprocessor of 65,536 registers."""
-STREAMING_THREADS = 768
-"""Threads of a block of :func:`advance_streaming`; one block fits."""
+RESIDENT_THREADS = 512
+"""Most threads of a block of ``advance_resident``; one block fits on a multiprocessor of 65,536 registers."""
+STREAMING_THREADS = 640
+"""Most threads of a block of ``advance_streaming``; one block fits."""
 
 _U = np.uint32
 _LANE_COUNT = _U(LANE_COUNT)
@@ -225,165 +225,179 @@ def _start_meeting(arrivals):
     cuda.cg.this_grid().sync()
 
 
-@cuda.jit(fastmath=True, **register_limit(128))
-def advance_resident(
-    displacement,
-    velocity,
-    spring_weight,
-    block_rows,
-    node_slot,
-    lane_count,
-    current,
-    step_count,
-    constants,
-    arrivals,
-    explicit_first,
-    explicit_lane,
-    explicit_offset,
-    explicit_stiffness,
-    rest,
-    probes,
-):
-    """Take steps in place, with a thread for every node.
+def _make_advance_resident(has_hands):
+    @cuda.jit(fastmath=True, **register_limit(128))
+    def advance_resident(
+        displacement,
+        velocity,
+        spring_weight,
+        block_rows,
+        node_slot,
+        lane_count,
+        current,
+        step_count,
+        constants,
+        arrivals,
+        explicit_first,
+        explicit_lane,
+        explicit_offset,
+        explicit_stiffness,
+        rest,
+        probes,
+    ):
+        """Take steps in place, with a thread for every node.
 
-    Parameters
-    ----------
-    displacement
-        Two buffers of lanes, x, y, z [cells] and one unused, float32, shape (2 * lane_count * 4,); the steps
-        alternate between them.
-    velocity
-        x, y, z half a step before [cells / unit of time] and inverse mass [1 / full cell], 0 where motion is
-        prescribed, float32, shape (lane_count * 4,).
-    spring_weight
-        Spring stiffness by direction [k], float32, shape (9 * lane_count,).
-    block_rows
-        First lanes of each block's nine rows, uint32, shape (block_count * 9,).
-    node_slot
-        Number of each node's block times eight plus its place there, uint32, shape (node_count,).
-    lane_count
-        Number of lanes.
-    current
-        Buffer that holds the displacement now; the other after an odd number of steps.
-    step_count
-        Steps to take; times the number of blocks of threads at most 2**32 - 1.
-    constants
-        Step, keep, kick and the three components of gravity, grid units, float32, shape (6,).
-    arrivals
-        Room for the meetings' count, uint32, shape (1,).
-    explicit_first
-        Where the explicit springs of each node begin, and the last end, uint32, shape (node_count + 1,).
-    explicit_lane, explicit_offset, explicit_stiffness
-        Lane at the other end, uint32, shape (count,); offset to it with rest length [cells], float32, shape
-        (4 * count,); stiffness [k], float32, shape (count,).
-    rest
-        Rest positions, i, j, k and one unused, float32, shape (4 * node_count,); read where there are probes.
-    probes
-        Probes as of :func:`heartcase.simulator.contact.probe_row`, float32, shape (probe_count, PROBE_SIZE).
-    """
-    _start_meeting(arrivals)
-    number = cuda.grid(1)
-    is_used = number < node_slot.shape[0]
-    slot = _U(0)
-    if is_used:
-        slot = node_slot[number]
-    count = _U(lane_count)
-    row = _rows(block_rows, slot)
-    lane = row[4]
-    weight = _weights(spring_weight, count, row)
-    step, keep, kick = constants[0], constants[1], constants[2]
-    gravity = (constants[3], constants[4], constants[5])
-    now, later = _U(current * count), _U((1 - current) * count)
-    u = load_four(displacement, _U(now + lane))
-    v = load_four(velocity, lane)
-    begin, end = _U(0), _U(0)
-    if is_used and explicit_lane.shape[0] > 0:
-        begin, end = explicit_first[number], explicit_first[number + 1]
-    expected = _U(0)
-    for step_number in range(step_count):
+        Parameters
+        ----------
+        displacement
+            Two buffers of lanes, x, y, z [cells] and one unused, float32, shape (2 * lane_count * 4,); the steps
+            alternate between them.
+        velocity
+            x, y, z half a step before [cells / unit of time] and inverse mass [1 / full cell], 0 where motion is
+            prescribed, float32, shape (lane_count * 4,).
+        spring_weight
+            Spring stiffness by direction [k], float32, shape (9 * lane_count,).
+        block_rows
+            First lanes of each block's nine rows, uint32, shape (block_count * 9,).
+        node_slot
+            Number of each node's block times eight plus its place there, uint32, shape (node_count,).
+        lane_count
+            Number of lanes.
+        current
+            Buffer that holds the displacement now; the other after an odd number of steps.
+        step_count
+            Steps to take; times the number of blocks of threads at most 2**32 - 1.
+        constants
+            Step, keep, kick and the three components of gravity, grid units, float32, shape (6,).
+        arrivals
+            Room for the meetings' count, uint32, shape (1,).
+        explicit_first
+            Where the explicit springs of each node begin, and the last end, uint32, shape (node_count + 1,).
+        explicit_lane, explicit_offset, explicit_stiffness
+            Lane at the other end, uint32, shape (count,); offset to it with rest length [cells], float32, shape
+            (4 * count,); stiffness [k], float32, shape (count,).
+        rest
+            Rest positions, i, j, k and one unused, float32, shape (4 * node_count,); read where there are probes.
+        probes
+            Probes as of :func:`heartcase.simulator.contact.probe_row`, float32, shape (probe_count, PROBE_SIZE).
+        """
+        _start_meeting(arrivals)
+        number = cuda.grid(1)
+        is_used = number < node_slot.shape[0]
+        slot = _U(0)
         if is_used:
-            f = _force(displacement, now, u, row, weight)
-            if begin < end:
-                f = _pull_explicitly(
-                    f, displacement, now, u, begin, end, explicit_lane, explicit_offset, explicit_stiffness
-                )
-            v = _next_velocity(v, f, keep, kick, gravity)
-            own, u = u, (u[0] + step * v[0], u[1] + step * v[1], u[2] + step * v[2], _O)
-            if probes.shape[0] > 0:
-                place = load_four(rest, _U(number))
-                u, v = _keep_outside(displacement, now, own, u, v, place, row, weight, probes, step_number, step)
-            store_four(displacement, _U(later + lane), u[0], u[1], u[2], _O)
-        now, later = later, now
-        expected = _U(expected + cuda.gridDim.x)
-        meet(arrivals, expected)
-    if is_used:
-        store_four(velocity, lane, v[0], v[1], v[2], v[3])
-
-
-@cuda.jit(fastmath=True, **register_limit(80))
-def advance_streaming(
-    displacement,
-    velocity,
-    spring_weight,
-    uniform_weight,
-    block_rows,
-    node_slot,
-    lane_count,
-    sweep_count,
-    share,
-    current,
-    step_count,
-    constants,
-    arrivals,
-    explicit_first,
-    explicit_lane,
-    explicit_offset,
-    explicit_stiffness,
-    rest,
-    probes,
-):
-    """:func:`advance_resident` for any number of nodes.
-
-    Parameters
-    ----------
-    uniform_weight
-        Stiffness of all springs of a block's nodes where they are all alike, else 0 [k], float32, shape
-        (block_count,).
-    sweep_count, share
-        A sweep is a stretch of ``share`` nodes, at most one per thread, for every block of threads; so many sweeps
-        hold all nodes. Every other step takes them in the opposite order, while the last ones' memory is near.
-    """
-    _start_meeting(arrivals)
-    step, keep, kick = constants[0], constants[1], constants[2]
-    gravity = (constants[3], constants[4], constants[5])
-    count = _U(lane_count)
-    now, later = _U(current * count), _U((1 - current) * count)
-    expected = _U(0)
-    for step_number in range(step_count):
-        for sweep in range(sweep_count):
-            turn = sweep if step_number % 2 == 0 else sweep_count - 1 - sweep
-            number = (turn * cuda.gridDim.x + cuda.blockIdx.x) * share + cuda.threadIdx.x
-            if cuda.threadIdx.x < share and number < node_slot.shape[0]:
-                slot = node_slot[number]
-                row = _rows(block_rows, slot)
-                lane = row[4]
-                weight = _block_weights(spring_weight, uniform_weight, count, slot, row)
-                own = load_four(displacement, _U(now + lane))
-                f = _force(displacement, now, own, row, weight)
-                if explicit_lane.shape[0] > 0:
-                    begin, end = explicit_first[number], explicit_first[number + 1]
+            slot = node_slot[number]
+        count = _U(lane_count)
+        row = _rows(block_rows, slot)
+        lane = row[4]
+        weight = _weights(spring_weight, count, row)
+        step, keep, kick = constants[0], constants[1], constants[2]
+        gravity = (constants[3], constants[4], constants[5])
+        now, later = _U(current * count), _U((1 - current) * count)
+        u = load_four(displacement, _U(now + lane))
+        v = load_four(velocity, lane)
+        begin, end = _U(0), _U(0)
+        if has_hands and is_used:
+            begin, end = explicit_first[number], explicit_first[number + 1]
+        expected = _U(0)
+        for step_number in range(step_count):
+            if is_used:
+                f = _force(displacement, now, u, row, weight)
+                if has_hands and begin < end:
                     f = _pull_explicitly(
-                        f, displacement, now, own, begin, end, explicit_lane, explicit_offset, explicit_stiffness
+                        f, displacement, now, u, begin, end, explicit_lane, explicit_offset, explicit_stiffness
                     )
-                v = _next_velocity(load_four(velocity, lane), f, keep, kick, gravity)
-                u = (own[0] + step * v[0], own[1] + step * v[1], own[2] + step * v[2], _O)
-                if probes.shape[0] > 0:
+                v = _next_velocity(v, f, keep, kick, gravity)
+                own, u = u, (u[0] + step * v[0], u[1] + step * v[1], u[2] + step * v[2], _O)
+                if has_hands and probes.shape[0] > 0:
                     place = load_four(rest, _U(number))
                     u, v = _keep_outside(displacement, now, own, u, v, place, row, weight, probes, step_number, step)
-                store_four(velocity, lane, v[0], v[1], v[2], v[3])
                 store_four(displacement, _U(later + lane), u[0], u[1], u[2], _O)
-        now, later = later, now
-        expected = _U(expected + cuda.gridDim.x)
-        meet(arrivals, expected)
+            now, later = later, now
+            expected = _U(expected + cuda.gridDim.x)
+            meet(arrivals, expected)
+        if is_used:
+            store_four(velocity, lane, v[0], v[1], v[2], v[3])
+
+    return advance_resident
+
+
+def _make_advance_streaming(has_hands):
+    @cuda.jit(fastmath=True, **register_limit(96))
+    def advance_streaming(
+        displacement,
+        velocity,
+        spring_weight,
+        uniform_weight,
+        block_rows,
+        node_slot,
+        lane_count,
+        sweep_count,
+        share,
+        current,
+        step_count,
+        constants,
+        arrivals,
+        explicit_first,
+        explicit_lane,
+        explicit_offset,
+        explicit_stiffness,
+        rest,
+        probes,
+    ):
+        """``advance_resident`` for any number of nodes.
+
+        Parameters
+        ----------
+        uniform_weight
+            Stiffness of all springs of a block's nodes where they are all alike, else 0 [k], float32, shape
+            (block_count,).
+        sweep_count, share
+            A sweep is a stretch of ``share`` nodes, at most one per thread, for every block of threads; so many sweeps
+            hold all nodes. Every other step takes them in the opposite order, while the last ones' memory is near.
+        """
+        _start_meeting(arrivals)
+        step, keep, kick = constants[0], constants[1], constants[2]
+        gravity = (constants[3], constants[4], constants[5])
+        count = _U(lane_count)
+        now, later = _U(current * count), _U((1 - current) * count)
+        expected = _U(0)
+        for step_number in range(step_count):
+            for sweep in range(sweep_count):
+                turn = sweep if step_number % 2 == 0 else sweep_count - 1 - sweep
+                number = (turn * cuda.gridDim.x + cuda.blockIdx.x) * share + cuda.threadIdx.x
+                if cuda.threadIdx.x < share and number < node_slot.shape[0]:
+                    slot = node_slot[number]
+                    row = _rows(block_rows, slot)
+                    lane = row[4]
+                    weight = _block_weights(spring_weight, uniform_weight, count, slot, row)
+                    own = load_four(displacement, _U(now + lane))
+                    f = _force(displacement, now, own, row, weight)
+                    if has_hands:
+                        begin, end = explicit_first[number], explicit_first[number + 1]
+                        f = _pull_explicitly(
+                            f, displacement, now, own, begin, end, explicit_lane, explicit_offset, explicit_stiffness
+                        )
+                    v = _next_velocity(load_four(velocity, lane), f, keep, kick, gravity)
+                    u = (own[0] + step * v[0], own[1] + step * v[1], own[2] + step * v[2], _O)
+                    if has_hands and probes.shape[0] > 0:
+                        place = load_four(rest, _U(number))
+                        u, v = _keep_outside(
+                            displacement, now, own, u, v, place, row, weight, probes, step_number, step
+                        )
+                    store_four(velocity, lane, v[0], v[1], v[2], v[3])
+                    store_four(displacement, _U(later + lane), u[0], u[1], u[2], _O)
+            now, later = later, now
+            expected = _U(expected + cuda.gridDim.x)
+            meet(arrivals, expected)
+
+    return advance_streaming
+
+
+advance_resident = {has_hands: _make_advance_resident(has_hands) for has_hands in (False, True)}
+"""The kernel without and with what explicit springs and probes take: registers, hence time, where there are none."""
+advance_streaming = {has_hands: _make_advance_streaming(has_hands) for has_hands in (False, True)}
+"""Likewise."""
 
 
 @cuda.jit(fastmath=True)
@@ -401,7 +415,7 @@ def node_forces(
     nodes,
     force,
 ):
-    """Write the spring forces [grid units] on some nodes, shape (count, 3)."""
+    """Write the spring forces [grid units] on some nodes, shape (at least len(nodes), 3)."""
     number = cuda.grid(1)
     if number < nodes.shape[0]:
         node = nodes[number]
@@ -428,10 +442,10 @@ def gather_nodes(by_lane, first, node_lane, by_node):
 
 
 @cuda.jit
-def scatter_nodes(nodes, displacement_of, velocity_of, node_lane, first, displacement, velocity):
-    """Write displacements and velocities of some nodes, shape (count, 3) each, into their lanes."""
+def scatter_nodes(count, nodes, displacement_of, velocity_of, node_lane, first, displacement, velocity):
+    """Write displacements and velocities of ``count`` nodes, shape (at least count, 3) each, into their lanes."""
     number = cuda.grid(1)
-    if number < nodes.shape[0]:
+    if number < count:
         lane = node_lane[nodes[number]]
         u, v = displacement_of[number], velocity_of[number]
         store_four(displacement, _U(first + lane), u[0], u[1], u[2], _O)

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.schemas.errors import SimulationError
+from heartcase.simulator.contact import probe_row
 from heartcase.simulator.engine import Backend, make_engine
 from heartcase.simulator.instruments import Grab, nodes_in_reach
 from heartcase.simulator.integrate import Energy, Verlet, energy
@@ -103,6 +104,7 @@ class Simulation:
     def prepare(self) -> None:
         """Compile what will be needed, so that the first frame is as quick as the rest."""
         self._engine.advance(0, self.verlet)
+        self._engine.advance(0, self.verlet, probe_row((0, 0, 0), (0, 0, 0), (1, 1, 1), np.eye(3))[None])
         self._engine.forces()
         if self.surface is not None:
             self.surface_now()
