@@ -23,6 +23,9 @@ Float32 = npt.NDArray[np.float32]
 class Engine(Protocol):
     """Holds a state and advances it. All arrays in grid units and axes, one row per node."""
 
+    step_count: int
+    """Steps taken."""
+
     def load(self, state: State) -> None:
         """Start from this state."""
 

@@ -1,4 +1,8 @@
-"""The grab: a hand closes on the nodes in a sphere, leads them, lets go (thesis 8.7.2)."""
+"""What a hand holds.
+
+The grab closes on the nodes in a sphere, leads them, lets go (thesis 8.7.2). The probe pushes aside what it meets
+(thesis 8.7.1; :mod:`heartcase.simulator.contact`).
+"""
 
 from __future__ import annotations
 
@@ -10,15 +14,30 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.schemas.errors import SimulationError
+from heartcase.simulator.contact import probe_row
 from heartcase.simulator.model import LatticeModel
 
-__all__ = ["Grab", "nodes_in_reach"]
+__all__ = ["Grab", "Pose", "Probe", "nodes_in_reach"]
 
 Float32 = npt.NDArray[np.float32]
 Float64 = npt.NDArray[np.float64]
 
 DETOUR_MAX = sqrt(1.5)
 """Longest way along lattice springs over the straight way, in an uncut lattice."""
+
+
+TOUCH = 1e-3
+"""Part of its size within which a node counts as touched by a probe: where it was pushed to is rounded."""
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Offset and turn of a hand from where it closed."""
+
+    offset: Float64 = field(default_factory=lambda: np.zeros(3))
+    """Way of its centre [cells, grid axes], shape (3,)."""
+    turn: Float64 = field(default_factory=lambda: np.eye(3))
+    """Rotation about its centre, grid axes, shape (3, 3)."""
 
 
 @dataclass(eq=False)
@@ -29,12 +48,44 @@ class Grab:
     """Nodes held, ascending, shape (count,)."""
     closed_at: Float32
     """Their displacements when the hand closed [cells, grid axes], shape (count, 3)."""
+    arms: Float64
+    """Vectors from the hand's centre to the nodes when it closed [cells, grid axes], shape (count, 3)."""
     name: str = "grab"
     """Name in summaries."""
-    offset: Float64 = field(default_factory=lambda: np.zeros(3))
-    """Where the hand is, from where it closed [cells, grid axes]."""
-    target: Float64 = field(default_factory=lambda: np.zeros(3))
+    pose: Pose = field(default_factory=Pose)
+    """Where the hand is, from where it closed."""
+    target: Pose = field(default_factory=Pose)
+    """Where it shall be at the end of the next steps."""
+
+    def displacement_at(self, pose: Pose) -> Float64:
+        """Displacements of the nodes at a pose [cells, grid axes], shape (count, 3)."""
+        return self.closed_at + (self.arms @ pose.turn.T - self.arms) + pose.offset
+
+
+@dataclass(eq=False)
+class Probe:
+    """An ellipsoid that pushes nodes out of itself."""
+
+    semi_axes: Float64
+    """Semi-axes [cells], shape (3,)."""
+    turn: Float64
+    """Directions of the semi-axes in its columns, grid axes, shape (3, 3)."""
+    centre: Float64
+    """Where it is [cells, grid axes]."""
+    target: Float64
     """Where it shall be at the end of the next steps [cells, grid axes]."""
+    name: str = "probe"
+    """Name in messages."""
+
+    def row(self, step_count: int) -> Float32:
+        """The probe on its way to the target, as the kernels read it."""
+        return probe_row(self.centre, (self.target - self.centre) / step_count, self.semi_axes, self.turn)
+
+    def touched(self, model: LatticeModel, displacement: Float32) -> npt.NDArray[np.intp]:
+        """Free nodes on its surface or in it now."""
+        from_centre = (model.node_index + displacement - self.centre) @ self.turn / self.semi_axes
+        is_touched = np.linalg.norm(from_centre, axis=1) <= 1.0 + TOUCH
+        return np.flatnonzero(is_touched & ~model.node_is_fixed)
 
 
 def nodes_in_reach(

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.schemas.errors import SimulationError
-from heartcase.simulator.contact import probe_row
+from heartcase.schemas.errors import Problem, SimulationError
+from heartcase.simulator.contact import NO_PROBES, probe_row
 from heartcase.simulator.engine import Backend, make_engine
-from heartcase.simulator.instruments import Grab, nodes_in_reach
+from heartcase.simulator.instruments import Grab, Pose, Probe, nodes_in_reach
 from heartcase.simulator.integrate import Energy, Verlet, energy
+from heartcase.simulator.joining import join
 from heartcase.simulator.measures import inverted_cells
 from heartcase.simulator.model import LatticeModel
 from heartcase.simulator.state import State
@@ -23,6 +25,9 @@ __all__ = ["Simulation"]
 
 Float32 = npt.NDArray[np.float32]
 Float64 = npt.NDArray[np.float64]
+
+PROBE_MIN = 0.5
+"""Smallest semi-axis of a probe [cells]."""
 
 
 class Simulation:
@@ -68,6 +73,7 @@ class Simulation:
         self.picking = picking
         self.step_s = checked_step(model, step_s)
         self.grabs: list[Grab] = []
+        self.probes: list[Probe] = []
         units = model.units
         gravity = np.asarray(gravity_m_s2) @ model.geometry.direction_matrix / units.acceleration_m_s2
         self.verlet = Verlet(
@@ -89,7 +95,7 @@ class Simulation:
     @property
     def step_count(self) -> int:
         """Steps taken."""
-        return self.state.step_count
+        return self._engine.step_count
 
     @property
     def time_s(self) -> float:
@@ -112,8 +118,9 @@ class Simulation:
             self.picking_now()
 
     def restore(self, state: State) -> None:
-        """Go back, or on, to a state that was read before. Hands that hold now let go."""
+        """Go back, or on, to a state that was read before. Hands that hold now let go, probes are withdrawn."""
         self.grabs.clear()
+        self.probes.clear()
         self._engine.load(state)
         self._engine.set_inverse_mass(self._inverse_mass)
         self._state = None
@@ -131,17 +138,21 @@ class Simulation:
         if step_count == 0:
             return
         before = self.state
+        velocities = []
         for grab in self.grabs:
-            velocity = (grab.target - grab.offset) / (step_count * self.verlet.step)
-            self._place(grab, grab.offset, velocity)
-        self._engine.advance(step_count, self.verlet)
-        for grab in self.grabs:
-            velocity = (grab.target - grab.offset) / (step_count * self.verlet.step)
-            self._place(grab, grab.target, velocity)
+            start, end = grab.displacement_at(grab.pose), grab.displacement_at(grab.target)
+            velocities.append((end - start) / (step_count * self.verlet.step))
+            self._place(grab, start, velocities[-1])
+        rows = [probe.row(step_count) for probe in self.probes]
+        self._engine.advance(step_count, self.verlet, np.stack(rows) if rows else NO_PROBES)
+        for grab, velocity in zip(self.grabs, velocities, strict=True):
+            self._place(grab, grab.displacement_at(grab.target), velocity)
         self._state = None
         self._watch(before)
         for grab in self.grabs:
-            grab.offset = grab.target
+            grab.pose = grab.target
+        for probe in self.probes:
+            probe.centre = probe.target
 
     def grab(self, center_mm: npt.ArrayLike, radius_mm: float, *, name: str = "grab") -> Grab:
         """Close a hand on the nodes within ``radius_mm`` of a point, LPS mm.
@@ -161,22 +172,33 @@ class Simulation:
             nodes = np.setdiff1d(nodes, other.nodes, assume_unique=True)
         if not len(nodes):
             raise SimulationError("another hand holds all the tissue in the grab: grab elsewhere", place=name)
-        grab = Grab(nodes=nodes, closed_at=self.state.displacement[nodes], name=name)
+        closed_at = self.state.displacement[nodes]
+        arms = self.model.node_index[nodes] + closed_at - self._to_lattice(center_mm)
+        grab = Grab(nodes=nodes, closed_at=closed_at, arms=arms, name=name)
         self.grabs.append(grab)
         self._hold()
         return grab
 
-    def lead(self, grab: Grab, offset_mm: npt.ArrayLike) -> None:
-        """Lead a hand to an offset from where it closed, LPS mm; it arrives with the end of the next :meth:`step`.
+    def lead(self, grab: Grab, offset_mm: npt.ArrayLike, turn: npt.ArrayLike | None = None) -> None:
+        """Lead a hand to a pose; it arrives with the end of the next :meth:`step`, each node in a straight line.
+
+        Parameters
+        ----------
+        grab
+            The hand.
+        offset_mm
+            Way of its centre from where it closed, LPS mm, shape (3,).
+        turn
+            Rotation about its centre since it closed, LPS axes, shape (3, 3); none when left out.
 
         Raises
         ------
         SimulationError
-            The offset is not finite.
+            The offset is not finite, or the turn is no rotation.
         """
         if not np.isfinite(np.asarray(offset_mm, dtype=float)).all():
             raise SimulationError("the offset must be finite numbers", place=grab.name)
-        grab.target = self.model.to_grid(offset_mm)
+        grab.target = Pose(self.model.to_grid(offset_mm), self._turn_in_grid(turn, grab.name))
 
     def release(self, grab: Grab) -> None:
         """Let go: the nodes move on with the hand's velocity. A hand that has let go already stays so."""
@@ -185,9 +207,121 @@ class Simulation:
         self.grabs.remove(grab)
         self._hold()
 
-    def force_on(self, grab: Grab) -> Float64:
-        """Force that the tissue exerts on a hand now, N, LPS axes, shape (3,)."""
-        pull = self._engine.forces(grab.nodes).sum(axis=0, dtype=np.float64)
+    def probe(
+        self,
+        center_mm: npt.ArrayLike,
+        semi_axes_mm: npt.ArrayLike,
+        *,
+        turn: npt.ArrayLike | None = None,
+        name: str = "probe",
+    ) -> Probe:
+        """Bring in a probe: it pushes nodes out of itself wherever it is moved (thesis 8.7.1).
+
+        Parameters
+        ----------
+        center_mm
+            Its centre, LPS mm, shape (3,).
+        semi_axes_mm
+            Semi-axes of the ellipsoid, mm, shape (3,), or the radius of a ball; at least half a cell, or it slips
+            through between the nodes.
+        turn
+            Directions of the semi-axes in its columns, LPS axes, shape (3, 3); those of LPS when left out.
+        name
+            Name in messages.
+
+        Raises
+        ------
+        SimulationError
+            A number is not finite, a semi-axis too small, or the turn no rotation.
+        """
+        semi_axes = np.broadcast_to(np.asarray(semi_axes_mm, dtype=float), 3) / self.model.cell_mm
+        problems = []
+        if not np.isfinite(np.asarray(center_mm, dtype=float)).all():
+            problems.append(Problem(name, "the centre must be finite numbers"))
+        if not (np.isfinite(semi_axes) & (semi_axes >= PROBE_MIN)).all():
+            least = PROBE_MIN * self.model.cell_mm
+            problems.append(Problem(name, f"every semi-axis must be at least half a cell, {least:.3g} mm"))
+        if problems:
+            raise SimulationError(problems)
+        direction = self.model.geometry.direction_matrix
+        axes = direction.T @ np.eye(3) if turn is None else self._turn_in_grid(turn, name) @ direction.T
+        centre = self._to_lattice(center_mm)
+        probe = Probe(semi_axes=semi_axes, turn=axes, centre=centre, target=centre, name=name)
+        self.probes.append(probe)
+        return probe
+
+    def move(self, probe: Probe, center_mm: npt.ArrayLike) -> None:
+        """Move a probe's centre, LPS mm; it arrives with the end of the next :meth:`step`, in a straight line.
+
+        Raises
+        ------
+        SimulationError
+            The centre is not finite.
+        """
+        if not np.isfinite(np.asarray(center_mm, dtype=float)).all():
+            raise SimulationError("the centre must be finite numbers", place=probe.name)
+        probe.target = self._to_lattice(center_mm)
+
+    def withdraw(self, probe: Probe) -> None:
+        """Take a probe away. One that was withdrawn already stays so."""
+        if probe in self.probes:
+            self.probes.remove(probe)
+
+    def remove_springs(self, removed: npt.ArrayLike) -> None:
+        """Take springs of the lattice away: what a cut does.
+
+        Parameters
+        ----------
+        removed
+            True for each spring of ``model`` to take away, shape (spring_count,).
+
+        Raises
+        ------
+        SimulationError
+            It has not one value for each spring.
+        """
+        self._check_mask(removed, self.model.spring_count)
+        self._set_model(self.model.without_springs(removed))
+
+    def add_springs(
+        self, nodes: npt.ArrayLike, stiffness_n_m: npt.ArrayLike, rest_length_mm: npt.ArrayLike | None = None
+    ) -> None:
+        """Join nodes by explicit springs (thesis 8.5.1).
+
+        Parameters
+        ----------
+        nodes
+            Two different nodes each, shape (count, 2).
+        stiffness_n_m
+            Stiffness, N/m, above zero; one number or shape (count,).
+        rest_length_mm
+            Length at rest, mm; the distance now when left out; one number or shape (count,).
+
+        Raises
+        ------
+        SimulationError
+            With everything that is wrong: nodes that there are not, numbers out of range, springs that are too stiff
+            for the time step.
+        """
+        joined = join(self.model, self.state.displacement, nodes, stiffness_n_m, rest_length_mm, step_s=self.step_s)
+        self._set_model(joined)
+
+    def remove_explicit_springs(self, removed: npt.ArrayLike) -> None:
+        """Take explicit springs away; True for each of ``model.explicit``, shape (count,).
+
+        Raises
+        ------
+        SimulationError
+            It has not one value for each.
+        """
+        self._check_mask(removed, self.model.explicit.count)
+        kept = self.model.explicit.without(np.asarray(removed, dtype=bool))
+        self._set_model(replace(self.model, explicit=kept))
+
+    def force_on(self, hand: Grab | Probe) -> Float64:
+        """Force that the tissue exerts on a hand now, N, LPS axes, shape (3,): of the springs on what it holds."""
+        nodes = hand.nodes if isinstance(hand, Grab) else hand.touched(self.model, self.state.displacement)
+        pull = self._engine.forces(nodes).sum(axis=0, dtype=np.float64)
         force: Float64 = pull @ self.model.geometry.direction_matrix.T * self.model.units.force_n
         return force
 
@@ -234,9 +368,31 @@ class Simulation:
             raise SimulationError("this simulation has no picking surface: load the case with needs=('picking',)")
         return deform_picking(self.model, self.picking, self.state.displacement)
 
-    def _place(self, grab: Grab, offset: Float64, velocity: Float64) -> None:
-        velocities = np.broadcast_to(velocity.astype(np.float32), grab.closed_at.shape)
-        self._engine.prescribe(grab.nodes, (grab.closed_at + offset).astype(np.float32), velocities)
+    def _place(self, grab: Grab, displacement: Float64, velocity: Float64) -> None:
+        self._engine.prescribe(grab.nodes, displacement.astype(np.float32), velocity.astype(np.float32))
+
+    def _to_lattice(self, point_mm: npt.ArrayLike) -> Float64:
+        """A point, LPS mm, in the coordinates of the nodes [cells]."""
+        return np.asarray(self.model.geometry.world_to_index(point_mm), dtype=float) + 0.5
+
+    def _turn_in_grid(self, turn: npt.ArrayLike | None, name: str) -> Float64:
+        """A rotation in LPS axes, in grid axes."""
+        rotation = np.eye(3) if turn is None else np.asarray(turn, dtype=float)
+        is_rotation = rotation.shape == (3, 3) and np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6)
+        if not is_rotation or np.linalg.det(rotation) < 0:
+            raise SimulationError("the turn must be a rotation matrix, shape (3, 3)", place=name)
+        direction = self.model.geometry.direction_matrix
+        turned: Float64 = direction.T @ rotation @ direction
+        return turned
+
+    def _set_model(self, model: LatticeModel) -> None:
+        self.model = model
+        self._engine.set_springs(model)
+
+    @staticmethod
+    def _check_mask(removed: npt.ArrayLike, count: int) -> None:
+        if np.shape(removed) != (count,):
+            raise SimulationError(f"there are {count} springs: give one value for each", place="removed")
 
     def _hold(self) -> None:
         masses = self._inverse_mass.copy()
@@ -255,11 +411,13 @@ class Simulation:
         self._engine.load(before)
         self._state = None
         for grab in self.grabs:
-            grab.target = grab.offset
-        holders = " and ".join(grab.name for grab in self.grabs)
+            grab.target = grab.pose
+        for probe in self.probes:
+            probe.target = probe.centre
+        holders = " and ".join([grab.name for grab in self.grabs] + [probe.name for probe in self.probes])
         raise SimulationError(
             f"the simulation broke down between {self.time_s:.4f} s and {ended_s:.4f} s: {trouble}"
-            f"{f' while {holders} held the tissue' if holders else ''}; pull more slowly or less far, or give a "
+            f"{f' with {holders} in the tissue' if holders else ''}; pull more slowly or less far, or give a "
             "smaller step. The state before was restored",
             place="simulation",
         )

@@ -18,7 +18,7 @@ from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.model import LatticeModel
 from heartcase.simulator.spectrum import largest_eigenvalue
 
-__all__ = ["checked_step", "default_step", "own_step_limit", "step_limit"]
+__all__ = ["checked_step", "default_step", "explicit_rate_limit", "own_step_limit", "step_limit"]
 
 REST_BOUND = 20.0
 """omega^2 m/k of a lone cell at rest, the highest of any shape."""
@@ -51,6 +51,15 @@ def own_step_limit(model: LatticeModel) -> float:
 def default_step(model: LatticeModel) -> float:
     """Time step that suits tissue however it is deformed, 0.8 x 2 / sqrt(24 k/m), in s."""
     return SAFETY * 2.0 / (sqrt(STRETCHED_BOUND) * _cell_rate(model))
+
+
+def explicit_rate_limit(model: LatticeModel, step_s: float) -> float:
+    """What explicit springs may add to omega^2 at a step, so that lattice and they stay stable [1 / unit of time^2].
+
+    The largest eigenvalue of a sum is at most the sum of the largest (Weyl); a tenth of the step is left over.
+    """
+    lattice = STRETCHED_BOUND * (_cell_rate(model) * model.units.time_s) ** 2
+    return max((2.0 / (1.1 * step_s / model.units.time_s)) ** 2 - lattice, 0.0)
 
 
 def checked_step(model: LatticeModel, step_s: float | None) -> float:

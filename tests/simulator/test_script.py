@@ -76,7 +76,7 @@ def test_session_follows_the_script(case_path):
     seen = []
 
     def look(running, time_s):
-        held = running.grabs[0].offset if running.grabs else None
+        held = running.grabs[0].pose.offset if running.grabs else None
         seen.append((time_s, None if held is None else running.model.to_mm(held)[2]))
 
     summary = run_script(simulation, script, on_frame=look)
