@@ -17,12 +17,12 @@ from heartcase.simulator.model import DIRECTIONS, LatticeModel
 from heartcase.simulator.pace import Pace
 from heartcase.simulator.state import State
 
-__all__ = ["PARALLEL_BLOCKS_MIN", "CpuEngine"]
+__all__ = ["PARALLEL_WINDOWS_MIN", "CpuEngine"]
 
 Float32 = npt.NDArray[np.float32]
 
-PARALLEL_BLOCKS_MIN = 1024
-"""Blocks from which on more than one thread pays."""
+PARALLEL_WINDOWS_MIN = 1024
+"""Windows from which on more than one thread pays."""
 _NO_REST: Float32 = np.zeros((3, 0), np.float32)
 
 
@@ -75,7 +75,7 @@ class CpuEngine:
 
             return take
 
-        if self.layout.block_count < PARALLEL_BLOCKS_MIN:
+        if self.layout.window_count < PARALLEL_WINDOWS_MIN:
             in_one_way(advance_alone)(step_count)
         else:
             self.pace.run(step_count, (in_one_way(advance_alone), in_one_way(advance)))
@@ -88,7 +88,7 @@ class CpuEngine:
             self.velocity,
             self.weight,
             self.inverse_mass,
-            self.layout.block_rows,
+            self.layout.window_rows,
             self.current,
             step_count,
             tuple(np.float32(number) for number in numbers),
@@ -109,8 +109,8 @@ class CpuEngine:
         self.model = model
 
     def forces(self, nodes: npt.NDArray[np.intp] | None = None) -> Float32:
-        """Spring forces now, on some nodes or all; only the blocks that hold them are worked out."""
-        rows = self.layout.block_rows if nodes is None else self.layout.blocks_of(nodes)
+        """Spring forces now, on some nodes or all; only the windows that hold them are worked out."""
+        rows = self.layout.window_rows if nodes is None else self.layout.windows_of(nodes)
         lanes = self.layout.node_lane if nodes is None else self.layout.node_lane[nodes]
         lane_forces(self.displacement[self.current], self.weight, self.force, rows)
         force = np.ascontiguousarray(self.force[:, lanes].T)

@@ -102,7 +102,7 @@ class CudaEngine:
         cuda = self._cuda
         self._node_lane = cuda.to_device(layout.node_lane.astype(np.uint32))
         self._node_slot = cuda.to_device(layout.node_slot.astype(np.uint32))
-        self._block_rows = cuda.to_device(layout.block_rows.astype(np.uint32).ravel())
+        self._window_rows = cuda.to_device(layout.window_rows.astype(np.uint32).ravel())
         self.set_springs(model)
         self._displacement = cuda.to_device(np.zeros(8 * layout.lane_count, np.float32))
         self._velocity = cuda.to_device(np.zeros(4 * layout.lane_count, np.float32))
@@ -132,6 +132,13 @@ class CudaEngine:
         gather(self._velocity, 0, self._node_lane, self._shown.velocity)
         self._cuda.synchronize()
         return State(np.array(self._shown.displacement), np.array(self._shown.velocity), self.step_count)
+
+    def displacement_on_device(self) -> Any:
+        """Displacement of every node [cells] on the device, shape (node_count, 3), until it is asked for again."""
+        first = self._current * self._lane_count
+        gather = self._kernels.gather_nodes[self._blocks(self.model.node_count), PLAIN_THREADS]
+        gather(self._displacement, first, self._node_lane, self._by_node)
+        return self._by_node
 
     def prescribe(self, nodes: npt.NDArray[np.intp], displacement: Float32, velocity: Float32) -> None:
         """Set where nodes are and how they move on."""
@@ -199,7 +206,7 @@ class CudaEngine:
         self._kernels.node_forces[self._blocks(len(nodes)), PLAIN_THREADS](
             self._displacement,
             self._spring_weight,
-            self._block_rows,
+            self._window_rows,
             self._node_slot,
             self._lane_count,
             self._current,
@@ -213,7 +220,7 @@ class CudaEngine:
     def _advance(self, step_count: int, constants: Any, probes: Float32 = NO_PROBES) -> None:
         launch = self._launch
         state = (self._displacement, self._velocity, self._spring_weight)
-        where = (self._block_rows, self._node_slot, self._lane_count)
+        where = (self._window_rows, self._node_slot, self._lane_count)
         what = (self._current, step_count, constants, self._arrivals)
         has_hands = self._explicit_count > 0 or len(probes) > 0
         rest = self._rest if len(probes) else self._nothing
@@ -267,6 +274,10 @@ class CudaEngine:
         else:
             self._probes.copy_to_device(probes)
         return self._probes
+
+    @cached_property
+    def _by_node(self) -> Any:
+        return self._cuda.device_array((self.model.node_count, 3), np.float32)
 
     @cached_property
     def _rest(self) -> Any:

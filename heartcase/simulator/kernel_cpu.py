@@ -1,4 +1,4 @@
-"""The CPU kernel: spring forces and Verlet step of one block of lanes at a time, in float32.
+"""The CPU kernel: spring forces and Verlet step of one window of lanes at a time, in float32.
 
 A spring's force is worked out from the difference of the displacements D = u_j - u_i, with o the spring's vector at
 rest, |o| = L and d = o + D::
@@ -7,8 +7,8 @@ rest, |o| = L and d = o + D::
 
 so nothing cancels: at rest the force is exactly zero, and a small strain keeps all its digits.
 
-The block is written as vector code (an intrinsic that emits it for numba): left to itself the compiler does not prove
-that the arrays are apart, and comes out at half the speed. LLVM cuts the vectors to the width of the machine. A block
+The window is written as vector code (an intrinsic that emits it for numba): left to itself the compiler does not prove
+that the arrays are apart, and comes out at half the speed. LLVM cuts the vectors to the width of the machine. A window
 reads only the displacements of the step before and writes only its own lanes, so that the result does not depend on
 the number of threads.
 """
@@ -45,7 +45,7 @@ _TINY = 1e-30
 
 
 class _Lanes:
-    """The value of one block's lanes in the code being emitted, with the operators of arithmetic.
+    """The value of one window's lanes in the code being emitted, with the operators of arithmetic.
 
     ``contract`` lets a product and a sum become one fused instruction: more exact, and the same in every run.
     """
@@ -119,30 +119,30 @@ def _pull(own: Vector, other: Vector, offset: tuple[int, int, int], weight: _Lan
     return tension_per_length * d[0], tension_per_length * d[1], tension_per_length * d[2]
 
 
-class _Block:
-    """Where the lanes of one block and of its neighbours are, in the code being emitted."""
+class _Window:
+    """Where the lanes of one window and of its neighbours are, in the code being emitted."""
 
-    def __init__(self, builder: Any, rows: Any, block: Any, lane_count: Any) -> None:
+    def __init__(self, builder: Any, rows: Any, window: Any, lane_count: Any) -> None:
         self.builder = builder
         self.lane_count = lane_count
-        first = builder.mul(block, ir.Constant(_INDEX, len(ROWS)))
+        first = builder.mul(window, ir.Constant(_INDEX, len(ROWS)))
         self.starts = {
             (int(j), int(k)): builder.load(builder.gep(rows, [builder.add(first, ir.Constant(_INDEX, number))]))
             for number, (j, k) in enumerate(ROWS)
         }
 
     def pointer(self, data: Any, component: int, offset: tuple[int, int, int] = (0, 0, 0)) -> Any:
-        """Pointer to a component's lanes at an offset (i, j, k) from the block's own."""
+        """Pointer to a component's lanes at an offset (i, j, k) from the window's own."""
         start = self.builder.add(self.starts[offset[1], offset[2]], ir.Constant(_INDEX, offset[0]))
         component_start = self.builder.mul(self.lane_count, ir.Constant(_INDEX, component))
         return self.builder.gep(data, [self.builder.add(component_start, start)])
 
     def load(self, data: Any, component: int, offset: tuple[int, int, int] = (0, 0, 0)) -> _Lanes:
-        """A component's lanes at an offset from the block's own."""
+        """A component's lanes at an offset from the window's own."""
         return _Lanes.loaded(self.builder, self.pointer(data, component, offset))
 
     def load_vector(self, data: Any, offset: tuple[int, int, int] = (0, 0, 0)) -> Vector:
-        """The lanes of the three components at an offset from the block's own."""
+        """The lanes of the three components at an offset from the window's own."""
         x, y, z = (self.load(data, axis, offset) for axis in range(3))
         return x, y, z
 
@@ -169,12 +169,12 @@ def _lane_count(context: Any, builder: Any, kind: Any, value: Any) -> Any:
 
 
 @intrinsic
-def _force_of_block(typing_context, displacement, weight, force, rows, block):  # type: ignore[no-untyped-def]
-    """Write the spring forces of one block of lanes."""
+def _force_of_window(typing_context, displacement, weight, force, rows, window):  # type: ignore[no-untyped-def]
+    """Write the spring forces of one window of lanes."""
 
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         u, w, f, starts = (_data(context, builder, *pair) for pair in zip(signature.args[:4], arguments, strict=False))
-        here = _Block(builder, starts, arguments[4], _lane_count(context, builder, signature.args[0], arguments[0]))
+        here = _Window(builder, starts, arguments[4], _lane_count(context, builder, signature.args[0], arguments[0]))
         for axis, component in enumerate(here.force(u, w)):
             component.store(here.pointer(f, axis))
         return context.get_dummy_value()
@@ -183,16 +183,16 @@ def _force_of_block(typing_context, displacement, weight, force, rows, block):  
 
 
 @intrinsic
-def _step_of_block(  # type: ignore[no-untyped-def]
-    typing_context, now, later, velocity, weight, inverse_mass, rows, block, constants
+def _step_of_window(  # type: ignore[no-untyped-def]
+    typing_context, now, later, velocity, weight, inverse_mass, rows, window, constants
 ):
-    """Advance one block of lanes by one step; see :mod:`heartcase.simulator.integrate`."""
+    """Advance one window of lanes by one step; see :mod:`heartcase.simulator.integrate`."""
 
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         u, u_later, v, w, m, starts = (
             _data(context, builder, *pair) for pair in zip(signature.args[:6], arguments, strict=False)
         )
-        here = _Block(builder, starts, arguments[6], _lane_count(context, builder, signature.args[0], arguments[0]))
+        here = _Window(builder, starts, arguments[6], _lane_count(context, builder, signature.args[0], arguments[0]))
         numbers = [_Lanes.filled(builder, number) for number in cgutils.unpack_tuple(builder, arguments[7], 6)]
         step, keep, kick, gravity = numbers[0], numbers[1], numbers[2], numbers[3:]
         mass_inverse = here.load(m, 0)
@@ -215,8 +215,8 @@ def lane_forces(
     rows: Int64,
 ) -> None:
     """Write the spring forces [grid units], shape (3, lane_count), of displacements [cells], shape (3, lane_count)."""
-    for block in range(rows.shape[0]):
-        _force_of_block(displacement, weight, force, rows, block)
+    for window in range(rows.shape[0]):
+        _force_of_window(displacement, weight, force, rows, window)
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
@@ -253,7 +253,7 @@ _pushed_out, _allowed_share = make_contact(njit(nogil=True))
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
-def _keep_block_outside(
+def _keep_window_outside(
     now: Float32,
     later: Float32,
     velocity: Float32,
@@ -265,7 +265,7 @@ def _keep_block_outside(
     step_number: int,
     step: np.float32,
 ) -> None:
-    """Keep the nodes of a block out of the probes after a step; see :mod:`heartcase.simulator.contact`."""
+    """Keep the nodes of a window out of the probes after a step; see :mod:`heartcase.simulator.contact`."""
     for place in range(LANE_COUNT):
         lane = row[4] + place
         if inverse_mass[0, lane] <= 0:
@@ -329,7 +329,7 @@ def advance(
     inverse_mass
         [1 / full cell], 0 where there is no node or its motion is prescribed, shape (1, lane_count).
     rows
-        First lanes of each block's nine rows, shape (block_count, 9).
+        Lane at each window's first i in its nine rows, shape (window_count, 9).
     current
         Buffer that holds the displacement now.
     step_count
@@ -352,14 +352,14 @@ def advance(
     for step_number in range(step_count):
         now = displacement[current]
         later = displacement[1 - current]
-        for block in prange(rows.shape[0]):
-            _step_of_block(now, later, velocity, weight, inverse_mass, rows, block, constants)
+        for window in prange(rows.shape[0]):
+            _step_of_window(now, later, velocity, weight, inverse_mass, rows, window, constants)
         if len(explicit[0]):
             _pull_explicitly(now, later, velocity, inverse_mass, explicit, constants[0], constants[2])
         if len(probes):
-            for block in prange(rows.shape[0]):
-                _keep_block_outside(
-                    now, later, velocity, weight, inverse_mass, rest, rows[block], probes, step_number, constants[0]
+            for window in prange(rows.shape[0]):
+                _keep_window_outside(
+                    now, later, velocity, weight, inverse_mass, rest, rows[window], probes, step_number, constants[0]
                 )
         current = 1 - current
     return current
@@ -383,14 +383,14 @@ def advance_alone(
     for step_number in range(step_count):
         now = displacement[current]
         later = displacement[1 - current]
-        for block in range(rows.shape[0]):
-            _step_of_block(now, later, velocity, weight, inverse_mass, rows, block, constants)
+        for window in range(rows.shape[0]):
+            _step_of_window(now, later, velocity, weight, inverse_mass, rows, window, constants)
         if len(explicit[0]):
             _pull_explicitly(now, later, velocity, inverse_mass, explicit, constants[0], constants[2])
         if len(probes):
-            for block in range(rows.shape[0]):
-                _keep_block_outside(
-                    now, later, velocity, weight, inverse_mass, rest, rows[block], probes, step_number, constants[0]
+            for window in range(rows.shape[0]):
+                _keep_window_outside(
+                    now, later, velocity, weight, inverse_mass, rest, rows[window], probes, step_number, constants[0]
                 )
         current = 1 - current
     return current

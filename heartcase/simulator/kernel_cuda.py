@@ -91,19 +91,19 @@ def _force(displacement, buffer, own, row, weight):
 
 
 @cuda.jit(device=True)
-def _rows(block_rows, slot):
-    """Lanes at a slot's i in the nine ROWS; number 4 is its own. A slot is a block's number times eight plus i."""
+def _rows(window_rows, slot):
+    """Lanes at a slot's i in the nine ROWS; number 4 is its own. A slot is a window's number times eight plus i."""
     first, i = _U(slot // _LANE_COUNT * _ROW_COUNT), _U(slot % _LANE_COUNT)
     return (
-        _U(block_rows[first] + i),
-        _U(block_rows[_U(first + 1)] + i),
-        _U(block_rows[_U(first + 2)] + i),
-        _U(block_rows[_U(first + 3)] + i),
-        _U(block_rows[_U(first + 4)] + i),
-        _U(block_rows[_U(first + 5)] + i),
-        _U(block_rows[_U(first + 6)] + i),
-        _U(block_rows[_U(first + 7)] + i),
-        _U(block_rows[_U(first + 8)] + i),
+        _U(window_rows[first] + i),
+        _U(window_rows[_U(first + 1)] + i),
+        _U(window_rows[_U(first + 2)] + i),
+        _U(window_rows[_U(first + 3)] + i),
+        _U(window_rows[_U(first + 4)] + i),
+        _U(window_rows[_U(first + 5)] + i),
+        _U(window_rows[_U(first + 6)] + i),
+        _U(window_rows[_U(first + 7)] + i),
+        _U(window_rows[_U(first + 8)] + i),
     )
 
 
@@ -134,8 +134,8 @@ def _weights(spring_weight, lane_count, row):
 
 
 @cuda.jit(device=True)
-def _block_weights(spring_weight, uniform_weight, lane_count, slot, row):
-    """:func:`_weights`, read only where the springs of the slot's block are not all alike."""
+def _window_weights(spring_weight, uniform_weight, lane_count, slot, row):
+    """:func:`_weights`, read only where the springs of the slot's window are not all alike."""
     alike = uniform_weight[_U(slot // _LANE_COUNT)]
     if alike > _O:
         return (
@@ -231,7 +231,7 @@ def _make_advance_resident(has_hands):
         displacement,
         velocity,
         spring_weight,
-        block_rows,
+        window_rows,
         node_slot,
         lane_count,
         current,
@@ -257,10 +257,10 @@ def _make_advance_resident(has_hands):
             prescribed, float32, shape (lane_count * 4,).
         spring_weight
             Spring stiffness by direction [k], float32, shape (9 * lane_count,).
-        block_rows
-            First lanes of each block's nine rows, uint32, shape (block_count * 9,).
+        window_rows
+            Lane at each window's first i in its nine rows, uint32, shape (window_count * 9,).
         node_slot
-            Number of each node's block times eight plus its place there, uint32, shape (node_count,).
+            Number of each node's window times eight plus its place there, uint32, shape (node_count,).
         lane_count
             Number of lanes.
         current
@@ -288,7 +288,7 @@ def _make_advance_resident(has_hands):
         if is_used:
             slot = node_slot[number]
         count = _U(lane_count)
-        row = _rows(block_rows, slot)
+        row = _rows(window_rows, slot)
         lane = row[4]
         weight = _weights(spring_weight, count, row)
         step, keep, kick = constants[0], constants[1], constants[2]
@@ -329,7 +329,7 @@ def _make_advance_streaming(has_hands):
         velocity,
         spring_weight,
         uniform_weight,
-        block_rows,
+        window_rows,
         node_slot,
         lane_count,
         sweep_count,
@@ -350,8 +350,8 @@ def _make_advance_streaming(has_hands):
         Parameters
         ----------
         uniform_weight
-            Stiffness of all springs of a block's nodes where they are all alike, else 0 [k], float32, shape
-            (block_count,).
+            Stiffness of all springs of a window's nodes where they are all alike, else 0 [k], float32, shape
+            (window_count,).
         sweep_count, share
             A sweep is a stretch of ``share`` nodes, at most one per thread, for every block of threads; so many sweeps
             hold all nodes. Every other step takes them in the opposite order, while the last ones' memory is near.
@@ -368,9 +368,9 @@ def _make_advance_streaming(has_hands):
                 number = (turn * cuda.gridDim.x + cuda.blockIdx.x) * share + cuda.threadIdx.x
                 if cuda.threadIdx.x < share and number < node_slot.shape[0]:
                     slot = node_slot[number]
-                    row = _rows(block_rows, slot)
+                    row = _rows(window_rows, slot)
                     lane = row[4]
-                    weight = _block_weights(spring_weight, uniform_weight, count, slot, row)
+                    weight = _window_weights(spring_weight, uniform_weight, count, slot, row)
                     own = load_four(displacement, _U(now + lane))
                     f = _force(displacement, now, own, row, weight)
                     if has_hands:
@@ -404,7 +404,7 @@ advance_streaming = {has_hands: _make_advance_streaming(has_hands) for has_hands
 def node_forces(
     displacement,
     spring_weight,
-    block_rows,
+    window_rows,
     node_slot,
     lane_count,
     current,
@@ -421,7 +421,7 @@ def node_forces(
         node = nodes[number]
         count = _U(lane_count)
         now = _U(current * count)
-        row = _rows(block_rows, node_slot[node])
+        row = _rows(window_rows, node_slot[node])
         own = load_four(displacement, _U(now + row[4]))
         f = _force(displacement, now, own, row, _weights(spring_weight, count, row))
         if explicit_lane.shape[0] > 0:

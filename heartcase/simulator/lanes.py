@@ -1,9 +1,10 @@
-"""The nodes in lanes: how the CPU kernel lays out a lattice in memory.
+"""The nodes in lanes: how the kernels lay out a lattice in memory.
 
-Nodes are stored in blocks of 8 lanes: 8 neighbours along i, aligned, so that a vector instruction works on a whole
-block and a neighbour along (i, j, k) is the lane at a fixed distance in the block of its row (j, k). Lanes without a
-node have no mass and no springs: they cost time but change nothing. Blocks that follow each other along i lie side by
-side; between such runs lies an empty block, so that the lane before a run's first and after its last is empty too.
+Nodes are stored in blocks of 8 lanes: 8 neighbours along i, aligned. Blocks that follow each other along i lie side by
+side, as a run; between runs lies an empty block. A vector instruction works on a window: 8 lanes of a run from a node
+on, so that few of them are empty. A neighbour along (i, j, k) of a window's nodes is the lane at a fixed distance from
+where the window's i begins in the row (j, k). Lanes without a node have no mass and no springs: they cost time but
+change nothing.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from numba import njit
 
 from heartcase.schemas.lattice import lattice_keys
 from heartcase.simulator.model import DIRECTIONS, LatticeModel
@@ -19,10 +21,10 @@ from heartcase.simulator.model import DIRECTIONS, LatticeModel
 __all__ = ["LANE_COUNT", "ROWS", "LaneLayout", "lane_layout"]
 
 LANE_COUNT = 8
-"""Lanes of a block: one AVX register or two of NEON in float32. 16 leave more lanes of thin walls empty: slower."""
+"""Lanes of a block and of a window: one AVX register or two of NEON in float32. 16 leave more lanes empty: slower."""
 
 ROWS: npt.NDArray[np.int32] = np.array([(j, k) for k in (-1, 0, 1) for j in (-1, 0, 1)], dtype=np.int32)
-"""Offset (j, k) of a block's own row (number 4) and of the eight rows around it, shape (9, 2)."""
+"""Offset (j, k) of a window's own row (number 4) and of the eight rows around it, shape (9, 2)."""
 
 _HEAD = 3 * LANE_COUNT
 _EMPTY_START = LANE_COUNT
@@ -37,15 +39,15 @@ class LaneLayout:
     node_lane: npt.NDArray[np.int64]
     """Lane of each node, shape (node_count,)."""
     node_slot: npt.NDArray[np.int64]
-    """Number of the node's block times 8 plus its place there, shape (node_count,)."""
-    block_rows: npt.NDArray[np.int64]
-    """First lane of the block at the same i in the nine ROWS of each block, shape (block_count, 9); an empty block
-    where a row has none."""
+    """Number of the node's window times 8 plus its place there, shape (node_count,)."""
+    window_rows: npt.NDArray[np.int64]
+    """Lane at the window's first i in the nine ROWS, for each window, shape (window_count, 9); in an empty block where
+    a row has no nodes there."""
 
     @property
-    def block_count(self) -> int:
-        """Number of blocks that hold a node."""
-        return len(self.block_rows)
+    def window_count(self) -> int:
+        """Number of windows that hold all nodes."""
+        return len(self.window_rows)
 
     def spring_weight(self, model: LatticeModel) -> npt.NDArray[np.float32]:
         """Stiffness of the spring from each lane along each of the nine DIRECTIONS [k], shape (9, lane_count)."""
@@ -54,9 +56,9 @@ class LaneLayout:
         return weight
 
     def uniform_weight(self, model: LatticeModel) -> npt.NDArray[np.float32]:
-        """Stiffness of all springs of a block's nodes, where each has 18 and all are alike, else 0 [k].
+        """Stiffness of all springs of a window's nodes, where each has 18 and all are alike, else 0 [k].
 
-        Shape (block_count,).
+        Shape (window_count,).
         """
         ends = model.spring_nodes.ravel()
         both = np.repeat(model.spring_weight, 2)
@@ -68,9 +70,9 @@ class LaneLayout:
         low, high = np.minimum.reduceat(lowest, first), np.maximum.reduceat(highest, first)
         return np.where(low == high, low, 0.0).astype(np.float32)
 
-    def blocks_of(self, nodes: npt.NDArray[np.intp]) -> npt.NDArray[np.int64]:
-        """Rows of the blocks that hold some nodes, shape (count, 9)."""
-        return self.block_rows[np.unique(self.node_slot[nodes] // LANE_COUNT)]
+    def windows_of(self, nodes: npt.NDArray[np.intp]) -> npt.NDArray[np.int64]:
+        """Rows of the windows that hold some nodes, shape (count, 9)."""
+        return self.window_rows[np.unique(self.node_slot[nodes] // LANE_COUNT)]
 
 
 def lane_layout(model: LatticeModel) -> LaneLayout:
@@ -90,15 +92,33 @@ def lane_layout(model: LatticeModel) -> LaneLayout:
     start = _HEAD + LANE_COUNT * (np.arange(len(stored)) + run - 1)
     lane_count = int(start[-1]) + 2 * LANE_COUNT
 
-    node_block = np.searchsorted(stored, keys)
-    place = model.node_index[:, 0] % LANE_COUNT
-    node_lane = start[node_block] + place
-    node_slot = LANE_COUNT * np.searchsorted(used, keys) + place
-
-    rows = np.repeat(blocks[first, None, :], len(ROWS), axis=1)
+    node_lane = start[np.searchsorted(stored, keys)] + model.node_index[:, 0] % LANE_COUNT
+    first, window = _windows(node_lane)
+    corner = model.node_index[first]
+    rows = np.repeat(corner[:, None, :], len(ROWS), axis=1)
     rows[:, :, 1:] += ROWS
-    row_keys = lattice_keys(rows)
-    nearest = np.minimum(np.searchsorted(stored, row_keys), len(stored) - 1)
-    block_rows = np.where(stored[nearest] == row_keys, start[nearest], _EMPTY_START)
+    place = rows[:, :, 0] % LANE_COUNT
+    rows[:, :, 0] //= LANE_COUNT
+    window_rows = np.full(rows.shape[:2], _EMPTY_START)
+    # The next block, then the window's own: where it is there, so are the lanes of the other, empty or not.
+    for ahead in (1, 0):
+        row_keys = lattice_keys(rows + np.array([ahead, 0, 0]))
+        nearest = np.minimum(np.searchsorted(stored, row_keys), len(stored) - 1)
+        is_there = stored[nearest] == row_keys
+        window_rows[is_there] = (start[nearest] + place - ahead * LANE_COUNT)[is_there]
 
-    return LaneLayout(lane_count=lane_count, node_lane=node_lane, node_slot=node_slot, block_rows=block_rows)
+    node_slot = LANE_COUNT * window + node_lane - node_lane[first][window]
+    return LaneLayout(lane_count=lane_count, node_lane=node_lane, node_slot=node_slot, window_rows=window_rows)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _windows(node_lane: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """First node of each window, and window of each node: a window begins at the first node that none holds yet."""
+    first, window = np.empty_like(node_lane), np.empty_like(node_lane)
+    count, end = 0, -1
+    for node in range(len(node_lane)):
+        if node_lane[node] >= end:
+            first[count], end = node, node_lane[node] + LANE_COUNT
+            count += 1
+        window[node] = count - 1
+    return first[:count].copy(), window

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -84,6 +84,11 @@ class Simulation:
         self._inverse_mass = model.inverse_mass
         self._engine = make_engine(model, backend)
         self._state: State | None = None
+        self._surface_on_device: Callable[[], DeformedSurface] | None = None
+        if surface is not None and backend == "cuda":
+            from heartcase.simulator.surface_cuda import deform_on_device
+
+            self._surface_on_device = deform_on_device(model, surface, self._engine)
 
     @property
     def state(self) -> State:
@@ -354,6 +359,8 @@ class Simulation:
         """
         if self.surface is None:
             raise SimulationError("this simulation has no surface: load the case with needs=('surface',)")
+        if self._surface_on_device is not None:
+            return self._surface_on_device()
         return deform(self.model, self.surface, self.state.displacement)
 
     def picking_now(self) -> DeformedSurface:

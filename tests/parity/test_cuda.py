@@ -129,14 +129,14 @@ def test_a_launch_takes_every_node_once(node_count, block_count, thread_count):
     assert (launch.sweep_count - 1) * launch.block_count * launch.share < node_count
 
 
-def test_blocks_of_like_springs_are_those_whose_springs_are_alike():
+def test_windows_of_like_springs_are_those_whose_springs_are_alike():
     model = block(26, 4, 4)
     layout = lane_layout(model)
     uniform = layout.uniform_weight(model)
     assert set(np.unique(uniform)) == {0.0, 1.0}
-    block_of = layout.node_slot // LANE_COUNT
-    for number in range(layout.block_count):
-        inside = np.flatnonzero(block_of == number)
+    window_of = layout.node_slot // LANE_COUNT
+    for number in range(layout.window_count):
+        inside = np.flatnonzero(window_of == number)
         touched = np.isin(model.spring_nodes, inside)
         is_alike = touched.sum() == 18 * len(inside) and (model.spring_weight[touched.any(axis=1)] == 1).all()
         assert (uniform[number] == 1) == is_alike

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.contact import probe_row
 from heartcase.simulator.engine import make_engine
-from heartcase.simulator.engine_cpu import PARALLEL_BLOCKS_MIN
+from heartcase.simulator.engine_cpu import PARALLEL_WINDOWS_MIN
 from heartcase.simulator.forces_reference import spring_forces
 from heartcase.simulator.integrate import Verlet
 from heartcase.simulator.kernel_cpu import advance, advance_alone
@@ -106,7 +106,7 @@ def test_large_lattices_take_whichever_way_is_quicker():
     model = block(60, 24, 12, fix_base=True)
     start = State(random_field(model, 1, 0.1), random_field(model, 2, 0.01))
     engine, alone = make_engine(model, "cpu"), make_engine(model, "cpu")
-    assert engine.layout.block_count >= PARALLEL_BLOCKS_MIN
+    assert engine.layout.window_count >= PARALLEL_WINDOWS_MIN
     for each in (engine, alone):
         each.load(start)
     verlet = Verlet(0.3, 0.01)
