@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csr_array
 
+from heartcase.pipeline.cells.topology import piece_sizes
 from heartcase.pipeline.contacts import Extent, faces_between
 from heartcase.schemas.geometry import Geometry
 
@@ -142,22 +143,13 @@ def compartment_changes(
 def _large_pieces(blood: Bool, least: int) -> UInt32:
     """Number the 6-connected pieces of at least so many voxels from 1 in the order of the volume; 0 elsewhere."""
     pieces, count = cc3d.connected_components(blood, connectivity=6, return_N=True, out_dtype=np.uint32)
-    is_large = _sizes(pieces.ravel(), int(count)) >= least
+    is_large = piece_sizes(pieces.ravel(), int(count)) >= least
     is_large[0] = False
     numbers = np.cumsum(is_large, dtype=np.uint32)
     numbers[~is_large] = 0
     _renumber(pieces.ravel(), numbers)
     large: UInt32 = pieces
     return large
-
-
-@numba.njit(cache=True, nogil=True)
-def _sizes(pieces, count):  # type: ignore[no-untyped-def]
-    """Voxels of each number up to ``count``."""
-    sizes = np.zeros(count + 1, np.int64)
-    for n in range(len(pieces)):
-        sizes[pieces[n]] += 1
-    return sizes
 
 
 @numba.njit(cache=True, nogil=True, parallel=True)

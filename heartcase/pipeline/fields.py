@@ -11,7 +11,10 @@ is continuous and its zero level is where tissue and void are equally near.
 
 from __future__ import annotations
 
+import weakref
 from dataclasses import dataclass
+from threading import Lock
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -74,10 +77,40 @@ class FieldReader:
 
     @classmethod
     def of(cls, structures: Structures | FieldReader) -> FieldReader:
-        """Reader of some structures; a reader is returned as it is."""
+        """Reader of some structures; a reader is returned as it is. The last ones stay laid out while they exist."""
         if isinstance(structures, FieldReader):
             return structures
-        return cls(structures, layout_of(structures), varying_walls(structures))
+        with _LAYING_OUT:
+            last = _LAST[0] if _LAST else None
+            if last is None or last.structures() is not structures:
+                last = _keep(structures, layout_of(structures), varying_walls(structures))
+        return cls(structures, last.layout, last.tables)
+
+    def serves(self, structures: Structures) -> None:
+        """Take what is laid out for other structures too: those of the same fields, walls and reshapings."""
+        with _LAYING_OUT:
+            _keep(structures, self.layout, self.tables)
+
+
+class _LaidOut(NamedTuple):
+    """What structures are laid out as; it does not keep them alive."""
+
+    structures: weakref.ref[Structures]
+    layout: FieldLayout
+    tables: ThicknessArrays
+
+
+_LAST: list[_LaidOut] = []
+"""The last structures that were laid out; none where they are gone."""
+_LAYING_OUT = Lock()
+
+
+def _keep(structures: Structures, layout: FieldLayout, tables: ThicknessArrays) -> _LaidOut:
+    def forget(gone: weakref.ref[Structures]) -> None:
+        _LAST[:] = [one for one in _LAST if one.structures is not gone]
+
+    _LAST[:] = [_LaidOut(weakref.ref(structures, forget), layout, tables)]
+    return _LAST[0]
 
 
 def ownership_on_lattice(structures: Structures | FieldReader, lattice: Geometry) -> Ownership:
@@ -362,7 +395,7 @@ def evaluate_owner(layout, tables, x, y, z, spare):  # type: ignore[no-untyped-d
     return _between(lowest_tissue, lowest_void), layout.labels[void_slot], layout.labels[tissue_slot]
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, inline="always")
 def evaluate_tissue(layout, tables, x, y, z, spare):  # type: ignore[no-untyped-def]
     """Tissue field at one point, given by its index (x, y, z) among the fields' voxels; ``spare`` from scratch()."""
     return evaluate_owner(layout, tables, x, y, z, spare)[0]

@@ -29,7 +29,7 @@ from heartcase.pipeline.cells.sampling import (
     void_pieces,
 )
 from heartcase.pipeline.cells.supports import fixed_nodes, floating_pieces
-from heartcase.pipeline.cells.topology import betti_numbers, components, distance_in_samples
+from heartcase.pipeline.cells.topology import betti_numbers, components, distance_in_samples, piece_sizes
 from heartcase.pipeline.data import SimulationGrid, Structures
 from heartcase.pipeline.fields import FieldReader
 from heartcase.pipeline.side_by_side import side_by_side
@@ -308,8 +308,9 @@ def _compared(
 def _piece_count(mask: Bool, amount: Float32 | None, least: float, connectivity: int) -> int:
     """Number of connected pieces that hold at least an amount; without amounts, as many voxels."""
     labels, count = components(mask, 6 if connectivity == 6 else 26)
-    weights = None if amount is None else amount.ravel()
-    return int((np.bincount(labels.ravel(), weights, minlength=count + 1)[1:] >= least).sum())
+    if amount is None:
+        return int((piece_sizes(labels.ravel(), count)[1:] >= least).sum())
+    return int((np.bincount(labels.ravel(), amount.ravel(), minlength=count + 1)[1:] >= least).sum())
 
 
 def _topology_warnings(samples: CellSamples, quality: dict[str, Any], changes: dict[str, list[Change]]) -> list[str]:

@@ -17,7 +17,7 @@ from heartcase.pipeline.cautions import anatomy
 from heartcase.pipeline.data import Segmentation, Structures, ThicknessTable
 from heartcase.pipeline.distance import default_smoothing_mm, label_distances
 from heartcase.pipeline.ends import cut_ends
-from heartcase.pipeline.fields import ownership_on_lattice
+from heartcase.pipeline.fields import FieldReader, ownership_on_lattice
 from heartcase.pipeline.leaks import leak_cautions
 from heartcase.pipeline.side_by_side import side_by_side
 from heartcase.pipeline.smoothing_effects import smoothing_effects
@@ -104,7 +104,7 @@ def grow_walls(segmentation: Segmentation, settings: WallsSettings, ends: Sequen
     leaks, (figures, warnings) = side_by_side(
         lambda: leak_cautions(structures, labels), lambda: smoothing_effects(labels, distances, geometry, table)
     )
-    return replace(
+    grown = replace(
         structures,
         quality=figures,
         warnings=(
@@ -114,6 +114,8 @@ def grow_walls(segmentation: Segmentation, settings: WallsSettings, ends: Sequen
             *leaks,
         ),
     )
+    FieldReader.of(structures).serves(grown)
+    return grown
 
 
 def resolve_walls(settings: WallsSettings, geometry: Geometry, table: LabelTable) -> WallsSettings:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["CELL_DIAGONALS", "CELL_EDGES", "CORNER_OFFSETS", "cell_nodes", "lattice_keys"]
+__all__ = ["CELL_DIAGONALS", "CELL_EDGES", "CORNER_OFFSETS", "cell_nodes", "distinct_keys", "lattice_keys"]
 
 Int32 = npt.NDArray[np.int32]
 
@@ -30,6 +30,14 @@ def lattice_keys(indices: npt.ArrayLike) -> npt.NDArray[np.int64]:
     ijk = np.asarray(indices, dtype=np.int64) + _OFFSET
     keys: npt.NDArray[np.int64] = (ijk[..., 2] << 42) | (ijk[..., 1] << 21) | ijk[..., 0]
     return keys
+
+
+def distinct_keys(keys: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """Each key once, ascending, as ``numpy.unique`` says, whose hash table is slower than sorting where many differ."""
+    ascending = np.sort(keys, axis=None)
+    is_first = np.ones(len(ascending), np.bool_)
+    np.not_equal(ascending[1:], ascending[:-1], out=is_first[1:])
+    return ascending[is_first]
 
 
 def cell_nodes(cells: npt.ArrayLike) -> tuple[Int32, Int32]:

@@ -1,6 +1,8 @@
 """Points are read from the fields that matter around them; what comes out is that of all fields."""
 
 import dataclasses
+import gc
+import weakref
 
 import numpy as np
 import pytest
@@ -49,6 +51,26 @@ def test_blocks_that_a_reshaping_reaches_hold_all_fields():
     k, j, i = (n // 2 // 4 for n in geometry.shape)
     assert reader.layout.block_count[k, j, i] == ALL_FIELDS
     assert (reader.layout.block_count != ALL_FIELDS).any()
+
+
+def test_structures_are_laid_out_once():
+    one = random_heart(0).structures
+    assert FieldReader.of(one).layout.stack is FieldReader.of(one).layout.stack
+    other = dataclasses.replace(one, reshapings=())
+    assert FieldReader.of(other).layout.stack is not FieldReader.of(one).layout.stack
+    alike = dataclasses.replace(one, warnings=("a word",))
+    reader = FieldReader.of(one)
+    reader.serves(alike)
+    assert FieldReader.of(alike).layout.stack is reader.layout.stack
+    assert FieldReader.of(alike).structures is alike
+
+
+def test_structures_that_are_gone_leave_nothing_laid_out():
+    structures = random_heart(0).structures
+    stack = weakref.ref(FieldReader.of(structures).layout.stack)
+    del structures
+    gc.collect()
+    assert stack() is None
 
 
 def test_the_field_has_no_step_where_a_cut_vessel_touches_one_that_goes_on():

@@ -4,7 +4,14 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from heartcase.schemas.lattice import CELL_DIAGONALS, CELL_EDGES, CORNER_OFFSETS, cell_nodes, lattice_keys
+from heartcase.schemas.lattice import (
+    CELL_DIAGONALS,
+    CELL_EDGES,
+    CORNER_OFFSETS,
+    cell_nodes,
+    distinct_keys,
+    lattice_keys,
+)
 
 indices = st.tuples(*[st.integers(-5, 5)] * 3)
 
@@ -31,3 +38,9 @@ def test_a_cell_has_twelve_edges_of_one_and_twelve_face_diagonals_of_root_two():
 @given(indices, indices)
 def test_keys_order_by_k_then_j_then_i(a, b):
     assert (lattice_keys(a) < lattice_keys(b)) == (a[::-1] < b[::-1])
+
+
+@given(st.lists(st.integers(-(2**62), 2**62)), st.integers(1, 9))
+def test_distinct_keys_are_those_of_numpy(keys, modulus):
+    for some in (np.array(keys, np.int64), np.array(keys, np.int64) % modulus):
+        np.testing.assert_array_equal(distinct_keys(some), np.unique(some))

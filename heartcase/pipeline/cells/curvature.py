@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from heartcase.pipeline.data import SimulationGrid
 from heartcase.pipeline.vectors import cross
-from heartcase.schemas.lattice import CELL_DIAGONALS, CELL_EDGES, cell_nodes
+from heartcase.schemas.lattice import CELL_DIAGONALS, CELL_EDGES, cell_nodes, distinct_keys
 
 __all__ = ["curvature_errors", "grid_springs", "node_neighbours"]
 
@@ -30,7 +30,7 @@ def grid_springs(grid: SimulationGrid) -> Int32:
     corners = cell_nodes(grid.cells)[1].astype(np.int64)
     pairs = np.concatenate([corners[:, pair] for pair in (*CELL_EDGES, *CELL_DIAGONALS)])
     pairs.sort(axis=1)
-    keys = np.unique(pairs[:, 0] << 32 | pairs[:, 1])
+    keys = distinct_keys(pairs[:, 0] << 32 | pairs[:, 1])
     return np.stack((keys >> 32, keys & 0xFFFFFFFF), axis=1).astype(np.int32)
 
 

@@ -22,6 +22,7 @@ from scipy.sparse import csgraph
 
 from heartcase.pipeline.cells.repair import CellState, Index, index_of
 from heartcase.pipeline.cells.sampling import CellSamples, VoidPieces
+from heartcase.schemas.lattice import distinct_keys
 
 __all__ = ["LUMEN_CELLS", "OPENING_CELLS", "blocked_openings", "closes_passage", "open_passages"]
 
@@ -322,7 +323,7 @@ def _graph(samples: CellSamples, pieces: VoidPieces, state: CellState, blood_wid
 
 
 def _unpacked(keys: list[Int64]) -> Int64:
-    unique = np.unique(np.concatenate(keys))
+    unique = distinct_keys(np.concatenate(keys))
     return np.stack((unique >> 32, unique & 0xFFFFFFFF), axis=1)
 
 

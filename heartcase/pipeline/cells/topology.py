@@ -11,12 +11,13 @@ from itertools import product
 from typing import Literal
 
 import cc3d
+import numba
 import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.feature_transform import distance_to_marked
 
-__all__ = ["Betti", "betti_numbers", "components", "distance_in_samples", "euler_characteristic"]
+__all__ = ["Betti", "betti_numbers", "components", "distance_in_samples", "euler_characteristic", "piece_sizes"]
 
 Bool = npt.NDArray[np.bool_]
 Connectivity = Literal[6, 26]
@@ -54,6 +55,15 @@ def components(mask: Bool, connectivity: Connectivity) -> tuple[npt.NDArray[np.u
         np.ascontiguousarray(mask), connectivity=connectivity, return_N=True, out_dtype=np.uint32
     )
     return labels, int(count)
+
+
+@numba.njit(cache=True, nogil=True)
+def piece_sizes(labels, count):  # type: ignore[no-untyped-def]
+    """Voxels of each number up to ``count``; ``labels`` is flat."""
+    sizes = np.zeros(count + 1, np.int64)
+    for n in range(len(labels)):
+        sizes[labels[n]] += 1
+    return sizes
 
 
 def distance_in_samples(mask: Bool) -> npt.NDArray[np.float32]:

@@ -107,13 +107,19 @@ def triangulated_border(reader: FieldReader, lattice: Geometry, field: PaddedFie
     return index, label, triangles
 
 
-@numba.njit(cache=True, nogil=True)
-def _owner(layout, tables, start, step, size, k, j, i, spare):  # type: ignore[no-untyped-def]
+@numba.njit(cache=True, nogil=True, inline="always")
+def _owner_here(layout, tables, start, step, size, k, j, i, spare):  # type: ignore[no-untyped-def]
     """Tissue field, void label and tissue label at a place of the padded lattice; clamped to the volume's points."""
     x = min(max(i - 1.0, 0.0), size[2] - 3.0)
     y = min(max(j - 1.0, 0.0), size[1] - 3.0)
     z = min(max(k - 1.0, 0.0), size[0] - 3.0)
     return evaluate_owner(layout, tables, start[0] + x * step[0], start[1] + y * step[1], start[2] + z * step[2], spare)
+
+
+@numba.njit(cache=True, nogil=True)
+def _owner(layout, tables, start, step, size, k, j, i, spare):  # type: ignore[no-untyped-def]
+    """The same, but compiled once: slower, as a call hands over every array of the layout."""
+    return _owner_here(layout, tables, start, step, size, k, j, i, spare)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -142,7 +148,7 @@ def _fill_exact(layout, tables, start, step, least, field, label, k0, k1, j0, j1
         for j in range(j0, j1):
             edge = _is_outside(k, nz) or _is_outside(j, ny)
             for i in range(i0, i1):
-                owner = _owner(layout, tables, start, step, field.shape, k, j, i, spare)
+                owner = _owner_here(layout, tables, start, step, field.shape, k, j, i, spare)
                 value = owner[0]
                 label[k, j, i] = owner[1]
                 if abs(value) < least:

@@ -17,6 +17,7 @@ from heartcase.pipeline.mesh.collapse import Collapsing, Joined, joined, swept
 from heartcase.pipeline.mesh.edge_heap import finished
 from heartcase.pipeline.mesh.half_edges import opposites
 from heartcase.pipeline.mesh.intersections import self_intersections
+from heartcase.schemas.lattice import distinct_keys
 
 __all__ = [
     "Decimated",
@@ -373,11 +374,11 @@ def mesh_defects(vertices: npt.NDArray[np.floating], triangles: Int32) -> MeshDe
     doubled = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
     repeated = (tail == head).any(axis=1)
     ordered = np.sort(tail, axis=1)
-    distinct = len(np.unique((ordered[:, 0] * width + ordered[:, 1]) * width + ordered[:, 2]))
+    distinct = len(distinct_keys((ordered[:, 0] * width + ordered[:, 1]) * width + ordered[:, 2]))
     return MeshDefects(
         open_edge_count=int((count == 1).sum()),
         non_manifold_edge_count=int(((count > 2) | ((count == 2) & (balance != 0.0))).sum()),
         degenerate_triangle_count=int((repeated | (doubled <= 0.0)).sum()),
         duplicate_triangle_count=len(triangles) - distinct,
-        unused_vertex_count=len(vertices) - len(np.unique(triangles)),
+        unused_vertex_count=len(vertices) - len(distinct_keys(tail)),
     )

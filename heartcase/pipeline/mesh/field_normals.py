@@ -10,6 +10,7 @@ of a stepped field at the point itself is no better than the normals of a coarse
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numba
@@ -34,6 +35,8 @@ RING_WAYS = 4
 """Directions along the surface in which the field's rise is taken, each both ways."""
 RING_MISFIT = 0.09
 """Largest misfit of a rise, over the radius in voxels, at which a ring's rises are those of one plane."""
+_COSINES = tuple(math.cos(math.pi * way / RING_WAYS) for way in range(RING_WAYS))
+_SINES = tuple(math.sin(math.pi * way / RING_WAYS) for way in range(RING_WAYS))
 
 
 class Rings(NamedTuple):
@@ -105,18 +108,23 @@ def _slope(layout, tables, m, at, first, second, span, spare, rise):  # type: ig
     along_first = 0.0
     along_second = 0.0
     for way in range(RING_WAYS):
-        cosine, sine = np.cos(np.pi * way / RING_WAYS), np.sin(np.pi * way / RING_WAYS)
+        cosine, sine = _COSINES[way], _SINES[way]
         x = span * (cosine * first[0] + sine * second[0])
         y = span * (cosine * first[1] + sine * second[1])
         z = span * (cosine * first[2] + sine * second[2])
-        above = _value(layout, tables, m, at[0] + x, at[1] + y, at[2] + z, spare)
-        below = _value(layout, tables, m, at[0] - x, at[1] - y, at[2] - z, spare)
-        rise[way] = (above - below) / (2.0 * span)
+        above = 0.0
+        # in one place, as the whole reading of the fields is compiled into it
+        for sign in (1.0, -1.0):
+            value = _value(layout, tables, m, at[0] + sign * x, at[1] + sign * y, at[2] + sign * z, spare)
+            if sign > 0.0:
+                above = value
+            else:
+                rise[way] = (above - value) / (2.0 * span)
         along_first += 2.0 / RING_WAYS * cosine * rise[way]
         along_second += 2.0 / RING_WAYS * sine * rise[way]
     misfit = 0.0
     for way in range(RING_WAYS):
-        cosine, sine = np.cos(np.pi * way / RING_WAYS), np.sin(np.pi * way / RING_WAYS)
+        cosine, sine = _COSINES[way], _SINES[way]
         misfit = max(misfit, abs(rise[way] - cosine * along_first - sine * along_second))
     return along_first, along_second, misfit
 

@@ -72,31 +72,57 @@ def pack(extent_mm: Float64, size: int) -> tuple[Float64, float]:
 
 @numba.njit(cache=True, nogil=True)
 def _skyline(boxes, size):  # type: ignore[no-untyped-def]
-    """Put boxes one by one where their upper side comes lowest, leftmost on a tie."""
-    top = np.zeros(size, np.int64)
+    """Put boxes one by one where their upper side comes lowest, leftmost on a tie.
+
+    The skyline is a list of steps. The leftmost of the lowest places is always at the left end of one: from anywhere
+    else a box could be pushed to the left without coming higher.
+    """
+    # ends with where the picture does
+    left, top = np.zeros(size + 1, np.int64), np.zeros(size + 1, np.int64)
+    left[1] = size
+    count = 1
     corners = np.zeros((len(boxes), 2))
     window = np.empty(size, np.int64)
     for n in range(len(boxes)):
         width, height = boxes[n]
         if width > size or height > size:
             return False, corners
-        best = size + 1
-        best_x = -1
-        first, last = 0, 0
-        for x in range(size):
-            while last > first and top[window[last - 1]] <= top[x]:
-                last -= 1
-            window[last] = x
-            last += 1
-            begin = x - width + 1
-            if window[first] < begin:
+        best, place = size + 1, -1
+        first, last, beyond = 0, 0, 0
+        for s in range(count):
+            if left[s] + width > size:
+                break
+            # steps under the box that starts here, of those only each that is higher than all to its right
+            while beyond < count and left[beyond] < left[s] + width:
+                while last > first and top[window[last - 1]] <= top[beyond]:
+                    last -= 1
+                window[last] = beyond
+                last += 1
+                beyond += 1
+            if window[first] < s:
                 first += 1
-            if begin >= 0 and top[window[first]] + height < best:
-                best = top[window[first]] + height
-                best_x = begin
-        if best_x < 0 or best > size:
+            if top[window[first]] + height < best:
+                best, place = top[window[first]] + height, s
+        if place < 0:
             return False, corners
-        corners[n, 0] = best_x
+        begin = left[place]
+        end = begin + width
+        corners[n, 0] = begin
         corners[n, 1] = best - height
-        top[best_x : best_x + width] = best
+        # the box takes the place of the steps under it; what sticks out to its right stays
+        after = place
+        while left[after + 1] < end:
+            after += 1
+        stays, beside = left[after + 1] > end, top[after]
+        shift = stays - (after - place)
+        if shift < 0:
+            for s in range(after + 1, count + 1):
+                left[s + shift], top[s + shift] = left[s], top[s]
+        elif shift > 0:
+            for s in range(count, after, -1):
+                left[s + shift], top[s + shift] = left[s], top[s]
+        top[place] = best
+        if stays:
+            left[place + 1], top[place + 1] = end, beside
+        count += shift
     return True, corners

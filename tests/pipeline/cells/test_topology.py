@@ -6,7 +6,13 @@ from hypothesis.extra import numpy as hnp
 from scipy import ndimage
 from skimage import measure
 
-from heartcase.pipeline.cells.topology import betti_numbers, components, distance_in_samples, euler_characteristic
+from heartcase.pipeline.cells.topology import (
+    betti_numbers,
+    components,
+    distance_in_samples,
+    euler_characteristic,
+    piece_sizes,
+)
 from tests.pipeline.analytic_structures import ball, lattice, torus, union, without
 
 
@@ -69,3 +75,8 @@ def test_distance_in_samples_does_not_end_at_the_border():
     mask = np.ones((1, 1, 6), bool)
     mask[0, 0, 2] = False
     np.testing.assert_allclose(distance_in_samples(mask)[0, 0], [2.0, 1.0, 0.0, 1.0, 2.0, 3.0])
+
+
+def test_sizes_of_pieces_are_counts_of_their_numbers():
+    labels = np.random.default_rng(0).integers(0, 9, (7, 8, 9)).astype(np.uint32)
+    np.testing.assert_array_equal(piece_sizes(labels.ravel(), 10), np.bincount(labels.ravel(), minlength=11))
