@@ -50,10 +50,13 @@ class Pace:
             self.seconds_per_step = [0.0] * len(ways)
         for number, way in enumerate(ways):
             in_use = number == self.quickest
-            due = self.seconds_per_step[number] == 0.0 or (not in_use and self.call_count % CALLS_BETWEEN_TRIALS == 0)
-            if due and step_count > TRIAL_STEPS:
-                self._take(TRIAL_STEPS, number, way)
-                step_count -= TRIAL_STEPS
+            is_new = self.seconds_per_step[number] == 0.0
+            is_due = is_new or (not in_use and self.call_count % CALLS_BETWEEN_TRIALS == 0)
+            # The first steps in a way start its threads.
+            for _ in range(1 + is_new if is_due else 0):
+                if step_count > TRIAL_STEPS:
+                    self._take(TRIAL_STEPS, number, way)
+                    step_count -= TRIAL_STEPS
         if step_count:
             self._take(step_count, self.quickest, ways[self.quickest])
         self.call_count += 1

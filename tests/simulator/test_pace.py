@@ -49,3 +49,20 @@ def test_few_steps_are_taken_once():
     for count in (1, TRIAL_STEPS, 0, 2 * TRIAL_STEPS + 1):
         shop.run(count)
     assert sum(shop.taken) == 3 * TRIAL_STEPS + 2
+
+
+def test_a_slow_start_is_not_held_against_a_way():
+    shop = Workshop(2.0, 1.0)
+    slow_start = shop.way
+
+    def way(number: int):
+        def take(count: int) -> None:
+            if number == 1 and count and shop.taken[1] == 0:
+                shop.now += 1000.0
+            slow_start(number)(count)
+
+        return take
+
+    shop.way = way
+    shop.run(100)
+    assert shop.pace.quickest == 1
