@@ -114,8 +114,8 @@ def _pull(own: Vector, other: Vector, offset: tuple[int, int, int], weight: _Lan
     o_plus_d = (d[0] + offset[0], d[1] + offset[1], d[2] + offset[2])
     length = float(np.linalg.norm(offset))
     e = _dot(o_plus_d, D)
-    d_squared = _dot(d, d)
-    tension_per_length = weight * e / (d_squared + d_squared.root() * length + _TINY)
+    d_squared = d[0] * d[0] + _TINY + d[1] * d[1] + d[2] * d[2]
+    tension_per_length = weight * e / (d_squared + d_squared.root() * length)
     return tension_per_length * d[0], tension_per_length * d[1], tension_per_length * d[2]
 
 

@@ -55,8 +55,8 @@ def _add_pull(total, own, displacement, place, offset, length, weight):
     Dx, Dy, Dz = other[0] - own[0], other[1] - own[1], other[2] - own[2]
     dx, dy, dz = Dx + offset[0], Dy + offset[1], Dz + offset[2]
     e = (dx + offset[0]) * Dx + (dy + offset[1]) * Dy + (dz + offset[2]) * Dz
-    d_squared = dx * dx + dy * dy + dz * dz
-    pull = weight * e / (d_squared + length * sqrt(d_squared) + _TINY)
+    d_squared = dx * dx + _TINY + dy * dy + dz * dz
+    pull = weight * e / (d_squared + length * sqrt(d_squared))
     return total[0] + pull * dx, total[1] + pull * dy, total[2] + pull * dz
 
 
