@@ -6,6 +6,7 @@ slow, for tests without a device.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -247,7 +248,7 @@ class CudaEngine:
             most = kernels.RESIDENT_THREADS if is_resident else kernels.STREAMING_THREADS
             overloads = family[self._explicit_count > 0].overloads
             overload = next(iter(overloads.values()), None) or overloads[()]
-            launch = plan_launch(node_count, overload.max_cooperative_grid_blocks(most), most)
+            launch = plan_launch(node_count, *_fitting(overload.max_cooperative_grid_blocks, most))
             if launch.sweep_count == 1 or not is_resident:
                 return launch, is_resident
         raise SimulationError(f"the device has no room to keep {node_count} nodes in registers: leave resident out")
@@ -289,6 +290,22 @@ class CudaEngine:
     @staticmethod
     def _blocks(count: int) -> int:
         return -(-count // PLAIN_THREADS)
+
+
+def _fitting(blocks_at_once: Callable[[int], int], thread_count: int) -> tuple[int, int]:
+    """Blocks that the device runs at once and their threads: at most so many, fewer where its registers are fewer.
+
+    Raises
+    ------
+    SimulationError
+        Not one block of the fewest threads fits.
+    """
+    while thread_count >= WARP:
+        block_count = blocks_at_once(thread_count)
+        if block_count:
+            return block_count, thread_count
+        thread_count = thread_count // 2 // WARP * WARP
+    raise SimulationError("the device cannot run the kernels: choose the backend 'cpu'", place="backend")
 
 
 def _cuda() -> Any:

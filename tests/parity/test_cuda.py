@@ -11,9 +11,10 @@ import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
+from heartcase.schemas.errors import SimulationError
 from heartcase.simulator import kernel_cuda
 from heartcase.simulator.engine import make_engine
-from heartcase.simulator.engine_cuda import CudaEngine, plan_launch
+from heartcase.simulator.engine_cuda import CudaEngine, _fitting, plan_launch
 from heartcase.simulator.forces_reference import spring_forces
 from heartcase.simulator.integrate import Verlet
 from heartcase.simulator.intrinsics_cuda import IS_SIMULATED
@@ -127,6 +128,14 @@ def test_a_launch_takes_every_node_once(node_count, block_count, thread_count):
     assert launch.share <= launch.thread_count
     assert launch.sweep_count * launch.block_count * launch.share >= node_count
     assert (launch.sweep_count - 1) * launch.block_count * launch.share < node_count
+
+
+def test_fewer_threads_are_taken_where_the_device_has_fewer_registers():
+    """65,536 registers in each of three multiprocessors, 96 a thread: 768 threads do not fit, 384 do."""
+    assert _fitting(lambda threads: 3 * (65536 // (96 * threads)), 768) == (3, 384)
+    assert _fitting(lambda threads: 7, 640) == (7, 640)
+    with pytest.raises(SimulationError, match="choose the backend 'cpu'"):
+        _fitting(lambda threads: 0, 640)
 
 
 def test_windows_of_like_springs_are_those_whose_springs_are_alike():
