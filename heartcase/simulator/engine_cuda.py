@@ -319,8 +319,9 @@ def _cuda() -> Any:
     remedy = "install heartcase[cuda] on a machine with an NVIDIA GPU and its driver, or choose the backend 'cpu'"
     try:
         from numba import cuda
-    except ImportError as error:
-        raise SimulationError(f"numba cannot load CUDA ({error}): {remedy}", place="backend") from None
+    except (ImportError, OSError, RuntimeError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise SimulationError(f"numba cannot load CUDA ({reason}): {remedy}", place="backend") from None
     if not cuda.is_available():
         raise SimulationError(f"there is no CUDA device: {remedy}", place="backend")
     return cuda
