@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 
 from heartcase.simulator.engine import make_engine
 from heartcase.simulator.forces_reference import spring_forces
-from heartcase.simulator.integrate import Verlet, energy, staggered, verlet_step
+from heartcase.simulator.integrate import Verlet, energy, runge_kutta_step, staggered, verlet_step
 from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.state import State
 from tests.simulator.lattices import EPS, block, oblique_geometry, random_field, stiffness_matrix
@@ -64,7 +64,11 @@ def test_energy_stays_in_the_band_of_verlet(backend):
         assert 0.75 * (1 - 1e-3) < total_energy(model, verlet, engine) / start < (1 + 1e-3) / 0.75
 
 
-def test_verlet_is_of_second_order():
+@pytest.mark.parametrize(
+    ("scheme", "order", "counts", "last_error"),
+    [(verlet_step, 2.0, (40, 80, 160, 320), 1e-3), (runge_kutta_step, 4.0, (40, 70, 120, 200), 1e-6)],
+)
+def test_schemes_are_of_their_order(scheme, order, counts, last_error):
     """Large, damped, nonlinear motion of two cells against DOP853 at 1e-12."""
     model = block(2, 1, 1)
     rng = np.random.default_rng(4)
@@ -78,17 +82,29 @@ def test_verlet_is_of_second_order():
 
     truth = solve_ivp(rates, (0, duration), np.array([u0, v0]).ravel(), method="DOP853", rtol=1e-12, atol=1e-13)
     exact = truth.y[:, -1].reshape(2, -1, 3)[0]
-    counts = np.array([40, 80, 160, 320])
     errors = []
     for count in counts:
         verlet = Verlet(step=duration / count, damping=damping, gravity=tuple(gravity))
-        u, v = u0, staggered(model, verlet, u0, v0)
+        u, v = u0, staggered(model, verlet, u0, v0) if scheme is verlet_step else v0
         for _ in range(count):
-            u, v = verlet_step(model, verlet, u, v, 1 / mass[:, 0])
+            u, v = scheme(model, verlet, u, v, 1 / mass[:, 0])
         errors.append(np.abs(u - exact).max())
     rate = -np.polyfit(np.log(counts), np.log(errors), 1)[0]
-    assert rate == pytest.approx(2.0, abs=0.1)
-    assert errors[-1] < 1e-3
+    assert rate == pytest.approx(order, abs=0.1)
+    assert errors[-1] < last_error
+
+
+def test_runge_kutta_leaves_fixed_nodes_and_carries_led_ones():
+    model = block(2, 2, 2, fix_base=True)
+    velocity = np.zeros((model.node_count, 3))
+    velocity[-1] = (0.1, 0.0, 0.2)
+    inverse_mass = model.inverse_mass.astype(float)
+    inverse_mass[-1] = 0.0
+    start = np.zeros_like(velocity)
+    u, v = runge_kutta_step(model, Verlet(0.2, 0.3, (0.0, 0.0, -0.5)), start, velocity, inverse_mass)
+    np.testing.assert_array_equal(u[model.node_is_fixed], 0.0)
+    np.testing.assert_allclose(u[-1], (0.02, 0.0, 0.04), atol=1e-15)
+    np.testing.assert_array_equal(v[-1], velocity[-1])
 
 
 @pytest.mark.parametrize("backend", ["cpu", "reference"])
