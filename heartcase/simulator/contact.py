@@ -1,10 +1,10 @@
 """Probes: nodes that an instrument meets are pushed out of it, and move only so far that no cell turns inside out.
 
 After a step, a free node inside a probe's ellipsoid is moved to its surface, away from its centre (thesis 8.7.1). Near
-a probe, a node's movement of the step is then shortened so that it takes at most a tenth of the volume of each corner
-spanned by its neighbours along the axes, and nothing of what is smaller than a tenth of a cell already. In first order
-the four nodes that span a corner cannot use it up; in second order they can, which is why some cells still turn inside
-out where a probe presses tissue against what is fixed, but few. The velocity becomes what was really moved.
+a probe, a node's movement of the step is then shortened so that it takes at most a tenth of what each corner that it
+spans with its neighbours along the axes has above a tenth of a cell. The neighbours are held by corners of their own,
+which is why some cells still turn inside out where a probe presses tissue against what is fixed, but few. The velocity
+becomes what was really moved.
 
 A corner has the volume s (a . b x c), with a, b, c the vectors to the three neighbours and s the sign of its octant; a
 movement m of the node takes s m . (a x b + b x c + c x a) from it, exactly.
@@ -31,7 +31,7 @@ SHARE = 0.1
 FLOOR = 0.1
 """Volume of a corner from which on no movement near a probe takes any more [cells]."""
 REACH = 2.0
-"""Distance from a probe within which movements are shortened [cells]."""
+"""Distance from a probe's surface, on the way to its centre, within which movements are shortened [cells]."""
 
 PROBE_SIZE = 17
 """Numbers of a probe: centre, its movement in a step, shape (row by row), reach, square of the radius around it all."""
@@ -58,9 +58,8 @@ def probe_row(centre: npt.ArrayLike, movement: npt.ArrayLike, semi_axes: npt.Arr
     """
     axes, rotation = np.asarray(semi_axes, dtype=float), np.asarray(turn, dtype=float)
     shape = rotation @ np.diag(1.0 / axes) @ rotation.T
-    reach = 1.0 + REACH / axes.min()
-    around = (reach * axes.max()) ** 2
-    return np.concatenate([np.ravel(centre), np.ravel(movement), shape.ravel(), [reach, around]]).astype(np.float32)
+    around = (axes.max() + REACH) ** 2
+    return np.concatenate([np.ravel(centre), np.ravel(movement), shape.ravel(), [REACH, around]]).astype(np.float32)
 
 
 def keep_outside(
@@ -102,8 +101,10 @@ def keep_outside(
     is_free = inverse_mass > 0
     for row in probes.astype(np.float64):
         centre, shape, reach = row[:3] + (step_number + 1) * row[3:6], row[6:15].reshape(3, 3), row[15]
+        way = np.linalg.norm(position - centre, axis=1)
         distance = np.linalg.norm((position - centre) @ shape.T, axis=1)
-        is_near |= is_free & (distance < reach)
+        is_near |= is_free & (way * (distance - 1.0) < reach * distance)
+        is_near |= is_free & (distance < 1.0)
         inside = is_free & (distance < 1.0) & (distance > 0.0)
         position[inside] = centre + (position[inside] - centre) / distance[inside, None]
     near = np.flatnonzero(is_near)
@@ -163,14 +164,15 @@ def make_contact(compiled: Callable[[Any], Any]) -> tuple[Any, Any]:
         dx = rest[0] - (probe[0] + steps * probe[3]) + u[0]
         dy = rest[1] - (probe[1] + steps * probe[4]) + u[1]
         dz = rest[2] - (probe[2] + steps * probe[5]) + u[2]
-        if dx * dx + dy * dy + dz * dz > probe[16]:
+        way_squared = dx * dx + dy * dy + dz * dz
+        if way_squared > probe[16]:
             return u, False
         x = probe[6] * dx + probe[7] * dy + probe[8] * dz
         y = probe[9] * dx + probe[10] * dy + probe[11] * dz
         z = probe[12] * dx + probe[13] * dy + probe[14] * dz
         distance = np.float32(sqrt(x * x + y * y + z * z))
         if distance >= one or distance == zero:
-            return u, distance < probe[15]
+            return u, np.float32(sqrt(way_squared)) * (distance - one) < probe[15] * distance or distance == zero
         outward = one / distance - one
         return (u[0] + outward * dx, u[1] + outward * dy, u[2] + outward * dz), True
 

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.simulator.contact import NO_PROBES, moved_on
+from heartcase.simulator.contact import NO_PROBES
 from heartcase.simulator.explicit import SpringsByNode
 from heartcase.simulator.integrate import Verlet
 from heartcase.simulator.kernel_cpu import advance, advance_alone, lane_forces
@@ -66,12 +66,13 @@ class CpuEngine:
 
     def advance(self, step_count: int, verlet: Verlet, probes: Float32 = NO_PROBES) -> None:
         """Take steps."""
+        taken = 0
 
         def in_one_way(kernel: Callable[..., int]) -> Callable[[int], None]:
             def take(count: int) -> None:
-                nonlocal probes
-                self.advance_by(kernel, count, verlet, probes)
-                probes = moved_on(probes, count)
+                nonlocal taken
+                self.advance_by(kernel, count, verlet, probes, taken)
+                taken += count
 
             return take
 
@@ -80,7 +81,9 @@ class CpuEngine:
         else:
             self.pace.run(step_count, (in_one_way(advance_alone), in_one_way(advance)))
 
-    def advance_by(self, kernel: Callable[..., int], step_count: int, verlet: Verlet, probes: Float32) -> None:
+    def advance_by(
+        self, kernel: Callable[..., int], step_count: int, verlet: Verlet, probes: Float32, first_step: int = 0
+    ) -> None:
         """Take steps with one of the two kernels, which give the same bits."""
         numbers = (verlet.step, verlet.keep, verlet.kick, *verlet.gravity)
         self.current = kernel(
@@ -95,6 +98,7 @@ class CpuEngine:
             self._explicit,
             self._rest if len(probes) else _NO_REST,
             probes,
+            first_step,
         )
         self.step_count += step_count
 

@@ -116,7 +116,9 @@ class CudaEngine:
         self._constants: dict[Verlet, Any] = {}
         self._current = 0
         self.step_count = 0
-        self._launch, self._is_resident = self._plan(resident)
+        self._resident = resident
+        self._plans: dict[bool, tuple[Launch, bool]] = {}
+        self._advance(0, self._constants_of(Verlet(0.0)))
         self.set_inverse_mass(model.inverse_mass)
 
     def load(self, state: State) -> None:
@@ -219,34 +221,38 @@ class CudaEngine:
         return np.array(self._shown.displacement[: len(nodes)])
 
     def _advance(self, step_count: int, constants: Any, probes: Float32 = NO_PROBES) -> None:
-        launch = self._launch
+        has_hands = self._explicit_count > 0 or len(probes) > 0
+        if has_hands not in self._plans:
+            self._plans[has_hands] = self._plan(has_hands, constants)
+        launch, is_resident = self._plans[has_hands]
+        self._start(launch, step_count, constants, probes, has_hands=has_hands, is_resident=is_resident)
+
+    def _start(
+        self, launch: Launch, step_count: int, constants: Any, probes: Float32, *, has_hands: bool, is_resident: bool
+    ) -> None:
         state = (self._displacement, self._velocity, self._spring_weight)
         where = (self._window_rows, self._node_slot, self._lane_count)
         what = (self._current, step_count, constants, self._arrivals)
-        has_hands = self._explicit_count > 0 or len(probes) > 0
         rest = self._rest if len(probes) else self._nothing
         hands = (*self._explicit, rest, self._on_device_probes(probes) if len(probes) else self._no_probes)
-        if self._is_resident:
-            kernel = self._kernels.advance_resident[has_hands]
-            kernel[launch.block_count, launch.thread_count](*state, *where, *what, *hands)
+        threads = (launch.block_count, launch.thread_count)
+        if is_resident:
+            self._kernels.advance_resident[has_hands][threads](*state, *where, *what, *hands)
         else:
-            kernel = self._kernels.advance_streaming[has_hands]
             sweeps = (launch.sweep_count, launch.share)
-            kernel[launch.block_count, launch.thread_count](
-                *state, self._uniform_weight, *where, *sweeps, *what, *hands
-            )
+            arguments = (*state, self._uniform_weight, *where, *sweeps, *what, *hands)
+            self._kernels.advance_streaming[has_hands][threads](*arguments)
 
-    def _plan(self, resident: bool | None) -> tuple[Launch, bool]:
+    def _plan(self, has_hands: bool, constants: Any) -> tuple[Launch, bool]:
         """Compile the kernel that suits the number of nodes, and share them so that all threads run at once."""
         kernels, node_count = self._kernels, self.model.node_count
-        constants = self._constants_of(Verlet(0.0))
         for family, is_resident in ((kernels.advance_resident, True), (kernels.advance_streaming, False)):
-            if resident not in (None, is_resident):
+            if self._resident not in (None, is_resident):
                 continue
-            self._launch, self._is_resident = Launch(1, WARP, 1, WARP), is_resident
-            self._advance(0, constants)
+            one = Launch(1, WARP, 1, WARP)
+            self._start(one, 0, constants, NO_PROBES, has_hands=has_hands, is_resident=is_resident)
             most = kernels.RESIDENT_THREADS if is_resident else kernels.STREAMING_THREADS
-            overloads = family[self._explicit_count > 0].overloads
+            overloads = family[has_hands].overloads
             overload = next(iter(overloads.values()), None) or overloads[()]
             launch = plan_launch(node_count, *_fitting(overload.max_cooperative_grid_blocks, most))
             if launch.sweep_count == 1 or not is_resident:

@@ -368,6 +368,7 @@ def advance(
     explicit: ExplicitArrays,
     rest: Float32,
     probes: Float32,
+    first_step: int,
 ) -> int:
     """Take steps in place.
 
@@ -396,6 +397,8 @@ def advance(
         Rest positions [cells], shape (3, lane_count); read where there are probes.
     probes
         Probes as of :func:`heartcase.simulator.contact.probe_row`, shape (probe_count, PROBE_SIZE).
+    first_step
+        Steps that the probes have moved before.
 
     Returns
     -------
@@ -421,7 +424,16 @@ def advance(
                 for window in range(share * window_count // SHARES, (share + 1) * window_count // SHARES):
                     row = rows[window]
                     _keep_window_outside(
-                        now, later, velocity, weight, inverse_mass, rest, row, probes, step_number, constants[0]
+                        now,
+                        later,
+                        velocity,
+                        weight,
+                        inverse_mass,
+                        rest,
+                        row,
+                        probes,
+                        first_step + step_number,
+                        constants[0],
                     )
                 _restore_subnormals(before)
         current = 1 - current
@@ -441,6 +453,7 @@ def advance_alone(
     explicit: ExplicitArrays,
     rest: Float32,
     probes: Float32,
+    first_step: int,
 ) -> int:
     """:func:`advance` on one thread, to the same bits: quicker where a step is over before threads have met."""
     before = _flush_subnormals()
@@ -454,7 +467,16 @@ def advance_alone(
         if len(probes):
             for window in range(rows.shape[0]):
                 _keep_window_outside(
-                    now, later, velocity, weight, inverse_mass, rest, rows[window], probes, step_number, constants[0]
+                    now,
+                    later,
+                    velocity,
+                    weight,
+                    inverse_mass,
+                    rest,
+                    rows[window],
+                    probes,
+                    first_step + step_number,
+                    constants[0],
                 )
         current = 1 - current
     _restore_subnormals(before)

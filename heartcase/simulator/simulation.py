@@ -117,13 +117,18 @@ class Simulation:
         self._engine.advance(0, self.verlet)
         self._engine.advance(0, self.verlet, probe_row((0, 0, 0), (0, 0, 0), (1, 1, 1), np.eye(3))[None])
         self._engine.forces()
+        self._engine.load(self.state)
+        find_trouble(self.state, self.verlet.step, np.zeros(self.model.node_count, dtype=bool))
         if self.surface is not None:
             self.surface_now()
         if self.picking is not None:
             self.picking_now()
 
     def restore(self, state: State) -> None:
-        """Go back, or on, to a state that was read before. Hands that hold now let go, probes are withdrawn."""
+        """Go back, or on, to a state that was read before.
+
+        Hands that hold now let go, and probes are withdrawn. Springs stay as they are now: a state does not hold them.
+        """
         self.grabs.clear()
         self.probes.clear()
         self._engine.load(state)
@@ -170,8 +175,8 @@ class Simulation:
         SimulationError
             There is no tissue to hold, or the place is not a finite point.
         """
-        if not (np.isfinite(np.asarray(center_mm, dtype=float)).all() and np.isfinite(radius_mm)):
-            raise SimulationError("the centre and the radius must be finite numbers", place=name)
+        if not (_is_point(center_mm) and np.isfinite(radius_mm)):
+            raise SimulationError("the centre and the radius must be finite numbers, three and one", place=name)
         nodes = nodes_in_reach(self.model, self.state.displacement, center_mm, radius_mm)
         for other in self.grabs:
             nodes = np.setdiff1d(nodes, other.nodes, assume_unique=True)
@@ -201,8 +206,8 @@ class Simulation:
         SimulationError
             The offset is not finite, or the turn is no rotation.
         """
-        if not np.isfinite(np.asarray(offset_mm, dtype=float)).all():
-            raise SimulationError("the offset must be finite numbers", place=grab.name)
+        if not _is_point(offset_mm):
+            raise SimulationError("the offset must be three finite numbers", place=grab.name)
         grab.target = Pose(self.model.to_grid(offset_mm), self._turn_in_grid(turn, grab.name))
 
     def release(self, grab: Grab) -> None:
@@ -239,13 +244,15 @@ class Simulation:
         SimulationError
             A number is not finite, a semi-axis too small, or the turn no rotation.
         """
-        semi_axes = np.broadcast_to(np.asarray(semi_axes_mm, dtype=float), 3) / self.model.cell_mm
+        semi_axes = np.full(3, np.nan)
+        if np.shape(semi_axes_mm) in ((), (3,)):
+            semi_axes = np.broadcast_to(np.asarray(semi_axes_mm, dtype=float), 3) / self.model.cell_mm
         problems = []
-        if not np.isfinite(np.asarray(center_mm, dtype=float)).all():
-            problems.append(Problem(name, "the centre must be finite numbers"))
+        if not _is_point(center_mm):
+            problems.append(Problem(name, "the centre must be three finite numbers"))
         if not (np.isfinite(semi_axes) & (semi_axes >= PROBE_MIN)).all():
             least = PROBE_MIN * self.model.cell_mm
-            problems.append(Problem(name, f"every semi-axis must be at least half a cell, {least:.3g} mm"))
+            problems.append(Problem(name, f"give a radius or three semi-axes of at least half a cell, {least:.3g} mm"))
         if problems:
             raise SimulationError(problems)
         direction = self.model.geometry.direction_matrix
@@ -263,8 +270,8 @@ class Simulation:
         SimulationError
             The centre is not finite.
         """
-        if not np.isfinite(np.asarray(center_mm, dtype=float)).all():
-            raise SimulationError("the centre must be finite numbers", place=probe.name)
+        if not _is_point(center_mm):
+            raise SimulationError("the centre must be three finite numbers", place=probe.name)
         probe.target = self._to_lattice(center_mm)
 
     def withdraw(self, probe: Probe) -> None:
@@ -274,6 +281,8 @@ class Simulation:
 
     def remove_springs(self, removed: npt.ArrayLike) -> None:
         """Take springs of the lattice away: what a cut does.
+
+        Hands hold on to what they held before, and the surface is not split.
 
         Parameters
         ----------
@@ -326,6 +335,9 @@ class Simulation:
     def force_on(self, hand: Grab | Probe) -> Float64:
         """Force that the tissue exerts on a hand now, N, LPS axes, shape (3,): of the springs on what it holds."""
         nodes = hand.nodes if isinstance(hand, Grab) else hand.touched(self.model, self.state.displacement)
+        if isinstance(hand, Probe):
+            for grab in self.grabs:
+                nodes = np.setdiff1d(nodes, grab.nodes, assume_unique=True)
         pull = self._engine.forces(nodes).sum(axis=0, dtype=np.float64)
         force: Float64 = pull @ self.model.geometry.direction_matrix.T * self.model.units.force_n
         return force
@@ -428,3 +440,7 @@ class Simulation:
             "smaller step. The state before was restored",
             place="simulation",
         )
+
+
+def _is_point(values: npt.ArrayLike) -> bool:
+    return np.shape(values) == (3,) and bool(np.isfinite(np.asarray(values, dtype=float)).all())

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator import contact
 from heartcase.simulator.simulation import Simulation
+from heartcase.simulator.step_size import default_step, own_step_limit, step_limit
 from tests.simulator.lattices import EPS, block, oblique_geometry, random_models
 
 
@@ -189,6 +190,53 @@ def test_springs_too_stiff_for_the_step_are_refused_and_the_rest_is_stable():
     for _ in range(10):
         simulation.step(500)
     assert simulation.energy().total_j < 1e3 * model.units.energy_j
+
+
+def test_limits_of_a_model_reckon_with_its_explicit_springs():
+    """A spring between two corners of a lone cell, as stiff as the step of a millionth allows."""
+    model = block(1, 1, 1)
+    simulation = Simulation(model, step_s=1e-6)
+    simulation.add_springs([(0, 7)], 1e6)
+    for limit in (default_step, step_limit, own_step_limit):
+        assert limit(simulation.model) < 1e-2 * limit(model)
+    with pytest.raises(SimulationError, match="not stable"):
+        Simulation(simulation.model, step_s=step_limit(model))
+    coarse = Simulation(model, step_s=step_limit(model))
+    with pytest.raises(SimulationError, match="leaves nothing"):
+        coarse.add_springs([(0, 7)], 1.0)
+
+
+def test_what_a_hand_holds_does_not_press_on_a_probe():
+    model = block(4, 4, 4, fix_base=True)
+    simulation = Simulation(model)
+    hand = simulation.grab((7.0, 7.0, 14.0), 4.0)
+    simulation.lead(hand, (0.0, 0.0, 2.0))
+    simulation.step(20)
+    probe = simulation.probe((7.0, 7.0, 15.5), 3.0)
+    assert np.isin(probe.touched(model, simulation.state.displacement), hand.nodes).any()
+    assert np.linalg.norm(simulation.force_on(hand)) > 0
+    alone = np.setdiff1d(probe.touched(model, simulation.state.displacement), hand.nodes)
+    expected = simulation._engine.forces(alone).sum(axis=0) * model.units.force_n
+    np.testing.assert_allclose(simulation.force_on(probe), expected, atol=1e-9)
+
+
+def test_wrong_shapes_are_said_in_words():
+    simulation = Simulation(block(2, 2, 2))
+    hand = simulation.grab((3.5, 3.5, 3.5), 4.0)
+    probe = simulation.probe((0, 0, 0), 4.0)
+    for wrong in (
+        lambda: simulation.grab((1.0, 2.0), 3.0),
+        lambda: simulation.lead(hand, 1.0),
+        lambda: simulation.move(probe, (1.0,)),
+        lambda: simulation.probe((0, 0), (1.0, 2.0)),
+        lambda: simulation.add_springs((1, 2, 3), 1.0),
+        lambda: simulation.add_springs([(1, 2)], [1.0, 2.0]),
+        lambda: simulation.add_springs([(1, 2)], 1.0, [1.0, 2.0, 3.0]),
+    ):
+        with pytest.raises(SimulationError):
+            wrong()
+    simulation.add_springs([], 1.0)
+    assert simulation.model.explicit.count == 0
 
 
 def test_all_that_is_wrong_with_explicit_springs_is_said_at_once():
