@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.contact import NO_PROBES, keep_outside
-from heartcase.simulator.forces_reference import spring_forces
+from heartcase.simulator.forces_reference import elastic_forces
 from heartcase.simulator.integrate import Verlet, verlet_step
 from heartcase.simulator.model import LatticeModel
 from heartcase.simulator.state import State
@@ -112,5 +112,5 @@ class ReferenceEngine:
 
     def forces(self, nodes: npt.NDArray[np.intp] | None = None) -> Float32:
         """Spring forces now, on some nodes or all."""
-        force = spring_forces(self.model, self.displacement).astype(np.float32)
+        force = elastic_forces(self.model, self.displacement).astype(np.float32)
         return force if nodes is None else force[nodes]

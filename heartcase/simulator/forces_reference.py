@@ -1,15 +1,21 @@
-"""The spring forces written as their formula, in float64: the oracle of every kernel."""
+"""The forces written as their formulas, in float64: the oracle of every kernel."""
 
 from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.simulator.cell_forces import cell_energies, cell_forces
 from heartcase.simulator.model import LatticeModel
 
-__all__ = ["elastic_energy", "spring_forces"]
+__all__ = ["elastic_energy", "elastic_forces", "spring_forces"]
 
 Float64 = npt.NDArray[np.float64]
+
+
+def elastic_forces(model: LatticeModel, displacement: npt.ArrayLike) -> Float64:
+    """Forces of springs and cells on every node [grid units], shape (node_count, 3); displacements in cells."""
+    return spring_forces(model, displacement) + cell_forces(model, displacement)
 
 
 def spring_forces(model: LatticeModel, displacement: npt.ArrayLike) -> Float64:
@@ -30,7 +36,7 @@ def spring_forces(model: LatticeModel, displacement: npt.ArrayLike) -> Float64:
     """
     lower, higher = model.spring_nodes.T
     d, length = _springs(model, displacement)
-    tension = model.spring_weight * (length - model.spring_length)
+    tension = model.acting_weight * (length - model.spring_length)
     pull = np.divide(tension, length, out=np.zeros_like(length), where=length > 0)[:, None] * d
     force = np.zeros((model.node_count, 3))
     for axis in range(3):
@@ -42,11 +48,12 @@ def spring_forces(model: LatticeModel, displacement: npt.ArrayLike) -> Float64:
 
 
 def elastic_energy(model: LatticeModel, displacement: npt.ArrayLike) -> float:
-    """Energy in the springs, half the sum of w (length - rest)^2 [grid units of energy]."""
+    """Energy in springs, half the sum of w (length - rest)^2, and cells [grid units of energy]."""
     _, length = _springs(model, displacement)
     _, stretch = model.explicit.pull(model.node_index, displacement)
     explicit = 0.5 * np.sum(model.explicit.stiffness * stretch**2)
-    return float(0.5 * np.sum(model.spring_weight * (length - model.spring_length) ** 2) + explicit)
+    springs = 0.5 * np.sum(model.acting_weight * (length - model.spring_length) ** 2)
+    return float(springs + explicit + cell_energies(model, displacement).sum())
 
 
 def _springs(model: LatticeModel, displacement: npt.ArrayLike) -> tuple[Float64, Float64]:

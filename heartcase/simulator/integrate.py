@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.simulator.forces_reference import spring_forces
+from heartcase.simulator.forces_reference import elastic_forces
 from heartcase.simulator.measures import spring_energy
 from heartcase.simulator.model import LatticeModel
 from heartcase.simulator.state import State
@@ -65,7 +65,7 @@ def verlet_step(
     displacement, velocity
         A step later, float64.
     """
-    velocity = next_velocity(verlet, velocity, spring_forces(model, displacement), inverse_mass)
+    velocity = next_velocity(verlet, velocity, elastic_forces(model, displacement), inverse_mass)
     return displacement + verlet.step * velocity, velocity
 
 
@@ -98,7 +98,7 @@ def runge_kutta_step(
     gravity = np.array(verlet.gravity)
 
     def acceleration(u: Float64, v: Float64) -> Float64:
-        return np.where(is_free, spring_forces(model, u) * mass_inverse + gravity - verlet.damping * v, 0.0)
+        return np.where(is_free, elastic_forces(model, u) * mass_inverse + gravity - verlet.damping * v, 0.0)
 
     h = verlet.step
     v1, a1 = velocity, acceleration(displacement, velocity)
@@ -114,7 +114,7 @@ def runge_kutta_step(
 def staggered(model: LatticeModel, verlet: Verlet, displacement: Float64, velocity: Float64) -> Float64:
     """Velocity half a step earlier, from that at the time of the displacement: how to start from a moving state."""
     mass = model.node_mass[:, None].astype(float)
-    acceleration = spring_forces(model, displacement) / mass + np.array(verlet.gravity) - verlet.damping * velocity
+    acceleration = elastic_forces(model, displacement) / mass + np.array(verlet.gravity) - verlet.damping * velocity
     earlier: Float64 = velocity - 0.5 * verlet.step * acceleration
     return earlier
 

@@ -18,8 +18,9 @@ from heartcase.schemas.errors import Problem, SimulationError
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.lattice import CELL_DIAGONALS, CELL_EDGES, CORNER_OFFSETS, cell_nodes, lattice_keys
 from heartcase.simulator.explicit import ExplicitSprings
+from heartcase.simulator.force_law import ForceLaw
 
-__all__ = ["DIRECTIONS", "GridUnits", "LatticeModel", "make_model"]
+__all__ = ["DIRECTIONS", "FULL_MOMENTS", "GridUnits", "LatticeModel", "make_model"]
 
 Float32 = npt.NDArray[np.float32]
 Float64 = npt.NDArray[np.float64]
@@ -28,6 +29,9 @@ Int64 = npt.NDArray[np.int64]
 
 STIFFNESS_PER_MODULUS = 0.4
 """k / (E h) of the isotropic 18-neighbour lattice."""
+
+FULL_MOMENTS: Float32 = np.array([0.0] * 3 + [1 / 12] * 3 + [0.0] * 3, np.float32)
+"""Moments of a full cell: means of x, y, z, xx, yy, zz, yz, xz, xy from its centre [edges], shape (9,)."""
 
 _CELL_SPRINGS = np.concatenate([CELL_EDGES, CELL_DIAGONALS])
 _CELL_SPRING_SHARE = np.repeat([1 / 4, 1 / 2], [len(CELL_EDGES), len(CELL_DIAGONALS)])
@@ -84,6 +88,10 @@ class LatticeModel:
     """Young's modulus over that of the stiffest cell [1], shape (cell_count,)."""
     cell_density: Float32
     """Density over that of the densest cell [1], shape (cell_count,)."""
+    cell_moments: Float32
+    """Means of x, y, z, xx, yy, zz, yz, xz, xy over each cell's tissue, from its centre [edges], (cell_count, 9)."""
+    cell_is_whole: npt.NDArray[np.bool_]
+    """Whether no spring of the cell was cut, shape (cell_count,). What a cut left is springs alone."""
     node_index: Int32
     """Corner (i, j, k) of each node: its rest position [cells], by k, j, i, shape (node_count, 3)."""
     node_mass: Float32
@@ -98,6 +106,8 @@ class LatticeModel:
     """Stiffness [k], above zero, shape (spring_count,)."""
     explicit: ExplicitSprings = field(default_factory=ExplicitSprings.none)
     """Springs outside the lattice."""
+    law: ForceLaw = field(default_factory=ForceLaw)
+    """What resists deformation."""
 
     @property
     def node_count(self) -> int:
@@ -118,6 +128,27 @@ class LatticeModel:
     def cell_mm(self) -> float:
         """Edge of a cell, mm."""
         return self.units.length_m * 1e3
+
+    @property
+    def acting_weight(self) -> Float32:
+        """Stiffness with which each spring acts under the law [k], shape (spring_count,).
+
+        The springs of elements act in cells that were cut.
+        """
+        shear = np.float32(self.law.shear_modulus)
+        if not self.law.is_element:
+            return self.spring_weight * shear
+        if self.cell_is_whole.all():
+            return np.zeros_like(self.spring_weight)
+        cut = ~self.cell_is_whole
+        stiffness = (self.cell_coverage * self.cell_stiffness)[cut].astype(float)
+        weight, _ = _weights(self.cell_corners[cut], stiffness, self.node_count)
+        return weight[self.spring_direction, self.spring_nodes[:, 0]].astype(np.float32) * shear
+
+    @property
+    def cell_force_scale(self) -> Float32:
+        """Covered stiffness of each cell that was not cut, else zero [k/h], shape (cell_count,)."""
+        return np.where(self.cell_is_whole, self.cell_coverage * self.cell_stiffness, np.float32(0.0))
 
     @property
     def spring_offset(self) -> Int32:
@@ -168,12 +199,22 @@ class LatticeModel:
             True for each spring to leave out, bool, shape (spring_count,).
         """
         kept = ~np.asarray(removed, dtype=bool)
+        is_cut = np.zeros((len(DIRECTIONS), self.node_count), np.bool_)
+        is_cut[self.spring_direction[~kept], self.spring_nodes[~kept, 0]] = True
+        is_whole = self.cell_is_whole.copy()
+        for (a, _), direction in zip(_CELL_SPRINGS, _CELL_SPRING_DIRECTION, strict=True):
+            is_whole &= ~is_cut[direction, self.cell_corners[:, a]]
         return replace(
             self,
+            cell_is_whole=is_whole,
             spring_nodes=self.spring_nodes[kept],
             spring_direction=self.spring_direction[kept],
             spring_weight=self.spring_weight[kept],
         )
+
+    def with_law(self, law: ForceLaw) -> LatticeModel:
+        """A copy whose deformation another law resists."""
+        return replace(self, law=law)
 
 
 def make_model(
@@ -185,6 +226,8 @@ def make_model(
     fixed: npt.ArrayLike = False,
     geometry: Geometry | None = None,
     cell_mm: float = 3.5,
+    moments: npt.ArrayLike = FULL_MOMENTS,
+    law: ForceLaw | None = None,
 ) -> LatticeModel:
     """Build the lattice of a set of cells.
 
@@ -206,6 +249,11 @@ def make_model(
         origin, when left out.
     cell_mm
         Edge of a cell, mm, where there is no ``geometry``.
+    moments
+        Means of x, y, z, xx, yy, zz, yz, xz, xy over the tissue of a cell, from its centre, in edges; shape (9,) or
+        (cell_count, 9). Those of a full cell when left out: elements then take all tissue for spread over its cell.
+    law
+        What resists deformation; springs at a ratio of 1/4 when left out.
 
     Raises
     ------
@@ -218,7 +266,8 @@ def make_model(
     coverage = np.broadcast_to(np.asarray(coverage, dtype=float), cell_count)
     youngs_modulus_pa = np.broadcast_to(np.asarray(stiffness_kpa, dtype=float) * 1e3, cell_count)
     density = np.broadcast_to(np.asarray(density_kg_m3, dtype=float), cell_count)
-    _check(cells, coverage, youngs_modulus_pa, density, geometry)
+    moments = np.broadcast_to(np.asarray(moments, dtype=np.float32), (cell_count, len(FULL_MOMENTS))).copy()
+    _check(cells, coverage, youngs_modulus_pa, density, geometry, moments)
 
     nodes, corners = cell_nodes(cells)
     node_count = len(nodes)
@@ -238,27 +287,36 @@ def make_model(
         cell_coverage=coverage.astype(np.float32),
         cell_stiffness=cell_stiffness.astype(np.float32),
         cell_density=cell_density.astype(np.float32),
+        cell_moments=moments,
+        cell_is_whole=np.ones(cell_count, np.bool_),
         node_index=nodes,
         node_mass=node_mass.astype(np.float32),
         node_is_fixed=_fixed_nodes(fixed, node_count),
         spring_nodes=np.stack([lower, higher], axis=1).astype(np.int32),
         spring_direction=direction.astype(np.int8),
         spring_weight=weight.astype(np.float32),
+        law=law or ForceLaw(),
     )
 
 
 def _springs(corners: Int32, stiffness: Float64, node_count: int) -> tuple[tuple[Int64, Int64, Int32], Float64]:
     """Lower node, direction and higher node of each spring, by lower node, then direction; and its stiffness [k]."""
+    weight, higher = _weights(corners, stiffness, node_count)
+    by_node = weight.T.ravel()
+    used = np.flatnonzero(by_node)
+    lower, direction_of = np.divmod(used, len(DIRECTIONS))
+    return (lower, direction_of, higher[direction_of, lower]), by_node[used]
+
+
+def _weights(corners: Int32, stiffness: Float64, node_count: int) -> tuple[Float64, Int32]:
+    """Stiffness [k], and higher node, of the spring from each node along each direction, shape (9, node_count)."""
     weight = np.zeros((len(DIRECTIONS), node_count))
     higher = np.zeros((len(DIRECTIONS), node_count), np.int32)
     columns = np.ascontiguousarray(corners.T)
     for (a, b), share, direction in zip(_CELL_SPRINGS, _CELL_SPRING_SHARE, _CELL_SPRING_DIRECTION, strict=True):
         weight[direction] += np.bincount(columns[a], stiffness * share, minlength=node_count)
         higher[direction, columns[a]] = columns[b]
-    by_node = weight.T.ravel()
-    used = np.flatnonzero(by_node)
-    lower, direction_of = np.divmod(used, len(DIRECTIONS))
-    return (lower, direction_of, higher[direction_of, lower]), by_node[used]
+    return weight, higher
 
 
 def _grid_units(length_m: float, youngs_modulus_pa: float, density_kg_m3: float) -> GridUnits:
@@ -284,7 +342,9 @@ def _has_twins(keys: Int64) -> bool:
     return bool((np.diff(keys) <= 0).any()) and len(np.unique(keys)) != len(keys)
 
 
-def _check(cells: Int32, coverage: Float64, modulus: Float64, density: Float64, geometry: Geometry) -> None:
+def _check(
+    cells: Int32, coverage: Float64, modulus: Float64, density: Float64, geometry: Geometry, moments: Float32
+) -> None:
     problems = []
     if not len(cells):
         problems.append(Problem("cells", "there is no tissue cell: a case needs at least one"))
@@ -296,6 +356,8 @@ def _check(cells: Int32, coverage: Float64, modulus: Float64, density: Float64, 
         problems.append(Problem("cell_stiffness", "every Young's modulus must be above zero"))
     if not (np.isfinite(density) & (density > 0)).all():
         problems.append(Problem("cell_density", "every density must be above zero"))
+    if not (np.isfinite(moments).all() and (np.abs(moments) <= 0.5).all() and (moments[:, 3:6] >= 0).all()):
+        problems.append(Problem("cell_moments", "means over a cell's tissue lie within half an edge of its centre"))
     if not np.allclose(geometry.spacing_mm, geometry.spacing_mm[0], rtol=1e-5):
         problems.append(Problem("grid_geometry", "the cells must be cubic: give the same spacing along i, j and k"))
     if not geometry.is_right_handed:

@@ -1,0 +1,170 @@
+"""The forces of cells written as their formulas, in float64: the oracle of every kernel.
+
+A cell's displacement is u = u_0 + G x + q_1 yz + q_2 xz + q_3 xy + q_4 xyz with (x, y, z) from its centre [edges]. With
+F = I + G, or for elements the mean of the deformation gradient over the tissue, I_C = tr(F^T F) and J = det F,
+
+    d = (J - 1) / D,  D = 1/2 + I_C / 6        is the change of volume; D keeps its stiffness bounded at any stretch
+
+    volume term        W = (lambda - mu) / 2 d^2
+    element            W = mu / 2 (I_C - 3) - mu d + (lambda + mu / 3) / 2 d^2 + H / D
+
+is the energy per covered volume: at small strain Hooke's, at any other a rubber's (neo-Hookean in the limit of constant
+volume; as in Smith, de Goes and Kim, ACM Trans. Graph. 37, 2018, it has no pole where a cell is flat and pushes cells
+that are inside out back). H is the energy of the strain's linear part, with a_i = F^T q_i, the plate modulus
+E' = E / (1 - nu^2) and the variance s_x of x over the tissue (1/12 in a full cell)::
+
+    H = 1/2 sum over x, y, z of  s_y [E' (a_3x^2 + a_1z^2 + 2 nu a_3x a_1z) + mu (a_1x + a_3z)^2]  and so on
+
+The corner guard adds k_c/16 e^2 for each of a cell's eight corners, with J the volume of its three edges a, b, c::
+
+    e = max(J_0 - J, 0) / D_c,  D_c = 1/2 + (|a|^2 + |b|^2 + |c|^2)^2 / 18
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from heartcase.schemas.lattice import CORNER_OFFSETS
+from heartcase.simulator.model import LatticeModel
+
+__all__ = ["CORNER_FLOOR", "CORNER_STIFFNESS", "MODES", "cell_energies", "cell_forces", "mean_slopes", "tissue_spread"]
+
+Float64 = npt.NDArray[np.float64]
+
+CORNER_FLOOR = 0.3
+"""J_0: volume of a corner from which on it pushes back; one at rest [cells]."""
+CORNER_STIFFNESS = 3.0
+"""k_c [k/h]: the least that drives a cell of springs that is inside out back through being flat."""
+SPREAD_MIN = 0.1**2 / 12.0
+"""Least variance of the tissue along an axis that is reckoned with: that of a wall a tenth of a cell thick."""
+
+_SIGNS = 2.0 * CORNER_OFFSETS - 1.0
+_X, _Y, _Z = _SIGNS.T
+MODES: Float64 = np.stack([_X / 4, _Y / 4, _Z / 4, _Y * _Z / 2, _X * _Z / 2, _X * _Y / 2, _X * _Y * _Z])
+"""What gives the three columns of G and q_1 to q_4 from the corners' displacements, shape (7, 8)."""
+
+
+def cell_forces(model: LatticeModel, displacement: npt.ArrayLike) -> Float64:
+    """Forces of all cells on every node [grid units], float64, shape (node_count, 3); displacements in cells."""
+    u = np.asarray(displacement, dtype=np.float64)[model.cell_corners]
+    _, at_corners = _energies_and_forces(model, u)
+    force = np.zeros((model.node_count, 3))
+    for axis in range(3):
+        pulls = at_corners[:, :, axis].ravel()
+        force[:, axis] = np.bincount(model.cell_corners.ravel(), pulls, minlength=model.node_count)
+    return force
+
+
+def cell_energies(model: LatticeModel, displacement: npt.ArrayLike) -> Float64:
+    """Energy in each cell beyond that of its springs [grid units], shape (cell_count,); displacements in cells."""
+    return _energies_and_forces(model, np.asarray(displacement, dtype=np.float64)[model.cell_corners])[0]
+
+
+def mean_slopes(moments: Float64) -> Float64:
+    """Mean gradient of yz, xz, xy and xyz over the tissue, from its moments (count, 9): shape (count, 4, 3)."""
+    x, y, z, _, _, _, yz, xz, xy = moments.T
+    nil = np.zeros_like(x)
+    return np.moveaxis(np.array([[nil, z, y], [z, nil, x], [y, x, nil], [yz, xz, xy]]), -1, 0)
+
+
+def tissue_spread(moments: Float64) -> Float64:
+    """Variance of the tissue along x, y and z, from its moments (count, 9), not below SPREAD_MIN: shape (count, 3)."""
+    return np.maximum(moments[:, 3:6] - moments[:, :3] ** 2, SPREAD_MIN)
+
+
+def _energies_and_forces(model: LatticeModel, u: Float64) -> tuple[Float64, Float64]:
+    """Energy of each cell, shape (cell_count,), and force on its corners, shape (cell_count, 8, 3)."""
+    energy, force = np.zeros(len(u)), np.zeros_like(u)
+    terms = []
+    if model.law.is_element:
+        terms.append(_element(model, u))
+    elif model.law.has_volume_term:
+        terms.append(_volume_term(model, u))
+    if model.law.guards_corners and not model.law.is_element:
+        terms.append(_corner_guard(u))
+    scale = model.cell_force_scale
+    for term_energy, term_force in terms:
+        energy += scale * term_energy
+        force += scale[:, None, None] * term_force
+    return energy, force
+
+
+def _deformation(q: Float64, slopes: Float64) -> tuple[Float64, Float64, Float64, Float64, Float64]:
+    """F, its cofactors, I_C, D and d of each cell."""
+    F = np.eye(3) + np.swapaxes(q[:, :3], 1, 2) + np.einsum("nai,nak->nik", q[:, 3:], slopes)
+    a, b, c = np.moveaxis(F, 2, 0)
+    cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=2)
+    I_C = (F**2).sum(axis=(1, 2))
+    D = 0.5 + I_C / 6.0
+    d = ((a * cofactors[:, :, 0]).sum(axis=1) - 1.0) / D
+    return F, cofactors, I_C, D, d
+
+
+def _d_slope(F: Float64, cofactors: Float64, D: Float64, d: Float64) -> Float64:
+    """Derivative of d by F, shape (count, 3, 3)."""
+    slope: Float64 = cofactors / D[:, None, None] - (d / D / 3.0)[:, None, None] * F
+    return slope
+
+
+def _volume_term(model: LatticeModel, u: Float64) -> tuple[Float64, Float64]:
+    q = np.einsum("mc,nci->nmi", MODES, u)
+    F, cofactors, _, D, d = _deformation(q, np.zeros((len(u), 4, 3)))
+    modulus = model.law.volume_modulus
+    P = (modulus * d)[:, None, None] * _d_slope(F, cofactors, D, d)
+    return 0.5 * modulus * d**2, -np.einsum("mc,nim->nci", MODES[:3], P)
+
+
+def _element(model: LatticeModel, u: Float64) -> tuple[Float64, Float64]:
+    law, moments = model.law, model.cell_moments.astype(np.float64)
+    mu, modulus = law.shear_modulus, law.lame_modulus + law.shear_modulus / 3.0
+    slopes, spread = mean_slopes(moments), tissue_spread(moments)
+    q = np.einsum("mc,nci->nmi", MODES, u)
+    F, cofactors, I_C, D, d = _deformation(q, slopes)
+    a = np.einsum("nki,nak->nai", F, q[:, 3:])
+    e = _linear_stress(a, spread, law.plate_modulus, law.poissons_ratio, mu, law.youngs_modulus)
+    H = 0.5 * (a * e).sum(axis=(1, 2))
+    energy = 0.5 * mu * (I_C - 3.0) - mu * d + 0.5 * modulus * d**2 + H / D
+    P = mu * F + (modulus * d - mu)[:, None, None] * _d_slope(F, cofactors, D, d)
+    P += np.einsum("nak,nai->nki", q[:, 3:], e) / D[:, None, None] - (H / D**2 / 3.0)[:, None, None] * F
+    by_mode = np.empty_like(q)
+    by_mode[:, :3] = np.swapaxes(P, 1, 2)
+    by_mode[:, 3:] = np.einsum("nki,nai->nak", F, e) / D[:, None, None] + np.einsum("nki,nai->nak", P, slopes)
+    return energy, -np.einsum("mc,nmi->nci", MODES, by_mode)
+
+
+def _linear_stress(a: Float64, spread: Float64, plate: float, ratio: float, mu: float, youngs: float) -> Float64:
+    """Derivative of H by a, shape (count, 4, 3)."""
+    e = np.zeros_like(a)
+    x, y, z = spread.T
+    # (mode, component) pairs whose strains along two axes vary along the third, by whose spread they count
+    for varied, (m, i), (n, j) in ((x, (2, 1), (1, 2)), (y, (2, 0), (0, 2)), (z, (1, 0), (0, 1))):
+        e[:, m, i] = varied * plate * (a[:, m, i] + ratio * a[:, n, j])
+        e[:, n, j] = varied * plate * (a[:, n, j] + ratio * a[:, m, i])
+    for varied, m, n in ((x, 1, 2), (y, 0, 2), (z, 0, 1)):
+        twist = mu * varied * (a[:, m, m] + a[:, n, n])
+        e[:, m, m] += twist
+        e[:, n, n] += twist
+    e[:, 3] = youngs * np.stack([y * z, x * z, x * y], axis=1) * a[:, 3]
+    return e
+
+
+def _corner_guard(u: Float64) -> tuple[Float64, Float64]:
+    position = u + CORNER_OFFSETS
+    energy, force = np.zeros(len(u)), np.zeros_like(u)
+    for corner in range(8):
+        others = [corner ^ (1 << axis) for axis in range(3)]
+        signs = -_SIGNS[corner]
+        a, b, c = (signs[axis] * (position[:, others[axis]] - position[:, corner]) for axis in range(3))
+        slopes = (np.cross(b, c), np.cross(c, a), np.cross(a, b))
+        J = (a * slopes[0]).sum(axis=1)
+        squares = (a * a + b * b + c * c).sum(axis=1)
+        D = 0.5 + squares**2 / 18.0
+        e = np.maximum(CORNER_FLOOR - J, 0.0) / D
+        energy += CORNER_STIFFNESS / 16.0 * e**2
+        push = CORNER_STIFFNESS / 8.0 * e / D
+        for axis, (edge, slope) in enumerate(zip((a, b, c), slopes, strict=True)):
+            pull = signs[axis] * (push[:, None] * slope + (push * e * squares / 4.5)[:, None] * edge)
+            force[:, others[axis]] += pull
+            force[:, corner] -= pull
+    return energy, force
