@@ -15,9 +15,10 @@ E' = E / (1 - nu^2) and the variance s_x of x over the tissue (1/12 in a full ce
 
     H = 1/2 sum over x, y, z of  s_y [E' (a_3x^2 + a_1z^2 + 2 nu a_3x a_1z) + mu (a_1x + a_3z)^2]  and so on
 
-The corner guard adds k_c/16 e^2 for each of a cell's eight corners, with J the volume of its three edges a, b, c::
+The corner guard adds k_c/16 e^2 for each of a cell's eight corners, with J the volume of its three edges a, b, c and
+n = b x c + c x a + a x b::
 
-    e = max(J_0 - J, 0) / D_c,  D_c = 1/2 + (|a|^2 + |b|^2 + |c|^2)^2 / 18
+    e^2 = max(J_0 - J, 0)^2 / D_c,  D_c = 1/2 + (|b x c|^2 + |c x a|^2 + |a x b|^2 + |n|^2) / 4
 """
 
 from __future__ import annotations
@@ -158,13 +159,17 @@ def _corner_guard(u: Float64) -> tuple[Float64, Float64]:
         a, b, c = (signs[axis] * (position[:, others[axis]] - position[:, corner]) for axis in range(3))
         slopes = (np.cross(b, c), np.cross(c, a), np.cross(a, b))
         J = (a * slopes[0]).sum(axis=1)
-        squares = (a * a + b * b + c * c).sum(axis=1)
-        D = 0.5 + squares**2 / 18.0
-        e = np.maximum(CORNER_FLOOR - J, 0.0) / D
-        energy += CORNER_STIFFNESS / 16.0 * e**2
-        push = CORNER_STIFFNESS / 8.0 * e / D
-        for axis, (edge, slope) in enumerate(zip((a, b, c), slopes, strict=True)):
-            pull = signs[axis] * (push[:, None] * slope + (push * e * squares / 4.5)[:, None] * edge)
+        normal = slopes[0] + slopes[1] + slopes[2]
+        D = 0.5 + 0.25 * sum((n * n).sum(axis=1) for n in (*slopes, normal))
+        lack = np.maximum(CORNER_FLOOR - J, 0.0)
+        energy += CORNER_STIFFNESS / 16.0 * lack**2 / D
+        push = CORNER_STIFFNESS / 8.0 * lack / D
+        turned = [slope + normal for slope in slopes]
+        edges = (a, b, c)
+        for axis in range(3):
+            left, right = (axis + 1) % 3, (axis + 2) % 3
+            steeper = np.cross(turned[left], edges[right]) + np.cross(edges[left], turned[right])
+            pull = signs[axis] * (push[:, None] * slopes[axis] + (push * lack / D / 4.0)[:, None] * steeper)
             force[:, others[axis]] += pull
             force[:, corner] -= pull
     return energy, force

@@ -10,9 +10,11 @@ import numpy.typing as npt
 
 from heartcase.simulator.contact import NO_PROBES
 from heartcase.simulator.explicit import SpringsByNode
+from heartcase.simulator.force_law import ForceLaw
 from heartcase.simulator.integrate import Verlet
-from heartcase.simulator.kernel_cpu import advance, advance_alone, lane_forces
-from heartcase.simulator.lanes import lane_layout
+from heartcase.simulator.kernel_cpu import ELEMENTS, NO_CELLS, VOLUME_TERM, advance, advance_alone, lane_forces
+from heartcase.simulator.kernel_cpu_windows import CORNER_FORCES
+from heartcase.simulator.lanes import cell_layout, lane_layout
 from heartcase.simulator.model import DIRECTIONS, LatticeModel
 from heartcase.simulator.pace import Pace
 from heartcase.simulator.state import State
@@ -33,6 +35,13 @@ class CpuEngine:
         self.layout = lane_layout(model)
         lane_count = self.layout.lane_count
         self.weight = _aligned((len(DIRECTIONS), lane_count))
+        self.presence = self.weight
+        self.cells = cell_layout(model, self.layout)
+        # Where no cell can act there is no room for what it does.
+        acts_in_cells = model.law.is_element or model.law.has_volume_term or model.law.guards_corners
+        self.cell_force = _aligned((CORNER_FORCES, lane_count if acts_in_cells else 0))
+        self.is_flat = np.zeros(len(self.cells.window_rows), np.int8)
+        self.is_touched = np.zeros(self.layout.window_count, np.int8)
         self.set_springs(model)
         self.displacement = _aligned((2, 3, lane_count))
         self.velocity = _aligned((3, lane_count))
@@ -85,16 +94,18 @@ class CpuEngine:
         self, kernel: Callable[..., int], step_count: int, verlet: Verlet, probes: Float32, first_step: int = 0
     ) -> None:
         """Take steps with one of the two kernels, which give the same bits."""
-        numbers = (verlet.step, verlet.keep, verlet.kick, *verlet.gravity)
         self.current = kernel(
             self.displacement,
             self.velocity,
             self.weight,
+            self.presence,
             self.inverse_mass,
             self.layout.window_rows,
             self.current,
             step_count,
-            tuple(np.float32(number) for number in numbers),
+            tuple(np.float32(number) for number in verlet.numbers),
+            self._cell_arrays,
+            self._kinds,
             self._explicit,
             self._rest if len(probes) else _NO_REST,
             probes,
@@ -104,7 +115,22 @@ class CpuEngine:
 
     def set_springs(self, model: LatticeModel) -> None:
         """Go on with the springs of another model of the same nodes."""
-        self.weight[:] = self.layout.spring_weight(model)
+        law = model.law
+        weight = model.acting_weight
+        self.weight[:] = self.layout.spring_weight(model, weight)
+        if law.is_element:
+            self.presence = self.layout.spring_weight(model, model.spring_weight)
+        in_cells = ELEMENTS if law.is_element else VOLUME_TERM if law.has_volume_term else NO_CELLS
+        self._kinds = (in_cells, bool(weight.any()), law.guards_corners and not law.is_element)
+        self._cell_arrays = (
+            self.cells.window_rows,
+            self.cells.numbers(model),
+            self.cell_force,
+            _law_constants(law),
+            self.is_flat,
+            self.is_touched,
+            self.cells.touches,
+        )
         springs = SpringsByNode.of(model.explicit, model.node_index)
         nodes = np.flatnonzero(np.diff(springs.first))
         first = np.append(springs.first[nodes], len(springs.other)).astype(np.int64)
@@ -116,7 +142,7 @@ class CpuEngine:
         """Spring forces now, on some nodes or all; only the windows that hold them are worked out."""
         rows = self.layout.window_rows if nodes is None else self.layout.windows_of(nodes)
         lanes = self.layout.node_lane if nodes is None else self.layout.node_lane[nodes]
-        lane_forces(self.displacement[self.current], self.weight, self.force, rows)
+        lane_forces(self.displacement[self.current], self.weight, self.force, rows, self._cell_arrays, self._kinds)
         force = np.ascontiguousarray(self.force[:, lanes].T)
         if self.model.explicit.count:
             explicit = self.model.explicit.forces(self.model.node_index, self.read().displacement)
@@ -129,6 +155,14 @@ class CpuEngine:
         rest = _aligned((3, self.layout.lane_count))
         rest[:, self.layout.node_lane] = self.model.node_index.T
         return rest
+
+
+def _law_constants(law: ForceLaw) -> Float32:
+    """What the kernels of cells read: the volume term's modulus, or the element's five constants."""
+    if not law.is_element:
+        return np.array([law.volume_modulus], np.float32)
+    mu, bulk = law.shear_modulus, law.lame_modulus + law.shear_modulus / 3.0
+    return np.array([mu, bulk, law.plate_modulus, law.poissons_ratio, law.youngs_modulus], np.float32)
 
 
 def _aligned(shape: tuple[int, ...]) -> Float32:

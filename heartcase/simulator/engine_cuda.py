@@ -88,10 +88,14 @@ class CudaEngine:
     Raises
     ------
     SimulationError
-        There is no CUDA device, or what it needs is not installed.
+        There is no CUDA device, or what it needs is not installed, or the force law is one that only the CPU works out.
     """
 
     def __init__(self, model: LatticeModel, *, resident: bool | None = None) -> None:
+        if model.law.is_element or model.law.has_volume_term:
+            raise SimulationError(
+                "elements and other ratios than 1/4 are not worked out on a GPU: choose the backend 'cpu'", place="law"
+            )
         self._cuda = _cuda()
         from heartcase.simulator import kernel_cuda
 
@@ -261,8 +265,7 @@ class CudaEngine:
 
     def _constants_of(self, verlet: Verlet) -> Any:
         if verlet not in self._constants:
-            numbers = (verlet.step, verlet.keep, verlet.kick, *verlet.gravity)
-            self._constants = {verlet: self._cuda.to_device(np.array(numbers, np.float32))}
+            self._constants = {verlet: self._cuda.to_device(np.array(verlet.numbers, np.float32))}
         return self._constants[verlet]
 
     def _on_device(self, nodes: npt.NDArray[np.intp]) -> Any:

@@ -7,6 +7,9 @@ The equation of motion m a = f(u) - c m v + m g (thesis 8.1), with a and v as ce
 
 is of second order, and stable up to s = 2/omega with any damping. A node of no inverse mass keeps its velocity: at zero
 it is fixed, otherwise it is led by a hand.
+
+A free node moves at most half a cell along each axis in a step. That is about the speed of sound in the tissue, which
+nothing in surgery comes near; beyond it no step resolves what happens, and energy would come from nowhere.
 """
 
 from __future__ import annotations
@@ -24,6 +27,9 @@ from heartcase.simulator.state import State
 __all__ = ["Energy", "Verlet", "energy", "runge_kutta_step", "staggered", "verlet_step"]
 
 Float64 = npt.NDArray[np.float64]
+
+WAY_LIMIT = 0.5
+"""Most that a free node moves along an axis in one step [cells]."""
 
 
 @dataclass(frozen=True)
@@ -47,12 +53,24 @@ class Verlet:
         """Velocity per acceleration that a step adds."""
         return self.step / (1.0 + self.damping * self.step / 2)
 
+    @property
+    def speed_limit(self) -> float:
+        """Largest component of a free node's velocity [cells / unit of time]."""
+        return WAY_LIMIT / self.step if self.step else 0.0
+
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        """Step, keep, kick, the three components of gravity and the speed limit, as the kernels want them."""
+        return (self.step, self.keep, self.kick, *self.gravity, self.speed_limit)
+
 
 def next_velocity(verlet: Verlet, velocity: Float64, force: Float64, inverse_mass: Float64) -> Float64:
     """Velocity half a step after the forces, from that half a step before; (node_count, 3) and (node_count,)."""
     mass_inverse = inverse_mass[:, None]
     acceleration = force * mass_inverse + np.array(verlet.gravity)
-    return np.where(mass_inverse > 0, verlet.keep * velocity + verlet.kick * acceleration, velocity)
+    limit = verlet.speed_limit
+    free = np.clip(verlet.keep * velocity + verlet.kick * acceleration, -limit, limit)
+    return np.where(mass_inverse > 0, free, velocity)
 
 
 def verlet_step(

@@ -145,15 +145,20 @@ def _window_weights(spring_weight, uniform_weight, lane_count, slot, row):
     return _weights(spring_weight, lane_count, row)
 
 
+@cuda.jit(device=True)
+def _within(value, limit):
+    return min(max(value, -limit), limit)
+
+
 @cuda.jit(device=True, fastmath=True)
-def _next_velocity(v, force, keep, kick, gravity):
+def _next_velocity(v, force, keep, kick, gravity, limit):
     """See :mod:`heartcase.simulator.integrate`; where the inverse mass ``v[3]`` is zero the velocity stays."""
     mass_inverse = v[3]
     if mass_inverse > _O:
         return (
-            keep * v[0] + kick * (force[0] * mass_inverse + gravity[0]),
-            keep * v[1] + kick * (force[1] * mass_inverse + gravity[1]),
-            keep * v[2] + kick * (force[2] * mass_inverse + gravity[2]),
+            _within(keep * v[0] + kick * (force[0] * mass_inverse + gravity[0]), limit),
+            _within(keep * v[1] + kick * (force[1] * mass_inverse + gravity[1]), limit),
+            _within(keep * v[2] + kick * (force[2] * mass_inverse + gravity[2]), limit),
             mass_inverse,
         )
     return v
@@ -268,7 +273,7 @@ def _make_advance_resident(has_hands):
         step_count
             Steps to take; times the number of blocks of threads at most 2**32 - 1.
         constants
-            Step, keep, kick and the three components of gravity, grid units, float32, shape (6,).
+            Step, keep, kick, the three components of gravity and the speed limit, grid units, float32, shape (7,).
         arrivals
             Room for the meetings' count, uint32, shape (1,).
         explicit_first
@@ -291,7 +296,7 @@ def _make_advance_resident(has_hands):
         row = _rows(window_rows, slot)
         lane = row[4]
         weight = _weights(spring_weight, count, row)
-        step, keep, kick = constants[0], constants[1], constants[2]
+        step, keep, kick, limit = constants[0], constants[1], constants[2], constants[6]
         gravity = (constants[3], constants[4], constants[5])
         now, later = _U(current * count), _U((1 - current) * count)
         u = load_four(displacement, _U(now + lane))
@@ -307,7 +312,7 @@ def _make_advance_resident(has_hands):
                     f = _pull_explicitly(
                         f, displacement, now, u, begin, end, explicit_lane, explicit_offset, explicit_stiffness
                     )
-                v = _next_velocity(v, f, keep, kick, gravity)
+                v = _next_velocity(v, f, keep, kick, gravity, limit)
                 own, u = u, (u[0] + step * v[0], u[1] + step * v[1], u[2] + step * v[2], _O)
                 if has_hands and probes.shape[0] > 0:
                     place = load_four(rest, _U(number))
@@ -357,7 +362,7 @@ def _make_advance_streaming(has_hands):
             hold all nodes. Every other step takes them in the opposite order, while the last ones' memory is near.
         """
         _start_meeting(arrivals)
-        step, keep, kick = constants[0], constants[1], constants[2]
+        step, keep, kick, limit = constants[0], constants[1], constants[2], constants[6]
         gravity = (constants[3], constants[4], constants[5])
         count = _U(lane_count)
         now, later = _U(current * count), _U((1 - current) * count)
@@ -378,7 +383,7 @@ def _make_advance_streaming(has_hands):
                         f = _pull_explicitly(
                             f, displacement, now, own, begin, end, explicit_lane, explicit_offset, explicit_stiffness
                         )
-                    v = _next_velocity(load_four(velocity, lane), f, keep, kick, gravity)
+                    v = _next_velocity(load_four(velocity, lane), f, keep, kick, gravity, limit)
                     u = (own[0] + step * v[0], own[1] + step * v[1], own[2] + step * v[2], _O)
                     if has_hands and probes.shape[0] > 0:
                         place = load_four(rest, _U(number))

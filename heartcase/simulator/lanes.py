@@ -16,9 +16,10 @@ import numpy.typing as npt
 from numba import njit
 
 from heartcase.schemas.lattice import lattice_keys
+from heartcase.simulator.cell_forces import tissue_spread
 from heartcase.simulator.model import DIRECTIONS, LatticeModel
 
-__all__ = ["LANE_COUNT", "ROWS", "LaneLayout", "lane_layout"]
+__all__ = ["LANE_COUNT", "ROWS", "CellLayout", "LaneLayout", "cell_layout", "lane_layout"]
 
 LANE_COUNT = 8
 """Lanes of a block and of a window: one AVX register or two of NEON in float32. 16 leave more lanes empty: slower."""
@@ -49,10 +50,16 @@ class LaneLayout:
         """Number of windows that hold all nodes."""
         return len(self.window_rows)
 
-    def spring_weight(self, model: LatticeModel) -> npt.NDArray[np.float32]:
-        """Stiffness of the spring from each lane along each of the nine DIRECTIONS [k], shape (9, lane_count)."""
+    def spring_weight(
+        self, model: LatticeModel, spring_weight: npt.NDArray[np.float32] | None = None
+    ) -> npt.NDArray[np.float32]:
+        """Stiffness of the spring from each lane along each of the nine DIRECTIONS [k], shape (9, lane_count).
+
+        Another value of each spring of the model, shape (spring_count,), where one is given.
+        """
         weight = np.zeros((len(DIRECTIONS), self.lane_count), np.float32)
-        weight[model.spring_direction, self.node_lane[model.spring_nodes[:, 0]]] = model.spring_weight
+        values = model.spring_weight if spring_weight is None else spring_weight
+        weight[model.spring_direction, self.node_lane[model.spring_nodes[:, 0]]] = values
         return weight
 
     def uniform_weight(self, model: LatticeModel) -> npt.NDArray[np.float32]:
@@ -109,6 +116,46 @@ def lane_layout(model: LatticeModel) -> LaneLayout:
 
     node_slot = LANE_COUNT * window + node_lane - node_lane[first][window]
     return LaneLayout(lane_count=lane_count, node_lane=node_lane, node_slot=node_slot, window_rows=window_rows)
+
+
+@dataclass(frozen=True)
+class CellLayout:
+    """Where the cells are: each in the lane of its lowest corner."""
+
+    lane_count: int
+    """Length of an array with one value per lane."""
+    cell_lane: npt.NDArray[np.int64]
+    """Lane of each cell, shape (cell_count,)."""
+    window_rows: npt.NDArray[np.int64]
+    """Rows of the windows that hold a cell, shape (count, 9)."""
+    touches: npt.NDArray[np.int64]
+    """Windows of nodes that the cells of each of these windows have corners in, then -1, shape (count, 8)."""
+
+    def numbers(self, model: LatticeModel) -> npt.NDArray[np.float32]:
+        """Covered stiffness, means of x, y, z, yz, xz, xy and variances along x, y, z of the tissue, (10, lane_count).
+
+        Zero where there is no cell.
+        """
+        moments = model.cell_moments.astype(np.float64)
+        numbers = np.zeros((10, self.lane_count), np.float32)
+        numbers[0, self.cell_lane] = model.cell_force_scale
+        numbers[1:4, self.cell_lane] = moments[:, :3].T
+        numbers[4:7, self.cell_lane] = moments[:, 6:].T
+        numbers[7:, self.cell_lane] = tissue_spread(moments).T
+        return numbers
+
+
+def cell_layout(model: LatticeModel, layout: LaneLayout) -> CellLayout:
+    """Lay out the cells of a lattice in the lanes of its nodes."""
+    windows = layout.node_slot[model.cell_corners] // LANE_COUNT
+    held, window_of_cell = np.unique(windows[:, 0], return_inverse=True)
+    pairs = np.unique(np.stack([np.repeat(window_of_cell, 8), windows.ravel()], axis=1), axis=0)
+    place = np.arange(len(pairs)) - np.searchsorted(pairs[:, 0], pairs[:, 0])
+    touches = np.full((len(held), 8), -1, np.int64)
+    touches[pairs[:, 0], place] = pairs[:, 1]
+    lane = layout.node_lane[model.cell_corners[:, 0]]
+    rows = np.ascontiguousarray(layout.window_rows[held])
+    return CellLayout(lane_count=layout.lane_count, cell_lane=lane, window_rows=rows, touches=touches)
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit, prange
 
+from heartcase.simulator.cell_stiffness import CellStiffness
 from heartcase.simulator.model import DIRECTIONS, LatticeModel
 
 __all__ = ["Spectrum", "largest_eigenvalue"]
@@ -62,7 +63,7 @@ def largest_eigenvalue(model: LatticeModel, *, shortfall: float = SHORTFALL) -> 
     if unknown_count == 0 or model.spring_count == 0:
         return Spectrum(0.0, 0.0, 0.0, 0)
     step_most = ceil(0.5 * (1.0 + log(1.648 * sqrt(unknown_count) / MISSED) / sqrt(shortfall)))
-    springs = _springs_of_nodes(model)
+    springs, cells = _springs_of_nodes(model), CellStiffness(model)
     vector = np.random.Generator(np.random.PCG64(0)).normal(size=(model.node_count, 3)) * free[:, None]
     vector /= _length(vector)
     before, product = np.zeros_like(vector), np.empty_like(vector)
@@ -70,7 +71,9 @@ def largest_eigenvalue(model: LatticeModel, *, shortfall: float = SHORTFALL) -> 
     beside: list[float] = []
     is_exhausted = False
     for _ in range(min(step_most, unknown_count)):
-        _stiffness_times(*springs, inverse_root, inverse_root[:, None] * vector, product)
+        moved = inverse_root[:, None] * vector
+        _stiffness_times(*springs, inverse_root, moved, product)
+        cells.add_times(moved, inverse_root, product)
         diagonal.append(float((vector * product).sum()))
         product -= diagonal[-1] * vector
         if beside:
@@ -100,7 +103,7 @@ def _springs_of_nodes(model: LatticeModel) -> tuple[Int64, Int32, Int8, Float64]
     order = np.argsort(ends, kind="stable")
     start = np.concatenate(([0], np.cumsum(np.bincount(ends, minlength=model.node_count))))
     other = model.spring_nodes[:, ::-1].T.ravel()[order]
-    direction, weight = np.tile(model.spring_direction, 2)[order], np.tile(model.spring_weight, 2)[order]
+    direction, weight = np.tile(model.spring_direction, 2)[order], np.tile(model.acting_weight, 2)[order]
     return start, np.ascontiguousarray(other), direction, weight.astype(np.float64)
 
 

@@ -7,6 +7,10 @@ alike. Held nodes and removed springs only lower it. That holds at rest. Springs
 resists a movement of its ends by more than its weight, whatever its length and direction; in a lone cell of springs
 that resist all movements so, omega^2 = 24 k/m, which no deformation of any lattice exceeds.
 
+With other force laws a lone cell has (12 lambda + 8 mu) h/m at rest, 20 k/m where lambda = mu = k/h. An element whose
+tissue fills one end of its cell has more, up to four times; assembled they hardly exceed it. There the lattice's own
+highest frequency counts (:class:`heartcase.simulator.force_law.ForceLaw` on deformed cells).
+
 A lattice's own limit follows from its own highest frequency (:mod:`heartcase.simulator.spectrum`): 12 k/m in the bulk.
 """
 
@@ -15,15 +19,11 @@ from __future__ import annotations
 from math import hypot, inf, sqrt
 
 from heartcase.schemas.errors import SimulationError
-from heartcase.simulator.model import LatticeModel
+from heartcase.simulator.model import FULL_MOMENTS, LatticeModel
 from heartcase.simulator.spectrum import largest_eigenvalue
 
 __all__ = ["checked_step", "default_step", "explicit_rate_limit", "own_step_limit", "step_limit"]
 
-REST_BOUND = 20.0
-"""omega^2 m/k of a lone cell at rest, the highest of any shape."""
-STRETCHED_BOUND = 24.0
-"""omega^2 m/k that no deformation exceeds."""
 SAFETY = 0.8
 """Default step over the limit of the stretched lattice."""
 
@@ -33,14 +33,30 @@ def _cell_rate(model: LatticeModel) -> float:
     return sqrt(float((model.cell_stiffness / model.cell_density).max())) / model.units.time_s
 
 
+def _rest_rate(model: LatticeModel) -> float:
+    """An omega at rest that the lattice does not exceed, 1/s."""
+    cells = sqrt(model.law.rest_bound) * _cell_rate(model)
+    if not model.law.is_element or (model.cell_moments == FULL_MOMENTS).all():
+        return cells
+    return max(cells, sqrt(largest_eigenvalue(model).upper) / model.units.time_s)
+
+
+def _stretched_rate(model: LatticeModel) -> float:
+    """The omega that the default step is made for, 1/s."""
+    return sqrt(model.law.stretched_bound / model.law.rest_bound) * _rest_rate(model)
+
+
 def _explicit_rate(model: LatticeModel) -> float:
     """Square root of what explicit springs add to omega^2 at most, 1/s: eigenvalues of a sum add up at most (Weyl)."""
     return sqrt(model.explicit.rate_bound(model.inverse_mass)) / model.units.time_s
 
 
 def step_limit(model: LatticeModel) -> float:
-    """Largest time step that is stable at rest for every shape, 2 / sqrt(20 k/m), less for explicit springs, in s."""
-    return 2.0 / hypot(sqrt(REST_BOUND) * _cell_rate(model), _explicit_rate(model))
+    """Largest time step that is known to be stable at rest, 2 / sqrt(20 k/m) for springs of any shape, in s.
+
+    Less for explicit springs and other ratios than 1/4.
+    """
+    return 2.0 / hypot(_rest_rate(model), _explicit_rate(model))
 
 
 def own_step_limit(model: LatticeModel) -> float:
@@ -54,8 +70,8 @@ def own_step_limit(model: LatticeModel) -> float:
 
 
 def default_step(model: LatticeModel) -> float:
-    """Time step that suits tissue however it is deformed, 0.8 x 2 / sqrt(24 k/m), in s."""
-    return SAFETY * 2.0 / hypot(sqrt(STRETCHED_BOUND) * _cell_rate(model), _explicit_rate(model))
+    """Time step that suits tissue however it is deformed, 0.8 x 2 / sqrt(24 k/m) for springs, in s."""
+    return SAFETY * 2.0 / hypot(_stretched_rate(model), _explicit_rate(model))
 
 
 def explicit_rate_limit(model: LatticeModel, step_s: float) -> float:
@@ -63,7 +79,7 @@ def explicit_rate_limit(model: LatticeModel, step_s: float) -> float:
 
     A tenth of the step is left over. Zero where the step leaves nothing for them.
     """
-    lattice = STRETCHED_BOUND * (_cell_rate(model) * model.units.time_s) ** 2
+    lattice = (_stretched_rate(model) * model.units.time_s) ** 2
     return max((2.0 / (1.1 * step_s / model.units.time_s)) ** 2 - lattice, 0.0)
 
 

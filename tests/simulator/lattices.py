@@ -59,9 +59,22 @@ def random_field(model: LatticeModel, seed: int, scale: float) -> np.ndarray:
     return (np.random.default_rng(seed).uniform(-scale, scale, (model.node_count, 3))).astype(np.float32)
 
 
+def random_moments(cell_count: int, rng: np.random.Generator) -> np.ndarray:
+    """Moments of cells whose tissue is a few boxes at random, shape (cell_count, 9)."""
+    box_count = 3
+    low, high = np.sort(rng.uniform(-0.5, 0.5, (2, cell_count, box_count, 3)), axis=0)
+    volume = np.prod(high - low, axis=2) + 1e-6
+    part = (volume / volume.sum(axis=1, keepdims=True))[:, :, None]
+    middle = (low + high) / 2
+    square = middle**2 + (high - low) ** 2 / 12
+    product = np.roll(middle, -1, axis=2) * np.roll(middle, -2, axis=2)
+    means = [(part * values).sum(axis=1) for values in (middle, square, product)]
+    return np.concatenate(means, axis=1).astype(np.float32)
+
+
 def stiffness_matrix(model: LatticeModel) -> np.ndarray:
     """Minus the derivative of the reference forces at rest by central differences, shape (3 n, 3 n)."""
-    from heartcase.simulator.forces_reference import spring_forces
+    from heartcase.simulator.forces_reference import elastic_forces
 
     n = 3 * model.node_count
     step = 1e-5
@@ -69,8 +82,8 @@ def stiffness_matrix(model: LatticeModel) -> np.ndarray:
     for column in range(n):
         push = np.zeros(n)
         push[column] = step
-        ahead = spring_forces(model, push.reshape(-1, 3))
-        behind = spring_forces(model, -push.reshape(-1, 3))
+        ahead = elastic_forces(model, push.reshape(-1, 3))
+        behind = elastic_forces(model, -push.reshape(-1, 3))
         matrix[:, column] = (behind - ahead).ravel() / (2 * step)
     return matrix
 

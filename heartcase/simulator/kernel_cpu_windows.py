@@ -1,0 +1,223 @@
+"""What the CPU kernel does to one window of 8 lanes: forces of springs and of cells, and the step.
+
+A spring's force is worked out from the difference of the displacements D = u_j - u_i, with o the spring's vector at
+rest, |o| = L and d = o + D::
+
+    w (|d| - L) d / |d|  =  w e d / (|d|^2 + L |d|),     e = |d|^2 - L^2 = (o + d) . D
+
+so nothing cancels: at rest the force is exactly zero, and a small strain keeps all its digits.
+
+A cell is kept in the lane of its lowest corner. Its forces on its eight corners are written to 24 arrays (corner by
+corner x, y, z), from which each node gathers those of the eight cells around it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from heartcase.schemas.lattice import CORNER_OFFSETS
+from heartcase.simulator.cell_math import make_cell_math
+from heartcase.simulator.model import DIRECTIONS
+from heartcase.simulator.vector_ir import Lanes, Vector, Window, array_data, array_lane_count, dot
+
+__all__ = [
+    "CELL_NUMBERS",
+    "CORNER_FORCES",
+    "element_of_window",
+    "force_of_window",
+    "force_of_window_with_cells",
+    "guard_of_window",
+    "is_flat_window",
+    "step_of_window",
+    "step_of_window_with_cells",
+    "step_of_window_with_cells_alone",
+    "volume_of_window",
+]
+
+CELL_NUMBERS = 10
+"""Numbers of a cell: stiffness, means of x, y, z, yz, xz, xy and variances along x, y, z of its tissue."""
+CORNER_FORCES = 24
+"""Numbers that a cell's forces are: x, y, z of corner 0, of corner 1, and so on."""
+LOOK_BELOW = 0.6
+"""Volume of a corner below which its cell is looked after until the next look [cells]."""
+_TINY = 1e-30
+"""Keeps the division defined where two nodes lie on one spot."""
+_CORNERS = [(int(i), int(j), int(k)) for i, j, k in CORNER_OFFSETS]
+
+_element, _volume_term, _corner_guard, _corner_lack = make_cell_math(lambda function: function, Lanes.positive_part)
+
+
+def _pull(own: Vector, other: Vector, offset: tuple[int, int, int], weight: Lanes) -> Vector:
+    """Force of one spring on its own end; see the formula at the top."""
+    D = (other[0] - own[0], other[1] - own[1], other[2] - own[2])
+    d = (D[0] + offset[0], D[1] + offset[1], D[2] + offset[2])
+    o_plus_d = (d[0] + offset[0], d[1] + offset[1], d[2] + offset[2])
+    length = float(np.linalg.norm(offset))
+    e = dot(o_plus_d, D)
+    d_squared = d[0] * d[0] + _TINY + d[1] * d[1] + d[2] * d[2]
+    tension_per_length = weight * e / (d_squared + d_squared.root() * length)
+    return tension_per_length * d[0], tension_per_length * d[1], tension_per_length * d[2]
+
+
+def _spring_force(here: Window, displacement: Any, weight: Any) -> Vector:
+    """Sum of the pulls of the 18 springs on each lane."""
+    own = here.load_vector(displacement)
+    total: Vector | None = None
+    for direction, (i, j, k) in enumerate(DIRECTIONS.tolist()):
+        for offset, spring in (((i, j, k), (0, 0, 0)), ((-i, -j, -k), (-i, -j, -k))):
+            # A spring's weight is stored at its lower node: for the springs behind a lane, the neighbour.
+            pull = _pull(own, here.load_vector(displacement, offset), offset, here.load(weight, direction, spring))
+            total = _plus(total, pull) if total else pull
+    assert total is not None
+    return total
+
+
+def _cell_force(here: Window, cell_force: Any) -> Vector:
+    """Sum of the forces of the eight cells around each lane."""
+    total: Vector | None = None
+    for corner, (i, j, k) in enumerate(_CORNERS):
+        x, y, z = (here.load(cell_force, 3 * corner + axis, (-i, -j, -k)) for axis in range(3))
+        total = _plus(total, (x, y, z)) if total else (x, y, z)
+    assert total is not None
+    return total
+
+
+def _plus(a: Vector, b: Vector) -> Vector:
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+def _force(here: Window, displacement: Any, weight: Any | None, cell_force: Any | None) -> Vector:
+    springs = _spring_force(here, displacement, weight) if weight is not None else None
+    cells = _cell_force(here, cell_force) if cell_force is not None else None
+    if springs is not None and cells is not None:
+        return _plus(springs, cells)
+    total = springs if springs is not None else cells
+    assert total is not None
+    return total
+
+
+def _make_force(has_cells: bool) -> Any:
+    """The intrinsic that writes the forces on one window."""
+
+    @intrinsic
+    def force_of(typing_context, displacement, weight, cell_force, force, rows, window):  # type: ignore[no-untyped-def]
+        def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            arrays = zip(signature.args[:5], arguments, strict=False)
+            u, w, c, f, starts = (array_data(context, builder, *pair) for pair in arrays)
+            lane_count = array_lane_count(context, builder, signature.args[0], arguments[0])
+            here = Window(builder, starts, arguments[5], lane_count)
+            for axis, component in enumerate(_force(here, u, w, c if has_cells else None)):
+                component.store(here.pointer(f, axis))
+            return context.get_dummy_value()
+
+        return types.void(displacement, weight, cell_force, force, rows, types.int64), codegen
+
+    return force_of
+
+
+force_of_window = _make_force(has_cells=False)
+force_of_window_with_cells = _make_force(has_cells=True)
+
+
+def _make_step(has_springs: bool, has_cells: bool) -> Any:
+    """The intrinsic that advances a window by one step; see :mod:`heartcase.simulator.integrate`."""
+
+    @intrinsic
+    def step(  # type: ignore[no-untyped-def]
+        typing_context, now, later, velocity, weight, cell_force, inverse_mass, rows, window, constants
+    ):
+        def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            arrays = zip(signature.args[:7], arguments, strict=False)
+            u, u_later, v, w, c, m, starts = (array_data(context, builder, *pair) for pair in arrays)
+            lane_count = array_lane_count(context, builder, signature.args[0], arguments[0])
+            here = Window(builder, starts, arguments[7], lane_count)
+            numbers = [Lanes.filled(builder, number) for number in cgutils.unpack_tuple(builder, arguments[8], 7)]
+            time_step, keep, kick, gravity, speed_limit = *numbers[:3], numbers[3:6], numbers[6]
+            mass_inverse = here.load(m, 0)
+            forces = _force(here, u, w if has_springs else None, c if has_cells else None)
+            for axis, force in enumerate(forces):
+                held = here.load(v, axis)
+                free = keep * held + kick * (force * mass_inverse + gravity[axis])
+                new = free.clamped(speed_limit).where_positive(mass_inverse, held)
+                new.store(here.pointer(v, axis))
+                (here.load(u, axis) + time_step * new).store(here.pointer(u_later, axis))
+            return context.get_dummy_value()
+
+        kinds = (now, later, velocity, weight, cell_force, inverse_mass, rows, types.int64, constants)
+        return types.void(*kinds), codegen
+
+    return step
+
+
+step_of_window = _make_step(has_springs=True, has_cells=False)
+step_of_window_with_cells = _make_step(has_springs=True, has_cells=True)
+step_of_window_with_cells_alone = _make_step(has_springs=False, has_cells=True)
+
+
+def _make_cell_window(kind: str) -> Any:
+    """The intrinsic that writes the forces of one window of cells: ``element``, ``volume`` or ``guard``.
+
+    It takes displacement, numbers of the cells, forces (24, lane_count), law, rows, window and a number: the forces
+    that are there are multiplied with it and added.
+    """
+
+    @intrinsic
+    def window_forces(  # type: ignore[no-untyped-def]
+        typing_context, displacement, numbers, cell_force, law, rows, window, keep
+    ):
+        def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            arrays = zip(signature.args[:5], arguments, strict=False)
+            u, n, f, constants, starts = (array_data(context, builder, *pair) for pair in arrays)
+            lane_count = array_lane_count(context, builder, signature.args[0], arguments[0])
+            here = Window(builder, starts, arguments[5], lane_count)
+            corners = tuple(here.load_vector(u, offset) for offset in _CORNERS)
+            scale = here.load(n, 0)
+            if kind == "element":
+                moments = tuple(here.load(n, number) for number in range(1, CELL_NUMBERS))
+                forces = _element(corners, scale, moments, tuple(_constant(builder, constants, k) for k in range(5)))
+            elif kind == "volume":
+                forces = _volume_term(corners, scale, _constant(builder, constants, 0))
+            else:
+                forces = _corner_guard(corners, scale)
+            for axis, at_corners in enumerate(forces):
+                for corner, force in enumerate(at_corners):
+                    number = 3 * corner + axis
+                    kept = here.load(f, number) * Lanes.filled(builder, arguments[6]) if kind == "guard" else 0
+                    (force + kept).store(here.pointer(f, number))
+            return context.get_dummy_value()
+
+        return types.void(displacement, numbers, cell_force, law, rows, types.int64, types.float32), codegen
+
+    return window_forces
+
+
+def _constant(builder: Any, array: Any, number: int) -> Lanes:
+    return Lanes.filled(builder, builder.load(builder.gep(array, [ir.Constant(ir.IntType(64), number)])))
+
+
+element_of_window = _make_cell_window("element")
+volume_of_window = _make_cell_window("volume")
+guard_of_window = _make_cell_window("guard")
+
+
+@intrinsic
+def is_flat_window(typing_context, displacement, numbers, rows, window):  # type: ignore[no-untyped-def]
+    """Whether a corner of one of a window's cells has a volume below LOOK_BELOW."""
+
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        arrays = zip(signature.args[:3], arguments, strict=False)
+        u, n, starts = (array_data(context, builder, *pair) for pair in arrays)
+        lane_count = array_lane_count(context, builder, signature.args[0], arguments[0])
+        here = Window(builder, starts, arguments[3], lane_count)
+        corners = tuple(here.load_vector(u, offset) for offset in _CORNERS)
+        # Lanes without a cell have no stiffness, wherever the nodes around them are.
+        lack = _corner_lack(corners, np.float32(LOOK_BELOW)) * here.load(n, 0)
+        return lack.is_any_positive()
+
+    return types.boolean(displacement, numbers, rows, types.int64), codegen

@@ -1,0 +1,226 @@
+"""Vector code for numba: windows of lanes as values with the operators of arithmetic.
+
+A kernel's window is written as vector code (an intrinsic that emits it): left to itself the compiler does not prove
+that the arrays are apart, and comes out at half the speed. LLVM cuts the vectors to the width of the machine.
+"""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from heartcase.simulator.lanes import LANE_COUNT, ROWS
+
+__all__ = [
+    "Lanes",
+    "Vector",
+    "Window",
+    "array_data",
+    "array_lane_count",
+    "dot",
+    "flush_subnormals",
+    "restore_subnormals",
+]
+
+_FLOAT = ir.FloatType()
+_INDEX = ir.IntType(64)
+_VECTOR = ir.VectorType(_FLOAT, LANE_COUNT)
+
+
+class Lanes:
+    """The value of one window's lanes in the code being emitted, with the operators of arithmetic.
+
+    ``contract`` lets a product and a sum become one fused instruction: more exact, and the same in every run.
+    """
+
+    __array_ufunc__ = None
+    """Numbers of NumPy leave the operators to this class."""
+
+    def __init__(self, builder: Any, value: Any) -> None:
+        self.builder = builder
+        self.value = value
+
+    @classmethod
+    def filled(cls, builder: Any, number: Any) -> Lanes:
+        """The same number in every lane: a constant, or a float32 of the program."""
+        if isinstance(number, int | float | np.floating):
+            return cls(builder, ir.Constant(_VECTOR, [float(np.float32(number))] * LANE_COUNT))
+        one = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), number, ir.Constant(ir.IntType(32), 0))
+        places = ir.Constant(ir.VectorType(ir.IntType(32), LANE_COUNT), [0] * LANE_COUNT)
+        return cls(builder, builder.shuffle_vector(one, one, places))
+
+    @classmethod
+    def loaded(cls, builder: Any, pointer: Any) -> Lanes:
+        """The lanes that start at a pointer to float32."""
+        return cls(builder, builder.load(builder.bitcast(pointer, _VECTOR.as_pointer()), align=4))
+
+    def store(self, pointer: Any) -> None:
+        """Write the lanes from a pointer to float32 on."""
+        self.builder.store(self.value, self.builder.bitcast(pointer, _VECTOR.as_pointer()), align=4)
+
+    def _with(self, operation: Callable[..., Any], other: Lanes | float) -> Lanes:
+        right = other if isinstance(other, Lanes) else Lanes.filled(self.builder, other)
+        return Lanes(self.builder, operation(self.value, right.value, flags=("contract",)))
+
+    def __add__(self, other: Lanes | float) -> Lanes:
+        return (
+            self
+            if isinstance(other, int | float | np.floating) and other == 0
+            else self._with(self.builder.fadd, other)
+        )
+
+    __radd__ = __add__
+
+    def __neg__(self) -> Lanes:
+        return Lanes(self.builder, self.builder.fneg(self.value))
+
+    def __sub__(self, other: Lanes | float) -> Lanes:
+        return self._with(self.builder.fsub, other)
+
+    def __rsub__(self, other: float) -> Lanes:
+        return Lanes.filled(self.builder, other) - self
+
+    def __mul__(self, other: Lanes | float) -> Lanes:
+        return self._with(self.builder.fmul, other)
+
+    __rmul__ = __mul__
+
+    def __rtruediv__(self, other: float) -> Lanes:
+        return Lanes.filled(self.builder, other) / self
+
+    def __truediv__(self, other: Lanes | float) -> Lanes:
+        return self._with(self.builder.fdiv, other)
+
+    def root(self) -> Lanes:
+        """Square root."""
+        kind = ir.FunctionType(_VECTOR, [_VECTOR])
+        function = cgutils.get_or_insert_function(self.builder.module, kind, f"llvm.sqrt.v{LANE_COUNT}f32")
+        return Lanes(self.builder, self.builder.call(function, [self.value]))
+
+    def positive_part(self) -> Lanes:
+        """These lanes where they are above zero, else zero."""
+        return self.where_positive(self, Lanes.filled(self.builder, 0.0))
+
+    def clamped(self, limit: Lanes) -> Lanes:
+        """These lanes, within plus and minus a limit."""
+        low = self._extreme("minnum", limit)
+        return low._extreme("maxnum", -limit)
+
+    def _extreme(self, name: str, other: Lanes) -> Lanes:
+        kind = ir.FunctionType(_VECTOR, [_VECTOR, _VECTOR])
+        function = cgutils.get_or_insert_function(self.builder.module, kind, f"llvm.{name}.v{LANE_COUNT}f32")
+        return Lanes(self.builder, self.builder.call(function, [self.value, other.value]))
+
+    def is_any_positive(self) -> Any:
+        """Whether any lane is above zero: one bit of the program."""
+        positive = self.builder.fcmp_ordered(">", self.value, ir.Constant(_VECTOR, [0.0] * LANE_COUNT))
+        bits = ir.IntType(LANE_COUNT)
+        return self.builder.icmp_unsigned("!=", self.builder.bitcast(positive, bits), ir.Constant(bits, 0))
+
+    def where_positive(self, mask: Lanes, other: Lanes) -> Lanes:
+        """These lanes where the mask is above zero, the other's elsewhere."""
+        positive = self.builder.fcmp_ordered(">", mask.value, ir.Constant(_VECTOR, [0.0] * LANE_COUNT))
+        return Lanes(self.builder, self.builder.select(positive, self.value, other.value))
+
+
+Vector = tuple[Lanes, Lanes, Lanes]
+
+
+def dot(a: Vector, b: Vector) -> Lanes:
+    """Scalar product."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+class Window:
+    """Where the lanes of one window and of its neighbours are, in the code being emitted."""
+
+    def __init__(self, builder: Any, rows: Any, window: Any, lane_count: Any) -> None:
+        self.builder = builder
+        self.lane_count = lane_count
+        first = builder.mul(window, ir.Constant(_INDEX, len(ROWS)))
+        self.starts = {
+            (int(j), int(k)): builder.load(builder.gep(rows, [builder.add(first, ir.Constant(_INDEX, number))]))
+            for number, (j, k) in enumerate(ROWS)
+        }
+
+    def pointer(self, data: Any, component: int, offset: tuple[int, int, int] = (0, 0, 0)) -> Any:
+        """Pointer to a component's lanes at an offset (i, j, k) from the window's own."""
+        start = self.builder.add(self.starts[offset[1], offset[2]], ir.Constant(_INDEX, offset[0]))
+        component_start = self.builder.mul(self.lane_count, ir.Constant(_INDEX, component))
+        return self.builder.gep(data, [self.builder.add(component_start, start)])
+
+    def load(self, data: Any, component: int, offset: tuple[int, int, int] = (0, 0, 0)) -> Lanes:
+        """A component's lanes at an offset from the window's own."""
+        return Lanes.loaded(self.builder, self.pointer(data, component, offset))
+
+    def load_vector(self, data: Any, offset: tuple[int, int, int] = (0, 0, 0)) -> Vector:
+        """The lanes of the three components at an offset from the window's own."""
+        x, y, z = (self.load(data, axis, offset) for axis in range(3))
+        return x, y, z
+
+
+def array_data(context: Any, builder: Any, kind: Any, value: Any) -> Any:
+    """Pointer to an array's data."""
+    return context.make_array(kind)(context, builder, value).data
+
+
+def array_lane_count(context: Any, builder: Any, kind: Any, value: Any) -> Any:
+    """Length of the last axis of an array (component, lane)."""
+    return cgutils.unpack_tuple(builder, context.make_array(kind)(context, builder, value).shape)[-1]
+
+
+_FLUSH = 0x8040
+"""The bits of x86's MXCSR that take numbers below 1e-38 for zero, in results and in operands."""
+
+
+@intrinsic
+def flush_subnormals(typing_context):  # type: ignore[no-untyped-def]
+    """Take numbers below 1e-38 for zero in this thread from now on; returns what to restore.
+
+    A wave in tissue at rest is of such numbers for a long time, and with them x86 takes three times as long. Other
+    processors have no such handicap: there nothing is done.
+    """
+
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        room = cgutils.alloca_once(builder, ir.IntType(32))
+        if not _IS_X86:
+            return ir.Constant(ir.IntType(32), 0)
+        _control_word(builder, "stmxcsr", room)
+        before = builder.load(room)
+        builder.store(builder.or_(before, ir.Constant(ir.IntType(32), _FLUSH)), room)
+        _control_word(builder, "ldmxcsr", room)
+        return before
+
+    return types.int32(), codegen
+
+
+@intrinsic
+def restore_subnormals(typing_context, before):  # type: ignore[no-untyped-def]
+    """Undo :func:`flush_subnormals`."""
+
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        if _IS_X86:
+            room = cgutils.alloca_once(builder, ir.IntType(32))
+            builder.store(arguments[0], room)
+            _control_word(builder, "ldmxcsr", room)
+        return context.get_dummy_value()
+
+    return types.void(types.int32), codegen
+
+
+_IS_X86 = platform.machine().lower() in ("x86_64", "amd64")
+
+
+def _control_word(builder: Any, action: str, room: Any) -> None:
+    """Load or store the control word of floating-point arithmetic."""
+    byte = ir.IntType(8).as_pointer()
+    kind = ir.FunctionType(ir.VoidType(), [byte])
+    function = cgutils.get_or_insert_function(builder.module, kind, f"llvm.x86.sse.{action}")
+    builder.call(function, [builder.bitcast(room, byte)])
