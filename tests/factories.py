@@ -9,7 +9,7 @@ from heartcase.pipeline.data import GridMap, PickingSurface, SimulationGrid, Sur
 from heartcase.schemas.bundle import StageRecord
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable, default_label_table
-from heartcase.schemas.lattice import cell_nodes
+from heartcase.schemas.lattice import FULL_MOMENTS, cell_nodes
 from heartcase.schemas.settings import MaterialsSettings
 from heartcase.schemas.surface_kinds import SurfaceKind
 
@@ -44,6 +44,7 @@ def block_grid(size=(3, 2, 2), *, cell_mm=3.0, fixed_layer=True, geometry: Geome
         geometry=geometry or Geometry.of(shape=(nk, nj, ni), spacing_mm=(cell_mm,) * 3, origin_mm=(10, -20, 30)),
         cells=cells,
         cell_coverage=np.ones(count, np.float32),
+        cell_moments=np.tile(FULL_MOMENTS, (count, 1)),
         cell_label=np.full(count, MYOCARDIUM, np.uint8),
         nodes=nodes,
         fixed=((nodes[:, 2] == 0) & fixed_layer).astype(np.uint8),

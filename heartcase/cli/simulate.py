@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
@@ -22,6 +23,7 @@ from heartcase.schemas.errors import UsageError
 from heartcase.schemas.script import SimulationScript
 from heartcase.simulator.engine import Backend
 from heartcase.simulator.export import SURFACE_FORMATS, write_surface
+from heartcase.simulator.force_law import RATIO_MAX, RATIO_MIN, ForceLaw, LawName
 from heartcase.simulator.load import Case, load_case
 from heartcase.simulator.script import SessionSummary, default_script, load_script, run_script, with_positions
 from heartcase.simulator.simulation import Simulation
@@ -48,6 +50,13 @@ _STEP = click.FloatRange(min=0.0, max=1.0, min_open=True)
 @click.option("--seconds", type=_SECONDS, help="Simulated time; the script's, or 2 without a script.")
 @click.option("--step", "step_s", type=_STEP, help="Time step in s; the case's default when left out.")
 @click.option("--backend", type=click.Choice(get_args(Backend)), default="cpu", help="Which kernel steps.")
+@click.option("--law", type=click.Choice(get_args(LawName)), default="springs", help="What resists deformation.")
+@click.option(
+    "--poissons-ratio",
+    type=click.FloatRange(RATIO_MIN, RATIO_MAX),
+    default=RATIO_MIN,
+    help="How little volume changes; the closer to 1/2, the more steps.",
+)
 @click.option(
     "--level", type=click.IntRange(0, LEVEL_MAX), default=0, help="Level of detail of the surface; 0 is the finest."
 )
@@ -61,6 +70,8 @@ def command(
     seconds: float | None,
     step_s: float | None,
     backend: Backend,
+    law: LawName,
+    poissons_ratio: float,
     level: int,
     surface_out: Path | None,
     animation: Path | None,
@@ -71,12 +82,13 @@ def command(
 
     Without --script a hand pulls the tissue that is farthest from the fixed nodes outward by 10 mm, and lets go.
     """
-    if (seconds is not None and math.isnan(seconds)) or (step_s is not None and math.isnan(step_s)):
-        raise UsageError("must be numbers", place="--seconds, --step")
+    if any(number is not None and math.isnan(number) for number in (seconds, step_s, poissons_ratio)):
+        raise UsageError("must be numbers", place="--seconds, --step, --poissons-ratio")
     _check_names(surface_out, animation, picture)
     script = load_script(script_path) if script_path is not None else None
     curvature = script.curvature if script else "flagged"
     loaded = load_case(case, needs=("surface", "colours"), curvature=curvature, level=level)
+    loaded = replace(loaded, model=loaded.model.with_law(ForceLaw(law, poissons_ratio)))
     script = _completed(script, loaded, seconds, step_s)
     simulation = Simulation(
         loaded.model,
@@ -112,7 +124,7 @@ def command(
         )
     if as_json:
         named = {"case": loaded.manifest.name, "case_id": case_id, "approval": approval.state, "backend": backend}
-        echo_json({**named, **summary.to_dict()})
+        echo_json({**named, "law": law, "poissons_ratio": poissons_ratio, **summary.to_dict()})
     else:
         click.echo(f"Approval   {approval.words}")
         for line in _lines(loaded, summary):

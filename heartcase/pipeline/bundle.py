@@ -174,6 +174,7 @@ def assemble_bundle(
         FileRole.GRID: {
             "cells": grid.cells,
             "cell_coverage": grid.cell_coverage,
+            "cell_moments": grid.cell_moments,
             "cell_label": grid.cell_label,
             "cell_stiffness": stiffness[grid.cell_label],
             "cell_density": density[grid.cell_label],

@@ -233,6 +233,9 @@ class SimulationGrid:
     """Index (i, j, k) of each tissue cell, shape (cell_count, 3), sorted by k, j, i."""
     cell_coverage: Float32
     """Fraction of the cell that is tissue, shape (cell_count,), in (0, 1]."""
+    cell_moments: Float32
+    """Means of x, y, z, xx, yy, zz, yz, xz, xy over the cell's tissue, from the cell's centre along the grid's axes, in
+    cell edges, shape (cell_count, 9)."""
     cell_label: UInt8
     """Tissue label that fills most of the cell, shape (cell_count,)."""
     nodes: Int32

@@ -18,6 +18,7 @@ import numpy.typing as npt
 from heartcase.pipeline.cautions import anatomy, counted, note
 from heartcase.pipeline.cells.changes import Change, topology_changes
 from heartcase.pipeline.cells.hinges import HingeRepairs, hanging_cells, mend_hinges
+from heartcase.pipeline.cells.moments import cell_moments
 from heartcase.pipeline.cells.passages import blocked_openings, open_passages
 from heartcase.pipeline.cells.repair import CellState, Index, cell_coverage, close_leaks, find_leaks, join_tissue
 from heartcase.pipeline.cells.sampling import (
@@ -135,6 +136,7 @@ def build_grid(structures: Structures, settings: GridSettings, *, pins: Sequence
         geometry=samples.geometry,
         cells=cells,
         cell_coverage=coverage,
+        cell_moments=cell_moments(samples, cells),
         cell_label=_labels_of_cells(samples.cell_label, tissue)[tissue],
         nodes=nodes,
         fixed=fixed,

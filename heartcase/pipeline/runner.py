@@ -27,10 +27,10 @@ STAGE_VERSIONS = {
     "segment": 2,
     "walls": 11,
     "edit": 4,
-    "grid": 8,
+    "grid": 9,
     "surface": 13,
     "map": 9,
-    "bundle": 4,
+    "bundle": 5,
 }
 """Raised whenever a stage's output changes for the same input, so that the cache forgets the old one."""
 

@@ -39,7 +39,7 @@ __all__ = [
 ]
 
 FORMAT_NAME = "heartcase-bundle"
-FORMAT_VERSION = "1.2"
+FORMAT_VERSION = "1.3"
 MANIFEST_NAME = "case.json"
 
 ALIGNMENT = 64
@@ -142,6 +142,14 @@ ARRAYS: dict[FileRole, tuple[ArraySpec, ...]] = {
         ArraySpec("cell_label", "uint8", ("cell_count",), "1", "tissue label that fills most of the cell"),
         ArraySpec("cell_stiffness", "float32", ("cell_count",), "kPa", "Young's modulus of the tissue"),
         ArraySpec("cell_density", "float32", ("cell_count",), "kg/m3", "density of the tissue"),
+        ArraySpec(
+            "cell_moments",
+            "float32",
+            ("cell_count", 9),
+            "1",
+            "means of x, y, z, xx, yy, zz, yz, xz, xy over the cell's tissue, in edges from its centre along i, j, k",
+            since="1.3",
+        ),
         ArraySpec("nodes", "int32", ("node_count", 3), "1", "corner (i, j, k) of each node, by k, j, i"),
         ArraySpec("fixed", "uint8", ("node_count",), "1", "1 where a node is held"),
     ),

@@ -56,7 +56,7 @@ def safetensors_problems(file: Path, role: FileRole, layout: Layout, version: st
     size = file.stat().st_size
     for name, (begin, end) in layout.others.items():
         if not re.fullmatch(r"_pad[0-9]{1,9}", name):
-            if version in ("1.0", "1.1", FORMAT_VERSION):
+            if version in ("1.0", "1.1", "1.2", FORMAT_VERSION):
                 yield Problem(place, "holds an array that the format does not have")
         elif 0 <= begin <= end <= size and _has_bytes(file, begin, end):
             yield Problem(place, "the padding between its arrays is not zero")

@@ -47,6 +47,9 @@ _INDEX_ARRAYS |= {
 }
 _LABEL_ARRAYS = {"cell_label", "triangle_label", "triangle_tissue", "vertex_label"}
 _LARGEST = {"cell_coverage": 1.0, "cell_stiffness": 1e6, "cell_density": 2e4}
+_MOMENTS_MAX = 0.5
+_MOMENTS_TOLERANCE = 1e-6
+"""Variances come from two float32 numbers of at most 1/4 each."""
 _FLAG_ARRAYS = {"fixed", "curvature", "triangle_is_cut"}
 
 
@@ -167,6 +170,11 @@ class OpenBundle:
                     yield Problem(place, "must be above zero everywhere")
                 if (array > _LARGEST[name]).any():
                     yield Problem(place, f"must not be above {_LARGEST[name]:g}")
+            if name == "cell_moments":
+                if (np.abs(array) > _MOMENTS_MAX).any():
+                    yield Problem(place, f"must be from -{_MOMENTS_MAX:g} to {_MOMENTS_MAX:g}: tissue lies in its cell")
+                if (array[:, 3:6] < array[:, :3].astype(np.float64) ** 2 - _MOMENTS_TOLERANCE).any():
+                    yield Problem(place, "has means of squares below the squares of the means")
 
 
 def open_bundle(path: Path | str) -> OpenBundle:

@@ -9,8 +9,17 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["CELL_DIAGONALS", "CELL_EDGES", "CORNER_OFFSETS", "cell_nodes", "distinct_keys", "lattice_keys"]
+__all__ = [
+    "CELL_DIAGONALS",
+    "CELL_EDGES",
+    "CORNER_OFFSETS",
+    "FULL_MOMENTS",
+    "cell_nodes",
+    "distinct_keys",
+    "lattice_keys",
+]
 
+Float32 = npt.NDArray[np.float32]
 Int32 = npt.NDArray[np.int32]
 
 CORNER_OFFSETS: Int32 = np.array([[c & 1, c >> 1 & 1, c >> 2 & 1] for c in range(8)], dtype=np.int32)
@@ -21,6 +30,10 @@ CELL_EDGES: Int32 = np.array([p for p in _PAIRS if (p[0] ^ p[1]).bit_count() == 
 """Corner numbers of the 12 edges of a cell, shape (12, 2)."""
 CELL_DIAGONALS: Int32 = np.array([p for p in _PAIRS if (p[0] ^ p[1]).bit_count() == 2], dtype=np.int32)
 """Corner numbers of the 12 face diagonals of a cell, shape (12, 2)."""
+
+FULL_MOMENTS: Float32 = np.array([0.0] * 3 + [1 / 12] * 3 + [0.0] * 3, np.float32)
+"""Moments of a full cell: means of x, y, z, xx, yy, zz, yz, xz, xy over its tissue, from its centre along the grid's
+axes [edges], shape (9,)."""
 
 _OFFSET = 1 << 20
 

@@ -116,6 +116,7 @@ BUNDLE_CHANGES: dict[str, tuple[str, ...]] = {
         "defect's rim, a cut face; the GLB has a primitive for each",
         "the surface can come in coarser levels of detail, each with its own normal map and mapping",
     ),
+    "1.3": ("the grid says where in each cell the tissue lies, by its moments",),
 }
 """Minor version of the bundle's format -> what it added."""
 

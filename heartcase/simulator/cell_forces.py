@@ -11,7 +11,7 @@ F = I + G, or for elements the mean of the deformation gradient over the tissue,
 is the energy per covered volume: at small strain Hooke's, at any other a rubber's (neo-Hookean in the limit of constant
 volume; as in Smith, de Goes and Kim, ACM Trans. Graph. 37, 2018, it has no pole where a cell is flat and pushes cells
 that are inside out back). H is the energy of the strain's linear part, with a_i = F^T q_i, the plate modulus
-E' = E / (1 - nu^2) and the variance s_x of x over the tissue (1/12 in a full cell)::
+E' = E / (1 - nu^2) and the variance s_x of x over the tissue where y and z are known (1/12 in a full cell)::
 
     H = 1/2 sum over x, y, z of  s_y [E' (a_3x^2 + a_1z^2 + 2 nu a_3x a_1z) + mu (a_1x + a_3z)^2]  and so on
 
@@ -49,7 +49,7 @@ MODES: Float64 = np.stack([_X / 4, _Y / 4, _Z / 4, _Y * _Z / 2, _X * _Z / 2, _X 
 def cell_forces(model: LatticeModel, displacement: npt.ArrayLike) -> Float64:
     """Forces of all cells on every node [grid units], float64, shape (node_count, 3); displacements in cells."""
     u = np.asarray(displacement, dtype=np.float64)[model.cell_corners]
-    _, at_corners = _energies_and_forces(model, u)
+    _, at_corners = _energies_and_forces(model, u, np.arange(model.cell_count))
     force = np.zeros((model.node_count, 3))
     for axis in range(3):
         pulls = at_corners[:, :, axis].ravel()
@@ -57,9 +57,16 @@ def cell_forces(model: LatticeModel, displacement: npt.ArrayLike) -> Float64:
     return force
 
 
-def cell_energies(model: LatticeModel, displacement: npt.ArrayLike) -> Float64:
-    """Energy in each cell beyond that of its springs [grid units], shape (cell_count,); displacements in cells."""
-    return _energies_and_forces(model, np.asarray(displacement, dtype=np.float64)[model.cell_corners])[0]
+def cell_energies(
+    model: LatticeModel, displacement: npt.ArrayLike, cells: npt.NDArray[np.bool_] | None = None
+) -> Float64:
+    """Energy in each cell beyond that of its springs [grid units], shape (cell_count,); displacements in cells.
+
+    Only in the cells of a mask, shape (cell_count,), where one is given: then as many values as it has cells.
+    """
+    chosen = np.arange(model.cell_count) if cells is None else np.flatnonzero(cells)
+    u = np.asarray(displacement, dtype=np.float64)[model.cell_corners[chosen]]
+    return _energies_and_forces(model, u, chosen)[0]
 
 
 def mean_slopes(moments: Float64) -> Float64:
@@ -70,21 +77,32 @@ def mean_slopes(moments: Float64) -> Float64:
 
 
 def tissue_spread(moments: Float64) -> Float64:
-    """Variance of the tissue along x, y and z, from its moments (count, 9), not below SPREAD_MIN: shape (count, 3)."""
-    return np.maximum(moments[:, 3:6] - moments[:, :3] ** 2, SPREAD_MIN)
+    """Variance of the tissue along x, y and z where the other two are known, not below SPREAD_MIN, shape (count, 3).
+
+    A wall askew to the cell is as thin along each axis as it is cut by it. With C the tissue's covariance, from its
+    moments (count, 9), this is 1 / (C^-1)_xx = det C / (C_yy C_zz - C_yz^2) and so on.
+    """
+    x, y, z, xx, yy, zz, yz, xz, xy = moments.T
+    xx, yy, zz = (np.maximum(square, SPREAD_MIN) for square in (xx - x * x, yy - y * y, zz - z * z))
+    yz, xz, xy = yz - y * z, xz - x * z, xy - x * y
+    minors = np.stack([yy * zz - yz * yz, xx * zz - xz * xz, xx * yy - xy * xy], axis=1)
+    determinant = xx * minors[:, 0] - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
+    known = np.divide(determinant[:, None], minors, out=np.zeros_like(minors), where=minors > SPREAD_MIN**2)
+    spread: Float64 = np.maximum(known, SPREAD_MIN)
+    return spread
 
 
-def _energies_and_forces(model: LatticeModel, u: Float64) -> tuple[Float64, Float64]:
-    """Energy of each cell, shape (cell_count,), and force on its corners, shape (cell_count, 8, 3)."""
+def _energies_and_forces(model: LatticeModel, u: Float64, cells: npt.NDArray[np.intp]) -> tuple[Float64, Float64]:
+    """Energy of some cells, shape (count,), and force on their corners, shape (count, 8, 3)."""
     energy, force = np.zeros(len(u)), np.zeros_like(u)
     terms = []
     if model.law.is_element:
-        terms.append(_element(model, u))
+        terms.append(_element(model, u, model.cell_moments[cells].astype(np.float64)))
     elif model.law.has_volume_term:
         terms.append(_volume_term(model, u))
     if model.law.guards_corners and not model.law.is_element:
         terms.append(_corner_guard(u))
-    scale = model.cell_force_scale
+    scale = model.cell_force_scale[cells]
     for term_energy, term_force in terms:
         energy += scale * term_energy
         force += scale[:, None, None] * term_force
@@ -116,8 +134,8 @@ def _volume_term(model: LatticeModel, u: Float64) -> tuple[Float64, Float64]:
     return 0.5 * modulus * d**2, -np.einsum("mc,nim->nci", MODES[:3], P)
 
 
-def _element(model: LatticeModel, u: Float64) -> tuple[Float64, Float64]:
-    law, moments = model.law, model.cell_moments.astype(np.float64)
+def _element(model: LatticeModel, u: Float64, moments: Float64) -> tuple[Float64, Float64]:
+    law = model.law
     mu, modulus = law.shear_modulus, law.lame_modulus + law.shear_modulus / 3.0
     slopes, spread = mean_slopes(moments), tissue_spread(moments)
     q = np.einsum("mc,nci->nmi", MODES, u)

@@ -9,8 +9,8 @@ is reckoned in units of k/h = 0.4 E: there mu = 1.25 / (1 + ratio) and lambda = 
 ``element``
     A hexahedron per cell with one point of integration at the tissue's centroid, and the strain's linear part by itself
     (assumed strain, Belytschko and Bindeman, Comput. Methods Appl. Mech. Eng. 105, 1993): bending is exact in a wall
-    one cell thick. Where the moments of the tissue in a cell are known, a thin wall bends as such wherever it lies in
-    its cells.
+    one cell thick. Where the moments of the tissue in a cell are known, a thin wall along the cells bends as such
+    wherever it lies in them, and one askew to them bends too stiffly, but less so than springs.
 """
 
 from __future__ import annotations

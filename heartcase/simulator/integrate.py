@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.simulator.forces_reference import elastic_forces
-from heartcase.simulator.measures import spring_energy
+from heartcase.simulator.measures import elastic_energy_of
 from heartcase.simulator.model import LatticeModel
 from heartcase.simulator.state import State
 
@@ -144,7 +144,7 @@ class Energy:
     kinetic_j: float
     """Of the moving masses."""
     elastic_j: float
-    """In the springs."""
+    """In springs and cells."""
 
     @property
     def total_j(self) -> float:
@@ -171,5 +171,5 @@ def energy(
     unit = model.units.energy_j
     return Energy(
         kinetic_j=float(0.5 * (model.node_mass * speed_squared).sum() * unit),
-        elastic_j=float(spring_energy(model, state.displacement) * unit),
+        elastic_j=float(elastic_energy_of(model, state.displacement) * unit),
     )

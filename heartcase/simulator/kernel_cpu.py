@@ -157,14 +157,12 @@ def lane_forces(
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def _pull_explicitly(
-    now: Float32,
-    later: Float32,
-    velocity: Float32,
-    inverse_mass: Float32,
-    explicit: ExplicitArrays,
-    constants: Constants,
+    now: Float32, velocity: Float32, inverse_mass: Float32, explicit: ExplicitArrays, constants: Constants
 ) -> None:
-    """Add to a step what the explicit springs do in it, from the displacements before it."""
+    """Give the velocities before a step what the explicit springs will add to them in it.
+
+    The step keeps a part of the velocity, so they are given the more.
+    """
     lanes, first, other, offset, stiffness = explicit
     for number in range(len(lanes)):
         lane = lanes[number]
@@ -178,15 +176,9 @@ def _pull_explicitly(
             if length > 0:
                 pull = stiffness[spring] * (length - offset[spring, 3]) / length
                 x, y, z = x + pull * dx, y + pull * dy, z + pull * dz
-        step, kick, limit = constants[0], constants[2], constants[6]
-        scale = kick * inverse_mass[0, lane]
+        scale = constants[2] / constants[1] * inverse_mass[0, lane]
         for axis, force in enumerate((x, y, z)):
-            before = velocity[axis, lane]
-            after = before + scale * force
-            if scale > 0:
-                after = min(max(after, -limit), limit)
-            velocity[axis, lane] = after
-            later[axis, lane] += step * (after - before)
+            velocity[axis, lane] += scale * force
 
 
 _pushed_out, _allowed_share = make_contact(njit(nogil=True))
@@ -322,13 +314,13 @@ def advance(
                 before = flush_subnormals()
                 _work_cells_of_share(share, kind, now, cells)
                 restore_subnormals(before)
+        if len(explicit[0]):
+            before = flush_subnormals()
+            _pull_explicitly(now, velocity, inverse_mass, explicit, constants)
+            restore_subnormals(before)
         for share in prange(SHARES):
             before = flush_subnormals()
             _step_share(share, now, later, velocity, weight, inverse_mass, rows, constants, cells, kinds)
-            restore_subnormals(before)
-        if len(explicit[0]):
-            before = flush_subnormals()
-            _pull_explicitly(now, later, velocity, inverse_mass, explicit, constants)
             restore_subnormals(before)
         if len(probes):
             step, number = constants[0], first_step + step_number
@@ -377,10 +369,10 @@ def advance_alone(
         if works_cells:
             for share in range(SHARES):
                 _work_cells_of_share(share, kind, now, cells)
+        if len(explicit[0]):
+            _pull_explicitly(now, velocity, inverse_mass, explicit, constants)
         for share in range(SHARES):
             _step_share(share, now, later, velocity, weight, inverse_mass, rows, constants, cells, kinds)
-        if len(explicit[0]):
-            _pull_explicitly(now, later, velocity, inverse_mass, explicit, constants)
         if len(probes):
             step, number = constants[0], first_step + step_number
             for share in range(SHARES):

@@ -147,7 +147,10 @@ def _window_weights(spring_weight, uniform_weight, lane_count, slot, row):
 
 @cuda.jit(device=True)
 def _within(value, limit):
-    return min(max(value, -limit), limit)
+    """A velocity within its limit; what is not a number stays, for the watchdog to see."""
+    if value > limit:
+        return limit
+    return -limit if value < -limit else value
 
 
 @cuda.jit(device=True, fastmath=True)

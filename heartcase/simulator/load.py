@@ -14,6 +14,7 @@ from heartcase.schemas.bundle import CaseManifest, FileRole, ScanValues
 from heartcase.schemas.bundle_reader import OpenBundle, open_bundle
 from heartcase.schemas.errors import BundleError, SimulationError, UsageError
 from heartcase.schemas.geometry import Geometry
+from heartcase.schemas.lattice import FULL_MOMENTS
 from heartcase.simulator.model import LatticeModel, make_model
 from heartcase.simulator.surface import Curvature, PickingModel, SurfaceModel, make_picking, make_surface
 
@@ -114,8 +115,10 @@ def _scan(bundle: OpenBundle) -> ScanVolume:
 
 
 def _model(bundle: OpenBundle) -> LatticeModel:
-    names = ("cells", "cell_coverage", "cell_stiffness", "cell_density", "fixed")
-    grid = bundle.arrays(FileRole.GRID, names)
+    names = ["cells", "cell_coverage", "cell_stiffness", "cell_density", "fixed"]
+    # A case of an older version does not know where in its cells the tissue lies: they count as full.
+    has_moments = "cell_moments" in bundle.headers[FileRole.GRID].arrays
+    grid = bundle.arrays(FileRole.GRID, [*names, "cell_moments"] if has_moments else names)
     try:
         return make_model(
             grid["cells"],
@@ -124,6 +127,7 @@ def _model(bundle: OpenBundle) -> LatticeModel:
             density_kg_m3=grid["cell_density"],
             fixed=grid["fixed"],
             geometry=bundle.manifest.grid_geometry,
+            moments=grid.get("cell_moments", FULL_MOMENTS),
         )
     except SimulationError as error:
         raise BundleError(error.problems) from None

@@ -1,4 +1,4 @@
-"""Figures of a state that are taken every frame: energy in the springs, cells turned inside out."""
+"""Figures of a state that are taken every frame: elastic energy, cells turned inside out."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ import numpy.typing as npt
 from numba import njit
 
 from heartcase.schemas.lattice import CORNER_OFFSETS
+from heartcase.simulator.cell_forces import CORNER_FLOOR, cell_energies
 from heartcase.simulator.model import DIRECTIONS, LatticeModel
 
-__all__ = ["inverted_cells", "spring_energy"]
+__all__ = ["elastic_energy_of", "inverted_cells"]
 
 Float = npt.NDArray[np.floating]
 
@@ -17,22 +18,28 @@ _LENGTHS = np.linalg.norm(DIRECTIONS, axis=1)
 _CORNERS = CORNER_OFFSETS.astype(np.float64)
 
 
-def spring_energy(model: LatticeModel, displacement: Float) -> float:
-    """Energy in the springs [grid units]: half of w (length - rest)^2, summed, in float64."""
+def elastic_energy_of(model: LatticeModel, displacement: Float) -> float:
+    """Energy in springs and cells [grid units], in float64: that of the reference, without the cells that have none."""
+    moved = np.asarray(displacement)
     _, stretch = model.explicit.pull(model.node_index, displacement)
     explicit = 0.5 * np.sum(model.explicit.stiffness * stretch**2)
-    lattice = _spring_energy(model.spring_nodes, model.spring_direction, model.spring_weight, np.asarray(displacement))
-    return float(lattice + explicit)
+    lattice = _spring_energy(model.spring_nodes, model.spring_direction, model.acting_weight, moved)
+    cells = None
+    if not (model.law.is_element or model.law.has_volume_term):
+        cells = np.zeros(model.cell_count, dtype=np.bool_)
+        if model.law.guards_corners:
+            _mark_flat(model.cell_corners, moved, CORNER_FLOOR, cells)
+    return float(lattice + explicit + cell_energies(model, moved, cells).sum())
 
 
 def inverted_cells(model: LatticeModel, displacement: Float) -> npt.NDArray[np.bool_]:
     """Cells that are turned inside out at one of their corners, shape (cell_count,).
 
     The volume spanned by the three edges at a corner is one at rest; not above zero means that the corner has been
-    pushed through the opposite side. Springs alone do not always turn it back.
+    pushed through the opposite side.
     """
     inverted = np.zeros(model.cell_count, dtype=np.bool_)
-    _mark_inverted(model.cell_corners, np.asarray(displacement), inverted)
+    _mark_flat(model.cell_corners, np.asarray(displacement), 0.0, inverted)
     return inverted
 
 
@@ -55,7 +62,10 @@ def _spring_energy(
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
-def _mark_inverted(cell_corners: npt.NDArray[np.int32], displacement: Float, inverted: npt.NDArray[np.bool_]) -> None:
+def _mark_flat(
+    cell_corners: npt.NDArray[np.int32], displacement: Float, volume_most: float, flat: npt.NDArray[np.bool_]
+) -> None:
+    """Mark the cells that have a corner of at most a volume."""
     edges = np.empty((3, 3))
     for cell in range(len(cell_corners)):
         for c in range(8):
@@ -73,5 +83,5 @@ def _mark_inverted(cell_corners: npt.NDArray[np.int32], displacement: Float, inv
                 - edges[0, 1] * (edges[1, 0] * edges[2, 2] - edges[1, 2] * edges[2, 0])
                 + edges[0, 2] * (edges[1, 0] * edges[2, 1] - edges[1, 1] * edges[2, 0])
             )
-            if volume <= 0.0:
-                inverted[cell] = True
+            if volume <= volume_most:
+                flat[cell] = True

@@ -16,11 +16,18 @@ import numpy.typing as npt
 
 from heartcase.schemas.errors import Problem, SimulationError
 from heartcase.schemas.geometry import Geometry
-from heartcase.schemas.lattice import CELL_DIAGONALS, CELL_EDGES, CORNER_OFFSETS, cell_nodes, lattice_keys
+from heartcase.schemas.lattice import (
+    CELL_DIAGONALS,
+    CELL_EDGES,
+    CORNER_OFFSETS,
+    FULL_MOMENTS,
+    cell_nodes,
+    lattice_keys,
+)
 from heartcase.simulator.explicit import ExplicitSprings
 from heartcase.simulator.force_law import ForceLaw
 
-__all__ = ["DIRECTIONS", "FULL_MOMENTS", "GridUnits", "LatticeModel", "make_model"]
+__all__ = ["DIRECTIONS", "GridUnits", "LatticeModel", "make_model"]
 
 Float32 = npt.NDArray[np.float32]
 Float64 = npt.NDArray[np.float64]
@@ -29,9 +36,6 @@ Int64 = npt.NDArray[np.int64]
 
 STIFFNESS_PER_MODULUS = 0.4
 """k / (E h) of the isotropic 18-neighbour lattice."""
-
-FULL_MOMENTS: Float32 = np.array([0.0] * 3 + [1 / 12] * 3 + [0.0] * 3, np.float32)
-"""Moments of a full cell: means of x, y, z, xx, yy, zz, yz, xz, xy from its centre [edges], shape (9,)."""
 
 _CELL_SPRINGS = np.concatenate([CELL_EDGES, CELL_DIAGONALS])
 _CELL_SPRING_SHARE = np.repeat([1 / 4, 1 / 2], [len(CELL_EDGES), len(CELL_DIAGONALS)])

@@ -19,7 +19,7 @@ from heartcase.simulator.model import LatticeModel
 from heartcase.simulator.state import State
 from heartcase.simulator.step_size import checked_step, own_step_limit
 from heartcase.simulator.surface import DeformedSurface, PickingModel, SurfaceModel, deform, deform_picking
-from heartcase.simulator.watchdog import find_trouble
+from heartcase.simulator.watchdog import Watch, find_trouble, watch
 
 __all__ = ["Simulation"]
 
@@ -45,7 +45,7 @@ class Simulation:
     step_s
         Time step, s; the case's default when left out.
     damping_per_s
-        Mass-proportional damping c in a = f/m - c v, 1/s.
+        Mass-proportional damping c in a = f/m - c v, 1/s; not negative, and below one over the step.
     gravity_m_s2
         Acceleration of gravity, LPS axes, m/s2.
     backend
@@ -54,7 +54,7 @@ class Simulation:
     Raises
     ------
     SimulationError
-        The step is beyond the lattice's own limit, or there is no such backend.
+        The step is beyond the lattice's own limit, the damping out of range, or there is no such backend.
     """
 
     def __init__(
@@ -72,6 +72,11 @@ class Simulation:
         self.surface = surface
         self.picking = picking
         self.step_s = checked_step(model, step_s)
+        if not 0.0 <= damping_per_s * self.step_s < 1.0:
+            message = (
+                f"a damping of {damping_per_s:g}/s: give 0 to less than {1.0 / self.step_s:.6g}/s, one over the step"
+            )
+            raise SimulationError(message, place="damping_per_s")
         self.grabs: list[Grab] = []
         self.probes: list[Probe] = []
         units = model.units
@@ -118,7 +123,7 @@ class Simulation:
         self._engine.advance(0, self.verlet, probe_row((0, 0, 0), (0, 0, 0), (1, 1, 1), np.eye(3))[None])
         self._engine.forces()
         self._engine.load(self.state)
-        find_trouble(self.state, self.verlet.step, np.zeros(self.model.node_count, dtype=bool))
+        find_trouble(self.state)
         if self.surface is not None:
             self.surface_now()
         if self.picking is not None:
@@ -141,7 +146,7 @@ class Simulation:
         Raises
         ------
         SimulationError
-            Something moved beyond all physics, or is not a number any more. The state before these steps is restored.
+            A position is not a number any more. The state before these steps is restored.
         """
         if step_count < 0:
             raise SimulationError(f"cannot take {step_count} steps: restore a state to go back", place="step")
@@ -349,8 +354,15 @@ class Simulation:
             masses[grab.nodes] = 0
         return energy(self.model, self.verlet, self.state, force=self._engine.forces(), inverse_mass=masses)
 
+    def watch(self) -> Watch:
+        """Cells that are inside out and nodes that are held back, now."""
+        led = np.zeros(self.model.node_count, dtype=bool)
+        for grab in self.grabs:
+            led[grab.nodes] = True
+        return watch(self.model, self.state, self.verlet.speed_limit, led)
+
     def inverted_cell_count(self) -> int:
-        """Cells that are turned inside out now: tissue that springs alone do not bring back."""
+        """Cells that are turned inside out now."""
         return int(inverted_cells(self.model, self.state.displacement).sum())
 
     def displacement_mm(self) -> Float64:
@@ -420,10 +432,7 @@ class Simulation:
         self._engine.set_inverse_mass(masses)
 
     def _watch(self, before: State) -> None:
-        led = np.zeros(self.model.node_count, dtype=bool)
-        for grab in self.grabs:
-            led[grab.nodes] = True
-        trouble = find_trouble(self.state, self.verlet.step, led)
+        trouble = find_trouble(self.state)
         if trouble is None:
             return
         ended_s = self.time_s

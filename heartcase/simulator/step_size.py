@@ -19,7 +19,8 @@ from __future__ import annotations
 from math import hypot, inf, sqrt
 
 from heartcase.schemas.errors import SimulationError
-from heartcase.simulator.model import FULL_MOMENTS, LatticeModel
+from heartcase.schemas.lattice import FULL_MOMENTS
+from heartcase.simulator.model import LatticeModel
 from heartcase.simulator.spectrum import largest_eigenvalue
 
 __all__ = ["checked_step", "default_step", "explicit_rate_limit", "own_step_limit", "step_limit"]

@@ -109,14 +109,12 @@ class Lanes:
         return self.where_positive(self, Lanes.filled(self.builder, 0.0))
 
     def clamped(self, limit: Lanes) -> Lanes:
-        """These lanes, within plus and minus a limit."""
-        low = self._extreme("minnum", limit)
-        return low._extreme("maxnum", -limit)
-
-    def _extreme(self, name: str, other: Lanes) -> Lanes:
-        kind = ir.FunctionType(_VECTOR, [_VECTOR, _VECTOR])
-        function = cgutils.get_or_insert_function(self.builder.module, kind, f"llvm.{name}.v{LANE_COUNT}f32")
-        return Lanes(self.builder, self.builder.call(function, [self.value, other.value]))
+        """These lanes, within plus and minus a limit; what is not a number stays."""
+        low = -limit
+        is_above = self.builder.fcmp_ordered(">", self.value, limit.value)
+        below = Lanes(self.builder, self.builder.select(is_above, limit.value, self.value))
+        is_below = self.builder.fcmp_ordered("<", below.value, low.value)
+        return Lanes(self.builder, self.builder.select(is_below, low.value, below.value))
 
     def is_any_positive(self) -> Any:
         """Whether any lane is above zero: one bit of the program."""

@@ -2,37 +2,54 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from heartcase.simulator.measures import inverted_cells
+from heartcase.simulator.model import LatticeModel
 from heartcase.simulator.state import State
 
-__all__ = ["RUNAWAY_CELLS_PER_STEP", "find_trouble"]
-
-RUNAWAY_CELLS_PER_STEP = 10.0
-"""A free node that moves further than this in one step (some 100 m/s) is past all physics: tissue that was stretched to
-twice its length and let go reaches one or two."""
+__all__ = ["Watch", "find_trouble", "watch"]
 
 
-def find_trouble(state: State, step: float, led: npt.NDArray[np.bool_]) -> str | None:
-    """What is wrong with a state, in words; None when nothing is.
+@dataclass(frozen=True)
+class Watch:
+    """What a frame shows of tissue that is treated beyond physics. None of it ends the simulation."""
+
+    inverted_cell_count: int
+    """Cells that are turned inside out at a corner."""
+    hurried_node_count: int
+    """Free nodes that would move more than half a cell in a step, and are held back: energy is lost there."""
+
+
+def watch(model: LatticeModel, state: State, speed_limit: float, led: npt.NDArray[np.bool_]) -> Watch:
+    """Count what is beyond physics.
 
     Parameters
     ----------
+    model
+        The lattice.
     state
         State to look at.
-    step
-        Time step [units of time].
+    speed_limit
+        Largest component of a free node's velocity [cells / unit of time].
     led
         Nodes that a hand leads: they may be as quick as the hand, shape (node_count,).
     """
-    fastest = _largest(state.velocity)
-    if not np.isfinite(fastest + _largest(state.displacement)):
-        return "a position is not a number any more"
-    if fastest * step > RUNAWAY_CELLS_PER_STEP and led.any():
-        fastest = _largest(state.velocity[~led])
-    return "a node moved more than ten cells in one step" if fastest * step > RUNAWAY_CELLS_PER_STEP else None
+    is_hurried = (np.abs(state.velocity) >= np.float32(speed_limit)).any(axis=1) & ~led
+    return Watch(
+        inverted_cell_count=int(inverted_cells(model, state.displacement).sum()),
+        hurried_node_count=int(is_hurried.sum()),
+    )
+
+
+def find_trouble(state: State) -> str | None:
+    """What is wrong with a state, in words; None when nothing is."""
+    is_whole = np.isfinite(_largest(state.velocity) + _largest(state.displacement))
+    return None if is_whole else "a position is not a number any more"
 
 
 def _largest(values: npt.NDArray[np.float32]) -> float:

@@ -106,6 +106,7 @@ PLANTS: dict[str, tuple[Plant, str, str]] = {
     "coverage": (value("grid", "cell_coverage", 2.0), "grid.cell_coverage", "above 1"),
     "negative stiffness": (value("grid", "cell_stiffness", -1.0), "grid.cell_stiffness", "above zero"),
     "density": (value("grid", "cell_density", 2.1e4), "grid.cell_density", "must not be above 20000"),
+    "moments": (value("grid", "cell_moments", 0.6), "grid.cell_moments", "from -0.5 to 0.5"),
     "order": (values("grid", "cells", lambda a: a[3:6] + a[:3] + a[6:]), "grid.cells", "ascend"),
     "weights": (value("mapping", "weights", 9.0), "mapping.weights", "sum to one"),
     "step": (simulation(step_default_s=1.0), "simulation.step_default_s", "beyond"),

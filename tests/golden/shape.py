@@ -20,7 +20,7 @@ from heartcase.schemas.bundle import Material, StageRecord
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import Label, LabelTable, Role
 from heartcase.schemas.landmarks import Landmark
-from heartcase.schemas.lattice import cell_nodes
+from heartcase.schemas.lattice import FULL_MOMENTS, cell_nodes
 from heartcase.schemas.settings import MapSettings
 from heartcase.schemas.surface_kinds import plain_kinds
 from tests.cell_fields import structures_of_cells
@@ -90,6 +90,7 @@ def _grid() -> SimulationGrid:
         geometry=Geometry.of(shape=(5, 6, 7), origin_mm=ORIGIN_MM, spacing_mm=(CELL_MM,) * 3, direction=_direction()),
         cells=cells,
         cell_coverage=coverage.astype(np.float32),
+        cell_moments=_moments(cells, coverage.astype(np.float64)),
         cell_label=np.where(is_wall, WALL, MUSCLE).astype(np.uint8),
         nodes=nodes,
         fixed=((nodes[:, 0] == 0) & (nodes[:, 1] <= 1)).astype(np.uint8),
@@ -98,6 +99,15 @@ def _grid() -> SimulationGrid:
         face_cell=np.array(owners, np.int32),
         table=_table(),
     )
+
+
+def _moments(cells: np.ndarray, coverage: np.ndarray) -> np.ndarray:
+    """Moments of cells whose tissue fills them up to a plane, from the lower side along i, j or k in turn."""
+    moments = np.tile(FULL_MOMENTS.astype(np.float64), (len(cells), 1))
+    row, axis = np.arange(len(cells)), cells.sum(axis=1) % 3
+    moments[row, axis] = (coverage - 1.0) / 2.0
+    moments[row, 3 + axis] = (coverage**2 + 3.0 * (1.0 - coverage) ** 2) / 12.0
+    return moments.astype(np.float32)
 
 
 def _surface(grid: SimulationGrid) -> Surface:

@@ -14,6 +14,7 @@ from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.contact import NO_PROBES, probe_row
 from heartcase.simulator.engine import make_engine
 from heartcase.simulator.engine_cpu import PARALLEL_WINDOWS_MIN
+from heartcase.simulator.force_law import ForceLaw
 from heartcase.simulator.forces_reference import spring_forces
 from heartcase.simulator.integrate import Verlet
 from heartcase.simulator.kernel_cpu import advance, advance_alone
@@ -32,10 +33,16 @@ def stretch_at_nodes(model, displacement):
     return total[:, None]
 
 
+def unguarded(model):
+    """The model without what corners add: tests/parity/test_force_laws.py looks at that."""
+    return model.with_law(ForceLaw(guards_corners=False))
+
+
 @settings(max_examples=60, deadline=None)
 @given(random_models(), SEEDS, st.sampled_from([1e-6, 1e-3, 0.1, 1.0, 10.0]))
 def test_forces_agree(model, seed, scale):
     """About 20 roundings in a spring's pull, of at most w |D| each, and 18 pulls to add."""
+    model = unguarded(model)
     displacement = random_field(model, seed, scale)
     engine = make_engine(model, "cpu")
     engine.load(State(displacement, np.zeros_like(displacement)))
@@ -169,12 +176,14 @@ def test_unknown_backend_is_refused():
 def test_explicit_springs_agree(model, seed):
     """As in :func:`test_a_hundred_steps_agree`; forces round their length, up to that of the box, once more."""
     assume(model.node_count > 1)
-    check_explicit_springs(tied(model, seed), seed, [make_engine(tied(model, seed), name) for name in BACKENDS])
+    model = unguarded(tied(model, seed))
+    check_explicit_springs(model, seed, [make_engine(model, name) for name in BACKENDS])
 
 
 @settings(max_examples=25, deadline=None)
 @given(random_models(), SEEDS)
 def test_probes_push_alike(model, seed):
+    model = unguarded(model)
     check_probes(model, seed, [make_engine(model, name) for name in BACKENDS], step_count=30)
 
 

@@ -12,7 +12,7 @@ from heartcase.pipeline.data import Structures
 from heartcase.pipeline.grid import _find_ridges, _labels_of_cells, build_grid
 from heartcase.schemas.errors import StageError
 from heartcase.schemas.labels import Label, LabelTable, Role
-from heartcase.schemas.lattice import CORNER_OFFSETS, cell_nodes
+from heartcase.schemas.lattice import CORNER_OFFSETS, FULL_MOMENTS, cell_nodes
 from heartcase.schemas.settings import GridSettings, Pin
 from tests.pipeline.analytic_structures import (
     LEFT,
@@ -147,7 +147,7 @@ def test_cells_nodes_and_faces_follow_the_format():
     outward = points.mean(axis=1) - grid.geometry.index_to_world(grid.cells[grid.face_cell])
     np.testing.assert_allclose(normal / 4.0, outward, atol=1e-9)
     assert set(corners[grid.face_cell[0]]) >= set(grid.faces[0])
-    assert grid.cell_coverage.dtype == np.float32
+    assert grid.cell_coverage.dtype == grid.cell_moments.dtype == np.float32
     assert grid.face_label.dtype == grid.fixed.dtype == grid.cell_label.dtype == np.uint8
     assert CORNER_OFFSETS.shape == (8, 3)
     json.dumps(grid.quality)
@@ -378,6 +378,9 @@ def test_blocks_that_touch_by_an_edge_are_joined_and_counted():
     assert grid.quality["hinges_left"] == 0
     assert grid.quality["repairs"]["hinge_groups_joined"] == 1
     assert len(grid.cells) == len(raw.cells) + grid.quality["repairs"]["hinge_cells_added"]
+    # The cells that joined hold no tissue, so it counts as spread over them.
+    assert (grid.cell_coverage < 1.0).sum() == grid.quality["repairs"]["hinge_cells_added"]
+    np.testing.assert_array_equal(grid.cell_moments, np.tile(FULL_MOMENTS, (len(grid.cells), 1)))
     assert not any("swing" in warning for warning in grid.warnings)
     json.dumps(grid.quality)
 

@@ -235,7 +235,7 @@ DAMAGES: tuple[Damage, ...] = (
         "name-of-a-newer-role",
         "plain file name",
         lambda m: (
-            m.update(format_version="1.2"),
+            m.update(format_version="1.9"),
             m["files"].append({"role": "valves", "name": "../v", "size": 3, "sha256": "0" * 64}),
         ),
     ),

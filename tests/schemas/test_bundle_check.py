@@ -314,7 +314,7 @@ def test_padding_metadata_and_other_arrays_are_not_a_place_for_text(golden: Case
 
 def test_what_lies_beside_the_parts_is_told_and_never_named(golden: CaseCopy) -> None:
     (golden.folder / ".heartcase-tmp-1-x").write_bytes(b"half")
-    shutil.copy(golden.path("grid"), golden.folder / "mapping-03b15cc2c138fdc0.safetensors")
+    shutil.copy(golden.path("grid"), golden.folder / golden.path("grid").name.replace("grid-", "mapping-"))
     assert said(golden) == []  # what a killed build leaves
     (golden.folder / "mapping-03b15cc2c138fdc1.safetensors").write_bytes(b"JANE")
     (golden.folder / "jane").mkdir()

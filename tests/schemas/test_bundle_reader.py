@@ -1,5 +1,6 @@
 """Opening cases: sound ones, and every kind of broken one."""
 
+import dataclasses
 import json
 
 import numpy as np
@@ -10,7 +11,7 @@ from hypothesis.extra import numpy as arrays_of
 from safetensors.numpy import load, load_file, save_file
 
 from heartcase.pipeline.aligned import aligned_safetensors
-from heartcase.pipeline.bundle import write_bundle
+from heartcase.pipeline.bundle import assemble_bundle, resolve_materials, write_bundle
 from heartcase.pipeline.data import Scan
 from heartcase.pipeline.scan_part import scan_part
 from heartcase.schemas.bundle import ALIGNMENT, ARRAYS, FORMAT_VERSION, FileRole
@@ -18,8 +19,10 @@ from heartcase.schemas.bundle_check import check_bundle
 from heartcase.schemas.bundle_reader import open_bundle
 from heartcase.schemas.errors import BundleError
 from heartcase.schemas.geometry import Geometry
+from heartcase.schemas.lattice import FULL_MOMENTS
+from heartcase.schemas.settings import MaterialsSettings
 from heartcase.simulator.load import load_case
-from tests.factories import block_case
+from tests.factories import block_case, block_grid
 
 
 @pytest.fixture
@@ -219,11 +222,47 @@ def test_a_bad_header_is_refused(case, header):
         (FileRole.GRID, lambda a: a.update(fixed=a["fixed"][:-1]), "grid.fixed"),
         (FileRole.GRID, lambda a: a.update(cells=a["cells"].astype(np.float32)), "grid.cells"),
         (FileRole.GRID, lambda a: a.pop("fixed"), "grid.fixed"),
+        (FileRole.GRID, lambda a: a.pop("cell_moments"), "grid.cell_moments"),
+        (FileRole.GRID, lambda a: a.update(cell_moments=a["cell_moments"][:, :6].copy()), "grid.cell_moments"),
+        (FileRole.GRID, lambda a: a["cell_moments"].__setitem__((1, 8), np.nan), "grid.cell_moments"),
+        (FileRole.GRID, lambda a: a["cell_moments"].__setitem__((1, 0), -0.51), "grid.cell_moments"),
+        (FileRole.GRID, lambda a: a["cell_moments"].__setitem__((1, 2), 0.3), "grid.cell_moments"),
     ],
 )
 def test_values_out_of_range_are_found(case, role, change, words):
     rewrite_arrays(case, role, change)
     assert any(problem.place == words for problem in check_bundle(case))
+
+
+def test_moments_reach_the_simulator_and_a_case_of_version_1_2_has_none(tmp_path):
+    grid = block_grid()
+    x, y, z = np.random.Generator(np.random.PCG64(5)).uniform(-0.5, 0.5, (3, 50, len(grid.cells)))
+    moments = np.stack([a.mean(axis=0) for a in (x, y, z, x * x, y * y, z * z, y * z, x * z, x * y)], axis=1)
+    moments = moments.astype(np.float32)
+    content = assemble_bundle(
+        name="moments",
+        grid=dataclasses.replace(grid, cell_moments=moments),
+        materials=resolve_materials(MaterialsSettings(), grid.table),
+        scan_geometry=grid.geometry,
+        scan_sha256="0" * 64,
+        stages=(),
+    )
+    case = tmp_path / "moments.case"
+    write_bundle(case, content)
+    assert check_bundle(case) == ()
+    np.testing.assert_array_equal(load_case(case, needs=("grid",)).model.cell_moments, moments)
+    broken = moments.copy()
+    broken[3, 4] = 0.0
+    rewrite_arrays(case, FileRole.GRID, lambda arrays: arrays.update(cell_moments=broken))
+    with pytest.raises(BundleError, match=r"grid\.cell_moments: has means of squares below"):
+        load_case(case, needs=("grid",))
+    rewrite_arrays(case, FileRole.GRID, lambda arrays: arrays.pop("cell_moments"))
+    with pytest.raises(BundleError, match=r"grid\.cell_moments: is missing"):
+        load_case(case, needs=("grid",))
+    edit_manifest(case, lambda data: data.update(format_version="1.2"))
+    assert check_bundle(case) == ()
+    full = np.tile(FULL_MOMENTS, (len(moments), 1))
+    np.testing.assert_array_equal(load_case(case, needs=("grid",)).model.cell_moments, full)
 
 
 def test_an_empty_path_is_explained(tmp_path):
@@ -293,7 +332,7 @@ def test_the_manifest_alone_is_enough_to_read_an_array(case):
         (lambda e: e["arrays"][0].update(offset=e["arrays"][0]["offset"] + 64), "grid.cells: has offset"),
         (lambda e: e["arrays"][0].update(offset=e["arrays"][0]["offset"] + 4), r"arrays\[1\].offset: .*multiple of 64"),
         (lambda e: e["arrays"][2].update(dtype="int16"), "grid.cell_label: has type uint8 in its file, but int16"),
-        (lambda e: e["arrays"][5].update(shape=[3, 36]), r"grid.nodes: has shape \(36, 3\) in its file"),
+        (lambda e: e["arrays"][6].update(shape=[3, 36]), r"grid.nodes: has shape \(36, 3\) in its file"),
         (lambda e: e["arrays"].pop(), "grid.fixed: is not in the list of arrays"),
         (lambda e: e.pop("arrays"), "grid.cells: is not in the list"),
         (lambda e: e["arrays"].append(e["arrays"][0]), "lists an array twice"),

@@ -8,12 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from heartcase.schemas.errors import SimulationError
+from heartcase.simulator.force_law import ForceLaw
 from heartcase.simulator.forces_reference import elastic_energy, spring_forces
 from heartcase.simulator.instruments import nodes_in_reach
-from heartcase.simulator.measures import inverted_cells, spring_energy
+from heartcase.simulator.measures import elastic_energy_of, inverted_cells
 from heartcase.simulator.model import DIRECTIONS, make_model
 from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.state import State
+from heartcase.simulator.watchdog import Watch
 from tests.simulator.lattices import EPS, block, block_cells, oblique_geometry, random_field, random_models
 
 
@@ -171,18 +173,38 @@ def test_snapshot_and_restore_repeat_the_same_bytes():
     assert simulation.time_s == pytest.approx(100 * simulation.step_s)
 
 
-@pytest.mark.parametrize("trouble", [np.nan, 1e4])
-def test_watchdog_stops_and_goes_back(trouble):
+def test_watchdog_stops_and_goes_back():
     model = block(4, 4, 4, fix_base=True)
     simulation = Simulation(model)
     velocity = still(model)
-    velocity[-1] = trouble
+    velocity[-1] = np.nan
     before = State(still(model), velocity, 7)
     simulation.restore(before)
     with pytest.raises(SimulationError, match="broke down between"):
         simulation.step(10)
     assert simulation.step_count == 7
     np.testing.assert_array_equal(simulation.state.velocity, velocity)
+
+
+def test_nodes_that_are_held_back_and_cells_inside_out_are_counted():
+    model = block(4, 4, 4, fix_base=True)
+    simulation = Simulation(model)
+    assert simulation.watch() == Watch(0, 0)
+    velocity, displacement = still(model), still(model)
+    velocity[-1] = 1e4
+    simulation.restore(State(displacement, velocity))
+    simulation.step()
+    assert simulation.watch().hurried_node_count == 1
+    assert np.abs(simulation.state.displacement).max() == pytest.approx(0.5, rel=1e-5)
+    displacement[-1] = -1.0
+    simulation.restore(State(displacement, still(model)))
+    assert simulation.watch() == Watch(inverted_cell_count=1, hurried_node_count=0)
+
+
+@pytest.mark.parametrize("damping", [-1.0, 1e6, np.nan, np.inf])
+def test_damping_that_would_turn_velocities_round_is_refused(damping):
+    with pytest.raises(SimulationError, match="one over the step"):
+        Simulation(block(1, 1, 1), damping_per_s=damping)
 
 
 def test_inverted_cells_are_found():
@@ -202,9 +224,11 @@ def test_inverted_cells_are_found():
 
 @settings(max_examples=20, deadline=None)
 @given(random_models(), st.integers(0, 2**32 - 1))
-def test_energy_of_the_springs_is_that_of_the_reference(model, seed):
+def test_elastic_energy_is_that_of_the_reference(model, seed):
     displacement = random_field(model, seed, 0.3)
-    assert spring_energy(model, displacement) == pytest.approx(elastic_energy(model, displacement), rel=1e-12)
+    for law in (model.law, ForceLaw("springs", 0.4), ForceLaw("element", 0.3)):
+        model = model.with_law(law)
+        assert elastic_energy_of(model, displacement) == pytest.approx(elastic_energy(model, displacement), rel=1e-12)
 
 
 def test_missing_surface_is_named():

@@ -17,7 +17,7 @@ from heartcase.pipeline.data import Structures
 from heartcase.pipeline.fields import FieldReader, ownership_on_lattice
 from heartcase.schemas.geometry import Geometry
 
-__all__ = ["CellSamples", "VoidPieces", "cell_lattice", "sample_cells", "sample_factor", "void_pieces"]
+__all__ = ["CellSamples", "VoidPieces", "cell_lattice", "sample_cells", "sample_factor", "tissue_part", "void_pieces"]
 
 Float32 = npt.NDArray[np.float32]
 Float64 = npt.NDArray[np.float64]
@@ -176,6 +176,12 @@ def _mean_in_sample(tissue_mm, z, y, x, width):  # type: ignore[no-untyped-def]
     return value + bend / 24.0 if abs(bend) < 0.7 * width else value
 
 
+@numba.njit(cache=True, nogil=True)
+def tissue_part(tissue_mm, z, y, x, width):  # type: ignore[no-untyped-def]
+    """Part of a sample that is tissue, 0 to 1: linear in the mean of the field over it. ``width`` is its edge, mm."""
+    return min(max(0.5 - _mean_in_sample(tissue_mm, z, y, x, width) / width, 0.0), 1.0)
+
+
 @numba.njit(cache=True, nogil=True, parallel=True)
 def _measure(tissue_mm, tissue_label, wz, wy, wx, s, width, coverage, cell_label):  # type: ignore[no-untyped-def]
     nk, nj, ni = coverage.shape
@@ -187,8 +193,7 @@ def _measure(tissue_mm, tissue_label, wz, wy, wx, s, width, coverage, cell_label
                 for z in range(k * s, k * s + s):
                     for y in range(j * s, j * s + s):
                         for x in range(i * s, i * s + s):
-                            mean = _mean_in_sample(tissue_mm, z, y, x, width)
-                            part = min(max(0.5 - mean / width, 0.0), 1.0) * wz[z] * wy[y] * wx[x]
+                            part = tissue_part(tissue_mm, z, y, x, width) * wz[z] * wy[y] * wx[x]
                             if part > 0.0:
                                 total += part
                                 share[tissue_label[z, y, x]] += part

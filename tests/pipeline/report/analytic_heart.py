@@ -10,7 +10,7 @@ from heartcase.pipeline.data import Scan, Segmentation, SimulationGrid, Structur
 from heartcase.pipeline.mesh.thickness import vertex_normals
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable, default_label_table
-from heartcase.schemas.lattice import cell_nodes
+from heartcase.schemas.lattice import FULL_MOMENTS, cell_nodes
 from heartcase.schemas.surface_kinds import plain_kinds
 
 CAVITIES = {
@@ -120,6 +120,7 @@ def grid_of(labels: np.ndarray, geometry: Geometry, table: LabelTable) -> Simula
         geometry=geometry,
         cells=np.ascontiguousarray(cells),
         cell_coverage=np.ones(len(cells), np.float32),
+        cell_moments=np.tile(FULL_MOMENTS, (len(cells), 1)),
         cell_label=labels[tuple(cells[:, ::-1].T)],
         nodes=nodes,
         fixed=np.zeros(len(nodes), np.uint8),

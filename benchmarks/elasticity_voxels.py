@@ -1,0 +1,69 @@
+"""Tissue that cells cover in part: coverage and moments from samples, and points between the nodes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+from heartcase.schemas.lattice import CORNER_OFFSETS
+from heartcase.simulator.force_law import ForceLaw
+from heartcase.simulator.model import LatticeModel, make_model
+
+Float64 = npt.NDArray[np.float64]
+
+COVERAGE_MIN = 0.02
+SAMPLES = 8
+"""Samples of a cell along each axis."""
+
+
+def voxelised(
+    is_tissue: Callable[[Float64], npt.NDArray[np.bool_]],
+    low: tuple[int, int, int],
+    high: tuple[int, int, int],
+    edge: float,
+    law: ForceLaw,
+    cell_mm: float,
+) -> LatticeModel:
+    """Cells with the coverage and the moments of samples.
+
+    Parameters
+    ----------
+    is_tissue
+        From positions, shape (..., 3), in units of length.
+    low, high
+        Range of the cells' indices.
+    edge
+        Edge of a cell in units of length; corner (0, 0, 0) lies at the origin.
+    law
+        What resists deformation.
+    cell_mm
+        Edge of a cell, mm.
+    """
+    cells = np.stack(np.meshgrid(*map(np.arange, low, high), indexing="ij"), axis=-1).reshape(-1, 3)
+    along = (np.arange(SAMPLES) + 0.5) / SAMPLES - 0.5
+    x = np.stack(np.meshgrid(along, along, along, indexing="ij"), axis=-1).reshape(-1, 3)
+    products = np.stack([x[:, 1] * x[:, 2], x[:, 0] * x[:, 2], x[:, 0] * x[:, 1]], axis=1)
+    # A sample stands for a cube, which has a second moment of its own.
+    terms = np.concatenate([x, x * x + 1.0 / (12 * SAMPLES**2), products], axis=1)
+    coverage, moments = np.zeros(len(cells)), np.zeros((len(cells), 9))
+    for some in np.array_split(np.arange(len(cells)), len(cells) // 1000 + 1):
+        inside = is_tissue((cells[some, None] + 0.5 + x) * edge).astype(float)
+        coverage[some] = inside.mean(axis=1)
+        moments[some] = inside @ terms / np.maximum(inside.sum(axis=1), 1.0)[:, None]
+    kept = coverage >= COVERAGE_MIN
+    return make_model(cells[kept], coverage=coverage[kept], moments=moments[kept], law=law, cell_mm=cell_mm)
+
+
+def located(model: LatticeModel, points: Float64) -> tuple[npt.NDArray[np.int32], Float64]:
+    """Corners of the cell of each point [cells], and their trilinear shares, shape (count, 8) each.
+
+    A point whose cell has too little tissue to be there belongs to the nearest that is, and shares go beyond 0 and 1.
+    """
+    # The largest coordinate's distance tells a cell that holds the point from one that does not.
+    _, cell = cKDTree(model.cells + 0.5).query(points, p=np.inf)
+    place = points[:, None] - model.cells[cell][:, None]
+    shares: Float64 = np.where(CORNER_OFFSETS == 1, place, 1.0 - place).prod(axis=2)
+    return model.cell_corners[cell], shares

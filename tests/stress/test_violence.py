@@ -1,0 +1,53 @@
+"""Whatever a hand does: nothing breaks down, and tissue that was turned inside out comes back."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from heartcase.simulator.force_law import ForceLaw
+from tests.stress.violence import run
+
+LAWS = {
+    "springs": ForceLaw(),
+    "springs-0.45": ForceLaw("springs", 0.45),
+    "element": ForceLaw("element", 0.25),
+    "element-0.45": ForceLaw("element", 0.45),
+}
+TURNED_BACK_S = 0.3
+"""Time within which cells are the right side out again, s."""
+LEFT_MOST = 3
+"""Cells that a script leaves inside out for good at most, of up to 225."""
+
+
+def survive(law, backend, seeds, left_scripts):
+    """Run scripts: nothing breaks down, and all but a few leave no cell inside out; the sum of what they turned."""
+    outcomes = {seed: run(seed, law, backend) for seed in seeds}
+    assert all(np.isfinite(outcome.way_most) for outcome in outcomes.values())
+    left = {seed: outcome for seed, outcome in outcomes.items() if outcome.inverted_left}
+    assert len(left) <= left_scripts, left
+    assert all(outcome.inverted_left <= LEFT_MOST for outcome in left.values()), left
+    slow = {seed: o for seed, o in outcomes.items() if not o.inverted_left and o.settled_s > TURNED_BACK_S}
+    assert not slow, slow
+    return sum(outcome.inverted_most for outcome in outcomes.values())
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_fifty_violent_scripts(law):
+    inverted = survive(LAWS[law], "cpu", range(50 if law == "springs" else 15), 2)
+    assert inverted > 100  # they were violent
+
+
+def test_violent_scripts_on_the_reference():
+    survive(LAWS["springs"], "reference", [11, 12], 0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("law", LAWS)
+def test_a_thousand_violent_scripts(law):
+    survive(LAWS[law], "cpu", range(1000), 10)
+
+
+@pytest.mark.slow
+def test_a_hundred_violent_scripts_on_the_reference():
+    survive(LAWS["springs"], "reference", range(100), 3)
