@@ -113,20 +113,37 @@ def _step_share(
     inverse_mass: Float32,
     rows: Int64,
     constants: Constants,
+) -> None:
+    """Move a share of the windows of nodes, by springs alone."""
+    first, end = _part(share, len(rows))
+    for window in range(first, end):
+        step_of_window(now, later, velocity, weight, inverse_mass, rows, window, constants)
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def _step_share_with_cells(
+    share: int,
+    now: Float32,
+    later: Float32,
+    velocity: Float32,
+    weight: Float32,
+    inverse_mass: Float32,
+    rows: Int64,
+    constants: Constants,
     cells: CellArrays,
     kinds: Kinds,
 ) -> None:
-    """Move a share of the windows of nodes."""
+    """Move a share of the windows of nodes, by cells and springs."""
     force, is_touched = cells[2], cells[5]
-    kind, has_springs, has_guard = kinds
+    kind, has_springs, _ = kinds
     first, end = _part(share, len(rows))
     for window in range(first, end):
         if not has_springs:
             step_of_window_with_cells_alone(now, later, velocity, weight, force, inverse_mass, rows, window, constants)
-        elif kind != NO_CELLS or (has_guard and is_touched[window]):
+        elif kind != NO_CELLS or is_touched[window]:
             step_of_window_with_cells(now, later, velocity, weight, force, inverse_mass, rows, window, constants)
         else:
-            step_of_window(now, later, velocity, weight, force, inverse_mass, rows, window, constants)
+            step_of_window(now, later, velocity, weight, inverse_mass, rows, window, constants)
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
@@ -318,10 +335,16 @@ def advance(
             before = flush_subnormals()
             _pull_explicitly(now, velocity, inverse_mass, explicit, constants)
             restore_subnormals(before)
-        for share in prange(SHARES):
-            before = flush_subnormals()
-            _step_share(share, now, later, velocity, weight, inverse_mass, rows, constants, cells, kinds)
-            restore_subnormals(before)
+        if works_cells:
+            for share in prange(SHARES):
+                before = flush_subnormals()
+                _step_share_with_cells(share, now, later, velocity, weight, inverse_mass, rows, constants, cells, kinds)
+                restore_subnormals(before)
+        else:
+            for share in prange(SHARES):
+                before = flush_subnormals()
+                _step_share(share, now, later, velocity, weight, inverse_mass, rows, constants)
+                restore_subnormals(before)
         if len(probes):
             step, number = constants[0], first_step + step_number
             for share in prange(SHARES):
@@ -372,7 +395,10 @@ def advance_alone(
         if len(explicit[0]):
             _pull_explicitly(now, velocity, inverse_mass, explicit, constants)
         for share in range(SHARES):
-            _step_share(share, now, later, velocity, weight, inverse_mass, rows, constants, cells, kinds)
+            if works_cells:
+                _step_share_with_cells(share, now, later, velocity, weight, inverse_mass, rows, constants, cells, kinds)
+            else:
+                _step_share(share, now, later, velocity, weight, inverse_mass, rows, constants)
         if len(probes):
             step, number = constants[0], first_step + step_number
             for share in range(SHARES):

@@ -125,29 +125,52 @@ force_of_window = _make_force(has_cells=False)
 force_of_window_with_cells = _make_force(has_cells=True)
 
 
-def _make_step(has_springs: bool, has_cells: bool) -> Any:
-    """The intrinsic that advances a window by one step; see :mod:`heartcase.simulator.integrate`."""
+def _emit_step(
+    context: Any, builder: Any, kinds: Any, arguments: Any, weight: Any | None, cell_force: Any | None
+) -> Any:
+    """Move a window by one step; see :mod:`heartcase.simulator.integrate`.
 
+    ``kinds`` and ``arguments`` are those of now, later, velocity, inverse_mass, rows, window and constants.
+    """
+    u, u_later, v, m, starts = (array_data(context, builder, *pair) for pair in zip(kinds[:5], arguments, strict=False))
+    here = Window(builder, starts, arguments[5], array_lane_count(context, builder, kinds[0], arguments[0]))
+    numbers = [Lanes.filled(builder, number) for number in cgutils.unpack_tuple(builder, arguments[6], 7)]
+    time_step, keep, kick, gravity, speed_limit = *numbers[:3], numbers[3:6], numbers[6]
+    mass_inverse = here.load(m, 0)
+    for axis, force in enumerate(_force(here, u, weight, cell_force)):
+        held = here.load(v, axis)
+        free = keep * held + kick * (force * mass_inverse + gravity[axis])
+        new = free.clamped(speed_limit).where_positive(mass_inverse, held)
+        new.store(here.pointer(v, axis))
+        (here.load(u, axis) + time_step * new).store(here.pointer(u_later, axis))
+    return context.get_dummy_value()
+
+
+@intrinsic
+def step_of_window(  # type: ignore[no-untyped-def]
+    typing_context, now, later, velocity, weight, inverse_mass, rows, window, constants
+):
+    """Move a window of nodes by one step of their springs."""
+
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        rest = (*range(3), *range(4, 8))
+        w = array_data(context, builder, signature.args[3], arguments[3])
+        kinds, values = [signature.args[n] for n in rest], [arguments[n] for n in rest]
+        return _emit_step(context, builder, kinds, values, w, None)
+
+    return types.void(now, later, velocity, weight, inverse_mass, rows, types.int64, constants), codegen
+
+
+def _make_step_with_cells(has_springs: bool) -> Any:
     @intrinsic
     def step(  # type: ignore[no-untyped-def]
         typing_context, now, later, velocity, weight, cell_force, inverse_mass, rows, window, constants
     ):
         def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            arrays = zip(signature.args[:7], arguments, strict=False)
-            u, u_later, v, w, c, m, starts = (array_data(context, builder, *pair) for pair in arrays)
-            lane_count = array_lane_count(context, builder, signature.args[0], arguments[0])
-            here = Window(builder, starts, arguments[7], lane_count)
-            numbers = [Lanes.filled(builder, number) for number in cgutils.unpack_tuple(builder, arguments[8], 7)]
-            time_step, keep, kick, gravity, speed_limit = *numbers[:3], numbers[3:6], numbers[6]
-            mass_inverse = here.load(m, 0)
-            forces = _force(here, u, w if has_springs else None, c if has_cells else None)
-            for axis, force in enumerate(forces):
-                held = here.load(v, axis)
-                free = keep * held + kick * (force * mass_inverse + gravity[axis])
-                new = free.clamped(speed_limit).where_positive(mass_inverse, held)
-                new.store(here.pointer(v, axis))
-                (here.load(u, axis) + time_step * new).store(here.pointer(u_later, axis))
-            return context.get_dummy_value()
+            rest = (*range(3), *range(5, 9))
+            w, c = (array_data(context, builder, signature.args[n], arguments[n]) for n in (3, 4))
+            kinds, values = [signature.args[n] for n in rest], [arguments[n] for n in rest]
+            return _emit_step(context, builder, kinds, values, w if has_springs else None, c)
 
         kinds = (now, later, velocity, weight, cell_force, inverse_mass, rows, types.int64, constants)
         return types.void(*kinds), codegen
@@ -155,9 +178,8 @@ def _make_step(has_springs: bool, has_cells: bool) -> Any:
     return step
 
 
-step_of_window = _make_step(has_springs=True, has_cells=False)
-step_of_window_with_cells = _make_step(has_springs=True, has_cells=True)
-step_of_window_with_cells_alone = _make_step(has_springs=False, has_cells=True)
+step_of_window_with_cells = _make_step_with_cells(has_springs=True)
+step_of_window_with_cells_alone = _make_step_with_cells(has_springs=False)
 
 
 def _make_cell_window(kind: str) -> Any:
