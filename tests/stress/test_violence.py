@@ -34,12 +34,12 @@ def survive(law, backend, seeds, left_scripts):
 
 @pytest.mark.parametrize("law", LAWS)
 def test_fifty_violent_scripts(law):
-    inverted = survive(LAWS[law], "cpu", range(50 if law == "springs" else 15), 2)
-    assert inverted > 100  # they were violent
+    inverted = survive(LAWS[law], "cpu", range(50 if law == "springs" else 10), 2)
+    assert inverted > 50  # they were violent
 
 
 def test_violent_scripts_on_the_reference():
-    survive(LAWS["springs"], "reference", [11, 12], 0)
+    survive(LAWS["springs"], "reference", [11], 0)
 
 
 @pytest.mark.slow

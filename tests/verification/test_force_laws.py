@@ -76,8 +76,8 @@ def test_highest_frequency_of_a_lone_cell(name, ratio):
     assert law.rest_bound == pytest.approx(12 * law.lame_modulus + 8 * law.shear_modulus)
 
 
-@settings(max_examples=25, deadline=None)
-@given(random_models(size_max=(4, 3, 2)), LAWS, st.integers(0, 2**32 - 1))
+@settings(max_examples=10, deadline=None)
+@given(random_models(size_max=(3, 2, 2)), LAWS, st.integers(0, 2**32 - 1))
 def test_own_highest_frequency_is_bracketed(model, law, seed):
     rng = np.random.default_rng(seed)
     moments = random_moments(model.cell_count, rng)
