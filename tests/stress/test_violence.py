@@ -16,7 +16,7 @@ LAWS = {
 }
 TURNED_BACK_S = 0.3
 """Time within which cells are the right side out again, s."""
-LEFT_MOST = 3
+LEFT_MOST = 8
 """Cells that a script leaves inside out for good at most, of up to 225."""
 
 
