@@ -10,7 +10,6 @@ import numpy.typing as npt
 
 from heartcase.simulator.contact import NO_PROBES
 from heartcase.simulator.explicit import SpringsByNode
-from heartcase.simulator.force_law import ForceLaw
 from heartcase.simulator.integrate import Verlet
 from heartcase.simulator.kernel_cpu import ELEMENTS, NO_CELLS, VOLUME_TERM, advance, advance_alone, lane_forces
 from heartcase.simulator.kernel_cpu_windows import CORNER_FORCES
@@ -126,7 +125,7 @@ class CpuEngine:
             self.cells.window_rows,
             self.cells.numbers(model),
             self.cell_force,
-            _law_constants(law),
+            np.array(law.constants, np.float32),
             self.is_flat,
             self.is_touched,
             self.cells.touches,
@@ -155,14 +154,6 @@ class CpuEngine:
         rest = _aligned((3, self.layout.lane_count))
         rest[:, self.layout.node_lane] = self.model.node_index.T
         return rest
-
-
-def _law_constants(law: ForceLaw) -> Float32:
-    """What the kernels of cells read: the volume term's modulus, or the element's five constants."""
-    if not law.is_element:
-        return np.array([law.volume_modulus], np.float32)
-    mu, bulk = law.shear_modulus, law.lame_modulus + law.shear_modulus / 3.0
-    return np.array([mu, bulk, law.plate_modulus, law.poissons_ratio, law.youngs_modulus], np.float32)
 
 
 def _aligned(shape: tuple[int, ...]) -> Float32:

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.schemas.errors import SimulationError
+from heartcase.simulator.cells_cuda import CellsOnDevice
 from heartcase.simulator.contact import NO_PROBES, moved_on
 from heartcase.simulator.explicit import SpringsByNode
 from heartcase.simulator.integrate import Verlet
@@ -88,14 +89,10 @@ class CudaEngine:
     Raises
     ------
     SimulationError
-        There is no CUDA device, or what it needs is not installed, or the force law is one that only the CPU works out.
+        There is no CUDA device, or what it needs is not installed.
     """
 
     def __init__(self, model: LatticeModel, *, resident: bool | None = None) -> None:
-        if model.law.is_element or model.law.has_volume_term:
-            raise SimulationError(
-                "elements and other ratios than 1/4 are not worked out on a GPU: choose the backend 'cpu'", place="law"
-            )
         self._cuda = _cuda()
         from heartcase.simulator import kernel_cuda
 
@@ -108,6 +105,7 @@ class CudaEngine:
         self._node_lane = cuda.to_device(layout.node_lane.astype(np.uint32))
         self._node_slot = cuda.to_device(layout.node_slot.astype(np.uint32))
         self._window_rows = cuda.to_device(layout.window_rows.astype(np.uint32).ravel())
+        self._cells = CellsOnDevice(cuda, model, layout)
         self.set_springs(model)
         self._displacement = cuda.to_device(np.zeros(8 * layout.lane_count, np.float32))
         self._velocity = cuda.to_device(np.zeros(4 * layout.lane_count, np.float32))
@@ -122,6 +120,7 @@ class CudaEngine:
         self.step_count = 0
         self._resident = resident
         self._plans: dict[bool, tuple[Launch, bool]] = {}
+        self._plan_with_cells: tuple[int, int] | None = None
         self._advance(0, self._constants_of(Verlet(0.0)))
         self.set_inverse_mass(model.inverse_mass)
 
@@ -182,8 +181,12 @@ class CudaEngine:
         constants = self._constants_of(verlet)
         left = step_count
         while True:
-            count = min(left, STEPS_PER_LAUNCH)
-            self._advance(count, constants, probes)
+            acts = self._cells.act(self._displacement, self._current * self._lane_count)
+            count = min(left, self._cells.steps_most or STEPS_PER_LAUNCH)
+            if acts:
+                self._advance_with_cells(count, constants, probes)
+            else:
+                self._advance(count, constants, probes)
             self._current = (self._current + count) % 2
             self.step_count += count
             probes = moved_on(probes, count)
@@ -194,7 +197,9 @@ class CudaEngine:
 
     def set_springs(self, model: LatticeModel) -> None:
         """Go on with the springs of another model of the same nodes."""
-        self._spring_weight = self._cuda.to_device(self._layout.spring_weight(model).ravel())
+        weight = self._layout.spring_weight(model, model.acting_weight)
+        self._spring_weight = self._cuda.to_device(weight.ravel())
+        self._cells.set_model(model)
         self._uniform_weight = self._cuda.to_device(self._layout.uniform_weight(model))
         springs = SpringsByNode.of(model.explicit, model.node_index)
         self._explicit_count = model.explicit.count
@@ -221,6 +226,8 @@ class CudaEngine:
             self._on_device(nodes),
             self._shown.displacement,
         )
+        first = self._current * self._lane_count
+        self._cells.add_forces(self._displacement, first, self._on_device(nodes), self._shown.displacement)
         self._cuda.synchronize()
         return np.array(self._shown.displacement[: len(nodes)])
 
@@ -230,6 +237,35 @@ class CudaEngine:
             self._plans[has_hands] = self._plan(has_hands, constants)
         launch, is_resident = self._plans[has_hands]
         self._start(launch, step_count, constants, probes, has_hands=has_hands, is_resident=is_resident)
+
+    def _advance_with_cells(self, step_count: int, constants: Any, probes: Float32) -> None:
+        kernel = self._cells.kernels.advance_with_cells
+        rest = self._rest if len(probes) else self._nothing
+        hands = (*self._explicit, rest, self._on_device_probes(probes) if len(probes) else self._no_probes)
+
+        def start(count: int, threads: tuple[int, int]) -> None:
+            kernel[threads](
+                self._displacement,
+                self._velocity,
+                self._spring_weight,
+                self._cells.presence,
+                self._window_rows,
+                self._node_slot,
+                self._lane_count,
+                *self._cells.arguments(),
+                self._current,
+                count,
+                constants,
+                self._arrivals,
+                *hands,
+            )
+
+        if self._plan_with_cells is None:
+            start(0, (1, WARP))
+            overload = next(iter(kernel.overloads.values()), None) or kernel.overloads[()]
+            blocks, threads = _fitting(overload.max_cooperative_grid_blocks, self._cells.kernels.CELL_THREADS)
+            self._plan_with_cells = min(blocks, -(-self.model.node_count // threads)), threads
+        start(step_count, self._plan_with_cells)
 
     def _start(
         self, launch: Launch, step_count: int, constants: Any, probes: Float32, *, has_hands: bool, is_resident: bool

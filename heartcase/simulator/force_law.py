@@ -96,6 +96,14 @@ class ForceLaw:
         return not self.is_element and self.poissons_ratio > RATIO_MIN
 
     @property
+    def constants(self) -> tuple[float, ...]:
+        """What the kernels read: the volume term's modulus, or mu, lambda + mu / 3, E / (1 - ratio^2), ratio and E."""
+        if not self.is_element:
+            return (self.volume_modulus,)
+        bulk = self.lame_modulus + self.shear_modulus / 3.0
+        return (self.shear_modulus, bulk, self.plate_modulus, self.poissons_ratio, self.youngs_modulus)
+
+    @property
     def rest_bound(self) -> float:
         """omega^2 m h / k of a lone cell of full moments at rest: 12 lambda + 8 mu, for either law."""
         return 12.0 * self.lame_modulus + 8.0 * self.shear_modulus

@@ -28,9 +28,16 @@ __all__ = [
     "STREAMING_THREADS",
     "advance_resident",
     "advance_streaming",
+    "force_of_springs",
     "gather_nodes",
+    "keep_outside",
+    "next_velocity",
     "node_forces",
+    "pull_explicitly",
+    "rows_of",
     "scatter_nodes",
+    "start_meeting",
+    "weights_of",
     "write_inverse_mass",
 ]
 
@@ -61,7 +68,7 @@ def _add_pull(total, own, displacement, place, offset, length, weight):
 
 
 @cuda.jit(device=True, fastmath=True)
-def _force(displacement, buffer, own, row, weight):
+def force_of_springs(displacement, buffer, own, row, weight):
     """Sum of the pulls of a node's 18 springs.
 
     ``buffer`` is where the displacements begin, ``own`` the node's, ``row`` the lanes at its i in the nine ROWS,
@@ -91,7 +98,7 @@ def _force(displacement, buffer, own, row, weight):
 
 
 @cuda.jit(device=True)
-def _rows(window_rows, slot):
+def rows_of(window_rows, slot):
     """Lanes at a slot's i in the nine ROWS; number 4 is its own. A slot is a window's number times eight plus i."""
     first, i = _U(slot // _LANE_COUNT * _ROW_COUNT), _U(slot % _LANE_COUNT)
     return (
@@ -108,7 +115,7 @@ def _rows(window_rows, slot):
 
 
 @cuda.jit(device=True)
-def _weights(spring_weight, lane_count, row):
+def weights_of(spring_weight, lane_count, row):
     """Stiffness of a node's 18 springs; a spring's is stored at its lower node."""
     own = row[4]
     return (
@@ -142,7 +149,7 @@ def _window_weights(spring_weight, uniform_weight, lane_count, slot, row):
             alike, alike, alike, alike, alike, alike, alike, alike, alike,
             alike, alike, alike, alike, alike, alike, alike, alike, alike,
         )  # fmt: skip
-    return _weights(spring_weight, lane_count, row)
+    return weights_of(spring_weight, lane_count, row)
 
 
 @cuda.jit(device=True)
@@ -154,7 +161,7 @@ def _within(value, limit):
 
 
 @cuda.jit(device=True, fastmath=True)
-def _next_velocity(v, force, keep, kick, gravity, limit):
+def next_velocity(v, force, keep, kick, gravity, limit):
     """See :mod:`heartcase.simulator.integrate`; where the inverse mass ``v[3]`` is zero the velocity stays."""
     mass_inverse = v[3]
     if mass_inverse > _O:
@@ -168,7 +175,7 @@ def _next_velocity(v, force, keep, kick, gravity, limit):
 
 
 @cuda.jit(device=True)
-def _pull_explicitly(f, displacement, buffer, own, begin, end, explicit_lane, explicit_offset, explicit_stiffness):
+def pull_explicitly(f, displacement, buffer, own, begin, end, explicit_lane, explicit_offset, explicit_stiffness):
     """The force so far plus the pulls of a node's explicit springs."""
     for spring in range(begin, end):
         other = load_four(displacement, _U(buffer + explicit_lane[spring]))
@@ -192,7 +199,7 @@ def _way_to(displacement, place, own, offset):
 
 
 @cuda.jit(device=True)
-def _keep_outside(displacement, buffer, own, u, v, rest, row, weight, probes, step_number, step):
+def keep_outside(displacement, buffer, own, u, v, rest, row, weight, probes, step_number, step):
     """Displacement and velocity of a node after a step; see :mod:`heartcase.simulator.contact`."""
     if v[3] <= _O:
         return u, v
@@ -226,7 +233,7 @@ def _keep_outside(displacement, buffer, own, u, v, rest, row, weight, probes, st
 
 
 @cuda.jit(device=True)
-def _start_meeting(arrivals):
+def start_meeting(arrivals):
     """Set the count to zero; numba's own meeting makes it launch the grid only if all of it runs at once."""
     if cuda.grid(1) == 0:
         arrivals[0] = 0
@@ -289,16 +296,16 @@ def _make_advance_resident(has_hands):
         probes
             Probes as of :func:`heartcase.simulator.contact.probe_row`, float32, shape (probe_count, PROBE_SIZE).
         """
-        _start_meeting(arrivals)
+        start_meeting(arrivals)
         number = cuda.grid(1)
         is_used = number < node_slot.shape[0]
         slot = _U(0)
         if is_used:
             slot = node_slot[number]
         count = _U(lane_count)
-        row = _rows(window_rows, slot)
+        row = rows_of(window_rows, slot)
         lane = row[4]
-        weight = _weights(spring_weight, count, row)
+        weight = weights_of(spring_weight, count, row)
         step, keep, kick, limit = constants[0], constants[1], constants[2], constants[6]
         gravity = (constants[3], constants[4], constants[5])
         now, later = _U(current * count), _U((1 - current) * count)
@@ -310,16 +317,16 @@ def _make_advance_resident(has_hands):
         expected = _U(0)
         for step_number in range(step_count):
             if is_used:
-                f = _force(displacement, now, u, row, weight)
+                f = force_of_springs(displacement, now, u, row, weight)
                 if has_hands and begin < end:
-                    f = _pull_explicitly(
+                    f = pull_explicitly(
                         f, displacement, now, u, begin, end, explicit_lane, explicit_offset, explicit_stiffness
                     )
-                v = _next_velocity(v, f, keep, kick, gravity, limit)
+                v = next_velocity(v, f, keep, kick, gravity, limit)
                 own, u = u, (u[0] + step * v[0], u[1] + step * v[1], u[2] + step * v[2], _O)
                 if has_hands and probes.shape[0] > 0:
                     place = load_four(rest, _U(number))
-                    u, v = _keep_outside(displacement, now, own, u, v, place, row, weight, probes, step_number, step)
+                    u, v = keep_outside(displacement, now, own, u, v, place, row, weight, probes, step_number, step)
                 store_four(displacement, _U(later + lane), u[0], u[1], u[2], _O)
             now, later = later, now
             expected = _U(expected + cuda.gridDim.x)
@@ -364,7 +371,7 @@ def _make_advance_streaming(has_hands):
             A sweep is a stretch of ``share`` nodes, at most one per thread, for every block of threads; so many sweeps
             hold all nodes. Every other step takes them in the opposite order, while the last ones' memory is near.
         """
-        _start_meeting(arrivals)
+        start_meeting(arrivals)
         step, keep, kick, limit = constants[0], constants[1], constants[2], constants[6]
         gravity = (constants[3], constants[4], constants[5])
         count = _U(lane_count)
@@ -376,23 +383,21 @@ def _make_advance_streaming(has_hands):
                 number = (turn * cuda.gridDim.x + cuda.blockIdx.x) * share + cuda.threadIdx.x
                 if cuda.threadIdx.x < share and number < node_slot.shape[0]:
                     slot = node_slot[number]
-                    row = _rows(window_rows, slot)
+                    row = rows_of(window_rows, slot)
                     lane = row[4]
                     weight = _window_weights(spring_weight, uniform_weight, count, slot, row)
                     own = load_four(displacement, _U(now + lane))
-                    f = _force(displacement, now, own, row, weight)
+                    f = force_of_springs(displacement, now, own, row, weight)
                     if has_hands:
                         begin, end = explicit_first[number], explicit_first[number + 1]
-                        f = _pull_explicitly(
+                        f = pull_explicitly(
                             f, displacement, now, own, begin, end, explicit_lane, explicit_offset, explicit_stiffness
                         )
-                    v = _next_velocity(load_four(velocity, lane), f, keep, kick, gravity, limit)
+                    v = next_velocity(load_four(velocity, lane), f, keep, kick, gravity, limit)
                     u = (own[0] + step * v[0], own[1] + step * v[1], own[2] + step * v[2], _O)
                     if has_hands and probes.shape[0] > 0:
                         place = load_four(rest, _U(number))
-                        u, v = _keep_outside(
-                            displacement, now, own, u, v, place, row, weight, probes, step_number, step
-                        )
+                        u, v = keep_outside(displacement, now, own, u, v, place, row, weight, probes, step_number, step)
                     store_four(velocity, lane, v[0], v[1], v[2], v[3])
                     store_four(displacement, _U(later + lane), u[0], u[1], u[2], _O)
             now, later = later, now
@@ -429,12 +434,12 @@ def node_forces(
         node = nodes[number]
         count = _U(lane_count)
         now = _U(current * count)
-        row = _rows(window_rows, node_slot[node])
+        row = rows_of(window_rows, node_slot[node])
         own = load_four(displacement, _U(now + row[4]))
-        f = _force(displacement, now, own, row, _weights(spring_weight, count, row))
+        f = force_of_springs(displacement, now, own, row, weights_of(spring_weight, count, row))
         if explicit_lane.shape[0] > 0:
             begin, end = explicit_first[node], explicit_first[node + 1]
-            f = _pull_explicitly(
+            f = pull_explicitly(
                 f, displacement, now, own, begin, end, explicit_lane, explicit_offset, explicit_stiffness
             )
         force[number, 0], force[number, 1], force[number, 2] = f[0], f[1], f[2]

@@ -19,7 +19,7 @@ from heartcase.schemas.lattice import lattice_keys
 from heartcase.simulator.cell_forces import tissue_spread
 from heartcase.simulator.model import DIRECTIONS, LatticeModel
 
-__all__ = ["LANE_COUNT", "ROWS", "CellLayout", "LaneLayout", "cell_layout", "lane_layout"]
+__all__ = ["LANE_COUNT", "ROWS", "CellLayout", "LaneLayout", "cell_layout", "cell_numbers", "lane_layout"]
 
 LANE_COUNT = 8
 """Lanes of a block and of a window: one AVX register or two of NEON in float32. 16 leave more lanes empty: slower."""
@@ -118,6 +118,13 @@ def lane_layout(model: LatticeModel) -> LaneLayout:
     return LaneLayout(lane_count=lane_count, node_lane=node_lane, node_slot=node_slot, window_rows=window_rows)
 
 
+def cell_numbers(model: LatticeModel) -> npt.NDArray[np.float32]:
+    """Covered stiffness, means of x, y, z, yz, xz, xy and variances along x, y, z of each cell, (10, cell_count)."""
+    moments = model.cell_moments.astype(np.float64)
+    numbers = (model.cell_force_scale, *moments[:, :3].T, *moments[:, 6:].T, *tissue_spread(moments).T)
+    return np.stack(numbers).astype(np.float32)
+
+
 @dataclass(frozen=True)
 class CellLayout:
     """Where the cells are: each in the lane of its lowest corner."""
@@ -136,12 +143,9 @@ class CellLayout:
 
         Zero where there is no cell.
         """
-        moments = model.cell_moments.astype(np.float64)
-        numbers = np.zeros((10, self.lane_count), np.float32)
-        numbers[0, self.cell_lane] = model.cell_force_scale
-        numbers[1:4, self.cell_lane] = moments[:, :3].T
-        numbers[4:7, self.cell_lane] = moments[:, 6:].T
-        numbers[7:, self.cell_lane] = tissue_spread(moments).T
+        by_cell = cell_numbers(model)
+        numbers = np.zeros((len(by_cell), self.lane_count), np.float32)
+        numbers[:, self.cell_lane] = by_cell
         return numbers
 
 

@@ -13,15 +13,18 @@ from hypothesis import strategies as st
 
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator import kernel_cuda
+from heartcase.simulator.contact import NO_PROBES, probe_row
 from heartcase.simulator.engine import make_engine
 from heartcase.simulator.engine_cuda import CudaEngine, _fitting, plan_launch
-from heartcase.simulator.forces_reference import spring_forces
+from heartcase.simulator.force_law import ForceLaw
+from heartcase.simulator.forces_reference import elastic_forces, spring_forces
 from heartcase.simulator.integrate import Verlet
 from heartcase.simulator.intrinsics_cuda import IS_SIMULATED
 from heartcase.simulator.lanes import LANE_COUNT, lane_layout
 from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.state import State
-from tests.parity.test_engines import check_explicit_springs, check_probes, stretch_at_nodes
+from tests.parity.test_engines import check_explicit_springs, check_probes, stretch_at_nodes, unguarded
+from tests.parity.test_force_laws import force_scale, with_law
 from tests.simulator.lattices import EPS, block, random_field, random_models, random_probes, tied
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -43,6 +46,7 @@ def test_forces_agree(model, seed, scale):
 
     Division and root are of 2 ulp each on the device: some 24 roundings.
     """
+    model = unguarded(model)
     displacement = random_field(model, seed, scale)
     engine = CudaEngine(model)
     engine.load(State(displacement, np.zeros_like(displacement)))
@@ -109,14 +113,54 @@ def test_all_ways_to_share_the_nodes_give_the_same_bytes(monkeypatch):
 @given(models, SEEDS, st.booleans())
 def test_explicit_springs_agree(model, seed, resident):
     assume(model.node_count > 1)
-    model = tied(model, seed)
+    model = unguarded(tied(model, seed))
     check_explicit_springs(model, seed, [CudaEngine(model, resident=resident), make_engine(model, "reference")], STEPS)
 
 
 @patient
 @given(models, SEEDS, st.booleans())
 def test_probes_push_alike(model, seed, resident):
+    model = unguarded(model)
     check_probes(model, seed, [CudaEngine(model, resident=resident), make_engine(model, "reference")], min(STEPS, 30))
+
+
+LAWS = st.sampled_from(
+    [ForceLaw(), ForceLaw("springs", 0.4), ForceLaw("springs", 0.45, False), ForceLaw("element", 0.3)]
+)
+
+
+@patient
+@given(models, LAWS, SEEDS, st.sampled_from([1e-3, 0.1, 0.4]))
+def test_forces_of_every_law_agree(model, law, seed, size):
+    """As on the CPU, with two more roundings in each division."""
+    model = with_law(model, law, seed)
+    displacement = random_field(model, seed, size)
+    engine = CudaEngine(model)
+    engine.load(State(displacement, np.zeros_like(displacement)))
+    gap = np.abs(engine.forces() - elastic_forces(model, displacement))
+    assert (gap <= 48 * EPS * force_scale(model, displacement)).all()
+
+
+@patient
+@given(models, LAWS, SEEDS, st.booleans())
+def test_steps_of_every_law_agree(model, law, seed, has_probes):
+    """Corners that are flat from the start push back from the first step on."""
+    model = with_law(tied(model, seed) if model.node_count > 1 else model, law, seed)
+    displacement = random_field(model, seed, 0.04)
+    displacement[0] += 0.6
+    displacement[model.node_is_fixed] = 0
+    rate = (model.cell_stiffness / model.cell_density).max() + model.explicit.rate_bound(model.inverse_mass)
+    verlet = Verlet(step=0.3 / np.sqrt(3.0 * law.rest_bound * rate), damping=0.1)
+    probes = (
+        probe_row((99.0, 99.0, 99.0), (0.0, 0.0, 0.0), (1.0, 1.0, 1.0), np.eye(3))[None] if has_probes else NO_PROBES
+    )
+    ends = []
+    for engine in (CudaEngine(model), make_engine(model, "reference")):
+        engine.load(State(displacement, np.zeros_like(displacement)))
+        engine.advance(STEPS, verlet, probes)
+        ends.append(engine.read().displacement)
+    assert np.abs(ends[0] - ends[1]).max() <= max(STEPS, 10) ** 2 * EPS
+    np.testing.assert_array_equal(ends[0][model.node_is_fixed], 0.0)
 
 
 @given(st.integers(1, 3_000_000), st.integers(1, 300), st.sampled_from([64, 256, 768]))

@@ -1,0 +1,87 @@
+"""The cells of a model on a CUDA device: what the engine needs where more than springs acts."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from heartcase.simulator.lanes import LaneLayout, cell_numbers
+from heartcase.simulator.model import LatticeModel
+
+__all__ = ["LOOK_STEPS", "CellsOnDevice"]
+
+LOOK_STEPS = 64
+"""Steps between two looks for corners that are about to turn inside out: each makes the host wait for the device."""
+LOOK_BELOW = np.float32(0.6)
+"""Volume of a corner from which on cells are worked out until the next look [cells]."""
+_PLAIN_THREADS = 128
+
+
+class CellsOnDevice:
+    """Arrays of the cells, and the kernels that work them out."""
+
+    def __init__(self, cuda: Any, model: LatticeModel, layout: LaneLayout) -> None:
+        from heartcase.simulator import kernel_cuda_cells
+
+        self.kernels = kernel_cuda_cells
+        self._cuda = cuda
+        self._layout = layout
+        self._count = model.cell_count
+        corners = model.cell_corners.T
+        self._corner_lane = cuda.to_device(layout.node_lane[corners].astype(np.uint32).ravel())
+        node_cell = np.full((8, model.node_count), kernel_cuda_cells.NO_CELL, np.uint32)
+        for corner in range(8):
+            node_cell[corner, corners[corner]] = np.arange(self._count)
+        self._node_cell = cuda.to_device(node_cell.ravel())
+        self._force = cuda.to_device(np.zeros(24 * self._count, np.float32))
+        self._is_flat = cuda.mapped_array(1, np.uint32)
+        self.set_model(model)
+
+    def set_model(self, model: LatticeModel) -> None:
+        """Go on with the springs, cuts and law of another model of the same nodes."""
+        law = model.law
+        self._has_elements, self._has_guard = law.is_element, law.guards_corners and not law.is_element
+        self._always = law.is_element or law.has_volume_term
+        self._numbers = self._cuda.to_device(cell_numbers(model).ravel())
+        self._law = self._cuda.to_device(np.resize(law.constants, 5).astype(np.float32))
+        self._presence = self._cuda.to_device(self._layout.spring_weight(model, model.spring_weight).ravel())
+
+    @property
+    def steps_most(self) -> int | None:
+        """Steps after which to ask again whether cells act, None for never."""
+        return None if self._always or not self._has_guard else LOOK_STEPS
+
+    def act(self, displacement: Any, first: int) -> bool:
+        """Whether cells have to be worked out, for displacements from vector ``first`` on; may wait for the device."""
+        if self._always or not self._has_guard:
+            return self._always
+        self._is_flat[0] = 0
+        look = self.kernels.look_at_cells[self._blocks(self._count), _PLAIN_THREADS]
+        look(displacement, first, self._corner_lane, self._numbers, LOOK_BELOW, self._is_flat)
+        self._cuda.synchronize()
+        return bool(self._is_flat[0])
+
+    def arguments(self) -> tuple[Any, ...]:
+        """What ``advance_with_cells`` wants of the cells, from ``corner_lane`` to ``has_guard``."""
+        arrays = (self._corner_lane, self._numbers, self._force, self._law, self._node_cell)
+        return (*arrays, self._has_elements, self._has_guard)
+
+    @property
+    def presence(self) -> Any:
+        """Above zero where there is a spring, by direction and lane."""
+        return self._presence
+
+    def add_forces(self, displacement: Any, first: int, nodes: Any, force: Any) -> None:
+        """Add the forces of the cells to those on some nodes, shape (at least len(nodes), 3)."""
+        if not (self._always or self._has_guard):
+            return
+        work = self.kernels.work_cells[self._blocks(self._count), _PLAIN_THREADS]
+        kind = (self._has_elements, self._has_guard)
+        work(displacement, first, self._corner_lane, self._numbers, self._force, self._law, *kind)
+        add = self.kernels.add_cell_forces[self._blocks(len(nodes)), _PLAIN_THREADS]
+        add(self._force, self._node_cell, self._count, nodes, force)
+
+    @staticmethod
+    def _blocks(count: int) -> int:
+        return -(-count // _PLAIN_THREADS)
