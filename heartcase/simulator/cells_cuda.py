@@ -52,6 +52,11 @@ class CellsOnDevice:
         """Steps after which to ask again whether cells act, None for never."""
         return None if self._always or not self._has_guard else LOOK_STEPS
 
+    @property
+    def may_act(self) -> bool:
+        """Whether there is a state in which cells have to be worked out."""
+        return self._always or self._has_guard
+
     def act(self, displacement: Any, first: int) -> bool:
         """Whether cells have to be worked out, for displacements from vector ``first`` on; may wait for the device."""
         if self._always or not self._has_guard:
@@ -74,7 +79,7 @@ class CellsOnDevice:
 
     def add_forces(self, displacement: Any, first: int, nodes: Any, force: Any) -> None:
         """Add the forces of the cells to those on some nodes, shape (at least len(nodes), 3)."""
-        if not (self._always or self._has_guard):
+        if not self.may_act:
             return
         work = self.kernels.work_cells[self._blocks(self._count), _PLAIN_THREADS]
         kind = (self._has_elements, self._has_guard)

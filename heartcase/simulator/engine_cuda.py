@@ -180,6 +180,9 @@ class CudaEngine:
         """Take steps. They are under way when this returns; whatever reads the state waits for them."""
         constants = self._constants_of(verlet)
         left = step_count
+        if not step_count and self._cells.may_act:
+            # compile it before it is needed in the middle of a scene
+            self._advance_with_cells(0, constants, probes)
         while True:
             acts = self._cells.act(self._displacement, self._current * self._lane_count)
             count = min(left, self._cells.steps_most or STEPS_PER_LAUNCH)
