@@ -232,6 +232,7 @@ def _lines(case: Case, summary: SessionSummary) -> Iterator[str]:
         f"Lattice    {summary.node_count:,} nodes, {summary.spring_count:,} springs, "
         f"cells of {summary.cell_mm:.2f} mm, {int(case.model.node_is_fixed.sum()):,} nodes fixed"
     )
+    yield f"Law        {case.model.law.name}, Poisson's ratio {case.model.law.poissons_ratio:g}"
     yield f"Surface    {summary.triangle_count:,} triangles"
     yield (
         f"Step       {summary.step_s * 1e3:.4f} ms (bound {summary.step_limit_s * 1e3:.4f} ms), "

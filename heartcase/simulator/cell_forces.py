@@ -35,6 +35,8 @@ Float64 = npt.NDArray[np.float64]
 
 CORNER_FLOOR = 0.3
 """J_0: volume of a corner from which on it pushes back; one at rest [cells]."""
+LOOK_BELOW = 0.6
+"""Volume of a corner below which kernels look after its cell until their next look [cells]."""
 CORNER_STIFFNESS = 3.0
 """k_c [k/h]: the least that drives a cell of springs that is inside out back through being flat."""
 SPREAD_MIN = 0.1**2 / 12.0
@@ -100,7 +102,7 @@ def _energies_and_forces(model: LatticeModel, u: Float64, cells: npt.NDArray[np.
         terms.append(_element(model, u, model.cell_moments[cells].astype(np.float64)))
     elif model.law.has_volume_term:
         terms.append(_volume_term(model, u))
-    if model.law.guards_corners and not model.law.is_element:
+    if model.law.has_corner_guard:
         terms.append(_corner_guard(u))
     scale = model.cell_force_scale[cells]
     for term_energy, term_force in terms:

@@ -21,7 +21,7 @@ class CellStiffness:
 
     def __init__(self, model: LatticeModel) -> None:
         law = model.law
-        self.acts = law.is_element or law.has_volume_term
+        self.acts = law.acts_in_cells
         count = model.cell_count if self.acts else 0
         self._corners = model.cell_corners[:count]
         self._scale = model.cell_force_scale[:count].astype(np.float64)

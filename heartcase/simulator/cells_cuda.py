@@ -6,16 +6,21 @@ from typing import Any
 
 import numpy as np
 
+from heartcase.simulator.cell_forces import LOOK_BELOW
 from heartcase.simulator.lanes import LaneLayout, cell_numbers
 from heartcase.simulator.model import LatticeModel
 
-__all__ = ["LOOK_STEPS", "CellsOnDevice"]
+__all__ = ["LOOK_STEPS", "CellsOnDevice", "plain_launch"]
 
 LOOK_STEPS = 64
 """Steps between two looks for corners that are about to turn inside out: each makes the host wait for the device."""
-LOOK_BELOW = np.float32(0.6)
-"""Volume of a corner from which on cells are worked out until the next look [cells]."""
-_PLAIN_THREADS = 128
+PLAIN_THREADS = 128
+"""Threads of a block in the kernels that do not meet."""
+
+
+def plain_launch(count: int) -> tuple[int, int]:
+    """Blocks and threads of each, so that there is a thread for each of so many."""
+    return -(-count // PLAIN_THREADS), PLAIN_THREADS
 
 
 class CellsOnDevice:
@@ -41,8 +46,8 @@ class CellsOnDevice:
     def set_model(self, model: LatticeModel) -> None:
         """Go on with the springs, cuts and law of another model of the same nodes."""
         law = model.law
-        self._has_elements, self._has_guard = law.is_element, law.guards_corners and not law.is_element
-        self._always = law.is_element or law.has_volume_term
+        self._has_elements, self._has_guard = law.is_element, law.has_corner_guard
+        self._always = law.acts_in_cells
         self._numbers = self._cuda.to_device(cell_numbers(model).ravel())
         self._law = self._cuda.to_device(np.resize(law.constants, 5).astype(np.float32))
         self._presence = self._cuda.to_device(self._layout.spring_weight(model, model.spring_weight).ravel())
@@ -62,8 +67,8 @@ class CellsOnDevice:
         if self._always or not self._has_guard:
             return self._always
         self._is_flat[0] = 0
-        look = self.kernels.look_at_cells[self._blocks(self._count), _PLAIN_THREADS]
-        look(displacement, first, self._corner_lane, self._numbers, LOOK_BELOW, self._is_flat)
+        look = self.kernels.look_at_cells[plain_launch(self._count)]
+        look(displacement, first, self._corner_lane, self._numbers, np.float32(LOOK_BELOW), self._is_flat)
         self._cuda.synchronize()
         return bool(self._is_flat[0])
 
@@ -81,12 +86,8 @@ class CellsOnDevice:
         """Add the forces of the cells to those on some nodes, shape (at least len(nodes), 3)."""
         if not self.may_act:
             return
-        work = self.kernels.work_cells[self._blocks(self._count), _PLAIN_THREADS]
+        work = self.kernels.work_cells[plain_launch(self._count)]
         kind = (self._has_elements, self._has_guard)
         work(displacement, first, self._corner_lane, self._numbers, self._force, self._law, *kind)
-        add = self.kernels.add_cell_forces[self._blocks(len(nodes)), _PLAIN_THREADS]
+        add = self.kernels.add_cell_forces[plain_launch(len(nodes))]
         add(self._force, self._node_cell, self._count, nodes, force)
-
-    @staticmethod
-    def _blocks(count: int) -> int:
-        return -(-count // _PLAIN_THREADS)

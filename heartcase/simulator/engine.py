@@ -42,7 +42,7 @@ class Engine(Protocol):
         """Take steps, with probes (:func:`heartcase.simulator.contact.probe_row`) that move on in each."""
 
     def set_springs(self, model: LatticeModel) -> None:
-        """Go on with the springs, also the explicit ones, of another model of the same nodes."""
+        """Go on with the springs, also the explicit ones, of another model of the same nodes and law."""
 
     def forces(self, nodes: npt.NDArray[np.intp] | None = None) -> Float32:
         """Spring forces now, shape (node_count, 3), or on some nodes, shape (len(nodes), 3)."""

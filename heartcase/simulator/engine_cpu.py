@@ -37,8 +37,8 @@ class CpuEngine:
         self.presence = self.weight
         self.cells = cell_layout(model, self.layout)
         # Where no cell can act there is no room for what it does.
-        acts_in_cells = model.law.is_element or model.law.has_volume_term or model.law.guards_corners
-        self.cell_force = _aligned((CORNER_FORCES, lane_count if acts_in_cells else 0))
+        may_act = model.law.acts_in_cells or model.law.has_corner_guard
+        self.cell_force = _aligned((CORNER_FORCES, lane_count if may_act else 0))
         self.is_flat = np.zeros(len(self.cells.window_rows), np.int8)
         self.is_touched = np.zeros(self.layout.window_count, np.int8)
         self.set_springs(model)
@@ -120,7 +120,7 @@ class CpuEngine:
         if law.is_element:
             self.presence = self.layout.spring_weight(model, model.spring_weight)
         in_cells = ELEMENTS if law.is_element else VOLUME_TERM if law.has_volume_term else NO_CELLS
-        self._kinds = (in_cells, bool(weight.any()), law.guards_corners and not law.is_element)
+        self._kinds = (in_cells, bool(weight.any()), law.has_corner_guard)
         self._cell_arrays = (
             self.cells.window_rows,
             self.cells.numbers(model),

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.schemas.errors import SimulationError
-from heartcase.simulator.cells_cuda import CellsOnDevice
+from heartcase.simulator.cells_cuda import CellsOnDevice, plain_launch
 from heartcase.simulator.contact import NO_PROBES, moved_on
 from heartcase.simulator.explicit import SpringsByNode
 from heartcase.simulator.integrate import Verlet
@@ -29,8 +29,6 @@ Float32 = npt.NDArray[np.float32]
 
 WARP = 32
 """Threads that a multiprocessor runs in step."""
-PLAIN_THREADS = 128
-"""Threads of a block in the kernels that do not meet."""
 NODE_SETS_KEPT = 16
 """Sets of nodes whose forces were asked for that stay on the device."""
 STEPS_PER_LAUNCH = 100_000
@@ -132,8 +130,7 @@ class CudaEngine:
     def read(self) -> State:
         """A copy of the state."""
         first = self._current * self._lane_count
-        blocks = self._blocks(self.model.node_count)
-        gather = self._kernels.gather_nodes[blocks, PLAIN_THREADS]
+        gather = self._kernels.gather_nodes[plain_launch(self.model.node_count)]
         gather(self._displacement, first, self._node_lane, self._shown.displacement)
         gather(self._velocity, 0, self._node_lane, self._shown.velocity)
         self._cuda.synchronize()
@@ -142,7 +139,7 @@ class CudaEngine:
     def displacement_on_device(self) -> Any:
         """Displacement of every node [cells] on the device, shape (node_count, 3), until it is asked for again."""
         first = self._current * self._lane_count
-        gather = self._kernels.gather_nodes[self._blocks(self.model.node_count), PLAIN_THREADS]
+        gather = self._kernels.gather_nodes[plain_launch(self.model.node_count)]
         gather(self._displacement, first, self._node_lane, self._by_node)
         return self._by_node
 
@@ -158,7 +155,7 @@ class CudaEngine:
         given.nodes[: len(nodes)] = nodes
         given.displacement[: len(nodes)] = displacement
         given.velocity[: len(nodes)] = velocity
-        self._kernels.scatter_nodes[self._blocks(len(nodes)), PLAIN_THREADS](
+        self._kernels.scatter_nodes[plain_launch(len(nodes))](
             len(nodes),
             given.nodes,
             given.displacement,
@@ -172,7 +169,7 @@ class CudaEngine:
 
     def set_inverse_mass(self, inverse_mass: Float32) -> None:
         """Inverse masses; nodes at zero keep their velocity."""
-        self._kernels.write_inverse_mass[self._blocks(len(inverse_mass)), PLAIN_THREADS](
+        self._kernels.write_inverse_mass[plain_launch(len(inverse_mass))](
             self._cuda.to_device(np.ascontiguousarray(inverse_mass, np.float32)), self._node_lane, self._velocity
         )
 
@@ -218,7 +215,7 @@ class CudaEngine:
         nodes = np.arange(self.model.node_count) if nodes is None else nodes
         if not len(nodes):
             return np.zeros((0, 3), np.float32)
-        self._kernels.node_forces[self._blocks(len(nodes)), PLAIN_THREADS](
+        self._kernels.node_forces[plain_launch(len(nodes))](
             self._displacement,
             self._spring_weight,
             self._window_rows,
@@ -334,10 +331,6 @@ class CudaEngine:
         rest = np.zeros((self.model.node_count, 4), np.float32)
         rest[:, :3] = self.model.node_index
         return self._cuda.to_device(rest.ravel())
-
-    @staticmethod
-    def _blocks(count: int) -> int:
-        return -(-count // PLAIN_THREADS)
 
 
 def _fitting(blocks_at_once: Callable[[int], int], thread_count: int) -> tuple[int, int]:

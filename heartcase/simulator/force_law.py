@@ -29,7 +29,8 @@ RATIO_MIN = 0.25
 RATIO_MAX = 0.49
 """Poisson's ratio up to which a step is not too short to be of use."""
 _YOUNGS_MODULUS = 2.5
-_STRETCHED_OVER_REST = {"springs": 1.2, "element": 1.6}
+_SPRINGS_STRETCHED, _CELLS_STRETCHED = 1.2, 1.6
+"""What a default step is made for over the bound at rest: springs alone, and where cells resist by themselves."""
 
 
 @dataclass(frozen=True)
@@ -96,6 +97,16 @@ class ForceLaw:
         return not self.is_element and self.poissons_ratio > RATIO_MIN
 
     @property
+    def acts_in_cells(self) -> bool:
+        """Whether cells resist by themselves at any deformation: as elements, or by their volume."""
+        return self.is_element or self.has_volume_term
+
+    @property
+    def has_corner_guard(self) -> bool:
+        """Whether corners push back: elements do so without."""
+        return self.guards_corners and not self.is_element
+
+    @property
     def constants(self) -> tuple[float, ...]:
         """What the kernels read: the volume term's modulus, or mu, lambda + mu / 3, E / (1 - ratio^2), ratio and E."""
         if not self.is_element:
@@ -116,5 +127,4 @@ class ForceLaw:
         where corners push back it is no bound, but what the default step's safety makes one for all but extremes
         (``tests/verification/test_force_laws.py`` tries random deformations of a lone cell).
         """
-        is_plain = not self.is_element and not self.has_volume_term
-        return _STRETCHED_OVER_REST["springs" if is_plain else "element"] * self.rest_bound
+        return (_CELLS_STRETCHED if self.acts_in_cells else _SPRINGS_STRETCHED) * self.rest_bound

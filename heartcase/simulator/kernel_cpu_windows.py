@@ -22,6 +22,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 from heartcase.schemas.lattice import CORNER_OFFSETS
+from heartcase.simulator.cell_forces import LOOK_BELOW
 from heartcase.simulator.cell_math import make_cell_math
 from heartcase.simulator.model import DIRECTIONS
 from heartcase.simulator.vector_ir import Lanes, Vector, Window, array_data, array_lane_count, dot
@@ -44,8 +45,6 @@ CELL_NUMBERS = 10
 """Numbers of a cell: stiffness, means of x, y, z, yz, xz, xy and variances along x, y, z of its tissue."""
 CORNER_FORCES = 24
 """Numbers that a cell's forces are: x, y, z of corner 0, of corner 1, and so on."""
-LOOK_BELOW = 0.6
-"""Volume of a corner below which its cell is looked after until the next look [cells]."""
 _TINY = 1e-30
 """Keeps the division defined where two nodes lie on one spot."""
 _CORNERS = [(int(i), int(j), int(k)) for i, j, k in CORNER_OFFSETS]

@@ -25,9 +25,9 @@ def elastic_energy_of(model: LatticeModel, displacement: Float) -> float:
     explicit = 0.5 * np.sum(model.explicit.stiffness * stretch**2)
     lattice = _spring_energy(model.spring_nodes, model.spring_direction, model.acting_weight, moved)
     cells = None
-    if not (model.law.is_element or model.law.has_volume_term):
+    if not model.law.acts_in_cells:
         cells = np.zeros(model.cell_count, dtype=np.bool_)
-        if model.law.guards_corners:
+        if model.law.has_corner_guard:
             _mark_flat(model.cell_corners, moved, CORNER_FLOOR, cells)
     return float(lattice + explicit + cell_energies(model, moved, cells).sum())
 

@@ -8,8 +8,8 @@ resists a movement of its ends by more than its weight, whatever its length and 
 that resist all movements so, omega^2 = 24 k/m, which no deformation of any lattice exceeds.
 
 With other force laws a lone cell has (12 lambda + 8 mu) h/m at rest, 20 k/m where lambda = mu = k/h. An element whose
-tissue fills one end of its cell has more, up to four times; assembled they hardly exceed it. There the lattice's own
-highest frequency counts (:class:`heartcase.simulator.force_law.ForceLaw` on deformed cells).
+tissue fills one end of its cell has more. There the lattice's own highest frequency counts, if it is higher
+(:class:`heartcase.simulator.force_law.ForceLaw` on deformed cells).
 
 A lattice's own limit follows from its own highest frequency (:mod:`heartcase.simulator.spectrum`): 12 k/m in the bulk.
 """

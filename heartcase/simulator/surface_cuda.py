@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 from numba import cuda
 
+from heartcase.simulator.cells_cuda import plain_launch
 from heartcase.simulator.engine import Engine
-from heartcase.simulator.engine_cuda import PLAIN_THREADS, CudaEngine
+from heartcase.simulator.engine_cuda import CudaEngine
 from heartcase.simulator.model import LatticeModel
 from heartcase.simulator.surface import DeformedSurface, SurfaceModel
 from heartcase.simulator.surface_kernel_cuda import deform_vertices, node_normals, turn_tangents
@@ -58,9 +59,9 @@ class SurfaceOnDevice:
         """The surface over the engine's nodes now."""
         displacement = engine.displacement_on_device()
         if self.normal_count:
-            node_normals[_blocks(self.normal_count), PLAIN_THREADS](*self._springs, displacement, self._node_normals)
+            node_normals[plain_launch(self.normal_count)](*self._springs, displacement, self._node_normals)
         if self.vertex_count:
-            deform_vertices[_blocks(self.vertex_count), PLAIN_THREADS](
+            deform_vertices[plain_launch(self.vertex_count)](
                 *self._constants,
                 self._node_normals,
                 displacement,
@@ -71,7 +72,7 @@ class SurfaceOnDevice:
                 self._normals,
             )
         if self.render_vertex_count:
-            turn_tangents[_blocks(self.render_vertex_count), PLAIN_THREADS](self._bases, *self._tangents, self._turned)
+            turn_tangents[plain_launch(self.render_vertex_count)](self._bases, *self._tangents, self._turned)
         cuda.synchronize()
         return DeformedSurface(
             vertices_mm=np.array(self._vertices),
@@ -90,7 +91,3 @@ def deform_on_device(model: LatticeModel, surface: SurfaceModel, engine: Engine)
 
 def _on_device(*arrays: Any) -> tuple[Any, ...]:
     return tuple(cuda.to_device(np.ascontiguousarray(array)) for array in arrays)
-
-
-def _blocks(count: int) -> int:
-    return -(-count // PLAIN_THREADS)

@@ -70,11 +70,9 @@ class Lanes:
         return Lanes(self.builder, operation(self.value, right.value, flags=("contract",)))
 
     def __add__(self, other: Lanes | float) -> Lanes:
-        return (
-            self
-            if isinstance(other, int | float | np.floating) and other == 0
-            else self._with(self.builder.fadd, other)
-        )
+        if isinstance(other, int | float | np.floating) and other == 0:
+            return self
+        return self._with(self.builder.fadd, other)
 
     __radd__ = __add__
 

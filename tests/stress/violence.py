@@ -103,7 +103,7 @@ def _grab(simulation: Simulation, rng: np.random.Generator) -> None:
     for _ in range(rng.integers(1, 4)):
         turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
         turn *= np.sign(np.linalg.det(turn))
-        way = rng.uniform(-1.5, 1.5, 3) * size * rng.random()
+        way = rng.uniform(-2.0, 2.0, 3) * size * rng.random()  # pulled to three times the size
         simulation.lead(hand, way, turn if rng.random() < 0.3 else None)
         simulation.step(int(rng.integers(10, 200)))
     if rng.random() < 0.7:
