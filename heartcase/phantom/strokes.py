@@ -267,7 +267,8 @@ def _simplified(points: Float64, tolerance_mm: float) -> Float64:
     gap = points - points[0]
     square = float(chord @ chord)
     fraction = np.clip(gap @ chord / square, 0.0, 1.0) if square > 0.0 else np.zeros(len(points))
-    distance = np.linalg.norm(gap - fraction[:, None] * chord, axis=1)
+    # Rounded, so that the choice between two points equally far does not hang on the last bits.
+    distance = np.linalg.norm(gap - fraction[:, None] * chord, axis=1).round(6)
     farthest = int(np.argmax(distance))
     if distance[farthest] <= tolerance_mm:
         return points[[0, -1]]
