@@ -6,7 +6,7 @@ F = I + G, or for elements the mean of the deformation gradient over the tissue,
     d = (J - 1) / D,  D = 1/2 + I_C / 6        is the change of volume; D keeps its stiffness bounded at any stretch
 
     volume term        W = (lambda - mu) / 2 d^2
-    element            W = mu / 2 (I_C - 3) - mu d + (lambda + mu / 3) / 2 d^2 + H / D
+    element            W = mu / 2 (I_C - 3) - mu d + (lambda + mu / 3) / 2 d^2 + H / (D + Q / 6) + W_q
 
 is the energy per covered volume: at small strain Hooke's, at any other a rubber's (neo-Hookean in the limit of constant
 volume; as in Smith, de Goes and Kim, ACM Trans. Graph. 37, 2018, it has no pole where a cell is flat and pushes cells
@@ -14,6 +14,10 @@ that are inside out back). H is the energy of the strain's linear part, with a_i
 E' = E / (1 - nu^2) and the variance s_x of x over the tissue where y and z are known (1/12 in a full cell)::
 
     H = 1/2 sum over x, y, z of  s_y [E' (a_3x^2 + a_1z^2 + 2 nu a_3x a_1z) + mu (a_1x + a_3z)^2]  and so on
+
+Q = (|q_1|^2 + |q_2|^2 + |q_3|^2) / 2 + 3/16 |q_4|^2 is what the linear part adds to the edges' mean squares: with it the
+stiffness stays bounded however a cell is warped. As H does not resist where F is nearly nothing, the warp guard does,
+from a curvature on that no grid of such cells resolves: W_q = k_q / 2 max(Q - Q_0, 0)^2 / (1 + Q).
 
 The corner guard adds k_c/16 e^2 for each of a cell's eight corners, with J the volume of its three edges a, b, c and
 n = b x c + c x a + a x b::
@@ -29,7 +33,18 @@ import numpy.typing as npt
 from heartcase.schemas.lattice import CORNER_OFFSETS
 from heartcase.simulator.model import LatticeModel
 
-__all__ = ["CORNER_FLOOR", "CORNER_STIFFNESS", "MODES", "cell_energies", "cell_forces", "mean_slopes", "tissue_spread"]
+__all__ = [
+    "CORNER_FLOOR",
+    "CORNER_STIFFNESS",
+    "EDGE_SQUARES",
+    "MODES",
+    "WARP_FREE",
+    "WARP_STIFFNESS",
+    "cell_energies",
+    "cell_forces",
+    "mean_slopes",
+    "tissue_spread",
+]
 
 Float64 = npt.NDArray[np.float64]
 
@@ -39,8 +54,15 @@ LOOK_BELOW = 0.6
 """Volume of a corner below which kernels look after its cell until their next look [cells]."""
 CORNER_STIFFNESS = 3.0
 """k_c [k/h]: the least that drives a cell of springs that is inside out back through being flat."""
+WARP_FREE = 0.5
+"""Q_0: what cells may warp freely; along one axis this bends them to a radius of one edge."""
+WARP_STIFFNESS = 1.0
+"""k_q [k/h]."""
 SPREAD_MIN = 0.1**2 / 12.0
 """Least variance of the tissue along an axis that is reckoned with: that of a wall a tenth of a cell thick."""
+
+EDGE_SQUARES: Float64 = np.array([0.5, 0.5, 0.5, 0.1875])
+"""What the squares of q_1 to q_4 add to the edges' mean squares."""
 
 _SIGNS = 2.0 * CORNER_OFFSETS - 1.0
 _X, _Y, _Z = _SIGNS.T
@@ -145,12 +167,18 @@ def _element(model: LatticeModel, u: Float64, moments: Float64) -> tuple[Float64
     a = np.einsum("nki,nak->nai", F, q[:, 3:])
     e = _linear_stress(a, spread, law.plate_modulus, law.poissons_ratio, mu, law.youngs_modulus)
     H = 0.5 * (a * e).sum(axis=(1, 2))
-    energy = 0.5 * mu * (I_C - 3.0) - mu * d + 0.5 * modulus * d**2 + H / D
+    Q = np.einsum("a,nai->n", EDGE_SQUARES, q[:, 3:] ** 2)
+    D_H = D + Q / 6.0
+    warp = np.maximum(Q - WARP_FREE, 0.0) / (1.0 + Q)
+    energy = 0.5 * mu * (I_C - 3.0) - mu * d + 0.5 * modulus * d**2 + H / D_H
+    energy += 0.5 * WARP_STIFFNESS * warp**2 * (1.0 + Q)
     P = mu * F + (modulus * d - mu)[:, None, None] * _d_slope(F, cofactors, D, d)
-    P += np.einsum("nak,nai->nki", q[:, 3:], e) / D[:, None, None] - (H / D**2 / 3.0)[:, None, None] * F
+    P += np.einsum("nak,nai->nki", q[:, 3:], e) / D_H[:, None, None] - (H / D_H**2 / 3.0)[:, None, None] * F
     by_mode = np.empty_like(q)
     by_mode[:, :3] = np.swapaxes(P, 1, 2)
-    by_mode[:, 3:] = np.einsum("nki,nai->nak", F, e) / D[:, None, None] + np.einsum("nki,nai->nak", P, slopes)
+    by_mode[:, 3:] = np.einsum("nki,nai->nak", F, e) / D_H[:, None, None] + np.einsum("nki,nai->nak", P, slopes)
+    by_square = 2.0 * WARP_STIFFNESS * warp * (1.0 - 0.5 * warp) - H / D_H**2 / 3.0
+    by_mode[:, 3:] += by_square[:, None, None] * EDGE_SQUARES[:, None] * q[:, 3:]
     return energy, -np.einsum("mc,nmi->nci", MODES, by_mode)
 
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from heartcase.simulator.cell_forces import CORNER_FLOOR, CORNER_STIFFNESS
+from heartcase.simulator.cell_forces import CORNER_FLOOR, CORNER_STIFFNESS, EDGE_SQUARES, WARP_FREE, WARP_STIFFNESS
 
 __all__ = ["make_cell_math"]
 
@@ -48,6 +48,8 @@ def make_cell_math(compiled: Callable[[Any], Any], positive_part: Callable[[Any]
     """
     one, two, half, quarter = np.float32(1.0), np.float32(2.0), np.float32(0.5), np.float32(0.25)
     zero, third, sixth = np.float32(0.0), np.float32(1.0 / 3.0), np.float32(1.0 / 6.0)
+    square, far_square = np.float32(EDGE_SQUARES[0]), np.float32(EDGE_SQUARES[3])
+    warp_free, warp_stiffness = np.float32(WARP_FREE), np.float32(2.0 * WARP_STIFFNESS)
     floor, stiffness = np.float32(CORNER_FLOOR), np.float32(CORNER_STIFFNESS / 8.0)
 
     @compiled
@@ -105,6 +107,10 @@ def make_cell_math(compiled: Callable[[Any], Any], positive_part: Callable[[Any]
             start[1] + v1[1] * w1 + v2[1] * w2 + v3[1] * w3,
             start[2] + v1[2] * w1 + v2[2] * w2 + v3[2] * w3,
         )
+
+    @compiled
+    def added(start, v, w):  # type: ignore[no-untyped-def]
+        return start[0] + v[0] * w, start[1] + v[1] * w, start[2] + v[2] * w
 
     @compiled
     def cofactor_columns(h):  # type: ignore[no-untyped-def]
@@ -175,18 +181,27 @@ def make_cell_math(compiled: Callable[[Any], Any], positive_part: Callable[[Any]
         )
         cofactors = cofactor_columns(h)
         trace, beyond, inverse, d = change_of_volume(h, cofactors)
+        squared = (dot(q1, q1) + dot(q2, q2) + dot(q3, q3)) * square + dot(q4, q4) * far_square
+        warp = positive_part(squared - warp_free) / (squared + one)
+        inverse_bent = one / (beyond + one + squared * sixth)
+        # Everything is worked out times D, so what H gives is weighted by D over its own divisor.
+        weight = (beyond + one) * inverse_bent
+        plate_w, shear_w, youngs_w = plate * weight, mu * weight, youngs * weight
 
         a1, a2, a3, a4 = pulled_back(h, q1), pulled_back(h, q2), pulled_back(h, q3), pulled_back(h, q4)
-        px, py, pz = plate * sx, plate * sy, plate * sz
-        twist_x, twist_y, twist_z = mu * sx * (a2[1] + a3[2]), mu * sy * (a1[0] + a3[2]), mu * sz * (a1[0] + a2[1])
+        px, py, pz = plate_w * sx, plate_w * sy, plate_w * sz
+        twist_x, twist_y = shear_w * sx * (a2[1] + a3[2]), shear_w * sy * (a1[0] + a3[2])
+        twist_z = shear_w * sz * (a1[0] + a2[1])
         e1 = (twist_y + twist_z, pz * (a1[1] + ratio * a2[0]), py * (a1[2] + ratio * a3[0]))
         e2 = (pz * (a2[0] + ratio * a1[1]), twist_x + twist_z, px * (a2[2] + ratio * a3[1]))
         e3 = (py * (a3[0] + ratio * a1[2]), px * (a3[1] + ratio * a2[2]), twist_x + twist_y)
-        e4 = (youngs * sy * sz * a4[0], youngs * sx * sz * a4[1], youngs * sx * sy * a4[2])
+        e4 = (youngs_w * sy * sz * a4[0], youngs_w * sx * sz * a4[1], youngs_w * sx * sy * a4[2])
         linear = (dot(a1, e1) + dot(a2, e2) + dot(a3, e3) + dot(a4, e4)) * half
 
         b = modulus * d
-        a = mu * (beyond + d * third) - b * d * third - linear * inverse * third
+        falling = linear * inverse_bent * third
+        a = mu * (beyond + d * third) - b * d * third - falling
+        by_square = warp_stiffness * warp * (one - warp * half) * (beyond + one) - falling
         x, y, z = stress(h, cofactors, a + b + (b - mu) * trace, a + mu, mu - b)
         x = added_up(x, q1, e1[0], q2, e2[0], q3, e3[0])
         x = (x[0] + q4[0] * e4[0], x[1] + q4[1] * e4[0], x[2] + q4[2] * e4[0])
@@ -201,6 +216,9 @@ def make_cell_math(compiled: Callable[[Any], Any], positive_part: Callable[[Any]
         f2 = (f2[0] + m2 * x[0] + m0 * z[0], f2[1] + m2 * x[1] + m0 * z[1], f2[2] + m2 * x[2] + m0 * z[2])
         f3 = (f3[0] + m1 * x[0] + m0 * y[0], f3[1] + m1 * x[1] + m0 * y[1], f3[2] + m1 * x[2] + m0 * y[2])
         f4 = added_up(f4, x, myz, y, mxz, z, mxy)
+        bent, far_bent = by_square * square, by_square * far_square
+        f1, f2 = added(f1, q1, bent), added(f2, q2, bent)
+        f3, f4 = added(f3, q3, bent), added(f4, q4, far_bent)
         s = -(scale * inverse)
         fx = at_corners(s * x[0], s * y[0], s * z[0], s * f1[0], s * f2[0], s * f3[0], s * f4[0])
         fy = at_corners(s * x[1], s * y[1], s * z[1], s * f1[1], s * f2[1], s * f3[1], s * f4[1])

@@ -31,6 +31,8 @@ class Outcome:
     """Cells inside out at the end, of those that no cut has touched or bordered."""
     settled_s: float
     """Time until there were none, or until the end, s."""
+    hurried_left: int
+    """Free nodes that still move at the speed limit at the end."""
     way_most: float
     """Largest displacement at the end [cells]."""
 
@@ -83,7 +85,8 @@ def run(seed: int, law: ForceLaw, backend: str, settle_steps: int = 3000) -> Out
         if not left:
             break
     way = float(np.abs(simulation.state.displacement).max())
-    return Outcome(tuple(deeds), inverted_most, left, simulation.time_s - start_s, way)
+    hurried = simulation.watch().hurried_node_count
+    return Outcome(tuple(deeds), inverted_most, left, simulation.time_s - start_s, hurried, way)
 
 
 def _untouched(model: LatticeModel) -> np.ndarray:
