@@ -15,8 +15,8 @@ E' = E / (1 - nu^2) and the variance s_x of x over the tissue where y and z are 
 
     H = 1/2 sum over x, y, z of  s_y [E' (a_3x^2 + a_1z^2 + 2 nu a_3x a_1z) + mu (a_1x + a_3z)^2]  and so on
 
-Q = (|q_1|^2 + |q_2|^2 + |q_3|^2) / 2 + 3/16 |q_4|^2 is what the linear part adds to the edges' mean squares: with it the
-stiffness stays bounded however a cell is warped. As H does not resist where F is nearly nothing, the warp guard does,
+Q = (|q_1|^2 + |q_2|^2 + |q_3|^2) / 2 + 3/16 |q_4|^2 is what the linear part adds to the edges' mean squares: with it
+the stiffness stays bounded however a cell is warped. As H does not resist where F is nearly nothing, a warp guard does,
 from a curvature on that no grid of such cells resolves: W_q = k_q / 2 max(Q - Q_0, 0)^2 / (1 + Q).
 
 The corner guard adds k_c/16 e^2 for each of a cell's eight corners, with J the volume of its three edges a, b, c and

@@ -12,6 +12,7 @@ from heartcase.simulator.contact import NO_PROBES
 from heartcase.simulator.explicit import SpringsByNode
 from heartcase.simulator.integrate import Verlet
 from heartcase.simulator.kernel_cpu import ELEMENTS, NO_CELLS, VOLUME_TERM, advance, advance_alone, lane_forces
+from heartcase.simulator.kernel_cpu_sleep import ROUNDING, sleep_arrays
 from heartcase.simulator.kernel_cpu_windows import CORNER_FORCES
 from heartcase.simulator.lanes import cell_layout, lane_layout
 from heartcase.simulator.model import DIRECTIONS, LatticeModel
@@ -41,6 +42,7 @@ class CpuEngine:
         self.cell_force = _aligned((CORNER_FORCES, lane_count if may_act else 0))
         self.is_flat = np.zeros(len(self.cells.window_rows), np.int8)
         self.is_touched = np.zeros(self.layout.window_count, np.int8)
+        self._sleep = sleep_arrays(model, self.layout, len(self.cells.window_rows))
         self.set_springs(model)
         self.displacement = _aligned((2, 3, lane_count))
         self.velocity = _aligned((3, lane_count))
@@ -50,6 +52,11 @@ class CpuEngine:
         self.pace = Pace()
         self.current = 0
         self.step_count = 0
+
+    @property
+    def awake_part(self) -> float:
+        """Part of the windows of nodes that the last step worked out."""
+        return float(self._sleep[8][0]) / self.layout.window_count
 
     def load(self, state: State) -> None:
         """Start from this state."""
@@ -109,6 +116,8 @@ class CpuEngine:
             self._rest if len(probes) else _NO_REST,
             probes,
             first_step,
+            self._sleep,
+            np.array([*verlet.still, ROUNDING * verlet.kick], np.float32),
         )
         self.step_count += step_count
 
@@ -141,7 +150,8 @@ class CpuEngine:
         """Spring forces now, on some nodes or all; only the windows that hold them are worked out."""
         rows = self.layout.window_rows if nodes is None else self.layout.windows_of(nodes)
         lanes = self.layout.node_lane if nodes is None else self.layout.node_lane[nodes]
-        lane_forces(self.displacement[self.current], self.weight, self.force, rows, self._cell_arrays, self._kinds)
+        now = self.displacement[self.current]
+        lane_forces(now, self.weight, self.force, rows, self._cell_arrays, self._kinds, self._sleep)
         force = np.ascontiguousarray(self.force[:, lanes].T)
         if self.model.explicit.count:
             explicit = self.model.explicit.forces(self.model.node_index, self.read().displacement)

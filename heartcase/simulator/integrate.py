@@ -43,6 +43,10 @@ class Verlet:
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Acceleration on every free node, grid axes [cells / unit of time squared]."""
 
+    still: tuple[float, float] = (0.0, 0.0)
+    """Speed below which a node is still, and change of its velocity in a step [cells / unit of time]. The CPU's engine
+    leaves out tissue around which all is still; at zero none."""
+
     @property
     def keep(self) -> float:
         """Fraction of the velocity that a step keeps."""

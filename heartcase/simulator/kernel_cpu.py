@@ -5,7 +5,8 @@ those of their springs and move. A window reads only what was written before the
 own lanes, so that the result does not depend on the number of threads.
 
 Corners that are about to turn inside out are looked for in the first step and every LOOK_STEPS from there; in between,
-only the windows that had such corners are looked after.
+only the windows that had such corners are looked after. Where tissue may sleep (:mod:`heartcase.simulator.
+kernel_cpu_sleep`), only windows that are awake are worked out.
 """
 
 from __future__ import annotations
@@ -15,6 +16,16 @@ import numpy.typing as npt
 from numba import njit, prange
 
 from heartcase.simulator.contact import make_contact
+from heartcase.simulator.kernel_cpu_sleep import (
+    CHECK_STEPS,
+    ROUSE_STEPS,
+    SleepArrays,
+    check,
+    feel_probes,
+    remember,
+    rouse,
+    settle,
+)
 from heartcase.simulator.kernel_cpu_windows import (
     CORNER_FORCES,
     element_of_window,
@@ -54,11 +65,12 @@ def _part(share: int, count: int) -> tuple[int, int]:
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
-def _look_at_share(share: int, now: Float32, cells: CellArrays) -> None:
+def _look_at_share(share: int, now: Float32, cells: CellArrays, sleep: SleepArrays) -> None:
     """Mark the windows of cells that have a corner to be looked after."""
     rows, numbers, _, _, is_flat, _, _ = cells
-    first, end = _part(share, len(rows))
-    for window in range(first, end):
+    awake, counts = sleep[7], sleep[8]
+    first, end = _part(share, counts[1])
+    for window in awake[first:end]:
         # Two: it was flat before and is not any more.
         if is_flat_window(now, numbers, rows, window):
             is_flat[window] = 1
@@ -89,12 +101,13 @@ def _has_flat(cells: CellArrays) -> bool:
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
-def _work_cells_of_share(share: int, kind: int, now: Float32, cells: CellArrays) -> None:
+def _work_cells_of_share(share: int, kind: int, now: Float32, cells: CellArrays, sleep: SleepArrays) -> None:
     """Write the forces of a share of the windows of cells."""
     rows, numbers, force, law, is_flat, _, _ = cells
-    first, end = _part(share, len(rows))
+    awake, counts = sleep[7], sleep[8]
+    first, end = _part(share, counts[1])
     keep = np.float32(kind != NO_CELLS)
-    for window in range(first, end):
+    for window in awake[first:end]:
         if kind == ELEMENTS:
             element_of_window(now, numbers, force, law, rows, window, keep)
         elif kind == VOLUME_TERM:
@@ -113,10 +126,12 @@ def _step_share(
     inverse_mass: Float32,
     rows: Int64,
     constants: Constants,
+    sleep: SleepArrays,
 ) -> None:
     """Move a share of the windows of nodes, by springs alone."""
-    first, end = _part(share, len(rows))
-    for window in range(first, end):
+    awake, counts = sleep[6], sleep[8]
+    first, end = _part(share, counts[0])
+    for window in awake[first:end]:
         step_of_window(now, later, velocity, weight, inverse_mass, rows, window, constants)
 
 
@@ -132,12 +147,14 @@ def _step_share_with_cells(
     constants: Constants,
     cells: CellArrays,
     kinds: Kinds,
+    sleep: SleepArrays,
 ) -> None:
     """Move a share of the windows of nodes, by cells and springs."""
     force, is_touched = cells[2], cells[5]
     kind, has_springs, _ = kinds
-    first, end = _part(share, len(rows))
-    for window in range(first, end):
+    awake, counts = sleep[6], sleep[8]
+    first, end = _part(share, counts[0])
+    for window in awake[first:end]:
         if not has_springs:
             step_of_window_with_cells_alone(now, later, velocity, weight, force, inverse_mass, rows, window, constants)
         elif kind != NO_CELLS or is_touched[window]:
@@ -154,17 +171,19 @@ def lane_forces(
     rows: Int64,
     cells: CellArrays,
     kinds: Kinds,
+    sleep: SleepArrays,
 ) -> None:
     """Write the forces [grid units], shape (3, lane_count), of displacements [cells], shape (3, lane_count)."""
     kind, _, has_guard = kinds
+    rouse(sleep, True)
     if has_guard:
         for share in range(SHARES):
-            _look_at_share(share, displacement, cells)
+            _look_at_share(share, displacement, cells, sleep)
         if kind == NO_CELLS:
             _mark_touched(cells)
     if kind != NO_CELLS or has_guard:
         for share in range(SHARES):
-            _work_cells_of_share(share, kind, displacement, cells)
+            _work_cells_of_share(share, kind, displacement, cells, sleep)
         for window in range(rows.shape[0]):
             force_of_window_with_cells(displacement, weight, cells[2], force, rows, window)
     else:
@@ -251,6 +270,34 @@ def _keep_window_outside(
                 velocity[axis, lane] = share * way / step
 
 
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def _remember_share(share: int, velocity: Float32, rows: Int64, sleep: SleepArrays) -> None:
+    """Keep the velocities of a share of the windows of nodes for a check after the step."""
+    first, end = _part(share, sleep[8][0])
+    remember(first, end, rows, velocity, sleep)
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def _check_share(
+    share: int,
+    displacement: Float32,
+    velocity: Float32,
+    inverse_mass: Float32,
+    rows: Int64,
+    rest: Float32,
+    probes: Float32,
+    step_number: int,
+    sleep: SleepArrays,
+    still: Float32,
+) -> None:
+    """Look for what moves, or soon will, in a share of the windows of nodes."""
+    first, end = _part(share, sleep[8][0])
+    check(first, end, rows, displacement, velocity, inverse_mass, still, sleep)
+    if len(probes):
+        first, end = _part(share, len(rows))
+        feel_probes(first, end, rows, displacement, rest, probes, step_number, sleep)
+
+
 @njit(cache=True, nogil=True, parallel=True)  # type: ignore[untyped-decorator]
 def advance(
     displacement: Float32,
@@ -268,6 +315,8 @@ def advance(
     rest: Float32,
     probes: Float32,
     first_step: int,
+    sleep: SleepArrays,
+    still: Float32,
 ) -> int:
     """Take steps in place.
 
@@ -306,7 +355,12 @@ def advance(
     probes
         Probes as of :func:`heartcase.simulator.contact.probe_row`, shape (probe_count, PROBE_SIZE).
     first_step
-        Steps that were taken before in this row: probes have moved so far, and looks are counted from there.
+        Steps that were taken before in this row: probes have moved so far, and looks and checks are counted from there.
+    sleep
+        As of :func:`heartcase.simulator.kernel_cpu_sleep.sleep_arrays`.
+    still
+        Speed below which a node is still, change of it in a step [cells / unit of time], and what rounding may add to
+        that per cell of displacement, shape (3,); zeros where no tissue sleeps.
 
     Returns
     -------
@@ -318,10 +372,17 @@ def advance(
     for step_number in range(step_count):
         now = displacement[current]
         later = displacement[1 - current]
-        if has_guard and (first_step + step_number) % LOOK_STEPS == 0:
+        row_step = first_step + step_number
+        if row_step % ROUSE_STEPS == 0:
+            rouse(sleep, row_step == 0)
+        is_checked = still[0] > 0 and row_step % CHECK_STEPS == 0
+        if is_checked:
+            for share in prange(SHARES):
+                _remember_share(share, velocity, rows, sleep)
+        if has_guard and row_step % LOOK_STEPS == 0:
             for share in prange(SHARES):
                 before = flush_subnormals()
-                _look_at_share(share, now, cells)
+                _look_at_share(share, now, cells, sleep)
                 restore_subnormals(before)
             if kind == NO_CELLS:
                 _mark_touched(cells)
@@ -329,7 +390,7 @@ def advance(
         if works_cells:
             for share in prange(SHARES):
                 before = flush_subnormals()
-                _work_cells_of_share(share, kind, now, cells)
+                _work_cells_of_share(share, kind, now, cells, sleep)
                 restore_subnormals(before)
         if len(explicit[0]):
             before = flush_subnormals()
@@ -338,23 +399,29 @@ def advance(
         if works_cells:
             for share in prange(SHARES):
                 before = flush_subnormals()
-                _step_share_with_cells(share, now, later, velocity, weight, inverse_mass, rows, constants, cells, kinds)
+                _step_share_with_cells(
+                    share, now, later, velocity, weight, inverse_mass, rows, constants, cells, kinds, sleep
+                )
                 restore_subnormals(before)
         else:
             for share in prange(SHARES):
                 before = flush_subnormals()
-                _step_share(share, now, later, velocity, weight, inverse_mass, rows, constants)
+                _step_share(share, now, later, velocity, weight, inverse_mass, rows, constants, sleep)
                 restore_subnormals(before)
         if len(probes):
-            step, number = constants[0], first_step + step_number
+            step, number = constants[0], row_step
             for share in prange(SHARES):
                 before = flush_subnormals()
-                first, end = _part(share, len(rows))
-                for window in range(first, end):
+                first, end = _part(share, sleep[8][0])
+                for window in sleep[6][first:end]:
                     row = rows[window]
                     _keep_window_outside(now, later, velocity, presence, inverse_mass, rest, row, probes, number, step)
                 restore_subnormals(before)
         current = 1 - current
+        if is_checked:
+            for share in prange(SHARES):
+                _check_share(share, later, velocity, inverse_mass, rows, rest, probes, row_step + 1, sleep, still)
+            settle(displacement, velocity, rows, cells[6], current, sleep)
     return current
 
 
@@ -375,6 +442,8 @@ def advance_alone(
     rest: Float32,
     probes: Float32,
     first_step: int,
+    sleep: SleepArrays,
+    still: Float32,
 ) -> int:
     """:func:`advance` on one thread, to the same bits: quicker where a step is over before threads have met."""
     before = flush_subnormals()
@@ -383,29 +452,42 @@ def advance_alone(
     for step_number in range(step_count):
         now = displacement[current]
         later = displacement[1 - current]
-        if has_guard and (first_step + step_number) % LOOK_STEPS == 0:
+        row_step = first_step + step_number
+        if row_step % ROUSE_STEPS == 0:
+            rouse(sleep, row_step == 0)
+        is_checked = still[0] > 0 and row_step % CHECK_STEPS == 0
+        if is_checked:
             for share in range(SHARES):
-                _look_at_share(share, now, cells)
+                _remember_share(share, velocity, rows, sleep)
+        if has_guard and row_step % LOOK_STEPS == 0:
+            for share in range(SHARES):
+                _look_at_share(share, now, cells, sleep)
             if kind == NO_CELLS:
                 _mark_touched(cells)
                 works_cells = _has_flat(cells)
         if works_cells:
             for share in range(SHARES):
-                _work_cells_of_share(share, kind, now, cells)
+                _work_cells_of_share(share, kind, now, cells, sleep)
         if len(explicit[0]):
             _pull_explicitly(now, velocity, inverse_mass, explicit, constants)
         for share in range(SHARES):
             if works_cells:
-                _step_share_with_cells(share, now, later, velocity, weight, inverse_mass, rows, constants, cells, kinds)
+                _step_share_with_cells(
+                    share, now, later, velocity, weight, inverse_mass, rows, constants, cells, kinds, sleep
+                )
             else:
-                _step_share(share, now, later, velocity, weight, inverse_mass, rows, constants)
+                _step_share(share, now, later, velocity, weight, inverse_mass, rows, constants, sleep)
         if len(probes):
-            step, number = constants[0], first_step + step_number
+            step, number = constants[0], row_step
             for share in range(SHARES):
-                first, end = _part(share, len(rows))
-                for window in range(first, end):
+                first, end = _part(share, sleep[8][0])
+                for window in sleep[6][first:end]:
                     row = rows[window]
                     _keep_window_outside(now, later, velocity, presence, inverse_mass, rest, row, probes, number, step)
         current = 1 - current
+        if is_checked:
+            for share in range(SHARES):
+                _check_share(share, later, velocity, inverse_mass, rows, rest, probes, row_step + 1, sleep, still)
+            settle(displacement, velocity, rows, cells[6], current, sleep)
     restore_subnormals(before)
     return current

@@ -1,0 +1,258 @@
+"""Tissue that rests is not worked out: which windows of the CPU kernel sleep, from one check to the next.
+
+A window is still when, in a step, each of its nodes is slower than a speed and the force on it changes its velocity by
+less than a difference, or than the rounding of float32 does; the second keeps a swing at its turning point awake, and
+tissue that is about to be pulled along. It is the force that counts: a node of less than half a cell's mass may change
+its velocity by more. Blocks of
+8 x 8 x 8 cells in which one node is not still, and the blocks around them, stay awake until the next check: a wave
+takes longer through one block than that. All others sleep: they stand where they are, and what was left of their
+velocity is lost. Every ROUSE_STEPS steps, and at the start of each row of steps, all tissue is worked out and checked,
+so nothing can creep up on tissue that sleeps.
+
+Which windows sleep follows from the state at the start of a row and nothing else.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from heartcase.schemas.lattice import lattice_keys
+from heartcase.simulator.contact import REACH
+from heartcase.simulator.lanes import LANE_COUNT, LaneLayout
+from heartcase.simulator.model import LatticeModel
+
+__all__ = [
+    "CHECK_STEPS",
+    "ROUNDING",
+    "ROUSE_STEPS",
+    "SleepArrays",
+    "check",
+    "feel_probes",
+    "remember",
+    "rouse",
+    "settle",
+    "sleep_arrays",
+]
+
+Float32 = npt.NDArray[np.float32]
+Int8 = npt.NDArray[np.int8]
+Int32 = npt.NDArray[np.int32]
+Int64 = npt.NDArray[np.int64]
+SleepArrays = tuple[Int32, Int32, Int8, Int8, Int8, Int8, Int64, Int64, Int64, Float32]
+
+CHECK_STEPS = 8
+"""Steps between two checks: less than a wave takes through a block, which are at most a cell per step."""
+ROUSE_STEPS = 64
+"""Steps after which all tissue is worked out once; a multiple of CHECK_STEPS."""
+PULLED, QUICK = np.int8(1), np.int8(2)
+"""Why a block is not still."""
+_BLOCK = 8
+_MASS = np.float32(0.5)
+"""Mass up to which it is the force on a node that counts, not how it is accelerated [full cells]."""
+ROUNDING = 32.0 * float(np.finfo(np.float32).eps)
+"""Rounding of the forces on a node per displacement [k], of any sign."""
+
+
+def sleep_arrays(model: LatticeModel, layout: LaneLayout, cell_window_count: int) -> SleepArrays:
+    """What the kernel needs to let windows sleep; all are awake at first.
+
+    Returns
+    -------
+    blocks_of_window
+        Blocks in which a window begins and ends, shape (window_count, 2).
+    beside
+        The up to 27 blocks that touch a block, itself among them, then -1, shape (block_count, 27).
+    is_moving, is_quick, is_awake
+        Room for whether blocks are not still, for whether that was their speed, and for whether they are awake, shape
+        (block_count,).
+    is_asleep
+        Windows that sleep, shape (window_count,).
+    awake, awake_cells, counts
+        Windows of nodes and of cells that are awake, shapes (window_count,) and (cell_window_count,), and how many are.
+    before
+        Room for the velocities before a step, shape (3, lane_count).
+    """
+    window = layout.node_slot // LANE_COUNT
+    first = np.flatnonzero(np.diff(window, prepend=-1))
+    last = np.append(first[1:], len(window)) - 1
+    index = model.node_index[np.stack([first, last], axis=1)] // _BLOCK
+    keys = lattice_keys(index.reshape(-1, 3))
+    used, which = np.unique(keys, return_index=True)
+    blocks = index.reshape(-1, 3)[which]
+    around = np.stack(np.meshgrid(*[np.arange(-1, 2)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    near = lattice_keys((blocks[:, None] + around).reshape(-1, 3)).reshape(len(blocks), -1)
+    place = np.minimum(np.searchsorted(used, near), len(used) - 1)
+    beside = np.where(used[place] == near, place, -1)
+    window_count = layout.window_count
+    return (
+        np.searchsorted(used, keys).reshape(-1, 2).astype(np.int32),
+        np.sort(beside, axis=1)[:, ::-1].astype(np.int32),
+        np.zeros(len(blocks), np.int8),
+        np.zeros(len(blocks), np.int8),
+        np.ones(len(blocks), np.int8),
+        np.zeros(window_count, np.int8),
+        np.arange(window_count),
+        np.arange(cell_window_count),
+        np.array([window_count, cell_window_count]),
+        np.zeros((3, layout.lane_count), np.float32),
+    )
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def rouse(sleep: SleepArrays, is_first: bool) -> None:
+    """Wake all windows; before the first step of a row, also forget what the last check said."""
+    _, _, _, is_quick, is_awake, is_asleep, awake, awake_cells, counts, _ = sleep
+    if is_first:
+        is_quick[:] = 0
+    if counts[0] == len(awake) and counts[1] == len(awake_cells):
+        return
+    is_awake[:] = 1
+    is_asleep[:] = 0
+    for number in range(len(awake)):
+        awake[number] = number
+    for number in range(len(awake_cells)):
+        awake_cells[number] = number
+    counts[0], counts[1] = len(awake), len(awake_cells)
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def remember(first: int, end: int, rows: Int64, velocity: Float32, sleep: SleepArrays) -> None:
+    """Keep the velocities of some of the windows that are awake for a check after the step.
+
+    Not those of blocks that were quick at the last check.
+    """
+    blocks_of_window, is_quick, awake, before = sleep[0], sleep[3], sleep[6], sleep[9]
+    for number in range(first, end):
+        window = awake[number]
+        if is_quick[blocks_of_window[window, 0]] and is_quick[blocks_of_window[window, 1]]:
+            continue
+        lane = rows[window, 4]
+        for axis in range(3):
+            for place in range(lane, lane + LANE_COUNT):
+                before[axis, place] = velocity[axis, place]
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def check(
+    first: int,
+    end: int,
+    rows: Int64,
+    displacement: Float32,
+    velocity: Float32,
+    inverse_mass: Float32,
+    still: Float32,
+    sleep: SleepArrays,
+) -> None:
+    """Mark the blocks of some of the windows that are awake as moving, where not all nodes are still.
+
+    ``still``: speed, change of it in a step, and what rounding may add to that per cell of displacement.
+    """
+    blocks_of_window, is_moving, is_quick, awake, before = sleep[0], sleep[2], sleep[3], sleep[6], sleep[9]
+    for number in range(first, end):
+        window = awake[number]
+        low, high = blocks_of_window[window]
+        if is_moving[low] == QUICK and is_moving[high] == QUICK:
+            continue
+        lane = rows[window, 4]
+        # Counted without a way out, so that it is done in vectors. A node that is led moves as slowly as it likes.
+        count = 0
+        for axis in range(3):
+            for place in range(lane, lane + LANE_COUNT):
+                now = velocity[axis, place]
+                count += (abs(now) >= still[0]) | ((inverse_mass[0, place] == 0) & (now != 0))
+        why = QUICK if count else PULLED
+        if not count:
+            if is_moving[low] and is_moving[high]:
+                continue
+            if is_quick[low] and is_quick[high]:
+                count = 1
+            else:
+                for axis in range(3):
+                    for place in range(lane, lane + LANE_COUNT):
+                        change = still[1] + still[2] * abs(displacement[axis, place])
+                        change *= max(_MASS * inverse_mass[0, place], np.float32(1))
+                        count += abs(velocity[axis, place] - before[axis, place]) >= change
+        if count:
+            is_moving[low] = max(is_moving[low], why)
+            is_moving[high] = max(is_moving[high], why)
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def feel_probes(
+    first: int,
+    end: int,
+    rows: Int64,
+    displacement: Float32,
+    rest: Float32,
+    probes: Float32,
+    step_number: int,
+    sleep: SleepArrays,
+) -> None:
+    """Mark the blocks of some windows as moving where a probe on its way comes near until the next check."""
+    blocks_of_window, is_moving = sleep[0], sleep[2]
+    for window in range(first, end):
+        low, high = blocks_of_window[window]
+        lane = rows[window, 4]
+        for number in range(len(probes)):
+            px, py, pz = probes[number, 3], probes[number, 4], probes[number, 5]
+            way = sqrt(px * px + py * py + pz * pz)
+            if way == 0 or (is_moving[low] and is_moving[high]):
+                continue
+            reach = sqrt(probes[number, 16]) + REACH + (CHECK_STEPS + 1) * way
+            for place in range(lane, lane + LANE_COUNT):
+                square = np.float32(0)
+                for axis in range(3):
+                    centre = probes[number, axis] + step_number * probes[number, 3 + axis]
+                    gap = rest[axis, place] + displacement[axis, place] - centre
+                    square += gap * gap
+                if square <= reach * reach:
+                    is_moving[low] = max(is_moving[low], PULLED)
+                    is_moving[high] = max(is_moving[high], PULLED)
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def settle(
+    displacement: Float32, velocity: Float32, rows: Int64, touches: Int64, current: int, sleep: SleepArrays
+) -> None:
+    """After a check, put windows to sleep that are far from what moves, and wake those that are not."""
+    blocks_of_window, beside, is_moving, is_quick, is_awake, is_asleep, awake, awake_cells, counts, _ = sleep
+    has_changed = False
+    for block in range(len(is_moving)):
+        is_near = False
+        for near in beside[block]:
+            if near >= 0 and is_moving[near]:
+                is_near = True
+                break
+        has_changed = has_changed or is_near != (is_awake[block] == 1)
+        is_awake[block] = is_near
+    for block in range(len(is_moving)):
+        is_quick[block] = is_moving[block] == QUICK
+        is_moving[block] = 0
+    if not has_changed:
+        return
+    count = 0
+    for window in range(len(rows)):
+        if is_awake[blocks_of_window[window, 0]] or is_awake[blocks_of_window[window, 1]]:
+            awake[count] = window
+            count += 1
+            is_asleep[window] = 0
+        elif not is_asleep[window]:
+            lane = rows[window, 4]
+            velocity[:, lane : lane + LANE_COUNT] = 0
+            for axis in range(3):
+                for place in range(lane, lane + LANE_COUNT):
+                    displacement[1 - current, axis, place] = displacement[current, axis, place]
+            is_asleep[window] = 1
+    counts[0] = count
+    count = 0
+    for window in range(len(awake_cells)):
+        for touched in touches[window]:
+            if touched >= 0 and not is_asleep[touched]:
+                awake_cells[count] = window
+                count += 1
+                break
+    counts[1] = count
