@@ -26,6 +26,10 @@ class Engine(Protocol):
     step_count: int
     """Steps taken."""
 
+    @property
+    def threads_pay(self) -> bool:
+        """Whether the host has threads idle that would make its work quicker."""
+
     def load(self, state: State) -> None:
         """Start from this state."""
 
@@ -71,6 +75,8 @@ def make_engine(model: LatticeModel, backend: Backend) -> Engine:
 
 class ReferenceEngine:
     """Plain NumPy in float64: slow, obvious, the truth that the others are held against."""
+
+    threads_pay = False
 
     def __init__(self, model: LatticeModel) -> None:
         self.model = model

@@ -96,6 +96,11 @@ class CpuEngine:
         else:
             self.pace.run(step_count, (in_one_way(advance_alone), in_one_way(advance)))
 
+    @property
+    def threads_pay(self) -> bool:
+        """Whether more than one thread has been quicker lately: a busy machine has none to spare."""
+        return bool(self.pace.seconds_per_step) and self.pace.quickest == 1
+
     def advance_by(
         self, kernel: Callable[..., int], step_count: int, verlet: Verlet, probes: Float32, first_step: int = 0
     ) -> None:

@@ -90,6 +90,8 @@ class CudaEngine:
         There is no CUDA device, or what it needs is not installed.
     """
 
+    threads_pay = False
+
     def __init__(self, model: LatticeModel, *, resident: bool | None = None) -> None:
         self._cuda = _cuda()
         from heartcase.simulator import kernel_cuda

@@ -10,14 +10,14 @@ bundle's to the last bit.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.model import LatticeModel
-from heartcase.simulator.surface_kernel import deform_vertices, node_normals, turn_vectors
+from heartcase.simulator.surface_kernel import EVERYTHING, deform_vertices, move_at_rest, node_normals, place_nodes
 
 __all__ = [
     "Curvature",
@@ -54,6 +54,11 @@ class NodeNormals:
     offset: Float32
     """Vector from each neighbour to the node at rest [cells], shape (neighbour_count, 3)."""
 
+    @property
+    def springs(self) -> tuple[Any, ...]:
+        """What the kernels take."""
+        return self.nodes, self.first, self.neighbours, self.offset
+
 
 @dataclass(frozen=True)
 class SurfaceModel:
@@ -85,6 +90,30 @@ class SurfaceModel:
     """Vertex of each render vertex, shape (render_vertex_count,); empty when not loaded."""
     tangent: Float32
     """Tangent along the vertex's basis and handedness, shape (render_vertex_count, 4); empty when not loaded."""
+    render_first: Int32
+    """Where each vertex's render vertices start in ``render_vertices``, shape (vertex_count + 1,)."""
+    render_vertices: Int32
+    """Render vertices, vertex by vertex, shape (render_vertex_count,)."""
+
+    @property
+    def hung(self) -> tuple[Any, ...]:
+        """What the kernels take to place vertices."""
+        return (
+            self.triangle_nodes,
+            self.weights,
+            self.edges,
+            self.curvature,
+            self.offset,
+            self.normal,
+            self.normal_number,
+            self.rest_mm,
+            self.rest_turn,
+        )
+
+    @property
+    def drawn(self) -> tuple[Any, ...]:
+        """What the kernels take to turn tangents."""
+        return self.render_first, self.render_vertices, self.tangent
 
     @property
     def vertex_count(self) -> int:
@@ -100,13 +129,20 @@ class PickingModel:
     """Node of each vertex, shape (picking_vertex_count,)."""
     triangles: Int32
     """Vertex numbers, counter-clockwise from outside, shape (picking_triangle_count, 3)."""
+    rest_mm: Float64
+    """Rest positions of the vertices, LPS mm, shape (picking_vertex_count, 3)."""
     normals_of: NodeNormals
     """What the approximate normals need."""
+
+    @property
+    def vertex_count(self) -> int:
+        """Number of vertices."""
+        return len(self.nodes)
 
 
 @dataclass(frozen=True)
 class DeformedSurface:
-    """A surface at one time, LPS mm."""
+    """A surface at one time, LPS mm; not to be changed."""
 
     vertices_mm: Float32
     """Positions, shape (vertex_count, 3)."""
@@ -150,13 +186,13 @@ def make_surface(
     corners = model.node_index[triangle_nodes].astype(np.float64)
     edges = corners[:, 1:] - corners[:, :1]
     basis = triangle_basis(edges)
-    rest = np.zeros((model.node_count, 3), np.float32)
+    still = np.zeros((model.node_count, 3), np.float32)
     wanted = {"flagged": curvature != 0, "all": np.ones(vertex_count, bool), "none": np.zeros(vertex_count, bool)}[mode]
     normals_of = gather_springs(model, np.unique(triangle_nodes[wanted]))
     at = np.flatnonzero(wanted)
     number = np.zeros((vertex_count, 3), np.int32)
     number[at] = np.searchsorted(normals_of.nodes, triangle_nodes[at])
-    curved, defined = interpolated_basis(edges[at], weights[at], _node_normals(normals_of, rest)[number[at]])
+    curved, defined = interpolated_basis(edges[at], weights[at], _normals_now(normals_of, still)[number[at]])
     wanted[at[~defined]] = False
     at, curved = at[defined], curved[defined]
     offset = np.asarray(offset_mm, np.float64) / model.cell_mm
@@ -188,14 +224,33 @@ def make_surface(
         rest_turn=np.zeros((vertex_count, 3), np.float32),
         render_to_welded=np.array(welded, np.int32),
         tangent=turned,
+        render_first=np.append(0, np.cumsum(np.bincount(welded, minlength=vertex_count))).astype(np.int32),
+        render_vertices=np.argsort(welded, kind="stable").astype(np.int32),
     )
-    return replace(surface, rest_turn=_deform_in_grid(surface, rest)[0])
+    rest_turn = np.empty((vertex_count, 3), np.float32)
+    move_at_rest(
+        surface.triangle_nodes,
+        surface.weights,
+        surface.edges,
+        surface.curvature,
+        surface.offset,
+        surface.normal_number,
+        _normals_now(normals_of, still),
+        still,
+        rest_turn,
+    )
+    return replace(surface, rest_turn=rest_turn)
 
 
 def make_picking(model: LatticeModel, nodes: Int32, triangles: Int32) -> PickingModel:
     """Prepare the one-to-one surface; ``nodes`` and ``triangles`` as in the bundle."""
     nodes = np.array(nodes, np.int32)
-    return PickingModel(nodes=nodes, triangles=np.array(triangles, np.int32), normals_of=gather_springs(model, nodes))
+    return PickingModel(
+        nodes=nodes,
+        triangles=np.array(triangles, np.int32),
+        rest_mm=model.rest_positions_mm()[nodes],
+        normals_of=gather_springs(model, nodes),
+    )
 
 
 def deform(model: LatticeModel, surface: SurfaceModel, displacement: Float32) -> DeformedSurface:
@@ -206,25 +261,72 @@ def deform(model: LatticeModel, surface: SurfaceModel, displacement: Float32) ->
     displacement
         Displacement of the nodes [cells, grid axes], float32, shape (node_count, 3).
     """
-    moved, normals, bases = _deform_in_grid(surface, displacement)
-    moved -= surface.rest_turn
-    direction = model.geometry.direction_matrix.astype(np.float32).T
-    tangents = None
-    if len(surface.tangent):
-        tangents = surface.tangent.copy()
-        tangents[:, :3] = turn_vectors(bases[surface.render_to_welded], surface.tangent[:, :3]) @ direction
-    return DeformedSurface(
-        vertices_mm=surface.rest_mm + moved @ (direction * np.float32(model.cell_mm)),
-        normals=normals @ direction,
-        tangents=tangents,
-    )
+    return _deform_all(model, surface, displacement)
 
 
 def deform_picking(model: LatticeModel, picking: PickingModel, displacement: Float32) -> DeformedSurface:
-    """The one-to-one surface: vertices at the nodes, normals from their springs (thesis 9.3.2)."""
-    moved = model.rest_positions_mm()[picking.nodes] + model.to_mm(displacement[picking.nodes])
-    normals = _node_normals(picking.normals_of, displacement) @ model.geometry.direction_matrix.T
-    return DeformedSurface(vertices_mm=moved.astype(np.float32), normals=normals.astype(np.float32))
+    """The one-to-one surface: vertices at the nodes, normals from their springs (thesis 9.3.2).
+
+    Parameters
+    ----------
+    displacement
+        As of :func:`deform`.
+    """
+    return _deform_all(model, picking, displacement)
+
+
+def empty_frame(surface: SurfaceModel | PickingModel) -> DeformedSurface:
+    """Room for a deformed surface."""
+    vertices_mm, normals = (np.empty((surface.vertex_count, 3), np.float32) for _ in range(2))
+    tangent = surface.tangent if isinstance(surface, SurfaceModel) else ()
+    return DeformedSurface(vertices_mm, normals, np.empty((len(tangent), 4), np.float32) if len(tangent) else None)
+
+
+def empty_normals(springs: NodeNormals) -> Float32:
+    """Room for approximate normals; (1, 3) of zeros where none is wanted, so that it can be indexed."""
+    return np.zeros((max(len(springs.nodes), 1), 3), np.float32)
+
+
+def write_vertices(
+    model: LatticeModel,
+    surface: SurfaceModel | PickingModel,
+    node_normal: Float32,
+    displacement: Float32,
+    frame: DeformedSurface,
+    marks: UInt8 = EVERYTHING,
+    *,
+    together: bool = False,
+) -> None:
+    """Write the vertices of a frame, or only those of which a node or a normal changed.
+
+    Parameters
+    ----------
+    node_normal, displacement
+        The nodes' approximate normals, as many as ``normals_of`` has, and displacement [cells], grid axes, float32.
+    frame
+        Written.
+    marks, together
+        As of :func:`heartcase.simulator.surface_kernel.deform_vertices`.
+    """
+    direction = np.ascontiguousarray(model.geometry.direction_matrix.T, np.float64)
+    if isinstance(surface, PickingModel):
+        axes = direction * model.cell_mm, direction
+        written = frame.vertices_mm, frame.normals
+        picked = surface.nodes, surface.rest_mm, axes, node_normal, displacement, written
+        place_nodes(*picked, marks, together=together)
+        return
+    unit = direction.astype(np.float32)
+    tangents = np.zeros((0, 4), np.float32) if frame.tangents is None else frame.tangents
+    deform_vertices(
+        surface.hung,
+        surface.drawn,
+        (unit * np.float32(model.cell_mm), unit),
+        node_normal,
+        displacement,
+        (frame.vertices_mm, frame.normals, tangents),
+        marks,
+        together=together,
+    )
 
 
 def gather_springs(model: LatticeModel, nodes: Int32) -> NodeNormals:
@@ -287,34 +389,17 @@ def interpolated_basis(
     return np.stack([np.cross(B, N), N, B], axis=1), defined
 
 
-def _node_normals(springs: NodeNormals, displacement: Float32) -> Float32:
-    """Approximate normals (eq. 9.3); (1, 3) of zeros where none is wanted, so that it can be indexed."""
-    normals = np.zeros((max(len(springs.nodes), 1), 3), np.float32)
-    if len(springs.nodes):
-        node_normals(springs.nodes, springs.first, springs.neighbours, springs.offset, displacement, normals)
+def _normals_now(springs: NodeNormals, displacement: Float32) -> Float32:
+    normals = empty_normals(springs)
+    node_normals(springs.springs, displacement, normals)
     return normals
 
 
-def _deform_in_grid(surface: SurfaceModel, displacement: Float32) -> tuple[Float32, Float32, Float32]:
-    """Moved reference point plus turned offset, normals, and bases, in grid units."""
-    moved = np.empty((surface.vertex_count, 3), np.float32)
-    normals = np.empty((surface.vertex_count, 3), np.float32)
-    bases = np.empty((surface.vertex_count if len(surface.tangent) else 0, 3, 3), np.float32)
-    deform_vertices(
-        surface.triangle_nodes,
-        surface.weights,
-        surface.edges,
-        surface.curvature,
-        surface.offset,
-        surface.normal,
-        surface.normal_number,
-        _node_normals(surface.normals_of, displacement),
-        np.ascontiguousarray(displacement, np.float32),
-        moved,
-        normals,
-        bases,
-    )
-    return moved, normals, bases
+def _deform_all(model: LatticeModel, surface: SurfaceModel | PickingModel, displacement: Float32) -> DeformedSurface:
+    displacement = np.ascontiguousarray(displacement, np.float32)
+    frame = empty_frame(surface)
+    write_vertices(model, surface, _normals_now(surface.normals_of, displacement), displacement, frame)
+    return frame
 
 
 def _unit(vectors: Float64) -> Float64:

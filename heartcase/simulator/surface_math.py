@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["make_surface_math"]
+__all__ = ["make_surface_math", "make_vertex_math"]
 
 SUM_MIN = np.float32(0.1)
 """Shortest sum of unit vectors that gives a normal; on a flat side it is 3.8."""
@@ -17,8 +17,8 @@ _ZERO = np.float32(0)
 _ONE = np.float32(1)
 
 
-def make_surface_math(compiled: Callable[[Any], Any]) -> tuple[Any, Any]:
-    """The functions that the kernels call.
+def make_vertex_math(compiled: Callable[[Any], Any]) -> tuple[Any, Any, Any, Any]:
+    """The functions that kernels of every target are made of.
 
     Parameters
     ----------
@@ -27,13 +27,16 @@ def make_surface_math(compiled: Callable[[Any], Any]) -> tuple[Any, Any]:
 
     Returns
     -------
-    node_normal
-        ``(number, nodes, first, neighbours, offset, displacement)`` to the unit sum of the unit vectors from the
-        neighbours to a node (eq. 9.3); zero where the vectors cancel: as much tissue on one side as on the other.
-    deform_vertex
-        Eq. 9.9 of one vertex: writes what its reference point has moved plus its turned offset, its normal and, where
-        wanted, its basis. Arguments as of :func:`heartcase.simulator.surface_kernel.deform_vertices`, after the number
-        of the vertex.
+    spring_direction
+        ``(spring, node, other, offset, displacement)`` to the unit vector from a neighbour to a node.
+    normal_of_sum
+        The sum ``(x, y, z)`` of these to a node's approximate normal (eq. 9.3); zero where they cancel: as much tissue
+        on one side as on the other.
+    vertex_frame
+        ``(v, triangle_nodes, weights, edges, curvature, offset, normal_number, node_normal, displacement)`` to what
+        the vertex's reference point has moved plus its turned offset, and its basis T, N, B (eq. 9.9).
+    along
+        ``(components, row, T, N, B)`` to the vector with the components of a row along a basis.
     """
 
     @compiled
@@ -56,22 +59,88 @@ def make_surface_math(compiled: Callable[[Any], Any]) -> tuple[Any, Any]:
         )
 
     @compiled
+    def spring_direction(spring, node, other, offset, displacement):  # type: ignore[no-untyped-def]
+        return unit(
+            (
+                offset[spring, 0] + (displacement[node, 0] - displacement[other, 0]),
+                offset[spring, 1] + (displacement[node, 1] - displacement[other, 1]),
+                offset[spring, 2] + (displacement[node, 2] - displacement[other, 2]),
+            )
+        )
+
+    @compiled
+    def normal_of_sum(x, y, z):  # type: ignore[no-untyped-def]
+        if x * x + y * y + z * z < SUM_MIN * SUM_MIN:
+            x, y, z = _ZERO, _ZERO, _ZERO
+        return unit((x, y, z))
+
+    @compiled
+    def along(components, row, T, N, B):  # type: ignore[no-untyped-def]
+        t, n, b = components[row, 0], components[row, 1], components[row, 2]
+        return (
+            t * T[0] + n * N[0] + b * B[0],
+            t * T[1] + n * N[1] + b * B[1],
+            t * T[2] + n * N[2] + b * B[2],
+        )
+
+    @compiled
+    def vertex_frame(  # type: ignore[no-untyped-def]
+        v, triangle_nodes, weights, edges, curvature, offset, normal_number, node_normal, displacement
+    ):
+        p1, p2, p3 = triangle_nodes[v, 0], triangle_nodes[v, 1], triangle_nodes[v, 2]
+        w1, w2, w3 = weights[v, 0], weights[v, 1], weights[v, 2]
+        T = unit(edge(edges, displacement, v, 0, p1, p2))
+        N = unit(cross(T, edge(edges, displacement, v, 1, p1, p3)))
+        B = cross(N, T)
+        # Read for every vertex: numba counts the references to what a branch of a called function reads.
+        n1, n2, n3 = normal_number[v, 0], normal_number[v, 1], normal_number[v, 2]
+        between = (
+            w1 * node_normal[n1, 0] + w2 * node_normal[n2, 0] + w3 * node_normal[n3, 0],
+            w1 * node_normal[n1, 1] + w2 * node_normal[n2, 1] + w3 * node_normal[n3, 1],
+            w1 * node_normal[n1, 2] + w2 * node_normal[n2, 2] + w3 * node_normal[n3, 2],
+        )
+        if curvature[v]:
+            N = unit(between)
+            B = unit(cross(N, T))
+            T = cross(B, N)
+        o = along(offset, v, T, N, B)
+        moved = (
+            (w1 * displacement[p1, 0] + w2 * displacement[p2, 0] + w3 * displacement[p3, 0]) + o[0],
+            (w1 * displacement[p1, 1] + w2 * displacement[p2, 1] + w3 * displacement[p3, 1]) + o[1],
+            (w1 * displacement[p1, 2] + w2 * displacement[p2, 2] + w3 * displacement[p3, 2]) + o[2],
+        )
+        return moved, T, N, B
+
+    return spring_direction, normal_of_sum, vertex_frame, along
+
+
+def make_surface_math(compiled: Callable[[Any], Any]) -> tuple[Any, Any]:
+    """The functions that the kernels of a device call.
+
+    Parameters
+    ----------
+    compiled
+        Makes a function that kernels of a target can call.
+
+    Returns
+    -------
+    node_normal
+        ``(number, nodes, first, neighbours, offset, displacement)`` to the approximate normal of a node (eq. 9.3).
+    deform_vertex
+        Eq. 9.9 of one vertex: writes what its reference point has moved plus its turned offset [cells], shape
+        (vertex_count, 3), its normal in grid axes, the same shape, and its basis with rows T, N, B, shape
+        (vertex_count, 3, 3), or none where that is empty.
+    """
+    spring_direction, normal_of_sum, vertex_frame, along = make_vertex_math(compiled)
+
+    @compiled
     def node_normal(number, nodes, first, neighbours, offset, displacement):  # type: ignore[no-untyped-def]
         node = nodes[number]
         x, y, z = _ZERO, _ZERO, _ZERO
         for spring in range(first[number], first[number + 1]):
-            other = neighbours[spring]
-            d = unit(
-                (
-                    offset[spring, 0] + (displacement[node, 0] - displacement[other, 0]),
-                    offset[spring, 1] + (displacement[node, 1] - displacement[other, 1]),
-                    offset[spring, 2] + (displacement[node, 2] - displacement[other, 2]),
-                )
-            )
+            d = spring_direction(spring, node, neighbours[spring], offset, displacement)
             x, y, z = x + d[0], y + d[1], z + d[2]
-        if x * x + y * y + z * z < SUM_MIN * SUM_MIN:
-            x, y, z = _ZERO, _ZERO, _ZERO
-        return unit((x, y, z))
+        return normal_of_sum(x, y, z)
 
     @compiled
     def deform_vertex(  # type: ignore[no-untyped-def]
@@ -89,27 +158,13 @@ def make_surface_math(compiled: Callable[[Any], Any]) -> tuple[Any, Any]:
         normals,
         bases,
     ):
-        p1, p2, p3 = triangle_nodes[v, 0], triangle_nodes[v, 1], triangle_nodes[v, 2]
-        w1, w2, w3 = weights[v, 0], weights[v, 1], weights[v, 2]
-        T = unit(edge(edges, displacement, v, 0, p1, p2))
-        N = unit(cross(T, edge(edges, displacement, v, 1, p1, p3)))
-        B = cross(N, T)
-        if curvature[v]:
-            n1, n2, n3 = normal_number[v, 0], normal_number[v, 1], normal_number[v, 2]
-            N = unit(
-                (
-                    w1 * node_normal[n1, 0] + w2 * node_normal[n2, 0] + w3 * node_normal[n3, 0],
-                    w1 * node_normal[n1, 1] + w2 * node_normal[n2, 1] + w3 * node_normal[n3, 1],
-                    w1 * node_normal[n1, 2] + w2 * node_normal[n2, 2] + w3 * node_normal[n3, 2],
-                )
-            )
-            B = unit(cross(N, T))
-            T = cross(B, N)
+        at, T, N, B = vertex_frame(
+            v, triangle_nodes, weights, edges, curvature, offset, normal_number, node_normal, displacement
+        )
+        n = along(normal, v, T, N, B)
         for axis in range(3):
-            r = w1 * displacement[p1, axis] + w2 * displacement[p2, axis] + w3 * displacement[p3, axis]
-            o = offset[v, 0] * T[axis] + offset[v, 1] * N[axis] + offset[v, 2] * B[axis]
-            moved[v, axis] = r + o
-            normals[v, axis] = normal[v, 0] * T[axis] + normal[v, 1] * N[axis] + normal[v, 2] * B[axis]
+            moved[v, axis] = at[axis]
+            normals[v, axis] = n[axis]
             if len(bases):
                 bases[v, 0, axis], bases[v, 1, axis], bases[v, 2, axis] = T[axis], N[axis], B[axis]
 

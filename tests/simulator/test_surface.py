@@ -8,6 +8,7 @@ import pytest
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.model import make_model
 from heartcase.simulator.surface import deform, deform_picking, make_picking, make_surface
+from heartcase.simulator.surface_math import make_surface_math
 from tests.simulator.lattices import EPS, block, oblique_geometry, random_field
 
 # Corner numbers of a cell's six faces, counter-clockwise from outside.
@@ -96,6 +97,43 @@ def test_kernel_agrees_with_the_formulas(mode, amplitude):
         # Some ten roundings of lengths up to four cells; a basis over short edges loses another digit.
         np.testing.assert_allclose(moved.vertices_mm[v], vertex, atol=EPS * (400 + 100 * 4 * model.cell_mm))
         np.testing.assert_allclose(moved.normals[v], normal, atol=200 * EPS)
+
+
+def plain_frame(model, surface, displacement):
+    """The formulas vertex by vertex without numba: bases in the grid, then tangents, then LPS axes, in float32."""
+    node_normal, deform_vertex = make_surface_math(lambda function: function)
+    springs = surface.normals_of
+    approximate = np.zeros((max(len(springs.nodes), 1), 3), np.float32)
+    for number in range(len(springs.nodes)):
+        arrays = springs.nodes, springs.first, springs.neighbours, springs.offset
+        approximate[number] = node_normal(number, *arrays, displacement)
+    moved, normals = np.zeros((2, surface.vertex_count, 3), np.float32)
+    bases = np.zeros((surface.vertex_count, 3, 3), np.float32)
+    for v in range(surface.vertex_count):
+        hung = surface.triangle_nodes, surface.weights, surface.edges, surface.curvature, surface.offset, surface.normal
+        deform_vertex(v, *hung, surface.normal_number, approximate, displacement, moved, normals, bases)
+
+    def along(vectors, rows):
+        return vectors[:, :1] * rows[..., 0, :] + vectors[:, 1:2] * rows[..., 1, :] + vectors[:, 2:3] * rows[..., 2, :]
+
+    direction = model.geometry.direction_matrix.astype(np.float32).T
+    tangents = surface.tangent.copy()
+    tangents[:, :3] = along(along(surface.tangent, bases[surface.render_to_welded]), direction)
+    way = along(moved - surface.rest_turn, direction * np.float32(model.cell_mm))
+    return surface.rest_mm + way, along(normals, direction), tangents
+
+
+@pytest.mark.parametrize("mode", ["none", "all", "flagged"])
+@pytest.mark.parametrize("amplitude", [0.0, 0.4])
+def test_one_pass_gives_the_bits_of_the_plain_version(mode, amplitude):
+    model = block(4, 3, 2, geometry=oblique_geometry())
+    surface, _ = hung_surface(model, mode, count=100, tangents=True)
+    displacement = random_field(model, 7, amplitude)
+    now = deform(model, surface, displacement)
+    for array, expected in zip(
+        (now.vertices_mm, now.normals, now.tangents), plain_frame(model, surface, displacement), strict=True
+    ):
+        np.testing.assert_array_equal(array, expected)
 
 
 def test_flags_choose_the_basis():

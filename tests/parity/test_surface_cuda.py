@@ -1,0 +1,31 @@
+"""The surface on a CUDA device against the CPU's over the same nodes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from heartcase.simulator.simulation import Simulation
+from heartcase.simulator.state import State
+from heartcase.simulator.surface import deform
+from tests.simulator.lattices import EPS, block, oblique_geometry, random_field
+from tests.simulator.test_surface import hung_surface
+
+
+@pytest.mark.parametrize("tangents", [False, True])
+@pytest.mark.parametrize("mode", ["none", "all", "flagged"])
+def test_device_shows_the_surface_of_the_cpu(mode, tangents):
+    model = block(4, 3, 2, geometry=oblique_geometry())
+    surface, _ = hung_surface(model, mode, count=40, tangents=tangents)
+    simulation = Simulation(model, surface=surface, backend="cuda")
+    simulation.prepare()
+    still = random_field(model, 1, 0.0)
+    for displacement in (random_field(model, 7, 0.3), still):
+        simulation.restore(State(displacement, still))
+        now, expected = simulation.surface_now(), deform(model, surface, displacement)
+        # Roots and divisions are rounded otherwise on a device; positions are up to 400 mm.
+        np.testing.assert_allclose(now.vertices_mm, expected.vertices_mm, atol=2 * EPS * 400)
+        np.testing.assert_allclose(now.normals, expected.normals, atol=100 * EPS)
+        assert (now.tangents is None) == (not tangents)
+        if tangents:
+            np.testing.assert_allclose(now.tangents, expected.tangents, atol=100 * EPS)
