@@ -26,7 +26,7 @@ from heartcase.simulator.export import SURFACE_FORMATS, write_surface
 from heartcase.simulator.force_law import RATIO_MAX, RATIO_MIN, ForceLaw, LawName
 from heartcase.simulator.load import Case, load_case
 from heartcase.simulator.script import SessionSummary, default_script, load_script, run_script, with_positions
-from heartcase.simulator.simulation import Simulation
+from heartcase.simulator.simulation import SLEEP_MM, Simulation
 from heartcase.simulator.surface import DeformedSurface
 
 __all__ = ["command"]
@@ -58,6 +58,13 @@ _STEP = click.FloatRange(min=0.0, max=1.0, min_open=True)
     help="How little volume changes; the closer to 1/2, the more steps.",
 )
 @click.option(
+    "--sleep-mm",
+    type=click.FloatRange(0.0, 10.0),
+    default=SLEEP_MM,
+    show_default=True,
+    help="Movement in mm below which tissue rests and is not worked out (CPU); 0 works out all.",
+)
+@click.option(
     "--level", type=click.IntRange(0, LEVEL_MAX), default=0, help="Level of detail of the surface; 0 is the finest."
 )
 @click.option("--surface", "surface_out", type=_OUT, help="Write the final surface here (.ply, .stl, .obj).")
@@ -72,6 +79,7 @@ def command(
     backend: Backend,
     law: LawName,
     poissons_ratio: float,
+    sleep_mm: float,
     level: int,
     surface_out: Path | None,
     animation: Path | None,
@@ -82,8 +90,8 @@ def command(
 
     Without --script a hand pulls the tissue that is farthest from the fixed nodes outward by 10 mm, and lets go.
     """
-    if any(number is not None and math.isnan(number) for number in (seconds, step_s, poissons_ratio)):
-        raise UsageError("must be numbers", place="--seconds, --step, --poissons-ratio")
+    if any(number is not None and math.isnan(number) for number in (seconds, step_s, poissons_ratio, sleep_mm)):
+        raise UsageError("must be numbers", place="--seconds, --step, --poissons-ratio, --sleep-mm")
     _check_names(surface_out, animation, picture)
     script = load_script(script_path) if script_path is not None else None
     curvature = script.curvature if script else "flagged"
@@ -97,6 +105,7 @@ def command(
         damping_per_s=script.damping_per_s,
         gravity_m_s2=script.gravity_m_s2,
         backend=backend,
+        sleep_mm=sleep_mm,
     )
     case_id, approval = loaded.manifest.case_id, approval_state(case)
     film_every = max(1, round(script.frames_per_second / FILM_FRAMES_PER_SECOND)) if animation is not None else 0

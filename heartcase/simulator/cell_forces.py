@@ -56,7 +56,7 @@ CORNER_STIFFNESS = 3.0
 """k_c [k/h]: the least that drives a cell of springs that is inside out back through being flat."""
 WARP_FREE = 0.5
 """Q_0: what cells may warp freely; along one axis this bends them to a radius of one edge."""
-WARP_STIFFNESS = 1.0
+WARP_STIFFNESS = 2.0
 """k_q [k/h]."""
 SPREAD_MIN = 0.1**2 / 12.0
 """Least variance of the tissue along an axis that is reckoned with: that of a wall a tenth of a cell thick."""

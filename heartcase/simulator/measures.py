@@ -67,7 +67,20 @@ def _mark_flat(
 ) -> None:
     """Mark the cells that have a corner of at most a volume."""
     edges = np.empty((3, 3))
+    # Edges that differ by at most this from rest in each component span a volume of at least (1 - 3 x this)^3.
+    spread_most = (1.0 - volume_most ** (1.0 / 3.0)) / 3.0 - 1e-6
     for cell in range(len(cell_corners)):
+        spread = 0.0
+        for axis in range(3):
+            first = displacement[cell_corners[cell, 0], axis]
+            least, most = first, first
+            for c in range(1, 8):
+                moved = displacement[cell_corners[cell, c], axis]
+                least, most = min(least, moved), max(most, moved)
+            # Not a number is no reason to pass over a cell.
+            spread = max(spread, most - least) if most - least <= spread_most else np.inf
+        if spread <= spread_most:
+            continue
         for c in range(8):
             here = cell_corners[cell, c]
             for number in range(3):
@@ -76,8 +89,8 @@ def _mark_flat(
                 sign = -1.0 if c & (1 << number) else 1.0
                 for axis in range(3):
                     rest = _CORNERS[other, axis] - _CORNERS[c, axis]
-                    moved = np.float64(displacement[there, axis]) - np.float64(displacement[here, axis])
-                    edges[number, axis] = sign * (rest + moved)
+                    change = np.float64(displacement[there, axis]) - np.float64(displacement[here, axis])
+                    edges[number, axis] = sign * (rest + change)
             volume = (
                 edges[0, 0] * (edges[1, 1] * edges[2, 2] - edges[1, 2] * edges[2, 1])
                 - edges[0, 1] * (edges[1, 0] * edges[2, 2] - edges[1, 2] * edges[2, 0])

@@ -20,13 +20,15 @@ from heartcase.simulator.state import State
 from heartcase.simulator.step_size import checked_step, own_step_limit
 from heartcase.simulator.surface import DeformedSurface, PickingModel, SurfaceModel
 from heartcase.simulator.surface_moved import SurfaceFollower
-from heartcase.simulator.watchdog import Watch, find_trouble, watch
+from heartcase.simulator.watchdog import Watch, find_runaway, find_trouble, watch
 
-__all__ = ["Simulation"]
+__all__ = ["SLEEP_MM", "Simulation"]
 
 Float32 = npt.NDArray[np.float32]
 Float64 = npt.NDArray[np.float64]
 
+SLEEP_MM = 0.05
+"""Movement that may be left out where nothing else is said, mm."""
 SLEEP_HZ = 5.0
 """Slowest swing of tissue that sleeping shall not be seen in, Hz."""
 PROBE_MIN = 0.5
@@ -76,7 +78,7 @@ class Simulation:
         damping_per_s: float = 10.0,
         gravity_m_s2: Sequence[float] = (0.0, 0.0, 0.0),
         backend: Backend = "cpu",
-        sleep_mm: float = 0.05,
+        sleep_mm: float = SLEEP_MM,
         skips_unmoved: bool = True,
     ) -> None:
         self.model = model
@@ -169,7 +171,7 @@ class Simulation:
         Raises
         ------
         SimulationError
-            A position is not a number any more. The state before these steps is restored.
+            A position is not a number any more, or energy came from nowhere. The state before these steps is restored.
         """
         if step_count < 0:
             raise SimulationError(f"cannot take {step_count} steps: restore a state to go back", place="step")
@@ -186,7 +188,8 @@ class Simulation:
         for grab, velocity in zip(self.grabs, velocities, strict=True):
             self._place(grab, grab.displacement_at(grab.target), velocity)
         self._state = None
-        self._watch(before)
+        is_fed = bool(self.probes) or any(velocity.any() for velocity in velocities)
+        self._watch(before, is_fed)
         for grab in self.grabs:
             grab.pose = grab.target
         for probe in self.probes:
@@ -454,8 +457,10 @@ class Simulation:
             masses[grab.nodes] = 0
         self._engine.set_inverse_mass(masses)
 
-    def _watch(self, before: State) -> None:
+    def _watch(self, before: State, is_fed: bool) -> None:
         trouble = find_trouble(self.state)
+        if trouble is None and not is_fed:
+            trouble = find_runaway(self.model, self.verlet, before, self.state)
         if trouble is None:
             return
         ended_s = self.time_s

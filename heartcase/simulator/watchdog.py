@@ -8,11 +8,15 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from heartcase.simulator.measures import inverted_cells
+from heartcase.simulator.integrate import Verlet
+from heartcase.simulator.measures import elastic_energy_of, inverted_cells
 from heartcase.simulator.model import LatticeModel
 from heartcase.simulator.state import State
 
-__all__ = ["Watch", "find_trouble", "watch"]
+__all__ = ["Watch", "find_runaway", "find_trouble", "watch"]
+
+RUNAWAY = 2.0
+"""Growth of energy that nothing accounts for from which on it is called a runaway."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +54,30 @@ def find_trouble(state: State) -> str | None:
     """What is wrong with a state, in words; None when nothing is."""
     is_whole = np.isfinite(_largest(state.velocity) + _largest(state.displacement))
     return None if is_whole else "a position is not a number any more"
+
+
+def find_runaway(model: LatticeModel, verlet: Verlet, before: State, after: State) -> str | None:
+    """Whether energy came from nowhere, in words, in steps in which no hand moved and no probe was there.
+
+    It is looked for only where a node moves at the speed limit, as it will before there is much of it. Gravity may have
+    given what it gave.
+    """
+    if _largest(after.velocity) < np.float32(verlet.speed_limit):
+        return None
+    mass = model.node_mass[:, None].astype(float)
+
+    def energy_of(state: State) -> float:
+        return elastic_energy_of(model, state.displacement) + 0.5 * float(
+            (mass * state.velocity.astype(float) ** 2).sum()
+        )
+
+    way = after.displacement.astype(float) - before.displacement
+    had = energy_of(before) + max(float((mass * way * np.array(verlet.gravity)).sum()), 0.0)
+    has = energy_of(after)
+    if has <= RUNAWAY * had:
+        return None
+    unit = model.units.energy_j
+    return f"its energy grew from {had * unit:.2g} J to {has * unit:.2g} J by itself"
 
 
 def _largest(values: npt.NDArray[np.float32]) -> float:
