@@ -18,6 +18,7 @@ from scipy.sparse import csr_array
 
 from heartcase.pipeline.cells.topology import piece_sizes
 from heartcase.pipeline.contacts import Extent, faces_between
+from heartcase.pipeline.kernels import copied
 from heartcase.schemas.geometry import Geometry
 
 __all__ = ["Change", "bridging_voxels", "compartment_changes"]
@@ -167,7 +168,7 @@ def _overlaps(before: UInt32, after: UInt32, factor: int) -> Any:
     return csr_array((counts, (rows, columns)), shape=shape)
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _runs_of(coarse, fine, factor, at, rows, columns, counts):  # type: ignore[no-untyped-def]
     """List the runs of one piece before and one after along a line, from ``at`` on where there is room; the end."""
     last_row, last_column = np.uint32(0), np.uint32(0)

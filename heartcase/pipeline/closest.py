@@ -17,6 +17,8 @@ import numba
 import numpy as np
 
 from heartcase.pipeline.feature_transform import nearest_seeds
+from heartcase.pipeline.kernels import copied
+from heartcase.pipeline.vectors import put
 
 __all__ = ["closest_points", "offset_for_interpolation"]
 
@@ -119,7 +121,7 @@ def _sample(f, z, y, x, w, out, bend):  # type: ignore[no-untyped-def]
             out[9] += w[0, c] * vyx
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _walk(f, h, k, j, i, foot, best, pace, w, out, is_seed):  # type: ignore[no-untyped-def]
     """Walk from a point near a node's closest one on the zero level to that; returns the node's distance to the level.
 
@@ -191,7 +193,7 @@ def _square_to(h, k, j, i, foot, n):  # type: ignore[no-untyped-def]
     return dz * dz + dy * dy + dx * dx
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _beside(f, seed):  # type: ignore[no-untyped-def]
     """Number the nodes beside the zero level in ``seed``, -1 elsewhere; returns their places."""
     nz, ny, nx = f.shape
@@ -223,7 +225,7 @@ def _beside(f, seed):  # type: ignore[no-untyped-def]
     return place
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _crossing(f, h, k, j, i, foot):  # type: ignore[no-untyped-def]
     """Closest crossing of the zero level on the lattice edges of a node beside it; returns its distance."""
     nz, ny, nx = f.shape
@@ -248,7 +250,7 @@ def _crossing(f, h, k, j, i, foot):  # type: ignore[no-untyped-def]
     return best
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _shape_at(f, h, foot, w, out, shape):  # type: ignore[no-untyped-def]
     """Unit normal (z, y, x) and second fundamental form (zz, yy, xx, zy, zx, yx; 1/mm) of the level at a point."""
     _sample(f, foot[0], foot[1], foot[2], w, out, True)
@@ -324,7 +326,7 @@ def _foretell(h, k, j, i, foot, n, shape, smallest, point, pace):  # type: ignor
     point[2] += (y2 - sag * n2) / h[2]
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _nearest_of_neighbours(seed, foot, h, k, j, i, nearest):  # type: ignore[no-untyped-def]
     """The nearest of the points that a node and its 26 neighbours found, and the square of the distance."""
     nz, ny, nx = seed.shape
@@ -377,7 +379,7 @@ def closest_points(f, h, reach, square):  # type: ignore[no-untyped-def]
         k, j, i = place[n]
         nearest, best = _nearest_of_neighbours(seed, first, h, k, j, i, n)
         if nearest != n:
-            foot[n] = first[nearest]
+            put(first[nearest], foot[n])
             length[n] = _walk(f, h, k, j, i, foot[n], np.sqrt(best), pace, w, out, True)
         _shape_at(f, h, foot[n], w, out, shape[n])
     far = reach + 2.0 * h.max()
@@ -401,7 +403,7 @@ def closest_points(f, h, reach, square):  # type: ignore[no-untyped-def]
                     square[k, j, i] = distance * distance
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _bend(d, limit):  # type: ignore[no-untyped-def]
     """Sum of the second differences over 12, zero where a neighbour is unknown."""
     nz, ny, nx = d.shape

@@ -13,6 +13,8 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.pipeline.kernels import copied
+
 __all__ = ["diffuse", "mean_square_gradient"]
 
 Float32 = npt.NDArray[np.float32]
@@ -162,7 +164,7 @@ def _fluxes(out, low, high, scale, side, side_beyond, other, other_beyond):  # t
         out[i] = difference * (p * power)
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _x_differences(out, rows, nx, scale):  # type: ignore[no-untyped-def]
     """Scaled central differences along x of whole rows; the ends of a row are repeated."""
     count = rows.size
@@ -173,7 +175,7 @@ def _x_differences(out, rows, nx, scale):  # type: ignore[no-untyped-def]
         out[end] = (rows[end] - rows[max(end - 1, start)]) * scale
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _y_differences(out, plane, start, nx, scale):  # type: ignore[no-untyped-def]
     """Scaled central differences along y of the whole rows of a plane that start at voxel ``start``."""
     stop, size = start + out.size, plane.size
@@ -197,7 +199,7 @@ def _add_divergence(new, old, weight, x_flux, y_low, y_high, z_low, z_high):  # 
         new[i] = old[i] + change
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _z_fluxes(out, here, up, start, nx, scale, work):  # type: ignore[no-untyped-def]
     """Fluxes from plane ``here`` to plane ``up`` for whole rows that start at voxel ``start``."""
     count = out.size
@@ -227,7 +229,7 @@ def _step(planes, new, nx, scale, weight, edges):  # type: ignore[no-untyped-def
         _step_slab(planes, new, nx, slab, scale, weight, edges)
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _step_slab(planes, new, nx, slab, scale, weight, edges):  # type: ignore[no-untyped-def]
     """The step in the planes of a slab, a block of rows at a time, each plane from a copy of what it held before."""
     nz, size = planes.shape
@@ -249,7 +251,8 @@ def _step_slab(planes, new, nx, slab, scale, weight, edges):  # type: ignore[no-
             _z_fluxes(z_low[start:stop], edges[1, slab - 1], planes[first], start, nx, scale, work)
     for k in range(first, last):
         here = kept[k % 2]
-        here[:] = planes[k]
+        for n in range(size):
+            here[n] = planes[k, n]
         down, up = kept[(k - 1) % 2], planes[min(k + 1, nz - 1)]
         if k == first:
             down = edges[1, slab - 1] if k > 0 else here
@@ -300,5 +303,7 @@ def _step_slab(planes, new, nx, slab, scale, weight, edges):  # type: ignore[no-
                 z_low[start:stop],
                 z_high[:count],
             )
-            y_flux[:nx] = y_flux[count : count + nx]
-            z_low[start:stop] = z_high[:count]
+            for n in range(nx):
+                y_flux[n] = y_flux[count + n]
+            for n in range(count):
+                z_low[start + n] = z_high[n]

@@ -10,10 +10,12 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from heartcase.pipeline.kernels import copied
+
 __all__ = ["distance_to_marked", "nearest_seeds"]
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _lower_envelope(cost, count, width, last, bound):  # type: ignore[no-untyped-def]
     """Lower envelope of the parabolas of a line, ``cost`` plus the squared way along it; none where that is infinite.
 
@@ -41,7 +43,7 @@ def _lower_envelope(cost, count, width, last, bound):  # type: ignore[no-untyped
     return top + 1
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _nearest_entries(cost, here, count, width, last, bound, out):  # type: ignore[no-untyped-def]
     """For each place of a line the entry of ``here`` with the lowest parabola, -1 where there is none."""
     if _lower_envelope(cost, count, width, last, bound) == 0:
@@ -54,7 +56,7 @@ def _nearest_entries(cost, here, count, width, last, bound, out):  # type: ignor
         out[q] = here[last[n]]
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _lowest_values(cost, count, width, last, bound, out):  # type: ignore[no-untyped-def]
     """For each place of a line the value of the lowest parabola, infinite where there is none."""
     if _lower_envelope(cost, count, width, last, bound) == 0:
@@ -68,7 +70,7 @@ def _lowest_values(cost, count, width, last, bound, out):  # type: ignore[no-unt
         out[q] = cost[p] + width * width * (q - p) * (q - p)
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def nearest_seeds(seed, place, h, reach):  # type: ignore[no-untyped-def]
     """Turn numbers of nodes, -1 elsewhere, into the number of the nearest such node, where one may lie in reach.
 
@@ -179,7 +181,8 @@ def distance_to_marked(marked, h, distance):  # type: ignore[no-untyped-def]
         for i in range(nx):
             if any_here:
                 _lowest_values(plane[i], ny, h[1], last, bound, out)
-                plane[i] = out[:ny]
+                for j in range(ny):
+                    plane[i, j] = out[j]
         for j in range(ny):
             for i in range(nx):
                 distance[k, j, i] = plane[i, j]
@@ -190,7 +193,8 @@ def distance_to_marked(marked, h, distance):  # type: ignore[no-untyped-def]
                 slab[i, k] = distance[k, j, i]
         for i in range(nx):
             _lowest_values(slab[i], nz, h[0], last, bound, out)
-            slab[i] = out[:nz]
+            for k in range(nz):
+                slab[i, k] = out[k]
         for k in range(nz):
             for i in range(nx):
                 distance[k, j, i] = np.sqrt(slab[i, k])

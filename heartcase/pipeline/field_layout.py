@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.data import Structures
+from heartcase.pipeline.kernels import called, copied, lend
 from heartcase.pipeline.shapes import SHAPE_KINDS
 from heartcase.pipeline.wall_thickness import ThicknessArrays, thickness_arrays
 from heartcase.schemas.labels import BACKGROUND
@@ -158,6 +159,51 @@ def _interleave(fields: tuple[Float32, ...], stack: Float32) -> None:
         list(pool.map(part, range(0, len(stack), INTERLEAVED_PLANES)))
 
 
+@called
+def _find_fields_of_layer(fields, block_count, block_fields, bk):  # type: ignore[no-untyped-def]
+    """Find them in one layer of blocks; see :func:`_find_fields_of_blocks`."""
+    nz, ny, nx, stored = fields.stack.shape
+    low, high = np.empty(stored, np.float32), np.empty(stored, np.float32)
+    for bj in range(block_count.shape[1]):
+        for bi in range(block_count.shape[2]):
+            if _is_reshaped(fields, bk, bj, bi):
+                continue
+            low[:] = np.inf
+            high[:] = -np.inf
+            for k in range(bk * BLOCK, min(bk * BLOCK + BLOCK + 1, nz)):
+                for j in range(bj * BLOCK, min(bj * BLOCK + BLOCK + 1, ny)):
+                    for i in range(bi * BLOCK, min(bi * BLOCK + BLOCK + 1, nx)):
+                        row = fields.stack[k, j, i]
+                        for s in range(stored):
+                            low[s] = min(low[s], row[s])
+                            high[s] = max(high[s], row[s])
+            tissue, void, body = np.float32(np.inf), np.float32(np.inf), np.float32(np.inf)
+            for s in range(stored):
+                slot = fields.stored_slot[s]
+                if slot < fields.tissue_count:
+                    tissue = min(tissue, high[s])
+                elif slot != fields.background:
+                    void = min(void, high[s])
+                    if fields.stored_wall[s] >= 0:
+                        body = min(body, high[s] - fields.wall_mm[fields.stored_wall[s]])
+            # what is interpolated may differ in its last digits
+            slack = np.float32(1e-3)
+            count = 0
+            for s in range(stored):
+                slot = fields.stored_slot[s]
+                if slot < fields.tissue_count:
+                    matters = low[s] <= tissue + slack
+                else:
+                    matters = slot == fields.background or low[s] <= void + slack
+                    if fields.stored_wall[s] >= 0:
+                        nearest = low[s] - fields.wall_mm[fields.stored_wall[s]]
+                        matters |= nearest <= max(body, np.float32(0.0)) + slack
+                if matters:
+                    block_fields[bk, bj, bi, count] = s
+                    count += 1
+            block_count[bk, bj, bi] = count
+
+
 @numba.njit(cache=True, nogil=True, parallel=True)
 def _find_fields_of_blocks(layout, block_count, block_fields):  # type: ignore[no-untyped-def]
     """Find the fields that can be lowest anywhere in each block, in blocks that no reshaping reaches.
@@ -166,50 +212,12 @@ def _find_fields_of_blocks(layout, block_count, block_fields):  # type: ignore[n
     matters to the walls where it is not farther, its wall's thickness taken off, than another one is everywhere, and
     where its own wall may be. The background always matters.
     """
-    nz, ny, nx, stored = layout.stack.shape
+    fields = lend(layout)
     for bk in numba.prange(block_count.shape[0]):
-        low, high = np.empty(stored, np.float32), np.empty(stored, np.float32)
-        for bj in range(block_count.shape[1]):
-            for bi in range(block_count.shape[2]):
-                if _is_reshaped(layout, bk, bj, bi):
-                    continue
-                low[:] = np.inf
-                high[:] = -np.inf
-                for k in range(bk * BLOCK, min(bk * BLOCK + BLOCK + 1, nz)):
-                    for j in range(bj * BLOCK, min(bj * BLOCK + BLOCK + 1, ny)):
-                        for i in range(bi * BLOCK, min(bi * BLOCK + BLOCK + 1, nx)):
-                            row = layout.stack[k, j, i]
-                            for s in range(stored):
-                                low[s] = min(low[s], row[s])
-                                high[s] = max(high[s], row[s])
-                tissue, void, body = np.float32(np.inf), np.float32(np.inf), np.float32(np.inf)
-                for s in range(stored):
-                    slot = layout.stored_slot[s]
-                    if slot < layout.tissue_count:
-                        tissue = min(tissue, high[s])
-                    elif slot != layout.background:
-                        void = min(void, high[s])
-                        if layout.stored_wall[s] >= 0:
-                            body = min(body, high[s] - layout.wall_mm[layout.stored_wall[s]])
-                # what is interpolated may differ in its last digits
-                slack = np.float32(1e-3)
-                count = 0
-                for s in range(stored):
-                    slot = layout.stored_slot[s]
-                    if slot < layout.tissue_count:
-                        matters = low[s] <= tissue + slack
-                    else:
-                        matters = slot == layout.background or low[s] <= void + slack
-                        if layout.stored_wall[s] >= 0:
-                            nearest = low[s] - layout.wall_mm[layout.stored_wall[s]]
-                            matters |= nearest <= max(body, np.float32(0.0)) + slack
-                    if matters:
-                        block_fields[bk, bj, bi, count] = s
-                        count += 1
-                block_count[bk, bj, bi] = count
+        _find_fields_of_layer(fields, block_count, block_fields, bk)
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _is_reshaped(layout, bk, bj, bi):  # type: ignore[no-untyped-def]
     """Whether a reshaping may reach into a block; those at the border hold all that lies beyond."""
     blocks = layout.block_count.shape

@@ -22,6 +22,7 @@ import numpy.typing as npt
 
 from heartcase.pipeline.data import Structures
 from heartcase.pipeline.field_layout import ALL_FIELDS, BLOCK, FieldLayout, layout_of, varying_walls
+from heartcase.pipeline.kernels import called, copied, lend
 from heartcase.pipeline.shapes import shape_distance
 from heartcase.pipeline.side_by_side import every_other
 from heartcase.pipeline.wall_thickness import ThicknessArrays, table_thickness
@@ -31,7 +32,6 @@ __all__ = [
     "FieldReader",
     "Ownership",
     "evaluate_owner",
-    "evaluate_tissue",
     "ownership_at_points",
     "ownership_on_lattice",
     "scratch",
@@ -173,7 +173,7 @@ def _place(x, count):  # type: ignore[no-untyped-def]
     return low, min(low + 1, count - 1), np.float32(x - low)
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _vary(layout, tables, x, y, z, v, thick, scale):  # type: ignore[no-untyped-def]
     """Thickness at a point, given by its index, of the walls that have a table, and what makes a distance of it."""
     m = layout.to_world
@@ -191,20 +191,22 @@ def _vary(layout, tables, x, y, z, v, thick, scale):  # type: ignore[no-untyped-
             scale[w] = np.float32(1.0 / np.sqrt(1.0 + slope * slope))
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@copied
 def _grow_walls(layout, v, thick, scale):  # type: ignore[no-untyped-def]
     """Give the walls their part of the bare background; ``v`` holds the cavities and the bare background.
 
     Returns the slot of the wall whose cavity is nearest.
     """
-    count = len(layout.wall_slot)
+    # what is written to v could be the layout, for all that the compiler knows: it is read before
+    wall_cavity, wall_slot = layout.wall_cavity, layout.wall_slot
+    count = len(wall_slot)
     bare = v[layout.background]
     outer = np.float32(np.inf)
     nearest = np.float32(np.inf)
     inside = np.float32(np.inf)
     winner = 0
     for w in range(count):
-        cavity = v[layout.wall_cavity[w]]
+        cavity = v[wall_cavity[w]]
         body = (cavity - thick[w]) * scale[w]
         if body < np.float32(0.0):
             if cavity < inside:
@@ -215,17 +217,17 @@ def _grow_walls(layout, v, thick, scale):  # type: ignore[no-untyped-def]
         nearest = min(nearest, body)
     outer = nearest
     for w in range(count):
-        cavity = v[layout.wall_cavity[w]]
+        cavity = v[wall_cavity[w]]
         value = max((cavity - thick[w]) * scale[w], bare)
         if inside < np.inf:
             value = max(value, np.float32(0.5) * (cavity - inside))
-        v[layout.wall_slot[w]] = value
-    v[layout.wall_slot[winner]] = max(outer, bare)
+        v[wall_slot[w]] = value
+    v[wall_slot[winner]] = max(outer, bare)
     v[layout.background] = max(bare, -outer)
-    return layout.wall_slot[winner]
+    return wall_slot[winner]
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@copied
 def _reshape(layout, x, y, z, v):  # type: ignore[no-untyped-def]
     """Carry out the reshapings at a point, given by its index."""
     m = layout.to_world
@@ -274,14 +276,15 @@ def _reshape(layout, x, y, z, v):  # type: ignore[no-untyped-def]
                 v[s] = min(v[s], gain)
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@numba.njit(cache=True, nogil=True)
 def _evaluate_one(layout, tables, x, y, z, raw, v, thick, scale):  # type: ignore[no-untyped-def]
     """Finish a point, given by its index, from the interpolated stored fields ``raw``."""
+    stored_slot, labels, tissue_count = layout.stored_slot, layout.labels, layout.tissue_count
     if len(v) > len(raw):
         for s in range(len(v)):
             v[s] = np.float32(NOWHERE_MM)
     for s in range(len(raw)):
-        v[layout.stored_slot[s]] = raw[s]
+        v[stored_slot[s]] = raw[s]
     nearest_wall = -1
     if len(layout.wall_slot) > 0 and layout.background >= 0:
         if len(tables.wall) > 0:
@@ -293,23 +296,23 @@ def _evaluate_one(layout, tables, x, y, z, raw, v, thick, scale):  # type: ignor
     lowest_void = np.float32(np.inf)
     tissue = np.uint8(0)
     void = np.uint8(0)
-    for s in range(layout.tissue_count):
+    for s in range(tissue_count):
         if v[s] < lowest_tissue:
             lowest_tissue = v[s]
-            tissue = layout.labels[s]
+            tissue = labels[s]
     # walls are as near as each other where the background between them is what counts
     if nearest_wall >= 0 and v[nearest_wall] == lowest_tissue:
-        tissue = layout.labels[nearest_wall]
-    for s in range(layout.tissue_count, len(v)):
+        tissue = labels[nearest_wall]
+    for s in range(tissue_count, len(v)):
         if v[s] < lowest_void:
             lowest_void = v[s]
-            void = layout.labels[s]
-    if layout.tissue_count == 0:
+            void = labels[s]
+    if tissue_count == 0:
         return abs(lowest_void), void, tissue
     return _between(lowest_tissue, lowest_void), void, tissue
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@numba.njit(cache=True, nogil=True)
 def _between(tissue, void):  # type: ignore[no-untyped-def]
     """The tissue field, from the lowest field of a tissue and that of a void."""
     if tissue < 0.0 and void > 0.0:
@@ -319,17 +322,22 @@ def _between(tissue, void):  # type: ignore[no-untyped-def]
     return tissue - void
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def scratch(layout):  # type: ignore[no-untyped-def]
-    """What :func:`evaluate_tissue` writes into; each thread needs its own."""
-    raw = np.empty(layout.stack.shape[3], np.float32)
-    v = np.empty(len(layout.labels), np.float32)
-    return raw, v, layout.wall_mm.copy(), np.ones(len(layout.wall_mm), np.float32)
+    """What :func:`evaluate_owner` writes into; each thread needs its own."""
+    stored, slots, walls = layout.stack.shape[3], len(layout.labels), len(layout.wall_mm)
+    spare = np.ones(stored + slots + 2 * walls, np.float32)
+    for w in range(walls):
+        spare[stored + slots + w] = layout.wall_mm[w]
+    return spare
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@called
 def evaluate_owner(layout, tables, x, y, z, spare):  # type: ignore[no-untyped-def]
-    """Tissue field, void label and tissue label at one point, given by its index; ``spare`` from scratch()."""
+    """Tissue field, void label and tissue label at one point, given by its index; ``spare`` from scratch().
+
+    For kernels. Layout and tables are lent.
+    """
     nz, ny, nx, stored = layout.stack.shape
     i, i1, fx = _place(x, nx)
     j, j1, fy = _place(y, ny)
@@ -345,12 +353,22 @@ def evaluate_owner(layout, tables, x, y, z, spare):  # type: ignore[no-untyped-d
     on = (i1 - i) * stored
     count = layout.block_count[k // BLOCK, j // BLOCK, i // BLOCK]
     if count == ALL_FIELDS:
-        raw, v, thick, scale = spare
+        slots, walls = len(layout.labels), len(layout.wall_mm)
+        raw, v = spare[:stored], spare[stored : stored + slots]
+        thick, scale = spare[stored + slots : stored + slots + walls], spare[stored + slots + walls :]
         for s in range(stored):
             first = flat[a + s] * w00 + flat[b + s] * w01 + flat[c + s] * w10 + flat[d + s] * w11
             second = flat[a + on + s] * w00 + flat[b + on + s] * w01 + flat[c + on + s] * w10 + flat[d + on + s] * w11
             raw[s] = first + fx * (second - first)
         return _evaluate_one(layout, tables, x, y, z, raw, v, thick, scale)
+    stored_slot, stored_wall, labels, wall_mm, tissue_count, background = (
+        layout.stored_slot,
+        layout.stored_wall,
+        layout.labels,
+        layout.wall_mm,
+        layout.tissue_count,
+        layout.background,
+    )
     fields = layout.block_fields[k // BLOCK, j // BLOCK, i // BLOCK]
     lowest_tissue, lowest_void = np.float32(np.inf), np.float32(np.inf)
     tissue_slot, void_slot = -1, -1
@@ -361,21 +379,21 @@ def evaluate_owner(layout, tables, x, y, z, spare):  # type: ignore[no-untyped-d
         first = flat[a + f] * w00 + flat[b + f] * w01 + flat[c + f] * w10 + flat[d + f] * w11
         second = flat[a + on + f] * w00 + flat[b + on + f] * w01 + flat[c + on + f] * w10 + flat[d + on + f] * w11
         value = first + fx * (second - first)
-        slot = layout.stored_slot[f]
-        if slot < layout.tissue_count:
+        slot = stored_slot[f]
+        if slot < tissue_count:
             if value < lowest_tissue:
                 lowest_tissue = value
                 tissue_slot = slot
-        elif slot == layout.background:
+        elif slot == background:
             bare = value
         else:
             if value < lowest_void:
                 lowest_void = value
                 void_slot = slot
-            w = layout.stored_wall[f]
+            w = stored_wall[f]
             if w >= 0:
                 # as in _grow_walls
-                body = value - layout.wall_mm[w]
+                body = value - wall_mm[w]
                 if body < np.float32(0.0):
                     if value < inside:
                         inside = value
@@ -391,26 +409,21 @@ def evaluate_owner(layout, tables, x, y, z, spare):  # type: ignore[no-untyped-d
         bare = max(bare, -nearest)
     if bare <= lowest_void:
         lowest_void = bare
-        void_slot = layout.background
-    return _between(lowest_tissue, lowest_void), layout.labels[void_slot], layout.labels[tissue_slot]
-
-
-@numba.njit(cache=True, nogil=True, inline="always")
-def evaluate_tissue(layout, tables, x, y, z, spare):  # type: ignore[no-untyped-def]
-    """Tissue field at one point, given by its index (x, y, z) among the fields' voxels; ``spare`` from scratch()."""
-    return evaluate_owner(layout, tables, x, y, z, spare)[0]
+        void_slot = background
+    return _between(lowest_tissue, lowest_void), labels[void_slot], labels[tissue_slot]
 
 
 @numba.njit(cache=True, nogil=True, parallel=True)
 def _evaluate_lattice(layout, tables, start, step, tissue, void_label, tissue_label):  # type: ignore[no-untyped-def]
     nz, ny, nx = tissue.shape
+    fields, walls = lend(layout), lend(tables)
     for k in numba.prange(nz):
-        spare = scratch(layout)
+        spare = scratch(fields)
         for j in range(ny):
             y = start[1] + j * step[1]
             z = start[2] + k * step[2]
             for i in range(nx):
-                one = evaluate_owner(layout, tables, start[0] + i * step[0], y, z, spare)
+                one = evaluate_owner(fields, walls, start[0] + i * step[0], y, z, spare)
                 tissue[k, j, i] = one[0]
                 void_label[k, j, i] = one[1]
                 tissue_label[k, j, i] = one[2]
@@ -419,11 +432,12 @@ def _evaluate_lattice(layout, tables, start, step, tissue, void_label, tissue_la
 @numba.njit(cache=True, nogil=True, parallel=True)
 def _evaluate_points(layout, tables, index, tissue, void_label, tissue_label):  # type: ignore[no-untyped-def]
     chunks = (len(index) + CHUNK - 1) // CHUNK
+    fields, walls = lend(layout), lend(tables)
     for number in numba.prange(chunks):
         chunk = every_other(number, chunks)
-        spare = scratch(layout)
+        spare = scratch(fields)
         for p in range(chunk * CHUNK, min((chunk + 1) * CHUNK, len(index))):
-            one = evaluate_owner(layout, tables, index[p, 0], index[p, 1], index[p, 2], spare)
+            one = evaluate_owner(fields, walls, index[p, 0], index[p, 1], index[p, 2], spare)
             tissue[p] = one[0]
             void_label[p] = one[1]
             tissue_label[p] = one[2]

@@ -9,6 +9,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
+from heartcase.pipeline.kernels import copied
+
 __all__ = ["gradient_magnitude"]
 
 Float32 = npt.NDArray[np.float32]
@@ -84,7 +86,7 @@ def _add_one(row, weight, out):  # type: ignore[no-untyped-def]
         out[i] += weight * row[i]
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _blur_row(row, weights, reach, padded, out):  # type: ignore[no-untyped-def]
     count = len(row)
     out[:] = np.float32(0.0)
@@ -125,7 +127,7 @@ def _blur_rows(values, weights, reach, blurred):  # type: ignore[no-untyped-def]
             _blur_row(values[k, j], weights, reach, padded, blurred[k, j])
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _blur_sheet(rows, weights, reach, blurred):  # type: ignore[no-untyped-def]
     """Blur across the rows of a sheet of them."""
     count = len(rows)
@@ -156,7 +158,7 @@ def _blur_along_z(values, weights, reach, blurred):  # type: ignore[no-untyped-d
         _blur_sheet(slices[:, low:high], weights, reach, blurred_slices[:, low:high])
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _row_lengths(row, ym, yp, zm, zp, hx, hy, hz, out):  # type: ignore[no-untyped-def]
     """Slopes of one row from itself and from its neighbours; ``hx`` to ``hz`` divide a central difference."""
     last = len(row) - 1

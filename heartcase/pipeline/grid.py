@@ -33,6 +33,7 @@ from heartcase.pipeline.cells.supports import fixed_nodes, floating_pieces
 from heartcase.pipeline.cells.topology import betti_numbers, components, distance_in_samples, piece_sizes
 from heartcase.pipeline.data import SimulationGrid, Structures
 from heartcase.pipeline.fields import FieldReader
+from heartcase.pipeline.kernels import called
 from heartcase.pipeline.side_by_side import side_by_side
 from heartcase.schemas.errors import StageError
 from heartcase.schemas.labels import LabelTable
@@ -424,28 +425,34 @@ def _thickness_percentiles(samples: CellSamples) -> dict[str, float]:
     return {name: float(value) for name, value in zip(("p5", "p25", "p50", "p75", "p95"), values, strict=True)}
 
 
+@called
+def _find_ridges_of_plane(tissue, depth, ridge, z):  # type: ignore[no-untyped-def]
+    """Find them in one plane."""
+    ny, nx = ridge.shape[1:]
+    half = np.float32(0.5)
+    for y in range(ny):
+        for x in range(nx):
+            ridge[z, y, x] = 0.0
+            here = depth[z + 1, y + 1, x + 1]
+            if not tissue[z + 1, y + 1, x + 1]:
+                continue
+            a, b = depth[z, y + 1, x + 1], depth[z + 2, y + 1, x + 1]
+            c, d = depth[z + 1, y, x + 1], depth[z + 1, y + 2, x + 1]
+            e, f = depth[z + 1, y + 1, x], depth[z + 1, y + 1, x + 2]
+            if max(a, b, c, d, e, f) > here:
+                continue
+            height = max(here, half * (a + b) + (here - min(a, b)), half * (c + d) + (here - min(c, d)))
+            ridge[z, y, x] = max(height, half * (e + f) + (here - min(e, f)))
+
+
 @numba.njit(cache=True, nogil=True, parallel=True)
 def _find_ridges(tissue, depth, ridge):  # type: ignore[no-untyped-def]
     """Depth at the samples that are as deep as their six neighbours, 0 elsewhere; the first two are a sample wider.
 
     Across a wall the depth is a roof; its height follows from the steeper side and both neighbours.
     """
-    nz, ny, nx = ridge.shape
-    half = np.float32(0.5)
-    for z in numba.prange(nz):
-        for y in range(ny):
-            for x in range(nx):
-                ridge[z, y, x] = 0.0
-                here = depth[z + 1, y + 1, x + 1]
-                if not tissue[z + 1, y + 1, x + 1]:
-                    continue
-                a, b = depth[z, y + 1, x + 1], depth[z + 2, y + 1, x + 1]
-                c, d = depth[z + 1, y, x + 1], depth[z + 1, y + 2, x + 1]
-                e, f = depth[z + 1, y + 1, x], depth[z + 1, y + 1, x + 2]
-                if max(a, b, c, d, e, f) > here:
-                    continue
-                height = max(here, half * (a + b) + (here - min(a, b)), half * (c + d) + (here - min(c, d)))
-                ridge[z, y, x] = max(height, half * (e + f) + (here - min(e, f)))
+    for z in numba.prange(len(ridge)):
+        _find_ridges_of_plane(tissue, depth, ridge, z)
 
 
 @numba.njit(cache=True, nogil=True)

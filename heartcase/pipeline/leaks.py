@@ -17,6 +17,7 @@ from heartcase.pipeline.cautions import Caution, anatomy, note
 from heartcase.pipeline.contacts import Contact, Extent, faces_between, without_tissue
 from heartcase.pipeline.data import Structures
 from heartcase.pipeline.fields import FieldReader, evaluate_owner, ownership_on_lattice, scratch, steps_through
+from heartcase.pipeline.kernels import lend
 from heartcase.pipeline.side_by_side import side_by_side
 from heartcase.pipeline.wall_thickness import thickness_at_points
 from heartcase.schemas.geometry import Geometry
@@ -111,8 +112,9 @@ def _fine_labels(
 def _fill_fine(layout, tables, start, step, coarse, near, fine):  # type: ignore[no-untyped-def]
     """Label of each fine point: evaluated in the voxels that are near, else their centre's."""
     nz, ny, nx = fine.shape
+    fields, walls = lend(layout), lend(tables)
     for k in numba.prange(nz):
-        spare = scratch(layout)
+        spare = scratch(fields)
         z = start[2] + k * step[2]
         for j in range(ny):
             y = start[1] + j * step[1]
@@ -121,7 +123,7 @@ def _fill_fine(layout, tables, start, step, coarse, near, fine):  # type: ignore
                 if not near[c, b, a]:
                     fine[k, j, i] = coarse[c, b, a]
                     continue
-                owner = evaluate_owner(layout, tables, start[0] + i * step[0], y, z, spare)
+                owner = evaluate_owner(fields, walls, start[0] + i * step[0], y, z, spare)
                 fine[k, j, i] = TISSUE if owner[0] <= 0.0 else owner[1]
 
 

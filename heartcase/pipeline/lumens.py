@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.feature_transform import distance_to_marked
+from heartcase.pipeline.kernels import copied
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable
 
@@ -114,7 +115,7 @@ def _box_of(mask: Bool) -> tuple[Int64, Int64]:
     return low, high
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _root(parent, at):  # type: ignore[no-untyped-def]
     while parent[at] != at:
         parent[at] = parent[parent[at]]
@@ -178,7 +179,7 @@ def _saddles(depth, order, spacing, wider, least, count_min):  # type: ignore[no
     return rows[:found].copy()
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _way_between(parent, one, other, k, j, i, shape, spacing, width, way):  # type: ignore[no-untyped-def]
     """From the middle of the voxels of one side around a saddle to the middle of those of the other, mm."""
     nz, ny, nx = shape
@@ -327,7 +328,7 @@ def _points_inside(lead, centre, side, other, step, count, is_linear):  # type: 
     return found
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _is_above(values, z, y, x, is_linear):  # type: ignore[no-untyped-def]
     """Whether a field is above zero at a point, by its nearest value or between eight; nothing is above beyond it."""
     nz, ny, nx = values.shape

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.data import Reshaping
+from heartcase.pipeline.kernels import copied
 from heartcase.schemas.geometry import Geometry
 
 __all__ = ["SHAPE_KINDS", "distance_on_lattice", "frame_of", "section_distance", "shape_distance"]
@@ -76,7 +77,7 @@ def section_distance(one: Reshaping, u: Float64, v: Float64) -> Float64:
     return distance.reshape(u.shape)
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _cylinder_distance(points, radius, x, y, z):  # type: ignore[no-untyped-def]
     """Signed distance to a cylinder with flat ends, exact inside and out."""
     ax = points[1, 0] - points[0, 0]
@@ -94,7 +95,7 @@ def _cylinder_distance(points, radius, x, y, z):  # type: ignore[no-untyped-def]
     return max(across, beyond)
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _strokes_distance(points, radius, x, y, z):  # type: ignore[no-untyped-def]
     """Signed distance to the chain of capsules along a polyline."""
     lowest = np.inf
@@ -117,7 +118,7 @@ def _strokes_distance(points, radius, x, y, z):  # type: ignore[no-untyped-def]
     return np.sqrt(lowest) - radius
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _ellipse_distance(a, b, u, v):  # type: ignore[no-untyped-def]
     """Signed distance to an ellipse with half diameters ``a >= b``, exact to 1e-9 of its size."""
     # The foot is (a^2 u / (s + a^2 - b^2), b^2 v / s) with s the root of g, which is convex and falls; on the axes the
@@ -140,7 +141,7 @@ def _ellipse_distance(a, b, u, v):  # type: ignore[no-untyped-def]
     return size if (u / a) * (u / a) + (v / b) * (v / b) > 1.0 else -size
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _section(kind, a, b, u, v):  # type: ignore[no-untyped-def]
     """Signed distance to a cross-section in its plane."""
     if kind == 2:
@@ -149,7 +150,7 @@ def _section(kind, a, b, u, v):  # type: ignore[no-untyped-def]
     return np.sqrt(beyond * beyond + v * v) - b
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _prism_distance(kind, points, x, y, z):  # type: ignore[no-untyped-def]
     """Signed distance to a canal with flat ends whose cross-section is an ellipse or a slit.
 
@@ -184,7 +185,7 @@ def _prism_distance(kind, points, x, y, z):  # type: ignore[no-untyped-def]
     return max(across, beyond)
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def shape_distance(kind, points, radius, x, y, z):  # type: ignore[no-untyped-def]
     """Signed distance at a world point to the shape with a number of :data:`SHAPE_KINDS`, mm, negative inside."""
     if kind == 0:

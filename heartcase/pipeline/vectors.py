@@ -5,7 +5,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-__all__ = ["cross", "dot", "make_unit", "square_to_triangle"]
+__all__ = ["cross", "dot", "make_unit", "put", "square_to_triangle"]
 
 
 @numba.njit(cache=True, nogil=True, inline="always")
@@ -20,6 +20,13 @@ def cross(a, b, out):  # type: ignore[no-untyped-def]
     out[0] = a[1] * b[2] - a[2] * b[1]
     out[1] = a[2] * b[0] - a[0] * b[2]
     out[2] = a[0] * b[1] - a[1] * b[0]
+
+
+@numba.njit(cache=True, nogil=True, inline="always")
+def put(v, out):  # type: ignore[no-untyped-def]
+    """Write a vector to another; numba's own assignment of arrays compiles words for the case that they do not fit."""
+    for axis in range(3):
+        out[axis] = v[axis]
 
 
 @numba.njit(cache=True, nogil=True)

@@ -21,6 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.data import ThicknessTable
+from heartcase.pipeline.kernels import copied
 
 __all__ = ["ThicknessArrays", "table_thickness", "thickness_arrays", "thickness_at_points"]
 
@@ -86,7 +87,7 @@ def thickness_at_points(table: ThicknessTable, points_mm: npt.ArrayLike) -> tupl
     return found[0], found[1]
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _along_centreline(points, thickness, x, y, z):  # type: ignore[no-untyped-def]
     """Thickness at the nearest point of a polyline (ties: the first), and its slope along the line there."""
     lowest = np.inf
@@ -116,7 +117,7 @@ def _along_centreline(points, thickness, x, y, z):  # type: ignore[no-untyped-de
     return value, slope
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _among_positions(points, thickness, x, y, z):  # type: ignore[no-untyped-def]
     """Shepard's mean with weights 1 / distance^4, and the length of its gradient."""
     lowest = np.inf
@@ -149,7 +150,7 @@ def _among_positions(points, thickness, x, y, z):  # type: ignore[no-untyped-def
     return value, np.sqrt(gx * gx + gy * gy + gz * gz)
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def table_thickness(arrays, n, x, y, z):  # type: ignore[no-untyped-def]
     """Thickness in mm, and the length of its gradient, of table ``n`` at a world point."""
     points = arrays.points[arrays.first[n] : arrays.first[n + 1]]

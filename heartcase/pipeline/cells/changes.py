@@ -18,6 +18,7 @@ from scipy.ndimage import find_objects
 from scipy.sparse import csgraph
 
 from heartcase.pipeline.cells.topology import Connectivity, betti_numbers, components
+from heartcase.pipeline.kernels import copied
 
 __all__ = ["Change", "topology_changes"]
 
@@ -131,7 +132,7 @@ def _groups(left: Bool, labels: npt.NDArray[np.uint32], count: int) -> list[tupl
     ]
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _beside(mask):  # type: ignore[no-untyped-def]
     """A set of neighbours and all that share a face with one of them."""
     wide = mask | (mask & ~_LOW_X) >> 1 | (mask << 1) & ~_LOW_X
@@ -139,7 +140,7 @@ def _beside(mask):  # type: ignore[no-untyped-def]
     return (wide | (mask & ~_LOW_Z) >> 9 | (mask << 9) & ~_LOW_Z) & _ALL
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _around(mask):  # type: ignore[no-untyped-def]
     """A set of neighbours and all that share a corner with one of them."""
     mask |= (mask & ~_LOW_X) >> 1 | (mask << 1) & ~_LOW_X & _ALL

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.data import SimulationGrid
+from heartcase.pipeline.kernels import called, copied
 from heartcase.pipeline.vectors import cross
 from heartcase.schemas.lattice import CELL_DIAGONALS, CELL_EDGES, cell_nodes, distinct_keys
 
@@ -85,7 +86,7 @@ def curvature_errors(
     return flat, curved, aligned
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _normalise(v):  # type: ignore[no-untyped-def]
     length = np.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
     if length > 0.0:
@@ -95,7 +96,7 @@ def _normalise(v):  # type: ignore[no-untyped-def]
     return length
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _displace(x, normal, curvature, out):  # type: ignore[no-untyped-def]
     """Move a point as a plate through the origin with this normal and curvature tensor bends."""
     height = normal[0] * x[0] + normal[1] * x[1] + normal[2] * x[2]
@@ -108,7 +109,7 @@ def _displace(x, normal, curvature, out):  # type: ignore[no-untyped-def]
         out[a] += quadratic * normal[a]
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _interpolated(place, normal, curvature, out):  # type: ignore[no-untyped-def]
     """Move of the origin when the displacement is interpolated between the corners of its cell."""
     out[:] = 0.0
@@ -119,7 +120,7 @@ def _interpolated(place, normal, curvature, out):  # type: ignore[no-untyped-def
             out[c] += 0.5 * second * part * (1.0 - part)
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _plate_curvature(normal, mode, curvature):  # type: ignore[no-untyped-def]
     """Curvature tensor of a bending one way (0), the other way (1) and a twist (2) of equal size."""
     axis = np.argmin(np.abs(normal))
@@ -175,54 +176,60 @@ def _bases(points, around, counts, weights, flat, curved, scratch):  # type: ign
     return True
 
 
+@called
+def _errors_at(places, facing, triangle_nodes, weights, nodes, neighbours, flat_error, curved_error, aligned, v):  # type: ignore[no-untyped-def]
+    """Errors at one vertex."""
+    rest = np.empty((3, 3))
+    rest_around = np.empty((3, 18, 3))
+    points = np.empty((3, 3))
+    around = np.empty((3, 18, 3))
+    counts = np.zeros(3, np.int64)
+    flat, curved = np.empty((3, 3)), np.empty((3, 3))
+    scratch, wanted = np.empty(3), np.empty(3)
+    curvature = np.empty((3, 3))
+    offset_flat, offset_curved = np.zeros(3), np.zeros(3)
+    for c in range(3):
+        node = triangle_nodes[v, c]
+        for x in range(3):
+            rest[c, x] = nodes[node, x] - places[v, x]
+        for n in range(18):
+            other = neighbours[node, n]
+            if other < 0:
+                break
+            counts[c] = n + 1
+            for x in range(3):
+                rest_around[c, n, x] = nodes[other, x] - places[v, x]
+    defined = _bases(rest, rest_around, counts, weights[v], flat, curved, scratch)
+    if defined:
+        aligned[v] = curved[1, 0] * flat[1, 0] + curved[1, 1] * flat[1, 1] + curved[1, 2] * flat[1, 2]
+    for x in range(3):
+        away = -(weights[v, 0] * rest[0, x] + weights[v, 1] * rest[1, x] + weights[v, 2] * rest[2, x])
+        for b in range(3):
+            offset_flat[b] += away * flat[b, x]
+            offset_curved[b] += away * curved[b, x]
+    total_flat, total_curved = 0.0, 0.0
+    for mode in range(3):
+        _plate_curvature(facing[v], mode, curvature)
+        _interpolated(places[v], facing[v], curvature, wanted)
+        for c in range(3):
+            _displace(rest[c], facing[v], curvature, points[c])
+            for n in range(counts[c]):
+                _displace(rest_around[c, n], facing[v], curvature, around[c, n])
+        defined = _bases(points, around, counts, weights[v], flat, curved, scratch) and defined
+        for x in range(3):
+            at = weights[v, 0] * points[0, x] + weights[v, 1] * points[1, x] + weights[v, 2] * points[2, x]
+            at -= wanted[x]
+            from_flat, from_curved = at, at
+            for b in range(3):
+                from_flat += offset_flat[b] * flat[b, x]
+                from_curved += offset_curved[b] * curved[b, x]
+            total_flat += from_flat * from_flat
+            total_curved += from_curved * from_curved
+    flat_error[v] = np.sqrt(total_flat) / _AMPLITUDE
+    curved_error[v] = np.sqrt(total_curved) / _AMPLITUDE if defined else np.inf
+
+
 @numba.njit(cache=True, nogil=True, parallel=True)
 def _errors(places, facing, triangle_nodes, weights, nodes, neighbours, flat_error, curved_error, aligned):  # type: ignore[no-untyped-def]
     for v in numba.prange(len(places)):
-        rest = np.empty((3, 3))
-        rest_around = np.empty((3, 18, 3))
-        points = np.empty((3, 3))
-        around = np.empty((3, 18, 3))
-        counts = np.zeros(3, np.int64)
-        flat, curved = np.empty((3, 3)), np.empty((3, 3))
-        scratch, wanted = np.empty(3), np.empty(3)
-        curvature = np.empty((3, 3))
-        offset_flat, offset_curved = np.zeros(3), np.zeros(3)
-        for c in range(3):
-            node = triangle_nodes[v, c]
-            for x in range(3):
-                rest[c, x] = nodes[node, x] - places[v, x]
-            for n in range(18):
-                other = neighbours[node, n]
-                if other < 0:
-                    break
-                counts[c] = n + 1
-                for x in range(3):
-                    rest_around[c, n, x] = nodes[other, x] - places[v, x]
-        defined = _bases(rest, rest_around, counts, weights[v], flat, curved, scratch)
-        if defined:
-            aligned[v] = curved[1, 0] * flat[1, 0] + curved[1, 1] * flat[1, 1] + curved[1, 2] * flat[1, 2]
-        for x in range(3):
-            away = -(weights[v, 0] * rest[0, x] + weights[v, 1] * rest[1, x] + weights[v, 2] * rest[2, x])
-            for b in range(3):
-                offset_flat[b] += away * flat[b, x]
-                offset_curved[b] += away * curved[b, x]
-        total_flat, total_curved = 0.0, 0.0
-        for mode in range(3):
-            _plate_curvature(facing[v], mode, curvature)
-            _interpolated(places[v], facing[v], curvature, wanted)
-            for c in range(3):
-                _displace(rest[c], facing[v], curvature, points[c])
-                for n in range(counts[c]):
-                    _displace(rest_around[c, n], facing[v], curvature, around[c, n])
-            defined = _bases(points, around, counts, weights[v], flat, curved, scratch) and defined
-            for x in range(3):
-                at = weights[v, 0] * points[0, x] + weights[v, 1] * points[1, x] + weights[v, 2] * points[2, x]
-                at -= wanted[x]
-                from_flat, from_curved = at, at
-                for b in range(3):
-                    from_flat += offset_flat[b] * flat[b, x]
-                    from_curved += offset_curved[b] * curved[b, x]
-                total_flat += from_flat * from_flat
-                total_curved += from_curved * from_curved
-        flat_error[v] = np.sqrt(total_flat) / _AMPLITUDE
-        curved_error[v] = np.sqrt(total_curved) / _AMPLITUDE if defined else np.inf
+        _errors_at(places, facing, triangle_nodes, weights, nodes, neighbours, flat_error, curved_error, aligned, v)

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.cells.sampling import CellSamples, tissue_part
+from heartcase.pipeline.kernels import copied
 from heartcase.schemas.lattice import FULL_MOMENTS
 
 __all__ = ["cell_moments"]
@@ -42,7 +43,7 @@ def cell_moments(samples: CellSamples, cells: Int32) -> Float32:
     return moments
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _outward(below, value, above):  # type: ignore[no-untyped-def]
     """Growth of the field along an axis towards the nearer void, and that less the growth to the other side.
 

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from heartcase.pipeline.data import Structures
 from heartcase.pipeline.fields import FieldReader, ownership_on_lattice
+from heartcase.pipeline.kernels import called, copied
 from heartcase.schemas.geometry import Geometry
 
 __all__ = ["CellSamples", "VoidPieces", "cell_lattice", "sample_cells", "sample_factor", "tissue_part", "void_pieces"]
@@ -162,7 +163,7 @@ def _inside(volume: Geometry, lattice: Geometry, factor: int) -> tuple[Float64, 
     return weights[0], weights[1], weights[2]
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _mean_in_sample(tissue_mm, z, y, x, width):  # type: ignore[no-untyped-def]
     """Mean of the field over a sample: its centre's value and 1/24 of the second differences, where it is smooth."""
     value = tissue_mm[z, y, x]
@@ -182,84 +183,96 @@ def tissue_part(tissue_mm, z, y, x, width):  # type: ignore[no-untyped-def]
     return min(max(0.5 - _mean_in_sample(tissue_mm, z, y, x, width) / width, 0.0), 1.0)
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
-def _measure(tissue_mm, tissue_label, wz, wy, wx, s, width, coverage, cell_label):  # type: ignore[no-untyped-def]
-    nk, nj, ni = coverage.shape
-    for k in numba.prange(nk):
-        share = np.zeros(256)
-        for j in range(nj):
-            for i in range(ni):
-                total = 0.0
-                for z in range(k * s, k * s + s):
-                    for y in range(j * s, j * s + s):
-                        for x in range(i * s, i * s + s):
-                            part = tissue_part(tissue_mm, z, y, x, width) * wz[z] * wy[y] * wx[x]
-                            if part > 0.0:
-                                total += part
-                                share[tissue_label[z, y, x]] += part
-                if total > 0.0:
-                    best = 0
-                    for label in range(256):
-                        if share[label] > share[best]:
-                            best = label
-                    share[:] = 0.0
-                    cell_label[k, j, i] = best
-                    coverage[k, j, i] = min(total / (s * s * s), 1.0)
-
-
-@numba.njit(cache=True, nogil=True, parallel=True)
-def _label_pieces(void, void_label, s, piece, count, main, main_label):  # type: ignore[no-untyped-def]
-    nk, nj, ni = count.shape
-    for k in numba.prange(nk):
-        stack = np.empty(s * s * s, np.int64)
-        share = np.zeros(256, np.int64)
-        for j in range(nj):
-            for i in range(ni):
-                z0, y0, x0 = k * s, j * s, i * s
-                found = 0
-                largest = 0
-                for start in range(s * s * s):
-                    z, y, x = z0 + start // (s * s), y0 + start // s % s, x0 + start % s
-                    if not void[z, y, x] or piece[z, y, x] != 0:
-                        continue
-                    found += 1
-                    piece[z, y, x] = found
-                    stack[0] = start
-                    top = 1
-                    size = 0
-                    while top > 0:
-                        top -= 1
-                        at = stack[top]
-                        size += 1
-                        for step in range(6):
-                            a, b, c = at // (s * s), at // s % s, at % s
-                            move = 1 if step % 2 else -1
-                            if step < 2:
-                                a += move
-                            elif step < 4:
-                                b += move
-                            else:
-                                c += move
-                            if min(a, b, c) < 0 or max(a, b, c) >= s:
-                                continue
-                            if void[z0 + a, y0 + b, x0 + c] and piece[z0 + a, y0 + b, x0 + c] == 0:
-                                piece[z0 + a, y0 + b, x0 + c] = found
-                                stack[top] = (a * s + b) * s + c
-                                top += 1
-                    if size > largest:
-                        largest = size
-                        main[k, j, i] = found
-                count[k, j, i] = found
-                if found == 0:
-                    continue
-                share[:] = 0
-                for z in range(z0, z0 + s):
-                    for y in range(y0, y0 + s):
-                        for x in range(x0, x0 + s):
-                            if piece[z, y, x] == main[k, j, i]:
-                                share[void_label[z, y, x]] += 1
+@called
+def _measure_layer(tissue_mm, tissue_label, wz, wy, wx, s, width, coverage, cell_label, k):  # type: ignore[no-untyped-def]
+    """Measure a layer of cells."""
+    nj, ni = coverage.shape[1:]
+    share = np.zeros(256)
+    for j in range(nj):
+        for i in range(ni):
+            total = 0.0
+            for z in range(k * s, k * s + s):
+                for y in range(j * s, j * s + s):
+                    for x in range(i * s, i * s + s):
+                        part = tissue_part(tissue_mm, z, y, x, width) * wz[z] * wy[y] * wx[x]
+                        if part > 0.0:
+                            total += part
+                            share[tissue_label[z, y, x]] += part
+            if total > 0.0:
                 best = 0
                 for label in range(256):
                     if share[label] > share[best]:
                         best = label
-                main_label[k, j, i] = best
+                share[:] = 0.0
+                cell_label[k, j, i] = best
+                coverage[k, j, i] = min(total / (s * s * s), 1.0)
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _measure(tissue_mm, tissue_label, wz, wy, wx, s, width, coverage, cell_label):  # type: ignore[no-untyped-def]
+    for k in numba.prange(len(coverage)):
+        _measure_layer(tissue_mm, tissue_label, wz, wy, wx, s, width, coverage, cell_label, k)
+
+
+@called
+def _label_layer(void, void_label, s, piece, count, main, main_label, k):  # type: ignore[no-untyped-def]
+    """Label the pieces in a layer of cells."""
+    nj, ni = count.shape[1:]
+    stack = np.empty(s * s * s, np.int64)
+    share = np.zeros(256, np.int64)
+    for j in range(nj):
+        for i in range(ni):
+            z0, y0, x0 = k * s, j * s, i * s
+            found = 0
+            largest = 0
+            for start in range(s * s * s):
+                z, y, x = z0 + start // (s * s), y0 + start // s % s, x0 + start % s
+                if not void[z, y, x] or piece[z, y, x] != 0:
+                    continue
+                found += 1
+                piece[z, y, x] = found
+                stack[0] = start
+                top = 1
+                size = 0
+                while top > 0:
+                    top -= 1
+                    at = stack[top]
+                    size += 1
+                    for step in range(6):
+                        a, b, c = at // (s * s), at // s % s, at % s
+                        move = 1 if step % 2 else -1
+                        if step < 2:
+                            a += move
+                        elif step < 4:
+                            b += move
+                        else:
+                            c += move
+                        if min(a, b, c) < 0 or max(a, b, c) >= s:
+                            continue
+                        if void[z0 + a, y0 + b, x0 + c] and piece[z0 + a, y0 + b, x0 + c] == 0:
+                            piece[z0 + a, y0 + b, x0 + c] = found
+                            stack[top] = (a * s + b) * s + c
+                            top += 1
+                if size > largest:
+                    largest = size
+                    main[k, j, i] = found
+            count[k, j, i] = found
+            if found == 0:
+                continue
+            share[:] = 0
+            for z in range(z0, z0 + s):
+                for y in range(y0, y0 + s):
+                    for x in range(x0, x0 + s):
+                        if piece[z, y, x] == main[k, j, i]:
+                            share[void_label[z, y, x]] += 1
+            best = 0
+            for label in range(256):
+                if share[label] > share[best]:
+                    best = label
+            main_label[k, j, i] = best
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _label_pieces(void, void_label, s, piece, count, main, main_label):  # type: ignore[no-untyped-def]
+    for k in numba.prange(len(count)):
+        _label_layer(void, void_label, s, piece, count, main, main_label, k)

@@ -26,8 +26,9 @@ from heartcase.pipeline.cells.ways import (
 )
 from heartcase.pipeline.data import Surface
 from heartcase.pipeline.fields import FieldReader, scratch
+from heartcase.pipeline.kernels import called, copied, lend
 from heartcase.pipeline.side_by_side import every_other
-from heartcase.pipeline.vectors import dot, square_to_triangle
+from heartcase.pipeline.vectors import dot, put, square_to_triangle
 from heartcase.schemas.geometry import Geometry
 
 __all__ = ["Check", "NodeTriangles", "TieChooser", "closest_weights"]
@@ -183,7 +184,7 @@ def closest_weights(points: Float64, corners: Float64) -> Float32:
     return out
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _closest_point(p, a, b, c, weights):  # type: ignore[no-untyped-def]
     """Weights of the point of triangle (a, b, c) that is closest to p; returns the squared distance."""
     squared, second, third = square_to_triangle(p[0], p[1], p[2], a, b, c)
@@ -191,66 +192,85 @@ def _closest_point(p, a, b, c, weights):  # type: ignore[no-untyped-def]
     return squared
 
 
+@called
+def _choose_some(places, normals, fields, who, triangles, tried, apart, penalty, check, most, chosen, score, chunk):  # type: ignore[no-untyped-def]
+    """:func:`_choose` for a chunk of the vertices."""
+    spare, room = scratch(fields.layout), searched()
+    weights, value = np.empty(3), np.empty(tried.shape[1])
+    asked, answers = np.empty((tried.shape[1], 3)), np.empty(tried.shape[1], np.bool_)
+    for n in range(chunk * _CHUNK, min((chunk + 1) * _CHUNK, len(who))):
+        place, normal = places[who[n]], normals[who[n]]
+        chosen[n], score[n] = -1, np.inf
+        asked_count, known_count = 0, 0
+        while True:
+            best, t, c = np.inf, -1, -1
+            for m in range(value.size):
+                if m == known_count:
+                    # all from here on are farther
+                    if apart[n, m] - _HALF_WIDTH > best:
+                        break
+                    corner = triangles.corners[tried[n, m]]
+                    squared = _closest_point(place, corner[0], corner[1], corner[2], weights)
+                    away = max(-dot(normal, triangles.facing[tried[n, m]]), 0.0)
+                    value[m] = np.sqrt(squared) + penalty * away
+                    known_count += 1
+                if value[m] < best or (value[m] == best and tried[n, m] < t):
+                    best, t, c = value[m], tried[n, m], m
+            if best > most[n] or best == np.inf:
+                # what was not tried is farther still
+                chosen[n] = _NO_USE if apart[n, -1] - _HALF_WIDTH > most[n] else -1
+                break
+            corner = triangles.corners[t]
+            if check >= _WALLS_GAPS:
+                _closest_point(place, corner[0], corner[1], corner[2], weights)
+                to = weights[0] * corner[0] + weights[1] * corner[1] + weights[2] * corner[2]
+                is_tied = not is_beyond_wall(fields, spare, place, normal, triangles.facing[t], to)
+                if is_tied:
+                    # a cell has several triangles
+                    cell = triangles.cells[t]
+                    at = 0
+                    while at < asked_count and (
+                        asked[at, 0] != cell[0] or asked[at, 1] != cell[1] or asked[at, 2] != cell[2]
+                    ):
+                        at += 1
+                    if at == asked_count:
+                        put(cell, asked[at])
+                        answers[at] = hangs_together(fields, spare, room, place, normal, cell, False)
+                        asked_count += 1
+                    is_tied = answers[at]
+                if is_tied and check >= _VOIDS:
+                    facing = triangles.facing[t]
+                    is_tied = not looks_elsewhere(fields, spare, room, place, normal, facing, triangles.cells[t])
+                if not is_tied:
+                    value[c] = np.inf
+                    continue
+            chosen[n], score[n] = t, best
+            break
+
+
 @numba.njit(cache=True, nogil=True, parallel=True)
 def _choose(  # type: ignore[no-untyped-def]
-    places, normals, layout, tables, lattice, who, triangles, tried, apart, penalty, check, most, chosen, score
+    places, normals, layout, tables, lattice, who, all_triangles, tried, apart, penalty, check, most, chosen, score
 ):
     """The best of the tried triangles (by the distance of their middles) for each vertex; ties: the least number."""
     chunks = (len(who) + _CHUNK - 1) // _CHUNK
+    fields, triangles = lend(FieldsInCells(layout, tables, lattice)), lend(all_triangles)
     for number in numba.prange(chunks):
-        chunk = every_other(number, chunks)
-        fields = FieldsInCells(layout, tables, lattice)
-        spare, room = scratch(layout), searched()
-        weights, value = np.empty(3), np.empty(tried.shape[1])
-        asked, answers = np.empty((tried.shape[1], 3)), np.empty(tried.shape[1], np.bool_)
-        for n in range(chunk * _CHUNK, min((chunk + 1) * _CHUNK, len(who))):
-            place, normal = places[who[n]], normals[who[n]]
-            chosen[n], score[n] = -1, np.inf
-            asked_count, known_count = 0, 0
-            while True:
-                best, t, c = np.inf, -1, -1
-                for m in range(value.size):
-                    if m == known_count:
-                        # all from here on are farther
-                        if apart[n, m] - _HALF_WIDTH > best:
-                            break
-                        corner = triangles.corners[tried[n, m]]
-                        squared = _closest_point(place, corner[0], corner[1], corner[2], weights)
-                        away = max(-dot(normal, triangles.facing[tried[n, m]]), 0.0)
-                        value[m] = np.sqrt(squared) + penalty * away
-                        known_count += 1
-                    if value[m] < best or (value[m] == best and tried[n, m] < t):
-                        best, t, c = value[m], tried[n, m], m
-                if best > most[n] or best == np.inf:
-                    # what was not tried is farther still
-                    chosen[n] = _NO_USE if apart[n, -1] - _HALF_WIDTH > most[n] else -1
-                    break
-                corner = triangles.corners[t]
-                if check >= _WALLS_GAPS:
-                    _closest_point(place, corner[0], corner[1], corner[2], weights)
-                    to = weights[0] * corner[0] + weights[1] * corner[1] + weights[2] * corner[2]
-                    is_tied = not is_beyond_wall(fields, spare, place, normal, triangles.facing[t], to)
-                    if is_tied:
-                        # a cell has several triangles
-                        cell = triangles.cells[t]
-                        at = 0
-                        while at < asked_count and (
-                            asked[at, 0] != cell[0] or asked[at, 1] != cell[1] or asked[at, 2] != cell[2]
-                        ):
-                            at += 1
-                        if at == asked_count:
-                            asked[at] = cell
-                            answers[at] = hangs_together(fields, spare, room, place, normal, cell, False)
-                            asked_count += 1
-                        is_tied = answers[at]
-                    if is_tied and check >= _VOIDS:
-                        facing = triangles.facing[t]
-                        is_tied = not looks_elsewhere(fields, spare, room, place, normal, facing, triangles.cells[t])
-                    if not is_tied:
-                        value[c] = np.inf
-                        continue
-                chosen[n], score[n] = t, best
-                break
+        _choose_some(
+            places,
+            normals,
+            fields,
+            who,
+            triangles,
+            tried,
+            apart,
+            penalty,
+            check,
+            most,
+            chosen,
+            score,
+            every_other(number, chunks),
+        )
 
 
 @numba.njit(cache=True, nogil=True, parallel=True)

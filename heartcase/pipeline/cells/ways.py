@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from heartcase.pipeline.field_layout import FieldLayout
 from heartcase.pipeline.fields import FieldReader, evaluate_owner, steps_through
+from heartcase.pipeline.kernels import called, copied
 from heartcase.pipeline.vectors import dot
 from heartcase.pipeline.wall_thickness import ThicknessArrays
 from heartcase.schemas.geometry import Geometry
@@ -68,7 +69,7 @@ class CellLattice(NamedTuple):
 
 
 class FieldsInCells(NamedTuple):
-    """Fields as the kernels read them at places in cells; put together inside a parallel loop, which takes no such."""
+    """Fields as the kernels read them at places in cells, lent (:func:`~heartcase.pipeline.kernels.lend`)."""
 
     layout: FieldLayout
     tables: ThicknessArrays
@@ -99,13 +100,13 @@ class Searched(NamedTuple):
     stack: Int64
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def searched():  # type: ignore[no-untyped-def]
     """Room for searches of one thread."""
     return Searched(np.zeros(1 + _EDGE**3, np.int64), np.empty(_EDGE**3, np.int64))
 
 
-@numba.njit(cache=True, nogil=True)
+@called
 def field_at(fields, x, y, z, spare):  # type: ignore[no-untyped-def]
     """Tissue field and void at a place; beyond the scanned volume all is void and background.
 
@@ -125,7 +126,7 @@ def field_at(fields, x, y, z, spare):  # type: ignore[no-untyped-def]
     return one[0] / lattice.cell_mm, one[1], -beyond
 
 
-@numba.njit(cache=True, nogil=True)
+@called
 def is_beyond_wall(fields, spare, vertex, normal, facing, to):  # type: ignore[no-untyped-def]
     """Whether the way from the void beside a vertex to a point of a face leads through tissue into void again.
 
@@ -158,7 +159,7 @@ def is_beyond_wall(fields, spare, vertex, normal, facing, to):  # type: ignore[n
         at = min(at + max(min(step, edge), _STEP), length)
 
 
-@numba.njit(cache=True, nogil=True)
+@called
 def looks_elsewhere(fields, spare, room, vertex, normal, facing, cell):  # type: ignore[no-untyped-def]
     """Whether a face of a cell looks into another void than a vertex does.
 
@@ -168,13 +169,13 @@ def looks_elsewhere(fields, spare, room, vertex, normal, facing, cell):  # type:
     label = field_at(fields, here[0], here[1], here[2], spare)[1]
     if field_at(fields, there[0], there[1], there[2], spare)[1] == label:
         return False
-    beyond = np.empty(3, np.int64)
+    beyond = np.empty(3, np.int32)
     for axis in range(3):
         beyond[axis] = min(max(cell[axis] + int(np.rint(facing[axis])), 0), fields.lattice.cells[axis] - 1)
     return not hangs_together(fields, spare, room, vertex, normal, beyond, True)
 
 
-@numba.njit(cache=True, nogil=True)
+@called
 def hangs_together(fields, spare, room, vertex, normal, cell, is_void):  # type: ignore[no-untyped-def]
     """Whether the tissue behind a vertex, or the void before it, and that of a cell hang together near both.
 
@@ -243,7 +244,7 @@ def _sample(fields, i, j, k, spare):  # type: ignore[no-untyped-def]
     return evaluate_owner(fields.layout, fields.tables, x, y, z, spare)[0]
 
 
-@numba.njit(cache=True, nogil=True)
+@called
 def _add(fields, spare, room, low, high, at, before, after, cell, is_void, steps, top):  # type: ignore[no-untyped-def]
     """Put the samples of tissue, or of void, around one that this search has not come to on the stack.
 

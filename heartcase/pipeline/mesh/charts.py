@@ -14,7 +14,9 @@ import numpy.typing as npt
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from heartcase.pipeline.kernels import copied
 from heartcase.pipeline.mesh.half_edges import opposites
+from heartcase.pipeline.vectors import put
 
 __all__ = ["cut_into_charts", "project"]
 
@@ -126,7 +128,7 @@ def _merge(normal, length, opposite, chart, axes, most, cosine):  # type: ignore
     return any_given
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _one_cone(normal, following, giver, taker, start, cosine, axis):  # type: ignore[no-untyped-def]
     """Whether a cone around some axis holds all normals of two lists; the axis is put into ``axis``.
 
@@ -135,7 +137,7 @@ def _one_cone(normal, following, giver, taker, start, cosine, axis):  # type: ig
     The axis goes towards the normal that is farthest from it, by ever smaller steps (Badoiu and Clarkson, Smaller
     core-sets for balls, SODA 2003).
     """
-    axis[:] = start
+    put(start, axis)
     for step in range(CONE_STEPS):
         worst = 2.0
         farthest = -1
@@ -283,12 +285,12 @@ def _evict(vertices: Float64, triangles: Int32, chart: Int32, axes: Float64, fir
     chart[order[_overlapping(flat, start)]] = -1
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _cross_2d(ax, ay, bx, by, cx, cy):  # type: ignore[no-untyped-def]
     return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _triangles_overlap(a, b, slack):  # type: ignore[no-untyped-def]
     """Whether two triangles share more than ``slack`` of an edge's height (separating axes: their edges)."""
     for first in range(2):
@@ -310,7 +312,7 @@ def _triangles_overlap(a, b, slack):  # type: ignore[no-untyped-def]
     return True
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _find_overlapping(flat, begin, end, out):  # type: ignore[no-untyped-def]
     """Mark the triangles of one chart that overlap a kept one of lower rank in it, by a hash grid."""
     low_x, low_y, high_x, high_y, reach = np.inf, np.inf, -np.inf, -np.inf, 0.0

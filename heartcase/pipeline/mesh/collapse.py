@@ -15,6 +15,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.pipeline.kernels import called
 from heartcase.pipeline.mesh.half_edges import opposites_of_some
 from heartcase.pipeline.mesh.quadrics import (
     best_place,
@@ -183,10 +184,10 @@ def _keeps_manifold(tail, opposite, h, mark, epoch):  # type: ignore[no-untyped-
     return True
 
 
-@numba.njit(cache=True, nogil=True)
+@called
 def may_join(position, tail, opposite, h, p, around, mark, epoch):  # type: ignore[no-untyped-def]
     """Whether an edge may be collapsed to ``p``; ``around`` and ``mark`` are work space."""
-    o = opposite[h]
+    o = np.int64(opposite[h])
     around[:] = 0.0
     around[3] = _add_normals(position, tail, opposite, h, around)
     around[4] = _add_normals(position, tail, opposite, o, around)
@@ -226,7 +227,7 @@ def join_ends(position, tail, opposite, quadric, alive, h, p):  # type: ignore[n
     return near_back
 
 
-@numba.njit(cache=True, nogil=True)
+@called
 def _sweep_part(position, tail, opposite, quadric, alive, cost, limit, mark, moved, still, begin, end, most):  # type: ignore[no-untyped-def]
     """Collapse edges of the triangles from ``begin`` to ``end`` in their order; returns how many triangles go."""
     p = np.empty(3)
@@ -249,14 +250,14 @@ def _sweep_part(position, tail, opposite, quadric, alive, cost, limit, mark, mov
 
 
 @numba.njit(cache=True, nogil=True, parallel=True)
-def _sweep(position, tail, opposite, quadric, alive, cost, limit, parts, most):  # type: ignore[no-untyped-def]
+def _sweep(position, tail, opposite, quadric, alive, cost, limit, still, parts, most):  # type: ignore[no-untyped-def]
     """Collapse edges of at most the cost ``limit``, but none beside a vertex that has moved already.
 
-    ``parts`` are the bounds of the parts of the mesh, ``most`` how many triangles each may lose; returns how many do.
+    ``still`` are vertices that stay, ``parts`` the bounds of the parts of the mesh, ``most`` how many triangles each
+    may lose; returns how many do.
     """
     mark = np.full(len(position), -1, np.int32)
     moved = np.zeros(len(position), np.bool_)
-    still = vertices_between(tail, opposite, alive, parts, True)
     gone = np.zeros(len(most), np.int64)
     for part in numba.prange(len(most)):
         gone[part] = _sweep_part(
@@ -313,7 +314,10 @@ def swept(
         What is left, without gaps.
     """
     alive = np.ones(len(tail) // 3, np.bool_)
-    quadric = vertex_quadrics(position, tail, opposite, tags, _parts_of(alive, turn=0)[0])
+    parts = _parts_of(alive, turn=0)[0]
+    quadric = vertex_quadrics(
+        position, tail, opposite, tags, vertices_between(tail, opposite, alive, parts, False), parts
+    )
     if care is not None:
         quadric *= care[:, None]
     left, before = len(alive), 2 * len(alive)
@@ -329,7 +333,8 @@ def swept(
         limit = np.partition(sample, cheap)[cheap]
         parts, size = _parts_of(alive, turn=turn)
         most = np.diff(np.cumsum(size, dtype=np.int64) * (left - until) // left, prepend=0)
-        left -= _sweep(position, tail, opposite, quadric, alive, cost, limit, parts, most)
+        still = vertices_between(tail, opposite, alive, parts, True)
+        left -= _sweep(position, tail, opposite, quadric, alive, cost, limit, still, parts, most)
         turn += 1
     return _packed(position, tail, opposite, quadric, alive)
 

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.fields import FieldReader, evaluate_owner, scratch, steps_through
+from heartcase.pipeline.kernels import called, copied, lend
 from heartcase.pipeline.mesh.cube_cases import cube_cases
 from heartcase.schemas.geometry import Geometry
 
@@ -107,8 +108,8 @@ def triangulated_border(reader: FieldReader, lattice: Geometry, field: PaddedFie
     return index, label, triangles
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
-def _owner_here(layout, tables, start, step, size, k, j, i, spare):  # type: ignore[no-untyped-def]
+@copied
+def _owner(layout, tables, start, step, size, k, j, i, spare):  # type: ignore[no-untyped-def]
     """Tissue field, void label and tissue label at a place of the padded lattice; clamped to the volume's points."""
     x = min(max(i - 1.0, 0.0), size[2] - 3.0)
     y = min(max(j - 1.0, 0.0), size[1] - 3.0)
@@ -116,18 +117,12 @@ def _owner_here(layout, tables, start, step, size, k, j, i, spare):  # type: ign
     return evaluate_owner(layout, tables, start[0] + x * step[0], start[1] + y * step[1], start[2] + z * step[2], spare)
 
 
-@numba.njit(cache=True, nogil=True)
-def _owner(layout, tables, start, step, size, k, j, i, spare):  # type: ignore[no-untyped-def]
-    """The same, but compiled once: slower, as a call hands over every array of the layout."""
-    return _owner_here(layout, tables, start, step, size, k, j, i, spare)
-
-
-@numba.njit(cache=True, nogil=True)
+@copied
 def _is_outside(n, count):  # type: ignore[no-untyped-def]
     return n == 0 or n == count - 1
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _fill_far(field, label, k0, k1, j0, j1, i0, i1, value):  # type: ignore[no-untyped-def]
     """One value in a block, but positive, and the outside's, in the layer around the lattice."""
     nz, ny, nx = field.shape
@@ -141,14 +136,14 @@ def _fill_far(field, label, k0, k1, j0, j1, i0, i1, value):  # type: ignore[no-u
                     label[k, j, i] = 0
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _fill_exact(layout, tables, start, step, least, field, label, k0, k1, j0, j1, i0, i1, spare):  # type: ignore[no-untyped-def]
     nz, ny, nx = field.shape
     for k in range(k0, k1):
         for j in range(j0, j1):
             edge = _is_outside(k, nz) or _is_outside(j, ny)
             for i in range(i0, i1):
-                owner = _owner_here(layout, tables, start, step, field.shape, k, j, i, spare)
+                owner = _owner(layout, tables, start, step, field.shape, k, j, i, spare)
                 value = owner[0]
                 label[k, j, i] = owner[1]
                 if abs(value) < least:
@@ -156,40 +151,45 @@ def _fill_exact(layout, tables, start, step, least, field, label, k0, k1, j0, j1
                 field[k, j, i] = abs(value) if edge or _is_outside(i, nx) else value
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
-def _fill_blocks(layout, tables, start, step, reach, least, field, label):  # type: ignore[no-untyped-def]
+@called
+def _fill_slab(fields, walls, start, step, reach, least, field, label, slab):  # type: ignore[no-untyped-def]
+    """Fill one layer of blocks."""
     nz, ny, nx = field.shape
     half = BLOCK // 2
-    for slab in numba.prange((nz + BLOCK - 1) // BLOCK):
-        spare = scratch(layout)
-        k0 = slab * BLOCK
-        k1 = min(k0 + BLOCK, nz)
-        for j0 in range(0, ny, BLOCK):
-            j1 = min(j0 + BLOCK, ny)
-            for i0 in range(0, nx, BLOCK):
-                i1 = min(i0 + BLOCK, nx)
-                middle = 0.5 * (BLOCK - 1)
-                value = _owner(layout, tables, start, step, field.shape, k0 + middle, j0 + middle, i0 + middle, spare)[
-                    0
-                ]
-                if abs(value) > reach[0]:
-                    _fill_far(field, label, k0, k1, j0, j1, i0, i1, FAR_MM if value > 0.0 else -FAR_MM)
+    spare = scratch(fields)
+    k0 = slab * BLOCK
+    k1 = min(k0 + BLOCK, nz)
+    for j0 in range(0, ny, BLOCK):
+        j1 = min(j0 + BLOCK, ny)
+        for i0 in range(0, nx, BLOCK):
+            i1 = min(i0 + BLOCK, nx)
+            middle = 0.5 * (BLOCK - 1)
+            value = _owner(fields, walls, start, step, field.shape, k0 + middle, j0 + middle, i0 + middle, spare)[0]
+            if abs(value) > reach[0]:
+                _fill_far(field, label, k0, k1, j0, j1, i0, i1, FAR_MM if value > 0.0 else -FAR_MM)
+                continue
+            for part in range(8):
+                k2 = k0 + half * (part >> 2)
+                j2 = j0 + half * (part >> 1 & 1)
+                i2 = i0 + half * (part & 1)
+                k3, j3, i3 = min(k2 + half, k1), min(j2 + half, j1), min(i2 + half, i1)
+                if k2 >= k3 or j2 >= j3 or i2 >= i3:
                     continue
-                for part in range(8):
-                    k2 = k0 + half * (part >> 2)
-                    j2 = j0 + half * (part >> 1 & 1)
-                    i2 = i0 + half * (part & 1)
-                    k3, j3, i3 = min(k2 + half, k1), min(j2 + half, j1), min(i2 + half, i1)
-                    if k2 >= k3 or j2 >= j3 or i2 >= i3:
-                        continue
-                    value = _owner(layout, tables, start, step, field.shape, k2 + 0.5, j2 + 0.5, i2 + 0.5, spare)[0]
-                    if abs(value) > reach[1]:
-                        _fill_far(field, label, k2, k3, j2, j3, i2, i3, FAR_MM if value > 0.0 else -FAR_MM)
-                    else:
-                        _fill_exact(layout, tables, start, step, least, field, label, k2, k3, j2, j3, i2, i3, spare)
+                value = _owner(fields, walls, start, step, field.shape, k2 + 0.5, j2 + 0.5, i2 + 0.5, spare)[0]
+                if abs(value) > reach[1]:
+                    _fill_far(field, label, k2, k3, j2, j3, i2, i3, FAR_MM if value > 0.0 else -FAR_MM)
+                else:
+                    _fill_exact(fields, walls, start, step, least, field, label, k2, k3, j2, j3, i2, i3, spare)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _fill_blocks(layout, tables, start, step, reach, least, field, label):  # type: ignore[no-untyped-def]
+    fields, walls = lend(layout), lend(tables)
+    for slab in numba.prange((len(field) + BLOCK - 1) // BLOCK):
+        _fill_slab(fields, walls, start, step, reach, least, field, label, slab)
+
+
+@copied
 def _case(field, k, j, i):  # type: ignore[no-untyped-def]
     """Number of a cube's case: which of its corners are tissue."""
     return (
@@ -204,32 +204,37 @@ def _case(field, k, j, i):  # type: ignore[no-untyped-def]
     )
 
 
+@called
+def _counts_of_plane(field, triangle_count, k):  # type: ignore[no-untyped-def]
+    """Vertices on the edges that start in a plane of points, and triangles of the cubes above it."""
+    nz, ny, nx = field.shape
+    vertex_total = 0
+    triangle_total = 0
+    for j in range(ny):
+        for i in range(nx):
+            is_tissue = field[k, j, i] < 0.0
+            if i + 1 < nx:
+                vertex_total += is_tissue != (field[k, j, i + 1] < 0.0)
+            if j + 1 < ny:
+                vertex_total += is_tissue != (field[k, j + 1, i] < 0.0)
+            if k + 1 < nz:
+                vertex_total += is_tissue != (field[k + 1, j, i] < 0.0)
+                if i + 1 < nx and j + 1 < ny:
+                    triangle_total += triangle_count[_case(field, k, j, i)]
+    return vertex_total, triangle_total
+
+
 @numba.njit(cache=True, nogil=True, parallel=True)
 def _plane_counts(field, triangle_count):  # type: ignore[no-untyped-def]
     """Vertices on the edges that start in each plane of points, and triangles of the cubes above each."""
-    nz, ny, nx = field.shape
-    vertices = np.zeros(nz, np.int64)
-    triangles = np.zeros(nz, np.int64)
-    for k in numba.prange(nz):
-        vertex_total = 0
-        triangle_total = 0
-        for j in range(ny):
-            for i in range(nx):
-                is_tissue = field[k, j, i] < 0.0
-                if i + 1 < nx:
-                    vertex_total += is_tissue != (field[k, j, i + 1] < 0.0)
-                if j + 1 < ny:
-                    vertex_total += is_tissue != (field[k, j + 1, i] < 0.0)
-                if k + 1 < nz:
-                    vertex_total += is_tissue != (field[k + 1, j, i] < 0.0)
-                    if i + 1 < nx and j + 1 < ny:
-                        triangle_total += triangle_count[_case(field, k, j, i)]
-        vertices[k] = vertex_total
-        triangles[k] = triangle_total
+    vertices = np.zeros(len(field), np.int64)
+    triangles = np.zeros(len(field), np.int64)
+    for k in numba.prange(len(field)):
+        vertices[k], triangles[k] = _counts_of_plane(field, triangle_count, k)
     return vertices, triangles
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _root(layout, tables, start, step, size, tolerance, k, j, i, axis, low_value, high_value, spare):  # type: ignore[no-untyped-def]
     """Part of a lattice edge at which the field is zero (regula falsi, Illinois variant; ends have unlike signs)."""
     low, high = 0.0, 1.0
@@ -255,36 +260,41 @@ def _root(layout, tables, start, step, size, tolerance, k, j, i, axis, low_value
     return min(max(at, ROOT_MARGIN), 1.0 - ROOT_MARGIN)
 
 
+@called
+def _place_vertices_of_plane(fields, walls, start, step, tolerance, field, void, first, index, label, k):  # type: ignore[no-untyped-def]
+    """Place the vertices on the edges that start in a plane; ``first`` is the number of the first one."""
+    nz, ny, nx = field.shape
+    spare = scratch(fields)
+    n = first
+    for j in range(ny):
+        for i in range(nx):
+            here = field[k, j, i]
+            for axis in range(3):
+                i1, j1, k1 = i + (axis == 0), j + (axis == 1), k + (axis == 2)
+                if i1 == nx or j1 == ny or k1 == nz:
+                    continue
+                there = field[k1, j1, i1]
+                if (here < 0.0) == (there < 0.0):
+                    continue
+                at = 0.5
+                low_outside = _is_outside(i, nx) or _is_outside(j, ny) or _is_outside(k, nz)
+                if not (low_outside or _is_outside(i1, nx) or _is_outside(j1, ny) or _is_outside(k1, nz)):
+                    at = _root(fields, walls, start, step, field.shape, tolerance, k, j, i, axis, here, there, spare)
+                label[n] = void[k, j, i] if there < 0.0 else void[k1, j1, i1]
+                index[n, 0] = i - 1.0 + (at if axis == 0 else 0.0)
+                index[n, 1] = j - 1.0 + (at if axis == 1 else 0.0)
+                index[n, 2] = k - 1.0 + (at if axis == 2 else 0.0)
+                n += 1
+
+
 @numba.njit(cache=True, nogil=True, parallel=True)
 def _place_vertices(layout, tables, start, step, tolerance, field, void, vertex_start, index, label):  # type: ignore[no-untyped-def]
-    nz, ny, nx = field.shape
-    for k in numba.prange(nz):
-        spare = scratch(layout)
-        n = vertex_start[k]
-        for j in range(ny):
-            for i in range(nx):
-                here = field[k, j, i]
-                for axis in range(3):
-                    i1, j1, k1 = i + (axis == 0), j + (axis == 1), k + (axis == 2)
-                    if i1 == nx or j1 == ny or k1 == nz:
-                        continue
-                    there = field[k1, j1, i1]
-                    if (here < 0.0) == (there < 0.0):
-                        continue
-                    at = 0.5
-                    low_outside = _is_outside(i, nx) or _is_outside(j, ny) or _is_outside(k, nz)
-                    if not (low_outside or _is_outside(i1, nx) or _is_outside(j1, ny) or _is_outside(k1, nz)):
-                        at = _root(
-                            layout, tables, start, step, field.shape, tolerance, k, j, i, axis, here, there, spare
-                        )
-                    label[n] = void[k, j, i] if there < 0.0 else void[k1, j1, i1]
-                    index[n, 0] = i - 1.0 + (at if axis == 0 else 0.0)
-                    index[n, 1] = j - 1.0 + (at if axis == 1 else 0.0)
-                    index[n, 2] = k - 1.0 + (at if axis == 2 else 0.0)
-                    n += 1
+    fields, walls = lend(layout), lend(tables)
+    for k in numba.prange(len(field)):
+        _place_vertices_of_plane(fields, walls, start, step, tolerance, field, void, vertex_start[k], index, label, k)
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _number_plane(field, k, first, along_x, along_y, along_z):  # type: ignore[no-untyped-def]
     """Numbers of the vertices on the edges that start in a plane, in the order in which they are placed."""
     nz, ny, nx = field.shape
@@ -303,29 +313,33 @@ def _number_plane(field, k, first, along_x, along_y, along_z):  # type: ignore[n
                 n += 1
 
 
+@called
+def _fill_triangles_of_plane(field, triangle_count, edges, vertex_start, triangle_start, triangles, k):  # type: ignore[no-untyped-def]
+    """Make the triangles of the cubes above a plane."""
+    ny, nx = field.shape[1:]
+    # which vertex lies on each edge along x, y and z from the points of this plane, and of the next
+    number = np.empty((2, 3, ny, nx), np.int32)
+    for plane in range(2):
+        _number_plane(field, k + plane, vertex_start[k + plane], number[plane, 0], number[plane, 1], number[plane, 2])
+    n = triangle_start[k]
+    for j in range(ny - 1):
+        for i in range(nx - 1):
+            case = _case(field, k, j, i)
+            for t in range(triangle_count[case]):
+                for c in range(3):
+                    edge = edges[case, t, c]
+                    axis = edge // 4
+                    one, two = edge & 1, edge >> 1 & 1
+                    if axis == 0:
+                        triangles[n, c] = number[two, 0, j + one, i]
+                    elif axis == 1:
+                        triangles[n, c] = number[two, 1, j, i + one]
+                    else:
+                        triangles[n, c] = number[0, 2, j + two, i + one]
+                n += 1
+
+
 @numba.njit(cache=True, nogil=True, parallel=True)
 def _fill_triangles(field, triangle_count, edges, vertex_start, triangle_start, triangles):  # type: ignore[no-untyped-def]
-    nz, ny, nx = field.shape
-    for k in numba.prange(nz - 1):
-        # which vertex lies on each edge along x, y and z from the points of this plane, and of the next
-        number = np.empty((2, 3, ny, nx), np.int32)
-        for plane in range(2):
-            _number_plane(
-                field, k + plane, vertex_start[k + plane], number[plane, 0], number[plane, 1], number[plane, 2]
-            )
-        n = triangle_start[k]
-        for j in range(ny - 1):
-            for i in range(nx - 1):
-                case = _case(field, k, j, i)
-                for t in range(triangle_count[case]):
-                    for c in range(3):
-                        edge = edges[case, t, c]
-                        axis = edge // 4
-                        one, two = edge & 1, edge >> 1 & 1
-                        if axis == 0:
-                            triangles[n, c] = number[two, 0, j + one, i]
-                        elif axis == 1:
-                            triangles[n, c] = number[two, 1, j, i + one]
-                        else:
-                            triangles[n, c] = number[0, 2, j + two, i + one]
-                    n += 1
+    for k in numba.prange(len(field) - 1):
+        _fill_triangles_of_plane(field, triangle_count, edges, vertex_start, triangle_start, triangles, k)

@@ -10,6 +10,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.pipeline.kernels import copied
 from heartcase.pipeline.mesh.collapse import Collapsing, join_ends, may_join
 from heartcase.pipeline.mesh.quadrics import best_place, next_edge
 
@@ -31,7 +32,7 @@ def finished(mesh: Collapsing, wanted: int, care: npt.NDArray[np.float64] | None
     return one
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _sift_down(cost, edge, born, size, place):  # type: ignore[no-untyped-def]
     c, h, b = cost[place], edge[place], born[place]
     while True:
@@ -48,7 +49,7 @@ def _sift_down(cost, edge, born, size, place):  # type: ignore[no-untyped-def]
     cost[place], edge[place], born[place] = c, h, b
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _sift_up(cost, edge, born, place):  # type: ignore[no-untyped-def]
     c, h, b = cost[place], edge[place], born[place]
     while place > 0:
@@ -88,12 +89,12 @@ def _collapse_by_heap(position, tail, opposite, quadric, alive, mark, left, want
                     size += 1
             for place in range(size // 2 - 1, -1, -1):
                 _sift_down(cost, edge, born, size, place)
-        h = edge[0]
+        h = int(edge[0])
         birth = born[0]
         size -= 1
         cost[0], edge[0], born[0] = cost[size], edge[size], born[size]
         if size > 0:
-            _sift_down(cost, edge, born, size, 0)
+            _sift_down(cost, edge, born, size, np.int64(0))
         if not alive[h // 3]:
             continue
         u = tail[h]

@@ -17,9 +17,10 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.pipeline.fields import FieldReader, evaluate_tissue, scratch
+from heartcase.pipeline.fields import FieldReader, evaluate_owner, scratch
+from heartcase.pipeline.kernels import called, lend
 from heartcase.pipeline.side_by_side import every_other
-from heartcase.pipeline.vectors import cross, make_unit
+from heartcase.pipeline.vectors import cross, make_unit, put
 
 __all__ = ["Rings", "fit_normal", "fitted_normals", "rings_of", "to_index_matrix"]
 
@@ -93,16 +94,16 @@ def fitted_normals(
     return drawn, fitted, found
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@numba.njit(cache=True, nogil=True)
 def _value(layout, tables, m, x, y, z, spare):  # type: ignore[no-untyped-def]
     """Tissue field at a world point; ``m`` maps world to index."""
     i = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]
     j = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]
     k = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
-    return np.float64(evaluate_tissue(layout, tables, i, j, k, spare))
+    return np.float64(evaluate_owner(layout, tables, i, j, k, spare)[0])
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@called
 def _slope(layout, tables, m, at, first, second, span, spare, rise):  # type: ignore[no-untyped-def]
     """Slope along two unit vectors on a ring, and the largest misfit of a rise to it."""
     along_first = 0.0
@@ -129,15 +130,15 @@ def _slope(layout, tables, m, at, first, second, span, spare, rise):  # type: ig
     return along_first, along_second, misfit
 
 
-@numba.njit(cache=True, nogil=True)
+@called
 def fit_normal(layout, tables, m, here, normal, rings, reach, spare, work, there, out):  # type: ignore[no-untyped-def]
     """Draw a point to the field's root along a rough normal, and fit the normal there; returns whether a ring fits.
 
     ``there`` receives the drawn point, ``out`` the normal; where no ring fits, that of the narrowest.
-    ``work`` has shape (3, RING_WAYS).
+    ``work`` has shape (3, RING_WAYS). Layout, tables and rings are lent.
     """
     away = 0.0
-    there[:] = here
+    put(here, there)
     for _ in range(2):
         away -= _value(layout, tables, m, there[0], there[1], there[2], spare)
         away = min(max(away, -reach), reach)
@@ -169,11 +170,12 @@ def fit_normal(layout, tables, m, here, normal, rings, reach, spare, work, there
 @numba.njit(cache=True, nogil=True, parallel=True)
 def _fit_points(layout, tables, m, points, normals, rings, reach, drawn, fitted, found):  # type: ignore[no-untyped-def]
     chunks = (len(points) + CHUNK - 1) // CHUNK
+    fields, walls, wide_to_narrow = lend(layout), lend(tables), lend(rings)
     for number in numba.prange(chunks):
         chunk = every_other(number, chunks)
-        spare = scratch(layout)
+        spare = scratch(fields)
         work = np.empty((3, max(RING_WAYS, 3)))
         for n in range(chunk * CHUNK, min((chunk + 1) * CHUNK, len(points))):
             found[n] = fit_normal(
-                layout, tables, m, points[n], normals[n], rings, reach, spare, work, drawn[n], fitted[n]
+                fields, walls, m, points[n], normals[n], wide_to_narrow, reach, spare, work, drawn[n], fitted[n]
             )

@@ -15,6 +15,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.pipeline.kernels import called, copied, lend
 from heartcase.pipeline.mesh.triangle_grid import triangle_grid
 
 __all__ = ["self_intersections"]
@@ -73,7 +74,7 @@ def _pairs_among(vertices: npt.NDArray[np.floating], triangles: Int32, among: np
     return np.unique(pairs, axis=0) if len(pairs) else pairs
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _side(a, b, c, d):  # type: ignore[no-untyped-def]
     """Sign of the volume of (a, b, c, d): 1, -1, or 0 where it is not certain."""
     ax, ay, az = a[0] - d[0], a[1] - d[1], a[2] - d[2]
@@ -88,7 +89,7 @@ def _side(a, b, c, d):  # type: ignore[no-untyped-def]
     return 1 if volume > bound else (-1 if volume < -bound else 0)
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _edge_crosses(p, q, t):  # type: ignore[no-untyped-def]
     """Whether the segment from p to q strictly crosses the inside of a triangle."""
     side = _side(t[0], t[1], t[2], p)
@@ -120,7 +121,7 @@ def _are_apart(low, high, t, u):  # type: ignore[no-untyped-def]
     )
 
 
-@numba.njit(cache=True, nogil=True)
+@called
 def _crossed_by(t, grid, low, high, found):  # type: ignore[no-untyped-def]
     """Higher triangles that cross triangle ``t``, into ``found`` as far as it reaches; how many there are."""
     corner, first, last, size = grid.corner, grid.first, grid.last, grid.size
@@ -150,23 +151,26 @@ def _crossed_by(t, grid, low, high, found):  # type: ignore[no-untyped-def]
 @numba.njit(cache=True, nogil=True, parallel=True)
 def _cross_count(grid, low, high):  # type: ignore[no-untyped-def]
     counts = np.empty(len(low), np.int64)
+    boxes = lend(grid)
     for t in numba.prange(len(low)):
-        counts[t] = _crossed_by(t, grid, low, high, np.empty(0, np.int32))
+        counts[t] = _crossed_by(t, boxes, low, high, np.empty(0, np.int32))
     return counts
 
 
 @numba.njit(cache=True, nogil=True, parallel=True)
 def _cross_list(grid, low, high, begin, pairs):  # type: ignore[no-untyped-def]
+    boxes = lend(grid)
     for t in numba.prange(len(low)):
         count = begin[t + 1] - begin[t]
         if count > 0:
             found = np.empty(count, np.int32)
-            _crossed_by(t, grid, low, high, found)
-            pairs[begin[t] : begin[t + 1], 0] = t
-            pairs[begin[t] : begin[t + 1], 1] = np.sort(found)
+            _crossed_by(t, boxes, low, high, found)
+            found.sort()
+            for n in range(count):
+                pairs[begin[t] + n, 0], pairs[begin[t] + n, 1] = t, found[n]
 
 
-@numba.njit(cache=True, nogil=True)
+@called
 def _crossed_by_some(t, grid, corner, low, high, which, found):  # type: ignore[no-untyped-def]
     """Triangles of ``which``, those of the grid, that cross triangle ``t``, into ``found``; how many there are."""
     size = grid.size
@@ -201,17 +205,19 @@ def _crossed_by_some(t, grid, corner, low, high, which, found):  # type: ignore[
 @numba.njit(cache=True, nogil=True, parallel=True)
 def _cross_some_count(grid, corner, low, high, near, which):  # type: ignore[no-untyped-def]
     counts = np.empty(len(near), np.int64)
+    boxes = lend(grid)
     for n in numba.prange(len(near)):
-        counts[n] = _crossed_by_some(near[n], grid, corner, low, high, which, np.empty(0, np.int32))
+        counts[n] = _crossed_by_some(near[n], boxes, corner, low, high, which, np.empty(0, np.int32))
     return counts
 
 
 @numba.njit(cache=True, nogil=True, parallel=True)
 def _cross_some_list(grid, corner, low, high, near, which, begin, pairs):  # type: ignore[no-untyped-def]
+    boxes = lend(grid)
     for n in numba.prange(len(near)):
         count = begin[n + 1] - begin[n]
         if count > 0:
             found = np.empty(count, np.int32)
-            _crossed_by_some(near[n], grid, corner, low, high, which, found)
-            pairs[begin[n] : begin[n + 1], 0] = near[n]
-            pairs[begin[n] : begin[n + 1], 1] = found
+            _crossed_by_some(near[n], boxes, corner, low, high, which, found)
+            for m in range(count):
+                pairs[begin[n] + m, 0], pairs[begin[n] + m, 1] = near[n], found[m]

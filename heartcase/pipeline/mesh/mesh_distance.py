@@ -6,6 +6,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.pipeline.kernels import called, lend
 from heartcase.pipeline.mesh.triangle_grid import TriangleGrid
 from heartcase.pipeline.vectors import square_to_triangle
 
@@ -44,12 +45,12 @@ def _outside(place, begin, width):  # type: ignore[no-untyped-def]
     return max(begin - place, place - begin - width, 0.0)
 
 
-@numba.njit(cache=True, nogil=True)
+@called
 def nearest_on_mesh(grid, x, y, z, facing, way, least, farthest):  # type: ignore[no-untyped-def]
     """Nearest triangle to a point: its number, -1 where there is none, the square of the distance, two weights.
 
     ``facing`` are the unit normals of the triangles, and only those are looked at whose cosine with ``way`` is at least
-    ``least``; without any normals all are. Nothing need be found beyond ``farthest`` mm.
+    ``least``; without any normals all are. The grid is lent. Nothing need be found beyond ``farthest`` mm.
     """
     corner, origin, cell, size, start, item = grid.corner, grid.origin, grid.edge, grid.size, grid.start, grid.item
     i = min(max(int(np.floor((x - origin[0]) / cell)), 0), size[0] - 1)
@@ -93,7 +94,7 @@ def nearest_on_mesh(grid, x, y, z, facing, way, least, farthest):  # type: ignor
 
 @numba.njit(cache=True, nogil=True, parallel=True)
 def _query(points, grid, distance):  # type: ignore[no-untyped-def]
-    none = np.empty((0, 3))
+    none, boxes = np.empty((0, 3)), lend(grid)
     for p in numba.prange(len(points)):
-        found = nearest_on_mesh(grid, points[p, 0], points[p, 1], points[p, 2], none, points[p], -1.0, np.inf)
+        found = nearest_on_mesh(boxes, points[p, 0], points[p, 1], points[p, 2], none, points[p], -1.0, np.inf)
         distance[p] = np.sqrt(found[1])

@@ -12,13 +12,14 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.fields import FieldReader, scratch
+from heartcase.pipeline.kernels import called, copied, lend
 from heartcase.pipeline.mesh.atlas import Atlas
 from heartcase.pipeline.mesh.field_normals import fit_normal, fitted_normals, rings_of, to_index_matrix
 from heartcase.pipeline.mesh.half_edges import opposites
 from heartcase.pipeline.mesh.mesh_distance import nearest_on_mesh
 from heartcase.pipeline.mesh.triangle_grid import TriangleGrid
 from heartcase.pipeline.side_by_side import every_other, side_by_side
-from heartcase.pipeline.vectors import cross, dot, make_unit
+from heartcase.pipeline.vectors import cross, dot, make_unit, put
 
 __all__ = ["bake_normal_map"]
 
@@ -185,6 +186,7 @@ def _look_up(
 def _look_up_rows(  # type: ignore[no-untyped-def]
     owner, texel, triangles, corners, vertices, normals, grid, facing, faces, fitted, reach, given
 ):
+    boxes = lend(grid)
     for row in numba.prange(owner.shape[0]):
         weights, here, normal, out = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
         for column in range(owner.shape[1]):
@@ -196,16 +198,16 @@ def _look_up_rows(  # type: ignore[no-untyped-def]
             _mix(weights, normals, corners[t], normal)
             make_unit(normal, 1e-30)
             found, square, v, w = nearest_on_mesh(
-                grid, here[0], here[1], here[2], facing, normal, LEAST_FACING, 4.0 * reach
+                boxes, here[0], here[1], here[2], facing, normal, LEAST_FACING, 4.0 * reach
             )
             if found >= 0 and square <= 16.0 * reach * reach:
                 weights[0], weights[1], weights[2] = 1.0 - v - w, v, w
                 _mix(weights, fitted, faces[found], out)
                 make_unit(out, 1e-3)
-                given[row, column] = out
+                put(out, given[row, column])
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _mix(weights, values, which, out):  # type: ignore[no-untyped-def]
     """Weighted sum of the three vectors ``values[which]``."""
     a, b, c = which[0], which[1], which[2]
@@ -213,7 +215,7 @@ def _mix(weights, values, which, out):  # type: ignore[no-untyped-def]
         out[axis] = weights[0] * values[a, axis] + weights[1] * values[b, axis] + weights[2] * values[c, axis]
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _corner_weights(texel, which, x, y, weights):  # type: ignore[no-untyped-def]
     """Weights of the corners at a point of the picture, clipped to the triangle."""
     ax, ay = texel[which[0], 0], texel[which[0], 1]
@@ -254,39 +256,62 @@ def _giver(t, edge, parts, flat, opposite):  # type: ignore[no-untyped-def]
     return other if other // 3 < t and parts[other // 3] == parts[t] and not flat[other // 3] else -1
 
 
+@called
+def _fit_some_lattices(  # type: ignore[no-untyped-def]
+    fields, walls, m, corners, vertices, normals, flat, opposite, parts, start, rings, reach, known, chunk
+):
+    """Fit those of a chunk of the triangles that no other one gives."""
+    spare = scratch(fields)
+    weights, here, there, normal, out = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    work = np.empty((3, 8))
+    for t in range(chunk * CHUNK, min((chunk + 1) * CHUNK, len(corners))):
+        if flat[t]:
+            continue
+        count = parts[t]
+        for j in range(count + 1):
+            for i in range(count + 1 - j):
+                is_corner = i == count or j == count or i + j == 0
+                if not is_corner and (
+                    (j == 0 and _giver(t, 0, parts, flat, opposite) >= 0)
+                    or (i + j == count and _giver(t, 1, parts, flat, opposite) >= 0)
+                    or (i == 0 and _giver(t, 2, parts, flat, opposite) >= 0)
+                ):
+                    continue
+                weights[1], weights[2] = i / count, j / count
+                weights[0] = (count - i - j) / count
+                _mix(weights, normals, corners[t], normal)
+                make_unit(normal, 1e-30)
+                put(normal, out)
+                if not is_corner:
+                    _mix(weights, vertices, corners[t], here)
+                    fit_normal(fields, walls, m, here, normal, rings, reach, spare, work, there, out)
+                put(out, known[start[t] + _number(i, j, count)])
+
+
 @numba.njit(cache=True, nogil=True, parallel=True)
 def _fit_lattices(  # type: ignore[no-untyped-def]
     layout, tables, m, corners, vertices, normals, flat, opposite, parts, start, rings, reach, known
 ):
     """Normals at the points of every triangle that is not flat; on an edge that two share, fitted once."""
     chunks = (len(corners) + CHUNK - 1) // CHUNK
+    fields, walls, wide_to_narrow = lend(layout), lend(tables), lend(rings)
     for number in numba.prange(chunks):
-        chunk = every_other(number, chunks)
-        spare = scratch(layout)
-        weights, here, there, normal, out = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-        work = np.empty((3, 8))
-        for t in range(chunk * CHUNK, min((chunk + 1) * CHUNK, len(corners))):
-            if flat[t]:
-                continue
-            count = parts[t]
-            for j in range(count + 1):
-                for i in range(count + 1 - j):
-                    is_corner = i == count or j == count or i + j == 0
-                    if not is_corner and (
-                        (j == 0 and _giver(t, 0, parts, flat, opposite) >= 0)
-                        or (i + j == count and _giver(t, 1, parts, flat, opposite) >= 0)
-                        or (i == 0 and _giver(t, 2, parts, flat, opposite) >= 0)
-                    ):
-                        continue
-                    weights[1], weights[2] = i / count, j / count
-                    weights[0] = (count - i - j) / count
-                    _mix(weights, normals, corners[t], normal)
-                    make_unit(normal, 1e-30)
-                    out[:] = normal
-                    if not is_corner:
-                        _mix(weights, vertices, corners[t], here)
-                        fit_normal(layout, tables, m, here, normal, rings, reach, spare, work, there, out)
-                    known[start[t] + _number(i, j, count)] = out
+        _fit_some_lattices(
+            fields,
+            walls,
+            m,
+            corners,
+            vertices,
+            normals,
+            flat,
+            opposite,
+            parts,
+            start,
+            wide_to_narrow,
+            reach,
+            known,
+            every_other(number, chunks),
+        )
     for chunk in numba.prange(chunks):
         for t in range(chunk * CHUNK, min((chunk + 1) * CHUNK, len(corners))):
             for edge in range(3):
@@ -295,7 +320,7 @@ def _fit_lattices(  # type: ignore[no-untyped-def]
                     continue
                 for step in range(1, parts[t]):
                     theirs = start[giver // 3] + _place_on_edge(giver % 3, parts[t] - step, parts[t])
-                    known[start[t] + _place_on_edge(edge, step, parts[t])] = known[theirs]
+                    put(known[theirs], known[start[t] + _place_on_edge(edge, step, parts[t])])
 
 
 @numba.njit(cache=True, nogil=True, inline="always")
@@ -344,16 +369,16 @@ def _bake_rows(  # type: ignore[no-untyped-def]
             cross(side, other, face)
             make_unit(face, 1e-30)
             if flat[t]:
-                true[:] = face
+                put(face, true)
             else:
                 if len(given):
-                    true[:] = given[row, column]
+                    put(given[row, column], true)
                     is_known = make_unit(true, 0.5)
                 else:
                     is_known = _between(known, start[t], parts[t], weights, true)
                 # a field that is creased here tells nothing
                 if not is_known or dot(true, face) < 0.2:
-                    true[:] = normal
+                    put(normal, true)
             cross(bitangent, normal, side)
             volume = dot(tangent, side)
             if abs(volume) < 1e-6:
@@ -418,7 +443,7 @@ def _first_edge(filled):  # type: ignore[no-untyped-def]
     return edge
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _is_beside(filled, j, i):  # type: ignore[no-untyped-def]
     """Whether one of a texel's eight neighbours is filled."""
     rows, columns = filled.shape
@@ -460,7 +485,7 @@ def _dilate(picture, filled, first_edge, rounds):  # type: ignore[no-untyped-def
             last = _unfilled_around(filled, seen, edge[n, 0], edge[n, 1], edge, last)
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _unfilled_around(filled, seen, j, i, edge, count):  # type: ignore[no-untyped-def]
     """List the unfilled neighbours of a texel that are not listed yet."""
     rows, columns = filled.shape

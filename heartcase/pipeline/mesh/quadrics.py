@@ -10,6 +10,8 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from heartcase.pipeline.kernels import called, copied
+
 __all__ = ["best_place", "edge_costs", "next_edge", "previous_edge", "vertex_quadrics", "vertices_between"]
 
 BORDER_WEIGHT = 2.0
@@ -70,7 +72,7 @@ def vertices_between(tail, opposite, alive, parts, widely):  # type: ignore[no-u
     return wide
 
 
-@numba.njit(cache=True, nogil=True)
+@called
 def _add_triangle(t, position, tail, opposite, tags, between, wanted, quadric):  # type: ignore[no-untyped-def]
     """Add a triangle's planes to those of its vertices whose ``between`` is as wanted."""
     a, b, c = tail[3 * t], tail[3 * t + 1], tail[3 * t + 2]
@@ -115,13 +117,13 @@ def _add_triangle(t, position, tail, opposite, tags, between, wanted, quadric): 
 
 
 @numba.njit(cache=True, nogil=True, parallel=True)
-def vertex_quadrics(position, tail, opposite, tags, parts):  # type: ignore[no-untyped-def]
+def vertex_quadrics(position, tail, opposite, tags, between, parts):  # type: ignore[no-untyped-def]
     """Quadric of each vertex: of its triangles' planes, and of planes through the borders between tags.
 
-    ``parts`` are bounds among the triangles: of parts that are worked on at the same time.
+    ``parts`` are bounds among the triangles: of parts that are worked on at the same time. ``between`` are the vertices
+    with triangles in two of them.
     """
     quadric = np.zeros((len(position), 10))
-    between = vertices_between(tail, opposite, np.ones(len(tail) // 3, np.bool_), parts, False)
     for part in numba.prange(len(parts) - 1):
         for t in range(parts[part], parts[part + 1]):
             _add_triangle(t, position, tail, opposite, tags, between, False, quadric)
@@ -130,7 +132,7 @@ def vertex_quadrics(position, tail, opposite, tags, parts):  # type: ignore[no-u
     return quadric
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def best_place(quadric, position, u, v, out):  # type: ignore[no-untyped-def]
     """Cost of joining u and v; the best place goes to ``out``."""
     a = quadric[u, 0] + quadric[v, 0]

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from heartcase.pipeline.data import Structures
 from heartcase.pipeline.fields import FieldReader, evaluate_owner, scratch
+from heartcase.pipeline.kernels import copied, lend
 from heartcase.pipeline.mesh.extract import FullMesh
 from heartcase.pipeline.mesh.half_edges import connected_parts, opposites
 from heartcase.schemas.geometry import Geometry
@@ -118,7 +119,7 @@ def _planes(structures: Structures) -> Float64:
     return np.array(rows, np.float64).reshape(-1, 7)
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _is_cut(centre, normal, to_lattice, direction, size, planes, near):  # type: ignore[no-untyped-def]
     """Whether a triangle lies in an outer face of the volume, or in an end marker's disc, and faces outward there."""
     for axis in range(3):
@@ -144,7 +145,7 @@ def _is_cut(centre, normal, to_lattice, direction, size, planes, near):  # type:
     return False
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _middle(vertices, triangle, centre, normal):  # type: ignore[no-untyped-def]
     """Centre and unit normal of a triangle."""
     a, b, c = vertices[triangle[0]], vertices[triangle[1]], vertices[triangle[2]]
@@ -169,8 +170,9 @@ def _find_cuts(to_lattice, direction, size, planes, near, vertices, triangles, i
 
 @numba.njit(cache=True, nogil=True, parallel=True)
 def _look(layout, tables, to_index, way, vertices, triangles, void, tissue):  # type: ignore[no-untyped-def]
+    fields, walls = lend(layout), lend(tables)
     for chunk in numba.prange((len(triangles) + CHUNK - 1) // CHUNK):
-        spare = scratch(layout)
+        spare = scratch(fields)
         centre, normal, index = np.empty(3), np.empty(3), np.empty(3)
         for t in range(chunk * CHUNK, min((chunk + 1) * CHUNK, len(triangles))):
             _middle(vertices, triangles[t], centre, normal)
@@ -180,7 +182,7 @@ def _look(layout, tables, to_index, way, vertices, triangles, void, tissue):  # 
                     index[k] = to_index[k, 3]
                     for m in range(3):
                         index[k] += to_index[k, m] * (centre[m] + step * normal[m])
-                owner = evaluate_owner(layout, tables, index[0], index[1], index[2], spare)
+                owner = evaluate_owner(fields, walls, index[0], index[1], index[2], spare)
                 if side == 0:
                     void[t] = owner[1]
                 else:

@@ -25,6 +25,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.pipeline.kernels import copied
 from heartcase.pipeline.watershed.descent import row_chunks, side_offsets
 from heartcase.pipeline.watershed.forest import Forest
 from heartcase.pipeline.watershed.marks import UNMARKED, mark_below
@@ -127,7 +128,7 @@ def _find_lowest_rivals(bits, basin, marks, voxels, lowest_mark, lowest_rival): 
             lowest_rival[b] = v
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _top(parent, b):  # type: ignore[no-untyped-def]
     while parent[b] != b:
         parent[b] = parent[parent[b]]
@@ -135,7 +136,7 @@ def _top(parent, b):  # type: ignore[no-untyped-def]
     return b
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _give(foot, height, rivals, following, foot_label, other, rival):  # type: ignore[no-untyped-def]
     """Give a height to a ring of feet, and the first label that is not their own."""
     at = foot

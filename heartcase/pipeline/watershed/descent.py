@@ -6,6 +6,8 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.pipeline.kernels import copied
+
 __all__ = [
     "ROOT",
     "basins_of",
@@ -127,7 +129,7 @@ def _lowest_side(zm, ym, xm, here, xp, yp, zp):  # type: ignore[no-untyped-def]
     return side
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _row_directions(row, zm, ym, yp, zp, out):  # type: ignore[no-untyped-def]
     last = len(row) - 1
     wall = np.float32(np.inf)
@@ -179,7 +181,7 @@ def _count_lower(zm, ym, xm, xp, yp, zp):  # type: ignore[no-untyped-def]
     return ranks
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _row_ranks(row, zm, ym, yp, zp, out):  # type: ignore[no-untyped-def]
     last = len(row) - 1
     wall = np.float32(np.inf)
@@ -216,7 +218,7 @@ def side_of_rank(ranks, rank):  # type: ignore[no-untyped-def]
     return side
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def ranks_at(height, v):  # type: ignore[no-untyped-def]
     """:func:`neighbour_ranks` of one voxel, by its flat index."""
     nz, ny, nx = height.shape
@@ -258,7 +260,7 @@ def _number_roots(direction, chunks, first, basin, root):  # type: ignore[no-unt
                 basin[v] = -1
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _sweep(direction, low, high, waiting, count, forward, offsets, basin):  # type: ignore[no-untyped-def]
     """Give the voxels that wait the number of the neighbour they drain to, where that is known; how many still wait.
 
@@ -283,7 +285,7 @@ def _sweep(direction, low, high, waiting, count, forward, offsets, basin):  # ty
     return left
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _sweep_until_stuck(direction, low, high, waiting, count, offsets, basin):  # type: ignore[no-untyped-def]
     before = count + 1
     while 0 < count < before:
@@ -293,7 +295,7 @@ def _sweep_until_stuck(direction, low, high, waiting, count, offsets, basin):  #
     return count
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _first_sweep(direction, low, high, waiting, offsets, basin):  # type: ignore[no-untyped-def]
     left = 0
     for v in range(low, high):

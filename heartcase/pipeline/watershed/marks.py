@@ -5,6 +5,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from heartcase.pipeline.kernels import copied
 from heartcase.pipeline.watershed.descent import ROOT
 
 __all__ = [
@@ -95,7 +96,7 @@ def mark_below(v, direction, offsets, marks):  # type: ignore[no-untyped-def]
     return marks[v]
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def own_key(v, bits, direction):  # type: ignore[no-untyped-def]
     """Key of the face under a marked voxel, through which it reaches the foot; 0 where it is in the foot."""
     if direction[v] == ROOT:
@@ -103,7 +104,7 @@ def own_key(v, bits, direction):  # type: ignore[no-untyped-def]
     return (np.int64(bits[v]) << 32) | (np.int64(v) << 3)
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def reach(foot, level, label, following, foot_label, foot_level):  # type: ignore[no-untyped-def]
     """Give a label to all feet that hang together with one and have none."""
     at = foot

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from heartcase.pipeline.kernels import copied
 from heartcase.pipeline.watershed.descent import ROOT
 from heartcase.pipeline.watershed.marks import UNMARKED, mark_below, own_key, reach
 from heartcase.pipeline.watershed.tree import NO_KEY
@@ -74,7 +75,7 @@ def mend(landscape, graph, voxels, label, marks, foot_label, foot_level, lowest_
     return np.sort(np.array(changed))
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _carry(foot, level, label, landscape, graph, marks, foot_label, foot_level, lowest_mark, is_changed, changed):  # type: ignore[no-untyped-def]
     """Offer a label to a foot by a way as high as ``level``, and on to all feet that have a higher way now.
 
@@ -152,7 +153,7 @@ def unmark(landscape, graph, voxel_lists, voxels, marks, foot_label, foot_level,
     return np.sort(np.array(feet))
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _first_marked(v, direction, offsets, marks):  # type: ignore[no-untyped-def]
     """The first marked voxel on the way down from a voxel, itself included; the basin's lowest where there is none."""
     while marks[v] == UNMARKED and direction[v] != ROOT:
@@ -160,7 +161,7 @@ def _first_marked(v, direction, offsets, marks):  # type: ignore[no-untyped-def]
     return v
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _feet_that_hang(landscape, graph, touched, erased, marks, foot_level, lowest_mark, is_taken, most):  # type: ignore[no-untyped-def]
     """Feet whose way leads to a marked voxel that is erased, noted in ``is_taken``; some of them where too many do."""
     bits, direction, basin, offsets = landscape
@@ -205,7 +206,7 @@ def _feet_that_hang(landscape, graph, touched, erased, marks, foot_level, lowest
     return feet
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _solve_feet(feet, is_taken, landscape, graph, marks, foot_label, foot_level, lowest_mark):  # type: ignore[no-untyped-def]
     """Kruskal's algorithm over the faces of some feet; what is beyond them has its label already."""
     bits, direction, basin, offsets = landscape

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from heartcase.pipeline.kernels import copied
 from heartcase.pipeline.watershed.marks import UNMARKED, mark_below
 
 __all__ = ["paint_basins", "paint_rows"]
@@ -42,7 +43,7 @@ def paint_basins(changed, first_voxel, voxel_list, direction, offsets, marks, lo
     return np.array([low_k, low_j, low_i]), np.array([high_k, high_j, high_i])
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _paint_row(row, begin, basin, table, direction, offsets, marks, foot_label):  # type: ignore[no-untyped-def]
     """Label a row; the first and the last place at which that changed something."""
     first = len(row)

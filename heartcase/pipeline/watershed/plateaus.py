@@ -6,6 +6,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.pipeline.kernels import copied
 from heartcase.pipeline.watershed.descent import side_offsets
 
 __all__ = ["divide_flat", "flat_minima"]
@@ -86,7 +87,7 @@ def divide_flat(bits, basin, flat, shape, offsets, voxels, marks, unmarked):  # 
         shore = np.sort(reached[:count])
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _find(leader, b):  # type: ignore[no-untyped-def]
     while leader[b] != b:
         leader[b] = leader[leader[b]]
@@ -137,7 +138,7 @@ def _flat_minima(bits, shape, offsets, root, key, first, second):  # type: ignor
     return flat
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _has_equal_neighbour(bits, shape, offsets, v):  # type: ignore[no-untyped-def]
     nz, ny, nx = shape
     i = v % nx

@@ -14,6 +14,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.pipeline.kernels import copied
 from heartcase.pipeline.watershed.descent import (
     basins_of,
     neighbour_ranks,
@@ -185,7 +186,7 @@ def _lowest_bits(bits):  # type: ignore[no-untyped-def]
     return lowest
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _find_in_rows(bits, basin, ranks, low, high, ny, nx, last, offsets, at, key, pair):  # type: ignore[no-untyped-def]
     """Faces between basins in the rows ``low`` to ``high`` - 1, all but a few of those that are not the lowest.
 
@@ -239,7 +240,7 @@ def _note(one, a, b, noted, at, key, pair):  # type: ignore[no-untyped-def]
     return at + 1 + known
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _lowest_of_each(low, high, key, pair, best):  # type: ignore[no-untyped-def]
     for e in range(low, high):
         a = pair[e] >> 32
@@ -308,7 +309,7 @@ def _merge(lowest, parent, tree, found):  # type: ignore[no-untyped-def]
     return found, mapping, fresh
 
 
-@numba.njit(cache=True, nogil=True)
+@copied
 def _contract_chunk(low, high, key, pair, mapping):  # type: ignore[no-untyped-def]
     noted = np.full(NOTED, len(pair) - 1, np.int64)
     at = low

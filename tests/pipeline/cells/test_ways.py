@@ -14,6 +14,7 @@ from heartcase.pipeline.cells.ways import (
     searched,
 )
 from heartcase.pipeline.fields import FieldReader, ownership_at_points, scratch
+from heartcase.pipeline.kernels import lend
 from heartcase.schemas.geometry import Geometry
 from tests.pipeline.analytic_structures import (
     LEFT,
@@ -34,7 +35,8 @@ CELL_MM = 2.5
 
 
 @numba.njit
-def _fields(fields, places):
+def _fields(owner, places):
+    fields = lend(owner)
     out, spare = np.empty((len(places), 3)), scratch(fields.layout)
     for n, p in enumerate(places):
         out[n, 0], out[n, 1], out[n, 2] = field_at(fields, p[0], p[1], p[2], spare)
@@ -42,7 +44,8 @@ def _fields(fields, places):
 
 
 @numba.njit
-def _elsewhere(fields, places, normals, facing, cells):
+def _elsewhere(owner, places, normals, facing, cells):
+    fields = lend(owner)
     out, spare, room = np.empty(len(places), np.bool_), scratch(fields.layout), searched()
     for n in range(len(places)):
         out[n] = looks_elsewhere(fields, spare, room, places[n], normals[n], facing[n], cells[n])
@@ -50,7 +53,8 @@ def _elsewhere(fields, places, normals, facing, cells):
 
 
 @numba.njit
-def _beyond(fields, places, normals, facing, to):
+def _beyond(owner, places, normals, facing, to):
+    fields = lend(owner)
     out, spare = np.empty(len(places), np.bool_), scratch(fields.layout)
     for n in range(len(places)):
         out[n] = is_beyond_wall(fields, spare, places[n], normals[n], facing[n], to[n])
@@ -58,7 +62,8 @@ def _beyond(fields, places, normals, facing, to):
 
 
 @numba.njit
-def _together(fields, places, normals, cells, is_void):
+def _together(owner, places, normals, cells, is_void):
+    fields = lend(owner)
     out, spare, room = np.empty(len(places), np.bool_), scratch(fields.layout), searched()
     for n in range(len(places)):
         out[n] = hangs_together(fields, spare, room, places[n], normals[n], cells[n], is_void)

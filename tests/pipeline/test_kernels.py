@@ -1,0 +1,66 @@
+"""Lent tuples and functions called by place, against the same in Python; and that numba's cache brings them back."""
+
+import os
+import subprocess
+import sys
+from typing import NamedTuple
+
+import numba
+import numpy as np
+import pytest
+
+from heartcase.pipeline.kernels import called, lend
+
+
+class Inner(NamedTuple):
+    values: np.ndarray
+    factor: float
+
+
+class Outer(NamedTuple):
+    inner: Inner
+    which: np.ndarray
+
+
+@called
+def _one(outer, n):
+    if n < 0:
+        raise ValueError("below zero")
+    return outer.inner.factor * outer.inner.values[outer.which[n]]
+
+
+@numba.njit(cache=True, nogil=True, parallel=True)
+def _all(outer, out):
+    lent = lend(outer)
+    for n in numba.prange(len(out)):
+        out[n] = _one(lent, n)
+
+
+@numba.njit(cache=True, nogil=True)
+def _at(outer, n):
+    return _one(lend(outer), n)
+
+
+def outer() -> Outer:
+    return Outer(Inner(np.arange(50.0), 3.0), np.arange(49, -1, -1, dtype=np.int32))
+
+
+def test_lent_tuples_and_called_functions_give_what_python_does():
+    out = np.empty(50)
+    _all(outer(), out)
+    np.testing.assert_array_equal(out, 3.0 * np.arange(49.0, -1.0, -1.0))
+    with pytest.raises(ValueError, match="below zero"):
+        _at(outer(), -1)
+
+
+def test_another_process_loads_them_and_compiles_nothing(tmp_path):
+    code = (
+        "import numpy as np; from tests.pipeline import test_kernels as t; out = np.empty(50); t._all(t.outer(), out);"
+        "print(out.sum(), sum(t._all.stats.cache_misses.values()))"
+    )
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    printed = [
+        subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True).stdout
+        for _ in range(2)
+    ]
+    assert [line.split() for line in printed] == [["3675.0", "1"], ["3675.0", "0"]]
