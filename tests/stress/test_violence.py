@@ -27,6 +27,7 @@ def survive(law, backend, seeds, left_scripts):
     left = {seed: outcome for seed, outcome in outcomes.items() if outcome.inverted_left}
     assert len(left) <= left_scripts, left
     assert all(outcome.inverted_left <= LEFT_MOST for outcome in left.values()), left
+    assert not any(outcome.hurried_left for outcome in outcomes.values()), outcomes
     slow = {seed: o for seed, o in outcomes.items() if not o.inverted_left and o.settled_s > TURNED_BACK_S}
     assert not slow, slow
     return sum(outcome.inverted_most for outcome in outcomes.values())

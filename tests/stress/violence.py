@@ -32,7 +32,7 @@ class Outcome:
     settled_s: float
     """Time until there were none, or until the end, s."""
     hurried_left: int
-    """Free nodes that still move at the speed limit at the end."""
+    """Free nodes that move at the speed limit for good."""
     way_most: float
     """Largest displacement at the end [cells]."""
 
@@ -84,9 +84,13 @@ def run(seed: int, law: ForceLaw, backend: str, settle_steps: int = 3000) -> Out
         )
         if not left:
             break
+    settled_s = simulation.time_s - start_s
     way = float(np.abs(simulation.state.displacement).max())
     hurried = simulation.watch().hurried_node_count
-    return Outcome(tuple(deeds), inverted_most, left, simulation.time_s - start_s, hurried, way)
+    if hurried:
+        simulation.step(settle_steps)
+        hurried = simulation.watch().hurried_node_count
+    return Outcome(tuple(deeds), inverted_most, left, settled_s, hurried, way)
 
 
 def _untouched(model: LatticeModel) -> np.ndarray:
