@@ -55,7 +55,7 @@ class Lattice(Protocol):
 
 
 def prepare(params: dict[str, Any]) -> Inputs:
-    model = heart_lattice(params["node_count"], params.get("split", 1))
+    model = heart_lattice(params["node_count"], params.get("split", 1), params.get("scale", 1.0))
     generator = np.random.Generator(np.random.PCG64(1))
     displacement = generator.normal(0.0, 0.02, (model.node_count, 3)).astype(np.float32)
     displacement[model.node_is_fixed] = 0.0

@@ -24,8 +24,8 @@ NODE_COUNTS = (10_000, 20_000, 30_000, 60_000, 100_000, 250_000)
 SCAN = {"size": "adult", "spacing_mm": 1.75}
 
 
-def heart_lattice(node_count: int, split: int = 1) -> LatticeModel:
-    """The adult phantom's tissue at about ``node_count`` nodes, every cell then cut into ``split``^3."""
+def heart_lattice(node_count: int, split: int = 1, scale: float = 1.0) -> LatticeModel:
+    """The adult phantom's tissue at about ``node_count`` nodes, every cell then cut into ``split``^3, all of it scaled."""
     arrays = _stored(node_count) or _made(node_count)
     cells, coverage = arrays["cells"].astype(np.int32), arrays["coverage"]
     if split > 1:
@@ -33,7 +33,7 @@ def heart_lattice(node_count: int, split: int = 1) -> LatticeModel:
         cells = (cells[:, None] * split + part).reshape(-1, 3)
         coverage = np.repeat(coverage, len(part))
     fixed: Any = arrays["fixed"] if split == 1 else False
-    return make_model(cells, coverage=coverage, fixed=fixed, cell_mm=float(arrays["cell_mm"]) / split)
+    return make_model(cells, coverage=coverage, fixed=fixed, cell_mm=float(arrays["cell_mm"]) * scale / split)
 
 
 def _stored(node_count: int) -> dict[str, Any] | None:
