@@ -25,7 +25,7 @@ SCAN = {"size": "adult", "spacing_mm": 1.75}
 
 
 def heart_lattice(node_count: int, split: int = 1, scale: float = 1.0) -> LatticeModel:
-    """The adult phantom's tissue at about ``node_count`` nodes, every cell then cut into ``split``^3, all of it scaled."""
+    """The adult phantom's tissue at about ``node_count`` nodes, scaled, and every cell then cut into ``split``^3."""
     arrays = _stored(node_count) or _made(node_count)
     cells, coverage = arrays["cells"].astype(np.int32), arrays["coverage"]
     if split > 1:
