@@ -56,8 +56,9 @@ class Lattice(Protocol):
 
 def prepare(params: dict[str, Any]) -> Inputs:
     model = heart_lattice(params["node_count"], params.get("split", 1), params.get("scale", 1.0))
+    # So little that no corner is flat and no node at the speed limit: the other methods know of neither.
     generator = np.random.Generator(np.random.PCG64(1))
-    displacement = generator.normal(0.0, 0.02, (model.node_count, 3)).astype(np.float32)
+    displacement = generator.normal(0.0, 0.005, (model.node_count, 3)).astype(np.float32)
     displacement[model.node_is_fixed] = 0.0
     start = State(displacement, np.zeros_like(displacement))
     verlet = Verlet(default_step(model) / model.units.time_s, damping=10.0 * model.units.time_s)
