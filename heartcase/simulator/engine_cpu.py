@@ -56,7 +56,7 @@ class CpuEngine:
     @property
     def awake_part(self) -> float:
         """Part of the windows of nodes that the last step worked out."""
-        return float(self._sleep[8][0]) / self.layout.window_count
+        return float(self._sleep.counts[0]) / self.layout.window_count
 
     def load(self, state: State) -> None:
         """Start from this state."""

@@ -68,7 +68,7 @@ def _part(share: int, count: int) -> tuple[int, int]:
 def _look_at_share(share: int, now: Float32, cells: CellArrays, sleep: SleepArrays) -> None:
     """Mark the windows of cells that have a corner to be looked after."""
     rows, numbers, _, _, is_flat, _, _ = cells
-    awake, counts = sleep[7], sleep[8]
+    awake, counts = sleep.awake_cells, sleep.counts
     first, end = _part(share, counts[1])
     for window in awake[first:end]:
         # Two: it was flat before and is not any more.
@@ -104,7 +104,7 @@ def _has_flat(cells: CellArrays) -> bool:
 def _work_cells_of_share(share: int, kind: int, now: Float32, cells: CellArrays, sleep: SleepArrays) -> None:
     """Write the forces of a share of the windows of cells."""
     rows, numbers, force, law, is_flat, _, _ = cells
-    awake, counts = sleep[7], sleep[8]
+    awake, counts = sleep.awake_cells, sleep.counts
     first, end = _part(share, counts[1])
     keep = np.float32(kind != NO_CELLS)
     for window in awake[first:end]:
@@ -129,7 +129,7 @@ def _step_share(
     sleep: SleepArrays,
 ) -> None:
     """Move a share of the windows of nodes, by springs alone."""
-    awake, counts = sleep[6], sleep[8]
+    awake, counts = sleep.awake, sleep.counts
     first, end = _part(share, counts[0])
     for window in awake[first:end]:
         step_of_window(now, later, velocity, weight, inverse_mass, rows, window, constants)
@@ -152,7 +152,7 @@ def _step_share_with_cells(
     """Move a share of the windows of nodes, by cells and springs."""
     force, is_touched = cells[2], cells[5]
     kind, has_springs, _ = kinds
-    awake, counts = sleep[6], sleep[8]
+    awake, counts = sleep.awake, sleep.counts
     first, end = _part(share, counts[0])
     for window in awake[first:end]:
         if not has_springs:
@@ -273,7 +273,7 @@ def _keep_window_outside(
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def _remember_share(share: int, velocity: Float32, rows: Int64, sleep: SleepArrays) -> None:
     """Keep the velocities of a share of the windows of nodes for a check after the step."""
-    first, end = _part(share, sleep[8][0])
+    first, end = _part(share, sleep.counts[0])
     remember(first, end, rows, velocity, sleep)
 
 
@@ -291,7 +291,7 @@ def _check_share(
     still: Float32,
 ) -> None:
     """Look for what moves, or soon will, in a share of the windows of nodes."""
-    first, end = _part(share, sleep[8][0])
+    first, end = _part(share, sleep.counts[0])
     check(first, end, rows, displacement, velocity, inverse_mass, still, sleep)
     if len(probes):
         first, end = _part(share, len(rows))
@@ -412,8 +412,8 @@ def advance(
             step, number = constants[0], row_step
             for share in prange(SHARES):
                 before = flush_subnormals()
-                first, end = _part(share, sleep[8][0])
-                for window in sleep[6][first:end]:
+                first, end = _part(share, sleep.counts[0])
+                for window in sleep.awake[first:end]:
                     row = rows[window]
                     _keep_window_outside(now, later, velocity, presence, inverse_mass, rest, row, probes, number, step)
                 restore_subnormals(before)
@@ -480,8 +480,8 @@ def advance_alone(
         if len(probes):
             step, number = constants[0], row_step
             for share in range(SHARES):
-                first, end = _part(share, sleep[8][0])
-                for window in sleep[6][first:end]:
+                first, end = _part(share, sleep.counts[0])
+                for window in sleep.awake[first:end]:
                     row = rows[window]
                     _keep_window_outside(now, later, velocity, presence, inverse_mass, rest, row, probes, number, step)
         current = 1 - current

@@ -15,6 +15,7 @@ Which windows sleep follows from the state at the start of a row and nothing els
 from __future__ import annotations
 
 from math import sqrt
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -42,7 +43,6 @@ Float32 = npt.NDArray[np.float32]
 Int8 = npt.NDArray[np.int8]
 Int32 = npt.NDArray[np.int32]
 Int64 = npt.NDArray[np.int64]
-SleepArrays = tuple[Int32, Int32, Int8, Int8, Int8, Int8, Int64, Int64, Int64, Float32]
 
 CHECK_STEPS = 8
 """Steps between two checks: less than a wave takes through a block, which are at most a cell per step."""
@@ -57,25 +57,33 @@ ROUNDING = 32.0 * float(np.finfo(np.float32).eps)
 """Rounding of the forces on a node per displacement [k], of any sign."""
 
 
-def sleep_arrays(model: LatticeModel, layout: LaneLayout, cell_window_count: int) -> SleepArrays:
-    """What the kernel needs to let windows sleep; all are awake at first.
+class SleepArrays(NamedTuple):
+    """What the kernel needs to let windows sleep."""
 
-    Returns
-    -------
-    blocks_of_window
-        Blocks in which a window begins and ends, shape (window_count, 2).
-    beside
-        The up to 27 blocks that touch a block, itself among them, then -1, shape (block_count, 27).
-    is_moving, is_quick, is_awake
-        Room for whether blocks are not still, for whether that was their speed, and for whether they are awake, shape
-        (block_count,).
-    is_asleep
-        Windows that sleep, shape (window_count,).
-    awake, awake_cells, counts
-        Windows of nodes and of cells that are awake, shapes (window_count,) and (cell_window_count,), and how many are.
-    before
-        Room for the velocities before a step, shape (3, lane_count).
-    """
+    blocks_of_window: Int32
+    """Blocks in which a window begins and ends, shape (window_count, 2)."""
+    beside: Int32
+    """The up to 27 blocks that touch a block, itself among them, then -1, shape (block_count, 27)."""
+    is_moving: Int8
+    """Room for why blocks are not still, shape (block_count,)."""
+    is_quick: Int8
+    """Whether it was their speed at the last check, shape (block_count,)."""
+    is_awake: Int8
+    """Blocks that are awake, shape (block_count,)."""
+    is_asleep: Int8
+    """Windows that sleep, shape (window_count,)."""
+    awake: Int64
+    """Windows of nodes that are awake come first, shape (window_count,)."""
+    awake_cells: Int64
+    """Windows of cells that are awake come first, shape (cell_window_count,)."""
+    counts: Int64
+    """How many windows of nodes and of cells are awake, shape (2,)."""
+    before: Float32
+    """Room for the velocities before a step, shape (3, lane_count)."""
+
+
+def sleep_arrays(model: LatticeModel, layout: LaneLayout, cell_window_count: int) -> SleepArrays:
+    """The windows of a layout in their blocks; all are awake at first."""
     window = layout.node_slot // LANE_COUNT
     first = np.flatnonzero(np.diff(window, prepend=-1))
     last = np.append(first[1:], len(window)) - 1
@@ -88,7 +96,7 @@ def sleep_arrays(model: LatticeModel, layout: LaneLayout, cell_window_count: int
     place = np.minimum(np.searchsorted(used, near), len(used) - 1)
     beside = np.where(used[place] == near, place, -1)
     window_count = layout.window_count
-    return (
+    return SleepArrays(
         np.searchsorted(used, keys).reshape(-1, 2).astype(np.int32),
         np.sort(beside, axis=1)[:, ::-1].astype(np.int32),
         np.zeros(len(blocks), np.int8),
@@ -105,13 +113,13 @@ def sleep_arrays(model: LatticeModel, layout: LaneLayout, cell_window_count: int
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def rouse(sleep: SleepArrays, is_first: bool) -> None:
     """Wake all windows; before the first step of a row, also forget what the last check said."""
-    _, _, _, is_quick, is_awake, is_asleep, awake, awake_cells, counts, _ = sleep
+    awake, awake_cells, counts = sleep.awake, sleep.awake_cells, sleep.counts
     if is_first:
-        is_quick[:] = 0
+        sleep.is_quick[:] = 0
     if counts[0] == len(awake) and counts[1] == len(awake_cells):
         return
-    is_awake[:] = 1
-    is_asleep[:] = 0
+    sleep.is_awake[:] = 1
+    sleep.is_asleep[:] = 0
     for number in range(len(awake)):
         awake[number] = number
     for number in range(len(awake_cells)):
@@ -125,7 +133,7 @@ def remember(first: int, end: int, rows: Int64, velocity: Float32, sleep: SleepA
 
     Not those of blocks that were quick at the last check.
     """
-    blocks_of_window, is_quick, awake, before = sleep[0], sleep[3], sleep[6], sleep[9]
+    blocks_of_window, is_quick, awake, before = sleep.blocks_of_window, sleep.is_quick, sleep.awake, sleep.before
     for number in range(first, end):
         window = awake[number]
         if is_quick[blocks_of_window[window, 0]] and is_quick[blocks_of_window[window, 1]]:
@@ -151,7 +159,8 @@ def check(
 
     ``still``: speed, change of it in a step, and what rounding may add to that per cell of displacement.
     """
-    blocks_of_window, is_moving, is_quick, awake, before = sleep[0], sleep[2], sleep[3], sleep[6], sleep[9]
+    blocks_of_window, is_moving, is_quick = sleep.blocks_of_window, sleep.is_moving, sleep.is_quick
+    awake, before = sleep.awake, sleep.before
     for number in range(first, end):
         window = awake[number]
         low, high = blocks_of_window[window]
@@ -193,7 +202,7 @@ def feel_probes(
     sleep: SleepArrays,
 ) -> None:
     """Mark the blocks of some windows as moving where a probe on its way comes near until the next check."""
-    blocks_of_window, is_moving = sleep[0], sleep[2]
+    blocks_of_window, is_moving = sleep.blocks_of_window, sleep.is_moving
     for window in range(first, end):
         low, high = blocks_of_window[window]
         lane = rows[window, 4]
