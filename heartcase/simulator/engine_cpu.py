@@ -12,6 +12,7 @@ from heartcase.simulator.contact import NO_PROBES
 from heartcase.simulator.explicit import SpringsByNode
 from heartcase.simulator.integrate import Verlet
 from heartcase.simulator.kernel_cpu import ELEMENTS, NO_CELLS, VOLUME_TERM, advance, advance_alone, lane_forces
+from heartcase.simulator.kernel_cpu_chunks import chunk_arrays
 from heartcase.simulator.kernel_cpu_sleep import ROUNDING, sleep_arrays
 from heartcase.simulator.kernel_cpu_windows import CORNER_FORCES
 from heartcase.simulator.lanes import cell_layout, lane_layout
@@ -35,6 +36,7 @@ class CpuEngine:
         self.layout = lane_layout(model)
         lane_count = self.layout.lane_count
         self.weight = _aligned((len(DIRECTIONS), lane_count))
+        self.tension = _aligned((len(DIRECTIONS), lane_count))
         self.presence = self.weight
         self.cells = cell_layout(model, self.layout)
         # Where no cell can act there is no room for what it does.
@@ -43,6 +45,8 @@ class CpuEngine:
         self.is_flat = np.zeros(len(self.cells.window_rows), np.int8)
         self.is_touched = np.zeros(self.layout.window_count, np.int8)
         self._sleep = sleep_arrays(model, self.layout, len(self.cells.window_rows))
+        layer_count = int(np.ptp(model.node_index[:, 2])) + 1
+        self._chunks = chunk_arrays(self.layout, self._sleep, layer_count)
         self.set_springs(model)
         self.displacement = _aligned((2, 3, lane_count))
         self.velocity = _aligned((3, lane_count))
@@ -109,6 +113,7 @@ class CpuEngine:
             self.displacement,
             self.velocity,
             self.weight,
+            self.tension,
             self.presence,
             self.inverse_mass,
             self.layout.window_rows,
@@ -122,6 +127,7 @@ class CpuEngine:
             probes,
             first_step,
             self._sleep,
+            self._chunks,
             np.array([*verlet.still, ROUNDING * verlet.kick], np.float32),
         )
         self.step_count += step_count
@@ -156,7 +162,7 @@ class CpuEngine:
         rows = self.layout.window_rows if nodes is None else self.layout.windows_of(nodes)
         lanes = self.layout.node_lane if nodes is None else self.layout.node_lane[nodes]
         now = self.displacement[self.current]
-        lane_forces(now, self.weight, self.force, rows, self._cell_arrays, self._kinds, self._sleep)
+        lane_forces(now, self.weight, self.force, rows, self._cell_arrays, self._kinds, self._sleep, self._chunks)
         force = np.ascontiguousarray(self.force[:, lanes].T)
         if self.model.explicit.count:
             explicit = self.model.explicit.forces(self.model.node_index, self.read().displacement)

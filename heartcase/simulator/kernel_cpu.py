@@ -1,8 +1,9 @@
 """The CPU kernel: steps of all windows, on one thread or on all of them, in float32.
 
 In a step, cells first write their forces (:mod:`heartcase.simulator.kernel_cpu_windows`), then nodes gather them, add
-those of their springs and move. A window reads only what was written before the threads last met, and writes only its
-own lanes, so that the result does not depend on the number of threads.
+those of their springs and move. A window reads only what was written before the threads last met, or by its own thread
+(:mod:`heartcase.simulator.kernel_cpu_chunks`), and writes only its own lanes, so that the result does not depend on the
+number of threads.
 
 Corners that are about to turn inside out are looked for in the first step and every LOOK_STEPS from there; in between,
 only the windows that had such corners are looked after. Where tissue may sleep (:mod:`heartcase.simulator.
@@ -16,6 +17,7 @@ import numpy.typing as npt
 from numba import njit, prange
 
 from heartcase.simulator.contact import make_contact
+from heartcase.simulator.kernel_cpu_chunks import ChunkArrays, share_out
 from heartcase.simulator.kernel_cpu_sleep import (
     CHECK_STEPS,
     ROUSE_STEPS,
@@ -36,6 +38,7 @@ from heartcase.simulator.kernel_cpu_windows import (
     step_of_window,
     step_of_window_with_cells,
     step_of_window_with_cells_alone,
+    tension_of_window,
     volume_of_window,
 )
 from heartcase.simulator.lanes import LANE_COUNT
@@ -117,50 +120,61 @@ def _work_cells_of_share(share: int, kind: int, now: Float32, cells: CellArrays,
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
-def _step_share(
-    share: int,
+def _step_chunk(
+    chunk: int,
     now: Float32,
     later: Float32,
     velocity: Float32,
     weight: Float32,
+    tension: Float32,
     inverse_mass: Float32,
     rows: Int64,
     constants: Constants,
+    chunks: ChunkArrays,
     sleep: SleepArrays,
 ) -> None:
-    """Move a share of the windows of nodes, by springs alone."""
-    awake, counts = sleep.awake, sleep.counts
-    first, end = _part(share, counts[0])
-    for window in awake[first:end]:
-        step_of_window(now, later, velocity, weight, inverse_mass, rows, window, constants)
+    """Move the windows of a chunk, by springs alone."""
+    awake, before, ends = sleep.awake, chunks.before, chunks.ends
+    for number in range(chunks.before_counts[chunk]):
+        tension_of_window(now, weight, tension, rows, np.int64(before[chunk, number]))
+    for window in awake[ends[chunk] : ends[chunk + 1]]:
+        step_of_window(now, later, velocity, weight, tension, inverse_mass, rows, window, constants)
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
-def _step_share_with_cells(
-    share: int,
+def _step_chunk_with_cells(
+    chunk: int,
     now: Float32,
     later: Float32,
     velocity: Float32,
     weight: Float32,
+    tension: Float32,
     inverse_mass: Float32,
     rows: Int64,
     constants: Constants,
     cells: CellArrays,
     kinds: Kinds,
+    chunks: ChunkArrays,
     sleep: SleepArrays,
 ) -> None:
-    """Move a share of the windows of nodes, by cells and springs."""
+    """Move the windows of a chunk, by cells and springs."""
     force, is_touched = cells[2], cells[5]
     kind, has_springs, _ = kinds
-    awake, counts = sleep.awake, sleep.counts
-    first, end = _part(share, counts[0])
-    for window in awake[first:end]:
+    awake, before, ends = sleep.awake, chunks.before, chunks.ends
+    if has_springs:
+        for number in range(chunks.before_counts[chunk]):
+            tension_of_window(now, weight, tension, rows, np.int64(before[chunk, number]))
+    for window in awake[ends[chunk] : ends[chunk + 1]]:
         if not has_springs:
-            step_of_window_with_cells_alone(now, later, velocity, weight, force, inverse_mass, rows, window, constants)
+            step_of_window_with_cells_alone(
+                now, later, velocity, weight, tension, force, inverse_mass, rows, window, constants
+            )
         elif kind != NO_CELLS or is_touched[window]:
-            step_of_window_with_cells(now, later, velocity, weight, force, inverse_mass, rows, window, constants)
+            step_of_window_with_cells(
+                now, later, velocity, weight, tension, force, inverse_mass, rows, window, constants
+            )
         else:
-            step_of_window(now, later, velocity, weight, inverse_mass, rows, window, constants)
+            step_of_window(now, later, velocity, weight, tension, inverse_mass, rows, window, constants)
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
@@ -172,10 +186,12 @@ def lane_forces(
     cells: CellArrays,
     kinds: Kinds,
     sleep: SleepArrays,
+    chunks: ChunkArrays,
 ) -> None:
     """Write the forces [grid units], shape (3, lane_count), of displacements [cells], shape (3, lane_count)."""
     kind, _, has_guard = kinds
-    rouse(sleep, True)
+    if rouse(sleep, True):
+        share_out(chunks, sleep)
     if has_guard:
         for share in range(SHARES):
             _look_at_share(share, displacement, cells, sleep)
@@ -303,6 +319,7 @@ def advance(
     displacement: Float32,
     velocity: Float32,
     weight: Float32,
+    tension: Float32,
     presence: Float32,
     inverse_mass: Float32,
     rows: Int64,
@@ -316,6 +333,7 @@ def advance(
     probes: Float32,
     first_step: int,
     sleep: SleepArrays,
+    chunks: ChunkArrays,
     still: Float32,
 ) -> int:
     """Take steps in place.
@@ -328,6 +346,8 @@ def advance(
         Half a step before [cells / unit of time], shape (3, lane_count).
     weight
         Spring stiffness by direction [k], shape (9, lane_count).
+    tension
+        Room for the tensions of these springs over their lengths [k], zeros at first, shape (9, lane_count).
     presence
         Above zero where there is a spring, whether it acts or not, shape (9, lane_count).
     inverse_mass
@@ -358,6 +378,8 @@ def advance(
         Steps that were taken before in this row: probes have moved so far, and looks and checks are counted from there.
     sleep
         As of :func:`heartcase.simulator.kernel_cpu_sleep.sleep_arrays`.
+    chunks
+        As of :func:`heartcase.simulator.kernel_cpu_chunks.chunk_arrays`.
     still
         Speed below which a node is still, change of it in a step [cells / unit of time], and what rounding may add to
         that per cell of displacement, shape (3,); zeros where no tissue sleeps.
@@ -368,13 +390,14 @@ def advance(
         Buffer that holds the displacement at the end.
     """
     kind, _, has_guard = kinds
+    chunk_count = len(chunks.before_counts)
     works_cells = kind != NO_CELLS or _has_flat(cells)
     for step_number in range(step_count):
         now = displacement[current]
         later = displacement[1 - current]
         row_step = first_step + step_number
-        if row_step % ROUSE_STEPS == 0:
-            rouse(sleep, row_step == 0)
+        if row_step % ROUSE_STEPS == 0 and rouse(sleep, row_step == 0):
+            share_out(chunks, sleep)
         is_checked = still[0] > 0 and row_step % CHECK_STEPS == 0
         if is_checked:
             for share in prange(SHARES):
@@ -397,16 +420,28 @@ def advance(
             _pull_explicitly(now, velocity, inverse_mass, explicit, constants)
             restore_subnormals(before)
         if works_cells:
-            for share in prange(SHARES):
+            for chunk in prange(chunk_count):
                 before = flush_subnormals()
-                _step_share_with_cells(
-                    share, now, later, velocity, weight, inverse_mass, rows, constants, cells, kinds, sleep
+                _step_chunk_with_cells(
+                    chunk,
+                    now,
+                    later,
+                    velocity,
+                    weight,
+                    tension,
+                    inverse_mass,
+                    rows,
+                    constants,
+                    cells,
+                    kinds,
+                    chunks,
+                    sleep,
                 )
                 restore_subnormals(before)
         else:
-            for share in prange(SHARES):
+            for chunk in prange(chunk_count):
                 before = flush_subnormals()
-                _step_share(share, now, later, velocity, weight, inverse_mass, rows, constants, sleep)
+                _step_chunk(chunk, now, later, velocity, weight, tension, inverse_mass, rows, constants, chunks, sleep)
                 restore_subnormals(before)
         if len(probes):
             step, number = constants[0], row_step
@@ -421,7 +456,8 @@ def advance(
         if is_checked:
             for share in prange(SHARES):
                 _check_share(share, later, velocity, inverse_mass, rows, rest, probes, row_step + 1, sleep, still)
-            settle(displacement, velocity, rows, cells[6], current, sleep)
+            if settle(displacement, velocity, rows, cells[6], current, sleep):
+                share_out(chunks, sleep)
     return current
 
 
@@ -430,6 +466,7 @@ def advance_alone(
     displacement: Float32,
     velocity: Float32,
     weight: Float32,
+    tension: Float32,
     presence: Float32,
     inverse_mass: Float32,
     rows: Int64,
@@ -443,18 +480,20 @@ def advance_alone(
     probes: Float32,
     first_step: int,
     sleep: SleepArrays,
+    chunks: ChunkArrays,
     still: Float32,
 ) -> int:
     """:func:`advance` on one thread, to the same bits: quicker where a step is over before threads have met."""
     before = flush_subnormals()
     kind, _, has_guard = kinds
+    chunk_count = len(chunks.before_counts)
     works_cells = kind != NO_CELLS or _has_flat(cells)
     for step_number in range(step_count):
         now = displacement[current]
         later = displacement[1 - current]
         row_step = first_step + step_number
-        if row_step % ROUSE_STEPS == 0:
-            rouse(sleep, row_step == 0)
+        if row_step % ROUSE_STEPS == 0 and rouse(sleep, row_step == 0):
+            share_out(chunks, sleep)
         is_checked = still[0] > 0 and row_step % CHECK_STEPS == 0
         if is_checked:
             for share in range(SHARES):
@@ -470,13 +509,25 @@ def advance_alone(
                 _work_cells_of_share(share, kind, now, cells, sleep)
         if len(explicit[0]):
             _pull_explicitly(now, velocity, inverse_mass, explicit, constants)
-        for share in range(SHARES):
+        for chunk in range(chunk_count):
             if works_cells:
-                _step_share_with_cells(
-                    share, now, later, velocity, weight, inverse_mass, rows, constants, cells, kinds, sleep
+                _step_chunk_with_cells(
+                    chunk,
+                    now,
+                    later,
+                    velocity,
+                    weight,
+                    tension,
+                    inverse_mass,
+                    rows,
+                    constants,
+                    cells,
+                    kinds,
+                    chunks,
+                    sleep,
                 )
             else:
-                _step_share(share, now, later, velocity, weight, inverse_mass, rows, constants, sleep)
+                _step_chunk(chunk, now, later, velocity, weight, tension, inverse_mass, rows, constants, chunks, sleep)
         if len(probes):
             step, number = constants[0], row_step
             for share in range(SHARES):
@@ -488,6 +539,7 @@ def advance_alone(
         if is_checked:
             for share in range(SHARES):
                 _check_share(share, later, velocity, inverse_mass, rows, rest, probes, row_step + 1, sleep, still)
-            settle(displacement, velocity, rows, cells[6], current, sleep)
+            if settle(displacement, velocity, rows, cells[6], current, sleep):
+                share_out(chunks, sleep)
     restore_subnormals(before)
     return current

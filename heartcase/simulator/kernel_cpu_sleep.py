@@ -111,13 +111,16 @@ def sleep_arrays(model: LatticeModel, layout: LaneLayout, cell_window_count: int
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
-def rouse(sleep: SleepArrays, is_first: bool) -> None:
-    """Wake all windows; before the first step of a row, also forget what the last check said."""
+def rouse(sleep: SleepArrays, is_first: bool) -> bool:
+    """Wake all windows; before the first step of a row, also forget what the last check said.
+
+    Returns whether one was asleep.
+    """
     awake, awake_cells, counts = sleep.awake, sleep.awake_cells, sleep.counts
     if is_first:
         sleep.is_quick[:] = 0
     if counts[0] == len(awake) and counts[1] == len(awake_cells):
-        return
+        return False
     sleep.is_awake[:] = 1
     sleep.is_asleep[:] = 0
     for number in range(len(awake)):
@@ -125,6 +128,7 @@ def rouse(sleep: SleepArrays, is_first: bool) -> None:
     for number in range(len(awake_cells)):
         awake_cells[number] = number
     counts[0], counts[1] = len(awake), len(awake_cells)
+    return True
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
@@ -226,8 +230,11 @@ def feel_probes(
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def settle(
     displacement: Float32, velocity: Float32, rows: Int64, touches: Int64, current: int, sleep: SleepArrays
-) -> None:
-    """After a check, put windows to sleep that are far from what moves, and wake those that are not."""
+) -> bool:
+    """After a check, put windows to sleep that are far from what moves, and wake those that are not.
+
+    Returns whether any did.
+    """
     blocks_of_window, beside, is_moving, is_quick, is_awake, is_asleep, awake, awake_cells, counts, _ = sleep
     has_changed = False
     for block in range(len(is_moving)):
@@ -242,7 +249,7 @@ def settle(
         is_quick[block] = is_moving[block] == QUICK
         is_moving[block] = 0
     if not has_changed:
-        return
+        return False
     count = 0
     for window in range(len(rows)):
         if is_awake[blocks_of_window[window, 0]] or is_awake[blocks_of_window[window, 1]]:
@@ -265,3 +272,4 @@ def settle(
                 count += 1
                 break
     counts[1] = count
+    return True

@@ -38,6 +38,7 @@ __all__ = [
     "step_of_window",
     "step_of_window_with_cells",
     "step_of_window_with_cells_alone",
+    "tension_of_window",
     "volume_of_window",
 ]
 
@@ -52,27 +53,58 @@ _CORNERS = [(int(i), int(j), int(k)) for i, j, k in CORNER_OFFSETS]
 _element, _volume_term, _corner_guard, _corner_lack = make_cell_math(lambda function: function, Lanes.positive_part)
 
 
-def _pull(own: Vector, other: Vector, offset: tuple[int, int, int], weight: Lanes) -> Vector:
-    """Force of one spring on its own end; see the formula at the top."""
-    D = (other[0] - own[0], other[1] - own[1], other[2] - own[2])
-    d = (D[0] + offset[0], D[1] + offset[1], D[2] + offset[2])
-    o_plus_d = (d[0] + offset[0], d[1] + offset[1], d[2] + offset[2])
+def _apart(here: Window, displacement: Any, own: Vector, offset: tuple[int, int, int]) -> Vector:
+    """-D of the neighbour at an offset: what is loaded is the second operand, and needs no register."""
+    x, y, z = here.load_vector(displacement, offset)
+    return own[0] - x, own[1] - y, own[2] - z
+
+
+def _tension(apart: Vector, offset: tuple[int, int, int], weight: Lanes) -> Lanes:
+    """Tension of a spring over its length; see the formula at the top, of which all vectors are turned round."""
+    d = _less(apart, offset)
     length = float(np.linalg.norm(offset))
-    e = dot(o_plus_d, D)
+    e = dot(_less(d, offset), apart)
     d_squared = d[0] * d[0] + _TINY + d[1] * d[1] + d[2] * d[2]
-    tension_per_length = weight * e / (d_squared + d_squared.root() * length)
-    return tension_per_length * d[0], tension_per_length * d[1], tension_per_length * d[2]
+    return weight * e / (d_squared + d_squared.root() * length)
 
 
-def _spring_force(here: Window, displacement: Any, weight: Any) -> Vector:
-    """Sum of the pulls of the 18 springs on each lane."""
+def _less(apart: Vector, offset: tuple[int, int, int]) -> Vector:
+    return apart[0] - offset[0], apart[1] - offset[1], apart[2] - offset[2]
+
+
+def _with_pull(total: Vector | None, tension: Lanes, apart: Vector, offset: tuple[int, int, int]) -> Vector:
+    """A sum of forces, all turned round, with one spring's."""
+    d = _less(apart, offset)
+    pull = (tension * d[0], tension * d[1], tension * d[2])
+    return _plus(total, pull) if total else pull
+
+
+def _spring_force(here: Window, displacement: Any, weight: Any, tension: Any | None) -> Vector:
+    """Sum of the pulls of the 18 springs on each lane, turned round.
+
+    Where there is room for tensions, those of the springs ahead are left in it, and those of the springs behind taken
+    from it.
+    """
     own = here.load_vector(displacement)
     total: Vector | None = None
     for direction, (i, j, k) in enumerate(DIRECTIONS.tolist()):
-        for offset, spring in (((i, j, k), (0, 0, 0)), ((-i, -j, -k), (-i, -j, -k))):
+        ahead, behind = (i, j, k), (-i, -j, -k)
+        apart_ahead = _apart(here, displacement, own, ahead)
+        apart_behind = _apart(here, displacement, own, behind)
+        tension_ahead = _tension(apart_ahead, ahead, here.load(weight, direction))
+        if tension is None:
             # A spring's weight is stored at its lower node: for the springs behind a lane, the neighbour.
-            pull = _pull(own, here.load_vector(displacement, offset), offset, here.load(weight, direction, spring))
-            total = _plus(total, pull) if total else pull
+            tension_behind = _tension(apart_behind, behind, here.load(weight, direction, behind))
+        elif (j, k) == (0, 0):
+            # These are the ones just stored, one lane on: a load would have to wait for the store.
+            first = here.builder.load(here.pointer(tension, direction, behind))
+            tension_behind = tension_ahead.after(first)
+        else:
+            tension_behind = here.load(tension, direction, behind)
+        if tension is not None:
+            tension_ahead.store(here.pointer(tension, direction))
+        total = _with_pull(total, tension_ahead, apart_ahead, ahead)
+        total = _with_pull(total, tension_behind, apart_behind, behind)
     assert total is not None
     return total
 
@@ -91,14 +123,16 @@ def _plus(a: Vector, b: Vector) -> Vector:
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
-def _force(here: Window, displacement: Any, weight: Any | None, cell_force: Any | None) -> Vector:
-    springs = _spring_force(here, displacement, weight) if weight is not None else None
-    cells = _cell_force(here, cell_force) if cell_force is not None else None
-    if springs is not None and cells is not None:
-        return _plus(springs, cells)
-    total = springs if springs is not None else cells
-    assert total is not None
-    return total
+def _force(here: Window, displacement: Any, weight: Any | None, tension: Any | None, cell_force: Any | None) -> Vector:
+    """Sum of the forces on each lane, turned round."""
+    springs = _spring_force(here, displacement, weight, tension) if weight is not None else None
+    if cell_force is None:
+        assert springs is not None
+        return springs
+    cells = _cell_force(here, cell_force)
+    if springs is None:
+        return -cells[0], -cells[1], -cells[2]
+    return springs[0] - cells[0], springs[1] - cells[1], springs[2] - cells[2]
 
 
 def _make_force(has_cells: bool) -> Any:
@@ -111,8 +145,8 @@ def _make_force(has_cells: bool) -> Any:
             u, w, c, f, starts = (array_data(context, builder, *pair) for pair in arrays)
             lane_count = array_lane_count(context, builder, signature.args[0], arguments[0])
             here = Window(builder, starts, arguments[5], lane_count)
-            for axis, component in enumerate(_force(here, u, w, c if has_cells else None)):
-                component.store(here.pointer(f, axis))
+            for axis, component in enumerate(_force(here, u, w, None, c if has_cells else None)):
+                (-component).store(here.pointer(f, axis))
             return context.get_dummy_value()
 
         return types.void(displacement, weight, cell_force, force, rows, types.int64), codegen
@@ -125,7 +159,13 @@ force_of_window_with_cells = _make_force(has_cells=True)
 
 
 def _emit_step(
-    context: Any, builder: Any, kinds: Any, arguments: Any, weight: Any | None, cell_force: Any | None
+    context: Any,
+    builder: Any,
+    kinds: Any,
+    arguments: Any,
+    weight: Any | None,
+    tension: Any | None,
+    cell_force: Any | None,
 ) -> Any:
     """Move a window by one step; see :mod:`heartcase.simulator.integrate`.
 
@@ -136,10 +176,13 @@ def _emit_step(
     numbers = [Lanes.filled(builder, number) for number in cgutils.unpack_tuple(builder, arguments[6], 7)]
     time_step, keep, kick, gravity, speed_limit = *numbers[:3], numbers[3:6], numbers[6]
     mass_inverse = here.load(m, 0)
-    for axis, force in enumerate(_force(here, u, weight, cell_force)):
+    # Chosen before it is clamped: a choice that is stored becomes a masked store, which takes some processors 20 times
+    # as long as a whole one.
+    limit = speed_limit.where_positive(mass_inverse, Lanes.filled(builder, np.finfo(np.float32).max))
+    for axis, against in enumerate(_force(here, u, weight, tension, cell_force)):
         held = here.load(v, axis)
-        free = keep * held + kick * (force * mass_inverse + gravity[axis])
-        new = free.clamped(speed_limit).where_positive(mass_inverse, held)
+        free = keep * held + kick * (gravity[axis] - against * mass_inverse)
+        new = free.where_positive(mass_inverse, held).clamped(limit)
         new.store(here.pointer(v, axis))
         (here.load(u, axis) + time_step * new).store(here.pointer(u_later, axis))
     return context.get_dummy_value()
@@ -147,31 +190,50 @@ def _emit_step(
 
 @intrinsic
 def step_of_window(  # type: ignore[no-untyped-def]
-    typing_context, now, later, velocity, weight, inverse_mass, rows, window, constants
+    typing_context, now, later, velocity, weight, tension, inverse_mass, rows, window, constants
 ):
-    """Move a window of nodes by one step of their springs."""
+    """Move a window of nodes by one step of their springs; the tensions behind it are there."""
 
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        rest = (*range(3), *range(4, 8))
-        w = array_data(context, builder, signature.args[3], arguments[3])
+        rest = (*range(3), *range(5, 9))
+        w, t = (array_data(context, builder, signature.args[n], arguments[n]) for n in (3, 4))
         kinds, values = [signature.args[n] for n in rest], [arguments[n] for n in rest]
-        return _emit_step(context, builder, kinds, values, w, None)
+        return _emit_step(context, builder, kinds, values, w, t, None)
 
-    return types.void(now, later, velocity, weight, inverse_mass, rows, types.int64, constants), codegen
+    return types.void(now, later, velocity, weight, tension, inverse_mass, rows, types.int64, constants), codegen
+
+
+@intrinsic
+def tension_of_window(typing_context, now, weight, tension, rows, window):  # type: ignore[no-untyped-def]
+    """Write the tensions over the lengths of the springs ahead of a window's lanes."""
+
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        arrays = zip(signature.args[:4], arguments, strict=False)
+        u, w, t, starts = (array_data(context, builder, *pair) for pair in arrays)
+        here = Window(
+            builder, starts, arguments[4], array_lane_count(context, builder, signature.args[0], arguments[0])
+        )
+        own = here.load_vector(u)
+        for direction, (i, j, k) in enumerate(DIRECTIONS.tolist()):
+            apart = _apart(here, u, own, (i, j, k))
+            _tension(apart, (i, j, k), here.load(w, direction)).store(here.pointer(t, direction))
+        return context.get_dummy_value()
+
+    return types.void(now, weight, tension, rows, types.int64), codegen
 
 
 def _make_step_with_cells(has_springs: bool) -> Any:
     @intrinsic
     def step(  # type: ignore[no-untyped-def]
-        typing_context, now, later, velocity, weight, cell_force, inverse_mass, rows, window, constants
+        typing_context, now, later, velocity, weight, tension, cell_force, inverse_mass, rows, window, constants
     ):
         def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            rest = (*range(3), *range(5, 9))
-            w, c = (array_data(context, builder, signature.args[n], arguments[n]) for n in (3, 4))
+            rest = (*range(3), *range(6, 10))
+            w, t, c = (array_data(context, builder, signature.args[n], arguments[n]) for n in (3, 4, 5))
             kinds, values = [signature.args[n] for n in rest], [arguments[n] for n in rest]
-            return _emit_step(context, builder, kinds, values, w if has_springs else None, c)
+            return _emit_step(context, builder, kinds, values, w if has_springs else None, t, c)
 
-        kinds = (now, later, velocity, weight, cell_force, inverse_mass, rows, types.int64, constants)
+        kinds = (now, later, velocity, weight, tension, cell_force, inverse_mass, rows, types.int64, constants)
         return types.void(*kinds), codegen
 
     return step

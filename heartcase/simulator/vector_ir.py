@@ -70,7 +70,7 @@ class Lanes:
         return Lanes(self.builder, operation(self.value, right.value, flags=("contract",)))
 
     def __add__(self, other: Lanes | float) -> Lanes:
-        if isinstance(other, int | float | np.floating) and other == 0:
+        if _is_zero(other):
             return self
         return self._with(self.builder.fadd, other)
 
@@ -80,6 +80,8 @@ class Lanes:
         return Lanes(self.builder, self.builder.fneg(self.value))
 
     def __sub__(self, other: Lanes | float) -> Lanes:
+        if _is_zero(other):
+            return self
         return self._with(self.builder.fsub, other)
 
     def __rsub__(self, other: float) -> Lanes:
@@ -95,6 +97,13 @@ class Lanes:
 
     def __truediv__(self, other: Lanes | float) -> Lanes:
         return self._with(self.builder.fdiv, other)
+
+    def after(self, first: Any) -> Lanes:
+        """These lanes one place on, after a float32 of the program; the last is left out."""
+        places = [LANE_COUNT, *range(LANE_COUNT - 1)]
+        mask = ir.Constant(ir.VectorType(ir.IntType(32), LANE_COUNT), places)
+        before = Lanes.filled(self.builder, first)
+        return Lanes(self.builder, self.builder.shuffle_vector(self.value, before.value, mask))
 
     def root(self) -> Lanes:
         """Square root."""
@@ -124,6 +133,10 @@ class Lanes:
         """These lanes where the mask is above zero, the other's elsewhere."""
         positive = self.builder.fcmp_ordered(">", mask.value, ir.Constant(_VECTOR, [0.0] * LANE_COUNT))
         return Lanes(self.builder, self.builder.select(positive, self.value, other.value))
+
+
+def _is_zero(other: Lanes | float) -> bool:
+    return isinstance(other, int | float | np.floating) and other == 0
 
 
 Vector = tuple[Lanes, Lanes, Lanes]

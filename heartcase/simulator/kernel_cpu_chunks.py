@@ -1,0 +1,99 @@
+"""Which windows a thread steps, and the springs that it works out: each of them once.
+
+Both ends of a spring need its tension. A window works out those of the nine springs ahead of each lane and keeps them;
+for the springs behind, it finds them where earlier windows left them. A thread takes a chunk of windows that follow
+each other, and before it those behind them that are not in it, or are asleep: of these it works out the tensions alone.
+So no thread waits for another, and what two of them both work out is the same to the bit.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import get_num_threads, njit
+
+from heartcase.simulator.kernel_cpu_sleep import SleepArrays
+from heartcase.simulator.lanes import LANE_COUNT, ROWS, LaneLayout
+from heartcase.simulator.model import DIRECTIONS
+
+__all__ = ["ChunkArrays", "chunk_arrays", "share_out"]
+
+Int32 = npt.NDArray[np.int32]
+Int64 = npt.NDArray[np.int64]
+
+_LAYERS_MIN = 2
+"""Layers of windows in a chunk: with fewer, threads would work out more tensions for others than for themselves."""
+
+
+class ChunkArrays(NamedTuple):
+    """The windows of each chunk."""
+
+    behind: Int32
+    """Windows with the other ends of the springs behind each window's lanes, then -1, shape (window_count, any)."""
+    ends: Int64
+    """Where each chunk begins, and the last ends, in the list of windows that are awake, shape (chunk_count + 1,)."""
+    before: Int32
+    """Windows of which a chunk needs the tensions alone come first, shape (chunk_count, window_count)."""
+    before_counts: Int64
+    """How many these are, shape (chunk_count,)."""
+    taken_by: Int32
+    """Room for the last chunk that a window was counted to, shape (window_count,)."""
+
+
+def chunk_arrays(layout: LaneLayout, sleep: SleepArrays, layer_count: int) -> ChunkArrays:
+    """Share out the windows of a layout to as many chunks as there are threads, if its layers are enough."""
+    chunk_count = max(1, min(get_num_threads(), layer_count // _LAYERS_MIN))
+    window_count = layout.window_count
+    chunks = ChunkArrays(
+        _windows_behind(layout),
+        np.zeros(chunk_count + 1, np.int64),
+        np.zeros((chunk_count, window_count), np.int32),
+        np.zeros(chunk_count, np.int64),
+        np.zeros(window_count, np.int32),
+    )
+    share_out(chunks, sleep)
+    return chunks
+
+
+def _windows_behind(layout: LaneLayout) -> Int32:
+    window_count = layout.window_count
+    window_of_lane = np.full(layout.lane_count, -1, np.int32)
+    window_of_lane[layout.window_rows[:, 4, None] + np.arange(LANE_COUNT)] = np.arange(window_count)[:, None]
+    row_of = {(int(j), int(k)): number for number, (j, k) in enumerate(ROWS)}
+    found = [
+        window_of_lane[layout.window_rows[:, row_of[-j, -k], None] - i + np.arange(LANE_COUNT)]
+        for i, j, k in DIRECTIONS.tolist()
+    ]
+    behind = np.sort(np.concatenate(found, axis=1), axis=1)[:, ::-1]
+    behind[:, 1:][behind[:, 1:] == behind[:, :-1]] = -1
+    behind[behind == np.arange(window_count)[:, None]] = -1
+    behind = np.sort(behind, axis=1)[:, ::-1]
+    return np.ascontiguousarray(behind[:, : max(1, int((behind >= 0).sum(axis=1).max(initial=0)))])
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def share_out(chunks: ChunkArrays, sleep: SleepArrays) -> None:
+    """Make the chunks from the windows that are awake."""
+    behind, ends, before, before_counts, taken_by = chunks
+    awake, is_asleep, count = sleep.awake, sleep.is_asleep, sleep.counts[0]
+    chunk_count = len(before_counts)
+    taken_by[:] = -1
+    for chunk in range(chunk_count):
+        first, end = chunk * count // chunk_count, (chunk + 1) * count // chunk_count
+        ends[chunk], ends[chunk + 1] = first, end
+        before_counts[chunk] = 0
+        if first == end:
+            continue
+        lowest = awake[first]
+        for number in range(first, end):
+            for window in behind[awake[number]]:
+                if window < 0:
+                    break
+                # Those behind come earlier, so nothing in a chunk lies behind a window of it but in it.
+                is_in_chunk = window >= lowest and not is_asleep[window]
+                if not is_in_chunk and taken_by[window] != chunk:
+                    taken_by[window] = chunk
+                    before[chunk, before_counts[chunk]] = window
+                    before_counts[chunk] += 1
