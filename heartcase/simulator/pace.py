@@ -15,8 +15,10 @@ __all__ = ["Pace"]
 
 TRIAL_STEPS = 4
 """Steps of a trial of the way that is not in use."""
-CALLS_BETWEEN_TRIALS = 32
-"""How often the way that is not in use gets a trial."""
+ROUNDS_BETWEEN_TRIALS = 32
+"""How often the way that is not in use gets a trial; at first, twice as long after each."""
+ROUND_STEPS = 256
+"""Steps after which a new round begins, where a call does not end before."""
 
 
 Work = Callable[[int], None]
@@ -31,8 +33,8 @@ class Pace:
     """Time in s."""
     seconds_per_step: list[float] = field(default_factory=list)
     """Lately, per way; empty before the first trial."""
-    call_count: int = 0
-    """Calls so far."""
+    round_count: int = 0
+    """Rounds so far."""
 
     def run(self, step_count: int, ways: tuple[Work, ...]) -> None:
         """Take steps, most of them in the way that has been quickest lately.
@@ -48,10 +50,18 @@ class Pace:
             for way in ways:
                 way(0)
             self.seconds_per_step = [0.0] * len(ways)
+        while step_count:
+            round_steps = min(step_count, ROUND_STEPS)
+            self._run_round(round_steps, ways)
+            step_count -= round_steps
+
+    def _run_round(self, step_count: int, ways: tuple[Work, ...]) -> None:
+        # At first more often: a machine that has just begun is no measure.
+        is_trial = self.round_count % ROUNDS_BETWEEN_TRIALS == 0 or self.round_count.bit_count() == 1
         for number, way in enumerate(ways):
             in_use = number == self.quickest
             is_new = self.seconds_per_step[number] == 0.0
-            is_due = is_new or (not in_use and self.call_count % CALLS_BETWEEN_TRIALS == 0)
+            is_due = is_new or (is_trial and not in_use)
             # The first steps in a way start its threads.
             for _ in range(1 + is_new if is_due else 0):
                 if step_count > TRIAL_STEPS:
@@ -59,7 +69,7 @@ class Pace:
                     step_count -= TRIAL_STEPS
         if step_count:
             self._take(step_count, self.quickest, ways[self.quickest])
-        self.call_count += 1
+        self.round_count += 1
 
     @property
     def quickest(self) -> int:
