@@ -12,7 +12,7 @@ from heartcase.simulator.contact import NO_PROBES
 from heartcase.simulator.explicit import SpringsByNode
 from heartcase.simulator.integrate import Verlet
 from heartcase.simulator.kernel_cpu import ELEMENTS, NO_CELLS, VOLUME_TERM, advance, advance_alone, lane_forces
-from heartcase.simulator.kernel_cpu_chunks import chunk_arrays
+from heartcase.simulator.kernel_cpu_chunks import KEPT_LANES_MAX, chunk_arrays
 from heartcase.simulator.kernel_cpu_sleep import ROUNDING, sleep_arrays
 from heartcase.simulator.kernel_cpu_windows import CORNER_FORCES
 from heartcase.simulator.lanes import cell_layout, lane_layout
@@ -36,7 +36,8 @@ class CpuEngine:
         self.layout = lane_layout(model)
         lane_count = self.layout.lane_count
         self.weight = _aligned((len(DIRECTIONS), lane_count))
-        self.tension = _aligned((len(DIRECTIONS), lane_count))
+        keeps_tensions = lane_count <= KEPT_LANES_MAX
+        self.tension = _aligned((len(DIRECTIONS), lane_count if keeps_tensions else 0))
         self.presence = self.weight
         self.cells = cell_layout(model, self.layout)
         # Where no cell can act there is no room for what it does.
@@ -46,7 +47,7 @@ class CpuEngine:
         self.is_touched = np.zeros(self.layout.window_count, np.int8)
         self._sleep = sleep_arrays(model, self.layout, len(self.cells.window_rows))
         layer_count = int(np.ptp(model.node_index[:, 2])) + 1
-        self._chunks = chunk_arrays(self.layout, self._sleep, layer_count)
+        self._chunks = chunk_arrays(self.layout, self._sleep, layer_count, keeps_tensions)
         self.set_springs(model)
         self.displacement = _aligned((2, 3, lane_count))
         self.velocity = _aligned((3, lane_count))

@@ -36,8 +36,10 @@ from heartcase.simulator.kernel_cpu_windows import (
     guard_of_window,
     is_flat_window,
     step_of_window,
+    step_of_window_from_both_ends,
     step_of_window_with_cells,
     step_of_window_with_cells_alone,
+    step_of_window_with_cells_from_both_ends,
     tension_of_window,
     volume_of_window,
 )
@@ -137,6 +139,10 @@ def _step_chunk(
     awake, before, ends = sleep.awake, chunks.before, chunks.ends
     for number in range(chunks.before_counts[chunk]):
         tension_of_window(now, weight, tension, rows, np.int64(before[chunk, number]))
+    if tension.shape[1] == 0:
+        for window in awake[ends[chunk] : ends[chunk + 1]]:
+            step_of_window_from_both_ends(now, later, velocity, weight, tension, inverse_mass, rows, window, constants)
+        return
     for window in awake[ends[chunk] : ends[chunk + 1]]:
         step_of_window(now, later, velocity, weight, tension, inverse_mass, rows, window, constants)
 
@@ -164,17 +170,25 @@ def _step_chunk_with_cells(
     if has_springs:
         for number in range(chunks.before_counts[chunk]):
             tension_of_window(now, weight, tension, rows, np.int64(before[chunk, number]))
+    keeps_tensions = tension.shape[1] > 0
     for window in awake[ends[chunk] : ends[chunk + 1]]:
+        has_cells = kind != NO_CELLS or is_touched[window]
         if not has_springs:
             step_of_window_with_cells_alone(
                 now, later, velocity, weight, tension, force, inverse_mass, rows, window, constants
             )
-        elif kind != NO_CELLS or is_touched[window]:
+        elif has_cells and keeps_tensions:
             step_of_window_with_cells(
                 now, later, velocity, weight, tension, force, inverse_mass, rows, window, constants
             )
-        else:
+        elif has_cells:
+            step_of_window_with_cells_from_both_ends(
+                now, later, velocity, weight, tension, force, inverse_mass, rows, window, constants
+            )
+        elif keeps_tensions:
             step_of_window(now, later, velocity, weight, tension, inverse_mass, rows, window, constants)
+        else:
+            step_of_window_from_both_ends(now, later, velocity, weight, tension, inverse_mass, rows, window, constants)
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
@@ -347,7 +361,8 @@ def advance(
     weight
         Spring stiffness by direction [k], shape (9, lane_count).
     tension
-        Room for the tensions of these springs over their lengths [k], zeros at first, shape (9, lane_count).
+        Room for the tensions of these springs over their lengths [k], zeros at first, shape (9, lane_count); (9, 0)
+        where each is to be worked out from both ends.
     presence
         Above zero where there is a spring, whether it acts or not, shape (9, lane_count).
     inverse_mass

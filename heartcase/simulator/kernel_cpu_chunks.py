@@ -4,6 +4,8 @@ Both ends of a spring need its tension. A window works out those of the nine spr
 for the springs behind, it finds them where earlier windows left them. A thread takes a chunk of windows that follow
 each other, and before it those behind them that are not in it, or are asleep: of these it works out the tensions alone.
 So no thread waits for another, and what two of them both work out is the same to the bit.
+
+Lattices that no cache holds take longer to keep and fetch tensions than to work them out from both ends.
 """
 
 from __future__ import annotations
@@ -18,11 +20,14 @@ from heartcase.simulator.kernel_cpu_sleep import SleepArrays
 from heartcase.simulator.lanes import LANE_COUNT, ROWS, LaneLayout
 from heartcase.simulator.model import DIRECTIONS
 
-__all__ = ["ChunkArrays", "chunk_arrays", "share_out"]
+__all__ = ["KEPT_LANES_MAX", "ChunkArrays", "chunk_arrays", "share_out"]
 
 Int32 = npt.NDArray[np.int32]
 Int64 = npt.NDArray[np.int64]
 
+KEPT_LANES_MAX = 160_000
+"""Lanes up to which tensions are kept: 6 MB of them. Measured on a processor with 32 MB of cache that others use, too:
+at 128,000 lanes it is quicker to keep them, at 214,000 sometimes, at 516,000 never."""
 _LAYERS_MIN = 2
 """Layers of windows in a chunk: with fewer, threads would work out more tensions for others than for themselves."""
 
@@ -42,12 +47,12 @@ class ChunkArrays(NamedTuple):
     """Room for the last chunk that a window was counted to, shape (window_count,)."""
 
 
-def chunk_arrays(layout: LaneLayout, sleep: SleepArrays, layer_count: int) -> ChunkArrays:
+def chunk_arrays(layout: LaneLayout, sleep: SleepArrays, layer_count: int, keeps_tensions: bool) -> ChunkArrays:
     """Share out the windows of a layout to as many chunks as there are threads, if its layers are enough."""
     chunk_count = max(1, min(get_num_threads(), layer_count // _LAYERS_MIN))
     window_count = layout.window_count
     chunks = ChunkArrays(
-        _windows_behind(layout),
+        _windows_behind(layout) if keeps_tensions else np.full((window_count, 1), -1, np.int32),
         np.zeros(chunk_count + 1, np.int64),
         np.zeros((chunk_count, window_count), np.int32),
         np.zeros(chunk_count, np.int64),

@@ -36,8 +36,10 @@ __all__ = [
     "guard_of_window",
     "is_flat_window",
     "step_of_window",
+    "step_of_window_from_both_ends",
     "step_of_window_with_cells",
     "step_of_window_with_cells_alone",
+    "step_of_window_with_cells_from_both_ends",
     "tension_of_window",
     "volume_of_window",
 ]
@@ -188,19 +190,24 @@ def _emit_step(
     return context.get_dummy_value()
 
 
-@intrinsic
-def step_of_window(  # type: ignore[no-untyped-def]
-    typing_context, now, later, velocity, weight, tension, inverse_mass, rows, window, constants
-):
-    """Move a window of nodes by one step of their springs; the tensions behind it are there."""
+def _make_step(keeps_tensions: bool) -> Any:
+    @intrinsic
+    def step(  # type: ignore[no-untyped-def]
+        typing_context, now, later, velocity, weight, tension, inverse_mass, rows, window, constants
+    ):
+        def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            rest = (*range(3), *range(5, 9))
+            w, t = (array_data(context, builder, signature.args[n], arguments[n]) for n in (3, 4))
+            kinds, values = [signature.args[n] for n in rest], [arguments[n] for n in rest]
+            return _emit_step(context, builder, kinds, values, w, t if keeps_tensions else None, None)
 
-    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        rest = (*range(3), *range(5, 9))
-        w, t = (array_data(context, builder, signature.args[n], arguments[n]) for n in (3, 4))
-        kinds, values = [signature.args[n] for n in rest], [arguments[n] for n in rest]
-        return _emit_step(context, builder, kinds, values, w, t, None)
+        return types.void(now, later, velocity, weight, tension, inverse_mass, rows, types.int64, constants), codegen
 
-    return types.void(now, later, velocity, weight, tension, inverse_mass, rows, types.int64, constants), codegen
+    return step
+
+
+step_of_window = _make_step(keeps_tensions=True)
+step_of_window_from_both_ends = _make_step(keeps_tensions=False)
 
 
 @intrinsic
@@ -222,7 +229,7 @@ def tension_of_window(typing_context, now, weight, tension, rows, window):  # ty
     return types.void(now, weight, tension, rows, types.int64), codegen
 
 
-def _make_step_with_cells(has_springs: bool) -> Any:
+def _make_step_with_cells(has_springs: bool, keeps_tensions: bool) -> Any:
     @intrinsic
     def step(  # type: ignore[no-untyped-def]
         typing_context, now, later, velocity, weight, tension, cell_force, inverse_mass, rows, window, constants
@@ -231,7 +238,9 @@ def _make_step_with_cells(has_springs: bool) -> Any:
             rest = (*range(3), *range(6, 10))
             w, t, c = (array_data(context, builder, signature.args[n], arguments[n]) for n in (3, 4, 5))
             kinds, values = [signature.args[n] for n in rest], [arguments[n] for n in rest]
-            return _emit_step(context, builder, kinds, values, w if has_springs else None, t, c)
+            return _emit_step(
+                context, builder, kinds, values, w if has_springs else None, t if keeps_tensions else None, c
+            )
 
         kinds = (now, later, velocity, weight, tension, cell_force, inverse_mass, rows, types.int64, constants)
         return types.void(*kinds), codegen
@@ -239,8 +248,9 @@ def _make_step_with_cells(has_springs: bool) -> Any:
     return step
 
 
-step_of_window_with_cells = _make_step_with_cells(has_springs=True)
-step_of_window_with_cells_alone = _make_step_with_cells(has_springs=False)
+step_of_window_with_cells = _make_step_with_cells(has_springs=True, keeps_tensions=True)
+step_of_window_with_cells_from_both_ends = _make_step_with_cells(has_springs=True, keeps_tensions=False)
+step_of_window_with_cells_alone = _make_step_with_cells(has_springs=False, keeps_tensions=False)
 
 
 def _make_cell_window(kind: str) -> Any:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from heartcase.simulator import kernel_cpu_chunks
+from heartcase.simulator import engine_cpu, kernel_cpu_chunks
 from heartcase.simulator.contact import NO_PROBES
 from heartcase.simulator.engine_cpu import CpuEngine
 from heartcase.simulator.force_law import ForceLaw
@@ -23,8 +25,9 @@ STEP = 2.0**-10
 """A power of two: what it is multiplied with keeps its bits."""
 
 
-def engine_of(model, chunk_count: int) -> CpuEngine:
+def engine_of(model, chunk_count: int, *, keeps_tensions: bool = True) -> CpuEngine:
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(engine_cpu, "KEPT_LANES_MAX", 10**9 if keeps_tensions else 0)
         patch.setattr(kernel_cpu_chunks, "get_num_threads", lambda: chunk_count)
         return CpuEngine(model)
 
@@ -38,11 +41,15 @@ def test_a_step_is_that_of_the_forces_worked_out_from_both_ends(model, law, seed
     rng = np.random.default_rng(seed)
     model = model.without_springs(rng.random(model.spring_count) < 0.1)
     displacement = random_field(model, seed, 0.3)
-    engine = engine_of(model, int(rng.integers(1, 6)))
-    for kernel in (advance, advance_alone):
+    chunk_count = int(rng.integers(1, 6))
+    kept = engine_of(model, chunk_count)
+    apart = engine_of(model, chunk_count, keeps_tensions=False)
+    assert apart.tension.size == 0 < kept.tension.size
+    for kernel, engine in product((advance, advance_alone), (kept, apart)):
         engine.load(State(displacement, np.zeros_like(displacement)))
         # Tensions that were left by other displacements must not be read.
-        engine.tension[:, engine.layout.node_lane] = np.nan
+        if engine is kept:
+            engine.tension[:, engine.layout.node_lane] = np.nan
         forces = engine.forces()
         engine.advance_by(kernel, 1, Verlet(STEP), NO_PROBES)
         expected = np.float32(STEP) * (forces * model.inverse_mass[:, None])
