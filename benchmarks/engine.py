@@ -15,6 +15,7 @@ from lattices import heart_lattice
 from heartcase.schemas.benchmark import MethodSkipped
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.engine import Backend, Engine, make_engine
+from heartcase.simulator.force_law import RATIO_MIN, ForceLaw
 from heartcase.simulator.integrate import Verlet, verlet_step
 from heartcase.simulator.model import LatticeModel
 from heartcase.simulator.state import State
@@ -56,6 +57,7 @@ class Lattice(Protocol):
 
 def prepare(params: dict[str, Any]) -> Inputs:
     model = heart_lattice(params["node_count"], params.get("split", 1), params.get("scale", 1.0))
+    model = model.with_law(ForceLaw(params.get("law", "springs"), params.get("poissons_ratio", RATIO_MIN)))
     # So little that no corner is flat and no node at the speed limit: the other methods know of neither.
     generator = np.random.Generator(np.random.PCG64(1))
     displacement = generator.normal(0.0, 0.005, (model.node_count, 3)).astype(np.float32)
