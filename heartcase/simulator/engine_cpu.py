@@ -14,7 +14,6 @@ from heartcase.simulator.integrate import Verlet
 from heartcase.simulator.kernel_cpu import ELEMENTS, NO_CELLS, VOLUME_TERM, advance, advance_alone, lane_forces
 from heartcase.simulator.kernel_cpu_chunks import KEPT_LANES_MAX, chunk_arrays
 from heartcase.simulator.kernel_cpu_sleep import ROUNDING, sleep_arrays
-from heartcase.simulator.kernel_cpu_windows import CORNER_FORCES
 from heartcase.simulator.lanes import cell_layout, lane_layout
 from heartcase.simulator.model import DIRECTIONS, LatticeModel
 from heartcase.simulator.pace import Pace
@@ -40,14 +39,14 @@ class CpuEngine:
         self.tension = _aligned((len(DIRECTIONS), lane_count if keeps_tensions else 0))
         self.presence = self.weight
         self.cells = cell_layout(model, self.layout)
-        # Where no cell can act there is no room for what it does.
-        may_act = model.law.acts_in_cells or model.law.has_corner_guard
-        self.cell_force = _aligned((CORNER_FORCES, lane_count if may_act else 0))
         self.is_flat = np.zeros(len(self.cells.window_rows), np.int8)
         self.is_touched = np.zeros(self.layout.window_count, np.int8)
         self._sleep = sleep_arrays(model, self.layout, len(self.cells.window_rows))
         layer_count = int(np.ptp(model.node_index[:, 2])) + 1
-        self._chunks = chunk_arrays(self.layout, self._sleep, layer_count, keeps_tensions)
+        self._chunks = chunk_arrays(self.layout, self.cells.touches, self._sleep, layer_count, keeps_tensions)
+        # Where no cell can act there is no room for what it does.
+        may_act = model.law.acts_in_cells or model.law.has_corner_guard
+        self.cell_force = _aligned((len(self._chunks.ends) - 1, 3, lane_count if may_act else 0))
         self.set_springs(model)
         self.displacement = _aligned((2, 3, lane_count))
         self.velocity = _aligned((3, lane_count))

@@ -1,9 +1,9 @@
 """The CPU kernel: steps of all windows, on one thread or on all of them, in float32.
 
-In a step, cells first write their forces (:mod:`heartcase.simulator.kernel_cpu_windows`), then nodes gather them, add
-those of their springs and move. A window reads only what was written before the threads last met, or by its own thread
-(:mod:`heartcase.simulator.kernel_cpu_chunks`), and writes only its own lanes, so that the result does not depend on the
-number of threads.
+In a step, each thread first adds up the forces of the cells around its nodes, then nodes add those of their springs and
+move (:mod:`heartcase.simulator.kernel_cpu_windows`). A window reads only what was written before the threads last met,
+or by its own thread (:mod:`heartcase.simulator.kernel_cpu_chunks`), and writes only its own lanes, so that the result
+does not depend on the number of threads.
 
 Corners that are about to turn inside out are looked for in the first step and every LOOK_STEPS from there; in between,
 only the windows that had such corners are looked after. Where tissue may sleep (:mod:`heartcase.simulator.
@@ -29,7 +29,7 @@ from heartcase.simulator.kernel_cpu_sleep import (
     settle,
 )
 from heartcase.simulator.kernel_cpu_windows import (
-    CORNER_FORCES,
+    clear_window,
     element_of_window,
     force_of_window,
     force_of_window_with_cells,
@@ -50,6 +50,7 @@ __all__ = ["ELEMENTS", "NO_CELLS", "VOLUME_TERM", "advance", "advance_alone", "l
 
 Float32 = npt.NDArray[np.float32]
 Int8 = npt.NDArray[np.int8]
+Int32 = npt.NDArray[np.int32]
 Int64 = npt.NDArray[np.int64]
 Constants = tuple[np.float32, np.float32, np.float32, np.float32, np.float32, np.float32, np.float32]
 ExplicitArrays = tuple[Int64, Int64, Int64, Float32, Float32]
@@ -85,15 +86,12 @@ def _look_at_share(share: int, now: Float32, cells: CellArrays, sleep: SleepArra
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def _mark_touched(cells: CellArrays) -> None:
-    """Mark the windows of nodes to which flat cells belong; where cells no longer push, forget what they did."""
-    rows, _, force, _, is_flat, is_touched, touches = cells
+    """Mark the windows of nodes to which flat cells belong."""
+    rows, _, _, _, is_flat, is_touched, touches = cells
     is_touched[:] = 0
     for window in range(len(rows)):
         if is_flat[window] == 2:
             is_flat[window] = 0
-            lane = rows[window, 4]
-            for number in range(CORNER_FORCES):
-                force[number, lane : lane + LANE_COUNT] = 0
         elif is_flat[window] == 1:
             for touched in touches[window]:
                 if touched >= 0:
@@ -106,19 +104,17 @@ def _has_flat(cells: CellArrays) -> bool:
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
-def _work_cells_of_share(share: int, kind: int, now: Float32, cells: CellArrays, sleep: SleepArrays) -> None:
-    """Write the forces of a share of the windows of cells."""
-    rows, numbers, force, law, is_flat, _, _ = cells
-    awake, counts = sleep.awake_cells, sleep.counts
-    first, end = _part(share, counts[1])
-    keep = np.float32(kind != NO_CELLS)
-    for window in awake[first:end]:
+def _add_cells(windows: Int64 | Int32, kind: int, now: Float32, force: Float32, cells: CellArrays) -> None:
+    """Add the forces of some windows of cells to those on the nodes."""
+    rows, numbers, _, law, is_flat, _, _ = cells
+    for place in range(len(windows)):
+        window = np.int64(windows[place])
         if kind == ELEMENTS:
-            element_of_window(now, numbers, force, law, rows, window, keep)
+            element_of_window(now, numbers, force, law, rows, window)
         elif kind == VOLUME_TERM:
-            volume_of_window(now, numbers, force, law, rows, window, keep)
+            volume_of_window(now, numbers, force, law, rows, window)
         if is_flat[window] == 1:
-            guard_of_window(now, numbers, force, law, rows, window, keep)
+            guard_of_window(now, numbers, force, law, rows, window)
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
@@ -164,9 +160,13 @@ def _step_chunk_with_cells(
     sleep: SleepArrays,
 ) -> None:
     """Move the windows of a chunk, by cells and springs."""
-    force, is_touched = cells[2], cells[5]
+    force, is_touched = cells[2][chunk], cells[5]
     kind, has_springs, _ = kinds
     awake, before, ends = sleep.awake, chunks.before, chunks.ends
+    for window in awake[ends[chunk] : ends[chunk + 1]]:
+        if kind != NO_CELLS or is_touched[window]:
+            clear_window(force, rows, window)
+    _add_cells(chunks.cells[chunk, : chunks.cell_counts[chunk]], kind, now, force, cells)
     if has_springs:
         for number in range(chunks.before_counts[chunk]):
             tension_of_window(now, weight, tension, rows, np.int64(before[chunk, number]))
@@ -212,13 +212,14 @@ def lane_forces(
         if kind == NO_CELLS:
             _mark_touched(cells)
     if kind != NO_CELLS or has_guard:
-        for share in range(SHARES):
-            _work_cells_of_share(share, kind, displacement, cells, sleep)
+        cell_force = cells[2][0]
+        cell_force[:] = 0
+        _add_cells(sleep.awake_cells, kind, displacement, cell_force, cells)
         for window in range(rows.shape[0]):
-            force_of_window_with_cells(displacement, weight, cells[2], force, rows, window)
+            force_of_window_with_cells(displacement, weight, cell_force, force, rows, window)
     else:
         for window in range(rows.shape[0]):
-            force_of_window(displacement, weight, cells[2], force, rows, window)
+            force_of_window(displacement, weight, force, force, rows, window)
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
@@ -377,9 +378,9 @@ def advance(
         Step, keep, kick, the three components of gravity and the speed limit, grid units.
     cells
         Rows of the windows that hold cells, shape (count, 9); numbers of the cells, (CELL_NUMBERS, lane_count); room
-        for their forces, (CORNER_FORCES, lane_count), zero at first; constants of the law; whether each window of cells
-        is looked after; whether such cells belong to each window of nodes; windows of nodes that a window of cells
-        belongs to, -1 for none, (count, 8).
+        for their forces on the nodes of each chunk, (chunk_count, 3, lane_count); constants of the law; whether each
+        window of cells is looked after; whether such cells belong to each window of nodes; windows of nodes that a
+        window of cells belongs to, -1 for none, (count, 8).
     kinds
         What acts in the cells, whether springs act, and whether corners are guarded.
     explicit
@@ -425,11 +426,6 @@ def advance(
             if kind == NO_CELLS:
                 _mark_touched(cells)
                 works_cells = _has_flat(cells)
-        if works_cells:
-            for share in prange(SHARES):
-                before = flush_subnormals()
-                _work_cells_of_share(share, kind, now, cells, sleep)
-                restore_subnormals(before)
         if len(explicit[0]):
             before = flush_subnormals()
             _pull_explicitly(now, velocity, inverse_mass, explicit, constants)
@@ -519,9 +515,6 @@ def advance_alone(
             if kind == NO_CELLS:
                 _mark_touched(cells)
                 works_cells = _has_flat(cells)
-        if works_cells:
-            for share in range(SHARES):
-                _work_cells_of_share(share, kind, now, cells, sleep)
         if len(explicit[0]):
             _pull_explicitly(now, velocity, inverse_mass, explicit, constants)
         for chunk in range(chunk_count):

@@ -3,7 +3,8 @@
 Both ends of a spring need its tension. A window works out those of the nine springs ahead of each lane and keeps them;
 for the springs behind, it finds them where earlier windows left them. A thread takes a chunk of windows that follow
 each other, and before it those behind them that are not in it, or are asleep: of these it works out the tensions alone.
-So no thread waits for another, and what two of them both work out is the same to the bit.
+So no thread waits for another, and what two of them both work out is the same to the bit. It is alike with cells: a
+thread works out all that its windows are corners of, and adds up their forces for itself, always in the same order.
 
 Lattices that no cache holds take longer to keep and fetch tensions than to work them out from both ends.
 """
@@ -45,9 +46,19 @@ class ChunkArrays(NamedTuple):
     """How many these are, shape (chunk_count,)."""
     taken_by: Int32
     """Room for the last chunk that a window was counted to, shape (window_count,)."""
+    chunk_of: Int32
+    """Chunk that steps each window, -1 for those that sleep, shape (window_count,)."""
+    touches: Int64
+    """Windows of nodes that the cells of a window have corners in, then -1, shape (cell_window_count, 8)."""
+    cells: Int32
+    """Windows of cells that have a corner in a chunk come first, shape (chunk_count, cell_window_count)."""
+    cell_counts: Int64
+    """How many these are, shape (chunk_count,)."""
 
 
-def chunk_arrays(layout: LaneLayout, sleep: SleepArrays, layer_count: int, keeps_tensions: bool) -> ChunkArrays:
+def chunk_arrays(
+    layout: LaneLayout, touches: Int64, sleep: SleepArrays, layer_count: int, keeps_tensions: bool
+) -> ChunkArrays:
     """Share out the windows of a layout to as many chunks as there are threads, if its layers are enough."""
     chunk_count = max(1, min(get_num_threads(), layer_count // _LAYERS_MIN))
     window_count = layout.window_count
@@ -57,6 +68,10 @@ def chunk_arrays(layout: LaneLayout, sleep: SleepArrays, layer_count: int, keeps
         np.zeros((chunk_count, window_count), np.int32),
         np.zeros(chunk_count, np.int64),
         np.zeros(window_count, np.int32),
+        np.zeros(window_count, np.int32),
+        touches,
+        np.zeros((chunk_count, len(touches)), np.int32),
+        np.zeros(chunk_count, np.int64),
     )
     share_out(chunks, sleep)
     return chunks
@@ -81,14 +96,18 @@ def _windows_behind(layout: LaneLayout) -> Int32:
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def share_out(chunks: ChunkArrays, sleep: SleepArrays) -> None:
     """Make the chunks from the windows that are awake."""
-    behind, ends, before, before_counts, taken_by = chunks
-    awake, is_asleep, count = sleep.awake, sleep.is_asleep, sleep.counts[0]
+    behind, ends, before, before_counts, taken_by, chunk_of, touches, cells, cell_counts = chunks
+    awake, awake_cells, is_asleep, count = sleep.awake, sleep.awake_cells, sleep.is_asleep, sleep.counts[0]
     chunk_count = len(before_counts)
     taken_by[:] = -1
+    chunk_of[:] = -1
+    cell_counts[:] = 0
     for chunk in range(chunk_count):
         first, end = chunk * count // chunk_count, (chunk + 1) * count // chunk_count
         ends[chunk], ends[chunk + 1] = first, end
         before_counts[chunk] = 0
+        for number in range(first, end):
+            chunk_of[awake[number]] = chunk
         if first == end:
             continue
         lowest = awake[first]
@@ -102,3 +121,15 @@ def share_out(chunks: ChunkArrays, sleep: SleepArrays) -> None:
                     taken_by[window] = chunk
                     before[chunk, before_counts[chunk]] = window
                     before_counts[chunk] += 1
+    for number in range(sleep.counts[1]):
+        window = awake_cells[number]
+        for touched in touches[window]:
+            if touched < 0:
+                break
+            chunk = chunk_of[touched]
+            if chunk < 0:
+                continue
+            last = cell_counts[chunk] - 1
+            if last < 0 or cells[chunk, last] != window:
+                cells[chunk, last + 1] = window
+                cell_counts[chunk] += 1

@@ -7,8 +7,8 @@ rest, |o| = L and d = o + D::
 
 so nothing cancels: at rest the force is exactly zero, and a small strain keeps all its digits.
 
-A cell is kept in the lane of its lowest corner. Its forces on its eight corners are written to 24 arrays (corner by
-corner x, y, z), from which each node gathers those of the eight cells around it.
+A cell is kept in the lane of its lowest corner. A window of cells adds its forces to those on the nodes, row by row: of
+two cells side by side, the forces on the nodes between them are added first.
 """
 
 from __future__ import annotations
@@ -24,12 +24,13 @@ from numba.extending import intrinsic
 from heartcase.schemas.lattice import CORNER_OFFSETS
 from heartcase.simulator.cell_forces import LOOK_BELOW
 from heartcase.simulator.cell_math import make_cell_math
+from heartcase.simulator.lanes import LANE_COUNT
 from heartcase.simulator.model import DIRECTIONS
 from heartcase.simulator.vector_ir import Lanes, Vector, Window, array_data, array_lane_count, dot
 
 __all__ = [
     "CELL_NUMBERS",
-    "CORNER_FORCES",
+    "clear_window",
     "element_of_window",
     "force_of_window",
     "force_of_window_with_cells",
@@ -46,8 +47,6 @@ __all__ = [
 
 CELL_NUMBERS = 10
 """Numbers of a cell: stiffness, means of x, y, z, yz, xz, xy and variances along x, y, z of its tissue."""
-CORNER_FORCES = 24
-"""Numbers that a cell's forces are: x, y, z of corner 0, of corner 1, and so on."""
 _TINY = 1e-30
 """Keeps the division defined where two nodes lie on one spot."""
 _CORNERS = [(int(i), int(j), int(k)) for i, j, k in CORNER_OFFSETS]
@@ -111,16 +110,6 @@ def _spring_force(here: Window, displacement: Any, weight: Any, tension: Any | N
     return total
 
 
-def _cell_force(here: Window, cell_force: Any) -> Vector:
-    """Sum of the forces of the eight cells around each lane."""
-    total: Vector | None = None
-    for corner, (i, j, k) in enumerate(_CORNERS):
-        x, y, z = (here.load(cell_force, 3 * corner + axis, (-i, -j, -k)) for axis in range(3))
-        total = _plus(total, (x, y, z)) if total else (x, y, z)
-    assert total is not None
-    return total
-
-
 def _plus(a: Vector, b: Vector) -> Vector:
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
@@ -131,7 +120,7 @@ def _force(here: Window, displacement: Any, weight: Any | None, tension: Any | N
     if cell_force is None:
         assert springs is not None
         return springs
-    cells = _cell_force(here, cell_force)
+    cells = here.load_vector(cell_force)
     if springs is None:
         return -cells[0], -cells[1], -cells[2]
     return springs[0] - cells[0], springs[1] - cells[1], springs[2] - cells[2]
@@ -254,16 +243,13 @@ step_of_window_with_cells_alone = _make_step_with_cells(has_springs=False, keeps
 
 
 def _make_cell_window(kind: str) -> Any:
-    """The intrinsic that writes the forces of one window of cells: ``element``, ``volume`` or ``guard``.
+    """The intrinsic that adds the forces of one window of cells: ``element``, ``volume`` or ``guard``.
 
-    It takes displacement, numbers of the cells, forces (24, lane_count), law, rows, window and a number: the forces
-    that are there are multiplied with it and added.
+    It takes displacement, numbers of the cells, forces on the nodes (3, lane_count), law, rows and window.
     """
 
     @intrinsic
-    def window_forces(  # type: ignore[no-untyped-def]
-        typing_context, displacement, numbers, cell_force, law, rows, window, keep
-    ):
+    def window_forces(typing_context, displacement, numbers, cell_force, law, rows, window):  # type: ignore[no-untyped-def]
         def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             arrays = zip(signature.args[:5], arguments, strict=False)
             u, n, f, constants, starts = (array_data(context, builder, *pair) for pair in arrays)
@@ -279,15 +265,23 @@ def _make_cell_window(kind: str) -> Any:
             else:
                 forces = _corner_guard(corners, scale)
             for axis, at_corners in enumerate(forces):
-                for corner, force in enumerate(at_corners):
-                    number = 3 * corner + axis
-                    kept = here.load(f, number) * Lanes.filled(builder, arguments[6]) if kind == "guard" else 0
-                    (force + kept).store(here.pointer(f, number))
+                _add_to_nodes(here, f, axis, dict(zip(_CORNERS, at_corners, strict=True)))
             return context.get_dummy_value()
 
-        return types.void(displacement, numbers, cell_force, law, rows, types.int64, types.float32), codegen
+        return types.void(displacement, numbers, cell_force, law, rows, types.int64), codegen
 
     return window_forces
+
+
+def _add_to_nodes(here: Window, node_force: Any, axis: int, at_corners: dict[tuple[int, int, int], Lanes]) -> None:
+    """Add one component of the forces of a window of cells on their corners to those on the nodes."""
+    builder = here.builder
+    for j, k in ((0, 0), (1, 0), (0, 1), (1, 1)):
+        at_left, at_right = at_corners[0, j, k], at_corners[1, j, k]
+        place = here.pointer(node_force, axis, (0, j, k))
+        (Lanes.loaded(builder, place) + (at_left + at_right.after(0.0))).store(place)
+        beyond = here.pointer(node_force, axis, (LANE_COUNT, j, k))
+        builder.store(builder.fadd(builder.load(beyond), at_right.last()), beyond)
 
 
 def _constant(builder: Any, array: Any, number: int) -> Lanes:
@@ -297,6 +291,22 @@ def _constant(builder: Any, array: Any, number: int) -> Lanes:
 element_of_window = _make_cell_window("element")
 volume_of_window = _make_cell_window("volume")
 guard_of_window = _make_cell_window("guard")
+
+
+@intrinsic
+def clear_window(typing_context, force, rows, window):  # type: ignore[no-untyped-def]
+    """Set the forces (3, lane_count) on a window of nodes to zero."""
+
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        f, starts = (array_data(context, builder, *pair) for pair in zip(signature.args[:2], arguments, strict=False))
+        here = Window(
+            builder, starts, arguments[2], array_lane_count(context, builder, signature.args[0], arguments[0])
+        )
+        for axis in range(3):
+            Lanes.filled(builder, 0.0).store(here.pointer(f, axis))
+        return context.get_dummy_value()
+
+    return types.void(force, rows, types.int64), codegen
 
 
 @intrinsic

@@ -105,6 +105,10 @@ class Lanes:
         before = Lanes.filled(self.builder, first)
         return Lanes(self.builder, self.builder.shuffle_vector(self.value, before.value, mask))
 
+    def last(self) -> Any:
+        """The last lane: a float32 of the program."""
+        return self.builder.extract_element(self.value, ir.Constant(ir.IntType(32), LANE_COUNT - 1))
+
     def root(self) -> Lanes:
         """Square root."""
         kind = ir.FunctionType(_VECTOR, [_VECTOR])

@@ -1,4 +1,4 @@
-"""Each spring is worked out once: the same bits as from both its ends, in any number of chunks, whatever sleeps."""
+"""Threads share no cell and no spring: the bits are those of all forces together, in any number of chunks."""
 
 from __future__ import annotations
 
@@ -21,6 +21,12 @@ from heartcase.simulator.state import State
 from tests.simulator.lattices import block, random_field, random_models
 
 SEEDS = st.integers(0, 2**32 - 1)
+LAWS = {
+    "springs": ForceLaw(),
+    "unguarded": ForceLaw(guards_corners=False),
+    "springs-0.4": ForceLaw("springs", 0.4),
+    "element-0.3": ForceLaw("element", 0.3),
+}
 STEP = 2.0**-10
 """A power of two: what it is multiplied with keeps its bits."""
 
@@ -33,11 +39,10 @@ def engine_of(model, chunk_count: int, *, keeps_tensions: bool = True) -> CpuEng
 
 
 @settings(max_examples=80, deadline=None)
-@given(random_models(size_max=(30, 6, 12)), st.sampled_from(["springs", "unguarded", "springs-0.4"]), SEEDS)
-def test_a_step_is_that_of_the_forces_worked_out_from_both_ends(model, law, seed):
-    model = model.with_law(
-        ForceLaw(poissons_ratio=0.4 if law == "springs-0.4" else 0.25, guards_corners="un" not in law)
-    )
+@given(random_models(size_max=(30, 6, 12)), st.sampled_from(sorted(LAWS)), SEEDS)
+def test_a_step_is_that_of_all_forces_worked_out_together(model, law, seed):
+    """Together springs are worked out from both their ends, and cells in one row."""
+    model = model.with_law(LAWS[law])
     rng = np.random.default_rng(seed)
     model = model.without_springs(rng.random(model.spring_count) < 0.1)
     displacement = random_field(model, seed, 0.3)
@@ -47,10 +52,11 @@ def test_a_step_is_that_of_the_forces_worked_out_from_both_ends(model, law, seed
     assert apart.tension.size == 0 < kept.tension.size
     for kernel, engine in product((advance, advance_alone), (kept, apart)):
         engine.load(State(displacement, np.zeros_like(displacement)))
-        # Tensions that were left by other displacements must not be read.
+        forces = engine.forces()
+        # What was left by other displacements must not be read.
         if engine is kept:
             engine.tension[:, engine.layout.node_lane] = np.nan
-        forces = engine.forces()
+        engine.cell_force[:] = np.nan
         engine.advance_by(kernel, 1, Verlet(STEP), NO_PROBES)
         expected = np.float32(STEP) * (forces * model.inverse_mass[:, None])
         np.testing.assert_array_equal(engine.read().velocity, expected)
@@ -77,6 +83,22 @@ def test_chunks_find_the_tensions_of_all_springs_behind(model, chunk_count, seed
         assert np.isin(lower[np.isin(higher, own)], np.concatenate([own, before])).all()
         stepped.append(own)
     np.testing.assert_array_equal(np.concatenate(stepped), awake)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_many_steps_are_the_same_in_any_number_of_chunks(law):
+    """Corners are flat in some cells: the field folds them."""
+    model = block(20, 7, 13, fix_base=True, law=LAWS[law])
+    start = State(random_field(model, 1, 0.4), random_field(model, 2, 0.01))
+    ends = []
+    for chunk_count in (1, 2, 5, 7):
+        engine = engine_of(model, chunk_count)
+        assert len(engine._chunks.before_counts) == min(chunk_count, 7)
+        engine.load(start)
+        engine.advance_by(advance, 40, Verlet(0.1, 0.01), NO_PROBES)
+        ends.append(engine.read().displacement.tobytes())
+        assert np.isfinite(engine.read().displacement).all()
+    assert len(set(ends)) == 1
 
 
 def test_chunks_of_a_heart_work_out_few_tensions_twice():
