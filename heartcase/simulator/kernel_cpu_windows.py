@@ -167,8 +167,7 @@ def _emit_step(
     numbers = [Lanes.filled(builder, number) for number in cgutils.unpack_tuple(builder, arguments[6], 7)]
     time_step, keep, kick, gravity, speed_limit = *numbers[:3], numbers[3:6], numbers[6]
     mass_inverse = here.load(m, 0)
-    # Chosen before it is clamped: a choice that is stored becomes a masked store, which takes some processors 20 times
-    # as long as a whole one.
+    # Chosen before it is clamped: a choice that is stored becomes a masked store, which is slow on some processors.
     limit = speed_limit.where_positive(mass_inverse, Lanes.filled(builder, np.finfo(np.float32).max))
     for axis, against in enumerate(_force(here, u, weight, tension, cell_force)):
         held = here.load(v, axis)
