@@ -259,8 +259,10 @@ def _lines(case: Case, summary: SessionSummary) -> Iterator[str]:
     for name, force in summary.peak_force_n.items():
         yield f"Force      {name}: at most {force:.3g} N on {summary.held_node_count[name]:,} nodes"
     if summary.inverted_cell_count_end:
+        count = summary.inverted_cell_count_end
+        are = "cell is" if count == 1 else "cells are"
         yield (
-            f"Warning    {summary.inverted_cell_count_end:,} cells are turned inside out at the end and hold the "
-            "tissue away from rest: pull less far, or with a larger radius"
+            f"Warning    {count:,} {are} turned inside out at the end, and may stay so and hold tissue away from rest: "
+            "let it come to rest for longer, pull less far, or with a larger radius"
         )
     yield case.manifest.notice

@@ -204,10 +204,12 @@ class Simulation:
         Raises
         ------
         SimulationError
-            There is no tissue to hold, or the place is not a finite point.
+            There is no tissue to hold, the place is not a finite point, or the radius is not above 0.
         """
         if not (_is_point(center_mm) and np.isfinite(radius_mm)):
             raise SimulationError("the centre and the radius must be finite numbers, three and one", place=name)
+        if radius_mm <= 0:
+            raise SimulationError(f"the radius must be above 0 mm (found {radius_mm:g})", place=name)
         nodes = nodes_in_reach(self.model, self.state.displacement, center_mm, radius_mm)
         for other in self.grabs:
             nodes = np.setdiff1d(nodes, other.nodes, assume_unique=True)
@@ -235,8 +237,10 @@ class Simulation:
         Raises
         ------
         SimulationError
-            The offset is not finite, or the turn is no rotation.
+            The hand has let go, the offset is not finite, or the turn is no rotation.
         """
+        if grab not in self.grabs:
+            raise SimulationError("the hand has let go and cannot be led: grab again", place=grab.name)
         if not _is_point(offset_mm):
             raise SimulationError("the offset must be three finite numbers", place=grab.name)
         grab.target = Pose(self.model.to_grid(offset_mm), self._turn_in_grid(turn, grab.name))
@@ -299,8 +303,10 @@ class Simulation:
         Raises
         ------
         SimulationError
-            The centre is not finite.
+            The probe was withdrawn, or the centre is not finite.
         """
+        if probe not in self.probes:
+            raise SimulationError("the probe was withdrawn and cannot be moved: bring in another", place=probe.name)
         if not _is_point(center_mm):
             raise SimulationError("the centre must be three finite numbers", place=probe.name)
         probe.target = self._to_lattice(center_mm)
@@ -364,7 +370,12 @@ class Simulation:
         self._set_model(replace(self.model, explicit=kept))
 
     def force_on(self, hand: Grab | Probe) -> Float64:
-        """Force that the tissue exerts on a hand now, N, LPS axes, shape (3,): of the springs on what it holds."""
+        """Force that the tissue exerts on a hand now, N, LPS axes, shape (3,): of the springs on what it holds.
+
+        What a user feels: a hand that pulls to the left is pulled to the right. Zero once it has let go.
+        """
+        if hand not in (*self.grabs, *self.probes):
+            return np.zeros(3)
         nodes = hand.nodes if isinstance(hand, Grab) else hand.touched(self.model, self.state.displacement)
         if isinstance(hand, Probe):
             for grab in self.grabs:

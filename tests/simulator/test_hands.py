@@ -248,3 +248,22 @@ def test_all_that_is_wrong_with_explicit_springs_is_said_at_once():
         simulation.add_springs([(1, 1)], 1.0)
     with pytest.raises(SimulationError, match="whole number"):
         simulation.add_springs([(0.5, 1.0)], 1.0)
+
+
+def test_hands_that_let_go_feel_nothing_and_cannot_be_led():
+    simulation = Simulation(block(4, 4, 4, fix_base=True))
+    hand = simulation.grab((4.0, 4.0, 8.0), 3.0)
+    simulation.lead(hand, (0.0, 0.0, 1.0))
+    simulation.step(50)
+    probe = simulation.probe((0.0, 0.0, 40.0), 3.0)
+    assert np.linalg.norm(simulation.force_on(hand)) > 0
+    simulation.release(hand)
+    simulation.withdraw(probe)
+    assert not simulation.force_on(hand).any()
+    assert not simulation.force_on(probe).any()
+    with pytest.raises(SimulationError, match="let go"):
+        simulation.lead(hand, (0.0, 0.0, 2.0))
+    with pytest.raises(SimulationError, match="withdrawn"):
+        simulation.move(probe, (0.0, 0.0, 41.0))
+    with pytest.raises(SimulationError, match="radius must be above 0 mm"):
+        simulation.grab((4.0, 4.0, 8.0), -8.0)
