@@ -16,7 +16,9 @@ __all__ = ["Pace"]
 TRIAL_STEPS = 4
 """Steps of a trial of the way that is not in use."""
 ROUNDS_BETWEEN_TRIALS = 32
-"""How often the way that is not in use gets a trial; at first, twice as long after each."""
+"""How often the way that is not in use gets a trial; where it is in doubt, at first twice as long after each."""
+DOUBTFUL_RATIO = 4.0
+"""A way that took up to so many times as long as the quickest may only have been disturbed: it is tried again soon."""
 ROUND_STEPS = 256
 """Steps after which a new round begins, where a call does not end before."""
 
@@ -56,12 +58,13 @@ class Pace:
             step_count -= round_steps
 
     def _run_round(self, step_count: int, ways: tuple[Work, ...]) -> None:
-        # At first more often: a machine that has just begun is no measure.
-        is_trial = self.round_count % ROUNDS_BETWEEN_TRIALS == 0 or self.round_count.bit_count() == 1
+        is_regular = self.round_count % ROUNDS_BETWEEN_TRIALS == 0
+        is_early = self.round_count.bit_count() == 1
         for number, way in enumerate(ways):
             in_use = number == self.quickest
             is_new = self.seconds_per_step[number] == 0.0
-            is_due = is_new or (is_trial and not in_use)
+            is_doubtful = self.seconds_per_step[number] <= DOUBTFUL_RATIO * min(self.seconds_per_step)
+            is_due = is_new or (not in_use and (is_regular or (is_early and is_doubtful)))
             # The first steps in a way start its threads.
             for _ in range(1 + is_new if is_due else 0):
                 if step_count > TRIAL_STEPS:
