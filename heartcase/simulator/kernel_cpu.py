@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit, prange
 
-from heartcase.simulator.contact import make_contact
 from heartcase.simulator.kernel_cpu_chunks import ChunkArrays, share_out
+from heartcase.simulator.kernel_cpu_hands import Constants, ExplicitArrays, keep_window_outside, pull_explicitly
 from heartcase.simulator.kernel_cpu_sleep import (
     CHECK_STEPS,
     ROUSE_STEPS,
@@ -43,7 +43,6 @@ from heartcase.simulator.kernel_cpu_windows import (
     tension_of_window,
     volume_of_window,
 )
-from heartcase.simulator.lanes import LANE_COUNT
 from heartcase.simulator.vector_ir import flush_subnormals, restore_subnormals
 
 __all__ = ["ELEMENTS", "NO_CELLS", "VOLUME_TERM", "advance", "advance_alone", "lane_forces"]
@@ -52,8 +51,6 @@ Float32 = npt.NDArray[np.float32]
 Int8 = npt.NDArray[np.int8]
 Int32 = npt.NDArray[np.int32]
 Int64 = npt.NDArray[np.int64]
-Constants = tuple[np.float32, np.float32, np.float32, np.float32, np.float32, np.float32, np.float32]
-ExplicitArrays = tuple[Int64, Int64, Int64, Float32, Float32]
 CellArrays = tuple[Int64, Float32, Float32, Float32, Int8, Int8, Int64]
 Kinds = tuple[int, bool, bool]
 
@@ -77,11 +74,7 @@ def _look_at_share(share: int, now: Float32, cells: CellArrays, sleep: SleepArra
     awake, counts = sleep.awake_cells, sleep.counts
     first, end = _part(share, counts[1])
     for window in awake[first:end]:
-        # Two: it was flat before and is not any more.
-        if is_flat_window(now, numbers, rows, window):
-            is_flat[window] = 1
-        elif is_flat[window] == 1:
-            is_flat[window] = 2
+        is_flat[window] = is_flat_window(now, numbers, rows, window)
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
@@ -90,9 +83,7 @@ def _mark_touched(cells: CellArrays) -> None:
     rows, _, _, _, is_flat, is_touched, touches = cells
     is_touched[:] = 0
     for window in range(len(rows)):
-        if is_flat[window] == 2:
-            is_flat[window] = 0
-        elif is_flat[window] == 1:
+        if is_flat[window]:
             for touched in touches[window]:
                 if touched >= 0:
                     is_touched[touched] = 1
@@ -100,7 +91,7 @@ def _mark_touched(cells: CellArrays) -> None:
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def _has_flat(cells: CellArrays) -> bool:
-    return bool((cells[4] == 1).any())
+    return bool(cells[4].any())
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
@@ -113,7 +104,7 @@ def _add_cells(windows: Int64 | Int32, kind: int, now: Float32, force: Float32, 
             element_of_window(now, numbers, force, law, rows, window)
         elif kind == VOLUME_TERM:
             volume_of_window(now, numbers, force, law, rows, window)
-        if is_flat[window] == 1:
+        if is_flat[window]:
             guard_of_window(now, numbers, force, law, rows, window)
 
 
@@ -220,85 +211,6 @@ def lane_forces(
     else:
         for window in range(rows.shape[0]):
             force_of_window(displacement, weight, force, force, rows, window)
-
-
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
-def _pull_explicitly(
-    now: Float32, velocity: Float32, inverse_mass: Float32, explicit: ExplicitArrays, constants: Constants
-) -> None:
-    """Give the velocities before a step what the explicit springs will add to them in it.
-
-    The step keeps a part of the velocity, so they are given the more.
-    """
-    lanes, first, other, offset, stiffness = explicit
-    for number in range(len(lanes)):
-        lane = lanes[number]
-        x, y, z = np.float32(0), np.float32(0), np.float32(0)
-        for spring in range(first[number], first[number + 1]):
-            there = other[spring]
-            dx = offset[spring, 0] + (now[0, there] - now[0, lane])
-            dy = offset[spring, 1] + (now[1, there] - now[1, lane])
-            dz = offset[spring, 2] + (now[2, there] - now[2, lane])
-            length = np.sqrt(dx * dx + dy * dy + dz * dz)
-            if length > 0:
-                pull = stiffness[spring] * (length - offset[spring, 3]) / length
-                x, y, z = x + pull * dx, y + pull * dy, z + pull * dz
-        scale = constants[2] / constants[1] * inverse_mass[0, lane]
-        for axis, force in enumerate((x, y, z)):
-            velocity[axis, lane] += scale * force
-
-
-_pushed_out, _allowed_share = make_contact(njit(nogil=True))
-
-
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
-def _keep_window_outside(
-    now: Float32,
-    later: Float32,
-    velocity: Float32,
-    presence: Float32,
-    inverse_mass: Float32,
-    rest: Float32,
-    row: Int64,
-    probes: Float32,
-    step_number: int,
-    step: np.float32,
-) -> None:
-    """Keep the nodes of a window out of the probes after a step; see :mod:`heartcase.simulator.contact`."""
-    for place in range(LANE_COUNT):
-        lane = row[4] + place
-        if inverse_mass[0, lane] <= 0:
-            continue
-        u = (later[0, lane], later[1, lane], later[2, lane])
-        start = u
-        is_near = False
-        for probe in range(len(probes)):
-            u, is_in_reach = _pushed_out((rest[0, lane], rest[1, lane], rest[2, lane]), u, probes[probe], step_number)
-            is_near = is_near or is_in_reach
-        if not is_near:
-            continue
-        own = (now[0, lane], now[1, lane], now[2, lane])
-        m = (u[0] - own[0], u[1] - own[1], u[2] - own[2])
-        left, near, below = lane - 1, row[3] + place, row[1] + place
-        far, above = row[5] + place, row[7] + place
-        one = np.float32(1)
-        ahead = (
-            (now[0, lane + 1] - own[0] + one, now[1, lane + 1] - own[1], now[2, lane + 1] - own[2]),
-            (now[0, far] - own[0], now[1, far] - own[1] + one, now[2, far] - own[2]),
-            (now[0, above] - own[0], now[1, above] - own[1], now[2, above] - own[2] + one),
-        )
-        behind = (
-            (now[0, left] - own[0] - one, now[1, left] - own[1], now[2, left] - own[2]),
-            (now[0, near] - own[0], now[1, near] - own[1] - one, now[2, near] - own[2]),
-            (now[0, below] - own[0], now[1, below] - own[1], now[2, below] - own[2] - one),
-        )
-        has_ahead = (presence[0, lane] > 0, presence[2, lane] > 0, presence[6, lane] > 0)
-        has_behind = (presence[0, left] > 0, presence[2, near] > 0, presence[6, below] > 0)
-        share = _allowed_share(m, ahead, behind, has_ahead, has_behind)
-        if share < 1 or u != start:
-            for axis, way in enumerate(m):
-                later[axis, lane] = own[axis] + share * way
-                velocity[axis, lane] = share * way / step
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
@@ -428,7 +340,7 @@ def advance(
                 works_cells = _has_flat(cells)
         if len(explicit[0]):
             before = flush_subnormals()
-            _pull_explicitly(now, velocity, inverse_mass, explicit, constants)
+            pull_explicitly(now, velocity, inverse_mass, explicit, constants)
             restore_subnormals(before)
         if works_cells:
             for chunk in prange(chunk_count):
@@ -461,7 +373,7 @@ def advance(
                 first, end = _part(share, sleep.counts[0])
                 for window in sleep.awake[first:end]:
                     row = rows[window]
-                    _keep_window_outside(now, later, velocity, presence, inverse_mass, rest, row, probes, number, step)
+                    keep_window_outside(now, later, velocity, presence, inverse_mass, rest, row, probes, number, step)
                 restore_subnormals(before)
         current = 1 - current
         if is_checked:
@@ -516,7 +428,7 @@ def advance_alone(
                 _mark_touched(cells)
                 works_cells = _has_flat(cells)
         if len(explicit[0]):
-            _pull_explicitly(now, velocity, inverse_mass, explicit, constants)
+            pull_explicitly(now, velocity, inverse_mass, explicit, constants)
         for chunk in range(chunk_count):
             if works_cells:
                 _step_chunk_with_cells(
@@ -542,7 +454,7 @@ def advance_alone(
                 first, end = _part(share, sleep.counts[0])
                 for window in sleep.awake[first:end]:
                     row = rows[window]
-                    _keep_window_outside(now, later, velocity, presence, inverse_mass, rest, row, probes, number, step)
+                    keep_window_outside(now, later, velocity, presence, inverse_mass, rest, row, probes, number, step)
         current = 1 - current
         if is_checked:
             for share in range(SHARES):

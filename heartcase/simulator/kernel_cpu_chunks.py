@@ -27,8 +27,8 @@ Int32 = npt.NDArray[np.int32]
 Int64 = npt.NDArray[np.int64]
 
 KEPT_LANES_MAX = 160_000
-"""Lanes up to which tensions are kept: 6 MB of them. Measured on a processor with 32 MB of cache that others use, too:
-at 128,000 lanes it is quicker to keep them, at 214,000 sometimes, at 516,000 never."""
+"""Lanes up to which tensions are kept: 6 MB of them. On a processor with 32 MB of cache that others use, too, it was
+quicker to keep them at 63,000 lanes, in one run of two at 128,000 and 214,000, in none at 516,000."""
 _LAYERS_MIN = 2
 """Layers of windows in a chunk: with fewer, threads would work out more tensions for others than for themselves."""
 
@@ -115,7 +115,7 @@ def share_out(chunks: ChunkArrays, sleep: SleepArrays) -> None:
             for window in behind[awake[number]]:
                 if window < 0:
                     break
-                # Those behind come earlier, so nothing in a chunk lies behind a window of it but in it.
+                # Windows behind come earlier: from the chunk's first on, those that are awake are its own.
                 is_in_chunk = window >= lowest and not is_asleep[window]
                 if not is_in_chunk and taken_by[window] != chunk:
                     taken_by[window] = chunk
