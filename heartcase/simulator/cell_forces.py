@@ -121,13 +121,13 @@ def _energies_and_forces(model: LatticeModel, u: Float64, cells: npt.NDArray[np.
     energy, force = np.zeros(len(u)), np.zeros_like(u)
     terms = []
     if model.law.is_element:
-        terms.append(_element(model, u, model.cell_moments[cells].astype(np.float64)))
+        element = _element(model, u, model.cell_moments[cells].astype(np.float64))
+        terms.append((model.cell_force_scale[cells], *element))
     elif model.law.has_volume_term:
-        terms.append(_volume_term(model, u))
+        terms.append((model.cell_force_scale[cells], *_volume_term(model, u)))
     if model.law.has_corner_guard:
-        terms.append(_corner_guard(u))
-    scale = model.cell_force_scale[cells]
-    for term_energy, term_force in terms:
+        terms.append((model.corner_guard_scale[cells], *_corner_guard(u)))
+    for scale, term_energy, term_force in terms:
         energy += scale * term_energy
         force += scale[:, None, None] * term_force
     return energy, force

@@ -24,12 +24,11 @@ from numba.extending import intrinsic
 from heartcase.schemas.lattice import CORNER_OFFSETS
 from heartcase.simulator.cell_forces import LOOK_BELOW
 from heartcase.simulator.cell_math import make_cell_math
-from heartcase.simulator.lanes import LANE_COUNT
+from heartcase.simulator.lanes import CELL_NUMBERS, LANE_COUNT
 from heartcase.simulator.model import DIRECTIONS
 from heartcase.simulator.vector_ir import Lanes, Vector, Window, array_data, array_lane_count, dot
 
 __all__ = [
-    "CELL_NUMBERS",
     "clear_window",
     "element_of_window",
     "force_of_window",
@@ -45,8 +44,6 @@ __all__ = [
     "volume_of_window",
 ]
 
-CELL_NUMBERS = 10
-"""Numbers of a cell: stiffness, means of x, y, z, yz, xz, xy and variances along x, y, z of its tissue."""
 _TINY = 1e-30
 """Keeps the division defined where two nodes lie on one spot."""
 _CORNERS = [(int(i), int(j), int(k)) for i, j, k in CORNER_OFFSETS]
@@ -262,7 +259,7 @@ def _make_cell_window(kind: str) -> Any:
             elif kind == "volume":
                 forces = _volume_term(corners, scale, _constant(builder, constants, 0))
             else:
-                forces = _corner_guard(corners, scale)
+                forces = _corner_guard(corners, here.load(n, 1))
             for axis, at_corners in enumerate(forces):
                 _add_to_nodes(here, f, axis, dict(zip(_CORNERS, at_corners, strict=True)))
             return context.get_dummy_value()

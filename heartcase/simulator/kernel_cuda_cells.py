@@ -98,7 +98,7 @@ def _work_cell(displacement, buffer, corner_lane, numbers, cell_force, law, cell
     _store(cell_force, 1, cell, count, fy, False)
     _store(cell_force, 2, cell, count, fz, False)
     if has_guard and _corner_lack(u, _FLOOR) > _O:
-        fx, fy, fz = _corner_guard(u, scale)
+        fx, fy, fz = _corner_guard(u, numbers[_U(count + cell)])
         _store(cell_force, 0, cell, count, fx, True)
         _store(cell_force, 1, cell, count, fy, True)
         _store(cell_force, 2, cell, count, fz, True)
@@ -155,7 +155,7 @@ def advance_with_cells(
     corner_lane
         Lane of each cell's corners, corner by corner, uint32, shape (8 * cell_count,).
     numbers
-        Covered stiffness, moments and variances of the cells, float32, shape (10 * cell_count,).
+        Numbers of the cells (:func:`heartcase.simulator.lanes.cell_numbers`), float32, shape (10 * cell_count,).
     cell_force
         Room for the forces on the corners, float32, shape (24 * cell_count,).
     law

@@ -19,10 +19,22 @@ from heartcase.schemas.lattice import lattice_keys
 from heartcase.simulator.cell_forces import tissue_spread
 from heartcase.simulator.model import DIRECTIONS, LatticeModel
 
-__all__ = ["LANE_COUNT", "ROWS", "CellLayout", "LaneLayout", "cell_layout", "cell_numbers", "lane_layout"]
+__all__ = [
+    "CELL_NUMBERS",
+    "LANE_COUNT",
+    "ROWS",
+    "CellLayout",
+    "LaneLayout",
+    "cell_layout",
+    "cell_numbers",
+    "lane_layout",
+]
 
 LANE_COUNT = 8
 """Lanes of a block and of a window: one AVX register or two of NEON in float32. 16 leave more lanes empty: slower."""
+
+CELL_NUMBERS = 10
+"""Numbers that the kernels read of a cell: :func:`cell_numbers`."""
 
 ROWS: npt.NDArray[np.int32] = np.array([(j, k) for k in (-1, 0, 1) for j in (-1, 0, 1)], dtype=np.int32)
 """Offset (j, k) of a window's own row (number 4) and of the eight rows around it, shape (9, 2)."""
@@ -119,10 +131,19 @@ def lane_layout(model: LatticeModel) -> LaneLayout:
 
 
 def cell_numbers(model: LatticeModel) -> npt.NDArray[np.float32]:
-    """Covered stiffness, means of x, y, z, yz, xz, xy and variances along x, y, z of each cell, (10, cell_count)."""
-    moments = model.cell_moments.astype(np.float64)
-    numbers = (model.cell_force_scale, *moments[:, :3].T, *moments[:, 6:].T, *tissue_spread(moments).T)
-    return np.stack(numbers).astype(np.float32)
+    """What the law's kernels read of each cell, shape (10, cell_count), float32.
+
+    The covered stiffness [k/h], then for elements the means of x, y, z, yz, xz, xy and variances along x, y, z of the
+    tissue [edges]; for springs the corner guard's stiffness [k/h] and zeros.
+    """
+    numbers = np.zeros((CELL_NUMBERS, model.cell_count), np.float32)
+    numbers[0] = model.cell_force_scale
+    if model.law.is_element:
+        moments = model.cell_moments.astype(np.float64)
+        numbers[1:] = np.concatenate([moments[:, :3].T, moments[:, 6:].T, tissue_spread(moments).T])
+    else:
+        numbers[1] = model.corner_guard_scale
+    return numbers
 
 
 @dataclass(frozen=True)
@@ -139,10 +160,7 @@ class CellLayout:
     """Windows of nodes that the cells of each of these windows have corners in, then -1, shape (count, 8)."""
 
     def numbers(self, model: LatticeModel) -> npt.NDArray[np.float32]:
-        """Covered stiffness, means of x, y, z, yz, xz, xy and variances along x, y, z of the tissue, (10, lane_count).
-
-        Zero where there is no cell.
-        """
+        """:func:`cell_numbers` by lane, shape (10, lane_count), float32; zero where there is no cell."""
         by_cell = cell_numbers(model)
         numbers = np.zeros((len(by_cell), self.lane_count), np.float32)
         numbers[:, self.cell_lane] = by_cell

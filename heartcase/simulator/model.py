@@ -155,6 +155,23 @@ class LatticeModel:
         return np.where(self.cell_is_whole, self.cell_coverage * self.cell_stiffness, np.float32(0.0))
 
     @property
+    def corner_guard_scale(self) -> Float32:
+        """Stiffness with which corners of each cell push back [k/h], shape (cell_count,); zero in cells that were cut.
+
+        The cell's covered stiffness, or where that is more the least of the means over the cells around each of its
+        free corners: slivers are turned back against their neighbours' springs, and as the corners' masses are such
+        means too, none is the quicker for it.
+        """
+        own = self.cell_coverage * self.cell_stiffness
+        corners = self.cell_corners.ravel()
+        around = np.bincount(corners, np.repeat(own, 8), minlength=self.node_count)
+        mean = np.divide(around, np.bincount(corners, minlength=self.node_count), out=around, where=around > 0)
+        mean[self.node_is_fixed] = np.inf
+        least = mean[self.cell_corners].min(axis=1)
+        scale = np.where(np.isfinite(least), np.maximum(own, least), own)
+        return np.where(self.cell_is_whole, scale, 0.0).astype(np.float32)
+
+    @property
     def spring_offset(self) -> Int32:
         """Vector from lower to higher node at rest [cells], shape (spring_count, 3)."""
         return DIRECTIONS[self.spring_direction]

@@ -72,18 +72,19 @@ def random_moments(cell_count: int, rng: np.random.Generator) -> np.ndarray:
     return np.concatenate(means, axis=1).astype(np.float32)
 
 
-def stiffness_matrix(model: LatticeModel) -> np.ndarray:
-    """Minus the derivative of the reference forces at rest by central differences, shape (3 n, 3 n)."""
+def stiffness_matrix(model: LatticeModel, displacement: np.ndarray | None = None) -> np.ndarray:
+    """Minus the derivative of the reference forces, at rest or where displaced, by central differences, (3 n, 3 n)."""
     from heartcase.simulator.forces_reference import elastic_forces
 
     n = 3 * model.node_count
     step = 1e-5
+    at = np.zeros(n) if displacement is None else displacement.ravel()
     matrix = np.empty((n, n))
     for column in range(n):
         push = np.zeros(n)
         push[column] = step
-        ahead = elastic_forces(model, push.reshape(-1, 3))
-        behind = elastic_forces(model, -push.reshape(-1, 3))
+        ahead = elastic_forces(model, (at + push).reshape(-1, 3))
+        behind = elastic_forces(model, (at - push).reshape(-1, 3))
         matrix[:, column] = (behind - ahead).ravel() / (2 * step)
     return matrix
 

@@ -136,6 +136,23 @@ def test_deformed_cells_stay_within_what_the_default_step_leaves_room_for(law):
     assert rates.max() > 0.6 * law.rest_bound  # the cells were deformed, not gone
 
 
+def test_guarded_slivers_stay_within_what_the_default_step_leaves_room_for():
+    """Scrambled blocks of full cells and slivers: omega^2 below (1 / 0.8)^2 of what the step is made for."""
+    rng = np.random.default_rng(4)
+    whole = block(3, 3, 2, fix_base=True)
+    rates = []
+    for size in (0.3, 0.6, 1.2) * 2:
+        coverage = np.where(rng.random(18) < 0.5, 1.0, rng.uniform(0.02, 0.5, 18))
+        model = make_model(whole.cells, coverage=coverage, fixed=whole.node_is_fixed)
+        assert (model.corner_guard_scale > 2.0 * model.cell_force_scale).any()
+        u = rng.normal(size=(model.node_count, 3)) * size * ~model.node_is_fixed[:, None]
+        assert inverted_cells(model, u).any()
+        root = np.repeat(np.where(model.node_is_fixed, 0.0, 1 / np.sqrt(model.node_mass.astype(float))), 3)
+        K = root[:, None] * stiffness_matrix(model, u) * root
+        rates.append(np.linalg.eigvalsh((K + K.T) / 2)[-1])
+    assert max(rates) <= model.law.stretched_bound / 0.64
+
+
 @pytest.mark.parametrize("law", BARE_LAWS)
 def test_no_deformation_stiffens_a_cell_without_bound(law):
     """Corners anywhere, up to a hundred edges away."""
