@@ -7,7 +7,6 @@ columns are moved to the right-hand side.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,7 @@ import numpy.typing as npt
 import scipy.sparse as sp
 from scipy.sparse.linalg import SuperLU, splu
 
-from heartcase.simulator.cell_forces import cell_forces
+from heartcase.simulator.cell_forces import forces_at_corners
 from heartcase.simulator.forces_reference import elastic_forces
 from heartcase.simulator.model import LatticeModel
 
@@ -192,11 +191,6 @@ def _spread(
 def _cell_parts(model: LatticeModel, u: Float64) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], Float64]:
     """Rows, columns and values of the cells' stiffness, by central differences of each cell's forces by itself."""
     count = model.cell_count
-    alone = replace(
-        model,
-        cell_corners=np.arange(8 * count, dtype=np.int32).reshape(-1, 8),
-        node_index=np.zeros((8 * count, 3), np.int32),
-    )
     here = u[model.cell_corners]
     matrix = np.empty((count, 24, 24))
     for column in range(24):
@@ -204,7 +198,7 @@ def _cell_parts(model: LatticeModel, u: Float64) -> tuple[npt.NDArray[np.intp], 
         for sign in (1.0, -1.0):
             pushed = here.copy()
             pushed[:, column // 3, column % 3] += sign * _STEP
-            ends.append(cell_forces(alone, pushed.reshape(-1, 3)).reshape(count, 24))
+            ends.append(forces_at_corners(model, pushed).reshape(count, 24))
         matrix[:, :, column] = (ends[1] - ends[0]) / (2.0 * _STEP)
     degrees = (3 * model.cell_corners[:, :, None] + np.arange(3)).reshape(count, 24)
     rows = np.broadcast_to(degrees[:, :, None], matrix.shape).ravel()

@@ -133,7 +133,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _without_arguments(message: str) -> str:
     """A message of the command line without what the user typed: a path may be named after a patient."""
     if message.startswith("Got unexpected extra argument"):
-        return 'there are more arguments than expected: put a path that holds spaces in "quotation marks"'
+        return (
+            'there are more arguments than expected: see --help, and put a path that holds spaces in "quotation marks"'
+        )
     return re.sub(r"(Path|File|Directory) '[^']*'", r"\1", message)
 
 

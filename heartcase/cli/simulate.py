@@ -244,7 +244,7 @@ def _lines(case: Case, summary: SessionSummary) -> Iterator[str]:
     yield f"Law        {case.model.law.name}, Poisson's ratio {case.model.law.poissons_ratio:g}"
     yield f"Surface    {summary.triangle_count:,} triangles"
     yield (
-        f"Step       {summary.step_s * 1e3:.4f} ms (bound {summary.step_limit_s * 1e3:.4f} ms), "
+        f"Step       {summary.step_s * 1e3:.4f} ms (at rest stable up to {summary.step_limit_s * 1e3:.4f} ms), "
         f"{summary.step_count:,} steps"
     )
     yield (

@@ -42,6 +42,7 @@ __all__ = [
     "WARP_STIFFNESS",
     "cell_energies",
     "cell_forces",
+    "forces_at_corners",
     "mean_slopes",
     "tissue_spread",
 ]
@@ -72,13 +73,17 @@ MODES: Float64 = np.stack([_X / 4, _Y / 4, _Z / 4, _Y * _Z / 2, _X * _Z / 2, _X 
 
 def cell_forces(model: LatticeModel, displacement: npt.ArrayLike) -> Float64:
     """Forces of all cells on every node [grid units], float64, shape (node_count, 3); displacements in cells."""
-    u = np.asarray(displacement, dtype=np.float64)[model.cell_corners]
-    _, at_corners = _energies_and_forces(model, u, np.arange(model.cell_count))
+    at_corners = forces_at_corners(model, np.asarray(displacement, dtype=np.float64)[model.cell_corners])
     force = np.zeros((model.node_count, 3))
     for axis in range(3):
         pulls = at_corners[:, :, axis].ravel()
         force[:, axis] = np.bincount(model.cell_corners.ravel(), pulls, minlength=model.node_count)
     return force
+
+
+def forces_at_corners(model: LatticeModel, u: Float64) -> Float64:
+    """Force of each cell on its corners [grid units] at their displacements [cells], shape (cell_count, 8, 3)."""
+    return _energies_and_forces(model, u, np.arange(model.cell_count))[1]
 
 
 def cell_energies(
