@@ -233,6 +233,11 @@ class LatticeModel:
             spring_weight=self.spring_weight[kept],
         )
 
+    def is_of_lattice(self, other: LatticeModel) -> bool:
+        """Whether two models have the same nodes, units and law, whatever springs were cut or joined."""
+        is_same = self.units == other.units and self.law == other.law
+        return is_same and np.array_equal(self.node_index, other.node_index)
+
     def with_law(self, law: ForceLaw) -> LatticeModel:
         """A copy whose deformation another law resists."""
         return replace(self, law=law)

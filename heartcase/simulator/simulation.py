@@ -16,7 +16,7 @@ from heartcase.simulator.integrate import Energy, Verlet, energy
 from heartcase.simulator.joining import join
 from heartcase.simulator.measures import inverted_cells
 from heartcase.simulator.model import LatticeModel
-from heartcase.simulator.state import State
+from heartcase.simulator.state import Snapshot, State
 from heartcase.simulator.step_size import checked_step, own_step_limit
 from heartcase.simulator.surface import DeformedSurface, PickingModel, SurfaceModel
 from heartcase.simulator.surface_moved import SurfaceFollower
@@ -154,11 +154,27 @@ class Simulation:
         if self._surface_on_device is not None:
             self._surface_on_device()
 
-    def restore(self, state: State) -> None:
-        """Go back, or on, to a state that was read before.
+    def snapshot(self) -> Snapshot:
+        """What :meth:`restore` goes back to: the state, and what was cut and joined by now. It copies nothing twice."""
+        return Snapshot(self.model, self.state)
 
-        Hands that hold now let go, and probes are withdrawn. Springs stay as they are now: a state does not hold them.
+    def restore(self, point: State | Snapshot) -> None:
+        """Go back, or on, to a snapshot, or to a state alone: then springs stay as they are now.
+
+        Hands that hold now let go, and probes are withdrawn.
+
+        Raises
+        ------
+        SimulationError
+            The snapshot, or the state, is of another lattice, or its springs are too stiff for the step. Nothing has
+            changed.
         """
+        model, state = (point.model, point.state) if isinstance(point, Snapshot) else (self.model, point)
+        if len(state.displacement) != self.model.node_count or not model.is_of_lattice(self.model):
+            raise SimulationError("this is of another lattice: restore what this simulation gave", place="restore")
+        if model is not self.model:
+            checked_step(model, self.step_s)
+            self._set_model(model)
         self.grabs.clear()
         self.probes.clear()
         self._engine.load(state)

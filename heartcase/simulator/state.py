@@ -1,4 +1,4 @@
-"""What changes while the tissue moves, and nothing else: copy it and you have a snapshot."""
+"""What changes while the tissue moves; with the lattice of the moment, a snapshot."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["State"]
+from heartcase.simulator.model import LatticeModel
+
+__all__ = ["Snapshot", "State"]
 
 
 @dataclass(frozen=True)
@@ -29,3 +31,13 @@ class State:
     def at_rest(cls, node_count: int) -> State:
         """Nothing displaced, nothing moving."""
         return cls(np.zeros((node_count, 3), np.float32), np.zeros((node_count, 3), np.float32))
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """A moment: what :meth:`heartcase.simulator.simulation.Simulation.restore` needs to go back to it."""
+
+    model: LatticeModel
+    """The lattice with its springs of that moment."""
+    state: State
+    """Where its nodes were and how they moved."""

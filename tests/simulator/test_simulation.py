@@ -173,6 +173,53 @@ def test_snapshot_and_restore_repeat_the_same_bytes():
     assert simulation.time_s == pytest.approx(100 * simulation.step_s)
 
 
+@pytest.mark.parametrize("backend", ["cpu", "reference", "cuda"])
+def test_a_snapshot_brings_back_what_was_cut_and_takes_away_what_was_joined(backend):
+    model = block(4, 3, 3, fix_base=True)
+    simulation = Simulation(model, backend=backend)
+    hand = simulation.grab((0.0, 0.0, 7.5), 3.0)
+    simulation.lead(hand, (0.0, 0.0, 2.0))
+    simulation.step(5)
+    before = simulation.snapshot()
+    simulation.release(hand)
+    simulation.step(10)
+    uncut = simulation.state
+    simulation.remove_springs(np.arange(model.spring_count) % 3 == 0)
+    simulation.add_springs([[0, model.node_count - 1]], 0.5)
+    after = simulation.snapshot()
+    simulation.step(10)
+    cut = simulation.state
+    simulation.restore(before)
+    assert simulation.model.spring_count == model.spring_count
+    assert simulation.model.explicit.count == 0
+    assert simulation.model.cell_is_whole.all()
+    simulation.step(10)
+    # The reference goes on in float64, a state is of float32.
+    tolerance = 1e-6 if backend == "reference" else 0.0
+    np.testing.assert_allclose(simulation.state.displacement, uncut.displacement, rtol=0, atol=tolerance)
+    simulation.restore(after)
+    assert simulation.model.explicit.count == 1
+    simulation.step(10)
+    np.testing.assert_allclose(simulation.state.displacement, cut.displacement, rtol=0, atol=tolerance)
+    assert np.abs(cut.displacement - uncut.displacement).max() > 1e-3
+
+
+def test_what_is_of_another_lattice_is_not_restored():
+    simulation = Simulation(block(4, 3, 3))
+    hand = simulation.grab((0.0, 0.0, 0.0), 3.0)
+    other = Simulation(block(3, 3, 4))
+    taller = Simulation(block(4, 3, 4))
+    for point in (other.snapshot(), taller.snapshot(), taller.state):
+        with pytest.raises(SimulationError, match="of another lattice"):
+            simulation.restore(point)
+    assert simulation.grabs == [hand]
+    loose = Simulation(simulation.model, step_s=simulation.step_s / 10)
+    loose.add_springs([[0, simulation.model.node_count - 1]], 2000.0)
+    with pytest.raises(SimulationError, match="not stable"):
+        simulation.restore(loose.snapshot())
+    assert simulation.model.explicit.count == 0
+
+
 def test_watchdog_stops_and_goes_back():
     model = block(4, 4, 4, fix_base=True)
     simulation = Simulation(model)
