@@ -19,6 +19,7 @@ __all__ = ["COMMANDS", "cli", "main"]
 COMMANDS: dict[str, str] = {
     "new": "Write a commented starter recipe for a scan.",
     "build": "Build a case from a recipe.",
+    "library": "Build many cases from a folder of recipes.",
     "info": "Say what a scan, a recipe's scan or a case is.",
     "validate": "Check a case, a recipe or a script, and list every problem.",
     "paint": "Paint markers on a recipe's scan, for a viewer to drive.",

@@ -166,18 +166,23 @@ class Recipe(Model):
         """The label table, background included, without grown walls."""
         return LabelTable(labels=self.labels)
 
-    def missing_files(self, directory: Path) -> tuple[Problem, ...]:
-        """Files that the recipe names and that are not there; relative paths start at ``directory``."""
+    @property
+    def input_files(self) -> tuple[tuple[str, str], ...]:
+        """Place in the recipe and path of each file or folder that it reads."""
         named = [("scan.path", self.scan.path)]
         named += [(f"markers[{n}].path", marker.path) for n, marker in enumerate(self.markers, start=1)]
         if self.segment.method == "labels" and self.segment.file is not None:
             named.append(("segment.file", self.segment.file))
+        return tuple(named)
+
+    def missing_files(self, directory: Path) -> tuple[Problem, ...]:
+        """Files that the recipe names and that are not there; relative paths start at ``directory``."""
         hint = {"scan.path": f". Where it comes from: {self.scan.origin}"} if self.scan.origin else {}
         return tuple(
             Problem(
                 place, f"there is no such file: check the spelling; it is relative to the recipe{hint.get(place, '')}"
             )
-            for place, path in named
+            for place, path in self.input_files
             if not (directory / path).exists()
         )
 

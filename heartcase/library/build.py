@@ -1,0 +1,194 @@
+"""Building a library: what is stale goes to the workers of a Dask cluster, and comes back case by case.
+
+A case is one task, so that a killed worker costs what it was building and nothing else: the scheduler gives the task to
+another, which goes on from the stages that the cache holds. Each worker writes the record of a case when it is done;
+where the scheduler is lost, the next build starts from those.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from heartcase.library.plan import CaseRecord, LibraryCase, is_up_to_date, read_record, write_record
+from heartcase.schemas.errors import UsageError
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+__all__ = [
+    "MEMORY_PER_CASE_MB",
+    "Workers",
+    "build_cases",
+    "connected",
+    "default_workers",
+    "has_dashboard",
+    "stale_cases",
+]
+
+MEMORY_PER_CASE_MB = 3000
+"""What a worker is given at least, 10^6 bytes: an adult's heart from a scan of 1.75 mm takes half of it."""
+_ATTEMPTS = 3
+"""Workers that may be killed by a case before it counts as failed."""
+_LOST_AFTER_S = 20
+"""Time without the scheduler after which it counts as lost, s."""
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Worker processes on this machine."""
+
+    count: int
+    """How many."""
+    thread_count: int
+    """Threads of each; no byte of a case depends on it."""
+    memory_mb: int
+    """Memory beyond which a worker is stopped, 10^6 bytes."""
+
+
+def default_workers(worker_count: int | None = None, memory_mb: int | None = None) -> Workers:
+    """As many workers as there are cores and as memory allows.
+
+    Raises
+    ------
+    UsageError
+        A number is not above zero.
+    """
+    if worker_count is not None and worker_count < 1:
+        raise UsageError("give at least one worker", place="--workers")
+    if memory_mb is not None and memory_mb < 500:
+        raise UsageError("a worker needs 500 MB at the very least", place="--memory-mb")
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    there_mb = _memory_mb()
+    fitting = max(1, there_mb // (memory_mb or MEMORY_PER_CASE_MB))
+    count = worker_count or max(1, min(cores, fitting))
+    return Workers(count, max(1, cores // count), memory_mb or max(500, there_mb // count))
+
+
+@contextlib.contextmanager
+def connected(workers: Workers | None, scheduler: str | None) -> Iterator[Client]:
+    """A client of a cluster on this machine, or of the scheduler at an address; a cluster made here ends with it.
+
+    Raises
+    ------
+    UsageError
+        No scheduler answers at the address.
+    """
+    import dask
+    from distributed import Client, LocalCluster
+
+    settings = {
+        "distributed.scheduler.allowed-failures": _ATTEMPTS - 1,
+        "distributed.comm.timeouts.connect": f"{_LOST_AFTER_S}s",
+        "distributed.logging": {"distributed": "critical", "tornado": "critical", "bokeh": "critical"},
+        "distributed.admin.log-format": "%(message)s",
+    }
+    with dask.config.set(settings):
+        if scheduler is not None:
+            try:
+                client = Client(scheduler, timeout=_LOST_AFTER_S, set_as_default=False)
+            except (OSError, TimeoutError, ValueError):
+                message = (
+                    "no Dask scheduler answers there: start one with  dask scheduler  and give the address it prints"
+                )
+                raise UsageError(message, place="--scheduler") from None
+            with client:
+                yield client
+            return
+        assert workers is not None
+        threads = str(workers.thread_count)
+        names = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "ITK_GLOBAL_DEFAULT_NUMBER_OF_THREADS")
+        with (
+            dask.config.set({"distributed.nanny.environ": dict.fromkeys(names, threads)}),
+            LocalCluster(
+                n_workers=workers.count,
+                threads_per_worker=1,
+                memory_limit=workers.memory_mb * 1_000_000,
+                dashboard_address=":8787" if has_dashboard() else None,
+                silence_logs=50,
+            ) as cluster,
+            Client(cluster, set_as_default=False) as client,
+        ):
+            yield client
+
+
+def stale_cases(cases: tuple[LibraryCase, ...], out: Path, *, force: bool = False) -> tuple[LibraryCase, ...]:
+    """The cases that are to be built: those that can be, and are not as they would be built now."""
+    return tuple(case for case in cases if not case.problems and (force or not is_up_to_date(case, out)))
+
+
+def build_cases(
+    cases: tuple[LibraryCase, ...], client: Client, *, out: Path, cache: Path | None = None
+) -> Iterator[CaseRecord]:
+    """Build cases on a cluster; their records come as they are done.
+
+    Those that a lost scheduler or killed workers kept from being built have a record that says so.
+    """
+    from distributed import as_completed
+    from distributed.client import FutureCancelledError
+
+    out.mkdir(parents=True, exist_ok=True)
+    shared = str(cache.resolve()) if cache else None
+    futures: dict[Any, LibraryCase] = {}
+    for case in cases:
+        here = LibraryCase(case.name, case.recipe.resolve(), case.stamp)
+        future = client.submit(
+            _build_one, here, str(out.resolve()), shared, key=f"{case.name}-{case.stamp}", pure=False
+        )
+        futures[future] = case
+    waiting = set(futures)
+    with contextlib.suppress(FutureCancelledError):
+        for future in as_completed(list(futures), loop=client.loop, raise_errors=False):
+            waiting.discard(future)
+            yield _record_of(future, futures[future], out)
+    for future in sorted(waiting, key=lambda one: futures[one].name):
+        yield _lost(futures[future], "the scheduler was lost: build the library again, it goes on from here", out)
+
+
+def _build_one(case: LibraryCase, out: str, cache: str | None) -> CaseRecord:
+    # What a worker needs is imported there: the client runs without the pipeline's libraries.
+    from heartcase.library.worker import build_one
+
+    return build_one(case, out, cache)
+
+
+def _record_of(future: Any, case: LibraryCase, out: Path) -> CaseRecord:
+    from distributed import KilledWorker
+
+    if future.status == "finished":
+        try:
+            record: CaseRecord = future.result(timeout=_LOST_AFTER_S)
+        except (OSError, TimeoutError):
+            record = _lost(case, "its worker was lost: build the library again", out)
+        return record
+    if future.status == "error" and isinstance(future.exception(), KilledWorker):
+        words = f"{_ATTEMPTS} workers were killed while they built this: it may need more memory (--memory-mb)"
+        return _lost(case, words, out)
+    return _lost(case, "it was not built: the scheduler or its worker was lost; build the library again", out)
+
+
+def _lost(case: LibraryCase, message: str, out: Path) -> CaseRecord:
+    written = read_record(case.name, out)
+    if written is not None and is_up_to_date(case, out):
+        return written
+    record = CaseRecord(case.name, case.stamp, (("", message),))
+    write_record(record, out)
+    return record
+
+
+def _memory_mb() -> int:
+    """Memory of this machine or of the container, 10^6 bytes."""
+    from distributed.system import MEMORY_LIMIT
+
+    return int(MEMORY_LIMIT / 1e6)
+
+
+def has_dashboard() -> bool:
+    """Whether what Dask draws its dashboard with is installed."""
+    import importlib.util
+
+    return importlib.util.find_spec("bokeh") is not None

@@ -1,0 +1,181 @@
+"""What a library holds and what of it is to be built: recipes, their stamps, and the records of earlier builds.
+
+A stamp is the hash of the recipe's text, of size and time of every file that it reads, and of the versions of software
+and stages. Where it is that of the record, and the case's files are those that the build wrote, nothing is opened. A
+stamp that changed says only that the case has to be looked at: what is computed again is decided by the hashes of
+contents, in the cache (:mod:`heartcase.pipeline.cache`).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from heartcase import __version__
+from heartcase.pipeline.runner import STAGE_VERSIONS
+from heartcase.schemas.errors import HeartcaseError, Problem, RecipeError, UsageError
+from heartcase.schemas.files import atomic_write
+from heartcase.schemas.recipe import Recipe, parse_recipe, read_recipe_text
+
+__all__ = ["CaseRecord", "LibraryCase", "files_written", "is_up_to_date", "plan_library", "read_record", "write_record"]
+
+RECORDS = ".heartcase-library"
+"""Folder of the records, beside the cases."""
+RECORD_VERSION = 1
+_HEADERS = (".mhd", ".nhdr", ".hdr", ".img")
+
+
+@dataclass(frozen=True)
+class LibraryCase:
+    """A recipe of a library."""
+
+    name: str
+    """Name of its case; of the file where it has none."""
+    recipe: Path
+    """Its file."""
+    stamp: str
+    """What it would be built from, 64 hexadecimal digits; empty where it cannot be built."""
+    problems: tuple[Problem, ...] = ()
+    """Why it cannot be built."""
+
+
+@dataclass(frozen=True)
+class CaseRecord:
+    """What became of a case when it was last built."""
+
+    name: str
+    """Name of the case."""
+    stamp: str
+    """What it was built from."""
+    problems: tuple[tuple[str, str], ...] = ()
+    """Place and message of what kept it from being built; empty where it was."""
+    seconds: float = 0.0
+    """How long it took, s."""
+    stage_seconds: dict[str, float] | None = None
+    """Stage -> seconds that it took, now or when its output was computed."""
+    reused: tuple[str, ...] = ()
+    """Stages whose output was in the cache."""
+    warnings: tuple[str, ...] = ()
+    """What the user must know of the case."""
+    memory_peak_mb: float | None = None
+    """Most memory that the worker held while it built, 10^6 bytes; None where the system does not say."""
+    files: tuple[tuple[str, int, int], ...] = ()
+    """Path below the output folder, size in bytes and time of last change in ns of what was written."""
+
+    def timed(self, seconds: float, memory_peak_mb: float | None) -> CaseRecord:
+        """The record with what building it took."""
+        return replace(self, seconds=round(seconds, 2), memory_peak_mb=memory_peak_mb)
+
+
+def plan_library(directory: Path) -> tuple[LibraryCase, ...]:
+    """The recipes below a folder, by name; those that cannot be built say why.
+
+    TOML files that are no recipes, and what lies in hidden folders, are passed over.
+
+    Raises
+    ------
+    UsageError
+        There is no such folder, or no recipe in it.
+    """
+    if not directory.is_dir():
+        raise UsageError("this is not a folder: give the one that holds the recipes", place="DIR")
+    cases = [case for path in _toml_files(directory) if (case := _planned(path, directory)) is not None]
+    if not cases:
+        raise UsageError("no recipe was found in this folder or below: write one with  heartcase new SCAN", place="DIR")
+    count = Counter(case.name for case in cases)
+    twice = Problem("name", "another recipe of the library has this name: give each its own")
+    named = (
+        replace(case, stamp="", problems=(*case.problems, twice)) if count[case.name] > 1 else case for case in cases
+    )
+    return tuple(sorted(named, key=lambda case: (case.name, case.recipe)))
+
+
+def is_up_to_date(case: LibraryCase, out: Path) -> bool:
+    """Whether a case was built from what it would be built from now, and lies there as it was written."""
+    record = read_record(case.name, out)
+    if record is None or record.problems or not case.stamp or record.stamp != case.stamp:
+        return False
+    return bool(record.files) and record.files == files_written(out, [name for name, _, _ in record.files])
+
+
+def files_written(out: Path, names: list[str]) -> tuple[tuple[str, int, int], ...]:
+    """Size and time of files below a folder, by path; those that are not there are left out."""
+    return tuple((name, *stat) for name in sorted(names) if (stat := _size_and_time(out / name)) is not None)
+
+
+def read_record(name: str, out: Path) -> CaseRecord | None:
+    """The record of a case; None where there is none that can be read."""
+    try:
+        data = json.loads(_record_path(name, out).read_text(encoding="utf-8"))
+        if data.pop("record_version") != RECORD_VERSION:
+            return None
+        for field in ("problems", "files"):
+            data[field] = tuple(tuple(row) for row in data[field])
+        return CaseRecord(**(data | {"reused": tuple(data["reused"]), "warnings": tuple(data["warnings"])}))
+    except (OSError, ValueError, TypeError, KeyError, AttributeError):
+        return None
+
+
+def write_record(record: CaseRecord, out: Path) -> None:
+    """Write the record of a case, whole or not at all."""
+    path = _record_path(record.name, out)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    atomic_write(path, json.dumps({"record_version": RECORD_VERSION, **asdict(record)}, indent=1).encode())
+
+
+def _record_path(name: str, out: Path) -> Path:
+    return out / RECORDS / f"{name}.json"
+
+
+def _toml_files(directory: Path) -> Iterator[Path]:
+    for folder, below, files in os.walk(directory):
+        below[:] = sorted(name for name in below if not name.startswith(".") and not name.endswith(".case"))
+        yield from (Path(folder) / name for name in sorted(files) if name.endswith(".toml"))
+
+
+def _planned(path: Path, directory: Path) -> LibraryCase | None:
+    fallback = path.relative_to(directory).with_suffix("").as_posix().replace("/", "-")
+    try:
+        text = read_recipe_text(path)
+        if "heartcase_recipe" not in text:
+            return None
+        recipe = parse_recipe(text)
+        missing = recipe.missing_files(path.parent)
+        if missing:
+            raise RecipeError(missing)
+        return LibraryCase(recipe.name, path, _stamp(text, recipe, path.parent))
+    except HeartcaseError as error:
+        return LibraryCase(fallback, path, "", error.problems)
+    except OSError as error:
+        message = f"it cannot be read: {(error.strerror or 'the system gives no reason').lower()}"
+        return LibraryCase(fallback, path, "", (Problem("recipe", message),))
+
+
+def _stamp(text: str, recipe: Recipe, directory: Path) -> str:
+    inputs = [[path, *_stats_of(directory / path)] for _, path in recipe.input_files]
+    known: list[Any] = [__version__, STAGE_VERSIONS, text, inputs]
+    return hashlib.sha256(json.dumps(known, sort_keys=True).encode()).hexdigest()
+
+
+def _stats_of(path: Path) -> list[Any]:
+    """Size and time of a file, or of every file in a folder, by name; a header's data may be in any file beside it."""
+    if path.suffix.lower() in _HEADERS:
+        return [[file.name, _size_and_time(file)] for file in sorted(path.parent.iterdir()) if file.is_file()]
+    if not path.is_dir():
+        return [_size_and_time(path)]
+    files = (Path(folder) / name for folder, _, names in os.walk(path) for name in names)
+    return [[file.relative_to(path).as_posix(), _size_and_time(file)] for file in sorted(files)]
+
+
+def _size_and_time(path: Path) -> tuple[int, int] | None:
+    try:
+        status = path.stat()
+    except OSError:
+        return None
+    return status.st_size, status.st_mtime_ns

@@ -1,0 +1,73 @@
+"""One case of a library, built in a worker process: whatever goes wrong ends in its record."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+import traceback
+from pathlib import Path
+
+from heartcase.library.plan import CaseRecord, LibraryCase, files_written, write_record
+from heartcase.pipeline.run import build_case
+from heartcase.schemas.errors import HeartcaseError
+from heartcase.schemas.recipe import load_recipe
+
+__all__ = ["build_one"]
+
+
+def build_one(case: LibraryCase, out: str, cache: str | None) -> CaseRecord:
+    """Build a case and write its record.
+
+    Parameters
+    ----------
+    case
+        What to build.
+    out, cache
+        Folders of the cases and of the cache, as the worker reaches them.
+    """
+    start = time.perf_counter()
+    _forget_memory_peak()
+    folder = Path(out)
+    try:
+        record = _built(case, folder, Path(cache) if cache else None)
+    except HeartcaseError as error:
+        record = CaseRecord(case.name, case.stamp, tuple((one.place, one.message) for one in error.problems))
+    except Exception as error:  # one case must not stop the others, whatever it is
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        message = f"something unforeseen happened ({type(error).__name__} in {Path(last.filename).stem}:{last.lineno})"
+        record = CaseRecord(
+            case.name, case.stamp, (("", f"{message}: build it alone with HEARTCASE_DEBUG=1 and report it"),)
+        )
+    record = record.timed(time.perf_counter() - start, _memory_peak_mb())
+    write_record(record, folder)
+    return record
+
+
+def _built(case: LibraryCase, out: Path, cache: Path | None) -> CaseRecord:
+    result = build_case(load_recipe(case.recipe), directory=case.recipe.parent, out=out, cache=cache)
+    assert result.case is not None
+    assert result.report is not None
+    written = [*(path for path in sorted(result.case.rglob("*")) if path.is_file()), result.report]
+    return CaseRecord(
+        name=case.name,
+        stamp=case.stamp,
+        stage_seconds={stage: round(seconds, 3) for stage, seconds in result.seconds.items()},
+        reused=result.reused,
+        warnings=result.warnings,
+        files=files_written(out, [path.relative_to(out).as_posix() for path in written]),
+    )
+
+
+def _forget_memory_peak() -> None:
+    # Linux: 5 sets the peak of this process to what it holds now.
+    with contextlib.suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5")
+
+
+def _memory_peak_mb() -> float | None:
+    """Most memory that this process held since then, 10^6 bytes; None where the system does not say."""
+    with contextlib.suppress(OSError, ValueError):
+        for line in Path("/proc/self/status").read_text().splitlines():
+            if line.startswith("VmHWM:"):
+                return round(int(line.split()[1]) * 1024 / 1e6, 1)
+    return None

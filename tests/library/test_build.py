@@ -1,0 +1,172 @@
+"""Libraries built by worker processes: the same bytes as one by one, whatever fails or is killed."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from heartcase.cli.main import main
+from heartcase.library.build import Workers, build_cases, connected, default_workers, stale_cases
+from heartcase.library.plan import plan_library, read_record
+from heartcase.pipeline.run import build_case
+from heartcase.schemas.errors import UsageError
+from heartcase.schemas.recipe import load_recipe
+from tests.ball import write_ball_recipe, write_ball_scan
+
+pytest.importorskip("distributed")
+
+QUICK = 'parts = ["surface"]'
+NO_TISSUE = """
+[[edits]]
+kind = "remove"
+label = "muscle"
+radius_mm = 60.0
+points_mm = [[0, 0, 0]]
+into = "background"
+"""
+
+
+def make_library(folder: Path, count: int, *, parts: str = "") -> Path:
+    folder.mkdir(exist_ok=True)
+    write_ball_scan(folder / "scan.nii.gz")
+    for number in range(count):
+        path = write_ball_recipe(folder / "scan.nii.gz", folder / f"{number}.toml", parts=parts, cell_mm=4.0 + number)
+        path.write_text(path.read_text().replace('name = "ball"', f'name = "ball-{number}"'))
+    return folder
+
+
+def contents(out: Path) -> dict[str, bytes]:
+    files = [path for folder in out.glob("*.case") for path in folder.rglob("*") if path.is_file()]
+    return {path.relative_to(out).as_posix(): path.read_bytes() for path in files}
+
+
+def run(capsys, *arguments: object) -> tuple[int, dict[str, object]]:
+    code = main(["library", "build", *map(str, arguments), "--json"])
+    return code, json.loads(capsys.readouterr().out)
+
+
+def test_two_workers_make_what_one_by_one_makes_and_a_failure_stops_nobody(tmp_path, capsys):
+    library, out = make_library(tmp_path / "library", 2, parts=QUICK), tmp_path / "out"
+    path = write_ball_recipe(library / "scan.nii.gz", library / "bad.toml", more=NO_TISSUE)
+    path.write_text(path.read_text().replace('name = "ball"', 'name = "bad"'))
+    code, result = run(capsys, library, "--out", out, "--workers", 2)
+    assert code == 1
+    assert [one["name"] for one in result["built"]] == ["ball-0", "ball-1"]
+    assert list(result["failed"]) == ["bad"]
+    assert "tissue" in result["failed"]["bad"][0][1]
+    assert all(one["memory_peak_mb"] is None or 50 < one["memory_peak_mb"] < 3000 for one in result["built"])
+    alone = tmp_path / "alone"
+    for number in range(2):
+        recipe = library / f"{number}.toml"
+        build_case(load_recipe(recipe), directory=library, out=alone)
+    assert contents(alone) == contents(out)
+
+    path.unlink()
+    code, result = run(capsys, library, "--out", out)
+    assert (code, result["unchanged"], result["built"], result["failed"]) == (0, 2, [], {})
+
+    recipe = library / "1.toml"
+    recipe.write_text(recipe.read_text().replace("triangle_count = 2000", "triangle_count = 1500"))
+    code, result = run(capsys, library, "--out", out, "--workers", 1)
+    assert (code, result["unchanged"]) == (0, 1)
+    (built,) = result["built"]
+    assert built["name"] == "ball-1"
+    computed = set(built["stage_seconds"]) - set(built["reused"])
+    assert {"surface", "map"} <= computed
+    assert not computed & {"filter", "segment", "walls", "grid"}
+
+
+def test_a_killed_worker_costs_what_it_was_building(tmp_path):
+    library, out = make_library(tmp_path / "library", 2, parts=QUICK), tmp_path / "out"
+    cases = plan_library(library)
+    with connected(Workers(1, 1, 3000), None) as client:
+
+        def kill() -> None:
+            while not any(client.processing().values()):
+                time.sleep(0.02)
+            time.sleep(0.3)
+            for process in client.run(os.getpid).values():
+                os.kill(process, signal.SIGKILL)
+
+        killer = threading.Thread(target=kill)
+        killer.start()
+        records = list(build_cases(cases, client, out=out))
+        killer.join()
+    assert sorted(record.name for record in records) == ["ball-0", "ball-1"]
+    assert not any(record.problems for record in records), records
+    assert not stale_cases(cases, out)
+
+
+def test_a_case_that_kills_every_worker_is_listed(tmp_path, monkeypatch):
+    library, out = make_library(tmp_path / "library", 1), tmp_path / "out"
+    with connected(Workers(1, 1, 3000), None) as client:
+        monkeypatch.setattr("heartcase.library.build._build_one", _die)
+        (record,) = build_cases(plan_library(library), client, out=out)
+    assert "3 workers were killed" in record.problems[0][1]
+    assert read_record("ball-0", out) == record
+    assert len(stale_cases(plan_library(library), out)) == 1
+
+
+def _die(*_: object) -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+@pytest.mark.parametrize(
+    "arguments", [("--workers", "0"), ("--memory-mb", "1"), ("--scheduler", "tcp://x", "--workers", "2")]
+)
+def test_numbers_that_make_no_sense_are_refused(tmp_path, arguments):
+    library = make_library(tmp_path / "library", 1)
+    assert main(["library", "build", str(library), "--out", str(tmp_path / "out"), *arguments]) == 2
+
+
+def test_workers_are_as_many_as_cores_and_memory_allow(monkeypatch):
+    monkeypatch.setattr("heartcase.library.build._memory_mb", lambda: 10_000)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(8)), raising=False)
+    assert default_workers() == Workers(3, 2, 3333)
+    assert default_workers(8) == Workers(8, 1, 1250)
+    assert default_workers(None, 1000) == Workers(8, 1, 1000)
+    monkeypatch.setattr("heartcase.library.build._memory_mb", lambda: 1000)
+    assert default_workers() == Workers(1, 8, 1000)
+    with pytest.raises(UsageError):
+        default_workers(0)
+
+
+@pytest.mark.slow
+def test_a_scheduler_and_two_workers_over_tcp_make_the_same(tmp_path, capsys):
+    library = make_library(tmp_path / "library", 3)
+    assert run(capsys, library, "--out", tmp_path / "local", "--workers", 1)[0] == 0
+    file = tmp_path / "scheduler.json"
+    start = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--port", "0", "--no-dashboard"]
+    processes = [subprocess.Popen([*start, "--scheduler-file", str(file)], stderr=subprocess.DEVNULL)]
+    try:
+        until = time.monotonic() + 60
+        while not file.exists() and time.monotonic() < until:
+            time.sleep(0.1)
+        address = json.loads(file.read_text())["address"]
+        worker = [sys.executable, "-m", "distributed.cli.dask_worker", address, "--nthreads", "1", "--no-dashboard"]
+        processes += [subprocess.Popen(worker, stderr=subprocess.DEVNULL) for _ in range(2)]
+        code, result = run(capsys, library, "--out", tmp_path / "tcp", "--scheduler", address)
+        assert (code, len(result["built"])) == (0, 3)
+        assert contents(tmp_path / "tcp") == contents(tmp_path / "local")
+        # Without a scheduler the rest is listed as not built, and built the next time.
+        late = make_library(tmp_path / "late", 4)
+        stopper = threading.Timer(8.0, processes[0].kill)
+        stopper.start()
+        code, result = run(capsys, late, "--out", tmp_path / "lost", "--scheduler", address)
+        stopper.join()
+        assert code == 1
+        assert "lost" in json.dumps(result["failed"])
+    finally:
+        for process in processes:
+            process.kill()
+    code, again = run(capsys, late, "--out", tmp_path / "lost", "--workers", 1)
+    assert (code, again["failed"]) == (0, {})
+    assert again["unchanged"] == len(result["built"])
