@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from heartcase import __version__
 from heartcase.library.plan import CaseRecord, LibraryCase, is_up_to_date, read_record, write_record
 from heartcase.schemas.errors import UsageError
 
@@ -76,7 +77,7 @@ def connected(workers: Workers | None, scheduler: str | None) -> Iterator[Client
     Raises
     ------
     UsageError
-        No scheduler answers at the address.
+        No scheduler answers at the address, or its workers have another heartcase.
     """
     import dask
     from distributed import Client, LocalCluster
@@ -97,6 +98,7 @@ def connected(workers: Workers | None, scheduler: str | None) -> Iterator[Client
                 )
                 raise UsageError(message, place="--scheduler") from None
             with client:
+                _check_versions(client)
                 yield client
             return
         assert workers is not None
@@ -149,6 +151,23 @@ def build_cases(
         yield _lost(futures[future], "the scheduler was lost: build the library again, it goes on from here", out)
 
 
+def _check_versions(client: Client) -> None:
+    """UsageError where a worker that is there has no heartcase, or not this one."""
+    try:
+        versions = set(client.run(_version).values())
+    except Exception:
+        versions = {"none"}
+    if versions - {__version__}:
+        found = ", ".join(sorted(versions))
+        raise UsageError(
+            f"its workers have heartcase {found}, this is {__version__}: install the same", place="--scheduler"
+        )
+
+
+def _version() -> str:
+    return __version__
+
+
 def _build_one(case: LibraryCase, out: str, cache: str | None) -> CaseRecord:
     # What a worker needs is imported there: the client runs without the pipeline's libraries.
     from heartcase.library.worker import build_one
@@ -165,8 +184,14 @@ def _record_of(future: Any, case: LibraryCase, out: Path) -> CaseRecord:
         except (OSError, TimeoutError):
             record = _lost(case, "its worker was lost: build the library again", out)
         return record
-    if future.status == "error" and isinstance(future.exception(), KilledWorker):
+    error = future.exception() if future.status == "error" else None
+    if isinstance(error, KilledWorker):
         words = f"{_ATTEMPTS} workers were killed while they built this: it may need more memory (--memory-mb)"
+        return _lost(case, words, out)
+    if isinstance(error, OSError):
+        return _lost(case, "its worker cannot write to OUT: that must be the same folder for all workers", out)
+    if error is not None:
+        words = f"its worker could not begin ({type(error).__name__}): is the same heartcase installed on all of them?"
         return _lost(case, words, out)
     return _lost(case, "it was not built: the scheduler or its worker was lost; build the library again", out)
 

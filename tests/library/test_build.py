@@ -13,8 +13,9 @@ from pathlib import Path
 
 import pytest
 
+from heartcase import __version__
 from heartcase.cli.main import main
-from heartcase.library.build import Workers, build_cases, connected, default_workers, stale_cases
+from heartcase.library.build import Workers, _check_versions, build_cases, connected, default_workers, stale_cases
 from heartcase.library.plan import plan_library, read_record
 from heartcase.pipeline.run import build_case
 from heartcase.schemas.errors import UsageError
@@ -113,6 +114,28 @@ def test_a_case_that_kills_every_worker_is_listed(tmp_path, monkeypatch):
     assert "3 workers were killed" in record.problems[0][1]
     assert read_record("ball-0", out) == record
     assert len(stale_cases(plan_library(library), out)) == 1
+
+
+def test_an_output_folder_that_takes_no_records_ends_the_build(tmp_path):
+    library, out = make_library(tmp_path / "library", 1), tmp_path / "out"
+    (case,) = plan_library(library)
+    out.mkdir()
+    (out / ".heartcase-library").write_text("no folder")
+    (out / ".heartcase-cache").write_text("no folder")
+    with connected(Workers(1, 1, 3000), None) as client, pytest.raises(OSError, match="heartcase-library"):
+        list(build_cases((case,), client, out=out))
+
+
+@pytest.mark.parametrize("answers", [{"w": "0.0.9"}, {"w": "0.0.9", "v": __version__}, None])
+def test_workers_with_another_heartcase_are_refused(answers):
+    class Client:
+        def run(self, _):
+            if answers is None:
+                raise ModuleNotFoundError("heartcase")
+            return answers
+
+    with pytest.raises(UsageError, match="install the same"):
+        _check_versions(Client())
 
 
 def _die(*_: object) -> None:
