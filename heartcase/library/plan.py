@@ -21,13 +21,16 @@ from heartcase import __version__
 from heartcase.pipeline.runner import STAGE_VERSIONS
 from heartcase.schemas.errors import HeartcaseError, Problem, RecipeError, UsageError
 from heartcase.schemas.files import atomic_write
-from heartcase.schemas.recipe import Recipe, parse_recipe, read_recipe_text
+from heartcase.schemas.recipe import parse_recipe, read_recipe_text
 
 __all__ = ["CaseRecord", "LibraryCase", "files_written", "is_up_to_date", "plan_library", "read_record", "write_record"]
 
 RECORDS = ".heartcase-library"
 """Folder of the records, beside the cases."""
 RECORD_VERSION = 1
+_KNOWN = "known/recipes.json"
+Known = dict[str, list[str]]
+"""Hash of a recipe's text -> name of its case, then the files that it reads."""
 _HEADERS = (".mhd", ".nhdr", ".hdr", ".img")
 
 
@@ -73,10 +76,17 @@ class CaseRecord:
         return replace(self, seconds=round(seconds, 2), memory_peak_mb=memory_peak_mb)
 
 
-def plan_library(directory: Path) -> tuple[LibraryCase, ...]:
+def plan_library(directory: Path, out: Path | None = None) -> tuple[LibraryCase, ...]:
     """The recipes below a folder, by name; those that cannot be built say why.
 
     TOML files that are no recipes, and what lies in hidden folders, are passed over.
+
+    Parameters
+    ----------
+    directory
+        Where the recipes are.
+    out
+        Where the cases are: of recipes that were found to be sound before, name and inputs are kept there.
 
     Raises
     ------
@@ -85,7 +95,12 @@ def plan_library(directory: Path) -> tuple[LibraryCase, ...]:
     """
     if not directory.is_dir():
         raise UsageError("this is not a folder: give the one that holds the recipes", place="DIR")
-    cases = [case for path in _toml_files(directory) if (case := _planned(path, directory)) is not None]
+    known = _read_known(out)
+    sound: Known = {}
+    found = (_planned(path, directory, known, sound) for path in _toml_files(directory))
+    cases = [case for case in found if case is not None]
+    if out is not None and sound != known:
+        _write_whole(out / RECORDS / _KNOWN, {"software": __version__, "recipes": sound})
     if not cases:
         raise UsageError("no recipe was found in this folder or below: write one with  heartcase new SCAN", place="DIR")
     count = Counter(case.name for case in cases)
@@ -124,9 +139,12 @@ def read_record(name: str, out: Path) -> CaseRecord | None:
 
 def write_record(record: CaseRecord, out: Path) -> None:
     """Write the record of a case, whole or not at all."""
-    path = _record_path(record.name, out)
+    _write_whole(_record_path(record.name, out), {"record_version": RECORD_VERSION, **asdict(record)})
+
+
+def _write_whole(path: Path, data: dict[str, Any]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    atomic_write(path, json.dumps({"record_version": RECORD_VERSION, **asdict(record)}, indent=1).encode())
+    atomic_write(path, json.dumps(data, indent=1).encode())
 
 
 def _record_path(name: str, out: Path) -> Path:
@@ -139,17 +157,23 @@ def _toml_files(directory: Path) -> Iterator[Path]:
         yield from (Path(folder) / name for name in sorted(files) if name.endswith(".toml"))
 
 
-def _planned(path: Path, directory: Path) -> LibraryCase | None:
+def _planned(path: Path, directory: Path, known: Known, sound: Known) -> LibraryCase | None:
     fallback = path.relative_to(directory).with_suffix("").as_posix().replace("/", "-")
     try:
         text = read_recipe_text(path)
         if "heartcase_recipe" not in text:
             return None
-        recipe = parse_recipe(text)
-        missing = recipe.missing_files(path.parent)
-        if missing:
-            raise RecipeError(missing)
-        return LibraryCase(recipe.name, path, _stamp(text, recipe, path.parent))
+        sha256 = hashlib.sha256(text.encode()).hexdigest()
+        row = known.get(sha256)
+        if row is None or not all((path.parent / one).exists() for one in row[1:]):
+            recipe = parse_recipe(text)
+            missing = recipe.missing_files(path.parent)
+            if missing:
+                raise RecipeError(missing)
+            row = [recipe.name, *(one for _, one in recipe.input_files)]
+        sound[sha256] = row
+        name, *inputs = row
+        return LibraryCase(name, path, _stamp(sha256, inputs, path.parent))
     except HeartcaseError as error:
         return LibraryCase(fallback, path, "", error.problems)
     except OSError as error:
@@ -157,10 +181,22 @@ def _planned(path: Path, directory: Path) -> LibraryCase | None:
         return LibraryCase(fallback, path, "", (Problem("recipe", message),))
 
 
-def _stamp(text: str, recipe: Recipe, directory: Path) -> str:
-    inputs = [[path, *_stats_of(directory / path)] for _, path in recipe.input_files]
-    known: list[Any] = [__version__, STAGE_VERSIONS, text, inputs]
-    return hashlib.sha256(json.dumps(known, sort_keys=True).encode()).hexdigest()
+def _read_known(out: Path | None) -> Known:
+    """Name and inputs of the recipes that this heartcase found to be sound, by the hash of their text."""
+    if out is None:
+        return {}
+    try:
+        data = json.loads((out / RECORDS / _KNOWN).read_text(encoding="utf-8"))
+        recipes = data["recipes"] if data["software"] == __version__ else {}
+        return {str(sha256): [str(one) for one in row] for sha256, row in recipes.items() if row}
+    except (OSError, ValueError, TypeError, KeyError, AttributeError):
+        return {}
+
+
+def _stamp(recipe_sha256: str, inputs: list[str], directory: Path) -> str:
+    stats = [[path, *_stats_of(directory / path)] for path in inputs]
+    from_what: list[Any] = [__version__, STAGE_VERSIONS, recipe_sha256, stats]
+    return hashlib.sha256(json.dumps(from_what, sort_keys=True).encode()).hexdigest()
 
 
 def _stats_of(path: Path) -> list[Any]:
