@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from heartcase.cli.output import echo_json, error_console, print_table
+from heartcase.cli.output import echo_json, error_console, print_table, working
 from heartcase.library.plan import CaseRecord, LibraryCase
 from heartcase.schemas.errors import Problem, UsageError
 
@@ -160,3 +160,51 @@ def _tell(
         f"{len(cases)} recipes: {len(built)} built, {len(wrong)} failed, "
         f"{len(cases) - len(failed) - len(records)} unchanged, in {seconds:.1f} s{rate}; cases are in {out}"
     )
+
+
+@command.command()
+@click.argument("old", type=click.Path(path_type=Path, readable=False))
+@click.argument("new", type=click.Path(path_type=Path, readable=False))
+@click.option("--surface-mm", type=float, default=0.5, show_default=True, help="How far the surface may move.")
+@click.option("--volume-percent", type=float, default=1.0, show_default=True, help="How much any volume may change.")
+@click.option("--node-percent", type=float, default=2.0, show_default=True, help="How much the number of nodes may.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+def diff(old: Path, new: Path, surface_mm: float, volume_percent: float, node_percent: float, as_json: bool) -> None:
+    """Say what changed between two builds, OLD and NEW, of a library.
+
+    Exits with 1 where something changed by more than is allowed, a case is gone or has new warnings.
+    """
+    from heartcase.library.diff import Tolerances, diff_libraries
+
+    for value, name in ((surface_mm, "surface-mm"), (volume_percent, "volume-percent"), (node_percent, "node-percent")):
+        if not value >= 0.0:
+            raise UsageError("give 0 or more", place=f"--{name}")
+    with working("comparing"):
+        changes = diff_libraries(old, new, Tolerances(surface_mm, volume_percent, node_percent))
+    beyond = [change for change in changes if change.beyond]
+    if as_json:
+        echo_json({"cases": [change.as_dict() for change in changes], "beyond_count": len(beyond)})
+    else:
+        rows = [
+            (
+                change.name,
+                change.kind,
+                "" if change.surface_most_mm is None else f"{change.surface_most_mm:.3f}",
+                "" if change.volume_percent is None else f"{change.volume_percent:.2f}",
+                "" if change.node_count is None else f"{change.node_count[1] - change.node_count[0]:+,}",
+                ", ".join(change.stages),
+                "; ".join((*change.beyond, *change.new_warnings)),
+            )
+            for change in changes
+            if change.kind != "same"
+        ]
+        if rows:
+            columns = ("case", "is", "surface mm", "volume %", "nodes", "stages that differ", "more than is allowed")
+            print_table(columns, rows, right=("surface mm", "volume %", "nodes"))
+        count = {kind: sum(change.kind == kind for change in changes) for kind in ("same", "changed", "added")}
+        click.echo(
+            f"{len(changes)} cases: {count['same']} the same to the byte, {count['changed']} changed, "
+            f"{count['added']} added, {len(beyond)} to be looked at"
+        )
+    if beyond:
+        raise click.exceptions.Exit(1)
