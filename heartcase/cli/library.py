@@ -66,7 +66,7 @@ def build(
         console.print(line, markup=False, soft_wrap=True)
 
     failed = [case for case in cases if case.problems]
-    say(f"{len(cases)} recipes: {len(stale)} to build, {len(cases) - len(stale) - len(failed)} unchanged")
+    say(f"{_counted(len(cases), 'recipe')}: {len(stale)} to build, {len(cases) - len(stale) - len(failed)} unchanged")
     for case in failed:
         _say_failed(say, case.name, case.problems)
     planned_s = time.perf_counter() - start
@@ -98,6 +98,10 @@ def build(
     _tell(cases, failed, records, planned_s, time.perf_counter() - start, out, as_json=as_json)
     if failed or any(record.problems for record in records):
         raise click.exceptions.Exit(1)
+
+
+def _counted(count: int, word: str) -> str:
+    return f"{count:,} {word}{'' if count == 1 else 's'}"
 
 
 def _say_failed(say: Callable[[str], None], name: str, problems: Iterable[Problem]) -> None:
@@ -157,7 +161,7 @@ def _tell(
         print_table(columns, rows, title="Built", right=("s", "peak MB", "warnings"))
     rate = f", {len(built) / seconds * 3600:,.0f} cases an hour" if built else ""
     click.echo(
-        f"{len(cases)} recipes: {len(built)} built, {len(wrong)} failed, "
+        f"{_counted(len(cases), 'recipe')}: {len(built)} built, {len(wrong)} failed, "
         f"{len(cases) - len(failed) - len(records)} unchanged, in {seconds:.1f} s{rate}; cases are in {out}"
     )
 
@@ -203,7 +207,7 @@ def diff(old: Path, new: Path, surface_mm: float, volume_percent: float, node_pe
             print_table(columns, rows, right=("surface mm", "volume %", "nodes"))
         count = {kind: sum(change.kind == kind for change in changes) for kind in ("same", "changed", "added")}
         click.echo(
-            f"{len(changes)} cases: {count['same']} the same to the byte, {count['changed']} changed, "
+            f"{_counted(len(changes), 'case')}: {count['same']} the same to the byte, {count['changed']} changed, "
             f"{count['added']} added, {len(beyond)} to be looked at"
         )
     if beyond:
