@@ -61,7 +61,7 @@ def prepare(params: dict[str, Any]) -> Inputs:
         (library / f"{number}.toml").write_text(RECIPE.format(number=number, points=points))
         (library / f"scan-{number}.nii").write_bytes(random.bytes(int(params["scan_kb"]) << 10))
     params.pop("scan_kb")
-    for case in plan_library(library, out):
+    for case in plan_library(library):
         path = out / f"{case.name}.case" / "case.json"
         path.parent.mkdir(parents=True)
         path.write_bytes(random.bytes(1000))
@@ -80,7 +80,7 @@ def prepare(params: dict[str, Any]) -> Inputs:
 
 
 def heartcase(inputs: Inputs) -> Output:
-    cases = plan_library(inputs.library, inputs.out)
+    cases = plan_library(inputs.library)
     return Output(frozenset(case.name for case in cases if not is_up_to_date(case, inputs.out)))
 
 

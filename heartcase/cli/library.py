@@ -58,7 +58,7 @@ def build(
         )
     start = time.perf_counter()
     local = None if scheduler else default_workers(workers, memory_mb)
-    cases = plan_library(directory, out)
+    cases = plan_library(directory)
     stale = stale_cases(cases, out, force=force)
     console = error_console()
 

@@ -8,6 +8,7 @@ contents, in the cache (:mod:`heartcase.pipeline.cache`).
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import os
@@ -28,7 +29,6 @@ __all__ = ["CaseRecord", "LibraryCase", "files_written", "is_up_to_date", "plan_
 RECORDS = ".heartcase-library"
 """Folder of the records, beside the cases."""
 RECORD_VERSION = 1
-_KNOWN = "known/recipes.json"
 Known = dict[str, list[str]]
 """Hash of a recipe's text -> name of its case, then the files that it reads."""
 _HEADERS = (".mhd", ".nhdr", ".hdr", ".img")
@@ -76,17 +76,11 @@ class CaseRecord:
         return replace(self, seconds=round(seconds, 2), memory_peak_mb=memory_peak_mb)
 
 
-def plan_library(directory: Path, out: Path | None = None) -> tuple[LibraryCase, ...]:
+def plan_library(directory: Path) -> tuple[LibraryCase, ...]:
     """The recipes below a folder, by name; those that cannot be built say why.
 
-    TOML files that are no recipes, and what lies in hidden folders, are passed over.
-
-    Parameters
-    ----------
-    directory
-        Where the recipes are.
-    out
-        Where the cases are: of recipes that were found to be sound before, name and inputs are kept there.
+    TOML files that are no recipes, and what lies in hidden folders, are passed over. Name and inputs of sound recipes
+    are kept in the user's own cache folder and not beside the cases, as a path may be named after a patient.
 
     Raises
     ------
@@ -95,12 +89,14 @@ def plan_library(directory: Path, out: Path | None = None) -> tuple[LibraryCase,
     """
     if not directory.is_dir():
         raise UsageError("this is not a folder: give the one that holds the recipes", place="DIR")
-    known = _read_known(out)
+    kept = _known_file(directory)
+    known = _read_known(kept)
     sound: Known = {}
     found = (_planned(path, directory, known, sound) for path in _toml_files(directory))
     cases = [case for case in found if case is not None]
-    if out is not None and sound != known:
-        _write_whole(out / RECORDS / _KNOWN, {"software": __version__, "recipes": sound})
+    if sound != known:
+        with contextlib.suppress(OSError):
+            _write_whole(kept, {"software": __version__, "recipes": sound})
     if not cases:
         raise UsageError("no recipe was found in this folder or below: write one with  heartcase new SCAN", place="DIR")
     count = Counter(case.name for case in cases)
@@ -181,12 +177,16 @@ def _planned(path: Path, directory: Path, known: Known, sound: Known) -> Library
         return LibraryCase(fallback, path, "", (Problem("recipe", message),))
 
 
-def _read_known(out: Path | None) -> Known:
+def _known_file(directory: Path) -> Path:
+    base = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA") or os.path.expanduser("~/.cache")
+    which = hashlib.sha256(os.fsencode(directory.resolve())).hexdigest()[:16]
+    return Path(base) / "heartcase" / f"recipes-{which}.json"
+
+
+def _read_known(path: Path) -> Known:
     """Name and inputs of the recipes that this heartcase found to be sound, by the hash of their text."""
-    if out is None:
-        return {}
     try:
-        data = json.loads((out / RECORDS / _KNOWN).read_text(encoding="utf-8"))
+        data = json.loads(path.read_text(encoding="utf-8"))
         recipes = data["recipes"] if data["software"] == __version__ else {}
         return {str(sha256): [str(one) for one in row] for sha256, row in recipes.items() if row}
     except (OSError, ValueError, TypeError, KeyError, AttributeError):

@@ -76,22 +76,23 @@ def test_a_stamp_changes_with_the_recipe_and_with_what_it_reads(library):
     assert not set(stamps()) & set(second)
 
 
-def test_what_was_kept_of_recipes_gives_the_same_plan(library):
-    out = library / "out"
+def test_what_was_kept_of_recipes_gives_the_same_plan(library, own_cache):
     (library / "wrong.toml").write_text('heartcase_recipe = 1\nname = "wrong"\n')
     plan = plan_library(library)
-    assert plan_library(library, out) == plan
-    kept = next((out / ".heartcase-library").rglob("recipes.json"))
+    (kept,) = own_cache.rglob("recipes-*.json")
     assert len(json.loads(kept.read_text())["recipes"]) == 2
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("heartcase.library.plan.parse_recipe", lambda _: pytest.fail("parsed again"))
         (library / "wrong.toml").unlink()
-        assert plan_library(library, out) == plan[:2]
+        assert plan_library(library) == plan[:2]
     (library / "scan.nii.gz").unlink()
-    assert all("scan.path" in str(case.problems[0]) for case in plan_library(library, out))
+    assert all("scan.path" in str(case.problems[0]) for case in plan_library(library))
     for damage in ("", "[]", '{"software": 1}', '{"software": "0", "recipes": []}'):
         kept.write_text(damage)
-        assert all(case.problems for case in plan_library(library, out))
+        assert all(case.problems for case in plan_library(library))
+    (own_cache / "heartcase").rename(own_cache / "away")
+    (own_cache / "heartcase").write_text("no folder")
+    assert len(plan_library(library)) == 2
 
 
 def test_a_case_is_up_to_date_as_long_as_its_files_are_as_they_were_written(library):
