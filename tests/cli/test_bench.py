@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import os
+import signal
 import subprocess
 import sys
 from itertools import product
@@ -207,7 +209,9 @@ def test_what_was_measured_until_somebody_stops_it_is_written(tmp_path, measured
     (tmp_path / "toy.py").write_text(stopping("os.kill(os.getppid(), signal.SIGINT); time.sleep(300.0)"))
     out = tmp_path / "a.json"
     command = [sys.executable, "-m", "heartcase", "bench", "--dir", str(tmp_path), "--json", str(out)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    # What runs in the background of a shell ignores this signal, and so would its children.
+    heeds = functools.partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False, preexec_fn=heeds)
     assert done.returncode == 130, done.stderr
     assert "Traceback" not in done.stderr
     assert "heartcase: interrupted" in done.stderr

@@ -22,8 +22,6 @@ from heartcase.schemas.errors import UsageError
 from heartcase.schemas.recipe import load_recipe
 from tests.ball import write_ball_recipe, write_ball_scan
 
-pytest.importorskip("distributed")
-
 QUICK = 'parts = ["surface"]'
 NO_TISSUE = """
 [[edits]]
