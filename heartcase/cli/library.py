@@ -121,8 +121,14 @@ def _tell(
     as_json: bool,
 ) -> None:
     built = [record for record in records if not record.problems]
-    wrong = {case.name: [[one.place, one.message] for one in case.problems] for case in failed}
-    wrong |= {record.name: [list(one) for one in record.problems] for record in records if record.problems}
+    wrong: dict[str, list[list[str]]] = {}
+    for case in failed:
+        # Recipes of one name are each listed.
+        wrong.setdefault(case.name, []).extend([one.place, one.message] for one in case.problems)
+    for record in records:
+        if record.problems:
+            wrong[record.name] = [list(one) for one in record.problems]
+    failed_count = len(failed) + len(records) - len(built)
     if as_json:
         echo_json(
             {
@@ -161,7 +167,7 @@ def _tell(
         print_table(columns, rows, title="Built", right=("s", "peak MB", "warnings"))
     rate = f", {len(built) / seconds * 3600:,.0f} cases an hour" if built else ""
     click.echo(
-        f"{_counted(len(cases), 'recipe')}: {len(built)} built, {len(wrong)} failed, "
+        f"{_counted(len(cases), 'recipe')}: {len(built)} built, {failed_count} failed, "
         f"{len(cases) - len(failed) - len(records)} unchanged, in {seconds:.1f} s{rate}; cases are in {out}"
     )
 

@@ -148,6 +148,15 @@ def test_numbers_that_make_no_sense_are_refused(tmp_path, arguments):
     assert main(["library", "build", str(library), "--out", str(tmp_path / "out"), *arguments]) == 2
 
 
+def test_recipes_of_one_name_each_count_as_failed(tmp_path, capsys):
+    library = make_library(tmp_path / "library", 1)
+    (library / "twin.toml").write_text((library / "0.toml").read_text())
+    assert main(["library", "build", str(library), "--out", str(tmp_path / "out")]) == 1
+    assert "2 recipes: 0 built, 2 failed, 0 unchanged" in capsys.readouterr().out
+    code, result = run(capsys, library, "--out", tmp_path / "out")
+    assert (code, len(result["failed"]["ball-0"]), result["unchanged"]) == (1, 2, 0)
+
+
 def test_workers_are_as_many_as_cores_and_memory_allow(monkeypatch):
     monkeypatch.setattr("heartcase.library.build._memory_mb", lambda: 10_000)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(8)), raising=False)
