@@ -32,7 +32,8 @@ __all__ = [
 ]
 
 MEMORY_PER_CASE_MB = 3000
-"""What a worker is given at least, 10^6 bytes: an adult's heart from a scan of 1.75 mm takes half of it."""
+"""What a worker is given at least where nothing is said, 10^6 bytes: room for finer scans than the adult phantom's of
+1.75 mm, which took 759 in one worker of two threads (``heartcase library build sample_cases --workers 1``)."""
 _ATTEMPTS = 3
 """Workers that may be killed by a case before it counts as failed."""
 _LOST_AFTER_S = 20
