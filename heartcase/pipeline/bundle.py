@@ -23,6 +23,7 @@ from heartcase import __version__
 from heartcase.pipeline.aligned import AlignedFile, aligned_safetensors
 from heartcase.pipeline.data import GridMap, PickingSurface, SimulationGrid, Surface
 from heartcase.pipeline.scan_part import ScanPart
+from heartcase.schemas.about import About
 from heartcase.schemas.bundle import (
     ARRAYS,
     LEVEL_MAX,
@@ -132,6 +133,7 @@ def assemble_bundle(
     labels_nrrd: bytes | None = None,
     scan: ScanPart | None = None,
     landmarks: Sequence[Landmark] = (),
+    about: About | None = None,
     modality: str = "unknown",
     acquisition: Mapping[str, Any] | None = None,
     quality: Mapping[str, Any] | None = None,
@@ -156,7 +158,7 @@ def assemble_bundle(
         About the scan, without identity.
     stages
         Provenance.
-    landmarks, quality, warnings
+    landmarks, about, quality, warnings
         As in :class:`CaseManifest`.
 
     Raises
@@ -216,6 +218,7 @@ def assemble_bundle(
         labels=grid.table,
         materials=tuple(materials),
         landmarks=tuple(landmarks),
+        about=about,
         simulation=simulation_figures(grid, materials),
         software_version=__version__,
         scan_sha256=scan_sha256,

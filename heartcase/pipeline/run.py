@@ -216,6 +216,7 @@ def _finish(
         labels_nrrd=segmentation_nrrd_bytes(labels, case_id=recipe.case_id) if Part.LABELS in recipe.parts else None,
         scan=scan_part(have(nodes.filtered).get()) if Part.SCAN in recipe.parts else None,
         landmarks=recipe.landmarks,
+        about=recipe.about,
         modality=scan.modality,
         acquisition=scan.acquisition,
         quality=quality,

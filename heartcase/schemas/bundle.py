@@ -13,6 +13,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
+from heartcase.schemas.about import About
 from heartcase.schemas.base import CaseId, Model, Name, Vector3
 from heartcase.schemas.coordinates import Coordinates
 from heartcase.schemas.geometry import Geometry
@@ -39,7 +40,7 @@ __all__ = [
 ]
 
 FORMAT_NAME = "heartcase-bundle"
-FORMAT_VERSION = "1.3"
+FORMAT_VERSION = "1.4"
 MANIFEST_NAME = "case.json"
 
 ALIGNMENT = 64
@@ -315,6 +316,8 @@ class CaseManifest(Model):
     """Elastic constants per tissue label."""
     landmarks: tuple[Landmark, ...] = ()
     """Named points, rings and lines in mm."""
+    about: About | None = None
+    """What the case teaches, its origin and licence, where the recipe says so."""
     simulation: SimulationFigures
     """Counts and step sizes."""
     software_version: _Line

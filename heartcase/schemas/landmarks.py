@@ -24,6 +24,8 @@ class Landmark(Model):
     """For a ring given by its centre: its axis."""
     radius_mm: PositiveMm | None = None
     """For a ring given by its centre: its radius."""
+    depth_mm: PositiveMm | None = None
+    """For a polyline that is a planned incision along the surface: how deep it goes."""
 
     @model_validator(mode="after")
     def _points_fit_kind(self) -> Landmark:
@@ -37,6 +39,8 @@ class Landmark(Model):
                 raise ValueError("a ring given by its centre needs an axis and a radius_mm")
             if count == 2:
                 raise ValueError("a ring given by points along it needs at least three")
+        if self.depth_mm is not None and self.kind != "polyline":
+            raise ValueError("only a polyline, a planned incision, has a depth_mm")
         if self.axis is not None and not any(self.axis):
             raise ValueError("the axis must not be zero")
         return self

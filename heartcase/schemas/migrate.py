@@ -117,6 +117,10 @@ BUNDLE_CHANGES: dict[str, tuple[str, ...]] = {
         "the surface can come in coarser levels of detail, each with its own normal map and mapping",
     ),
     "1.3": ("the grid says where in each cell the tissue lies, by its moments",),
+    "1.4": (
+        "a case says what it teaches, its diagnoses with their codes, its origin and its licence",
+        "a polyline that is a planned incision has a depth",
+    ),
 }
 """Minor version of the bundle's format -> what it added."""
 

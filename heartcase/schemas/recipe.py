@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
 
+from heartcase.schemas.about import About
 from heartcase.schemas.base import CaseId, Model, Name
 from heartcase.schemas.edit_settings import CloseDefect, Edit, Sculpt, SeptalDefect
 from heartcase.schemas.errors import ModelProblems, Problem, RecipeError, problems_from_validation
@@ -155,6 +156,8 @@ class Recipe(Model):
     """Tissue that is held fixed beside what the region of interest or an end marker cuts."""
     landmarks: tuple[Landmark, ...] = ()
     """Named points, rings and lines that go into the case."""
+    about: About | None = None
+    """What the case teaches, its diagnoses, origin and licence: goes into the case and its library's catalogue."""
     parts: tuple[Part, ...] = (Part.SURFACE, Part.RENDER, Part.PICKING, Part.LABELS)
     """Optional parts that the scene wants; the simulation grid is always there. ``scan``, the filtered scan for viewers
     that show slices, is in a case only where it is asked for."""
