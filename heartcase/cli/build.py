@@ -11,7 +11,7 @@ from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskID, Tim
 from rich.progress_bar import ProgressBar
 from rich.text import Text
 
-from heartcase.cli.output import echo_json
+from heartcase.cli.output import echo_json, working
 from heartcase.schemas.recipe import load_recipe
 
 __all__ = ["command"]
@@ -112,6 +112,11 @@ def command(
     from heartcase.pipeline.run import build_case
 
     loaded = load_recipe(recipe)
+    if loaded.scan.phantom is not None:
+        from heartcase.library.scans import ensure_scan
+
+        with working("making the scan"):
+            ensure_scan(loaded.scan, recipe.parent)
     if key_file is not None:
         check_key_file(key_file, out / f"{loaded.name}.case")
     console = Console(stderr=True)

@@ -173,6 +173,27 @@ def _tell(
 
 
 @command.command()
+@click.argument("recipes", nargs=-1, required=True, type=click.Path(path_type=Path, readable=False))
+@click.option("--check", is_flag=True, help="Write nothing; exit with 1 where a recipe would change.")
+def draw(recipes: tuple[Path, ...], check: bool) -> None:
+    """Draw the markers of RECIPES whose scans are synthetic.
+
+    What [scan.phantom] says of the heart decides where strokes, vessel ends, planned incisions and other landmarks are;
+    they replace what stands below the line that says so. The rest of the recipe stays as it is.
+    """
+    from heartcase.library.draw import draw_recipe
+
+    changed = 0
+    for path in recipes:
+        with working(f"drawing {path.name}"):
+            changes = draw_recipe(path, write=not check)
+        changed += changes
+        click.echo(f"{path}: {('would change' if check else 'drawn') if changes else 'unchanged'}")
+    if check and changed:
+        raise click.exceptions.Exit(1)
+
+
+@command.command()
 @click.argument("old", type=click.Path(path_type=Path, readable=False))
 @click.argument("new", type=click.Path(path_type=Path, readable=False))
 @click.option("--surface-mm", type=float, default=0.5, show_default=True, help="How far the surface may move.")

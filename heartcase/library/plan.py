@@ -1,9 +1,9 @@
 """What a library holds and what of it is to be built: recipes, their stamps, and the records of earlier builds.
 
-A stamp is the hash of the recipe's text, of size and time of every file that it reads, and of the versions of software
-and stages. Where it is that of the record, and the case's files are those that the build wrote, nothing is opened. A
-stamp that changed says only that the case has to be looked at: what is computed again is decided by the hashes of
-contents, in the cache (:mod:`heartcase.pipeline.cache`).
+A stamp is the hash of the recipe's text, of size and time of every file that it reads, and of the versions of software,
+stages and phantom. Where it is that of the record, and the case's files are those that the build wrote, nothing is
+opened. A stamp that changed says only that the case has to be looked at: what is computed again is decided by hashes
+of contents, in the cache (:mod:`heartcase.pipeline.cache`).
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from heartcase import __version__
+from heartcase.phantom.version import PHANTOM_VERSION
 from heartcase.pipeline.runner import STAGE_VERSIONS
 from heartcase.schemas.errors import HeartcaseError, Problem, RecipeError, UsageError
 from heartcase.schemas.files import atomic_write
@@ -195,7 +196,7 @@ def _read_known(path: Path) -> Known:
 
 def _stamp(recipe_sha256: str, inputs: list[str], directory: Path) -> str:
     stats = [[path, *_stats_of(directory / path)] for path in inputs]
-    from_what: list[Any] = [__version__, STAGE_VERSIONS, recipe_sha256, stats]
+    from_what: list[Any] = [__version__, STAGE_VERSIONS, PHANTOM_VERSION, recipe_sha256, stats]
     return hashlib.sha256(json.dumps(from_what, sort_keys=True).encode()).hexdigest()
 
 

@@ -8,6 +8,7 @@ import traceback
 from pathlib import Path
 
 from heartcase.library.plan import CaseRecord, LibraryCase, files_written, write_record
+from heartcase.library.scans import ensure_scan
 from heartcase.pipeline.run import build_case
 from heartcase.schemas.errors import HeartcaseError
 from heartcase.schemas.recipe import load_recipe
@@ -44,7 +45,9 @@ def build_one(case: LibraryCase, out: str, cache: str | None) -> CaseRecord:
 
 
 def _built(case: LibraryCase, out: Path, cache: Path | None) -> CaseRecord:
-    result = build_case(load_recipe(case.recipe), directory=case.recipe.parent, out=out, cache=cache)
+    recipe = load_recipe(case.recipe)
+    ensure_scan(recipe.scan, case.recipe.parent)
+    result = build_case(recipe, directory=case.recipe.parent, out=out, cache=cache)
     assert result.case is not None
     assert result.report is not None
     written = [*(path for path in sorted(result.case.rglob("*")) if path.is_file()), result.report]

@@ -70,7 +70,7 @@ def _border_distance(  # type: ignore[no-untyped-def]
 def _border_distances_part(  # type: ignore[no-untyped-def]
     tables, ends, canals, thickness, wall_label, region, points, upper, tolerance, steepness, distances, first, last
 ):
-    d = np.empty(CAVITY_COUNT + 1)
+    d = np.empty(CAVITY_COUNT + 2)
     c = np.empty(CAVITY_COUNT)
     stack = np.empty((_STACK, 4))
     for n in range(first, last):

@@ -3,65 +3,78 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.phantom.anatomy import EXTENSION_MM, LONG_AXIS, SEPTUM_AXIS, UPWARD_AXIS, Anatomy, build_anatomy
+from heartcase.phantom.anatomy import EXTENSION_MM, Anatomy, build_anatomy
+from heartcase.phantom.axes import LONG_AXIS, SEPTUM_AXIS, UPWARD_AXIS
+from heartcase.phantom.defects import mirrored_defect, place_defect, straight_defect
+from heartcase.phantom.sizes import proportions_of
 from heartcase.phantom.truth import Truth
 from heartcase.schemas.edit_settings import SeptalDefect
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.geometry import Geometry
-from heartcase.schemas.labels import LabelTable, default_label_table
+from heartcase.schemas.heart_form import HeartDefect, HeartForm, HeartSize
+from heartcase.schemas.labels import Label, LabelTable, Role, default_label_table
 from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.settings import EndMarker
 
 __all__ = ["HeartPhantom"]
 
 Float64 = npt.NDArray[np.float64]
-Size = Literal["adult", "child"]
+_BAFFLE = Label(value=10, name="baffle", role=Role.DEVICE, colour="#e8e0c8")
+_LEAFLETS = Label(value=10, name="valve leaflets", role=Role.DEVICE, colour="#f0d8b0")
 
 
 @dataclass(frozen=True)
 class HeartPhantom:
     """A heart of analytic shapes in patient LPS mm: four chambers, septa, walls, great vessels with open ends.
 
-    Make one with :meth:`adult`, :meth:`child` or :meth:`of_size`; the first use of a size tabulates its distance
+    Make one with :meth:`of_form`, :meth:`adult` or :meth:`child`; the first use of a form tabulates its distance
     fields, which takes some seconds.
     """
 
-    size: Size
-    """Which heart."""
+    form: HeartForm
+    """Its size, its connections and what is wrong with it."""
     scale: float
     """Size of its cavities against the shapes of :mod:`heartcase.phantom.anatomy`."""
     table: LabelTable
     """Labels of a segmentation, with the true wall thicknesses, without grown walls."""
     left_wall_mm: float
     """Thickness of the left ventricular myocardium at its middle."""
-    defects: tuple[SeptalDefect, ...] = ()
-    """Holes in the septa."""
+    more_defects: tuple[SeptalDefect, ...] = ()
+    """Holes in the septa beside those of the form."""
+
+    @classmethod
+    def of_form(cls, form: HeartForm, *, defects: Sequence[SeptalDefect] = ()) -> HeartPhantom:
+        """The heart of a form."""
+        sizes = proportions_of(form)
+        labels = [
+            label.model_copy(update={"wall_thickness_mm": sizes.walls_mm.get(label.value, label.wall_thickness_mm)})
+            for label in default_label_table()
+        ]
+        if form.baffle is not None:
+            labels.append(_BAFFLE)
+        elif form.has_valve_leaflets:
+            labels.append(_LEAFLETS)
+        return cls(form, sizes.scale, LabelTable(labels=tuple(labels)), sizes.left_wall_mm, tuple(defects))
 
     @classmethod
     def adult(cls, *, defects: Sequence[SeptalDefect] = ()) -> HeartPhantom:
         """A heart of an adult: about 200 ml of tissue."""
-        return cls("adult", 0.93, default_label_table(), 9.0, tuple(defects))
+        return cls.of_form(HeartForm(size="adult"), defects=defects)
 
     @classmethod
     def child(cls, *, defects: Sequence[SeptalDefect] = ()) -> HeartPhantom:
         """A heart of a child of about one year: about half the adult's size, thinner walls."""
-        thin = {2: 2.5, 3: 1.5, 4: 1.5, 5: 1.3, 6: 1.2, 7: 1.0, 8: 1.0}
-        labels = tuple(
-            label.model_copy(update={"wall_thickness_mm": thin.get(label.value, 0.0)})
-            for label in default_label_table()
-        )
-        return cls("child", 0.52, LabelTable(labels=labels), 5.0, tuple(defects))
+        return cls.of_form(HeartForm(size="child"), defects=defects)
 
     @classmethod
     def of_size(cls, size: str, *, defects: Sequence[SeptalDefect] = ()) -> HeartPhantom:
-        """The phantom called ``adult`` or ``child``.
+        """The normal heart called ``adult`` or ``child``.
 
         Raises
         ------
@@ -74,10 +87,32 @@ class HeartPhantom:
             return cls.child(defects=defects)
         raise UsageError(f"there is no phantom of size {size!r}: take adult or child", place="size")
 
+    @property
+    def size(self) -> HeartSize:
+        """Which heart."""
+        return self.form.size
+
+    @cached_property
+    def twin(self) -> HeartPhantom:
+        """The same heart not mirrored; itself where it is not."""
+        if not self.form.is_mirrored:
+            return self
+        plain = self.form.model_copy(update={"is_mirrored": False})
+        return replace(self, form=plain, more_defects=tuple(mirrored_defect(one) for one in self.more_defects))
+
+    @cached_property
+    def defects(self) -> tuple[SeptalDefect, ...]:
+        """All holes in the septa."""
+        if self.form.is_mirrored:
+            return tuple(mirrored_defect(one) for one in self.twin.defects)
+        return (*(place_defect(one, self.anatomy, self.scale) for one in self.form.defects), *self.more_defects)
+
     @cached_property
     def anatomy(self) -> Anatomy:
         """Distance fields, ends and named places."""
-        return _anatomy(self.scale, self.left_wall_mm)
+        if self.form.is_mirrored:
+            return self.twin.anatomy.mirrored()
+        return _anatomy(self.form)
 
     @cached_property
     def truth(self) -> Truth:
@@ -103,17 +138,11 @@ class HeartPhantom:
         """A hole through the ventricular septum, ``along_mm`` from the base of the adult's heart."""
         radius = 22.0 * self.scale + 0.5 * self.left_wall_mm
         position = self.scale * along_mm * LONG_AXIS + radius * SEPTUM_AXIS
-        return _defect(position, SEPTUM_AXIS, diameter_mm, 2.5 * self.left_wall_mm)
+        return straight_defect(position, SEPTUM_AXIS, diameter_mm, 2.5 * self.left_wall_mm)
 
     def atrial_defect(self, diameter_mm: float) -> SeptalDefect:
         """A hole through the atrial septum between the middles of the atria."""
-        left, right = self.anatomy.places["left atrium"], self.anatomy.places["right atrium"]
-        line = left + np.linspace(0.0, 1.0, 801)[:, None] * (right - left)
-        fields = self.anatomy.tables.evaluate(line)
-        between = (fields[:, 2] > 0.0) & (fields[:, 3] > 0.0)
-        septum = line[between]
-        length = float(np.linalg.norm(septum[-1] - septum[0]))
-        return _defect(0.5 * (septum[0] + septum[-1]), right - left, diameter_mm, length + 8.0 * self.scale)
+        return place_defect(HeartDefect(kind="secundum", diameter_mm=diameter_mm), self.anatomy, self.scale)
 
     def scan_geometry(
         self, spacing_mm: float | Sequence[float], *, margin_mm: float = 12.0, oblique: bool = False
@@ -138,6 +167,8 @@ class HeartPhantom:
         if not np.all(spacing > 0.0):
             raise UsageError("every spacing must be above zero", place="spacing")
         axes = np.stack([-SEPTUM_AXIS, -UPWARD_AXIS, LONG_AXIS]) if oblique else np.eye(3)
+        if oblique and self.form.is_mirrored:
+            axes = axes * np.array((-1.0, 1.0, 1.0))
         if np.linalg.det(axes) < 0.0:
             axes[0] *= -1.0
         lower, upper = self.truth.extent(axes)
@@ -147,22 +178,18 @@ class HeartPhantom:
         return Geometry.of(shape=tuple(size[::-1]), origin_mm=axes.T @ first, spacing_mm=spacing, direction=axes.T)
 
 
-_ANATOMIES: dict[tuple[float, float], Anatomy] = {}
+_ANATOMIES: dict[str, Anatomy] = {}
+_KEPT_COUNT = 4
+"""Hearts whose tables are kept, 60 MB each."""
 
 
-def _anatomy(scale: float, left_wall_mm: float) -> Anatomy:
-    key = (scale, left_wall_mm)
+def _anatomy(form: HeartForm) -> Anatomy:
+    # Those defects that are canals alone leave the shapes as they are.
+    moving = tuple(defect for defect in form.defects if defect.kind == "sinus venosus")
+    shaping = form.model_copy(update={"defects": moving, "right_ventricular_wall_mm": None})
+    key = shaping.model_dump_json()
     if key not in _ANATOMIES:
-        _ANATOMIES[key] = build_anatomy(scale, left_wall_mm, 1.0 + 2.5 * scale)
+        if len(_ANATOMIES) >= _KEPT_COUNT:
+            _ANATOMIES.pop(next(iter(_ANATOMIES)))
+        _ANATOMIES[key] = build_anatomy(shaping)
     return _ANATOMIES[key]
-
-
-def _defect(position: Float64, axis: Float64, diameter_mm: float, length_mm: float) -> SeptalDefect:
-    unit = axis / np.linalg.norm(axis)
-    return SeptalDefect(
-        kind="septal_defect",
-        position_mm=tuple(round(float(v), 3) for v in position),
-        diameter_mm=diameter_mm,
-        axis=tuple(round(float(v), 5) for v in unit),
-        length_mm=round(length_mm, 3),
-    )

@@ -4,11 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from heartcase.phantom.baffle_rings import baffle_rings
+from heartcase.phantom.defects import mirrored_defect, place_defect
 from heartcase.phantom.heart import HeartPhantom
 from heartcase.phantom.strokes import marker_strokes
+from heartcase.phantom.surface_lines import coronary_landmarks, incision_landmark
+from heartcase.schemas.edit_settings import SeptalDefect
+from heartcase.schemas.heart_form import Baffle
 from heartcase.schemas.labels import default_label_table
+from heartcase.schemas.landmarks import Landmark
+from heartcase.schemas.phantom_scan import PhantomScan
 
-__all__ = ["recipe_text"]
+__all__ = ["drawn_part", "recipe_text"]
 
 _WIDTH = 118
 
@@ -43,6 +50,47 @@ def recipe_text(phantom: HeartPhantom, *, name: str, scan_path: str, command: st
         f'origin = "{command}"',
         "",
     ]
+    lines += [
+        *_label_lines(phantom),
+        *_stroke_lines(phantom),
+        *_end_lines(phantom),
+        *_landmark_lines(phantom.landmarks),
+    ]
+    return "\n".join(lines).rstrip("\n") + "\n"
+
+
+def drawn_part(scan: PhantomScan) -> str:
+    """What a program draws of a recipe whose scan is synthetic (TOML): markers, end markers, edits and landmarks.
+
+    Landmarks are apex and valves, the planned incisions, and the courses of the coronary arteries. A specimen needs no
+    markers; where its vessels are cut off it is held.
+
+    Raises
+    ------
+    UsageError
+        The heart has no place for a defect or an incision.
+    """
+    phantom = HeartPhantom.of_form(scan.heart)
+    edits = [place_defect(one, phantom.twin.anatomy, phantom.scale) for one in scan.edited_defects]
+    if scan.heart.is_mirrored:
+        edits = [mirrored_defect(one) for one in edits]
+    incisions = [incision_landmark(phantom, name) for name in scan.incisions]
+    landmarks = (*phantom.landmarks, *incisions, *coronary_landmarks(phantom))
+    lines: list[str] = []
+    if scan.is_specimen:
+        lines += ["# Where its vessels are cut off, the heart is held."]
+        for end in phantom.ends:
+            lines += ["[[pins]]", f"position_mm = {_triple(end.position_mm)}", f"radius_mm = {end.radius_mm:g}", ""]
+    else:
+        lines += [*_label_lines(phantom), *_stroke_lines(phantom), *_end_lines(phantom)]
+    lines += [line for edit in edits for line in _defect_lines(edit)]
+    if scan.heart.baffle is not None:
+        lines += _baffle_lines(phantom, scan.heart.baffle)
+    return "\n".join([*lines, *_landmark_lines(landmarks)]).rstrip("\n") + "\n"
+
+
+def _label_lines(phantom: HeartPhantom) -> list[str]:
+    lines: list[str] = []
     if phantom.table != default_label_table():
         lines += ["# Labels as usual, with the wall thicknesses (mm) of this heart."]
         for label in phantom.table:
@@ -53,22 +101,64 @@ def recipe_text(phantom: HeartPhantom, *, name: str, scan_path: str, command: st
             if label.snomed is not None:
                 lines += [f'snomed = "{label.snomed}"']
             lines += [""]
-    lines += [
+    return lines
+
+
+def _stroke_lines(phantom: HeartPhantom) -> list[str]:
+    lines = [
         "# Markers: round brush strokes along polylines, in mm (patient LPS: x left, y back, z head).",
         "# Along the middle of each cavity, in the middle of the left ventricular wall, and around the heart.",
     ]
     for stroke in marker_strokes(phantom):
         lines += ["[[strokes]]", f'label = "{stroke.label}"', f"radius_mm = {stroke.radius_mm:g}"]
-        lines += ["points_mm = [", *_wrapped(_triple(point) for point in stroke.points_mm), "]", ""]
-    lines += ["# Where vessels are cut off: behind such a disc there is no vessel, and its opening gets no wall."]
+        lines += [*_points(stroke.points_mm), ""]
+    return lines
+
+
+def _end_lines(phantom: HeartPhantom) -> list[str]:
+    lines = ["# Where vessels are cut off: behind such a disc there is no vessel, and its opening gets no wall."]
     for end in phantom.ends:
         lines += ["[[ends]]", f'label = "{end.label}"', f"position_mm = {_triple(end.position_mm)}"]
         lines += [f"axis = {_triple(end.axis)}", f"radius_mm = {end.radius_mm:g}", ""]
-    lines += ["# Named places that go into the case."]
-    for landmark in phantom.landmarks:
+    return lines
+
+
+def _defect_lines(defect: SeptalDefect) -> list[str]:
+    lines = ["[[edits]]", 'kind = "septal_defect"', f"position_mm = {_triple(defect.position_mm)}"]
+    lines += [f"diameter_mm = {defect.diameter_mm:g}", f"axis = {_triple(defect.axis)}"]
+    if defect.width_mm is not None and defect.long_axis is not None:
+        lines += [f'shape = "{defect.shape}"', f"width_mm = {defect.width_mm:g}"]
+        lines += [f"long_axis = {_triple(defect.long_axis)}"]
+    return [*lines, f"length_mm = {defect.length_mm:g}", ""]
+
+
+def _baffle_lines(phantom: HeartPhantom, baffle: Baffle) -> list[str]:
+    """The baffle's sheet, which no scan shows well, painted in rings around the tunnel."""
+    lines = ["# The baffle, painted in rings around its tunnel; its leaks are left open."]
+    radius = 0.5 * baffle.thickness_mm + 0.1
+    for ring in baffle_rings(phantom, apart_mm=1.2 * radius):
+        lines += ["[[edits]]", 'kind = "add"', 'label = "baffle"', f"radius_mm = {radius:g}", *_points(ring), ""]
+    return lines
+
+
+def _landmark_lines(landmarks: Iterable[Landmark]) -> list[str]:
+    lines = ["# Named places that go into the case."]
+    for landmark in landmarks:
         lines += ["[[landmarks]]", f'name = "{landmark.name}"', f'kind = "{landmark.kind}"']
-        lines += [f"points_mm = [{_triple(landmark.points_mm[0])}]", ""]
-    return "\n".join(lines).rstrip("\n") + "\n"
+        if landmark.kind == "point":
+            lines += [f"points_mm = [{_triple(landmark.points_mm[0])}]"]
+        else:
+            lines += _points(landmark.points_mm)
+        if landmark.radius_mm is not None:
+            lines += [f"radius_mm = {landmark.radius_mm:g}"]
+        if landmark.depth_mm is not None:
+            lines += [f"depth_mm = {landmark.depth_mm:g}"]
+        lines += [""]
+    return lines
+
+
+def _points(points: Iterable[tuple[float, float, float]]) -> list[str]:
+    return ["points_mm = [", *_wrapped(_triple(point) for point in points), "]"]
 
 
 def _triple(point: tuple[float, float, float]) -> str:

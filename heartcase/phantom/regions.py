@@ -1,13 +1,15 @@
 """Which structure owns a point, and signed values of each structure's region: the phantom's rules, as kernels.
 
 With d_i the distance to the lumen of cavity i, t_i the thickness of its wall, m the distance to the left epicardial
-body, c_i above zero behind an end disc of i, and k below zero in the canal of a defect:
+body, c_i above zero behind an end disc of i, k below zero in the canal of a defect, and s below zero in a sheet (valve
+leaflets, a baffle), where the heart has any:
 
 1. blood: e_i = max(d_i, c_i) < 0; the lowest e_i wins;
 2. left ventricular myocardium: m < 0;
 3. walls: d_i <= t_i and c_i <= 0; the lowest d_i wins;
 4. tissue in the canal of a defect becomes blood of the cavity with the lowest e_i;
-5. everything else is background. Ties go to the lower label.
+5. blood within a sheet becomes the sheet's;
+6. everything else is background. Ties go to the lower label.
 
 Each region's value is a maximum and minimum of these, scaled to change by at most 1 per mm: its zero surface is the
 region's border, and its size is a lower bound on the distance to it (but for what the splines of the distances lose),
@@ -25,6 +27,8 @@ __all__ = ["CAVITY_COUNT", "MYOCARDIUM", "TISSUE", "label_points", "materials", 
 
 CAVITY_COUNT = 8
 MYOCARDIUM = 9
+_SHEET = CAVITY_COUNT + 1
+"""Where the value of the sheets is among those of a point."""
 TISSUE = -1
 """Region number of all tissue together."""
 _FAR = 1e9
@@ -34,9 +38,10 @@ _PART = 4096
 
 @numba.njit(cache=True, nogil=True)
 def _evaluate(tables, ends, canals, x, y, z, d, c):  # type: ignore[no-untyped-def]
-    """Fill d (9 values) and c (8 values) at a point; returns k."""
+    """Fill d (10 values: cavities, body, sheets) and c (8 values) at a point; returns k."""
     coefficients, start, size, origin, spacing, margin = tables
-    for field in range(CAVITY_COUNT + 1):
+    d[_SHEET] = _FAR
+    for field in range(start.shape[0]):
         d[field] = table_value(coefficients, start, size, origin, spacing, margin, field, x, y, z)
     for cavity in range(CAVITY_COUNT):
         c[cavity] = -_FAR
@@ -89,6 +94,12 @@ def _canal(rows, row, x, y, z):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def _label(d, c, k, thickness, wall_label):  # type: ignore[no-untyped-def]
+    label = _label_without_sheets(d, c, k, thickness, wall_label)
+    return wall_label[CAVITY_COUNT] if d[_SHEET] < 0.0 and 0 < label <= CAVITY_COUNT else label
+
+
+@numba.njit(cache=True, nogil=True)
+def _label_without_sheets(d, c, k, thickness, wall_label):  # type: ignore[no-untyped-def]
     lowest = _FAR
     nearest = 0
     for i in range(CAVITY_COUNT):
@@ -113,7 +124,7 @@ def _label(d, c, k, thickness, wall_label):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def _label_points_part(tables, ends, canals, thickness, wall_label, points, labels, first, last):  # type: ignore[no-untyped-def]
-    d = np.empty(CAVITY_COUNT + 1)
+    d = np.empty(CAVITY_COUNT + 2)
     c = np.empty(CAVITY_COUNT)
     for n in range(first, last):
         k = _evaluate(tables, ends, canals, points[n, 0], points[n, 1], points[n, 2], d, c)
@@ -132,7 +143,7 @@ def label_points(tables, ends, canals, thickness, wall_label, points, labels):  
 
 @numba.njit(cache=True, nogil=True)
 def _materials_part(tables, ends, canals, thickness, points, material, clearance, hull, first, last):  # type: ignore[no-untyped-def]
-    d = np.empty(CAVITY_COUNT + 1)
+    d = np.empty(CAVITY_COUNT + 2)
     c = np.empty(CAVITY_COUNT)
     for n in range(first, last):
         k = _evaluate(tables, ends, canals, points[n, 0], points[n, 1], points[n, 2], d, c)
@@ -153,9 +164,9 @@ def _materials_part(tables, ends, canals, thickness, points, material, clearance
         if d[CAVITY_COUNT] < 0.0:
             kind = 2
         if blood < 0.0 or (k < 0.0 and solid < 0.0):
-            kind = 1
+            kind = 3 if d[_SHEET] < 0.0 else 1
         material[n] = kind
-        clearance[n] = min(least, abs(k))
+        clearance[n] = min(least, abs(k), abs(d[_SHEET]))
         hull[n] = solid
 
 
@@ -195,10 +206,13 @@ def _region(d, c, k, thickness, wall_label, region):  # type: ignore[no-untyped-
             # An open end is no border of the wall: inside the lumen the way to the wall counts, also behind the disc.
             tissue = min(tissue, max(d[i] - thickness[i], c[i], -d[i]))
     canal = max(k, min(hull, blood))
+    sheet = max(d[_SHEET], min(blood, canal))
     if region == 0:
         return -min(hull, blood)
     if region == TISSUE:
-        return max(tissue, -blood, -canal)
+        return min(max(tissue, -blood, -canal), sheet)
+    if region == wall_label[CAVITY_COUNT]:
+        return sheet
     if region == MYOCARDIUM:
         return max(d[CAVITY_COUNT], -blood, -canal)
     if region <= CAVITY_COUNT:
@@ -207,7 +221,7 @@ def _region(d, c, k, thickness, wall_label, region):  # type: ignore[no-untyped-
         for j in range(CAVITY_COUNT):
             if j != region - 1:
                 value = max(value, 0.5 * (own - max(d[j], c[j])))
-        return value
+        return max(value, -d[_SHEET])
     cavity = 0
     while wall_label[cavity] != region:
         cavity += 1
@@ -222,14 +236,14 @@ def _region(d, c, k, thickness, wall_label, region):  # type: ignore[no-untyped-
 
 @numba.njit(cache=True, nogil=True)
 def region_value(tables, ends, canals, thickness, wall_label, region, x, y, z, d, c):  # type: ignore[no-untyped-def]
-    """A region's value at one point; ``d`` (9 values) and ``c`` (8 values) are room to work in."""
+    """A region's value at one point; ``d`` (10 values) and ``c`` (8 values) are room to work in."""
     k = _evaluate(tables, ends, canals, x, y, z, d, c)
     return _region(d, c, k, thickness, wall_label, region)
 
 
 @numba.njit(cache=True, nogil=True)
 def _region_values_part(tables, ends, canals, thickness, wall_label, region, points, values, first, last):  # type: ignore[no-untyped-def]
-    d = np.empty(CAVITY_COUNT + 1)
+    d = np.empty(CAVITY_COUNT + 2)
     c = np.empty(CAVITY_COUNT)
     for n in range(first, last):
         x, y, z = points[n, 0], points[n, 1], points[n, 2]

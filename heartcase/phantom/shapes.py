@@ -21,6 +21,7 @@ __all__ = [
     "Ellipsoid",
     "HalfSpace",
     "Intersection",
+    "Narrowing",
     "Offset",
     "Shape",
     "Shell",
@@ -147,6 +148,18 @@ class Capsule:
         return value
 
 
+@dataclass(frozen=True)
+class Narrowing:
+    """A place where a tube is narrower."""
+
+    near_mm: Vector
+    """The tube is narrowest where its line is nearest to this point."""
+    ratio: float
+    """Its radius there against what it would be."""
+    length_mm: float
+    """Distance along the line after which the narrowing has gone down to a factor 1 / e."""
+
+
 class Tube:
     """A tube along a smooth centreline (a cubic spline through points) with a smoothly varying radius.
 
@@ -163,6 +176,8 @@ class Tube:
         Cut the end square at its point instead of rounding it.
     trim_mm
         End the line this much before its last point.
+    narrowings
+        Where it is narrower.
     """
 
     def __init__(
@@ -173,13 +188,17 @@ class Tube:
         flat_start: bool = False,
         flat_end: bool = False,
         trim_mm: float = 0.0,
+        narrowings: Sequence[Narrowing] = (),
     ) -> None:
         points = np.asarray(points_mm, dtype=float)
         radii = np.broadcast_to(np.asarray(radii_mm, dtype=float), (len(points),))
         at = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
         self.line = CubicSpline(at, points)
-        self.radius = PchipInterpolator(at, radii)
+        self._plain_radius = PchipInterpolator(at, radii)
         self.length_mm = float(at[-1]) - trim_mm
+        self._narrowings = [
+            (self.nearest_mm(np.asarray(one.near_mm, dtype=float)), one.ratio, one.length_mm) for one in narrowings
+        ]
         self._at = np.linspace(0.0, self.length_mm, max(8, int(self.length_mm / (0.25 * radii.min())) + 1))
         self._flat = np.array([flat_start, flat_end])
 
@@ -187,6 +206,19 @@ class Tube:
         """Centre, unit direction and radius at a position along the line."""
         direction = self.line(at_mm, 1)
         return self.line(at_mm), direction / np.linalg.norm(direction), float(self.radius(at_mm))
+
+    def radius(self, at_mm: npt.ArrayLike) -> Float64:
+        """Radius at positions along the line, mm."""
+        at = np.asarray(at_mm, dtype=float)
+        radius: Float64 = np.asarray(self._plain_radius(at))
+        for centre, ratio, length in self._narrowings:
+            radius = radius * (1.0 - (1.0 - ratio) * np.exp(-(((at - centre) / length) ** 2)))
+        return radius
+
+    def nearest_mm(self, point_mm: Float64) -> float:
+        """Position along the line that is nearest to a point, to a thousandth of its length."""
+        at = np.linspace(0.0, self.length_mm, 1001)
+        return float(at[np.argmin(np.linalg.norm(self.line(at) - point_mm, axis=1))])
 
     def distance(self, points: Float64) -> Float64:
         """Signed distance in mm, shape (n, 3) -> (n,)."""

@@ -13,28 +13,30 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from heartcase.phantom.anatomy import LONG_AXIS, SEPTUM_AXIS, UPWARD_AXIS
+from heartcase.phantom.anatomy import mirrored
+from heartcase.phantom.axes import LONG_AXIS, SEPTUM_AXIS, UPWARD_AXIS
 from heartcase.phantom.heart import HeartPhantom
+from heartcase.phantom.inner import BAFFLE_LINE
 from heartcase.schemas.errors import UsageError
+from heartcase.schemas.heart_form import HeartForm
 from heartcase.schemas.settings import Stroke
 
 __all__ = ["LONGEST_SHORT_STROKE_MM", "first_strokes", "marker_strokes"]
 
 Float64 = npt.NDArray[np.float64]
+_FIXED = (HeartForm(size="adult"), HeartForm(size="child"))
+"""Hearts whose strokes were drawn by hand."""
 LONGEST_SHORT_STROKE_MM = 30.0
 """Length of what one movement of the hand paints; longer lines count as several strokes."""
-_OPENINGS = (
-    ("left ventricle", "left atrium"),
-    ("left ventricle", "aorta"),
-    ("right ventricle", "right atrium"),
-    ("right ventricle", "pulmonary artery"),
-    ("right atrium", "superior vena cava"),
-    ("right atrium", "inferior vena cava"),
-)
 
 
 def marker_strokes(phantom: HeartPhantom) -> tuple[Stroke, ...]:
-    """Strokes for every label of the phantom's table, the background last."""
+    """Strokes for every label of the phantom's table but sheets in the blood, the background last."""
+    if phantom.form.is_mirrored:
+        return tuple(
+            stroke.model_copy(update={"points_mm": tuple(mirrored(point) for point in stroke.points_mm)})
+            for stroke in marker_strokes(phantom.twin)
+        )
     return tuple(_stroke(*line) for line in _drawn_lines(phantom))
 
 
@@ -136,10 +138,15 @@ def _cavity_lines(phantom: HeartPhantom) -> list[tuple[str, Float64]]:
 
     left, right = places["left atrium"], places["right atrium"]
     crescent = np.linspace(-60.0, 60.0, 9)
-    bow = [
-        [at(along, 38.0 * np.cos(np.radians(a)), 38.0 * np.sin(np.radians(a)) - 3.0) for a in crescent]
-        for along in (12.0, 30.0)
-    ]
+    if phantom.form in _FIXED:
+        bow = [
+            [at(along, 38.0 * np.cos(np.radians(a)), 38.0 * np.sin(np.radians(a)) - 3.0) for a in crescent]
+            for along in (12.0, 30.0)
+        ]
+        lengthwise = np.array([at(4.0, 36.0, -16.0), at(30.0, 38.0, -6.0), at(52.0, 33.0, -2.0)])
+    else:
+        bow = [_middle_of_right(phantom, [(along, a) for a in crescent]) for along in (12.0, 30.0)]
+        lengthwise = np.array(_middle_of_right(phantom, [(along, -14.0) for along in (2.0, 10.0, 20.0, 32.0, 44.0)]))
     outflow = scale * np.array([(-2.0, -44.0, -20.0), (8.0, -39.5, 0.0), (13.0, -36.5, 13.0)])
     x, y, z = scale * np.eye(3)
     lines = [
@@ -148,7 +155,7 @@ def _cavity_lines(phantom: HeartPhantom) -> list[tuple[str, Float64]]:
         ("left ventricle", _ring(at(10.0, 0.0, 0.0), SEPTUM_AXIS, UPWARD_AXIS, 12.0 * scale)),
         ("right ventricle", np.array(bow[0])),
         ("right ventricle", np.array(bow[1])),
-        ("right ventricle", np.array([at(4.0, 36.0, -16.0), at(30.0, 38.0, -6.0), at(52.0, 33.0, -2.0)])),
+        ("right ventricle", lengthwise),
         ("right ventricle", outflow),
         ("left atrium", np.array([left - 20.0 * x, left, left + 20.0 * x])),
         ("left atrium", np.array([left - 14.0 * z, left, left + 14.0 * z])),
@@ -163,6 +170,10 @@ def _cavity_lines(phantom: HeartPhantom) -> list[tuple[str, Float64]]:
         ("superior vena cava", places["superior vena cava line"]),
         ("inferior vena cava", places["inferior vena cava line"]),
     ]
+    if phantom.form.great_arteries != "concordant":
+        lines += [("right ventricle", places[name]) for name in sorted(places) if name.startswith("right outflow line")]
+    if phantom.form.baffle is not None:
+        lines.append(("right ventricle", scale * np.array(BAFFLE_LINE)))
     for name in sorted(name for name in places if name.endswith("vein line")):
         lines.append(("left atrium", places[name]))
     for name in sorted(name for name in places if name.startswith("aortic branch line")):
@@ -170,11 +181,24 @@ def _cavity_lines(phantom: HeartPhantom) -> list[tuple[str, Float64]]:
     return lines
 
 
+def _middle_of_right(phantom: HeartPhantom, where: list[tuple[float, float]]) -> list[Float64]:
+    """Middles of the right ventricle's cavity on rays from the left one's axis: (mm along it, angle), the adult's."""
+    reach = np.arange(0.0, 80.0 * phantom.scale, 0.25 * phantom.scale)
+    found = []
+    for along, degrees in where:
+        outward = np.cos(np.radians(degrees)) * SEPTUM_AXIS + np.sin(np.radians(degrees)) * UPWARD_AXIS
+        ray = phantom.scale * along * LONG_AXIS + reach[:, None] * outward
+        inside = np.flatnonzero(phantom.anatomy.tables.evaluate(ray)[:, 1] < 0.0)
+        if len(inside):
+            found.append(ray[(inside[0] + inside[-1]) // 2])
+    return found
+
+
 def _valve_rings(phantom: HeartPhantom, radius: float) -> list[tuple[str, Float64]]:
     """A ring on either side of each opening between two cavities, as wide as fits."""
     lines = []
     scale = phantom.scale
-    for pair in _OPENINGS:
+    for pair in phantom.anatomy.openings:
         values = [phantom.table[label].value for label in pair]
         border = phantom.truth.surface_points(values[0])
         opening = border[phantom.truth.value(border, values[1]) < 0.02 * scale]
@@ -310,7 +334,7 @@ def _room_outside(phantom: HeartPhantom, points: Float64) -> Float64:
 
 def _room_close(phantom: HeartPhantom, points: Float64) -> Float64:
     """The same, but the middle of the right ventricular wall counts as outside: it is grown, so not to be marked."""
-    fields = phantom.anatomy.tables.evaluate(points.reshape(-1, 3)).reshape(*points.shape[:-1], -1)
+    fields = phantom.anatomy.tables.evaluate(points.reshape(-1, 3))[:, :9].reshape(*points.shape[:-1], -1)
     thickness = np.array([phantom.table[value].wall_thickness_mm for value in range(1, 9)] + [0.0])
     brush = 1.1 * phantom.scale
     thickness[1] = 0.5 * thickness[1] - brush - 0.8 * phantom.scale

@@ -13,7 +13,7 @@ lattice steps where the caller asks for it (opening and closing by a ball), and 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numba
 import numpy as np
@@ -67,6 +67,16 @@ class DistanceTables:
     def distance(self, points: Float64) -> Float64:
         """Value of the first field at world points, shape (n, 3) -> (n,), mm: makes a table a shape."""
         return self.evaluate(points)[:, 0]
+
+    def mirrored(self) -> DistanceTables:
+        """The mirror image: x becomes -x."""
+        parts = []
+        for first, size in zip(self.start, self.size, strict=True):
+            part = self.coefficients[first : first + size.prod()].reshape(*size[::-1])
+            parts.append(part[:, :, ::-1].ravel())
+        origin = self.origin_mm.copy()
+        origin[:, 0] = -(origin[:, 0] + (self.size[:, 0] - 1) * self.spacing_mm)
+        return replace(self, coefficients=np.concatenate(parts), origin_mm=origin)
 
     @classmethod
     def joined(cls, tables: Sequence[DistanceTables]) -> DistanceTables:
@@ -311,24 +321,33 @@ def _derivatives_part(coefficients, size, origin, spacing, points, value, gradie
             _weights(at - cell[axis], weight[axis, 0], weight[axis, 1], weight[axis, 2])
         for c in range(4):
             k = _mirrored(cell[2] - 1 + c, size[2])
+            # Sums over a plane: of the values, then derived once or twice along x and y.
+            v = vx = vxx = vy = vyy = vxy = 0.0
             for b in range(4):
                 j = _mirrored(cell[1] - 1 + b, size[1])
                 row = (k * size[1] + j) * size[0]
+                r = rx = rxx = 0.0
                 for a in range(4):
                     coefficient = coefficients[row + _mirrored(cell[0] - 1 + a, size[0])]
-                    x0, x1, x2 = weight[0, 0, a], weight[0, 1, a] / spacing, weight[0, 2, a] / spacing**2
-                    y0, y1, y2 = weight[1, 0, b], weight[1, 1, b] / spacing, weight[1, 2, b] / spacing**2
-                    z0, z1, z2 = weight[2, 0, c], weight[2, 1, c] / spacing, weight[2, 2, c] / spacing**2
-                    value[n] += coefficient * x0 * y0 * z0
-                    gradient[n, 0] += coefficient * x1 * y0 * z0
-                    gradient[n, 1] += coefficient * x0 * y1 * z0
-                    gradient[n, 2] += coefficient * x0 * y0 * z1
-                    hessian[n, 0, 0] += coefficient * x2 * y0 * z0
-                    hessian[n, 1, 1] += coefficient * x0 * y2 * z0
-                    hessian[n, 2, 2] += coefficient * x0 * y0 * z2
-                    hessian[n, 0, 1] += coefficient * x1 * y1 * z0
-                    hessian[n, 0, 2] += coefficient * x1 * y0 * z1
-                    hessian[n, 1, 2] += coefficient * x0 * y1 * z1
+                    r += coefficient * weight[0, 0, a]
+                    rx += coefficient * weight[0, 1, a]
+                    rxx += coefficient * weight[0, 2, a]
+                v += r * weight[1, 0, b]
+                vx += rx * weight[1, 0, b]
+                vxx += rxx * weight[1, 0, b]
+                vy += r * weight[1, 1, b]
+                vyy += r * weight[1, 2, b]
+                vxy += rx * weight[1, 1, b]
+            value[n] += v * weight[2, 0, c]
+            gradient[n, 0] += vx * weight[2, 0, c] / spacing
+            gradient[n, 1] += vy * weight[2, 0, c] / spacing
+            gradient[n, 2] += v * weight[2, 1, c] / spacing
+            hessian[n, 0, 0] += vxx * weight[2, 0, c] / spacing**2
+            hessian[n, 1, 1] += vyy * weight[2, 0, c] / spacing**2
+            hessian[n, 2, 2] += v * weight[2, 2, c] / spacing**2
+            hessian[n, 0, 1] += vxy * weight[2, 0, c] / spacing**2
+            hessian[n, 0, 2] += vx * weight[2, 1, c] / spacing**2
+            hessian[n, 1, 2] += vy * weight[2, 1, c] / spacing**2
         hessian[n, 1, 0] = hessian[n, 0, 1]
         hessian[n, 2, 0] = hessian[n, 0, 2]
         hessian[n, 2, 1] = hessian[n, 1, 2]

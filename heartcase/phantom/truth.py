@@ -17,7 +17,7 @@ from heartcase.phantom.border import STEEPNESS, border_distances
 from heartcase.phantom.regions import TISSUE, label_points, region_values
 from heartcase.phantom.tables import DistanceTables
 from heartcase.schemas.edit_settings import SeptalDefect
-from heartcase.schemas.labels import LabelTable
+from heartcase.schemas.labels import LabelTable, Role
 from heartcase.schemas.settings import EndMarker
 
 __all__ = ["TOLERANCE_MM", "Truth"]
@@ -59,7 +59,8 @@ class Truth:
         """What the kernels of :mod:`heartcase.phantom.regions` take."""
         table = self.table
         thickness = np.array([table[value].wall_thickness_mm for value in range(1, 9)])
-        walls = np.array([table.wall_value(value) or 255 for value in range(1, 9)])
+        devices = [label.value for label in table if label.role is Role.DEVICE]
+        walls = np.array([*(table.wall_value(value) or 255 for value in range(1, 9)), *(devices[:1] or [255])])
         ends = [
             [table[end.label].value - 1, *end.position_mm, *_unit(end.axis), end.radius_mm, self.reach_mm]
             for end in self.ends

@@ -23,7 +23,7 @@ class Landmark(Model):
     axis: Vector3 | None = None
     """For a ring given by its centre: its axis."""
     radius_mm: PositiveMm | None = None
-    """For a ring given by its centre: its radius."""
+    """For a ring given by its centre: its radius; for a polyline that is a vessel: that vessel's."""
     depth_mm: PositiveMm | None = None
     """For a polyline that is a planned incision along the surface: how deep it goes."""
 

@@ -20,6 +20,7 @@ from heartcase.schemas.labels import Label, LabelTable, default_label_table
 from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.lock import RecipeLock, fill_unset
 from heartcase.schemas.migrate import RECIPE
+from heartcase.schemas.phantom_scan import PhantomScan
 from heartcase.schemas.settings import (
     Convention,
     EndMarker,
@@ -79,6 +80,8 @@ class ScanSource(Model):
     """Kind of scan, for files that do not say it (NIfTI, NRRD, MetaImage)."""
     origin: Annotated[str, Field(max_length=500)] | None = None
     """Where to get the scan, shown when it is not there."""
+    phantom: PhantomScan | None = None
+    """A synthetic scan: where ``path`` does not hold it, building makes it."""
 
     @property
     def choice(self) -> dict[str, Any]:
@@ -171,8 +174,8 @@ class Recipe(Model):
 
     @property
     def input_files(self) -> tuple[tuple[str, str], ...]:
-        """Place in the recipe and path of each file or folder that it reads."""
-        named = [("scan.path", self.scan.path)]
+        """Place in the recipe and path of each file or folder that it reads; not of a scan that is made."""
+        named = [("scan.path", self.scan.path)] if self.scan.phantom is None else []
         named += [(f"markers[{n}].path", marker.path) for n, marker in enumerate(self.markers, start=1)]
         if self.segment.method == "labels" and self.segment.file is not None:
             named.append(("segment.file", self.segment.file))

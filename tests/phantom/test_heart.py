@@ -3,7 +3,7 @@ import pytest
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from heartcase.phantom.anatomy import LONG_AXIS, SEPTUM_AXIS, UPWARD_AXIS
+from heartcase.phantom.axes import LONG_AXIS, SEPTUM_AXIS, UPWARD_AXIS
 from heartcase.phantom.border import STEEPNESS, border_distances
 from heartcase.phantom.heart import HeartPhantom
 from heartcase.phantom.truth import TOLERANCE_MM

@@ -1,0 +1,54 @@
+"""The drawn part of a recipe whose scan is synthetic: markers, ends, edits and landmarks, below what people write."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from heartcase.phantom.recipe import drawn_part
+from heartcase.schemas.errors import RecipeError
+from heartcase.schemas.files import atomic_write
+from heartcase.schemas.recipe import parse_recipe, read_recipe_text
+
+__all__ = ["DRAWN_BELOW", "draw_recipe"]
+
+DRAWN_BELOW = "# Below this line everything is drawn by:  heartcase library draw"
+"""The line of a recipe where what people write ends."""
+
+
+def draw_recipe(path: Path, *, write: bool = True) -> bool:
+    """Draw the markers of a recipe anew, from the heart that its ``[scan.phantom]`` describes.
+
+    Parameters
+    ----------
+    path
+        The recipe; what stands above :data:`DRAWN_BELOW` stays as it is.
+    write
+        Write it; otherwise only look whether it would change.
+
+    Returns
+    -------
+    bool
+        Whether it changes.
+
+    Raises
+    ------
+    RecipeError
+        It cannot be read, or its scan is not synthetic.
+    UsageError
+        The heart has no place for a defect or an incision.
+    """
+    text = read_recipe_text(path)
+    written, _, _ = text.partition(DRAWN_BELOW)
+    recipe = parse_recipe(written, needs_markers=False)
+    if recipe.scan.phantom is None:
+        raise RecipeError(
+            "its scan is not a synthetic one, so nothing is known to draw: paint with  heartcase paint  instead",
+            place="scan.phantom",
+        )
+    whole = f"{written.rstrip()}\n\n{DRAWN_BELOW}\n\n{drawn_part(recipe.scan.phantom)}"
+    if whole == text:
+        return False
+    parse_recipe(whole)
+    if write:
+        atomic_write(path, whole.encode())
+    return True

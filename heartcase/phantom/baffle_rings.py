@@ -1,0 +1,54 @@
+"""The baffle as a hand would paint it: rings around the tunnel, in the middle of the sheet."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from heartcase.phantom.heart import HeartPhantom
+from heartcase.phantom.inner import tunnel
+from heartcase.phantom.sizes import proportions_of
+from heartcase.phantom.vessels import build_vessels
+from heartcase.schemas.labels import Role
+
+__all__ = ["baffle_rings"]
+
+Points = tuple[tuple[float, float, float], ...]
+_LEAST_POINTS = 3
+
+
+def baffle_rings(phantom: HeartPhantom, *, apart_mm: float) -> list[Points]:
+    """Polylines in the middle of the baffle's sheet, LPS mm; each is where the sheet lies in blood.
+
+    Parameters
+    ----------
+    phantom
+        A heart with a baffle, not mirrored.
+    apart_mm
+        Distance from ring to ring, and of the points along one.
+    """
+    baffle = phantom.form.baffle
+    assert baffle is not None
+    sizes = proportions_of(phantom.form)
+    tube = tunnel(baffle, build_vessels(phantom.form, sizes), sizes.scale)
+    device = next(label.value for label in phantom.table if label.role is Role.DEVICE)
+    rings: list[Points] = []
+    for at in np.arange(0.0, tube.length_mm, apart_mm):
+        centre, direction, inner = tube.frame(float(at))
+        radius = inner + 0.5 * baffle.thickness_mm
+        across = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
+        across /= np.linalg.norm(across)
+        count = int(np.ceil(2.0 * np.pi * radius / apart_mm)) + 1
+        turn = np.linspace(0.0, 2.0 * np.pi, count)[:, None]
+        ring = centre + radius * (np.cos(turn) * across + np.sin(turn) * np.cross(direction, across))
+        rings += [_rounded(part) for part in _runs(ring, phantom.truth.label(ring) == device)]
+    return rings
+
+
+def _runs(points: npt.NDArray[np.float64], kept: npt.NDArray[np.bool_]) -> list[npt.NDArray[np.float64]]:
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], kept, [False]])))
+    return [points[a:b] for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= _LEAST_POINTS]
+
+
+def _rounded(points: npt.NDArray[np.float64]) -> Points:
+    return tuple((round(float(x), 1), round(float(y), 1), round(float(z), 1)) for x, y, z in points)

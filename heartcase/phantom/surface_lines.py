@@ -1,0 +1,169 @@
+"""Lines on the heart's outside: planned incisions, and the courses of the coronary arteries.
+
+The incisions are those of the thesis (chapter 12, figures 12.5 to 12.8) and two that every access through the chest
+knows: the right atrium's free wall, and the isthmus of the aorta.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from heartcase.phantom.anatomy import mirrored
+from heartcase.phantom.axes import LONG_AXIS, SEPTUM_AXIS, UPWARD_AXIS
+from heartcase.schemas.errors import UsageError
+from heartcase.schemas.heart_form import IncisionName
+from heartcase.schemas.landmarks import Landmark
+
+if TYPE_CHECKING:
+    from heartcase.phantom.heart import HeartPhantom
+
+__all__ = ["coronary_landmarks", "incision_landmark"]
+
+Float64 = npt.NDArray[np.float64]
+_BEYOND_MM = 1.0
+"""How much deeper than the wall an incision is planned."""
+
+
+def incision_landmark(phantom: HeartPhantom, name: IncisionName) -> Landmark:
+    """A planned incision: a polyline on the outside, with a depth that opens the wall all along.
+
+    Raises
+    ------
+    UsageError
+        The heart has no such place.
+    """
+    if phantom.form.is_mirrored:
+        return _mirrored(incision_landmark(phantom.twin, name))
+    if name == "aortic isthmus" and phantom.form.great_arteries == "double outlet right ventricle":
+        raise UsageError("the isthmus is planned for where the aorta is narrow: leave it out", place="incisions")
+    origins, directions = _rays(phantom, name)
+    surface, depth = _exits(phantom, origins, directions)
+    return Landmark(
+        name=name,
+        kind="polyline",
+        points_mm=_rounded(surface),
+        depth_mm=round(float(depth.max()) + _BEYOND_MM, 1),
+    )
+
+
+def coronary_landmarks(phantom: HeartPhantom) -> tuple[Landmark, ...]:
+    """The courses of the three large coronary arteries, in their grooves, with their radii.
+
+    The anterior descending one follows the line where the right ventricle's wall meets the left ventricle's in front,
+    the two others the grooves between atria and ventricles. Radii are means of adults (1.85 and 1.95 mm: Dodge et al.,
+    Circulation 86, 1992, 232), times the square root of the heart's size.
+    """
+    if phantom.form.is_mirrored:
+        return tuple(_mirrored(one) for one in coronary_landmarks(phantom.twin))
+    places, scale = phantom.anatomy.places, phantom.scale
+    mitral, tricuspid = places["mitral valve"], places["tricuspid valve"]
+    towards_right = _unit(tricuspid - mitral)
+    around = np.radians(np.linspace(-65.0, 165.0, 24))
+    front = _unit(np.cross(LONG_AXIS, towards_right))
+    front = front if front[1] < 0.0 else -front
+    right = tricuspid + 2.0 * scale * LONG_AXIS, [np.cos(a) * towards_right - np.sin(a) * front for a in around]
+    left = (
+        mitral + 2.0 * scale * LONG_AXIS,
+        [-np.cos(a) * towards_right - np.sin(a) * front for a in np.radians(np.linspace(-55.0, 80.0, 15))],
+    )
+    width = np.sqrt(scale / 1.2)
+    lines = {
+        "right coronary artery": (_courses(phantom, *right), 1.95 * width),
+        "left circumflex artery": (_courses(phantom, *left), 1.7 * width),
+        "left anterior descending artery": (_groove(phantom), 1.85 * width),
+    }
+    return tuple(
+        Landmark(name=name, kind="polyline", points_mm=_rounded(line), radius_mm=round(float(radius), 2))
+        for name, (line, radius) in lines.items()
+    )
+
+
+def _rays(phantom: HeartPhantom, name: IncisionName) -> tuple[Float64, Float64]:
+    """Where to look for the surface from, and in which directions, both shape (n, 3)."""
+    scale, places = phantom.scale, phantom.anatomy.places
+    x, y, z = np.eye(3)
+
+    def around(degrees: float) -> Float64:
+        outward: Float64 = np.cos(np.radians(degrees)) * SEPTUM_AXIS + np.sin(np.radians(degrees)) * UPWARD_AXIS
+        return outward
+
+    def below(valve: str, direction: Float64, along_mm: float) -> tuple[Float64, Float64]:
+        flow = _unit(direction)
+        front = _unit(-y - (-y @ flow) * flow)
+        side = np.cross(flow, front)
+        angles = np.radians(np.linspace(-50.0, 50.0, 11))
+        rays = np.array([np.cos(a) * front + np.sin(a) * side for a in angles])
+        return np.repeat((places[valve] - along_mm * scale * flow)[None], len(rays), axis=0), rays
+
+    if name == "right ventriculotomy":
+        along = np.linspace(12.0, 40.0 * min(1.0, phantom.form.right_ventricle), 12)
+        return scale * along[:, None] * LONG_AXIS, np.repeat(around(8.0)[None], len(along), axis=0)
+    if name == "apical infundibulotomy":
+        angles = np.linspace(-24.0, 16.0, 9)
+        origin = scale * 46.0 * phantom.form.right_ventricle * LONG_AXIS
+        return np.repeat(origin[None], len(angles), axis=0), np.array([around(a) for a in angles])
+    if name == "pulmonary root":
+        return below("pulmonary valve", np.array((0.12, 0.12, 0.98)), 7.0)
+    if name == "aortic root":
+        is_left = phantom.form.great_arteries == "concordant"
+        return below("aortic valve", np.array((-0.3, -0.1, 0.95)), -16.0 if is_left else 7.0)
+    if name == "right atriotomy":
+        height = np.linspace(-14.0, 14.0, 10)
+        origins = places["right atrium"] + scale * height[:, None] * z
+        return origins, np.repeat(_unit(-x - 0.35 * y)[None], len(height), axis=0)
+    line = places["aorta line"]
+    isthmus = int(np.argmin(np.linalg.norm(line - scale * np.array((18.4, 50.0, 52.0)), axis=1)))
+    part = line[isthmus - 4 : isthmus + 5]
+    return part, np.repeat(x[None], len(part), axis=0)
+
+
+def _exits(phantom: HeartPhantom, origins: Float64, directions: Float64) -> tuple[Float64, Float64]:
+    """Where rays leave the heart for the first time, and how thick the tissue is there, along the ray."""
+    step = 0.1 * phantom.scale
+    reach = np.arange(0.0, 90.0 * phantom.scale, step)
+    points = origins[:, None, :] + reach[None, :, None] * directions[:, None, :]
+    outside = phantom.truth.label(points) == 0
+    first = np.argmax(outside, axis=1)
+    if not outside.any(axis=1).all() or not first.all():
+        raise UsageError("a planned incision lies where this heart has no wall: leave it out", place="incisions")
+    tissue = np.isin(phantom.truth.label(points), phantom.truth.table.tissue_values)
+    depth = np.empty(len(first))
+    for n, stop in enumerate(first):
+        solid = np.flatnonzero(~tissue[n, :stop])
+        depth[n] = step * (stop - 1 - (solid[-1] if len(solid) else 0))
+    return points[np.arange(len(first)), first], depth
+
+
+def _courses(phantom: HeartPhantom, origin: Float64, directions: list[Float64]) -> Float64:
+    return _exits(phantom, np.repeat(origin[None], len(directions), axis=0), np.array(directions))[0]
+
+
+def _groove(phantom: HeartPhantom) -> Float64:
+    """Where the right ventricle's wall begins at the front, from the base to the apex."""
+    scale = phantom.scale
+    angles = np.radians(np.linspace(20.0, 150.0, 131))
+    outward = np.cos(angles)[:, None] * SEPTUM_AXIS + np.sin(angles)[:, None] * UPWARD_AXIS
+    found = []
+    for along in np.linspace(10.0, 58.0, 13):
+        surface, _ = _exits(phantom, np.repeat((scale * along * LONG_AXIS)[None], len(angles), axis=0), outward)
+        fields = phantom.anatomy.tables.evaluate(surface)
+        is_left = np.abs(fields[:, 8]) < 0.6 * scale
+        if is_left.any():
+            found.append(surface[int(np.argmax(is_left))])
+    return np.array(found)
+
+
+def _rounded(points: Float64) -> tuple[tuple[float, float, float], ...]:
+    return tuple((round(float(x), 1), round(float(y), 1), round(float(z), 1)) for x, y, z in points)
+
+
+def _mirrored(landmark: Landmark) -> Landmark:
+    return landmark.model_copy(update={"points_mm": tuple(mirrored(point) for point in landmark.points_mm)})
+
+
+def _unit(vector: Float64) -> Float64:
+    unit: Float64 = vector / np.linalg.norm(vector)
+    return unit
