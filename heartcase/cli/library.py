@@ -239,3 +239,47 @@ def diff(old: Path, new: Path, surface_mm: float, volume_percent: float, node_pe
         )
     if beyond:
         raise click.exceptions.Exit(1)
+
+
+@command.command()
+@click.argument("out", type=click.Path(path_type=Path, readable=False))
+@click.option("--to", type=click.Path(path_type=Path, readable=False), help="Folder of the site; OUT/catalogue.")
+@click.option(
+    "--language", "languages", metavar="CODE", multiple=True, help="Offer only this language, and English; repeatable."
+)
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+def catalogue(out: Path, to: Path | None, languages: tuple[str, ...], as_json: bool) -> None:
+    """Write a website that shows the cases in OUT; open its index.html in a browser, from the folder.
+
+    A case without [about] in its recipe is refused, and so is a patient's without a recorded release. Exits with 1
+    where a case was refused.
+    """
+    from heartcase.library.catalogue.site import write_catalogue
+
+    console = error_console()
+    result = write_catalogue(
+        out, to, languages=languages, say=lambda name: console.print(f"  {name}", markup=False, soft_wrap=True)
+    )
+    if as_json:
+        echo_json(
+            {
+                "index": str(result.index),
+                "shown": result.shown,
+                "made": result.made,
+                "removed": result.removed,
+                "refused": {name: [[one.place, one.message] for one in why] for name, why in result.refused.items()},
+                "seconds": round(result.seconds, 2),
+            }
+        )
+    else:
+        for name, problems in result.refused.items():
+            click.echo(f"{name}: refused", err=True)
+            for problem in problems:
+                click.echo(f"  {problem}", err=True)
+        click.echo(
+            f"{_counted(len(result.shown), 'case')} shown: {len(result.made)} made, "
+            f"{len(result.shown) - len(result.made)} unchanged; {len(result.removed)} removed, "
+            f"{len(result.refused)} refused, in {result.seconds:.1f} s; open {result.index}"
+        )
+    if result.refused:
+        raise click.exceptions.Exit(1)

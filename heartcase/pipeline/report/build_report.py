@@ -29,7 +29,7 @@ from heartcase.schemas.bundle import CaseManifest, StageRecord
 from heartcase.schemas.labels import BACKGROUND, LabelTable, Role
 from heartcase.schemas.recipe import Recipe
 
-__all__ = ["OpeningRow", "ReportData", "StageRow", "StructureRow", "build_report", "render_report"]
+__all__ = ["VERDICT_WORDS", "OpeningRow", "ReportData", "StageRow", "StructureRow", "build_report", "render_report"]
 
 _NOTICE: str = CaseManifest.model_fields["notice"].default
 _ROLE_WORDS = {
@@ -40,7 +40,7 @@ _ROLE_WORDS = {
     Role.DEVICE: "patch or device",
     Role.BACKGROUND: "background",
 }
-_VERDICT_WORDS = {
+VERDICT_WORDS = {
     Verdict.UNEXPECTED: "not in a normal heart, and the recipe does not say that it is meant",
     Verdict.OTHER_VENTRICLE: "the great artery arises from the other ventricle: is that the malformation?",
     Verdict.UNKNOWN: "a name that heartcase does not know: look at it",
@@ -325,7 +325,7 @@ def _scan_facts(recipe: Recipe, scan: Scan) -> list[Fact]:
 
 
 def _opening_row(one: Opening) -> OpeningRow:
-    words = _VERDICT_WORDS[one.verdict]
+    words = VERDICT_WORDS[one.verdict]
     if one.stated_by:
         words = f"{words} {one.stated_by}"
     if one.asked_mm2 is not None:
