@@ -42,7 +42,7 @@ _LINES: dict[DefectKind, tuple[int, int, tuple[Float64, Float64]]] = {
     "mid muscular": (LEFT_VENTRICLE, RIGHT_VENTRICLE, _across(30.0, 0.0)),
     "apical muscular": (LEFT_VENTRICLE, RIGHT_VENTRICLE, _across(52.0, -4.0)),
     "anterior muscular": (LEFT_VENTRICLE, RIGHT_VENTRICLE, _across(32.0, 30.0)),
-    "subpulmonary": (LEFT_VENTRICLE, RIGHT_VENTRICLE, (np.array((9.5, -13.0, 1.0)), np.array((9.0, -40.0, 3.0)))),
+    "subpulmonary": (LEFT_VENTRICLE, RIGHT_VENTRICLE, (np.array((9.5, -13.0, 1.0)), np.array((8.8, -50.0, 3.6)))),
 }
 """Kind -> cavities that it joins, and a line from one to the other, in the adult's positions."""
 

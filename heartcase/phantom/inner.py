@@ -15,7 +15,10 @@ from heartcase.schemas.heart_form import Baffle
 __all__ = ["BAFFLE_LINE", "Trabeculae", "baffle_shape", "tunnel", "with_left_detail", "with_right_detail"]
 
 Float64 = npt.NDArray[np.float64]
-BAFFLE_LINE = ((10.0, -24.0, 3.0), (7.0, -34.0, -3.0), (-3.0, -39.0, -3.0), (-12.0, -37.0, 4.0), (-16.0, -32.0, 14.0))
+BAFFLE_LINE = (
+    *((9.3, -22.0, 1.7), (9.1, -32.0, 2.3), (4.0, -38.0, -0.5), (-5.0, -39.5, 0.5), (-12.5, -36.5, 6.0)),
+    (-16.0, -32.0, 14.0),
+)
 """The tunnel's middle, from the septum to the aortic valve, in the adult's positions."""
 
 
@@ -105,10 +108,13 @@ def baffle_shape(baffle: Baffle, vessels: Vessels, scale: float) -> Shape:
 def tunnel(baffle: Baffle, vessels: Vessels, scale: float, *, wider_mm: float = 0.0) -> Tube:
     """The tunnel that a baffle encloses, longer at both ends than its sheet, or one that is wider by so much."""
     line = scale * np.array(BAFFLE_LINE)
-    waist = 0.5 * (baffle.waist_mm or baffle.diameter_mm)
-    middle = np.linspace(0.0, 1.0, len(line))
-    radii = 0.5 * baffle.diameter_mm + (waist - 0.5 * baffle.diameter_mm) * np.sin(np.pi * middle) ** 2
     valve = next(outlet for outlet in vessels.outlets if outlet.is_aortic)
+    # At the valve the sheet is sewn to its ring.
+    ring = float(valve.infundibulum.radius(valve.infundibulum.nearest_mm(valve.valve_mm))) + 0.5 * scale
+    middle = np.linspace(0.0, 1.0, len(line))
+    waist = np.minimum(1.0, 1.11 * np.sin(np.pi * middle) ** 2)
+    plain = 0.5 * baffle.diameter_mm + (ring - 0.5 * baffle.diameter_mm) * middle
+    radii = plain if baffle.waist_mm is None else plain * (1.0 - waist) + 0.5 * baffle.waist_mm * waist
     before = line[0] + 12.0 * scale * _unit(line[0] - line[1])
     beyond = valve.valve_mm + 14.0 * scale * _unit(valve.direction)
     return Tube(np.array([before, *line, beyond]), np.array([radii[0], *radii, radii[-1]]) + wider_mm)

@@ -75,7 +75,12 @@ def drawn_part(scan: PhantomScan) -> str:
     if scan.heart.is_mirrored:
         edits = [mirrored_defect(one) for one in edits]
     incisions = [incision_landmark(phantom, name) for name in scan.incisions]
-    landmarks = (*phantom.landmarks, *incisions, *coronary_landmarks(phantom))
+    holes = [
+        Landmark(name=f"{one.kind} defect", kind="ring", points_mm=(canal.position_mm,), axis=canal.axis,
+                 radius_mm=0.5 * canal.diameter_mm)
+        for one, canal in zip(scan.heart.defects, phantom.defects, strict=True)
+    ]  # fmt: skip
+    landmarks = (*phantom.landmarks, *holes, *incisions, *coronary_landmarks(phantom))
     lines: list[str] = []
     if scan.is_specimen:
         lines += ["# Where its vessels are cut off, the heart is held."]
@@ -145,10 +150,12 @@ def _landmark_lines(landmarks: Iterable[Landmark]) -> list[str]:
     lines = ["# Named places that go into the case."]
     for landmark in landmarks:
         lines += ["[[landmarks]]", f'name = "{landmark.name}"', f'kind = "{landmark.kind}"']
-        if landmark.kind == "point":
+        if len(landmark.points_mm) == 1:
             lines += [f"points_mm = [{_triple(landmark.points_mm[0])}]"]
         else:
             lines += _points(landmark.points_mm)
+        if landmark.axis is not None:
+            lines += [f"axis = {_triple(landmark.axis)}"]
         if landmark.radius_mm is not None:
             lines += [f"radius_mm = {landmark.radius_mm:g}"]
         if landmark.depth_mm is not None:

@@ -59,7 +59,7 @@ def proportions_of(form: HeartForm) -> Proportions:
         scale = (62.02 * area**1.3 / _VOLUME_ML) ** (1.0 / 3.0)
         part = math.sqrt(area / ADULT_SURFACE_M2)
         walls = {label: round(max(_LEAST_WALLS[label], part * wall), 2) for label, wall in _WALLS.items()}
-        walls[2] = round(1.3 + 1.2 * min(1.0, area / ADULT_SURFACE_M2), 2)
+        walls[2] = round(1.2 + 1.3 * min(1.0, area / ADULT_SURFACE_M2), 2)
         # Diameters go with the square root of the area, the cavities' scale with its 0.43rd power.
         width = 0.89 * part / (scale / (62.02 * ADULT_SURFACE_M2**1.3 / _VOLUME_ML) ** (1.0 / 3.0))
         sizes = Proportions(scale, 5.7 * area**0.4, walls, 1.12, width, 0.92 * (walls[3] + walls[4]))

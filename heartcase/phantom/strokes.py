@@ -17,6 +17,7 @@ from heartcase.phantom.anatomy import mirrored
 from heartcase.phantom.axes import LONG_AXIS, SEPTUM_AXIS, UPWARD_AXIS
 from heartcase.phantom.heart import HeartPhantom
 from heartcase.phantom.inner import BAFFLE_LINE
+from heartcase.phantom.sizes import proportions_of
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.heart_form import HeartForm
 from heartcase.schemas.settings import Stroke
@@ -95,6 +96,8 @@ def _drawn_lines(phantom: HeartPhantom) -> list[tuple[str, float, Float64]]:
         drawn.append((label, radius, _inside(phantom, label, points, radius)))
     for points in _outlines(phantom, fine):
         drawn.append(("background", fine, points))
+    if phantom.form.body_surface_m2 is not None:
+        drawn += [("background", width, points) for width, points in _septal_lines(phantom)]
     return [line for line in drawn if len(line[2])]
 
 
@@ -253,6 +256,43 @@ def _myocardium_lines(phantom: HeartPhantom) -> list[Float64]:
     for across in (SEPTUM_AXIS, UPWARD_AXIS):
         directions = np.cos(sweep) * LONG_AXIS + np.sin(sweep) * across
         lines.append(_middle_of_wall(phantom, scale * 24.0 * LONG_AXIS, directions))
+    return lines
+
+
+def _septal_lines(phantom: HeartPhantom) -> list[tuple[float, Float64]]:
+    """Lines in the middle of the atrial septum, from front to back, a few mm apart, and where no hole is.
+
+    The septum is one or two voxels thick: without them the basins of both atria meet in it, and it is lost.
+    """
+    tables, scale = phantom.anatomy.tables, phantom.scale
+    gap = proportions_of(phantom.form).gap_mm
+    radius = round(0.35 * gap, 2)
+    # From the left atrium to the right one, in the adult's positions.
+    centre, normal = scale * np.array((-27.5, 8.0, 1.0)), np.array((-0.8, -0.6, -0.05))
+    normal /= np.linalg.norm(normal)
+    side = np.cross(normal, (0.0, 0.0, 1.0))
+    side /= np.linalg.norm(side)
+    up = np.cross(side, normal)
+    depth = np.linspace(-14.0, 14.0, 281) * scale
+    lines: list[tuple[float, Float64]] = []
+    for height in np.arange(-15.0 * scale, 18.0 * scale, max(2.5 * radius, 2.0)):
+        across = np.arange(-18.0 * scale, 18.0 * scale, 0.5)
+        points = centre + height * up + across[:, None] * side
+        rays = points[:, None, :] + depth[None, :, None] * normal
+        fields = tables.evaluate(rays.reshape(-1, 3)).reshape(len(across), len(depth), -1)
+        middle = np.argmin(np.maximum(fields[:, :, 2], fields[:, :, 3]), axis=1)
+        rows = np.arange(len(across))
+        apart = fields[rows, middle, 2] + fields[rows, middle, 3]
+        at = rays[rows, middle]
+        kept = (apart < 1.4 * gap) & (np.minimum(fields[rows, middle, 2], fields[rows, middle, 3]) > radius)
+        for one in phantom.defects:
+            axis = np.array(one.axis)
+            away = at - np.array(one.position_mm)
+            kept &= np.linalg.norm(away - (away @ axis)[:, None] * axis, axis=1) > 0.5 * one.diameter_mm + radius
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], kept, [False]])))
+        for first, last in zip(edges[::2], edges[1::2], strict=True):
+            if (last - first) * 0.5 > 2.0 * radius:
+                lines.append((radius, _simplified(at[first:last], 0.15)))
     return lines
 
 

@@ -59,9 +59,9 @@ class Baffle(Model):
     thickness_mm: Annotated[float, Field(ge=0.5, le=5.0)] = 1.5
     """Thickness of the sheet."""
     diameter_mm: Annotated[float, Field(ge=3.0, le=40.0)] = 12.0
-    """Inner diameter at its ends."""
+    """Inner diameter where it begins, at the septum; at the aortic valve it is as wide as the valve."""
     waist_mm: Annotated[float, Field(ge=2.0, le=40.0)] | None = None
-    """Inner diameter where it is narrowest, half-way; that of the ends when left out."""
+    """Inner diameter where it is narrowest, half-way; when left out it widens evenly."""
     leaks_mm: tuple[Annotated[float, Field(ge=1.0, le=20.0)], ...] = ()
     """Diameters of the leaks: at most two."""
 
