@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+import numpy as np
+
 from heartcase.phantom.baffle_rings import baffle_rings
 from heartcase.phantom.defects import mirrored_defect, place_defect
 from heartcase.phantom.heart import HeartPhantom
@@ -88,7 +90,7 @@ def drawn_part(scan: PhantomScan) -> str:
             lines += ["[[pins]]", f"position_mm = {_triple(end.position_mm)}", f"radius_mm = {end.radius_mm:g}", ""]
     else:
         lines += [*_label_lines(phantom), *_stroke_lines(phantom), *_end_lines(phantom)]
-    lines += [line for edit in edits for line in _defect_lines(edit)]
+    lines += [line for edit in edits for line in (_bored if scan.is_specimen else _defect_lines)(edit)]
     if scan.heart.baffle is not None:
         lines += _baffle_lines(phantom, scan.heart.baffle)
     return "\n".join([*lines, *_landmark_lines(landmarks)]).rstrip("\n") + "\n"
@@ -135,6 +137,15 @@ def _defect_lines(defect: SeptalDefect) -> list[str]:
         lines += [f'shape = "{defect.shape}"', f"width_mm = {defect.width_mm:g}"]
         lines += [f"long_axis = {_triple(defect.long_axis)}"]
     return [*lines, f"length_mm = {defect.length_mm:g}", ""]
+
+
+def _bored(defect: SeptalDefect) -> list[str]:
+    """The same hole in a specimen, whose cavities have no names: muscle taken away along the canal."""
+    axis, centre = np.array(defect.axis), np.array(defect.position_mm)
+    half = 0.5 * defect.length_mm * axis
+    ends = [tuple(round(float(v), 2) for v in point) for point in (centre - half, centre + half)]
+    lines = ["[[edits]]", 'kind = "remove"', 'label = "myocardium"', 'into = "background"']
+    return [*lines, f"radius_mm = {0.5 * defect.diameter_mm:g}", *_points(ends), ""]  # type: ignore[arg-type]
 
 
 def _baffle_lines(phantom: HeartPhantom, baffle: Baffle) -> list[str]:
