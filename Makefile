@@ -17,7 +17,6 @@ $(VENV)/installed: requirements.lock pyproject.toml
 	touch $@
 
 case: $(VENV)/installed
-	$(BIN)/heartcase phantom out/adult_phantom --size adult --scan-only
 	$(BIN)/heartcase build sample_cases/adult_phantom.toml --out out
 	$(BIN)/heartcase simulate out/adult-phantom.case --script sample_cases/pull.toml --picture out/pull.png
 	@echo 'Look at out/adult-phantom.report.html and out/pull.png'

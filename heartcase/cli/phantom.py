@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from heartcase.schemas.geometry import Geometry
+    from heartcase.schemas.phantom_scan import PhantomScan
 
 __all__ = ["command"]
 
@@ -91,6 +92,7 @@ def command(
     Writes scan.nii.gz, truth.nii.gz (true label of each voxel) and recipe.toml (strokes and end markers, ready for
     "heartcase build") into OUT_DIR.
     """
+    from heartcase.library.scans import note_scan
     from heartcase.phantom.acquisition import acquire_ct, acquire_mri
     from heartcase.phantom.heart import HeartPhantom
     from heartcase.phantom.recipe import recipe_text
@@ -120,6 +122,9 @@ def command(
     _make_folder(out_dir)
     files = ["scan.nii.gz"]
     write_scan(Scan(scan.values, geometry, scan.modality), out_dir / "scan.nii.gz")
+    same = None if defects else _as_settings(size, scan.modality, voxel, noise, bias, seed, oblique)
+    if same is not None:
+        note_scan(out_dir / "scan.nii.gz", same)
     summary: dict[str, Any] = {
         "size": size,
         "modality": scan.modality,
@@ -158,6 +163,21 @@ def command(
     if "tissue_ml" in summary:
         click.echo(f"tissue {summary['tissue_ml']:g} ml")
     click.echo(f"wrote {', '.join(files)} into {out_dir}")
+
+
+def _as_settings(
+    size: str, modality: str, voxel: list[float], noise: float | None, bias: float, seed: int, oblique: bool
+) -> PhantomScan | None:
+    """What a recipe would say to have this scan made; None where it cannot be said."""
+    from heartcase.schemas.phantom_scan import PhantomScan
+
+    stated = {"heart": {"size": size}, "modality": modality, "spacing_mm": (voxel * 3)[:3], "seed": seed}
+    try:
+        return PhantomScan.model_validate(
+            stated | {"is_oblique": oblique, "bias": bias} | ({} if noise is None else {"contrast_to_noise": noise})
+        )
+    except ValueError:
+        return None
 
 
 def _command_line(

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import least_squares
 
 from heartcase.library.diff import surface_of
 from heartcase.phantom.heart import HeartPhantom
@@ -193,25 +194,33 @@ def _defect_check(
     mesh = pyvista.PolyData(surface[0], triangles)
     # Seen along the axis: the nearest wall in each direction, so that a septum a little before or behind is no gap.
     shape = (len(along), len(turn))
-    rows, change = [], []
+    # Seen along the axis: the nearest wall in each direction, so that a septum a little before or behind is no gap.
+    shape = (len(along), len(turn))
+    true_diameter = 2.0 * float(np.sqrt(canal.area_mm2 / np.pi))
+    within = np.flatnonzero(own.reshape(shape).any(axis=1))
+    if not len(within) or len(mesh.ray_trace(start[within[0] * shape[1]], start[within[-1] * shape[1]])[0]):
+        return DefectCheck(kind, true_diameter, None, None)
+    true_reach, wall = [], []
     for direction in range(shape[1]):
         places = np.flatnonzero(own.reshape(shape)[:, direction])
         if not len(places):
             continue
-        true_reach = reach[first.reshape(shape)[places, direction]].min() - 0.5 * _STEP_MM
-        found = true_reach + _BEYOND_MM
+        nearest = reach[first.reshape(shape)[places, direction]].min() - 0.5 * _STEP_MM
+        found = nearest + _BEYOND_MM
         for place in range(max(places[0] - 2, 0), min(places[-1] + 3, shape[0])):
             n = place * shape[1] + direction
-            hit, _ = mesh.ray_trace(start[n], start[n] + (true_reach + _BEYOND_MM) * outward[n], first_point=True)
+            hit, _ = mesh.ray_trace(start[n], start[n] + (nearest + _BEYOND_MM) * outward[n], first_point=True)
             if len(hit):
                 found = min(found, float(np.linalg.norm(hit - start[n])))
-        rows.append([1.0, *outward[direction]])
-        change.append(found - true_reach)
-    true_diameter = 2.0 * float(np.sqrt(canal.area_mm2 / np.pi))
-    if not rows or np.mean(change) < -0.45 * canal.diameter_mm:
-        return DefectCheck(kind, true_diameter, None, None)
-    fit, *_ = np.linalg.lstsq(np.array(rows), np.array(change), rcond=None)
-    return DefectCheck(kind, true_diameter, 2.0 * float(fit[0]), float(np.linalg.norm(fit[1:])))
+        true_reach.append(nearest)
+        wall.append(found * np.array((outward[direction] @ side, outward[direction] @ np.cross(axis, side))))
+
+    def residuals(change: Float64) -> Float64:
+        rest: Float64 = np.linalg.norm(np.array(wall) - change[1:], axis=1) - np.array(true_reach) - change[0]
+        return rest
+
+    change = least_squares(residuals, np.zeros(3)).x
+    return DefectCheck(kind, true_diameter, 2.0 * float(change[0]), float(np.linalg.norm(change[1:])))
 
 
 def problems_of(check: CaseCheck, *, least_dice: float, surface_mm: float, diameter_mm: float) -> Sequence[str]:

@@ -12,9 +12,10 @@ from heartcase.pipeline.data import Scan
 from heartcase.pipeline.write import write_scan
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.files import atomic_write
+from heartcase.schemas.phantom_scan import PhantomScan
 from heartcase.schemas.recipe import ScanSource
 
-__all__ = ["ensure_scan", "scan_is_made"]
+__all__ = ["ensure_scan", "note_scan", "scan_is_made"]
 
 
 def scan_is_made(source: ScanSource, directory: Path) -> bool:
@@ -54,11 +55,17 @@ def ensure_scan(source: ScanSource, directory: Path) -> bool:
         # Between the two writes a crash leaves a note without a scan, or an empty note: both are made again.
         atomic_write(_note(path), b"{}")
         write_scan(Scan(scan.values, scan.geometry, scan.modality), path)
-        atomic_write(_note(path), json.dumps(_made_from(source), indent=1, sort_keys=True).encode())
+        note_scan(path, source.phantom)
     except OSError as error:
         reason = (error.strerror or "the system gives no reason").lower()
         raise UsageError(f"the scan cannot be written: {reason}", place="scan.path") from None
     return True
+
+
+def note_scan(path: Path, settings: PhantomScan) -> None:
+    """Say beside a scan what it was made from, so that it counts as made for a recipe that asks for the same."""
+    made_from = {"phantom_version": PHANTOM_VERSION, "phantom": json.loads(settings.model_dump_json())}
+    atomic_write(_note(path), json.dumps(made_from, indent=1, sort_keys=True).encode())
 
 
 def _note(path: Path) -> Path:
