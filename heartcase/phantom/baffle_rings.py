@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from heartcase.phantom.heart import HeartPhantom
 from heartcase.phantom.inner import tunnel
+from heartcase.phantom.regions import CAVITY_COUNT
 from heartcase.phantom.sizes import proportions_of
 from heartcase.phantom.vessels import build_vessels
 from heartcase.schemas.labels import Role
@@ -15,6 +16,8 @@ __all__ = ["baffle_rings"]
 
 Points = tuple[tuple[float, float, float], ...]
 _LEAST_POINTS = 3
+_CLEAR_MM = 0.5
+"""Least depth of the brush's middle in the blood."""
 
 
 def baffle_rings(phantom: HeartPhantom, *, apart_mm: float) -> list[Points]:
@@ -41,7 +44,10 @@ def baffle_rings(phantom: HeartPhantom, *, apart_mm: float) -> list[Points]:
         count = int(np.ceil(2.0 * np.pi * radius / apart_mm)) + 1
         turn = np.linspace(0.0, 2.0 * np.pi, count)[:, None]
         ring = centre + radius * (np.cos(turn) * across + np.sin(turn) * np.cross(direction, across))
-        rings += [_rounded(part) for part in _runs(ring, phantom.truth.label(ring) == device)]
+        # A brush next to the outer wall would come through it.
+        lumens = phantom.anatomy.tables.evaluate(ring)[:, :CAVITY_COUNT].min(axis=1)
+        kept = (phantom.truth.label(ring) == device) & (lumens < -_CLEAR_MM)
+        rings += [_rounded(part) for part in _runs(ring, kept)]
     return rings
 
 

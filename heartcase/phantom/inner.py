@@ -41,18 +41,19 @@ class Trabeculae:
         along, right, up = adult @ LONG_AXIS, adult @ SEPTUM_AXIS, adult @ UPWARD_AXIS
         wave = 2.0 * np.pi / self.spacing_mm
         bend = 0.9 * np.sin(wave * along / 4.0)
-        ridge = 0.5 + 0.25 * (np.cos(wave * right + bend) + np.cos(wave * up - bend))
+        # Narrow ridges, so that the wall around them is smooth outside.
+        ridge = sum(0.5 * (0.5 + 0.5 * np.cos(phase)) ** 4 for phase in (wave * right + bend, wave * up - bend))
         rise = np.clip((along - 8.0) / 24.0, 0.0, 1.0)
         height = self.height_mm * self.scale * ridge * rise * rise * (3.0 - 2.0 * rise)
         # So that the value changes by at most 1 per mm.
-        steepest = 1.0 + self.height_mm * (0.25 * wave * np.hypot(1.3, 1.3) + 1.5 / 24.0)
+        steepest = 1.0 + self.height_mm * (0.443 * wave * np.hypot(1.3, 1.3) + 1.5 / 24.0)
         value: Float64 = (self.shape.distance(points) + height) / steepest
         return value
 
 
 def with_left_detail(cavity: Shape, scale: float, width: float) -> Shape:
     """The left ventricle's cavity without its two papillary muscles, and with trabeculae."""
-    rough = Trabeculae(cavity, scale, 1.4, 6.5)
+    rough = Trabeculae(cavity, scale, 1.8, 6.5)
     muscles: list[Shape] = []
     for degrees in (130.0, 225.0):
         outward = np.cos(np.radians(degrees)) * SEPTUM_AXIS + np.sin(np.radians(degrees)) * UPWARD_AXIS
@@ -65,7 +66,7 @@ def with_left_detail(cavity: Shape, scale: float, width: float) -> Shape:
 
 def with_right_detail(cavity: Shape, scale: float) -> Shape:
     """The right ventricle's cavity without moderator band and papillary muscle, and with trabeculae."""
-    rough = Trabeculae(cavity, scale, 1.9, 8.0)
+    rough = Trabeculae(cavity, scale, 2.2, 8.0)
 
     def at(along: float, right: float, up: float) -> Float64:
         point: Float64 = scale * (along * LONG_AXIS + right * SEPTUM_AXIS + up * UPWARD_AXIS)

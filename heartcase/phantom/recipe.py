@@ -78,10 +78,18 @@ def drawn_part(scan: PhantomScan) -> str:
         edits = [mirrored_defect(one) for one in edits]
     incisions = [incision_landmark(phantom, name) for name in scan.incisions]
     holes = [
-        Landmark(name=f"{one.kind} defect", kind="ring", points_mm=(canal.position_mm,), axis=canal.axis,
-                 radius_mm=0.5 * canal.diameter_mm)
-        for one, canal in zip(scan.heart.defects, phantom.defects, strict=True)
-    ]  # fmt: skip
+        Landmark(
+            name=f"{one.kind} defect",
+            kind="ring",
+            points_mm=(canal.position_mm,),
+            axis=canal.axis,
+            radius_mm=0.5 * canal.diameter_mm,
+        )
+        for one, canal in (
+            *zip(scan.heart.defects, phantom.defects, strict=True),
+            *zip(scan.edited_defects, edits, strict=True),
+        )
+    ]
     landmarks = (*phantom.landmarks, *holes, *incisions, *coronary_landmarks(phantom))
     lines: list[str] = []
     if scan.is_specimen:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 
 import numpy as np
 import numpy.typing as npt
@@ -10,7 +11,7 @@ from PIL import Image
 
 from heartcase.library.catalogue.mesh_data import SurfaceArrays
 from heartcase.pipeline.report.pictures import cutaway_picture, surface_picture
-from heartcase.pipeline.report.views import four_chamber_view, places_of
+from heartcase.pipeline.report.views import CutView, four_chamber_view, places_of
 from heartcase.schemas.labels import LabelTable
 from heartcase.schemas.landmarks import Landmark
 
@@ -19,6 +20,9 @@ __all__ = ["PICTURE_SIZE", "SMALL_SIZE", "case_pictures"]
 PICTURE_SIZE = (800, 600)
 SMALL_SIZE = (320, 240)
 _QUALITY = 84
+_HOLE = re.compile(r"\b(defect|vsd|asd)\b", re.IGNORECASE)
+_LEAST_SINE, _UPRIGHT = 0.05, 0.35
+Float64 = npt.NDArray[np.float64]
 
 
 def case_pictures(
@@ -37,7 +41,7 @@ def case_pictures(
         view="anterior", size=PICTURE_SIZE, triangle_tissue=surface.tissue, normals=surface.normals,
     )  # fmt: skip
     places = places_of(landmarks)
-    view = four_chamber_view(places, points, faces, surface.void, table)
+    view = lesion_view(landmarks) or four_chamber_view(places, points, faces, surface.void, table)
     marks = {place.name: place.position_mm for place in places.values()}
     cut = cutaway_picture(
         points, faces, surface.void, surface.tissue, table,
@@ -45,6 +49,39 @@ def case_pictures(
     )  # fmt: skip
     small = np.asarray(Image.fromarray(front).resize(SMALL_SIZE, Image.Resampling.LANCZOS))
     return {"small": _webp(small), "front": _webp(front), "cut": _webp(cut)}, view.source
+
+
+def lesion_view(landmarks: tuple[Landmark, ...]) -> CutView | None:
+    """The cut that shows what a case is about: through its first hole and the apex, or along a narrow aorta.
+
+    None where no landmark says that there is either: a ring with an axis whose name says defect, VSD or ASD, or an
+    incision that is planned over the aortic isthmus.
+    """
+    places = places_of(landmarks)
+    hole = next((one for one in landmarks if one.axis is not None and _HOLE.search(one.name)), None)
+    if hole is not None and hole.axis is not None and "apex" in places:
+        middle, axis = np.mean(hole.points_mm, axis=0), np.array(hole.axis)
+        return _through(middle, axis, places["apex"].position_mm - middle, f"through {hole.name} and apex")
+    isthmus = next((one for one in landmarks if one.name == "aortic isthmus"), None)
+    if isthmus is not None and "aortic valve" in places:
+        line = np.array(isthmus.points_mm)
+        middle = line.mean(axis=0)
+        away = middle - places["aortic valve"].position_mm
+        return _through(middle, line[-1] - line[0], away, "along the aortic isthmus and through the aortic valve")
+    return None
+
+
+def _through(middle: Float64, first: Float64, second: Float64, words: str) -> CutView | None:
+    """A plane that holds a point and two directions, seen from the feet, or from the left where it stands upright."""
+    normal = np.cross(first, second)
+    length = float(np.linalg.norm(normal))
+    if length < _LEAST_SINE * float(np.linalg.norm(first) * np.linalg.norm(second)):
+        return None
+    normal /= length
+    towards = -normal[2] if abs(normal[2]) > _UPRIGHT else normal[0]
+    normal = normal if towards > 0.0 else -normal
+    up = second - (second @ normal) * normal
+    return CutView((middle, normal), up / np.linalg.norm(up), f"The cut is {words}.")
 
 
 def _webp(pixels: npt.NDArray[np.uint8]) -> bytes:
