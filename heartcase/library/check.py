@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
 
-from heartcase.library.diff import surface_of
+from heartcase.library.diff import mesh_of
 from heartcase.phantom.heart import HeartPhantom
 from heartcase.phantom.metrics import SurfaceError, dice
 from heartcase.phantom.truth import Truth
@@ -101,7 +101,7 @@ def check_case(case: Path, scan: PhantomScan) -> CaseCheck:
         It holds no surface or no labels.
     """
     bundle = open_bundle(case)
-    surface = surface_of(bundle)
+    surface = mesh_of(bundle)
     if surface is None or not bundle.has(FileRole.LABELS):
         raise UsageError("surface and labels are needed: add both to the recipe's parts", place=case.name)
     heart = scan.heart.model_copy(update={"defects": (*scan.heart.defects, *scan.edited_defects)})

@@ -16,7 +16,7 @@ from heartcase.schemas.files import sha256_of_file
 if TYPE_CHECKING:
     from heartcase.schemas.bundle_reader import OpenBundle
 
-__all__ = ["CaseChange", "Tolerances", "diff_libraries", "surface_change", "surface_of"]
+__all__ = ["CaseChange", "Tolerances", "diff_libraries", "surface_change", "mesh_of"]
 
 Float64 = npt.NDArray[np.float64]
 Mesh = tuple[Float64, npt.NDArray[np.int32]]
@@ -117,7 +117,7 @@ def _change(name: str, old: Path, new: Path, allowed: Tolerances) -> CaseChange:
 def _compared(name: str, old: OpenBundle, new: OpenBundle, allowed: Tolerances) -> CaseChange:
     beyond = []
     mean, most = None, None
-    surfaces = [surface_of(bundle) for bundle in (old, new)]
+    surfaces = [mesh_of(bundle) for bundle in (old, new)]
     if surfaces[0] is not None and surfaces[1] is not None:
         mean, most = surface_change(surfaces[0], surfaces[1])
         if most > allowed.surface_mm:
@@ -147,7 +147,7 @@ def _compared(name: str, old: OpenBundle, new: OpenBundle, allowed: Tolerances) 
     )
 
 
-def surface_of(bundle: OpenBundle) -> Mesh | None:
+def mesh_of(bundle: OpenBundle) -> Mesh | None:
     """Vertices [mm] and triangles of a case's surface; None where it has none."""
     if bundle.manifest.file(FileRole.SURFACE) is None:
         return None

@@ -1,0 +1,38 @@
+"""The sample library from raw synthetic scans to cases that stand handling: one to five minutes a case."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from heartcase.cli.main import main
+from heartcase.library.check import check_case, problems_of
+from heartcase.schemas.recipe import load_recipe
+
+SAMPLES = Path(__file__).parents[2] / "sample_cases"
+MADE = [path for path in sorted(SAMPLES.glob("*.toml")) if "[scan.phantom]" in path.read_text()]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", MADE, ids=lambda path: path.stem)
+def test_a_sample_case_is_what_its_diagnosis_says_and_stands_handling(path, tmp_path, capfd):
+    (tmp_path / "sample_cases").mkdir()
+    copy = Path(shutil.copy(path, tmp_path / "sample_cases"))
+    recipe = load_recipe(copy)
+    assert main(["build", str(copy), "--out", str(tmp_path)]) == 0
+    case = tmp_path / f"{recipe.name}.case"
+    check = check_case(case, recipe.scan.phantom)
+    assert check.joined == check.joined_truly
+    assert not problems_of(check, least_dice=0.85, surface_mm=1.0, diameter_mm=2.0)
+    if recipe.scan.phantom.heart.body_surface_m2 is None:
+        return
+    capfd.readouterr()
+    assert main(["simulate", str(case), "--script", str(SAMPLES / "handling.toml"), "--json"]) == 0
+    told = json.loads(capfd.readouterr().out)
+    assert told["seconds"] == pytest.approx(10.0, rel=0.01)
+    assert 2.0 < told["displacement_max_mm"] < 60.0
+    assert told["displacement_end_mm"] < 1.0
+    assert told["inverted_cell_count_end"] == 0
