@@ -117,6 +117,8 @@ def command(
 
         with working("making the scan"):
             ensure_scan(loaded.scan, recipe.parent)
+        # A case from the scan that was made before is an older one of the same heart.
+        replace = True
     if key_file is not None:
         check_key_file(key_file, out / f"{loaded.name}.case")
     console = Console(stderr=True)

@@ -16,7 +16,7 @@ from heartcase.schemas.files import sha256_of_file
 if TYPE_CHECKING:
     from heartcase.schemas.bundle_reader import OpenBundle
 
-__all__ = ["CaseChange", "Tolerances", "diff_libraries", "surface_change", "mesh_of"]
+__all__ = ["CaseChange", "Tolerances", "diff_libraries", "mesh_of", "surface_change"]
 
 Float64 = npt.NDArray[np.float64]
 Mesh = tuple[Float64, npt.NDArray[np.int32]]

@@ -47,7 +47,9 @@ def build_one(case: LibraryCase, out: str, cache: str | None) -> CaseRecord:
 def _built(case: LibraryCase, out: Path, cache: Path | None) -> CaseRecord:
     recipe = load_recipe(case.recipe)
     ensure_scan(recipe.scan, case.recipe.parent)
-    result = build_case(recipe, directory=case.recipe.parent, out=out, cache=cache)
+    # A scan that is made follows its recipe: a case from the scan before is an older one of the same heart.
+    replace = recipe.scan.phantom is not None
+    result = build_case(recipe, directory=case.recipe.parent, out=out, cache=cache, replace=replace)
     assert result.case is not None
     assert result.report is not None
     written = [*(path for path in sorted(result.case.rglob("*")) if path.is_file()), result.report]

@@ -11,12 +11,16 @@ from heartcase.library import draw, scans
 from heartcase.library.draw import DRAWN_BELOW, draw_recipe
 from heartcase.library.plan import is_up_to_date, plan_library
 from heartcase.library.scans import ensure_scan, scan_is_made
+from heartcase.library.worker import build_one
 from heartcase.phantom.acquisition import SyntheticScan
+from heartcase.pipeline.read import read_scan
+from heartcase.schemas.bundle_reader import open_bundle
 from heartcase.schemas.errors import RecipeError, UsageError
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.heart_form import HeartForm
 from heartcase.schemas.phantom_scan import PhantomScan
 from heartcase.schemas.recipe import ScanSource, load_recipe
+from tests.ball import write_ball_recipe, write_ball_scan
 
 SAMPLES = Path(__file__).parents[2] / "sample_cases"
 DRAWN = '[[strokes]]\nlabel = "aorta"\nradius_mm = 2.0\npoints_mm = [[0.0, 0.0, 0.0]]\n'
@@ -174,3 +178,25 @@ def test_the_drawn_part_of_a_sample_case_is_current(path):
 
 def test_the_normal_heart_is_the_default():
     assert PhantomScan().heart == HeartForm()
+
+
+def test_a_case_of_a_scan_that_was_made_before_is_replaced(tmp_path, monkeypatch):
+    write_ball_scan(tmp_path / "ball.nii.gz")
+    ball = read_scan(tmp_path / "ball.nii.gz")
+
+    def quick(settings):
+        values = ball.values + np.float32(settings.seed)
+        return SyntheticScan(values, ball.geometry, "MR", 10.0, 1.0)
+
+    monkeypatch.setattr(scans, "made_scan", quick)
+    path = write_ball_recipe(tmp_path / "made.nii.gz", tmp_path / "r.toml", parts="parts = []", cell_mm=6.0)
+    text = path.read_text()
+    ids = []
+    for seed in (1, 2):
+        path.write_text(text.replace("[[labels]]", f"[scan.phantom]\nseed = {seed}\n[[labels]]", 1))
+        (case,) = plan_library(tmp_path)
+        record = build_one(case, str(tmp_path / "out"), None)
+        assert not record.problems
+        ids.append(open_bundle(tmp_path / "out" / "ball.case").manifest.case_id)
+        assert main(["build", str(path), "--out", str(tmp_path / "alone")]) == 0
+    assert ids[0] != ids[1]
