@@ -32,7 +32,16 @@ CANDIDATES: list[Any] = [
     ["lung"],
     {"center_mm": _POINT, "size_mm": (9.0, 9.0, 9.0)},
     {"cavity": {}},
-    *("01.01.01", "LA88.0", "{S,D,S}"),
+    *("01.01.01", "LA88.0", "{S,D,S}", "MR", "child", 0.9, 3.0, [4.0], (2.5, 2.5, 2.5)),
+    *("transposed", [{"kind": "secundum", "diameter_mm": 4.0}], {"diameter_mm": 11.0}, ["right atriotomy"]),
+    {
+        "modality": "MR",
+        "is_specimen": False,
+        "has_noise_texture": False,
+        "streak_hu": 0.0,
+        "slice_thickness_mm": None,
+        "heart": {"great_arteries": "concordant", "aortic_override": 0.0, "baffle": None, "defects": []},
+    },
     {"reference": "x", "scope": "x", "date": "2026-01-02"},
     {
         "origin": "patient",
