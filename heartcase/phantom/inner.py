@@ -35,6 +35,17 @@ class Trabeculae:
     spacing_mm: float
     """Distance from one to the next in the adult."""
 
+    @property
+    def steepest(self) -> float:
+        """How much the value with its ridges would change per mm at most: it is divided by that."""
+        wave = 2.0 * np.pi / self.spacing_mm
+        return 1.0 + self.height_mm * (0.443 * wave * float(np.hypot(1.3, 1.3)) + 1.5 / 24.0)
+
+    def without(self, muscles: list[Shape], blend_mm: float) -> Shape:
+        """The cavity less muscles in it, with seams of that width."""
+        # Values of the ridged cavity are that much smaller than distances, and so must be what blends them.
+        return Intersection([self, *(complement(muscle) for muscle in muscles)], blend_mm / self.steepest)
+
     def distance(self, points: Float64) -> Float64:
         """Signed value in mm, shape (n, 3) -> (n,)."""
         adult = points / self.scale
@@ -45,9 +56,7 @@ class Trabeculae:
         ridge = sum(0.5 * (0.5 + 0.5 * np.cos(phase)) ** 4 for phase in (wave * right + bend, wave * up - bend))
         rise = np.clip((along - 8.0) / 24.0, 0.0, 1.0)
         height = self.height_mm * self.scale * ridge * rise * rise * (3.0 - 2.0 * rise)
-        # So that the value changes by at most 1 per mm.
-        steepest = 1.0 + self.height_mm * (0.443 * wave * np.hypot(1.3, 1.3) + 1.5 / 24.0)
-        value: Float64 = (self.shape.distance(points) + height) / steepest
+        value: Float64 = (self.shape.distance(points) + height) / self.steepest
         return value
 
 
@@ -61,20 +70,24 @@ def with_left_detail(cavity: Shape, scale: float, width: float) -> Shape:
             along * LONG_AXIS + part * width * outward for along, part in ((54.0, 0.86), (38.0, 0.72), (22.0, 0.52))
         ]
         muscles.append(Tube(scale * np.array(points), scale * np.array((6.0, 4.6, 2.6))))
-    return Intersection([rough, *(complement(muscle) for muscle in muscles)], 3.0 * scale)
+    return rough.without(muscles, 3.0 * scale)
 
 
 def with_right_detail(cavity: Shape, scale: float) -> Shape:
-    """The right ventricle's cavity without moderator band and papillary muscle, and with trabeculae."""
-    rough = Trabeculae(cavity, scale, 2.2, 8.0)
+    """The right ventricle's cavity without moderator band and papillary muscle, and with trabeculae.
+
+    Their tissue is the grown wall's: nothing here may be farther from the blood than that wall is thick, about 2 mm in
+    the adult's positions.
+    """
+    rough = Trabeculae(cavity, scale, 1.0, 8.0)
 
     def at(along: float, right: float, up: float) -> Float64:
         point: Float64 = scale * (along * LONG_AXIS + right * SEPTUM_AXIS + up * UPWARD_AXIS)
         return point
 
-    band = Capsule(at(34.0, 27.0, 4.0), at(44.0, 47.0, -4.0), 2.3 * scale)
-    muscle = Capsule(at(44.0, 46.0, -4.0), at(24.0, 40.0, -8.0), 2.8 * scale)
-    return Intersection([rough, complement(band), complement(muscle)], 2.0 * scale)
+    band = Capsule(at(34.0, 27.0, 4.0), at(44.0, 47.0, -4.0), 1.2 * scale)
+    muscle = Capsule(at(44.0, 46.0, -4.0), at(24.0, 40.0, -8.0), 1.2 * scale)
+    return rough.without([band, muscle], 2.0 * scale)
 
 
 def baffle_shape(baffle: Baffle, vessels: Vessels, scale: float) -> Shape:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from heartcase.phantom.axes import LONG_AXIS
 from heartcase.phantom.heart import HeartPhantom
 from heartcase.phantom.surface_lines import coronary_landmarks, incision_landmark
 from heartcase.schemas.heart_form import Baffle, DefectKind, HeartDefect, HeartForm
@@ -99,6 +100,27 @@ def test_an_oval_defect_is_as_wide_as_it_says():
     (canal,) = phantom_of(form).defects
     assert canal.shape == "elliptic"
     assert phantom_of(form).truth.tissue_distance(np.array(canal.position_mm)) == pytest.approx(1.5, abs=0.02)
+
+
+def test_muscles_inside_the_ventricles_leave_no_gap_in_the_tissue():
+    plain = HeartForm(body_surface_m2=1.9, has_detail=True)
+    _, labels = voxels(plain, 1.0)
+    assert joined(labels) == [LEFT, RIGHT]
+    pieces = np.bincount(ndimage.label(labels == 0)[0].ravel())[1:]
+    around = np.sort(pieces)[-1]
+    # Fat lies between chambers and vessels; under the ventricles' blood there is none.
+    assert around > 0.99 * pieces.sum()
+    phantom = phantom_of(plain)
+    places = phantom.anatomy.places
+    towards = places["right ventricle"] - places["left ventricle"]
+    for along in np.linspace(10.0, 50.0, 17):
+        start = phantom.scale * along * LONG_AXIS
+        line = phantom.truth.label(start + np.arange(0.0, 1.3, 0.005)[:, None] * towards)
+        last = np.flatnonzero(line == 2)
+        assert last.size, along
+        assert not (line[: last[-1]] == 0).any(), along
+    holed = with_defects(plain, HeartDefect(kind="mid muscular", diameter_mm=12.0))
+    assert joined(voxels(holed, 1.5)[1]) == [LEFT | RIGHT]
 
 
 @pytest.mark.slow
