@@ -121,10 +121,10 @@ def command(
 
     _make_folder(out_dir)
     files = ["scan.nii.gz"]
+    note_scan(out_dir / "scan.nii.gz", None)
     write_scan(Scan(scan.values, geometry, scan.modality), out_dir / "scan.nii.gz")
     same = None if defects else _as_settings(size, scan.modality, voxel, noise, bias, seed, oblique)
-    if same is not None:
-        note_scan(out_dir / "scan.nii.gz", same)
+    note_scan(out_dir / "scan.nii.gz", same)
     summary: dict[str, Any] = {
         "size": size,
         "modality": scan.modality,

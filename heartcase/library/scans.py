@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from heartcase.phantom.version import PHANTOM_VERSION
 from heartcase.pipeline.data import Scan
 from heartcase.pipeline.write import write_scan
 from heartcase.schemas.errors import UsageError
-from heartcase.schemas.files import atomic_write
+from heartcase.schemas.files import TEMPORARY_PREFIX, atomic_write, remove_leftovers, sha256_of_file
 from heartcase.schemas.phantom_scan import PhantomScan
 from heartcase.schemas.recipe import ScanSource
 
@@ -23,10 +24,9 @@ def scan_is_made(source: ScanSource, directory: Path) -> bool:
     if source.phantom is None:
         return True
     path = directory / source.path
-    try:
-        return path.is_file() and json.loads(_note(path).read_text(encoding="utf-8")) == _made_from(source)
-    except (OSError, ValueError):
-        return False
+    note = _read_note(path)
+    sha256 = note.pop("scan_sha256", None)
+    return note == _made_from(source.phantom) and path.is_file() and sha256_of_file(path) == sha256
 
 
 def ensure_scan(source: ScanSource, directory: Path) -> bool:
@@ -43,7 +43,7 @@ def ensure_scan(source: ScanSource, directory: Path) -> bool:
         return False
     assert source.phantom is not None
     path = directory / source.path
-    if path.exists() and not _note(path).exists():
+    if path.exists() and _read_note(path).get("scan_sha256") != sha256_of_file(path):
         raise UsageError(
             f"a file that was not made for this recipe lies where its scan goes ({path.name}): move it, or change path",
             place="scan.path",
@@ -51,27 +51,49 @@ def ensure_scan(source: ScanSource, directory: Path) -> bool:
     scan = made_scan(source.phantom)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        _note(path).unlink(missing_ok=True)
-        # Between the two writes a crash leaves a note without a scan, or an empty note: both are made again.
-        atomic_write(_note(path), b"{}")
-        write_scan(Scan(scan.values, scan.geometry, scan.modality), path)
-        note_scan(path, source.phantom)
+        remove_leftovers(path.parent)
+        unfinished = path.with_name(f"{TEMPORARY_PREFIX}{os.getpid()}-{path.name}")
+        write_scan(Scan(scan.values, scan.geometry, scan.modality), unfinished)
+        # A scan without its note would count as somebody else's: killed here, there is no scan, and it is made again.
+        path.unlink(missing_ok=True)
+        note_scan(path, source.phantom, content=unfinished)
+        unfinished.replace(path)
     except OSError as error:
         reason = (error.strerror or "the system gives no reason").lower()
         raise UsageError(f"the scan cannot be written: {reason}", place="scan.path") from None
     return True
 
 
-def note_scan(path: Path, settings: PhantomScan) -> None:
-    """Say beside a scan what it was made from, so that it counts as made for a recipe that asks for the same."""
-    made_from = {"phantom_version": PHANTOM_VERSION, "phantom": json.loads(settings.model_dump_json())}
-    atomic_write(_note(path), json.dumps(made_from, indent=1, sort_keys=True).encode())
+def note_scan(path: Path, settings: PhantomScan | None, *, content: Path | None = None) -> None:
+    """Say beside a scan what it was made from, so that it counts as made for a recipe that asks for the same.
+
+    Parameters
+    ----------
+    path
+        Where the scan is, or will be.
+    settings
+        What it was made from; None, where that cannot be said, removes the note of the scan that was there before.
+    content
+        The file that will be moved there; None where it is there already.
+    """
+    if settings is None:
+        _note(path).unlink(missing_ok=True)
+        return
+    note = _made_from(settings) | {"scan_sha256": sha256_of_file(content or path)}
+    atomic_write(_note(path), json.dumps(note, indent=1, sort_keys=True).encode())
 
 
 def _note(path: Path) -> Path:
     return path.with_name(f"{path.name}.made.json")
 
 
-def _made_from(source: ScanSource) -> dict[str, Any]:
-    assert source.phantom is not None
-    return {"phantom_version": PHANTOM_VERSION, "phantom": json.loads(source.phantom.model_dump_json())}
+def _read_note(path: Path) -> dict[str, Any]:
+    try:
+        note = json.loads(_note(path).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return note if isinstance(note, dict) else {}
+
+
+def _made_from(settings: PhantomScan) -> dict[str, Any]:
+    return {"phantom_version": PHANTOM_VERSION, "phantom": json.loads(settings.model_dump_json())}

@@ -363,7 +363,7 @@ def _strip_shares(place: Float64, first_width: float, second_width: float, bins:
 
 
 def _ramp_kernel(length: int) -> Float64:
-    """The ramp filter band-limited to the bins, in space, cyclic (Kak and Slaney, 1988, equation 3.61)."""
+    """The ramp filter band-limited to the bins, in space, cyclic (Kak and Slaney, 1988, chapter 3)."""
     n = np.fft.fftfreq(length, 1.0 / length).round()
     odd = n % 2.0 == 1.0
     kernel = np.zeros(length)

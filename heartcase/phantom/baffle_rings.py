@@ -16,11 +16,9 @@ __all__ = ["baffle_rings"]
 
 Points = tuple[tuple[float, float, float], ...]
 _LEAST_POINTS = 3
-_CLEAR_MM = 0.5
-"""Least depth of the brush's middle in the blood."""
 
 
-def baffle_rings(phantom: HeartPhantom, *, apart_mm: float) -> list[Points]:
+def baffle_rings(phantom: HeartPhantom, *, apart_mm: float, clear_mm: float) -> list[Points]:
     """Polylines in the middle of the baffle's sheet, LPS mm; each is where the sheet lies in blood.
 
     Parameters
@@ -29,6 +27,8 @@ def baffle_rings(phantom: HeartPhantom, *, apart_mm: float) -> list[Points]:
         A heart with a baffle, not mirrored.
     apart_mm
         Distance from ring to ring, and of the points along one.
+    clear_mm
+        Least depth in the blood: a brush nearer to the outer wall would come through it.
     """
     baffle = phantom.form.baffle
     assert baffle is not None
@@ -44,9 +44,8 @@ def baffle_rings(phantom: HeartPhantom, *, apart_mm: float) -> list[Points]:
         count = int(np.ceil(2.0 * np.pi * radius / apart_mm)) + 1
         turn = np.linspace(0.0, 2.0 * np.pi, count)[:, None]
         ring = centre + radius * (np.cos(turn) * across + np.sin(turn) * np.cross(direction, across))
-        # A brush next to the outer wall would come through it.
         lumens = phantom.anatomy.tables.evaluate(ring)[:, :CAVITY_COUNT].min(axis=1)
-        kept = (phantom.truth.label(ring) == device) & (lumens < -_CLEAR_MM)
+        kept = (phantom.truth.label(ring) == device) & (lumens < -clear_mm)
         rings += [_rounded(part) for part in _runs(ring, kept)]
     return rings
 

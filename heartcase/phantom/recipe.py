@@ -160,7 +160,7 @@ def _baffle_lines(phantom: HeartPhantom, baffle: Baffle) -> list[str]:
     """The baffle's sheet, which no scan shows well, painted in rings around the tunnel."""
     lines = ["# The baffle, painted in rings around its tunnel; its leaks are left open."]
     radius = 0.5 * baffle.thickness_mm + 0.1
-    for ring in baffle_rings(phantom, apart_mm=1.2 * radius):
+    for ring in baffle_rings(phantom, apart_mm=1.2 * radius, clear_mm=radius):
         lines += ["[[edits]]", 'kind = "add"', 'label = "baffle"', f"radius_mm = {radius:g}", *_points(ring), ""]
     return lines
 

@@ -23,7 +23,8 @@ ADULT_SURFACE_M2 = 1.9
 _VOLUME_ML = 83.0
 """Cavity of the left ventricle at scale 1, measured."""
 _WALLS = {3: 2.2, 4: 2.2, 5: 1.6, 6: 1.4, 7: 1.2, 8: 1.2}
-"""Label -> thickness of an adult's wall, mm: atria, aorta (1.5: Malayeri et al., 2008), pulmonary artery, cavae."""
+"""Label -> thickness of an adult's wall, mm: atria, aorta (1.5: Mensel et al., European Radiology 24,
+2014, doi 10.1007/s00330-014-3188-8); of the others no table was found."""
 _LEAST_WALLS = {3: 1.2, 4: 1.2, 5: 0.9, 6: 0.9, 7: 0.8, 8: 0.8}
 """The same of the smallest hearts."""
 

@@ -37,8 +37,6 @@ def incision_landmark(phantom: HeartPhantom, name: IncisionName) -> Landmark:
     """
     if phantom.form.is_mirrored:
         return _mirrored(incision_landmark(phantom.twin, name))
-    if name == "aortic isthmus" and phantom.form.great_arteries == "double outlet right ventricle":
-        raise UsageError("the isthmus is planned for where the aorta is narrow: leave it out", place="incisions")
     origins, directions = _rays(phantom, name)
     surface, depth = _exits(phantom, origins, directions)
     return Landmark(
@@ -53,8 +51,8 @@ def coronary_landmarks(phantom: HeartPhantom) -> tuple[Landmark, ...]:
     """The courses of the three large coronary arteries, in their grooves, with their radii.
 
     The anterior descending one follows the line where the right ventricle's wall meets the left ventricle's in front,
-    the two others the grooves between atria and ventricles. Radii are means of adults (1.85 and 1.95 mm: Dodge et al.,
-    Circulation 86, 1992, 232), times the square root of the heart's size.
+    the two others the grooves between atria and ventricles. Radii are means of adults (1.85, 1.95 and 1.7 mm: Dodge
+    et al., Circulation 86, 1992, 232), times the square root of the heart's size.
     """
     if phantom.form.is_mirrored:
         return tuple(_mirrored(one) for one in coronary_landmarks(phantom.twin))

@@ -257,12 +257,10 @@ def _outlets(form: HeartForm, tube: Callable[[Points, list[float]], Tube], scale
 
 def _right_auricle(form: HeartForm) -> tuple[Points, list[float]]:
     if form.great_arteries == "double outlet right ventricle":
-        return [(-40.0, -6.0, 8.0), (-46.0, -17.0, 15.0), (-48.0, -26.0, 18.0), (-46.0, -33.0, 18.0)], [
-            *(14.0, 11.0, 8.5, 6.0)
-        ]
-    return [(-40.0, -6.0, 8.0), (-42.0, -20.0, 16.0), (-34.0, -32.0, 22.0), (-22.0, -37.0, 24.0)], [
-        *(14.0, 11.0, 9.0, 6.0)
-    ]
+        line: Points = [(-40.0, -6.0, 8.0), (-46.0, -17.0, 15.0), (-48.0, -26.0, 18.0), (-46.0, -33.0, 18.0)]
+        return line, [14.0, 11.0, 8.5, 6.0]
+    line = [(-40.0, -6.0, 8.0), (-42.0, -20.0, 16.0), (-34.0, -32.0, 22.0), (-22.0, -37.0, 24.0)]
+    return line, [14.0, 11.0, 9.0, 6.0]
 
 
 def _veins(form: HeartForm) -> dict[str, tuple[Points, list[float]]]:

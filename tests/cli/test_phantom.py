@@ -70,3 +70,12 @@ def test_a_file_in_the_way_is_said(tmp_path, capsys):
     (tmp_path / "out").write_text("")
     assert main(["phantom", str(tmp_path / "out"), "--size", "child"]) == 2
     assert capsys.readouterr().err.strip()
+
+
+def test_the_note_of_a_normal_heart_does_not_stay_beside_one_with_a_defect(tmp_path, capsys):
+    note = tmp_path / "scan.nii.gz.made.json"
+    settings = ["--size", "child", "--spacing", "4", "--scan-only"]
+    assert main(["phantom", str(tmp_path), *settings]) == 0
+    assert '"size": "child"' in note.read_text()
+    assert main(["phantom", str(tmp_path), *settings, "--vsd", "8"]) == 0
+    assert not note.exists()

@@ -77,13 +77,40 @@ def test_a_half_written_scan_is_made_again(tmp_path, made, monkeypatch):
     assert scan_is_made(source, tmp_path)
 
 
-def test_a_file_of_somebody_else_stays(tmp_path, made):
-    (tmp_path / "b.nii.gz").write_bytes(b"a scan")
+@pytest.mark.parametrize("was_made", [False, True])
+def test_a_file_of_somebody_else_stays(tmp_path, made, was_made):
     source = ScanSource(path="b.nii.gz", phantom=PhantomScan())
+    if was_made:  # and was replaced by hand since
+        ensure_scan(source, tmp_path)
+        made.clear()
+    (tmp_path / "b.nii.gz").write_bytes(b"a scan")
     with pytest.raises(UsageError, match=r"was not made for this recipe.*b\.nii\.gz"):
         ensure_scan(source, tmp_path)
     assert (tmp_path / "b.nii.gz").read_bytes() == b"a scan"
     assert not made
+
+
+@pytest.mark.parametrize("at", ["write_scan", "note_scan"])
+def test_killed_at_any_moment_it_is_made_again(tmp_path, made, monkeypatch, at):
+    source = ScanSource(path="b.nii.gz", phantom=PhantomScan(seed=1))
+    ensure_scan(source, tmp_path)
+    other = source.model_copy(update={"phantom": PhantomScan(seed=2)})
+    whole = getattr(scans, at)
+    for is_before in (True, False):
+
+        def killed(*args, _is_before=is_before, **more):
+            if not _is_before:
+                whole(*args, **more)
+            raise KeyboardInterrupt
+
+        with monkeypatch.context() as patch:
+            patch.setattr(scans, at, killed)
+            with pytest.raises(KeyboardInterrupt):
+                ensure_scan(other, tmp_path)
+        assert not scan_is_made(other, tmp_path)
+    assert ensure_scan(other, tmp_path)
+    assert scan_is_made(other, tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["b.nii.gz", "b.nii.gz.made.json"]
 
 
 def test_a_scan_that_is_not_made_is_left_alone(tmp_path):
