@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.pipeline.cautions import counted
 from heartcase.pipeline.exports.models import TaggedMesh
 from heartcase.pipeline.mesh.decimate import mesh_defects
 from heartcase.pipeline.mesh.extract import shell_volumes
@@ -72,13 +73,13 @@ class PrintCheck:
         lines = []
         if self.self_intersection_mm is not None:
             lines.append(
-                f"the model passes through itself at {_counted(self.self_intersection_count, 'pair')} of triangles, "
+                f"the model passes through itself at {counted(self.self_intersection_count, 'pair')} of triangles, "
                 f"one of them at {_place(self.self_intersection_mm)}: look at the slicer's preview there, or build "
                 "with more triangles"
             )
         if self.shared_edge_count:
             lines.append(
-                f"the model touches itself along {_counted(self.shared_edge_count, 'edge')}, which some slicers call "
+                f"the model touches itself along {counted(self.shared_edge_count, 'edge')}, which some slicers call "
                 "not manifold: let the slicer repair it"
             )
         if self.thin is not None and self.thin.area_fraction >= AREA_SHARE_MIN:
@@ -92,10 +93,10 @@ class PrintCheck:
                 f"({self.thin.largest_patch_cm2:.1f} cm2) around {_place(self.thin.largest_patch_mm)}"
             )
         if self.piece_count > 1:
-            lines.append(f"the model is {_counted(self.piece_count, 'separate piece')}, which will come apart")
+            lines.append(f"the model is {counted(self.piece_count, 'separate piece')}, which will come apart")
         if self.closed_hollow_count:
             lines.append(
-                f"the model has {_counted(self.closed_hollow_count, 'hollow')} without a way out, and support, resin "
+                f"the model has {counted(self.closed_hollow_count, 'hollow')} without a way out, and support, resin "
                 "or powder stays inside: say in the recipe where vessels are cut open ([[ends]]), or cut the model in "
                 "the slicer"
             )
@@ -193,7 +194,3 @@ def _point(values: Float64) -> PointMm:
 
 def _place(point: PointMm) -> str:
     return "({:.1f}, {:.1f}, {:.1f}) mm".format(*point)
-
-
-def _counted(count: int, noun: str) -> str:
-    return f"{count} {noun}" + ("" if count == 1 else "s")
