@@ -365,8 +365,8 @@ def _tissues(phantom: HeartPhantom, points: Float64, caval: bool, in_air: bool) 
     materials(tables, ends, canals, thickness, np.ascontiguousarray(points), material, clearance, hull)
     outside = material == 0
     if in_air:
-        material[outside | (phantom.truth.label(points) == 0)] = LUNG
-        return material, clearance
+        is_tissue = np.isin(phantom.truth.label(points), phantom.truth.table.tissue_values)
+        return np.where(is_tissue, MYOCARDIUM, LUNG).astype(np.uint8), clearance
     side = np.array((-1.0 if phantom.form.is_mirrored else 1.0, 1.0, 1.0))
     material[outside] = _surroundings(points[outside] * side / phantom.scale, hull[outside] / phantom.scale)
     if caval:

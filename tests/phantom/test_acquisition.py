@@ -374,3 +374,18 @@ def test_wrong_artefacts_of_an_mri_are_refused(make, message):
 def test_wrong_settings_of_a_ct_are_refused(adult, lung, settings, message):
     with pytest.raises(UsageError, match=message):
         acquire_ct(adult, lung, **settings)
+
+
+def test_a_specimen_is_its_tissue_in_air_and_its_vessels_are_open(child):
+    geometry = child.scan_geometry(2.0, margin_mm=8.0)
+    found = noise_free(child, geometry, SPECIMEN_UNITS, supersampling=1, in_air=True)
+    labels = child.truth.label(lattice_points(geometry))
+    np.testing.assert_array_equal(found, np.where(np.isin(labels, child.truth.table.tissue_values), 100.0, -1000.0))
+    for end in child.ends:
+        disc, out = np.array(end.position_mm), np.array(end.axis)
+        beyond = geometry.world_to_index(disc[None] + np.arange(0.5, 6.0, 0.5)[:, None] * out)
+        index = np.rint(beyond).astype(int)[:, ::-1]
+        assert (found[tuple(index.T)] == -1000.0).all(), end.label
+    mean = noise_free(child, geometry, SPECIMEN_UNITS, supersampling=3, in_air=True)
+    assert -1000.0 <= mean.min() < mean.max() <= 100.0
+    assert mean.mean() == pytest.approx(found.mean(), abs=3.0)
