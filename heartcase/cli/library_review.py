@@ -62,7 +62,7 @@ def check(directory: Path, out: Path, least_dice: float, surface_mm: float, hole
             (
                 result.name,
                 f"{result.tissue_dice:.3f}",
-                f"{min(result.dice.values(), default=0.0):.3f}",
+                f"{min(result.dice.values()):.3f}" if result.dice else "",
                 f"{result.surface.mean_mm:.2f}",
                 f"{result.surface.percentile_95_mm:.2f}",
                 "; ".join(holes),

@@ -25,6 +25,8 @@ __all__ = ["coronary_landmarks", "incision_landmark"]
 Float64 = npt.NDArray[np.float64]
 _BEYOND_MM = 1.0
 """How much deeper than the wall an incision is planned."""
+_LARGEST_GAP = 6.0
+"""Largest step of a coronary artery's course between two rays, mm of the adult heart."""
 
 
 def incision_landmark(phantom: HeartPhantom, name: IncisionName) -> Landmark:
@@ -59,18 +61,20 @@ def coronary_landmarks(phantom: HeartPhantom) -> tuple[Landmark, ...]:
     places, scale = phantom.anatomy.places, phantom.scale
     mitral, tricuspid = places["mitral valve"], places["tricuspid valve"]
     towards_right = _unit(tricuspid - mitral)
-    around = np.radians(np.linspace(-65.0, 165.0, 24))
     front = _unit(np.cross(LONG_AXIS, towards_right))
     front = front if front[1] < 0.0 else -front
-    right = tricuspid + 2.0 * scale * LONG_AXIS, [np.cos(a) * towards_right - np.sin(a) * front for a in around]
-    left = (
-        mitral + 2.0 * scale * LONG_AXIS,
-        [-np.cos(a) * towards_right - np.sin(a) * front for a in np.radians(np.linspace(-55.0, 80.0, 15))],
-    )
+
+    def around(valve: Float64, below_mm: float, side: Float64, first: float, last: float) -> Float64:
+        """Where rays from below a valve leave the heart, from the front (-90 degrees) by a side to the back."""
+        angles = np.radians(np.arange(first, last + 1.0, 6.0))[:, None]
+        rays = np.cos(angles) * side - np.sin(angles) * front
+        surface, _ = _exits(phantom, np.repeat((valve + below_mm * scale * LONG_AXIS)[None], len(rays), axis=0), rays)
+        return _longest_run(surface, _LARGEST_GAP * scale)
+
     width = np.sqrt(scale / 1.2)
     lines = {
-        "right coronary artery": (_courses(phantom, *right), 1.95 * width),
-        "left circumflex artery": (_courses(phantom, *left), 1.7 * width),
+        "right coronary artery": (around(tricuspid, 2.0, towards_right, -60.0, 126.0), 1.95 * width),
+        "left circumflex artery": (around(mitral, 8.0, -towards_right, -60.0, 108.0), 1.7 * width),
         "left anterior descending artery": (_groove(phantom), 1.85 * width),
     }
     return tuple(
@@ -135,8 +139,10 @@ def _exits(phantom: HeartPhantom, origins: Float64, directions: Float64) -> tupl
     return points[np.arange(len(first)), first], depth
 
 
-def _courses(phantom: HeartPhantom, origin: Float64, directions: list[Float64]) -> Float64:
-    return _exits(phantom, np.repeat(origin[None], len(directions), axis=0), np.array(directions))[0]
+def _longest_run(points: Float64, gap: float) -> Float64:
+    """The longest part of a line without a step over ``gap``: rays beside each other can end on different chambers."""
+    breaks = 1 + np.flatnonzero(np.linalg.norm(np.diff(points, axis=0), axis=1) > gap)
+    return max(np.split(points, breaks), key=len)
 
 
 def _groove(phantom: HeartPhantom) -> Float64:
@@ -151,7 +157,7 @@ def _groove(phantom: HeartPhantom) -> Float64:
         is_left = np.abs(fields[:, 8]) < 0.6 * scale
         if is_left.any():
             found.append(surface[int(np.argmax(is_left))])
-    return np.array(found)
+    return _longest_run(np.array(found), 2.0 * _LARGEST_GAP * scale)
 
 
 def _rounded(points: Float64) -> tuple[tuple[float, float, float], ...]:
