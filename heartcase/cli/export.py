@@ -72,11 +72,13 @@ class _Export:
         return find_source(self.scan, self.manifest, series=self.series)
 
     def surface(self, model: str) -> TaggedMesh:
-        """The hollow or the solid model."""
-        from heartcase.pipeline.exports.models import hollow_model, solid_model, walls_smoothing_mm
+        """The hollow model, the solid one, or the vessels."""
+        from heartcase.pipeline.exports.models import hollow_model, solid_model, vessels_model, walls_smoothing_mm
 
         if model == "hollow":
             return hollow_model(self.bundle, level=self.level)
+        if model == "vessels":
+            return vessels_model(self.bundle)
         return solid_model(self.labels(), smoothing_mm=walls_smoothing_mm(self.bundle))
 
 
@@ -117,6 +119,7 @@ _WITH_SCAN = (".seg.nrrd", ".dcm")
 MODELS: dict[str, tuple[str, ...]] = {
     "hollow": (".stl", ".ply", ".3mf", ".glb", ".vtu", ".vtk"),
     "solid": (".stl", ".ply", ".3mf", ".vtu", ".vtk"),
+    "vessels": (".stl", ".ply", ".3mf", ".vtu", ".vtk"),
     "cells": (".inp", ".msh", ".vtu", ".vtk"),
 }
 """Model -> endings that can hold it; where --model is left out, the first model that an ending holds is written."""
@@ -140,20 +143,26 @@ class _Made:
 
 
 def _printed(export: _Export, model: str, suffix: str, min_thickness_mm: float) -> _Made:
-    """A hollow or solid model for a printer, checked."""
+    """A model for a printer, checked."""
     from heartcase.pipeline.exports.print_check import check_for_printing
     from heartcase.pipeline.exports.print_files import ply_bytes, three_mf_bytes
 
+    what = _called(model)
     mesh = export.surface(model)
     check = check_for_printing(mesh, min_thickness_mm=min_thickness_mm)
     if suffix == ".ply":
         content = ply_bytes(mesh, case_id=export.case_id)
     elif suffix == ".3mf":
-        content = three_mf_bytes(mesh, title=f"{model} model of case {export.case_id}")
+        content = three_mf_bytes(mesh, title=f"{what.removeprefix('the ')} of case {export.case_id}")
     else:
         comment = f"SPACE=LPS; patient LPS, mm; case {export.case_id}"
         content = SURFACE_FORMATS[suffix](mesh.vertices_mm, mesh.normals, mesh.triangles, mesh.colours, comment)
-    return _Made(content, f"the {model} model", {"print_check": asdict(check)}, (*mesh.warnings, *check.warnings))
+    return _Made(content, what, {"print_check": asdict(check)}, (*mesh.warnings, *check.warnings))
+
+
+def _called(model: str) -> str:
+    """A model in words."""
+    return "the vessels" if model == "vessels" else f"the {model} model"
 
 
 def _view(export: _Export) -> _Made:
@@ -174,7 +183,7 @@ def _for_meshio(export: _Export, model: str, suffix: str) -> _Made:
         cells = grid_hexahedra(export.bundle)
         return _Made(hexahedra_bytes(cells, suffix), f"{len(cells.hexahedra):,} hexahedra")
     mesh = export.surface(model)
-    return _Made(surface_bytes(mesh, suffix), f"the surface of the {model} model", warnings=mesh.warnings)
+    return _Made(surface_bytes(mesh, suffix), f"the surface of {_called(model)}", warnings=mesh.warnings)
 
 
 def _suffix_of(name: str) -> str:
@@ -210,7 +219,7 @@ def _problems(
         problems.append(Problem("--scan", f"serves only for {' and '.join(_WITH_SCAN)}: leave it out"))
     if model is not None and suffix not in MODELS[model]:
         held = [name for name, endings in MODELS.items() if suffix in endings]
-        holds = f"{' or '.join(held)}" if held else "labels, and no model: leave it out"
+        holds = ", ".join(held) if held else "labels, and no model: leave it out"
         problems.append(Problem("--model", f"{suffix} holds {holds}; {model} is written as {', '.join(MODELS[model])}"))
     if min_thickness_mm is not None and suffix not in _PRINTED:
         problems.append(Problem("--min-thickness-mm", f"serves only for {', '.join(_PRINTED)}: leave it out"))
@@ -232,8 +241,9 @@ def _problems(
 @click.option(
     "--model",
     type=click.Choice(list(MODELS)),
-    help="hollow: the tissue, with open chambers. solid: the blood, as a cast. cells: the simulation grid as "
-    "hexahedra. Left out, it is hollow, and cells for .inp and .msh.",
+    help="hollow: the tissue, with open chambers. solid: the blood, as a cast. vessels: landmarks that are vessels, "
+    "such as coronary arteries, as tubes. cells: the simulation grid as hexahedra. Left out, it is hollow, and cells "
+    "for .inp and .msh.",
 )
 @click.option(
     "--min-thickness-mm",

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from heartcase.phantom.anatomy import mirrored
 from heartcase.phantom.axes import LONG_AXIS, SEPTUM_AXIS, UPWARD_AXIS
+from heartcase.phantom.shapes import Tube
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.heart_form import IncisionName
 from heartcase.schemas.landmarks import Landmark
@@ -20,7 +21,7 @@ from heartcase.schemas.landmarks import Landmark
 if TYPE_CHECKING:
     from heartcase.phantom.heart import HeartPhantom
 
-__all__ = ["coronary_landmarks", "incision_landmark"]
+__all__ = ["coronary_arteries", "coronary_landmarks", "incision_landmark"]
 
 Float64 = npt.NDArray[np.float64]
 _BEYOND_MM = 1.0
@@ -81,6 +82,14 @@ def coronary_landmarks(phantom: HeartPhantom) -> tuple[Landmark, ...]:
         Landmark(name=name, kind="polyline", points_mm=_rounded(line), radius_mm=round(float(radius), 2))
         for name, (line, radius) in lines.items()
     )
+
+
+def coronary_arteries(phantom: HeartPhantom) -> dict[str, Tube]:
+    """The coronary arteries as shapes: name -> a tube with the exact signed distance to its wall's outside, mm."""
+    return {
+        one.name: Tube(np.array(one.points_mm), np.full(len(one.points_mm), one.radius_mm))
+        for one in coronary_landmarks(phantom)
+    }
 
 
 def _rays(phantom: HeartPhantom, name: IncisionName) -> tuple[Float64, Float64]:

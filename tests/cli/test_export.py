@@ -111,13 +111,32 @@ def case(built):
     return values.transpose(2, 1, 0), manifest, path
 
 
+VESSELS = """
+[[landmarks]]
+name = "right coronary artery"
+kind = "polyline"
+points_mm = [[12, 0, 0], [8, 9, 2], [0, 12, 4]]
+radius_mm = 1.5
+[[landmarks]]
+name = "great cardiac vein"
+kind = "polyline"
+points_mm = [[-12, 0, 0], [-12, 0, 10]]
+radius_mm = 1
+[[landmarks]]
+name = "incision"
+kind = "polyline"
+points_mm = [[0, 0, 12], [4, 0, 12]]
+depth_mm = 3
+"""
+
+
 @pytest.fixture(scope="module")
 def whole(built):
     """A case of the same scan with a surface too."""
     text = RECIPE.replace('name = "finished"', 'name = "whole"').replace(
         '["labels"]', '["labels", "surface", "render"]'
     )
-    (built / "whole.toml").write_text(text + "[surface]\ntriangle_count = 4000\nnormal_map_size = 0\n")
+    (built / "whole.toml").write_text(text + "[surface]\ntriangle_count = 4000\nnormal_map_size = 0\n" + VESSELS)
     return build_case(load_recipe(built / "whole.toml"), directory=built, out=built).case
 
 
@@ -264,7 +283,11 @@ def test_a_corrected_segmentation_reruns_only_what_follows(built):
 
 
 MODELS = [
-    *((model, suffix) for model in ("hollow", "solid") for suffix in (".stl", ".ply", ".3mf", ".vtu", ".vtk")),
+    *(
+        (model, suffix)
+        for model in ("hollow", "solid", "vessels")
+        for suffix in (".stl", ".ply", ".3mf", ".vtu", ".vtk")
+    ),
     *(("cells", suffix) for suffix in (".inp", ".msh", ".vtu", ".vtk")),
     ("hollow", ".glb"),
 ]
@@ -352,6 +375,29 @@ def _table_and_geometry(case, directory):
     return manifest.labels, manifest.scan_geometry
 
 
+def test_vessels_are_surfaces_of_their_own(whole, tmp_path, capsys):
+    assert export(whole, tmp_path / "x.ply", "--model", "vessels") == 0
+    solid = trimesh.load(tmp_path / "x.ply", process=False)
+    parts = solid.split()
+    assert len(parts) == 2
+    straight = min(parts, key=lambda part: part.centroid[0])
+    # Of a circle's area a regular polygon of 16 sides has 0.974.
+    assert straight.volume == pytest.approx(np.pi * 10.0 + 4.0 / 3.0 * np.pi, rel=0.04)
+    np.testing.assert_allclose(straight.bounds, [[-13, -1, -1], [-11, 1, 11]], atol=0.05)
+    said = capsys.readouterr()
+    assert "wrote the vessels to x.ply" in said.out
+    content = (tmp_path / "x.ply").read_bytes()
+    assert b"label 1 right coronary artery" in content
+    assert b"label 2 great cardiac vein" in content
+    assert b"incision" not in content
+
+
+def test_a_case_without_vessels_is_told(case, tmp_path, capsys):
+    assert export(case[2], tmp_path / "x.stl", "--model", "vessels") == 2
+    assert "--model: the case has no vessels of their own" in capsys.readouterr().err
+    assert not (tmp_path / "x.stl").exists()
+
+
 def test_thin_walls_are_warned_of_and_written_all_the_same(whole, tmp_path, capsys):
     assert export(whole, tmp_path / "x.stl", "--min-thickness-mm", 3, "--json") == 0
     said = capsys.readouterr()
@@ -385,7 +431,7 @@ def test_the_grid_as_hexahedra_has_the_volumes_of_the_case(whole, tmp_path):
 
 
 WRONG = [
-    (("x.stl", "--model", "cells"), "--model: .stl holds hollow or solid; cells is written as .inp, .msh, .vtu, .vtk"),
+    (("x.stl", "--model", "cells"), "--model: .stl holds hollow, solid, vessels; cells is written as .inp, .msh, .vtu, .vtk"),
     (
         ("x.inp", "--model", "hollow"),
         "--model: .inp holds cells; hollow is written as .stl, .ply, .3mf, .glb, .vtu, .vtk",

@@ -24,6 +24,7 @@ from heartcase.library.catalogue.oxygenation import Oxygen, oxygenation
 from heartcase.library.catalogue.pages import words_script
 from heartcase.library.catalogue.site import write_catalogue
 from heartcase.library.catalogue.words import WORDS
+from heartcase.phantom.shapes import Tube
 from heartcase.schemas.bundle_reader import open_bundle
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.labels import Label, LabelTable, Role, default_label_table
@@ -409,6 +410,35 @@ def test_the_script_holds_the_surface_of_the_case(library):
     page = Page((cases / "catalogue/cases/one.html").read_text())
     boxes = [attrs for attrs in page.all("input") if "data-group" in attrs]
     assert len(boxes) == len(data["groups"])
+
+
+def test_vessels_are_structures_that_carry_the_aortas_blood(library):
+    line = [[12.0, 0.0, 0.0], [8.0, 9.0, 2.0], [0.0, 12.0, 4.0]]
+    vessel = {"kind": "polyline", "points_mm": line, "radius_mm": 1.5}
+    landmarks = [
+        {"name": "right coronary artery", **vessel},
+        {"name": "great cardiac vein", **vessel},
+        {"name": "incision", "kind": "polyline", "points_mm": line, "depth_mm": 3.0},
+    ]
+    cases = library("one", about=about(), landmarks=landmarks)
+    library("without", about=about())
+    write_catalogue(cases)
+    data, plain = (handed_over((cases / f"catalogue/mesh/{name}.js").read_text()) for name in ("one", "without"))
+    assert len(data["groups"]) == len(plain["groups"]) + 2
+    artery, vein = data["groups"][-2:]
+    assert artery["structure"] == vein["structure"]
+    assert artery["blood"] == "rich"
+    assert vein["blood"] == "unknown"
+    assert [one["name"] for one in data["landmarks"]] == ["incision"]
+    low, step = np.array(data["low"]), np.array(data["step"])
+    positions = low + step * np.frombuffer(base64.b64decode(data["positions"]), "<u2").reshape(-1, 3)
+    indices = np.frombuffer(base64.b64decode(data["indices"]), f"<u{data['indexBytes']}").astype(int)
+    own = positions[np.unique(indices[artery["first"] : artery["first"] + artery["count"]])]
+    exact = Tube(np.array(line), np.full(3, 1.5))
+    np.testing.assert_allclose(exact.distance(own), 0.0, atol=step.max())
+    page = Page((cases / "catalogue/cases/one.html").read_text())
+    assert len([attrs for attrs in page.all("input") if "data-group" in attrs]) == len(data["groups"])
+    assert "right coronary artery, vessel" in page.text
 
 
 def test_a_surface_too_large_for_a_page_is_shown_in_pictures_alone(library, monkeypatch):

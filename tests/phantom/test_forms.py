@@ -5,10 +5,12 @@ from functools import cache
 import numpy as np
 import pytest
 from scipy import ndimage
+from scipy.spatial import cKDTree
 
 from heartcase.phantom.axes import LONG_AXIS
 from heartcase.phantom.heart import HeartPhantom
-from heartcase.phantom.surface_lines import coronary_landmarks, incision_landmark
+from heartcase.phantom.surface_lines import coronary_arteries, coronary_landmarks, incision_landmark
+from heartcase.pipeline.mesh.tubes import vessel_tubes
 from heartcase.schemas.heart_form import Baffle, DefectKind, HeartDefect, HeartForm
 from tests.phantom.conftest import lattice_points
 from tests.phantom.test_heart import assert_distance_by_labels
@@ -255,6 +257,21 @@ def test_coronary_arteries_run_on_the_heart():
     descending = np.array(lines["left anterior descending artery"].points_mm)
     assert np.linalg.norm(descending[-1] - apex) < np.linalg.norm(descending[0] - apex) - 10.0
     assert np.array(lines["right coronary artery"].points_mm)[:, 0].min() < descending[:, 0].min()
+
+
+def test_coronary_arteries_are_surfaces_of_their_own():
+    phantom = phantom_of(NEWBORN)
+    shapes = coronary_arteries(phantom)
+    meshes = vessel_tubes(coronary_landmarks(phantom))
+    assert list(shapes) == list(meshes)
+    random = np.random.default_rng(3)
+    for landmark in coronary_landmarks(phantom):
+        shape, mesh = shapes[landmark.name], meshes[landmark.name]
+        assert np.abs(shape.distance(mesh.vertices_mm.astype(float))).max() < 1e-3
+        points = mesh.vertices_mm[::20] + random.uniform(-4.0, 4.0, (len(mesh.vertices_mm[::20]), 3))
+        dense = shape.line(np.linspace(0.0, shape.length_mm, 40_001))
+        apart, _ = cKDTree(dense).query(points)
+        np.testing.assert_allclose(shape.distance(points), apart - landmark.radius_mm, atol=1e-3)
 
 
 TABLES = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 from heartcase.library.catalogue.oxygenation import Oxygen
 from heartcase.schemas.labels import Label, LabelTable
 
-__all__ = ["OXYGEN_COLOURS", "RIM_COLOUR", "SAFE_RIM_COLOUR", "safe_colour"]
+__all__ = ["OXYGEN_COLOURS", "RIM_COLOUR", "SAFE_RIM_COLOUR", "SAFE_VESSEL_COLOUR", "safe_colour"]
 
 OXYGEN_COLOURS = {
     Oxygen.RICH: "#d0312d",
@@ -20,6 +20,7 @@ SAFE_RIM_COLOUR = "#303030"
 
 _VERMILION, _ORANGE, _YELLOW, _GREEN = "#d55e00", "#e69f00", "#f0e442", "#009e73"
 _BLUE, _SKY, _PURPLE, _GREY = "#0072b2", "#56b4e9", "#cc79a7", "#a8a8a8"
+SAFE_VESSEL_COLOUR = _PURPLE
 _SAFE = {
     "morphologically left ventricle": _VERMILION,
     "morphologically right ventricle": _BLUE,

@@ -8,14 +8,22 @@ from __future__ import annotations
 
 import base64
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.library.catalogue.colours import OXYGEN_COLOURS, RIM_COLOUR, SAFE_RIM_COLOUR, safe_colour
+from heartcase.library.catalogue.colours import (
+    OXYGEN_COLOURS,
+    RIM_COLOUR,
+    SAFE_RIM_COLOUR,
+    SAFE_VESSEL_COLOUR,
+    safe_colour,
+)
 from heartcase.library.catalogue.oxygenation import Oxygen, Oxygenation
+from heartcase.pipeline.mesh.tubes import VESSEL_COLOUR, TubeMesh
 from heartcase.pipeline.report.views import four_chamber_view, places_of, short_axis_view
 from heartcase.schemas.bundle_reader import OpenBundle
 from heartcase.schemas.labels import BACKGROUND, LabelTable
@@ -25,8 +33,10 @@ from heartcase.schemas.surface_kinds import SurfaceKind
 __all__ = [
     "PACKED_MAX",
     "Group",
+    "GroupLook",
     "PackedMesh",
     "SurfaceArrays",
+    "group_look",
     "landmark_lines",
     "mesh_script",
     "pack",
@@ -43,6 +53,8 @@ _FOLDED = 127
 _RING_POINTS = 48
 _RIM = 255
 """Group number of rims; label values end at 250."""
+_VESSEL = 251
+"""Group number of all vessels that have a surface of their own."""
 
 Bytes = npt.NDArray[np.uint8]
 
@@ -70,11 +82,11 @@ class Group:
     """The triangles of one structure."""
 
     number: int
-    """Label value; 255 for rims of defects."""
+    """Label value; 255 for rims of defects, 251 for vessels with a surface of their own."""
     name: str
-    """Name of the label; empty for rims."""
+    """Name of the label or vessel; empty for rims."""
     part: str
-    """``inside`` of a cavity, ``outside`` of tissue, ``device`` or ``rim``."""
+    """``inside`` of a cavity, ``outside`` of tissue, ``device``, ``vessel`` or ``rim``."""
     first: int
     """Place of its first vertex number among all."""
     count: int
@@ -98,7 +110,21 @@ class PackedMesh:
     index_bytes: int
     """2 or 4: bytes of a vertex number."""
     groups: tuple[Group, ...]
-    """By number."""
+    """By number; vessels stand last."""
+
+
+@dataclass(frozen=True)
+class GroupLook:
+    """Colours of a structure in the three modes of the viewer, ``#rrggbb``, and its oxygenation."""
+
+    structure: str
+    safe: str
+    blood: Oxygen
+
+    @property
+    def oxygen(self) -> str:
+        """Colour by oxygenation."""
+        return OXYGEN_COLOURS[self.blood]
 
 
 def viewer_levels(bundle: OpenBundle) -> tuple[int, ...]:
@@ -122,9 +148,19 @@ def surface_of(bundle: OpenBundle, level: int) -> SurfaceArrays:
     return SurfaceArrays(vertices, normals, triangles, void, tissue, arrays.get("triangle_kind"))
 
 
-def pack(surface: SurfaceArrays, table: LabelTable) -> PackedMesh:
-    """Pack a surface; its error along each axis is at most half a step (and half of float32's last digit)."""
-    points = surface.vertices_mm.astype(np.float64)
+def pack(surface: SurfaceArrays, table: LabelTable, vessels: Mapping[str, TubeMesh] | None = None) -> PackedMesh:
+    """Pack a surface; its error along each axis is at most half a step (and half of float32's last digit).
+
+    Parameters
+    ----------
+    surface, table
+        The heart, and what its labels stand for.
+    vessels
+        Name -> surface of a vessel that stands beside the heart's.
+    """
+    vessels = vessels or {}
+    points = np.concatenate([surface.vertices_mm, *(tube.vertices_mm for tube in vessels.values())]).astype(np.float64)
+    normals = np.concatenate([surface.normals, *(tube.normals for tube in vessels.values())])
     low = points.min(axis=0)
     # Something flat along an axis has no extent there.
     step = np.maximum((points.max(axis=0) - low) / _STEPS, 1e-9)
@@ -132,15 +168,21 @@ def pack(surface: SurfaceArrays, table: LabelTable) -> PackedMesh:
     number = _numbers(surface)
     order = np.argsort(number, kind="stable")
     index_bytes = 2 if len(points) <= 1 << 16 else 4
-    indices = surface.triangles[order].astype(f"<u{index_bytes}")
+    indices = [surface.triangles[order]]
     groups, first = [], 0
     for value, triangles in zip(*np.unique(number, return_counts=True), strict=True):
         count = 3 * int(triangles)
         groups.append(Group(int(value), *_name_and_part(int(value), table), first, count))
         first += count
+    vertex = len(surface.vertices_mm)
+    for name, tube in vessels.items():
+        indices.append(tube.triangles + vertex)
+        groups.append(Group(_VESSEL, name, "vessel", first, tube.triangles.size))
+        first += tube.triangles.size
+        vertex += len(tube.vertices_mm)
     return PackedMesh(
-        _three(low), _three(step), positions.tobytes(), _folded(surface.normals).tobytes(), indices.tobytes(),
-        index_bytes, tuple(groups),
+        _three(low), _three(step), positions.tobytes(), _folded(normals).tobytes(),
+        np.concatenate(indices).astype(f"<u{index_bytes}").tobytes(), index_bytes, tuple(groups),
     )  # fmt: skip
 
 
@@ -174,9 +216,14 @@ def _folded(normals: npt.NDArray[np.float32]) -> npt.NDArray[np.int8]:
 
 
 def landmark_lines(landmarks: tuple[Landmark, ...]) -> list[dict[str, Any]]:
-    """Landmarks as points and lines that can be drawn: rings given by a centre become closed lines."""
+    """Landmarks as points and lines that can be drawn: rings given by a centre become closed lines.
+
+    Vessels are not among them: they have a surface.
+    """
     lines = []
     for one in landmarks:
+        if one.kind == "polyline" and one.radius_mm is not None:
+            continue
         points = np.array(one.points_mm, dtype=float)
         closed = one.kind == "ring"
         if closed and len(points) == 1 and one.axis is not None and one.radius_mm is not None:
@@ -202,26 +249,33 @@ def _circle(centre: npt.NDArray[np.float64], axis: npt.NDArray[np.float64], radi
     return circle
 
 
+def group_look(group: Group, table: LabelTable, blood: Oxygenation) -> GroupLook:
+    """How a structure is coloured; arteries on the heart carry the aorta's blood."""
+    if group.part == "rim":
+        return GroupLook(RIM_COLOUR, SAFE_RIM_COLOUR, Oxygen.MIXED)
+    if group.part == "vessel":
+        aorta = next((one.value for one in table if one.term is not None and one.term.name == "aorta"), BACKGROUND)
+        carried = blood.of_label.get(aorta, Oxygen.UNKNOWN) if "artery" in group.name.lower() else Oxygen.UNKNOWN
+        return GroupLook(VESSEL_COLOUR, SAFE_VESSEL_COLOUR, carried)
+    label = table[group.number]
+    return GroupLook(label.colour, safe_colour(label, table), blood.of_label.get(group.number, Oxygen.UNKNOWN))
+
+
 def mesh_script(
     mesh: PackedMesh, surface: SurfaceArrays, table: LabelTable, landmarks: tuple[Landmark, ...], blood: Oxygenation
 ) -> str:
     """The script that hands a mesh, its colours, landmarks and cuts to the viewer."""
     groups = []
     for group in mesh.groups:
-        if group.part == "rim":
-            colour, safe, oxygen = RIM_COLOUR, SAFE_RIM_COLOUR, Oxygen.MIXED
-        else:
-            label = table[group.number]
-            colour, safe = label.colour, safe_colour(label, table)
-            oxygen = blood.of_label.get(group.number, Oxygen.UNKNOWN)
+        look = group_look(group, table, blood)
         groups.append(
             {
                 "first": group.first,
                 "count": group.count,
-                "structure": colour,
-                "oxygen": OXYGEN_COLOURS[oxygen],
-                "blood": oxygen.value,
-                "safe": safe,
+                "structure": look.structure,
+                "oxygen": look.oxygen,
+                "blood": look.blood.value,
+                "safe": look.safe,
             }
         )
     data = {

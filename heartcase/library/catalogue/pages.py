@@ -8,9 +8,9 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
-from heartcase.library.catalogue.colours import OXYGEN_COLOURS, RIM_COLOUR
+from heartcase.library.catalogue.colours import OXYGEN_COLOURS
 from heartcase.library.catalogue.entries import Entry
-from heartcase.library.catalogue.mesh_data import PackedMesh, script_call
+from heartcase.library.catalogue.mesh_data import PackedMesh, group_look, script_call
 from heartcase.library.catalogue.oxygenation import Oxygen, Oxygenation
 from heartcase.library.catalogue.pictures import PICTURE_SIZE
 from heartcase.library.catalogue.words import INTERFACE_LANGUAGES, LANGUAGE_NAMES, WORDS
@@ -58,10 +58,8 @@ def case_page(
     manifest, table = entry.manifest, entry.manifest.labels
     groups = []
     for group in mesh.groups if mesh else ():
-        is_rim = group.part == "rim"
-        kind = Oxygen.MIXED if is_rim else blood.of_label.get(group.number, Oxygen.UNKNOWN)
-        colour = RIM_COLOUR if is_rim else table[group.number].colour
-        groups.append({"name": group.name, "part": group.part, "colour": colour, "blood": kind.value})
+        look = group_look(group, table, blood)
+        groups.append({"name": group.name, "part": group.part, "colour": look.structure, "blood": look.blood.value})
     texts = [
         (language, text.model_dump())
         for language, text in sorted(entry.about.texts.items(), key=lambda item: (item[0] != "en", item[0]))

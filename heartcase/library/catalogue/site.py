@@ -31,6 +31,7 @@ from heartcase.library.catalogue.oxygenation import oxygenation
 from heartcase.library.catalogue.pages import case_page, index_page, index_script, list_page, words_script
 from heartcase.library.catalogue.pictures import case_pictures
 from heartcase.library.catalogue.words import INTERFACE_LANGUAGES
+from heartcase.pipeline.mesh.tubes import vessel_tubes
 from heartcase.schemas.bundle import MANIFEST_NAME
 from heartcase.schemas.errors import HeartcaseError, Problem, UsageError
 from heartcase.schemas.files import exclusive, remove_leftovers
@@ -38,6 +39,8 @@ from heartcase.schemas.files import exclusive, remove_leftovers
 __all__ = ["CatalogueResult", "write_catalogue"]
 
 _PACKAGE = Path(__file__).parent
+_VESSEL_SIDES = 12
+"""Sides of a vessel in the viewer."""
 _ASSETS = ("style.css", "catalogue.js", "finder.js", "viewer-math.js", "viewer-scene.js", "viewer.js")
 
 
@@ -190,10 +193,11 @@ class _Run:
         name, bundle, table = entry.name, entry.bundle, entry.manifest.labels
         content: dict[str, bytes] = {}
         blood = oxygenation(table, entry.manifest.quality.get("openings"))
+        vessels = vessel_tubes(entry.landmarks, side_count=_VESSEL_SIDES)
         mesh, cuts, cut_source = None, [], ""
         for level in viewer_levels(bundle):
             surface = surface_of(bundle, level)
-            packed = pack(surface, table)
+            packed = pack(surface, table, vessels)
             script = mesh_script(packed, surface, table, entry.landmarks, blood).encode()
             if len(script) <= PACKED_MAX:
                 mesh, content[f"mesh/{name}.js"] = packed, script

@@ -114,6 +114,7 @@ WORDS: dict[str, tuple[str, str]] = {
     "inside": ("inside", "innen"),
     "outside": ("outside", "außen"),
     "device": ("device", "Implantat"),
+    "vessel": ("vessel", "Gefäß"),
     "rim": ("Rim of a defect", "Rand eines Defekts"),
     "landmarks": ("Landmarks and incisions", "Landmarken und Inzisionen"),
     "show_landmarks": ("Show landmarks and incisions", "Landmarken und Inzisionen zeigen"),

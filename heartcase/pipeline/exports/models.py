@@ -1,7 +1,8 @@
-"""The two closed surfaces of a case that can be printed: the tissue as it is, and the blood as a cast.
+"""The closed surfaces of a case that can be printed: the tissue as it is, the blood as a cast, vessels on the heart.
 
 What printers call a *hollow* model is the tissue: walls around open chambers. A *solid* model is the blood in the
-chambers and vessels, filled, as if it had been cast and the heart taken off.
+chambers and vessels, filled, as if it had been cast and the heart taken off. The *vessels* are those that the case
+knows as lines with a radius, such as coronary arteries: too thin for the grid, and surfaces of their own.
 """
 
 from __future__ import annotations
@@ -14,16 +15,17 @@ from pydantic import ValidationError
 
 from heartcase.pipeline.data import Segmentation, Structures
 from heartcase.pipeline.distance import label_distances
+from heartcase.pipeline.mesh.tubes import VESSEL_COLOUR, vessel_tubes
 from heartcase.pipeline.surface import build_surface
 from heartcase.pipeline.walls import resolve_walls
 from heartcase.schemas.bundle import FileRole
 from heartcase.schemas.bundle_reader import OpenBundle
-from heartcase.schemas.errors import StageError
+from heartcase.schemas.errors import StageError, UsageError
 from heartcase.schemas.labels import BACKGROUND, Label, LabelTable, Role
 from heartcase.schemas.settings import SurfaceSettings, WallsSettings
 from heartcase.schemas.surface_kinds import plain_kinds
 
-__all__ = ["TaggedMesh", "hollow_model", "solid_model", "walls_smoothing_mm"]
+__all__ = ["TaggedMesh", "hollow_model", "solid_model", "vessels_model", "walls_smoothing_mm"]
 
 Float32 = npt.NDArray[np.float32]
 Int32 = npt.NDArray[np.int32]
@@ -164,6 +166,43 @@ def solid_model(labels: Segmentation, *, smoothing_mm: float | None = None) -> T
             f"the cast lacks the {labels.table[int(value)].name}, which is too small for it"
             for value in np.setdiff1d(np.intersect1d(bare, blood), surface.triangle_tissue)
         ),
+    )
+
+
+def vessels_model(bundle: OpenBundle) -> TaggedMesh:
+    """The vessels that a case knows as lines with a radius, each closed, with a label of its own from 1 up.
+
+    Raises
+    ------
+    UsageError
+        It knows none.
+    """
+    tubes = vessel_tubes(bundle.manifest.landmarks)
+    if not tubes:
+        raise UsageError(
+            "the case has no vessels of their own: give the recipe landmarks of kind 'polyline' with a radius_mm",
+            place="--model",
+        )
+    labels = [Label(value=BACKGROUND, name="background", role=Role.BACKGROUND)]
+    vertices, normals, triangles, tissue = [], [], [], []
+    first = 0
+    # A label volume ends at 250; nobody draws as many vessels.
+    for value, (name, tube) in enumerate(list(tubes.items())[:250], start=1):
+        labels.append(Label(value=value, name=name, role=Role.WALL, colour=VESSEL_COLOUR))
+        vertices.append(tube.vertices_mm)
+        normals.append(tube.normals)
+        triangles.append(tube.triangles + np.int32(first))
+        tissue.append(np.full(len(tube.triangles), value, np.uint8))
+        first += len(tube.vertices_mm)
+    tags = np.concatenate(tissue)
+    return TaggedMesh(
+        vertices_mm=np.concatenate(vertices),
+        normals=np.concatenate(normals),
+        triangles=np.concatenate(triangles),
+        triangle_label=np.zeros_like(tags),
+        triangle_tissue=tags,
+        triangle_is_cut=np.zeros_like(tags),
+        table=LabelTable(labels=tuple(labels)),
     )
 
 
