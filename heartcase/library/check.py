@@ -35,6 +35,8 @@ _SAMPLE_COUNT = 3000
 _TOLERANCE_MM = 0.03
 _BEYOND_MM = 6.0
 """How far beyond a canal's true wall its wall in the case is looked for."""
+_RIM_MM = 0.75
+"""Least length along the axis on which a hole's wall is one, in a direction."""
 _STEP_MM = 0.05
 _LEAST_PIECE, _LEAST_PART = 30, 10
 """Voxels below which a piece of blood, and a cavity's part in one, is a speck."""
@@ -194,16 +196,16 @@ def _defect_check(
     mesh = pyvista.PolyData(surface[0], triangles)
     # Seen along the axis: the nearest wall in each direction, so that a septum a little before or behind is no gap.
     shape = (len(along), len(turn))
-    # Seen along the axis: the nearest wall in each direction, so that a septum a little before or behind is no gap.
-    shape = (len(along), len(turn))
     true_diameter = 2.0 * float(np.sqrt(canal.area_mm2 / np.pi))
     within = np.flatnonzero(own.reshape(shape).any(axis=1))
     if not len(within) or len(mesh.ray_trace(start[within[0] * shape[1]], start[within[-1] * shape[1]])[0]):
         return DefectCheck(kind, true_diameter, None, None)
+    least = max(1, round(_RIM_MM / (canal.length_mm / (len(along) - 1))))
     true_reach, wall = [], []
     for direction in range(shape[1]):
         places = np.flatnonzero(own.reshape(shape)[:, direction])
-        if not len(places):
+        # A wall that fewer rays meet is a rim seen edge on, where two holes run into each other: it has no one place.
+        if len(places) < least:
             continue
         nearest = reach[first.reshape(shape)[places, direction]].min() - 0.5 * _STEP_MM
         found = nearest + _BEYOND_MM
@@ -236,5 +238,6 @@ def problems_of(check: CaseCheck, *, least_dice: float, surface_mm: float, diame
         if defect.diameter_error_mm is None:
             problems.append(f"there is no {defect.kind} hole")
         elif abs(defect.diameter_error_mm) > diameter_mm:
-            problems.append(f"the {defect.kind} hole is {defect.diameter_error_mm:+.1f} mm wider than in truth")
+            than = "wider" if defect.diameter_error_mm > 0.0 else "narrower"
+            problems.append(f"the {defect.kind} hole is {abs(defect.diameter_error_mm):.1f} mm {than} than in truth")
     return problems

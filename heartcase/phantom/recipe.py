@@ -56,7 +56,7 @@ def recipe_text(phantom: HeartPhantom, *, name: str, scan_path: str, command: st
         *_label_lines(phantom),
         *_stroke_lines(phantom),
         *_end_lines(phantom),
-        *_landmark_lines(phantom.landmarks),
+        *_landmark_lines((*phantom.landmarks, *coronary_landmarks(phantom))),
     ]
     return "\n".join(lines).rstrip("\n") + "\n"
 

@@ -431,7 +431,10 @@ def test_the_grid_as_hexahedra_has_the_volumes_of_the_case(whole, tmp_path):
 
 
 WRONG = [
-    (("x.stl", "--model", "cells"), "--model: .stl holds hollow, solid, vessels; cells is written as .inp, .msh, .vtu, .vtk"),
+    (
+        ("x.stl", "--model", "cells"),
+        "--model: .stl holds hollow, solid, vessels; cells is written as .inp, .msh, .vtu, .vtk",
+    ),
     (
         ("x.inp", "--model", "hollow"),
         "--model: .inp holds cells; hollow is written as .stl, .ply, .3mf, .glb, .vtu, .vtk",

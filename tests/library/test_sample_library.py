@@ -6,6 +6,7 @@ import json
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from heartcase.cli.main import main
@@ -14,6 +15,15 @@ from heartcase.schemas.recipe import load_recipe
 
 SAMPLES = Path(__file__).parents[2] / "sample_cases"
 MADE = [path for path in sorted(SAMPLES.glob("*.toml")) if "[scan.phantom]" in path.read_text()]
+
+
+@pytest.mark.parametrize("path", MADE, ids=lambda path: path.stem)
+def test_a_sample_cases_coronary_arteries_are_lines_without_a_jump(path):
+    lines = [one for one in load_recipe(path).landmarks if one.kind == "polyline" and one.radius_mm is not None]
+    assert len(lines) == 3
+    for line in lines:
+        steps = np.linalg.norm(np.diff(line.points_mm, axis=0), axis=1)
+        assert steps.max() < 0.2 * steps.sum(), line.name
 
 
 @pytest.mark.slow
@@ -27,8 +37,6 @@ def test_a_sample_case_is_what_its_diagnosis_says_and_stands_handling(path, tmp_
     check = check_case(case, recipe.scan.phantom)
     assert check.joined == check.joined_truly
     assert not problems_of(check, least_dice=0.85, surface_mm=1.0, diameter_mm=2.0)
-    if recipe.scan.phantom.heart.body_surface_m2 is None:
-        return
     capfd.readouterr()
     assert main(["simulate", str(case), "--script", str(SAMPLES / "handling.toml"), "--json"]) == 0
     told = json.loads(capfd.readouterr().out)
