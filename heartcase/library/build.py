@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import contextlib
 import os
+import time
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,6 +40,10 @@ _ATTEMPTS = 3
 """Workers that may be killed by a case before it counts as failed."""
 _LOST_AFTER_S = 20
 """Time without the scheduler after which it counts as lost, s."""
+_LOOK_EVERY_S = 2.0
+"""How often it is asked whether workers have joined, s."""
+_POLL_S = 0.05
+"""How often it is looked whether a case is done, s."""
 
 
 @dataclass(frozen=True)
@@ -136,20 +142,44 @@ def build_cases(
 
     out.mkdir(parents=True, exist_ok=True)
     shared = str(cache.resolve()) if cache else None
-    futures: dict[Any, LibraryCase] = {}
-    for case in cases:
-        here = LibraryCase(case.name, case.recipe.resolve(), case.stamp)
-        future = client.submit(
-            _build_one, here, str(out.resolve()), shared, key=f"{case.name}-{case.stamp}", pure=False
-        )
-        futures[future] = case
-    waiting = set(futures)
+    waiting = deque(cases)
+    running: dict[Any, LibraryCase] = {}
+    done = as_completed([], loop=client.loop, raise_errors=False)
+    looked_s = -_LOOK_EVERY_S
     with contextlib.suppress(FutureCancelledError):
-        for future in as_completed(list(futures), loop=client.loop, raise_errors=False):
-            waiting.discard(future)
-            yield _record_of(future, futures[future], out)
-    for future in sorted(waiting, key=lambda one: futures[one].name):
-        yield _lost(futures[future], "the scheduler was lost: build the library again, it goes on from here", out)
+        while waiting or running:
+            if waiting and time.monotonic() - looked_s >= _LOOK_EVERY_S:
+                looked_s = time.monotonic()
+                # A case more than there are free threads would stand behind another while a worker becomes idle: the
+                # scheduler cannot know how long a case takes, and moves none that is assigned.
+                for _ in range(min(_thread_count(client) - len(running), len(waiting))):
+                    case = waiting.popleft()
+                    here = LibraryCase(case.name, case.recipe.resolve(), case.stamp)
+                    key = f"{case.name}-{case.stamp}"
+                    future = client.submit(_build_one, here, str(out.resolve()), shared, key=key, pure=False)
+                    running[future] = case
+                    done.add(future)
+            if done.has_ready():
+                future = next(done)
+                yield _record_of(future, running.pop(future), out)
+                looked_s = -_LOOK_EVERY_S
+            elif not running and client.status not in ("running", "connecting"):
+                break
+            else:
+                time.sleep(_POLL_S)
+    for case in sorted((*running.values(), *waiting), key=lambda one: one.name):
+        yield _lost(case, "the scheduler was lost: build the library again, it goes on from here", out)
+
+
+def _thread_count(client: Client) -> int:
+    """How many cases the workers that are there can build at a time, at least one; 0 where no scheduler answers."""
+    if client.status != "running":
+        return 0
+    try:
+        threads: dict[str, int] = client.nthreads()
+    except (OSError, TimeoutError):
+        return 0
+    return max(1, sum(threads.values()))
 
 
 def _check_versions(client: Client) -> None:

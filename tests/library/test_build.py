@@ -16,7 +16,7 @@ import pytest
 from heartcase import __version__
 from heartcase.cli.main import main
 from heartcase.library.build import Workers, _check_versions, build_cases, connected, default_workers, stale_cases
-from heartcase.library.plan import plan_library, read_record
+from heartcase.library.plan import CaseRecord, LibraryCase, plan_library, read_record
 from heartcase.pipeline.run import build_case
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.recipe import load_recipe
@@ -138,6 +138,28 @@ def test_workers_with_another_heartcase_are_refused(answers):
 
 def _die(*_: object) -> None:
     os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_no_case_waits_behind_another_while_a_worker_is_idle(tmp_path, monkeypatch):
+    cases = tuple(LibraryCase(name, tmp_path / f"{name}.toml", "s") for name in ("long", *"abcdef"))
+    with connected(Workers(2, 1, 3000), None) as client:
+        monkeypatch.setattr("heartcase.library.build._build_one", _sleep)
+        records = []
+        for record in build_cases(cases, client, out=tmp_path / "out"):
+            records.append(record)
+            # None is assigned in advance: a worker that computes cannot hand on what stands behind it.
+            assert max(map(len, client.processing().values())) <= 1
+    built_by = {record.name: record.problems[0][1] for record in records}
+    assert len(built_by) == 7
+    assert records[-1].name == "long"
+    assert len({built_by[name] for name in "abcdef"}) == 1
+    assert built_by["a"] != built_by["long"]
+
+
+def _sleep(case: LibraryCase, *_: object) -> CaseRecord:
+    """Takes a fifth of a second, or four seconds, and tells the process."""
+    time.sleep(4.0 if case.name == "long" else 0.2)
+    return CaseRecord(case.name, case.stamp, (("", str(os.getpid())),))
 
 
 @pytest.mark.parametrize(
