@@ -30,15 +30,17 @@ def check(directory: Path, out: Path, least_dice: float, surface_mm: float, hole
     """
     from heartcase.library.check import check_case, problems_of
     from heartcase.library.plan import plan_library
-    from heartcase.schemas.errors import HeartcaseError
+    from heartcase.schemas.errors import HeartcaseError, RecipeError
     from heartcase.schemas.recipe import load_recipe
 
     rows, found, wrong = [], [], 0
     for planned in plan_library(directory):
-        recipe = None if planned.problems else load_recipe(planned.recipe)
-        if recipe is None or recipe.scan.phantom is None:
-            continue
         try:
+            recipe = load_recipe(planned.recipe)
+            if recipe.scan.phantom is None:
+                continue
+            if planned.problems:
+                raise RecipeError(planned.problems)
             with working(f"checking {planned.name}"):
                 result = check_case(out / f"{planned.name}.case", recipe.scan.phantom)
         except HeartcaseError as error:

@@ -34,12 +34,18 @@ __all__ = [
 ]
 
 MEMORY_PER_CASE_MB = 3000
-"""What a worker is given at least where nothing is said, 10^6 bytes: room for finer scans than the adult phantom's of
-1.75 mm, which took 759 in one worker of two threads (``heartcase library build sample_cases --workers 1``)."""
+"""What a worker is given at least where nothing is said, 10^6 bytes: a sample case takes 1,000 to 1,900, and in the
+first build after an installation, when kernels are compiled, up to 3,300 (``heartcase library build sample_cases``)."""
 _ATTEMPTS = 3
 """Workers that may be killed by a case before it counts as failed."""
 _LOST_AFTER_S = 20
 """Time without the scheduler after which it counts as lost, s."""
+_ENVIRONMENT = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1") | {
+    "MALLOC_TRIM_THRESHOLD_": str(1 << 29),
+    "MALLOC_MMAP_THRESHOLD_": str(1 << 28),
+}
+"""Environment in which a worker starts. Dask's own allocation (65536 bytes, which also has each array mapped anew)
+makes a case cost a seventh more time: 49.8 against 43.0 s for vsd-muscular-apical with its scan at hand."""
 _LOOK_EVERY_S = 2.0
 """How often it is asked whether workers have joined, s."""
 _POLL_S = 0.05
@@ -112,7 +118,12 @@ def connected(workers: Workers | None, scheduler: str | None) -> Iterator[Client
         threads = str(workers.thread_count)
         names = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "ITK_GLOBAL_DEFAULT_NUMBER_OF_THREADS")
         with (
-            dask.config.set({"distributed.nanny.environ": dict.fromkeys(names, threads)}),
+            dask.config.set(
+                {
+                    "distributed.nanny.environ": dict.fromkeys(names, threads),
+                    "distributed.nanny.pre-spawn-environ": _ENVIRONMENT,
+                }
+            ),
             LocalCluster(
                 n_workers=workers.count,
                 threads_per_worker=1,

@@ -291,7 +291,7 @@ def parse_recipe(text: str, *, needs_markers: bool = True) -> Recipe:
     try:
         return Recipe.model_validate(data, context={"needs_markers": needs_markers})
     except ValidationError as error:
-        raise RecipeError((*problems_from_validation(error), *_hidden_problems(data, error))) from None
+        raise RecipeError((*problems_from_validation(error), *_hidden_problems(data, error, needs_markers))) from None
 
 
 _NEUTRAL: dict[str, Any] = {"heartcase_recipe": RECIPE_VERSION, "name": "x", "scan": {"path": "x"}}
@@ -299,14 +299,15 @@ _JUDGED_TOGETHER = {"labels", "segment", "markers", "strokes", "walls", "ends", 
 """Settings whose names are checked against each other: where one is wrong in itself the others cannot be judged."""
 
 
-def _hidden_problems(data: dict[str, Any], error: ValidationError) -> tuple[Problem, ...]:
+def _hidden_problems(data: dict[str, Any], error: ValidationError, needs_markers: bool) -> tuple[Problem, ...]:
     """What is wrong between settings, which the model looks at only where each setting is right in itself."""
     wrong = {detail["loc"][0] for detail in error.errors(include_url=False) if detail["loc"]}
     if not wrong or wrong & _JUDGED_TOGETHER:
         return ()
     rest = {key: value for key, value in data.items() if key not in wrong}
     try:
-        Recipe.model_validate(rest | {key: value for key, value in _NEUTRAL.items() if key in wrong})
+        neutral = {key: value for key, value in _NEUTRAL.items() if key in wrong}
+        Recipe.model_validate(rest | neutral, context={"needs_markers": needs_markers})
     except ValidationError as hidden:
         return problems_from_validation(hidden)
     return ()
