@@ -51,7 +51,7 @@ def incision_landmark(phantom: HeartPhantom, name: IncisionName) -> Landmark:
 
 
 def coronary_landmarks(phantom: HeartPhantom) -> tuple[Landmark, ...]:
-    """The courses of the three large coronary arteries, in their grooves, with their radii.
+    """The courses of the three large coronary arteries, in their grooves, with their radii: they touch the heart.
 
     The anterior descending one follows the line where the right ventricle's wall meets the left ventricle's in front,
     the two others the grooves between atria and ventricles. Radii are means of adults (1.85, 1.95 and 1.7 mm: Dodge
@@ -70,18 +70,24 @@ def coronary_landmarks(phantom: HeartPhantom) -> tuple[Landmark, ...]:
         angles = np.radians(np.arange(first, last + 1.0, 6.0))[:, None]
         rays = np.cos(angles) * side - np.sin(angles) * front
         surface, _ = _exits(phantom, np.repeat((valve + below_mm * scale * LONG_AXIS)[None], len(rays), axis=0), rays)
-        return _longest_run(surface, _LARGEST_GAP * scale)
+        return surface
 
     width = np.sqrt(scale / 1.2)
-    lines = {
-        "right coronary artery": (around(tricuspid, 2.0, towards_right, -60.0, 126.0), 1.95 * width),
-        "left circumflex artery": (around(mitral, 8.0, -towards_right, -60.0, 108.0), 1.7 * width),
-        "left anterior descending artery": (_groove(phantom), 1.85 * width),
+    courses = {
+        "right coronary artery": (around(tricuspid, 2.0, towards_right, -60.0, 126.0), 1.95 * width, 1.0),
+        "left circumflex artery": (around(mitral, 8.0, -towards_right, -60.0, 108.0), 1.7 * width, 1.0),
+        "left anterior descending artery": (_groove(phantom), 1.85 * width, 2.0),
     }
-    return tuple(
-        Landmark(name=name, kind="polyline", points_mm=_rounded(line), radius_mm=round(float(radius), 2))
-        for name, (line, radius) in lines.items()
-    )
+    landmarks = []
+    for name, (surface, radius, spacing) in courses.items():
+        gap = spacing * _LARGEST_GAP * scale
+        # Where rays end on another chamber, and where what lies above pushes an artery aside, the course is cut.
+        line = _longest_run(_laid_on(phantom, _longest_run(surface, gap), radius), gap)
+        line = _without_kinks(np.array(_rounded(line)), 1.5 * radius)
+        landmarks.append(
+            Landmark(name=name, kind="polyline", points_mm=_rounded(line), radius_mm=round(float(radius), 2))
+        )
+    return tuple(landmarks)
 
 
 def coronary_arteries(phantom: HeartPhantom) -> dict[str, Tube]:
@@ -154,6 +160,42 @@ def _longest_run(points: Float64, gap: float) -> Float64:
     return max(np.split(points, breaks), key=len)
 
 
+def _without_kinks(points: Float64, least_mm: float) -> Float64:
+    """The line without the points where it turns on a circle of less than a radius: its tube would cross itself."""
+    while len(points) > 2:
+        a, b, c = points[:-2], points[1:-1], points[2:]
+        twice_area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        sides = [np.linalg.norm(one, axis=1) for one in (b - a, c - b, c - a)]
+        curvature = 2.0 * twice_area / np.maximum(np.prod(sides, axis=0), 1e-12)
+        sharpest = int(np.argmax(curvature))
+        if curvature[sharpest] * least_mm < 1.0:
+            break
+        points = np.delete(points, sharpest + 1, axis=0)
+    return points
+
+
+def _laid_on(phantom: HeartPhantom, surface: Float64, radius: float) -> Float64:
+    """Points moved away from the heart until they are a radius off: in fat, between the shoulders of a groove.
+
+    They climb the distance to the heart, its slope taken so coarsely that both walls of a groove count. Where something
+    else of the heart lies close above, such as an appendage, they stay where it is widest.
+    """
+    points = surface.copy()
+    step, reach = 0.05 * phantom.scale, 0.5 * radius
+    aside = reach * np.concatenate([np.eye(3), -np.eye(3)])
+    for _ in range(int(4.0 * radius / step)):
+        room = -phantom.truth.value(points, 0)
+        near = np.flatnonzero(room < radius)
+        if not len(near):
+            break
+        around = -phantom.truth.value((points[near, None] + aside).reshape(-1, 3), 0).reshape(-1, 6)
+        slope = around[:, :3] - around[:, 3:]
+        size = np.linalg.norm(slope, axis=1, keepdims=True)
+        # Away from one flat wall it is 2 reach; hardly any is the middle of a gap, more a narrow groove.
+        points[near] += step * np.where(size > 0.1 * reach, slope / np.maximum(size, 1e-9), 0.0)
+    return points
+
+
 def _groove(phantom: HeartPhantom) -> Float64:
     """Where the right ventricle's wall begins at the front, from the base to the apex."""
     scale = phantom.scale
@@ -166,7 +208,7 @@ def _groove(phantom: HeartPhantom) -> Float64:
         is_left = np.abs(fields[:, 8]) < 0.6 * scale
         if is_left.any():
             found.append(surface[int(np.argmax(is_left))])
-    return _longest_run(np.array(found), 2.0 * _LARGEST_GAP * scale)
+    return np.array(found)
 
 
 def _rounded(points: Float64) -> tuple[tuple[float, float, float], ...]:
