@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 from heartcase.phantom.heart import HeartPhantom
 from heartcase.phantom.recipe import recipe_text
 from heartcase.phantom.strokes import marker_strokes
+from heartcase.phantom.surface_lines import coronary_landmarks
 from heartcase.schemas.recipe import load_recipe, parse_recipe
 from tests.phantom.conftest import lattice_points
 
@@ -67,7 +68,7 @@ def test_recipe_text_is_a_recipe_with_these_strokes_and_ends(drawn):
     recipe = parse_recipe(recipe_text(phantom, name="a", scan_path="scan.nii.gz", command="make it", modality="MR"))
     assert recipe.strokes == strokes
     assert recipe.ends == phantom.ends
-    assert recipe.landmarks == phantom.landmarks
+    assert recipe.landmarks == (*phantom.landmarks, *coronary_landmarks(phantom))
     assert recipe.table == phantom.table
 
 
