@@ -27,6 +27,11 @@ class Landmark(Model):
     depth_mm: PositiveMm | None = None
     """For a polyline that is a planned incision along the surface: how deep it goes."""
 
+    @property
+    def is_vessel(self) -> bool:
+        """Whether it is a line with a radius, such as the course of a coronary artery."""
+        return self.kind == "polyline" and self.radius_mm is not None
+
     @model_validator(mode="after")
     def _points_fit_kind(self) -> Landmark:
         count = len(self.points_mm)

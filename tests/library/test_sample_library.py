@@ -19,7 +19,7 @@ MADE = [path for path in sorted(SAMPLES.glob("*.toml")) if "[scan.phantom]" in p
 
 @pytest.mark.parametrize("path", MADE, ids=lambda path: path.stem)
 def test_a_sample_cases_coronary_arteries_are_lines_without_a_jump(path):
-    lines = [one for one in load_recipe(path).landmarks if one.kind == "polyline" and one.radius_mm is not None]
+    lines = [one for one in load_recipe(path).landmarks if one.is_vessel]
     assert len(lines) == 3
     for line in lines:
         steps = np.linalg.norm(np.diff(line.points_mm, axis=0), axis=1)

@@ -222,7 +222,7 @@ def landmark_lines(landmarks: tuple[Landmark, ...]) -> list[dict[str, Any]]:
     """
     lines = []
     for one in landmarks:
-        if one.kind == "polyline" and one.radius_mm is not None:
+        if one.is_vessel:
             continue
         points = np.array(one.points_mm, dtype=float)
         closed = one.kind == "ring"

@@ -31,6 +31,8 @@ Float32 = npt.NDArray[np.float32]
 Int32 = npt.NDArray[np.int32]
 UInt8 = npt.NDArray[np.uint8]
 
+_VESSEL_COUNT_MAX = 250
+"""Values of labels end here."""
 _CAST_ROLE = {
     Role.BACKGROUND: Role.BACKGROUND,
     Role.BLOOD: Role.MYOCARDIUM,
@@ -175,7 +177,7 @@ def vessels_model(bundle: OpenBundle) -> TaggedMesh:
     Raises
     ------
     UsageError
-        It knows none.
+        It knows none, or more than labels can tell apart.
     """
     tubes = vessel_tubes(bundle.manifest.landmarks)
     if not tubes:
@@ -183,11 +185,16 @@ def vessels_model(bundle: OpenBundle) -> TaggedMesh:
             "the case has no vessels of their own: give the recipe landmarks of kind 'polyline' with a radius_mm",
             place="--model",
         )
+    if len(tubes) > _VESSEL_COUNT_MAX:
+        raise UsageError(
+            f"the case has {len(tubes)} vessels of their own, and a file tells {_VESSEL_COUNT_MAX} apart: take some out "
+            "of the recipe's landmarks",
+            place="--model",
+        )
     labels = [Label(value=BACKGROUND, name="background", role=Role.BACKGROUND)]
     vertices, normals, triangles, tissue = [], [], [], []
     first = 0
-    # A label volume ends at 250; nobody draws as many vessels.
-    for value, (name, tube) in enumerate(list(tubes.items())[:250], start=1):
+    for value, (name, tube) in enumerate(tubes.items(), start=1):
         labels.append(Label(value=value, name=name, role=Role.WALL, colour=VESSEL_COLOUR))
         vertices.append(tube.vertices_mm)
         normals.append(tube.normals)

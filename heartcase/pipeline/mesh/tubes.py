@@ -37,7 +37,7 @@ def vessel_tubes(landmarks: Iterable[Landmark], *, side_count: int = 16) -> dict
     """Tubes of the landmarks that are vessels (polylines with a radius), by name; one without a length has none."""
     tubes = {}
     for one in landmarks:
-        if one.kind == "polyline" and one.radius_mm is not None:
+        if one.is_vessel and one.radius_mm is not None:
             points = _apart(np.array(one.points_mm, dtype=np.float64))
             if len(points) > 1:
                 tubes[one.name] = tube_mesh(points, one.radius_mm, side_count=side_count)
