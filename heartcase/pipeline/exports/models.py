@@ -187,8 +187,8 @@ def vessels_model(bundle: OpenBundle) -> TaggedMesh:
         )
     if len(tubes) > _VESSEL_COUNT_MAX:
         raise UsageError(
-            f"the case has {len(tubes)} vessels of their own, and a file tells {_VESSEL_COUNT_MAX} apart: take some out "
-            "of the recipe's landmarks",
+            f"the case has {len(tubes)} vessels of their own, and a file tells {_VESSEL_COUNT_MAX} apart: take some "
+            "out of the recipe's landmarks",
             place="--model",
         )
     labels = [Label(value=BACKGROUND, name="background", role=Role.BACKGROUND)]
