@@ -26,6 +26,14 @@ def test_a_sample_cases_coronary_arteries_are_lines_without_a_jump(path):
         assert steps.max() < 0.2 * steps.sum(), line.name
 
 
+@pytest.mark.parametrize("path", MADE, ids=lambda path: path.stem)
+def test_a_sample_cases_incisions_are_lines_without_a_jump(path):
+    for line in load_recipe(path).landmarks:
+        if line.depth_mm is not None:
+            steps = np.linalg.norm(np.diff(line.points_mm, axis=0), axis=1)
+            assert steps.max() < 4.0 * np.median(steps), line.name
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("path", MADE, ids=lambda path: path.stem)
 def test_a_sample_case_is_what_its_diagnosis_says_and_stands_handling(path, tmp_path, capfd):
