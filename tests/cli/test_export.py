@@ -31,6 +31,8 @@ from heartcase.schemas.recipe import load_recipe
 from tests.cli.small_case import write_case
 from tests.pipeline.formats.dicom_series import write_series
 
+pytestmark = pytest.mark.usefixtures("plain_reports")
+
 TURN = Rotation.from_euler("xyz", [10, 20, 30], degrees=True).as_matrix()
 SIZE, SPACING = np.array((30, 26, 20)), np.array((1.5, 1.75, 2.25))
 SCAN = Geometry.of(

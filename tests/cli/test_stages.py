@@ -15,6 +15,8 @@ from heartcase.schemas.bundle_reader import open_bundle
 from heartcase.schemas.recipe import load_recipe
 from tests.ball import write_ball_recipe, write_ball_scan
 
+pytestmark = pytest.mark.usefixtures("plain_reports")
+
 EDIT = """
 [[edits]]
 kind = "remove"

@@ -13,6 +13,8 @@ from heartcase.schemas.errors import HeartcaseError
 from heartcase.schemas.recipe import load_recipe
 from tests.ball import write_ball_recipe, write_ball_scan
 
+pytestmark = pytest.mark.usefixtures("plain_reports")
+
 
 def tree(folder: Path) -> dict[str, str]:
     return {

@@ -16,6 +16,8 @@ from heartcase.schemas.errors import UsageError
 from heartcase.schemas.recipe import load_recipe
 from tests.ball import write_ball_recipe, write_ball_scan
 
+pytestmark = pytest.mark.usefixtures("plain_reports")
+
 
 @pytest.fixture(scope="module")
 def builds(tmp_path_factory):

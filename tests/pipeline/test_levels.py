@@ -25,6 +25,8 @@ from tests.ball import write_ball_recipe, write_ball_scan
 from tests.pipeline.mesh.test_normal_map import area_weighted, degrees, mixed, samples, shaded, unit
 from tests.pipeline.solids import lattice, solid, sphere, walled
 
+pytestmark = pytest.mark.usefixtures("plain_reports")
+
 COUNTS = (900, 300)
 
 

@@ -23,6 +23,8 @@ from heartcase.schemas.recipe import load_recipe
 from tests.ball import write_ball_recipe, write_ball_scan
 from tests.crash import Crash, crash_after
 
+pytestmark = pytest.mark.usefixtures("plain_reports")
+
 
 @pytest.fixture(scope="module")
 def scan_directory(tmp_path_factory):

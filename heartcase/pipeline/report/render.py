@@ -149,8 +149,11 @@ def draw_mesh(
 def downsampled(picture: UInt8, factor: int) -> UInt8:
     """Mean of each block of ``factor`` x ``factor`` pixels."""
     height, width, channels = picture.shape
-    blocks = picture.reshape(height // factor, factor, width // factor, factor, channels)
-    mean: UInt8 = np.round(blocks.mean(axis=(1, 3), dtype=np.float32)).astype(np.uint8)
+    total = np.zeros((height // factor, width // factor, channels), np.uint32)
+    for row in range(factor):
+        for column in range(factor):
+            total += picture[row::factor, column::factor]
+    mean: UInt8 = np.round(total.astype(np.float32) / np.float32(factor * factor)).astype(np.uint8)
     return mean
 
 

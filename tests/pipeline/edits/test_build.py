@@ -15,6 +15,8 @@ from heartcase.schemas.recipe import load_recipe
 from tests.ball import write_ball_recipe, write_ball_scan
 from tests.pipeline.lattices import points_of
 
+pytestmark = pytest.mark.usefixtures("plain_reports")
+
 BRUSH = "radius_mm = 9\npoints_mm = [[17, 0, 0]]"
 EDITS = {
     "add": 'label = "muscle"\nradius_mm = 5\npoints_mm = [[22, 0, 0]]',

@@ -22,6 +22,8 @@ from tests.ball import write_ball_recipe, write_ball_scan
 from tests.pipeline.solids import lattice, tube, walled
 from tests.readers.test_readers import ROOT, _program
 
+pytestmark = pytest.mark.usefixtures("plain_reports")
+
 HERE = Path(__file__).parent / "gltf_validator"
 INSTALL = ("ci", "--ignore-scripts", "--no-audit", "--no-fund", "--prefer-offline", "--fetch-retries=1")
 
