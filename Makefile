@@ -21,7 +21,8 @@ case: $(VENV)/installed
 	$(BIN)/heartcase simulate out/adult-phantom.case --script sample_cases/pull.toml --picture out/pull.png
 	@echo 'Look at out/adult-phantom.report.html and out/pull.png'
 
-test: $(VENV)/installed check plain
+test: $(VENV)/installed
+	$(MAKE) --jobs=2 check plain
 	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 check: $(VENV)/installed

@@ -2,8 +2,11 @@
 
 import ctypes
 import os
+import shutil
 
 import pytest
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # two test processes share two cores
 
 
 def _has_driver() -> bool:
@@ -31,3 +34,36 @@ def plain_reports():
         patch.setattr("heartcase.pipeline.report.build_report.surface_parts", lambda *_: SurfaceParts())
         patch.setattr("heartcase.pipeline.report.confidence_part._pictures", lambda *_: [])
         yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def shared_anatomies(tmp_path_factory):
+    """The distance tables of a phantom are made once for all test processes: half a minute a heart otherwise."""
+    import hashlib
+    import pickle
+
+    from heartcase.phantom import heart
+
+    own = tmp_path_factory.getbasetemp()
+    folder = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "anatomies"
+    folder.mkdir(exist_ok=True)
+    build = heart.build_anatomy
+
+    def build_once(form):
+        path = folder / f"{hashlib.sha256(form.model_dump_json().encode()).hexdigest()}.pickle"
+        if not path.exists():
+            unfinished = path.with_suffix(f".{os.getpid()}")
+            unfinished.write_bytes(pickle.dumps(build(form)))
+            unfinished.rename(path)
+        return pickle.loads(path.read_bytes())
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(heart, "build_anatomy", build_once)
+        yield
+
+
+def pytest_sessionfinish(session):
+    """Some hundred megabytes that nobody looks at afterwards."""
+    factory = getattr(session.config, "_tmp_path_factory", None)
+    if factory is not None and "PYTEST_XDIST_WORKER" not in os.environ:
+        shutil.rmtree(factory.getbasetemp() / "anatomies", ignore_errors=True)

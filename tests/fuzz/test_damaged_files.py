@@ -10,7 +10,7 @@ import pytest
 
 from tests.fuzz.corpus import KINDS
 
-USUAL, MANY = 100, 1000
+USUAL, MANY = 60, 1000
 NEEDS_LINUX = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the limit on memory is set as on Linux")
 
 

@@ -156,7 +156,12 @@ def test_the_search_sees_through_every_way_of_packing() -> None:
 
 @pytest.mark.parametrize(
     "scan",
-    [f"{NAME} series", f"{FILE}.nii.gz", f"{FILE}.nrrd", f"{FILE}.mha"],
+    [
+        f"{NAME} series",
+        f"{FILE}.nii.gz",
+        pytest.param(f"{FILE}.nrrd", marks=pytest.mark.slow),
+        pytest.param(f"{FILE}.mha", marks=pytest.mark.slow),
+    ],
     ids=["dicom", "nifti", "nrrd", "metaimage"],
 )
 def test_scan_to_session(hospital: Path, tmp_path: Path, ear: Ear, scan: str) -> None:

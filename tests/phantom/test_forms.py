@@ -106,7 +106,7 @@ def test_an_oval_defect_is_as_wide_as_it_says():
 
 def test_muscles_inside_the_ventricles_leave_no_gap_in_the_tissue():
     plain = HeartForm(body_surface_m2=1.9, has_detail=True)
-    _, labels = voxels(plain, 1.0)
+    _, labels = voxels(plain, 1.5)
     assert joined(labels) == [LEFT, RIGHT]
     pieces = np.bincount(ndimage.label(labels == 0)[0].ravel())[1:]
     around = np.sort(pieces)[-1]
@@ -161,7 +161,7 @@ def test_transposed_arteries_make_two_circuits():
 
 
 def test_a_tight_baffle_gives_the_aorta_to_the_left_ventricle():
-    _, labels = voxels(OUTLET, 1.0)
+    _, labels = voxels(OUTLET, 1.3)
     pieces = joined(labels)
     left = next(piece for piece in pieces if 1 in piece)
     right = next(piece for piece in pieces if 6 in piece)

@@ -66,9 +66,10 @@ def test_distance_is_that_to_the_nearest_point_of_the_border(adult, label):
         assert_distance_by_labels(lambda at: np.isin(truth.label(at), values), point, distance, generator)
 
 
+@pytest.mark.parametrize("size", ["adult", pytest.param("child", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("label", [2, 10])
-def test_no_value_is_so_steep_that_the_search_could_miss_the_border(child, label):
-    truth, generator = child.truth, np.random.default_rng(label)
+def test_no_value_is_so_steep_that_the_search_could_miss_the_border(size, label):
+    truth, generator = HeartPhantom.of_size(size).truth, np.random.default_rng(label)
     border = truth.surface_points(label)
     points = border[generator.integers(len(border), size=30)] + generator.normal(0.0, 1.0, (30, 3))
     above = cKDTree(border).query(points)[0] + 0.01

@@ -26,7 +26,7 @@ def segment_points(points, step_mm=0.3):
     return np.concatenate(parts)
 
 
-@pytest.fixture(scope="module", params=["adult", "child"])
+@pytest.fixture(scope="module", params=["adult", pytest.param("child", marks=pytest.mark.slow)])
 def drawn(request):
     phantom = HeartPhantom.of_size(request.param)
     return phantom, marker_strokes(phantom)

@@ -188,8 +188,9 @@ def memoised(monkeypatch):
         monkeypatch.setattr(loaded, name, once)
 
 
-def test_a_crash_at_every_file_operation_of_a_build_leaves_a_whole_case_and_the_next_build_resumes(
-    scan_directory, tmp_path, monkeypatch
+@pytest.mark.parametrize("stride", [3, pytest.param(1, marks=pytest.mark.slow)])
+def test_a_crash_at_any_file_operation_of_a_build_leaves_a_whole_case_and_the_next_build_resumes(
+    stride, scan_directory, tmp_path, monkeypatch
 ):
     memoised(monkeypatch)
     old = make_recipe(scan_directory, tmp_path / "recipe")
@@ -222,7 +223,7 @@ def test_a_crash_at_every_file_operation_of_a_build_leaves_a_whole_case_and_the_
             assert stored <= set(resumed.reused), f"after operation {operations}"
             assert contents(out / "ball.case") == new_case
             assert not list(out.rglob(".heartcase-tmp-*"))
-            operations += 1
+            operations += stride
             continue
         break
     assert operations > 60
