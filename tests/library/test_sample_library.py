@@ -1,7 +1,7 @@
 """The sample library from raw synthetic scans to cases that stand handling: one to five minutes a case.
 
-With ``HEARTCASE_LIBRARY`` set to the folder of a build of ``sample_cases``, such as ``out``, what is up to date there is
-not built again.
+With ``HEARTCASE_LIBRARY`` set to the folder of a build of ``sample_cases``, such as ``out``, what is up to date there
+is not built again.
 """
 
 from __future__ import annotations
