@@ -1,12 +1,10 @@
-"""CUDA kernels run on a device where there is one, else in numba's simulator: chosen before numba is loaded."""
+"""Where CUDA kernels run, chosen before numba is loaded; and what many modules would otherwise make again."""
 
 import ctypes
 import os
 import shutil
 
 import pytest
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # two test processes share two cores
 
 
 def _has_driver() -> bool:
@@ -17,6 +15,7 @@ def _has_driver() -> bool:
     return True
 
 
+# On a device where there is one, else in numba's simulator.
 if not _has_driver():
     os.environ.setdefault("NUMBA_ENABLE_CUDASIM", "1")
 
@@ -38,7 +37,7 @@ def plain_reports():
 
 @pytest.fixture(scope="session", autouse=True)
 def shared_anatomies(tmp_path_factory):
-    """The distance tables of a phantom are made once for all test processes: half a minute a heart otherwise."""
+    """The distance tables of a phantom are made once for all test processes: 18 s a heart otherwise."""
     import hashlib
     import pickle
 

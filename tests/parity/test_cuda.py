@@ -28,7 +28,7 @@ from tests.parity.test_force_laws import force_scale, with_law
 from tests.simulator.lattices import EPS, block, random_field, random_models, random_probes, tied
 
 SEEDS = st.integers(0, 2**32 - 1)
-EXAMPLES = 6 if IS_SIMULATED else 60
+EXAMPLES = 12 if IS_SIMULATED else 60
 STEPS = 3 if IS_SIMULATED else 100
 models = random_models(size_max=(11, 3, 3)) if IS_SIMULATED else random_models()
 patient = settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=[HealthCheck.too_slow])

@@ -104,9 +104,10 @@ def test_an_oval_defect_is_as_wide_as_it_says():
     assert phantom_of(form).truth.tissue_distance(np.array(canal.position_mm)) == pytest.approx(1.5, abs=0.02)
 
 
-def test_muscles_inside_the_ventricles_leave_no_gap_in_the_tissue():
+@pytest.mark.parametrize("step", [1.5, pytest.param(1.0, marks=pytest.mark.slow)])
+def test_muscles_inside_the_ventricles_leave_no_gap_in_the_tissue(step):
     plain = HeartForm(body_surface_m2=1.9, has_detail=True)
-    _, labels = voxels(plain, 1.5)
+    _, labels = voxels(plain, step)
     assert joined(labels) == [LEFT, RIGHT]
     pieces = np.bincount(ndimage.label(labels == 0)[0].ravel())[1:]
     around = np.sort(pieces)[-1]
@@ -160,8 +161,9 @@ def test_transposed_arteries_make_two_circuits():
     assert aortic[1] < pulmonary[1] - 5.0
 
 
-def test_a_tight_baffle_gives_the_aorta_to_the_left_ventricle():
-    _, labels = voxels(OUTLET, 1.3)
+@pytest.mark.parametrize("step", [1.3, pytest.param(1.0, marks=pytest.mark.slow)])
+def test_a_tight_baffle_gives_the_aorta_to_the_left_ventricle(step):
+    _, labels = voxels(OUTLET, step)
     pieces = joined(labels)
     left = next(piece for piece in pieces if 1 in piece)
     right = next(piece for piece in pieces if 6 in piece)

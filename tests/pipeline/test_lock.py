@@ -90,9 +90,8 @@ def scan_of(work):
     return region_of_scan(load_recipe(work / "ball.toml"), work)
 
 
+@pytest.mark.usefixtures("plain_reports")
 def test_the_locked_recipe_builds_the_same_bytes_by_the_same_keys(work, locked, monkeypatch):
-    # The report's pictures take most of a build's time and are no part of a case.
-    monkeypatch.setattr("heartcase.pipeline.report.build_report.build_report", lambda **_: "")
     small = work / "small.toml"
     small.write_text((work / "ball.toml").read_text() + "\n[grid]\ncell_mm = 5.0\n")
     recipe = load_recipe(small)

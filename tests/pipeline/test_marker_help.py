@@ -1,5 +1,7 @@
 """Cores of drafts, and markers that the program sets: against analytic depths, the phantom's truth and a slow rule."""
 
+from pathlib import Path
+
 import edt
 import numpy as np
 import pytest
@@ -28,6 +30,7 @@ from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import default_label_table
 from heartcase.schemas.recipe import MarkerFile, parse_recipe
 from heartcase.schemas.settings import FilterSettings, SegmentSettings, Stroke
+from tests.examples import few_and_many, hold_for
 
 TABLE = default_label_table()
 UNMARKED = Markers.UNMARKED
@@ -229,25 +232,27 @@ points = st.tuples(*(st.floats(-0.4, n - 0.6) for n in SMALL.size)).map(
 NAMES = [label.name for label in TABLE if label.value in (0, 5, 7)]
 
 
-@settings(max_examples=15, deadline=None)
-@given(
-    seed=st.integers(0, 50),
-    modality=st.sampled_from(["MR", "CT"]),
-    deeds=st.lists(
-        st.one_of(
-            st.builds(
-                lambda name, radius, line: Stroke(label=name, radius_mm=radius, points_mm=line, erase=name is None),
-                st.sampled_from([*NAMES, None]),
-                st.floats(0.0, 8.0),
-                st.lists(points, min_size=1, max_size=2).map(tuple),
-            ),
-            st.sampled_from(["undo", "redo"]),
+DEEDS = st.lists(
+    st.one_of(
+        st.builds(
+            lambda name, radius, line: Stroke(label=name, radius_mm=radius, points_mm=line, erase=name is None),
+            st.sampled_from([*NAMES, None]),
+            st.floats(0.0, 8.0),
+            st.lists(points, min_size=1, max_size=2).map(tuple),
         ),
-        min_size=1,
-        max_size=8,
+        st.sampled_from(["undo", "redo"]),
     ),
+    min_size=1,
+    max_size=8,
 )
-def test_a_sessions_strokes_give_the_same_when_a_build_paints_them(seed, modality, deeds, tmp_path_factory):
+
+
+@few_and_many(15, 200)
+def test_a_sessions_strokes_give_the_same_when_a_build_paints_them(count):
+    hold_for(count, a_build_gives_what_the_session_did, st.integers(0, 50), st.sampled_from(["MR", "CT"]), DEEDS)
+
+
+def a_build_gives_what_the_session_did(seed, modality, deeds):
     scan, kinds = small_scan(seed, modality), ("background", "lung")
     nothing = np.full(SMALL.shape, UNMARKED, np.uint8)
     session = SegmentationSession.of_scan(scan, TABLE, markers=AutomaticMarkers(scan, kinds, nothing))
@@ -258,9 +263,7 @@ def test_a_sessions_strokes_give_the_same_when_a_build_paints_them(seed, modalit
             session.undo()
         elif deed == "redo" and session.redo_count:
             session.redo()
-    rebuilt = load_markers(
-        (), session.strokes, TABLE, SMALL, tmp_path_factory.getbasetemp(), scan=scan, automatic=kinds
-    )
+    rebuilt = load_markers((), session.strokes, TABLE, SMALL, Path(), scan=scan, automatic=kinds)
     np.testing.assert_array_equal(session.markers().labels, rebuilt.labels)
     if (rebuilt.labels != UNMARKED).any():
         wanted = segment_scan(scan, rebuilt, SegmentSettings(), TABLE).labels

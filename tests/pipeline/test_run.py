@@ -152,8 +152,15 @@ def test_a_missing_scan_is_explained_and_the_old_case_stays(built):
     assert contents(first.case) == before
 
 
-def test_no_patient_name_from_a_path_is_in_any_output(built):
-    _path, out, _first = built
+def test_no_patient_name_from_a_path_is_in_any_output(scan_directory, tmp_path):
+    """In a process of its own, so that the report has its pictures and their captions."""
+    path = make_recipe(scan_directory, tmp_path / "named")
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "heartcase", "build", str(path), "--out", str(out)]
+    run = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert "JANE" not in run.stdout + run.stderr
+    report = (out / "ball.report.html").read_text()
+    assert report.count("data:image/") > 10
     for file in out.rglob("*"):
         assert "JANE" not in file.name
         if file.is_file():

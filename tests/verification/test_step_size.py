@@ -14,6 +14,7 @@ from heartcase.simulator.model import make_model
 from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.spectrum import largest_eigenvalue
 from heartcase.simulator.step_size import checked_step, default_step, own_step_limit, step_limit
+from tests.examples import few_and_many, hold_for
 from tests.simulator.lattices import block, random_field, random_models, stiffness_matrix
 
 
@@ -25,9 +26,9 @@ def omega_max(model, *, fixed=True):
     return np.sqrt(np.linalg.eigvalsh((A + A.T) / 2).max(initial=0.0)) / model.units.time_s
 
 
-@pytest.mark.parametrize("count", [8, pytest.param(50, marks=pytest.mark.slow)])
+@few_and_many(8, 50)
 def test_true_frequency_never_exceeds_the_bound(count):
-    settings(max_examples=count, deadline=None)(given(random_models())(true_frequency_is_within_the_bound))()
+    hold_for(count, true_frequency_is_within_the_bound, random_models())
 
 
 def true_frequency_is_within_the_bound(model):
@@ -75,11 +76,10 @@ def test_step_at_the_bound_is_taken():
         assert checked_step(model, limit) == limit
 
 
-@pytest.mark.parametrize("count", [40, pytest.param(200, marks=pytest.mark.slow)])
+@few_and_many(40, 200)
 def test_own_limit_is_hardly_below_the_true_one_and_never_above(count):
     """On so many shapes, springs removed from most of them, against a sparse eigenvalue solver."""
-    shapes = given(random_models(), st.floats(0.0, 1.0), st.integers(0, 2**32 - 1))
-    settings(max_examples=count, deadline=None)(shapes(own_limit_is_near_the_true_one))()
+    hold_for(count, own_limit_is_near_the_true_one, random_models(), st.floats(0.0, 1.0), st.integers(0, 2**32 - 1))
 
 
 def own_limit_is_near_the_true_one(model, cut, seed):

@@ -6,6 +6,9 @@ import sys
 import numpy as np
 import pytest
 import trimesh
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
 
 from heartcase.pipeline.mesh.cut import clipped, crossings, filled
 from heartcase.pipeline.mesh.thickness import vertex_normals
@@ -17,7 +20,7 @@ from heartcase.pipeline.report.pictures import (
     four_chamber_plane,
     surface_picture,
 )
-from heartcase.pipeline.report.render import Mesh, camera_for, draw_mesh
+from heartcase.pipeline.report.render import Mesh, camera_for, downsampled, draw_mesh
 from heartcase.schemas.labels import default_label_table
 from tests.pipeline.report.analytic_heart import CAVITIES, make_heart
 
@@ -264,3 +267,21 @@ def test_views_are_right_handed():
         camera = camera_for(np.eye(3), towards=towards, up=up, size=SIZE)
         assert np.linalg.det([camera.right, camera.up, camera.towards]) == pytest.approx(1.0)
         assert np.allclose(camera.towards, towards)
+
+
+@given(
+    factor=st.integers(1, 4),
+    height=st.integers(1, 5),
+    width=st.integers(1, 5),
+    data=st.data(),
+)
+def test_a_smaller_picture_is_the_mean_of_each_block(factor, height, width, data):
+    picture = data.draw(hnp.arrays(np.uint8, (factor * height, factor * width, 3)))
+    mean = [
+        [picture[y : y + factor, x : x + factor].mean(axis=(0, 1)) for x in range(0, factor * width, factor)]
+        for y in range(0, factor * height, factor)
+    ]
+    smaller = downsampled(picture, factor)
+    assert smaller.dtype == np.uint8
+    # Between two whole numbers either is right.
+    np.testing.assert_allclose(smaller, mean, atol=0.5 + 1e-5)
