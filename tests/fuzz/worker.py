@@ -1,7 +1,7 @@
-"""Reads damaged inputs one after the other, in a process of its own, under limits of time and memory.
+"""Reads damaged inputs one after the other, each kind in a process of its own, under limits of time and memory.
 
-``python -m tests.fuzz.worker KIND COUNT SEED`` prints a JSON object: how many were read, how many refused, and what
-went wrong. An input that takes more than ten seconds ends the process with the traceback of where it hangs.
+``python -m tests.fuzz.worker COUNT SEED KIND...`` prints a JSON object a kind: how many were read, how many refused,
+and what went wrong. An input that takes more than ten seconds ends its kind with the traceback of where it hangs.
 """
 
 from __future__ import annotations
@@ -9,12 +9,14 @@ from __future__ import annotations
 import faulthandler
 import hashlib
 import json
+import multiprocessing
 import resource
 import shutil
 import sys
 import tempfile
 import traceback
 import warnings
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 import numpy as np
@@ -118,7 +120,29 @@ def _limit_memory() -> None:
     resource.setrlimit(resource.RLIMIT_AS, (room, room))
 
 
-if __name__ == "__main__":
+def _apart(kind: str, count: int, seed: int) -> dict[str, object]:
+    """The same in a fork of this process, whose modules are imported by then."""
+    fork = multiprocessing.get_context("fork")
+    receiver, sender = fork.Pipe(duplex=False)
+    process = fork.Process(target=_send, args=(sender, kind, count, seed))
+    process.start()
+    sender.close()
+    try:
+        result = receiver.recv()
+    except EOFError:
+        result = None
+    process.join()
+    if result is None or process.exitcode:
+        result = {"read": 0, "refused": 0, "findings": [f"ended with {process.exitcode} before its end"]}
+    return {"kind": kind, **result}
+
+
+def _send(sender: Connection, kind: str, count: int, seed: int) -> None:
     faulthandler.enable()
     warnings.simplefilter("error")
-    print(json.dumps(fuzz(sys.argv[1], int(sys.argv[2]), int(sys.argv[3]))))
+    sender.send(fuzz(kind, count, seed))
+
+
+if __name__ == "__main__":
+    for kind in sys.argv[3:]:
+        print(json.dumps(_apart(kind, int(sys.argv[1]), int(sys.argv[2]))), flush=True)
