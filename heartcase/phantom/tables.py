@@ -19,8 +19,8 @@ import numba
 import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
-from scipy.spatial import cKDTree
 
+from heartcase.phantom.nearest import SampleTree
 from heartcase.phantom.shapes import Offset, Shape, complement
 
 __all__ = ["DistanceTables", "table_value", "tabulate"]
@@ -170,7 +170,7 @@ def _distances(shape: Shape, origin: Float64, size: Int64, step: float, band_mm:
     near = np.abs(values) < 5.0 * step
     values[near] = shape.distance(points[near])
     samples, normals, curvature = _surface_samples(values, near, points, origin, size, step, edges=edges)
-    tree = cKDTree(samples, compact_nodes=False, balanced_tree=False)
+    tree = SampleTree.of(samples)
     # How far a foot can be from its nearest sample.
     apart = (0.5 if edges else 0.87) * step
     far = _patch_distance(coarse_points.reshape(-1, 3), tree, samples, normals, curvature, apart)
@@ -265,11 +265,10 @@ def _beside(samples: Float64, normals: Float64, step: float) -> Float64:
 
 
 def _patch_distance(
-    points: Float64, tree: cKDTree, samples: Float64, normals: Float64, curvature: Float64, apart_mm: float
+    points: Float64, tree: SampleTree, samples: Float64, normals: Float64, curvature: Float64, apart_mm: float
 ) -> Float64:
     """Unsigned distance to the second-order patch at the nearest sample, no foot being ``apart_mm`` from one."""
-    found = tree.query(points, workers=-1)
-    plain, index = np.asarray(found[0], dtype=float), np.asarray(found[1], dtype=np.int64)
+    plain, index = tree.query(points)
     gap = points - samples[index]
     normal = normals[index]
     height = np.einsum("ni,ni->n", gap, normal)
