@@ -158,7 +158,7 @@ def test_the_search_sees_through_every_way_of_packing() -> None:
     "scan",
     [
         f"{NAME} series",
-        f"{FILE}.nii.gz",
+        pytest.param(f"{FILE}.nii.gz", marks=pytest.mark.slow),
         pytest.param(f"{FILE}.nrrd", marks=pytest.mark.slow),
         pytest.param(f"{FILE}.mha", marks=pytest.mark.slow),
     ],

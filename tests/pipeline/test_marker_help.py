@@ -247,7 +247,7 @@ DEEDS = st.lists(
 )
 
 
-@few_and_many(15, 200)
+@few_and_many(5, 200)
 def test_a_sessions_strokes_give_the_same_when_a_build_paints_them(count):
     hold_for(count, a_build_gives_what_the_session_did, st.integers(0, 50), st.sampled_from(["MR", "CT"]), DEEDS)
 
