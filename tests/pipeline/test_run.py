@@ -195,7 +195,7 @@ def memoised(monkeypatch):
         monkeypatch.setattr(loaded, name, once)
 
 
-@pytest.mark.parametrize("stride", [3, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("stride", [5, pytest.param(1, marks=pytest.mark.slow)])
 def test_a_crash_at_any_file_operation_of_a_build_leaves_a_whole_case_and_the_next_build_resumes(
     stride, scan_directory, tmp_path, monkeypatch
 ):

@@ -49,10 +49,16 @@ def segmentation(phantom, scan, markers):
 
 
 @pytest.fixture(scope="module")
-def truth(phantom, scan):
-    """True labels of the voxel centres; grown walls count as background, as in a segmentation."""
+def walled_truth(phantom, scan):
+    """True labels of the voxel centres."""
     indices = np.indices(scan.geometry.shape).reshape(3, -1)[::-1].T
-    labels = phantom.truth.label(scan.geometry.index_to_world(indices)).reshape(scan.geometry.shape)
+    return phantom.truth.label(scan.geometry.index_to_world(indices)).reshape(scan.geometry.shape)
+
+
+@pytest.fixture(scope="module")
+def truth(phantom, walled_truth):
+    """True labels in which grown walls count as background, as in a segmentation."""
+    labels = walled_truth.copy()
     for label in phantom.truth.table:
         if label.wall_of is not None:
             labels[labels == label.value] = 0
@@ -85,24 +91,22 @@ def test_blood_pool_and_myocardium_reach_their_dice(phantom, segmentation, truth
 @pytest.mark.parametrize(
     "names",
     [
-        ("left ventricle", "right ventricle", "left ventricular myocardium", "superior vena cava"),
+        ("left ventricular myocardium", "superior vena cava"),
         pytest.param((), marks=pytest.mark.slow),
     ],
     ids=["some", "all"],
 )
-def test_every_structure_is_found_and_its_border_is_near_the_true_one(phantom, structures, scan, names):
+def test_every_structure_is_found_and_its_border_is_near_the_true_one(phantom, structures, walled_truth, names):
     """After the end discs have cut the vessels, against the truth, which stops there too, with its walls.
 
     The cavae end at open borders to the atrium, which no edge of the image but only the strokes place.
     """
     finished = labels_of(structures)
-    indices = np.indices(scan.geometry.shape).reshape(3, -1)[::-1].T
-    truth = phantom.truth.label(scan.geometry.index_to_world(indices)).reshape(scan.geometry.shape)
     for label in phantom.table:
         if label.value == 0 or (names and label not in [phantom.table[name] for name in names]):
             continue
         is_cava = "vena cava" in label.name
-        assert dice(finished.labels, truth, label.value) >= (0.85 if is_cava else 0.93), label.name
+        assert dice(finished.labels, walled_truth, label.value) >= (0.85 if is_cava else 0.93), label.name
         error = surface_error(finished.labels, finished.geometry, phantom.truth, label.value)
         assert error.mean_mm <= (1.5 if is_cava else 1.0), (label.name, error)
 

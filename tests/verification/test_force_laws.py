@@ -16,6 +16,7 @@ from heartcase.simulator.measures import inverted_cells
 from heartcase.simulator.model import make_model
 from heartcase.simulator.spectrum import largest_eigenvalue
 from heartcase.simulator.state import State
+from tests.examples import few_and_many, hold_for
 from tests.simulator.lattices import block, random_models, random_moments, stiffness_matrix
 from tests.verification.test_elasticity import stretch
 
@@ -76,9 +77,14 @@ def test_highest_frequency_of_a_lone_cell(name, ratio):
     assert law.rest_bound == pytest.approx(12 * law.lame_modulus + 8 * law.shear_modulus)
 
 
-@settings(max_examples=10, deadline=None)
-@given(random_models(size_max=(3, 2, 2)), LAWS, st.integers(0, 2**32 - 1))
-def test_own_highest_frequency_is_bracketed(model, law, seed):
+@few_and_many(5, 30)
+def test_own_highest_frequency_is_bracketed(count):
+    hold_for(
+        count, own_highest_frequency_is_bracketed, random_models(size_max=(3, 2, 2)), LAWS, st.integers(0, 2**32 - 1)
+    )
+
+
+def own_highest_frequency_is_bracketed(model, law, seed):
     rng = np.random.default_rng(seed)
     moments = random_moments(model.cell_count, rng)
     fields = {"coverage": model.cell_coverage, "moments": moments, "law": law, "fixed": model.node_is_fixed}

@@ -26,7 +26,7 @@ def omega_max(model, *, fixed=True):
     return np.sqrt(np.linalg.eigvalsh((A + A.T) / 2).max(initial=0.0)) / model.units.time_s
 
 
-@few_and_many(8, 50)
+@few_and_many(5, 50)
 def test_true_frequency_never_exceeds_the_bound(count):
     hold_for(count, true_frequency_is_within_the_bound, random_models())
 
