@@ -9,10 +9,11 @@ BIN = $(VENV)/bin
 
 .PHONY: case test check plain bench lock clean
 
+# Not compiled to byte code: most of what comes is never imported, and the rest is compiled as it is.
 $(VENV)/installed: requirements.lock pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "heartcase needs Python 3.11 or newer: make PYTHON=...")'
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -r requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
 	touch $@
 
@@ -21,7 +22,7 @@ case: $(VENV)/installed
 	$(BIN)/heartcase simulate out/adult-phantom.case --script sample_cases/pull.toml --picture out/pull.png
 	@echo 'Look at out/adult-phantom.report.html and out/pull.png'
 
-test: $(VENV)/installed
+test:
 	$(MAKE) --jobs=2 check plain
 	$(BIN)/python -m pytest -n 2 --dist loadfile
 
@@ -39,7 +40,7 @@ plain: $(VENV)/installed $(VENV)-plain/installed
 
 $(VENV)-plain/installed: requirements-plain.lock pyproject.toml
 	$(PYTHON) -m venv $(VENV)-plain
-	$(VENV)-plain/bin/python -m pip install --quiet --disable-pip-version-check -r requirements-plain.lock
+	$(VENV)-plain/bin/python -m pip install --quiet --disable-pip-version-check --no-compile -r requirements-plain.lock
 	$(VENV)-plain/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
 	touch $@
 

@@ -158,8 +158,8 @@ def test_no_case_waits_behind_another_while_a_worker_is_idle(tmp_path, monkeypat
 
 
 def _sleep(case: LibraryCase, *_: object) -> CaseRecord:
-    """Takes a fifth of a second, or four seconds, and tells the process."""
-    time.sleep(4.0 if case.name == "long" else 0.2)
+    """Takes a fifth of a second, or two seconds, and tells the process."""
+    time.sleep(2.0 if case.name == "long" else 0.2)
     return CaseRecord(case.name, case.stamp, (("", str(os.getpid())),))
 
 

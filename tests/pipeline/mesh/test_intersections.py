@@ -5,39 +5,52 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from trimesh.creation import icosphere
 
-from heartcase.pipeline.mesh.intersections import self_intersections
+from heartcase.pipeline.mesh.intersections import _ERROR_BOUND, self_intersections
 
 
-def exact_volume(a, b, c, d):
+def exact_side(a, b, c, d, least=0.0):
+    """Sign of the volume of (a, b, c, d); 0 below ``least`` times the sum of its products' sizes."""
     a, b, c = ([x - y for x, y in zip(one, d, strict=True)] for one in (a, b, c))
-    return a[0] * (b[1] * c[2] - b[2] * c[1]) - a[1] * (b[0] * c[2] - b[2] * c[0]) + a[2] * (b[0] * c[1] - b[1] * c[0])
+    parts = [
+        sign * a[i] * b[j] * c[k]
+        for (i, j, k), sign in zip(itertools.permutations(range(3)), (1, -1, -1, 1, 1, -1), strict=True)
+    ]
+    volume = sum(parts)
+    return ((volume > 0) - (volume < 0)) * (abs(volume) > Fraction(least) * sum(map(abs, parts)))
 
 
-def sign(value):
-    return (value > 0) - (value < 0)
-
-
-def exact_edge_crosses(p, q, triangle):
+def exact_edge_crosses(p, q, triangle, least):
     a, b, c = triangle
-    sides = sign(exact_volume(a, b, c, p)), sign(exact_volume(a, b, c, q))
-    ways = {sign(exact_volume(p, q, *pair)) for pair in ((a, b), (b, c), (c, a))}
+    sides = exact_side(a, b, c, p, least), exact_side(a, b, c, q, least)
+    ways = {exact_side(p, q, *pair, least) for pair in ((a, b), (b, c), (c, a))}
     return 0 not in sides and sides[0] != sides[1] and len(ways) == 1 and 0 not in ways
 
 
-def exact_pairs(vertices, triangles):
+def exact_pairs(vertices, triangles, least=0.0):
     exact = [[Fraction(float(x)) for x in vertex] for vertex in vertices]
     corners = [[exact[v] for v in triangle] for triangle in triangles]
     found = []
     for (s, one), (t, other) in itertools.combinations(enumerate(corners), 2):
         edges = [(a, b, other) for a, b in zip(one, one[1:] + one[:1], strict=True)]
         edges += [(a, b, one) for a, b in zip(other, other[1:] + other[:1], strict=True)]
-        if any(exact_edge_crosses(*edge) for edge in edges):
+        if any(exact_edge_crosses(*edge, least) for edge in edges):
             found.append((s, t))
     return found
+
+
+def random_triangles(seed, vertex_count, triangle_count, steps):
+    """Of few steps many points lie on one plane or line; triangles share vertices."""
+    random = np.random.default_rng(seed)
+    vertices = (random.integers(0, steps, (vertex_count, 3)) / steps).astype(np.float32)
+    return vertices, np.array([random.choice(vertex_count, 3, replace=False) for _ in range(triangle_count)], np.int32)
+
+
+def pairs_of(vertices, triangles):
+    return [tuple(pair) for pair in self_intersections(vertices, triangles).tolist()]
 
 
 @settings(max_examples=60, deadline=None)
@@ -45,16 +58,28 @@ def exact_pairs(vertices, triangles):
     seed=st.integers(0, 2**32 - 1),
     vertex_count=st.integers(4, 14),
     triangle_count=st.integers(2, 12),
-    steps=st.sampled_from([2, 3, 5, 1 << 20]),
+    steps=st.sampled_from([2, 4, 8, 1 << 20]),
 )
 def test_pairs_are_those_of_exact_arithmetic(seed, vertex_count, triangle_count, steps):
-    # few steps: many points of one plane or line, and triangles that share vertices
-    random = np.random.default_rng(seed)
-    vertices = (random.integers(0, steps, (vertex_count, 3)) / steps).astype(np.float32)
-    triangles = np.array([random.choice(vertex_count, 3, replace=False) for _ in range(triangle_count)], np.int32)
-    assert [tuple(pair) for pair in self_intersections(vertices, triangles).tolist()] == exact_pairs(
-        vertices, triangles.tolist()
-    )
+    """Where coordinates are whole steps: what seems to lie in one plane does."""
+    vertices, triangles = random_triangles(seed, vertex_count, triangle_count, steps)
+    assert pairs_of(vertices, triangles) == exact_pairs(vertices, triangles.tolist())
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    vertex_count=st.integers(4, 14),
+    triangle_count=st.integers(2, 12),
+    steps=st.sampled_from([3, 5, 7]),
+)
+@example(seed=174403, vertex_count=12, triangle_count=6, steps=5)
+def test_what_is_missed_crosses_by_no_more_than_rounding(seed, vertex_count, triangle_count, steps):
+    """Thirds and fifths are rounded: points lie beside a plane by a part in 10^8, some volumes are a part in 10^16."""
+    vertices, triangles = random_triangles(seed, vertex_count, triangle_count, steps)
+    found = set(pairs_of(vertices, triangles))
+    assert found <= set(exact_pairs(vertices, triangles.tolist()))
+    assert found >= set(exact_pairs(vertices, triangles.tolist(), least=3.0 * _ERROR_BOUND))
 
 
 @settings(max_examples=60, deadline=None)
