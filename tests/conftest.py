@@ -22,16 +22,11 @@ if not _has_driver():
 
 @pytest.fixture(scope="module")
 def plain_reports():
-    """Reports of builds in this process have no pictures, which take most of a small case's time.
-
-    For modules that test what is in files; what reports show is tested in ``tests/pipeline/report``.
-    """
-    from heartcase.pipeline.report.report_pictures import SurfaceParts
+    """Reports of builds in this process have no pictures, as ``tests/plain_reports.py`` tells."""
+    from tests.plain_reports import draw_nothing
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("heartcase.pipeline.report.build_report.slice_parts", lambda *_: [])
-        patch.setattr("heartcase.pipeline.report.build_report.surface_parts", lambda *_: SurfaceParts())
-        patch.setattr("heartcase.pipeline.report.confidence_part._pictures", lambda *_: [])
+        draw_nothing(patch)
         yield
 
 

@@ -1,4 +1,4 @@
-"""A cache of the user's own for each test."""
+"""A cache of the user's own for each test, and worker processes that draw nothing."""
 
 from __future__ import annotations
 
@@ -10,3 +10,12 @@ def own_cache(tmp_path_factory, monkeypatch):
     folder = tmp_path_factory.mktemp("own-cache")
     monkeypatch.setenv("XDG_CACHE_HOME", str(folder))
     return folder
+
+
+@pytest.fixture(scope="module")
+def plain_workers(plain_reports):
+    """Reports have no pictures in worker processes either."""
+    import dask
+
+    with dask.config.set({"distributed.worker.preload": ["tests.plain_reports"]}):
+        yield

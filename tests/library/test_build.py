@@ -22,7 +22,7 @@ from heartcase.schemas.errors import UsageError
 from heartcase.schemas.recipe import load_recipe
 from tests.ball import write_ball_recipe, write_ball_scan
 
-pytestmark = pytest.mark.usefixtures("plain_reports")
+pytestmark = pytest.mark.usefixtures("plain_workers")
 QUICK = 'parts = ["surface"]'
 NO_TISSUE = """
 [[edits]]

@@ -208,45 +208,71 @@ def _draw_in_software(mesh: Mesh, camera: Camera, depth_shading: bool) -> UInt8:
     width, height = camera.size
     picture = np.full((height, width, 3), 255, np.uint8)
     depth = np.full((height, width), -np.inf)
-    _rasterise(
-        camera.project(mesh.points_mm),
+    owner = np.zeros((height, width), np.int64)
+    points, triangles = camera.project(mesh.points_mm), np.ascontiguousarray(mesh.triangles, dtype=np.int64)
+    _rasterise(points, triangles, depth, owner)
+    _light_up(
+        points,
         mesh.normals @ axes,
-        np.ascontiguousarray(mesh.triangles, dtype=np.int64),
+        triangles,
         np.ascontiguousarray(mesh.colours),
         mesh.colours_of_points,
         _KEY_LIGHT,
         depth,
+        owner,
         picture,
     )
-    return _with_depth_shading(picture, depth, camera.mm_per_pixel) if depth_shading else picture
+    if depth_shading:
+        _shade_by_depth(picture, depth, camera.mm_per_pixel)
+    return picture
 
 
-def _with_depth_shading(picture: UInt8, depth: Float64, mm_per_pixel: float) -> UInt8:
+def _shade_by_depth(picture: UInt8, depth: Float64, mm_per_pixel: float) -> None:
     """Darken pixels that lie behind the mean depth around them.
 
     Luft, Colditz and Deussen, Image enhancement by unsharp masking the depth buffer, ACM Transactions on Graphics
     25, 2006.
     """
-    seen = np.isfinite(depth)
-    height = np.where(seen, depth, 0.0)
-    coarse = (slice(None, None, _SHADE_STEP), slice(None, None, _SHADE_STEP))
+    coarse = depth[::_SHADE_STEP, ::_SHADE_STEP]
+    seen = np.isfinite(coarse)
     reach = _SHADE_MM / (mm_per_pixel * _SHADE_STEP)
-    weight = gaussian_filter(seen[coarse].astype(float), reach)
-    around = gaussian_filter(height[coarse], reach) / np.maximum(weight, 1e-3)
-    around = around.repeat(_SHADE_STEP, axis=0).repeat(_SHADE_STEP, axis=1)[: depth.shape[0], : depth.shape[1]]
-    light = np.clip(1.0 - _SHADE_PER_MM * np.maximum(around - height, 0.0), _SHADE_DARKEST, 1.0)
-    return np.where(seen[..., None], np.round(picture * light[..., None]), 255.0).astype(np.uint8)
+    weight = gaussian_filter(seen.astype(float), reach)
+    around = gaussian_filter(np.where(seen, coarse, 0.0), reach) / np.maximum(weight, 1e-3)
+    _darken(picture, depth, around)
 
 
 @numba.njit(cache=True, nogil=True)
-def _rasterise(points, normals, triangles, colours, colours_of_points, key_light, depth, picture):  # type: ignore[no-untyped-def]
-    """Fill ``picture`` with the nearest triangle at each pixel, lit by its interpolated normal."""
+def _darken(picture, depth, around):  # type: ignore[no-untyped-def]
+    """Dim each drawn pixel of ``picture`` by how far it lies behind ``around``, its coarse surroundings."""
+    height, width = depth.shape
+    for row in range(height):
+        for column in range(width):
+            behind = around[row // _SHADE_STEP, column // _SHADE_STEP] - depth[row, column]
+            if np.isfinite(depth[row, column]) and behind > 0.0:
+                light = max(1.0 - _SHADE_PER_MM * behind, _SHADE_DARKEST)
+                for channel in range(3):
+                    picture[row, column, channel] = np.uint8(np.rint(picture[row, column, channel] * light))
+
+
+@numba.njit(cache=True, nogil=True, inline="always")
+def _weights(points, triangle, column, row):  # type: ignore[no-untyped-def]
+    """Barycentric coordinates of a pixel's centre."""
+    a, b, c = triangle
+    ax, ay, bx, by, cx, cy = points[a, 0], points[a, 1], points[b, 0], points[b, 1], points[c, 0], points[c, 1]
+    area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
+    wa = ((bx - column) * (cy - row) - (cx - column) * (by - row)) / area
+    wb = ((cx - column) * (ay - row) - (ax - column) * (cy - row)) / area
+    return wa, wb, 1.0 - wa - wb
+
+
+@numba.njit(cache=True, nogil=True)
+def _rasterise(points, triangles, depth, owner):  # type: ignore[no-untyped-def]
+    """Find the nearest triangle at each pixel: its height in ``depth`` and its number in ``owner``."""
     height, width = depth.shape
     for t in range(len(triangles)):
         a, b, c = triangles[t]
         ax, ay, bx, by, cx, cy = points[a, 0], points[a, 1], points[b, 0], points[b, 1], points[c, 0], points[c, 1]
-        area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
-        if area == 0.0:
+        if (bx - ax) * (cy - ay) - (cx - ax) * (by - ay) == 0.0:
             continue
         first_row = max(0, int(np.ceil(min(ay, by, cy))))
         last_row = min(height - 1, int(np.floor(max(ay, by, cy))))
@@ -254,34 +280,45 @@ def _rasterise(points, normals, triangles, colours, colours_of_points, key_light
         last_column = min(width - 1, int(np.floor(max(ax, bx, cx))))
         for row in range(first_row, last_row + 1):
             for column in range(first_column, last_column + 1):
-                wa = ((bx - column) * (cy - row) - (cx - column) * (by - row)) / area
-                wb = ((cx - column) * (ay - row) - (ax - column) * (cy - row)) / area
-                wc = 1.0 - wa - wb
+                wa, wb, wc = _weights(points, triangles[t], column, row)
                 if wa < 0.0 or wb < 0.0 or wc < 0.0:
                     continue
                 z = wa * points[a, 2] + wb * points[b, 2] + wc * points[c, 2]
-                if z <= depth[row, column]:
-                    continue
-                depth[row, column] = z
-                nx = wa * normals[a, 0] + wb * normals[b, 0] + wc * normals[c, 0]
-                ny = wa * normals[a, 1] + wb * normals[b, 1] + wc * normals[c, 1]
-                nz = wa * normals[a, 2] + wb * normals[b, 2] + wc * normals[c, 2]
-                length = np.sqrt(nx * nx + ny * ny + nz * nz)
-                if nz < 0.0:
-                    length = -length
-                if length != 0.0:
-                    nx, ny, nz = nx / length, ny / length, nz / length
-                key = max(0.0, nx * key_light[0] + ny * key_light[1] + nz * key_light[2])
-                reflected = max(0.0, 2.0 * key * nz - key_light[2])
-                light = _AMBIENT + _KEY * key + _FILL * nz
-                shine = (
-                    255.0
-                    * _SHINE
-                    * (_KEY * reflected**_SHINE_POWER + _FILL * max(0.0, 2.0 * nz * nz - 1.0) ** _SHINE_POWER)
-                )
-                for channel in range(3):
-                    if colours_of_points:
-                        base = wa * colours[a, channel] + wb * colours[b, channel] + wc * colours[c, channel]
-                    else:
-                        base = float(colours[t, channel])
-                    picture[row, column, channel] = np.uint8(min(255.0, base * light + shine))
+                if z > depth[row, column]:
+                    depth[row, column] = z
+                    owner[row, column] = t
+
+
+@numba.njit(cache=True, nogil=True)
+def _light_up(points, normals, triangles, colours, colours_of_points, key_light, depth, owner, picture):  # type: ignore[no-untyped-def]
+    """Colour each drawn pixel of ``picture`` as its triangle, lit by the interpolated normal."""
+    height, width = depth.shape
+    for row in range(height):
+        for column in range(width):
+            if depth[row, column] == -np.inf:
+                continue
+            t = owner[row, column]
+            a, b, c = triangles[t]
+            wa, wb, wc = _weights(points, triangles[t], column, row)
+            nx = wa * normals[a, 0] + wb * normals[b, 0] + wc * normals[c, 0]
+            ny = wa * normals[a, 1] + wb * normals[b, 1] + wc * normals[c, 1]
+            nz = wa * normals[a, 2] + wb * normals[b, 2] + wc * normals[c, 2]
+            length = np.sqrt(nx * nx + ny * ny + nz * nz)
+            if nz < 0.0:
+                length = -length
+            if length != 0.0:
+                nx, ny, nz = nx / length, ny / length, nz / length
+            key = max(0.0, nx * key_light[0] + ny * key_light[1] + nz * key_light[2])
+            reflected = max(0.0, 2.0 * key * nz - key_light[2])
+            light = _AMBIENT + _KEY * key + _FILL * nz
+            shine = (
+                255.0
+                * _SHINE
+                * (_KEY * reflected**_SHINE_POWER + _FILL * max(0.0, 2.0 * nz * nz - 1.0) ** _SHINE_POWER)
+            )
+            for channel in range(3):
+                if colours_of_points:
+                    base = wa * colours[a, channel] + wb * colours[b, channel] + wc * colours[c, channel]
+                else:
+                    base = float(colours[t, channel])
+                picture[row, column, channel] = np.uint8(min(255.0, base * light + shine))
