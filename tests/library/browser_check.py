@@ -198,6 +198,8 @@ class Check:
                 page.select_option("#cut", cut)
                 page.wait_for_timeout(800)
                 self.shot(page, f"view-cut-{cut}")
+                specks = self.pixels(page)["specks"]
+                self.check(specks == 0, f"nothing is drawn beside what cut {cut} leaves: {specks} specks")
         page.locator("#cut-depth").focus()
         before = self.pixels(page)["sum"]
         for _ in range(8):
@@ -214,7 +216,7 @@ class Check:
         page.context.close()
 
     def pixels(self, page):
-        """How much of the view is drawn on, and a sum that tells pictures apart."""
+        """How much of the view is drawn on, a sum that tells pictures apart, and pixels alone within four around."""
         return page.evaluate(
             """() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => {
               const heart = document.getElementById('heart'), copy = document.createElement('canvas');
@@ -222,12 +224,16 @@ class Check:
               requestAnimationFrame(() => {
                 copy.width = heart.width; copy.height = heart.height;
                 const pen = copy.getContext('2d'); pen.drawImage(heart, 0, 0);
-                const d = pen.getImageData(0, 0, copy.width, copy.height).data; let sum = 0, coloured = 0;
+                const d = pen.getImageData(0, 0, copy.width, copy.height).data; let sum = 0, coloured = 0, specks = 0;
+                const off = n => Math.abs(d[n] - d[0]) + Math.abs(d[n + 1] - d[1]) + Math.abs(d[n + 2] - d[2]);
+                const around = [], w = copy.width;
+                for (let s = -4; s <= 4; s += 1) around.push(s - 4 * w, s + 4 * w, s * w - 4, s * w + 4);
                 for (let n = 0; n < d.length; n += 4) {
                   sum += d[n] + 2 * d[n + 1] + 3 * d[n + 2];
-                  coloured += Math.abs(d[n] - d[0]) + Math.abs(d[n + 1] - d[1]) + Math.abs(d[n + 2] - d[2]) > 24;
+                  coloured += off(n) > 24;
+                  specks += off(n) > 6 && !around.some(s => d[n + 4 * s] !== undefined && off(n + 4 * s) > 6);
                 }
-                done({sum: sum, coloured: coloured / (d.length / 4)});
+                done({sum: sum, coloured: coloured / (d.length / 4), specks: specks});
               });
             })))"""
         )

@@ -20,8 +20,8 @@ vec4 onScreen(vec3 place) {
 layout(location = 0) in vec3 aSteps;
 layout(location = 1) in vec2 aFolded;
 uniform vec3 uLow, uStep;
-out vec3 vPlace;
-out vec3 vNormal;
+centroid out vec3 vPlace;
+centroid out vec3 vNormal;
 void main() {
   vPlace = uLow + uStep * aSteps;
   vec3 n = vec3(aFolded, 1.0 - abs(aFolded.x) - abs(aFolded.y));
@@ -33,8 +33,9 @@ void main() {
 }`;
   const SURFACE_FRAGMENT = `#version 300 es
 precision highp float;
-in vec3 vPlace;
-in vec3 vNormal;
+// Taken within the triangle, never beside it: else a pixel that a triangle only touches is cut at a wrong height.
+centroid in vec3 vPlace;
+centroid in vec3 vNormal;
 uniform vec4 uCut;
 uniform bool uIsCut, uIsFlat;
 uniform vec3 uColour;
