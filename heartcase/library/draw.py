@@ -33,12 +33,12 @@ def draw_recipe(path: Path, *, write: bool = True) -> bool:
     Raises
     ------
     RecipeError
-        It cannot be read, or its scan is not synthetic.
+        It cannot be read, its scan is not synthetic, or it has already what would be drawn, but not below the line.
     UsageError
         The heart has no place for a defect or an incision.
     """
     text = read_recipe_text(path)
-    written, _, _ = text.partition(DRAWN_BELOW)
+    written, line, _ = text.partition(DRAWN_BELOW)
     recipe = parse_recipe(written, needs_markers=False)
     if recipe.scan.phantom is None:
         raise RecipeError(
@@ -48,7 +48,16 @@ def draw_recipe(path: Path, *, write: bool = True) -> bool:
     whole = f"{written.rstrip()}\n\n{DRAWN_BELOW}\n\n{drawn_part(recipe.scan.phantom)}"
     if whole == text:
         return False
-    parse_recipe(whole)
+    try:
+        parse_recipe(whole)
+    except RecipeError as error:
+        if line:
+            raise
+        message = (
+            "it has labels, strokes or landmarks of its own, which what is drawn would repeat: delete those to "
+            f"be drawn, or put this line above them:  {DRAWN_BELOW}"
+        )
+        raise RecipeError(message, place="recipe") from error
     if write:
         atomic_write(path, whole.encode())
     return True

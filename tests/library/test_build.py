@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -15,7 +17,15 @@ import pytest
 
 from heartcase import __version__
 from heartcase.cli.main import main
-from heartcase.library.build import Workers, _check_versions, build_cases, connected, default_workers, stale_cases
+from heartcase.library.build import (
+    Workers,
+    _check_versions,
+    build_cases,
+    connected,
+    default_workers,
+    has_dashboard,
+    stale_cases,
+)
 from heartcase.library.plan import CaseRecord, LibraryCase, plan_library, read_record
 from heartcase.pipeline.run import build_case
 from heartcase.schemas.errors import UsageError
@@ -123,6 +133,17 @@ def test_an_output_folder_that_takes_no_records_ends_the_build(tmp_path):
     (out / ".heartcase-cache").write_text("no folder")
     with connected(Workers(1, 1, 3000), None) as client, pytest.raises(OSError, match="heartcase-library"):
         list(build_cases((case,), client, out=out))
+
+
+def test_a_build_beside_another_starts_without_complaint():
+    """Warnings are errors here, and Dask gives one where the port of its pages is taken."""
+    with socket.socket() as other:
+        other.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        with contextlib.suppress(OSError):  # taken by another build already, which serves as well
+            other.bind(("", 8787))
+            other.listen()
+        with connected(Workers(1, 1, 3000), None) as client:
+            assert client.submit(int, "3").result() == 3
 
 
 @pytest.mark.parametrize("answers", [{"w": "0.0.9"}, {"w": "0.0.9", "v": __version__}, None])
