@@ -12,10 +12,11 @@ def own_cache(tmp_path_factory, monkeypatch):
     return folder
 
 
-@pytest.fixture(scope="module")
-def plain_workers(plain_reports):
+@pytest.fixture
+def plain_workers():
     """Reports have no pictures in worker processes either."""
     import dask
+    import distributed  # noqa: F401  its defaults would go with the setting, were they set within
 
     with dask.config.set({"distributed.worker.preload": ["tests.plain_reports"]}):
         yield

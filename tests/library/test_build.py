@@ -23,7 +23,6 @@ from heartcase.library.build import (
     build_cases,
     connected,
     default_workers,
-    has_dashboard,
     stale_cases,
 )
 from heartcase.library.plan import CaseRecord, LibraryCase, plan_library, read_record
@@ -32,7 +31,7 @@ from heartcase.schemas.errors import UsageError
 from heartcase.schemas.recipe import load_recipe
 from tests.ball import write_ball_recipe, write_ball_scan
 
-pytestmark = pytest.mark.usefixtures("plain_workers")
+pytestmark = pytest.mark.usefixtures("plain_reports")
 QUICK = 'parts = ["surface"]'
 NO_TISSUE = """
 [[edits]]
@@ -63,6 +62,7 @@ def run(capsys, *arguments: object) -> tuple[int, dict[str, object]]:
     return code, json.loads(capsys.readouterr().out)
 
 
+@pytest.mark.usefixtures("plain_workers")
 def test_two_workers_make_what_one_by_one_makes_and_a_failure_stops_nobody(tmp_path, capsys):
     library, out = make_library(tmp_path / "library", 2, parts=QUICK), tmp_path / "out"
     path = write_ball_recipe(library / "scan.nii.gz", library / "bad.toml", more=NO_TISSUE)
@@ -94,6 +94,7 @@ def test_two_workers_make_what_one_by_one_makes_and_a_failure_stops_nobody(tmp_p
     assert not computed & {"filter", "segment", "walls", "grid"}
 
 
+@pytest.mark.usefixtures("plain_workers")
 def test_a_killed_worker_costs_what_it_was_building(tmp_path):
     library, out = make_library(tmp_path / "library", 2, parts=QUICK), tmp_path / "out"
     cases = plan_library(library)
