@@ -6,12 +6,14 @@ import sys
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from scipy.ndimage import gaussian_filter
 
 from heartcase.pipeline.mesh.cut import clipped, crossings, filled
 from heartcase.pipeline.mesh.thickness import vertex_normals
+from heartcase.pipeline.report import render
 from heartcase.pipeline.report.montage import label_colours, legend_picture, montage, stacked
 from heartcase.pipeline.report.pictures import (
     VIEWS,
@@ -285,3 +287,27 @@ def test_a_smaller_picture_is_the_mean_of_each_block(factor, height, width, data
     assert smaller.dtype == np.uint8
     # Between two whole numbers either is right.
     np.testing.assert_allclose(smaller, mean, atol=0.5 + 1e-5)
+
+
+@given(st.integers(0, 2**32), st.integers(5, 40), st.integers(5, 40), st.floats(0.02, 2.0))
+@settings(max_examples=50)
+def test_depth_shading_is_that_of_whole_arrays(seed, height, width, mm_per_pixel):
+    random = np.random.default_rng(seed)
+    picture = random.integers(0, 256, (height, width, 3), np.uint8)
+    depth = np.where(random.random((height, width)) < 0.7, random.normal(0.0, 8.0, (height, width)), -np.inf)
+    picture[~np.isfinite(depth)] = 255
+    wanted = depth_shaded(picture, depth, mm_per_pixel)
+    render._shade_by_depth(picture, depth, mm_per_pixel)
+    np.testing.assert_array_equal(picture, wanted)
+
+
+def depth_shaded(picture, depth, mm_per_pixel):
+    """The formula as it is written: mean depth of a quarter of the pixels each way, then light from the difference."""
+    seen = np.isfinite(depth)
+    height = np.where(seen, depth, 0.0)
+    reach = 3.0 / (mm_per_pixel * 4)
+    weight = gaussian_filter(seen[::4, ::4].astype(float), reach)
+    mean = gaussian_filter(height[::4, ::4], reach) / np.maximum(weight, 1e-3)
+    mean = mean.repeat(4, axis=0).repeat(4, axis=1)[: depth.shape[0], : depth.shape[1]]
+    light = np.clip(1.0 - 0.07 * np.maximum(mean - height, 0.0), 0.6, 1.0)
+    return np.where(seen[..., None], np.round(picture * light[..., None]), 255.0).astype(np.uint8)
