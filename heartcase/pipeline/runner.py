@@ -26,7 +26,7 @@ STAGE_VERSIONS = {
     "filter": 2,
     "segment": 2,
     "walls": 11,
-    "edit": 4,
+    "edit": 5,
     "grid": 9,
     "surface": 13,
     "map": 9,

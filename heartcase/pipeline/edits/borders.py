@@ -68,14 +68,19 @@ class Borders:
 
     def owner(self) -> UInt8:
         """Label whose field is lowest at each voxel (ties: the lower value), shape of the fields."""
+        return self._owner_in((slice(None),) * 3)[0]
+
+    def _owner_in(self, box: Box) -> tuple[UInt8, Float32]:
+        """Label whose field is lowest at each voxel of a box (ties: the lower value), and that field."""
         values = sorted(self.fields)
-        owner = np.full(self.structures.geometry.shape, values[0], np.uint8)
-        lowest = self.fields[values[0]].copy()
+        lowest = self.fields[values[0]][box].copy()
+        owner = np.full(lowest.shape, values[0], np.uint8)
         for value in values[1:]:
-            lower = self.fields[value] < lowest
+            field = self.fields[value][box]
+            lower = field < lowest
             owner[lower] = value
-            np.copyto(lowest, self.fields[value], where=lower)
-        return owner
+            np.copyto(lowest, field, where=lower)
+        return owner, lowest
 
     def move(self, value: int, box: Box, field: Float32, into: int | None = None) -> bool:
         """Give a structure a new border.
@@ -117,10 +122,24 @@ class Borders:
             elif into is not None:
                 lead = before
             leads[other] = (before, np.maximum(lead, -field))
+        owner, _ = self._owner_in(box)
         for label, (before, after) in leads.items():
             if (before != after)[zone].any():
                 self._write(label, box, zone, before, after)
+        self._keep_owners(value, box, owner)
         return True
+
+    def _keep_owners(self, value: int, box: Box, owner: UInt8) -> None:
+        """Where a voxel went from one of the others to another, lower its owner's field to what is lowest there.
+
+        Only what a structure takes or leaves changes hands. But where three fields are within rounding of each other,
+        one that is made a distance again can come to lie above one that is not.
+        """
+        now, lowest = self._owner_in(box)
+        lost = (owner != now) & (owner != value) & (now != value)
+        for label in np.unique(owner[lost]):
+            mine = lost & (owner == label)
+            self._writable(int(label))[box][mine] = np.nextafter(lowest[mine], np.float32(-np.inf))
 
     def replace_beyond(self, value: int, distance: Float32) -> None:
         """Take another field where the stored one is farther outside than the band; at least the band."""
