@@ -11,7 +11,8 @@ from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskID, Tim
 from rich.progress_bar import ProgressBar
 from rich.text import Text
 
-from heartcase.cli.output import echo_json, working
+from heartcase.cli.output import echo_json, echo_warnings, working
+from heartcase.pipeline.cautions import severity_of
 from heartcase.schemas.recipe import load_recipe
 
 __all__ = ["command"]
@@ -153,13 +154,13 @@ def command(
                 "stage_seconds": {stage: round(value, 3) for stage, value in result.seconds.items()},
                 "reused": list(result.reused),
                 "warnings": list(result.warnings),
+                "warning_grades": [severity_of(warning).grade for warning in result.warnings],
                 "simulation": result.manifest.simulation.model_dump(mode="json") if result.manifest else None,
                 "quality": result.manifest.quality if result.manifest else None,
             }
         )
         return
-    for warning in result.warnings:
-        click.echo(f"warning: {warning}")
+    echo_warnings(result.warnings)
     if result.manifest is None:
         click.echo(f"Stopped after {until}; its output is in the cache. {seconds:.1f} s.")
         return

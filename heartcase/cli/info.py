@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from heartcase.cli.output import echo_json, file_size, print_facts, print_table, working
+from heartcase.cli.output import echo_json, echo_warnings, file_size, print_facts, print_table, working
 from heartcase.cli.stage_io import scan_options
-from heartcase.pipeline.cautions import counted
+from heartcase.pipeline.cautions import Caution, Severity, cautions_of, counted, severity_of
 from heartcase.schemas.bundle import MANIFEST_NAME
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.geometry import Geometry
@@ -131,6 +131,7 @@ def case_facts(path: Path) -> dict[str, Any]:
         "simulation": manifest.simulation,
         "landmarks": [landmark.name for landmark in manifest.landmarks],
         "warnings": list(manifest.warnings),
+        "warning_grades": [severity_of(warning).grade for warning in cautions_of(manifest)],
         "files": [{"role": file.role.value, "name": file.name, "bytes": file.size} for file in manifest.files],
         "total_bytes": sum(file.size for file in manifest.files),
     }
@@ -251,8 +252,9 @@ def _show_case(facts: dict[str, Any]) -> None:
         ("Largest step", f"{1e3 * simulation.step_limit_s:.3f} ms (stable at rest)"),
         ("Landmarks", ", ".join(facts["landmarks"]) or "none"),
     ]
-    rows += [("Warning", warning) for warning in facts["warnings"]]
     print_facts(rows, title=f"Case {facts['name']}")
+    pairs = zip(facts["warnings"], facts["warning_grades"], strict=True)
+    echo_warnings(Caution(warning, Severity[grade.name]) for warning, grade in pairs)
     volumes = [
         (label["value"], label["name"], label["role"].replace("_", " "), _volume(label["volume_ml"]))
         for label in facts["labels"]

@@ -120,6 +120,9 @@ def diff(old: Path, new: Path, surface_mm: float, volume_percent: float, node_pe
         if rows:
             columns = ("case", "is", "surface mm", "volume %", "nodes", "stages that differ", "more than is allowed")
             print_table(columns, rows, right=("surface mm", "volume %", "nodes"))
+        for change in changes:
+            for warning in change.changed_warnings:
+                click.echo(f"{change.name}: a warning has other numbers now: {warning}")
         count = {kind: sum(change.kind == kind for change in changes) for kind in ("same", "changed", "added")}
         click.echo(
             f"{counted(len(changes), 'case')}: {count['same']} the same to the byte, {count['changed']} changed, "

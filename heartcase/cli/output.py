@@ -19,7 +19,18 @@ from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
-__all__ = ["echo_json", "error_console", "file_size", "json_ready", "print_facts", "print_table", "working"]
+from heartcase.pipeline.cautions import Severity, counted, grouped
+
+__all__ = [
+    "echo_json",
+    "echo_warnings",
+    "error_console",
+    "file_size",
+    "json_ready",
+    "print_facts",
+    "print_table",
+    "working",
+]
 
 
 def json_ready(value: Any) -> Any:
@@ -42,6 +53,23 @@ def json_ready(value: Any) -> Any:
 def echo_json(data: Any) -> None:
     """Print one JSON object on standard output."""
     click.echo(json.dumps(json_ready(data), indent=2, ensure_ascii=False, allow_nan=False))
+
+
+def echo_warnings(warnings: Iterable[str], *, err: bool = False) -> int:
+    """Print the warnings of a case under the report's headings, the worst first, on standard output or error.
+
+    Returns
+    -------
+    int
+        How many of them say that the anatomy may be wrong.
+    """
+    worst = 0
+    for group in grouped(warnings):
+        click.echo(f"{group.title} ({counted(len(group.lines), 'warning')})", err=err)
+        for line in group.lines:
+            click.echo(f"  - {line}", err=err)
+        worst += len(group.lines) * (group.severity is Severity.ANATOMY)
+    return worst
 
 
 def error_console() -> Console:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,7 +19,7 @@ from heartcase.schemas.files import sha256_of_file
 if TYPE_CHECKING:
     from heartcase.schemas.bundle_reader import OpenBundle
 
-__all__ = ["CaseChange", "Tolerances", "diff_libraries", "mesh_of", "surface_change"]
+__all__ = ["CaseChange", "Tolerances", "diff_libraries", "mesh_of", "surface_change", "warning_changes"]
 
 Float64 = npt.NDArray[np.float64]
 Mesh = tuple[Float64, npt.NDArray[np.int32]]
@@ -59,6 +62,8 @@ class CaseChange:
     """Stages of which version or settings differ."""
     new_warnings: tuple[str, ...] = ()
     """Warnings that there were not."""
+    changed_warnings: tuple[str, ...] = ()
+    """Warnings, as they are now, that there were with other numbers: a size, a count or a place in mm."""
 
     def as_dict(self) -> dict[str, object]:
         """For JSON."""
@@ -130,7 +135,7 @@ def _compared(name: str, old: OpenBundle, new: OpenBundle, allowed: Tolerances) 
     nodes = (old.manifest.simulation.node_count, new.manifest.simulation.node_count)
     if 100.0 * abs(nodes[1] - nodes[0]) > allowed.node_percent * nodes[0]:
         beyond.append(f"{nodes[1]:,} nodes instead of {nodes[0]:,}")
-    warnings = tuple(sorted(set(new.manifest.warnings) - set(old.manifest.warnings)))
+    warnings, renumbered = warning_changes(old.manifest.warnings, new.manifest.warnings)
     if warnings:
         beyond.append(f"{len(warnings)} new warning{'s' * (len(warnings) > 1)}")
     return CaseChange(
@@ -144,7 +149,27 @@ def _compared(name: str, old: OpenBundle, new: OpenBundle, allowed: Tolerances) 
         node_count=nodes,
         stages=_differing_stages(old.manifest, new.manifest),
         new_warnings=warnings,
+        changed_warnings=renumbered,
     )
+
+
+def warning_changes(old: Sequence[str], new: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Warnings that are new, and those of which only numbers changed, each sorted.
+
+    A warning has numbers that move with any rebuild. One of ``new`` is the same as one of ``old`` where they differ in
+    nothing else; each of ``old`` stands for one of ``new`` only, so a second place of the same kind is new.
+    """
+    left = Counter(_without_numbers(text) for text in set(old) - set(new))
+    appeared, renumbered = [], []
+    for text in sorted(set(new) - set(old)):
+        shape = _without_numbers(text)
+        (renumbered if left[shape] else appeared).append(text)
+        left[shape] -= 1
+    return tuple(appeared), tuple(renumbered)
+
+
+def _without_numbers(text: str) -> str:
+    return re.sub(r"(?<!\w)-?\d+(?:[.,]\d+)*", "#", text)
 
 
 def mesh_of(bundle: OpenBundle) -> Mesh | None:

@@ -21,6 +21,7 @@ import numpy.typing as npt
 
 from heartcase import __version__
 from heartcase.pipeline.aligned import AlignedFile, aligned_safetensors
+from heartcase.pipeline.cautions import severity_of
 from heartcase.pipeline.data import GridMap, PickingSurface, SimulationGrid, Surface
 from heartcase.pipeline.scan_part import ScanPart
 from heartcase.schemas.about import About
@@ -158,8 +159,10 @@ def assemble_bundle(
         About the scan, without identity.
     stages
         Provenance.
-    landmarks, about, quality, warnings
+    landmarks, about, quality
         As in :class:`CaseManifest`.
+    warnings
+        Marked in :mod:`heartcase.pipeline.cautions`, the worst first.
 
     Raises
     ------
@@ -226,7 +229,8 @@ def assemble_bundle(
         acquisition=dict(acquisition or {}),
         stages=tuple(stages),
         quality=dict(quality or {}),
-        warnings=tuple(warnings),
+        warnings=tuple(str(warning) for warning in warnings),
+        warning_grades=tuple(severity_of(warning).grade for warning in warnings),
         files=tuple(entries),
     )
     return BundleContent(manifest, files)

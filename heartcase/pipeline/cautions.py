@@ -1,8 +1,8 @@
 """How much a warning matters: what comes first for the clinician who must trust or reject a case.
 
 A warning is a line of text. Where it arises it is marked as one about the anatomy, or as one for information; a plain
-line without a mark is something to look at. The mark travels with the line through the cache, so that nothing has to
-be guessed from its words.
+line without a mark is something to look at. The mark travels with the line through the cache and stands in the case,
+so that nothing has to be guessed from its words.
 """
 
 from __future__ import annotations
@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
+from heartcase.schemas.bundle import CaseManifest, WarningGrade
+
 __all__ = [
     "Caution",
     "CautionGroup",
@@ -19,6 +21,7 @@ __all__ = [
     "anatomy",
     "caution_from_json",
     "caution_to_json",
+    "cautions_of",
     "counted",
     "grouped",
     "note",
@@ -36,6 +39,11 @@ class Severity(IntEnum):
     """Something that may be right or wrong, and that a look at the slices decides."""
     NOTE = 2
     """Nothing need be done unless it disturbs."""
+
+    @property
+    def grade(self) -> WarningGrade:
+        """What the manifest of a case calls it."""
+        return WarningGrade[self.name]
 
 
 class Caution(str):
@@ -107,6 +115,12 @@ def worst_first(*sources: Iterable[str]) -> tuple[Caution, ...]:
         text = str(warning)
         found[text] = min(severity_of(warning), found.get(text, Severity.NOTE))
     return tuple(Caution(text, severity) for text, severity in sorted(found.items(), key=lambda item: item[1]))
+
+
+def cautions_of(manifest: CaseManifest) -> tuple[Caution, ...]:
+    """Warnings of a case with how much they matter; in a case that does not say so each is worth a look."""
+    grades = manifest.warning_grades or (WarningGrade.LOOK,) * len(manifest.warnings)
+    return tuple(Caution(text, Severity[grade.name]) for text, grade in zip(manifest.warnings, grades, strict=True))
 
 
 def grouped(warnings: Iterable[str]) -> tuple[CautionGroup, ...]:

@@ -13,7 +13,7 @@ import numpy as np
 from heartcase import __version__
 from heartcase.pipeline.bundle import assemble_bundle, check_place, check_replacement, resolve_materials, write_bundle
 from heartcase.pipeline.cache import Cache, stage_key
-from heartcase.pipeline.cautions import worst_first
+from heartcase.pipeline.cautions import cautions_of, worst_first
 from heartcase.pipeline.data import Segmentation, Structures
 from heartcase.pipeline.lock import check_lock, resolve_recipe
 from heartcase.pipeline.runner import STAGE_VERSIONS, STAGES, BuildListener, Runner, SilentListener
@@ -167,7 +167,7 @@ def _finish(
     if manifest is not None:
         runner.listener.stage_finished("bundle", seconds=0.0, reused=True)
         reused = (*runner.reused, "bundle")
-        return BuildResult(case, report, manifest, runner.seconds, reused, False, manifest.warnings)
+        return BuildResult(case, report, manifest, runner.seconds, reused, False, cautions_of(manifest))
     runner.announce("bundle")
     start = time.perf_counter()
     scan, grid, structures = have(nodes.scan).get(), have(nodes.grid).get(), have(nodes.structures).get()

@@ -30,7 +30,7 @@ STAGE_VERSIONS = {
     "grid": 9,
     "surface": 13,
     "map": 9,
-    "bundle": 5,
+    "bundle": 6,
 }
 """Raised whenever a stage's output changes for the same input, so that the cache forgets the old one."""
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import Field, ValidationInfo, field_validator
 
 from heartcase.schemas.about import About
 from heartcase.schemas.base import CaseId, Model, Name, Vector3
@@ -37,6 +37,7 @@ __all__ = [
     "ScanValues",
     "SimulationFigures",
     "StageRecord",
+    "WarningGrade",
 ]
 
 FORMAT_NAME = "heartcase-bundle"
@@ -251,6 +252,17 @@ class ScanValues(Model):
     """Largest difference to the filtered scan that the rounding made."""
 
 
+class WarningGrade(StrEnum):
+    """How much a warning matters, the worst first."""
+
+    ANATOMY = "anatomy"
+    """The anatomy may be wrong: the model may differ from the heart there."""
+    LOOK = "look"
+    """Something that may be right or wrong, and that a look at the slices decides."""
+    NOTE = "note"
+    """For information: nothing need be done."""
+
+
 class StageRecord(Model):
     """How a stage came to its output."""
 
@@ -334,8 +346,18 @@ class CaseManifest(Model):
     """Quality figures per stage."""
     warnings: tuple[_Line, ...] = ()
     """What a user must know, worst first."""
+    warning_grades: tuple[WarningGrade, ...] = ()
+    """How much each warning matters, in their order; empty in cases before 1.4: then each is worth a look."""
     files: tuple[FileEntry, ...]
     """Every file of the bundle but this one."""
+
+    @field_validator("warning_grades")
+    @classmethod
+    def _has_one_for_each_warning(cls, grades: tuple[WarningGrade, ...], info: ValidationInfo) -> Any:
+        warnings = info.data.get("warnings")
+        if grades and warnings is not None and len(grades) != len(warnings):
+            raise ValueError(f"there are {len(grades)} grades of {len(warnings)} warnings: give one for each, or none")
+        return grades
 
     def file(self, role: FileRole) -> FileEntry | None:
         """The file with this role, or None when the case was made without it."""

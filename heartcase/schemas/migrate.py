@@ -120,6 +120,7 @@ BUNDLE_CHANGES: dict[str, tuple[str, ...]] = {
     "1.4": (
         "a case says what it teaches, its diagnoses with their codes, its origin and its licence",
         "a polyline that is a planned incision has a depth",
+        "a case says how much each of its warnings matters",
     ),
 }
 """Minor version of the bundle's format -> what it added."""

@@ -86,7 +86,7 @@ def test_case_is_described(tmp_path, capsys):
     assert "Not a medical device" in out
     assert f"{len(heart.grid.nodes):,} nodes" in out
     assert "33.0" in out
-    assert "a warning for the reader" in out
+    assert "Look at this (1 warning)\n  - A warning for the reader.\n" in out
 
 
 def test_recipe_is_described_with_and_without_its_scan(tmp_path, capsys):

@@ -1,5 +1,6 @@
 """lock, upgrade and approve, as a user types them."""
 
+import io
 import json
 import tomllib
 
@@ -9,6 +10,7 @@ from heartcase.cli.build import STAGE_WORDS
 from heartcase.cli.main import main
 from heartcase.pipeline import runner
 from heartcase.pipeline.bundle import write_bundle
+from heartcase.schemas.approval import approval_log
 from heartcase.schemas.bundle import StageRecord
 from heartcase.schemas.migrate import RECIPE, SCRIPT, Migration
 from heartcase.schemas.recipe import load_recipe
@@ -254,6 +256,36 @@ def test_approve_asks_first_and_info_validate_and_simulate_say_the_state(case, c
     manifest.write_bytes(manifest.read_bytes() + b"\n")
     assert run("validate", case) == 0
     assert "draft: the case was changed since it was approved" in capsys.readouterr().out
+
+
+def test_approve_asks_about_wrong_anatomy_by_itself_and_yes_says_it(case, capsys):
+    from click.testing import CliRunner
+
+    from heartcase.cli.approve import command
+
+    manifest = case / "case.json"
+    texts, grades = ["a hole", "a second hole", "a look", "a note"], ["anatomy", "anatomy", "look", "note"]
+    stated = json.loads(manifest.read_text()) | {"warnings": texts, "warning_grades": grades}
+    manifest.write_text(json.dumps(stated))
+    arguments = [str(case), "--role", "surgeon"]
+    for answers, code in (("n\n", 1), ("y\nn\n", 1), ("y\ny\n", 0)):
+        result = CliRunner().invoke(command, arguments, input=answers)
+        assert result.exit_code == code
+        assert result.output.count("2 warnings say that the anatomy may be wrong. Have you compared these places") == 1
+    headings = ["The anatomy may be wrong (2 warnings)", "  - A hole.", "Look at this (1 warning)", "  - A look."]
+    assert [line for line in result.output.splitlines() if line in headings] == headings
+    assert run("approve", case, "--role", "surgeon", "--yes") == 0
+    assert "2 warnings say that the anatomy may be wrong: approved all the same" in capsys.readouterr().err
+    assert run("info", case) == 0
+    assert "For your information (1 warning)\n  - A note.\n" in capsys.readouterr().out
+    assert run_json(capsys, "info", case)[1]["warning_grades"] == grades
+
+
+def test_approve_where_nobody_can_answer_names_the_option(case, capsys, monkeypatch):
+    monkeypatch.setattr("sys.stdin", io.StringIO(""))
+    assert run("approve", case, "--role", "surgeon") == 2
+    assert "add --yes" in capsys.readouterr().err
+    assert not approval_log(case).exists()
 
 
 def test_approve_refuses_an_unsound_case_and_withdraws(case, capsys):

@@ -120,7 +120,25 @@ def test_cases_are_shown_with_what_they_say(library):
     assert {"../../first.case/case.json"} < {href for href in hrefs if href.startswith("../../first.case/")}
     (card,) = handed_over((cases / "catalogue/data/index.js").read_text())
     assert card["titles"] == {"de": "Ein Herz", "en": "A heart"}
-    assert (card["warnings"], card["origin"]) == (1, "synthetic")
+    assert (card["doubtful"], card["origin"]) == (1, "synthetic")
+
+
+def test_warnings_stand_under_what_they_matter_and_only_doubts_count(library):
+    texts, grades = ["a hole", "a look", "a note"], ["anatomy", "look", "note"]
+    library("graded", about=about(), warnings=texts, warning_grades=grades)
+    library("older", about=about(), warnings=texts, warning_grades=[])
+    cases = library("noted", about=about(), warnings=["a note"], warning_grades=["note"])
+    write_catalogue(cases)
+    cards = handed_over((cases / "catalogue/data/index.js").read_text())
+    assert {card["name"]: card["doubtful"] for card in cards} == {"graded": 2, "noted": 0, "older": 3}
+    text = {name: Page((cases / f"catalogue/cases/{name}.html").read_text()).text for name in ("graded", "noted")}
+    found = [
+        text["graded"].index(words) for words in ("A hole.", "Look with care.", "For your information.", "A note.")
+    ]
+    assert found == sorted(found)
+    assert "The checks found nothing wrong." in text["noted"]
+    assert "The checks found nothing wrong." not in text["graded"]
+    assert not any("before you approve" in one for one in text.values())
 
 
 def test_patients_without_a_release_and_cases_without_about_are_refused(library, capsys):
@@ -578,7 +596,7 @@ assert.strictEqual(math.lettersOf([0, -1, 0]), "A");
 assert.deepStrictEqual(math.sidesOf([1, -2, 0]), ["anterior", "left"]);
 assert(near(math.unfolded(0, 0), [0, 0, 1]) && near(math.unfolded(127, 0), [1, 0, 0]));
 const card = {name: "x", titles: {en: "H\\u00e9art"}, 
-  diagnoses: [{name: "Tetralogy", more: ["TOF"], codes: ["LA88.2"]}], origin: "patient", warnings: 1};
+  diagnoses: [{name: "Tetralogy", more: ["TOF"], codes: ["LA88.2"]}], origin: "patient", doubtful: 1};
 card.haystack = finder.haystack(card);
 const fits = (words, more) => finder.fits(card, {words: words, diagnosis: "", origin: "", clean: false, ...more});
 assert(fits(["heart"]) && fits(["tof", "la88"]) && !fits(["asd"]));

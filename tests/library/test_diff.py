@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 from heartcase.cli.main import main
-from heartcase.library.diff import Tolerances, diff_libraries, surface_change
+from heartcase.library.diff import Tolerances, diff_libraries, surface_change, warning_changes
 from heartcase.pipeline.run import build_case
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.recipe import load_recipe
@@ -67,6 +67,30 @@ def test_what_changed_is_said_and_judged(builds, capsys):
     assert not [words for words in change.beyond if "warning" not in words]
     assert main(["library", "diff", str(builds / "old"), str(builds / "new"), "--json"]) == 1
     assert json.loads(capsys.readouterr().out)["beyond_count"] == 1
+
+
+def test_a_warning_is_new_only_where_more_than_its_numbers_changed():
+    old = ["0.1% of the wall at (-7.5, 3.0, 12.0) mm is thin", "a piece at (1.0, 2.0, 3.0) mm is loose", "gone"]
+    new = ["0.2% of the wall at (-7.4, 3.0, 12.0) mm is thin", "a piece at (1.0, 2.0, 3.0) mm is loose"]
+    assert warning_changes(old, new) == ((), (new[0],))
+    # A second piece is new, though it differs from the first in numbers only.
+    second = "a piece at (9.0, 8.0, -7.0) mm is loose"
+    assert warning_changes(old, [*new, second]) == ((second,), (new[0],))
+    # What is not a number counts: another structure is another warning.
+    other = "0.2% of the roof at (-7.4, 3.0, 12.0) mm is thin"
+    assert warning_changes(old, [other]) == ((other,), ())
+
+
+def test_warnings_with_other_numbers_are_listed_and_allowed(builds, tmp_path, capsys):
+    for folder, text in (("old", "0.1% is thin"), ("new", "0.2% is thin")):
+        case = tmp_path / folder / "ball.case"
+        shutil.copytree(builds / "old" / "ball.case", case)
+        data = json.loads((case / "case.json").read_text())
+        (case / "case.json").write_text(json.dumps(data | {"warnings": [text], "warning_grades": ["look"]}))
+    assert main(["library", "diff", str(tmp_path / "old"), str(tmp_path / "new")]) == 0
+    said = capsys.readouterr().out
+    assert "ball: a warning has other numbers now: 0.2% is thin" in said
+    assert "0 to be looked at" in said
 
 
 def test_cases_that_are_gone_new_or_damaged_are_listed(builds, tmp_path):

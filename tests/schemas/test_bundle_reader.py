@@ -137,6 +137,8 @@ def test_a_broken_manifest_is_refused(case, change, words):
         (lambda d: d["simulation"].update(step_default_s=10), "simulation.step_default_s"),
         (lambda d: d.update(materials=[]), "materials"),
         (lambda d: d.update(warnings=["\x1b[2Jgone"]), "case.json.warnings[1]"),
+        (lambda d: d.update(warnings=["a", "b"], warning_grades=["note"]), "case.json.warning_grades"),
+        (lambda d: d.update(warnings=["a"], warning_grades=["bad"]), "case.json.warning_grades[1]"),
     ],
 )
 def test_a_manifest_at_odds_with_the_arrays_is_found(case, change, place):

@@ -9,7 +9,7 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
-from heartcase.pipeline.cautions import CautionGroup, grouped
+from heartcase.pipeline.cautions import CautionGroup, Severity, cautions_of, grouped
 from heartcase.pipeline.openings import Verdict
 from heartcase.pipeline.report.build_report import VERDICT_WORDS
 from heartcase.pipeline.report.plain_words import Fact, figure_facts
@@ -88,8 +88,13 @@ class Entry:
 
     @property
     def warnings(self) -> tuple[CautionGroup, ...]:
-        """Warnings under the report's headings."""
-        return grouped(self.manifest.warnings)
+        """Warnings by how much they matter, the worst first."""
+        return grouped(cautions_of(self.manifest))
+
+    @property
+    def doubtful_count(self) -> int:
+        """Number of warnings that are more than information."""
+        return sum(len(group.lines) for group in self.warnings if group.severity is not Severity.NOTE)
 
     @property
     def surface_p99_mm(self) -> float | None:
@@ -156,7 +161,7 @@ class Entry:
             ],
             "segmental": self.about.segmental,
             "origin": self.about.origin,
-            "warnings": len(self.manifest.warnings),
+            "doubtful": self.doubtful_count,
             "p99": None if self.surface_p99_mm is None else round(self.surface_p99_mm, 3),
             "nodes": self.manifest.simulation.node_count,
             "picture": bool(self.bundle.levels),

@@ -65,7 +65,6 @@ def case_page(
         for language, text in sorted(entry.about.texts.items(), key=lambda item: (item[0] != "en", item[0]))
         if not languages or language == "en" or language in languages
     ]
-    warning_count = len(manifest.warnings)
     p99 = entry.surface_p99_mm
     return _render(
         "case.html.j2",
@@ -74,8 +73,8 @@ def case_page(
         about=entry.about,
         texts=texts,
         notice=manifest.notice,
-        warning_count=warning_count,
-        counted_warnings=_counted_warnings(warning_count),
+        doubtful_count=entry.doubtful_count,
+        counted_doubtful=_counted_doubtful(entry.doubtful_count),
         p99=None if p99 is None else f"{round(p99, 3):g}",
         nodes=manifest.simulation.node_count,
         pictures=bool(entry.bundle.levels),
@@ -89,7 +88,7 @@ def case_page(
         bloods=[kind.value for kind in Oxygen if any(group["blood"] == kind.value for group in groups)],
         oxygen_colours={kind.value: colour for kind, colour in OXYGEN_COLOURS.items()},
         landmarks=entry.landmarks,
-        warnings=entry.warnings,
+        warnings=[(group.severity.grade.value, group.lines) for group in entry.warnings],
         facts=entry.facts,
         openings=entry.openings,
         volumes=entry.volumes_ml,
@@ -162,8 +161,8 @@ def _point(point: Sequence[float]) -> str:
     return ", ".join(f"{value:.1f}" for value in point)
 
 
-def _counted_warnings(count: int) -> str:
-    return WORDS[f"warnings_{count if count < 2 else 'n'}"][0].replace("{count}", str(count))
+def _counted_doubtful(count: int) -> str:
+    return WORDS[f"doubtful_{count if count < 2 else 'n'}"][0].replace("{count}", str(count))
 
 
 def _size(byte_count: int) -> str:

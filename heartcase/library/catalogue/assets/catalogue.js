@@ -30,8 +30,8 @@
     return Number(value).toLocaleString(interfaceOf(chosen));
   }
 
-  function warningsWord(count) {
-    return word(count === 0 ? "warnings_0" : count === 1 ? "warnings_1" : "warnings_n", { count: count });
+  function doubtfulWord(count) {
+    return word(count === 0 ? "doubtful_0" : count === 1 ? "doubtful_1" : "doubtful_n", { count: count });
   }
 
   function translate(root) {
@@ -39,8 +39,8 @@
       const { count, mm } = one.dataset;
       one.textContent = word(one.dataset.word, { count: count ? number(count) : "", mm: mm ? number(mm) : "" });
     }
-    for (const one of root.querySelectorAll("[data-count-word=warnings]")) {
-      one.textContent = warningsWord(Number(one.dataset.count));
+    for (const one of root.querySelectorAll("[data-count-word=doubtful]")) {
+      one.textContent = doubtfulWord(Number(one.dataset.count));
     }
     for (const one of root.querySelectorAll("[data-word-label]")) {
       one.setAttribute("aria-label", word(one.dataset.wordLabel));
@@ -129,7 +129,7 @@
     word: word,
     number: number,
     available: available,
-    warningsWord: warningsWord,
+    doubtfulWord: doubtfulWord,
     withLanguage: withLanguage,
     interfaceLanguage: () => interfaceOf(chosen),
     watch: (watcher) => watchers.push(watcher),

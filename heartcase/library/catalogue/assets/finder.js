@@ -21,7 +21,7 @@
       wanted.words.every((word) => card.haystack.includes(word)) &&
       (!wanted.diagnosis || card.diagnoses.some((one) => plain(one.name) === wanted.diagnosis)) &&
       (!wanted.origin || card.origin === wanted.origin) &&
-      (!wanted.clean || card.warnings === 0)
+      (!wanted.clean || card.doubtful === 0)
     );
   }
 
@@ -61,7 +61,7 @@
     }
     const badges = element("ul", { class: "badges" });
     badges.append(element("li", { class: "badge origin-" + card.origin }, catalogue.word(card.origin)));
-    badges.append(element("li", { class: "badge " + (card.warnings ? "look" : "good") }, catalogue.warningsWord(card.warnings)));
+    badges.append(element("li", { class: "badge " + (card.doubtful ? "look" : "good") }, catalogue.doubtfulWord(card.doubtful)));
     if (card.p99 !== null) badges.append(element("li", { class: "badge" }, catalogue.word("surface_badge", { mm: catalogue.number(card.p99) })));
     badges.append(element("li", { class: "badge" }, catalogue.word("nodes_badge", { count: catalogue.number(card.nodes) })));
     const diagnoses = element("p", { class: "diagnoses", lang: "en" }, card.diagnoses.map((one) => one.name).join("; "));
