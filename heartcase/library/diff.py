@@ -160,7 +160,8 @@ def warning_changes(old: Sequence[str], new: Sequence[str]) -> tuple[tuple[str, 
     nothing else; each of ``old`` stands for one of ``new`` only, so a second place of the same kind is new.
     """
     left = Counter(_without_numbers(text) for text in set(old) - set(new))
-    appeared, renumbered = [], []
+    appeared: list[str] = []
+    renumbered: list[str] = []
     for text in sorted(set(new) - set(old)):
         shape = _without_numbers(text)
         (renumbered if left[shape] else appeared).append(text)
