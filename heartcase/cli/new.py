@@ -159,6 +159,17 @@ points_mm = [{[round(center_mm[0] - 0.45 * extent_mm[0], 1), *center_mm[1:]]}]  
 # diameter_mm = 8.0
 # axis = [1.0, 0.0, 0.0]
 
+# Named places. With apex and the middles of both valves the report's cuts are exact; scripts of the simulator grab a
+# place by its name; a ring named "ventricular septal defect" tells that a hole is the patient's own.
+# [[landmarks]]
+# name = "apex"           # the tip of the left ventricle, on its outside
+# kind = "point"          # or "ring", "polyline"
+# points_mm = [{list(center_mm)}]
+# [[landmarks]]
+# name = "mitral valve"   # and "tricuspid valve"
+# kind = "point"
+# points_mm = [{list(center_mm)}]
+
 # A wall that is not equally thick everywhere, instead of the one wall_thickness_mm of its label:
 # [[walls.thickness]]
 # label = "aorta"

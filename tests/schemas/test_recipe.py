@@ -188,6 +188,7 @@ def test_what_the_starter_recipe_shows_as_comments_is_valid_too(modality):
     assert [stroke.erase for stroke in recipe.strokes] == [False, False, True]
     assert [one.label for one in recipe.walls.thickness] == ["aorta"]
     assert (recipe.filter.conductance, len(recipe.ends), len(recipe.edits), len(recipe.pins)) == (1.0, 1, 1, 1)
+    assert [mark.name for mark in recipe.landmarks] == ["apex", "mitral valve"]
     assert recipe.region is not None
 
 
