@@ -177,5 +177,5 @@ def command(
         coarser = f"; coarser level{'s' * (len(levels) > 1)} of {' and '.join(levels)}" if levels else ""
         click.echo(f"Surface {surface['triangle_count']:,} triangles{coarser}")
     click.echo(f"Step    {figures.step_default_s * 1e3:.3f} ms ({figures.steps_per_second:,.0f} steps per second)")
-    click.echo(f"Time    {seconds:.1f} s")
+    click.echo(f"Time    {seconds:.1f} s (the report adds up its stages, also those that ran at once or earlier)")
     click.echo(result.manifest.notice)

@@ -12,6 +12,12 @@ from heartcase.schemas.errors import UsageError
 
 __all__ = ["check", "diff"]
 
+_LEGEND = (
+    "Dice: 1 where case and truth agree in all voxels, 0 where they share none. Tissue: muscle and all walls together. "
+    "Worst label: the least of the structures that were segmented, mostly cavities, so it may be above the tissue's. "
+    "Surface: mean distance from the true one, and what 95% keep to. Holes: true diameter, error, how far off."
+)
+
 
 @click.command()
 @click.argument("directory", metavar="DIR", type=click.Path(path_type=Path, readable=False))
@@ -19,7 +25,9 @@ __all__ = ["check", "diff"]
     "--out", type=click.Path(path_type=Path, readable=False), default=Path("library"), show_default=True,
     help="Where the cases are.",
 )  # fmt: skip
-@click.option("--dice", "least_dice", type=float, default=0.85, show_default=True, help="Least Dice of the tissue.")
+@click.option(
+    "--dice", "least_dice", type=float, default=0.85, show_default=True, help="Dice below which the tissue is told."
+)
 @click.option("--surface-mm", type=float, default=1.0, show_default=True, help="How far 95% of the surface may be off.")
 @click.option("--hole-mm", type=float, default=2.0, show_default=True, help="How far a hole's diameter may be off.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
@@ -74,8 +82,17 @@ def check(directory: Path, out: Path, least_dice: float, surface_mm: float, hole
     if as_json:
         echo_json({"cases": found, "wrong_count": wrong})
     else:
-        columns = ("case", "tissue Dice", "least Dice", "surface mm", "95%", "holes mm", "worse than allowed")
-        print_table(columns, rows, right=("tissue Dice", "least Dice", "surface mm", "95%"))
+        columns = (
+            "case",
+            "Dice of tissue",
+            "Dice of worst label",
+            "surface mm",
+            "95%",
+            "holes mm",
+            "worse than allowed",
+        )
+        print_table(columns, rows, right=("Dice of tissue", "Dice of worst label", "surface mm", "95%"))
+        click.echo(_LEGEND)
         click.echo(f"{counted(len(rows), 'case')} compared with the truth, {wrong} to be looked at")
     if wrong:
         raise click.exceptions.Exit(1)

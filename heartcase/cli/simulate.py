@@ -138,6 +138,9 @@ def command(
         click.echo(f"Approval   {approval.words}")
         for line in _lines(loaded, summary):
             click.echo(line)
+        for what, path in (("picture", picture), ("animation", animation), ("surface", surface_out)):
+            if path is not None:
+                click.echo(f"wrote the {what} to {path}")
 
 
 class _Audience:

@@ -19,10 +19,12 @@ and exits with ``exit_code``; anything else is a bug, told without its own text,
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any, get_args
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 __all__ = [
@@ -155,8 +157,13 @@ class ModelProblems(ValueError):
         super().__init__("; ".join(str(problem) for problem in self.problems))
 
 
-def problems_from_validation(error: ValidationError, *, place: str = "") -> tuple[Problem, ...]:
-    """Turn a pydantic error into problems with dotted places, such as ``strokes[2].points_mm``."""
+def problems_from_validation(
+    error: ValidationError, *, place: str = "", model: type[BaseModel] | None = None
+) -> tuple[Problem, ...]:
+    """Turn a pydantic error into problems with dotted places, such as ``strokes[2].points_mm``.
+
+    Where the ``model`` that refused is given, an unknown setting is told with the one that was probably meant.
+    """
     problems: list[Problem] = []
     for detail in error.errors(include_url=False):
         dotted = _dotted(detail["loc"], place)
@@ -177,13 +184,41 @@ def problems_from_validation(error: ValidationError, *, place: str = "") -> tupl
         if kind == "string_pattern_mismatch" and limits.get("pattern") in _PATTERN_WORDS:
             message = f"{message}: {_PATTERN_WORDS[limits['pattern']]}"
         if kind == "extra_forbidden":
-            message = "unknown setting: check its spelling, or remove it"
+            near = _meant(model, detail["loc"])
+            message = f"unknown setting: did you mean {near!r}?" if near else _UNKNOWN
         elif kind == "missing":
             message = "is missing: add it"
         elif isinstance(detail["input"], str | int | float | bool) and not _is_path(detail["input"]):
             message += f" (found {detail['input']!r})"
         problems.append(Problem(dotted, message))
     return tuple(problems)
+
+
+_UNKNOWN = "unknown setting: check its spelling, or remove it"
+
+
+def _meant(model: type[BaseModel] | None, location: tuple[int | str, ...]) -> str | None:
+    """The setting beside an unknown one whose name is nearest to it; None where none is near."""
+    models = [model] if model is not None else []
+    for part in location[:-1]:
+        fields = [one.model_fields[part] for one in models if isinstance(part, str) and part in one.model_fields]
+        if fields:
+            models = [inner for field in fields for inner in _models_in(field.annotation)]
+        else:
+            # A place in a list, a key of a table, or the kind that tells alternatives apart.
+            models = [one for one in models if _is_kind(one, part)] or models
+    near = difflib.get_close_matches(str(location[-1]), [name for one in models for name in one.model_fields], n=1)
+    return near[0] if near else None
+
+
+def _models_in(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [model for inner in get_args(annotation) for model in _models_in(inner)]
+
+
+def _is_kind(model: type[BaseModel], tag: int | str) -> bool:
+    return any(tag in get_args(field.annotation) for field in model.model_fields.values())
 
 
 _PLAIN_WORDS = {

@@ -291,7 +291,9 @@ def parse_recipe(text: str, *, needs_markers: bool = True) -> Recipe:
     try:
         return Recipe.model_validate(data, context={"needs_markers": needs_markers})
     except ValidationError as error:
-        raise RecipeError((*problems_from_validation(error), *_hidden_problems(data, error, needs_markers))) from None
+        raise RecipeError(
+            (*problems_from_validation(error, model=Recipe), *_hidden_problems(data, error, needs_markers))
+        ) from None
 
 
 _NEUTRAL: dict[str, Any] = {"heartcase_recipe": RECIPE_VERSION, "name": "x", "scan": {"path": "x"}}
@@ -309,7 +311,7 @@ def _hidden_problems(data: dict[str, Any], error: ValidationError, needs_markers
         neutral = {key: value for key, value in _NEUTRAL.items() if key in wrong}
         Recipe.model_validate(rest | neutral, context={"needs_markers": needs_markers})
     except ValidationError as hidden:
-        return problems_from_validation(hidden)
+        return problems_from_validation(hidden, model=Recipe)
     return ()
 
 

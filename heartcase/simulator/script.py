@@ -129,7 +129,7 @@ def parse_script(text: str) -> SimulationScript:
     except tomllib.TOMLDecodeError as error:
         raise ScriptError(f"this is not valid TOML: {error}", place="script") from None
     except ValidationError as error:
-        raise ScriptError(problems_from_validation(error)) from None
+        raise ScriptError(problems_from_validation(error, model=SimulationScript)) from None
 
 
 def with_positions(script: SimulationScript, landmarks: tuple[Landmark, ...]) -> SimulationScript:

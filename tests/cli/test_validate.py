@@ -266,7 +266,7 @@ def test_a_lost_file_hides_nothing_in_the_others(tmp_path: Path) -> None:
         ('name = "x"\nscan = { path = "a.nii" }\n[grid]\ncell_mm = 3\n', "heartcase_recipe: is missing"),
         ("[scan]\npath = heart.nii\n", 'text needs "quotation marks"'),
         ('heartcase_recipe = 1\nname = "Müller"\nscan = { path = "a.nii" }\n', "letters a to z without accents"),
-        ("seconds = 2.0\ndampening_per_s = 3\n", "dampening_per_s: unknown setting"),
+        ("seconds = 2.0\ndampening_per_s = 3\n", "dampening_per_s: unknown setting: did you mean 'damping_per_s'?"),
     ],
 )
 def test_what_a_text_is_meant_as(tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, words: str) -> None:
@@ -276,3 +276,17 @@ def test_what_a_text_is_meant_as(tmp_path: Path, capsys: pytest.CaptureFixture[s
     said = capsys.readouterr().out
     assert words in said
     assert "script" not in said
+
+
+def test_what_is_not_there_is_told_without_guessing_what_it_was(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["validate", str(tmp_path / "nope.toml")]) == 1
+    assert capsys.readouterr().out.startswith("PATH: there is nothing at this path: check its spelling\n")
+
+
+def test_a_misspelled_command_is_told_with_the_nearest_one(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["biuld", "x.toml"]) == 2
+    assert capsys.readouterr().err.count("build") == 1
+    assert main(["qqqq"]) == 2
+    assert "mean" not in capsys.readouterr().err

@@ -374,6 +374,21 @@ def test_odd_figures_of_other_versions_do_not_stop_a_page(library):
     assert card["p99"] is None
 
 
+def test_openings_and_rings_are_told_in_a_students_words(library):
+    pair = {"between": ["left ventricle", "right ventricle"], "area_mm2": 110.0, "verdict": "stated"}
+    openings = [pair | {"stated_by": "edits[1]"}, pair | {"stated_by": "the landmark 'VSD'"}]
+    ring = {"name": "mid muscular defect", "kind": "ring", "points_mm": [[0, 0, 0]], "axis": [0, 0, 1], "radius_mm": 6}
+    drawn = {"name": "drawn", "kind": "ring", "points_mm": [[3, 0, 0], [0, 3, 0], [-3, 0, 0], [0, -3, 0]]}
+    cases = library("one", about=about(), quality={"openings": openings}, landmarks=[ring, drawn])
+    write_catalogue(cases)
+    text = Page((cases / "catalogue/cases/one.html").read_text()).text
+    assert "edits[" not in text
+    assert "meant here: the hole was made in the model" in text
+    assert "meant here: the landmark 'VSD'" in text
+    assert "ring, ⌀ 12 mm" in text
+    assert "ring, ⌀ 6 mm" in text
+
+
 def test_folders_without_cases_are_refused(tmp_path, capsys):
     assert main(["library", "catalogue", str(tmp_path / "none")]) == 2
     assert main(["library", "catalogue", str(tmp_path)]) == 2

@@ -231,6 +231,30 @@ def test_a_recipe_round_trips_through_json():
     assert tomllib.loads(MINIMAL)["name"] == recipe.name
 
 
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[grid]\ncell_size_mm = 3\n", "grid.cell_size_mm: unknown setting: did you mean 'cell_mm'?"),
+        ("[materials]\nyoungs_modulus_pa = 3e4\n", "did you mean 'youngs_modulus_kpa'?"),
+        (
+            '[[labels]]\nvalue = 0\nname = "background"\nrole = "background"\nwall_thickness_cm = 1\n',
+            "labels[1].wall_thickness_cm: unknown setting: did you mean 'wall_thickness_mm'?",
+        ),
+        # An edit has only the settings of its kind.
+        (
+            '[[edits]]\nkind = "septal_defect"\nposition_mm = [0, 0, 0]\ndiametre_mm = 3\n',
+            "did you mean 'diameter_mm'?",
+        ),
+        ("sculpture = 1\n", "sculpture: unknown setting: check its spelling, or remove it"),
+    ],
+)
+def test_an_unknown_setting_is_told_with_the_nearest_one(text, said):
+    text = MINIMAL.replace("[[strokes]]", f"{text}[[strokes]]", 1)
+    with pytest.raises(RecipeError) as caught:
+        parse_recipe(text)
+    assert any(said in str(problem) for problem in caught.value.problems), caught.value
+
+
 def test_a_wrong_setting_does_not_hide_an_unknown_label():
     text = MINIMAL.replace("heartcase_recipe = 1", "heartcase_recipe = 1\ncolour = 3") + (
         '[[strokes]]\nlabel = "left ventrikel"\npoints_mm = [[0, 0, 0]]\n[grid]\ncell_mm = -1\n'

@@ -175,11 +175,12 @@ def test_command_refuses_in_one_line(case_path, capsys, arguments, code, message
     assert message in capsys.readouterr().err
 
 
-def test_animation_and_picture_show_the_deformation(case_path, tmp_path):
+def test_animation_and_picture_show_the_deformation(case_path, tmp_path, capsys):
     image = pytest.importorskip("PIL.Image")
     film, picture = tmp_path / "pull.gif", tmp_path / "pull.png"
     arguments = ["--seconds", "0.2", "--animation", str(film), "--picture", str(picture)]
     assert main(["simulate", str(case_path), *arguments]) == 0
+    assert f"wrote the picture to {picture}\nwrote the animation to {film}\n" in capsys.readouterr().out
     with image.open(film) as frames:
         assert frames.n_frames == 4
         first = np.array(frames.convert("RGB"), int)

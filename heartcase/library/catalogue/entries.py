@@ -125,8 +125,9 @@ class Entry:
                 words = VERDICT_WORDS[Verdict(str(one.get("verdict")))]
             except ValueError:
                 continue
-            stated = str(one["stated_by"]) if one.get("stated_by") else ""
-            found.append(OpeningLine(f"{between[0]} and {between[1]}", area, f"{words} {stated}".rstrip()))
+            if one.get("stated_by"):
+                words = _stated_words(str(one["stated_by"]))
+            found.append(OpeningLine(f"{between[0]} and {between[1]}", area, words))
         return found
 
     @property
@@ -194,6 +195,13 @@ def read_entry(case: Path) -> Entry:
         raise BundleError(about.refusal, place="about.release")
     report = f"{name}.report.html"
     return Entry(name, bundle, about, report if (case.parent / report).is_file() else None)
+
+
+def _stated_words(stated_by: str) -> str:
+    """That an opening is meant, for those who know no recipe."""
+    if stated_by.startswith("edits["):
+        return "not in a normal heart, but meant here: the hole was made in the model"
+    return f"not in a normal heart, but meant here: {stated_by}"
 
 
 def _rank(role: FileRole) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from functools import cache
@@ -15,6 +16,7 @@ from heartcase.library.catalogue.oxygenation import Oxygen, Oxygenation
 from heartcase.library.catalogue.pictures import PICTURE_SIZE
 from heartcase.library.catalogue.words import INTERFACE_LANGUAGES, LANGUAGE_NAMES, WORDS
 from heartcase.schemas.bundle import CaseManifest
+from heartcase.schemas.landmarks import Landmark
 
 if TYPE_CHECKING:
     import jinja2
@@ -149,12 +151,27 @@ def _environment() -> jinja2.Environment:
         lstrip_blocks=True,
     )
     environment.globals["word"] = lambda key: WORDS[key][0]
-    environment.filters |= {"address": address, "paragraphs": _paragraphs, "point": _point, "size": _size}
+    environment.filters |= {
+        "address": address,
+        "diameter": _diameter,
+        "paragraphs": _paragraphs,
+        "point": _point,
+        "size": _size,
+    }
     return environment
 
 
 def _paragraphs(text: str) -> list[str]:
     return [part.strip() for part in re.split(r"\n\s*\n", text) if part.strip()]
+
+
+def _diameter(landmark: Landmark) -> str:
+    """Diameter of a ring or of a vessel, mm; of a ring of points, that of the mean distance from their middle."""
+    radius = landmark.radius_mm
+    if landmark.kind == "ring" and radius is None:
+        middle = [sum(values) / len(landmark.points_mm) for values in zip(*landmark.points_mm, strict=True)]
+        radius = sum(math.dist(point, middle) for point in landmark.points_mm) / len(landmark.points_mm)
+    return "" if radius is None else f"{2.0 * radius:.3g}"
 
 
 def _point(point: Sequence[float]) -> str:
