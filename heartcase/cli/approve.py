@@ -70,6 +70,7 @@ def _confirm(question: str) -> None:
     except click.exceptions.Abort:
         if sys.stdin.isatty():
             raise
+        click.echo(err=True)
         raise UsageError(
             "nobody is there to answer (no terminal), nothing was noted: add --yes where you have made up your mind"
         ) from None

@@ -92,7 +92,7 @@ class _LazyGroup(click.Group):
         except click.UsageError as error:
             near = difflib.get_close_matches(args[0], COMMANDS, n=1)
             if near and near[0] not in error.message:
-                error.message += f" Did you mean {near[0]!r}?"
+                error.message += f" Did you mean {near[0]!r}?"  # type: ignore[misc]
             raise
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
