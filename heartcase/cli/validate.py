@@ -46,7 +46,7 @@ def command(ctx: click.Context, path: Path, as_json: bool) -> None:
 
 
 def _problems(path: Path) -> tuple[Problem, ...]:
-    if not path.exists():
+    if path.suffix == ".toml" and not path.exists():
         return (Problem("PATH", "there is nothing at this path: check its spelling"),)
     if path.suffix != ".toml" or not path.is_file():
         return check_bundle(path)
