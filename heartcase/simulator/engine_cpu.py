@@ -7,14 +7,16 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
+from numba import get_num_threads
 
 from heartcase.simulator.contact import NO_PROBES
 from heartcase.simulator.explicit import SpringsByNode
 from heartcase.simulator.integrate import Verlet
-from heartcase.simulator.kernel_cpu import ELEMENTS, NO_CELLS, VOLUME_TERM, advance, advance_alone, lane_forces
+from heartcase.simulator.kernel_cpu import ELEMENTS, NO_CELLS, VOLUME_TERM, advance, lane_forces
 from heartcase.simulator.kernel_cpu_chunks import KEPT_LANES_MAX, chunk_arrays
 from heartcase.simulator.kernel_cpu_sleep import ROUNDING, sleep_arrays
 from heartcase.simulator.lanes import cell_layout, lane_layout
+from heartcase.simulator.meeting import Crew, Meeting
 from heartcase.simulator.model import DIRECTIONS, LatticeModel
 from heartcase.simulator.pace import Pace
 from heartcase.simulator.state import State
@@ -54,6 +56,7 @@ class CpuEngine:
         self.inverse_mass = _aligned((1, lane_count))
         self.set_inverse_mass(model.inverse_mass)
         self.pace = Pace()
+        self._crew = Crew()
         self.current = 0
         self.step_count = 0
 
@@ -87,18 +90,19 @@ class CpuEngine:
         """Take steps."""
         taken = 0
 
-        def in_one_way(kernel: Callable[..., int]) -> Callable[[int], None]:
+        def with_threads(thread_count: int) -> Callable[[int], None]:
             def take(count: int) -> None:
                 nonlocal taken
-                self.advance_by(kernel, count, verlet, probes, taken)
+                self.advance_by(thread_count, count, verlet, probes, taken)
                 taken += count
 
             return take
 
-        if self.layout.window_count < PARALLEL_WINDOWS_MIN:
-            in_one_way(advance_alone)(step_count)
+        thread_count = min(get_num_threads(), len(self._chunks.before_counts))
+        if self.layout.window_count < PARALLEL_WINDOWS_MIN or thread_count == 1:
+            with_threads(1)(step_count)
         else:
-            self.pace.run(step_count, (in_one_way(advance_alone), in_one_way(advance)))
+            self.pace.run(step_count, (with_threads(1), with_threads(thread_count)))
 
     @property
     def threads_pay(self) -> bool:
@@ -106,10 +110,14 @@ class CpuEngine:
         return bool(self.pace.seconds_per_step) and self.pace.quickest == 1
 
     def advance_by(
-        self, kernel: Callable[..., int], step_count: int, verlet: Verlet, probes: Float32, first_step: int = 0
+        self, thread_count: int, step_count: int, verlet: Verlet, probes: Float32, first_step: int = 0
     ) -> None:
-        """Take steps with one of the two kernels, which give the same bits."""
-        self.current = kernel(
+        """Take steps with so many threads; the bits are the same with any number."""
+
+        def part(thread: int, thread_count: int, meeting: Meeting) -> int:
+            return int(advance(*arguments, thread, thread_count, meeting))
+
+        arguments = (
             self.displacement,
             self.velocity,
             self.weight,
@@ -130,6 +138,7 @@ class CpuEngine:
             self._chunks,
             np.array([*verlet.still, ROUNDING * verlet.kick], np.float32),
         )
+        self.current = self._crew.run(thread_count, part)
         self.step_count += step_count
 
     def set_springs(self, model: LatticeModel) -> None:

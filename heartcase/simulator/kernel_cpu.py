@@ -12,12 +12,9 @@ kernel_cpu_sleep`), only windows that are awake are worked out.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
-from numba import njit, prange
+from numba import njit
 
 from heartcase.simulator.kernel_cpu_chunks import ChunkArrays, share_out
 from heartcase.simulator.kernel_cpu_hands import Constants, ExplicitArrays, keep_window_outside, pull_explicitly
@@ -46,9 +43,10 @@ from heartcase.simulator.kernel_cpu_windows import (
     tension_of_window,
     volume_of_window,
 )
+from heartcase.simulator.meeting import Meeting, meet
 from heartcase.simulator.vector_ir import flush_subnormals, restore_subnormals
 
-__all__ = ["ELEMENTS", "NO_CELLS", "VOLUME_TERM", "advance", "advance_alone", "lane_forces"]
+__all__ = ["ELEMENTS", "NO_CELLS", "VOLUME_TERM", "advance", "lane_forces"]
 
 Float32 = npt.NDArray[np.float32]
 Int8 = npt.NDArray[np.int8]
@@ -217,13 +215,6 @@ def lane_forces(
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
-def _remember_share(share: int, velocity: Float32, rows: Int64, sleep: SleepArrays) -> None:
-    """Keep the velocities of a share of the windows of nodes for a check after the step."""
-    first, end = _part(share, sleep.counts[0])
-    remember(first, end, rows, velocity, sleep)
-
-
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def _check_share(
     share: int,
     displacement: Float32,
@@ -244,161 +235,159 @@ def _check_share(
         feel_probes(first, end, rows, displacement, rest, probes, step_number, sleep)
 
 
-def _make_advance(shares: Callable[[int], range], is_parallel: bool) -> Any:
-    """A kernel that takes steps in place; threads share the parts of each where ``shares`` is ``prange``.
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def advance(
+    displacement: Float32,
+    velocity: Float32,
+    weight: Float32,
+    tension: Float32,
+    presence: Float32,
+    inverse_mass: Float32,
+    rows: Int64,
+    current: int,
+    step_count: int,
+    constants: Constants,
+    cells: CellArrays,
+    kinds: Kinds,
+    explicit: ExplicitArrays,
+    rest: Float32,
+    probes: Float32,
+    first_step: int,
+    sleep: SleepArrays,
+    chunks: ChunkArrays,
+    still: Float32,
+    thread: int,
+    thread_count: int,
+    meeting: Meeting,
+) -> int:
+    """Take steps in place, as one of some threads that all call it.
 
-    numba compiles the two kernels apart.
+    Parameters
+    ----------
+    displacement
+        Two buffers [cells], shape (2, 3, lane_count); the steps alternate between them.
+    velocity
+        Half a step before [cells / unit of time], shape (3, lane_count).
+    weight
+        Spring stiffness by direction [k], shape (9, lane_count).
+    tension
+        Room for the tensions of these springs over their lengths [k], zeros at first, shape (9, lane_count); (9, 0)
+        where each is to be worked out from both ends.
+    presence
+        Above zero where there is a spring, whether it acts or not, shape (9, lane_count).
+    inverse_mass
+        [1 / full cell], 0 where there is no node or its motion is prescribed, shape (1, lane_count).
+    rows
+        Lane at each window's first i in its nine rows, shape (window_count, 9).
+    current
+        Buffer that holds the displacement now.
+    step_count
+        Steps to take.
+    constants
+        Step, keep, kick, the three components of gravity and the speed limit, grid units.
+    cells
+        Rows of the windows that hold cells, shape (count, 9); numbers of the cells, (CELL_NUMBERS, lane_count); room
+        for their forces on the nodes of each chunk, (chunk_count, 3, lane_count); constants of the law; whether each
+        window of cells is looked after; whether such cells belong to each window of nodes; windows of nodes that a
+        window of cells belongs to, -1 for none, (count, 8).
+    kinds
+        What acts in the cells, whether springs act, and whether corners are guarded.
+    explicit
+        Lanes with explicit springs, where the springs of each begin (and the last end); lane at the other end, offset
+        to it with rest length [cells], shape (count, 4), and stiffness [k] of each spring.
+    rest
+        Rest positions [cells], shape (3, lane_count); read where there are probes.
+    probes
+        Probes as of :func:`heartcase.simulator.contact.probe_row`, shape (probe_count, PROBE_SIZE).
+    first_step
+        Steps that were taken before in this row: probes have moved so far, and looks and checks are counted from there.
+    sleep
+        As of :func:`heartcase.simulator.kernel_cpu_sleep.sleep_arrays`.
+    chunks
+        As of :func:`heartcase.simulator.kernel_cpu_chunks.chunk_arrays`.
+    still
+        Speed below which a node is still, change of it in a step [cells / unit of time], and what rounding may add to
+        that per cell of displacement, shape (3,); zeros where no tissue sleeps.
+    thread, thread_count
+        Number of this thread, and how many there are.
+    meeting
+        What they meet with.
+
+    Returns
+    -------
+    int
+        Buffer that holds the displacement at the end.
     """
-
-    @njit(cache=True, nogil=True, parallel=is_parallel)  # type: ignore[untyped-decorator]
-    def advance(
-        displacement: Float32,
-        velocity: Float32,
-        weight: Float32,
-        tension: Float32,
-        presence: Float32,
-        inverse_mass: Float32,
-        rows: Int64,
-        current: int,
-        step_count: int,
-        constants: Constants,
-        cells: CellArrays,
-        kinds: Kinds,
-        explicit: ExplicitArrays,
-        rest: Float32,
-        probes: Float32,
-        first_step: int,
-        sleep: SleepArrays,
-        chunks: ChunkArrays,
-        still: Float32,
-    ) -> int:
-        kind, _, has_guard = kinds
-        chunk_count = len(chunks.before_counts)
-        works_cells = kind != NO_CELLS or _has_flat(cells)
-        for step_number in range(step_count):
-            now = displacement[current]
-            later = displacement[1 - current]
-            row_step = first_step + step_number
-            if row_step % ROUSE_STEPS == 0 and rouse(sleep, row_step == 0):
-                share_out(chunks, sleep)
-            is_checked = still[0] > 0 and row_step % CHECK_STEPS == 0
-            if is_checked:
-                for share in shares(SHARES):
-                    _remember_share(share, velocity, rows, sleep)
-            if has_guard and row_step % LOOK_STEPS == 0:
-                for share in shares(SHARES):
-                    before = flush_subnormals()
-                    _look_at_share(share, now, cells, sleep)
-                    restore_subnormals(before)
-                if kind == NO_CELLS:
-                    _mark_touched(cells)
-                    works_cells = _has_flat(cells)
-            if len(explicit[0]):
-                before = flush_subnormals()
-                pull_explicitly(now, velocity, inverse_mass, explicit, constants)
-                restore_subnormals(before)
-            if works_cells:
-                for chunk in shares(chunk_count):
-                    before = flush_subnormals()
-                    _step_chunk_with_cells(
-                        chunk,
-                        now,
-                        later,
-                        velocity,
-                        weight,
-                        tension,
-                        inverse_mass,
-                        rows,
-                        constants,
-                        cells,
-                        kinds,
-                        chunks,
-                        sleep,
-                    )
-                    restore_subnormals(before)
-            else:
-                for chunk in shares(chunk_count):
-                    before = flush_subnormals()
-                    _step_chunk(
-                        chunk, now, later, velocity, weight, tension, inverse_mass, rows, constants, chunks, sleep
-                    )
-                    restore_subnormals(before)
-            if len(probes):
-                step, number = constants[0], row_step
-                for share in shares(SHARES):
-                    before = flush_subnormals()
-                    first, end = _part(share, sleep.counts[0])
-                    for window in sleep.awake[first:end]:
-                        row = rows[window]
-                        keep_window_outside(
-                            now, later, velocity, presence, inverse_mass, rest, row, probes, number, step
-                        )
-                    restore_subnormals(before)
-            current = 1 - current
-            if is_checked:
-                for share in shares(SHARES):
-                    _check_share(share, later, velocity, inverse_mass, rows, rest, probes, row_step + 1, sleep, still)
-                if settle(displacement, velocity, rows, cells[6], current, sleep):
-                    share_out(chunks, sleep)
+    kind, _, has_guard = kinds
+    chunk_count = len(chunks.before_counts)
+    works_cells = kind != NO_CELLS or _has_flat(cells)
+    # Nobody changes anything before all are there.
+    if not meet(meeting, thread_count):
         return current
-
-    return advance
-
-
-advance = _make_advance(prange, is_parallel=True)
-"""Take steps in place.
-
-Parameters
-----------
-displacement
-    Two buffers [cells], shape (2, 3, lane_count); the steps alternate between them.
-velocity
-    Half a step before [cells / unit of time], shape (3, lane_count).
-weight
-    Spring stiffness by direction [k], shape (9, lane_count).
-tension
-    Room for the tensions of these springs over their lengths [k], zeros at first, shape (9, lane_count); (9, 0)
-    where each is to be worked out from both ends.
-presence
-    Above zero where there is a spring, whether it acts or not, shape (9, lane_count).
-inverse_mass
-    [1 / full cell], 0 where there is no node or its motion is prescribed, shape (1, lane_count).
-rows
-    Lane at each window's first i in its nine rows, shape (window_count, 9).
-current
-    Buffer that holds the displacement now.
-step_count
-    Steps to take.
-constants
-    Step, keep, kick, the three components of gravity and the speed limit, grid units.
-cells
-    Rows of the windows that hold cells, shape (count, 9); numbers of the cells, (CELL_NUMBERS, lane_count); room
-    for their forces on the nodes of each chunk, (chunk_count, 3, lane_count); constants of the law; whether each
-    window of cells is looked after; whether such cells belong to each window of nodes; windows of nodes that a
-    window of cells belongs to, -1 for none, (count, 8).
-kinds
-    What acts in the cells, whether springs act, and whether corners are guarded.
-explicit
-    Lanes with explicit springs, where the springs of each begin (and the last end); lane at the other end, offset
-    to it with rest length [cells], shape (count, 4), and stiffness [k] of each spring.
-rest
-    Rest positions [cells], shape (3, lane_count); read where there are probes.
-probes
-    Probes as of :func:`heartcase.simulator.contact.probe_row`, shape (probe_count, PROBE_SIZE).
-first_step
-    Steps that were taken before in this row: probes have moved so far, and looks and checks are counted from there.
-sleep
-    As of :func:`heartcase.simulator.kernel_cpu_sleep.sleep_arrays`.
-chunks
-    As of :func:`heartcase.simulator.kernel_cpu_chunks.chunk_arrays`.
-still
-    Speed below which a node is still, change of it in a step [cells / unit of time], and what rounding may add to
-    that per cell of displacement, shape (3,); zeros where no tissue sleeps.
-
-Returns
--------
-int
-    Buffer that holds the displacement at the end.
-"""
-advance_alone = _make_advance(range, is_parallel=False)
-"""The same on one thread, to the same bits: quicker where a step is over before threads have met."""
+    before = flush_subnormals()
+    for step_number in range(step_count):
+        now = displacement[current]
+        later = displacement[1 - current]
+        row_step = first_step + step_number
+        if row_step % ROUSE_STEPS == 0:
+            if thread == 0 and rouse(sleep, row_step == 0):
+                share_out(chunks, sleep)
+            meet(meeting, thread_count)
+        is_checked = still[0] > 0 and row_step % CHECK_STEPS == 0
+        if is_checked:
+            for share in range(thread, SHARES, thread_count):
+                first, end = _part(share, sleep.counts[0])
+                remember(first, end, rows, velocity, sleep)
+            meet(meeting, thread_count)
+        if has_guard and row_step % LOOK_STEPS == 0:
+            for share in range(thread, SHARES, thread_count):
+                _look_at_share(share, now, cells, sleep)
+            meet(meeting, thread_count)
+            if kind == NO_CELLS:
+                works_cells = _has_flat(cells)
+                if works_cells:
+                    if thread == 0:
+                        _mark_touched(cells)
+                    meet(meeting, thread_count)
+        if len(explicit[0]):
+            if thread == 0:
+                pull_explicitly(now, velocity, inverse_mass, explicit, constants)
+            meet(meeting, thread_count)
+        for chunk in range(thread, chunk_count, thread_count):
+            if works_cells:
+                _step_chunk_with_cells(
+                    chunk,
+                    now,
+                    later,
+                    velocity,
+                    weight,
+                    tension,
+                    inverse_mass,
+                    rows,
+                    constants,
+                    cells,
+                    kinds,
+                    chunks,
+                    sleep,
+                )
+            else:
+                _step_chunk(chunk, now, later, velocity, weight, tension, inverse_mass, rows, constants, chunks, sleep)
+        meet(meeting, thread_count)
+        if len(probes):
+            step = constants[0]
+            for share in range(thread, SHARES, thread_count):
+                first, end = _part(share, sleep.counts[0])
+                for window in sleep.awake[first:end]:
+                    row = rows[window]
+                    keep_window_outside(now, later, velocity, presence, inverse_mass, rest, row, probes, row_step, step)
+            meet(meeting, thread_count)
+        current = 1 - current
+        if is_checked:
+            for share in range(thread, SHARES, thread_count):
+                _check_share(share, later, velocity, inverse_mass, rows, rest, probes, row_step + 1, sleep, still)
+            meet(meeting, thread_count)
+            if thread == 0 and settle(displacement, velocity, rows, cells[6], current, sleep):
+                share_out(chunks, sleep)
+            meet(meeting, thread_count)
+    restore_subnormals(before)
+    return current

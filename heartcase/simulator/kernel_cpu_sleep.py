@@ -24,6 +24,7 @@ from numba import njit
 from heartcase.schemas.lattice import lattice_keys
 from heartcase.simulator.contact import REACH
 from heartcase.simulator.lanes import LANE_COUNT, LaneLayout
+from heartcase.simulator.meeting import raise_to
 from heartcase.simulator.model import LatticeModel
 
 __all__ = [
@@ -190,8 +191,8 @@ def check(
                         change *= max(_MASS * inverse_mass[0, place], np.float32(1))
                         count += abs(velocity[axis, place] - before[axis, place]) >= change
         if count:
-            is_moving[low] = max(is_moving[low], why)
-            is_moving[high] = max(is_moving[high], why)
+            raise_to(is_moving, low, why)
+            raise_to(is_moving, high, why)
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
@@ -223,8 +224,8 @@ def feel_probes(
                     gap = rest[axis, place] + displacement[axis, place] - centre
                     square += gap * gap
                 if square <= reach * reach:
-                    is_moving[low] = max(is_moving[low], PULLED)
-                    is_moving[high] = max(is_moving[high], PULLED)
+                    raise_to(is_moving, low, PULLED)
+                    raise_to(is_moving, high, PULLED)
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]

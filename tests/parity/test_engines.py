@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import platform
 
-import numba
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
@@ -17,7 +16,6 @@ from heartcase.simulator.engine_cpu import PARALLEL_WINDOWS_MIN
 from heartcase.simulator.force_law import ForceLaw
 from heartcase.simulator.forces_reference import spring_forces
 from heartcase.simulator.integrate import Verlet
-from heartcase.simulator.kernel_cpu import advance, advance_alone
 from heartcase.simulator.state import State
 from tests.simulator.lattices import EPS, block, random_field, random_models, random_probes, tied
 
@@ -96,16 +94,11 @@ def test_result_does_not_depend_on_the_number_of_threads():
     engine = make_engine(tied(model, 7), "cpu")
     probes = probe_row((8.0, 4.0, 10.0), (0.0, 0.0, -0.02), (3.0, 2.0, 2.0), np.eye(3))[None]
     results = []
-    before = numba.get_num_threads()
-    try:
-        for threads, kernel in ((1, advance), (before, advance), (1, advance_alone)):
-            numba.set_num_threads(threads)
-            engine.load(State(random_field(model, 1, 0.1), random_field(model, 2, 0.01)))
-            engine.advance_by(kernel, 50, Verlet(0.3, 0.05, (0.0, 0.001, 0.0)), probes)
-            end = engine.read()
-            results.append(end.displacement.tobytes() + end.velocity.tobytes())
-    finally:
-        numba.set_num_threads(before)
+    for thread_count in (1, 2, 3):
+        engine.load(State(random_field(model, 1, 0.1), random_field(model, 2, 0.01)))
+        engine.advance_by(thread_count, 50, Verlet(0.3, 0.05, (0.0, 0.001, 0.0)), probes)
+        end = engine.read()
+        results.append(end.displacement.tobytes() + end.velocity.tobytes())
     assert len(np.unique(engine.read().displacement)) > 1000
     assert results[0] == results[1] == results[2]
 
@@ -117,21 +110,21 @@ def test_moving_probes_do_not_depend_on_how_the_steps_are_shared():
     for shares in ((50,), (4, 4, 42)):
         engine, taken = make_engine(model, "cpu"), 0
         for count in shares:
-            engine.advance_by(advance_alone, count, Verlet(0.3, 0.05), probes, taken)
+            engine.advance_by(1, count, Verlet(0.3, 0.05), probes, taken)
             taken += count
         ends.append(engine.read().displacement)
     assert np.abs(ends[0]).max() > 0.1
     assert ends[0].tobytes() == ends[1].tobytes()
 
 
-@pytest.mark.parametrize("kernel", [advance, advance_alone])
-def test_numbers_too_small_for_float32_are_zero_for_the_kernel_alone(kernel):
+@pytest.mark.parametrize("thread_count", [1, 2])
+def test_numbers_too_small_for_float32_are_zero_for_the_kernel_alone(thread_count):
     """They take x86 three times as long; the arithmetic of everybody else in the process stays as it is."""
     model = block(3, 3, 3)
     engine = make_engine(model, "cpu")
     tiny = np.full((model.node_count, 3), 1e-42, np.float32)
     engine.load(State(np.zeros_like(tiny), tiny))
-    engine.advance_by(kernel, 2, Verlet(0.3), NO_PROBES)
+    engine.advance_by(thread_count, 2, Verlet(0.3), NO_PROBES)
     assert (engine.read().velocity == (0 if platform.machine() in ("x86_64", "AMD64") else tiny)).all()
     assert np.float32(1e-38) * np.float32(0.1) > 0
     assert (np.full(64, 1e-38, np.float32) * np.float32(0.1) > 0).all()

@@ -1,0 +1,198 @@
+"""Threads that take steps together: each works on its own part, and all meet before one goes on to what others wrote.
+
+A meeting is a counter that the last thread to arrive resets. The others wait for it without rest at first, as steps are
+short, then give their turn to whatever else wants the core: on a busy machine that may be the very thread that they
+wait for.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from llvmlite import ir
+from numba import njit, types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from heartcase.simulator.vector_ir import array_data
+
+__all__ = ["Crew", "Meeting", "meet", "raise_to"]
+
+Meeting = npt.NDArray[np.int64]
+
+PATIENCE = 2000
+"""Looks at a meeting before a thread gives its turn away, some 20 to 80 microseconds."""
+_ARRIVED, _ROUND, _ABANDONED = 0, 16, 32
+"""Places in a meeting's array, on cache lines of their own."""
+_SIZE = 48
+_INT64 = ir.IntType(64)
+_IS_X86 = platform.machine().lower() in ("x86_64", "amd64")
+
+
+class Crew:
+    """As many threads as there are parts; the caller's own is one of them. The others start when first needed."""
+
+    def __init__(self) -> None:
+        self._pool: ThreadPoolExecutor | None = None
+        self._size = 0
+        self._process = 0
+
+    def run(self, thread_count: int, work: Callable[[int, int, Meeting], int]) -> int:
+        """Do the parts of some work at the same time.
+
+        Parameters
+        ----------
+        thread_count
+            Threads, 1 for the caller's alone.
+        work
+            Called with the thread's number, their count, and what they :func:`meet` with, which must be the first
+            that it does. It must let go of Python's lock, or nobody arrives.
+
+        Returns
+        -------
+        int
+            What the caller's own part returned. An interrupt before it began leaves the work undone.
+        """
+        meeting = np.zeros(_SIZE, np.int64)
+        if thread_count == 1:
+            return work(0, 1, meeting)
+
+        def part(number: int) -> int:
+            try:
+                return work(number, thread_count, meeting)
+            except BaseException:
+                # The others must not wait for one that does not come.
+                meeting[_ABANDONED] = 1
+                raise
+
+        pool = self._others(thread_count - 1)
+        parts: list[Future[int]] = []
+        try:
+            for number in range(1, thread_count):
+                parts.append(pool.submit(part, number))
+            result = part(0)
+        except BaseException:
+            # Also where an interrupt came between two lines of this function.
+            meeting[_ABANDONED] = 1
+            raise
+        finally:
+            wait(parts)
+        for other in parts:
+            other.result()
+        return result
+
+    def _others(self, count: int) -> ThreadPoolExecutor:
+        # Threads do not live on in a forked process.
+        if self._pool is None or self._size < count or self._process != os.getpid():
+            self._pool = ThreadPoolExecutor(count, thread_name_prefix="heartcase-steps")
+            self._size, self._process = count, os.getpid()
+        return self._pool
+
+
+def _pointer(context: Any, builder: Any, kind: Any, array: Any, place: int) -> Any:
+    return builder.gep(array_data(context, builder, kind, array), [ir.Constant(_INT64, place)])
+
+
+@intrinsic
+def _arrive(typing_context, meeting):  # type: ignore[no-untyped-def]
+    """Count this thread in; returns how many had arrived before."""
+
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        place = _pointer(context, builder, signature.args[0], arguments[0], _ARRIVED)
+        return builder.atomic_rmw("add", place, ir.Constant(_INT64, 1), "acq_rel")
+
+    return types.int64(meeting), codegen
+
+
+def _make_read(place: int) -> Any:
+    @intrinsic
+    def read(typing_context, meeting):  # type: ignore[no-untyped-def]
+        def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            where = _pointer(context, builder, signature.args[0], arguments[0], place)
+            return builder.load_atomic(where, "acquire", 8)
+
+        return types.int64(meeting), codegen
+
+    return read
+
+
+_round, _is_abandoned = _make_read(_ROUND), _make_read(_ABANDONED)
+
+
+@intrinsic
+def _begin(typing_context, meeting, number):  # type: ignore[no-untyped-def]
+    """Let all threads go on: the counter starts anew, then the next round begins."""
+
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        kind, array = signature.args[0], arguments[0]
+        arrived = _pointer(context, builder, kind, array, _ARRIVED)
+        builder.store_atomic(ir.Constant(_INT64, 0), arrived, "monotonic", 8)
+        builder.store_atomic(arguments[1], _pointer(context, builder, kind, array, _ROUND), "release", 8)
+        return context.get_dummy_value()
+
+    return types.void(meeting, types.int64), codegen
+
+
+@intrinsic
+def _pause(typing_context):  # type: ignore[no-untyped-def]
+    """Let the core rest for a moment, where it can."""
+
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        if _IS_X86:
+            kind = ir.FunctionType(ir.VoidType(), [])
+            builder.call(cgutils.get_or_insert_function(builder.module, kind, "llvm.x86.sse2.pause"), [])
+        return context.get_dummy_value()
+
+    return types.void(), codegen
+
+
+@intrinsic
+def _give_way(typing_context):  # type: ignore[no-untyped-def]
+    """Give the rest of this thread's turn to others that wait for the core."""
+
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        name = "SwitchToThread" if platform.system() == "Windows" else "sched_yield"
+        kind = ir.FunctionType(ir.IntType(32), [])
+        builder.call(cgutils.get_or_insert_function(builder.module, kind, name), [])
+        return context.get_dummy_value()
+
+    return types.void(), codegen
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def meet(meeting: Meeting, thread_count: int) -> bool:
+    """Wait for all threads; what they wrote before can be read after. False where the work was abandoned."""
+    if thread_count == 1:
+        return True
+    number = _round(meeting)
+    if _arrive(meeting) + 1 == thread_count:
+        _begin(meeting, number + 1)
+        return True
+    looks = 0
+    while _round(meeting) == number:
+        if _is_abandoned(meeting):
+            return False
+        if looks < PATIENCE:
+            looks += 1
+            _pause()
+        else:
+            _give_way()
+    return True
+
+
+@intrinsic
+def raise_to(typing_context, array, place, value):  # type: ignore[no-untyped-def]
+    """Set an int8 of an array, shape (n,), to a value at least, whatever other threads do to it; values from 0 up."""
+
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        data = array_data(context, builder, signature.args[0], arguments[0])
+        builder.atomic_rmw("umax", builder.gep(data, [arguments[1]]), arguments[2], "monotonic")
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, types.int8), codegen
