@@ -51,8 +51,8 @@ class Crew:
         thread_count
             Threads, 1 for the caller's alone.
         work
-            Called with the thread's number, their count, and what they :func:`meet` with, which must be the first
-            that it does. It must let go of Python's lock, or nobody arrives.
+            Called with the thread's number, their count, and what they may :func:`meet` with; where they do, it must be
+            the first that each does. It must let go of Python's lock.
 
         Returns
         -------

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import get_num_threads, njit, prange
+from numba import get_num_threads, njit
 
+from heartcase.simulator.meeting import Crew, Meeting
 from heartcase.simulator.surface_math import make_vertex_math
 
 __all__ = ["EVERYTHING", "deform_vertices", "mark_moved", "move_at_rest", "node_normals", "place_nodes"]
@@ -18,8 +19,6 @@ Float64 = npt.NDArray[np.float64]
 Int32 = npt.NDArray[np.int32]
 UInt8 = npt.NDArray[np.uint8]
 
-PARTS_PER_THREAD = 4
-"""Parts that a thread takes of the work it shares."""
 EVERYTHING: UInt8 = np.zeros(0, np.uint8)
 """Marks nothing: all is worked out."""
 MOVED = np.uint8(1)
@@ -28,6 +27,8 @@ TURNED = np.uint8(2)
 """Mark of a node whose approximate normal was written."""
 
 
+_CREW = Crew()
+"""Threads of all surfaces: their parts need not meet."""
 _ZERO = np.float32(0)
 _OPTIONS = {"nogil": True, "error_model": "numpy"}
 _inlined = njit(forceinline=True, **_OPTIONS)
@@ -66,12 +67,6 @@ def _normals_between(start, end, springs, displacement, marks, normals):  # type
         normals[number, 0], normals[number, 1], normals[number, 2] = x, y, z
 
 
-@njit(cache=True, parallel=True, **_OPTIONS)
-def _normals_together(parts, springs, displacement, marks, normals):  # type: ignore[no-untyped-def]
-    for part in prange(len(parts) - 1):
-        _normals_between(parts[part], parts[part + 1], springs, displacement, marks, normals)
-
-
 @njit(cache=True, **_OPTIONS)
 def _deform_between(  # type: ignore[no-untyped-def]
     start, end, hung, drawn, axes, node_normal, displacement, marks, vertices_mm, normals, tangents
@@ -100,26 +95,6 @@ def _deform_between(  # type: ignore[no-untyped-def]
                 tangents[r, 0], tangents[r, 1], tangents[r, 2], tangents[r, 3] = t[0], t[1], t[2], tangent[r, 3]
 
 
-@njit(cache=True, parallel=True, **_OPTIONS)
-def _deform_together(  # type: ignore[no-untyped-def]
-    parts, hung, drawn, axes, node_normal, displacement, marks, vertices_mm, normals, tangents
-):
-    for part in prange(len(parts) - 1):
-        _deform_between(
-            parts[part],
-            parts[part + 1],
-            hung,
-            drawn,
-            axes,
-            node_normal,
-            displacement,
-            marks,
-            vertices_mm,
-            normals,
-            tangents,
-        )
-
-
 @njit(cache=True, **_OPTIONS)
 def _place_between(  # type: ignore[no-untyped-def]
     start, end, nodes, rest_mm, axes, node_normal, displacement, marks, vertices_mm, normals
@@ -138,34 +113,14 @@ def _place_between(  # type: ignore[no-untyped-def]
             normals[v, axis] = n[axis]
 
 
-@njit(cache=True, parallel=True, **_OPTIONS)
-def _place_together(  # type: ignore[no-untyped-def]
-    parts, nodes, rest_mm, axes, node_normal, displacement, marks, vertices_mm, normals
-):
-    for part in prange(len(parts) - 1):
-        _place_between(
-            parts[part],
-            parts[part + 1],
-            nodes,
-            rest_mm,
-            axes,
-            node_normal,
-            displacement,
-            marks,
-            vertices_mm,
-            normals,
-        )
-
-
-def _run(
-    ways: tuple[Callable[..., None], Callable[..., None]], row_count: int, arrays: tuple[Any, ...], together: bool
-) -> None:
+def _run(way: Callable[..., None], row_count: int, arrays: tuple[Any, ...], together: bool) -> None:
     """Work on all rows, on one thread or on all."""
-    if together:
-        parts = np.linspace(0, row_count, PARTS_PER_THREAD * get_num_threads() + 1).astype(np.int64)
-        ways[1](parts, *arrays)
-    else:
-        ways[0](0, row_count, *arrays)
+
+    def part(thread: int, thread_count: int, meeting: Meeting) -> int:
+        way(thread * row_count // thread_count, (thread + 1) * row_count // thread_count, *arrays)
+        return 0
+
+    _CREW.run(get_num_threads() if together else 1, part)
 
 
 def node_normals(
@@ -193,7 +148,7 @@ def node_normals(
         Whether all threads work: the same bits.
     """
     arrays = (springs, displacement, marks, normals)
-    _run((_normals_between, _normals_together), len(springs[0]), arrays, together)
+    _run(_normals_between, len(springs[0]), arrays, together)
 
 
 def deform_vertices(
@@ -226,7 +181,7 @@ def deform_vertices(
         Whether all threads work: the same bits.
     """
     arrays = (hung, drawn, axes, node_normal, displacement, marks, *written)
-    _run((_deform_between, _deform_together), len(written[0]), arrays, together)
+    _run(_deform_between, len(written[0]), arrays, together)
 
 
 def place_nodes(
@@ -252,7 +207,7 @@ def place_nodes(
         Positions [LPS mm] and normals [LPS], shape (vertex_count, 3) each.
     """
     arrays = (nodes, rest_mm, axes, node_normal, displacement, marks, *written)
-    _run((_place_between, _place_together), len(nodes), arrays, together)
+    _run(_place_between, len(nodes), arrays, together)
 
 
 @njit(cache=True, **_OPTIONS)
