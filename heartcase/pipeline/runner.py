@@ -25,7 +25,7 @@ STAGE_VERSIONS = {
     "markers": 1,
     "filter": 2,
     "segment": 2,
-    "walls": 11,
+    "walls": 12,
     "edit": 5,
     "grid": 9,
     "surface": 13,
