@@ -27,7 +27,7 @@ STAGE_VERSIONS = {
     "segment": 2,
     "walls": 12,
     "edit": 5,
-    "grid": 9,
+    "grid": 10,
     "surface": 13,
     "map": 9,
     "bundle": 5,
