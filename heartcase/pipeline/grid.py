@@ -47,7 +47,6 @@ Bool = npt.NDArray[np.bool_]
 Int32 = npt.NDArray[np.int32]
 UInt8 = npt.NDArray[np.uint8]
 Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
 
 DEFAULT_NODE_COUNT = 30_000
 """Nodes to aim at when neither a cell edge nor a node count is asked for (thesis 11.2.1)."""
@@ -340,7 +339,7 @@ def _topology_warnings(samples: CellSamples, quality: dict[str, Any], changes: d
     blood, tissue = ([_place(samples, change) for change in changes[name]] for name in ("blood", "tissue"))
     if blood and tissue:
         # What closes a hole of the tissue may break a loop of the blood: the same place twice.
-        away_mm: Float64 = cKDTree(np.array(blood)).query(np.array(tissue))[0]
+        away_mm = np.atleast_1d(cKDTree(np.array(blood)).query(np.array(tissue))[0])
         tissue = [place for place, away in zip(tissue, away_mm, strict=True) if away > samples.cell_mm]
     where = [*(blood if left["blood"] else ()), *(tissue if left["tissue"] else ())]
     if where:
