@@ -150,7 +150,7 @@ class ReportData:
     confidence: ConfidencePart | None = None
     """How sure the outlines are; None where they do not come from a watershed."""
     sides: Sequence[Picture] = ()
-    """The surface from four sides."""
+    """The surface from all six sides."""
     views: Sequence[Picture] = ()
     """The surgeon's view, and the heart cut open."""
     without_short_axis: bool = False
