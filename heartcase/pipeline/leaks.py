@@ -216,8 +216,8 @@ def _of_gap(structures: Structures, cavity: int, extent: Extent, is_stated: bool
     cut = "if it is cut off there, mark it (an entry of 'ends'), else " if label.role is Role.VESSEL_LUMEN else ""
     return anatomy(
         f"{label.name}: its blood is open to the outside {_where(extent)}, with neither muscle nor a wall between; "
-        f"{cut}paint the muscle that is missing there, or give the label a wall_thickness_mm, which grows a wall only "
-        "where none is"
+        f"{cut}paint the muscle that is missing there and background beyond it, or, where the scan does not show so "
+        "thin a wall, give the label a wall_thickness_mm: a wall grows only where no muscle is"
     )
 
 
