@@ -13,7 +13,7 @@ from heartcase.phantom.strokes import marker_strokes
 from heartcase.phantom.surface_lines import coronary_landmarks, incision_landmark
 from heartcase.schemas.edit_settings import SeptalDefect
 from heartcase.schemas.heart_form import Baffle
-from heartcase.schemas.labels import default_label_table
+from heartcase.schemas.labels import LabelTable, default_label_table
 from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.phantom_scan import PhantomScan
 
@@ -53,7 +53,7 @@ def recipe_text(phantom: HeartPhantom, *, name: str, scan_path: str, command: st
         "",
     ]
     lines += [
-        *_label_lines(phantom),
+        *_label_lines(phantom.table),
         *_stroke_lines(phantom),
         *_end_lines(phantom),
         *_landmark_lines((*phantom.landmarks, *coronary_landmarks(phantom))),
@@ -97,26 +97,46 @@ def drawn_part(scan: PhantomScan) -> str:
         for end in phantom.ends:
             lines += ["[[pins]]", f"position_mm = {_triple(end.position_mm)}", f"radius_mm = {end.radius_mm:g}", ""]
     else:
-        lines += [*_label_lines(phantom), *_stroke_lines(phantom), *_end_lines(phantom)]
+        lines += [*_label_lines(_with_closed_ventricle(phantom.table)), *_stroke_lines(phantom), *_end_lines(phantom)]
     lines += [line for edit in edits for line in (_bored if scan.is_specimen else _defect_lines)(edit)]
     if scan.heart.baffle is not None:
         lines += _baffle_lines(phantom, scan.heart.baffle)
     return "\n".join([*lines, *_landmark_lines(landmarks)]).rstrip("\n") + "\n"
 
 
-def _label_lines(phantom: HeartPhantom) -> list[str]:
+_LEFT_VENTRICLE, _LEFT_ATRIUM = "morphologically left ventricle", "morphologically left atrium"
+
+
+def _label_lines(table: LabelTable) -> list[str]:
     lines: list[str] = []
-    if phantom.table != default_label_table():
+    if table != default_label_table():
         lines += ["# Labels as usual, with the wall thicknesses (mm) of this heart."]
-        for label in phantom.table:
+        for label in table:
             lines += ["[[labels]]", f"value = {label.value}", f'name = "{label.name}"', f'role = "{label.role.value}"']
             lines += [f'colour = "{label.colour}"']
             if label.wall_thickness_mm > 0.0:
-                lines += [f"wall_thickness_mm = {label.wall_thickness_mm:g}"]
+                why = ""
+                if label.name == _LEFT_VENTRICLE:
+                    why = "  # only where no muscle lies beside its blood: at the mitral and the aortic valve"
+                lines += [f"wall_thickness_mm = {label.wall_thickness_mm:g}{why}"]
             if label.snomed is not None:
                 lines += [f'snomed = "{label.snomed}"']
             lines += [""]
     return lines
+
+
+def _with_closed_ventricle(table: LabelTable) -> LabelTable:
+    """A table whose left ventricle has a wall, as thin as the left atrium's.
+
+    Beside its two valves it borders on tissue that is thinner than a voxel, which no scan shows.
+    """
+    thickness_mm = table[_LEFT_ATRIUM].wall_thickness_mm
+    return LabelTable(
+        labels=tuple(
+            label.model_copy(update={"wall_thickness_mm": thickness_mm}) if label.name == _LEFT_VENTRICLE else label
+            for label in table
+        )
+    )
 
 
 def _stroke_lines(phantom: HeartPhantom) -> list[str]:

@@ -14,6 +14,7 @@ from typing import Any, cast
 import numba
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
 
 from heartcase.pipeline.cautions import anatomy, counted, note
 from heartcase.pipeline.cells.changes import Change, topology_changes
@@ -58,6 +59,7 @@ FACE_CORNERS: Int32 = np.array(
 _MAX_SAMPLES = 1_500_000_000
 _MAX_CELLS = 100_000_000
 _NAMED_PLACES = 5
+_SMALL_PLACES = 3
 _LISTED_PLACES = 100
 _COUNT_TOLERANCE = 0.02
 
@@ -317,8 +319,7 @@ def _piece_count(mask: Bool, amount: Float32 | None, least: float, connectivity:
 
 
 def _topology_warnings(samples: CellSamples, quality: dict[str, Any], changes: dict[str, list[Change]]) -> list[str]:
-    """Where the number of pieces larger than a cell differs, and where small holes differ."""
-    tissue, blood = quality["betti_tissue"], quality["betti_blood"]
+    """Where the number of pieces larger than a cell differs, and where small gaps and strands differ."""
     warnings: list[str] = []
     left = dict(changes)
     for name in ("tissue", "blood"):
@@ -335,22 +336,22 @@ def _topology_warnings(samples: CellSamples, quality: dict[str, Any], changes: d
                 )
             )
             left[name] = []
-    if any(left.values()):
-        holes = (
-            (tissue, 1, "tunnels through the tissue"),
-            (tissue, 2, "hollows in it"),
-            (blood, 1, "loops of the blood"),
-            (blood, 2, "islands in the blood"),
-        )
-        counts = [(what, betti["full_resolution"][at], betti["grid"][at]) for betti, at, what in holes]
-        differing = [f"{was} {what} in the scan, {now} in the simulation" for what, was, now in counts if was != now]
-        where = left["blood"] + left["tissue"]
+    blood, tissue = ([_place(samples, change) for change in changes[name]] for name in ("blood", "tissue"))
+    if blood and tissue:
+        # What closes a hole of the tissue may break a loop of the blood: the same place twice.
+        away_mm = np.atleast_1d(cKDTree(np.array(blood)).query(np.array(tissue))[0])
+        tissue = [place for place, away in zip(tissue, away_mm, strict=True) if away > samples.cell_mm]
+    where = [*(blood if left["blood"] else ()), *(tissue if left["tissue"] else ())]
+    if where:
+        is_whole = not (warnings or left["blood"] or quality["leaks_left"] or quality["openings_closed"])
+        kept = "; the chambers and the passages between them are as in the scan" if is_whole else ""
+        first = "the first " if len(where) > _SMALL_PLACES else ""
         warnings.append(
             note(
-                "the simulation does not keep every small hole "
-                f"({' and '.join(differing[:2]) or 'as many as in the scan, but not the same ones'}), at "
-                f"{_named([_place(samples, change) for change in where])}: make the cells smaller only where a hole "
-                "smaller than a cell matters"
+                "the simulation does not keep the smallest gaps and strands of the tissue, which are about as small as "
+                f"one of its cells ({samples.cell_mm:.1f} mm): {counted(len(where), 'place')}, {first}at "
+                f"{_named(where[:_SMALL_PLACES])}{kept}. Nothing need be done; only where something so small matters, "
+                "make the cells smaller"
             )
         )
     return warnings

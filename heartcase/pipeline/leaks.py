@@ -21,7 +21,7 @@ from heartcase.pipeline.kernels import lend
 from heartcase.pipeline.side_by_side import side_by_side
 from heartcase.pipeline.wall_thickness import thickness_at_points
 from heartcase.schemas.geometry import Geometry
-from heartcase.schemas.labels import BACKGROUND
+from heartcase.schemas.labels import BACKGROUND, Role
 
 __all__ = ["leak_cautions"]
 
@@ -139,16 +139,19 @@ def _beside_border(mask: Bool) -> Bool:
 
 
 def _gaps(reader: FieldReader, fine: UInt8, geometry: Geometry) -> Iterator[tuple[int, Extent, bool]]:
-    """Walled cavities whose blood touches the background: value, extent, and whether a table of thicknesses says so."""
+    """Cavities whose blood touches the background: value, extent, and whether a table of thicknesses says so.
+
+    Where the volume ends there is no background, so what the region of interest cuts is no gap.
+    """
     structures = reader.structures
-    cavities = [cavity for cavity, _ in structures.grown_walls.values()]
+    cavities = [value for value in structures.table.blood_values if value in structures.distance_mm]
     is_wanted = np.zeros((256, 256), np.bool_)
     is_wanted[BACKGROUND, cavities] = is_wanted[cavities, BACKGROUND] = True
     faces = faces_between(fine, geometry, is_wanted)
     faces = without_tissue(faces[~_at_ends(faces, structures)], reader)
     tables = {table.cavity: table for table in structures.thickness_tables}
     width = max(geometry.spacing_mm)
-    for cavity in sorted(cavities):
+    for cavity in cavities:
         own = (faces.first == cavity) | (faces.second == cavity)
         is_stated = np.zeros(len(own), np.bool_)
         table = tables.get(cavity)
@@ -202,12 +205,19 @@ def _of_split(structures: Structures, change: Change) -> Caution:
 
 
 def _of_gap(structures: Structures, cavity: int, extent: Extent, is_stated: bool) -> Caution:
-    name = structures.table[cavity].name
+    label = structures.table[cavity]
     if is_stated:
-        return note(f"{name}: open to the outside {_where(extent)}, as its table of thicknesses says")
+        return note(f"{label.name}: open to the outside {_where(extent)}, as its table of thicknesses says")
+    if structures.table.wall_value(cavity) in structures.values:
+        return anatomy(
+            f"{label.name}: its wall has a gap {_where(extent)}, so it is open to the outside there; if a vessel is "
+            "cut off there, mark it (an entry of 'ends'), else look at the segmentation there"
+        )
+    cut = "if it is cut off there, mark it (an entry of 'ends'), else " if label.role is Role.VESSEL_LUMEN else ""
     return anatomy(
-        f"{name}: its wall has a gap {_where(extent)}, so it is open to the outside there; if a vessel is cut off "
-        "there, mark it (an entry of 'ends'), else look at the segmentation there"
+        f"{label.name}: its blood is open to the outside {_where(extent)}, with neither muscle nor a wall between; "
+        f"{cut}paint the muscle that is missing there and background beyond it, or, where the scan does not show so "
+        "thin a wall, give the label a wall_thickness_mm: a wall grows only where no muscle is"
     )
 
 

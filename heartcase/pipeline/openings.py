@@ -60,6 +60,14 @@ _NORMAL_PAIRS = (
     ("la", "pulmonary vein"),
     ("la", "laa"),
 )
+_VALVES_MM = ((("lv", "la"), 30.0), (("rv", "ra"), 30.0), (("lv", "aorta"), 20.0), (("rv", "pa"), 20.0))
+"""Diameter of a valve at a body surface area of 1 m2, about; it goes with the area's square root (Lopez et al.,
+Circulation: Cardiovascular Imaging 10, 2017, doi 10.1161/CIRCIMAGING.117.006979)."""
+VALVE_SHARES = (0.4, 2.0)
+"""A valve's opening is looked at when it is less or more than this many times the usual one: wider than any normal
+heart, a dilated one, or blood whose border does not lie flat in the valve."""
+LEAST_VENTRICLE_ML = 3.0
+"""Half of a newborn's: of a smaller one nothing is said."""
 _OTHER_VENTRICLE = (("lv", "pa"), ("rv", "aorta"))
 _STATING_WORDS = re.compile(
     r"defect|fistula|shunt|anastomos[ei]s|fenestration|ductus|window|opening|connection|drainage"
@@ -149,6 +157,9 @@ class Opening:
     """What in the recipe says that it is meant."""
     asked_mm2: float | None = None
     """Area that the septal_defect edit asks for, mm2."""
+    usual_mm: float | None = None
+    """Usual diameter of this valve in a heart with ventricles of this volume, mm; None for what is no valve, or where
+    the volume is not known."""
     points_mm: Float64 = field(default_factory=lambda: np.empty((0, 3)), compare=False, repr=False)
     """Centres of the faces between the two, world mm, shape (face_count, 3)."""
     statement: _Statement | None = field(default=None, compare=False, repr=False)
@@ -165,9 +176,15 @@ class Opening:
         return self.asked_mm2 is not None and self.area_mm2 > MORE_THAN_ASKED * self.asked_mm2
 
     @property
+    def is_odd_size(self) -> bool:
+        """Whether it is far narrower or wider than this valve is in any heart of this size."""
+        low, high = VALVE_SHARES
+        return self.usual_mm is not None and not low <= self.diameter_mm / self.usual_mm <= high
+
+    @property
     def is_doubtful(self) -> bool:
         """Whether a person must look at it."""
-        return self.is_too_large or self.verdict not in (Verdict.EXPECTED, Verdict.STATED)
+        return self.is_too_large or self.is_odd_size or self.verdict not in (Verdict.EXPECTED, Verdict.STATED)
 
     def has_rim_at(self, points_mm: Float64, normals: Float64, reach_mm: float) -> Bool:
         """Which points of the tissue's border are its rim: near its faces, or on the wall of the canal it was cut by.
@@ -217,13 +234,14 @@ def find_openings(
     contact = find_contact(structures, labels, [one.line_mm for one in statements if one.axis is not None])
     points, pairs = contact.points_mm, contact.pairs
     margin = REACH_VOXELS * labels.geometry.voxel_volume_mm3 ** (1.0 / 3.0)
+    root_m = _root_of_surface_m(labels)
     found: list[Opening] = []
     for values in np.unique(pairs, axis=0):
         of_pair = (pairs == values).all(axis=1)
         pair = (labels.table[int(values[0])], labels.table[int(values[1])])
         plain = _verdict(*pair)
         if plain is Verdict.EXPECTED:
-            found.append(_opening(contact[of_pair], pair, plain))
+            found.append(replace(_opening(contact[of_pair], pair, plain), usual_mm=_usual_mm(pair, root_m)))
             continue
         for statement in statements:
             covered = of_pair & statement.covers(points, margin)
@@ -289,7 +307,32 @@ def _term_pairs(pairs: Sequence[tuple[str, str]]) -> frozenset[frozenset[Term]]:
 
 
 _EXPECTED = _term_pairs(_NORMAL_PAIRS)
+_VALVES = {next(iter(_term_pairs([pair]))): diameter for pair, diameter in _VALVES_MM}
+_VENTRICLES = frozenset(term for pair in _term_pairs([("lv", "rv")]) for term in pair)
 _DISCORDANT = _term_pairs(_OTHER_VENTRICLE)
+
+
+def _root_of_surface_m(labels: Segmentation) -> float | None:
+    """Square root of the body surface area that goes with the larger ventricle's volume, m; None where it is not known.
+
+    The larger one, since the smaller may be malformed, or taken by its neighbour. Of a ventricle that the volume's
+    border cuts only a part is known.
+    """
+    counts = np.bincount(labels.labels.ravel(), minlength=256)
+    values = [one.value for one in labels.table if one.term in _VENTRICLES and one.role.is_blood]
+    value = max(values, key=lambda one: counts[one], default=None)
+    if value is None or any((labels.labels.take((0, -1), axis) == value).any() for axis in range(3)):
+        return None
+    volume_ml = float(counts[value]) * labels.geometry.voxel_volume_mm3 / 1000.0
+    # 62.02 A^1.3 ml for an area of A m2: the source of _VALVES_MM.
+    return (volume_ml / 62.02) ** (0.5 / 1.3) if volume_ml >= LEAST_VENTRICLE_ML else None
+
+
+def _usual_mm(pair: tuple[Label, Label], root_m: float | None) -> float | None:
+    """Usual diameter of the valve between two structures, mm."""
+    terms = frozenset(term for label in pair if (term := label.term) is not None)
+    diameter = _VALVES.get(terms)
+    return None if diameter is None or root_m is None else diameter * root_m
 
 
 def _opening(contact: Contact, pair: tuple[Label, Label], verdict: Verdict) -> Opening:
@@ -348,6 +391,13 @@ def _cautions(one: Opening) -> Iterator[Caution]:
         yield Caution(f"{where}: the great artery arises from the other ventricle; is that the malformation?")
     elif one.verdict is Verdict.UNKNOWN:
         yield Caution(f"{where}: a name that heartcase does not know, so look whether a wall belongs between them")
+    elif one.is_odd_size and one.usual_mm is not None:
+        size = "narrow" if one.diameter_mm < one.usual_mm else "wide"
+        yield Caution(
+            f"{where}, as a circle of {one.diameter_mm:.0f} mm: very {size} for this valve, where about "
+            f"{one.usual_mm:.0f} mm is usual with ventricles of this volume; check that the labels of the two meet at "
+            "the valve and that neither has taken a part of the other, or that this is the malformation"
+        )
     elif one.verdict is Verdict.STATED:
         asked = "" if one.asked_mm2 is None else f", which asks for {_area(one.asked_mm2)}"
         if one.is_too_large:

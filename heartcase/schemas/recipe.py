@@ -16,17 +16,19 @@ from heartcase.schemas.about import About
 from heartcase.schemas.base import CaseId, Model, Name
 from heartcase.schemas.edit_settings import CloseDefect, Edit, Sculpt, SeptalDefect
 from heartcase.schemas.errors import ModelProblems, Problem, RecipeError, problems_from_validation
-from heartcase.schemas.labels import Label, LabelTable, default_label_table
+from heartcase.schemas.labels import Label, LabelTable, Role, default_label_table
 from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.lock import RecipeLock, fill_unset
 from heartcase.schemas.migrate import RECIPE
 from heartcase.schemas.phantom_scan import PhantomScan
+from heartcase.schemas.plausible import density_problem, modulus_problem, wall_problem
 from heartcase.schemas.settings import (
     Convention,
     EndMarker,
     FilterSettings,
     GridSettings,
     MapSettings,
+    MaterialSettings,
     MaterialsSettings,
     Pin,
     RegionSettings,
@@ -246,6 +248,7 @@ class Recipe(Model):
                     problems.append(Problem(place, f"{wall.name!r} is a grown wall and follows its cavity: name that"))
         for name in self.materials.labels:
             check("materials.labels", name, with_walls, devices)
+        problems += self._implausible_numbers(with_walls, devices)
         needs_markers = info.context is None or info.context["needs_markers"]
         if needs_markers and self.segment.method == "watershed" and not self.markers and not self.strokes:
             problems.append(Problem("segment", "the watershed needs markers: add [[markers]] or [[strokes]]"))
@@ -259,6 +262,26 @@ class Recipe(Model):
         if problems:
             raise ModelProblems(problems)
         return self
+
+    def _implausible_numbers(self, table: LabelTable, devices: Collection[str]) -> list[Problem]:
+        """Moduli, densities and walls that were meant in another unit."""
+        found = [
+            (f"labels[{n}].wall_thickness_mm", wall_problem(label.wall_thickness_mm))
+            for n, label in enumerate(self.labels, start=1)
+        ]
+        for n, varying in enumerate(self.walls.thickness, start=1):
+            found += [(f"walls.thickness[{n}].thickness_mm", wall_problem(value)) for value in varying.thickness_mm]
+        every: list[tuple[str, MaterialSettings, bool]] = [("materials", self.materials, False)]
+        for name, one in self.materials.labels.items():
+            label = table.find(name)
+            is_device = name.lower() in devices if label is None else label.role is Role.DEVICE
+            every.append((f"materials.labels.{name}", one, is_device))
+        for place, one, is_device in every:
+            found += [
+                (f"{place}.youngs_modulus_kpa", modulus_problem(one.youngs_modulus_kpa, is_device=is_device)),
+                (f"{place}.density_kg_m3", density_problem(one.density_kg_m3, is_device=is_device)),
+            ]
+        return [Problem(place, message) for place, message in found if message]
 
 
 def _spellings(name: str) -> tuple[str, ...]:

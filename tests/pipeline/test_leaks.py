@@ -9,8 +9,10 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from heartcase.pipeline.cautions import Severity, severity_of
-from heartcase.pipeline.data import Reshaping
+from heartcase.pipeline.data import Reshaping, Segmentation
 from heartcase.pipeline.leaks import leak_cautions
+from heartcase.pipeline.walls import grow_walls
+from heartcase.schemas.labels import Label, LabelTable, Role
 from heartcase.schemas.settings import EndMarker, WallsSettings, WallThickness
 from tests.pipeline.lattices import lattice, points_of
 from tests.pipeline.test_walls import KINDS, grown, owners
@@ -162,6 +164,90 @@ def test_a_hole_in_a_wall_is_reported_with_place_and_area(kind):
     assert np.linalg.norm(place - at) < 2.0
     half = 0.5 * max(geometry.refined(2).spacing_mm)
     assert curved_patch(3.0 - half) < area < curved_patch(3.0 + half)
+
+
+def in_muscle(kind, *, hole_mm=0.0, wall_mm=4.0):
+    """A ball of the atrium's blood with muscle around it, and a round hole in the muscle along ``AXIS``."""
+    geometry = lattice(kind, 40.0)
+    points = points_of(geometry)
+    along = points @ AXIS
+    across = np.linalg.norm(points - along[..., None] * AXIS, axis=-1)
+    from_middle = np.linalg.norm(points, axis=-1)
+    muscle = (from_middle < 12.0 + wall_mm) & ~((across < hole_mm) & (along > 0.0))
+    return geometry, np.where(from_middle < 12.0, ATRIUM, np.where(muscle, SEPTUM, 0))
+
+
+def cap_mm2(hole_mm):
+    """Area of a ball of radius 12 that a coaxial cylinder cuts out, mm2."""
+    return 2.0 * np.pi * 12.0 * (12.0 - np.sqrt(144.0 - hole_mm**2))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_hole_in_the_muscle_around_a_cavity_without_a_wall_is_reported_with_place_and_area(kind):
+    geometry, labels = in_muscle(kind, hole_mm=6.0)
+    (caution,) = grown(labels, geometry, second_mm=0.0).warnings
+    assert severity_of(caution) is Severity.ANATOMY
+    assert caution.startswith("left atrium: its blood is open to the outside over ")
+    assert "wall_thickness_mm" in caution
+    assert "'ends'" not in caution
+    place, area = place_and_area(caution)
+    width = max(geometry.spacing_mm)  # the smoothing draws the rim in
+    assert np.linalg.norm(place - 12.0 * AXIS) < 2.0
+    assert cap_mm2(6.0 - 0.75 * width) < area < cap_mm2(6.0 + 0.5 * width)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_muscle_all_around_or_a_wall_in_the_hole_is_no_gap(kind):
+    assert grown(*in_muscle(kind)[::-1], second_mm=0.0).warnings == ()
+    assert grown(*in_muscle(kind, hole_mm=6.0)[::-1], second_mm=1.0).warnings == ()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_cavity_without_a_wall_that_the_region_cuts_is_not_open_there(kind, axis):
+    geometry, labels = in_muscle(kind)
+    start = [0, 0, 0]
+    start[axis] = geometry.size[axis] // 2
+    size = np.array(geometry.size) - start
+    i, j, k = start
+    part = labels[k:, j:, i:]
+    assert (part == ATRIUM).take(0, 2 - axis).any()
+    assert grown(part, geometry.cropped((i, j, k), tuple(int(n) for n in size)), second_mm=0.0).warnings == ()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_vessel_in_muscle_that_an_end_marker_cuts_is_not_open_there(kind):
+    geometry, labels = tube(kind)
+    points = points_of(geometry)
+    along = points @ AXIS
+    across = np.linalg.norm(points - along[..., None] * AXIS, axis=-1)
+    labels = np.where(across < 6.0, AORTA, np.where(across < 10.0, SEPTUM, 0))
+    end = EndMarker(label="aorta", position_mm=tuple(6.0 * AXIS), axis=tuple(AXIS), radius_mm=8.0)
+    cut = np.where((along > 6.0) & (across < 10.0), 0, labels)
+    assert grown(labels, geometry, ends=(end,), first_mm=0.0).warnings == ()
+    assert grown(cut, geometry, ends=(end,), first_mm=0.0).warnings == ()
+
+
+def test_a_vessel_of_blood_only_is_told_in_one_line_with_its_area():
+    geometry, labels = tube("even")
+    along = points_of(geometry) @ AXIS
+    (caution,) = grown(np.where(np.abs(along) < 12.0, labels, 0), geometry, first_mm=0.0).warnings
+    assert caution.startswith("aorta: its blood is open to the outside")
+    assert "'ends'" in caution
+    _, area = place_and_area(caution)
+    assert area == pytest.approx(2.0 * np.pi * 6.0 * 24.0 + 2.0 * np.pi * 36.0, rel=0.1)
+
+
+def test_a_segmented_wall_with_a_hole_is_told_as_a_wall():
+    geometry, labels = in_muscle("even", hole_mm=6.0)
+    table = LabelTable(
+        labels=(
+            Label(value=ATRIUM, name="left atrium", role=Role.BLOOD),
+            Label(value=SEPTUM, name="left atrium wall", role=Role.MYOCARDIUM, wall_of=ATRIUM),
+        )
+    )
+    (caution,) = grow_walls(Segmentation(labels.astype(np.uint8), geometry, table), WallsSettings(), ()).warnings
+    assert caution.startswith("left atrium: its wall has a gap over ")
 
 
 def test_where_the_table_says_zero_the_opening_is_noted():

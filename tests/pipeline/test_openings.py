@@ -213,6 +213,45 @@ def test_a_heart_s_valves_and_veins_are_expected_and_nothing_else():
             assert caution.severity is (Severity.LOOK if pair in other else Severity.ANATOMY)
 
 
+def valve(radius_mm, first="left ventricle", second="left atrium", *, start=0) -> Structures:
+    """A ventricle of 13 ml, half a ball, with a round valve of a radius in a wall; cut off at a slice where asked."""
+    geometry = lattice("even", 44.0)
+    points = points_of(geometry)
+    labels = np.where(points[..., 2] < 0.0, LEFT, RIGHT)
+    labels[(np.abs(points[..., 2]) < 2.0) & (np.hypot(points[..., 0], points[..., 1]) > radius_mm)] = MUSCLE
+    labels[np.linalg.norm(points, axis=-1) > 20.0] = 0
+    nx, ny, nz = geometry.size
+    part = geometry.cropped((0, 0, start), (nx, ny, nz - start))
+    return structures_of(labels[start:], part, table_of(first, second))
+
+
+@pytest.mark.parametrize(
+    ("radius", "second", "word"),
+    [
+        (2.5, "left atrium", "narrow"),
+        (5.0, "left atrium", ""),
+        (12.0, "left atrium", ""),
+        (19.0, "left atrium", "wide"),
+        (2.5, "aorta", ""),
+        (8.0, "aorta", ""),
+        (14.0, "aorta", "wide"),
+    ],
+)
+def test_a_valve_that_no_heart_of_this_size_has_is_looked_at(radius, second, word):
+    (one,) = openings_of(valve(radius, second=second))
+    # 13.4 ml go with 0.31 m2, whose root is 0.56: mitral valve 17 mm, aortic valve 11 mm.
+    assert one.usual_mm == pytest.approx(17.0 if second == "left atrium" else 11.3, rel=0.1)
+    assert (one.verdict, one.is_odd_size, one.is_doubtful) == (Verdict.EXPECTED, bool(word), bool(word))
+    cautions = opening_cautions([one])
+    assert [caution.severity for caution in cautions] == [Severity.LOOK] * bool(word)
+    assert all(f"as a circle of {one.diameter_mm:.0f} mm: very {word} for this valve" in line for line in cautions)
+
+
+def test_of_a_valve_s_size_nothing_is_said_where_the_ventricle_is_cut_or_is_none():
+    assert openings_of(valve(2.5, start=8))[0].usual_mm is None
+    assert openings_of(valve(2.5, "right atrium", "inferior vena cava"))[0].usual_mm is None
+
+
 @pytest.mark.parametrize(
     ("first", "second", "codes", "verdict"),
     [

@@ -62,7 +62,7 @@ def recipe_data(draw):
     """What the TOML file of a recipe may hold, as its author would write it."""
     labels = _labels(draw)
     label = st.sampled_from([one["name"] for one in labels])
-    materials = maybe(youngs_modulus_kpa=st.floats(0.1, 1e5), density_kg_m3=st.floats(1, 1e4))
+    materials = maybe(youngs_modulus_kpa=st.floats(0.1, 5e3), density_kg_m3=st.floats(500, 3e3))
     stroke = st.fixed_dictionaries(
         {"label": label, "points_mm": st.lists(points, min_size=1, max_size=3)},
         optional={"radius_mm": st.floats(0, 50)},

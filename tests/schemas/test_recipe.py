@@ -131,6 +131,84 @@ def test_true_and_false_are_written_without_quotes(place, text, value):
     parse_recipe(text.format("true"))
 
 
+UNITS = """
+heartcase_recipe = 1
+name = "x"
+scan.path = "scan.nii.gz"
+segment.method = "labels"
+segment.file = "labels.nii.gz"
+labels = [
+  {{ value = 1, name = "left ventricle", role = "blood", wall_thickness_mm = {wall} }},
+  {{ value = 2, name = "stent", role = "device" }},
+]
+[materials]
+youngs_modulus_kpa = {modulus}
+density_kg_m3 = {density}
+[materials.labels.stent]
+youngs_modulus_kpa = {stent}
+density_kg_m3 = {steel}
+"""
+SOUND = {"wall": 2.0, "modulus": 30.0, "density": 1060.0, "stent": 3e5, "steel": 7900.0}
+
+
+@pytest.mark.parametrize(
+    ("slip", "place", "message"),
+    [
+        (
+            {"modulus": 30000},
+            "materials.youngs_modulus_kpa",
+            "30000 kPa is stiffer than any soft tissue (0.1 to 5000 kPa): was Pa meant? then write 30",
+        ),
+        ({"modulus": 0.03}, "materials.youngs_modulus_kpa", "was MPa meant? then write 30"),
+        ({"density": 1.06}, "materials.density_kg_m3", "was g/cm3 meant? then write 1060"),
+        ({"density": 5000}, "materials.density_kg_m3", "check the number and its unit"),
+        ({"stent": 0.01}, "materials.labels.stent.youngs_modulus_kpa", "was MPa meant? then write 10"),
+        ({"steel": 7.9}, "materials.labels.stent.density_kg_m3", "was g/cm3 meant? then write 7900"),
+        ({"wall": 0.0025}, "labels[1].wall_thickness_mm", "was m meant? then write 2.5"),
+        ({"wall": 0.05}, "labels[1].wall_thickness_mm", "was cm meant? then write 0.5"),
+        ({"wall": 25}, "labels[1].wall_thickness_mm", "25 mm is thicker than any wall (0.1 to 15 mm)"),
+    ],
+)
+def test_a_number_in_another_unit_is_refused_and_the_right_one_named(slip, place, message):
+    with pytest.raises(RecipeError) as caught:
+        parse_recipe(UNITS.format(**SOUND | slip))
+    (problem,) = caught.value.problems
+    assert problem.place == place
+    assert message in problem.message
+
+
+@pytest.mark.parametrize(
+    "numbers",
+    [
+        {},
+        {"wall": 0},
+        {"wall": 0.1},
+        {"wall": 15},
+        {"modulus": 0.1},
+        {"modulus": 5000},
+        {"density": 500},
+        {"density": 3000},
+    ],
+)
+def test_numbers_that_a_heart_or_a_device_may_have_are_sound(numbers):
+    assert parse_recipe(UNITS.format(**SOUND | numbers)).name == "x"
+
+
+def test_a_table_of_thicknesses_in_metres_is_refused_once_for_each_number():
+    table = """
+[[walls.thickness]]
+label = "left ventricle"
+kind = "positions"
+points_mm = [[0.0, 0.0, 0.0], [9.0, 0.0, 0.0]]
+thickness_mm = [0.002, 0.0]
+"""
+    with pytest.raises(RecipeError) as caught:
+        parse_recipe(UNITS.format(**SOUND) + table)
+    (problem,) = caught.value.problems
+    assert problem.place == "walls.thickness[1].thickness_mm"
+    assert "was m meant? then write 2" in problem.message
+
+
 def test_numbers_are_read_as_before():
     recipe = parse_recipe(MINIMAL + "[grid]\ncell_mm = 2\nrepair = false\n[filter]\niterations = 3.0\n")
     assert (recipe.grid.cell_mm, recipe.grid.repair, recipe.filter.iterations) == (2.0, False, 3)

@@ -150,7 +150,7 @@ class ReportData:
     confidence: ConfidencePart | None = None
     """How sure the outlines are; None where they do not come from a watershed."""
     sides: Sequence[Picture] = ()
-    """The surface from four sides."""
+    """The surface from all six sides."""
     views: Sequence[Picture] = ()
     """The surgeon's view, and the heart cut open."""
     without_short_axis: bool = False
@@ -330,6 +330,8 @@ def _opening_row(one: Opening) -> OpeningRow:
         words = f"{words} {one.stated_by}"
     if one.asked_mm2 is not None:
         words = f"{words}, which asks for {one.asked_mm2:,.0f} mm²"
+    if one.is_odd_size and one.usual_mm is not None:
+        words = f"{words}, but with about {one.usual_mm:.0f} mm across in a heart of this size: look at it"
     return OpeningRow(
         f"{one.names[0]} and {one.names[1]}",
         one.area_mm2,

@@ -36,6 +36,8 @@ _SIDES: dict[View, str] = {
     "posterior": "From behind",
     "left": "From the patient's left",
     "right": "From the patient's right",
+    "superior": "From above",
+    "inferior": "From below",
 }
 
 
@@ -74,7 +76,7 @@ class SurfaceParts:
     """What the page shows of the surface; all empty for a case without one."""
 
     sides: Sequence[Picture] = ()
-    """From four sides."""
+    """From all six sides."""
     views: Sequence[Picture] = ()
     """The surgeon's view, and the heart cut open."""
     without_short_axis: bool = False
@@ -113,7 +115,7 @@ def _is_parallel(one: Geometry, other: Geometry) -> bool:
 def surface_parts(
     surface: Surface | None, landmarks: Sequence[Landmark] = (), walls: WallsSettings | None = None
 ) -> SurfaceParts:
-    """Draw the surface from four sides, in the surgeon's view, cut open and by thickness; measure the thickness.
+    """Draw the surface from all six sides, in the surgeon's view, cut open and by thickness; measure the thickness.
 
     ``walls`` are the recipe's, of which some may vary in thickness.
     """

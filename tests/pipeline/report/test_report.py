@@ -137,8 +137,9 @@ def test_page_is_whole_html_and_stands_alone(html):
 
 def test_pictures_are_inside_decode_and_have_words(html):
     images = Page(html).all("img")
-    # Three stacks of slices, four sides, the surgeon's view and three cuts, two thickness maps and the histogram.
-    assert len(images) == 14
+    # Three stacks of slices, six sides, the surgeon's view and three cuts, two thickness maps and the histogram.
+    assert len(images) == 16
+    assert any("from the inferior side" in image["alt"] for image in images)
     for image in images:
         assert len(image["alt"]) > 20
         head, _, content = image["src"].partition(",")
@@ -300,7 +301,7 @@ def test_where_no_short_axis_can_be_found_the_page_says_what_it_needs():
     )
     page = Page(page_of(heart, surface=surface))
     assert "There is no short-axis cut" in page.text
-    assert len(page.all("img")) == 13
+    assert len(page.all("img")) == 15
 
 
 def luminance(colour: str) -> float:
