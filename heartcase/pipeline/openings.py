@@ -61,8 +61,9 @@ _NORMAL_PAIRS = (
     ("la", "laa"),
 )
 _VALVES_MM = ((("lv", "la"), 30.0), (("rv", "ra"), 30.0), (("lv", "aorta"), 20.0), (("rv", "pa"), 20.0))
-"""Diameter of a valve at a body surface area of 1 m2, about; it goes with the area's square root (Lopez et al.,
-Circulation: Cardiovascular Imaging 10, 2017, doi 10.1161/CIRCIMAGING.117.006979)."""
+"""Diameter of a valve at a body surface area of 1 m2: round numbers, enough for VALVE_SHARES. That diameters go with the
+area's square root is from Lopez et al., Circulation: Cardiovascular Imaging 10, 2017, doi
+10.1161/CIRCIMAGING.117.006979."""
 VALVE_SHARES = (0.4, 2.0)
 """A valve's opening is looked at when it is less or more than this many times the usual one: wider than any normal
 heart, a dilated one, or blood whose border does not lie flat in the valve."""
@@ -324,7 +325,7 @@ def _root_of_surface_m(labels: Segmentation) -> float | None:
     if value is None or any((labels.labels.take((0, -1), axis) == value).any() for axis in range(3)):
         return None
     volume_ml = float(counts[value]) * labels.geometry.voxel_volume_mm3 / 1000.0
-    # 62.02 A^1.3 ml for an area of A m2: the source of _VALVES_MM.
+    # 62.02 A^1.3 ml for an area of A m2: the source named at _VALVES_MM.
     return (volume_ml / 62.02) ** (0.5 / 1.3) if volume_ml >= LEAST_VENTRICLE_ML else None
 
 
