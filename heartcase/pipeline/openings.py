@@ -61,8 +61,8 @@ _NORMAL_PAIRS = (
     ("la", "laa"),
 )
 _VALVES_MM = ((("lv", "la"), 30.0), (("rv", "ra"), 30.0), (("lv", "aorta"), 20.0), (("rv", "pa"), 20.0))
-"""Diameter of a valve at a body surface area of 1 m2: round numbers, enough for VALVE_SHARES. That diameters go with the
-area's square root is from Lopez et al., Circulation: Cardiovascular Imaging 10, 2017, doi
+"""Diameter of a valve at a body surface area of 1 m2: round numbers, enough for VALVE_SHARES. That diameters go with
+the area's square root is from Lopez et al., Circulation: Cardiovascular Imaging 10, 2017, doi
 10.1161/CIRCIMAGING.117.006979."""
 VALVE_SHARES = (0.4, 2.0)
 """A valve's opening is looked at when it is less or more than this many times the usual one: wider than any normal
