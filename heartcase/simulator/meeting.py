@@ -1,7 +1,7 @@
 """Threads that take steps together: each works on its own part, and all meet before one goes on to what others wrote.
 
 A meeting is a counter that the last thread to arrive resets. The others wait for it without rest at first, as steps are
-short, then give their turn to whatever else wants the core: on a busy machine that may be the very thread that they
+short, and then give their turn to whatever else wants the core: on a busy machine that may be the very thread that they
 wait for.
 """
 
@@ -26,8 +26,9 @@ __all__ = ["Crew", "Meeting", "meet", "raise_to"]
 
 Meeting = npt.NDArray[np.int64]
 
-PATIENCE = 2000
-"""Looks at a meeting before a thread gives its turn away, some 20 to 80 microseconds."""
+PATIENCE = 30_000
+"""Looks at a meeting before a thread gives its turn away, some 0.3 to 1 ms: two threads that the system has put on one
+core while another is idle are moved apart only if one of them waits for longer than that."""
 _ARRIVED, _ROUND, _ABANDONED = 0, 16, 32
 """Places in a meeting's array, on cache lines of their own."""
 _SIZE = 48

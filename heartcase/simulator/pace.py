@@ -65,8 +65,8 @@ class Pace:
             is_new = self.seconds_per_step[number] == 0.0
             is_doubtful = self.seconds_per_step[number] <= DOUBTFUL_RATIO * min(self.seconds_per_step)
             is_due = is_new or (not in_use and (is_regular or (is_early and is_doubtful)))
-            # The first steps in a way start its threads.
-            for _ in range(1 + is_new if is_due else 0):
+            # The first steps in a way wake its threads: those after them count.
+            for _ in range(2 if is_due else 0):
                 if step_count > TRIAL_STEPS:
                     self._take(TRIAL_STEPS, number, way)
                     step_count -= TRIAL_STEPS
