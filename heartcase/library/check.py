@@ -16,6 +16,7 @@ import numpy.typing as npt
 from scipy.optimize import least_squares
 
 from heartcase.library.diff import mesh_of
+from heartcase.library.openings import FalseOpening, false_openings
 from heartcase.phantom.heart import HeartPhantom
 from heartcase.phantom.metrics import SurfaceError, dice
 from heartcase.phantom.truth import Truth
@@ -74,6 +75,8 @@ class CaseCheck:
     """Cavities between which blood passes, in groups."""
     joined_truly: tuple[tuple[str, ...], ...]
     """The same in truth."""
+    false_openings: tuple[FalseOpening, ...] = ()
+    """Pairs of cavities that are open to each other where they are not in truth."""
 
     @property
     def is_joined_as_it_should(self) -> bool:
@@ -139,6 +142,7 @@ def check_case(case: Path, scan: PhantomScan) -> CaseCheck:
         ),
         joined=joined_cavities(blood, truth, names),
         joined_truly=joined_cavities(np.isin(truth, true_table.blood_values), truth, names),
+        false_openings=false_openings(bundle.manifest.quality.get("openings", ()), phantom.truth),
     )
 
 
@@ -230,6 +234,7 @@ def problems_of(check: CaseCheck, *, least_dice: float, surface_mm: float, diame
     problems = []
     if not check.is_joined_as_it_should:
         problems.append("other cavities are connected than in truth")
+    problems += [str(one) for one in check.false_openings]
     if check.tissue_dice < least_dice:
         problems.append(f"the tissue's Dice coefficient is {check.tissue_dice:.3f}")
     if check.surface.percentile_95_mm > surface_mm:

@@ -1,7 +1,8 @@
 """Marker strokes for the phantom, drawn where a person would: along the middle of cavities and walls, around the heart.
 
-At most ten strokes a label, none thicker than 2 mm in radius. Every stroke stays inside its structure. What a few
-short strokes reach is measured with :func:`first_strokes`.
+None is thicker than 2 mm in radius, and every stroke stays inside its structure. The two hearts of fixed size have at
+most ten strokes a label; hearts of any other form get more where those would not do
+(:mod:`heartcase.phantom.corrections`). What a few short strokes reach is measured with :func:`first_strokes`.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from scipy.spatial import cKDTree
 
 from heartcase.phantom.anatomy import mirrored
 from heartcase.phantom.axes import LONG_AXIS, SEPTUM_AXIS, UPWARD_AXIS
+from heartcase.phantom.corrections import corrective_lines
 from heartcase.phantom.heart import HeartPhantom
 from heartcase.phantom.inner import BAFFLE_LINE
 from heartcase.phantom.sizes import proportions_of
@@ -91,6 +93,8 @@ def _drawn_lines(phantom: HeartPhantom) -> list[tuple[str, float, Float64]]:
     for label, points in _cavity_lines(phantom):
         drawn.append((label, radius, _inside(phantom, label, points, radius)))
     drawn += [(label, radius, points) for label, points in _valve_rings(phantom, radius)]
+    if phantom.form not in _FIXED:
+        drawn += corrective_lines(phantom, drawn, radius)
     for points in _myocardium_lines(phantom):
         label = "left ventricular myocardium"
         drawn.append((label, radius, _inside(phantom, label, points, radius)))
@@ -198,7 +202,7 @@ def _middle_of_right(phantom: HeartPhantom, where: list[tuple[float, float]]) ->
 
 
 def _valve_rings(phantom: HeartPhantom, radius: float) -> list[tuple[str, Float64]]:
-    """A ring on either side of each opening between two cavities, as wide as fits."""
+    """A ring on either side of each opening between two cavities, as wide as fits, and a cross in it."""
     lines = []
     scale = phantom.scale
     for pair in phantom.anatomy.openings:
@@ -233,6 +237,12 @@ def _valve_rings(phantom: HeartPhantom, radius: float) -> list[tuple[str, Float6
                 for away in (1.5, 3.0)
             ]
             lines.append((label, max(rings, key=_length)))
+            if phantom.form not in _FIXED:
+                # A ring alone leaves the middle of the opening to the watershed.
+                middle = centre + side * (radius + 1.5 * scale) * normal
+                for way in (across, np.cross(normal, across)):
+                    diameter = middle + np.linspace(-0.7, 0.7, 9)[:, None] * opening_radius * way
+                    lines.append((label, _inside(phantom, label, diameter, radius)))
     return lines
 
 

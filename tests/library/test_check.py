@@ -6,6 +6,7 @@ from skimage.measure import marching_cubes
 
 from heartcase.cli.main import main
 from heartcase.library.check import CaseCheck, DefectCheck, _defect_check, joined_cavities, problems_of
+from heartcase.library.openings import FalseOpening, false_openings
 from heartcase.phantom.heart import HeartPhantom
 from heartcase.phantom.metrics import SurfaceError
 
@@ -59,6 +60,36 @@ def test_cavities_that_share_blood_are_grouped():
     labels[:, :4, 6] = 2
     labels[:, :5, 5] = 0
     assert joined_cavities(labels > 0, labels, names) == (("a",), ("b",), ("c",))
+
+
+def test_openings_that_the_truth_has_not_are_found(child):
+    left, atrium, aorta = "morphologically left ventricle", "morphologically left atrium", "aorta"
+    mitral, root = (child.anatomy.places[f"{name} valve"].tolist() for name in ("mitral", "aortic"))
+
+    def figure(one, other, center, verdict):
+        return {"between": [one, other], "area_mm2": 7.25, "center_mm": center, "verdict": verdict}
+
+    figures = [
+        figure(left, atrium, mitral, "expected"),
+        figure(left, aorta, root, "expected"),
+        figure(atrium, aorta, root, "unexpected"),
+        figure(left, atrium, [mitral[0], mitral[1], mitral[2] + 30.0], "expected"),
+        figure(left, atrium, mitral, "unexpected"),
+    ]
+    found = false_openings(figures, child.truth)
+    assert [(one.between, one.is_true_nearby) for one in found] == [
+        ((atrium, aorta), False),
+        ((left, atrium), False),
+        ((left, atrium), True),
+    ]
+    assert str(found[0]) == "left atrium and aorta are open to each other over 7.2 mm², in truth not"
+    assert str(found[2]).endswith("over 7.2 mm² beyond their true opening")
+
+
+def test_a_false_opening_is_worse_than_allowed():
+    false = FalseOpening(("a", "b"), 3.0, (0.0, 0.0, 0.0), False)
+    check = CaseCheck("x", 0.9, {}, SurfaceError(0.2, 0.6, 100), (), (("a", "b"),), (("a", "b"),), (false,))
+    assert problems_of(check, least_dice=0.85, surface_mm=1.0, diameter_mm=2.0) == [str(false)]
 
 
 def test_what_is_worse_than_allowed_is_said():
