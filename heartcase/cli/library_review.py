@@ -34,7 +34,8 @@ _LEGEND = (
 def check(directory: Path, out: Path, least_dice: float, surface_mm: float, hole_mm: float, as_json: bool) -> None:
     """Compare the cases of DIR's recipes whose scans are synthetic with the hearts that they were made from.
 
-    Exits with 1 where a case is missing, other cavities are connected than in truth, or an error is more than allowed.
+    Exits with 1 where a case is missing, other cavities are connected or open to each other than in truth, or an error
+    is more than allowed.
     """
     from heartcase.library.check import check_case, problems_of
     from heartcase.library.plan import plan_library

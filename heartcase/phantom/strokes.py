@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from heartcase.phantom.anatomy import mirrored
 from heartcase.phantom.axes import LONG_AXIS, SEPTUM_AXIS, UPWARD_AXIS
-from heartcase.phantom.corrections import corrective_lines
+from heartcase.phantom.corrections import corrective_lines, wall_lines
 from heartcase.phantom.heart import HeartPhantom
 from heartcase.phantom.inner import BAFFLE_LINE
 from heartcase.phantom.sizes import proportions_of
@@ -102,7 +102,8 @@ def _drawn_lines(phantom: HeartPhantom) -> list[tuple[str, float, Float64]]:
         drawn.append(("background", fine, points))
     if phantom.form.body_surface_m2 is not None:
         drawn += [("background", width, points) for width, points in _septal_lines(phantom)]
-    return [line for line in drawn if len(line[2])]
+    drawn = [line for line in drawn if len(line[2])]
+    return drawn if phantom.form in _FIXED else [*drawn, *wall_lines(phantom, drawn)]
 
 
 def _cut(points: Float64, longest_mm: float) -> list[Float64]:

@@ -5,7 +5,7 @@ import pytest
 from skimage.graph import MCP_Geometric
 
 from heartcase.phantom import corrections
-from heartcase.phantom.corrections import corrective_lines
+from heartcase.phantom.corrections import corrective_lines, wall_lines
 from heartcase.phantom.strokes import marker_strokes
 from tests.phantom.conftest import lattice_points
 from tests.phantom.test_strokes import segment_points
@@ -65,7 +65,7 @@ def test_what_is_added_stays_inside_its_cavity(child, few):
 
 
 def test_no_more_are_added_than_may_be(child, few, monkeypatch):
-    monkeypatch.setattr(corrections, "MOST", 3)
+    monkeypatch.setattr(corrections, "MOST_IN_BLOOD", 3)
     added = corrective_lines(child, few, RADIUS_MM)
     assert len(added) == 3
     # The first are those where most is lost.
@@ -79,3 +79,15 @@ def test_a_heart_whose_strokes_fill_it_needs_none(child, monkeypatch):
     full = [(name, 0.5, points[labels == child.table[name].value]) for name in blood]
     monkeypatch.setattr(corrections, "_dense", lambda line: line)
     assert corrective_lines(child, full, RADIUS_MM) == []
+
+
+def test_lines_in_walls_stay_in_them_and_part_them_from_muscle(child):
+    drawn = [(one.label, one.radius_mm, np.array(one.points_mm)) for one in marker_strokes(child)]
+    found = wall_lines(child, drawn)
+    assert {name for name, _, _ in found} == {"background", "left ventricular myocardium"}
+    table = child.truth.table
+    walls = [value for value in table.tissue_values if table[value].wall_of is not None]
+    for name, radius, line in found:
+        labels = child.truth.label(segment_points(line))
+        assert radius == 0.0
+        assert np.isin(labels, walls if name == "background" else [9]).all(), name
