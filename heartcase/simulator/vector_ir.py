@@ -23,7 +23,6 @@ __all__ = [
     "Window",
     "array_data",
     "array_lane_count",
-    "dot",
     "flush_subnormals",
     "restore_subnormals",
 ]
@@ -162,11 +161,6 @@ def _is_zero(other: Lanes | float) -> bool:
 
 
 Vector = tuple[Lanes, Lanes, Lanes]
-
-
-def dot(a: Vector, b: Vector) -> Lanes:
-    """Scalar product."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 class Window:
