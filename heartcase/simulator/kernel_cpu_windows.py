@@ -26,7 +26,7 @@ from heartcase.simulator.cell_forces import LOOK_BELOW
 from heartcase.simulator.cell_math import make_cell_math
 from heartcase.simulator.lanes import CELL_NUMBERS, LANE_COUNT
 from heartcase.simulator.model import DIRECTIONS
-from heartcase.simulator.vector_ir import Lanes, Vector, Window, array_data, array_lane_count, dot
+from heartcase.simulator.vector_ir import Lanes, Vector, Window, array_data, array_lane_count
 
 __all__ = [
     "clear_window",
@@ -61,8 +61,13 @@ def _tension(apart: Vector, offset: tuple[int, int, int], weight: Lanes) -> Lane
     """Tension of a spring over its length; see the formula at the top, of which all vectors are turned round."""
     d = _less(apart, offset)
     length = float(np.linalg.norm(offset))
-    e = dot(_less(d, offset), apart)
-    d_squared = d[0] * d[0] + _TINY + d[1] * d[1] + d[2] * d[2]
+    # Along axes that the spring has no part of at rest, d is D: what both sums have of these is added up once.
+    across = [apart[axis] * apart[axis] for axis in range(3) if not offset[axis]]
+    e = d_squared = sum(across[1:], across[0])
+    for axis in np.flatnonzero(offset):
+        e = e + (d[axis] - offset[axis]) * apart[axis]
+        d_squared = d_squared + d[axis] * d[axis]
+    d_squared = d_squared + _TINY
     return weight * e / (d_squared + d_squared.root() * length)
 
 
