@@ -34,8 +34,11 @@ class FalseOpening:
 
     def __str__(self) -> str:
         one, other = (name.removeprefix("morphologically ") for name in self.between)
-        where = f"{one} and {other} are open to each other over {self.area_mm2:.1f} mm²"
-        return f"{where} beyond their true opening" if self.is_true_nearby else f"{where}, in truth not"
+        x, y, z = self.center_mm
+        where = (
+            f"{one} and {other} are open to each other over {self.area_mm2:.1f} mm² near ({x:.1f}, {y:.1f}, {z:.1f}) mm"
+        )
+        return f"{where}, beyond their true opening" if self.is_true_nearby else f"{where}, in truth not"
 
 
 def false_openings(figures: Sequence[Mapping[str, Any]], truth: Truth) -> tuple[FalseOpening, ...]:
@@ -51,10 +54,10 @@ def false_openings(figures: Sequence[Mapping[str, Any]], truth: Truth) -> tuple[
     found = []
     for figure in figures:
         one, other = figure["between"]
-        center = tuple(float(value) for value in figure["center_mm"])
-        is_true = _is_open(truth, one, other, center)
+        x, y, z = (float(value) for value in figure["center_mm"])
+        is_true = _is_open(truth, one, other, (x, y, z))
         if figure["verdict"] == Verdict.UNEXPECTED or not is_true:
-            found.append(FalseOpening((one, other), float(figure["area_mm2"]), center, is_true))  # type: ignore[arg-type]
+            found.append(FalseOpening((one, other), float(figure["area_mm2"]), (x, y, z), is_true))
     return tuple(found)
 
 

@@ -146,7 +146,8 @@ class _Lattice:
         for value, own in ways.items():
             here = self.group == value
             rival = np.min([other[here] for key, other in ways.items() if key != value], axis=0)
-            # What nobody reaches is nobody's to lose. Rounded, so that no choice hangs on the last bits.
+            # What no rival reaches is not lost; what its own markers do not reach is lost, by a finite amount that
+            # can be compared. Rounded, so that no choice hangs on the last bits.
             gap = np.where(np.isfinite(rival), np.minimum(own[here], 2.0 * rival + 1.0) - CLEARLY * rival, 0.0)
             lost[here] = np.maximum(gap, 0.0).round(3)
         return lost
@@ -200,7 +201,7 @@ def _ways(graph: csr_array, sources: Bool, limit_mm: float = np.inf) -> Float64:
 
 
 def _dense(line_mm: Float64) -> Float64:
-    """Points along a polyline, less than 1 mm apart."""
+    """Points along a polyline, its corners among them, less than 1 mm apart."""
     parts = [line_mm[:1]]
     for start, end in pairwise(line_mm):
         count = int(np.ceil(np.linalg.norm(end - start))) + 1

@@ -82,8 +82,9 @@ def test_openings_that_the_truth_has_not_are_found(child):
         ((left, atrium), False),
         ((left, atrium), True),
     ]
-    assert str(found[0]) == "left atrium and aorta are open to each other over 7.2 mm², in truth not"
-    assert str(found[2]).endswith("over 7.2 mm² beyond their true opening")
+    place = ", ".join(f"{value:.1f}" for value in root)
+    assert str(found[0]) == f"left atrium and aorta are open to each other over 7.2 mm² near ({place}) mm, in truth not"
+    assert str(found[2]).endswith(" mm, beyond their true opening")
 
 
 def test_a_false_opening_is_worse_than_allowed():
