@@ -18,8 +18,10 @@ Points = tuple[tuple[float, float, float], ...]
 _LEAST_POINTS = 3
 
 
-def baffle_rings(phantom: HeartPhantom, *, apart_mm: float, clear_mm: float) -> list[Points]:
-    """Polylines in the middle of the baffle's sheet, LPS mm; each is where the sheet lies in blood.
+def baffle_rings(
+    phantom: HeartPhantom, *, apart_mm: float, clear_mm: float, deep_mm: float
+) -> list[tuple[Points, bool]]:
+    """Polylines in the middle of the baffle's sheet, LPS mm, where it lies in blood, and whether they lie deep in it.
 
     Parameters
     ----------
@@ -28,14 +30,16 @@ def baffle_rings(phantom: HeartPhantom, *, apart_mm: float, clear_mm: float) -> 
     apart_mm
         Distance from ring to ring, and of the points along one.
     clear_mm
-        Least depth in the blood: a brush nearer to the outer wall would come through it.
+        Least depth in the blood.
+    deep_mm
+        Depth in the blood from which on a brush cannot come near the outer wall, however the scan shows that.
     """
     baffle = phantom.form.baffle
     assert baffle is not None
     sizes = proportions_of(phantom.form)
     tube = tunnel(baffle, build_vessels(phantom.form, sizes), sizes.scale)
     device = next(label.value for label in phantom.table if label.role is Role.DEVICE)
-    rings: list[Points] = []
+    rings: list[tuple[Points, bool]] = []
     for at in np.arange(0.0, tube.length_mm, apart_mm):
         centre, direction, inner = tube.frame(float(at))
         radius = inner + 0.5 * baffle.thickness_mm
@@ -46,7 +50,11 @@ def baffle_rings(phantom: HeartPhantom, *, apart_mm: float, clear_mm: float) -> 
         ring = centre + radius * (np.cos(turn) * across + np.sin(turn) * np.cross(direction, across))
         lumens = phantom.anatomy.tables.evaluate(ring)[:, :CAVITY_COUNT].min(axis=1)
         kept = (phantom.truth.label(ring) == device) & (lumens < -clear_mm)
-        rings += [_rounded(part) for part in _runs(ring, kept)]
+        is_deep = kept & (lumens < -deep_mm)
+        rings += [(_rounded(part), True) for part in _runs(ring, is_deep)]
+        # Each begins and ends in what is deep, so that nothing is left open between the two.
+        beside = _runs(ring, kept & ~(is_deep & np.roll(is_deep, 1) & np.roll(is_deep, -1)))
+        rings += [(_rounded(part), False) for part in beside]
     return rings
 
 

@@ -176,12 +176,25 @@ def _bored(defect: SeptalDefect) -> list[str]:
     return [*lines, f"radius_mm = {0.5 * defect.diameter_mm:g}", *_points(ends), ""]  # type: ignore[arg-type]
 
 
+_BESIDE_BAFFLE = (
+    "morphologically left ventricle",
+    "morphologically right ventricle",
+    "aorta",
+    "morphologically left ventricular myocardium",
+)
+"""What the baffle is painted over near the outer wall: not the wall itself, or it would be seen through it."""
+_SCAN_ERROR_MM = 2.0
+"""How far from its true place a case may have the outer wall."""
+
+
 def _baffle_lines(phantom: HeartPhantom, baffle: Baffle) -> list[str]:
     """The baffle's sheet, which no scan shows well, painted in rings around the tunnel."""
     lines = ["# The baffle, painted in rings around its tunnel; its leaks are left open."]
     radius = 0.5 * baffle.thickness_mm + 0.1
-    for ring in baffle_rings(phantom, apart_mm=1.2 * radius, clear_mm=radius):
-        lines += ["[[edits]]", 'kind = "add"', 'label = "baffle"', f"radius_mm = {radius:g}", *_points(ring), ""]
+    taken = ["only_from = [", *_wrapped(f'"{name}"' for name in _BESIDE_BAFFLE), "]"]
+    for ring, is_deep in baffle_rings(phantom, apart_mm=1.2 * radius, clear_mm=radius, deep_mm=radius + _SCAN_ERROR_MM):
+        lines += ["[[edits]]", 'kind = "add"', 'label = "baffle"', *([] if is_deep else taken)]
+        lines += [f"radius_mm = {radius:g}", *_points(ring), ""]
     return lines
 
 

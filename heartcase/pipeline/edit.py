@@ -33,7 +33,7 @@ from heartcase.schemas.edit_settings import (
 from heartcase.schemas.errors import Problem, StageError
 from heartcase.schemas.labels import BACKGROUND, Label, LabelTable, Role
 
-__all__ = ["apply_edits", "with_edit_names"]
+__all__ = ["apply_edits", "made_by", "with_edit_names"]
 
 Point = tuple[float, float, float]
 
@@ -50,8 +50,8 @@ def apply_edits(structures: Structures, edits: Sequence[Edit]) -> Structures:
         A flat sheet of a device label with such a cross-section, in the place of blood only: it ends flush at the
         tissue around it.
     ``add``, ``remove``
-        All points within a radius of a polyline go to a structure from whatever is there, or from a structure to
-        another one (the nearest, point by point, when none is named).
+        All points within a radius of a polyline go to a structure from whatever is there, or from the structures
+        that are named; or from a structure to another one (the nearest, point by point, when none is named).
     ``smooth``, ``fill``
         Within such a brush the border of a bare structure is smoothed, or its holes and notches are filled:
         :mod:`heartcase.pipeline.edits.brushes`.
@@ -90,6 +90,17 @@ def apply_edits(structures: Structures, edits: Sequence[Edit]) -> Structures:
     if problems:
         raise StageError(problems)
     return structures
+
+
+def made_by(edits: Sequence[Edit], table: LabelTable) -> frozenset[int]:
+    """Values of the labels of a table that the enabled edits give something to by name."""
+    names = [
+        edit.label if isinstance(edit, CloseDefect) or edit.kind == "add" else getattr(edit, "into", None)
+        for edit in edits
+        if edit.enabled
+    ]
+    found = (table.find(name) for name in names if name)
+    return frozenset(label.value for label in found if label is not None)
 
 
 def with_edit_names(warnings: Iterable[str], edits: Sequence[Edit]) -> tuple[str, ...]:
@@ -193,6 +204,13 @@ def _sculpt(structures: Structures, edit: Sculpt) -> Structures:
     if edit.kind == "add":
         if not found.labels & set(others):
             raise StageError(f"the stroke lies in '{label.name}' already: move it, or take it out of the recipe")
+        if edit.only_from is not None:
+            others = sorted({_label(table, name).value for name in edit.only_from})
+            if label.value in others:
+                raise StageError(f"'{label.name}' cannot be added to from itself: change only_from")
+            if not found.labels & set(others):
+                named = ", ".join(f"'{table[value].name}'" for value in others)
+                raise StageError(f"the stroke touches nothing of {named}: move its points_mm, or change only_from")
         return _reshaped(structures, brush, others, [label.value])
     if label.value not in found.labels:
         raise StageError(f"the stroke touches no '{label.name}': move its points_mm, or enlarge radius_mm")

@@ -135,7 +135,7 @@ def _finish(
     recipe: Recipe, runner: Runner, nodes: StageOutputs, out: Path, lock_warnings: tuple[str, ...]
 ) -> BuildResult:
     """Write the bundle and the report; the recipe is resolved."""
-    from heartcase.pipeline.edit import with_edit_names
+    from heartcase.pipeline.edit import made_by, with_edit_names
     from heartcase.pipeline.ends import closed_vessels
     from heartcase.pipeline.mesh.glb import glb_bytes
     from heartcase.pipeline.openings import find_openings, opening_cautions, opening_figures
@@ -195,7 +195,9 @@ def _finish(
         scan.warnings,
         markers.warnings if markers else (),
         segmentation.warnings,
-        segmentation_warnings(segmentation, markers, filtered=scan),
+        segmentation_warnings(
+            segmentation, markers, filtered=scan, made_later=made_by(recipe.edits, segmentation.table)
+        ),
         closed_vessels(segmentation, recipe.ends),
         opening_cautions(openings),
         with_edit_names(structures.warnings, recipe.edits),

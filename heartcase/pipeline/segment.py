@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 
 import cc3d
 import numpy as np
@@ -158,7 +158,11 @@ def keep_large_pieces(
 
 
 def segmentation_warnings(
-    segmentation: Segmentation, markers: Markers | None = None, *, filtered: Scan | None = None
+    segmentation: Segmentation,
+    markers: Markers | None = None,
+    *,
+    filtered: Scan | None = None,
+    made_later: Collection[int] = (),
 ) -> tuple[str, ...]:
     """What a reader of the result should know, in plain words.
 
@@ -170,6 +174,8 @@ def segmentation_warnings(
         The markers it was made from, if any: then labels and a background without markers are named.
     filtered
         The scan it was made from, if at hand: then a scan without contrast is named.
+    made_later
+        Label values that edits make: that these are absent is not told.
 
     Returns
     -------
@@ -197,7 +203,7 @@ def segmentation_warnings(
             )
     found = np.bincount(segmentation.labels.ravel(), minlength=256)
     for label in table:
-        if label.value != BACKGROUND and not found[label.value]:
+        if label.value != BACKGROUND and not found[label.value] and label.value not in made_later:
             if label.value in unmarked:
                 text = "is not in the model, as nothing was painted for it: paint it if this heart has one"
             else:

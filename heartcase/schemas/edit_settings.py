@@ -126,6 +126,21 @@ class Sculpt(_Brush):
     """Add to the structure from whatever is there, or remove from it."""
     into: Name | None = None
     """Remove: structure that the removed part becomes; the nearest other one when left out."""
+    only_from: tuple[Name, ...] | None = None
+    """Add: structures that the brush takes from, the others stay as they are; all of them when left out."""
+
+    @model_validator(mode="after")
+    def _adding_takes_and_removing_gives(self) -> Self:
+        problems: list[Problem] = []
+        if self.kind == "add" and self.into is not None:
+            problems.append(Problem("into", "an edit of kind 'add' gives to its label: leave it out"))
+        if self.kind == "remove" and self.only_from is not None:
+            problems.append(Problem("only_from", "an edit of kind 'remove' takes from its label: leave it out"))
+        if self.only_from is not None and not self.only_from:
+            problems.append(Problem("only_from", "names no structure: name one, or leave it out to take from all"))
+        if problems:
+            raise ModelProblems(problems)
+        return self
 
 
 class Smooth(_Brush):

@@ -238,7 +238,12 @@ class Recipe(Model):
                 if not any(edit.axis):
                     problems.append(Problem(f"edits[{n}].axis", "must not be zero"))
                 continue
-            for place, named in ((f"edits[{n}]", edit.label), (f"edits[{n}].into", getattr(edit, "into", None))):
+            sources = (edit.only_from or ()) if isinstance(edit, Sculpt) else ()
+            for place, named in (
+                (f"edits[{n}]", edit.label),
+                (f"edits[{n}].into", getattr(edit, "into", None)),
+                *((f"edits[{n}].only_from", source) for source in sources),
+            ):
                 if named is None:
                     continue
                 check(place, named, with_walls, devices)

@@ -8,7 +8,7 @@ from pydantic import ValidationError
 from heartcase.pipeline.artifacts import artifact_from_bytes, artifact_to_bytes
 from heartcase.pipeline.cautions import Severity, note, severity_of
 from heartcase.pipeline.data import Segmentation, Structures
-from heartcase.pipeline.edit import apply_edits, with_edit_names
+from heartcase.pipeline.edit import apply_edits, made_by, with_edit_names
 from heartcase.pipeline.fields import ownership_at_points, ownership_on_lattice
 from heartcase.pipeline.walls import grow_walls, structure_volumes_ml
 from heartcase.schemas.edit_settings import CloseDefect, KeepLargest, Sculpt, SeptalDefect
@@ -248,6 +248,65 @@ def test_adding_and_removing_with_a_brush():
     assert back == pytest.approx(base, abs=0.002)
     ball = apply_edits(structures, (sculpt("add", "septum", (tuple(12.0 * NORMAL),), 3.0),))
     assert structure_volumes_ml(ball)[3] - base[3] == pytest.approx(4.0 / 3.0 * np.pi * 27.0 / 1000.0, rel=0.03)
+
+
+def test_a_brush_takes_only_from_what_is_named():
+    structures = two_cavities("even", wall_mm=1.0)
+    wall = structures.table.wall_value(2)
+    across = np.linspace(9.0, 20.0, 1101)[:, None] * NORMAL
+    before = owners(structures, across)
+    assert {2, wall, 0} <= set(before)
+    brush = sculpt("add", "septum", (tuple(across[before == wall].mean(axis=0)),), 3.0)
+    assert set(owners(apply_edits(structures, (brush,)), across)) == {0, 2, 3}
+    kept = apply_edits(structures, (brush.model_copy(update={"only_from": ("Right ventricle",)}),))
+    after = owners(kept, across)
+    assert set(after) == {0, 2, 3, wall}
+    assert set(before[after == 3]) == {2}
+    np.testing.assert_array_equal(after[before != 2], before[before != 2])
+    reach = np.linalg.norm(across - brush.points_mm[0], axis=1)
+    inside = (before == 2) & (reach < 2.95)
+    assert (after[inside] == 3).all()
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        (("septum",), "cannot be added to from itself"),
+        (("left ventricle",), "touches nothing of 'left ventricle'"),
+        (("valve",), "there is no label 'valve'"),
+    ],
+)
+def test_what_a_brush_cannot_take_from_is_told(names, message):
+    structures = two_cavities("even", wall_mm=1.0)
+    brush = sculpt("add", "septum", (tuple(12.0 * NORMAL),), 3.0).model_copy(update={"only_from": names})
+    with pytest.raises(StageError, match=message):
+        apply_edits(structures, (brush,))
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"kind": "remove", "only_from": ("a",)}, "takes from its label"),
+        ({"kind": "add", "into": "a"}, "gives to its label"),
+        ({"kind": "add", "only_from": ()}, "names no structure"),
+    ],
+)
+def test_a_brush_adds_from_and_removes_into(settings, message):
+    with pytest.raises(ValueError, match=message):
+        Sculpt(label="septum", radius_mm=1.0, points_mm=((0.0, 0.0, 0.0),), **settings)
+
+
+def test_what_edits_make_is_known():
+    table = two_cavities().table
+    line = ((0.0, 0.0, 0.0),)
+    edits = (
+        sculpt("add", "Septum", line),
+        sculpt("remove", "septum", line, into="left ventricle"),
+        sculpt("remove", "septum", line),
+        patch(label="patch"),
+        sculpt("add", "right ventricle", line).model_copy(update={"enabled": False}),
+    )
+    assert made_by(edits, table) == {1, 3}
 
 
 def test_what_is_removed_goes_to_the_nearest():

@@ -147,6 +147,8 @@ def test_warnings_name_what_is_absent_and_what_is_in_pieces():
     assert warnings[1].startswith("nothing is marked as background")
     (absent,) = warnings[2:]
     assert absent.startswith("the left ventricular myocardium is not in the model, as nothing was painted for it")
+    by_an_edit = {TABLE["left ventricular myocardium"].value}
+    assert segmentation_warnings(got, markers, filtered=scan, made_later=by_an_edit) == warnings[:2]
 
     blood = np.zeros(scan.geometry.shape, np.uint8)
     blood[:, :, 10:20] = 3
