@@ -18,6 +18,7 @@ import llvmlite.binding
 import numba
 from llvmlite import ir
 from numba.core import types
+from numba.core.caching import CompileResultCacheImpl
 from numba.core.cgutils import alloca_once_value, get_null_value, get_or_insert_function
 from numba.core.dispatcher import Dispatcher
 from numba.core.types import unliteral  # type: ignore[attr-defined]
@@ -122,6 +123,20 @@ def called(function: Callable[..., Any]) -> Any:
     definition.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     return intrinsic(update_wrapper(definition, function))
 
+
+def _rebuild(cache: Any, target_context: Any, payload: Any) -> Any:
+    """Load a function from numba's cache, so that what is compiled with it knows what has to be bound for it.
+
+    numba binds that when it loads the function, and does not keep it: a kernel that was compiled with code from the
+    cache, in the process after, was loaded without what this code calls, and brought the whole process down.
+    """
+    found = _LOAD(cache, target_context, payload)
+    found.library._reload_init.update(found.reload_init)
+    return found
+
+
+_LOAD = CompileResultCacheImpl.rebuild
+CompileResultCacheImpl.rebuild = _rebuild
 
 _CALLED: dict[tuple[str, str], Dispatcher] = {}
 """Functions made by :func:`called`, by their module and name."""

@@ -9,7 +9,7 @@ import numba
 import numpy as np
 import pytest
 
-from heartcase.pipeline.kernels import called, lend
+from heartcase.pipeline.kernels import called, copied, lend
 
 
 class Inner(NamedTuple):
@@ -64,3 +64,35 @@ def test_another_process_loads_them_and_compiles_nothing(tmp_path):
         for _ in range(2)
     ]
     assert [line.split() for line in printed] == [["3675.0", "1"], ["3675.0", "0"]]
+
+
+@copied
+def _twice(outer, n):
+    return 2.0 * _one(outer, n)
+
+
+@numba.njit(cache=True, nogil=True)
+def _twice_at(outer, n):
+    return _twice(lend(outer), n)
+
+
+@numba.njit(cache=True, nogil=True)
+def _four_times_at(outer, n):
+    return 2.0 * _twice(lend(outer), n)
+
+
+def test_what_was_compiled_with_code_from_the_cache_is_loaded_alone(tmp_path):
+    """The second process compiles its kernel with ``_twice`` from the cache, the third finds all that kernel calls."""
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    printed = []
+    for kernel in ("_twice_at", "_four_times_at", "_four_times_at"):
+        code = (
+            f"from tests.pipeline import test_kernels as t; f = t.{kernel}; value = f(t.outer(), 9);"
+            "print(value, sum(f.stats.cache_misses.values()), sum(t._twice.stats.cache_hits.values()))"
+        )
+        done = subprocess.run(
+            [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, done.stderr
+        printed.append(done.stdout.split())
+    assert printed == [["240.0", "1", "0"], ["480.0", "1", "1"], ["480.0", "0", "0"]]
