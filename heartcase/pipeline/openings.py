@@ -384,9 +384,9 @@ def _cautions(one: Opening) -> Iterator[Caution]:
     where = f"{one.names[0]} and {one.names[1]} are open to each other over {_area(one.area_mm2)}{pieces} near {place}"
     if one.verdict is Verdict.UNEXPECTED:
         yield anatomy(
-            f"{where}: paint the wall between them (a stroke of background, or of the muscle), or, if the patient has "
-            "this opening, say so: an edit of kind septal_defect, or a landmark (point or ring) there whose name says "
-            "defect, VSD or ASD"
+            f"{where}: paint the wall between them (a stroke of background, or of the muscle), or the third cavity "
+            "whose blood they were given, if one lies there; or, if the patient has this opening, say so: an edit of "
+            "kind septal_defect, or a landmark (point or ring) there whose name says defect, VSD or ASD"
         )
     elif one.verdict is Verdict.OTHER_VENTRICLE:
         yield Caution(f"{where}: the great artery arises from the other ventricle; is that the malformation?")
