@@ -23,6 +23,7 @@ from heartcase.schemas.recipe import ScanSource, load_recipe
 from tests.ball import write_ball_recipe, write_ball_scan
 
 SAMPLES = Path(__file__).parents[2] / "sample_cases"
+RECIPES = [path for path in sorted(SAMPLES.glob("*.toml")) if "heartcase_recipe" in path.read_text()]
 DRAWN = '[[strokes]]\nlabel = "aorta"\nradius_mm = 2.0\npoints_mm = [[0.0, 0.0, 0.0]]\n'
 HEAD = """# a heart
 heartcase_recipe = 1
@@ -170,7 +171,7 @@ def test_a_recipe_of_a_real_scan_cannot_be_drawn(tmp_path, capfd):
 
 
 def test_every_sample_case_says_what_a_catalogue_needs():
-    recipes = [load_recipe(path) for path in sorted(SAMPLES.glob("*.toml")) if "heartcase_recipe" in path.read_text()]
+    recipes = [load_recipe(path) for path in RECIPES]
     made = [recipe for recipe in recipes if recipe.scan.phantom is not None]
     assert all(recipe.about is not None for recipe in made)
     # The two of fixed size are for tests and benchmarks.
@@ -196,7 +197,7 @@ def test_every_sample_case_says_what_a_catalogue_needs():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("path", sorted(SAMPLES.glob("*.toml")), ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", RECIPES, ids=lambda path: path.stem)
 def test_the_drawn_part_of_a_sample_case_is_current(path):
     if DRAWN_BELOW in path.read_text():
         assert not draw_recipe(path, write=False)
