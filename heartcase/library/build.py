@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import time
 import warnings
 from collections import deque
@@ -135,7 +136,24 @@ def connected(workers: Workers | None, scheduler: str | None) -> Iterator[Client
             ) as cluster,
             Client(cluster, set_as_default=False) as client,
         ):
+            client.register_plugin(_interrupts_are_ours())
             yield client
+
+
+def _interrupts_are_ours() -> Any:
+    """Plugin of worker processes that leave Ctrl-C, which goes to all of a terminal's processes, to the main one.
+
+    They end with it; by themselves they would each print where they were.
+    """
+    from distributed import WorkerPlugin
+
+    class LeavesInterrupts(WorkerPlugin):  # type: ignore[misc]
+        name = "heartcase-interrupts"
+
+        def setup(self, worker: Any) -> None:
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    return LeavesInterrupts()
 
 
 @contextlib.contextmanager

@@ -101,10 +101,13 @@ def plan_library(directory: Path) -> tuple[LibraryCase, ...]:
     if not cases:
         raise UsageError("no recipe was found in this folder or below: write one with  heartcase new SCAN", place="DIR")
     count = Counter(case.name for case in cases)
-    twice = Problem("name", "another recipe of the library has this name: give each its own")
-    named = (
-        replace(case, stamp="", problems=(*case.problems, twice)) if count[case.name] > 1 else case for case in cases
-    )
+
+    def one_of_several(case: LibraryCase) -> LibraryCase:
+        files = sorted(one.recipe.relative_to(directory).as_posix() for one in cases if one.name == case.name)
+        message = f"{len(files)} recipes have this name ({', '.join(files)}): give each its own"
+        return replace(case, stamp="", problems=(*case.problems, Problem("name", message)))
+
+    named = (one_of_several(case) if count[case.name] > 1 else case for case in cases)
     return tuple(sorted(named, key=lambda case: (case.name, case.recipe)))
 
 

@@ -166,7 +166,7 @@ def problems_from_validation(
     """
     problems: list[Problem] = []
     for detail in error.errors(include_url=False):
-        dotted = _dotted(detail["loc"], place)
+        dotted = _dotted(_as_written(model, detail["loc"]), place)
         cause = detail.get("ctx", {}).get("error")
         message = detail["msg"].removeprefix("Value error, ")
         if isinstance(cause, ModelProblems):
@@ -209,6 +209,22 @@ def _meant(model: type[BaseModel] | None, location: tuple[int | str, ...]) -> st
             models = [one for one in models if _is_kind(one, part)] or models
     near = difflib.get_close_matches(str(location[-1]), [name for one in models for name in one.model_fields], n=1)
     return near[0] if near else None
+
+
+def _as_written(model: type[BaseModel] | None, location: tuple[int | str, ...]) -> tuple[int | str, ...]:
+    """A place without the kinds that tell alternatives apart: pydantic names them, and the file does not."""
+    models = [model] if model is not None else []
+    written: list[int | str] = []
+    for part in location:
+        fields = [one.model_fields[part] for one in models if isinstance(part, str) and part in one.model_fields]
+        kinds = [] if fields or not isinstance(part, str) else [one for one in models if _is_kind(one, part)]
+        if fields:
+            models = [inner for field in fields for inner in _models_in(field.annotation)]
+        elif kinds:
+            models = kinds
+            continue
+        written.append(part)
+    return tuple(written)
 
 
 def _models_in(annotation: Any) -> list[type[BaseModel]]:

@@ -247,6 +247,8 @@ class Recipe(Model):
                 if named is None:
                     continue
                 check(place, named, with_walls, devices)
+                if place.endswith(("into", "only_from")) and _are_one(with_walls, edit.label, named):
+                    problems.append(Problem(place, f"{named!r} is the label of the edit itself: name another one"))
                 # Only what has a field of its own can be smoothed, filled or cleaned.
                 wall = with_walls.find(named)
                 if not isinstance(edit, Sculpt) and wall is not None and wall.value not in table:
@@ -287,6 +289,11 @@ class Recipe(Model):
                 (f"{place}.density_kg_m3", density_problem(one.density_kg_m3, is_device=is_device)),
             ]
         return [Problem(place, message) for place, message in found if message]
+
+
+def _are_one(table: LabelTable, name: str | None, other: str) -> bool:
+    found = None if name is None else table.find(name)
+    return found is not None and found == table.find(other)
 
 
 def _spellings(name: str) -> tuple[str, ...]:

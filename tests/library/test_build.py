@@ -147,6 +147,13 @@ def test_a_build_beside_another_starts_without_complaint():
             assert client.submit(int, "3").result() == 3
 
 
+def test_workers_leave_interrupts_to_the_main_process():
+    """Each would print where it was."""
+    with connected(Workers(2, 1, 3000), None) as client:
+        handlers = client.run(signal.getsignal, signal.SIGINT)
+        assert list(handlers.values()) == [signal.SIG_IGN] * 2
+
+
 @pytest.mark.parametrize("answers", [{"w": "0.0.9"}, {"w": "0.0.9", "v": __version__}, None])
 def test_workers_with_another_heartcase_are_refused(answers):
     class Client:

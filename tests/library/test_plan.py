@@ -47,8 +47,8 @@ def test_all_that_cannot_be_built_says_why(library):
     assert [case.name for case in cases] == ["ball-0", "ball-0", "ball-1", "gone", "wrong"]
     words = {case.recipe.name: " ".join(str(problem) for problem in case.problems) for case in cases if case.problems}
     assert set(words) == {"ball.toml", "twin.toml", "gone.toml", "wrong.toml"}
-    assert "another recipe" in words["twin.toml"]
-    assert "another recipe" in words["ball.toml"]
+    assert "2 recipes have this name (group 0/ball.toml, twin.toml)" in words["twin.toml"]
+    assert "2 recipes have this name (group 0/ball.toml, twin.toml)" in words["ball.toml"]
     assert "scan.path" in words["gone.toml"]
     assert "grid.cell_mm" in words["wrong.toml"]
     assert [case.stamp == "" for case in cases] == [True, True, False, True, True]

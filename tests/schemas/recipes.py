@@ -19,6 +19,11 @@ def maybe(**fields):
     return st.fixed_dictionaries({}, optional=fields)
 
 
+def _is_to_another(edit):
+    """Whether an edit names its own label only once."""
+    return edit.get("label") not in {edit.get("into", ""), *edit.get("only_from", ())}
+
+
 def _edits(label):
     lines = st.lists(points, min_size=1, max_size=3)
     defect = {"position_mm": points, "diameter_mm": lengths, "axis": axes}
@@ -27,9 +32,13 @@ def _edits(label):
             st.fixed_dictionaries({"kind": st.just("septal_defect"), **defect}, optional={"length_mm": lengths}),
             st.fixed_dictionaries({"kind": st.just("close_defect"), **defect}, optional={"thickness_mm": lengths}),
             st.fixed_dictionaries(
-                {"kind": st.sampled_from(["add", "remove"]), "label": label, "radius_mm": lengths, "points_mm": lines},
+                {"kind": st.just("add"), "label": label, "radius_mm": lengths, "points_mm": lines},
+                optional={"only_from": st.lists(label, min_size=1, max_size=2)},
+            ).filter(_is_to_another),
+            st.fixed_dictionaries(
+                {"kind": st.just("remove"), "label": label, "radius_mm": lengths, "points_mm": lines},
                 optional={"into": label},
-            ),
+            ).filter(_is_to_another),
             st.fixed_dictionaries(
                 {"kind": st.just("smooth"), "label": label, "radius_mm": lengths, "points_mm": lines},
                 optional={"sigma_mm": lengths, "enabled": st.booleans()},
@@ -38,8 +47,12 @@ def _edits(label):
                 {"kind": st.just("fill"), "label": label, "radius_mm": lengths, "points_mm": lines},
                 optional={"gap_mm": lengths, "name": st.just("mend the septum")},
             ),
-            st.fixed_dictionaries({"kind": st.just("keep_largest"), "label": label}, optional={"into": label}),
-            st.fixed_dictionaries({"kind": st.just("remove_islands")}, optional={"label": label, "into": label}),
+            st.fixed_dictionaries({"kind": st.just("keep_largest"), "label": label}, optional={"into": label}).filter(
+                _is_to_another
+            ),
+            st.fixed_dictionaries({"kind": st.just("remove_islands")}, optional={"label": label, "into": label}).filter(
+                _is_to_another
+            ),
         ),
         max_size=3,
     )

@@ -75,6 +75,21 @@ axis = [0, 0, 0]
     assert places(error) == {"strokes[2]", "ends[1]", "materials.labels", "edits[1].axis"}
 
 
+def test_an_edit_takes_from_and_gives_to_another_label_than_its_own():
+    line = "radius_mm = 2\npoints_mm = [[0, 0, 0]]\n"
+    add = f'{MINIMAL}\n[[edits]]\nkind = "add"\nlabel = "aorta"\n{line}'
+    parse_recipe(f'{add}only_from = ["left ventricle"]\n')
+    with pytest.raises(RecipeError) as error:
+        parse_recipe(
+            f'{add}only_from = ["left ventricle", "Aorta"]\n'
+            '[[edits]]\nkind = "keep_largest"\nlabel = "aorta"\ninto = "aorta"\n'
+        )
+    assert places(error) == {"edits[1].only_from", "edits[2].into"}
+    with pytest.raises(RecipeError) as error:
+        parse_recipe(f"{add}only_from = []\n")
+    assert places(error) == {"edits[1].only_from"}
+
+
 def test_a_watershed_without_markers_is_refused():
     with pytest.raises(RecipeError, match="needs markers"):
         parse_recipe('heartcase_recipe = 1\nname = "a"\nscan.path = "s"')
@@ -116,7 +131,7 @@ def test_a_folder_in_place_of_a_recipe_is_told_to_be_one(tmp_path):
     [
         ("grid.repair", "[grid]\nrepair = {}\n"),
         ("scan.straighten_tilt", "[scan]\npath = 's'\nstraighten_tilt = {}\n"),
-        ("edits[1].keep_largest.enabled", "[[edits]]\nkind = 'keep_largest'\nlabel = 'aorta'\nenabled = {}\n"),
+        ("edits[1].enabled", "[[edits]]\nkind = 'keep_largest'\nlabel = 'aorta'\nenabled = {}\n"),
         ("markers[1].background", "[[markers]]\npath = 'm'\ncore_mm = 3\nbackground = {}\n"),
         ("strokes[2].erase", "[[strokes]]\npoints_mm = [[0, 0, 0]]\nerase = {}\n"),
     ],
