@@ -166,7 +166,7 @@ def problems_from_validation(
     """
     problems: list[Problem] = []
     for detail in error.errors(include_url=False):
-        dotted = _dotted(_as_written(model, detail["loc"]), place)
+        dotted = _dotted(_along(model, detail["loc"])[1], place)
         cause = detail.get("ctx", {}).get("error")
         message = detail["msg"].removeprefix("Value error, ")
         if isinstance(cause, ModelProblems):
@@ -199,32 +199,31 @@ _UNKNOWN = "unknown setting: check its spelling, or remove it"
 
 def _meant(model: type[BaseModel] | None, location: tuple[int | str, ...]) -> str | None:
     """The setting beside an unknown one whose name is nearest to it; None where none is near."""
-    models = [model] if model is not None else []
-    for part in location[:-1]:
-        fields = [one.model_fields[part] for one in models if isinstance(part, str) and part in one.model_fields]
-        if fields:
-            models = [inner for field in fields for inner in _models_in(field.annotation)]
-        else:
-            # A place in a list, a key of a table, or the kind that tells alternatives apart.
-            models = [one for one in models if _is_kind(one, part)] or models
+    models, _ = _along(model, location[:-1])
     near = difflib.get_close_matches(str(location[-1]), [name for one in models for name in one.model_fields], n=1)
     return near[0] if near else None
 
 
-def _as_written(model: type[BaseModel] | None, location: tuple[int | str, ...]) -> tuple[int | str, ...]:
-    """A place without the kinds that tell alternatives apart: pydantic names them, and the file does not."""
+def _along(
+    model: type[BaseModel] | None, location: tuple[int | str, ...]
+) -> tuple[list[type[BaseModel]], tuple[int | str, ...]]:
+    """The models that may stand at a place, and the place as the file has it.
+
+    pydantic names the kind that tells alternatives apart as a part of the place; in the file it is a setting beside.
+    """
     models = [model] if model is not None else []
     written: list[int | str] = []
     for part in location:
         fields = [one.model_fields[part] for one in models if isinstance(part, str) and part in one.model_fields]
-        kinds = [] if fields or not isinstance(part, str) else [one for one in models if _is_kind(one, part)]
+        kinds = [one for one in models if isinstance(part, str) and _is_kind(one, part)]
         if fields:
             models = [inner for field in fields for inner in _models_in(field.annotation)]
         elif kinds:
             models = kinds
             continue
+        # Else a place in a list, or a key of a table.
         written.append(part)
-    return tuple(written)
+    return models, tuple(written)
 
 
 def _models_in(annotation: Any) -> list[type[BaseModel]]:
@@ -233,7 +232,7 @@ def _models_in(annotation: Any) -> list[type[BaseModel]]:
     return [model for inner in get_args(annotation) for model in _models_in(inner)]
 
 
-def _is_kind(model: type[BaseModel], tag: int | str) -> bool:
+def _is_kind(model: type[BaseModel], tag: str) -> bool:
     return any(tag in get_args(field.annotation) for field in model.model_fields.values())
 
 

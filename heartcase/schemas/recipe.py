@@ -238,17 +238,17 @@ class Recipe(Model):
                 if not any(edit.axis):
                     problems.append(Problem(f"edits[{n}].axis", "must not be zero"))
                 continue
-            sources = (edit.only_from or ()) if isinstance(edit, Sculpt) else ()
-            for place, named in (
-                (f"edits[{n}]", edit.label),
-                (f"edits[{n}].into", getattr(edit, "into", None)),
-                *((f"edits[{n}].only_from", source) for source in sources),
-            ):
+            others = [(f"edits[{n}].only_from", name) for name in getattr(edit, "only_from", None) or ()]
+            others += [(f"edits[{n}].into", name) for name in [getattr(edit, "into", None)] if name]
+            problems += [
+                Problem(place, f"{name!r} is the label of the edit itself: name another one")
+                for place, name in others
+                if _are_one(with_walls, edit.label, name)
+            ]
+            for place, named in [(f"edits[{n}]", edit.label), *others]:
                 if named is None:
                     continue
                 check(place, named, with_walls, devices)
-                if place.endswith(("into", "only_from")) and _are_one(with_walls, edit.label, named):
-                    problems.append(Problem(place, f"{named!r} is the label of the edit itself: name another one"))
                 # Only what has a field of its own can be smoothed, filled or cleaned.
                 wall = with_walls.find(named)
                 if not isinstance(edit, Sculpt) and wall is not None and wall.value not in table:

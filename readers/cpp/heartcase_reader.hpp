@@ -197,6 +197,24 @@ inline std::vector<std::int64_t> keys_of(const Case& bundle, const char* name,
     return keys;
 }
 
+// Where in its cell the tissue lies (from format 1.3 on): means of x, y, z, xx, yy, zz, yz, xz, xy from its centre. The
+// springs do not ask for it, other force laws do.
+inline void check_moments(const Case& bundle) {
+    const Array& array = bundle.array("grid", "cell_moments");
+    const std::string where = "the grid file: cell_moments has ";
+    if (array.dtype != "F32") throw Error(where + "the wrong type, F32 is expected");
+    if (array.shape.size() != 2 || array.shape[0] != bundle.count("cell_count") || array.shape[1] != 9)
+        throw Error(where + "the wrong shape");
+    check_values<float>(bundle, "grid", "cell_moments", "from -1/2 to 1/2",
+                        [](float v, std::size_t) { return std::abs(v) <= 0.5F; });
+    const std::vector<float> values = bundle.values<float>("grid", "cell_moments");
+    for (std::size_t n = 0; n < values.size(); n += 9)
+        for (std::size_t axis = n; axis < n + 3; ++axis)
+            if (values[axis + 3] < double{values[axis]} * values[axis] - 1e-6)
+                throw Error(where + "means of squares below the squares of the means in row " +
+                            std::to_string(n / 9 + 1));
+}
+
 inline void check_grid(const Case& bundle) {
     const Manifest& m = bundle.manifest;
     if (bundle.count("cell_count") != m.cell_count || bundle.count("node_count") != m.node_count || m.cell_count == 0)
@@ -210,6 +228,7 @@ inline void check_grid(const Case& bundle) {
     check_values<std::uint8_t>(
         bundle, "grid", "cell_label", "a label that has a material",
         [&m](std::uint8_t v, std::size_t) { return m.label_values.count(v) > 0 && m.material_labels.count(v) > 0; });
+    if (bundle.files.at("grid").count("cell_moments") > 0) check_moments(bundle);
     std::uint64_t fixed = 0;
     check_values<std::uint8_t>(bundle, "grid", "fixed", "0 or 1",
                                [&fixed](std::uint8_t v, std::size_t) { return fixed += v, v <= 1; });

@@ -171,6 +171,21 @@ export function cornersOfCells(bundle) {
   return corners;
 }
 
+// Where in its cell the tissue lies (from format 1.3 on): means of x, y, z, xx, yy, zz, yz, xz, xy from its centre. The
+// springs do not ask for it, other force laws do.
+function checkMoments(bundle) {
+  const { dtype, shape, values } = bundle.files.grid.cell_moments;
+  const where = "the grid file: cell_moments";
+  if (dtype !== "F32") fail(`${where} has the wrong type, F32 is expected`);
+  if (shape.length !== 2 || shape[0] !== bundle.counts.get("cell_count") || shape[1] !== 9)
+    fail(`${where} has the wrong shape`);
+  checkValues(bundle, "grid", "cell_moments", "from -1/2 to 1/2", (value) => Math.abs(value) <= 0.5);
+  for (let n = 0; n < values.length; n += 9)
+    for (let axis = n; axis < n + 3; axis += 1)
+      if (values[axis + 3] < values[axis] * values[axis] - 1e-6)
+        fail(`${where} has means of squares below the squares of the means in row ${n / 9 + 1}`);
+}
+
 function checkGrid(bundle) {
   const { manifest, counts, files } = bundle;
   if (
@@ -189,6 +204,7 @@ function checkGrid(bundle) {
     "a label that has a material",
     (value) => manifest.labels.has(value) && manifest.materialLabels.has(value),
   );
+  if (files.grid.cell_moments !== undefined) checkMoments(bundle);
   checkValues(bundle, "grid", "fixed", "0 or 1", (value) => value <= 1);
   if (files.grid.fixed.values.reduce((sum, value) => sum + value, 0) !== manifest.fixed_node_count)
     fail("the grid file holds another number of nodes fixed than case.json counts");

@@ -8,6 +8,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from heartcase.phantom.axes import LONG_AXIS
+from heartcase.phantom.baffle_rings import baffle_rings
 from heartcase.phantom.heart import HeartPhantom
 from heartcase.phantom.surface_lines import coronary_arteries, coronary_landmarks, incision_landmark
 from heartcase.pipeline.mesh.tubes import vessel_tubes
@@ -173,6 +174,26 @@ def test_a_tight_baffle_gives_the_aorta_to_the_left_ventricle(step):
     places = phantom_of(OUTLET).anatomy.places
     assert places["aortic valve"][0] < places["pulmonary valve"][0] - 15.0
     assert abs(places["aortic valve"][1] - places["pulmonary valve"][1]) < 5.0
+
+
+def test_a_baffle_is_painted_all_over_and_with_care_near_the_wall():
+    phantom = phantom_of(LEAKING)
+    rings = baffle_rings(phantom, apart_mm=1.3, clear_mm=1.1, deep_mm=3.1)
+
+    def depth(points):
+        return -phantom.anatomy.tables.evaluate(np.array(points))[:, :8].min(axis=1)
+
+    # Points are written to a tenth of a millimetre.
+    deep = [points for points, is_deep in rings if is_deep]
+    beside = [points for points, is_deep in rings if not is_deep]
+    assert all(depth(points).min() > 3.0 for points in deep)
+    assert all(1.0 < depth(points).min() < 3.1 for points in beside)
+    assert all(depth(points[1:-1]).max() < 3.2 for points in beside)
+    # All that is deep enough for a brush is within reach of one.
+    sheet = phantom.truth.surface_points(10)
+    sheet = sheet[depth(sheet) > 1.6]
+    away, _ = cKDTree(np.concatenate([np.array(points) for points, _ in rings])).query(sheet)
+    assert np.mean(away < 1.7) > 0.98
 
 
 @pytest.mark.slow
