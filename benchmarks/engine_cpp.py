@@ -46,7 +46,7 @@ class CppLattice:
         self._displacement = _aligned((2, 3, lane_count))
         self._velocity = _aligned((3, lane_count))
         self._weight = _aligned((9, lane_count))
-        self._weight[:] = self._layout.spring_weight(model)
+        self._weight[:] = self._layout.spring_weight(model).reshape(self._weight.shape)
         self._mass_inverse = _aligned((lane_count,))
         self._mass_inverse[self._layout.node_lane] = mass_inverse
         self._rows = np.ascontiguousarray(self._layout.window_rows, np.int32)

@@ -50,7 +50,7 @@ class CellsOnDevice:
         self._always = law.acts_in_cells
         self._numbers = self._cuda.to_device(cell_numbers(model).ravel())
         self._law = self._cuda.to_device(np.resize(law.constants, 5).astype(np.float32))
-        self._presence = self._cuda.to_device(self._layout.spring_weight(model, model.spring_weight).ravel())
+        self._presence = self._cuda.to_device(self._layout.spring_weight(model, model.spring_weight))
 
     @property
     def steps_most(self) -> int | None:

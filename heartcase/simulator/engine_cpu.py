@@ -13,9 +13,10 @@ from heartcase.simulator.contact import NO_PROBES
 from heartcase.simulator.explicit import SpringsByNode
 from heartcase.simulator.integrate import Verlet
 from heartcase.simulator.kernel_cpu import ELEMENTS, NO_CELLS, VOLUME_TERM, advance, lane_forces
-from heartcase.simulator.kernel_cpu_chunks import KEPT_LANES_MAX, chunk_arrays
+from heartcase.simulator.kernel_cpu_chunks import KEPT_NODES_MAX, chunk_arrays
 from heartcase.simulator.kernel_cpu_sleep import ROUNDING, sleep_arrays
-from heartcase.simulator.lanes import cell_layout, lane_layout
+from heartcase.simulator.kernel_cpu_springs import OWN_NUMBERS
+from heartcase.simulator.lanes import EMPTY_START, LANE_COUNT, ROWS, cell_layout, lane_layout
 from heartcase.simulator.meeting import Crew, Meeting
 from heartcase.simulator.model import DIRECTIONS, LatticeModel
 from heartcase.simulator.pace import Pace
@@ -27,33 +28,36 @@ Float32 = npt.NDArray[np.float32]
 
 PARALLEL_WINDOWS_MIN = 1024
 """Windows from which on more than one thread pays."""
-_NO_REST: Float32 = np.zeros((3, 0), np.float32)
+_NO_REST: Float32 = np.zeros(0, np.float32)
 
 
 class CpuEngine:
     """The numba kernel over the lanes of :mod:`heartcase.simulator.lanes`."""
 
     def __init__(self, model: LatticeModel) -> None:
-        self.layout = lane_layout(model)
-        lane_count = self.layout.lane_count
-        self.weight = _aligned((len(DIRECTIONS), lane_count))
-        keeps_tensions = lane_count <= KEPT_LANES_MAX
-        self.tension = _aligned((len(DIRECTIONS), lane_count if keeps_tensions else 0))
-        self.presence = self.weight
-        self.cells = cell_layout(model, self.layout)
+        self.layout = layout = lane_layout(model, in_banks=True)
+        # The row of no window: one of empty lanes.
+        rows = np.vstack([layout.window_rows, np.full((1, len(ROWS)), EMPTY_START)])
+        self._rows = rows[:-1]
+        self._vectors = layout.places(layout.node_lane, 3)
+        self._keeps_tensions = model.node_count <= KEPT_NODES_MAX
+        self.weight = self.presence = _aligned((layout.length(len(DIRECTIONS)),))
+        self.tension = _aligned((layout.length(len(DIRECTIONS)) if self._keeps_tensions else 0,))
+        self.numbers = _aligned((layout.window_count + 1 if self._keeps_tensions else 0, OWN_NUMBERS, LANE_COUNT))
+        self.cells = cell_layout(model, layout)
         self.is_flat = np.zeros(len(self.cells.window_rows), np.int8)
-        self.is_touched = np.zeros(self.layout.window_count, np.int8)
-        self._sleep = sleep_arrays(model, self.layout, len(self.cells.window_rows))
+        self.is_touched = np.zeros(layout.window_count, np.int8)
+        self._sleep = sleep_arrays(model, layout, len(self.cells.window_rows))
         layer_count = int(np.ptp(model.node_index[:, 2])) + 1
-        self._chunks = chunk_arrays(self.layout, self.cells.touches, self._sleep, layer_count, keeps_tensions)
+        self._chunks = chunk_arrays(layout, self.cells.touches, self._sleep, layer_count, self._keeps_tensions)
         # Where no cell can act there is no room for what it does.
         may_act = model.law.acts_in_cells or model.law.has_corner_guard
-        self.cell_force = _aligned((len(self._chunks.ends) - 1, 3, lane_count if may_act else 0))
+        self.cell_force = _aligned((len(self._chunks.ends) - 1, layout.length(3) if may_act else 0))
         self.set_springs(model)
-        self.displacement = _aligned((2, 3, lane_count))
-        self.velocity = _aligned((3, lane_count))
-        self.force = _aligned((3, lane_count))
-        self.inverse_mass = _aligned((1, lane_count))
+        self.displacement = _aligned((2, layout.length(3)))
+        self.velocity = _aligned((layout.length(3),))
+        self.force = _aligned((layout.length(3),))
+        self.inverse_mass = _aligned((layout.lane_count,))
         self.set_inverse_mass(model.inverse_mass)
         self.pace = Pace()
         self._crew = Crew()
@@ -72,19 +76,19 @@ class CpuEngine:
 
     def read(self) -> State:
         """A copy of the state."""
-        lanes = self.layout.node_lane
-        displacement = np.ascontiguousarray(self.displacement[self.current][:, lanes].T)
-        return State(displacement, np.ascontiguousarray(self.velocity[:, lanes].T), self.step_count)
+        displacement = self.displacement[self.current][self._vectors]
+        return State(displacement, self.velocity[self._vectors], self.step_count)
 
     def prescribe(self, nodes: npt.NDArray[np.intp], displacement: Float32, velocity: Float32) -> None:
         """Set where nodes are and how they move on."""
-        lanes = self.layout.node_lane[nodes]
-        self.displacement[self.current][:, lanes] = displacement.T
-        self.velocity[:, lanes] = velocity.T
+        self.displacement[self.current][self._vectors[nodes]] = displacement
+        self.velocity[self._vectors[nodes]] = velocity
 
     def set_inverse_mass(self, inverse_mass: Float32) -> None:
         """Inverse masses; nodes at zero keep their velocity."""
-        self.inverse_mass[0, self.layout.node_lane] = inverse_mass
+        self.inverse_mass[self.layout.node_lane] = inverse_mass
+        if self._keeps_tensions:
+            self.numbers[:-1, -1] = self.inverse_mass[self._window_lanes]
 
     def advance(self, step_count: int, verlet: Verlet, probes: Float32 = NO_PROBES) -> None:
         """Take steps."""
@@ -121,10 +125,11 @@ class CpuEngine:
             self.displacement,
             self.velocity,
             self.weight,
+            self.numbers,
             self.tension,
             self.presence,
             self.inverse_mass,
-            self.layout.window_rows,
+            self._rows,
             self.current,
             step_count,
             tuple(np.float32(number) for number in verlet.numbers),
@@ -146,6 +151,9 @@ class CpuEngine:
         law = model.law
         weight = model.acting_weight
         self.weight[:] = self.layout.spring_weight(model, weight)
+        if self._keeps_tensions:
+            for direction in range(len(DIRECTIONS)):
+                self.numbers[:-1, direction] = self.weight[direction * self.layout.stride + self._window_lanes]
         if law.is_element:
             self.presence = self.layout.spring_weight(model, model.spring_weight)
         in_cells = ELEMENTS if law.is_element else VOLUME_TERM if law.has_volume_term else NO_CELLS
@@ -169,20 +177,24 @@ class CpuEngine:
     def forces(self, nodes: npt.NDArray[np.intp] | None = None) -> Float32:
         """Spring forces now, on some nodes or all; only the windows that hold them are worked out."""
         rows = self.layout.window_rows if nodes is None else self.layout.windows_of(nodes)
-        lanes = self.layout.node_lane if nodes is None else self.layout.node_lane[nodes]
         now = self.displacement[self.current]
         lane_forces(now, self.weight, self.force, rows, self._cell_arrays, self._kinds, self._sleep, self._chunks)
-        force = np.ascontiguousarray(self.force[:, lanes].T)
+        force = self.force[self._vectors if nodes is None else self._vectors[nodes]]
         if self.model.explicit.count:
             explicit = self.model.explicit.forces(self.model.node_index, self.read().displacement)
             force += explicit if nodes is None else explicit[nodes]
         return force
 
     @cached_property
+    def _window_lanes(self) -> npt.NDArray[np.int64]:
+        """Lanes of each window, shape (window_count, 8)."""
+        return self._rows[:, 4, None] + np.arange(LANE_COUNT)
+
+    @cached_property
     def _rest(self) -> Float32:
-        """Rest positions by lane [cells], shape (3, lane_count)."""
-        rest = _aligned((3, self.layout.lane_count))
-        rest[:, self.layout.node_lane] = self.model.node_index.T
+        """Rest positions [cells], three numbers a lane."""
+        rest = _aligned((self.layout.length(3),))
+        rest[self._vectors] = self.model.node_index
         return rest
 
 

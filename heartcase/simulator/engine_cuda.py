@@ -200,7 +200,7 @@ class CudaEngine:
     def set_springs(self, model: LatticeModel) -> None:
         """Go on with the springs of another model of the same nodes."""
         weight = self._layout.spring_weight(model, model.acting_weight)
-        self._spring_weight = self._cuda.to_device(weight.ravel())
+        self._spring_weight = self._cuda.to_device(weight)
         self._cells.set_model(model)
         self._uniform_weight = self._cuda.to_device(self._layout.uniform_weight(model))
         springs = SpringsByNode.of(model.explicit, model.node_index)

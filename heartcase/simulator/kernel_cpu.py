@@ -1,7 +1,7 @@
 """The CPU kernel: steps of all windows, on one thread or on all of them, in float32.
 
 In a step, each thread first adds up the forces of the cells around its nodes, then nodes add those of their springs and
-move (:mod:`heartcase.simulator.kernel_cpu_windows`). A window reads only what was written before the threads last met,
+move (:mod:`heartcase.simulator.kernel_cpu_steps`). A window reads only what was written before the threads last met,
 or by its own thread (:mod:`heartcase.simulator.kernel_cpu_chunks`), and writes only its own lanes, so that the result
 does not depend on the number of threads.
 
@@ -16,6 +16,13 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from heartcase.simulator.kernel_cpu_cells import (
+    clear_window,
+    element_of_window,
+    guard_of_window,
+    is_flat_window,
+    volume_of_window,
+)
 from heartcase.simulator.kernel_cpu_chunks import ChunkArrays, share_out
 from heartcase.simulator.kernel_cpu_hands import Constants, ExplicitArrays, keep_window_outside, pull_explicitly
 from heartcase.simulator.kernel_cpu_sleep import (
@@ -28,20 +35,13 @@ from heartcase.simulator.kernel_cpu_sleep import (
     rouse,
     settle,
 )
-from heartcase.simulator.kernel_cpu_windows import (
-    clear_window,
-    element_of_window,
-    force_of_window,
-    force_of_window_with_cells,
-    guard_of_window,
-    is_flat_window,
-    step_of_window,
-    step_of_window_from_both_ends,
-    step_of_window_with_cells,
-    step_of_window_with_cells_alone,
-    step_of_window_with_cells_from_both_ends,
-    tension_of_window,
-    volume_of_window,
+from heartcase.simulator.kernel_cpu_springs import force_of_window, force_of_window_with_cells, tension_of_window
+from heartcase.simulator.kernel_cpu_steps import (
+    step_of_windows,
+    step_of_windows_from_both_ends,
+    step_of_windows_with_cells,
+    step_of_windows_with_cells_alone,
+    step_of_windows_with_cells_from_both_ends,
 )
 from heartcase.simulator.meeting import Meeting, meet
 from heartcase.simulator.vector_ir import flush_subnormals, restore_subnormals
@@ -54,6 +54,7 @@ Int32 = npt.NDArray[np.int32]
 Int64 = npt.NDArray[np.int64]
 CellArrays = tuple[Int64, Float32, Float32, Float32, Int8, Int8, Int64]
 Kinds = tuple[int, bool, bool]
+StateArrays = tuple[Float32, Float32, Float32, Float32, Float32, Float32, Float32, Int64]
 
 SHARES = 64
 """Parts of the windows that threads take one by one."""
@@ -110,41 +111,24 @@ def _add_cells(windows: Int64 | Int32, kind: int, now: Float32, force: Float32, 
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
-def _step_chunk(
-    chunk: int,
-    now: Float32,
-    later: Float32,
-    velocity: Float32,
-    weight: Float32,
-    tension: Float32,
-    inverse_mass: Float32,
-    rows: Int64,
-    constants: Constants,
-    chunks: ChunkArrays,
-    sleep: SleepArrays,
-) -> None:
+def _step_chunk(chunk: int, state: StateArrays, constants: Constants, chunks: ChunkArrays, sleep: SleepArrays) -> None:
     """Move the windows of a chunk, by springs alone."""
-    awake, before, ends = sleep.awake, chunks.before, chunks.ends
+    now, later, velocity, weight, numbers, tension, inverse_mass, rows = state
+    awake, before = sleep.awake, chunks.before
+    first, end = chunks.ends[chunk], chunks.ends[chunk + 1]
     for number in range(chunks.before_counts[chunk]):
-        tension_of_window(now, weight, tension, rows, np.int64(before[chunk, number]))
-    if tension.shape[1] == 0:
-        for window in awake[ends[chunk] : ends[chunk + 1]]:
-            step_of_window_from_both_ends(now, later, velocity, weight, tension, inverse_mass, rows, window, constants)
-        return
-    for window in awake[ends[chunk] : ends[chunk + 1]]:
-        step_of_window(now, later, velocity, weight, tension, inverse_mass, rows, window, constants)
+        tension_of_window(now, numbers, tension, rows, np.int64(before[chunk, number]))
+    what = (now, later, velocity, weight, numbers, tension, velocity, inverse_mass, rows, awake, first, end, constants)
+    if len(tension):
+        step_of_windows(*what)
+    else:
+        step_of_windows_from_both_ends(*what)
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def _step_chunk_with_cells(
     chunk: int,
-    now: Float32,
-    later: Float32,
-    velocity: Float32,
-    weight: Float32,
-    tension: Float32,
-    inverse_mass: Float32,
-    rows: Int64,
+    state: StateArrays,
     constants: Constants,
     cells: CellArrays,
     kinds: Kinds,
@@ -152,35 +136,38 @@ def _step_chunk_with_cells(
     sleep: SleepArrays,
 ) -> None:
     """Move the windows of a chunk, by cells and springs."""
+    now, later, velocity, weight, numbers, tension, inverse_mass, rows = state
     force, is_touched = cells[2][chunk], cells[5]
     kind, has_springs, _ = kinds
-    awake, before, ends = sleep.awake, chunks.before, chunks.ends
-    for window in awake[ends[chunk] : ends[chunk + 1]]:
+    awake, before = sleep.awake, chunks.before
+    first, end = chunks.ends[chunk], chunks.ends[chunk + 1]
+    for window in awake[first:end]:
         if kind != NO_CELLS or is_touched[window]:
             clear_window(force, rows, window)
     _add_cells(chunks.cells[chunk, : chunks.cell_counts[chunk]], kind, now, force, cells)
     if has_springs:
         for number in range(chunks.before_counts[chunk]):
-            tension_of_window(now, weight, tension, rows, np.int64(before[chunk, number]))
-    keeps_tensions = tension.shape[1] > 0
-    for window in awake[ends[chunk] : ends[chunk + 1]]:
-        has_cells = kind != NO_CELLS or is_touched[window]
+            tension_of_window(now, numbers, tension, rows, np.int64(before[chunk, number]))
+    arrays = (now, later, velocity, weight, numbers, tension, force, inverse_mass, rows)
+    keeps_tensions = len(tension) > 0
+    while first < end:
+        # As many as follow each other that are alike: all, but where only corners are guarded.
+        has_cells = kind != NO_CELLS or is_touched[awake[first]] > 0
+        stop = end if kind != NO_CELLS else first + 1
+        while stop < end and (is_touched[awake[stop]] > 0) == has_cells:
+            stop += 1
+        what = (*arrays, awake, first, stop, constants)
         if not has_springs:
-            step_of_window_with_cells_alone(
-                now, later, velocity, weight, tension, force, inverse_mass, rows, window, constants
-            )
+            step_of_windows_with_cells_alone(*what)
         elif has_cells and keeps_tensions:
-            step_of_window_with_cells(
-                now, later, velocity, weight, tension, force, inverse_mass, rows, window, constants
-            )
+            step_of_windows_with_cells(*what)
         elif has_cells:
-            step_of_window_with_cells_from_both_ends(
-                now, later, velocity, weight, tension, force, inverse_mass, rows, window, constants
-            )
+            step_of_windows_with_cells_from_both_ends(*what)
         elif keeps_tensions:
-            step_of_window(now, later, velocity, weight, tension, inverse_mass, rows, window, constants)
+            step_of_windows(*what)
         else:
-            step_of_window_from_both_ends(now, later, velocity, weight, tension, inverse_mass, rows, window, constants)
+            step_of_windows_from_both_ends(*what)
+        first = stop
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
@@ -194,7 +181,7 @@ def lane_forces(
     sleep: SleepArrays,
     chunks: ChunkArrays,
 ) -> None:
-    """Write the forces [grid units], shape (3, lane_count), of displacements [cells], shape (3, lane_count)."""
+    """Write the forces [grid units] on some windows, of displacements [cells]; three numbers a lane each."""
     kind, _, has_guard = kinds
     if rouse(sleep, True):
         share_out(chunks, sleep)
@@ -205,7 +192,8 @@ def lane_forces(
             _mark_touched(cells)
     if kind != NO_CELLS or has_guard:
         cell_force = cells[2][0]
-        cell_force[:] = 0
+        for window in range(rows.shape[0]):
+            clear_window(cell_force, rows, window)
         _add_cells(sleep.awake_cells, kind, displacement, cell_force, cells)
         for window in range(rows.shape[0]):
             force_of_window_with_cells(displacement, weight, cell_force, force, rows, window)
@@ -240,6 +228,7 @@ def advance(
     displacement: Float32,
     velocity: Float32,
     weight: Float32,
+    numbers: Float32,
     tension: Float32,
     presence: Float32,
     inverse_mass: Float32,
@@ -262,23 +251,29 @@ def advance(
 ) -> int:
     """Take steps in place, as one of some threads that all call it.
 
+    Arrays with several numbers a lane have them BANK_LANES apart (:class:`heartcase.simulator.lanes.LaneLayout`).
+
     Parameters
     ----------
     displacement
-        Two buffers [cells], shape (2, 3, lane_count); the steps alternate between them.
+        Two buffers [cells], shape (2, any), three numbers a lane; the steps alternate between them.
     velocity
-        Half a step before [cells / unit of time], shape (3, lane_count).
+        Half a step before [cells / unit of time], three numbers a lane.
     weight
-        Spring stiffness by direction [k], shape (9, lane_count).
+        Spring stiffness by direction [k], nine numbers a lane; read where springs are worked out from both ends.
+    numbers
+        The same and then the inverse mass, of each window's lanes by themselves, with one more window of zeros, shape
+        (window_count + 1, 10, 8); read where each spring is worked out once.
     tension
-        Room for the tensions of these springs over their lengths [k], zeros at first, shape (9, lane_count); (9, 0)
+        Room for the tensions of the springs over their lengths [k], zeros at first, nine numbers a lane; of length 0
         where each is to be worked out from both ends.
     presence
-        Above zero where there is a spring, whether it acts or not, shape (9, lane_count).
+        Above zero where there is a spring, whether it acts or not, nine numbers a lane.
     inverse_mass
-        [1 / full cell], 0 where there is no node or its motion is prescribed, shape (1, lane_count).
+        [1 / full cell], 0 where there is no node or its motion is prescribed, shape (lane_count,).
     rows
-        Lane at each window's first i in its nine rows, shape (window_count, 9).
+        Lane at each window's first i in its nine rows, shape (window_count, 9); in memory one more row follows, that of
+        a window of empty lanes.
     current
         Buffer that holds the displacement now.
     step_count
@@ -286,8 +281,8 @@ def advance(
     constants
         Step, keep, kick, the three components of gravity and the speed limit, grid units.
     cells
-        Rows of the windows that hold cells, shape (count, 9); numbers of the cells, (CELL_NUMBERS, lane_count); room
-        for their forces on the nodes of each chunk, (chunk_count, 3, lane_count); constants of the law; whether each
+        Rows of the windows that hold cells, shape (count, 9); numbers of the cells, CELL_NUMBERS a lane; room for
+        their forces on the nodes of each chunk, (chunk_count, any), three a lane; constants of the law; whether each
         window of cells is looked after; whether such cells belong to each window of nodes; windows of nodes that a
         window of cells belongs to, -1 for none, (count, 8).
     kinds
@@ -296,7 +291,7 @@ def advance(
         Lanes with explicit springs, where the springs of each begin (and the last end); lane at the other end, offset
         to it with rest length [cells], shape (count, 4), and stiffness [k] of each spring.
     rest
-        Rest positions [cells], shape (3, lane_count); read where there are probes.
+        Rest positions [cells], three numbers a lane; read where there are probes.
     probes
         Probes as of :func:`heartcase.simulator.contact.probe_row`, shape (probe_count, PROBE_SIZE).
     first_step
@@ -353,25 +348,12 @@ def advance(
             if thread == 0:
                 pull_explicitly(now, velocity, inverse_mass, explicit, constants)
             meet(meeting, thread_count)
+        state = (now, later, velocity, weight, numbers, tension, inverse_mass, rows)
         for chunk in range(thread, chunk_count, thread_count):
             if works_cells:
-                _step_chunk_with_cells(
-                    chunk,
-                    now,
-                    later,
-                    velocity,
-                    weight,
-                    tension,
-                    inverse_mass,
-                    rows,
-                    constants,
-                    cells,
-                    kinds,
-                    chunks,
-                    sleep,
-                )
+                _step_chunk_with_cells(chunk, state, constants, cells, kinds, chunks, sleep)
             else:
-                _step_chunk(chunk, now, later, velocity, weight, tension, inverse_mass, rows, constants, chunks, sleep)
+                _step_chunk(chunk, state, constants, chunks, sleep)
         meet(meeting, thread_count)
         if len(probes):
             step = constants[0]

@@ -21,12 +21,12 @@ from heartcase.simulator.kernel_cpu_sleep import SleepArrays
 from heartcase.simulator.lanes import LANE_COUNT, ROWS, LaneLayout
 from heartcase.simulator.model import DIRECTIONS
 
-__all__ = ["KEPT_LANES_MAX", "ChunkArrays", "chunk_arrays", "share_out"]
+__all__ = ["KEPT_NODES_MAX", "ChunkArrays", "chunk_arrays", "share_out"]
 
 Int32 = npt.NDArray[np.int32]
 Int64 = npt.NDArray[np.int64]
 
-KEPT_LANES_MAX = 160_000
+KEPT_NODES_MAX = 75_000
 """Lanes up to which tensions are kept: 6 MB of them. On a processor with 32 MB of cache that others use, too, it was
 quicker to keep them at 63,000 lanes, in one run of two at 128,000 and 214,000, in none at 516,000."""
 _LAYERS_MIN = 2

@@ -7,7 +7,7 @@ import numpy.typing as npt
 from numba import njit
 
 from heartcase.simulator.contact import make_contact
-from heartcase.simulator.lanes import LANE_COUNT
+from heartcase.simulator.lanes import BANK_LANES, LANE_COUNT
 
 __all__ = ["Constants", "ExplicitArrays", "keep_window_outside", "pull_explicitly"]
 
@@ -15,6 +15,18 @@ Float32 = npt.NDArray[np.float32]
 Int64 = npt.NDArray[np.int64]
 Constants = tuple[np.float32, np.float32, np.float32, np.float32, np.float32, np.float32, np.float32]
 ExplicitArrays = tuple[Int64, Int64, Int64, Float32, Float32]
+Vector = tuple[np.float32, np.float32, np.float32]
+
+
+@njit(nogil=True)  # type: ignore[untyped-decorator]
+def _vector(array: Float32, lane: int) -> Vector:
+    return array[lane], array[BANK_LANES + lane], array[2 * BANK_LANES + lane]
+
+
+@njit(nogil=True)  # type: ignore[untyped-decorator]
+def _apart(array: Float32, lane: int, own: Vector) -> Vector:
+    there = _vector(array, lane)
+    return there[0] - own[0], there[1] - own[1], there[2] - own[2]
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
@@ -28,19 +40,19 @@ def pull_explicitly(
     lanes, first, other, offset, stiffness = explicit
     for number in range(len(lanes)):
         lane = lanes[number]
+        own = _vector(now, lane)
         x, y, z = np.float32(0), np.float32(0), np.float32(0)
         for spring in range(first[number], first[number + 1]):
             there = other[spring]
-            dx = offset[spring, 0] + (now[0, there] - now[0, lane])
-            dy = offset[spring, 1] + (now[1, there] - now[1, lane])
-            dz = offset[spring, 2] + (now[2, there] - now[2, lane])
+            way = _apart(now, there, own)
+            dx, dy, dz = offset[spring, 0] + way[0], offset[spring, 1] + way[1], offset[spring, 2] + way[2]
             length = np.sqrt(dx * dx + dy * dy + dz * dz)
             if length > 0:
                 pull = stiffness[spring] * (length - offset[spring, 3]) / length
                 x, y, z = x + pull * dx, y + pull * dy, z + pull * dz
-        scale = constants[2] / constants[1] * inverse_mass[0, lane]
+        scale = constants[2] / constants[1] * inverse_mass[lane]
         for axis, force in enumerate((x, y, z)):
-            velocity[axis, lane] += scale * force
+            velocity[axis * BANK_LANES + lane] += scale * force
 
 
 _pushed_out, _allowed_share = make_contact(njit(nogil=True))
@@ -62,35 +74,37 @@ def keep_window_outside(
     """Keep the nodes of a window out of the probes after a step; see :mod:`heartcase.simulator.contact`."""
     for place in range(LANE_COUNT):
         lane = row[4] + place
-        if inverse_mass[0, lane] <= 0:
+        if inverse_mass[lane] <= 0:
             continue
-        u = (later[0, lane], later[1, lane], later[2, lane])
+        u = _vector(later, lane)
         start = u
         is_near = False
         for probe in range(len(probes)):
-            u, is_in_reach = _pushed_out((rest[0, lane], rest[1, lane], rest[2, lane]), u, probes[probe], step_number)
+            u, is_in_reach = _pushed_out(_vector(rest, lane), u, probes[probe], step_number)
             is_near = is_near or is_in_reach
         if not is_near:
             continue
-        own = (now[0, lane], now[1, lane], now[2, lane])
+        own = _vector(now, lane)
         m = (u[0] - own[0], u[1] - own[1], u[2] - own[2])
         left, near, below = lane - 1, row[3] + place, row[1] + place
-        far, above = row[5] + place, row[7] + place
+        right, far, above = lane + 1, row[5] + place, row[7] + place
         one = np.float32(1)
+        along, across, up = _apart(now, right, own), _apart(now, far, own), _apart(now, above, own)
         ahead = (
-            (now[0, lane + 1] - own[0] + one, now[1, lane + 1] - own[1], now[2, lane + 1] - own[2]),
-            (now[0, far] - own[0], now[1, far] - own[1] + one, now[2, far] - own[2]),
-            (now[0, above] - own[0], now[1, above] - own[1], now[2, above] - own[2] + one),
+            (along[0] + one, along[1], along[2]),
+            (across[0], across[1] + one, across[2]),
+            (up[0], up[1], up[2] + one),
         )
+        along, across, up = _apart(now, left, own), _apart(now, near, own), _apart(now, below, own)
         behind = (
-            (now[0, left] - own[0] - one, now[1, left] - own[1], now[2, left] - own[2]),
-            (now[0, near] - own[0], now[1, near] - own[1] - one, now[2, near] - own[2]),
-            (now[0, below] - own[0], now[1, below] - own[1], now[2, below] - own[2] - one),
+            (along[0] - one, along[1], along[2]),
+            (across[0], across[1] - one, across[2]),
+            (up[0], up[1], up[2] - one),
         )
-        has_ahead = (presence[0, lane] > 0, presence[2, lane] > 0, presence[6, lane] > 0)
-        has_behind = (presence[0, left] > 0, presence[2, near] > 0, presence[6, below] > 0)
+        has_ahead = (presence[lane] > 0, presence[2 * BANK_LANES + lane] > 0, presence[6 * BANK_LANES + lane] > 0)
+        has_behind = (presence[left] > 0, presence[2 * BANK_LANES + near] > 0, presence[6 * BANK_LANES + below] > 0)
         share = _allowed_share(m, ahead, behind, has_ahead, has_behind)
         if share < 1 or u != start:
             for axis, way in enumerate(m):
-                later[axis, lane] = own[axis] + share * way
-                velocity[axis, lane] = share * way / step
+                later[axis * BANK_LANES + lane] = own[axis] + share * way
+                velocity[axis * BANK_LANES + lane] = share * way / step

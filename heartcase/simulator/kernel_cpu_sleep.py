@@ -23,7 +23,7 @@ from numba import njit
 
 from heartcase.schemas.lattice import lattice_keys
 from heartcase.simulator.contact import REACH
-from heartcase.simulator.lanes import LANE_COUNT, LaneLayout
+from heartcase.simulator.lanes import BANK_LANES, LANE_COUNT, LaneLayout
 from heartcase.simulator.meeting import raise_to
 from heartcase.simulator.model import LatticeModel
 
@@ -80,7 +80,7 @@ class SleepArrays(NamedTuple):
     counts: Int64
     """How many windows of nodes and of cells are awake, shape (2,)."""
     before: Float32
-    """Room for the velocities before a step, shape (3, lane_count)."""
+    """Room for the velocities before a step, three numbers a lane."""
 
 
 def sleep_arrays(model: LatticeModel, layout: LaneLayout, cell_window_count: int) -> SleepArrays:
@@ -107,7 +107,7 @@ def sleep_arrays(model: LatticeModel, layout: LaneLayout, cell_window_count: int
         np.arange(window_count),
         np.arange(cell_window_count),
         np.array([window_count, cell_window_count]),
-        np.zeros((3, layout.lane_count), np.float32),
+        np.zeros(layout.length(3), np.float32),
     )
 
 
@@ -146,7 +146,7 @@ def remember(first: int, end: int, rows: Int64, velocity: Float32, sleep: SleepA
         lane = rows[window, 4]
         for axis in range(3):
             for place in range(lane, lane + LANE_COUNT):
-                before[axis, place] = velocity[axis, place]
+                before[axis * BANK_LANES + place] = velocity[axis * BANK_LANES + place]
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
@@ -176,8 +176,8 @@ def check(
         count = 0
         for axis in range(3):
             for place in range(lane, lane + LANE_COUNT):
-                now = velocity[axis, place]
-                count += (abs(now) >= still[0]) | ((inverse_mass[0, place] == 0) & (now != 0))
+                now = velocity[axis * BANK_LANES + place]
+                count += (abs(now) >= still[0]) | ((inverse_mass[place] == 0) & (now != 0))
         why = QUICK if count else PULLED
         if not count:
             if is_moving[low] and is_moving[high]:
@@ -187,9 +187,9 @@ def check(
             else:
                 for axis in range(3):
                     for place in range(lane, lane + LANE_COUNT):
-                        change = still[1] + still[2] * abs(displacement[axis, place])
-                        change *= max(_MASS * inverse_mass[0, place], np.float32(1))
-                        count += abs(velocity[axis, place] - before[axis, place]) >= change
+                        change = still[1] + still[2] * abs(displacement[axis * BANK_LANES + place])
+                        change *= max(_MASS * inverse_mass[place], np.float32(1))
+                        count += abs(velocity[axis * BANK_LANES + place] - before[axis * BANK_LANES + place]) >= change
         if count:
             raise_to(is_moving, low, why)
             raise_to(is_moving, high, why)
@@ -221,7 +221,7 @@ def feel_probes(
                 square = np.float32(0)
                 for axis in range(3):
                     centre = probes[number, axis] + step_number * probes[number, 3 + axis]
-                    gap = rest[axis, place] + displacement[axis, place] - centre
+                    gap = rest[axis * BANK_LANES + place] + displacement[axis * BANK_LANES + place] - centre
                     square += gap * gap
                 if square <= reach * reach:
                     raise_to(is_moving, low, PULLED)
@@ -259,10 +259,10 @@ def settle(
             is_asleep[window] = 0
         elif not is_asleep[window]:
             lane = rows[window, 4]
-            velocity[:, lane : lane + LANE_COUNT] = 0
             for axis in range(3):
-                for place in range(lane, lane + LANE_COUNT):
-                    displacement[1 - current, axis, place] = displacement[current, axis, place]
+                for place in range(axis * BANK_LANES + lane, axis * BANK_LANES + lane + LANE_COUNT):
+                    velocity[place] = 0
+                    displacement[1 - current, place] = displacement[current, place]
             is_asleep[window] = 1
     counts[0] = count
     count = 0

@@ -5,6 +5,9 @@ side, as a run; between runs lies an empty block. A vector instruction works on 
 on, so that few of them are empty. A neighbour along (i, j, k) of a window's nodes is the lane at a fixed distance from
 where the window's i begins in the row (j, k). Lanes without a node have no mass and no springs: they cost time but
 change nothing.
+
+An array with several numbers a lane, such as the components of a vector, has them at a fixed distance, the stride. The
+CPU's lanes lie in banks, so that the stride is the same for every lattice: a constant of the compiled kernel.
 """
 
 from __future__ import annotations
@@ -15,12 +18,15 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from heartcase.schemas.errors import SimulationError
 from heartcase.schemas.lattice import lattice_keys
 from heartcase.simulator.cell_forces import tissue_spread
 from heartcase.simulator.model import DIRECTIONS, LatticeModel
 
 __all__ = [
+    "BANK_LANES",
     "CELL_NUMBERS",
+    "EMPTY_START",
     "LANE_COUNT",
     "ROWS",
     "CellLayout",
@@ -39,8 +45,15 @@ CELL_NUMBERS = 10
 ROWS: npt.NDArray[np.int32] = np.array([(j, k) for k in (-1, 0, 1) for j in (-1, 0, 1)], dtype=np.int32)
 """Offset (j, k) of a window's own row (number 4) and of the eight rows around it, shape (9, 2)."""
 
-_HEAD = 3 * LANE_COUNT
-_EMPTY_START = LANE_COUNT
+BANK_LANES = 8304
+"""Lanes of a bank. Runs lie in one bank each; an odd number of cache lines, so that a lane's numbers do not push each
+other out of a cache's sets."""
+
+_BANK_NUMBERS = CELL_NUMBERS
+"""Most numbers of a lane: so many strips of BANK_LANES float32 follow each other before the next bank begins."""
+_HEAD_BLOCKS = 3
+EMPTY_START = LANE_COUNT
+"""First lane of a block that never holds a node."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +61,9 @@ class LaneLayout:
     """Where the nodes are in memory. Springs may be removed or change; the layout stays."""
 
     lane_count: int
-    """Length of an array with one value per lane."""
+    """Length of an array with one number per lane."""
+    stride: int
+    """Distance from a lane's number to its next in an array with several."""
     node_lane: npt.NDArray[np.int64]
     """Lane of each node, shape (node_count,)."""
     node_slot: npt.NDArray[np.int64]
@@ -62,16 +77,26 @@ class LaneLayout:
         """Number of windows that hold all nodes."""
         return len(self.window_rows)
 
+    def length(self, number_count: int) -> int:
+        """Length of an array with so many numbers per lane."""
+        return self.lane_count + (number_count - 1) * self.stride
+
+    def places(self, lanes: npt.NDArray[np.int64], number_count: int) -> npt.NDArray[np.int64]:
+        """Where such an array has the numbers of some lanes, shape (len(lanes), number_count)."""
+        return lanes[:, None] + self.stride * np.arange(number_count)
+
     def spring_weight(
         self, model: LatticeModel, spring_weight: npt.NDArray[np.float32] | None = None
     ) -> npt.NDArray[np.float32]:
-        """Stiffness of the spring from each lane along each of the nine DIRECTIONS [k], shape (9, lane_count).
+        """Stiffness of the spring from each lane along each of the nine DIRECTIONS [k], shape (length(9),).
 
         Another value of each spring of the model, shape (spring_count,), where one is given.
         """
-        weight = np.zeros((len(DIRECTIONS), self.lane_count), np.float32)
+        weight = np.zeros(self.length(len(DIRECTIONS)), np.float32)
         values = model.spring_weight if spring_weight is None else spring_weight
-        weight[model.spring_direction, self.node_lane[model.spring_nodes[:, 0]]] = values
+        weight[self.stride * model.spring_direction.astype(np.int64) + self.node_lane[model.spring_nodes[:, 0]]] = (
+            values
+        )
         return weight
 
     def uniform_weight(self, model: LatticeModel) -> npt.NDArray[np.float32]:
@@ -94,8 +119,14 @@ class LaneLayout:
         return self.window_rows[np.unique(self.node_slot[nodes] // LANE_COUNT)]
 
 
-def lane_layout(model: LatticeModel) -> LaneLayout:
-    """Lay out a lattice in lanes."""
+def lane_layout(model: LatticeModel, *, in_banks: bool = False) -> LaneLayout:
+    """Lay out a lattice in lanes.
+
+    Raises
+    ------
+    SimulationError
+        A row of nodes along i is longer than a bank.
+    """
     blocks = model.node_index.copy()
     blocks[:, 0] //= LANE_COUNT
     keys = lattice_keys(blocks)
@@ -107,8 +138,18 @@ def lane_layout(model: LatticeModel) -> LaneLayout:
     beside_lower = np.column_stack([higher[:, 0], lower[:, 1:]])
     beside_higher = np.column_stack([lower[:, 0], higher[:, 1:]])
     stored = np.unique(np.concatenate([used, lattice_keys(beside_lower), lattice_keys(beside_higher)]))
-    run = np.cumsum(np.diff(stored, prepend=stored[0] - 2) != 1)
-    start = _HEAD + LANE_COUNT * (np.arange(len(stored)) + run - 1)
+    run = np.cumsum(np.diff(stored, prepend=stored[0] - 2) != 1) - 1
+    block_counts = np.bincount(run)
+    capacity = BANK_LANES // LANE_COUNT if in_banks else _HEAD_BLOCKS + len(stored) + len(block_counts)
+    longest = int(block_counts.max())
+    if longest + 1 > capacity - _HEAD_BLOCKS:
+        raise SimulationError(
+            f"the lattice has up to {longest * LANE_COUNT} nodes in a row along its first axis; "
+            f"the CPU takes {(capacity - _HEAD_BLOCKS - 1) * LANE_COUNT}: use larger cells, or a part of the lattice"
+        )
+    run_start = _run_starts(block_counts, capacity)
+    before = np.cumsum(block_counts) - block_counts
+    start = run_start[run] + LANE_COUNT * (np.arange(len(stored)) - before[run])
     lane_count = int(start[-1]) + 2 * LANE_COUNT
 
     node_lane = start[np.searchsorted(stored, keys)] + model.node_index[:, 0] % LANE_COUNT
@@ -118,7 +159,7 @@ def lane_layout(model: LatticeModel) -> LaneLayout:
     rows[:, :, 1:] += ROWS
     place = rows[:, :, 0] % LANE_COUNT
     rows[:, :, 0] //= LANE_COUNT
-    window_rows = np.full(rows.shape[:2], _EMPTY_START)
+    window_rows = np.full(rows.shape[:2], EMPTY_START)
     # The next block, then the window's own: where it is there, so are the lanes of the other, empty or not.
     for ahead in (1, 0):
         row_keys = lattice_keys(rows + np.array([ahead, 0, 0]))
@@ -127,7 +168,13 @@ def lane_layout(model: LatticeModel) -> LaneLayout:
         window_rows[is_there] = (start[nearest] + place - ahead * LANE_COUNT)[is_there]
 
     node_slot = LANE_COUNT * window + node_lane - node_lane[first][window]
-    return LaneLayout(lane_count=lane_count, node_lane=node_lane, node_slot=node_slot, window_rows=window_rows)
+    return LaneLayout(
+        lane_count=lane_count,
+        stride=BANK_LANES if in_banks else lane_count,
+        node_lane=node_lane,
+        node_slot=node_slot,
+        window_rows=window_rows,
+    )
 
 
 def cell_numbers(model: LatticeModel) -> npt.NDArray[np.float32]:
@@ -150,8 +197,8 @@ def cell_numbers(model: LatticeModel) -> npt.NDArray[np.float32]:
 class CellLayout:
     """Where the cells are: each in the lane of its lowest corner."""
 
-    lane_count: int
-    """Length of an array with one value per lane."""
+    layout: LaneLayout
+    """Of the nodes."""
     cell_lane: npt.NDArray[np.int64]
     """Lane of each cell, shape (cell_count,)."""
     window_rows: npt.NDArray[np.int64]
@@ -160,10 +207,9 @@ class CellLayout:
     """Windows of nodes that the cells of each of these windows have corners in, then -1, shape (count, 8)."""
 
     def numbers(self, model: LatticeModel) -> npt.NDArray[np.float32]:
-        """:func:`cell_numbers` by lane, shape (10, lane_count), float32; zero where there is no cell."""
-        by_cell = cell_numbers(model)
-        numbers = np.zeros((len(by_cell), self.lane_count), np.float32)
-        numbers[:, self.cell_lane] = by_cell
+        """:func:`cell_numbers` by lane, shape (length(10),), float32; zero where there is no cell."""
+        numbers = np.zeros(self.layout.length(CELL_NUMBERS), np.float32)
+        numbers[self.layout.places(self.cell_lane, CELL_NUMBERS)] = cell_numbers(model).T
         return numbers
 
 
@@ -177,7 +223,20 @@ def cell_layout(model: LatticeModel, layout: LaneLayout) -> CellLayout:
     touches[pairs[:, 0], place] = pairs[:, 1]
     lane = layout.node_lane[model.cell_corners[:, 0]]
     rows = np.ascontiguousarray(layout.window_rows[held])
-    return CellLayout(lane_count=layout.lane_count, cell_lane=lane, window_rows=rows, touches=touches)
+    return CellLayout(layout=layout, cell_lane=lane, window_rows=rows, touches=touches)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _run_starts(block_counts: npt.NDArray[np.int64], capacity: int) -> npt.NDArray[np.int64]:
+    """First lane of each run: an empty block follows each, and no bank holds more blocks than its capacity."""
+    starts = np.empty_like(block_counts)
+    bank, block = 0, _HEAD_BLOCKS
+    for run in range(len(block_counts)):
+        if block + block_counts[run] + 1 > capacity:
+            bank, block = bank + 1, _HEAD_BLOCKS
+        starts[run] = bank * _BANK_NUMBERS * BANK_LANES + LANE_COUNT * block
+        block += block_counts[run] + 1
+    return starts
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]

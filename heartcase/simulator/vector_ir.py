@@ -15,15 +15,15 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from heartcase.simulator.lanes import LANE_COUNT, ROWS
+from heartcase.simulator.lanes import BANK_LANES, LANE_COUNT, ROWS
 
 __all__ = [
     "Lanes",
     "Vector",
     "Window",
     "array_data",
-    "array_lane_count",
     "flush_subnormals",
+    "has_many_registers",
     "restore_subnormals",
 ]
 
@@ -126,6 +126,15 @@ class Lanes:
         """The last lane: a float32 of the program."""
         return self.builder.extract_element(self.value, ir.Constant(ir.IntType(32), LANE_COUNT - 1))
 
+    def worked_out_here(self) -> Lanes:
+        """The same lanes; what they follow from is not moved behind this, nor what follows from them before it.
+
+        For processors with AVX-512 only.
+        """
+        kind = ir.FunctionType(_VECTOR, [_VECTOR])
+        nothing = ir.InlineAsm(kind, "", "=v,0", side_effect=True)
+        return Lanes(self.builder, self.builder.call(nothing, [self.value]))
+
     def root(self) -> Lanes:
         """Square root."""
         kind = ir.FunctionType(_VECTOR, [_VECTOR])
@@ -135,6 +144,16 @@ class Lanes:
     def positive_part(self) -> Lanes:
         """These lanes where they are above zero, else zero."""
         return self.where_positive(self, Lanes.filled(self.builder, 0.0))
+
+    def lesser(self, other: Lanes) -> Lanes:
+        """These lanes or the other's, whichever are less."""
+        is_less = self.builder.fcmp_ordered("<", self.value, other.value)
+        return Lanes(self.builder, self.builder.select(is_less, self.value, other.value))
+
+    def greater(self, other: Lanes) -> Lanes:
+        """These lanes or the other's, whichever are greater."""
+        is_greater = self.builder.fcmp_ordered(">", self.value, other.value)
+        return Lanes(self.builder, self.builder.select(is_greater, self.value, other.value))
 
     def clamped(self, limit: Lanes) -> Lanes:
         """These lanes, within plus and minus a limit; what is not a number stays."""
@@ -166,9 +185,8 @@ Vector = tuple[Lanes, Lanes, Lanes]
 class Window:
     """Where the lanes of one window and of its neighbours are, in the code being emitted."""
 
-    def __init__(self, builder: Any, rows: Any, window: Any, lane_count: Any) -> None:
+    def __init__(self, builder: Any, rows: Any, window: Any) -> None:
         self.builder = builder
-        self.lane_count = lane_count
         first = builder.mul(window, ir.Constant(_INDEX, len(ROWS)))
         self.starts = {
             (int(j), int(k)): builder.load(builder.gep(rows, [builder.add(first, ir.Constant(_INDEX, number))]))
@@ -177,9 +195,8 @@ class Window:
 
     def pointer(self, data: Any, component: int, offset: tuple[int, int, int] = (0, 0, 0)) -> Any:
         """Pointer to a component's lanes at an offset (i, j, k) from the window's own."""
-        start = self.builder.add(self.starts[offset[1], offset[2]], ir.Constant(_INDEX, offset[0]))
-        component_start = self.builder.mul(self.lane_count, ir.Constant(_INDEX, component))
-        return self.builder.gep(data, [self.builder.add(component_start, start)])
+        place = ir.Constant(_INDEX, component * BANK_LANES + offset[0])
+        return self.builder.gep(data, [self.builder.add(self.starts[offset[1], offset[2]], place)])
 
     def load(self, data: Any, component: int, offset: tuple[int, int, int] = (0, 0, 0)) -> Lanes:
         """A component's lanes at an offset from the window's own."""
@@ -196,9 +213,9 @@ def array_data(context: Any, builder: Any, kind: Any, value: Any) -> Any:
     return context.make_array(kind)(context, builder, value).data
 
 
-def array_lane_count(context: Any, builder: Any, kind: Any, value: Any) -> Any:
-    """Length of the last axis of an array (component, lane)."""
-    return cgutils.unpack_tuple(builder, context.make_array(kind)(context, builder, value).shape)[-1]
+def has_many_registers(context: Any) -> bool:
+    """Whether the code being emitted is for a processor with 32 registers of 8 lanes: AVX-512, not AVX2 or NEON."""
+    return "+avx512vl" in context.codegen().magic_tuple()[2]
 
 
 _FLUSH = 0x8040

@@ -8,13 +8,19 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numba import njit
+from numba.core.registry import cpu_target
 
+from heartcase.schemas.lattice import CORNER_OFFSETS
 from heartcase.simulator import engine_cpu, kernel_cpu_chunks
+from heartcase.simulator.cell_forces import LOOK_BELOW
 from heartcase.simulator.contact import NO_PROBES
 from heartcase.simulator.engine_cpu import CpuEngine
 from heartcase.simulator.force_law import ForceLaw
 from heartcase.simulator.integrate import Verlet
+from heartcase.simulator.kernel_cpu_cells import is_flat_window
 from heartcase.simulator.kernel_cpu_chunks import share_out
+from heartcase.simulator.kernel_cpu_steps import STEPS_BY_ORDER
 from heartcase.simulator.lanes import LANE_COUNT
 from heartcase.simulator.state import State
 from tests.simulator.lattices import block, random_field, random_models
@@ -26,15 +32,32 @@ LAWS = {
     "springs-0.4": ForceLaw("springs", 0.4),
     "element-0.3": ForceLaw("element", 0.3),
 }
+HAS_AVX512 = "+avx512vl" in cpu_target.target_context.codegen().magic_tuple()[2]
 STEP = 2.0**-10
 """A power of two: what it is multiplied with keeps its bits."""
 
 
 def engine_of(model, chunk_count: int, *, keeps_tensions: bool = True) -> CpuEngine:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(engine_cpu, "KEPT_LANES_MAX", 10**9 if keeps_tensions else 0)
+        patch.setattr(engine_cpu, "KEPT_NODES_MAX", 10**9 if keeps_tensions else 0)
         patch.setattr(kernel_cpu_chunks, "get_num_threads", lambda: chunk_count)
         return CpuEngine(model)
+
+
+@njit
+def look(displacement, numbers, rows, window):
+    return is_flat_window(displacement, numbers, rows, window)
+
+
+def least_corner_volume(corners: np.ndarray) -> np.ndarray:
+    """Least volume that a cell's edges span at one of its corners, of positions (count, 8, 3)."""
+    at = {tuple(offset): number for number, offset in enumerate(CORNER_OFFSETS.tolist())}
+    volumes = []
+    for i, j, k in at:
+        here = corners[:, at[i, j, k]]
+        beside = [corners[:, at[place]] - here for place in ((1 - i, j, k), (i, 1 - j, k), (i, j, 1 - k))]
+        volumes.append(np.linalg.det(np.stack(beside, axis=1)) * (-1) ** (i + j + k))
+    return np.min(volumes, axis=0)
 
 
 @settings(max_examples=80, deadline=None)
@@ -54,12 +77,68 @@ def test_a_step_is_that_of_all_forces_worked_out_together(model, law, seed):
         forces = engine.forces()
         # What was left by other displacements must not be read.
         if engine is kept:
-            engine.tension[:, engine.layout.node_lane] = np.nan
+            engine.tension[engine.layout.places(engine.layout.node_lane, 9)] = np.nan
         engine.cell_force[:] = np.nan
         engine.advance_by(thread_count, 1, Verlet(STEP), NO_PROBES)
         expected = np.float32(STEP) * (forces * model.inverse_mass[:, None])
         np.testing.assert_array_equal(engine.read().velocity, expected)
     assert np.abs(forces).max() > 0
+
+
+def make_step(in_stages: bool):
+    step = STEPS_BY_ORDER[in_stages]
+
+    @njit
+    def steps(arrays, windows, constants):
+        step(*arrays, windows, 0, len(windows), constants)
+
+    return steps
+
+
+STEPS = {in_stages: make_step(in_stages) for in_stages in STEPS_BY_ORDER}
+
+
+@pytest.mark.skipif(not HAS_AVX512, reason="springs in stages need a processor with AVX-512")
+@settings(max_examples=40, deadline=None)
+@given(random_models(size_max=(30, 6, 12)), SEEDS)
+def test_springs_in_stages_give_the_same_bits_as_one_after_the_other(model, seed):
+    """Whatever the windows: all of them, some in a row, one, or none."""
+    engine = engine_of(model, 1)
+    rng = np.random.default_rng(seed)
+    first, end = np.sort(rng.integers(0, engine.layout.window_count + 1, 2)) if seed % 2 else (0, None)
+    windows = np.arange(engine.layout.window_count)[first:end]
+    constants = (0.3, 0.99, 0.29, 0.001, -0.002, 0.003, 1.5)
+    ends = []
+    for in_stages in (False, True):
+        engine.load(State(random_field(model, seed, 0.3), random_field(model, seed + 1, 0.01)))
+        engine.displacement[1] = 0
+        engine.tension[:] = 0
+        now, later = engine.displacement
+        room = engine.cell_force[0]
+        arrays = (now, later, engine.velocity, engine.weight, engine.numbers, engine.tension, room)
+        arrays += (engine.inverse_mass, engine._rows)
+        STEPS[in_stages](arrays, windows, tuple(np.float32(constant) for constant in constants))
+        changed = (later, engine.velocity, engine.tension)
+        ends.append(b"".join(array.tobytes() for array in changed))
+        assert later.any() == (len(windows) > 0)
+    assert ends[0] == ends[1]
+
+
+@settings(max_examples=40, deadline=None)
+@given(random_models(size_max=(30, 6, 12)), SEEDS, st.floats(0.0, 0.3), st.floats(0.0, 3.0))
+def test_no_corner_is_overlooked_where_the_corners_of_a_cell_are_near_each_other(model, seed, scale, far):
+    """The look spares itself a window's corners where none can be flat; the reference works out all."""
+    engine = engine_of(model, 1)
+    displacement = random_field(model, seed, scale) + np.float32(far)
+    engine.load(State(displacement, np.zeros_like(displacement)))
+    rows, numbers = engine._cell_arrays[:2]
+    found = np.array([look(engine.displacement[0], numbers, rows, window) for window in range(len(rows))])
+    positions = model.node_index + displacement.astype(float)
+    volume = least_corner_volume(positions[model.cell_corners])
+    least = np.full(len(rows), np.inf)
+    np.minimum.at(least, np.searchsorted(rows[:, 4], engine.cells.cell_lane, side="right") - 1, volume)
+    is_clear = np.abs(least - LOOK_BELOW) > 1e-5
+    np.testing.assert_array_equal(found[is_clear], least[is_clear] < LOOK_BELOW)
 
 
 @settings(max_examples=40, deadline=None)

@@ -10,7 +10,8 @@ from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
 
-from heartcase.simulator.kernel_cpu_windows import element_of_window, guard_of_window, step_of_window_with_cells
+from heartcase.simulator.kernel_cpu_cells import element_of_window, guard_of_window
+from heartcase.simulator.kernel_cpu_steps import STEPS_BY_ORDER, step_of_windows_with_cells
 from heartcase.simulator.lanes import LANE_COUNT
 from heartcase.simulator.vector_ir import Lanes, array_data
 
@@ -85,11 +86,22 @@ def test_a_sum_does_not_depend_on_what_else_is_made_of_its_product():
     np.testing.assert_array_equal(alone[: len(ONE_PRODUCT)], rounded)
 
 
-ARRAY, ROWS, WINDOW = types.float32[:, ::1], types.int64[:, ::1], types.int64
+ARRAY, ROWS, WINDOW = types.float32[::1], types.int64[:, ::1], types.int64
+STEP = [
+    *[ARRAY] * 4,
+    types.float32[:, :, ::1],
+    *[ARRAY] * 3,
+    ROWS,
+    types.int64[::1],
+    WINDOW,
+    WINDOW,
+    types.UniTuple(types.float32, 7),
+]
 KERNELS = {
-    "step": (step_of_window_with_cells, [*[ARRAY] * 7, ROWS, WINDOW, types.UniTuple(types.float32, 7)]),
-    "element": (element_of_window, [*[ARRAY] * 3, types.float32[::1], ROWS, WINDOW]),
-    "guard": (guard_of_window, [*[ARRAY] * 3, types.float32[::1], ROWS, WINDOW]),
+    "step": (step_of_windows_with_cells, STEP),
+    "step in turn": (STEPS_BY_ORDER[False], STEP),
+    "element": (element_of_window, [*[ARRAY] * 4, ROWS, WINDOW]),
+    "guard": (guard_of_window, [*[ARRAY] * 4, ROWS, WINDOW]),
 }
 
 

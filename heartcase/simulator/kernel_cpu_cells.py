@@ -1,0 +1,128 @@
+"""What the CPU kernel does to windows of 8 cells: the forces of elements, of the volume term and of the corner guard.
+
+A cell is kept in the lane of its lowest corner. A window of cells adds its forces to those on the nodes, row by row: of
+two cells side by side, the forces on the nodes between them are added first.
+"""
+
+from __future__ import annotations
+
+from functools import reduce
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from heartcase.schemas.lattice import CORNER_OFFSETS
+from heartcase.simulator.cell_forces import LOOK_BELOW
+from heartcase.simulator.cell_math import make_cell_math
+from heartcase.simulator.lanes import CELL_NUMBERS, LANE_COUNT
+from heartcase.simulator.vector_ir import Lanes, Vector, Window, array_data
+
+__all__ = ["CALM", "clear_window", "element_of_window", "guard_of_window", "is_flat_window", "volume_of_window"]
+
+CALM = 0.12
+"""Difference of corners' displacements, along any axis, up to which no corner of a cell is below LOOK_BELOW [edges].
+
+With edges of a corner 1 + G, |G_ij| <= c, its volume is at least (1 - c)^3 - 3 (1 - c) c^2 - 2 c^3, here 0.64."""
+_CORNERS = [(int(i), int(j), int(k)) for i, j, k in CORNER_OFFSETS]
+
+_element, _volume_term, _corner_guard, _corner_lack = make_cell_math(lambda function: function, Lanes.positive_part)
+
+
+def _make_cell_window(kind: str) -> Any:
+    """The intrinsic that adds the forces of one window of cells: ``element``, ``volume`` or ``guard``.
+
+    It takes displacement, numbers of the cells, forces on the nodes, law, rows and window.
+    """
+
+    @intrinsic
+    def window_forces(typing_context, displacement, numbers, cell_force, law, rows, window):  # type: ignore[no-untyped-def]
+        def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            arrays = zip(signature.args[:5], arguments, strict=False)
+            u, n, f, constants, starts = (array_data(context, builder, *pair) for pair in arrays)
+            here = Window(builder, starts, arguments[5])
+            corners = tuple(here.load_vector(u, offset) for offset in _CORNERS)
+            scale = here.load(n, 0)
+            if kind == "element":
+                moments = tuple(here.load(n, number) for number in range(1, CELL_NUMBERS))
+                forces = _element(corners, scale, moments, tuple(_constant(builder, constants, k) for k in range(5)))
+            elif kind == "volume":
+                forces = _volume_term(corners, scale, _constant(builder, constants, 0))
+            else:
+                forces = _corner_guard(corners, here.load(n, 1))
+            for axis, at_corners in enumerate(forces):
+                _add_to_nodes(here, f, axis, dict(zip(_CORNERS, at_corners, strict=True)))
+            return context.get_dummy_value()
+
+        return types.void(displacement, numbers, cell_force, law, rows, types.int64), codegen
+
+    return window_forces
+
+
+def _add_to_nodes(here: Window, node_force: Any, axis: int, at_corners: dict[tuple[int, int, int], Lanes]) -> None:
+    """Add one component of the forces of a window of cells on their corners to those on the nodes."""
+    builder = here.builder
+    for j, k in ((0, 0), (1, 0), (0, 1), (1, 1)):
+        at_left, at_right = at_corners[0, j, k], at_corners[1, j, k]
+        place = here.pointer(node_force, axis, (0, j, k))
+        (Lanes.loaded(builder, place) + (at_left + at_right.after(0.0))).store(place)
+        beyond = here.pointer(node_force, axis, (LANE_COUNT, j, k))
+        builder.store(builder.fadd(builder.load(beyond), at_right.last()), beyond)
+
+
+def _constant(builder: Any, array: Any, number: int) -> Lanes:
+    return Lanes.filled(builder, builder.load(builder.gep(array, [ir.Constant(ir.IntType(64), number)])))
+
+
+element_of_window = _make_cell_window("element")
+volume_of_window = _make_cell_window("volume")
+guard_of_window = _make_cell_window("guard")
+
+
+@intrinsic
+def clear_window(typing_context, force, rows, window):  # type: ignore[no-untyped-def]
+    """Set the forces on a window of nodes to zero."""
+
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        f, starts = (array_data(context, builder, *pair) for pair in zip(signature.args[:2], arguments, strict=False))
+        here = Window(builder, starts, arguments[2])
+        for axis in range(3):
+            Lanes.filled(builder, 0.0).store(here.pointer(f, axis))
+        return context.get_dummy_value()
+
+    return types.void(force, rows, types.int64), codegen
+
+
+def _spread(corners: tuple[Vector, ...]) -> Lanes:
+    """Largest difference of two corners' displacements, along any axis."""
+    spreads = []
+    for axis in range(3):
+        values = [corner[axis] for corner in corners]
+        spreads.append(reduce(Lanes.greater, values) - reduce(Lanes.lesser, values))
+    return reduce(Lanes.greater, spreads)
+
+
+@intrinsic
+def is_flat_window(typing_context, displacement, numbers, rows, window):  # type: ignore[no-untyped-def]
+    """Whether a corner of one of a window's cells has a volume below LOOK_BELOW."""
+
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        arrays = zip(signature.args[:3], arguments, strict=False)
+        u, n, starts = (array_data(context, builder, *pair) for pair in arrays)
+        here = Window(builder, starts, arguments[3])
+        corners = tuple(here.load_vector(u, offset) for offset in _CORNERS)
+        # Lanes without a cell have no stiffness, wherever the nodes around them are.
+        scale = here.load(n, 0)
+        zero = Lanes.filled(builder, 0.0)
+        spread = _spread(corners).where_positive(scale, zero)
+        result = cgutils.alloca_once(builder, ir.IntType(1))
+        builder.store(ir.Constant(ir.IntType(1), 0), result)
+        with builder.if_then((spread - CALM).is_any_positive()):
+            lack = _corner_lack(corners, np.float32(LOOK_BELOW)) * scale
+            builder.store(lack.is_any_positive(), result)
+        return builder.load(result)
+
+    return types.boolean(displacement, numbers, rows, types.int64), codegen
