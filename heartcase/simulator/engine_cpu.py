@@ -12,7 +12,7 @@ from numba import get_num_threads
 from heartcase.simulator.contact import NO_PROBES
 from heartcase.simulator.explicit import SpringsByNode
 from heartcase.simulator.integrate import Verlet
-from heartcase.simulator.kernel_cpu import ELEMENTS, NO_CELLS, VOLUME_TERM, advance, lane_forces
+from heartcase.simulator.kernel_cpu import CHUNKS_PER_ROOM, ELEMENTS, NO_CELLS, VOLUME_TERM, advance, lane_forces
 from heartcase.simulator.kernel_cpu_chunks import KEPT_NODES_MAX, chunk_arrays
 from heartcase.simulator.kernel_cpu_sleep import ROUNDING, sleep_arrays
 from heartcase.simulator.kernel_cpu_springs import OWN_NUMBERS
@@ -28,7 +28,6 @@ Float32 = npt.NDArray[np.float32]
 
 PARALLEL_WINDOWS_MIN = 1024
 """Windows from which on more than one thread pays."""
-_NO_REST: Float32 = np.zeros(0, np.float32)
 
 
 class CpuEngine:
@@ -41,23 +40,29 @@ class CpuEngine:
         self._rows = rows[:-1]
         self._vectors = layout.places(layout.node_lane, 3)
         self._keeps_tensions = model.node_count <= KEPT_NODES_MAX
+        # Displacement in two buffers, velocity and inverse mass share one array, and what is seldom needed another.
+        state, room = _aligned((layout.length(10),)), _aligned((layout.length(9),))
+        self._buffers = state[: layout.length(6)]
+        self.velocity = state[6 * layout.stride :][: layout.length(3)]
+        self.inverse_mass = state[9 * layout.stride :][: layout.lane_count]
+        self.force = room[: layout.length(3)]
+        self._rest = room[3 * layout.stride :][: layout.length(3)]
+        self._rest[self._vectors] = model.node_index
         self.weight = self.presence = _aligned((layout.length(len(DIRECTIONS)),))
         self.tension = _aligned((layout.length(len(DIRECTIONS)) if self._keeps_tensions else 0,))
         self.numbers = _aligned((layout.window_count + 1 if self._keeps_tensions else 0, OWN_NUMBERS, LANE_COUNT))
         self.cells = cell_layout(model, layout)
         self.is_flat = np.zeros(len(self.cells.window_rows), np.int8)
         self.is_touched = np.zeros(layout.window_count, np.int8)
-        self._sleep = sleep_arrays(model, layout, len(self.cells.window_rows))
+        before = room[6 * layout.stride :]
+        self._sleep = sleep_arrays(model, layout, len(self.cells.window_rows), before)
         layer_count = int(np.ptp(model.node_index[:, 2])) + 1
         self._chunks = chunk_arrays(layout, self.cells.touches, self._sleep, layer_count, self._keeps_tensions)
         # Where no cell can act there is no room for what it does.
         may_act = model.law.acts_in_cells or model.law.has_corner_guard
-        self.cell_force = _aligned((len(self._chunks.ends) - 1, layout.length(3) if may_act else 0))
+        room_count = -(-(len(self._chunks.ends) - 1) // CHUNKS_PER_ROOM)
+        self.cell_force = _aligned((room_count, layout.length(3 * CHUNKS_PER_ROOM) if may_act else 0))
         self.set_springs(model)
-        self.displacement = _aligned((2, layout.length(3)))
-        self.velocity = _aligned((layout.length(3),))
-        self.force = _aligned((layout.length(3),))
-        self.inverse_mass = _aligned((layout.lane_count,))
         self.set_inverse_mass(model.inverse_mass)
         self.pace = Pace()
         self._crew = Crew()
@@ -69,6 +74,11 @@ class CpuEngine:
         """Part of the windows of nodes that the last step worked out."""
         return float(self._sleep.counts[0]) / self.layout.window_count
 
+    @property
+    def displacement(self) -> Float32:
+        """The displacement now [cells], three numbers a lane."""
+        return self._buffers[3 * self.layout.stride * self.current :][: self.layout.length(3)]
+
     def load(self, state: State) -> None:
         """Start from this state."""
         self.prescribe(np.arange(len(self.layout.node_lane)), state.displacement, state.velocity)
@@ -76,12 +86,11 @@ class CpuEngine:
 
     def read(self) -> State:
         """A copy of the state."""
-        displacement = self.displacement[self.current][self._vectors]
-        return State(displacement, self.velocity[self._vectors], self.step_count)
+        return State(self.displacement[self._vectors], self.velocity[self._vectors], self.step_count)
 
     def prescribe(self, nodes: npt.NDArray[np.intp], displacement: Float32, velocity: Float32) -> None:
         """Set where nodes are and how they move on."""
-        self.displacement[self.current][self._vectors[nodes]] = displacement
+        self.displacement[self._vectors[nodes]] = displacement
         self.velocity[self._vectors[nodes]] = velocity
 
     def set_inverse_mass(self, inverse_mass: Float32) -> None:
@@ -122,7 +131,7 @@ class CpuEngine:
             return int(advance(*arguments, thread, thread_count, meeting))
 
         arguments = (
-            self.displacement,
+            self._buffers,
             self.velocity,
             self.weight,
             self.numbers,
@@ -136,7 +145,7 @@ class CpuEngine:
             self._cell_arrays,
             self._kinds,
             self._explicit,
-            self._rest if len(probes) else _NO_REST,
+            self._rest,
             probes,
             first_step,
             self._sleep,
@@ -177,8 +186,9 @@ class CpuEngine:
     def forces(self, nodes: npt.NDArray[np.intp] | None = None) -> Float32:
         """Spring forces now, on some nodes or all; only the windows that hold them are worked out."""
         rows = self.layout.window_rows if nodes is None else self.layout.windows_of(nodes)
-        now = self.displacement[self.current]
-        lane_forces(now, self.weight, self.force, rows, self._cell_arrays, self._kinds, self._sleep, self._chunks)
+        lane_forces(
+            self.displacement, self.weight, self.force, rows, self._cell_arrays, self._kinds, self._sleep, self._chunks
+        )
         force = self.force[self._vectors if nodes is None else self._vectors[nodes]]
         if self.model.explicit.count:
             explicit = self.model.explicit.forces(self.model.node_index, self.read().displacement)
@@ -189,13 +199,6 @@ class CpuEngine:
     def _window_lanes(self) -> npt.NDArray[np.int64]:
         """Lanes of each window, shape (window_count, 8)."""
         return self._rows[:, 4, None] + np.arange(LANE_COUNT)
-
-    @cached_property
-    def _rest(self) -> Float32:
-        """Rest positions [cells], three numbers a lane."""
-        rest = _aligned((self.layout.length(3),))
-        rest[self._vectors] = self.model.node_index
-        return rest
 
 
 def _aligned(shape: tuple[int, ...]) -> Float32:

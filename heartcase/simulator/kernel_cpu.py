@@ -43,10 +43,11 @@ from heartcase.simulator.kernel_cpu_steps import (
     step_of_windows_with_cells_alone,
     step_of_windows_with_cells_from_both_ends,
 )
+from heartcase.simulator.lanes import BANK_LANES, CELL_NUMBERS
 from heartcase.simulator.meeting import Meeting, meet
 from heartcase.simulator.vector_ir import flush_subnormals, restore_subnormals
 
-__all__ = ["ELEMENTS", "NO_CELLS", "VOLUME_TERM", "advance", "lane_forces"]
+__all__ = ["CHUNKS_PER_ROOM", "ELEMENTS", "NO_CELLS", "VOLUME_TERM", "advance", "lane_forces"]
 
 Float32 = npt.NDArray[np.float32]
 Int8 = npt.NDArray[np.int8]
@@ -60,6 +61,8 @@ SHARES = 64
 """Parts of the windows that threads take one by one."""
 LOOK_STEPS = 8
 """Steps between two looks for corners that are about to turn inside out."""
+CHUNKS_PER_ROOM = CELL_NUMBERS // 3
+"""Chunks whose forces share an array: it has room for so many numbers a lane."""
 NO_CELLS, VOLUME_TERM, ELEMENTS = 0, 1, 2
 """What acts in the cells beside springs and the corner guard."""
 
@@ -137,7 +140,8 @@ def _step_chunk_with_cells(
 ) -> None:
     """Move the windows of a chunk, by cells and springs."""
     now, later, velocity, weight, numbers, tension, inverse_mass, rows = state
-    force, is_touched = cells[2][chunk], cells[5]
+    is_touched = cells[5]
+    force = cells[2][chunk // CHUNKS_PER_ROOM, 3 * BANK_LANES * (chunk % CHUNKS_PER_ROOM) :]
     kind, has_springs, _ = kinds
     awake, before = sleep.awake, chunks.before
     first, end = chunks.ends[chunk], chunks.ends[chunk + 1]
@@ -256,7 +260,7 @@ def advance(
     Parameters
     ----------
     displacement
-        Two buffers [cells], shape (2, any), three numbers a lane; the steps alternate between them.
+        Two buffers [cells], six numbers a lane; the steps alternate between them.
     velocity
         Half a step before [cells / unit of time], three numbers a lane.
     weight
@@ -281,10 +285,10 @@ def advance(
     constants
         Step, keep, kick, the three components of gravity and the speed limit, grid units.
     cells
-        Rows of the windows that hold cells, shape (count, 9); numbers of the cells, CELL_NUMBERS a lane; room for
-        their forces on the nodes of each chunk, (chunk_count, any), three a lane; constants of the law; whether each
-        window of cells is looked after; whether such cells belong to each window of nodes; windows of nodes that a
-        window of cells belongs to, -1 for none, (count, 8).
+        Rows of the windows that hold cells, shape (count, 9); numbers of the cells, CELL_NUMBERS a lane; room for their
+        forces on the nodes of each chunk, three numbers a lane, of CHUNKS_PER_ROOM chunks side by side, shape (any,
+        any); constants of the law; whether each window of cells is looked after; whether such cells belong to each
+        window of nodes; windows of nodes that a window of cells belongs to, -1 for none, (count, 8).
     kinds
         What acts in the cells, whether springs act, and whether corners are guarded.
     explicit
@@ -321,8 +325,8 @@ def advance(
         return current
     before = flush_subnormals()
     for step_number in range(step_count):
-        now = displacement[current]
-        later = displacement[1 - current]
+        now = displacement[3 * BANK_LANES * current :]
+        later = displacement[3 * BANK_LANES * (1 - current) :]
         row_step = first_step + step_number
         if row_step % ROUSE_STEPS == 0:
             if thread == 0 and rouse(sleep, row_step == 0):
@@ -368,7 +372,7 @@ def advance(
             for share in range(thread, SHARES, thread_count):
                 _check_share(share, later, velocity, inverse_mass, rows, rest, probes, row_step + 1, sleep, still)
             meet(meeting, thread_count)
-            if thread == 0 and settle(displacement, velocity, rows, cells[6], current, sleep):
+            if thread == 0 and settle(later, now, velocity, rows, cells[6], sleep):
                 share_out(chunks, sleep)
             meet(meeting, thread_count)
     restore_subnormals(before)

@@ -26,9 +26,9 @@ __all__ = ["KEPT_NODES_MAX", "ChunkArrays", "chunk_arrays", "share_out"]
 Int32 = npt.NDArray[np.int32]
 Int64 = npt.NDArray[np.int64]
 
-KEPT_NODES_MAX = 75_000
-"""Lanes up to which tensions are kept: 6 MB of them. On a processor with 32 MB of cache that others use, too, it was
-quicker to keep them at 63,000 lanes, in one run of two at 128,000 and 214,000, in none at 516,000."""
+KEPT_NODES_MAX = 120_000
+"""Nodes up to which tensions are kept. On a processor with 32 MB of cache that others use, too, to keep them took 0.75
+of the time at 60,000 and 100,000 nodes, and as long as both ends at 250,000."""
 _LAYERS_MIN = 2
 """Layers of windows in a chunk: with fewer, threads would work out more tensions for others than for themselves."""
 
@@ -94,33 +94,50 @@ def _windows_behind(layout: LaneLayout) -> Int32:
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def _set_ends(ends: Int64, before_counts: Int64, count: int) -> None:
+    """Share out so many windows, where a window of which the tensions alone are needed is half as much work."""
+    chunk_count = len(before_counts)
+    work = 2 * count + before_counts.sum()
+    spent = 0
+    for chunk in range(chunk_count):
+        spent += before_counts[chunk]
+        end = ((chunk + 1) * work // chunk_count - spent) // 2
+        ends[chunk + 1] = max(ends[chunk], min(end, count))
+    ends[chunk_count] = count
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def share_out(chunks: ChunkArrays, sleep: SleepArrays) -> None:
     """Make the chunks from the windows that are awake."""
     behind, ends, before, before_counts, taken_by, chunk_of, touches, cells, cell_counts = chunks
     awake, awake_cells, is_asleep, count = sleep.awake, sleep.awake_cells, sleep.is_asleep, sleep.counts[0]
     chunk_count = len(before_counts)
-    taken_by[:] = -1
+    before_counts[:] = 0
+    # Once to see how many windows each chunk needs the tensions of, then again so that these are shared out, too.
+    for _ in range(2):
+        _set_ends(ends, before_counts, count)
+        taken_by[:] = -1
+        for chunk in range(chunk_count):
+            first, end = ends[chunk], ends[chunk + 1]
+            before_counts[chunk] = 0
+            if first == end:
+                continue
+            lowest = awake[first]
+            for number in range(first, end):
+                for window in behind[awake[number]]:
+                    if window < 0:
+                        break
+                    # Windows behind come earlier: from the chunk's first on, those that are awake are its own.
+                    is_in_chunk = window >= lowest and not is_asleep[window]
+                    if not is_in_chunk and taken_by[window] != chunk:
+                        taken_by[window] = chunk
+                        before[chunk, before_counts[chunk]] = window
+                        before_counts[chunk] += 1
     chunk_of[:] = -1
     cell_counts[:] = 0
     for chunk in range(chunk_count):
-        first, end = chunk * count // chunk_count, (chunk + 1) * count // chunk_count
-        ends[chunk], ends[chunk + 1] = first, end
-        before_counts[chunk] = 0
-        for number in range(first, end):
+        for number in range(ends[chunk], ends[chunk + 1]):
             chunk_of[awake[number]] = chunk
-        if first == end:
-            continue
-        lowest = awake[first]
-        for number in range(first, end):
-            for window in behind[awake[number]]:
-                if window < 0:
-                    break
-                # Windows behind come earlier: from the chunk's first on, those that are awake are its own.
-                is_in_chunk = window >= lowest and not is_asleep[window]
-                if not is_in_chunk and taken_by[window] != chunk:
-                    taken_by[window] = chunk
-                    before[chunk, before_counts[chunk]] = window
-                    before_counts[chunk] += 1
     for number in range(sleep.counts[1]):
         window = awake_cells[number]
         for touched in touches[window]:

@@ -83,8 +83,8 @@ class SleepArrays(NamedTuple):
     """Room for the velocities before a step, three numbers a lane."""
 
 
-def sleep_arrays(model: LatticeModel, layout: LaneLayout, cell_window_count: int) -> SleepArrays:
-    """The windows of a layout in their blocks; all are awake at first."""
+def sleep_arrays(model: LatticeModel, layout: LaneLayout, cell_window_count: int, before: Float32) -> SleepArrays:
+    """The windows of a layout in their blocks; all are awake at first. Room for velocities is given."""
     window = layout.node_slot // LANE_COUNT
     first = np.flatnonzero(np.diff(window, prepend=-1))
     last = np.append(first[1:], len(window)) - 1
@@ -107,7 +107,7 @@ def sleep_arrays(model: LatticeModel, layout: LaneLayout, cell_window_count: int
         np.arange(window_count),
         np.arange(cell_window_count),
         np.array([window_count, cell_window_count]),
-        np.zeros(layout.length(3), np.float32),
+        before,
     )
 
 
@@ -229,12 +229,10 @@ def feel_probes(
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
-def settle(
-    displacement: Float32, velocity: Float32, rows: Int64, touches: Int64, current: int, sleep: SleepArrays
-) -> bool:
+def settle(now: Float32, other: Float32, velocity: Float32, rows: Int64, touches: Int64, sleep: SleepArrays) -> bool:
     """After a check, put windows to sleep that are far from what moves, and wake those that are not.
 
-    Returns whether any did.
+    Both buffers of the displacement then hold that of windows that sleep. Returns whether any did.
     """
     blocks_of_window, beside, is_moving, is_quick, is_awake, is_asleep, awake, awake_cells, counts, _ = sleep
     has_changed = False
@@ -262,7 +260,7 @@ def settle(
             for axis in range(3):
                 for place in range(axis * BANK_LANES + lane, axis * BANK_LANES + lane + LANE_COUNT):
                     velocity[place] = 0
-                    displacement[1 - current, place] = displacement[current, place]
+                    other[place] = now[place]
             is_asleep[window] = 1
     counts[0] = count
     count = 0
