@@ -15,6 +15,8 @@ __all__ = ["Pace"]
 
 TRIAL_STEPS = 4
 """Steps of a trial of the way that is not in use."""
+TRIALS = 3
+"""Trials one after the other."""
 ROUNDS_BETWEEN_TRIALS = 32
 """How often the way that is not in use gets a trial; where it is in doubt, at first twice as long after each."""
 DOUBTFUL_RATIO = 4.0
@@ -65,13 +67,16 @@ class Pace:
             is_new = self.seconds_per_step[number] == 0.0
             is_doubtful = self.seconds_per_step[number] <= DOUBTFUL_RATIO * min(self.seconds_per_step)
             is_due = is_new or (not in_use and (is_regular or (is_early and is_doubtful)))
-            # The first steps in a way wake its threads: those after them count.
-            for _ in range(2 if is_due else 0):
-                if step_count > TRIAL_STEPS:
-                    self._take(TRIAL_STEPS, number, way)
-                    step_count -= TRIAL_STEPS
+            trials: list[float] = []
+            while is_due and len(trials) < TRIALS and step_count > TRIAL_STEPS:
+                trials.append(self._take(TRIAL_STEPS, way))
+                step_count -= TRIAL_STEPS
+            # The first steps in a way wake its threads; of those after them, the least disturbed count.
+            if trials:
+                self.seconds_per_step[number] = min(trials[1:] or trials)
         if step_count:
-            self._take(step_count, self.quickest, ways[self.quickest])
+            number = self.quickest
+            self.seconds_per_step[number] = self._take(step_count, ways[number])
         self.round_count += 1
 
     @property
@@ -79,7 +84,8 @@ class Pace:
         """The way that has taken least time per step lately."""
         return self.seconds_per_step.index(min(self.seconds_per_step))
 
-    def _take(self, step_count: int, number: int, way: Work) -> None:
+    def _take(self, step_count: int, way: Work) -> float:
+        """Take steps in one way; returns what a step took, s."""
         started = self.clock()
         way(step_count)
-        self.seconds_per_step[number] = (self.clock() - started) / step_count
+        return (self.clock() - started) / step_count

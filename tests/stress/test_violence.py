@@ -39,16 +39,7 @@ def test_fifty_violent_scripts(law):
     assert inverted > 50  # they were violent
 
 
-def test_violent_scripts_on_the_reference():
-    survive(LAWS["springs"], "reference", [11], 0)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("law", LAWS)
 def test_a_thousand_violent_scripts(law):
     survive(LAWS[law], "cpu", range(1000), 10)
-
-
-@pytest.mark.slow
-def test_a_hundred_violent_scripts_on_the_reference():
-    survive(LAWS["springs"], "reference", range(100), 3)
