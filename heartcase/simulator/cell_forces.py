@@ -204,25 +204,29 @@ def _linear_stress(a: Float64, spread: Float64, plate: float, ratio: float, mu: 
 
 
 def _corner_guard(u: Float64) -> tuple[Float64, Float64]:
-    position = u + CORNER_OFFSETS
+    position = np.swapaxes(u + CORNER_OFFSETS, 0, 1)
+    others = np.array([[corner ^ (1 << axis) for axis in range(3)] for corner in range(8)])
+    signs = -_SIGNS[:, :, None, None]
+    # The three edges of every corner, shape (8, count, 3) each.
+    edges = [signs[:, axis] * (position[others[:, axis]] - position) for axis in range(3)]
+    a, b, c = edges
+    slopes = (np.cross(b, c), np.cross(c, a), np.cross(a, b))
+    J = (a * slopes[0]).sum(axis=2)
+    normal = slopes[0] + slopes[1] + slopes[2]
+    D = 0.5 + 0.25 * sum((n * n).sum(axis=2) for n in (*slopes, normal))
+    lack = np.maximum(CORNER_FLOOR - J, 0.0)
+    push = CORNER_STIFFNESS / 8.0 * lack / D
+    turned = [slope + normal for slope in slopes]
+    pulls = []
+    for axis in range(3):
+        left, right = (axis + 1) % 3, (axis + 2) % 3
+        steeper = np.cross(turned[left], edges[right]) + np.cross(edges[left], turned[right])
+        along = push[:, :, None] * slopes[axis] + (push * lack / D / 4.0)[:, :, None] * steeper
+        pulls.append(signs[:, axis] * along)
     energy, force = np.zeros(len(u)), np.zeros_like(u)
     for corner in range(8):
-        others = [corner ^ (1 << axis) for axis in range(3)]
-        signs = -_SIGNS[corner]
-        a, b, c = (signs[axis] * (position[:, others[axis]] - position[:, corner]) for axis in range(3))
-        slopes = (np.cross(b, c), np.cross(c, a), np.cross(a, b))
-        J = (a * slopes[0]).sum(axis=1)
-        normal = slopes[0] + slopes[1] + slopes[2]
-        D = 0.5 + 0.25 * sum((n * n).sum(axis=1) for n in (*slopes, normal))
-        lack = np.maximum(CORNER_FLOOR - J, 0.0)
-        energy += CORNER_STIFFNESS / 16.0 * lack**2 / D
-        push = CORNER_STIFFNESS / 8.0 * lack / D
-        turned = [slope + normal for slope in slopes]
-        edges = (a, b, c)
+        energy += CORNER_STIFFNESS / 16.0 * lack[corner] ** 2 / D[corner]
         for axis in range(3):
-            left, right = (axis + 1) % 3, (axis + 2) % 3
-            steeper = np.cross(turned[left], edges[right]) + np.cross(edges[left], turned[right])
-            pull = signs[axis] * (push[:, None] * slopes[axis] + (push * lack / D / 4.0)[:, None] * steeper)
-            force[:, others[axis]] += pull
-            force[:, corner] -= pull
+            force[:, others[corner, axis]] += pulls[axis][corner]
+            force[:, corner] -= pulls[axis][corner]
     return energy, force
