@@ -40,7 +40,8 @@ class CpuEngine:
         self._rows = rows[:-1]
         self._vectors = layout.places(layout.node_lane, 3)
         self._keeps_tensions = model.node_count <= KEPT_NODES_MAX
-        # Displacement in two buffers, velocity and inverse mass share one array, and what is seldom needed another.
+        # Displacement in two buffers, velocity and inverse mass share one array, what is seldom needed another. Each is
+        # a view that reaches over the others' places: only the lanes of nodes are written.
         state, room = _aligned((layout.length(10),)), _aligned((layout.length(9),))
         self._buffers = state[: layout.length(6)]
         self.velocity = state[6 * layout.stride :][: layout.length(3)]

@@ -59,6 +59,7 @@ class SpringsAhead:
 
     direction: int
     d: Vector
+    """d, turned round."""
     weighted: Lanes
     """w e."""
     square: Lanes

@@ -126,7 +126,7 @@ def _emit_in_stages(
     """Step windows one by one, each spring in stages, the last of a window while the next begins.
 
     There is one more round than windows: before the first window and after the last there is nothing, the window that
-    holds no node.
+    holds no node. What is written of it is zeros where zeros are, by all threads.
     """
     count = len(AHEAD)
     begun = range(count - _PULL, count)

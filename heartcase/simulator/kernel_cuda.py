@@ -1,6 +1,6 @@
 """The CUDA kernels: the lanes of :mod:`heartcase.simulator.lanes`, a thread per node, many steps in one launch.
 
-The force is :mod:`heartcase.simulator.kernel_cpu_windows`'s, spring for spring in the same order. All threads meet
+The force is :mod:`heartcase.simulator.kernel_cpu_springs`'s, spring for spring in the same order. All threads meet
 after every step, so that one launch takes as many steps as the host wants. A step reads only the displacements of the
 one before and writes only its own nodes: the result does not depend on how the nodes are shared among threads.
 
@@ -57,7 +57,7 @@ _EDGE, _DIAGONAL = np.float32(1.0), np.float32(np.sqrt(2.0))
 
 @cuda.jit(device=True, fastmath=True)
 def _add_pull(total, own, displacement, place, offset, length, weight):
-    """The force so far plus the pull of one spring; see :mod:`heartcase.simulator.kernel_cpu_windows`."""
+    """The force so far plus the pull of one spring; see :mod:`heartcase.simulator.kernel_cpu_springs`."""
     other = load_four(displacement, _U(place))
     Dx, Dy, Dz = other[0] - own[0], other[1] - own[1], other[2] - own[2]
     dx, dy, dz = Dx + offset[0], Dy + offset[1], Dz + offset[2]

@@ -61,7 +61,7 @@ class LaneLayout:
     """Where the nodes are in memory. Springs may be removed or change; the layout stays."""
 
     lane_count: int
-    """Length of an array with one number per lane."""
+    """Length of an array with one number per lane; in banks the other numbers' places are in between."""
     stride: int
     """Distance from a lane's number to its next in an array with several."""
     node_lane: npt.NDArray[np.int64]
@@ -120,12 +120,12 @@ class LaneLayout:
 
 
 def lane_layout(model: LatticeModel, *, in_banks: bool = False) -> LaneLayout:
-    """Lay out a lattice in lanes.
+    """Lay out a lattice in lanes, or in banks of lanes.
 
     Raises
     ------
     SimulationError
-        A row of nodes along i is longer than a bank.
+        A row of nodes along i does not fit into a bank.
     """
     blocks = model.node_index.copy()
     blocks[:, 0] //= LANE_COUNT
@@ -144,8 +144,8 @@ def lane_layout(model: LatticeModel, *, in_banks: bool = False) -> LaneLayout:
     longest = int(block_counts.max())
     if longest + 1 > capacity - _HEAD_BLOCKS:
         raise SimulationError(
-            f"the lattice has up to {longest * LANE_COUNT} nodes in a row along its first axis; "
-            f"the CPU takes {(capacity - _HEAD_BLOCKS - 1) * LANE_COUNT}: use larger cells, or a part of the lattice"
+            f"a row of the lattice is {longest} blocks of {LANE_COUNT} nodes long along its first axis; "
+            f"the CPU takes {capacity - _HEAD_BLOCKS - 1}: use larger cells, or a part of the lattice"
         )
     run_start = _run_starts(block_counts, capacity)
     before = np.cumsum(block_counts) - block_counts

@@ -71,7 +71,7 @@ class Pace:
             while is_due and len(trials) < TRIALS and step_count > TRIAL_STEPS:
                 trials.append(self._take(TRIAL_STEPS, way))
                 step_count -= TRIAL_STEPS
-            # The first steps in a way wake its threads; of those after them, the least disturbed count.
+            # The first steps in a way wake its threads; of those after them, if any, the least disturbed count.
             if trials:
                 self.seconds_per_step[number] = min(trials[1:] or trials)
         if step_count:

@@ -12,7 +12,7 @@ from numba import njit
 from numba.core.registry import cpu_target
 
 from heartcase.schemas.lattice import CORNER_OFFSETS
-from heartcase.simulator import engine_cpu, kernel_cpu_chunks
+from heartcase.simulator import engine_cpu, kernel_cpu, kernel_cpu_chunks
 from heartcase.simulator.cell_forces import LOOK_BELOW
 from heartcase.simulator.contact import NO_PROBES
 from heartcase.simulator.engine_cpu import CpuEngine
@@ -121,6 +121,44 @@ def test_springs_in_stages_give_the_same_bits_as_one_after_the_other(model, seed
         ends.append(b"".join(array.tobytes() for array in changed))
         assert later.any() == (len(windows) > 0)
     assert ends[0] == ends[1]
+
+
+@pytest.mark.parametrize("corner", range(8))
+@pytest.mark.parametrize(("way", "is_flat"), [(0.133, False), (0.134, True), (0.119, False), (0.121, False)])
+def test_the_smallest_difference_that_makes_a_corner_flat_is_seen(corner, way, is_flat):
+    """One corner of a cell goes towards its middle: each edge gets shorter by c and bent by c twice, J = 1 - 3 c."""
+    engine = engine_of(block(1, 1, 1), 1)
+    displacement = np.zeros((8, 3), np.float32)
+    node = engine.model.cell_corners[0, corner]
+    displacement[node] = way * (1 - 2 * CORNER_OFFSETS[corner])
+    assert (least_corner_volume((engine.model.node_index + displacement)[engine.model.cell_corners]) < 0.6) == is_flat
+    engine.load(State(displacement, np.zeros_like(displacement)))
+    rows, numbers = engine._cell_arrays[:2]
+    assert look(engine.displacement, numbers, rows, 0) == is_flat
+
+
+def step_one_chunk(engine: CpuEngine, chunk: int) -> None:
+    later = np.zeros_like(engine.displacement)
+    state = (engine.displacement, later, engine.velocity, engine.weight, engine.numbers, engine.tension)
+    state += (engine.inverse_mass, engine._rows)
+    constants = tuple(np.float32(number) for number in Verlet(0.1).numbers)
+    rest = (constants, engine._cell_arrays, engine._kinds, engine._chunks, engine._sleep)
+    kernel_cpu._step_chunk_with_cells(chunk, state, *rest)
+
+
+def test_the_forces_of_one_chunk_are_not_those_of_another():
+    """What a chunk's cells do is kept in a room of its own: three chunks share an array."""
+    model = block(4, 4, 20, law=LAWS["element-0.3"])
+    engine = engine_of(model, 7)
+    engine.load(State(random_field(model, 1, 0.1), random_field(model, 2, 0.01)))
+    for stepped in range(7):
+        engine.cell_force[:] = np.nan
+        step_one_chunk(engine, stepped)
+        for chunk in range(7):
+            room, number = divmod(chunk, kernel_cpu.CHUNKS_PER_ROOM)
+            places = engine.layout.places(engine.layout.node_lane, 3 * kernel_cpu.CHUNKS_PER_ROOM)
+            forces = engine.cell_force[room][places[:, 3 * number :][:, :3]]
+            assert np.isnan(forces).all() == (chunk != stepped)
 
 
 @settings(max_examples=40, deadline=None)

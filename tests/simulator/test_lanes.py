@@ -72,6 +72,8 @@ def test_the_numbers_of_a_lane_share_no_place_with_those_of_others():
 def test_a_row_that_is_longer_than_a_bank_is_refused():
     longest = BANK_LANES - 4 * LANE_COUNT
     assert lane_layout(make_model(block_cells(longest - 1, 1, 1)), in_banks=True).window_count == 4 * longest // 8
-    with pytest.raises(SimulationError, match=r"up to 8280 nodes in a row .* the CPU takes 8272: use larger cells"):
+    with pytest.raises(
+        SimulationError, match=r"is 1035 blocks of 8 nodes long .* the CPU takes 1034: use larger cells"
+    ):
         lane_layout(make_model(block_cells(longest, 1, 1)), in_banks=True)
     assert lane_layout(make_model(block_cells(longest, 1, 1))).window_count == 4 * (longest + 8) // 8
