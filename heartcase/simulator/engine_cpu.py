@@ -15,7 +15,7 @@ from heartcase.simulator.integrate import Verlet
 from heartcase.simulator.kernel_cpu import CHUNKS_PER_ROOM, ELEMENTS, NO_CELLS, VOLUME_TERM, advance, lane_forces
 from heartcase.simulator.kernel_cpu_chunks import KEPT_NODES_MAX, chunk_arrays
 from heartcase.simulator.kernel_cpu_sleep import ROUNDING, sleep_arrays
-from heartcase.simulator.kernel_cpu_springs import OWN_NUMBERS
+from heartcase.simulator.kernel_cpu_springs import WINDOW_NUMBERS
 from heartcase.simulator.lanes import EMPTY_START, LANE_COUNT, ROWS, cell_layout, lane_layout
 from heartcase.simulator.meeting import Crew, Meeting
 from heartcase.simulator.model import DIRECTIONS, LatticeModel
@@ -51,7 +51,9 @@ class CpuEngine:
         self._rest[self._vectors] = model.node_index
         self.weight = self.presence = _aligned((layout.length(len(DIRECTIONS)),))
         self.tension = _aligned((layout.length(len(DIRECTIONS)) if self._keeps_tensions else 0,))
-        self.numbers = _aligned((layout.window_count + 1 if self._keeps_tensions else 0, OWN_NUMBERS, LANE_COUNT))
+        self.window_numbers = _aligned(
+            (layout.window_count + 1 if self._keeps_tensions else 0, WINDOW_NUMBERS, LANE_COUNT)
+        )
         self.cells = cell_layout(model, layout)
         self.is_flat = np.zeros(len(self.cells.window_rows), np.int8)
         self.is_touched = np.zeros(layout.window_count, np.int8)
@@ -98,7 +100,7 @@ class CpuEngine:
         """Inverse masses; nodes at zero keep their velocity."""
         self.inverse_mass[self.layout.node_lane] = inverse_mass
         if self._keeps_tensions:
-            self.numbers[:-1, -1] = self.inverse_mass[self._window_lanes]
+            self.window_numbers[:-1, -1] = self.inverse_mass[self._window_lanes]
 
     def advance(self, step_count: int, verlet: Verlet, probes: Float32 = NO_PROBES) -> None:
         """Take steps."""
@@ -135,7 +137,7 @@ class CpuEngine:
             self._buffers,
             self.velocity,
             self.weight,
-            self.numbers,
+            self.window_numbers,
             self.tension,
             self.presence,
             self.inverse_mass,
@@ -163,7 +165,7 @@ class CpuEngine:
         self.weight[:] = self.layout.spring_weight(model, weight)
         if self._keeps_tensions:
             for direction in range(len(DIRECTIONS)):
-                self.numbers[:-1, direction] = self.weight[direction * self.layout.stride + self._window_lanes]
+                self.window_numbers[:-1, direction] = self.weight[direction * self.layout.stride + self._window_lanes]
         if law.is_element:
             self.presence = self.layout.spring_weight(model, model.spring_weight)
         in_cells = ELEMENTS if law.is_element else VOLUME_TERM if law.has_volume_term else NO_CELLS

@@ -116,12 +116,26 @@ def _add_cells(windows: Int64 | Int32, kind: int, now: Float32, force: Float32, 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def _step_chunk(chunk: int, state: StateArrays, constants: Constants, chunks: ChunkArrays, sleep: SleepArrays) -> None:
     """Move the windows of a chunk, by springs alone."""
-    now, later, velocity, weight, numbers, tension, inverse_mass, rows = state
+    now, later, velocity, weight, window_numbers, tension, inverse_mass, rows = state
     awake, before = sleep.awake, chunks.before
     first, end = chunks.ends[chunk], chunks.ends[chunk + 1]
     for number in range(chunks.before_counts[chunk]):
-        tension_of_window(now, numbers, tension, rows, np.int64(before[chunk, number]))
-    what = (now, later, velocity, weight, numbers, tension, velocity, inverse_mass, rows, awake, first, end, constants)
+        tension_of_window(now, window_numbers, tension, rows, np.int64(before[chunk, number]))
+    what = (
+        now,
+        later,
+        velocity,
+        weight,
+        window_numbers,
+        tension,
+        velocity,
+        inverse_mass,
+        rows,
+        awake,
+        first,
+        end,
+        constants,
+    )
     if len(tension):
         step_of_windows(*what)
     else:
@@ -139,7 +153,7 @@ def _step_chunk_with_cells(
     sleep: SleepArrays,
 ) -> None:
     """Move the windows of a chunk, by cells and springs."""
-    now, later, velocity, weight, numbers, tension, inverse_mass, rows = state
+    now, later, velocity, weight, window_numbers, tension, inverse_mass, rows = state
     is_touched = cells[5]
     force = cells[2][chunk // CHUNKS_PER_ROOM, 3 * BANK_LANES * (chunk % CHUNKS_PER_ROOM) :]
     kind, has_springs, _ = kinds
@@ -151,8 +165,8 @@ def _step_chunk_with_cells(
     _add_cells(chunks.cells[chunk, : chunks.cell_counts[chunk]], kind, now, force, cells)
     if has_springs:
         for number in range(chunks.before_counts[chunk]):
-            tension_of_window(now, numbers, tension, rows, np.int64(before[chunk, number]))
-    arrays = (now, later, velocity, weight, numbers, tension, force, inverse_mass, rows)
+            tension_of_window(now, window_numbers, tension, rows, np.int64(before[chunk, number]))
+    arrays = (now, later, velocity, weight, window_numbers, tension, force, inverse_mass, rows)
     keeps_tensions = len(tension) > 0
     while first < end:
         # As many as follow each other that are alike: all, but where only corners are guarded.
@@ -232,7 +246,7 @@ def advance(
     displacement: Float32,
     velocity: Float32,
     weight: Float32,
-    numbers: Float32,
+    window_numbers: Float32,
     tension: Float32,
     presence: Float32,
     inverse_mass: Float32,
@@ -265,7 +279,7 @@ def advance(
         Half a step before [cells / unit of time], three numbers a lane.
     weight
         Spring stiffness by direction [k], nine numbers a lane; read where springs are worked out from both ends.
-    numbers
+    window_numbers
         The same and then the inverse mass, of each window's lanes by themselves, with one more window of zeros, shape
         (window_count + 1, 10, 8); read where each spring is worked out once.
     tension
@@ -352,7 +366,7 @@ def advance(
             if thread == 0:
                 pull_explicitly(now, velocity, inverse_mass, explicit, constants)
             meet(meeting, thread_count)
-        state = (now, later, velocity, weight, numbers, tension, inverse_mass, rows)
+        state = (now, later, velocity, weight, window_numbers, tension, inverse_mass, rows)
         for chunk in range(thread, chunk_count, thread_count):
             if works_cells:
                 _step_chunk_with_cells(chunk, state, constants, cells, kinds, chunks, sleep)

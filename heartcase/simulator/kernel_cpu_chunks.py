@@ -27,8 +27,8 @@ Int32 = npt.NDArray[np.int32]
 Int64 = npt.NDArray[np.int64]
 
 KEPT_NODES_MAX = 120_000
-"""Nodes up to which tensions are kept. On a processor with 32 MB of cache that others use, too, to keep them took 0.75
-of the time at 60,000 and 100,000 nodes, and as long as both ends at 250,000."""
+"""Nodes up to which tensions are kept. On a processor with 32 MB of cache that others use, too, to keep them took 0.63
+to 0.85 of the time at 60,000 and 100,000 nodes, and as long as both ends at 250,000."""
 _LAYERS_MIN = 2
 """Layers of windows in a chunk: with fewer, threads would work out more tensions for others than for themselves."""
 

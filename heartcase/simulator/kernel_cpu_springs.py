@@ -25,20 +25,20 @@ from heartcase.simulator.vector_ir import Lanes, Vector, Window, array_data
 
 __all__ = [
     "AHEAD",
-    "OWN_NUMBERS",
+    "WINDOW_NUMBERS",
     "SpringsAhead",
     "force_of_window",
     "force_of_window_with_cells",
-    "own_numbers",
     "spring_force",
     "spring_force_from_both_ends",
     "tension_of_window",
+    "window_number",
     "with_springs_behind",
 ]
 
 AHEAD: list[tuple[int, int, int]] = [(i, j, k) for i, j, k in DIRECTIONS.tolist()]
 """The nine springs ahead of a lane: where they end, (i, j, k) from it."""
-OWN_NUMBERS = len(AHEAD) + 1
+WINDOW_NUMBERS = len(AHEAD) + 1
 """Numbers of each of a window's lanes that lie side by side in memory: stiffness of the springs ahead, inverse mass."""
 _TINY = 1e-30
 """Keeps the division defined where two nodes lie on one spot."""
@@ -46,11 +46,13 @@ _TINY = 1e-30
 Offset = tuple[int, int, int]
 
 
-def own_numbers(builder: Any, numbers: Any, window: Any, which: int) -> Lanes:
-    """One of the OWN_NUMBERS of a window."""
+def window_number(builder: Any, window_numbers: Any, window: Any, which: int) -> Lanes:
+    """One of the WINDOW_NUMBERS of a window."""
     index = ir.IntType(64)
-    first = builder.mul(window, ir.Constant(index, OWN_NUMBERS * LANE_COUNT))
-    return Lanes.loaded(builder, builder.gep(numbers, [builder.add(first, ir.Constant(index, which * LANE_COUNT))]))
+    first = builder.mul(window, ir.Constant(index, WINDOW_NUMBERS * LANE_COUNT))
+    return Lanes.loaded(
+        builder, builder.gep(window_numbers, [builder.add(first, ir.Constant(index, which * LANE_COUNT))])
+    )
 
 
 @dataclass(frozen=True)
@@ -133,12 +135,12 @@ def spring_force_from_both_ends(here: Window, displacement: Any, weight: Any) ->
     return total
 
 
-def spring_force(here: Window, displacement: Any, numbers: Any, tension: Any, window: Any) -> Vector:
+def spring_force(here: Window, displacement: Any, window_numbers: Any, tension: Any, window: Any) -> Vector:
     """Sum of the pulls of the 18 springs on each lane; the tensions of those ahead are kept for other windows."""
     own = here.load_vector(displacement)
     total: Vector | None = None
     for direction in range(len(AHEAD)):
-        weight = own_numbers(here.builder, numbers, window, direction)
+        weight = window_number(here.builder, window_numbers, window, direction)
         springs = SpringsAhead.of(here, displacement, own, direction, weight)
         made = springs.weighted / springs.divisor()
         total = with_springs_behind(here, displacement, tension, own, springs, made, total)
@@ -177,7 +179,7 @@ def _behind(offset: Offset) -> Offset:
 
 
 @intrinsic
-def tension_of_window(typing_context, now, numbers, tension, rows, window):  # type: ignore[no-untyped-def]
+def tension_of_window(typing_context, now, window_numbers, tension, rows, window):  # type: ignore[no-untyped-def]
     """Keep the tensions over the lengths of the springs ahead of a window's lanes."""
 
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -186,12 +188,12 @@ def tension_of_window(typing_context, now, numbers, tension, rows, window):  # t
         here = Window(builder, starts, arguments[4])
         own = here.load_vector(u)
         for direction in range(len(AHEAD)):
-            weight = own_numbers(builder, n, arguments[4], direction)
+            weight = window_number(builder, n, arguments[4], direction)
             springs = SpringsAhead.of(here, u, own, direction, weight)
             (springs.weighted / springs.divisor()).store(here.pointer(t, direction))
         return context.get_dummy_value()
 
-    return types.void(now, numbers, tension, rows, types.int64), codegen
+    return types.void(now, window_numbers, tension, rows, types.int64), codegen
 
 
 def _make_force(has_cells: bool) -> Any:

@@ -1,9 +1,10 @@
 """A step of windows of 8 lanes in the CPU kernel, one after the other.
 
-Between a spring's displacements and its pull lie a root and a division, some 60 cycles; a processor that looks ahead
-over the springs of a window soon has no room for more that must wait. So each spring is worked out in four stages, and
-between two stages of one come those of others: what a stage needs is ready when its turn comes. The last springs of a
-window go on while the next window begins. That takes 32 registers; where there are 16, each spring is finished at once.
+Between a spring's displacements and its pull lie a root and a division, some 60 cycles if what each operation takes is
+added up; a processor that looks ahead over the springs of a window soon has no room for more that must wait. So each
+spring is worked out in four stages, and between two stages of one come those of others: what a stage needs is ready
+when its turn comes. The last springs of a window go on while the next window begins. That takes 32 registers; where
+there are 16, each spring is finished at once.
 """
 
 from __future__ import annotations
@@ -20,9 +21,9 @@ from numba.extending import intrinsic
 from heartcase.simulator.kernel_cpu_springs import (
     AHEAD,
     SpringsAhead,
-    own_numbers,
     spring_force,
     spring_force_from_both_ends,
+    window_number,
     with_springs_behind,
 )
 from heartcase.simulator.vector_ir import Lanes, Vector, Window, array_data, has_many_registers
@@ -50,7 +51,7 @@ class _Arrays:
     later: Any
     velocity: Any
     weight: Any
-    numbers: Any
+    window_numbers: Any
     tension: Any
     cell_force: Any
     inverse_mass: Any
@@ -76,20 +77,22 @@ def _move(
         (own[axis] + time_step * new).store(here.pointer(arrays.later, axis))
 
 
-def _emit_in_turn(builder: Any, arrays: _Arrays, windows: Any, first: Any, end: Any, springs: str, cells: bool) -> None:
+def _emit_in_turn(
+    builder: Any, arrays: _Arrays, windows: Any, first: Any, end: Any, springs: str, has_cells: bool
+) -> None:
     """Step windows one by one, each spring at once."""
     with cgutils.for_range_slice(builder, first, end, ir.Constant(_INDEX, 1)) as (number, _):
         window = builder.load(builder.gep(windows, [number]))
         here = Window(builder, arrays.rows, window)
         total: Vector | None = None
         if springs == "kept":
-            total = spring_force(here, arrays.now, arrays.numbers, arrays.tension, window)
-            mass_inverse = own_numbers(builder, arrays.numbers, window, len(AHEAD))
+            total = spring_force(here, arrays.now, arrays.window_numbers, arrays.tension, window)
+            mass_inverse = window_number(builder, arrays.window_numbers, window, len(AHEAD))
         else:
             mass_inverse = here.load(arrays.inverse_mass, 0)
         if springs == "both ends":
             total = spring_force_from_both_ends(here, arrays.now, arrays.weight)
-        _move(here, arrays, here.load_vector(arrays.now), total, mass_inverse, cells)
+        _move(here, arrays, here.load_vector(arrays.now), total, mass_inverse, has_cells)
 
 
 class _Carried:
@@ -109,7 +112,7 @@ class _Carried:
 
 def _begun(here: Window, arrays: _Arrays, own: Vector, direction: int, window: Any) -> SpringsAhead:
     """The first stage of the springs ahead along a direction."""
-    weight = own_numbers(here.builder, arrays.numbers, window, direction)
+    weight = window_number(here.builder, arrays.window_numbers, window, direction)
     springs = SpringsAhead.of(here, arrays.now, own, direction, weight)
     x, y, z = springs.d
     return replace(
@@ -121,7 +124,7 @@ def _begun(here: Window, arrays: _Arrays, own: Vector, direction: int, window: A
 
 
 def _emit_in_stages(
-    builder: Any, arrays: _Arrays, windows: Any, first: Any, end: Any, nothing: Any, cells: bool
+    builder: Any, arrays: _Arrays, windows: Any, first: Any, end: Any, nothing: Any, has_cells: bool
 ) -> None:
     """Step windows one by one, each spring in stages, the last of a window while the next begins.
 
@@ -161,8 +164,8 @@ def _emit_in_stages(
             total = with_springs_behind(where, arrays.now, arrays.tension, at, springs[pulled], results[pulled], total)
             total = (total[0].worked_out_here(), total[1].worked_out_here(), total[2].worked_out_here())
             if pulled == -1:
-                mass_inverse = own_numbers(builder, arrays.numbers, window_before, count)
-                _move(before, arrays, own_before, total, mass_inverse, cells)
+                mass_inverse = window_number(builder, arrays.window_numbers, window_before, count)
+                _move(before, arrays, own_before, total, mass_inverse, has_cells)
                 total = None
             results[divided] = (springs[divided].weighted / results[divided]).worked_out_here()
             results[rooted] = springs[rooted].divisor().worked_out_here()
@@ -177,7 +180,7 @@ def _emit_in_stages(
         carried.store(ends)
 
 
-def _make_steps(springs: str, cells: bool = False, in_stages: bool | None = None) -> Any:
+def _make_steps(springs: str, has_cells: bool = False, in_stages: bool | None = None) -> Any:
     """The intrinsic that moves some windows of a list by one step.
 
     ``springs``: kept, both ends or none. ``in_stages``: whether in stages; where the registers are enough by default.
@@ -190,7 +193,7 @@ def _make_steps(springs: str, cells: bool = False, in_stages: bool | None = None
         later,
         velocity,
         weight,
-        numbers,
+        window_numbers,
         tension,
         cell_force,
         inverse_mass,
@@ -200,7 +203,7 @@ def _make_steps(springs: str, cells: bool = False, in_stages: bool | None = None
         end,
         constants,
     ):
-        arrays = (now, later, velocity, weight, numbers, tension, cell_force, inverse_mass, rows)
+        arrays = (now, later, velocity, weight, window_numbers, tension, cell_force, inverse_mass, rows)
 
         def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             given = zip(signature.args[:9], arguments, strict=False)
@@ -210,9 +213,9 @@ def _make_steps(springs: str, cells: bool = False, in_stages: bool | None = None
             what = (builder, _Arrays(fixed, *data), listed, arguments[10], arguments[11])
             if springs == "kept" and (has_many_registers(context) if in_stages is None else in_stages):
                 row_array = context.make_array(signature.args[8])(context, builder, arguments[8])
-                _emit_in_stages(*what, cgutils.unpack_tuple(builder, row_array.shape)[0], cells)
+                _emit_in_stages(*what, cgutils.unpack_tuple(builder, row_array.shape)[0], has_cells)
             else:
-                _emit_in_turn(*what, springs, cells)
+                _emit_in_turn(*what, springs, has_cells)
             return context.get_dummy_value()
 
         return types.void(*arrays, windows, types.int64, types.int64, constants), codegen
@@ -221,10 +224,10 @@ def _make_steps(springs: str, cells: bool = False, in_stages: bool | None = None
 
 
 step_of_windows = _make_steps("kept")
-step_of_windows_with_cells = _make_steps("kept", cells=True)
+step_of_windows_with_cells = _make_steps("kept", has_cells=True)
 step_of_windows_from_both_ends = _make_steps("both ends")
-step_of_windows_with_cells_from_both_ends = _make_steps("both ends", cells=True)
-step_of_windows_with_cells_alone = _make_steps("none", cells=True)
+step_of_windows_with_cells_from_both_ends = _make_steps("both ends", has_cells=True)
+step_of_windows_with_cells_alone = _make_steps("none", has_cells=True)
 
 STEPS_BY_ORDER = {in_stages: _make_steps("kept", in_stages=in_stages) for in_stages in (False, True)}
 """Both orders, whatever the registers: the second where there is AVX-512."""

@@ -114,7 +114,7 @@ def test_springs_in_stages_give_the_same_bits_as_one_after_the_other(model, seed
         now, later = engine.displacement, np.zeros_like(engine.displacement)
         engine.tension[:] = 0
         room = engine.cell_force[0]
-        arrays = (now, later, engine.velocity, engine.weight, engine.numbers, engine.tension, room)
+        arrays = (now, later, engine.velocity, engine.weight, engine.window_numbers, engine.tension, room)
         arrays += (engine.inverse_mass, engine._rows)
         STEPS[in_stages](arrays, windows, tuple(np.float32(constant) for constant in constants))
         changed = (later, engine.velocity, engine.tension)
@@ -139,7 +139,7 @@ def test_the_smallest_difference_that_makes_a_corner_flat_is_seen(corner, way, i
 
 def step_one_chunk(engine: CpuEngine, chunk: int) -> None:
     later = np.zeros_like(engine.displacement)
-    state = (engine.displacement, later, engine.velocity, engine.weight, engine.numbers, engine.tension)
+    state = (engine.displacement, later, engine.velocity, engine.weight, engine.window_numbers, engine.tension)
     state += (engine.inverse_mass, engine._rows)
     constants = tuple(np.float32(number) for number in Verlet(0.1).numbers)
     rest = (constants, engine._cell_arrays, engine._kinds, engine._chunks, engine._sleep)
