@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from math import inf
 
 __all__ = ["Pace"]
 
@@ -36,9 +37,11 @@ class Pace:
     clock: Callable[[], float] = time.perf_counter
     """Time in s."""
     seconds_per_step: list[float] = field(default_factory=list)
-    """Lately, per way; empty before the first trial."""
+    """Lately, per way; infinite before it has been tried, empty before the first run."""
     round_count: int = 0
     """Rounds so far."""
+    trials: dict[int, list[float]] = field(default_factory=dict)
+    """Seconds per step of trials, by the way that is being tried; a short round leaves some to the next."""
 
     def run(self, step_count: int, ways: tuple[Work, ...]) -> None:
         """Take steps, most of them in the way that has been quickest lately.
@@ -53,7 +56,8 @@ class Pace:
         if not self.seconds_per_step:
             for way in ways:
                 way(0)
-            self.seconds_per_step = [0.0] * len(ways)
+            self.seconds_per_step = [inf] * len(ways)
+            self.trials = {number: [] for number in range(len(ways))}
         while step_count:
             round_steps = min(step_count, ROUND_STEPS)
             self._run_round(round_steps, ways)
@@ -62,21 +66,25 @@ class Pace:
     def _run_round(self, step_count: int, ways: tuple[Work, ...]) -> None:
         is_regular = self.round_count % ROUNDS_BETWEEN_TRIALS == 0
         is_early = self.round_count.bit_count() == 1
-        for number, way in enumerate(ways):
-            in_use = number == self.quickest
-            is_new = self.seconds_per_step[number] == 0.0
+        for number in range(len(ways)):
             is_doubtful = self.seconds_per_step[number] <= DOUBTFUL_RATIO * min(self.seconds_per_step)
-            is_due = is_new or (not in_use and (is_regular or (is_early and is_doubtful)))
-            trials: list[float] = []
-            while is_due and len(trials) < TRIALS and step_count > TRIAL_STEPS:
-                trials.append(self._take(TRIAL_STEPS, way))
-                step_count -= TRIAL_STEPS
-            # The first steps in a way wake its threads; of those after them, if any, the least disturbed count.
-            if trials:
-                self.seconds_per_step[number] = min(trials[1:] or trials)
+            if number != self.quickest and (is_regular or (is_early and is_doubtful)):
+                self.trials.setdefault(number, [])
+        for number, trials in list(self.trials.items()):
+            while len(trials) < TRIALS and step_count:
+                trial_steps = min(TRIAL_STEPS, step_count)
+                trials.append(self._take(trial_steps, ways[number]))
+                step_count -= trial_steps
+            if len(trials) == TRIALS:
+                # The first steps in a way wake its threads; of those after them, the least disturbed count.
+                self.seconds_per_step[number] = min(trials[1:])
+                del self.trials[number]
         if step_count:
             number = self.quickest
-            self.seconds_per_step[number] = self._take(step_count, ways[number])
+            taken = self._take(step_count, ways[number])
+            # As long as a way has not been tried to the end it has no time of its own.
+            if self.seconds_per_step[number] < inf:
+                self.seconds_per_step[number] = taken
         self.round_count += 1
 
     @property

@@ -62,6 +62,27 @@ def test_few_steps_are_taken_once():
     assert sum(shop.taken) == 3 * TRIAL_STEPS + 2
 
 
+@pytest.mark.parametrize("step_count", [1, TRIAL_STEPS, TRIAL_STEPS + 1, 17, 20, 23])
+def test_a_way_is_tried_to_the_end_also_where_the_first_rows_are_short(step_count):
+    """Waking the threads takes longer than the steps; a row is too short for all trials of both ways."""
+    shop = Workshop(2.0, 1.0)
+    undisturbed = shop.way
+
+    def way(number: int):
+        def take(count: int) -> None:
+            if number == 1 and count and shop.taken[1] == 0:
+                shop.now += 1000.0
+            undisturbed(number)(count)
+
+        return take
+
+    shop.way = way
+    for _ in range(2 * TRIALS):
+        shop.run(step_count)
+    assert shop.pace.quickest == 1
+    assert sum(shop.taken) == 2 * TRIALS * step_count
+
+
 @pytest.mark.parametrize("disturbed", [1, 2])
 def test_a_slow_start_or_trial_is_not_held_against_a_way(disturbed):
     """Threads have to be woken, and once the machine does something else."""
