@@ -65,6 +65,8 @@ class Inputs:
     """Wall of the tube over its inner radius."""
     angle_deg: float
     """Of a strip from the cells' axes."""
+    roll_deg: float
+    """Of a strip about its length."""
 
 
 @dataclass(frozen=True)
@@ -78,9 +80,8 @@ class Measured:
 
 def prepare(params: dict[str, Any]) -> Inputs:
     is_large = params.get("strain", "small") == "large"
-    return Inputs(
-        params["scene"], params["cells"], params["ratio"], is_large, params.get("wall", 0.5), params.get("angle_deg", 0)
-    )
+    tilt = (params.get("angle_deg", 0), params.get("roll_deg", 0))
+    return Inputs(params["scene"], params["cells"], params["ratio"], is_large, params.get("wall", 0.5), *tilt)
 
 
 def springs(inputs: Inputs) -> Measured:
@@ -101,6 +102,13 @@ def element(inputs: Inputs) -> Measured:
     return _measured(inputs, ForceLaw("element", inputs.ratio))
 
 
+def unshared(inputs: Inputs) -> Measured:
+    """Hexahedral elements that share no strain."""
+    if inputs.scene not in ("tube", "strip", "ventricle"):
+        raise MethodSkipped("in cells that are all full elements share none")
+    return _measured(inputs, ForceLaw("element", inputs.ratio, shares_strain=False))
+
+
 def trilinear(inputs: Inputs) -> Measured:
     """scikit-fem's trilinear hexahedra, of the boxes in small strain."""
     if inputs.is_large or inputs.scene in ("tube", "strip", "ventricle"):
@@ -117,6 +125,7 @@ METHODS: dict[str, Callable[[Inputs], Measured]] = {
     "springs": springs,
     "volume": volume,
     "element": element,
+    "unshared": unshared,
     "trilinear": trilinear,
 }
 
@@ -176,9 +185,10 @@ def _measured(inputs: Inputs, law: ForceLaw) -> Measured:
             apex, change = solve_ventricle(model, n)
             return Measured({"apex displacement": apex, "volume change": change}, model)
         if inputs.scene == "strip":
-            strip = Strip(n, inputs.angle_deg)
+            strip = Strip(n, inputs.angle_deg, inputs.roll_deg)
             model = strip.model(law, THICKNESS_MM / n)
-            return Measured({"rotation": strip.rotation_over_beam(model)}, model)
+            found = {"rotation": strip.rotation_over_beam(model), "stretch": strip.stretch_over_bar(model)}
+            return Measured(found, model)
         one = scene(inputs.scene, inputs.is_large)
         model = lattice_of(one, int(n), law, THICKNESS_MM)
         return Measured({one.quantity: solve_lattice(one, model, int(n))}, model)
@@ -200,7 +210,7 @@ def _formulas(inputs: Inputs) -> Truths:
     if inputs.scene == "tube":
         return {"Lame": {"radial displacement": (tube_truth(inputs.wall, inputs.ratio), 0.0)}}
     if inputs.scene == "strip":
-        return {"a beam": {"rotation": (1.0, 0.0)}}
+        return {"a beam": {"rotation": (1.0, 0.0), "stretch": (1.0, 0.0)}}
     if inputs.scene == "cantilever" and not inputs.is_large:
         deflection = timoshenko_deflection(CANTILEVER_LENGTH, CANTILEVER_LOAD, inputs.ratio)
         return {"Timoshenko": {"tip deflection": (deflection, 0.0)}}

@@ -1,4 +1,4 @@
-"""A strip that lies askew in its cells, bent by a pure moment: what a thin wall does wherever it lies.
+"""A strip that lies askew in its cells, bent by a pure moment or pulled: what a thin wall does wherever it lies.
 
 Lengths are in cells, stresses in k/h, so that E = 2.5.
 """
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from elasticity_voxels import located, voxelised
+from elasticity_voxels import COVERAGE_MIN, located, voxelised
 from statics import solve_linear, stiffness
 
 from heartcase.simulator.force_law import ForceLaw
@@ -18,66 +18,115 @@ from heartcase.simulator.model import LatticeModel
 Float64 = npt.NDArray[np.float64]
 
 LENGTH, WIDTH = 12.0, 3
-_START = (0.3, 0.0, 0.7)
+_THIN = 0.75
+_SAMPLES, _SAMPLES_OF_THIN = 20, 40
+"""Samples of a cell along each axis, and in walls below _THIN: whole numbers of them are in walls of 0.3 cells."""
+_PER_CELL = 8
 
 
 @dataclass(frozen=True)
 class Strip:
-    """A strip in the plane of x and z, whole cells wide along y."""
+    """A strip that is tilted about y, then about its own length; in the plane of x and z where it is not rolled."""
 
     thickness: float
     """In cells."""
     angle_deg: float
     """From the x axis."""
+    roll_deg: float = 0.0
+    """About its length."""
+    start: tuple[float, float, float] = (0.3, 0.0, 0.7)
+    """Middle of its first edge, but half the width along y: where it lies in the cells."""
 
     @property
-    def axes(self) -> tuple[Float64, Float64]:
-        """Unit vectors along the strip and through it."""
-        a = np.radians(self.angle_deg)
-        return np.array([np.cos(a), 0.0, np.sin(a)]), np.array([-np.sin(a), 0.0, np.cos(a)])
+    def axes(self) -> tuple[Float64, Float64, Float64]:
+        """Unit vectors along the strip, through it and across it."""
+        a, b = np.radians([self.angle_deg, self.roll_deg])
+        along, through = np.array([np.cos(a), 0.0, np.sin(a)]), np.array([-np.sin(a), 0.0, np.cos(a)])
+        across = np.array([0.0, 1.0, 0.0])
+        return along, np.cos(b) * through - np.sin(b) * across, np.cos(b) * across + np.sin(b) * through
 
-    def model(self, law: ForceLaw, cell_mm: float) -> LatticeModel:
+    @property
+    def _origin(self) -> Float64:
+        return np.array(self.start) + np.array([0.0, WIDTH / 2.0, 0.0])
+
+    def model(self, law: ForceLaw, cell_mm: float, *, coverage_min: float = COVERAGE_MIN) -> LatticeModel:
         """Its cells."""
-        along, through = self.axes
+        samples = _SAMPLES_OF_THIN if self.thickness < _THIN else _SAMPLES
+        along, through, across = self.axes
 
         def is_tissue(x: Float64) -> npt.NDArray[np.bool_]:
-            d = x - _START
+            d = x - self._origin
             on = d @ along
-            return (on >= 0.0) & (on <= LENGTH) & (np.abs(d @ through) <= self.thickness / 2.0)
+            is_within = (np.abs(d @ through) <= self.thickness / 2.0) & (np.abs(d @ across) <= WIDTH / 2.0)
+            return (on >= 0.0) & (on <= LENGTH) & is_within
 
-        high = np.ceil(_START + LENGTH * along + 2.0).astype(int)
-        return voxelised(is_tissue, (-2, 0, -2), (int(high[0]), WIDTH, int(high[2])), 1.0, law, cell_mm)
+        reach = np.abs(through) * self.thickness / 2.0 + np.abs(across) * WIDTH / 2.0
+        low = np.floor(self._origin + np.minimum(LENGTH * along, 0.0) - reach).astype(int)
+        high = np.ceil(self._origin + np.maximum(LENGTH * along, 0.0) + reach).astype(int)
+        low, high = ((int(i), int(j), int(k)) for i, j, k in (low, high))
+        return voxelised(is_tissue, low, high, 1.0, law, cell_mm, samples=samples, coverage_min=coverage_min)
 
     def rotation_over_beam(self, model: LatticeModel) -> float:
-        """Rotation of one end against the other, over M L / (E I)."""
-        along, through = self.axes
-        per_cell = 8
-        q = ((np.arange(per_cell) + 0.5) / per_cell - 0.5) * self.thickness
-        y = (np.arange(per_cell * WIDTH) + 0.5) / per_cell
-        Q, Y = (grid.ravel() for grid in np.meshgrid(q, y, indexing="ij"))
-        share = self.thickness / per_cell / per_cell
-        section = _START + Q[:, None] * through + Y[:, None] * np.array([0.0, 1.0, 0.0])
-        load = np.zeros((model.node_count, 3))
-        ends = [located(model, section + place * along) for place in (0.0, LENGTH)]
-        for (nodes, shares), sign in zip(ends, (-1.0, 1.0), strict=True):
-            pushes = (shares * (sign * Q * share)[:, None])[:, :, None] * along
-            np.add.at(load, nodes, pushes)
-        held = _floating(model)
-        u, _ = solve_linear(stiffness(model), load, (held, np.zeros(len(held))))
+        """Rotation of one end against the other, over M L / (E I), under moments at its ends."""
+        along, _, _ = self.axes
+        places, height = self._section()
+        u = self._under(model, height)
         turns = []
-        for nodes, shares in ends:
-            slides = np.einsum("pc,pca->pa", shares, u[nodes]) @ along
-            turns.append((slides * Q).sum() / (Q * Q).sum())
-        moment = (Q * Q).sum() * share
+        for place in (0.0, LENGTH):
+            slides = self._displacement(model, u, places + place * along) @ along
+            turns.append((slides * height).sum() / (height * height).sum())
+        moment = (height * height).sum() * self.thickness / _PER_CELL**2
         inertia = WIDTH * self.thickness**3 / 12.0
         return float((turns[1] - turns[0]) * ForceLaw().youngs_modulus * inertia / (moment * LENGTH))
 
+    def stretch_over_bar(self, model: LatticeModel) -> float:
+        """Stretch of its middle half over that of a bar, under a stress of one at its ends."""
+        along, _, _ = self.axes
+        places, height = self._section()
+        u = self._under(model, np.ones_like(height))
+        near, far = (
+            (self._displacement(model, u, places + part * LENGTH * along) @ along).mean() for part in (0.25, 0.75)
+        )
+        return float((far - near) / (LENGTH / 2.0) * ForceLaw().youngs_modulus)
+
+    def _section(self) -> tuple[Float64, Float64]:
+        """Points of the first end, shape (count, 3), and how high they lie from the strip's middle."""
+        _, through, across = self.axes
+        q = ((np.arange(_PER_CELL) + 0.5) / _PER_CELL - 0.5) * self.thickness
+        y = (np.arange(_PER_CELL * WIDTH) + 0.5) / _PER_CELL - WIDTH / 2.0
+        Q, Y = (grid.ravel() for grid in np.meshgrid(q, y, indexing="ij"))
+        return self._origin + Q[:, None] * through + Y[:, None] * across, Q
+
+    def _under(self, model: LatticeModel, stress: Float64) -> Float64:
+        """Displacement under a stress along the strip at the points of its last end, and against it at the first."""
+        along, _, _ = self.axes
+        places, _ = self._section()
+        load = np.zeros((model.node_count, 3))
+        for place, sign in ((0.0, -1.0), (LENGTH, 1.0)):
+            nodes, shares = located(model, places + place * along)
+            pushes = (shares * (sign * stress * self.thickness / _PER_CELL**2)[:, None])[:, :, None] * along
+            np.add.at(load, nodes, pushes)
+        held = _floating(model)
+        u, _ = solve_linear(stiffness(model), load, (held, np.zeros(len(held))))
+        return u
+
+    @staticmethod
+    def _displacement(model: LatticeModel, u: Float64, points: Float64) -> Float64:
+        nodes, shares = located(model, points)
+        moved: Float64 = np.einsum("pc,pca->pa", shares, u[nodes])
+        return moved
+
 
 def _floating(model: LatticeModel) -> npt.NDArray[np.intp]:
-    """Six degrees of freedom that keep it in place; nothing pulls at them, for the moments hold each other."""
-    x = model.node_index
-    root = int((x[:, 0] + x[:, 1] + x[:, 2]).argmin())
-    far = int(np.where(x[:, 1] == x[root, 1], x[:, 0], -1).argmax())
-    side = int(np.where((x[:, [0, 2]] == x[root, [0, 2]]).all(axis=1), x[:, 1], -1).argmax())
-    # turns about x by the side's z, about y by the far end's z, about z by the far end's y
-    return np.unique([3 * root, 3 * root + 1, 3 * root + 2, 3 * far + 1, 3 * far + 2, 3 * side + 2])
+    """Six degrees of freedom that keep it in place; nothing pulls at them, for the loads hold each other."""
+    x = model.node_index.astype(float)
+    root = int(x.sum(axis=1).argmin())
+    away = x - x[root]
+    far = int((away * away).sum(axis=1).argmax())
+    normals = np.cross(away[far], away)
+    side = int((normals * normals).sum(axis=1).argmax())
+    # It turns about the first by the far node's two directions across, and about the line by the side's own.
+    across = np.delete(np.arange(3), np.abs(away[far]).argmax())
+    return np.unique(
+        [3 * root, 3 * root + 1, 3 * root + 2, *(3 * far + across), 3 * side + np.abs(normals[side]).argmax()]
+    )

@@ -16,7 +16,7 @@ Float64 = npt.NDArray[np.float64]
 
 COVERAGE_MIN = 0.02
 SAMPLES = 8
-"""Samples of a cell along each axis."""
+"""Samples of a cell along each axis, where no other number is asked for."""
 
 
 def voxelised(
@@ -26,6 +26,9 @@ def voxelised(
     edge: float,
     law: ForceLaw,
     cell_mm: float,
+    *,
+    samples: int = SAMPLES,
+    coverage_min: float = COVERAGE_MIN,
 ) -> LatticeModel:
     """Cells with the coverage and the moments of samples.
 
@@ -41,19 +44,23 @@ def voxelised(
         What resists deformation.
     cell_mm
         Edge of a cell, mm.
+    samples
+        Samples of a cell along each axis.
+    coverage_min
+        Part of a cell that is tissue from which on it is one.
     """
     cells = np.stack(np.meshgrid(*map(np.arange, low, high), indexing="ij"), axis=-1).reshape(-1, 3)
-    along = (np.arange(SAMPLES) + 0.5) / SAMPLES - 0.5
+    along = (np.arange(samples) + 0.5) / samples - 0.5
     x = np.stack(np.meshgrid(along, along, along, indexing="ij"), axis=-1).reshape(-1, 3)
     products = np.stack([x[:, 1] * x[:, 2], x[:, 0] * x[:, 2], x[:, 0] * x[:, 1]], axis=1)
     # A sample stands for a cube, which has a second moment of its own.
-    terms = np.concatenate([x, x * x + 1.0 / (12 * SAMPLES**2), products], axis=1)
+    terms = np.concatenate([x, x * x + 1.0 / (12 * samples**2), products], axis=1)
     coverage, moments = np.zeros(len(cells)), np.zeros((len(cells), 9))
     for some in np.array_split(np.arange(len(cells)), len(cells) // 1000 + 1):
         inside = is_tissue((cells[some, None] + 0.5 + x) * edge).astype(float)
         coverage[some] = inside.mean(axis=1)
         moments[some] = inside @ terms / np.maximum(inside.sum(axis=1), 1.0)[:, None]
-    kept = coverage >= COVERAGE_MIN
+    kept = coverage >= coverage_min
     return make_model(cells[kept], coverage=coverage[kept], moments=moments[kept], law=law, cell_mm=cell_mm)
 
 

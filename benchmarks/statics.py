@@ -14,7 +14,7 @@ import numpy.typing as npt
 import scipy.sparse as sp
 from scipy.sparse.linalg import SuperLU, splu
 
-from heartcase.simulator.cell_forces import forces_at_corners
+from heartcase.simulator.cell_forces import MODES, mean_gradients, mean_slopes, own_forces_at_corners, stretching
 from heartcase.simulator.forces_reference import elastic_forces
 from heartcase.simulator.model import LatticeModel
 
@@ -44,7 +44,8 @@ def stiffness(model: LatticeModel, displacement: npt.ArrayLike | None = None) ->
     size = 3 * model.node_count
     rows, columns, values = zip(_spring_parts(model, u), _cell_parts(model, u), strict=True)
     entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
-    return sp.csc_array(sp.coo_array(entries, shape=(size, size)))
+    own = sp.csc_array(sp.coo_array(entries, shape=(size, size)))
+    return own + _shared_part(model, u) if model.shares_strain else own
 
 
 def factorised(matrix: sp.csc_array) -> SuperLU:
@@ -198,9 +199,38 @@ def _cell_parts(model: LatticeModel, u: Float64) -> tuple[npt.NDArray[np.intp], 
         for sign in (1.0, -1.0):
             pushed = here.copy()
             pushed[:, column // 3, column % 3] += sign * _STEP
-            ends.append(forces_at_corners(model, pushed).reshape(count, 24))
+            ends.append(own_forces_at_corners(model, pushed).reshape(count, 24))
         matrix[:, :, column] = (ends[1] - ends[0]) / (2.0 * _STEP)
     degrees = (3 * model.cell_corners[:, :, None] + np.arange(3)).reshape(count, 24)
     rows = np.broadcast_to(degrees[:, :, None], matrix.shape).ravel()
     columns = np.broadcast_to(degrees[:, None, :], matrix.shape).ravel()
     return rows, columns, matrix.ravel()
+
+
+def _shared_part(model: LatticeModel, u: Float64) -> sp.csc_array:
+    """Stiffness of the mean strain around the nodes: the mean's derivative on both sides of the stretching's own."""
+    slopes = mean_slopes(model.cell_moments.astype(np.float64))
+    # Derivative of a cell's F by its corners' displacements along one axis: gradient (3) by corner (8).
+    each = np.einsum("mc,mk->ck", MODES[:3], np.eye(3)) + np.einsum("ac,nak->nck", MODES[3:], slopes)
+    shared = model.shared_stiffness.astype(np.float64)
+    mean, stiffness = mean_gradients(model, u[model.cell_corners])
+    parts = shared / np.maximum(stiffness[model.cell_corners], np.finfo(float).tiny)
+    shape = (model.cell_count, 8, 3, 8, 3)  # cell, corner with the mean, axis of F, corner that moves, gradient
+    values = np.broadcast_to((parts[:, :, None, None, None] * each[:, None, None, :, :]), shape)
+    axis = np.arange(3)[:, None, None]
+    rows = 9 * model.cell_corners[:, :, None, None, None] + 3 * axis + np.arange(3)
+    columns = 3 * model.cell_corners[:, None, None, :, None] + axis
+    places = (np.broadcast_to(rows, shape).ravel(), np.broadcast_to(columns, shape).ravel())
+    derivative = sp.csr_array((values.ravel(), places), shape=(9 * model.node_count, 3 * model.node_count))
+    blocks = np.empty((model.node_count, 9, 9))
+    for column in range(9):
+        step = np.zeros(9)
+        step[column] = _STEP
+        ends = [stretching(model.law, mean + sign * step.reshape(3, 3))[1] for sign in (1.0, -1.0)]
+        blocks[:, :, column] = (ends[0] - ends[1]).reshape(-1, 9) / (2.0 * _STEP)
+    blocks *= stiffness[:, None, None]
+    block_rows = 9 * np.arange(model.node_count)[:, None, None] + np.arange(9)[:, None]
+    block_columns = 9 * np.arange(model.node_count)[:, None, None] + np.arange(9)
+    where = (np.broadcast_to(block_rows, blocks.shape).ravel(), np.broadcast_to(block_columns, blocks.shape).ravel())
+    middle = sp.csr_array((blocks.ravel(), where), shape=(9 * model.node_count,) * 2)
+    return sp.csc_array(derivative.T @ (middle @ derivative))

@@ -10,7 +10,13 @@ F = I + G, or for elements the mean of the deformation gradient over the tissue,
 
 is the energy per covered volume: at small strain Hooke's, at any other a rubber's (neo-Hookean in the limit of constant
 volume; as in Smith, de Goes and Kim, ACM Trans. Graph. 37, 2018, it has no pole where a cell is flat and pushes cells
-that are inside out back). H is the energy of the strain's linear part, with a_i = F^T q_i, the plate modulus
+that are inside out back). Without H and W_q it is what stretching stores. Of the tissue of cell i, with covered
+stiffness v_i, a share s_in stores what the mean of F around the corner n does, not what F_i does itself
+(:mod:`heartcase.simulator.strain_sharing`)::
+
+    F_n = sum over i of  s_in v_i F_i / v_n,   v_n = sum over i of  s_in v_i
+
+H is the energy of the strain's linear part, with a_i = F^T q_i, the plate modulus
 E' = E / (1 - nu^2) and the variance s_x of x over the tissue where y and z are known (1/12 in a full cell)::
 
     H = 1/2 sum over x, y, z of  s_y [E' (a_3x^2 + a_1z^2 + 2 nu a_3x a_1z) + mu (a_1x + a_3z)^2]  and so on
@@ -31,6 +37,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.schemas.lattice import CORNER_OFFSETS
+from heartcase.simulator.force_law import ForceLaw
 from heartcase.simulator.model import LatticeModel
 
 __all__ = [
@@ -43,7 +50,10 @@ __all__ = [
     "cell_energies",
     "cell_forces",
     "forces_at_corners",
+    "mean_gradients",
     "mean_slopes",
+    "own_forces_at_corners",
+    "stretching",
     "tissue_spread",
 ]
 
@@ -83,7 +93,51 @@ def cell_forces(model: LatticeModel, displacement: npt.ArrayLike) -> Float64:
 
 def forces_at_corners(model: LatticeModel, u: Float64) -> Float64:
     """Force of each cell on its corners [grid units] at their displacements [cells], shape (cell_count, 8, 3)."""
+    force = own_forces_at_corners(model, u)
+    if model.shares_strain:
+        force += _shared(model, u)[1]
+    return force
+
+
+def own_forces_at_corners(model: LatticeModel, u: Float64) -> Float64:
+    """The same without what follows the mean strain around the corners: of each cell's displacements alone."""
     return _energies_and_forces(model, u, np.arange(model.cell_count))[1]
+
+
+def mean_gradients(model: LatticeModel, u: Float64) -> tuple[Float64, Float64]:
+    """Mean deformation gradient of the tissue that shares strain around each node, and how stiff it is.
+
+    Parameters
+    ----------
+    model
+        The lattice.
+    u
+        Displacements of all cells' corners [cells], shape (cell_count, 8, 3).
+
+    Returns
+    -------
+    tuple of ndarray
+        F_n, shape (node_count, 3, 3), the unit matrix where nothing is shared; v_n [k/h], shape (node_count,).
+    """
+    F = _gradients(np.einsum("mc,nci->nmi", MODES, u), mean_slopes(model.cell_moments.astype(np.float64)))
+    shared = model.shared_stiffness.astype(np.float64)
+    corners = model.cell_corners.ravel()
+    stiffness: Float64 = np.bincount(corners, shared.ravel(), minlength=model.node_count).astype(np.float64)
+    mean = np.zeros((model.node_count, 3, 3))
+    for i, k in np.ndindex(3, 3):
+        mean[:, i, k] = np.bincount(corners, (shared * F[:, None, i, k]).ravel(), minlength=model.node_count)
+    is_shared = stiffness > 0.0
+    mean[is_shared] /= stiffness[is_shared, None, None]
+    mean[~is_shared] = np.eye(3)
+    return mean, stiffness
+
+
+def stretching(law: ForceLaw, F: Float64) -> tuple[Float64, Float64]:
+    """What stretching stores per covered stiffness, shape (count,), and its derivative by F, shape (count, 3, 3)."""
+    cofactors, I_C, D, d = _invariants(F)
+    mu, modulus = law.shear_modulus, law.lame_modulus + law.shear_modulus / 3.0
+    energy = 0.5 * mu * (I_C - 3.0) - mu * d + 0.5 * modulus * d**2
+    return energy, mu * F + (modulus * d - mu)[:, None, None] * _d_slope(F, cofactors, D, d)
 
 
 def cell_energies(
@@ -94,8 +148,11 @@ def cell_energies(
     Only in the cells of a mask, shape (cell_count,), where one is given: then as many values as it has cells.
     """
     chosen = np.arange(model.cell_count) if cells is None else np.flatnonzero(cells)
-    u = np.asarray(displacement, dtype=np.float64)[model.cell_corners[chosen]]
-    return _energies_and_forces(model, u, chosen)[0]
+    u = np.asarray(displacement, dtype=np.float64)[model.cell_corners]
+    energy = _energies_and_forces(model, u[chosen], chosen)[0]
+    if model.shares_strain:
+        energy += _shared(model, u)[0][chosen]
+    return energy
 
 
 def mean_slopes(moments: Float64) -> Float64:
@@ -126,7 +183,8 @@ def _energies_and_forces(model: LatticeModel, u: Float64, cells: npt.NDArray[np.
     energy, force = np.zeros(len(u)), np.zeros_like(u)
     terms = []
     if model.law.is_element:
-        element = _element(model, u, model.cell_moments[cells].astype(np.float64))
+        own = 1.0 - model.cell_shares[cells].astype(np.float64).sum(axis=1)
+        element = _element(model.law, u, model.cell_moments[cells].astype(np.float64), own)
         terms.append((model.cell_force_scale[cells], *element))
     elif model.law.has_volume_term:
         terms.append((model.cell_force_scale[cells], *_volume_term(model, u)))
@@ -138,15 +196,31 @@ def _energies_and_forces(model: LatticeModel, u: Float64, cells: npt.NDArray[np.
     return energy, force
 
 
-def _deformation(q: Float64, slopes: Float64) -> tuple[Float64, Float64, Float64, Float64, Float64]:
-    """F, its cofactors, I_C, D and d of each cell."""
-    F = np.eye(3) + np.swapaxes(q[:, :3], 1, 2) + np.einsum("nai,nak->nik", q[:, 3:], slopes)
+def _shared(model: LatticeModel, u: Float64) -> tuple[Float64, Float64]:
+    """What the mean strain around its corners stores in each cell, shape (count,), and forces on them, (count, 8, 3)."""
+    at_node = stretching(model.law, mean_gradients(model, u)[0])
+    shared = model.shared_stiffness.astype(np.float64)
+    energy = (shared * at_node[0][model.cell_corners]).sum(axis=1)
+    P = np.einsum("nc,ncik->nik", shared, at_node[1][model.cell_corners])
+    slopes = mean_slopes(model.cell_moments.astype(np.float64))
+    by_mode = np.concatenate([np.swapaxes(P, 1, 2), np.einsum("nki,nai->nak", P, slopes)], axis=1)
+    return energy, -np.einsum("mc,nmi->nci", MODES, by_mode)
+
+
+def _gradients(q: Float64, slopes: Float64) -> Float64:
+    """F of each cell, shape (count, 3, 3)."""
+    F: Float64 = np.eye(3) + np.swapaxes(q[:, :3], 1, 2) + np.einsum("nai,nak->nik", q[:, 3:], slopes)
+    return F
+
+
+def _invariants(F: Float64) -> tuple[Float64, Float64, Float64, Float64]:
+    """Cofactors of F, I_C, D and d."""
     a, b, c = np.moveaxis(F, 2, 0)
     cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=2)
     I_C = (F**2).sum(axis=(1, 2))
     D = 0.5 + I_C / 6.0
     d = ((a * cofactors[:, :, 0]).sum(axis=1) - 1.0) / D
-    return F, cofactors, I_C, D, d
+    return cofactors, I_C, D, d
 
 
 def _d_slope(F: Float64, cofactors: Float64, D: Float64, d: Float64) -> Float64:
@@ -157,27 +231,28 @@ def _d_slope(F: Float64, cofactors: Float64, D: Float64, d: Float64) -> Float64:
 
 def _volume_term(model: LatticeModel, u: Float64) -> tuple[Float64, Float64]:
     q = np.einsum("mc,nci->nmi", MODES, u)
-    F, cofactors, _, D, d = _deformation(q, np.zeros((len(u), 4, 3)))
+    F = _gradients(q, np.zeros((len(u), 4, 3)))
+    cofactors, _, D, d = _invariants(F)
     modulus = model.law.volume_modulus
     P = (modulus * d)[:, None, None] * _d_slope(F, cofactors, D, d)
     return 0.5 * modulus * d**2, -np.einsum("mc,nim->nci", MODES[:3], P)
 
 
-def _element(model: LatticeModel, u: Float64, moments: Float64) -> tuple[Float64, Float64]:
-    law = model.law
-    mu, modulus = law.shear_modulus, law.lame_modulus + law.shear_modulus / 3.0
+def _element(law: ForceLaw, u: Float64, moments: Float64, own: Float64) -> tuple[Float64, Float64]:
+    """Energy and forces of cells of which a part, shape (count,), is stretched as they are themselves."""
     slopes, spread = mean_slopes(moments), tissue_spread(moments)
     q = np.einsum("mc,nci->nmi", MODES, u)
-    F, cofactors, I_C, D, d = _deformation(q, slopes)
+    F = _gradients(q, slopes)
+    D = _invariants(F)[2]
     a = np.einsum("nki,nak->nai", F, q[:, 3:])
-    e = _linear_stress(a, spread, law.plate_modulus, law.poissons_ratio, mu, law.youngs_modulus)
+    e = _linear_stress(a, spread, law.plate_modulus, law.poissons_ratio, law.shear_modulus, law.youngs_modulus)
     H = 0.5 * (a * e).sum(axis=(1, 2))
     Q = np.einsum("a,nai->n", EDGE_SQUARES, q[:, 3:] ** 2)
     D_H = D + Q / 6.0
     warp = np.maximum(Q - WARP_FREE, 0.0) / (1.0 + Q)
-    energy = 0.5 * mu * (I_C - 3.0) - mu * d + 0.5 * modulus * d**2 + H / D_H
-    energy += 0.5 * WARP_STIFFNESS * warp**2 * (1.0 + Q)
-    P = mu * F + (modulus * d - mu)[:, None, None] * _d_slope(F, cofactors, D, d)
+    stored, slope = stretching(law, F)
+    energy = own * stored + H / D_H + 0.5 * WARP_STIFFNESS * warp**2 * (1.0 + Q)
+    P = own[:, None, None] * slope
     P += np.einsum("nak,nai->nki", q[:, 3:], e) / D_H[:, None, None] - (H / D_H**2 / 3.0)[:, None, None] * F
     by_mode = np.empty_like(q)
     by_mode[:, :3] = np.swapaxes(P, 1, 2)

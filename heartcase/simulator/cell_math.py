@@ -11,16 +11,30 @@ numbers and for the vectors of lanes: they use only the operators of arithmetic.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from heartcase.simulator.cell_forces import CORNER_FLOOR, CORNER_STIFFNESS, EDGE_SQUARES, WARP_FREE, WARP_STIFFNESS
 
-__all__ = ["make_cell_math"]
+__all__ = ["NOTHING_SHARED", "CellMath", "make_cell_math"]
+
+NOTHING_SHARED = ((np.float32(0.0),) * 3,) * 3
+"""What an element takes from its corners' means where it is all stretched as it is itself."""
 
 
-def make_cell_math(compiled: Callable[[Any], Any], positive_part: Callable[[Any], Any]) -> tuple[Any, Any, Any, Any]:
+class CellMath(NamedTuple):
+    """The functions of one cell, for one target: :func:`make_cell_math`."""
+
+    gradient: Any
+    stretching: Any
+    element: Any
+    volume_term: Any
+    corner_guard: Any
+    corner_lack: Any
+
+
+def make_cell_math(compiled: Callable[[Any], Any], positive_part: Callable[[Any], Any]) -> CellMath:
     """The functions of one cell, for one target.
 
     Vectors are tuples (x, y, z); the corners' displacements are a tuple of eight, by the corner's number.
@@ -34,9 +48,16 @@ def make_cell_math(compiled: Callable[[Any], Any], positive_part: Callable[[Any]
 
     Returns
     -------
+    gradient
+        ``(u, moments)`` to the columns of F - 1. ``moments`` are the tissue's means of x, y, z, yz, xz, xy (and
+        variances along x, y, z).
+    stretching
+        ``(h, law)`` to the columns of the derivative of what stretching stores, from those of F - 1; ``law`` is (mu,
+        lambda + mu / 3, E', nu, E).
     element
-        ``(u, scale, moments, law)`` to the forces. ``moments`` are the tissue's means of x, y, z, yz,
-        xz, xy and variances along x, y, z; ``law`` is (mu, lambda + mu / 3, E', nu, E).
+        ``(u, scale, own, moments, law, shared)`` to the forces. ``own`` is what of the covered stiffness ``scale`` is
+        stretched as the cell is; ``shared`` are the columns of the stress that the rest takes from its corners' means,
+        times its stiffness, or NOTHING_SHARED.
     volume_term
         ``(u, scale, modulus)`` to the forces.
     corner_guard
@@ -44,7 +65,7 @@ def make_cell_math(compiled: Callable[[Any], Any], positive_part: Callable[[Any]
     corner_lack
         ``(u, volume)``: by how much the flattest corners are below a volume, summed up; zero where none is.
 
-    The first three give the x, y and z components, eight values each, by the corner's number.
+    Those of forces give the x, y and z components, eight values each, by the corner's number.
     """
     one, two, half, quarter = np.float32(1.0), np.float32(2.0), np.float32(0.5), np.float32(0.25)
     zero, third, sixth = np.float32(0.0), np.float32(1.0 / 3.0), np.float32(1.0 / 6.0)
@@ -113,6 +134,10 @@ def make_cell_math(compiled: Callable[[Any], Any], positive_part: Callable[[Any]
         return start[0] + v[0] * w, start[1] + v[1] * w, start[2] + v[2] * w
 
     @compiled
+    def minus(v, w):  # type: ignore[no-untyped-def]
+        return v[0] - w[0], v[1] - w[1], v[2] - w[2]
+
+    @compiled
     def cofactor_columns(h):  # type: ignore[no-untyped-def]
         """Columns of the cofactors of a matrix of columns."""
         return cross(h[1], h[2]), cross(h[2], h[0]), cross(h[0], h[1])
@@ -169,23 +194,46 @@ def make_cell_math(compiled: Callable[[Any], Any], positive_part: Callable[[Any]
         return fx, fy, fz
 
     @compiled
-    def element(u, scale, moments, law):  # type: ignore[no-untyped-def]
+    def gradient(u, moments):  # type: ignore[no-untyped-def]
+        """Columns of H = F - 1."""
         mx, my, mz = modes(u, 0), modes(u, 1), modes(u, 2)
-        m0, m1, m2, myz, mxz, mxy, sx, sy, sz = moments
-        mu, modulus, plate, ratio, youngs = law
+        m0, m1, m2, myz, mxz, mxy = moments[0], moments[1], moments[2], moments[3], moments[4], moments[5]
         q1, q2, q3, q4 = (mx[3], my[3], mz[3]), (mx[4], my[4], mz[4]), (mx[5], my[5], mz[5]), (mx[6], my[6], mz[6])
-        h = (
+        return (
             added_up((mx[0], my[0], mz[0]), q2, m2, q3, m1, q4, myz),
             added_up((mx[1], my[1], mz[1]), q1, m2, q3, m0, q4, mxz),
             added_up((mx[2], my[2], mz[2]), q1, m1, q2, m0, q4, mxy),
         )
+
+    @compiled
+    def stretched(h, cofactors, trace, beyond, d, s, less, law):  # type: ignore[no-untyped-def]
+        """Columns of s times D times what stretching gives, less a multiple of F."""
+        mu = law[0]
+        b = law[1] * d
+        a = s * (mu * (beyond + d * third) - b * d * third) - less
+        return stress(h, cofactors, a + s * (b + (b - mu) * trace), a + s * mu, s * (mu - b))
+
+    @compiled
+    def stretching(h, law):  # type: ignore[no-untyped-def]
+        cofactors = cofactor_columns(h)
+        trace, beyond, inverse, d = change_of_volume(h, cofactors)
+        return stretched(h, cofactors, trace, beyond, d, inverse, zero, law)
+
+    @compiled
+    def element(u, scale, own, moments, law, shared):  # type: ignore[no-untyped-def]
+        mx, my, mz = modes(u, 0), modes(u, 1), modes(u, 2)
+        m0, m1, m2, myz, mxz, mxy, sx, sy, sz = moments
+        mu, _, plate, ratio, youngs = law
+        q1, q2, q3, q4 = (mx[3], my[3], mz[3]), (mx[4], my[4], mz[4]), (mx[5], my[5], mz[5]), (mx[6], my[6], mz[6])
+        h = gradient(u, moments)
         cofactors = cofactor_columns(h)
         trace, beyond, inverse, d = change_of_volume(h, cofactors)
         squared = (dot(q1, q1) + dot(q2, q2) + dot(q3, q3)) * square + dot(q4, q4) * far_square
         warp = positive_part(squared - warp_free) / (squared + one)
         inverse_bent = one / (beyond + one + squared * sixth)
-        # Everything is worked out times D, so what H gives is weighted by D over its own divisor.
-        weight = (beyond + one) * inverse_bent
+        # Stress is worked out times D, so what H gives is weighted by D over its own divisor. All are forces: negative.
+        s = -(scale * inverse)
+        weight = s * ((beyond + one) * inverse_bent)
         plate_w, shear_w, youngs_w = plate * weight, mu * weight, youngs * weight
 
         a1, a2, a3, a4 = pulled_back(h, q1), pulled_back(h, q2), pulled_back(h, q3), pulled_back(h, q4)
@@ -198,17 +246,14 @@ def make_cell_math(compiled: Callable[[Any], Any], positive_part: Callable[[Any]
         e4 = (youngs_w * sy * sz * a4[0], youngs_w * sx * sz * a4[1], youngs_w * sx * sy * a4[2])
         linear = (dot(a1, e1) + dot(a2, e2) + dot(a3, e3) + dot(a4, e4)) * half
 
-        b = modulus * d
         falling = linear * inverse_bent * third
-        a = mu * (beyond + d * third) - b * d * third - falling
-        by_square = warp_stiffness * warp * (one - warp * half) * (beyond + one) - falling
-        x, y, z = stress(h, cofactors, a + b + (b - mu) * trace, a + mu, mu - b)
+        by_square = s * (warp_stiffness * warp * (one - warp * half) * (beyond + one)) - falling
+        x, y, z = stretched(h, cofactors, trace, beyond, d, -(own * inverse), falling, law)
         x = added_up(x, q1, e1[0], q2, e2[0], q3, e3[0])
-        x = (x[0] + q4[0] * e4[0], x[1] + q4[1] * e4[0], x[2] + q4[2] * e4[0])
         y = added_up(y, q1, e1[1], q2, e2[1], q3, e3[1])
-        y = (y[0] + q4[0] * e4[1], y[1] + q4[1] * e4[1], y[2] + q4[2] * e4[1])
         z = added_up(z, q1, e1[2], q2, e2[2], q3, e3[2])
-        z = (z[0] + q4[0] * e4[2], z[1] + q4[1] * e4[2], z[2] + q4[2] * e4[2])
+        x, y, z = added(x, q4, e4[0]), added(y, q4, e4[1]), added(z, q4, e4[2])
+        x, y, z = minus(x, shared[0]), minus(y, shared[1]), minus(z, shared[2])
 
         f1, f2 = pushed_forward(h, e1), pushed_forward(h, e2)
         f3, f4 = pushed_forward(h, e3), pushed_forward(h, e4)
@@ -219,10 +264,9 @@ def make_cell_math(compiled: Callable[[Any], Any], positive_part: Callable[[Any]
         bent, far_bent = by_square * square, by_square * far_square
         f1, f2 = added(f1, q1, bent), added(f2, q2, bent)
         f3, f4 = added(f3, q3, bent), added(f4, q4, far_bent)
-        s = -(scale * inverse)
-        fx = at_corners(s * x[0], s * y[0], s * z[0], s * f1[0], s * f2[0], s * f3[0], s * f4[0])
-        fy = at_corners(s * x[1], s * y[1], s * z[1], s * f1[1], s * f2[1], s * f3[1], s * f4[1])
-        fz = at_corners(s * x[2], s * y[2], s * z[2], s * f1[2], s * f2[2], s * f3[2], s * f4[2])
+        fx = at_corners(x[0], y[0], z[0], f1[0], f2[0], f3[0], f4[0])
+        fy = at_corners(x[1], y[1], z[1], f1[1], f2[1], f3[1], f4[1])
+        fz = at_corners(x[2], y[2], z[2], f1[2], f2[2], f3[2], f4[2])
         return fx, fy, fz
 
     @compiled
@@ -319,4 +363,4 @@ def make_cell_math(compiled: Callable[[Any], Any], positive_part: Callable[[Any]
             + lack(along_i[3], along_j[3], along_k[3], volume)
         )
 
-    return element, volume_term, corner_guard, corner_lack
+    return CellMath(gradient, stretching, element, volume_term, corner_guard, corner_lack)

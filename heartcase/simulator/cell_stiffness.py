@@ -35,34 +35,99 @@ class CellStiffness:
         ends = np.cumsum(np.bincount(self._corners.ravel(), minlength=model.node_count))
         self._first = np.concatenate(([0], ends))
         self._at_corners = np.zeros((count, 8, 3))
+        self._shared = model.shared_stiffness[:count].astype(np.float64)
+        self._own = self._scale - self._shared.sum(axis=1)
+        self._gradient = np.zeros((count, 3, 3))
+        self._node_stress = np.zeros((model.node_count if model.shares_strain else 0, 3, 3))
 
     def add_times(self, moved: Float64, inverse_root: Float64, product: Float64) -> None:
         """Add stiffness times displacements, over the roots of the masses, to a product; all (node_count, 3)."""
         if self.acts:
-            numbers = (self._corners, self._scale, self._slopes, self._spread, self._law)
-            _resist(*numbers, moved, self._at_corners)
+            if len(self._node_stress):
+                _stretch(self._corners, self._slopes, moved, self._gradient)
+                _share(self._places, self._first, self._shared, self._gradient, self._law, self._node_stress)
+            cells = (self._corners, self._scale, self._own, self._slopes, self._spread)
+            _resist(*cells, self._law, self._shared, self._node_stress, moved, self._at_corners)
             _gather(self._places, self._first, self._at_corners.reshape(-1, 3), inverse_root, product)
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def _modes(corners: Int32, cell: int, moved: Float64) -> Float64:
+    """Columns of G and q_1 to q_4 of a cell, shape (7, 3)."""
+    q = np.zeros((7, 3))
+    for mode in range(7):
+        for corner in range(8):
+            for axis in range(3):
+                q[mode, axis] += MODES[mode, corner] * moved[corners[cell, corner], axis]
+    return q
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def _mean_gradient(q: Float64, slopes: Float64) -> Float64:
+    """Mean gradient of the displacement over a cell's tissue, shape (3, 3)."""
+    G = np.zeros((3, 3))
+    for i in range(3):
+        for k in range(3):
+            G[i, k] = q[k, i]
+            for mode in range(4):
+                G[i, k] += q[3 + mode, i] * slopes[mode, k]
+    return G
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def _stress(G: Float64, mu: float, lame: float) -> Float64:
+    """Hooke's law."""
+    P = mu * (G + G.T)
+    trace = lame * (G[0, 0] + G[1, 1] + G[2, 2])
+    for i in range(3):
+        P[i, i] += trace
+    return P
+
+
+@njit(cache=True, nogil=True, parallel=True)  # type: ignore[untyped-decorator]
+def _stretch(corners: Int32, slopes: Float64, moved: Float64, gradient: Float64) -> None:
+    """Write the gradient of each cell."""
+    for cell in prange(len(corners)):
+        gradient[cell] = _mean_gradient(_modes(corners, cell, moved), slopes[cell])
+
+
+@njit(cache=True, nogil=True, parallel=True)  # type: ignore[untyped-decorator]
+def _share(places: Int64, first: Int64, shared: Float64, gradient: Float64, law: Float64, node_stress: Float64) -> None:
+    """Write the stress of the mean strain around each node."""
+    for node in prange(len(node_stress)):
+        mean = np.zeros((3, 3))
+        stiffness = 0.0
+        for place in range(first[node], first[node + 1]):
+            cell, corner = divmod(places[place], 8)
+            mean += shared[cell, corner] * gradient[cell]
+            stiffness += shared[cell, corner]
+        if stiffness > 0.0:
+            mean /= stiffness
+        node_stress[node] = _stress(mean, law[0], law[1])
 
 
 @njit(cache=True, nogil=True, parallel=True)  # type: ignore[untyped-decorator]
 def _resist(
-    corners: Int32, scale: Float64, slopes: Float64, spread: Float64, law: Float64, moved: Float64, at_corners: Float64
+    corners: Int32,
+    scale: Float64,
+    own: Float64,
+    slopes: Float64,
+    spread: Float64,
+    law: Float64,
+    shared: Float64,
+    node_stress: Float64,
+    moved: Float64,
+    at_corners: Float64,
 ) -> None:
+    """Write the forces of each cell on its corners."""
     mu, lame, plate, ratio, youngs = law
     is_element = mu > 0
     for cell in prange(len(corners)):
-        q = np.zeros((7, 3))
-        for mode in range(7):
+        q = _modes(corners, cell, moved)
+        P = own[cell] * _stress(_mean_gradient(q, slopes[cell]), mu, lame)
+        if len(node_stress):
             for corner in range(8):
-                for axis in range(3):
-                    q[mode, axis] += MODES[mode, corner] * moved[corners[cell, corner], axis]
-        G = np.zeros((3, 3))
-        for i in range(3):
-            for k in range(3):
-                G[i, k] = q[k, i]
-                for mode in range(4):
-                    G[i, k] += q[3 + mode, i] * slopes[cell, mode, k]
-        trace = lame * (G[0, 0] + G[1, 1] + G[2, 2])
+                P += shared[cell, corner] * node_stress[corners[cell, corner]]
         e = np.zeros((7, 3))
         if is_element:
             x, y, z = spread[cell]
@@ -75,20 +140,18 @@ def _resist(
                 e[3 + n, n] += twist
             for axis, product in enumerate((y * z, x * z, x * y)):
                 e[6, axis] += youngs * product * q[6, axis]
+        e *= scale[cell]
         for i in range(3):
             for k in range(3):
-                P = mu * (G[i, k] + G[k, i])
-                if i == k:
-                    P += trace
-                e[k, i] += P
+                e[k, i] += P[i, k]
                 for mode in range(4):
-                    e[3 + mode, i] += P * slopes[cell, mode, k]
+                    e[3 + mode, i] += P[i, k] * slopes[cell, mode, k]
         for corner in range(8):
             for axis in range(3):
                 total = 0.0
                 for mode in range(7):
                     total += MODES[mode, corner] * e[mode, axis]
-                at_corners[cell, corner, axis] = scale[cell] * total
+                at_corners[cell, corner, axis] = total
 
 
 @njit(cache=True, nogil=True, parallel=True)  # type: ignore[untyped-decorator]

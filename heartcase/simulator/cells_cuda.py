@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from heartcase.simulator.cell_forces import LOOK_BELOW
-from heartcase.simulator.lanes import LaneLayout, cell_numbers
+from heartcase.simulator.lanes import SHARE_NUMBERS, LaneLayout, cell_numbers, cell_shares, inverse_shared
 from heartcase.simulator.model import LatticeModel
 
 __all__ = ["LOOK_STEPS", "CellsOnDevice", "plain_launch"]
@@ -39,7 +39,11 @@ class CellsOnDevice:
         for corner in range(8):
             node_cell[corner, corners[corner]] = np.arange(self._count)
         self._node_cell = cuda.to_device(node_cell.ravel())
+        self._corner_node = cuda.to_device(corners.astype(np.uint32).ravel())
         self._force = cuda.to_device(np.zeros(24 * self._count, np.float32))
+        # Where nothing is shared there is no room for it.
+        counts = (self._count, model.node_count) if model.shares_strain else (1, 1)
+        self._gradient, self._stress = (cuda.to_device(np.zeros(SHARE_NUMBERS * count, np.float32)) for count in counts)
         self._is_flat = cuda.mapped_array(1, np.uint32)
         self.set_model(model)
 
@@ -49,6 +53,9 @@ class CellsOnDevice:
         self._has_elements, self._has_guard = law.is_element, law.has_corner_guard
         self._always = law.acts_in_cells
         self._numbers = self._cuda.to_device(cell_numbers(model).ravel())
+        self._has_sharing = model.shares_strain
+        self._shares = self._cuda.to_device(cell_shares(model).ravel())
+        self._inverse_shared = self._cuda.to_device(inverse_shared(model))
         self._law = self._cuda.to_device(np.resize(law.constants, 5).astype(np.float32))
         self._presence = self._cuda.to_device(self._layout.spring_weight(model, model.spring_weight))
 
@@ -73,9 +80,15 @@ class CellsOnDevice:
         return bool(self._is_flat[0])
 
     def arguments(self) -> tuple[Any, ...]:
-        """What ``advance_with_cells`` wants of the cells, from ``corner_lane`` to ``has_guard``."""
+        """What ``advance_with_cells`` wants of the cells, from ``corner_lane`` to ``has_sharing``."""
         arrays = (self._corner_lane, self._numbers, self._force, self._law, self._node_cell)
-        return (*arrays, self._has_elements, self._has_guard)
+        return (*arrays, *self._sharing)
+
+    @property
+    def _sharing(self) -> tuple[Any, ...]:
+        """What kernels want from ``corner_node`` to ``has_sharing``."""
+        arrays = (self._corner_node, self._shares, self._inverse_shared, self._gradient, self._stress)
+        return (*arrays, self._has_elements, self._has_guard, self._has_sharing)
 
     @property
     def presence(self) -> Any:
@@ -86,8 +99,13 @@ class CellsOnDevice:
         """Add the forces of the cells to those on some nodes, shape (at least len(nodes), 3)."""
         if not self.may_act:
             return
+        if self._has_sharing:
+            stretch = self.kernels.stretch_cells[plain_launch(self._count)]
+            stretch(displacement, first, self._corner_lane, self._numbers, self._gradient)
+            share = self.kernels.share_strain[plain_launch(len(self._inverse_shared))]
+            means = (self._gradient, self._shares, self._inverse_shared, self._stress)
+            share(*means, self._law, self._node_cell)
         work = self.kernels.work_cells[plain_launch(self._count)]
-        kind = (self._has_elements, self._has_guard)
-        work(displacement, first, self._corner_lane, self._numbers, self._force, self._law, *kind)
+        work(displacement, first, self._corner_lane, self._numbers, self._force, self._law, *self._sharing)
         add = self.kernels.add_cell_forces[plain_launch(len(nodes))]
         add(self._force, self._node_cell, self._count, nodes, force)

@@ -12,11 +12,28 @@ from numba import get_num_threads
 from heartcase.simulator.contact import NO_PROBES
 from heartcase.simulator.explicit import SpringsByNode
 from heartcase.simulator.integrate import Verlet
-from heartcase.simulator.kernel_cpu import CHUNKS_PER_ROOM, ELEMENTS, NO_CELLS, VOLUME_TERM, advance, lane_forces
+from heartcase.simulator.kernel_cpu import (
+    CHUNKS_PER_ROOM,
+    ELEMENTS,
+    NO_CELLS,
+    SHARING_ELEMENTS,
+    VOLUME_TERM,
+    SharingArrays,
+    advance,
+    lane_forces,
+)
 from heartcase.simulator.kernel_cpu_chunks import KEPT_NODES_MAX, chunk_arrays
 from heartcase.simulator.kernel_cpu_sleep import ROUNDING, sleep_arrays
 from heartcase.simulator.kernel_cpu_springs import WINDOW_NUMBERS
-from heartcase.simulator.lanes import EMPTY_START, LANE_COUNT, ROWS, cell_layout, lane_layout
+from heartcase.simulator.lanes import (
+    EMPTY_START,
+    LANE_COUNT,
+    ROWS,
+    SHARE_NUMBERS,
+    cell_layout,
+    inverse_shared,
+    lane_layout,
+)
 from heartcase.simulator.meeting import Crew, Meeting
 from heartcase.simulator.model import DIRECTIONS, LatticeModel
 from heartcase.simulator.pace import Pace
@@ -65,6 +82,10 @@ class CpuEngine:
         may_act = model.law.acts_in_cells or model.law.has_corner_guard
         room_count = -(-(len(self._chunks.ends) - 1) // CHUNKS_PER_ROOM)
         self.cell_force = _aligned((room_count, layout.length(3 * CHUNKS_PER_ROOM) if may_act else 0))
+        self._means = [
+            _aligned((layout.length(count) if model.shares_strain else 0,))
+            for count in (SHARE_NUMBERS + 1, SHARE_NUMBERS)
+        ]
         self.set_springs(model)
         self.set_inverse_mass(model.inverse_mass)
         self.pace = Pace()
@@ -147,6 +168,7 @@ class CpuEngine:
             tuple(np.float32(number) for number in verlet.numbers),
             self._cell_arrays,
             self._kinds,
+            self._sharing,
             self._explicit,
             self._rest,
             probes,
@@ -169,6 +191,9 @@ class CpuEngine:
         if law.is_element:
             self.presence = self.layout.spring_weight(model, model.spring_weight)
         in_cells = ELEMENTS if law.is_element else VOLUME_TERM if law.has_volume_term else NO_CELLS
+        if model.shares_strain:
+            in_cells = SHARING_ELEMENTS
+        self._sharing = self._sharing_arrays(model)
         self._kinds = (in_cells, bool(weight.any()), law.has_corner_guard)
         self._cell_arrays = (
             self.cells.window_rows,
@@ -186,12 +211,22 @@ class CpuEngine:
         self._explicit = (lanes[nodes], first, lanes[springs.other], springs.offset, springs.stiffness)
         self.model = model
 
+    def _sharing_arrays(self, model: LatticeModel) -> SharingArrays:
+        """What elements need that share strain."""
+        gradient, stress = self._means
+        is_sharing = np.zeros(len(self.cells.window_rows), np.int8)
+        if not model.shares_strain:
+            return SharingArrays(_aligned((0,)), gradient, stress, is_sharing)
+        window = np.searchsorted(self.cells.window_rows[:, 4], self.cells.cell_lane, side="right") - 1
+        is_sharing[window[model.shared_stiffness.any(axis=1)]] = 1
+        gradient[SHARE_NUMBERS * self.layout.stride + self.layout.node_lane] = inverse_shared(model)
+        return SharingArrays(self.cells.shares(model), gradient, stress, is_sharing)
+
     def forces(self, nodes: npt.NDArray[np.intp] | None = None) -> Float32:
         """Spring forces now, on some nodes or all; only the windows that hold them are worked out."""
         rows = self.layout.window_rows if nodes is None else self.layout.windows_of(nodes)
-        lane_forces(
-            self.displacement, self.weight, self.force, rows, self._cell_arrays, self._kinds, self._sleep, self._chunks
-        )
+        cells = (self._cell_arrays, self._kinds, self._sharing)
+        lane_forces(self.displacement, self.weight, self.force, rows, *cells, self._rows, self._sleep, self._chunks)
         force = self.force[self._vectors if nodes is None else self._vectors[nodes]]
         if self.model.explicit.count:
             explicit = self.model.explicit.forces(self.model.node_index, self.read().displacement)

@@ -10,7 +10,7 @@ is reckoned in units of k/h = 0.4 E: there mu = 1.25 / (1 + ratio) and lambda = 
     A hexahedron per cell with one point of integration at the tissue's centroid, and the strain's linear part by itself
     (assumed strain, Belytschko and Bindeman, Comput. Methods Appl. Mech. Eng. 105, 1993): bending is exact in a wall
     one cell thick. Where the moments of the tissue in a cell are known, a thin wall along the cells bends as such
-    wherever it lies in them, and one askew to them bends too stiffly, but less so than springs.
+    wherever it lies in them. One askew to them does so because its cells share strain with those around them.
 """
 
 from __future__ import annotations
@@ -49,6 +49,9 @@ class ForceLaw:
     """Poisson's ratio [1], 0.25 to 0.49. The closer to 1/2, the shorter the step."""
     guards_corners: bool = True
     """Whether corners of cells that are about to turn inside out push back; elements do so by themselves."""
+    shares_strain: bool = True
+    """Whether elements of thin walls askew to the grid are strained in part by the mean around their corners
+    (:mod:`heartcase.simulator.strain_sharing`); without, they bend too stiffly, and a step takes less time."""
 
     def __post_init__(self) -> None:
         problems = []
@@ -105,6 +108,11 @@ class ForceLaw:
     def has_corner_guard(self) -> bool:
         """Whether corners push back: elements do so without."""
         return self.guards_corners and not self.is_element
+
+    @property
+    def has_shared_strain(self) -> bool:
+        """Whether cells share strain: elements may."""
+        return self.shares_strain and self.is_element
 
     @property
     def constants(self) -> tuple[float, ...]:

@@ -12,6 +12,8 @@ kernel_cpu_sleep`), only windows that are awake are worked out.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import numpy.typing as npt
 from numba import njit
@@ -19,8 +21,11 @@ from numba import njit
 from heartcase.simulator.kernel_cpu_cells import (
     clear_window,
     element_of_window,
+    gradient_of_window,
     guard_of_window,
     is_flat_window,
+    mean_stress_of_window,
+    sharing_element_of_window,
     volume_of_window,
 )
 from heartcase.simulator.kernel_cpu_chunks import ChunkArrays, share_out
@@ -47,7 +52,16 @@ from heartcase.simulator.lanes import BANK_LANES, CELL_NUMBERS
 from heartcase.simulator.meeting import Meeting, meet
 from heartcase.simulator.vector_ir import flush_subnormals, restore_subnormals
 
-__all__ = ["CHUNKS_PER_ROOM", "ELEMENTS", "NO_CELLS", "VOLUME_TERM", "advance", "lane_forces"]
+__all__ = [
+    "CHUNKS_PER_ROOM",
+    "ELEMENTS",
+    "NO_CELLS",
+    "SHARING_ELEMENTS",
+    "VOLUME_TERM",
+    "SharingArrays",
+    "advance",
+    "lane_forces",
+]
 
 Float32 = npt.NDArray[np.float32]
 Int8 = npt.NDArray[np.int8]
@@ -63,8 +77,23 @@ LOOK_STEPS = 8
 """Steps between two looks for corners that are about to turn inside out."""
 CHUNKS_PER_ROOM = CELL_NUMBERS // 3
 """Chunks whose forces share an array: it has room for so many numbers a lane."""
-NO_CELLS, VOLUME_TERM, ELEMENTS = 0, 1, 2
+NO_CELLS, VOLUME_TERM, ELEMENTS, SHARING_ELEMENTS = 0, 1, 2, 3
 """What acts in the cells beside springs and the corner guard."""
+
+
+class SharingArrays(NamedTuple):
+    """What elements need that share strain; of length 0 where none do."""
+
+    shares: Float32
+    """Stiffness of each cell that is strained by the mean around each corner, and by itself [k/h]: nine numbers a
+    lane."""
+    gradient: Float32
+    """Room for F - 1 of each cell, nine numbers a lane; then the inverse of the stiffness that shares strain around
+    each node [h/k], zero where there is none."""
+    stress: Float32
+    """Room for the stress of the mean strain around each node, nine numbers a lane."""
+    is_sharing: Int8
+    """Whether a cell of a window shares strain, shape (cell_window_count,)."""
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
@@ -100,12 +129,37 @@ def _has_flat(cells: CellArrays) -> bool:
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
-def _add_cells(windows: Int64 | Int32, kind: int, now: Float32, force: Float32, cells: CellArrays) -> None:
+def _stretch(
+    thread: int, thread_count: int, now: Float32, cells: CellArrays, sharing: SharingArrays, sleep: SleepArrays
+) -> None:
+    """Write the gradients of a thread's part of the windows of cells that share strain."""
+    count = sleep.counts[1]
+    for window in sleep.awake_cells[thread * count // thread_count : (thread + 1) * count // thread_count]:
+        if sharing.is_sharing[window]:
+            gradient_of_window(now, cells[1], sharing.gradient, cells[0], window)
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def _share_strain(
+    thread: int, thread_count: int, rows: Int64, cells: CellArrays, sharing: SharingArrays, chunks: ChunkArrays
+) -> None:
+    """Write the stress of the means around a thread's part of the nodes that such cells have for corners."""
+    count = chunks.corner_counts[0]
+    for window in chunks.corners[thread * count // thread_count : (thread + 1) * count // thread_count]:
+        mean_stress_of_window(sharing.gradient, sharing.shares, sharing.stress, cells[3], rows, np.int64(window))
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def _add_cells(
+    windows: Int64 | Int32, kind: int, now: Float32, force: Float32, cells: CellArrays, sharing: SharingArrays
+) -> None:
     """Add the forces of some windows of cells to those on the nodes."""
     rows, numbers, _, law, is_flat, _, _ = cells
     for place in range(len(windows)):
         window = np.int64(windows[place])
-        if kind == ELEMENTS:
+        if kind == SHARING_ELEMENTS and sharing.is_sharing[window]:
+            sharing_element_of_window(now, numbers, sharing.shares, sharing.stress, force, law, rows, window)
+        elif kind >= ELEMENTS:
             element_of_window(now, numbers, force, law, rows, window)
         elif kind == VOLUME_TERM:
             volume_of_window(now, numbers, force, law, rows, window)
@@ -149,6 +203,7 @@ def _step_chunk_with_cells(
     constants: Constants,
     cells: CellArrays,
     kinds: Kinds,
+    sharing: SharingArrays,
     chunks: ChunkArrays,
     sleep: SleepArrays,
 ) -> None:
@@ -162,7 +217,7 @@ def _step_chunk_with_cells(
     for window in awake[first:end]:
         if kind != NO_CELLS or is_touched[window]:
             clear_window(force, rows, window)
-    _add_cells(chunks.cells[chunk, : chunks.cell_counts[chunk]], kind, now, force, cells)
+    _add_cells(chunks.cells[chunk, : chunks.cell_counts[chunk]], kind, now, force, cells, sharing)
     if has_springs:
         for number in range(chunks.before_counts[chunk]):
             tension_of_window(now, window_numbers, tension, rows, np.int64(before[chunk, number]))
@@ -196,10 +251,15 @@ def lane_forces(
     rows: Int64,
     cells: CellArrays,
     kinds: Kinds,
+    sharing: SharingArrays,
+    nodes: Int64,
     sleep: SleepArrays,
     chunks: ChunkArrays,
 ) -> None:
-    """Write the forces [grid units] on some windows, of displacements [cells]; three numbers a lane each."""
+    """Write the forces [grid units] on some windows, of displacements [cells]; three numbers a lane each.
+
+    ``rows`` are those of these windows, ``nodes`` those of all.
+    """
     kind, _, has_guard = kinds
     if rouse(sleep, True):
         share_out(chunks, sleep)
@@ -212,7 +272,10 @@ def lane_forces(
         cell_force = cells[2][0]
         for window in range(rows.shape[0]):
             clear_window(cell_force, rows, window)
-        _add_cells(sleep.awake_cells, kind, displacement, cell_force, cells)
+        if kind == SHARING_ELEMENTS:
+            _stretch(0, 1, displacement, cells, sharing, sleep)
+            _share_strain(0, 1, nodes, cells, sharing, chunks)
+        _add_cells(sleep.awake_cells, kind, displacement, cell_force, cells, sharing)
         for window in range(rows.shape[0]):
             force_of_window_with_cells(displacement, weight, cell_force, force, rows, window)
     else:
@@ -256,6 +319,7 @@ def advance(
     constants: Constants,
     cells: CellArrays,
     kinds: Kinds,
+    sharing: SharingArrays,
     explicit: ExplicitArrays,
     rest: Float32,
     probes: Float32,
@@ -305,6 +369,8 @@ def advance(
         window of nodes; windows of nodes that a window of cells belongs to, -1 for none, (count, 8).
     kinds
         What acts in the cells, whether springs act, and whether corners are guarded.
+    sharing
+        Of elements that share strain.
     explicit
         Lanes with explicit springs, where the springs of each begin (and the last end); lane at the other end, offset
         to it with rest length [cells], shape (count, 4), and stiffness [k] of each spring.
@@ -366,10 +432,15 @@ def advance(
             if thread == 0:
                 pull_explicitly(now, velocity, inverse_mass, explicit, constants)
             meet(meeting, thread_count)
+        if kind == SHARING_ELEMENTS:
+            _stretch(thread, thread_count, now, cells, sharing, sleep)
+            meet(meeting, thread_count)
+            _share_strain(thread, thread_count, rows, cells, sharing, chunks)
+            meet(meeting, thread_count)
         state = (now, later, velocity, weight, window_numbers, tension, inverse_mass, rows)
         for chunk in range(thread, chunk_count, thread_count):
             if works_cells:
-                _step_chunk_with_cells(chunk, state, constants, cells, kinds, chunks, sleep)
+                _step_chunk_with_cells(chunk, state, constants, cells, kinds, sharing, chunks, sleep)
             else:
                 _step_chunk(chunk, state, constants, chunks, sleep)
         meet(meeting, thread_count)

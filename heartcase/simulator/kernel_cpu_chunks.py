@@ -54,6 +54,10 @@ class ChunkArrays(NamedTuple):
     """Windows of cells that have a corner in a chunk come first, shape (chunk_count, cell_window_count)."""
     cell_counts: Int64
     """How many these are, shape (chunk_count,)."""
+    corners: Int32
+    """Windows of nodes that are corners of the windows of cells that are awake come first, shape (window_count,)."""
+    corner_counts: Int64
+    """How many these are, shape (1,)."""
 
 
 def chunk_arrays(
@@ -72,6 +76,8 @@ def chunk_arrays(
         touches,
         np.zeros((chunk_count, len(touches)), np.int32),
         np.zeros(chunk_count, np.int64),
+        np.zeros(window_count, np.int32),
+        np.zeros(1, np.int64),
     )
     share_out(chunks, sleep)
     return chunks
@@ -109,7 +115,7 @@ def _set_ends(ends: Int64, before_counts: Int64, count: int) -> None:
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def share_out(chunks: ChunkArrays, sleep: SleepArrays) -> None:
     """Make the chunks from the windows that are awake."""
-    behind, ends, before, before_counts, taken_by, chunk_of, touches, cells, cell_counts = chunks
+    behind, ends, before, before_counts, taken_by, chunk_of, touches, cells, cell_counts, _, _ = chunks
     awake, awake_cells, is_asleep, count = sleep.awake, sleep.awake_cells, sleep.is_asleep, sleep.counts[0]
     chunk_count = len(before_counts)
     before_counts[:] = 0
@@ -150,3 +156,21 @@ def share_out(chunks: ChunkArrays, sleep: SleepArrays) -> None:
             if last < 0 or cells[chunk, last] != window:
                 cells[chunk, last + 1] = window
                 cell_counts[chunk] += 1
+    _list_corners(chunks, sleep)
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def _list_corners(chunks: ChunkArrays, sleep: SleepArrays) -> None:
+    is_corner = chunks.taken_by
+    is_corner[:] = 0
+    for number in range(sleep.counts[1]):
+        for touched in chunks.touches[sleep.awake_cells[number]]:
+            if touched < 0:
+                break
+            is_corner[touched] = 1
+    count = 0
+    for window in range(len(is_corner)):
+        if is_corner[window]:
+            chunks.corners[count] = window
+            count += 1
+    chunks.corner_counts[0] = count

@@ -29,10 +29,13 @@ __all__ = [
     "EMPTY_START",
     "LANE_COUNT",
     "ROWS",
+    "SHARE_NUMBERS",
     "CellLayout",
     "LaneLayout",
     "cell_layout",
     "cell_numbers",
+    "cell_shares",
+    "inverse_shared",
     "lane_layout",
 ]
 
@@ -41,6 +44,9 @@ LANE_COUNT = 8
 
 CELL_NUMBERS = 10
 """Numbers that the kernels read of a cell: :func:`cell_numbers`."""
+
+SHARE_NUMBERS = 9
+"""Numbers of :func:`cell_shares`, and of a gradient or a stress."""
 
 ROWS: npt.NDArray[np.int32] = np.array([(j, k) for k in (-1, 0, 1) for j in (-1, 0, 1)], dtype=np.int32)
 """Offset (j, k) of a window's own row (number 4) and of the eight rows around it, shape (9, 2)."""
@@ -193,6 +199,22 @@ def cell_numbers(model: LatticeModel) -> npt.NDArray[np.float32]:
     return numbers
 
 
+def cell_shares(model: LatticeModel) -> npt.NDArray[np.float32]:
+    """What of each cell's covered stiffness is strained by the mean around each of its corners, and what by itself.
+
+    In k/h, shape (9, cell_count), float32.
+    """
+    shared = model.shared_stiffness
+    own = model.cell_force_scale - shared.sum(axis=1)
+    return np.concatenate([shared.T, own[None]])
+
+
+def inverse_shared(model: LatticeModel) -> npt.NDArray[np.float32]:
+    """Inverse of the stiffness that shares strain around each node [h/k], zero where none does, (node_count,)."""
+    shared = np.bincount(model.cell_corners.ravel(), model.shared_stiffness.ravel(), minlength=model.node_count)
+    return np.divide(1.0, shared, out=np.zeros_like(shared), where=shared > 0.0).astype(np.float32)
+
+
 @dataclass(frozen=True)
 class CellLayout:
     """Where the cells are: each in the lane of its lowest corner."""
@@ -211,6 +233,12 @@ class CellLayout:
         numbers = np.zeros(self.layout.length(CELL_NUMBERS), np.float32)
         numbers[self.layout.places(self.cell_lane, CELL_NUMBERS)] = cell_numbers(model).T
         return numbers
+
+    def shares(self, model: LatticeModel) -> npt.NDArray[np.float32]:
+        """:func:`cell_shares` by lane, shape (length(9),), float32; zero where there is no cell."""
+        shares = np.zeros(self.layout.length(SHARE_NUMBERS), np.float32)
+        shares[self.layout.places(self.cell_lane, SHARE_NUMBERS)] = cell_shares(model).T
+        return shares
 
 
 def cell_layout(model: LatticeModel, layout: LaneLayout) -> CellLayout:

@@ -26,6 +26,7 @@ from heartcase.schemas.lattice import (
 )
 from heartcase.simulator.explicit import ExplicitSprings
 from heartcase.simulator.force_law import ForceLaw
+from heartcase.simulator.strain_sharing import corner_shares
 
 __all__ = ["DIRECTIONS", "GridUnits", "LatticeModel", "make_model"]
 
@@ -94,6 +95,9 @@ class LatticeModel:
     """Density over that of the densest cell [1], shape (cell_count,)."""
     cell_moments: Float32
     """Means of x, y, z, xx, yy, zz, yz, xz, xy over each cell's tissue, from its centre [edges], (cell_count, 9)."""
+    cell_shares: Float32
+    """Part of each cell's tissue that is strained by the mean around each corner [1], shape (cell_count, 8); zeros
+    where the law does not share strain (:mod:`heartcase.simulator.strain_sharing`)."""
     cell_is_whole: npt.NDArray[np.bool_]
     """Whether no spring of the cell was cut, shape (cell_count,). What a cut left is springs alone."""
     node_index: Int32
@@ -153,6 +157,16 @@ class LatticeModel:
     def cell_force_scale(self) -> Float32:
         """Covered stiffness of each cell that was not cut, else zero [k/h], shape (cell_count,)."""
         return np.where(self.cell_is_whole, self.cell_coverage * self.cell_stiffness, np.float32(0.0))
+
+    @property
+    def shares_strain(self) -> bool:
+        """Whether some tissue is strained by the mean around a node."""
+        return bool(self.cell_shares.any())
+
+    @property
+    def shared_stiffness(self) -> Float32:
+        """Covered stiffness of each cell that is strained by the mean around each corner [k/h], (cell_count, 8)."""
+        return self.cell_force_scale[:, None] * self.cell_shares
 
     @property
     def corner_guard_scale(self) -> Float32:
@@ -240,7 +254,10 @@ class LatticeModel:
 
     def with_law(self, law: ForceLaw) -> LatticeModel:
         """A copy whose deformation another law resists."""
-        return replace(self, law=law)
+        shares = self.cell_shares
+        if law.has_shared_strain != self.law.has_shared_strain:
+            shares = _shares(law, self.cells, self.cell_corners, self.cell_coverage, self.cell_moments)
+        return replace(self, law=law, cell_shares=shares)
 
 
 def make_model(
@@ -304,6 +321,7 @@ def make_model(
     node_mass = np.bincount(corners.ravel(), np.repeat(coverage * cell_density / 8, 8), minlength=node_count)
     springs, weight = _springs(corners, coverage * cell_stiffness, node_count)
     lower, direction, higher = springs
+    law = law or ForceLaw()
 
     return LatticeModel(
         geometry=geometry,
@@ -314,6 +332,7 @@ def make_model(
         cell_stiffness=cell_stiffness.astype(np.float32),
         cell_density=cell_density.astype(np.float32),
         cell_moments=moments,
+        cell_shares=_shares(law, cells, corners, coverage.astype(np.float32), moments),
         cell_is_whole=np.ones(cell_count, np.bool_),
         node_index=nodes,
         node_mass=node_mass.astype(np.float32),
@@ -321,8 +340,14 @@ def make_model(
         spring_nodes=np.stack([lower, higher], axis=1).astype(np.int32),
         spring_direction=direction.astype(np.int8),
         spring_weight=weight.astype(np.float32),
-        law=law or ForceLaw(),
+        law=law,
     )
+
+
+def _shares(law: ForceLaw, cells: Int32, corners: Int32, coverage: Float32, moments: Float32) -> Float32:
+    if not law.has_shared_strain:
+        return np.zeros(corners.shape, np.float32)
+    return corner_shares(cells, corners, coverage, moments)
 
 
 def _springs(corners: Int32, stiffness: Float64, node_count: int) -> tuple[tuple[Int64, Int64, Int32], Float64]:

@@ -15,18 +15,24 @@ from heartcase.simulator.force_law import ForceLaw
 from heartcase.simulator.forces_reference import elastic_forces
 from heartcase.simulator.integrate import Verlet
 from heartcase.simulator.state import State
-from tests.simulator.lattices import EPS, block, random_field, random_models, random_moments
+from tests.simulator.lattices import EPS, block, random_field, random_models, random_moments, random_shares
 
 LAWS = st.builds(
-    ForceLaw, st.sampled_from(["springs", "element"]), st.sampled_from([0.25, 0.3, 0.45, 0.49]), st.booleans()
+    ForceLaw,
+    st.sampled_from(["springs", "element"]),
+    st.sampled_from([0.25, 0.3, 0.45, 0.49]),
+    st.booleans(),
+    st.booleans(),
 )
 SEEDS = st.integers(0, 2**32 - 1)
 
 
 def with_law(model, law, seed):
-    """The model under a law, tissue anywhere in its cells, some springs cut."""
+    """The model under a law, tissue anywhere in its cells, any part of it strained by means, some springs cut."""
     rng = np.random.default_rng(seed)
-    model = replace(model, cell_moments=random_moments(model.cell_count, rng), law=law)
+    model = replace(model, cell_moments=random_moments(model.cell_count, rng)).with_law(law)
+    if law.has_shared_strain and rng.random() < 0.5:
+        model = replace(model, cell_shares=random_shares(model.cell_count, rng))
     return model.without_springs(rng.random(model.spring_count) < rng.choice([0.0, 0.05]))
 
 

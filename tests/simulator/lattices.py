@@ -72,6 +72,12 @@ def random_moments(cell_count: int, rng: np.random.Generator) -> np.ndarray:
     return np.concatenate(means, axis=1).astype(np.float32)
 
 
+def random_shares(cell_count: int, rng: np.random.Generator) -> np.ndarray:
+    """Any parts of cells that are strained by the means around their corners, none in some, shape (cell_count, 8)."""
+    part = rng.uniform(0.0, 0.97, cell_count) * (rng.random(cell_count) < 0.8)
+    return (part[:, None] * rng.dirichlet(np.full(8, 0.5), cell_count)).astype(np.float32)
+
+
 def stiffness_matrix(model: LatticeModel, displacement: np.ndarray | None = None) -> np.ndarray:
     """Minus the derivative of the reference forces, at rest or where displaced, by central differences, (3 n, 3 n)."""
     from heartcase.simulator.forces_reference import elastic_forces

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -23,18 +24,27 @@ from heartcase.simulator.kernel_cpu_chunks import share_out
 from heartcase.simulator.kernel_cpu_steps import STEPS_BY_ORDER
 from heartcase.simulator.lanes import LANE_COUNT
 from heartcase.simulator.state import State
-from tests.simulator.lattices import block, random_field, random_models
+from tests.simulator.lattices import block, random_field, random_models, random_shares
 
 SEEDS = st.integers(0, 2**32 - 1)
 LAWS = {
     "springs": ForceLaw(),
     "unguarded": ForceLaw(guards_corners=False),
     "springs-0.4": ForceLaw("springs", 0.4),
-    "element-0.3": ForceLaw("element", 0.3),
+    "element-0.3": ForceLaw("element", 0.3, shares_strain=False),
+    "sharing": ForceLaw("element", 0.3),
 }
 HAS_AVX512 = "+avx512vl" in cpu_target.target_context.codegen().magic_tuple()[2]
 STEP = 2.0**-10
 """A power of two: what it is multiplied with keeps its bits."""
+
+
+def under(model, law):
+    """The model under a law; where it shares strain, any part of its cells does."""
+    model = model.with_law(LAWS[law])
+    if law != "sharing":
+        return model
+    return replace(model, cell_shares=random_shares(model.cell_count, np.random.default_rng(model.cell_count)))
 
 
 def engine_of(model, chunk_count: int, *, keeps_tensions: bool = True) -> CpuEngine:
@@ -64,7 +74,7 @@ def least_corner_volume(corners: np.ndarray) -> np.ndarray:
 @given(random_models(size_max=(30, 6, 12)), st.sampled_from(sorted(LAWS)), SEEDS)
 def test_a_step_is_that_of_all_forces_worked_out_together(model, law, seed):
     """Together springs are worked out from both their ends, and cells in one row."""
-    model = model.with_law(LAWS[law])
+    model = under(model, law)
     rng = np.random.default_rng(seed)
     model = model.without_springs(rng.random(model.spring_count) < 0.1)
     displacement = random_field(model, seed, 0.3)
@@ -79,6 +89,8 @@ def test_a_step_is_that_of_all_forces_worked_out_together(model, law, seed):
         if engine is kept:
             engine.tension[engine.layout.places(engine.layout.node_lane, 9)] = np.nan
         engine.cell_force[:] = np.nan
+        if model.shares_strain:
+            engine._sharing.stress[engine.layout.places(engine.layout.node_lane, 9)] = np.nan
         engine.advance_by(thread_count, 1, Verlet(STEP), NO_PROBES)
         expected = np.float32(STEP) * (forces * model.inverse_mass[:, None])
         np.testing.assert_array_equal(engine.read().velocity, expected)
@@ -142,7 +154,7 @@ def step_one_chunk(engine: CpuEngine, chunk: int) -> None:
     state = (engine.displacement, later, engine.velocity, engine.weight, engine.window_numbers, engine.tension)
     state += (engine.inverse_mass, engine._rows)
     constants = tuple(np.float32(number) for number in Verlet(0.1).numbers)
-    rest = (constants, engine._cell_arrays, engine._kinds, engine._chunks, engine._sleep)
+    rest = (constants, engine._cell_arrays, engine._kinds, engine._sharing, engine._chunks, engine._sleep)
     kernel_cpu._step_chunk_with_cells(chunk, state, *rest)
 
 
@@ -203,7 +215,7 @@ def test_chunks_find_the_tensions_of_all_springs_behind(model, chunk_count, seed
 @pytest.mark.parametrize("law", LAWS)
 def test_many_steps_are_the_same_in_any_number_of_chunks(law):
     """Corners are flat in some cells: the field folds them."""
-    model = block(20, 7, 13, fix_base=True, law=LAWS[law])
+    model = under(block(20, 7, 13, fix_base=True), law)
     start = State(random_field(model, 1, 0.4), random_field(model, 2, 0.01))
     ends = []
     for chunk_count in (1, 2, 5, 7):

@@ -10,7 +10,13 @@ from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
 
-from heartcase.simulator.kernel_cpu_cells import element_of_window, guard_of_window
+from heartcase.simulator.kernel_cpu_cells import (
+    element_of_window,
+    gradient_of_window,
+    guard_of_window,
+    mean_stress_of_window,
+    sharing_element_of_window,
+)
 from heartcase.simulator.kernel_cpu_steps import STEPS_BY_ORDER, step_of_windows_with_cells
 from heartcase.simulator.lanes import LANE_COUNT
 from heartcase.simulator.vector_ir import Lanes, array_data
@@ -101,6 +107,9 @@ KERNELS = {
     "step": (step_of_windows_with_cells, STEP),
     "step in turn": (STEPS_BY_ORDER[False], STEP),
     "element": (element_of_window, [*[ARRAY] * 4, ROWS, WINDOW]),
+    "gradient": (gradient_of_window, [*[ARRAY] * 3, ROWS, WINDOW]),
+    "mean stress": (mean_stress_of_window, [*[ARRAY] * 4, ROWS, WINDOW]),
+    "sharing element": (sharing_element_of_window, [*[ARRAY] * 6, ROWS, WINDOW]),
     "guard": (guard_of_window, [*[ARRAY] * 4, ROWS, WINDOW]),
 }
 

@@ -21,7 +21,11 @@ from tests.simulator.lattices import block, random_models, random_moments, stiff
 from tests.verification.test_elasticity import stretch
 
 LAWS = st.builds(
-    ForceLaw, st.sampled_from(["springs", "element"]), st.sampled_from([0.25, 0.3, 0.45, 0.49]), st.booleans()
+    ForceLaw,
+    st.sampled_from(["springs", "element"]),
+    st.sampled_from([0.25, 0.3, 0.45, 0.49]),
+    st.booleans(),
+    st.booleans(),
 )
 RATIOS = [0.25, 0.35, 0.45, 0.49]
 
