@@ -197,7 +197,7 @@ def _energies_and_forces(model: LatticeModel, u: Float64, cells: npt.NDArray[np.
 
 
 def _shared(model: LatticeModel, u: Float64) -> tuple[Float64, Float64]:
-    """What the mean strain around its corners stores in each cell, shape (count,), and forces on them, (count, 8, 3)."""
+    """What the means around its corners store in each cell, shape (count,), and forces on them, (count, 8, 3)."""
     at_node = stretching(model.law, mean_gradients(model, u)[0])
     shared = model.shared_stiffness.astype(np.float64)
     energy = (shared * at_node[0][model.cell_corners]).sum(axis=1)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from heartcase.simulator.cell_forces import LOOK_BELOW
-from heartcase.simulator.lanes import SHARE_NUMBERS, LaneLayout, cell_numbers, cell_shares, inverse_shared
+from heartcase.simulator.lanes import SHARE_NUMBERS, LaneLayout, cell_numbers, inverse_shared, share_numbers
 from heartcase.simulator.model import LatticeModel
 
 __all__ = ["LOOK_STEPS", "CellsOnDevice", "plain_launch"]
@@ -54,7 +54,7 @@ class CellsOnDevice:
         self._always = law.acts_in_cells
         self._numbers = self._cuda.to_device(cell_numbers(model).ravel())
         self._has_sharing = model.shares_strain
-        self._shares = self._cuda.to_device(cell_shares(model).ravel())
+        self._shares = self._cuda.to_device(share_numbers(model).ravel())
         self._inverse_shared = self._cuda.to_device(inverse_shared(model))
         self._law = self._cuda.to_device(np.resize(law.constants, 5).astype(np.float32))
         self._presence = self._cuda.to_device(self._layout.spring_weight(model, model.spring_weight))

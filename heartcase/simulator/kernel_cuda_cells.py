@@ -258,7 +258,7 @@ def advance_with_cells(
         Node of each cell's corners, corner by corner, uint32, shape (8 * cell_count,).
     shares
         Stiffness of each cell that is strained by its corners' means, and by itself
-        (:func:`heartcase.simulator.lanes.cell_shares`), float32, shape (9 * cell_count,).
+        (:func:`heartcase.simulator.lanes.share_numbers`), float32, shape (9 * cell_count,).
     inverse_shared
         Inverse of the stiffness that shares strain around each node, float32, shape (node_count,).
     gradient, stress

@@ -34,9 +34,9 @@ __all__ = [
     "LaneLayout",
     "cell_layout",
     "cell_numbers",
-    "cell_shares",
     "inverse_shared",
     "lane_layout",
+    "share_numbers",
 ]
 
 LANE_COUNT = 8
@@ -46,7 +46,7 @@ CELL_NUMBERS = 10
 """Numbers that the kernels read of a cell: :func:`cell_numbers`."""
 
 SHARE_NUMBERS = 9
-"""Numbers of :func:`cell_shares`, and of a gradient or a stress."""
+"""Numbers of :func:`share_numbers`, and of a gradient or a stress."""
 
 ROWS: npt.NDArray[np.int32] = np.array([(j, k) for k in (-1, 0, 1) for j in (-1, 0, 1)], dtype=np.int32)
 """Offset (j, k) of a window's own row (number 4) and of the eight rows around it, shape (9, 2)."""
@@ -199,7 +199,7 @@ def cell_numbers(model: LatticeModel) -> npt.NDArray[np.float32]:
     return numbers
 
 
-def cell_shares(model: LatticeModel) -> npt.NDArray[np.float32]:
+def share_numbers(model: LatticeModel) -> npt.NDArray[np.float32]:
     """What of each cell's covered stiffness is strained by the mean around each of its corners, and what by itself.
 
     In k/h, shape (9, cell_count), float32.
@@ -235,9 +235,9 @@ class CellLayout:
         return numbers
 
     def shares(self, model: LatticeModel) -> npt.NDArray[np.float32]:
-        """:func:`cell_shares` by lane, shape (length(9),), float32; zero where there is no cell."""
+        """:func:`share_numbers` by lane, shape (length(9),), float32; zero where there is no cell."""
         shares = np.zeros(self.layout.length(SHARE_NUMBERS), np.float32)
-        shares[self.layout.places(self.cell_lane, SHARE_NUMBERS)] = cell_shares(model).T
+        shares[self.layout.places(self.cell_lane, SHARE_NUMBERS)] = share_numbers(model).T
         return shares
 
 
