@@ -98,9 +98,12 @@ def _share(places: Int64, first: Int64, shared: Float64, gradient: Float64, law:
         mean = np.zeros((3, 3))
         stiffness = 0.0
         for place in range(first[node], first[node + 1]):
-            cell, corner = divmod(places[place], 8)
-            mean += shared[cell, corner] * gradient[cell]
-            stiffness += shared[cell, corner]
+            cell, corner = places[place] // 8, places[place] % 8
+            part = shared[cell, corner]
+            stiffness += part
+            for i in range(3):
+                for k in range(3):
+                    mean[i, k] += part * gradient[cell, i, k]
         if stiffness > 0.0:
             mean /= stiffness
         node_stress[node] = _stress(mean, law[0], law[1])
@@ -127,7 +130,10 @@ def _resist(
         P = own[cell] * _stress(_mean_gradient(q, slopes[cell]), mu, lame)
         if len(node_stress):
             for corner in range(8):
-                P += shared[cell, corner] * node_stress[corners[cell, corner]]
+                part, node = shared[cell, corner], corners[cell, corner]
+                for i in range(3):
+                    for k in range(3):
+                        P[i, k] += part * node_stress[node, i, k]
         e = np.zeros((7, 3))
         if is_element:
             x, y, z = spread[cell]
