@@ -41,9 +41,7 @@ class CellsOnDevice:
         self._node_cell = cuda.to_device(node_cell.ravel())
         self._corner_node = cuda.to_device(corners.astype(np.uint32).ravel())
         self._force = cuda.to_device(np.zeros(24 * self._count, np.float32))
-        # Where nothing is shared there is no room for it.
-        counts = (self._count, model.node_count) if model.shares_strain else (1, 1)
-        self._gradient, self._stress = (cuda.to_device(np.zeros(SHARE_NUMBERS * count, np.float32)) for count in counts)
+        self._gradient = self._stress = cuda.to_device(np.zeros(1, np.float32))
         self._is_flat = cuda.mapped_array(1, np.uint32)
         self.set_model(model)
 
@@ -54,6 +52,10 @@ class CellsOnDevice:
         self._always = law.acts_in_cells
         self._numbers = self._cuda.to_device(cell_numbers(model).ravel())
         self._has_sharing = model.shares_strain
+        if self._has_sharing and len(self._stress) == 1:
+            counts = (self._count, model.node_count)
+            room = [self._cuda.to_device(np.zeros(SHARE_NUMBERS * count, np.float32)) for count in counts]
+            self._gradient, self._stress = room
         self._shares = self._cuda.to_device(share_numbers(model).ravel())
         self._inverse_shared = self._cuda.to_device(inverse_shared(model))
         self._law = self._cuda.to_device(np.resize(law.constants, 5).astype(np.float32))

@@ -82,10 +82,7 @@ class CpuEngine:
         may_act = model.law.acts_in_cells or model.law.has_corner_guard
         room_count = -(-(len(self._chunks.ends) - 1) // CHUNKS_PER_ROOM)
         self.cell_force = _aligned((room_count, layout.length(3 * CHUNKS_PER_ROOM) if may_act else 0))
-        self._means = [
-            _aligned((layout.length(count) if model.shares_strain else 0,))
-            for count in (SHARE_NUMBERS + 1, SHARE_NUMBERS)
-        ]
+        self._means = _aligned((0,)), _aligned((0,))
         self.set_springs(model)
         self.set_inverse_mass(model.inverse_mass)
         self.pace = Pace()
@@ -213,13 +210,18 @@ class CpuEngine:
 
     def _sharing_arrays(self, model: LatticeModel) -> SharingArrays:
         """What elements need that share strain."""
-        gradient, stress = self._means
         is_sharing = np.zeros(len(self.cells.window_rows), np.int8)
         if not model.shares_strain:
-            return SharingArrays(_aligned((0,)), gradient, stress, is_sharing)
+            return SharingArrays(_aligned((0,)), *self._means, is_sharing)
+        if not len(self._means[0]):
+            length = self.layout.length
+            self._means = _aligned((length(SHARE_NUMBERS + 1),)), _aligned((length(SHARE_NUMBERS),))
+        gradient, stress = self._means
+        # Cells that share nothing any more are not written, but read, with a share of zero: no number must be left.
+        gradient[:] = 0.0
+        gradient[SHARE_NUMBERS * self.layout.stride + self.layout.node_lane] = inverse_shared(model)
         window = np.searchsorted(self.cells.window_rows[:, 4], self.cells.cell_lane, side="right") - 1
         is_sharing[window[model.shared_stiffness.any(axis=1)]] = 1
-        gradient[SHARE_NUMBERS * self.layout.stride + self.layout.node_lane] = inverse_shared(model)
         return SharingArrays(self.cells.shares(model), gradient, stress, is_sharing)
 
     def forces(self, nodes: npt.NDArray[np.intp] | None = None) -> Float32:

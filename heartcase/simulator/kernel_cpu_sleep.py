@@ -46,7 +46,7 @@ Int32 = npt.NDArray[np.int32]
 Int64 = npt.NDArray[np.int64]
 
 CHECK_STEPS = 8
-"""Steps between two checks: less than a wave takes through a block, which are at most a cell per step."""
+"""Steps between two checks: less than a wave takes through a block; it passes at most a cell in a step."""
 ROUSE_STEPS = 64
 """Steps after which all tissue is worked out once; a multiple of CHECK_STEPS."""
 PULLED, QUICK = np.int8(1), np.int8(2)

@@ -11,10 +11,13 @@ from hypothesis import strategies as st
 
 from heartcase.schemas.lattice import CORNER_OFFSETS
 from heartcase.simulator.cell_forces import mean_gradients
+from heartcase.simulator.engine import make_engine
 from heartcase.simulator.force_law import ForceLaw
 from heartcase.simulator.forces_reference import elastic_forces
+from heartcase.simulator.integrate import Verlet
 from heartcase.simulator.model import make_model
 from heartcase.simulator.spectrum import largest_eigenvalue
+from heartcase.simulator.state import State
 from heartcase.simulator.strain_sharing import corner_shares
 from tests.simulator.lattices import block, random_models, random_moments, random_shares
 
@@ -127,3 +130,48 @@ def test_what_a_cut_parts_shares_no_strain():
     force = elastic_forces(model, u)
     assert np.abs(force[is_far]).max() > 1e-3
     assert np.abs(force[~is_far]).max() == 0
+
+
+@pytest.mark.parametrize("spread", [0.0, 1e-9])
+def test_tissue_without_a_shape_shares_nothing(spread):
+    for middle in (0.0, 0.5):
+        moments = [middle] * 3 + [middle**2 + spread] * 3 + [middle**2] * 3
+        assert not make_model([(0, 0, 0)], coverage=0.02, moments=moments, law=ELEMENT).shares_strain
+
+
+def test_corners_near_the_tissue_have_the_most():
+    """A lone cell, its tissue a bar askew near corner 6: (0, 1, 1)."""
+    x, y, z = -0.3, 0.35, 0.3
+    spread = np.array([[0.01, 0.008, 0.0], [0.008, 0.01, 0.0], [0.0, 0.0, 0.01]])
+    second = spread + np.outer((x, y, z), (x, y, z))
+    moments = [x, y, z, *second.diagonal(), second[1, 2], second[0, 2], second[0, 1]]
+    (shares,) = make_model([(0, 0, 0)], coverage=0.1, moments=moments, law=ELEMENT).cell_shares
+    assert shares.argmax() == 6
+    assert shares.argmin() == 1
+
+
+@pytest.mark.parametrize("backend", ["cpu", "cuda"])
+def test_a_cut_changes_a_running_engine_as_it_changes_a_new_one(backend):
+    """Also where a node was lost before: of cells that share nothing any more nothing is left."""
+    model = oblique_wall(1.0, np.array([0.6, 0.0, 0.8]), samples=4)
+    if backend == "cuda":
+        near = ((model.cells >= 4) & (model.cells < 8)).all(axis=1)
+        fields = {"coverage": model.cell_coverage[near], "moments": model.cell_moments[near], "law": ELEMENT}
+        model = make_model(model.cells[near], **fields)
+    j = model.node_index[model.spring_nodes, 1]
+    cut = model.without_springs((j.min(axis=1) == 6) & (j.max(axis=1) == 7))
+    rng = np.random.default_rng(2)
+    u = rng.uniform(-0.1, 0.1, (model.node_count, 3)).astype(np.float32)
+    lost = u.copy()
+    lost[model.node_count // 2] = np.nan
+    running, new = make_engine(model, backend), make_engine(cut, backend)
+    running.load(State(lost, np.zeros_like(u)))
+    running.advance(2, Verlet(0.05))
+    assert np.isnan(running.forces()).any()
+    running.set_springs(cut)
+    for engine in (running, new):
+        engine.load(State(u, np.zeros_like(u)))
+        engine.advance(3, Verlet(0.05))
+    assert np.isfinite(new.forces()).all()
+    np.testing.assert_array_equal(running.forces(), new.forces())
+    np.testing.assert_array_equal(running.read().displacement, new.read().displacement)
