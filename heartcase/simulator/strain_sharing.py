@@ -41,8 +41,8 @@ _PARTS = (0.94, 0.94, 0.85, 0.57, 0.33, 0.48, 0.0)
 """... and the part that follows the corners' means where it is that thick and askew."""
 _SPREAD_MIN = 1e-6
 """Variance below which tissue has no shape [edges squared]: moments may be those of a point."""
-_PART_MIN = 1e-3
-"""Part below which a cell keeps its own strain: rounding makes none."""
+_PART_MIN = 0.05
+"""Part below which a cell keeps its own strain: it would bend hardly better."""
 
 
 def corner_shares(cells: Int32, corners: Int32, coverage: npt.ArrayLike, moments: npt.ArrayLike) -> Float32:
