@@ -37,7 +37,7 @@ _KERNEL: Float64 = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16.0
 """Weights of the cells around, along each axis: those up to two away."""
 _THICKNESSES = (0.0, 0.36, 0.5, 1.0, 1.8, 2.5, 3.4)
 """Thickness of the tissue around, sqrt(12) of its least standard deviation [cells] ..."""
-_PARTS = (0.94, 0.94, 0.85, 0.57, 0.33, 0.48, 0.0)
+_PARTS = (0.94, 0.94, 0.85, 0.57, 0.29, 0.48, 0.0)
 """... and the part that follows the corners' means where it is that thick and askew."""
 _SPREAD_MIN = 1e-6
 """Variance below which tissue has no shape [edges squared]: moments may be those of a point."""
