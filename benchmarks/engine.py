@@ -57,7 +57,8 @@ class Lattice(Protocol):
 
 def prepare(params: dict[str, Any]) -> Inputs:
     model = heart_lattice(params["node_count"], params.get("split", 1), params.get("scale", 1.0))
-    model = model.with_law(ForceLaw(params.get("law", "springs"), params.get("poissons_ratio", RATIO_MIN)))
+    law, ratio = params.get("law", "springs"), params.get("poissons_ratio", RATIO_MIN)
+    model = model.with_law(ForceLaw(law, ratio, shares_strain=params.get("shares_strain", True)))
     # So little that no corner is flat and no node at the speed limit: the other methods know of neither.
     generator = np.random.Generator(np.random.PCG64(1))
     displacement = generator.normal(0.0, 0.005, (model.node_count, 3)).astype(np.float32)

@@ -194,7 +194,7 @@ def test_elements_bend_exactly_under_a_pure_moment(lab, thick, ratio):
 
 STRIPS = [
     *((cells, angle, 0.0) for cells in (0.3, 0.5, 1, 2, 3) for angle in (0, 10, 20, 30, 45)),
-    *((cells, 40, 30.0) for cells in (0.3, 0.5, 1, 2, 3)),
+    *((cells, *tilt) for cells in (0.3, 0.5, 1, 2, 3) for tilt in ((40, 30.0), (20, 35.26))),
 ]
 """Thickness in cells, tilt and roll in degrees."""
 
@@ -209,8 +209,8 @@ def test_a_wall_askew_bends_with_at_most_half_of_the_springs_error(lab, cells, a
         abs(strip.rotation_over_beam(model.with_law(law)) - 1.0)
         for law in (model.law, ForceLaw("springs", guards_corners=False))
     )
-    assert error <= 0.5 * of_springs + (0.005 if angle_deg == 0 else 0.0)
-    assert of_springs > 0.05
+    assert error <= 0.5 * of_springs
+    assert of_springs > 0.1
 
 
 # Where only slivers below 0.2% of a cell are left out. Measured: 0.02%.
