@@ -60,11 +60,16 @@ class Strip:
             is_within = (np.abs(d @ through) <= self.thickness / 2.0) & (np.abs(d @ across) <= WIDTH / 2.0)
             return (on >= 0.0) & (on <= LENGTH) & is_within
 
+        def is_near(x: Float64) -> npt.NDArray[np.bool_]:
+            near: npt.NDArray[np.bool_] = np.abs((x - self._origin) @ through) <= (self.thickness + np.sqrt(3.0)) / 2.0
+            return near
+
         reach = np.abs(through) * self.thickness / 2.0 + np.abs(across) * WIDTH / 2.0
         low = np.floor(self._origin + np.minimum(LENGTH * along, 0.0) - reach).astype(int)
         high = np.ceil(self._origin + np.maximum(LENGTH * along, 0.0) + reach).astype(int)
         low, high = ((int(i), int(j), int(k)) for i, j, k in (low, high))
-        return voxelised(is_tissue, low, high, 1.0, law, cell_mm, samples=samples, coverage_min=coverage_min)
+        options = {"samples": samples, "coverage_min": coverage_min, "is_near": is_near}
+        return voxelised(is_tissue, low, high, 1.0, law, cell_mm, **options)
 
     def rotation_over_beam(self, model: LatticeModel) -> float:
         """Rotation of one end against the other, over M L / (E I), under moments at its ends."""

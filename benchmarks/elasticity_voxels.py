@@ -29,6 +29,7 @@ def voxelised(
     *,
     samples: int = SAMPLES,
     coverage_min: float = COVERAGE_MIN,
+    is_near: Callable[[Float64], npt.NDArray[np.bool_]] | None = None,
 ) -> LatticeModel:
     """Cells with the coverage and the moments of samples.
 
@@ -48,8 +49,12 @@ def voxelised(
         Samples of a cell along each axis.
     coverage_min
         Part of a cell that is tissue from which on it is one.
+    is_near
+        Whether there may be tissue in a cell, from positions of cells' middles; others are not sampled.
     """
     cells = np.stack(np.meshgrid(*map(np.arange, low, high), indexing="ij"), axis=-1).reshape(-1, 3)
+    if is_near is not None:
+        cells = cells[is_near((cells + 0.5) * edge)]
     along = (np.arange(samples) + 0.5) / samples - 0.5
     x = np.stack(np.meshgrid(along, along, along, indexing="ij"), axis=-1).reshape(-1, 3)
     products = np.stack([x[:, 1] * x[:, 2], x[:, 0] * x[:, 2], x[:, 0] * x[:, 1]], axis=1)
