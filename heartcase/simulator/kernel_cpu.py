@@ -1,9 +1,10 @@
 """The CPU kernel: steps of all windows, on one thread or on all of them, in float32.
 
 In a step, each thread first adds up the forces of the cells around its nodes, then nodes add those of their springs and
-move (:mod:`heartcase.simulator.kernel_cpu_steps`). A window reads only what was written before the threads last met,
-or by its own thread (:mod:`heartcase.simulator.kernel_cpu_chunks`), and writes only its own lanes, so that the result
-does not depend on the number of threads.
+move (:mod:`heartcase.simulator.kernel_cpu_steps`). Where elements share strain, all threads first write the gradients
+of the cells, meet, write the stress of the means around the nodes, and meet again. A window reads only what was written
+before the threads last met, or by its own thread (:mod:`heartcase.simulator.kernel_cpu_chunks`), and writes only its
+own lanes, so that the result does not depend on the number of threads.
 
 Corners that are about to turn inside out are looked for in the first step and every LOOK_STEPS from there; in between,
 only the windows that had such corners are looked after. Where tissue may sleep (:mod:`heartcase.simulator.
@@ -143,7 +144,7 @@ def _stretch(
 def _share_strain(
     thread: int, thread_count: int, rows: Int64, cells: CellArrays, sharing: SharingArrays, chunks: ChunkArrays
 ) -> None:
-    """Write the stress of the means around a thread's part of the nodes that such cells have for corners."""
+    """Write the stress of the means around a thread's part of the nodes; all that cells which are awake end at."""
     count = chunks.corner_counts[0]
     for window in chunks.corners[thread * count // thread_count : (thread + 1) * count // thread_count]:
         mean_stress_of_window(sharing.gradient, sharing.shares, sharing.stress, cells[3], rows, np.int64(window))
