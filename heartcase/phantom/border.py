@@ -13,6 +13,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from heartcase.compiling.kernel import kernel
 from heartcase.phantom.regions import CAVITY_COUNT, region_value
 
 __all__ = ["STEEPNESS", "border_distances"]
@@ -26,7 +27,7 @@ _CHILDREN = (7, 6, 5, 3, 4, 2, 1, 0)
 """Octants from the farthest to the nearest, as seen from the query: the last one on the stack is looked at first."""
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _border_distance(  # type: ignore[no-untyped-def]
     tables, ends, canals, thickness, wall_label, region, point, upper, tolerance, steepness, stack, d, c
 ):
@@ -66,7 +67,7 @@ def _border_distance(  # type: ignore[no-untyped-def]
     return upper
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _border_distances_part(  # type: ignore[no-untyped-def]
     tables, ends, canals, thickness, wall_label, region, points, upper, tolerance, steepness, distances, first, last
 ):
@@ -91,7 +92,7 @@ def _border_distances_part(  # type: ignore[no-untyped-def]
         )
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def border_distances(  # type: ignore[no-untyped-def]
     tables, ends, canals, thickness, wall_label, region, points, upper, tolerance, steepness, distances
 ):

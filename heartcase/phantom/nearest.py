@@ -14,6 +14,8 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.compiling.kernel import kernel
+
 __all__ = ["SampleTree"]
 
 Float64 = npt.NDArray[np.float64]
@@ -89,7 +91,7 @@ def _morton(samples: Float64) -> Int64:
     return code
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _square_gap(lower, upper, x, y, z):  # type: ignore[no-untyped-def]
     """Squared distance of a point to a box."""
     dx = max(lower[0] - x, x - upper[0], 0.0)
@@ -98,7 +100,7 @@ def _square_gap(lower, upper, x, y, z):  # type: ignore[no-untyped-def]
     return dx * dx + dy * dy + dz * dz
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _descend(samples, boxes, level_start, x, y, z):  # type: ignore[no-untyped-def]
     """A sample that is near: of each level the nearest box below the one before."""
     at = 0
@@ -114,7 +116,7 @@ def _descend(samples, boxes, level_start, x, y, z):  # type: ignore[no-untyped-d
     return min(at * _FAN, samples.shape[0] - 1)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _query_part(samples, boxes, level_start, points, distance, index, start, stop):  # type: ignore[no-untyped-def]
     root = level_start.shape[0] - 2
     waiting = np.empty((_LEVEL_MAX * _FAN, 2), np.int64)
@@ -167,7 +169,7 @@ def _query_part(samples, boxes, level_start, points, distance, index, start, sto
         index[n] = near
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _query(samples, boxes, level_start, points):  # type: ignore[no-untyped-def]
     count = points.shape[0]
     distance = np.empty(count)

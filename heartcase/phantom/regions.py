@@ -21,6 +21,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from heartcase.compiling.kernel import kernel
 from heartcase.phantom.tables import table_value
 
 __all__ = ["CAVITY_COUNT", "MYOCARDIUM", "TISSUE", "label_points", "materials", "region_value", "region_values"]
@@ -36,7 +37,7 @@ _PART = 4096
 """Points that one task of a parallel loop takes; no result depends on it."""
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _evaluate(tables, ends, canals, x, y, z, d, c):  # type: ignore[no-untyped-def]
     """Fill d (10 values: cavities, body, sheets) and c (8 values) at a point; returns k."""
     coefficients, start, size, origin, spacing, margin = tables
@@ -55,7 +56,7 @@ def _evaluate(tables, ends, canals, x, y, z, d, c):  # type: ignore[no-untyped-d
     return k
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _cylinder(rows, row, first, x, y, z):  # type: ignore[no-untyped-def]
     """Value of a cylinder (start x, y, z, axis x, y, z, radius, length), below zero inside."""
     gx = x - rows[row, first]
@@ -67,7 +68,7 @@ def _cylinder(rows, row, first, x, y, z):  # type: ignore[no-untyped-def]
     return max(radial - rows[row, first + 6], -axial, axial - rows[row, first + 7])
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _canal(rows, row, x, y, z):  # type: ignore[no-untyped-def]
     """Value of a defect (a cylinder as above, the unit vector of its long diameter, half the short one, shape).
 
@@ -92,13 +93,13 @@ def _canal(rows, row, x, y, z):  # type: ignore[no-untyped-def]
     return max(radial, -axial, axial - rows[row, 7])
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _label(d, c, k, thickness, wall_label):  # type: ignore[no-untyped-def]
     label = _label_without_sheets(d, c, k, thickness, wall_label)
     return wall_label[CAVITY_COUNT] if d[_SHEET] < 0.0 and 0 < label <= CAVITY_COUNT else label
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _label_without_sheets(d, c, k, thickness, wall_label):  # type: ignore[no-untyped-def]
     lowest = _FAR
     nearest = 0
@@ -122,7 +123,7 @@ def _label_without_sheets(d, c, k, thickness, wall_label):  # type: ignore[no-un
     return wall
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _label_points_part(tables, ends, canals, thickness, wall_label, points, labels, first, last):  # type: ignore[no-untyped-def]
     d = np.empty(CAVITY_COUNT + 2)
     c = np.empty(CAVITY_COUNT)
@@ -131,7 +132,7 @@ def _label_points_part(tables, ends, canals, thickness, wall_label, points, labe
         labels[n] = _label(d, c, k, thickness, wall_label)
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def label_points(tables, ends, canals, thickness, wall_label, points, labels):  # type: ignore[no-untyped-def]
     """Fill ``labels`` at points, shape (n, 3)."""
     count = points.shape[0]
@@ -141,7 +142,7 @@ def label_points(tables, ends, canals, thickness, wall_label, points, labels):  
         )
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _materials_part(tables, ends, canals, thickness, points, material, clearance, hull, first, last):  # type: ignore[no-untyped-def]
     d = np.empty(CAVITY_COUNT + 2)
     c = np.empty(CAVITY_COUNT)
@@ -170,7 +171,7 @@ def _materials_part(tables, ends, canals, thickness, points, material, clearance
         hull[n] = solid
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def materials(tables, ends, canals, thickness, points, material, clearance, hull):  # type: ignore[no-untyped-def]
     """Fill what a scanner sees at points: it knows no end discs, so vessels go on behind them.
 
@@ -194,7 +195,7 @@ def materials(tables, ends, canals, thickness, points, material, clearance, hull
         )
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _region(d, c, k, thickness, wall_label, region):  # type: ignore[no-untyped-def]
     blood = _FAR
     hull = d[CAVITY_COUNT]
@@ -234,14 +235,14 @@ def _region(d, c, k, thickness, wall_label, region):  # type: ignore[no-untyped-
     return value
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def region_value(tables, ends, canals, thickness, wall_label, region, x, y, z, d, c):  # type: ignore[no-untyped-def]
     """A region's value at one point; ``d`` (10 values) and ``c`` (8 values) are room to work in."""
     k = _evaluate(tables, ends, canals, x, y, z, d, c)
     return _region(d, c, k, thickness, wall_label, region)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _region_values_part(tables, ends, canals, thickness, wall_label, region, points, values, first, last):  # type: ignore[no-untyped-def]
     d = np.empty(CAVITY_COUNT + 2)
     c = np.empty(CAVITY_COUNT)
@@ -250,7 +251,7 @@ def _region_values_part(tables, ends, canals, thickness, wall_label, region, poi
         values[n] = region_value(tables, ends, canals, thickness, wall_label, region, x, y, z, d, c)
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def region_values(tables, ends, canals, thickness, wall_label, region, points, values):  # type: ignore[no-untyped-def]
     """Fill ``values`` with a region's value at points, shape (n, 3)."""
     count = points.shape[0]

@@ -11,10 +11,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-import numba
 import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import CubicSpline, PchipInterpolator
+
+from heartcase.compiling.kernel import kernel
 
 __all__ = [
     "Capsule",
@@ -95,7 +96,7 @@ class Ellipsoid:
         return value
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _ellipsoid_distance(local, radii):  # type: ignore[no-untyped-def]
     # Foot of the perpendicular: x_i = r_i^2 y_i / (t + r_i^2) with t the largest root of g. g is convex and falls, so
     # Newton from the left of the root converges monotonically.
@@ -236,7 +237,7 @@ class Tube:
         return value
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _nearest_parameter(points, at, samples, breaks, coefficients):  # type: ignore[no-untyped-def]
     count = points.shape[0]
     found = np.empty(count)

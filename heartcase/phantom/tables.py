@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
+from heartcase.compiling.kernel import kernel
 from heartcase.phantom.nearest import SampleTree
 from heartcase.phantom.shapes import Offset, Shape, complement
 
@@ -285,7 +286,7 @@ def _patch_distance(
     return result
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _weights(u, value, first, second):  # type: ignore[no-untyped-def]
     """Cubic B-spline weights at a fraction u and their first and second derivatives, each four long."""
     v = 1.0 - u
@@ -303,13 +304,13 @@ def _weights(u, value, first, second):  # type: ignore[no-untyped-def]
     second[3] = u
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _mirrored(index, count):  # type: ignore[no-untyped-def]
     index = abs(index)
     return index if index < count else 2 * (count - 1) - index
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _derivatives_part(coefficients, size, origin, spacing, points, value, gradient, hessian, start, stop):  # type: ignore[no-untyped-def]
     weight = np.empty((3, 3, 4))
     cell = np.empty(3, np.int64)
@@ -352,7 +353,7 @@ def _derivatives_part(coefficients, size, origin, spacing, points, value, gradie
         hessian[n, 2, 1] = hessian[n, 1, 2]
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _derivatives(coefficients, size, origin, spacing, points):  # type: ignore[no-untyped-def]
     """Value (n,), gradient (n, 3) and Hessian (n, 3, 3) of one spline at points inside its lattice."""
     count = points.shape[0]
@@ -365,7 +366,7 @@ def _derivatives(coefficients, size, origin, spacing, points):  # type: ignore[n
     return value, gradient, hessian
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def table_value(coefficients, start, size, origin, spacing, margin, field, x, y, z):  # type: ignore[no-untyped-def]
     """Value of one field at one point; outside its lattice the value at the border plus the way to it.
 
@@ -415,7 +416,7 @@ def table_value(coefficients, start, size, origin, spacing, margin, field, x, y,
     return total + outside
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _weight(u, which):  # type: ignore[no-untyped-def]
     if which == 0:
         return (1.0 - u) ** 3 / 6.0
@@ -426,7 +427,7 @@ def _weight(u, which):  # type: ignore[no-untyped-def]
     return u * u * u / 6.0
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _evaluate_tables(coefficients, start, size, origin, spacing, margin, points):  # type: ignore[no-untyped-def]
     values = np.empty((points.shape[0], start.shape[0]))
     for n in range(points.shape[0]):

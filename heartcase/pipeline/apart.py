@@ -16,9 +16,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csr_array
 
+from heartcase.compiling.calls import copied
+from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.cells.topology import piece_sizes
 from heartcase.pipeline.contacts import Extent, faces_between
-from heartcase.pipeline.kernels import copied
 from heartcase.schemas.geometry import Geometry
 
 __all__ = ["Change", "bridging_voxels", "compartment_changes"]
@@ -153,7 +154,7 @@ def _large_pieces(blood: Bool, least: int) -> UInt32:
     return large
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _renumber(pieces, numbers):  # type: ignore[no-untyped-def]
     for n in numba.prange(len(pieces)):
         pieces[n] = numbers[pieces[n]]
@@ -189,7 +190,7 @@ def _runs_of(coarse, fine, factor, at, rows, columns, counts):  # type: ignore[n
     return at
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _count_runs(before, after, factor):  # type: ignore[no-untyped-def]
     """Runs in each fine plane."""
     found = np.zeros(len(after), np.int64)
@@ -200,7 +201,7 @@ def _count_runs(before, after, factor):  # type: ignore[no-untyped-def]
     return found
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _list_runs(before, after, factor, start, rows, columns, counts):  # type: ignore[no-untyped-def]
     """Both pieces of each run, and its voxels; the runs of each plane begin at ``start``."""
     for k in numba.prange(len(after)):

@@ -13,11 +13,11 @@ Points are in voxels (z, y, x); distances in mm. All loops are serial, so the re
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from heartcase.compiling.calls import copied
+from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.feature_transform import nearest_seeds
-from heartcase.pipeline.kernels import copied
 from heartcase.pipeline.vectors import put
 
 __all__ = ["closest_points", "offset_for_interpolation"]
@@ -40,7 +40,7 @@ FOCUS = 0.35
 """Least factor by which the way to the node may shrink the level: at a centre of curvature it is zero."""
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _cubic(t, w, row, bend):  # type: ignore[no-untyped-def]
     """Catmull-Rom weights, their first and, where asked for, second derivatives at t in [0, 1]; rows from ``row``."""
     t2 = t * t
@@ -60,7 +60,7 @@ def _cubic(t, w, row, bend):  # type: ignore[no-untyped-def]
         w[row + 2, 3] = 3.0 * t - 1.0
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _sample(f, z, y, x, w, out, bend):  # type: ignore[no-untyped-def]
     """Tricubic value, gradient per voxel and, where asked for, Hessian at a point, clamped to the lattice.
 
@@ -184,7 +184,7 @@ def _walk(f, h, k, j, i, foot, best, pace, w, out, is_seed):  # type: ignore[no-
     return best
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _square_to(h, k, j, i, foot, n):  # type: ignore[no-untyped-def]
     """Square of a node's distance to the n-th point, mm2."""
     dz = (k - foot[n, 0]) * h[0]
@@ -286,7 +286,7 @@ def _shape_at(f, h, foot, w, out, shape):  # type: ignore[no-untyped-def]
     shape[8] = yx - m1 * n2 - m2 * n1 + q * n1 * n2
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _foretell(h, k, j, i, foot, n, shape, smallest, point, pace):  # type: ignore[no-untyped-def]
     """Where a node's closest point should be, by the level's bend at the n-th point; that point where it tells nothing.
 
@@ -342,7 +342,7 @@ def _nearest_of_neighbours(seed, foot, h, k, j, i, nearest):  # type: ignore[no-
     return nearest, best
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def closest_points(f, h, reach, square):  # type: ignore[no-untyped-def]
     """Squared distance of the nodes near a field's zero level to it.
 
@@ -424,7 +424,7 @@ def _bend(d, limit):  # type: ignore[no-untyped-def]
     return bend
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def offset_for_interpolation(d, limit):  # type: ignore[no-untyped-def]
     """Take the mean error of trilinear interpolation off a sampled distance.
 

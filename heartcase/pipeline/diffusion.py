@@ -13,7 +13,8 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.pipeline.kernels import copied
+from heartcase.compiling.calls import copied
+from heartcase.compiling.kernel import kernel
 
 __all__ = ["diffuse", "mean_square_gradient"]
 
@@ -101,7 +102,7 @@ def mean_square_gradient(values: Float32, spacing_mm: tuple[float, float, float]
     return float(_square_gradient_sums(np.ascontiguousarray(values, np.float32), scale).sum()) / values.size * extent**2
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _square_gradient_sums(u, scale):  # type: ignore[no-untyped-def]
     """Sum over each plane of the squared central differences times ``scale``."""
     nz, ny, nx = u.shape
@@ -115,7 +116,7 @@ def _square_gradient_sums(u, scale):  # type: ignore[no-untyped-def]
     return sums
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def _add_squares(row_sum, here, ym, yp, zm, zp, scale):  # type: ignore[no-untyped-def]
     """Add the squared central differences of a row times ``scale`` to ``row_sum``."""
     sx, sy, sz = scale[0], scale[1], scale[2]
@@ -132,14 +133,14 @@ def _add_squares(row_sum, here, ym, yp, zm, zp, scale):  # type: ignore[no-untyp
         row_sum[i] += gx * gx + gy * gy + gz * gz
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def _differences(out, low, high, scale):  # type: ignore[no-untyped-def]
     """Scaled differences of two rows."""
     for i in range(out.size):
         out[i] = (high[i] - low[i]) * scale
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def _fluxes(out, low, high, scale, side, side_beyond, other, other_beyond):  # type: ignore[no-untyped-def]
     """Difference times conductance, 2 to the minus squared scaled gradient, of a row of faces between two rows.
 
@@ -188,7 +189,7 @@ def _y_differences(out, plane, start, nx, scale):  # type: ignore[no-untyped-def
         _differences(out[out.size - nx :], plane[max(size - 2 * nx, 0) :], plane[size - nx :], scale)
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def _add_divergence(new, old, weight, x_flux, y_low, y_high, z_low, z_high):  # type: ignore[no-untyped-def]
     """New values of whole rows; ``x_flux`` holds one face more than there are voxels."""
     wx, wy, wz = weight[0], weight[1], weight[2]
@@ -213,7 +214,7 @@ def _z_fluxes(out, here, up, start, nx, scale, work):  # type: ignore[no-untyped
     _fluxes(out, here[start:stop], up[start:stop], scale[2], x_here, x_up, y_here, y_up)
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _keep_edges(edges, planes):  # type: ignore[no-untyped-def]
     """Copy the first and the last plane of each slab: its neighbours need them after they are overwritten."""
     nz = planes.shape[0]
@@ -222,7 +223,7 @@ def _keep_edges(edges, planes):  # type: ignore[no-untyped-def]
         edges[1, slab] = planes[min((slab + 1) * _SLAB, nz) - 1]
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _step(planes, new, nx, scale, weight, edges):  # type: ignore[no-untyped-def]
     """One Jacobi step; ``planes`` and ``new``, maybe the same, hold a plane of rows of ``nx`` voxels in each row."""
     for slab in numba.prange(edges.shape[1]):

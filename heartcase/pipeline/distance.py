@@ -13,12 +13,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 
-import numba
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import correlate1d
 from scipy.special import erf
 
+from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.apart import bridging_voxels
 from heartcase.pipeline.closest import closest_points, offset_for_interpolation
 from heartcase.pipeline.division import (
@@ -138,7 +138,7 @@ def label_distances(
     return {value: field for value, field in found.items() if field is not None}
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _face_counts(owner, count):  # type: ignore[no-untyped-def]
     """Faces along x between each label and others."""
     faces = np.zeros(count, np.int64)
@@ -266,7 +266,7 @@ def _inverse_response(lead: Float32, spacing: Float64, sigma_mm: float) -> Float
     return distance
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _look_up(values, first, scale, table, found):  # type: ignore[no-untyped-def]
     """Nearest entry of a table to each value, its ends beyond them."""
     last = np.float32(len(table) - 1)
@@ -297,7 +297,7 @@ def _two_lowest(shape: tuple[int, ...], parts: list[Part], outside: float) -> tu
     return lowest, second, owner
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _insert(lowest, second, owner, values, number):  # type: ignore[no-untyped-def]
     nz, ny, nx = values.shape
     for k in range(nz):

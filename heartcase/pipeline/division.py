@@ -15,6 +15,8 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.compiling.kernel import kernel
+
 __all__ = ["Box", "Part", "Touch", "divide", "find_touches", "heights_of_groups", "leads_of"]
 
 Bool = npt.NDArray[np.bool_]
@@ -90,7 +92,7 @@ def find_touches(
     return tuple(touches)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _find_faces(labels, number, group, boxes):  # type: ignore[no-untyped-def]
     """Box of the voxels beside the faces between each two labels of one group: lowest, and beyond the highest."""
     nz, ny, nx = labels.shape
@@ -112,7 +114,7 @@ def _find_faces(labels, number, group, boxes):  # type: ignore[no-untyped-def]
                     box[3], box[4], box[5] = max(box[3], kk + 1), max(box[4], jj + 1), max(box[5], ii + 1)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _beside_faces(labels, one, other):  # type: ignore[no-untyped-def]
     """1 in the voxels beside a face between two labels."""
     nz, ny, nx = labels.shape
@@ -185,7 +187,7 @@ def leads_of(heights: Sequence[Float32]) -> list[Float32]:
     return leads
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _two_highest(highest, second, values):  # type: ignore[no-untyped-def]
     for n in numba.prange(len(values)):
         if values[n] > highest[n]:
@@ -195,7 +197,7 @@ def _two_highest(highest, second, values):  # type: ignore[no-untyped-def]
             second[n] = values[n]
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _behind(values, highest, second, lead):  # type: ignore[no-untyped-def]
     for n in numba.prange(len(values)):
         lead[n] = (second[n] if values[n] == highest[n] else highest[n]) - values[n]

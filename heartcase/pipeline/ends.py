@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import binary_dilation, map_coordinates
 
+from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.cautions import Caution, anatomy, severity_of
 from heartcase.pipeline.data import Reshaping, Segmentation
 from heartcase.schemas.errors import Problem, StageError
@@ -332,7 +333,7 @@ def _areas(lumen: Bool, disc: _Disc) -> tuple[Float64, Float64, Float64]:
     return places, step * step * inside, inside_rim / np.count_nonzero(is_rim)
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _count_inside(mask, points, way, places, is_rim):  # type: ignore[no-untyped-def]
     """How many points of a section, and of its rim, lie in a mask (half of it or more, linearly) at each place."""
     inside, inside_rim = np.zeros(len(places), np.int64), np.zeros(len(places), np.int64)

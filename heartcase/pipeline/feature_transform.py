@@ -7,10 +7,10 @@ out at the same time.
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
-from heartcase.pipeline.kernels import copied
+from heartcase.compiling.calls import copied
+from heartcase.compiling.kernel import kernel
 
 __all__ = ["distance_to_marked", "nearest_seeds"]
 
@@ -146,7 +146,7 @@ def nearest_seeds(seed, place, h, reach):  # type: ignore[no-untyped-def]
                 seed[k, j, i] = slab[i, k]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def distance_to_marked(marked, h, distance):  # type: ignore[no-untyped-def]
     """Distance of every node to the nearest marked one.
 

@@ -13,8 +13,10 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.compiling.calls import called, copied
+from heartcase.compiling.kernel import kernel
+from heartcase.compiling.lent import lend
 from heartcase.pipeline.data import Structures
-from heartcase.pipeline.kernels import called, copied, lend
 from heartcase.pipeline.shapes import SHAPE_KINDS
 from heartcase.pipeline.wall_thickness import ThicknessArrays, thickness_arrays
 from heartcase.schemas.labels import BACKGROUND
@@ -204,7 +206,7 @@ def _find_fields_of_layer(fields, block_count, block_fields, bk):  # type: ignor
             block_count[bk, bj, bi] = count
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _find_fields_of_blocks(layout, block_count, block_fields):  # type: ignore[no-untyped-def]
     """Find the fields that can be lowest anywhere in each block, in blocks that no reshaping reaches.
 

@@ -20,9 +20,11 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.compiling.calls import called, copied
+from heartcase.compiling.kernel import kernel
+from heartcase.compiling.lent import lend
 from heartcase.pipeline.data import Structures
 from heartcase.pipeline.field_layout import ALL_FIELDS, BLOCK, FieldLayout, layout_of, varying_walls
-from heartcase.pipeline.kernels import called, copied, lend
 from heartcase.pipeline.shapes import shape_distance
 from heartcase.pipeline.side_by_side import every_other
 from heartcase.pipeline.wall_thickness import ThicknessArrays, table_thickness
@@ -165,7 +167,7 @@ def ownership_at_points(structures: Structures | FieldReader, points_mm: npt.Arr
     return Ownership(tissue, void_label, tissue_label)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _place(x, count):  # type: ignore[no-untyped-def]
     """The two voxels around a coordinate, clamped to the lattice, and the second one's weight."""
     x = min(max(x, 0.0), count - 1.0)
@@ -276,7 +278,7 @@ def _reshape(layout, x, y, z, v):  # type: ignore[no-untyped-def]
                 v[s] = min(v[s], gain)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _evaluate_one(layout, tables, x, y, z, raw, v, thick, scale):  # type: ignore[no-untyped-def]
     """Finish a point, given by its index, from the interpolated stored fields ``raw``."""
     stored_slot, labels, tissue_count = layout.stored_slot, layout.labels, layout.tissue_count
@@ -312,7 +314,7 @@ def _evaluate_one(layout, tables, x, y, z, raw, v, thick, scale):  # type: ignor
     return _between(lowest_tissue, lowest_void), void, tissue
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _between(tissue, void):  # type: ignore[no-untyped-def]
     """The tissue field, from the lowest field of a tissue and that of a void."""
     if tissue < 0.0 and void > 0.0:
@@ -413,7 +415,7 @@ def evaluate_owner(layout, tables, x, y, z, spare):  # type: ignore[no-untyped-d
     return _between(lowest_tissue, lowest_void), labels[void_slot], labels[tissue_slot]
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _evaluate_lattice(layout, tables, start, step, tissue, void_label, tissue_label):  # type: ignore[no-untyped-def]
     nz, ny, nx = tissue.shape
     fields, walls = lend(layout), lend(tables)
@@ -429,7 +431,7 @@ def _evaluate_lattice(layout, tables, start, step, tissue, void_label, tissue_la
                 tissue_label[k, j, i] = one[2]
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _evaluate_points(layout, tables, index, tissue, void_label, tissue_label):  # type: ignore[no-untyped-def]
     chunks = (len(index) + CHUNK - 1) // CHUNK
     fields, walls = lend(layout), lend(tables)

@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from heartcase.pipeline.kernels import copied
+from heartcase.compiling.calls import copied
+from heartcase.compiling.kernel import kernel
 
 __all__ = ["gradient_magnitude"]
 
@@ -73,14 +74,14 @@ def _blur_weights(count: int, sigma: float) -> tuple[Float32, int]:
     return np.ascontiguousarray(weights[reach : reach + count], np.float32), reach
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def _add_four(one, two, three, four, weights, out):  # type: ignore[no-untyped-def]
     a, b, c, d = weights[0], weights[1], weights[2], weights[3]
     for i in range(len(out)):
         out[i] += a * one[i] + b * two[i] + c * three[i] + d * four[i]
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def _add_one(row, weight, out):  # type: ignore[no-untyped-def]
     for i in range(len(out)):
         out[i] += weight * row[i]
@@ -118,7 +119,7 @@ def _blur_row(row, weights, reach, padded, out):  # type: ignore[no-untyped-def]
         t += 1
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _blur_rows(values, weights, reach, blurred):  # type: ignore[no-untyped-def]
     nz, ny, nx = values.shape
     for k in numba.prange(nz):
@@ -143,13 +144,13 @@ def _blur_sheet(rows, weights, reach, blurred):  # type: ignore[no-untyped-def]
             n += 1
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _blur_along_y(values, weights, reach, blurred):  # type: ignore[no-untyped-def]
     for k in numba.prange(values.shape[0]):
         _blur_sheet(values[k], weights, reach, blurred[k])
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _blur_along_z(values, weights, reach, blurred):  # type: ignore[no-untyped-def]
     nz, ny, nx = values.shape
     slices, blurred_slices = values.reshape(nz, ny * nx), blurred.reshape(nz, ny * nx)
@@ -178,7 +179,7 @@ def _row_lengths(row, ym, yp, zm, zp, hx, hy, hz, out):  # type: ignore[no-untyp
         out[i] = np.sqrt(out[i])
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _slope_lengths(values, spacing, length):  # type: ignore[no-untyped-def]
     nz, ny, _ = values.shape
     half = np.float32(0.5)

@@ -16,6 +16,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
+from heartcase.compiling.calls import called
+from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.cautions import anatomy, counted, note
 from heartcase.pipeline.cells.changes import Change, topology_changes
 from heartcase.pipeline.cells.hinges import HingeRepairs, hanging_cells, mend_hinges
@@ -34,7 +36,6 @@ from heartcase.pipeline.cells.supports import fixed_nodes, floating_pieces
 from heartcase.pipeline.cells.topology import betti_numbers, components, distance_in_samples, piece_sizes
 from heartcase.pipeline.data import SimulationGrid, Structures
 from heartcase.pipeline.fields import FieldReader
-from heartcase.pipeline.kernels import called
 from heartcase.pipeline.side_by_side import side_by_side
 from heartcase.schemas.errors import StageError
 from heartcase.schemas.labels import LabelTable
@@ -446,7 +447,7 @@ def _find_ridges_of_plane(tissue, depth, ridge, z):  # type: ignore[no-untyped-d
             ridge[z, y, x] = max(height, half * (e + f) + (here - min(e, f)))
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _find_ridges(tissue, depth, ridge):  # type: ignore[no-untyped-def]
     """Depth at the samples that are as deep as their six neighbours, 0 elsewhere; the first two are a sample wider.
 
@@ -456,7 +457,7 @@ def _find_ridges(tissue, depth, ridge):  # type: ignore[no-untyped-def]
         _find_ridges_of_plane(tissue, depth, ridge, z)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _label_faces(piece, main, void_label, s, beside, side, label):  # type: ignore[no-untyped-def]
     nk, nj, ni = main.shape
     share = np.zeros(256, np.int64)

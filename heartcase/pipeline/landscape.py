@@ -18,6 +18,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.gradient import gradient_magnitude
 
 __all__ = ["landscape"]
@@ -67,7 +68,7 @@ def _usual(height: Float32) -> float:
     return float(np.median(sample)) if len(sample) else 0.0
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _add_shape(height, shape, most):  # type: ignore[no-untyped-def]
     for n in numba.prange(len(height)):
         part = shape[n] / most

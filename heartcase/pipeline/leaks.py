@@ -12,12 +12,13 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.compiling.kernel import kernel
+from heartcase.compiling.lent import lend
 from heartcase.pipeline.apart import Change, compartment_changes
 from heartcase.pipeline.cautions import Caution, anatomy, note
 from heartcase.pipeline.contacts import Contact, Extent, faces_between, without_tissue
 from heartcase.pipeline.data import Structures
 from heartcase.pipeline.fields import FieldReader, evaluate_owner, ownership_on_lattice, scratch, steps_through
-from heartcase.pipeline.kernels import lend
 from heartcase.pipeline.side_by_side import side_by_side
 from heartcase.pipeline.wall_thickness import thickness_at_points
 from heartcase.schemas.geometry import Geometry
@@ -108,7 +109,7 @@ def _fine_labels(
     return fine, fine_geometry
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _fill_fine(layout, tables, start, step, coarse, near, fine):  # type: ignore[no-untyped-def]
     """Label of each fine point: evaluated in the voxels that are near, else their centre's."""
     nz, ny, nx = fine.shape

@@ -12,12 +12,12 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.compiling.calls import copied
+from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.feature_transform import distance_to_marked
-from heartcase.pipeline.kernels import copied
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable
 
@@ -123,7 +123,7 @@ def _root(parent, at):  # type: ignore[no-untyped-def]
     return at
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _saddles(depth, order, spacing, wider, least, count_min):  # type: ignore[no-untyped-def]
     """Rows of voxel (k, j, i), depth and way (z, y, x, mm) from one side to the other of each significant saddle."""
     nz, ny, nx = depth.shape
@@ -288,7 +288,7 @@ def _area(
     return None if found < 0 else float(found) * step * step
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _points_inside(lead, centre, side, other, step, count, is_linear):  # type: ignore[no-untyped-def]
     """Points of a plane in the region (``lead`` above 0) that is nearest to its middle; -1 where it meets the edge."""
     size = 2 * count + 1

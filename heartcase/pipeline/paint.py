@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from heartcase.compiling.kernel import kernel
 
 __all__ = ["paint_capsule", "paint_passed_voxels", "pull_nearest"]
 
@@ -18,7 +19,7 @@ STANDING = 1e-12
 """Part of a voxel below which a line does not move along an axis: a quotient by less could overflow."""
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@kernel
 def paint_capsule(
     labels: npt.NDArray[np.uint8], start: Float64, end: Float64, spacing: Float64, radius: float, value: int
 ) -> int:
@@ -154,7 +155,7 @@ def pull_nearest(values: npt.NDArray[Any], to_index: Float64, shape: tuple[int, 
     return result
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@kernel
 def _pull(values: npt.NDArray[Any], to_index: Float64, result: npt.NDArray[Any]) -> None:
     for k in range(result.shape[0]):
         for j in range(result.shape[1]):

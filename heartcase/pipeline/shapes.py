@@ -6,12 +6,12 @@ reaches from one side (Eberly, Distance from a point to an ellipse, an ellipsoid
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.compiling.calls import copied
+from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.data import Reshaping
-from heartcase.pipeline.kernels import copied
 from heartcase.schemas.geometry import Geometry
 
 __all__ = ["SHAPE_KINDS", "distance_on_lattice", "frame_of", "section_distance", "shape_distance"]
@@ -195,13 +195,13 @@ def shape_distance(kind, points, radius, x, y, z):  # type: ignore[no-untyped-de
     return _prism_distance(kind, points, x, y, z)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _fill_section(kind, long, short, u, v, distance):  # type: ignore[no-untyped-def]
     for n in range(len(u)):
         distance[n] = _section(kind, long, short, u[n], v[n])
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _fill_lattice(kind, points, radius, to_world, distance):  # type: ignore[no-untyped-def]
     m = to_world
     for k in range(distance.shape[0]):

@@ -9,6 +9,8 @@ from typing import TypeVar
 import numba
 import numpy as np
 
+from heartcase.compiling.kernel import kernel
+
 __all__ = ["every_other", "may_share", "side_by_side"]
 
 A = TypeVar("A")
@@ -62,14 +64,14 @@ def may_share() -> bool:
     return str(numba.threading_layer()) in _SAFE_LAYERS
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _start_threads(values):  # type: ignore[no-untyped-def]
     """The threading layer is known only after the first parallel kernel."""
     for n in numba.prange(len(values)):
         values[n] += 1.0
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def every_other(number, count):  # type: ignore[no-untyped-def]
     """The chunk to take as the ``number``-th of ``count``: first the even ones, then the odd ones.
 

@@ -9,6 +9,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.cautions import anatomy
 from heartcase.pipeline.lumens import narrowest_lumens
 from heartcase.schemas.geometry import Geometry
@@ -98,7 +99,7 @@ def volume_voxels(distance: Float32, width_mm: float) -> float:
     return float(_inside(np.ascontiguousarray(distance, np.float32), np.float32(2.0 * width_mm)).sum()) / 27.0
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _inside(distance, near):  # type: ignore[no-untyped-def]
     """Points of each plane that are inside, of 27 in each voxel; the border's values go on beyond it."""
     nz, ny, nx = distance.shape

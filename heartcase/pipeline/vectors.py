@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
+
+from heartcase.compiling.kernel import kernel
 
 __all__ = ["cross", "dot", "make_unit", "put", "square_to_triangle"]
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def dot(a, b):  # type: ignore[no-untyped-def]
     """Scalar product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def cross(a, b, out):  # type: ignore[no-untyped-def]
     """Vector product."""
     out[0] = a[1] * b[2] - a[2] * b[1]
@@ -22,14 +23,14 @@ def cross(a, b, out):  # type: ignore[no-untyped-def]
     out[2] = a[0] * b[1] - a[1] * b[0]
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def put(v, out):  # type: ignore[no-untyped-def]
     """Write a vector to another; numba's own assignment of arrays compiles words for the case that they do not fit."""
     for axis in range(3):
         out[axis] = v[axis]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def make_unit(v, least):  # type: ignore[no-untyped-def]
     """Divide a vector by its length, or make it zero where that is too small; returns whether it is not."""
     length = np.sqrt(dot(v, v))
@@ -39,7 +40,7 @@ def make_unit(v, least):  # type: ignore[no-untyped-def]
     return factor > 0.0
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def square_to_triangle(px, py, pz, a, b, c):  # type: ignore[no-untyped-def]
     """Square of the distance, and the weights of the second and third corner at the nearest point.
 

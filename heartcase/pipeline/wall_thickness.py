@@ -16,12 +16,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.compiling.calls import copied
+from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.data import ThicknessTable
-from heartcase.pipeline.kernels import copied
 
 __all__ = ["ThicknessArrays", "table_thickness", "thickness_arrays", "thickness_at_points"]
 
@@ -160,7 +160,7 @@ def table_thickness(arrays, n, x, y, z):  # type: ignore[no-untyped-def]
     return _among_positions(points, thickness, x, y, z)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _at_points(arrays, points, found):  # type: ignore[no-untyped-def]
     for p in range(len(points)):
         value, slope = table_thickness(arrays, 0, points[p, 0], points[p, 1], points[p, 2])

@@ -11,7 +11,8 @@
     ├── BundleError             a case bundle is broken, or cannot be written
     ├── ScriptError             a simulation script is wrong
     ├── SimulationError         the simulation was asked for, or came to, something impossible
-    └── MissingExtraError       an optional part of heartcase is not installed
+    ├── MissingExtraError       an optional part of heartcase is not installed
+    └── UnsupportedVersionError a library is of a version that was not tested
 
 An error carries every problem that was found, each with its place. The command line prints them a line each
 and exits with ``exit_code``; anything else is a bug, told without its own text, which might name a patient.
@@ -39,6 +40,7 @@ __all__ = [
     "ScriptError",
     "SimulationError",
     "StageError",
+    "UnsupportedVersionError",
     "UsageError",
     "problems_from_validation",
 ]
@@ -147,6 +149,10 @@ class MissingExtraError(HeartcaseError):
 
     def __init__(self, feature: str, extra: str) -> None:
         super().__init__(f"{feature} needs an optional part: run  pip install 'heartcase[{extra}]'")
+
+
+class UnsupportedVersionError(HeartcaseError, ImportError):
+    """A library that heartcase leans on is installed in a version that it was not tested with."""
 
 
 class ModelProblems(ValueError):

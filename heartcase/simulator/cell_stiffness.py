@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit, prange
+from numba import prange
 
+from heartcase.compiling.kernel import kernel
 from heartcase.simulator.cell_forces import MODES, mean_slopes, tissue_spread
 from heartcase.simulator.model import LatticeModel
 
@@ -51,7 +52,7 @@ class CellStiffness:
             _gather(self._places, self._first, self._at_corners.reshape(-1, 3), inverse_root, product)
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@kernel
 def _modes(corners: Int32, cell: int, moved: Float64) -> Float64:
     """Columns of G and q_1 to q_4 of a cell, shape (7, 3)."""
     q = np.zeros((7, 3))
@@ -62,7 +63,7 @@ def _modes(corners: Int32, cell: int, moved: Float64) -> Float64:
     return q
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@kernel
 def _mean_gradient(q: Float64, slopes: Float64) -> Float64:
     """Mean gradient of the displacement over a cell's tissue, shape (3, 3)."""
     G = np.zeros((3, 3))
@@ -74,7 +75,7 @@ def _mean_gradient(q: Float64, slopes: Float64) -> Float64:
     return G
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@kernel
 def _stress(G: Float64, mu: float, lame: float) -> Float64:
     """Hooke's law."""
     P = mu * (G + G.T)
@@ -84,14 +85,14 @@ def _stress(G: Float64, mu: float, lame: float) -> Float64:
     return P
 
 
-@njit(cache=True, nogil=True, parallel=True)  # type: ignore[untyped-decorator]
+@kernel(parallel=True)
 def _stretch(corners: Int32, slopes: Float64, moved: Float64, gradient: Float64) -> None:
     """Write the gradient of each cell."""
     for cell in prange(len(corners)):
         gradient[cell] = _mean_gradient(_modes(corners, cell, moved), slopes[cell])
 
 
-@njit(cache=True, nogil=True, parallel=True)  # type: ignore[untyped-decorator]
+@kernel(parallel=True)
 def _share(places: Int64, first: Int64, shared: Float64, gradient: Float64, law: Float64, node_stress: Float64) -> None:
     """Write the stress of the mean strain around each node."""
     for node in prange(len(node_stress)):
@@ -109,7 +110,7 @@ def _share(places: Int64, first: Int64, shared: Float64, gradient: Float64, law:
         node_stress[node] = _stress(mean, law[0], law[1])
 
 
-@njit(cache=True, nogil=True, parallel=True)  # type: ignore[untyped-decorator]
+@kernel(parallel=True)
 def _resist(
     corners: Int32,
     scale: Float64,
@@ -160,7 +161,7 @@ def _resist(
                 at_corners[cell, corner, axis] = total
 
 
-@njit(cache=True, nogil=True, parallel=True)  # type: ignore[untyped-decorator]
+@kernel(parallel=True)
 def _gather(places: Int64, first: Int64, at_corners: Float64, inverse_root: Float64, product: Float64) -> None:
     for node in prange(len(first) - 1):
         for place in range(first[node], first[node + 1]):

@@ -8,8 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 from llvmlite import ir
-from numba import cuda, types
-from numba.core import config
+from numba import config, cuda, types
 
 __all__ = ["IS_SIMULATED", "load_four", "meet", "register_limit", "store_four"]
 

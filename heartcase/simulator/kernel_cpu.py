@@ -17,8 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from heartcase.compiling.kernel import kernel
 from heartcase.simulator.kernel_cpu_cells import (
     clear_window,
     element_of_window,
@@ -97,12 +97,12 @@ class SharingArrays(NamedTuple):
     """Whether a cell of a window shares strain, shape (cell_window_count,)."""
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@kernel
 def _part(share: int, count: int) -> tuple[int, int]:
     return share * count // SHARES, (share + 1) * count // SHARES
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@kernel
 def _look_at_share(share: int, now: Float32, cells: CellArrays, sleep: SleepArrays) -> None:
     """Mark the windows of cells that have a corner to be looked after."""
     rows, numbers, _, _, is_flat, _, _ = cells
@@ -112,7 +112,7 @@ def _look_at_share(share: int, now: Float32, cells: CellArrays, sleep: SleepArra
         is_flat[window] = is_flat_window(now, numbers, rows, window)
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@kernel
 def _mark_touched(cells: CellArrays) -> None:
     """Mark the windows of nodes to which flat cells belong."""
     rows, _, _, _, is_flat, is_touched, touches = cells
@@ -124,12 +124,12 @@ def _mark_touched(cells: CellArrays) -> None:
                     is_touched[touched] = 1
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@kernel
 def _has_flat(cells: CellArrays) -> bool:
     return bool(cells[4].any())
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@kernel
 def _stretch(
     thread: int, thread_count: int, now: Float32, cells: CellArrays, sharing: SharingArrays, sleep: SleepArrays
 ) -> None:
@@ -140,7 +140,7 @@ def _stretch(
             gradient_of_window(now, cells[1], sharing.gradient, cells[0], window)
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@kernel
 def _share_strain(
     thread: int, thread_count: int, rows: Int64, cells: CellArrays, sharing: SharingArrays, chunks: ChunkArrays
 ) -> None:
@@ -150,7 +150,7 @@ def _share_strain(
         mean_stress_of_window(sharing.gradient, sharing.shares, sharing.stress, cells[3], rows, np.int64(window))
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@kernel
 def _add_cells(
     windows: Int64 | Int32, kind: int, now: Float32, force: Float32, cells: CellArrays, sharing: SharingArrays
 ) -> None:
@@ -168,7 +168,7 @@ def _add_cells(
             guard_of_window(now, numbers, force, law, rows, window)
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@kernel
 def _step_chunk(chunk: int, state: StateArrays, constants: Constants, chunks: ChunkArrays, sleep: SleepArrays) -> None:
     """Move the windows of a chunk, by springs alone."""
     now, later, velocity, weight, window_numbers, tension, inverse_mass, rows = state
@@ -197,7 +197,7 @@ def _step_chunk(chunk: int, state: StateArrays, constants: Constants, chunks: Ch
         step_of_windows_from_both_ends(*what)
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@kernel
 def _step_chunk_with_cells(
     chunk: int,
     state: StateArrays,
@@ -244,7 +244,7 @@ def _step_chunk_with_cells(
         first = stop
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@kernel
 def lane_forces(
     displacement: Float32,
     weight: Float32,
@@ -284,7 +284,7 @@ def lane_forces(
             force_of_window(displacement, weight, force, force, rows, window)
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@kernel
 def _check_share(
     share: int,
     displacement: Float32,
@@ -305,7 +305,7 @@ def _check_share(
         feel_probes(first, end, rows, displacement, rest, probes, step_number, sleep)
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@kernel
 def advance(
     displacement: Float32,
     velocity: Float32,

@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.core import cgutils
 from numba.extending import intrinsic
 
+from heartcase.compiling.emitting import array_data, nothing, room
 from heartcase.schemas.lattice import CORNER_OFFSETS
 from heartcase.simulator.cell_forces import LOOK_BELOW
 from heartcase.simulator.cell_math import NOTHING_SHARED, make_cell_math
 from heartcase.simulator.lanes import CELL_NUMBERS, LANE_COUNT
-from heartcase.simulator.vector_ir import Lanes, Vector, Window, array_data
+from heartcase.simulator.vector_ir import Lanes, Vector, Window
 
 __all__ = [
     "CALM",
@@ -70,7 +70,7 @@ def _make_cell_window(kind: str) -> Any:
             else:
                 forces = _math.corner_guard(corners, here.load(n, 1))
             _add_forces(here, f, forces)
-            return context.get_dummy_value()
+            return nothing(context)
 
         return types.void(displacement, numbers, cell_force, law, rows, types.int64), codegen
 
@@ -92,7 +92,7 @@ def sharing_element_of_window(  # type: ignore[no-untyped-def]
         scale, own = here.load(n, 0), here.load(w, _OWN_NUMBER)
         forces = _math.element(corners, scale, own, _moments(here, n), _law(builder, constants), _columns(shared))
         _add_forces(here, f, forces)
-        return context.get_dummy_value()
+        return nothing(context)
 
     return types.void(displacement, numbers, shares, stress, cell_force, law, rows, types.int64), codegen
 
@@ -107,7 +107,7 @@ def gradient_of_window(typing_context, displacement, numbers, gradient, rows, wi
         here = Window(builder, starts, arguments[4])
         corners = tuple(here.load_vector(u, offset) for offset in _CORNERS)
         _store(here, g, _math.gradient(corners, _moments(here, n)))
-        return context.get_dummy_value()
+        return nothing(context)
 
     return types.void(displacement, numbers, gradient, rows, types.int64), codegen
 
@@ -125,7 +125,7 @@ def mean_stress_of_window(typing_context, gradient, shares, stress, law, rows, w
         inverse = here.load(g, _INVERSE_NUMBER)
         mean = [total * inverse for total in _sum(here, w, g, [(c, at, at) for c, at in enumerate(behind)])]
         _store(here, p, _math.stretching(_columns(mean), _law(builder, constants)))
-        return context.get_dummy_value()
+        return nothing(context)
 
     return types.void(gradient, shares, stress, law, rows, types.int64), codegen
 
@@ -194,7 +194,7 @@ def clear_window(typing_context, force, rows, window):  # type: ignore[no-untype
         here = Window(builder, starts, arguments[2])
         for axis in range(3):
             Lanes.filled(builder, 0.0).store(here.pointer(f, axis))
-        return context.get_dummy_value()
+        return nothing(context)
 
     return types.void(force, rows, types.int64), codegen
 
@@ -221,7 +221,7 @@ def is_flat_window(typing_context, displacement, numbers, rows, window):  # type
         scale = here.load(n, 0)
         zero = Lanes.filled(builder, 0.0)
         spread = _spread(corners).where_positive(scale, zero)
-        result = cgutils.alloca_once(builder, ir.IntType(1))
+        result = room(builder, ir.IntType(1))
         builder.store(ir.Constant(ir.IntType(1), 0), result)
         with builder.if_then((spread - CALM).is_any_positive()):
             lack = _math.corner_lack(corners, np.float32(LOOK_BELOW)) * scale

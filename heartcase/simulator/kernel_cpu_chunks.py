@@ -15,8 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import get_num_threads, njit
+from numba import get_num_threads
 
+from heartcase.compiling.kernel import kernel
 from heartcase.simulator.kernel_cpu_sleep import SleepArrays
 from heartcase.simulator.lanes import LANE_COUNT, ROWS, LaneLayout
 from heartcase.simulator.model import DIRECTIONS
@@ -99,7 +100,7 @@ def _windows_behind(layout: LaneLayout) -> Int32:
     return np.ascontiguousarray(behind[:, : max(1, int((behind >= 0).sum(axis=1).max(initial=0)))])
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@kernel
 def _set_ends(ends: Int64, before_counts: Int64, count: int) -> None:
     """Share out so many windows, where a window of which the tensions alone are needed is half as much work."""
     chunk_count = len(before_counts)
@@ -112,7 +113,7 @@ def _set_ends(ends: Int64, before_counts: Int64, count: int) -> None:
     ends[chunk_count] = count
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@kernel
 def share_out(chunks: ChunkArrays, sleep: SleepArrays) -> None:
     """Make the chunks from the windows that are awake."""
     behind, ends, before, before_counts, taken_by, chunk_of, touches, cells, cell_counts, _, _ = chunks
@@ -159,7 +160,7 @@ def share_out(chunks: ChunkArrays, sleep: SleepArrays) -> None:
     _list_corners(chunks, sleep)
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@kernel
 def _list_corners(chunks: ChunkArrays, sleep: SleepArrays) -> None:
     is_corner = chunks.taken_by
     is_corner[:] = 0

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from heartcase.compiling.kernel import kernel
 from heartcase.simulator.contact import make_contact
 from heartcase.simulator.lanes import BANK_LANES, LANE_COUNT
 
@@ -18,18 +18,18 @@ ExplicitArrays = tuple[Int64, Int64, Int64, Float32, Float32]
 Vector = tuple[np.float32, np.float32, np.float32]
 
 
-@njit(nogil=True)  # type: ignore[untyped-decorator]
+@kernel(cached=False)
 def _vector(array: Float32, lane: int) -> Vector:
     return array[lane], array[BANK_LANES + lane], array[2 * BANK_LANES + lane]
 
 
-@njit(nogil=True)  # type: ignore[untyped-decorator]
+@kernel(cached=False)
 def _apart(array: Float32, lane: int, own: Vector) -> Vector:
     there = _vector(array, lane)
     return there[0] - own[0], there[1] - own[1], there[2] - own[2]
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@kernel
 def pull_explicitly(
     now: Float32, velocity: Float32, inverse_mass: Float32, explicit: ExplicitArrays, constants: Constants
 ) -> None:
@@ -55,10 +55,10 @@ def pull_explicitly(
             velocity[axis * BANK_LANES + lane] += scale * force
 
 
-_pushed_out, _allowed_share = make_contact(njit(nogil=True))
+_pushed_out, _allowed_share = make_contact(kernel(cached=False))
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@kernel
 def keep_window_outside(
     now: Float32,
     later: Float32,

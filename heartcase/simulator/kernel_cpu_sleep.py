@@ -19,8 +19,8 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from heartcase.compiling.kernel import kernel
 from heartcase.schemas.lattice import lattice_keys
 from heartcase.simulator.contact import REACH
 from heartcase.simulator.lanes import BANK_LANES, LANE_COUNT, LaneLayout
@@ -111,7 +111,7 @@ def sleep_arrays(model: LatticeModel, layout: LaneLayout, cell_window_count: int
     )
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@kernel
 def rouse(sleep: SleepArrays, is_first: bool) -> bool:
     """Wake all windows; before the first step of a row, also forget what the last check said.
 
@@ -132,7 +132,7 @@ def rouse(sleep: SleepArrays, is_first: bool) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@kernel
 def remember(first: int, end: int, rows: Int64, velocity: Float32, sleep: SleepArrays) -> None:
     """Keep the velocities of some of the windows that are awake for a check after the step.
 
@@ -149,7 +149,7 @@ def remember(first: int, end: int, rows: Int64, velocity: Float32, sleep: SleepA
                 before[axis * BANK_LANES + place] = velocity[axis * BANK_LANES + place]
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@kernel
 def check(
     first: int,
     end: int,
@@ -195,7 +195,7 @@ def check(
             raise_to(is_moving, high, why)
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@kernel
 def feel_probes(
     first: int,
     end: int,
@@ -228,7 +228,7 @@ def feel_probes(
                     raise_to(is_moving, high, PULLED)
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@kernel
 def settle(now: Float32, other: Float32, velocity: Float32, rows: Int64, touches: Int64, sleep: SleepArrays) -> bool:
     """After a check, put windows to sleep that are far from what moves, and wake those that are not.
 

@@ -19,9 +19,10 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
+from heartcase.compiling.emitting import array_data, nothing
 from heartcase.simulator.lanes import LANE_COUNT
 from heartcase.simulator.model import DIRECTIONS
-from heartcase.simulator.vector_ir import Lanes, Vector, Window, array_data
+from heartcase.simulator.vector_ir import Lanes, Vector, Window
 
 __all__ = [
     "AHEAD",
@@ -191,7 +192,7 @@ def tension_of_window(typing_context, now, window_numbers, tension, rows, window
             weight = window_number(builder, n, arguments[4], direction)
             springs = SpringsAhead.of(here, u, own, direction, weight)
             (springs.weighted / springs.divisor()).store(here.pointer(t, direction))
-        return context.get_dummy_value()
+        return nothing(context)
 
     return types.void(now, window_numbers, tension, rows, types.int64), codegen
 
@@ -208,7 +209,7 @@ def _make_force(has_cells: bool) -> Any:
             for axis, against in enumerate(spring_force_from_both_ends(here, u, w)):
                 total = against - here.load(c, axis) if has_cells else against
                 (-total).store(here.pointer(f, axis))
-            return context.get_dummy_value()
+            return nothing(context)
 
         return types.void(displacement, weight, cell_force, force, rows, types.int64), codegen
 

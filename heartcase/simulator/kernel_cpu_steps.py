@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.core import cgutils
 from numba.extending import intrinsic
 
+from heartcase.compiling.emitting import array_data, counted, length, nothing, room_with, tuple_parts
 from heartcase.simulator.kernel_cpu_springs import (
     AHEAD,
     SpringsAhead,
@@ -26,7 +26,7 @@ from heartcase.simulator.kernel_cpu_springs import (
     window_number,
     with_springs_behind,
 )
-from heartcase.simulator.vector_ir import Lanes, Vector, Window, array_data, has_many_registers
+from heartcase.simulator.vector_ir import Lanes, Vector, Window, has_many_registers
 
 __all__ = [
     "STEPS_BY_ORDER",
@@ -81,7 +81,7 @@ def _emit_in_turn(
     builder: Any, arrays: _Arrays, windows: Any, first: Any, end: Any, springs: str, has_cells: bool
 ) -> None:
     """Step windows one by one, each spring at once."""
-    with cgutils.for_range_slice(builder, first, end, ir.Constant(_INDEX, 1)) as (number, _):
+    with counted(builder, first, end) as (number, _):
         window = builder.load(builder.gep(windows, [number]))
         here = Window(builder, arrays.rows, window)
         total: Vector | None = None
@@ -100,7 +100,7 @@ class _Carried:
 
     def __init__(self, builder: Any, starts: list[Any]) -> None:
         self.builder = builder
-        self.rooms = [cgutils.alloca_once_value(builder, value) for value in starts]
+        self.rooms = [room_with(builder, value) for value in starts]
 
     def load(self) -> list[Any]:
         return [self.builder.load(room) for room in self.rooms]
@@ -140,7 +140,7 @@ def _emit_in_stages(
         at_first += [zero, zero, zero, zero, zero if direction < count - _DIVISION else one]
     carried = _Carried(builder, at_first)
     rounds = builder.select(builder.icmp_signed("<", first, end), builder.add(end, ir.Constant(_INDEX, 1)), first)
-    with cgutils.for_range_slice(builder, first, rounds, ir.Constant(_INDEX, 1)) as (number, _):
+    with counted(builder, first, rounds) as (number, _):
         is_there = builder.icmp_signed("<", number, end)
         place = builder.gep(windows, [builder.select(is_there, number, first)])
         window = builder.select(is_there, builder.load(place), nothing)
@@ -208,15 +208,15 @@ def _make_steps(springs: str, has_cells: bool = False, in_stages: bool | None = 
         def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             given = zip(signature.args[:9], arguments, strict=False)
             data = [array_data(context, builder, *pair) for pair in given]
-            fixed = [Lanes.filled(builder, number) for number in cgutils.unpack_tuple(builder, arguments[12], 7)]
+            fixed = [Lanes.filled(builder, number) for number in tuple_parts(builder, arguments[12], 7)]
             listed = array_data(context, builder, signature.args[9], arguments[9])
             what = (builder, _Arrays(fixed, *data), listed, arguments[10], arguments[11])
             if springs == "kept" and (has_many_registers(context) if in_stages is None else in_stages):
-                row_array = context.make_array(signature.args[8])(context, builder, arguments[8])
-                _emit_in_stages(*what, cgutils.unpack_tuple(builder, row_array.shape)[0], has_cells)
+                none = length(context, builder, signature.args[8], arguments[8])
+                _emit_in_stages(*what, none, has_cells)
             else:
                 _emit_in_turn(*what, springs, has_cells)
-            return context.get_dummy_value()
+            return nothing(context)
 
         return types.void(*arrays, windows, types.int64, types.int64, constants), codegen
 

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from heartcase.compiling.kernel import kernel
 from heartcase.schemas.errors import SimulationError
 from heartcase.schemas.lattice import lattice_keys
 from heartcase.simulator.cell_forces import tissue_spread
@@ -254,7 +254,7 @@ def cell_layout(model: LatticeModel, layout: LaneLayout) -> CellLayout:
     return CellLayout(layout=layout, cell_lane=lane, window_rows=rows, touches=touches)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@kernel
 def _run_starts(block_counts: npt.NDArray[np.int64], capacity: int) -> npt.NDArray[np.int64]:
     """First lane of each run: an empty block follows each, and no bank holds more blocks than its capacity."""
     starts = np.empty_like(block_counts)
@@ -267,7 +267,7 @@ def _run_starts(block_counts: npt.NDArray[np.int64], capacity: int) -> npt.NDArr
     return starts
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@kernel
 def _windows(node_lane: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
     """First node of each window, and window of each node: a window begins at the first node that none holds yet."""
     first, window = np.empty_like(node_lane), np.empty_like(node_lane)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from heartcase.compiling.kernel import kernel
 from heartcase.schemas.lattice import CORNER_OFFSETS
 from heartcase.simulator.cell_forces import CORNER_FLOOR, cell_energies
 from heartcase.simulator.model import DIRECTIONS, LatticeModel
@@ -43,7 +43,7 @@ def inverted_cells(model: LatticeModel, displacement: Float) -> npt.NDArray[np.b
     return inverted
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@kernel
 def _spring_energy(
     nodes: npt.NDArray[np.int32], direction: npt.NDArray[np.int8], weight: Float, displacement: Float
 ) -> float:
@@ -61,7 +61,7 @@ def _spring_energy(
     return 0.5 * total
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@kernel
 def _mark_flat(
     cell_corners: npt.NDArray[np.int32], displacement: Float, volume_most: float, flat: npt.NDArray[np.bool_]
 ) -> None:

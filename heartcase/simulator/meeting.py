@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from llvmlite import ir
-from numba import njit, types
-from numba.core import cgutils
+from numba import types
 from numba.extending import intrinsic
 
-from heartcase.simulator.vector_ir import array_data
+from heartcase.compiling.emitting import array_data, named_function, nothing
+from heartcase.compiling.kernel import kernel
 
 __all__ = ["Crew", "Meeting", "meet", "raise_to"]
 
@@ -135,7 +135,7 @@ def _begin(typing_context, meeting, number):  # type: ignore[no-untyped-def]
         arrived = _pointer(context, builder, kind, array, _ARRIVED)
         builder.store_atomic(ir.Constant(_INT64, 0), arrived, "monotonic", 8)
         builder.store_atomic(arguments[1], _pointer(context, builder, kind, array, _ROUND), "release", 8)
-        return context.get_dummy_value()
+        return nothing(context)
 
     return types.void(meeting, types.int64), codegen
 
@@ -147,8 +147,8 @@ def _pause(typing_context):  # type: ignore[no-untyped-def]
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         if _IS_X86:
             kind = ir.FunctionType(ir.VoidType(), [])
-            builder.call(cgutils.get_or_insert_function(builder.module, kind, "llvm.x86.sse2.pause"), [])
-        return context.get_dummy_value()
+            builder.call(named_function(builder, kind, "llvm.x86.sse2.pause"), [])
+        return nothing(context)
 
     return types.void(), codegen
 
@@ -160,13 +160,13 @@ def _give_way(typing_context):  # type: ignore[no-untyped-def]
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         name = "SwitchToThread" if platform.system() == "Windows" else "sched_yield"
         kind = ir.FunctionType(ir.IntType(32), [])
-        builder.call(cgutils.get_or_insert_function(builder.module, kind, name), [])
-        return context.get_dummy_value()
+        builder.call(named_function(builder, kind, name), [])
+        return nothing(context)
 
     return types.void(), codegen
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@kernel
 def meet(meeting: Meeting, thread_count: int) -> bool:
     """Wait for all threads; what they wrote before can be read after. False where the work was abandoned."""
     if thread_count == 1:
@@ -194,6 +194,6 @@ def raise_to(typing_context, array, place, value):  # type: ignore[no-untyped-de
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         data = array_data(context, builder, signature.args[0], arguments[0])
         builder.atomic_rmw("umax", builder.gep(data, [arguments[1]]), arguments[2], "monotonic")
-        return context.get_dummy_value()
+        return nothing(context)
 
     return types.void(array, types.intp, types.int8), codegen

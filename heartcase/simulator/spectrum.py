@@ -13,8 +13,9 @@ from math import ceil, log, sqrt
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit, prange
+from numba import prange
 
+from heartcase.compiling.kernel import kernel
 from heartcase.simulator.cell_stiffness import CellStiffness
 from heartcase.simulator.model import DIRECTIONS, LatticeModel
 
@@ -107,7 +108,7 @@ def _springs_of_nodes(model: LatticeModel) -> tuple[Int64, Int32, Int8, Float64]
     return start, np.ascontiguousarray(other), direction, weight.astype(np.float64)
 
 
-@njit(cache=True, nogil=True, parallel=True)  # type: ignore[untyped-decorator]
+@kernel(parallel=True)
 def _stiffness_times(
     start: Int64,
     other: Int32,

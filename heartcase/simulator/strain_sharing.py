@@ -22,8 +22,9 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit, prange
+from numba import prange
 
+from heartcase.compiling.kernel import kernel
 from heartcase.schemas.lattice import CORNER_OFFSETS, lattice_keys
 
 __all__ = ["corner_shares"]
@@ -99,7 +100,7 @@ def _covariance_around(cells: Int32, tissue: Float64, moments: Float64) -> Float
     return result
 
 
-@njit(cache=True, nogil=True, parallel=True)  # type: ignore[untyped-decorator]
+@kernel(parallel=True)
 def _spread_around(
     keys: Int64, along_j: int, along_k: int, tissue: Float64, moments: Float64, covariance: Float64
 ) -> None:

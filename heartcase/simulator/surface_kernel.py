@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import get_num_threads, njit
+from numba import get_num_threads
 
+from heartcase.compiling.kernel import kernel
 from heartcase.simulator.meeting import Crew, Meeting
 from heartcase.simulator.surface_math import make_vertex_math
 
@@ -30,8 +31,8 @@ TURNED = np.uint8(2)
 _CREW = Crew()
 """Threads of all surfaces: their parts need not meet."""
 _ZERO = np.float32(0)
-_OPTIONS = {"nogil": True, "error_model": "numpy"}
-_inlined = njit(forceinline=True, **_OPTIONS)
+_OPTIONS: dict[str, Any] = {"error_model": "numpy"}
+_inlined = kernel(cached=False, forceinline=True, **_OPTIONS)
 _spring_direction, _normal_of_sum, _vertex_frame, _along = make_vertex_math(_inlined)
 
 
@@ -45,7 +46,7 @@ def _turned(vector, axes):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, **_OPTIONS)
+@kernel(**_OPTIONS)
 def _normals_between(start, end, springs, displacement, marks, normals):  # type: ignore[no-untyped-def]
     # Tuples are taken apart here: inside the loop their arrays would be counted again for every node.
     nodes, first, neighbours, offset = springs
@@ -67,7 +68,7 @@ def _normals_between(start, end, springs, displacement, marks, normals):  # type
         normals[number, 0], normals[number, 1], normals[number, 2] = x, y, z
 
 
-@njit(cache=True, **_OPTIONS)
+@kernel(**_OPTIONS)
 def _deform_between(  # type: ignore[no-untyped-def]
     start, end, hung, drawn, axes, node_normal, displacement, marks, vertices_mm, normals, tangents
 ):
@@ -95,7 +96,7 @@ def _deform_between(  # type: ignore[no-untyped-def]
                 tangents[r, 0], tangents[r, 1], tangents[r, 2], tangents[r, 3] = t[0], t[1], t[2], tangent[r, 3]
 
 
-@njit(cache=True, **_OPTIONS)
+@kernel(**_OPTIONS)
 def _place_between(  # type: ignore[no-untyped-def]
     start, end, nodes, rest_mm, axes, node_normal, displacement, marks, vertices_mm, normals
 ):
@@ -210,7 +211,7 @@ def place_nodes(
     _run(_place_between, len(nodes), arrays, together)
 
 
-@njit(cache=True, **_OPTIONS)
+@kernel(**_OPTIONS)
 def move_at_rest(  # type: ignore[no-untyped-def]
     triangle_nodes, weights, edges, curvature, offset, normal_number, node_normal, displacement, moved
 ):
@@ -222,7 +223,7 @@ def move_at_rest(  # type: ignore[no-untyped-def]
         moved[v, 0], moved[v, 1], moved[v, 2] = x, y, z
 
 
-@njit(cache=True, **_OPTIONS)
+@kernel(**_OPTIONS)
 def mark_moved(now, before, marks):  # type: ignore[no-untyped-def]
     """Mark the nodes of which a bit changed, take over their displacement, and count them.
 

@@ -12,16 +12,15 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.core import cgutils
 from numba.extending import intrinsic
 
+from heartcase.compiling.emitting import named_function, nothing, room
 from heartcase.simulator.lanes import BANK_LANES, LANE_COUNT, ROWS
 
 __all__ = [
     "Lanes",
     "Vector",
     "Window",
-    "array_data",
     "flush_subnormals",
     "has_many_registers",
     "restore_subnormals",
@@ -112,7 +111,7 @@ class Lanes:
     def _fused(self, factors: tuple[Any, Any], summand: Lanes) -> Lanes:
         """``llvm.fmuladd``: one operation or two, as is quicker on the processor, but the same in all its code."""
         kind = ir.FunctionType(_VECTOR, [_VECTOR] * 3)
-        function = cgutils.get_or_insert_function(self.builder.module, kind, f"llvm.fmuladd.v{LANE_COUNT}f32")
+        function = named_function(self.builder, kind, f"llvm.fmuladd.v{LANE_COUNT}f32")
         return Lanes(self.builder, self.builder.call(function, [*factors, summand.value]))
 
     def after(self, first: Any) -> Lanes:
@@ -138,7 +137,7 @@ class Lanes:
     def root(self) -> Lanes:
         """Square root."""
         kind = ir.FunctionType(_VECTOR, [_VECTOR])
-        function = cgutils.get_or_insert_function(self.builder.module, kind, f"llvm.sqrt.v{LANE_COUNT}f32")
+        function = named_function(self.builder, kind, f"llvm.sqrt.v{LANE_COUNT}f32")
         return Lanes(self.builder, self.builder.call(function, [self.value]))
 
     def positive_part(self) -> Lanes:
@@ -208,11 +207,6 @@ class Window:
         return x, y, z
 
 
-def array_data(context: Any, builder: Any, kind: Any, value: Any) -> Any:
-    """Pointer to an array's data."""
-    return context.make_array(kind)(context, builder, value).data
-
-
 def has_many_registers(context: Any) -> bool:
     """Whether the code being emitted is for a processor with 32 registers of 8 lanes: AVX-512, not AVX2 or NEON."""
     return "+avx512vl" in context.codegen().magic_tuple()[2]
@@ -231,13 +225,13 @@ def flush_subnormals(typing_context):  # type: ignore[no-untyped-def]
     """
 
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        room = cgutils.alloca_once(builder, ir.IntType(32))
+        control = room(builder, ir.IntType(32))
         if not _IS_X86:
             return ir.Constant(ir.IntType(32), 0)
-        _control_word(builder, "stmxcsr", room)
-        before = builder.load(room)
-        builder.store(builder.or_(before, ir.Constant(ir.IntType(32), _FLUSH)), room)
-        _control_word(builder, "ldmxcsr", room)
+        _control_word(builder, "stmxcsr", control)
+        before = builder.load(control)
+        builder.store(builder.or_(before, ir.Constant(ir.IntType(32), _FLUSH)), control)
+        _control_word(builder, "ldmxcsr", control)
         return before
 
     return types.int32(), codegen
@@ -249,10 +243,10 @@ def restore_subnormals(typing_context, before):  # type: ignore[no-untyped-def]
 
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         if _IS_X86:
-            room = cgutils.alloca_once(builder, ir.IntType(32))
-            builder.store(arguments[0], room)
-            _control_word(builder, "ldmxcsr", room)
-        return context.get_dummy_value()
+            control = room(builder, ir.IntType(32))
+            builder.store(arguments[0], control)
+            _control_word(builder, "ldmxcsr", control)
+        return nothing(context)
 
     return types.void(types.int32), codegen
 
@@ -260,9 +254,9 @@ def restore_subnormals(typing_context, before):  # type: ignore[no-untyped-def]
 _IS_X86 = platform.machine().lower() in ("x86_64", "amd64")
 
 
-def _control_word(builder: Any, action: str, room: Any) -> None:
+def _control_word(builder: Any, action: str, control: Any) -> None:
     """Load or store the control word of floating-point arithmetic."""
     byte = ir.IntType(8).as_pointer()
     kind = ir.FunctionType(ir.VoidType(), [byte])
-    function = cgutils.get_or_insert_function(builder.module, kind, f"llvm.x86.sse.{action}")
-    builder.call(function, [builder.bitcast(room, byte)])
+    function = named_function(builder, kind, f"llvm.x86.sse.{action}")
+    builder.call(function, [builder.bitcast(control, byte)])

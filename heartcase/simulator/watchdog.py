@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from heartcase.compiling.kernel import kernel
 from heartcase.simulator.integrate import Verlet
 from heartcase.simulator.measures import elastic_energy_of, inverted_cells
 from heartcase.simulator.model import LatticeModel
@@ -86,7 +86,7 @@ def _largest(values: npt.NDArray[np.float32]) -> float:
     return float(np.int32(bits).view(np.float32))
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@kernel
 def _largest_bits(bits: npt.NDArray[np.int32]) -> int:
     """Largest of the bits but the sign: they sort as the numbers do, and a maximum of integers is a vector's work."""
     largest = np.int32(0)

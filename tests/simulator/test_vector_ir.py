@@ -10,6 +10,7 @@ from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
 
+from heartcase.compiling.emitting import array_data
 from heartcase.simulator.kernel_cpu_cells import (
     element_of_window,
     gradient_of_window,
@@ -19,7 +20,7 @@ from heartcase.simulator.kernel_cpu_cells import (
 )
 from heartcase.simulator.kernel_cpu_steps import STEPS_BY_ORDER, step_of_windows_with_cells
 from heartcase.simulator.lanes import LANE_COUNT
-from heartcase.simulator.vector_ir import Lanes, array_data
+from heartcase.simulator.vector_ir import Lanes
 
 ONE_PRODUCT = [
     lambda a, b, c, times: times(a, b) + c,

@@ -10,15 +10,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 from scipy.ndimage import find_objects
 from scipy.sparse import csgraph
 
+from heartcase.compiling.calls import copied
+from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.cells.topology import Connectivity, betti_numbers, components
-from heartcase.pipeline.kernels import copied
 
 __all__ = ["Change", "topology_changes"]
 
@@ -148,7 +148,7 @@ def _around(mask):  # type: ignore[no-untyped-def]
     return (mask | (mask & ~_LOW_Z) >> 9 | (mask << 9) & ~_LOW_Z) & _ALL
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _is_simple(inside):  # type: ignore[no-untyped-def]
     """Whether a voxel of a 26-connected set is simple, from the set's neighbours of it."""
     inside &= ~_CENTRE
@@ -171,7 +171,7 @@ def _is_simple(inside):  # type: ignore[no-untyped-def]
     return faces & ~grown == 0
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _deform(now, differs, order, steps, is_six):  # type: ignore[no-untyped-def]
     """Change what differs as long as it is simple; ``now`` and ``differs`` are flat, with a rim of one voxel."""
     count = len(order)

@@ -12,8 +12,9 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.compiling.calls import called, copied
+from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.data import SimulationGrid
-from heartcase.pipeline.kernels import called, copied
 from heartcase.pipeline.vectors import cross
 from heartcase.schemas.lattice import CELL_DIAGONALS, CELL_EDGES, cell_nodes, distinct_keys
 
@@ -140,7 +141,7 @@ def _plate_curvature(normal, mode, curvature):  # type: ignore[no-untyped-def]
                 curvature[a, b] = _AMPLITUDE * np.sqrt(0.5) * (first[a] * second[b] + second[a] * first[b])
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _bases(points, around, counts, weights, flat, curved, scratch):  # type: ignore[no-untyped-def]
     """Rows T, N, B of the triangle's basis and of the interpolated one; False where the latter is not defined."""
     for x in range(3):
@@ -229,7 +230,7 @@ def _errors_at(places, facing, triangle_nodes, weights, nodes, neighbours, flat_
     curved_error[v] = np.sqrt(total_curved) / _AMPLITUDE if defined else np.inf
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _errors(places, facing, triangle_nodes, weights, nodes, neighbours, flat_error, curved_error, aligned):  # type: ignore[no-untyped-def]
     for v in numba.prange(len(places)):
         _errors_at(places, facing, triangle_nodes, weights, nodes, neighbours, flat_error, curved_error, aligned, v)

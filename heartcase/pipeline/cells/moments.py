@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.compiling.calls import copied
+from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.cells.sampling import CellSamples, tissue_part
-from heartcase.pipeline.kernels import copied
 from heartcase.schemas.lattice import FULL_MOMENTS
 
 __all__ = ["cell_moments"]
@@ -53,7 +53,7 @@ def _outward(below, value, above):  # type: ignore[no-untyped-def]
     return (up if up >= down else -down), up - down
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _add_up(tissue_mm, wz, wy, wx, s, width, cells, moments):  # type: ignore[no-untyped-def]
     nz, ny, nx = tissue_mm.shape
     place = np.empty(3)

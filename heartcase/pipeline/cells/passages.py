@@ -14,12 +14,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-import numba
 import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 from scipy.sparse import csgraph
 
+from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.cells.repair import CellState, Index, index_of
 from heartcase.pipeline.cells.sampling import CellSamples, VoidPieces
 from heartcase.schemas.lattice import distinct_keys
@@ -354,7 +354,7 @@ def _from_void(ways: Int64, cost: Float64, sources: Int64, tissue: Bool) -> tupl
     return distance, before.astype(np.int64), source.astype(np.int64)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _number_samples(piece, main, tissue, base, s, node):  # type: ignore[no-untyped-def]
     nk, nj, ni = tissue.shape
     for k in range(nk):
@@ -375,7 +375,7 @@ def _number_samples(piece, main, tissue, base, s, node):  # type: ignore[no-unty
                                 node[z, y, x] = first
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _connected_nearby(tissue, is_blood, k0, j0, i0, k1, j1, i1, margin):  # type: ignore[no-untyped-def]
     """Whether blood cells join two blood cells inside their common box, grown by a margin."""
     nk, nj, ni = tissue.shape

@@ -11,12 +11,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-import numba
 import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 from scipy.sparse import csgraph
 
+from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.cells.sampling import CellSamples, VoidPieces
 from heartcase.pipeline.cells.topology import components
 
@@ -237,7 +237,7 @@ def index_of(values: npt.ArrayLike) -> Index:
     return k, j, i
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _find_leaks(piece, main, tissue, s, flags):  # type: ignore[no-untyped-def]
     nk, nj, ni = tissue.shape
     for k in range(nk):

@@ -13,9 +13,10 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.compiling.calls import called, copied
+from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.data import Structures
 from heartcase.pipeline.fields import FieldReader, ownership_on_lattice
-from heartcase.pipeline.kernels import called, copied
 from heartcase.schemas.geometry import Geometry
 
 __all__ = ["CellSamples", "VoidPieces", "cell_lattice", "sample_cells", "sample_factor", "tissue_part", "void_pieces"]
@@ -177,7 +178,7 @@ def _mean_in_sample(tissue_mm, z, y, x, width):  # type: ignore[no-untyped-def]
     return value + bend / 24.0 if abs(bend) < 0.7 * width else value
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def tissue_part(tissue_mm, z, y, x, width):  # type: ignore[no-untyped-def]
     """Part of a sample that is tissue, 0 to 1: linear in the mean of the field over it. ``width`` is its edge, mm."""
     return min(max(0.5 - _mean_in_sample(tissue_mm, z, y, x, width) / width, 0.0), 1.0)
@@ -208,7 +209,7 @@ def _measure_layer(tissue_mm, tissue_label, wz, wy, wx, s, width, coverage, cell
                 coverage[k, j, i] = min(total / (s * s * s), 1.0)
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _measure(tissue_mm, tissue_label, wz, wy, wx, s, width, coverage, cell_label):  # type: ignore[no-untyped-def]
     for k in numba.prange(len(coverage)):
         _measure_layer(tissue_mm, tissue_label, wz, wy, wx, s, width, coverage, cell_label, k)
@@ -272,7 +273,7 @@ def _label_layer(void, void_label, s, piece, count, main, main_label, k):  # typ
             main_label[k, j, i] = best
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _label_pieces(void, void_label, s, piece, count, main, main_label):  # type: ignore[no-untyped-def]
     for k in numba.prange(len(count)):
         _label_layer(void, void_label, s, piece, count, main, main_label, k)

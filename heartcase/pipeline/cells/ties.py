@@ -16,6 +16,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
+from heartcase.compiling.calls import called, copied
+from heartcase.compiling.kernel import kernel
+from heartcase.compiling.lent import lend
 from heartcase.pipeline.cells.ways import (
     FieldsInCells,
     fields_in_cells,
@@ -26,7 +29,6 @@ from heartcase.pipeline.cells.ways import (
 )
 from heartcase.pipeline.data import Surface
 from heartcase.pipeline.fields import FieldReader, scratch
-from heartcase.pipeline.kernels import called, copied, lend
 from heartcase.pipeline.side_by_side import every_other
 from heartcase.pipeline.vectors import dot, put, square_to_triangle
 from heartcase.schemas.geometry import Geometry
@@ -248,7 +250,7 @@ def _choose_some(places, normals, fields, who, triangles, tried, apart, penalty,
             break
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _choose(  # type: ignore[no-untyped-def]
     places, normals, layout, tables, lattice, who, all_triangles, tried, apart, penalty, check, most, chosen, score
 ):
@@ -273,7 +275,7 @@ def _choose(  # type: ignore[no-untyped-def]
         )
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _closest_weights(points, corners, out):  # type: ignore[no-untyped-def]
     steps = 16777216.0
     for n in numba.prange(len(points)):

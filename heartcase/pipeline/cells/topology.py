@@ -11,10 +11,10 @@ from itertools import product
 from typing import Literal
 
 import cc3d
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.feature_transform import distance_to_marked
 
 __all__ = ["Betti", "betti_numbers", "components", "distance_in_samples", "euler_characteristic", "piece_sizes"]
@@ -57,7 +57,7 @@ def components(mask: Bool, connectivity: Connectivity) -> tuple[npt.NDArray[np.u
     return labels, int(count)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def piece_sizes(labels, count):  # type: ignore[no-untyped-def]
     """Voxels of each number up to ``count``; ``labels`` is flat."""
     sizes = np.zeros(count + 1, np.int64)

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.compiling.calls import called, copied
+from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.field_layout import FieldLayout
 from heartcase.pipeline.fields import FieldReader, evaluate_owner, steps_through
-from heartcase.pipeline.kernels import called, copied
 from heartcase.pipeline.vectors import dot
 from heartcase.pipeline.wall_thickness import ThicknessArrays
 from heartcase.schemas.geometry import Geometry
@@ -69,7 +69,7 @@ class CellLattice(NamedTuple):
 
 
 class FieldsInCells(NamedTuple):
-    """Fields as the kernels read them at places in cells, lent (:func:`~heartcase.pipeline.kernels.lend`)."""
+    """Fields as the kernels read them at places in cells, lent (:func:`~heartcase.compiling.lent.lend`)."""
 
     layout: FieldLayout
     tables: ThicknessArrays
@@ -217,7 +217,7 @@ def hangs_together(fields, spare, room, vertex, normal, cell, is_void):  # type:
     return not _add(fields, spare, room, low, high, at, 1, _FINE + 1, cell, is_void, 3 * _FINE, 0)[1]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _leads_straight(fields, spare, begin, cell):  # type: ignore[no-untyped-def]
     """Whether all samples from that of a place on, each a step nearer to a cell along every axis, are tissue."""
     cells = fields.lattice.cells
@@ -234,7 +234,7 @@ def _leads_straight(fields, spare, begin, cell):  # type: ignore[no-untyped-def]
     return False
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _sample(fields, i, j, k, spare):  # type: ignore[no-untyped-def]
     """Tissue field, mm, at a sample; beyond the scan that of its nearest place."""
     start, step = fields.lattice.start, fields.lattice.step
@@ -273,7 +273,7 @@ def _add(fields, spare, room, low, high, at, before, after, cell, is_void, steps
     return top, False
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _towards(cell, sample):  # type: ignore[no-untyped-def]
     """Step from a sample towards a cell along one axis; 0 where it is of the cell, or next to it."""
     if sample < _FINE * cell - 1:

@@ -12,10 +12,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.formats.raw_volume import check_size, require_file
 from heartcase.pipeline.formats.segments import LabelVolume, SegmentInfo, keep_all
 from heartcase.schemas.errors import HeartcaseError, MarkerError, Problem
@@ -181,7 +181,7 @@ def _ray_count(vertices: Int64, triangles: Int64, geometry: Geometry) -> int:
     return int(counts.sum())
 
 
-@numba.njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@kernel
 def _side(ay: int, az: int, by: int, bz: int, py: int, pz: int) -> int:
     """Sign of the turn a, b, p in the (y, z) plane, never zero: p is moved by an infinitely small (e, e*e)."""
     turn = (by - ay) * (pz - az) - (bz - az) * (py - ay)
@@ -194,7 +194,7 @@ def _side(ay: int, az: int, by: int, bz: int, py: int, pz: int) -> int:
     return 0
 
 
-@numba.njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@kernel
 def _count_crossings(vertices: Int64, triangles: Int64, crossings: npt.NDArray[np.int16]) -> None:
     nk, nj, ni = crossings.shape[0], crossings.shape[1], crossings.shape[2] - 1
     for t in range(len(triangles)):

@@ -14,7 +14,8 @@ import numpy.typing as npt
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from heartcase.pipeline.kernels import copied
+from heartcase.compiling.calls import copied
+from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.mesh.half_edges import opposites
 from heartcase.pipeline.vectors import put
 
@@ -65,7 +66,7 @@ def cut_into_charts(vertices: Float64, triangles: Int32) -> tuple[Int32, Float64
     return _connected(chart, axes, opposite)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _merge(normal, length, opposite, chart, axes, most, cosine):  # type: ignore[no-untyped-def]
     """Give charts of at most ``most`` triangles to a neighbour where one cone holds both; returns whether any went.
 
@@ -189,7 +190,7 @@ def _connected(chart: Int32, axes: Float64, opposite: Int32) -> tuple[Int32, Flo
     return piece.astype(np.int32), axes[old]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _grow(normal, area, opposite, chart, axes, cosine):  # type: ignore[no-untyped-def]
     """Grow charts over all triangles without one; new charts follow those there are. Returns all axes.
 
@@ -264,7 +265,7 @@ def project(points: Float64, axes: Float64, chart: Int32) -> Float64:
     return flat
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _project(points, right, up, chart, flat):  # type: ignore[no-untyped-def]
     for n in numba.prange(len(points)):
         c = chart[n]
@@ -374,7 +375,7 @@ def _find_overlapping(flat, begin, end, out):  # type: ignore[no-untyped-def]
                 entry += 1
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _overlapping(flat, start):  # type: ignore[no-untyped-def]
     """Triangles that overlap a kept one of lower rank in the same chart."""
     out = np.zeros(len(flat), np.bool_)

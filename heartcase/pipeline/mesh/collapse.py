@@ -15,7 +15,8 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.pipeline.kernels import called
+from heartcase.compiling.calls import called
+from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.mesh.half_edges import opposites_of_some
 from heartcase.pipeline.mesh.quadrics import (
     best_place,
@@ -48,7 +49,7 @@ PART_TRIANGLES = 60_000
 MOST_PARTS = 16
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _add_normals(position, tail, opposite, start, normal):  # type: ignore[no-untyped-def]
     """Add the doubled areas of the triangles around the tail of ``start`` to ``normal``; their least quality."""
     least = 1.0
@@ -76,7 +77,7 @@ def _add_normals(position, tail, opposite, start, normal):  # type: ignore[no-un
             return least
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _keeps_shape(position, tail, opposite, start, gone_a, gone_b, p, around, floor):  # type: ignore[no-untyped-def]
     """Whether moving the tail of ``start`` to ``p`` turns over none of its triangles and makes no needle and no fold.
 
@@ -151,7 +152,7 @@ def _keeps_shape(position, tail, opposite, start, gone_a, gone_b, p, around, flo
             return True
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _keeps_manifold(tail, opposite, h, mark, epoch):  # type: ignore[no-untyped-def]
     """Link condition: the ends of ``h`` share just the two corners beside it, and those keep three neighbours."""
     g = h
@@ -199,7 +200,7 @@ def may_join(position, tail, opposite, h, p, around, mark, epoch):  # type: igno
     )
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def join_ends(position, tail, opposite, quadric, alive, h, p):  # type: ignore[no-untyped-def]
     """Collapse an edge into its tail, which goes to ``p``; a half-edge that leaves it."""
     o = opposite[h]
@@ -249,7 +250,7 @@ def _sweep_part(position, tail, opposite, quadric, alive, cost, limit, mark, mov
     return gone
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _sweep(position, tail, opposite, quadric, alive, cost, limit, still, parts, most):  # type: ignore[no-untyped-def]
     """Collapse edges of at most the cost ``limit``, but none beside a vertex that has moved already.
 

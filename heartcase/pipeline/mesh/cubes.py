@@ -13,8 +13,10 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.compiling.calls import called, copied
+from heartcase.compiling.kernel import kernel
+from heartcase.compiling.lent import lend
 from heartcase.pipeline.fields import FieldReader, evaluate_owner, scratch, steps_through
-from heartcase.pipeline.kernels import called, copied, lend
 from heartcase.pipeline.mesh.cube_cases import cube_cases
 from heartcase.schemas.geometry import Geometry
 
@@ -182,7 +184,7 @@ def _fill_slab(fields, walls, start, step, reach, least, field, label, slab):  #
                     _fill_exact(fields, walls, start, step, least, field, label, k2, k3, j2, j3, i2, i3, spare)
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _fill_blocks(layout, tables, start, step, reach, least, field, label):  # type: ignore[no-untyped-def]
     fields, walls = lend(layout), lend(tables)
     for slab in numba.prange((len(field) + BLOCK - 1) // BLOCK):
@@ -224,7 +226,7 @@ def _counts_of_plane(field, triangle_count, k):  # type: ignore[no-untyped-def]
     return vertex_total, triangle_total
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _plane_counts(field, triangle_count):  # type: ignore[no-untyped-def]
     """Vertices on the edges that start in each plane of points, and triangles of the cubes above each."""
     vertices = np.zeros(len(field), np.int64)
@@ -287,7 +289,7 @@ def _place_vertices_of_plane(fields, walls, start, step, tolerance, field, void,
                 n += 1
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _place_vertices(layout, tables, start, step, tolerance, field, void, vertex_start, index, label):  # type: ignore[no-untyped-def]
     fields, walls = lend(layout), lend(tables)
     for k in numba.prange(len(field)):
@@ -339,7 +341,7 @@ def _fill_triangles_of_plane(field, triangle_count, edges, vertex_start, triangl
                 n += 1
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _fill_triangles(field, triangle_count, edges, vertex_start, triangle_start, triangles):  # type: ignore[no-untyped-def]
     for k in numba.prange(len(field) - 1):
         _fill_triangles_of_plane(field, triangle_count, edges, vertex_start, triangle_start, triangles, k)

@@ -13,6 +13,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.mesh.collapse import Collapsing, Joined, joined, swept
 from heartcase.pipeline.mesh.edge_heap import finished
 from heartcase.pipeline.mesh.half_edges import opposites
@@ -239,7 +240,7 @@ def folded_triangles(vertices: Float64, triangles: Int32, *, opposite: Int32 | N
     return folded
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _find_folded(vertices, triangles, opposite, folded):  # type: ignore[no-untyped-def]
     doubled = np.empty((len(triangles), 3))
     for t in numba.prange(len(triangles)):
@@ -261,7 +262,7 @@ def _find_folded(vertices, triangles, opposite, folded):  # type: ignore[no-unty
         folded[t] = together < FOLD_COSINE * np.sqrt(own) * np.sqrt(around)
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _within(vertices, middles, reaches):  # type: ignore[no-untyped-def]
     """Whether a vertex is within the reach of one of some places, mm, which ascend along z."""
     near = np.zeros(len(vertices), np.bool_)

@@ -6,11 +6,11 @@ half-edge.
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.pipeline.kernels import copied
+from heartcase.compiling.calls import copied
+from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.mesh.collapse import Collapsing, join_ends, may_join
 from heartcase.pipeline.mesh.quadrics import best_place, next_edge
 
@@ -61,7 +61,7 @@ def _sift_up(cost, edge, born, place):  # type: ignore[no-untyped-def]
     cost[place], edge[place], born[place] = c, h, b
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _collapse_by_heap(position, tail, opposite, quadric, alive, mark, left, wanted):  # type: ignore[no-untyped-def]
     """Collapse the cheapest edge, again and again."""
     changed = np.zeros(len(position), np.int32)

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import numba
 import numpy as np
 import numpy.typing as npt
 from scipy.sparse import coo_array
 
+from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.data import Structures
 from heartcase.pipeline.fields import FieldReader
 from heartcase.pipeline.mesh.cubes import padded_field, triangulated_border
@@ -157,7 +157,7 @@ def enclosed_volume_mm3(vertices: Float64, triangles: Int32) -> float:
     return float(_volumes(vertices, triangles, vertices.mean(axis=0), whole, 1)[0])
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _volumes(vertices, triangles, middle, shell, count):  # type: ignore[no-untyped-def]
     """Signed volume of each shell."""
     six = np.zeros(count)
@@ -265,7 +265,7 @@ def smooth_creases(mesh: FullMesh, still: Bool, *, opposite: Int32 | None = None
     return replace(mesh, vertices_mm=vertices), int(chosen.sum())
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _at_creases(vertices, triangles, opposite, cosine, least):  # type: ignore[no-untyped-def]
     """Vertices at an edge of at least a length whose triangles' normals are further apart than a cosine says."""
     normal = np.empty((len(triangles), 3))

@@ -17,8 +17,10 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.compiling.calls import called
+from heartcase.compiling.kernel import kernel
+from heartcase.compiling.lent import lend
 from heartcase.pipeline.fields import FieldReader, evaluate_owner, scratch
-from heartcase.pipeline.kernels import called, lend
 from heartcase.pipeline.side_by_side import every_other
 from heartcase.pipeline.vectors import cross, make_unit, put
 
@@ -94,7 +96,7 @@ def fitted_normals(
     return drawn, fitted, found
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _value(layout, tables, m, x, y, z, spare):  # type: ignore[no-untyped-def]
     """Tissue field at a world point; ``m`` maps world to index."""
     i = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]
@@ -167,7 +169,7 @@ def fit_normal(layout, tables, m, here, normal, rings, reach, spare, work, there
     return fits
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _fit_points(layout, tables, m, points, normals, rings, reach, drawn, fitted, found):  # type: ignore[no-untyped-def]
     chunks = (len(points) + CHUNK - 1) // CHUNK
     fields, walls, wide_to_narrow = lend(layout), lend(tables), lend(rings)

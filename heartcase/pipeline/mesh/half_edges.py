@@ -6,6 +6,8 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.compiling.kernel import kernel
+
 __all__ = ["connected_parts", "opposites", "opposites_of_some"]
 
 Int32 = npt.NDArray[np.int32]
@@ -50,7 +52,7 @@ def opposites_of_some(opposite: Int32, kept: npt.NDArray[np.bool_]) -> Int32:
     return renumbered.ravel()
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _pair_half_edges(tail, vertex_count, opposite):  # type: ignore[no-untyped-def]
     """Pair each half-edge with the one that runs the other way; whether each has exactly one."""
     start = np.zeros(vertex_count + 1, np.int32)
@@ -75,11 +77,14 @@ def _pair_half_edges(tail, vertex_count, opposite):  # type: ignore[no-untyped-d
                 found = o
                 count += 1
         opposite[h] = found
-        lost += count != 1 or u == v
+        if u == v:
+            count = 0
+        if count != 1:
+            lost += 1
     return lost == 0
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def connected_parts(key, opposite):  # type: ignore[no-untyped-def]
     """Number of the connected part of equal keys that each triangle is in, and how many triangles each part has.
 

@@ -15,7 +15,9 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.pipeline.kernels import called, copied, lend
+from heartcase.compiling.calls import called, copied
+from heartcase.compiling.kernel import kernel
+from heartcase.compiling.lent import lend
 from heartcase.pipeline.mesh.triangle_grid import triangle_grid
 
 __all__ = ["self_intersections"]
@@ -99,7 +101,7 @@ def _edge_crosses(p, q, t):  # type: ignore[no-untyped-def]
     return way != 0 and way == _side(p, q, t[1], t[2]) and way == _side(p, q, t[2], t[0])
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _crosses(a, b):  # type: ignore[no-untyped-def]
     for k in range(3):
         m = (k + 1) % 3
@@ -108,7 +110,7 @@ def _crosses(a, b):  # type: ignore[no-untyped-def]
     return False
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _are_apart(low, high, t, u):  # type: ignore[no-untyped-def]
     """Whether the boxes around two triangles do not meet."""
     return (
@@ -148,7 +150,7 @@ def _crossed_by(t, grid, low, high, found):  # type: ignore[no-untyped-def]
     return count
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _cross_count(grid, low, high):  # type: ignore[no-untyped-def]
     counts = np.empty(len(low), np.int64)
     boxes = lend(grid)
@@ -157,7 +159,7 @@ def _cross_count(grid, low, high):  # type: ignore[no-untyped-def]
     return counts
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _cross_list(grid, low, high, begin, pairs):  # type: ignore[no-untyped-def]
     boxes = lend(grid)
     for t in numba.prange(len(low)):
@@ -202,7 +204,7 @@ def _crossed_by_some(t, grid, corner, low, high, which, found):  # type: ignore[
     return count
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _cross_some_count(grid, corner, low, high, near, which):  # type: ignore[no-untyped-def]
     counts = np.empty(len(near), np.int64)
     boxes = lend(grid)
@@ -211,7 +213,7 @@ def _cross_some_count(grid, corner, low, high, near, which):  # type: ignore[no-
     return counts
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _cross_some_list(grid, corner, low, high, near, which, begin, pairs):  # type: ignore[no-untyped-def]
     boxes = lend(grid)
     for n in numba.prange(len(near)):

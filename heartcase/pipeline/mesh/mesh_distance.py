@@ -6,7 +6,9 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.pipeline.kernels import called, lend
+from heartcase.compiling.calls import called
+from heartcase.compiling.kernel import kernel
+from heartcase.compiling.lent import lend
 from heartcase.pipeline.mesh.triangle_grid import TriangleGrid
 from heartcase.pipeline.vectors import square_to_triangle
 
@@ -39,7 +41,7 @@ def mesh_distance_mm(points_mm: Float64, mesh: TriangleGrid) -> Float64:
     return distance
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _outside(place, begin, width):  # type: ignore[no-untyped-def]
     """How far a place is outside a stretch."""
     return max(begin - place, place - begin - width, 0.0)
@@ -92,7 +94,7 @@ def nearest_on_mesh(grid, x, y, z, facing, way, least, farthest):  # type: ignor
     return found, best, best_v, best_w
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _query(points, grid, distance):  # type: ignore[no-untyped-def]
     none, boxes = np.empty((0, 3)), lend(grid)
     for p in numba.prange(len(points)):

@@ -11,8 +11,10 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.compiling.calls import called, copied
+from heartcase.compiling.kernel import kernel
+from heartcase.compiling.lent import lend
 from heartcase.pipeline.fields import FieldReader, scratch
-from heartcase.pipeline.kernels import called, copied, lend
 from heartcase.pipeline.mesh.atlas import Atlas
 from heartcase.pipeline.mesh.field_normals import fit_normal, fitted_normals, rings_of, to_index_matrix
 from heartcase.pipeline.mesh.half_edges import opposites
@@ -182,7 +184,7 @@ def _look_up(
     _look_up_rows(owner, texel, triangles, corners, vertices, normals, grid, facing, faces, fitted, reach_mm, given)
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _look_up_rows(  # type: ignore[no-untyped-def]
     owner, texel, triangles, corners, vertices, normals, grid, facing, faces, fitted, reach, given
 ):
@@ -235,13 +237,13 @@ def _corner_weights(texel, which, x, y, weights):  # type: ignore[no-untyped-def
         weights[k] /= total
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _number(i, j, parts):  # type: ignore[no-untyped-def]
     """Place of a triangle's point, ``i`` steps towards its second corner and ``j`` towards its third."""
     return j * (parts + 1) - (j * (j - 1)) // 2 + i
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _place_on_edge(edge, step, parts):  # type: ignore[no-untyped-def]
     """Place of a triangle's point that is so many steps along an edge; edge 0 goes from corner 0 to corner 1."""
     if edge == 0:
@@ -249,7 +251,7 @@ def _place_on_edge(edge, step, parts):  # type: ignore[no-untyped-def]
     return _number(parts - step, step, parts) if edge == 1 else _number(0, parts - step, parts)
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _giver(t, edge, parts, flat, opposite):  # type: ignore[no-untyped-def]
     """Half-edge whose triangle fits the points that both have on an edge; -1 where triangle ``t`` does so itself."""
     other = opposite[3 * t + edge]
@@ -288,7 +290,7 @@ def _fit_some_lattices(  # type: ignore[no-untyped-def]
                 put(out, known[start[t] + _number(i, j, count)])
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _fit_lattices(  # type: ignore[no-untyped-def]
     layout, tables, m, corners, vertices, normals, flat, opposite, parts, start, rings, reach, known
 ):
@@ -323,7 +325,7 @@ def _fit_lattices(  # type: ignore[no-untyped-def]
                     put(known[theirs], known[start[t] + _place_on_edge(edge, step, parts[t])])
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _between(known, start, parts, weights, out):  # type: ignore[no-untyped-def]
     """Unit normal between the three points of a triangle around a place given by its corners' weights."""
     x, y = weights[1] * parts, weights[2] * parts
@@ -343,7 +345,7 @@ def _between(known, start, parts, weights, out):  # type: ignore[no-untyped-def]
     return make_unit(out, 1e-3)
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _bake_rows(  # type: ignore[no-untyped-def]
     owner, texel, triangles, corners, vertices, normals, tangents, flat, parts, start, known, given, picture
 ):
@@ -395,7 +397,7 @@ def _bake_rows(  # type: ignore[no-untyped-def]
             picture[row, column, 2] = np.uint8(np.rint((z / length + 1.0) * 127.5))
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _rasterise(uv, triangles, owner):  # type: ignore[no-untyped-def]
     """Lowest triangle that holds each texel's centre."""
     size = owner.shape[0]
@@ -422,7 +424,7 @@ def _rasterise(uv, triangles, owner):  # type: ignore[no-untyped-def]
                     owner[j, i] = t
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _first_edge(filled):  # type: ignore[no-untyped-def]
     """Unfilled texels beside filled ones, row by row: (row, column), shape (n, 2)."""
     rows, columns = filled.shape
@@ -454,7 +456,7 @@ def _is_beside(filled, j, i):  # type: ignore[no-untyped-def]
     return False
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _dilate(picture, filled, first_edge, rounds):  # type: ignore[no-untyped-def]
     """Continue the filled texels outward, each round by the mean of the filled neighbours."""
     rows, columns = filled.shape

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.compiling.kernel import kernel
 from heartcase.schemas.errors import StageError
 
 __all__ = ["GUTTER_TEXELS", "pack", "turned"]
@@ -70,7 +70,7 @@ def pack(extent_mm: Float64, size: int) -> tuple[Float64, float]:
     return place, low
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _skyline(boxes, size):  # type: ignore[no-untyped-def]
     """Put boxes one by one where their upper side comes lowest, leftmost on a tie.
 

@@ -10,7 +10,8 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from heartcase.pipeline.kernels import called, copied
+from heartcase.compiling.calls import called, copied
+from heartcase.compiling.kernel import kernel
 
 __all__ = ["best_place", "edge_costs", "next_edge", "previous_edge", "vertex_quadrics", "vertices_between"]
 
@@ -20,19 +21,19 @@ SHAPE_WEIGHT = 1e-4
 """Of the distance to the vertex itself, which decides where all around is flat."""
 
 
-@numba.njit(inline="always")
+@kernel(cached=False, inline="always")
 def next_edge(h):  # type: ignore[no-untyped-def]
     """The half-edge that follows in the same triangle."""
     return h - 2 if h % 3 == 2 else h + 1
 
 
-@numba.njit(inline="always")
+@kernel(cached=False, inline="always")
 def previous_edge(h):  # type: ignore[no-untyped-def]
     """The half-edge before in the same triangle."""
     return h + 2 if h % 3 == 0 else h - 1
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _add_plane(quadric, nx, ny, nz, d, weight):  # type: ignore[no-untyped-def]
     quadric[0] += weight * nx * nx
     quadric[1] += weight * nx * ny
@@ -46,7 +47,7 @@ def _add_plane(quadric, nx, ny, nz, d, weight):  # type: ignore[no-untyped-def]
     quadric[9] += weight * d * d
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def vertices_between(tail, opposite, alive, parts, widely):  # type: ignore[no-untyped-def]
     """Vertices with triangles in two parts of a mesh; ``widely``: and all their neighbours.
 
@@ -116,7 +117,7 @@ def _add_triangle(t, position, tail, opposite, tags, between, wanted, quadric): 
                     _add_plane(quadric[end], mx, my, mz, d_edge, BORDER_WEIGHT * length * length / 6.0)
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def vertex_quadrics(position, tail, opposite, tags, between, parts):  # type: ignore[no-untyped-def]
     """Quadric of each vertex: of its triangles' planes, and of planes through the borders between tags.
 
@@ -176,7 +177,7 @@ def best_place(quadric, position, u, v, out):  # type: ignore[no-untyped-def]
     return max(cost, 0.0)
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def edge_costs(position, tail, opposite, quadric, alive, cost):  # type: ignore[no-untyped-def]
     """Cost of joining each edge, at the lower of its half-edges; infinite at the other, and where it is gone."""
     for t in numba.prange(len(tail) // 3):

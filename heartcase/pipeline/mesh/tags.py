@@ -8,9 +8,11 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.compiling.calls import copied
+from heartcase.compiling.kernel import kernel
+from heartcase.compiling.lent import lend
 from heartcase.pipeline.data import Structures
 from heartcase.pipeline.fields import FieldReader, evaluate_owner, scratch
-from heartcase.pipeline.kernels import copied, lend
 from heartcase.pipeline.mesh.extract import FullMesh
 from heartcase.pipeline.mesh.half_edges import connected_parts, opposites
 from heartcase.schemas.geometry import Geometry
@@ -159,7 +161,7 @@ def _middle(vertices, triangle, centre, normal):  # type: ignore[no-untyped-def]
         normal[k] /= length
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _find_cuts(to_lattice, direction, size, planes, near, vertices, triangles, is_cut):  # type: ignore[no-untyped-def]
     for chunk in numba.prange((len(triangles) + CHUNK - 1) // CHUNK):
         centre, normal = np.empty(3), np.empty(3)
@@ -168,7 +170,7 @@ def _find_cuts(to_lattice, direction, size, planes, near, vertices, triangles, i
             is_cut[t] = _is_cut(centre, normal, to_lattice, direction, size, planes, near)
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _look(layout, tables, to_index, way, vertices, triangles, void, tissue):  # type: ignore[no-untyped-def]
     fields, walls = lend(layout), lend(tables)
     for chunk in numba.prange((len(triangles) + CHUNK - 1) // CHUNK):

@@ -8,6 +8,8 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.compiling.kernel import kernel
+
 __all__ = ["TriangleGrid", "triangle_grid"]
 
 Float64 = npt.NDArray[np.float64]
@@ -62,7 +64,7 @@ def triangle_grid(vertices_mm: npt.NDArray[np.floating], triangles: Int32) -> Tr
     return TriangleGrid(corner, origin, edge, size, first, last, *_fill(first, last, size))
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _take_corners(vertices, triangles, corner):  # type: ignore[no-untyped-def]
     """Corners of all triangles; lowest and highest place, and sum of the triangles' widths, of each chunk of them."""
     chunks = (len(triangles) + _CHUNK - 1) // _CHUNK
@@ -82,7 +84,7 @@ def _take_corners(vertices, triangles, corner):  # type: ignore[no-untyped-def]
     return low, high, widths
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _find_boxes(corner, origin, edge, size, first, last):  # type: ignore[no-untyped-def]
     for chunk in numba.prange((len(corner) + _CHUNK - 1) // _CHUNK):
         for t in range(chunk * _CHUNK, min((chunk + 1) * _CHUNK, len(corner))):
@@ -92,7 +94,7 @@ def _find_boxes(corner, origin, edge, size, first, last):  # type: ignore[no-unt
                 last[t, axis] = min(int(np.floor((max(a, b, c) - origin[axis]) / edge)), size[axis] - 1)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _fill(first, last, size):  # type: ignore[no-untyped-def]
     start = np.zeros(size[0] * size[1] * size[2] + 1, np.int64)
     for turn in range(2):

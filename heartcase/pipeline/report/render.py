@@ -14,10 +14,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Literal
 
-import numba
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import gaussian_filter
+
+from heartcase.compiling.kernel import kernel
 
 __all__ = ["Camera", "Mesh", "camera_for", "downsampled", "draw_mesh"]
 
@@ -241,7 +242,7 @@ def _shade_by_depth(picture: UInt8, depth: Float64, mm_per_pixel: float) -> None
     _darken(picture, depth, around)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _darken(picture, depth, around):  # type: ignore[no-untyped-def]
     """Dim each drawn pixel of ``picture`` by how far it lies behind ``around``, its coarse surroundings."""
     height, width = depth.shape
@@ -254,7 +255,7 @@ def _darken(picture, depth, around):  # type: ignore[no-untyped-def]
                     picture[row, column, channel] = np.uint8(np.rint(picture[row, column, channel] * light))
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _weights(points, triangle, column, row):  # type: ignore[no-untyped-def]
     """Barycentric coordinates of a pixel's centre."""
     a, b, c = triangle
@@ -265,7 +266,7 @@ def _weights(points, triangle, column, row):  # type: ignore[no-untyped-def]
     return wa, wb, 1.0 - wa - wb
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _rasterise(points, triangles, depth, owner):  # type: ignore[no-untyped-def]
     """Find the nearest triangle at each pixel: its height in ``depth`` and its number in ``owner``."""
     height, width = depth.shape
@@ -289,7 +290,7 @@ def _rasterise(points, triangles, depth, owner):  # type: ignore[no-untyped-def]
                     owner[row, column] = t
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _light_up(points, normals, triangles, colours, colours_of_points, key_light, depth, owner, picture):  # type: ignore[no-untyped-def]
     """Colour each drawn pixel of ``picture`` as its triangle, lit by the interpolated normal."""
     height, width = depth.shape

@@ -25,7 +25,8 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.pipeline.kernels import copied
+from heartcase.compiling.calls import copied
+from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.watershed.descent import row_chunks, side_offsets
 from heartcase.pipeline.watershed.forest import Forest
 from heartcase.pipeline.watershed.marks import UNMARKED, mark_below
@@ -116,7 +117,7 @@ def voxel_certainty(forest: Forest, feet: FootCertainty | None = None) -> Float3
     return certainty
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _find_lowest_rivals(bits, basin, marks, voxels, lowest_mark, lowest_rival):  # type: ignore[no-untyped-def]
     """Each basin's lowest voxel that is marked with another label than its lowest marked voxel."""
     for v in voxels:
@@ -151,7 +152,7 @@ def _give(foot, height, rivals, following, foot_label, other, rival):  # type: i
             return
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _find_others(landscape, faces, lowest_mark, lowest_rival, foot_label):  # type: ignore[no-untyped-def]
     """Join basins in the order of the faces; feet get a height when theirs is the first join that brings another label.
 
@@ -211,7 +212,7 @@ def _find_others(landscape, faces, lowest_mark, lowest_rival, foot_label):  # ty
     return other, rival
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _fill_voxels(chunks, landscape, marks, lowest_mark, foot_label, own, other, certainty):  # type: ignore[no-untyped-def]
     height, direction, basin, offsets = landscape
     for c in numba.prange(len(chunks) - 1):

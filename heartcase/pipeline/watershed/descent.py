@@ -6,7 +6,8 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.pipeline.kernels import copied
+from heartcase.compiling.calls import copied
+from heartcase.compiling.kernel import kernel
 
 __all__ = [
     "ROOT",
@@ -105,7 +106,7 @@ def basins_of(direction: UInt8) -> tuple[Int32, Int64]:
     return basin, root
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _lowest_side(zm, ym, xm, here, xp, yp, zp):  # type: ignore[no-untyped-def]
     best = zm
     side = 0
@@ -140,7 +141,7 @@ def _row_directions(row, zm, ym, yp, zp, out):  # type: ignore[no-untyped-def]
         out[last] = _lowest_side(zm[last], ym[last], row[last - 1], row[last], wall, yp[last], zp[last])
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _directions(height, direction):  # type: ignore[no-untyped-def]
     nz, ny, nx = height.shape
     wall = np.full(nx, np.inf, np.float32)
@@ -154,7 +155,7 @@ def _directions(height, direction):  # type: ignore[no-untyped-def]
         _row_directions(height[k, j], zm, ym, yp, zp, direction[k, j])
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _count_lower(zm, ym, xm, xp, yp, zp):  # type: ignore[no-untyped-def]
     """How many neighbours are lower than each, three bits for each direction."""
     ym_zm = np.int32(ym < zm)
@@ -192,7 +193,7 @@ def _row_ranks(row, zm, ym, yp, zp, out):  # type: ignore[no-untyped-def]
         out[last] = _count_lower(zm[last], ym[last], row[last - 1], wall, yp[last], zp[last])
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _ranks(height, ranks):  # type: ignore[no-untyped-def]
     nz, ny, nx = height.shape
     wall = np.full(nx, np.inf, np.float32)
@@ -206,7 +207,7 @@ def _ranks(height, ranks):  # type: ignore[no-untyped-def]
         _row_ranks(height[k, j], zm, ym, yp, zp, ranks[k, j])
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def side_of_rank(ranks, rank):  # type: ignore[no-untyped-def]
     """Direction of the neighbour with a rank, from a voxel's :func:`neighbour_ranks`."""
     side = 0
@@ -236,7 +237,7 @@ def ranks_at(height, v):  # type: ignore[no-untyped-def]
     )
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _root_counts(direction, chunks):  # type: ignore[no-untyped-def]
     counts = np.zeros(len(chunks) - 1, np.int64)
     for c in numba.prange(len(chunks) - 1):
@@ -247,7 +248,7 @@ def _root_counts(direction, chunks):  # type: ignore[no-untyped-def]
     return counts
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _number_roots(direction, chunks, first, basin, root):  # type: ignore[no-untyped-def]
     for c in numba.prange(len(chunks) - 1):
         number = first[c]
@@ -306,7 +307,7 @@ def _first_sweep(direction, low, high, waiting, offsets, basin):  # type: ignore
     return left
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _follow(direction, chunks, offsets, basin):  # type: ignore[no-untyped-def]
     """Hand the basins' numbers up the descents; no branch depends on the data, which could not be predicted."""
     waiting = np.empty(len(direction), np.int32)

@@ -11,10 +11,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.watershed.descent import row_chunks, side_offsets
 from heartcase.pipeline.watershed.marks import (
     CONTESTED,
@@ -224,7 +224,7 @@ def _as_box(low: Int64, high: Int64) -> Box | None:
     return slice(k0, k1 + 1), slice(j0, j1 + 1), slice(i0, i1 + 1)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _solve(landscape, faces, marks, lowest_mark, foot_label, foot_level):  # type: ignore[no-untyped-def]
     """Kruskal's algorithm over the joining faces and those under the lowest marked voxels, in their common order."""
     bits, direction, _, offsets = landscape

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from heartcase.pipeline.kernels import copied
+from heartcase.compiling.calls import copied
+from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.watershed.descent import ROOT
 
 __all__ = [
@@ -26,7 +27,7 @@ CONTESTED = -2
 """Of a flat minimum: several labels mark it."""
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def marked_voxels(marks, chunks):  # type: ignore[no-untyped-def]
     """Flat indices of the marked voxels, ascending."""
     count = np.zeros(len(chunks), np.int64)
@@ -46,7 +47,7 @@ def marked_voxels(marks, chunks):  # type: ignore[no-untyped-def]
     return voxels
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def note_flats(bits, basin, root, flat, marks, voxels, flat_label):  # type: ignore[no-untyped-def]
     """Which label marks each flat minimum, or that several do."""
     flat_label[:] = -1
@@ -60,7 +61,7 @@ def note_flats(bits, basin, root, flat, marks, voxels, flat_label):  # type: ign
                 flat_label[number] = CONTESTED
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def is_flat_contested(bits, basin, root, flat, flat_label, voxels, label):  # type: ignore[no-untyped-def]
     """Whether a flat minimum with some voxels that get a label (255: lose theirs) holds several labels, then or before.
 
@@ -79,7 +80,7 @@ def is_flat_contested(bits, basin, root, flat, flat_label, voxels, label):  # ty
     return False
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def find_lowest_marks(bits, basin, voxels, lowest):  # type: ignore[no-untyped-def]
     """Note each basin's lowest marked voxel in ``lowest``, which holds -1."""
     for v in voxels:
@@ -88,7 +89,7 @@ def find_lowest_marks(bits, basin, voxels, lowest):  # type: ignore[no-untyped-d
             lowest[basin[v]] = v
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def mark_below(v, direction, offsets, marks):  # type: ignore[no-untyped-def]
     """Label of the first marked voxel on the way down from a voxel, itself included; 255 where it ends in the foot."""
     while marks[v] == UNMARKED and direction[v] != ROOT:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
-from heartcase.pipeline.kernels import copied
+from heartcase.compiling.calls import copied
+from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.watershed.descent import ROOT
 from heartcase.pipeline.watershed.marks import UNMARKED, mark_below, own_key, reach
 from heartcase.pipeline.watershed.tree import NO_KEY
@@ -13,7 +13,7 @@ from heartcase.pipeline.watershed.tree import NO_KEY
 __all__ = ["mend", "unmark"]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def mend(landscape, graph, voxels, label, marks, foot_label, foot_level, lowest_mark):  # type: ignore[no-untyped-def]
     """Mark voxels, and carry the label as far as its way is lower than what was there; the basins to paint anew."""
     bits, direction, basin, offsets = landscape
@@ -110,7 +110,7 @@ def _carry(foot, level, label, landscape, graph, marks, foot_label, foot_level, 
             stack.append((np.int64(other), beyond))
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def unmark(landscape, graph, voxel_lists, voxels, marks, foot_label, foot_level, lowest_mark, most):  # type: ignore[no-untyped-def]
     """Take the markers of voxels away, and label what hung on them anew; the basins to paint anew.
 

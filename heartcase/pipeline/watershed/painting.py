@@ -5,7 +5,8 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from heartcase.pipeline.kernels import copied
+from heartcase.compiling.calls import copied
+from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.watershed.marks import UNMARKED, mark_below
 
 __all__ = ["paint_basins", "paint_rows"]
@@ -14,7 +15,7 @@ MARKED_BASIN = 254
 """In the table of the feet's labels: look at the voxel itself."""
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def paint_basins(changed, first_voxel, voxel_list, direction, offsets, marks, lowest_mark, foot_label, labels, shape):  # type: ignore[no-untyped-def]
     """Label the voxels of some basins anew; lowest and highest (z, y, x) at which that changed something."""
     nz, ny, nx = shape
@@ -61,7 +62,7 @@ def _paint_row(row, begin, basin, table, direction, offsets, marks, foot_label):
     return first, last
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def paint_rows(rows, direction, basin, offsets, marks, lowest_mark, foot_label, labels):  # type: ignore[no-untyped-def]
     """Label all voxels; for each chunk of rows the lowest and highest (z, y, x) at which that changed something."""
     nz, ny, nx = labels.shape

@@ -13,10 +13,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.watershed.descent import side_offsets
 from heartcase.pipeline.watershed.forest import Forest
 from heartcase.pipeline.watershed.marks import UNMARKED, mark_below
@@ -86,7 +86,7 @@ def forest_pieces(forest: Forest) -> ForestPieces:
     return ForestPieces(level, parent, piece, first_foot, own_count, flipped_count)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _find_parents(hung, higher, lower, landscape, marks, lowest_mark, piece, parent):  # type: ignore[no-untyped-def]
     direction, basin, offsets = landscape
     for n in range(len(hung)):
@@ -96,7 +96,7 @@ def _find_parents(hung, higher, lower, landscape, marks, lowest_mark, piece, par
             parent[hung[n]] = piece[b]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _count_voxels(landscape, marks, lowest_mark, piece, count):  # type: ignore[no-untyped-def]
     direction, basin, offsets = landscape
     for v in range(len(basin)):
@@ -105,14 +105,14 @@ def _count_voxels(landscape, marks, lowest_mark, piece, count):  # type: ignore[
             count[piece[b]] += 1
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _add_to_parents(parent, level, count):  # type: ignore[no-untyped-def]
     for n in range(len(parent) - 1, -1, -1):
         if parent[n] >= 0 and level[parent[n]] != 0:
             count[parent[n]] += count[n]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _find_hanging(parent, piece, taken):  # type: ignore[no-untyped-def]
     taken[piece] = True
     for n in range(piece + 1, len(parent)):

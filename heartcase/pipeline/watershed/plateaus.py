@@ -6,7 +6,8 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.pipeline.kernels import copied
+from heartcase.compiling.calls import copied
+from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.watershed.descent import side_offsets
 
 __all__ = ["divide_flat", "flat_minima"]
@@ -39,7 +40,7 @@ def flat_minima(height: Float32, root: Int64, key: Int64, first: Int32, second: 
     return found
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def divide_flat(bits, basin, flat, shape, offsets, voxels, marks, unmarked):  # type: ignore[no-untyped-def]
     """Divide a flat minimum among its marked voxels, in place: each voxel goes to the marked one with fewest steps.
 
@@ -95,7 +96,7 @@ def _find(leader, b):  # type: ignore[no-untyped-def]
     return b
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _has_flat_bottom(bits, shape, offsets, root):  # type: ignore[no-untyped-def]
     """Basins whose lowest voxel has a neighbour as high."""
     has_flat = np.empty(len(root), np.bool_)
@@ -104,7 +105,7 @@ def _has_flat_bottom(bits, shape, offsets, root):  # type: ignore[no-untyped-def
     return has_flat
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _flat_minima(bits, shape, offsets, root, key, first, second):  # type: ignore[no-untyped-def]
     count = len(root)
     flat = np.full(count, -1, np.int32)

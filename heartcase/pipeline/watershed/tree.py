@@ -14,7 +14,8 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.pipeline.kernels import copied
+from heartcase.compiling.calls import copied
+from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.watershed.descent import (
     basins_of,
     neighbour_ranks,
@@ -177,12 +178,15 @@ def joining_faces(height: Float32, basin: Int32, root: Int64) -> tuple[Int64, In
     return tree, _lower_by_rank(tree, ranks, offsets)
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _lowest_bits(bits):  # type: ignore[no-untyped-def]
     """Lowest value of the heights' bits, or -2 where one is infinite or NaN; -1 - or less - where one is negative."""
     lowest = np.int32(0)
     for n in numba.prange(len(bits)):
-        lowest = min(lowest, bits[n] if bits[n] < 0x7F800000 else np.int32(-2))
+        value = np.int32(-2)
+        if bits[n] < 0x7F800000:
+            value = bits[n]
+        lowest = min(lowest, value)
     return lowest
 
 
@@ -226,7 +230,7 @@ def _find_in_rows(bits, basin, ranks, low, high, ny, nx, last, offsets, at, key,
     return at
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _note(one, a, b, noted, at, key, pair):  # type: ignore[no-untyped-def]
     """Put a face between ``a`` and ``b`` down in the list that ends at ``at``, or in the place of a higher one."""
     both = (np.int64(min(a, b)) << 32) | np.int64(max(a, b))
@@ -249,7 +253,7 @@ def _lowest_of_each(low, high, key, pair, best):  # type: ignore[no-untyped-def]
         best[b] = min(best[b], key[e])
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _find_candidates(bits, basin, ranks, chunks, offsets, start, stop, key, pair, best):  # type: ignore[no-untyped-def]
     nz, ny, nx = bits.shape
     last = (nz - 1) * ny
@@ -261,7 +265,7 @@ def _find_candidates(bits, basin, ranks, chunks, offsets, start, stop, key, pair
         _lowest_of_each(start[c], stop[c], key, pair, best[c])
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _lowest_faces(best, basin, ranks, offsets, component):  # type: ignore[no-untyped-def]
     """The lowest face of each component, of those that the threads found, and the component beyond it."""
     count = best.shape[1]
@@ -280,7 +284,7 @@ def _lowest_faces(best, basin, ranks, offsets, component):  # type: ignore[no-un
     return lowest, parent
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _merge(lowest, parent, tree, found):  # type: ignore[no-untyped-def]
     """Join each component with the one beyond its lowest face; the new number of each component, and how many."""
     count = len(lowest)
@@ -322,7 +326,7 @@ def _contract_chunk(low, high, key, pair, mapping):  # type: ignore[no-untyped-d
     return at
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _contract(start, stop, key, pair, mapping, best):  # type: ignore[no-untyped-def]
     """Number the components anew in the list of faces, drop those inside one, and find each one's lowest."""
     for c in numba.prange(len(stop)):
@@ -330,7 +334,7 @@ def _contract(start, stop, key, pair, mapping, best):  # type: ignore[no-untyped
         _lowest_of_each(start[c], stop[c], key, pair, best[c])
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _lower_by_rank(key, ranks, offsets):  # type: ignore[no-untyped-def]
     lower = np.empty(len(key), np.int32)
     for e in numba.prange(len(key)):
@@ -339,7 +343,7 @@ def _lower_by_rank(key, ranks, offsets):  # type: ignore[no-untyped-def]
     return lower
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _lower_ends(key, height, offsets):  # type: ignore[no-untyped-def]
     """The same where the ranks are not at hand."""
     lower = np.empty(len(key), np.int32)
@@ -349,7 +353,7 @@ def _lower_ends(key, height, offsets):  # type: ignore[no-untyped-def]
     return lower
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _owners(basin, higher, lower):  # type: ignore[no-untyped-def]
     first = np.empty(len(higher), np.int32)
     second = np.empty(len(higher), np.int32)
@@ -359,7 +363,7 @@ def _owners(basin, higher, lower):  # type: ignore[no-untyped-def]
     return first, second
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _neighbours(count, first, second):  # type: ignore[no-untyped-def]
     start = np.zeros(count + 1, np.int64)
     for e in range(len(first)):
@@ -376,7 +380,7 @@ def _neighbours(count, first, second):  # type: ignore[no-untyped-def]
     return start, faces
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _voxel_lists(basin, count):  # type: ignore[no-untyped-def]
     start = np.zeros(count + 1, np.int64)
     for v in range(len(basin)):

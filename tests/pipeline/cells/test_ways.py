@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from heartcase.compiling.lent import lend
 from heartcase.pipeline.cells.ways import (
     field_at,
     fields_in_cells,
@@ -14,7 +15,6 @@ from heartcase.pipeline.cells.ways import (
     searched,
 )
 from heartcase.pipeline.fields import FieldReader, ownership_at_points, scratch
-from heartcase.pipeline.kernels import lend
 from heartcase.schemas.geometry import Geometry
 from tests.pipeline.analytic_structures import (
     LEFT,

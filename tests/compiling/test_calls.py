@@ -9,7 +9,9 @@ import numba
 import numpy as np
 import pytest
 
-from heartcase.pipeline.kernels import called, copied, lend
+from heartcase.compiling.calls import called, copied
+from heartcase.compiling.kernel import kernel
+from heartcase.compiling.lent import lend
 
 
 class Inner(NamedTuple):
@@ -29,14 +31,14 @@ def _one(outer, n):
     return outer.inner.factor * outer.inner.values[outer.which[n]]
 
 
-@numba.njit(cache=True, nogil=True, parallel=True)
+@kernel(parallel=True)
 def _all(outer, out):
     lent = lend(outer)
     for n in numba.prange(len(out)):
         out[n] = _one(lent, n)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _at(outer, n):
     return _one(lend(outer), n)
 
@@ -55,7 +57,7 @@ def test_lent_tuples_and_called_functions_give_what_python_does():
 
 def test_another_process_loads_them_and_compiles_nothing(tmp_path):
     code = (
-        "import numpy as np; from tests.pipeline import test_kernels as t; out = np.empty(50); t._all(t.outer(), out);"
+        "import numpy as np; from tests.compiling import test_calls as t; out = np.empty(50); t._all(t.outer(), out);"
         "print(out.sum(), sum(t._all.stats.cache_misses.values()))"
     )
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
@@ -71,12 +73,12 @@ def _twice(outer, n):
     return 2.0 * _one(outer, n)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _twice_at(outer, n):
     return _twice(lend(outer), n)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _four_times_at(outer, n):
     return 2.0 * _twice(lend(outer), n)
 
@@ -85,9 +87,9 @@ def test_what_was_compiled_with_code_from_the_cache_is_loaded_alone(tmp_path):
     """The second process compiles its kernel with ``_twice`` from the cache, the third finds all that kernel calls."""
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
     printed = []
-    for kernel in ("_twice_at", "_four_times_at", "_four_times_at"):
+    for name in ("_twice_at", "_four_times_at", "_four_times_at"):
         code = (
-            f"from tests.pipeline import test_kernels as t; f = t.{kernel}; value = f(t.outer(), 9);"
+            f"from tests.compiling import test_calls as t; f = t.{name}; value = f(t.outer(), 9);"
             "print(value, sum(f.stats.cache_misses.values()), sum(t._twice.stats.cache_hits.values()))"
         )
         done = subprocess.run(

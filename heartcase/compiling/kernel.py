@@ -1,0 +1,79 @@
+"""The decorator of all kernels, and the cache that they are kept in."""
+
+from __future__ import annotations
+
+import inspect
+import os
+from collections.abc import Callable
+from typing import Any, overload
+
+import numba
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
+
+from heartcase.compiling.sources import source_stamp
+
+__all__ = ["KERNELS", "kernel"]
+
+KERNELS: list[Any] = []
+"""Dispatchers of all kernels of the modules that are loaded, in the order of their definition."""
+
+
+@overload
+def kernel(function: Callable[..., Any], /, *, cached: bool = True, **options: Any) -> Any: ...
+
+
+@overload
+def kernel(*, cached: bool = True, **options: Any) -> Callable[[Callable[..., Any]], Any]: ...
+
+
+def kernel(function: Callable[..., Any] | None = None, /, *, cached: bool = True, **options: Any) -> Any:
+    """Make a kernel: a function that numba compiles when it is first called with arguments of some types.
+
+    It runs without the interpreter's lock, and what was compiled is kept for the processes that follow, until its
+    module or one that this imports changes.
+
+    Parameters
+    ----------
+    function
+        The function; without one, a decorator is returned.
+    cached
+        Whether what is compiled is kept. Not worth it for what is only copied into other kernels.
+    options
+        Other options of ``numba.njit``.
+    """
+    if function is None:
+        return lambda given: kernel(given, cached=cached, **options)
+    dispatcher: Any = numba.njit(**{"nogil": True} | options)(function)
+    if cached:
+        dispatcher._cache = _KernelCache(function)
+    KERNELS.append(dispatcher)
+    return dispatcher
+
+
+class _KernelCacheImpl(CompileResultCacheImpl):  # type: ignore[misc]
+    def rebuild(self, target_context: Any, payload: Any) -> Any:
+        """Load a function, so that what is compiled with it knows what has to be bound for it.
+
+        numba binds that when it loads the function, and does not keep it: a kernel that was compiled with code from
+        the cache, in the process after, was loaded without what this code calls, and brought the whole process down.
+        """
+        found = super().rebuild(target_context, payload)
+        found.library._reload_init.update(found.reload_init)
+        return found
+
+
+class _KernelCache(FunctionCache):  # type: ignore[misc]
+    """numba's cache of a function, which is fresh as long as all the source that it was compiled from is the same."""
+
+    _impl_class = _KernelCacheImpl
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)
+        file = inspect.getfile(function)
+        if not os.path.exists(file):
+            return  # in a zip archive or a frozen program numba takes the stamp of the whole
+        self._cache_file = IndexDataCacheFile(
+            cache_path=self._cache_path,
+            filename_base=self._impl.filename_base,
+            source_stamp=source_stamp(file),
+        )
