@@ -1,19 +1,22 @@
 # make case   sets up an environment, builds a sample case from a synthetic scan and pulls on it
 # make test   everything that must hold before a change goes in
 # make bench  run time against error (minutes)
-# Both need Python 3.11 or newer and make. Another Python: make case PYTHON=python3.12
+# make versions  every kernel compiles, and a sample case comes out as on the Python that ran this before
+# make lowest, make newest  the same with the oldest packages that pyproject.toml allows, and with the newest there are
+# All need Python 3.11 or newer and make. Another Python: make case PYTHON=python3.12 VENV=.venv-3.12
 
 PYTHON ?= python3
 VENV ?= .venv
 BIN = $(VENV)/bin
+LOCK ?= requirements.lock
 
-.PHONY: case test check plain bench lock clean
+.PHONY: case test check plain bench versions lowest newest lock clean
 
 # Not compiled to byte code: most of what comes is never imported, and the rest is compiled as it is.
-$(VENV)/installed: requirements.lock pyproject.toml
+$(VENV)/installed: $(LOCK) pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "heartcase needs Python 3.11 or newer: make PYTHON=...")'
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -r $(LOCK)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
 	touch $@
 
@@ -44,13 +47,30 @@ $(VENV)-plain/installed: requirements-plain.lock pyproject.toml
 	$(VENV)-plain/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
 	touch $@
 
+# With an empty cache of numba's: all is compiled here and now. Other packages round some figures otherwise, and bring
+# warnings of their own: then bytes may differ, but not where the nodes are.
+versions: $(VENV)/installed
+	rm -rf $(VENV)/numba-cache
+	NUMBA_CACHE_DIR=$(VENV)/numba-cache HEARTCASE_VERSIONS=out/versions HEARTCASE_OTHER_PACKAGES=$(OTHER_PACKAGES) \
+	$(BIN)/python -m pytest -s -m slow $(if $(OTHER_PACKAGES),-W ignore) tests/compiling/test_every_kernel.py
+
+lowest:
+	$(MAKE) versions VENV=$(VENV)-lowest LOCK=requirements-lowest.lock OTHER_PACKAGES=1
+
+newest:
+	$(PYTHON) -m venv $(VENV)-newest
+	$(VENV)-newest/bin/python -m pip install --quiet --disable-pip-version-check --upgrade --editable '.[dev]'
+	touch $(VENV)-newest/installed
+	$(MAKE) versions VENV=$(VENV)-newest OTHER_PACKAGES=1
+
 bench: $(VENV)/installed
 	$(BIN)/heartcase bench --json out/bench.json
 
 # New pins; needs uv.
 lock:
-	uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --no-annotate --no-header --no-emit-index-url --generate-hashes -o requirements.lock
-	uv pip compile pyproject.toml --universal --python-version 3.11 --no-annotate --no-header --no-emit-index-url --generate-hashes -o requirements-plain.lock
+	uv pip compile --upgrade pyproject.toml --extra dev --universal --python-version 3.11 --no-annotate --no-header --no-emit-index-url --generate-hashes -o requirements.lock
+	uv pip compile --upgrade pyproject.toml --universal --python-version 3.11 --no-annotate --no-header --no-emit-index-url --generate-hashes -o requirements-plain.lock
+	uv pip compile --upgrade pyproject.toml --extra dev --resolution lowest-direct --python-version 3.11 --no-annotate --no-header --no-emit-index-url --generate-hashes -o requirements-lowest.lock
 
 clean:
-	rm -rf $(VENV) $(VENV)-plain out
+	rm -rf $(VENV) $(VENV)-* out

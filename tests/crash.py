@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import io
 import os
-import pathlib
 from unittest import mock
 
 
@@ -75,5 +74,4 @@ def crash_after(limit: int):
             stack.enter_context(mock.patch.object(os, name, guarded(getattr(os, name))))
         stack.enter_context(mock.patch.object(io, "open", counting_open))
         stack.enter_context(mock.patch("builtins.open", counting_open))
-        stack.enter_context(mock.patch.object(pathlib.io, "open", counting_open, create=True))
         yield counter

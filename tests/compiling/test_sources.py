@@ -1,0 +1,114 @@
+"""A kernel is compiled anew when anything that was compiled into it changes, in whatever module that is."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import heartcase
+from heartcase.compiling.sources import imported_modules, source_stamp
+
+PACKAGE = Path(heartcase.__file__).parent
+
+FACTOR = "FACTOR = {}\n"
+HELPER = """
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+from heartcase.compiling.kernel import kernel
+from heartcase.simulator.probe_factor import FACTOR
+
+@kernel(cached=False)
+def scaled(x):
+    return FACTOR * x
+
+@intrinsic
+def emitted(typing_context, x):
+    def codegen(context, builder, signature, arguments):
+        return builder.fmul(arguments[0], ir.Constant(ir.DoubleType(), float(FACTOR)))
+    return types.float64(types.float64), codegen
+"""
+KERNEL = """
+from numba import njit
+from heartcase.compiling.kernel import kernel
+from heartcase.simulator.probe_helper import emitted, scaled
+
+@kernel
+def kept(x):
+    return scaled(x) + 10.0 * emitted(x)
+
+@njit(cache=True)
+def plain(x):
+    return scaled(x) + 10.0 * emitted(x)
+"""
+RUN = """
+from heartcase.simulator import probe_kernel as p
+print(p.kept(1.0), sum(p.kept.stats.cache_hits.values()), p.plain(1.0))
+"""
+
+
+@pytest.fixture
+def package(tmp_path):
+    shutil.copytree(PACKAGE, tmp_path / "heartcase", ignore=shutil.ignore_patterns("__pycache__"))
+    simulator = tmp_path / "heartcase" / "simulator"
+    (simulator / "probe_factor.py").write_text(FACTOR.format(2))
+    (simulator / "probe_helper.py").write_text(HELPER)
+    (simulator / "probe_kernel.py").write_text(KERNEL)
+    return tmp_path
+
+
+def run(package: Path) -> list[float]:
+    environment = os.environ | {"PYTHONPATH": str(package), "NUMBA_CACHE_DIR": str(package / "cache")}
+    done = subprocess.run(
+        [sys.executable, "-c", RUN], cwd=package, env=environment, capture_output=True, text=True, check=True
+    )
+    return [float(text) for text in done.stdout.split()]
+
+
+def test_a_constant_two_modules_away_is_looked_at(package):
+    assert run(package) == [22.0, 0, 22.0]
+    assert run(package) == [22.0, 1, 22.0]
+    (package / "heartcase" / "simulator" / "probe_factor.py").write_text(FACTOR.format(3))
+    # numba's own cache, the last number, still gives what it was compiled with
+    assert run(package) == [33.0, 0, 22.0]
+    (package / "heartcase" / "cli" / "main.py").write_text("# nothing that this kernel imports\n")
+    assert run(package) == [33.0, 1, 22.0]
+
+
+def test_every_way_to_import_is_seen():
+    source = """
+import numpy, heartcase.schemas.errors as e
+from heartcase.pipeline import (
+    data,  # a module
+    region,
+)
+from . import lanes
+from .model import LatticeModel as Model
+def late():
+    from heartcase.schemas import lattice
+"""
+    found = imported_modules(source, "heartcase.simulator.spectrum")
+    assert set(found) == {
+        "heartcase.pipeline",
+        "heartcase.pipeline.data",
+        "heartcase.pipeline.region",
+        "heartcase.schemas",
+        "heartcase.schemas.errors",
+        "heartcase.schemas.lattice",
+        "heartcase.simulator",
+        "heartcase.simulator.lanes",
+        "heartcase.simulator.model",
+        "heartcase.simulator.model.LatticeModel",
+        "heartcase.simulator.model.Model",
+        "heartcase.simulator.model.as",
+        "heartcase.pipeline.a",
+        "heartcase.pipeline.module",
+    }
+
+
+def test_modules_that_import_different_things_have_different_stamps():
+    stamps = {source_stamp(str(file)) for file in (PACKAGE / "simulator").glob("*.py")}
+    assert len(stamps) == len(list((PACKAGE / "simulator").glob("*.py")))
