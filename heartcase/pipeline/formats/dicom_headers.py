@@ -19,6 +19,7 @@ from pydicom.dataset import Dataset
 from pydicom.sequence import Sequence
 
 from heartcase.pipeline.formats.dicom_tags import (
+    Header,
     has_preamble,
     numbers_of,
     quiet_pydicom,
@@ -28,6 +29,7 @@ from heartcase.pipeline.formats.dicom_tags import (
     values_of,
     words_of,
 )
+from heartcase.pipeline.formats.dicom_whole import is_other_object
 from heartcase.pipeline.formats.raw_volume import require_file
 from heartcase.pipeline.formats.stack import Rescale, Slice
 from heartcase.schemas.errors import ScanError
@@ -180,17 +182,18 @@ def find_series(path: Path) -> tuple[ImageSeries, ...]:
     with quiet_pydicom():
         for file in _files(path):
             try:
-                header = read_header(file, HEADER_TAGS)
+                head = read_header(file, HEADER_TAGS)
             except Exception:  # pydicom raises errors of every kind on damaged files
                 damaged += 1
                 continue
-            if header is None:
+            if head is None:
                 damaged += file.suffix.lower() in (".dcm", ".dicom", ".ima")
                 continue
+            header = head.values
             size = numbers_of(header, "Rows", 1), numbers_of(header, "Columns", 1)
             modality = text_of(header, "Modality")
             if None in size or modality in NOT_SCANS:
-                damaged += modality not in NOT_SCANS and text_of(header, "SOPClassUID") in IMAGE_CLASSES
+                damaged += modality not in NOT_SCANS and not _is_other_object(file, head)
                 continue
             found = _slices(header, file)
             damaged += not found
@@ -211,6 +214,17 @@ def find_series(path: Path) -> tuple[ImageSeries, ...]:
     if not every:
         raise ScanError("there is no DICOM image here: give the folder that holds the slices, or the scan's image file")
     return tuple(placed or every)
+
+
+def _is_other_object(file: Path, head: Header) -> bool:
+    """Whether a file without rows and columns may be passed over."""
+    if not head.has_preamble:
+        return text_of(head.values, "SOPClassUID") not in IMAGE_CLASSES
+    try:
+        with file.open("rb") as stream:
+            return is_other_object(stream, head.values, media_class=head.media_class)
+    except OSError:
+        return False
 
 
 def _modality(found: set[str]) -> str:

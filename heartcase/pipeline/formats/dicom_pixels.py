@@ -7,6 +7,7 @@ only that low values are shown bright (PS3.3 C.7.6.3.1.2), so it changes nothing
 from __future__ import annotations
 
 import tempfile
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -31,6 +32,10 @@ Float32 = npt.NDArray[np.float32]
 Float64 = npt.NDArray[np.float64]
 
 DAMAGED = "the file is cut short or damaged: copy it from the scanner or archive again"
+CONTRADICTORY = (
+    "the decoder complains of its compressed pixels, which are damaged and would give wrong values: copy it from the "
+    "scanner or archive again, or export the series uncompressed"
+)
 UNREAD_COMPRESSION = "its compression is not read: export the series uncompressed"
 PLUGINS = {
     syntaxes.RLELossless: "pydicom",
@@ -41,6 +46,8 @@ PLUGINS = {
     syntaxes.JPEGBaseline8Bit: "pillow",
 }
 """Transfer syntax -> decoder of pydicom. Named, so that another package that is installed changes no value."""
+SPEAKING_BY_GDCM = (syntaxes.JPEGBaseline8Bit,)
+"""Whose decoder above says nothing of damage that it meets, while the one inside SimpleITK does."""
 GDCM_SYNTAXES = (*PLUGINS, syntaxes.JPEGExtended12Bit, syntaxes.JPEGLossless, syntaxes.JPEGLosslessSV1)
 """What the decoder inside SimpleITK takes, for want of the one above."""
 SECONDARY_CAPTURE = "1.2.840.10008.5.1.4.1.1.7"
@@ -164,7 +171,13 @@ def _used_bits(stored: npt.NDArray[Any], dataset: Any) -> npt.NDArray[Any]:
 def _decompressed(dataset: Any, syntax: Any, index: int) -> npt.NDArray[Any]:
     plugin = PLUGINS.get(syntax)
     if plugin is not None and plugin in get_decoder(syntax).available_plugins:
-        array = get_decoder(syntax).as_array(dataset, index=index, raw=True, decoding_plugin=plugin)[0]
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            array = get_decoder(syntax).as_array(dataset, index=index, raw=True, decoding_plugin=plugin)[0]
+        if said:
+            raise ScanError(CONTRADICTORY)
+        if syntax in SPEAKING_BY_GDCM:
+            _decompressed_by_gdcm(dataset, syntax, index)
         return np.asarray(array)
     if syntax not in GDCM_SYNTAXES:
         raise ScanError(UNREAD_COMPRESSION)
@@ -191,7 +204,7 @@ def _decompressed_by_gdcm(dataset: Any, syntax: Any, index: int) -> npt.NDArray[
     alone.PixelData = encapsulate([frame])
     alone["PixelData"].VR = "OB"
     try:
-        with tempfile.TemporaryDirectory(prefix="heartcase-") as folder, quiet_itk():
+        with tempfile.TemporaryDirectory(prefix="heartcase-") as folder, quiet_itk() as complaint:
             file = Path(folder) / "frame.dcm"
             alone.save_as(file, enforce_file_format=True)
             reader = SimpleITK.ImageFileReader()
@@ -202,6 +215,8 @@ def _decompressed_by_gdcm(dataset: Any, syntax: Any, index: int) -> npt.NDArray[
         raise ScanError("there is no room to decompress it: free space in the folder for temporary files") from None
     except (RuntimeError, MemoryError):
         raise ScanError(DAMAGED) from None
+    if complaint.was_made:
+        raise ScanError(CONTRADICTORY)
     return array[0] if array.ndim == 3 else array
 
 

@@ -7,6 +7,7 @@ import warnings
 import zlib
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
@@ -15,6 +16,9 @@ import pydicom
 from pydicom.datadict import keyword_for_tag
 
 __all__ = [
+    "INFLATED_LIMIT",
+    "Header",
+    "has_preamble",
     "numbers_of",
     "quiet_pydicom",
     "read_data_set",
@@ -53,18 +57,28 @@ def has_preamble(stream: IO[bytes]) -> bool | None:
     return False if start[:2] in (b"\x08\x00", b"\x02\x00") and len(start) == 132 else None
 
 
-def read_header(file: Path, tags: list[str]) -> dict[str, Any] | None:
-    """Values of the named tags that a file holds, read up to its pixels; None where it does not start as DICOM does.
+@dataclass(frozen=True)
+class Header:
+    """What the head of a file holds."""
 
-    A tag whose value cannot be read has the value None.
-    """
+    values: dict[str, Any]
+    """Values of the wanted tags by keyword; None for one that cannot be read."""
+    has_preamble: bool
+    """Whether the file starts with the DICOM preamble, so that it is sure to be one."""
+    media_class: str
+    """SOP class that the file meta information states; empty where it states none."""
+
+
+def read_header(file: Path, tags: list[str]) -> Header | None:
+    """The named tags that a file holds, read up to its pixels; None where it does not start as DICOM does."""
     with file.open("rb") as stream:
         preamble = has_preamble(stream)
         if preamble is None:
             return None
         _check_deflated(stream)
         dataset = pydicom.dcmread(stream, stop_before_pixels=True, specific_tags=list(tags), force=not preamble)
-    return values_of(dataset)
+    media_class = text_of(getattr(dataset, "file_meta", None) or {}, "MediaStorageSOPClassUID")
+    return Header(values_of(dataset), preamble, media_class)
 
 
 def values_of(dataset: Any, keywords: Collection[str] | None = None) -> dict[str, Any]:
