@@ -20,6 +20,7 @@ from pydicom.sequence import Sequence
 
 from heartcase.pipeline.formats.dicom_tags import (
     Header,
+    decimals_of,
     has_preamble,
     numbers_of,
     quiet_pydicom,
@@ -310,6 +311,10 @@ def _slices(header: Any, file: Path) -> list[Slice]:
                 is_localizer="LOCALIZER" in kind,
                 uid=uid,
                 rescale=rescale,
+                position_decimals=_decimals(groups, "PlanePositionSequence", "ImagePositionPatient"),
+                orientation_decimals=max(
+                    _decimals(groups, "PlaneOrientationSequence", "ImageOrientationPatient"), default=None
+                ),
                 coordinates=coordinates,
             )
         )
@@ -331,6 +336,14 @@ def _find(groups: tuple[Groups, Groups, Any], group: str, keyword: str, count: i
         if group in place and (found := numbers_of(place[group], keyword, count)) is not None:
             return found
     return numbers_of(groups[2], keyword, count)
+
+
+def _decimals(groups: tuple[Groups, Groups, Any], group: str, keyword: str) -> tuple[int, ...]:
+    """In how many decimals the numbers are written that :func:`_find` finds."""
+    for place in (groups[0].get(group, {}), groups[1].get(group, {}), groups[2]):
+        if keyword in place:
+            return decimals_of(place, keyword)
+    return ()
 
 
 def _rescale(groups: tuple[Groups, Groups, Any], *, is_plain: bool) -> tuple[Rescale, float, float]:

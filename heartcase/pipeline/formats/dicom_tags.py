@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import decimal
 import logging
 import warnings
 import zlib
@@ -18,6 +19,7 @@ from pydicom.datadict import keyword_for_tag
 __all__ = [
     "INFLATED_LIMIT",
     "Header",
+    "decimals_of",
     "has_preamble",
     "numbers_of",
     "quiet_pydicom",
@@ -167,3 +169,12 @@ def numbers_of(header: Any, keyword: str, count: int) -> tuple[float, ...] | Non
     except Exception:  # as above
         return None
     return numbers if len(numbers) == count and bool(np.isfinite(numbers).all()) else None
+
+
+def decimals_of(header: Any, keyword: str) -> tuple[int, ...]:
+    """Decimals in which each number of a tag is written, as decimal strings are; empty where that is not known."""
+    try:
+        texts = [str(part.original_string).strip() for part in header.get(keyword)]
+        return tuple(max(0, -int(decimal.Decimal(text).as_tuple().exponent)) for text in texts)
+    except Exception:  # as above
+        return ()

@@ -11,13 +11,13 @@ from __future__ import annotations
 import gzip
 import struct
 import zlib
-from itertools import product
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.pipeline.formats.agreement import AGREEMENT_MM, corner_distance_mm, corners_of
 from heartcase.pipeline.formats.raw_volume import RawVolume, check_size, geometry_from_affine, require_file
 from heartcase.schemas.errors import ScanError
 from heartcase.schemas.geometry import Geometry
@@ -40,8 +40,6 @@ OTHER_TYPES = {128: "colour", 2304: "colour", 32: "complex", 1792: "complex", 20
 UNIT_MM = {0: 1.0, 1: 1000.0, 2: 1.0, 3: 0.001}
 RAS_TO_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
 DAMAGED = "the file is cut short or damaged: copy or export it again"
-AGREEMENT_MM = 0.1
-"""How far sform and qform may put a corner of the volume apart, beside what rounding explains."""
 QUATERNION_ROUNDING = 2.5e-7
 """How far float32 rounding of the quaternion may be off in 1 - b2 - c2 - d2."""
 
@@ -124,9 +122,8 @@ class _Header:
         sform[:3] = np.array(self.srow, dtype=np.float64).reshape(3, 4)
         geometry = self._lattice(sform)
         if self.qform_code > 0:
-            corners = np.array(list(product((0, 1), repeat=3))) * (np.array(self.size()) - 1)
-            world = geometry.index_to_world(corners)
-            apart = np.abs(self._lattice(self._qform()).index_to_world(corners) - world).max()
+            apart = corner_distance_mm(geometry.affine, self._lattice(self._qform()).affine, self.size())
+            world = geometry.index_to_world(corners_of(self.size()))
             if apart > AGREEMENT_MM + self._turn_by_rounding() * np.linalg.norm(world[-1] - world[0]):
                 raise ScanError(
                     f"the header states two orientations (sform and qform) that lie {apart:.1f} mm apart: find out "
