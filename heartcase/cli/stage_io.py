@@ -51,7 +51,7 @@ def scan_options(function: F) -> F:
     @functools.wraps(function)
     def collecting(*args: Any, **given: Any) -> Any:
         choice = {name: given.pop(name) for name in _SCAN_OPTIONS}
-        return function(*args, choice={name: v for name, v in choice.items() if v not in (None, False)}, **given)
+        return function(*args, choice={name: v for name, v in choice.items() if not (v is None or v is False)}, **given)
 
     wrapped: Any = collecting
     for name, option in reversed(_SCAN_OPTIONS.items()):
@@ -75,6 +75,13 @@ _SCAN_OPTIONS: dict[str, tuple[str, dict[str, Any]]] = {
         {"is_flag": True, "help": "DICOM: fill missing slices from their neighbours."},
     ),
     "straighten_tilt": ("--straighten-tilt", {"is_flag": True, "help": "DICOM: straighten a tilted gantry's slices."}),
+    "overlap": (
+        "--overlap",
+        {
+            "type": click.Choice(("earlier", "later")),
+            "help": "DICOM: which image to take where two acquisitions meet in one slice position.",
+        },
+    ),
 }
 """Parameter of ``read_scan`` -> option of the command line."""
 

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.data import Scan
+from heartcase.pipeline.formats.dicom_overlap import Overlap
 from heartcase.pipeline.formats.dicom_seg import read_dicom_seg
 from heartcase.pipeline.formats.raw_volume import RawVolume, check_size, placed, require_file
 from heartcase.pipeline.formats.read_dicom import SeriesInfo, describe_volume, is_dicom, read_dicom, series_of
@@ -64,6 +65,7 @@ def read_scan(
     echo_time_ms: float | None = None,
     interpolate_missing: bool = False,
     straighten_tilt: bool = False,
+    overlap: Overlap | None = None,
 ) -> Scan:
     """Read a scan.
 
@@ -81,6 +83,8 @@ def read_scan(
         DICOM: fill missing slices from their neighbours (at most two in a row and a third of all).
     straighten_tilt
         DICOM: resample a stack that leans (tilted gantry) onto a straight one.
+    overlap
+        DICOM: where two acquisitions meet in one slice position, take the image acquired ``"earlier"`` or ``"later"``.
 
     Returns
     -------
@@ -105,6 +109,7 @@ def read_scan(
                 echo_time_ms=echo_time_ms,
                 interpolate_missing=interpolate_missing,
                 straighten_tilt=straighten_tilt,
+                overlap=overlap,
             )
         if trigger_time_ms is not None or echo_time_ms is not None:
             raise ScanError(

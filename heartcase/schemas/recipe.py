@@ -78,6 +78,8 @@ class ScanSource(Model):
     """DICOM: fill missing slices from their neighbours instead of refusing the series."""
     straighten_tilt: bool = False
     """DICOM: resample a stack that leans (tilted gantry) onto a straight one instead of refusing the series."""
+    overlap: Literal["earlier", "later"] | None = None
+    """DICOM: where two acquisitions meet in one slice position, take the image acquired earlier or later."""
     modality: Literal["CT", "MR"] | None = None
     """Kind of scan, for files that do not say it (NIfTI, NRRD, MetaImage)."""
     origin: Annotated[str, Field(max_length=500)] | None = None
@@ -88,7 +90,7 @@ class ScanSource(Model):
     @property
     def choice(self) -> dict[str, Any]:
         """What chooses among DICOM images and says what may be done to them, where it says anything."""
-        fields = ("series", "trigger_time_ms", "echo_time_ms", "interpolate_missing", "straighten_tilt")
+        fields = ("series", "trigger_time_ms", "echo_time_ms", "interpolate_missing", "straighten_tilt", "overlap")
         stated = {name: getattr(self, name) for name in fields}
         # not what is left at its default: a later default must change no record of a locked recipe
         return {name: value for name, value in stated.items() if value is not None and value is not False}

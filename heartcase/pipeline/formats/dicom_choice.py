@@ -20,7 +20,7 @@ from heartcase.pipeline.formats.stack import Stack, find_stack
 from heartcase.schemas.errors import Problem, ScanError
 from heartcase.schemas.geometry import Geometry
 
-__all__ = ["Choice", "SeriesInfo", "choose", "describe_volume", "listed", "named", "stack_geometry"]
+__all__ = ["Choice", "SeriesInfo", "choose", "describe_volume", "lack_problem", "listed", "named", "stack_geometry"]
 
 SHORTEST_CODE = 6
 ALIKE_IN_PHASES = ("image_kind", "sequence", "b_value", "inversion_time_ms", "tube_voltage_kv")
@@ -37,6 +37,8 @@ SINGLE_TIME_PART = 0.05
 """Part of a time by which a given one may differ from the only one that is stated; see SINGLE_TIME_FLOOR_MS."""
 SINGLE_TIME_FLOOR_MS = {"trigger": 5.0, "echo": 0.05}
 """What a given time may differ from the only one that is stated in any case, ms."""
+LACKS_NAMED = 5
+"""How many slice positions without an image an error names."""
 TIE_MS = 1e-6
 """Times that differ by less are the same: rounded digits."""
 
@@ -136,15 +138,24 @@ def _described(group: StackGroup) -> tuple[tuple[float, float, float] | None, st
         description += f", {len(echoes)} echoes of {echoes[0]:g} to {echoes[-1]:g} ms"
     elif echoes and "echo time" not in description:
         description += f", echo time {echoes[0]:g} ms"
-    if len(triggers) > 1:
-        description += f", {len(triggers)} cardiac phases at {triggers[0]:g} to {triggers[-1]:g} ms"
+    partial = _partial_count(group.stacks)
+    if len(triggers) > 1 or partial:
+        phases = f"{len(triggers)} cardiac phase{'s' * (len(triggers) != 1)}"
+        description += f", {phases} at {triggers[0]:g} to {triggers[-1]:g} ms" if triggers else ", no cardiac phase"
+        description += f" at every slice position and {partial} at some of them" if partial else ""
     elif group.is_localizer and "localiser" not in description:
         description += ", localiser"
     return spacing, description
 
 
+def _partial_count(stacks: Sequence[PhaseStack]) -> int:
+    """Number of cardiac phases that some slice positions have no image of."""
+    return sum(bool(stack.lacks) and stack.trigger_time_ms is not None for stack in stacks)
+
+
 def _times(stacks: Sequence[PhaseStack]) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    triggers = sorted({stack.trigger_time_ms for stack in stacks if stack.trigger_time_ms is not None})
+    """Trigger times that every slice position has an image near, and echo times, ascending, ms."""
+    triggers = sorted({one.trigger_time_ms for one in stacks if one.trigger_time_ms is not None and not one.lacks})
     echoes = sorted({stack.echo_time_ms for stack in stacks if stack.echo_time_ms is not None})
     return tuple(triggers), tuple(echoes)
 
@@ -329,14 +340,36 @@ def _which_time(stacks: Sequence[PhaseStack]) -> str:
             f"{len(echoes)} echoes (echo times {_numbers(echoes)} ms): choose one with --echo-time MS, or echo_time_ms "
             "in the recipe's [scan]"
         )
-    if len(triggers) > 1:
+    partial = _partial_count(stacks)
+    if len(triggers) > 1 or partial:
+        at_some = f", and {partial} that some slice positions have no image of" if partial else ""
+        times = f" (trigger times {_numbers(triggers)} ms)" if triggers else ""
         parts.append(
-            f"{len(triggers)} cardiac phases (trigger times {_numbers(triggers)} ms): choose one with --trigger-time "
-            "MS, or trigger_time_ms in the recipe's [scan]"
+            f"{len(triggers)} cardiac phase{'s' * (len(triggers) != 1)}{times}{at_some}: choose one with "
+            "--trigger-time MS, or trigger_time_ms in the recipe's [scan]"
         )
     if not parts:
         parts = ["several stacks, of which some state no time: export the one that is wanted as a series of its own"]
     return f"the series holds {'; and '.join(parts)}"
+
+
+def lack_problem(choice: Choice) -> str:
+    """Which slice positions have no image near the time of a stack, and which times all of them have."""
+    stack = choice.stack
+    named_ones = [
+        f"slice {lack.number}" + ("" if lack.nearest_ms is None else f" (the nearest is at {lack.nearest_ms:g} ms)")
+        for lack in stack.lacks[:LACKS_NAMED]
+    ]
+    more = f" and {len(stack.lacks) - LACKS_NAMED} more" if len(stack.lacks) > LACKS_NAMED else ""
+    time = "this time" if stack.trigger_time_ms is None else f"{stack.trigger_time_ms:g} ms"
+    triggers, _ = _times(choice.group.stacks)
+    whole = f"all have one near {_numbers(triggers)} ms" if triggers else "no time has all of them"
+    interpolated = "" if stack.lacks_an_end else ", or have them filled from their neighbours with --interpolate-missing"
+    return (
+        f"{len(stack.lacks)} of {len(stack.slices) + len(stack.lacks)} slice positions have no image near {time}: "
+        f"{', '.join(named_ones)}{more}; {whole}: choose another with --trigger-time MS, or trigger_time_ms in the "
+        f"recipe's [scan]{interpolated}"
+    )
 
 
 def _numbers(times: Sequence[float]) -> str:

@@ -25,6 +25,7 @@ from heartcase.pipeline.formats.dicom_tags import (
     numbers_of,
     quiet_pydicom,
     read_header,
+    seconds_of,
     sequence_of,
     text_of,
     values_of,
@@ -91,7 +92,7 @@ HEADER_TAGS = [
     *("Columns", "SamplesPerPixel", "PhotometricInterpretation", "ImagePositionPatient", "ImageOrientationPatient"),
     *("PixelSpacing", "RescaleSlope", "RescaleIntercept", "SharedFunctionalGroupsSequence"),
     *("PerFrameFunctionalGroupsSequence", "ImageType", "SequenceName", "ConvolutionKernel", "ModalityLUTSequence"),
-    *("StudyInstanceUID", "FrameOfReferenceUID"),
+    *("StudyInstanceUID", "FrameOfReferenceUID", "AcquisitionTime"),
     *(keyword for group, keyword, _, _ in PHYSICS.values()),
     *(keyword for places, _, _ in TRAITS.values() for group, keyword in places if not group),
 ]
@@ -274,6 +275,8 @@ def _slices(header: Any, file: Path) -> list[Slice]:
     sequence = "/".join((*words_of(header, "SequenceName"), *words_of(header, "ConvolutionKernel")))
     coordinates = "/".join(text_of(header, keyword) for keyword in ("StudyInstanceUID", "FrameOfReferenceUID"))
 
+    acquired_s = seconds_of(header, "AcquisitionTime") if frames is None else None
+
     per_frame: list[Any] = list(frames) if frames else [None]
     slices = []
     for index, frame in enumerate(per_frame):
@@ -315,6 +318,7 @@ def _slices(header: Any, file: Path) -> list[Slice]:
                 orientation_decimals=max(
                     _decimals(groups, "PlaneOrientationSequence", "ImageOrientationPatient"), default=None
                 ),
+                acquired_s=acquired_s,
                 coordinates=coordinates,
             )
         )

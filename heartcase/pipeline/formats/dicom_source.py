@@ -17,6 +17,7 @@ import pydicom
 from heartcase.pipeline.data import Scan
 from heartcase.pipeline.formats.dicom_choice import Choice, named, stack_geometry
 from heartcase.pipeline.formats.dicom_headers import quiet_pydicom
+from heartcase.pipeline.formats.dicom_overlap import Overlap, one_at_each_place
 from heartcase.pipeline.formats.dicom_phases import PhaseStack, StackGroup
 from heartcase.pipeline.formats.raw_volume import placed
 from heartcase.pipeline.formats.read_dicom import groups_of, scan_of_stack
@@ -147,12 +148,14 @@ def _fitting(
     """The stacks whose lattice holds the case's; whether a leaning one was among those that were passed over."""
     reading = next((record.settings for record in manifest.stages if record.stage == "read"), {})
     may_interpolate = reading.get("interpolate_missing") is True
+    overlap: Overlap | None = reading.get("overlap")
     may_straighten = reading.get("straighten_tilt") is True
     fitting, has_leaning = [], False
     for number, group in enumerate(groups, start=1):
         for phase in group.stacks if any(group is one for one in wanted) else ():
             try:
-                stack = find_stack(phase.slices, interpolate_missing=may_interpolate, straighten_tilt=may_straighten)
+                slices, _ = one_at_each_place(phase.slices, overlap)
+                stack = find_stack(slices, interpolate_missing=may_interpolate, straighten_tilt=may_straighten)
             except ScanError:
                 continue
             if stack.tilt_degrees:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import decimal
 import logging
+import re
 import warnings
 import zlib
 from collections.abc import Collection, Iterator
@@ -25,6 +26,7 @@ __all__ = [
     "quiet_pydicom",
     "read_data_set",
     "read_header",
+    "seconds_of",
     "sequence_of",
     "text_of",
     "values_of",
@@ -178,3 +180,9 @@ def decimals_of(header: Any, keyword: str) -> tuple[int, ...]:
         return tuple(max(0, -int(decimal.Decimal(text).as_tuple().exponent)) for text in texts)
     except Exception:  # as above
         return ()
+
+
+def seconds_of(header: Any, keyword: str) -> float | None:
+    """A time of day, HHMMSS.FFFFFF, in seconds; None where it is missing or holds anything else."""
+    match = re.fullmatch(r"([01]\d|2[0-3])([0-5]\d)([0-5]\d(?:\.\d{1,6})?)", text_of(header, keyword))
+    return None if match is None else 3600.0 * int(match[1]) + 60.0 * int(match[2]) + float(match[3])

@@ -78,6 +78,8 @@ class Slice:
     """Decimals in which each coordinate of the position is written; empty where that is not known."""
     orientation_decimals: int | None = None
     """Decimals in which the direction is written, the most of its six numbers; None where that is not known."""
+    acquired_s: float | None = None
+    """Time of day at which it was acquired, s: to tell which of two images came first, and for nothing else."""
     coordinates: str = ""
     """Identity of the study and of the coordinate system that the position refers to; goes into no message."""
 
@@ -280,7 +282,7 @@ def _check_duplicates(gaps: Float64) -> None:
     number = int(same.sum())
     raise ScanError(
         f"{number} slice{'s are' if number > 1 else ' is'} there twice, first slices {first} and {first + 1} lie at "
-        "one position: remove the copies"
+        "one position: remove the copies, or take one of two acquisitions that meet there with --overlap"
     )
 
 

@@ -145,6 +145,8 @@ OPTION_WORDS = {
     "echo_time_ms": "--echo-time {:g}",
     "interpolate_missing": "--interpolate-missing",
     "straighten_tilt": "--straighten-tilt",
+    "overlap": "--overlap {}",
+    "frame": "--frame {}",
 }
 
 
