@@ -64,11 +64,15 @@ _SCAN_OPTIONS: dict[str, tuple[str, dict[str, Any]]] = {
     "series": ("--series", {"help": "DICOM: which series of the folder, by its number or code, or its UID."}),
     "trigger_time_ms": (
         "--trigger-time",
-        {"type": click.FloatRange(min=0.0), "metavar": "MS", "help": "DICOM: the cardiac phase nearest to this time."},
+        {"type": click.FloatRange(min=0.0), "metavar": "MS", "help": "The cardiac phase nearest to this time."},
     ),
     "echo_time_ms": (
         "--echo-time",
         {"type": click.FloatRange(min=0.0), "metavar": "MS", "help": "DICOM: the echo nearest to this echo time."},
+    ),
+    "frame": (
+        "--frame",
+        {"type": click.IntRange(min=0), "metavar": "N", "help": "NIfTI, NRRD, MetaImage: which volume, from 0."},
     ),
     "interpolate_missing": (
         "--interpolate-missing",

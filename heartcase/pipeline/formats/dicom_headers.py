@@ -18,6 +18,7 @@ import numpy as np
 from pydicom.dataset import Dataset
 from pydicom.sequence import Sequence
 
+from heartcase.pipeline.formats.dicom_archive import FILE_LIMIT, SourceFile, archived_files, is_archive
 from heartcase.pipeline.formats.dicom_tags import (
     Header,
     decimals_of,
@@ -106,7 +107,6 @@ GROUPS = frozenset(
     )
 )
 """Functional groups that are read."""
-FILE_LIMIT = 100_000
 Groups = dict[str, dict[str, Any]]
 
 
@@ -132,11 +132,11 @@ def is_dicom(path: Path) -> bool:
         return False
 
 
-def _files(path: Path) -> list[Path]:
-    """Regular files of a folder and its subfolders in a fixed order; links to folders are not followed."""
+def _files(path: Path) -> list[SourceFile]:
+    """Regular files of a folder and its subfolders, or of an archive, in a fixed order; links are not followed."""
     if not path.is_dir():
         require_file(path)
-        return [path]
+        return archived_files(path) if is_archive(path) else [path]
     found: list[Path] = []
     try:
         for directory, folders, names in os.walk(path, onerror=_refuse_folder):
@@ -164,7 +164,7 @@ def find_series(path: Path) -> tuple[ImageSeries, ...]:
     Parameters
     ----------
     path
-        Folder, searched with its subfolders, or one file.
+        Folder, searched with its subfolders; a zip archive of one; or one file.
 
     Returns
     -------
@@ -189,7 +189,7 @@ def find_series(path: Path) -> tuple[ImageSeries, ...]:
                 damaged += 1
                 continue
             if head is None:
-                damaged += file.suffix.lower() in (".dcm", ".dicom", ".ima")
+                damaged += file.suffix.lower() in (".dcm", ".dicom", ".ima") and not _is_resource_fork(file)
                 continue
             header = head.values
             size = numbers_of(header, "Rows", 1), numbers_of(header, "Columns", 1)
@@ -218,7 +218,16 @@ def find_series(path: Path) -> tuple[ImageSeries, ...]:
     return tuple(placed or every)
 
 
-def _is_other_object(file: Path, head: Header) -> bool:
+def _is_resource_fork(file: SourceFile) -> bool:
+    """Whether this is what macOS puts beside a file, under its name (RFC 1740, AppleDouble)."""
+    try:
+        with file.open("rb") as stream:
+            return stream.read(4) == b"\x00\x05\x16\x07"
+    except OSError:
+        return False
+
+
+def _is_other_object(file: SourceFile, head: Header) -> bool:
     """Whether a file without rows and columns may be passed over."""
     if not head.has_preamble:
         return text_of(head.values, "SOPClassUID") not in IMAGE_CLASSES
@@ -260,7 +269,7 @@ def _statements(image: Slice) -> tuple[Any, ...]:
     return image.slope, image.intercept, image.rescale, image.coordinates, image.traits
 
 
-def _slices(header: Any, file: Path) -> list[Slice]:
+def _slices(header: Any, file: SourceFile) -> list[Slice]:
     """One slice for a plain file, one for each frame of a multi-frame file; none where the frames do not add up."""
     frames = sequence_of(header, "PerFrameFunctionalGroupsSequence")
     shared = _functional_groups((sequence_of(header, "SharedFunctionalGroupsSequence") or [None])[0])

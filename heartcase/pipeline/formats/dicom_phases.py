@@ -139,6 +139,8 @@ class StackGroup:
     """What tells it from other groups, in words; may be empty."""
     is_localizer: bool
     """Whether the headers call it a localiser."""
+    apart: str = ""
+    """What tells it from the other groups of its series: not to be shown; empty where there is one group."""
     left_out: str = ""
     """Which smaller groups of the series are left out when this one is chosen, in words; empty where there is none."""
 
@@ -162,7 +164,7 @@ def stack_groups(series: ImageSeries) -> tuple[StackGroup, ...]:
         One or more: the largest first, whatever the order of the images. A group is not always an even stack: what
         is wrong with it is said when it is chosen.
     """
-    groups: list[tuple[tuple[PhaseStack, ...], list[str], int]] = []
+    groups: list[tuple[tuple[PhaseStack, ...], list[str], str, int]] = []
     systems = sorted({image.coordinates for image in series.slices})
     for alike in _alike(series.slices):
         where = f"coordinate system {systems.index(alike[0].coordinates) + 1} of {len(systems)}"
@@ -180,14 +182,16 @@ def stack_groups(series: ImageSeries) -> tuple[StackGroup, ...]:
             if len(set(times)) == len(times):
                 ordered = sorted((stack for _, stack in found), key=_time_order)
                 words = _words(members[0][0], ordered[0].slices, is_one=len(ordered) == 1)
-                groups.append((tuple(ordered), words + system, len(spare[key])))
+                groups.append((tuple(ordered), words + system, _apart(alike[0], key), len(spare[key])))
             else:
-                groups += [((stack,), _words(branch, stack.slices, is_one=True) + system, 0) for branch, stack in found]
+                for branch, stack in found:
+                    words = _words(branch, stack.slices, is_one=True)
+                    groups.append(((stack,), words + system, _apart(alike[0], branch), 0))
     groups.sort(key=lambda group: -_count(group[0]))
-    repeated = Counter(", ".join(words) for _, words, _ in groups)
+    repeated = Counter(", ".join(words) for _, words, *_ in groups)
     seen: Counter[str] = Counter()
     made = []
-    for stacks, words, spare_count in groups:
+    for stacks, words, apart, spare_count in groups:
         kind = ", ".join(words)
         seen[kind] += 1
         numbered = f"{kind}, {seen[kind]} of {repeated[kind]}" if kind and repeated[kind] > 1 else kind
@@ -195,10 +199,17 @@ def stack_groups(series: ImageSeries) -> tuple[StackGroup, ...]:
         others = [other for other, *_ in groups if _count(other) < _count(stacks)]
         left_out = _left_out(stacks[0].slices[0], others)
         if spare_count:
-            of_time = f"{spare_count} image{'s are' if spare_count > 1 else ' is'} left out: at a time that other slice "
+            of_time = (
+                f"{spare_count} image{'s are' if spare_count > 1 else ' is'} left out: at a time that other slice "
+            )
             left_out = "; ".join(part for part in (left_out, f"{of_time}positions have no image near to") if part)
-        made.append(StackGroup(series.uid, series.modality, stacks, numbered, is_localizer, left_out))
+        apart = apart if len(groups) > 1 else ""
+        made.append(StackGroup(series.uid, series.modality, stacks, numbered, is_localizer, apart, left_out))
     return tuple(made)
+
+
+def _apart(first: Slice, branch: Branch) -> str:
+    return repr((first.shape, _is_placed(first), first.spacing, first.orientation, first.coordinates, branch))
 
 
 def _without_times(branch: Branch) -> Branch:
@@ -221,7 +232,9 @@ def _with_lacks(found: list[tuple[Branch, PhaseStack]], spare: Sequence[Slice]) 
         lacks = []
         for number, place in enumerate(sorted(whole), start=1):
             if place not in mine:
-                times = [image.traits.get("trigger_time_ms") for image, at in zip(every, places, strict=True) if at == place]
+                times = [
+                    image.traits.get("trigger_time_ms") for image, at in zip(every, places, strict=True) if at == place
+                ]
                 stated = [time for time in times if isinstance(time, float)]
                 wanted = stack.trigger_time_ms or 0.0
                 lacks.append(Lack(number, min(stated, key=lambda time: (abs(time - wanted), time), default=None)))

@@ -21,6 +21,7 @@ from pydicom.encaps import encapsulate, get_frame
 from pydicom.pixels import apply_modality_lut, get_decoder
 from scipy import ndimage
 
+from heartcase.pipeline.formats.dicom_archive import SourceFile
 from heartcase.pipeline.formats.dicom_tags import numbers_of, quiet_pydicom, read_data_set
 from heartcase.pipeline.formats.quiet_itk import quiet_itk
 from heartcase.pipeline.formats.stack import Slice
@@ -77,7 +78,7 @@ def read_pixels(slices: tuple[Slice, ...], progress: Callable[[], None] = lambda
     _check_rescale(slices)
     rows, columns = slices[0].shape
     values = np.empty((len(slices), rows, columns), dtype=np.float32)
-    by_file: dict[Path, list[int]] = {}
+    by_file: dict[SourceFile, list[int]] = {}
     for number, image in enumerate(slices):
         by_file.setdefault(image.path, []).append(number)
     with quiet_pydicom():
@@ -128,7 +129,7 @@ def fill_padding(values: Float32) -> Float32:
     return values
 
 
-def _data_set(path: Path) -> Any:
+def _data_set(path: SourceFile) -> Any:
     try:
         return read_data_set(path)
     except Exception:  # pydicom raises errors of every kind on damaged files
@@ -220,9 +221,12 @@ def _decompressed_by_gdcm(dataset: Any, syntax: Any, index: int) -> npt.NDArray[
     return array[0] if array.ndim == 3 else array
 
 
-def _compare_copies(path: Path, stored: npt.NDArray[Any], image: Slice) -> None:
+def _compare_copies(path: SourceFile, stored: npt.NDArray[Any], image: Slice) -> None:
     for copy in image.copies:
-        same_bytes = copy.stat().st_size == path.stat().st_size and copy.read_bytes() == path.read_bytes()
+        try:
+            same_bytes = copy.read_bytes() == path.read_bytes()
+        except OSError:
+            raise ScanError(DAMAGED) from None
         if not same_bytes and not np.array_equal(_stored(_data_set(copy), image), stored):
             raise ScanError("two files with different pixels claim to be this image: remove the one that is wrong")
 

@@ -10,12 +10,13 @@ import zlib
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 import pydicom
 from pydicom.datadict import keyword_for_tag
+
+from heartcase.pipeline.formats.dicom_archive import SourceFile
 
 __all__ = [
     "INFLATED_LIMIT",
@@ -73,7 +74,7 @@ class Header:
     """SOP class that the file meta information states; empty where it states none."""
 
 
-def read_header(file: Path, tags: list[str]) -> Header | None:
+def read_header(file: SourceFile, tags: list[str]) -> Header | None:
     """The named tags that a file holds, read up to its pixels; None where it does not start as DICOM does."""
     with file.open("rb") as stream:
         preamble = has_preamble(stream)
@@ -101,7 +102,7 @@ def values_of(dataset: Any, keywords: Collection[str] | None = None) -> dict[str
     return values
 
 
-def read_data_set(file: Path) -> Any:
+def read_data_set(file: SourceFile) -> Any:
     """A whole file; one without file meta information is taken as implicit little endian, DICOM's default."""
     with file.open("rb") as stream:
         _check_deflated(stream)

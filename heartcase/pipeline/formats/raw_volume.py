@@ -16,6 +16,7 @@ import numpy.typing as npt
 from pydantic import ValidationError
 
 from heartcase.pipeline.formats.agreement import AGREEMENT_MM, corner_distance_mm, right_angled
+from heartcase.pipeline.formats.frames import FrameFound
 from heartcase.schemas.errors import HeartcaseError, Problem, ScanError
 from heartcase.schemas.geometry import ORIGIN_LIMIT_MM, SPACING_LIMITS_MM, Geometry
 
@@ -56,6 +57,8 @@ class RawVolume:
     """NRRD: the key-value pairs of the header, which hold the segment table. For this package's eyes only."""
     orientation_is_stated: bool = True
     """Whether the file says which way the axes point in the patient."""
+    frame: FrameFound | None = None
+    """Which volume it is, of a file that holds several."""
 
 
 def require_file(path: Path) -> None:

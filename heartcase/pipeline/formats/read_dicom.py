@@ -13,6 +13,7 @@ import numpy as np
 
 from heartcase.pipeline.cautions import anatomy, note
 from heartcase.pipeline.data import Scan
+from heartcase.pipeline.formats.dicom_archive import SourceFile
 from heartcase.pipeline.formats.dicom_choice import Choice, SeriesInfo, choose, describe_volume, lack_problem, listed
 from heartcase.pipeline.formats.dicom_headers import find_series, is_dicom
 from heartcase.pipeline.formats.dicom_overlap import Overlap, one_at_each_place
@@ -66,7 +67,7 @@ def read_dicom(
     Parameters
     ----------
     path
-        Folder, searched with its subfolders, or one file.
+        Folder, searched with its subfolders; a zip archive of one; or one file.
     series
         Number or code in :func:`series_of`, or the UID; may be left out where there is one stack beside localisers.
     trigger_time_ms
@@ -132,7 +133,7 @@ def scan_of_stack(stack: Stack, choice: Choice) -> Scan:
 
 def chosen_file(
     path: Path, *, series: str | None = None, trigger_time_ms: float | None = None, echo_time_ms: float | None = None
-) -> Path:
+) -> SourceFile:
     """One file of the stack that :func:`read_dicom` would read: for those who may know whose scan it is.
 
     Raises

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.formats.agreement import AGREEMENT_MM, EXACT_MM, even_line
+from heartcase.pipeline.formats.dicom_archive import SourceFile
 from heartcase.schemas.errors import ScanError
 
 __all__ = ["COSINE_TOLERANCE", "SPACING_TOLERANCE", "Slice", "Stack", "find_stack", "places_of", "stack_problem"]
@@ -44,7 +44,7 @@ Rescale = Literal["stated", "unstated", "unreadable", "table"]
 class Slice:
     """One image of a series, as its header describes it."""
 
-    path: Path
+    path: SourceFile
     """Where its pixels are; goes into no message."""
     frame: int | None
     """Frame of a multi-frame file."""
@@ -70,7 +70,7 @@ class Slice:
     """Whether the header calls it a localiser."""
     uid: str = ""
     """Identity of the image, to recognise copies by; goes into no message."""
-    copies: tuple[Path, ...] = ()
+    copies: tuple[SourceFile, ...] = ()
     """Other files that claim to be this image."""
     rescale: Rescale = "unstated"
     """What the header says of slope and intercept; ``table`` for a modality LUT."""
