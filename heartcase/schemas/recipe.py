@@ -67,13 +67,13 @@ class ScanSource(Model):
     """Where the scan is. The path stays in the recipe: it is written to no output."""
 
     path: Annotated[str, Field(min_length=1)]
-    """File (.nii, .nii.gz, .nrrd, .nhdr, .mha, .mhd), or folder of a DICOM series or a zip archive of one, relative to the
+    """File (.nii, .nii.gz, .nrrd, .nhdr, .mha, .mhd), or folder of a DICOM series, which may be zipped, relative to the
     recipe."""
     series: str | None = None
     """DICOM: which series of the folder, by its number or code in the list, or its UID, when there are several."""
     trigger_time_ms: Annotated[float, Field(ge=0.0, le=100_000.0)] | None = None
-    """DICOM: which cardiac phase, by its time after the R wave, ms; the nearest one is taken. In a file of several volumes
-    that says when each is: which one, by its time."""
+    """DICOM: which cardiac phase, by its time after the R wave, ms; the nearest one is taken. In a file of several
+    volumes that says when each is: which one, by its time."""
     echo_time_ms: Annotated[float, Field(ge=0.0, le=10_000.0)] | None = None
     """DICOM: which echo, by its echo time, ms; the nearest one is taken."""
     frame: Annotated[int, Field(ge=0)] | None = None

@@ -9,7 +9,7 @@ are written can hold.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 import numpy.typing as npt
@@ -94,7 +94,7 @@ def even_line(along: Float64, places: npt.NDArray[np.int64]) -> tuple[float, flo
     # The best line runs midway between an edge of the upper hull and a point of the lower one, or the other way about.
     best = (distance, spacing, start)
     for hull in (_hull(along, places, 1.0), _hull(along, places, -1.0)):
-        for one, other in zip(hull[:-1], hull[1:], strict=True):
+        for one, other in pairwise(hull):
             slope = (along[other] - along[one]) / (places[other] - places[one])
             rest = along - slope * places
             best = min(best, (float(np.ptp(rest)) / 2.0, float(slope), float(rest.min() + rest.max()) / 2.0))

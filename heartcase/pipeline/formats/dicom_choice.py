@@ -54,8 +54,8 @@ class SeriesInfo:
     """What it is, in words made from geometry, modality and physics."""
     uid_code: str
     """The start of the SHA-256 of its UID: six hexadecimal digits, or more until it differs from the others' and is no
-    number. Where the series holds several stacks, two digits or more of the stack's own follow after a hyphen. Empty for
-    other formats."""
+    number. Where the series holds several stacks, two digits or more of the stack's own follow after a hyphen. Empty
+    for other formats."""
     trigger_times_ms: tuple[float, ...] = ()
     """Times of the cardiac phases after the R wave, ms, ascending; empty where none is stated."""
     echo_times_ms: tuple[float, ...] = ()
@@ -335,8 +335,8 @@ def _which_time(stacks: Sequence[PhaseStack]) -> str:
     parts = []
     if len(echoes) > 1:
         parts.append(
-            f"{len(echoes)} echoes (echo times {listed_times(echoes)} ms): choose one with --echo-time MS, or echo_time_ms "
-            "in the recipe's [scan]"
+            f"{len(echoes)} echoes (echo times {listed_times(echoes)} ms): choose one with --echo-time MS, or "
+            "echo_time_ms in the recipe's [scan]"
         )
     partial = _partial_count(stacks)
     if len(triggers) > 1 or partial:

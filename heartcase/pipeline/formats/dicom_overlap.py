@@ -1,4 +1,4 @@
-"""Slice positions that hold two images, as where two slabs of a step-and-shoot scan meet: copies, or two images?
+"""Slice positions that hold several images, as where two slabs of a step-and-shoot scan meet.
 
 Pixels decide: the same ones are copies, others are two images of one place, each as good as the other, and the user
 says whether the one that was acquired earlier or later is taken. Nothing else tells which: not the files' names, not

@@ -16,6 +16,8 @@ SINGLE_TIME_PART = 0.05
 """Part of a time by which a given one may differ from the only one that is stated; see SINGLE_TIME_FLOOR_MS."""
 SINGLE_TIME_FLOOR_MS = {"trigger": 5.0, "echo": 0.05}
 """What a given time may differ from the only one that is stated in any case, ms."""
+FAR_MS = 50.0
+"""A heart moves little in this time: a trigger time that is farther off than this is told."""
 TIE_MS = 1e-6
 """Times that differ by less are the same: rounded digits."""
 
@@ -33,7 +35,7 @@ def nearest_time(times: Sequence[float | None], wanted: float, what: str, notes:
     what
         ``trigger`` or ``echo``.
     notes
-        Gets a line where two are as near: then the earlier is taken.
+        Gets a line where two are as near: then the earlier is taken; and where the trigger time is far off.
 
     Raises
     ------
@@ -56,6 +58,11 @@ def nearest_time(times: Sequence[float | None], wanted: float, what: str, notes:
         remedy = "choose one of them with" if len(stated) > 1 else "give this one, or none, with"
         raise ScanError(
             f"no {what} time is near {wanted:g} ms, {there}: {remedy} {option} MS, or {key} in the recipe's [scan]"
+        )
+    if what == "trigger" and abs(nearest - wanted) > FAR_MS:
+        notes.append(
+            f"the given trigger time is {wanted:g} ms, and the nearest one that can be taken, {nearest:g} ms, shows the "
+            "heart at another moment"
         )
     as_near = [time for time in stated if abs(abs(time - wanted) - abs(nearest - wanted)) <= TIE_MS]
     if len(as_near) > 1:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -164,5 +165,5 @@ def _times(fields: dict[str, str], pairs: dict[str, str], axis: int, count: int)
             return None
     except (ValueError, IndexError):
         return None
-    is_ascending = all(later > earlier for earlier, later in zip(times, times[1:], strict=False))
+    is_ascending = all(later > earlier for earlier, later in pairwise(times))
     return tuple(times) if len(times) == count and is_ascending and np.isfinite(times).all() else None

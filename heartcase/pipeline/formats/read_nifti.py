@@ -224,7 +224,8 @@ def _read(stream: BinaryIO, choice: FrameChoice | None) -> RawVolume:
     size, dtype, count = header.size(), header.dtype(), header.frame_count()
     if count > 1 and choice is None:
         raise ScanError(
-            f"the file is 4-D and holds {count} volumes (times or channels): export the one that is wanted as a 3-D file"
+            f"the file is 4-D and holds {count} volumes (times or channels): export the one that is wanted as a 3-D "
+            "file"
         )
     found = pick_frame(count, header.times_ms(), choice) if count > 1 and choice is not None else None
     geometry = header.geometry()
