@@ -61,8 +61,8 @@ def nearest_time(times: Sequence[float | None], wanted: float, what: str, notes:
         )
     if what == "trigger" and abs(nearest - wanted) > FAR_MS:
         notes.append(
-            f"the given trigger time is {wanted:g} ms, and the nearest one that can be taken, {nearest:g} ms, shows the "
-            "heart at another moment"
+            f"the given trigger time is {wanted:g} ms, and the nearest one that can be taken, {nearest:g} ms, shows "
+            "the heart at another moment"
         )
     as_near = [time for time in stated if abs(abs(time - wanted) - abs(nearest - wanted)) <= TIE_MS]
     if len(as_near) > 1:
