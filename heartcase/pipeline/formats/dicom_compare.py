@@ -33,7 +33,7 @@ EDGES = 99.0
 """Percentile of the gradient from which on a pixel is an edge."""
 SOFT_TISSUE_HU = (0.0, 100.0)
 KERNEL_MM = 10.0
-"""Width of the square in which the deviation is taken: in smaller ones smooth noise, which neighbours share, seems less."""
+"""Width of the square in which the deviation is taken: in smaller ones noise that neighbours share seems less."""
 FEWEST_PIXELS = 200
 LARGEST_IMAGE = 2**24
 """Pixels of an image that is read for the sake of a list."""

@@ -23,6 +23,7 @@ from scipy import ndimage
 
 from heartcase.pipeline.formats.dicom_archive import SourceFile
 from heartcase.pipeline.formats.dicom_tags import numbers_of, quiet_pydicom, read_data_set
+from heartcase.pipeline.formats.jpeg2000_check import is_contradictory
 from heartcase.pipeline.formats.quiet_itk import quiet_itk
 from heartcase.pipeline.formats.stack import Slice
 from heartcase.schemas.errors import ScanError
@@ -34,8 +35,8 @@ Float64 = npt.NDArray[np.float64]
 
 DAMAGED = "the file is cut short or damaged: copy it from the scanner or archive again"
 CONTRADICTORY = (
-    "the decoder complains of its compressed pixels, which are damaged and would give wrong values: copy it from the "
-    "scanner or archive again, or export the series uncompressed"
+    "its compressed pixels are damaged and would give wrong values: copy it from the scanner or archive again, or "
+    "export the series uncompressed"
 )
 UNREAD_COMPRESSION = "its compression is not read: export the series uncompressed"
 PLUGINS = {
@@ -170,8 +171,13 @@ def _used_bits(stored: npt.NDArray[Any], dataset: Any) -> npt.NDArray[Any]:
 
 
 def _decompressed(dataset: Any, syntax: Any, index: int) -> npt.NDArray[Any]:
+    """One frame, of which no decoder complains."""
     plugin = PLUGINS.get(syntax)
-    if plugin is not None and plugin in get_decoder(syntax).available_plugins:
+    if plugin is None or plugin not in get_decoder(syntax).available_plugins:
+        if syntax not in GDCM_SYNTAXES:
+            raise ScanError(UNREAD_COMPRESSION)
+        array = _decompressed_by_gdcm(dataset, syntax, index)
+    else:
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
             array = get_decoder(syntax).as_array(dataset, index=index, raw=True, decoding_plugin=plugin)[0]
@@ -179,10 +185,18 @@ def _decompressed(dataset: Any, syntax: Any, index: int) -> npt.NDArray[Any]:
             raise ScanError(CONTRADICTORY)
         if syntax in SPEAKING_BY_GDCM:
             _decompressed_by_gdcm(dataset, syntax, index)
-        return np.asarray(array)
-    if syntax not in GDCM_SYNTAXES:
-        raise ScanError(UNREAD_COMPRESSION)
-    return _decompressed_by_gdcm(dataset, syntax, index)
+    if syntax == syntaxes.JPEG2000Lossless and is_contradictory(_frame(dataset, index), array):
+        raise ScanError(CONTRADICTORY)
+    return np.asarray(array)
+
+
+def _frame(dataset: Any, index: int) -> bytes:
+    """A compressed frame as it is stored."""
+    frame_count = int((numbers_of(dataset, "NumberOfFrames", 1) or (1.0,))[0])
+    offsets = [dataset.get(keyword) for keyword in ("ExtendedOffsetTable", "ExtendedOffsetTableLengths")]
+    extended = (offsets[0], offsets[1]) if None not in offsets else None
+    frame: bytes = get_frame(dataset.PixelData, index, number_of_frames=frame_count, extended_offsets=extended)
+    return frame
 
 
 def _decompressed_by_gdcm(dataset: Any, syntax: Any, index: int) -> npt.NDArray[Any]:
@@ -190,10 +204,7 @@ def _decompressed_by_gdcm(dataset: Any, syntax: Any, index: int) -> npt.NDArray[
 
     So it gets a file of its own, with the frame and nothing else.
     """
-    frame_count = int((numbers_of(dataset, "NumberOfFrames", 1) or (1.0,))[0])
-    offsets = [dataset.get(keyword) for keyword in ("ExtendedOffsetTable", "ExtendedOffsetTableLengths")]
-    extended = (offsets[0], offsets[1]) if None not in offsets else None
-    frame = get_frame(dataset.PixelData, index, number_of_frames=frame_count, extended_offsets=extended)
+    frame = _frame(dataset, index)
     meta = FileMetaDataset()
     meta.MediaStorageSOPClassUID, meta.MediaStorageSOPInstanceUID = SECONDARY_CAPTURE, "2.25.1"
     meta.TransferSyntaxUID = syntax

@@ -57,7 +57,7 @@ def _zeroed_in(each: Each, start: int) -> Callable[[Path], None]:
 
 
 CUT = "1 DICOM file is cut short or damaged"
-COMPLAINT = "slice 3: the decoder complains of its compressed pixels"
+COMPLAINT = "slice 3: its compressed pixels are damaged and would give wrong values"
 
 SITUATIONS = (
     Situation("a file cut after its preamble, at the end of the stack", _cut_to(140, 8), refused=CUT),
@@ -74,6 +74,11 @@ SITUATIONS = (
     ),
     Situation("JPEG lossless, 40 bytes zeroed", _zeroed_in(lossless_jpeg, 300), refused=COMPLAINT),
     Situation("JPEG baseline, 40 bytes zeroed", _zeroed_in(_jpeg_baseline, 700), refused=COMPLAINT),
+    Situation(
+        "JPEG 2000 lossless, 40 bytes zeroed",
+        _zeroed_in(compressed(uid.JPEG2000Lossless), 400),
+        refused=COMPLAINT,
+    ),
     Situation(
         "JPEG-LS, 40 bytes zeroed",
         _zeroed_in(compressed(uid.JPEGLSLossless), 300),

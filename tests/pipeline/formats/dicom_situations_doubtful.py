@@ -82,9 +82,9 @@ def kernels(folder: Path, *, noise_hu: float = 20.0) -> tuple[np.ndarray, np.nda
 
     The values of both, smooth first.
     """
-    j, i = np.indices((96, 96))
-    disc = 40.0 + 300.0 * ((i - 48) ** 2 + (j - 48) ** 2 < 20**2) - 1000.0 * ((i - 48) ** 2 + (j - 48) ** 2 > 44**2)
-    sharp = disc + np.random.default_rng(5).normal(0.0, noise_hu, (5, 96, 96))
+    j, i = np.indices((128, 128))
+    disc = 40.0 + 300.0 * ((i - 64) ** 2 + (j - 80) ** 2 < 14**2) - 1000.0 * ((i - 64) ** 2 + (j - 64) ** 2 > 60**2)
+    sharp = disc + np.random.default_rng(5).normal(0.0, noise_hu, (5, 128, 128))
     smooth = np.stack([ndimage.gaussian_filter(plane, 1.0) for plane in sharp])
     volumes = np.round(smooth).astype(np.int16), np.round(sharp).astype(np.int16)
     positions = np.array([[-30.0, -30.0, 3.0 * k] for k in range(5)])
@@ -96,7 +96,7 @@ def kernels(folder: Path, *, noise_hu: float = 20.0) -> tuple[np.ndarray, np.nda
 def _kernels(wanted: int) -> Callable[[Path], Truth]:
     def make(folder: Path) -> Truth:
         volumes = kernels(folder)
-        geometry = GEOMETRY.of(shape=(5, 96, 96), origin_mm=(-30, -30, 0), spacing_mm=(0.7, 0.7, 3))
+        geometry = GEOMETRY.of(shape=(5, 128, 128), origin_mm=(-30, -30, 0), spacing_mm=(0.7, 0.7, 3))
         return Truth(volumes[wanted], geometry.affine)
 
     return make
