@@ -51,7 +51,7 @@ def scan_options(function: F) -> F:
     @functools.wraps(function)
     def collecting(*args: Any, **given: Any) -> Any:
         choice = {name: given.pop(name) for name in _SCAN_OPTIONS}
-        return function(*args, choice={name: v for name, v in choice.items() if v not in (None, False)}, **given)
+        return function(*args, choice={name: v for name, v in choice.items() if not (v is None or v is False)}, **given)
 
     wrapped: Any = collecting
     for name, option in reversed(_SCAN_OPTIONS.items()):
@@ -64,17 +64,28 @@ _SCAN_OPTIONS: dict[str, tuple[str, dict[str, Any]]] = {
     "series": ("--series", {"help": "DICOM: which series of the folder, by its number or code, or its UID."}),
     "trigger_time_ms": (
         "--trigger-time",
-        {"type": click.FloatRange(min=0.0), "metavar": "MS", "help": "DICOM: the cardiac phase nearest to this time."},
+        {"type": click.FloatRange(min=0.0), "metavar": "MS", "help": "The cardiac phase nearest to this time."},
     ),
     "echo_time_ms": (
         "--echo-time",
         {"type": click.FloatRange(min=0.0), "metavar": "MS", "help": "DICOM: the echo nearest to this echo time."},
+    ),
+    "frame": (
+        "--frame",
+        {"type": click.IntRange(min=0), "metavar": "N", "help": "NIfTI, NRRD, MetaImage: which volume, from 0."},
     ),
     "interpolate_missing": (
         "--interpolate-missing",
         {"is_flag": True, "help": "DICOM: fill missing slices from their neighbours."},
     ),
     "straighten_tilt": ("--straighten-tilt", {"is_flag": True, "help": "DICOM: straighten a tilted gantry's slices."}),
+    "overlap": (
+        "--overlap",
+        {
+            "type": click.Choice(("earlier", "later")),
+            "help": "DICOM: which image to take where two acquisitions meet in one slice position.",
+        },
+    ),
 }
 """Parameter of ``read_scan`` -> option of the command line."""
 

@@ -14,7 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.data import Scan
+from heartcase.pipeline.formats.dicom_archive import is_archive
+from heartcase.pipeline.formats.dicom_overlap import Overlap
 from heartcase.pipeline.formats.dicom_seg import read_dicom_seg
+from heartcase.pipeline.formats.frames import FrameChoice
 from heartcase.pipeline.formats.raw_volume import RawVolume, check_size, placed, require_file
 from heartcase.pipeline.formats.read_dicom import SeriesInfo, describe_volume, is_dicom, read_dicom, series_of
 from heartcase.pipeline.formats.read_metaimage import metaimage_data_file, read_metaimage
@@ -35,7 +38,7 @@ __all__ = [
     "read_scan",
 ]
 
-READERS: dict[str, Callable[[Path], RawVolume]] = {
+READERS: dict[str, Callable[[Path, FrameChoice | None], RawVolume]] = {
     ".nii.gz": read_nifti,
     ".nii": read_nifti,
     ".nrrd": read_nrrd,
@@ -62,25 +65,33 @@ def read_scan(
     series: str | None = None,
     trigger_time_ms: float | None = None,
     echo_time_ms: float | None = None,
+    frame: int | None = None,
     interpolate_missing: bool = False,
     straighten_tilt: bool = False,
+    overlap: Overlap | None = None,
 ) -> Scan:
     """Read a scan.
 
     Parameters
     ----------
     path
-        .nii, .nii.gz, .nrrd, .nhdr, .mha or .mhd file; folder of DICOM files; or one multi-frame DICOM file.
+        .nii, .nii.gz, .nrrd, .nhdr, .mha or .mhd file; folder of DICOM files, or a zip archive of one; or one
+        multi-frame DICOM file.
     series
         DICOM: which series, by its number or code in :func:`list_series`, or its UID.
     trigger_time_ms
-        DICOM: which cardiac phase, the nearest to this time after the R wave, ms.
+        DICOM: which cardiac phase, the nearest to this time after the R wave, ms. Files of several volumes that say
+        when each is: the volume nearest to this time.
     echo_time_ms
         DICOM: which echo, the nearest to this echo time, ms.
+    frame
+        NIfTI, NRRD and MetaImage files of several volumes: which one, from 0.
     interpolate_missing
         DICOM: fill missing slices from their neighbours (at most two in a row and a third of all).
     straighten_tilt
         DICOM: resample a stack that leans (tilted gantry) onto a straight one.
+    overlap
+        DICOM: where two acquisitions meet in one slice position, take the image acquired ``"earlier"`` or ``"later"``.
 
     Returns
     -------
@@ -98,6 +109,11 @@ def read_scan(
     path = Path(path)
     try:
         if is_dicom_source(path):
+            if frame is not None:
+                raise ScanError(
+                    "a frame number chooses in NIfTI, NRRD and MetaImage files: among DICOM images choose with "
+                    "--trigger-time or --series (trigger_time_ms or series in the recipe's [scan])"
+                )
             return read_dicom(
                 path,
                 series=series,
@@ -105,13 +121,13 @@ def read_scan(
                 echo_time_ms=echo_time_ms,
                 interpolate_missing=interpolate_missing,
                 straighten_tilt=straighten_tilt,
+                overlap=overlap,
             )
-        if trigger_time_ms is not None or echo_time_ms is not None:
-            raise ScanError(
-                "a trigger time or an echo time chooses among DICOM images, but this file holds one volume: leave it "
-                "out"
-            )
-        raw = _read_file(path)
+        if echo_time_ms is not None:
+            raise ScanError("an echo time chooses among DICOM images, but this is another file: leave it out")
+        raw = _read_file(path, FrameChoice(frame, trigger_time_ms))
+        if raw.frame is None and (trigger_time_ms is not None or frame):
+            raise ScanError("a trigger time or a frame is given, but this file holds one volume: leave it out")
         if raw.values.ndim != 3:
             raise ScanError(
                 f"every voxel holds {raw.values.shape[3]} values (colour, a vector or times): export the scan with one "
@@ -122,7 +138,15 @@ def read_scan(
         acquisition: dict[str, Any] = {}
         if not raw.orientation_is_stated:
             acquisition["orientation"] = "not stated in the file, taken as left, posterior, superior"
-        return Scan(values=_as_float32(raw.values), geometry=raw.geometry, acquisition=acquisition)
+        if raw.frame is not None:
+            acquisition["frame"] = raw.frame.number
+            acquisition |= {} if raw.frame.time_ms is None else {"frame_time_ms": raw.frame.time_ms}
+        return Scan(
+            values=_as_float32(raw.values),
+            geometry=raw.geometry,
+            acquisition=acquisition,
+            warnings=raw.frame.notes if raw.frame is not None else (),
+        )
     except ScanError as error:
         raise placed(error, "scan", ScanError) from None
 
@@ -192,6 +216,8 @@ def read_labels(
     """
     path = Path(path)
     try:
+        if is_archive(path):
+            raise ScanError("this is a zip archive: unpack it, and give the file of markers or labels")
         if is_dicom_source(path):
             return read_dicom_seg(path, scan, left_out)
         raw = _read_file(path)
@@ -204,8 +230,11 @@ def read_labels(
 
 
 def is_dicom_source(path: Path) -> bool:
-    """Whether this is read as DICOM: a folder, or a file that starts as DICOM does and has no other format's ending."""
-    return path.is_dir() or (_suffix(path) is None and is_dicom(path))
+    """Whether this is read as DICOM: a folder, a zip archive of one, or a file that starts as DICOM does.
+
+    A file with the ending of another format is that.
+    """
+    return path.is_dir() or (_suffix(path) is None and (is_dicom(path) or is_archive(path)))
 
 
 def detached_data_file(path: Path) -> Path | None:
@@ -224,15 +253,15 @@ def _suffix(path: Path) -> str | None:
     return next((suffix for suffix in READERS if path.name.lower().endswith(suffix)), None)
 
 
-def _read_file(path: Path) -> RawVolume:
+def _read_file(path: Path, choice: FrameChoice | None = None) -> RawVolume:
     if path.is_dir():
         raise ScanError("this is a folder, but a file is needed here")
     require_file(path)
     suffix = _suffix(path)
     if suffix is None:
         listed = ", ".join(READERS)
-        raise ScanError(f"this kind of file is not read: give {listed}, or a folder of DICOM files")
-    raw = READERS[suffix](path)
+        raise ScanError(f"this kind of file is not read: give {listed}, or a folder of DICOM files (or a zip of it)")
+    raw = READERS[suffix](path, choice)
     check_size(raw.geometry.size)
     return raw
 

@@ -21,7 +21,7 @@ T = TypeVar("T")
 U = TypeVar("U")
 
 STAGE_VERSIONS = {
-    "read": 2,
+    "read": 3,
     "markers": 1,
     "filter": 2,
     "segment": 2,

@@ -67,17 +67,23 @@ class ScanSource(Model):
     """Where the scan is. The path stays in the recipe: it is written to no output."""
 
     path: Annotated[str, Field(min_length=1)]
-    """File (.nii, .nii.gz, .nrrd, .nhdr, .mha, .mhd) or folder of a DICOM series, relative to the recipe."""
+    """File (.nii, .nii.gz, .nrrd, .nhdr, .mha, .mhd), or folder of a DICOM series, which may be zipped, relative to the
+    recipe."""
     series: str | None = None
     """DICOM: which series of the folder, by its number or code in the list, or its UID, when there are several."""
     trigger_time_ms: Annotated[float, Field(ge=0.0, le=100_000.0)] | None = None
-    """DICOM: which cardiac phase, by its time after the R wave, ms; the nearest one is taken."""
+    """DICOM: which cardiac phase, by its time after the R wave, ms; the nearest one is taken. In a file of several
+    volumes that says when each is: which one, by its time."""
     echo_time_ms: Annotated[float, Field(ge=0.0, le=10_000.0)] | None = None
     """DICOM: which echo, by its echo time, ms; the nearest one is taken."""
+    frame: Annotated[int, Field(ge=0)] | None = None
+    """NIfTI, NRRD and MetaImage files of several volumes: which one, from 0."""
     interpolate_missing: bool = False
     """DICOM: fill missing slices from their neighbours instead of refusing the series."""
     straighten_tilt: bool = False
     """DICOM: resample a stack that leans (tilted gantry) onto a straight one instead of refusing the series."""
+    overlap: Literal["earlier", "later"] | None = None
+    """DICOM: where two acquisitions meet in one slice position, take the image acquired earlier or later."""
     modality: Literal["CT", "MR"] | None = None
     """Kind of scan, for files that do not say it (NIfTI, NRRD, MetaImage)."""
     origin: Annotated[str, Field(max_length=500)] | None = None
@@ -88,7 +94,15 @@ class ScanSource(Model):
     @property
     def choice(self) -> dict[str, Any]:
         """What chooses among DICOM images and says what may be done to them, where it says anything."""
-        fields = ("series", "trigger_time_ms", "echo_time_ms", "interpolate_missing", "straighten_tilt")
+        fields = (
+            "series",
+            "trigger_time_ms",
+            "echo_time_ms",
+            "frame",
+            "interpolate_missing",
+            "straighten_tilt",
+            "overlap",
+        )
         stated = {name: getattr(self, name) for name in fields}
         # not what is left at its default: a later default must change no record of a locked recipe
         return {name: value for name, value in stated.items() if value is not None and value is not False}
@@ -376,7 +390,7 @@ def load_recipe(path: Path | str) -> Recipe:
     return parse_recipe(read_recipe_text(path))
 
 
-_SCAN_SUFFIXES = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd", ".dcm", ".ima")
+_SCAN_SUFFIXES = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd", ".dcm", ".ima", ".zip")
 _DICOM_MARK, _DICOM_MARK_AT = b"DICM", 128
 
 

@@ -13,32 +13,29 @@ from typing import NamedTuple
 import numpy as np
 
 from heartcase.pipeline.cautions import note
+from heartcase.pipeline.formats.dicom_compare import measured_words
 from heartcase.pipeline.formats.dicom_headers import OTHER_MODALITIES
 from heartcase.pipeline.formats.dicom_phases import PhaseStack, StackGroup
+from heartcase.pipeline.formats.nearest_time import listed_times, nearest_time
 from heartcase.pipeline.formats.raw_volume import geometry_from_affine
 from heartcase.pipeline.formats.stack import Stack, find_stack
 from heartcase.schemas.errors import Problem, ScanError
 from heartcase.schemas.geometry import Geometry
 
-__all__ = ["Choice", "SeriesInfo", "choose", "describe_volume", "listed", "named", "stack_geometry"]
+__all__ = ["Choice", "SeriesInfo", "choose", "describe_volume", "lack_problem", "listed", "named", "stack_geometry"]
 
 SHORTEST_CODE = 6
+SHORTEST_STACK_CODE = 2
 ALIKE_IN_PHASES = ("image_kind", "sequence", "b_value", "inversion_time_ms", "tube_voltage_kv")
 """What cardiac phases that are series of their own must state alike."""
 SMALL_STACK = 9
 """Images that a localiser has at most, where the headers do not call it one."""
 SMALL_PART = 0.25
 """Part of the largest stack's images that a localiser has at most, where the headers do not call it one."""
-TIMES_SHOWN = 40
-"""How many times an error lists."""
 GEOMETRY_TOLERANCE_MM = 0.01
 """Cardiac phases that are series of their own lie at one place to this."""
-SINGLE_TIME_PART = 0.05
-"""Part of a time by which a given one may differ from the only one that is stated; see SINGLE_TIME_FLOOR_MS."""
-SINGLE_TIME_FLOOR_MS = {"trigger": 5.0, "echo": 0.05}
-"""What a given time may differ from the only one that is stated in any case, ms."""
-TIE_MS = 1e-6
-"""Times that differ by less are the same: rounded digits."""
+LACKS_NAMED = 5
+"""How many slice positions without an image an error names."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +54,8 @@ class SeriesInfo:
     """What it is, in words made from geometry, modality and physics."""
     uid_code: str
     """The start of the SHA-256 of its UID: six hexadecimal digits, or more until it differs from the others' and is no
-    number; empty for other formats."""
+    number. Where the series holds several stacks, two digits or more of the stack's own follow after a hyphen. Empty
+    for other formats."""
     trigger_times_ms: tuple[float, ...] = ()
     """Times of the cardiac phases after the R wave, ms, ascending; empty where none is stated."""
     echo_times_ms: tuple[float, ...] = ()
@@ -99,19 +97,20 @@ def stack_geometry(stack: Stack) -> Geometry:
 
 def listed(groups: Sequence[StackGroup]) -> tuple[SeriesInfo, ...]:
     """What the user may choose from, in order."""
-    digests = {_digest(group.series_uid) for group in groups}
+    described = [_described(group) for group in groups]
+    measured = measured_words(groups, [description for _, description in described])
     found = []
-    for number, group in enumerate(groups, start=1):
+    for number, (group, code) in enumerate(zip(groups, _codes(groups), strict=True), start=1):
         triggers, echoes = _times(group.stacks)
-        spacing, description = _described(group)
+        spacing, description = described[number - 1]
         found.append(
             SeriesInfo(
                 number=number,
                 slice_count=group.image_count,
                 spacing_mm=spacing,
                 modality=group.modality,
-                description=description,
-                uid_code=_code(_digest(group.series_uid), digests),
+                description=description + measured[number - 1],
+                uid_code=code,
                 trigger_times_ms=triggers,
                 echo_times_ms=echoes,
             )
@@ -136,26 +135,59 @@ def _described(group: StackGroup) -> tuple[tuple[float, float, float] | None, st
         description += f", {len(echoes)} echoes of {echoes[0]:g} to {echoes[-1]:g} ms"
     elif echoes and "echo time" not in description:
         description += f", echo time {echoes[0]:g} ms"
-    if len(triggers) > 1:
-        description += f", {len(triggers)} cardiac phases at {triggers[0]:g} to {triggers[-1]:g} ms"
+    partial = _partial_count(group.stacks)
+    if len(triggers) > 1 or partial:
+        phases = f"{len(triggers)} cardiac phase{'s' * (len(triggers) != 1)}"
+        description += f", {phases} at {triggers[0]:g} to {triggers[-1]:g} ms" if triggers else ", no cardiac phase"
+        description += f" at every slice position and {partial} at some of them" if partial else ""
     elif group.is_localizer and "localiser" not in description:
         description += ", localiser"
     return spacing, description
 
 
+def _partial_count(stacks: Sequence[PhaseStack]) -> int:
+    """Number of cardiac phases that some slice positions have no image of."""
+    return sum(bool(stack.lacks) and stack.trigger_time_ms is not None for stack in stacks)
+
+
 def _times(stacks: Sequence[PhaseStack]) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    triggers = sorted({stack.trigger_time_ms for stack in stacks if stack.trigger_time_ms is not None})
+    """Trigger times that every slice position has an image near, and echo times, ascending, ms."""
+    triggers = sorted({one.trigger_time_ms for one in stacks if one.trigger_time_ms is not None and not one.lacks})
     echoes = sorted({stack.echo_time_ms for stack in stacks if stack.echo_time_ms is not None})
     return tuple(triggers), tuple(echoes)
 
 
-def _digest(uid: str) -> str:
-    return hashlib.sha256(uid.encode("utf-8", "surrogateescape")).hexdigest()
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode("utf-8", "surrogateescape")).hexdigest()
+
+
+def _stack_digest(group: StackGroup) -> str:
+    """Tells a group from the others of its series; the UID in it keeps the header's texts from being guessed."""
+    return _digest(f"{group.series_uid}\n{group.apart}")
+
+
+def _codes(groups: Sequence[StackGroup]) -> list[str]:
+    """The code of each: that of its series, and after a hyphen its own where the series has several."""
+    series = {_digest(group.series_uid) for group in groups}
+    codes = []
+    for group in groups:
+        code = _code(_digest(group.series_uid), series)
+        if group.apart:
+            every = {_stack_digest(other) for other in groups if other.series_uid == group.series_uid}
+            code += f"-{_start(_stack_digest(group), every, SHORTEST_STACK_CODE)}"
+        codes.append(code)
+    return codes
 
 
 def _code(digest: str, every: set[str]) -> str:
     length = SHORTEST_CODE
-    while digest[:length].isdecimal() or sum(other.startswith(digest[:length]) for other in every) > 1:
+    while digest[:length].isdecimal():
+        length += 1
+    return _start(digest, every, length)
+
+
+def _start(digest: str, every: set[str], length: int) -> str:
+    while sum(other.startswith(digest[:length]) for other in every) > 1:
         length += 1
     return digest[:length]
 
@@ -203,10 +235,10 @@ def choose(
         raise ScanError(f"the images are {modality}: a CT or MR series is needed")
     notes = _passed_over(groups, candidates) if series is None else []
     if echo_time_ms is not None:
-        nearest = _nearest([stack.echo_time_ms for _, stack in pool], echo_time_ms, "echo", notes)
+        nearest = nearest_time([stack.echo_time_ms for _, stack in pool], echo_time_ms, "echo", notes)
         pool = [one for one in pool if one[1].echo_time_ms == nearest]
     if trigger_time_ms is not None:
-        nearest = _nearest([stack.trigger_time_ms for _, stack in pool], trigger_time_ms, "trigger", notes)
+        nearest = nearest_time([stack.trigger_time_ms for _, stack in pool], trigger_time_ms, "trigger", notes)
         pool = [one for one in pool if one[1].trigger_time_ms == nearest]
     if len(pool) > 1:
         raise ScanError(_which_time([stack for _, stack in pool]))
@@ -242,8 +274,8 @@ def named(groups: Sequence[StackGroup], series: str) -> list[StackGroup]:
     groups
         All that the folder holds.
     series
-        Number in :func:`listed`, which digits alone always are; or a whole UID, or six or more digits of its code,
-        which stand for the stacks of the series without its localisers.
+        Number in :func:`listed`, which digits alone always are; or the code there; or a whole UID, or six or more
+        digits of its code before the hyphen, which stand for the stacks of the series without its localisers.
 
     Raises
     ------
@@ -256,13 +288,18 @@ def named(groups: Sequence[StackGroup], series: str) -> list[StackGroup]:
         if len(wanted) < 10 and 1 <= int(wanted) <= len(groups):
             return [groups[int(wanted) - 1]]
     elif wanted:
-        is_code = len(wanted) >= SHORTEST_CODE
+        code, _, own = wanted.lower().partition("-")
+        is_code = len(code) >= SHORTEST_CODE and (len(own) >= SHORTEST_STACK_CODE or "-" not in wanted)
         matching = [
             group
             for group in groups
-            if group.series_uid == wanted or (is_code and _digest(group.series_uid).startswith(wanted.lower()))
+            if group.series_uid == wanted or (is_code and _digest(group.series_uid).startswith(code))
         ]
-    if len({group.series_uid for group in matching}) == 1:
+        if own:
+            matching = [group for group in matching if group.apart and _stack_digest(group).startswith(own)]
+            if len(matching) == 1:
+                return matching
+    if len({group.series_uid for group in matching}) == 1 and "-" not in wanted:
         return _candidates(matching)
     fits = "several series have this code" if matching else "no series has this number, code or UID"
     raise ScanError(
@@ -293,55 +330,46 @@ def _are_phases(groups: Sequence[StackGroup]) -> bool:
     )
 
 
-def _nearest(times: Sequence[float | None], wanted: float, what: str, notes: list[str]) -> float:
-    """The time that is meant; ``notes`` gets a line where two are as near."""
-    stated = sorted({time for time in times if time is not None})
-    option, key = f"--{what}-time", f"{what}_time_ms"
-    if not stated:
-        raise ScanError(
-            f"no image states its {what} time: leave {option} out ({key} in the recipe's [scan]), and choose with "
-            "--series, or series there"
-        )
-    nearest = min(stated, key=lambda time: (abs(time - wanted), time))
-    reach = float(np.median(np.diff(stated))) / 2.0 if len(stated) > 1 else SINGLE_TIME_PART * stated[0]
-    if len(stated) == 1:
-        reach = max(reach, SINGLE_TIME_FLOOR_MS[what])
-    if abs(nearest - wanted) > reach + TIE_MS:
-        there = f"they are {_numbers(stated)} ms" if len(stated) > 1 else f"the only one is {stated[0]:g} ms"
-        remedy = "choose one of them with" if len(stated) > 1 else "give this one, or none, with"
-        raise ScanError(
-            f"no {what} time is near {wanted:g} ms, {there}: {remedy} {option} MS, or {key} in the recipe's [scan]"
-        )
-    as_near = [time for time in stated if abs(abs(time - wanted) - abs(nearest - wanted)) <= TIE_MS]
-    if len(as_near) > 1:
-        notes.append(
-            f"the {what} times {as_near[0]:g} and {as_near[-1]:g} ms are as near to the given {wanted:g} ms: the "
-            "earlier one was taken"
-        )
-    return as_near[0]
-
-
 def _which_time(stacks: Sequence[PhaseStack]) -> str:
     triggers, echoes = _times(stacks)
     parts = []
     if len(echoes) > 1:
         parts.append(
-            f"{len(echoes)} echoes (echo times {_numbers(echoes)} ms): choose one with --echo-time MS, or echo_time_ms "
-            "in the recipe's [scan]"
+            f"{len(echoes)} echoes (echo times {listed_times(echoes)} ms): choose one with --echo-time MS, or "
+            "echo_time_ms in the recipe's [scan]"
         )
-    if len(triggers) > 1:
+    partial = _partial_count(stacks)
+    if len(triggers) > 1 or partial:
+        at_some = f", and {partial} that some slice positions have no image of" if partial else ""
+        times = f" (trigger times {listed_times(triggers)} ms)" if triggers else ""
         parts.append(
-            f"{len(triggers)} cardiac phases (trigger times {_numbers(triggers)} ms): choose one with --trigger-time "
-            "MS, or trigger_time_ms in the recipe's [scan]"
+            f"{len(triggers)} cardiac phase{'s' * (len(triggers) != 1)}{times}{at_some}: choose one with "
+            "--trigger-time MS, or trigger_time_ms in the recipe's [scan]"
         )
     if not parts:
         parts = ["several stacks, of which some state no time: export the one that is wanted as a series of its own"]
     return f"the series holds {'; and '.join(parts)}"
 
 
-def _numbers(times: Sequence[float]) -> str:
-    shown = ", ".join(f"{time:g}" for time in times[:TIMES_SHOWN])
-    return shown + (f" ... {times[-1]:g}" if len(times) > TIMES_SHOWN else "")
+def lack_problem(choice: Choice) -> str:
+    """Which slice positions have no image near the time of a stack, and which times all of them have."""
+    stack = choice.stack
+    named_ones = [
+        f"slice {lack.number}" + ("" if lack.nearest_ms is None else f" (the nearest is at {lack.nearest_ms:g} ms)")
+        for lack in stack.lacks[:LACKS_NAMED]
+    ]
+    more = f" and {len(stack.lacks) - LACKS_NAMED} more" if len(stack.lacks) > LACKS_NAMED else ""
+    time = "this time" if stack.trigger_time_ms is None else f"{stack.trigger_time_ms:g} ms"
+    triggers, _ = _times(choice.group.stacks)
+    whole = f"all have one near {listed_times(triggers)} ms" if triggers else "no time has all of them"
+    interpolated = (
+        "" if stack.lacks_an_end else ", or have them filled from their neighbours with --interpolate-missing"
+    )
+    return (
+        f"{len(stack.lacks)} of {len(stack.slices) + len(stack.lacks)} slice positions have no image near {time}: "
+        f"{', '.join(named_ones)}{more}; {whole}: choose another with --trigger-time MS, or trigger_time_ms in the "
+        f"recipe's [scan]{interpolated}"
+    )
 
 
 def _with_list(problem: str, groups: Sequence[StackGroup]) -> list[Problem]:

@@ -18,16 +18,21 @@ import numpy as np
 from pydicom.dataset import Dataset
 from pydicom.sequence import Sequence
 
+from heartcase.pipeline.formats.dicom_archive import FILE_LIMIT, SourceFile, archived_files, is_archive
 from heartcase.pipeline.formats.dicom_tags import (
+    Header,
+    decimals_of,
     has_preamble,
     numbers_of,
     quiet_pydicom,
     read_header,
+    seconds_of,
     sequence_of,
     text_of,
     values_of,
     words_of,
 )
+from heartcase.pipeline.formats.dicom_whole import is_other_object
 from heartcase.pipeline.formats.raw_volume import require_file
 from heartcase.pipeline.formats.stack import Rescale, Slice
 from heartcase.schemas.errors import ScanError
@@ -88,7 +93,7 @@ HEADER_TAGS = [
     *("Columns", "SamplesPerPixel", "PhotometricInterpretation", "ImagePositionPatient", "ImageOrientationPatient"),
     *("PixelSpacing", "RescaleSlope", "RescaleIntercept", "SharedFunctionalGroupsSequence"),
     *("PerFrameFunctionalGroupsSequence", "ImageType", "SequenceName", "ConvolutionKernel", "ModalityLUTSequence"),
-    *("StudyInstanceUID", "FrameOfReferenceUID"),
+    *("StudyInstanceUID", "FrameOfReferenceUID", "AcquisitionTime"),
     *(keyword for group, keyword, _, _ in PHYSICS.values()),
     *(keyword for places, _, _ in TRAITS.values() for group, keyword in places if not group),
 ]
@@ -102,7 +107,6 @@ GROUPS = frozenset(
     )
 )
 """Functional groups that are read."""
-FILE_LIMIT = 100_000
 Groups = dict[str, dict[str, Any]]
 
 
@@ -128,11 +132,11 @@ def is_dicom(path: Path) -> bool:
         return False
 
 
-def _files(path: Path) -> list[Path]:
-    """Regular files of a folder and its subfolders in a fixed order; links to folders are not followed."""
+def _files(path: Path) -> list[SourceFile]:
+    """Regular files of a folder and its subfolders, or of an archive, in a fixed order; links are not followed."""
     if not path.is_dir():
         require_file(path)
-        return [path]
+        return archived_files(path) if is_archive(path) else [path]
     found: list[Path] = []
     try:
         for directory, folders, names in os.walk(path, onerror=_refuse_folder):
@@ -160,7 +164,7 @@ def find_series(path: Path) -> tuple[ImageSeries, ...]:
     Parameters
     ----------
     path
-        Folder, searched with its subfolders, or one file.
+        Folder, searched with its subfolders; a zip archive of one; or one file.
 
     Returns
     -------
@@ -180,17 +184,18 @@ def find_series(path: Path) -> tuple[ImageSeries, ...]:
     with quiet_pydicom():
         for file in _files(path):
             try:
-                header = read_header(file, HEADER_TAGS)
+                head = read_header(file, HEADER_TAGS)
             except Exception:  # pydicom raises errors of every kind on damaged files
                 damaged += 1
                 continue
-            if header is None:
-                damaged += file.suffix.lower() in (".dcm", ".dicom", ".ima")
+            if head is None:
+                damaged += file.suffix.lower() in (".dcm", ".dicom", ".ima") and not _is_resource_fork(file)
                 continue
+            header = head.values
             size = numbers_of(header, "Rows", 1), numbers_of(header, "Columns", 1)
             modality = text_of(header, "Modality")
             if None in size or modality in NOT_SCANS:
-                damaged += modality not in NOT_SCANS and text_of(header, "SOPClassUID") in IMAGE_CLASSES
+                damaged += modality not in NOT_SCANS and not _is_other_object(file, head)
                 continue
             found = _slices(header, file)
             damaged += not found
@@ -211,6 +216,26 @@ def find_series(path: Path) -> tuple[ImageSeries, ...]:
     if not every:
         raise ScanError("there is no DICOM image here: give the folder that holds the slices, or the scan's image file")
     return tuple(placed or every)
+
+
+def _is_resource_fork(file: SourceFile) -> bool:
+    """Whether this is what macOS puts beside a file, under its name (RFC 1740, AppleDouble)."""
+    try:
+        with file.open("rb") as stream:
+            return stream.read(4) == b"\x00\x05\x16\x07"
+    except OSError:
+        return False
+
+
+def _is_other_object(file: SourceFile, head: Header) -> bool:
+    """Whether a file without rows and columns may be passed over."""
+    if not head.has_preamble:
+        return text_of(head.values, "SOPClassUID") not in IMAGE_CLASSES
+    try:
+        with file.open("rb") as stream:
+            return is_other_object(stream, head.values, media_class=head.media_class)
+    except OSError:
+        return False
 
 
 def _modality(found: set[str]) -> str:
@@ -244,7 +269,7 @@ def _statements(image: Slice) -> tuple[Any, ...]:
     return image.slope, image.intercept, image.rescale, image.coordinates, image.traits
 
 
-def _slices(header: Any, file: Path) -> list[Slice]:
+def _slices(header: Any, file: SourceFile) -> list[Slice]:
     """One slice for a plain file, one for each frame of a multi-frame file; none where the frames do not add up."""
     frames = sequence_of(header, "PerFrameFunctionalGroupsSequence")
     shared = _functional_groups((sequence_of(header, "SharedFunctionalGroupsSequence") or [None])[0])
@@ -258,6 +283,8 @@ def _slices(header: Any, file: Path) -> list[Slice]:
     image_type = words_of(header, "ImageType")
     sequence = "/".join((*words_of(header, "SequenceName"), *words_of(header, "ConvolutionKernel")))
     coordinates = "/".join(text_of(header, keyword) for keyword in ("StudyInstanceUID", "FrameOfReferenceUID"))
+
+    acquired_s = seconds_of(header, "AcquisitionTime") if frames is None else None
 
     per_frame: list[Any] = list(frames) if frames else [None]
     slices = []
@@ -296,6 +323,11 @@ def _slices(header: Any, file: Path) -> list[Slice]:
                 is_localizer="LOCALIZER" in kind,
                 uid=uid,
                 rescale=rescale,
+                position_decimals=_decimals(groups, "PlanePositionSequence", "ImagePositionPatient"),
+                orientation_decimals=max(
+                    _decimals(groups, "PlaneOrientationSequence", "ImageOrientationPatient"), default=None
+                ),
+                acquired_s=acquired_s,
                 coordinates=coordinates,
             )
         )
@@ -317,6 +349,14 @@ def _find(groups: tuple[Groups, Groups, Any], group: str, keyword: str, count: i
         if group in place and (found := numbers_of(place[group], keyword, count)) is not None:
             return found
     return numbers_of(groups[2], keyword, count)
+
+
+def _decimals(groups: tuple[Groups, Groups, Any], group: str, keyword: str) -> tuple[int, ...]:
+    """In how many decimals the numbers are written that :func:`_find` finds."""
+    for place in (groups[0].get(group, {}), groups[1].get(group, {}), groups[2]):
+        if keyword in place:
+            return decimals_of(place, keyword)
+    return ()
 
 
 def _rescale(groups: tuple[Groups, Groups, Any], *, is_plain: bool) -> tuple[Rescale, float, float]:

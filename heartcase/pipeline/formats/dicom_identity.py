@@ -54,7 +54,8 @@ def identity_of(scan: Path, **choice: Any) -> dict[str, str]:
     file = chosen_file(scan, **{key: choice.get(key) for key in ("series", "trigger_time_ms", "echo_time_ms")})
     with quiet_pydicom():
         try:
-            header = pydicom.dcmread(file, stop_before_pixels=True, specific_tags=list(_TAGS), force=True)
+            with file.open("rb") as stream:
+                header = pydicom.dcmread(stream, stop_before_pixels=True, specific_tags=list(_TAGS), force=True)
             stated = {key: str(header.get(tag, "") or "").strip() for tag, key in _TAGS.items()}
         except Exception:  # pydicom raises errors of every kind on damaged files
             raise ScanError("its header cannot be read for the key file", place="scan") from None

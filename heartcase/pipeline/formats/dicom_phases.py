@@ -9,17 +9,19 @@ numbers, which say nothing about the patient.
 
 from __future__ import annotations
 
+import dataclasses
 from collections import Counter, defaultdict
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
 from heartcase.pipeline.formats.dicom_headers import ImageSeries
 from heartcase.pipeline.formats.stack import COSINE_TOLERANCE, SPACING_TOLERANCE, Slice, places_of, stack_problem
 
-__all__ = ["TIME_TOLERANCE_MS", "PhaseStack", "StackGroup", "stack_groups"]
+__all__ = ["TIME_TOLERANCE_MS", "Lack", "PhaseStack", "StackGroup", "stack_groups"]
 
 SPLIT_BY = (
     "image_kind",
@@ -83,6 +85,20 @@ TRAIT_WORDS = {
 }
 
 Branch = tuple[tuple[str, Hashable], ...]
+Spare = defaultdict[Branch, list[Slice]]
+
+
+SPARE = "spare"
+"""Class of an image that is near no time of a stack, or less near than another at its position."""
+
+
+class Lack(NamedTuple):
+    """A slice position that has no image near the time of a stack."""
+
+    number: int
+    """Which position it is, from 1, of all that the phases have."""
+    nearest_ms: float | None
+    """Time of the nearest image there; None where none is stated."""
 
 
 @dataclass(frozen=True)
@@ -99,6 +115,14 @@ class PhaseStack:
     """Part of the heartbeat, where all slices agree."""
     echo_time_ms: float | None
     """Echo time, where all slices agree."""
+    lacks: tuple[Lack, ...] = ()
+    """Slice positions that other times of the same stack have and this one has not, in order."""
+
+    @property
+    def lacks_an_end(self) -> bool:
+        """Whether the first or the last position is among them: nothing else would tell."""
+        count = len(self.slices) + len(self.lacks)
+        return any(lack.number in (1, count) for lack in self.lacks)
 
 
 @dataclass(frozen=True)
@@ -115,6 +139,8 @@ class StackGroup:
     """What tells it from other groups, in words; may be empty."""
     is_localizer: bool
     """Whether the headers call it a localiser."""
+    apart: str = ""
+    """What tells it from the other groups of its series: not to be shown; empty where there is one group."""
     left_out: str = ""
     """Which smaller groups of the series are left out when this one is chosen, in words; empty where there is none."""
 
@@ -138,37 +164,82 @@ def stack_groups(series: ImageSeries) -> tuple[StackGroup, ...]:
         One or more: the largest first, whatever the order of the images. A group is not always an even stack: what
         is wrong with it is said when it is chosen.
     """
-    groups: list[tuple[tuple[PhaseStack, ...], list[str]]] = []
+    groups: list[tuple[tuple[PhaseStack, ...], list[str], str, int]] = []
     systems = sorted({image.coordinates for image in series.slices})
     for alike in _alike(series.slices):
         where = f"coordinate system {systems.index(alike[0].coordinates) + 1} of {len(systems)}"
         system = [where] if len(systems) > 1 else []
-        leaves = _split(alike, SPLIT_BY, ()) if _is_placed(alike[0]) else [((), alike)]
+        spare: Spare = defaultdict(list)
+        leaves = _split(alike, SPLIT_BY, (), spare) if _is_placed(alike[0]) else [((), alike)]
         branches: dict[Branch, list[tuple[Branch, tuple[Slice, ...]]]] = defaultdict(list)
         for branch, slices in leaves:
-            branches[tuple(step for step in branch if step[0] not in CHOSEN_BY_TIME)].append((branch, slices))
-        for members in branches.values():
+            branches[_without_times(branch)].append((branch, slices))
+        for key, members in branches.items():
             found = [(branch, _phase_stack(slices)) for branch, slices in members]
+            if len(members) > 1 or spare[key]:
+                found = _with_lacks(found, spare[key])
             times = [(stack.echo_time_ms, stack.trigger_time_ms) for _, stack in found]
             if len(set(times)) == len(times):
                 ordered = sorted((stack for _, stack in found), key=_time_order)
                 words = _words(members[0][0], ordered[0].slices, is_one=len(ordered) == 1)
-                groups.append((tuple(ordered), words + system))
+                groups.append((tuple(ordered), words + system, _apart(alike[0], key), len(spare[key])))
             else:
-                groups += [((stack,), _words(branch, stack.slices, is_one=True) + system) for branch, stack in found]
+                for branch, stack in found:
+                    words = _words(branch, stack.slices, is_one=True)
+                    groups.append(((stack,), words + system, _apart(alike[0], branch), 0))
     groups.sort(key=lambda group: -_count(group[0]))
-    repeated = Counter(", ".join(words) for _, words in groups)
+    repeated = Counter(", ".join(words) for _, words, *_ in groups)
     seen: Counter[str] = Counter()
     made = []
-    for stacks, words in groups:
+    for stacks, words, apart, spare_count in groups:
         kind = ", ".join(words)
         seen[kind] += 1
         numbered = f"{kind}, {seen[kind]} of {repeated[kind]}" if kind and repeated[kind] > 1 else kind
         is_localizer = all(image.is_localizer for stack in stacks for image in stack.slices)
-        others = [other for other, _ in groups if _count(other) < _count(stacks)]
+        others = [other for other, *_ in groups if _count(other) < _count(stacks)]
         left_out = _left_out(stacks[0].slices[0], others)
-        made.append(StackGroup(series.uid, series.modality, stacks, numbered, is_localizer, left_out))
+        if spare_count:
+            of_time = (
+                f"{spare_count} image{'s are' if spare_count > 1 else ' is'} left out: at a time that other slice "
+            )
+            left_out = "; ".join(part for part in (left_out, f"{of_time}positions have no image near to") if part)
+        apart = apart if len(groups) > 1 else ""
+        made.append(StackGroup(series.uid, series.modality, stacks, numbered, is_localizer, apart, left_out))
     return tuple(made)
+
+
+def _apart(first: Slice, branch: Branch) -> str:
+    return repr((first.shape, _is_placed(first), first.spacing, first.orientation, first.coordinates, branch))
+
+
+def _without_times(branch: Branch) -> Branch:
+    return tuple(step for step in branch if step[0] not in CHOSEN_BY_TIME)
+
+
+def _with_lacks(found: list[tuple[Branch, PhaseStack]], spare: Sequence[Slice]) -> list[tuple[Branch, PhaseStack]]:
+    """The stacks of one group, each with the slice positions that the others of its echo have and it has not.
+
+    Stacks without a position in common lie beside each other, and lack nothing.
+    """
+    every = [image for _, stack in found for image in stack.slices] + list(spare)
+    places = places_of(every).tolist()
+    ends = np.cumsum([len(stack.slices) for _, stack in found]).tolist()
+    own = [set(places[end - len(stack.slices) : end]) for end, (_, stack) in zip(ends, found, strict=True)]
+    made = []
+    for mine, (branch, stack) in zip(own, found, strict=True):
+        alike = [other for other, (_, one) in zip(own, found, strict=True) if one.echo_time_ms == stack.echo_time_ms]
+        whole = mine.union(places[ends[-1] :], *(other for other in alike if other & mine))
+        lacks = []
+        for number, place in enumerate(sorted(whole), start=1):
+            if place not in mine:
+                times = [
+                    image.traits.get("trigger_time_ms") for image, at in zip(every, places, strict=True) if at == place
+                ]
+                stated = [time for time in times if isinstance(time, float)]
+                wanted = stack.trigger_time_ms or 0.0
+                lacks.append(Lack(number, min(stated, key=lambda time: (abs(time - wanted), time), default=None)))
+        made.append((branch, dataclasses.replace(stack, lacks=tuple(lacks))))
+    return made
 
 
 def _count(stacks: Sequence[PhaseStack]) -> int:
@@ -241,9 +312,12 @@ def _is_parallel(first: Slice, image: Slice) -> bool:
 
 
 def _split(
-    slices: tuple[Slice, ...], traits: tuple[str, ...], branch: Branch
+    slices: tuple[Slice, ...], traits: tuple[str, ...], branch: Branch, spare: Spare
 ) -> list[tuple[Branch, tuple[Slice, ...]]]:
-    """Split by the traits that differ at one position, until no position repeats or no trait is left."""
+    """Split by the traits that differ at one position, until no position repeats or no trait is left.
+
+    ``spare`` gets the images that belong to no time that is left, by the branch without times.
+    """
     places = places_of(slices)
     if places.max() == 0:  # one slice: no choice of a time makes a stack of it
         return [(branch, slices)]
@@ -260,22 +334,26 @@ def _split(
         parts: dict[Hashable, list[Slice]] = defaultdict(list)
         for image, one in zip(slices, classes, strict=True):
             parts[one].append(image)
-        if trait != "image_kind" and not _is_orderly(at_place, len(parts)):
+        left = parts.pop(SPARE, []) if trait == "trigger_time_ms" else []
+        if trait != "image_kind" and not _is_orderly(at_place, len(parts), is_time=trait == "trigger_time_ms"):
             continue
+        spare[_without_times(branch)] += left
         found: list[tuple[Branch, tuple[Slice, ...]]] = []
         for one in sorted(parts, key=_sortable):
-            found += _split(tuple(parts[one]), traits[number + 1 :], (*branch, (trait, one)))
+            found += _split(tuple(parts[one]), traits[number + 1 :], (*branch, (trait, one)), spare)
         return found
     return [(branch, slices)]
 
 
-def _is_orderly(at_place: dict[int, set[float | str | None]], class_count: int) -> bool:
+def _is_orderly(at_place: dict[int, set[float | str | None]], class_count: int, *, is_time: bool) -> bool:
     """Whether a trait differs at most positions, and more so there than from position to position.
 
-    An acquisition number that counts breath-holds does not; nor does one image that was taken again.
+    An acquisition number that counts breath-holds does not; nor does one image that was taken again. More than two
+    times of the heartbeat at one position are phases even where other positions have one.
     """
     counts = [len(there) for there in at_place.values()]
-    return 2 * sum(count > 1 for count in counts) >= len(counts) and class_count <= 2 * max(counts)
+    at_most = 2 * sum(count > 1 for count in counts) >= len(counts) or (is_time and max(counts) > 2)
+    return at_most and class_count <= 2 * max(counts)
 
 
 def _split_apart(slices: tuple[Slice, ...], branch: Branch) -> list[tuple[Branch, tuple[Slice, ...]]]:
@@ -322,20 +400,29 @@ def _ranks(
 ) -> list[Hashable]:
     """Number of the cardiac phase of each image: heartbeats differ, so the times of a phase differ between slices.
 
-    Where every position has as many times, the n-th time is phase n. Else each time goes to the nearest of the median
-    times of the positions that have the usual number.
+    Where every position has as many times, the n-th time is phase n. Else the phases are those of the positions that
+    have the usual number of times; at each other position a phase takes the image that is nearest in time to its
+    median time, if it is near. What is left over is spare.
     """
     times = {place: sorted(v for v in there if isinstance(v, float)) for place, there in at_place.items()}
-    usual = Counter(len(one) for one in times.values()).most_common(1)[0][0]
-    reference = np.median([one for one in times.values() if len(one) == usual], axis=0)
+    counts = Counter(len(one) for one in times.values() if one)
+    usual = max(counts, key=lambda count: (counts[count], count), default=0)
+    reference = np.median([one for one in times.values() if len(one) == usual], axis=0) if usual else np.zeros(0)
+    reach = max(TIME_TOLERANCE_MS, float(np.median(np.diff(reference))) / 2.0 if usual > 1 else 0.0)
+    taken = {place: dict(enumerate(one)) for place, one in times.items() if len(one) == usual}
+    for place, one in times.items():
+        for time in one if len(one) != usual else ():
+            phase = int(np.abs(reference - time).argmin())
+            known = taken.setdefault(place, {})
+            off = abs(time - reference[phase])
+            if off <= reach and (phase not in known or off < abs(known[phase] - reference[phase])):
+                known[phase] = time
     ranks: list[Hashable] = []
     for place, value in zip(places, values, strict=True):
-        if not isinstance(value, float):
-            ranks.append(None)
-        elif len(times[place]) == usual:
-            ranks.append(times[place].index(value))
+        if isinstance(value, float):
+            ranks.append(next((phase for phase, time in taken.get(place, {}).items() if time == value), SPARE))
         else:
-            ranks.append(int(np.abs(reference - value).argmin()))
+            ranks.append(None)
     return ranks
 
 

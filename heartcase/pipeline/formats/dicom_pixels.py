@@ -7,6 +7,7 @@ only that low values are shown bright (PS3.3 C.7.6.3.1.2), so it changes nothing
 from __future__ import annotations
 
 import tempfile
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,9 @@ from pydicom.encaps import encapsulate, get_frame
 from pydicom.pixels import apply_modality_lut, get_decoder
 from scipy import ndimage
 
+from heartcase.pipeline.formats.dicom_archive import SourceFile
 from heartcase.pipeline.formats.dicom_tags import numbers_of, quiet_pydicom, read_data_set
+from heartcase.pipeline.formats.jpeg2000_check import is_contradictory
 from heartcase.pipeline.formats.quiet_itk import quiet_itk
 from heartcase.pipeline.formats.stack import Slice
 from heartcase.schemas.errors import ScanError
@@ -31,6 +34,10 @@ Float32 = npt.NDArray[np.float32]
 Float64 = npt.NDArray[np.float64]
 
 DAMAGED = "the file is cut short or damaged: copy it from the scanner or archive again"
+CONTRADICTORY = (
+    "its compressed pixels are damaged and would give wrong values: copy it from the scanner or archive again, or "
+    "export the series uncompressed"
+)
 UNREAD_COMPRESSION = "its compression is not read: export the series uncompressed"
 PLUGINS = {
     syntaxes.RLELossless: "pydicom",
@@ -41,6 +48,8 @@ PLUGINS = {
     syntaxes.JPEGBaseline8Bit: "pillow",
 }
 """Transfer syntax -> decoder of pydicom. Named, so that another package that is installed changes no value."""
+SPEAKING_BY_GDCM = (syntaxes.JPEGBaseline8Bit,)
+"""Whose decoder above says nothing of damage that it meets, while the one inside SimpleITK does."""
 GDCM_SYNTAXES = (*PLUGINS, syntaxes.JPEGExtended12Bit, syntaxes.JPEGLossless, syntaxes.JPEGLosslessSV1)
 """What the decoder inside SimpleITK takes, for want of the one above."""
 SECONDARY_CAPTURE = "1.2.840.10008.5.1.4.1.1.7"
@@ -70,7 +79,7 @@ def read_pixels(slices: tuple[Slice, ...], progress: Callable[[], None] = lambda
     _check_rescale(slices)
     rows, columns = slices[0].shape
     values = np.empty((len(slices), rows, columns), dtype=np.float32)
-    by_file: dict[Path, list[int]] = {}
+    by_file: dict[SourceFile, list[int]] = {}
     for number, image in enumerate(slices):
         by_file.setdefault(image.path, []).append(number)
     with quiet_pydicom():
@@ -121,7 +130,7 @@ def fill_padding(values: Float32) -> Float32:
     return values
 
 
-def _data_set(path: Path) -> Any:
+def _data_set(path: SourceFile) -> Any:
     try:
         return read_data_set(path)
     except Exception:  # pydicom raises errors of every kind on damaged files
@@ -162,13 +171,32 @@ def _used_bits(stored: npt.NDArray[Any], dataset: Any) -> npt.NDArray[Any]:
 
 
 def _decompressed(dataset: Any, syntax: Any, index: int) -> npt.NDArray[Any]:
+    """One frame, of which no decoder complains."""
     plugin = PLUGINS.get(syntax)
-    if plugin is not None and plugin in get_decoder(syntax).available_plugins:
-        array = get_decoder(syntax).as_array(dataset, index=index, raw=True, decoding_plugin=plugin)[0]
-        return np.asarray(array)
-    if syntax not in GDCM_SYNTAXES:
-        raise ScanError(UNREAD_COMPRESSION)
-    return _decompressed_by_gdcm(dataset, syntax, index)
+    if plugin is None or plugin not in get_decoder(syntax).available_plugins:
+        if syntax not in GDCM_SYNTAXES:
+            raise ScanError(UNREAD_COMPRESSION)
+        array = _decompressed_by_gdcm(dataset, syntax, index)
+    else:
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            array = get_decoder(syntax).as_array(dataset, index=index, raw=True, decoding_plugin=plugin)[0]
+        if said:
+            raise ScanError(CONTRADICTORY)
+        if syntax in SPEAKING_BY_GDCM:
+            _decompressed_by_gdcm(dataset, syntax, index)
+    if syntax == syntaxes.JPEG2000Lossless and is_contradictory(_frame(dataset, index), array):
+        raise ScanError(CONTRADICTORY)
+    return np.asarray(array)
+
+
+def _frame(dataset: Any, index: int) -> bytes:
+    """A compressed frame as it is stored."""
+    frame_count = int((numbers_of(dataset, "NumberOfFrames", 1) or (1.0,))[0])
+    offsets = [dataset.get(keyword) for keyword in ("ExtendedOffsetTable", "ExtendedOffsetTableLengths")]
+    extended = (offsets[0], offsets[1]) if None not in offsets else None
+    frame: bytes = get_frame(dataset.PixelData, index, number_of_frames=frame_count, extended_offsets=extended)
+    return frame
 
 
 def _decompressed_by_gdcm(dataset: Any, syntax: Any, index: int) -> npt.NDArray[Any]:
@@ -176,10 +204,7 @@ def _decompressed_by_gdcm(dataset: Any, syntax: Any, index: int) -> npt.NDArray[
 
     So it gets a file of its own, with the frame and nothing else.
     """
-    frame_count = int((numbers_of(dataset, "NumberOfFrames", 1) or (1.0,))[0])
-    offsets = [dataset.get(keyword) for keyword in ("ExtendedOffsetTable", "ExtendedOffsetTableLengths")]
-    extended = (offsets[0], offsets[1]) if None not in offsets else None
-    frame = get_frame(dataset.PixelData, index, number_of_frames=frame_count, extended_offsets=extended)
+    frame = _frame(dataset, index)
     meta = FileMetaDataset()
     meta.MediaStorageSOPClassUID, meta.MediaStorageSOPInstanceUID = SECONDARY_CAPTURE, "2.25.1"
     meta.TransferSyntaxUID = syntax
@@ -191,7 +216,7 @@ def _decompressed_by_gdcm(dataset: Any, syntax: Any, index: int) -> npt.NDArray[
     alone.PixelData = encapsulate([frame])
     alone["PixelData"].VR = "OB"
     try:
-        with tempfile.TemporaryDirectory(prefix="heartcase-") as folder, quiet_itk():
+        with tempfile.TemporaryDirectory(prefix="heartcase-") as folder, quiet_itk() as complaint:
             file = Path(folder) / "frame.dcm"
             alone.save_as(file, enforce_file_format=True)
             reader = SimpleITK.ImageFileReader()
@@ -202,12 +227,17 @@ def _decompressed_by_gdcm(dataset: Any, syntax: Any, index: int) -> npt.NDArray[
         raise ScanError("there is no room to decompress it: free space in the folder for temporary files") from None
     except (RuntimeError, MemoryError):
         raise ScanError(DAMAGED) from None
+    if complaint.was_made:
+        raise ScanError(CONTRADICTORY)
     return array[0] if array.ndim == 3 else array
 
 
-def _compare_copies(path: Path, stored: npt.NDArray[Any], image: Slice) -> None:
+def _compare_copies(path: SourceFile, stored: npt.NDArray[Any], image: Slice) -> None:
     for copy in image.copies:
-        same_bytes = copy.stat().st_size == path.stat().st_size and copy.read_bytes() == path.read_bytes()
+        try:
+            same_bytes = copy.read_bytes() == path.read_bytes()
+        except OSError:
+            raise ScanError(DAMAGED) from None
         if not same_bytes and not np.array_equal(_stored(_data_set(copy), image), stored):
             raise ScanError("two files with different pixels claim to be this image: remove the one that is wrong")
 

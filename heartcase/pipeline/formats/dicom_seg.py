@@ -19,6 +19,7 @@ import pydicom
 from pydicom.pixels import iter_pixels
 from pydicom.sr.coding import Code
 
+from heartcase.pipeline.formats.agreement import AGREEMENT_MM, even_line
 from heartcase.pipeline.formats.dicom_headers import is_dicom, quiet_pydicom
 from heartcase.pipeline.formats.raw_volume import check_size, geometry_from_affine
 from heartcase.pipeline.formats.segments import LabelVolume, SegmentInfo, keep_all
@@ -32,8 +33,10 @@ SEG_CLASSES = ("1.2.840.10008.5.1.4.1.1.66.4", "1.2.840.10008.5.1.4.1.1.66.7")
 """Segmentation Storage (binary and fractional) and Label Map Segmentation Storage."""
 DAMAGED = "the segmentation is cut short or damaged: export it again"
 COSINE_TOLERANCE = 1e-4
-PLACE_TOLERANCE = 0.01
-"""How far a frame may lie from its place, in slice spacings along the normal and in pixels across it."""
+PLACE_PART = 0.25
+"""Part of the distance between planes by which a frame may lie off its place at most; see AGREEMENT_MM."""
+SAME_PLACE_PART = 0.01
+"""Frames nearer to each other than this part of the distance between planes lie in one plane."""
 SLICE_TOLERANCE = 0.1
 """How far a plane may lie from a slice of the scan, in slice spacings: a scan's own slices are evened out when read."""
 FRAME_LIMIT = 100_000
@@ -210,7 +213,7 @@ def _lattice(
     affine[:3, 3] = positions[np.argmin(along)] + normal * (start - along.min())
     expected = affine[:3, 3] + places[:, np.newaxis] * affine[:3, 2]
     off = np.abs((positions - expected) @ np.stack([row, column], axis=1)).max()
-    if off > PLACE_TOLERANCE * first.spacing.min():
+    if off > AGREEMENT_MM:
         raise MarkerError("the planes are shifted sideways against each other: resample the segmentation onto the scan")
     return geometry_from_affine(affine, (int(places.max()) + 1, rows, columns)), places
 
@@ -223,9 +226,11 @@ def _planes(
     if stated is not None and not stated > 0.0:
         raise MarkerError("the stated distance between planes is zero, negative or not a number: export it again")
     low, extent = float(along.min()), float(np.ptp(along))
-    gaps = np.diff(np.sort(along))
-    gaps = gaps[gaps > PLACE_TOLERANCE * (stated or gaps.max(initial=0.0))]
-    if stated is None or not _is_even(gaps, stated):
+    planes = np.sort(along)
+    gaps = np.diff(planes)
+    is_new = gaps > SAME_PLACE_PART * (stated or gaps.max(initial=0.0))
+    planes, gaps = np.concatenate((planes[:1], planes[1:][is_new])), gaps[is_new]
+    if stated is None or not _is_even(planes, stated):
         slices = None if scan is None else _slices_of(scan, normal)
         if slices is not None:
             numbers = (along - slices[0]) / slices[1]
@@ -233,12 +238,12 @@ def _planes(
             if (np.abs(numbers - places) <= SLICE_TOLERANCE).all():
                 first = float(places.min())
                 return slices[0] + first * slices[1], slices[1], (places - first).astype(np.int64)
-        if gaps.size and not _is_even(gaps, float(gaps.min())):
+        if gaps.size and not _is_even(planes, float(gaps.min())):
             raise MarkerError("the planes are unevenly spaced: resample the segmentation onto the scan, and export it")
         if stated is not None:
             raise MarkerError("the planes do not lie at the distance that the file states: export it with its scan")
         stated = frame.thickness
-        if stated is None or not gaps.size or (np.abs(gaps - stated) > PLACE_TOLERANCE * stated).any():
+        if stated is None or not gaps.size or not _is_even(planes, stated, is_whole=True):
             raise MarkerError(
                 "the file does not state the distance between its planes (SpacingBetweenSlices), and they are no "
                 "slices of the scan at hand, so which planes are missing cannot be told: export it again with its scan"
@@ -257,10 +262,17 @@ def _slices_of(scan: Geometry, normal: Float64) -> tuple[float, float] | None:
     return float(normal @ np.array(scan.origin_mm)), scan.spacing_mm[axis]
 
 
-def _is_even(gaps: Float64, spacing: float) -> bool:
-    """Whether every gap is a multiple of the spacing, one at least."""
-    steps = np.rint(gaps / spacing)
-    return bool((steps >= 1).all() and (np.abs(gaps - steps * spacing) <= PLACE_TOLERANCE * spacing).all())
+def _is_even(planes: Float64, spacing: float, *, is_whole: bool = False) -> bool:
+    """Whether planes, ascending, lie this far apart, or multiples of it; ``is_whole``: with no plane left out."""
+    places = np.rint((planes - planes[0]) / spacing).astype(np.int64)
+    steps = np.diff(places)
+    if (steps < 1).any() or (is_whole and (steps > 1).any()):
+        return False
+    if not steps.size:
+        return True
+    _, fitted, distance = even_line(planes, places)
+    tolerance = min(AGREEMENT_MM, PLACE_PART * spacing)
+    return distance <= tolerance and abs(fitted - spacing) * places[-1] <= 2.0 * tolerance
 
 
 def _stored(dataset: Any, count: int) -> Iterator[npt.NDArray[np.uint16]]:

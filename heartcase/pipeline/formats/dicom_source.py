@@ -15,8 +15,10 @@ import numpy as np
 import pydicom
 
 from heartcase.pipeline.data import Scan
+from heartcase.pipeline.formats.dicom_archive import SourceFile
 from heartcase.pipeline.formats.dicom_choice import Choice, named, stack_geometry
 from heartcase.pipeline.formats.dicom_headers import quiet_pydicom
+from heartcase.pipeline.formats.dicom_overlap import Overlap, one_at_each_place
 from heartcase.pipeline.formats.dicom_phases import PhaseStack, StackGroup
 from heartcase.pipeline.formats.raw_volume import placed
 from heartcase.pipeline.formats.read_dicom import groups_of, scan_of_stack
@@ -147,12 +149,14 @@ def _fitting(
     """The stacks whose lattice holds the case's; whether a leaning one was among those that were passed over."""
     reading = next((record.settings for record in manifest.stages if record.stage == "read"), {})
     may_interpolate = reading.get("interpolate_missing") is True
+    overlap: Overlap | None = reading.get("overlap")
     may_straighten = reading.get("straighten_tilt") is True
     fitting, has_leaning = [], False
     for number, group in enumerate(groups, start=1):
         for phase in group.stacks if any(group is one for one in wanted) else ():
             try:
-                stack = find_stack(phase.slices, interpolate_missing=may_interpolate, straighten_tilt=may_straighten)
+                slices, _ = one_at_each_place(phase.slices, overlap)
+                stack = find_stack(slices, interpolate_missing=may_interpolate, straighten_tilt=may_straighten)
             except ScanError:
                 continue
             if stack.tilt_degrees:
@@ -191,14 +195,15 @@ def _is_scan(one: _Fitting, manifest: CaseManifest) -> bool:
 def _described(found: _Fitting, geometry: Geometry) -> SourceSeries:
     first, count = found.offset[2], geometry.size[2]
     places = [(image, k - first) for image, k in zip(found.stack.slices, found.stack.places, strict=True)]
-    headers: dict[Path, dict[str, str]] = {}
+    headers: dict[SourceFile, dict[str, str]] = {}
     with quiet_pydicom():
         for image, _ in places:
             if image.path not in headers:
                 try:
-                    header: Any = pydicom.dcmread(
-                        image.path, stop_before_pixels=True, specific_tags=list(_TAGS), force=True
-                    )
+                    with image.path.open("rb") as stream:
+                        header: Any = pydicom.dcmread(
+                            stream, stop_before_pixels=True, specific_tags=list(_TAGS), force=True
+                        )
                     headers[image.path] = {tag: str(header.get(tag, "") or "") for tag in _TAGS}
                 except Exception:  # pydicom raises errors of every kind on damaged files
                     raise ScanError("a file is cut short or damaged: copy the series again", place=PLACE) from None

@@ -2,23 +2,32 @@
 
 from __future__ import annotations
 
+import decimal
 import logging
+import re
 import warnings
 import zlib
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
-from pathlib import Path
+from dataclasses import dataclass
 from typing import IO, Any
 
 import numpy as np
 import pydicom
 from pydicom.datadict import keyword_for_tag
 
+from heartcase.pipeline.formats.dicom_archive import SourceFile
+
 __all__ = [
+    "INFLATED_LIMIT",
+    "Header",
+    "decimals_of",
+    "has_preamble",
     "numbers_of",
     "quiet_pydicom",
     "read_data_set",
     "read_header",
+    "seconds_of",
     "sequence_of",
     "text_of",
     "values_of",
@@ -53,18 +62,28 @@ def has_preamble(stream: IO[bytes]) -> bool | None:
     return False if start[:2] in (b"\x08\x00", b"\x02\x00") and len(start) == 132 else None
 
 
-def read_header(file: Path, tags: list[str]) -> dict[str, Any] | None:
-    """Values of the named tags that a file holds, read up to its pixels; None where it does not start as DICOM does.
+@dataclass(frozen=True)
+class Header:
+    """What the head of a file holds."""
 
-    A tag whose value cannot be read has the value None.
-    """
+    values: dict[str, Any]
+    """Values of the wanted tags by keyword; None for one that cannot be read."""
+    has_preamble: bool
+    """Whether the file starts with the DICOM preamble, so that it is sure to be one."""
+    media_class: str
+    """SOP class that the file meta information states; empty where it states none."""
+
+
+def read_header(file: SourceFile, tags: list[str]) -> Header | None:
+    """The named tags that a file holds, read up to its pixels; None where it does not start as DICOM does."""
     with file.open("rb") as stream:
         preamble = has_preamble(stream)
         if preamble is None:
             return None
         _check_deflated(stream)
         dataset = pydicom.dcmread(stream, stop_before_pixels=True, specific_tags=list(tags), force=not preamble)
-    return values_of(dataset)
+    media_class = text_of(getattr(dataset, "file_meta", None) or {}, "MediaStorageSOPClassUID")
+    return Header(values_of(dataset), preamble, media_class)
 
 
 def values_of(dataset: Any, keywords: Collection[str] | None = None) -> dict[str, Any]:
@@ -83,7 +102,7 @@ def values_of(dataset: Any, keywords: Collection[str] | None = None) -> dict[str
     return values
 
 
-def read_data_set(file: Path) -> Any:
+def read_data_set(file: SourceFile) -> Any:
     """A whole file; one without file meta information is taken as implicit little endian, DICOM's default."""
     with file.open("rb") as stream:
         _check_deflated(stream)
@@ -153,3 +172,18 @@ def numbers_of(header: Any, keyword: str, count: int) -> tuple[float, ...] | Non
     except Exception:  # as above
         return None
     return numbers if len(numbers) == count and bool(np.isfinite(numbers).all()) else None
+
+
+def decimals_of(header: Any, keyword: str) -> tuple[int, ...]:
+    """Decimals in which each number of a tag is written, as decimal strings are; empty where that is not known."""
+    try:
+        texts = [str(part.original_string).strip() for part in header.get(keyword)]
+        return tuple(max(0, -int(decimal.Decimal(text).as_tuple().exponent)) for text in texts)
+    except Exception:  # as above
+        return ()
+
+
+def seconds_of(header: Any, keyword: str) -> float | None:
+    """A time of day, HHMMSS.FFFFFF, in seconds; None where it is missing or holds anything else."""
+    match = re.fullmatch(r"([01]\d|2[0-3])([0-5]\d)([0-5]\d(?:\.\d{1,6})?)", text_of(header, keyword))
+    return None if match is None else 3600.0 * int(match[1]) + 60.0 * int(match[2]) + float(match[3])

@@ -15,6 +15,8 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import ValidationError
 
+from heartcase.pipeline.formats.agreement import AGREEMENT_MM, corner_distance_mm, right_angled
+from heartcase.pipeline.formats.frames import FrameFound
 from heartcase.schemas.errors import HeartcaseError, Problem, ScanError
 from heartcase.schemas.geometry import ORIGIN_LIMIT_MM, SPACING_LIMITS_MM, Geometry
 
@@ -55,6 +57,8 @@ class RawVolume:
     """NRRD: the key-value pairs of the header, which hold the segment table. For this package's eyes only."""
     orientation_is_stated: bool = True
     """Whether the file says which way the axes point in the patient."""
+    frame: FrameFound | None = None
+    """Which volume it is, of a file that holds several."""
 
 
 def require_file(path: Path) -> None:
@@ -146,12 +150,14 @@ def geometry_from_affine(affine: npt.ArrayLike, shape: tuple[int, ...]) -> Geome
     Returns
     -------
     Geometry
-        Spacing is the length, direction the unit vector of each column.
+        Spacing is the length, direction the unit vector of each column; of columns that are not quite at right angles
+        the nearest ones that are, about the middle of the volume.
 
     Raises
     ------
     ScanError
-        The columns are zero, not finite, or not at right angles.
+        The columns are zero, not finite, or so far from right angles that evening them out would move a corner of the
+        volume by more than :data:`~heartcase.pipeline.formats.agreement.AGREEMENT_MM`.
     """
     matrix = np.asarray(affine, dtype=np.float64)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -161,13 +167,21 @@ def geometry_from_affine(affine: npt.ArrayLike, shape: tuple[int, ...]) -> Geome
         raise ScanError("the voxel spacing or position in the header is zero or not a number: export the file again")
     if np.abs(matrix[:3, 3]).max() > ORIGIN_LIMIT_MM:
         raise ScanError("the position in the header is kilometres away: export the file again")
-    try:
-        return Geometry.of(shape=shape, origin_mm=matrix[:3, 3], spacing_mm=spacing, direction=matrix[:3, :3] / spacing)
-    except ValidationError:
+    straight = right_angled(matrix, shape[::-1])
+    off = corner_distance_mm(matrix, straight, shape[::-1])
+    if off > AGREEMENT_MM:
         raise ScanError(
-            "the voxel axes are not at right angles (a sheared volume): resample it onto a straight grid, for "
-            "instance with 'Resample Scalar Volume' of 3D Slicer"
-        ) from None
+            f"the voxel axes are not at right angles (a sheared volume, by {off:.2g} mm at its corners): resample it "
+            "onto a straight grid, for instance with 'Resample Scalar Volume' of 3D Slicer"
+        )
+    try:
+        return _geometry(matrix, spacing, shape)
+    except ValidationError:
+        return _geometry(straight, spacing, shape)
+
+
+def _geometry(matrix: npt.NDArray[np.float64], spacing: npt.NDArray[np.float64], shape: tuple[int, ...]) -> Geometry:
+    return Geometry.of(shape=shape, origin_mm=matrix[:3, 3], spacing_mm=spacing, direction=matrix[:3, :3] / spacing)
 
 
 def placed(error: HeartcaseError, place: str, kind: type[E]) -> E:

@@ -13,8 +13,10 @@ import numpy as np
 
 from heartcase.pipeline.cautions import anatomy, note
 from heartcase.pipeline.data import Scan
-from heartcase.pipeline.formats.dicom_choice import Choice, SeriesInfo, choose, describe_volume, listed
+from heartcase.pipeline.formats.dicom_archive import SourceFile
+from heartcase.pipeline.formats.dicom_choice import Choice, SeriesInfo, choose, describe_volume, lack_problem, listed
 from heartcase.pipeline.formats.dicom_headers import find_series, is_dicom
+from heartcase.pipeline.formats.dicom_overlap import Overlap, one_at_each_place
 from heartcase.pipeline.formats.dicom_phases import TIME_TOLERANCE_MS, PhaseStack, StackGroup, stack_groups
 from heartcase.pipeline.formats.dicom_pixels import fill_padding, read_pixels
 from heartcase.pipeline.formats.raw_volume import check_size, geometry_from_affine
@@ -58,13 +60,14 @@ def read_dicom(
     echo_time_ms: float | None = None,
     interpolate_missing: bool = False,
     straighten_tilt: bool = False,
+    overlap: Overlap | None = None,
 ) -> Scan:
     """Read one stack.
 
     Parameters
     ----------
     path
-        Folder, searched with its subfolders, or one file.
+        Folder, searched with its subfolders; a zip archive of one; or one file.
     series
         Number or code in :func:`series_of`, or the UID; may be left out where there is one stack beside localisers.
     trigger_time_ms
@@ -76,6 +79,9 @@ def read_dicom(
         Fill missing slices linearly from their neighbours, at most two in a row and a third of all.
     straighten_tilt
         Resample a leaning stack within its slices, linearly, so that they lie straight above each other.
+    overlap
+        Where two acquisitions meet in one slice position: take the image that was acquired ``"earlier"`` or
+        ``"later"``. Left out, such a series is refused.
 
     Returns
     -------
@@ -91,9 +97,11 @@ def read_dicom(
     """
     choice = choose(groups_of(path), series=series, trigger_time_ms=trigger_time_ms, echo_time_ms=echo_time_ms)
     try:
-        stack = find_stack(
-            choice.stack.slices, interpolate_missing=interpolate_missing, straighten_tilt=straighten_tilt
-        )
+        if choice.stack.lacks and (choice.stack.lacks_an_end or not interpolate_missing):
+            raise ScanError(lack_problem(choice))
+        slices, notes = one_at_each_place(choice.stack.slices, overlap)
+        choice = choice._replace(notes=(*choice.notes, *notes))
+        stack = find_stack(slices, interpolate_missing=interpolate_missing, straighten_tilt=straighten_tilt)
     except ScanError as error:
         left_out = f" ({choice.group.left_out})" if choice.group.left_out else ""
         raise ScanError(error.problems[0].message + left_out) from None
@@ -125,7 +133,7 @@ def scan_of_stack(stack: Stack, choice: Choice) -> Scan:
 
 def chosen_file(
     path: Path, *, series: str | None = None, trigger_time_ms: float | None = None, echo_time_ms: float | None = None
-) -> Path:
+) -> SourceFile:
     """One file of the stack that :func:`read_dicom` would read: for those who may know whose scan it is.
 
     Raises

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.pipeline.formats.frames import FrameChoice, InflatedStream, fully, pick_frame, read_frame
 from heartcase.pipeline.formats.raw_volume import (
     DAMAGED,
     HEADER_LIMIT,
@@ -51,13 +52,15 @@ MILLIMETRES = ("", "?", "mm", "millimeter", "millimeters", "millimetre", "millim
 _NOT_METAIMAGE = "the file is not a MetaImage file, or its start is damaged: export it again"
 
 
-def read_metaimage(path: Path) -> RawVolume:
-    """Read a MetaImage file of one volume.
+def read_metaimage(path: Path, choice: FrameChoice | None = None) -> RawVolume:
+    """Read a volume from a MetaImage file.
 
     Parameters
     ----------
     path
         .mha or .mhd file.
+    choice
+        Which volume of a file of four axes; None where the file is to hold one.
 
     Returns
     -------
@@ -72,10 +75,11 @@ def read_metaimage(path: Path) -> RawVolume:
     fields, end = _header(path)
     size = integers_of(fields["DimSize"])
     channels = integers_of(fields.get("ElementNumberOfChannels", "1"))
-    check_size(size or (0,), components=channels[0] if channels else 0)
-    if len(size) > 3 and any(count > 1 for count in size[3:]):
+    has_frames = len(size) == 4 and size[3] > 1 and choice is not None and channels == (1,)
+    check_size(size[:3] if has_frames else size or (0,), components=channels[0] if channels else 0)
+    if len(size) > 3 and any(count > 1 for count in size[3:]) and not has_frames:
         raise ScanError(NOT_ONE_VOLUME.format(dimension=len(size)))
-    if len(size) != 3 or fields.get("NDims", "3") != "3":
+    if not has_frames and (len(size) != 3 or fields.get("NDims", "3") != "3"):
         raise ScanError("a volume with three axes is needed: export the scan as a 3-D file")
     element = ELEMENT_TYPES.get(fields.get("ElementType", "").removesuffix("_ARRAY"))
     if element is None:
@@ -87,6 +91,12 @@ def read_metaimage(path: Path) -> RawVolume:
     detached = _data_file(path, fields)
     data = detached or path
     offset = end if detached is None else _skipped(fields, data, count * dtype.itemsize)
+    if has_frames and choice is not None:
+        found = pick_frame(size[3], None, choice)
+        values = _frame(data, offset, size, found.number, dtype, fields)
+        geometry = geometry_from_affine(_affine(fields, axes=4), size[2::-1])
+        stated = any(key in fields for key in DIRECTION_KEYS)
+        return RawVolume(values=values, geometry=geometry, orientation_is_stated=stated, frame=found)
     values = _values(data, offset, count, dtype, fields)
     shape = (*size[::-1], channels[0]) if channels[0] > 1 else size[::-1]
     geometry = geometry_from_affine(_affine(fields), size[::-1])
@@ -175,6 +185,23 @@ def _values(data: Path, offset: int, count: int, dtype: np.dtype[Any], fields: d
         raise ScanError(DAMAGED) from None
 
 
+def _frame(
+    data: Path, offset: int, size: tuple[int, ...], frame: int, dtype: np.dtype[Any], fields: dict[str, str]
+) -> npt.NDArray[Any]:
+    if fields.get("BinaryData", "True").lower() not in ("true", "1"):
+        raise ScanError("the volumes are written as text: export the scan with binary values")
+    try:
+        with data.open("rb") as file:
+            file.seek(offset)
+            stream = InflatedStream(file) if _is_true(fields, "CompressedData") else None
+            values = read_frame(fully(stream or file, DAMAGED), size, 3, frame, dtype)
+            if stream is not None and (stream.read(1) or not stream.is_whole):
+                raise ScanError(DAMAGED)
+            return values
+    except (zlib.error, OSError, ValueError, MemoryError):
+        raise ScanError(DAMAGED) from None
+
+
 def _inflated(content: bytes, byte_count: int) -> bytes:
     """What is packed in a zlib or gzip stream, which must be whole and hold just so much."""
     stream = zlib.decompressobj(zlib.MAX_WBITS | 32)
@@ -185,19 +212,21 @@ def _inflated(content: bytes, byte_count: int) -> bytes:
     return found
 
 
-def _affine(fields: dict[str, str]) -> npt.NDArray[np.float64]:
-    """Map from index to LPS mm; the matrix's rows are the directions of the axes."""
-    spacing = _numbers(fields, SPACING_KEYS, (math.nan,) * 3)
-    origin = _numbers(fields, ("Offset", "Position", "Origin"), (0.0, 0.0, 0.0))
-    rows = _numbers(fields, DIRECTION_KEYS, (1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0))
+def _affine(fields: dict[str, str], axes: int = 3) -> npt.NDArray[np.float64]:
+    """Map from index to LPS mm; the matrix's rows are the directions of the axes, of which the first three count."""
+    spacing = _numbers(fields, SPACING_KEYS, (math.nan,) * axes)[:3]
+    origin = _numbers(fields, ("Offset", "Position", "Origin"), (0.0,) * axes)[:3]
+    rows = _numbers(fields, DIRECTION_KEYS, tuple(np.eye(axes).ravel().tolist())).reshape(axes, axes)
     if not ((spacing > 0.0) & (spacing < math.inf)).all():
         raise ScanError(
             "the header does not give the voxel spacing of every axis as a number above zero: export the file again, "
             "with its spacing"
         )
+    if rows[:3, 3:].any() or rows[3:, :3].any():
+        raise ScanError("the fourth axis has a part in space: export the one volume that is wanted as a 3-D file")
     affine = np.eye(4)
     with np.errstate(over="ignore", invalid="ignore"):
-        affine[:3, :3] = rows.reshape(3, 3).T * spacing
+        affine[:3, :3] = rows[:3, :3].T * spacing
     affine[:3, 3] = origin
     return affine
 

@@ -9,15 +9,17 @@ program would put it elsewhere.
 from __future__ import annotations
 
 import gzip
+import math
 import struct
 import zlib
-from itertools import product
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.pipeline.formats.agreement import AGREEMENT_MM, corner_distance_mm, corners_of
+from heartcase.pipeline.formats.frames import FrameChoice, fully, pick_frame, read_frame
 from heartcase.pipeline.formats.raw_volume import RawVolume, check_size, geometry_from_affine, require_file
 from heartcase.schemas.errors import ScanError
 from heartcase.schemas.geometry import Geometry
@@ -37,11 +39,10 @@ SCALAR_TYPES = {
     1280: "u8",
 }
 OTHER_TYPES = {128: "colour", 2304: "colour", 32: "complex", 1792: "complex", 2048: "complex"}
+UNIT_MS_OF_TIME = {8: 1000.0, 16: 1.0, 24: 1e-3}
 UNIT_MM = {0: 1.0, 1: 1000.0, 2: 1.0, 3: 0.001}
 RAS_TO_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
 DAMAGED = "the file is cut short or damaged: copy or export it again"
-AGREEMENT_MM = 0.1
-"""How far sform and qform may put a corner of the volume apart, beside what rounding explains."""
 QUATERNION_ROUNDING = 2.5e-7
 """How far float32 rounding of the quaternion may be off in 1 - b2 - c2 - d2."""
 
@@ -58,6 +59,7 @@ class _Header:
             self.vox_offset = float(struct.unpack_from(order + "f", data, 108)[0])
             self.slope, self.inter = struct.unpack_from(order + "2f", data, 112)
             self.units = data[123]
+            self.time_offset = float(struct.unpack_from(order + "f", data, 136)[0])
             self.qform_code, self.sform_code = struct.unpack_from(order + "2h", data, 252)
             self.quatern = struct.unpack_from(order + "6f", data, 256)
             self.srow = struct.unpack_from(order + "12f", data, 280)
@@ -71,6 +73,7 @@ class _Header:
             self.quatern = struct.unpack_from(order + "6d", data, 352)
             self.srow = struct.unpack_from(order + "12d", data, 400)
             self.units = struct.unpack_from(order + "i", data, 500)[0]
+            self.time_offset = float(struct.unpack_from(order + "d", data, 216)[0])
         self.order = order
         self.version = version
 
@@ -80,20 +83,41 @@ class _Header:
         Raises
         ------
         ScanError
-            The file does not hold exactly one volume.
+            The file holds no volume.
         """
         if not 1 <= self.dim[0] <= 7:
             raise ScanError(DAMAGED)
         size = [int(count) for count in self.dim[1 : self.dim[0] + 1]]
-        check_size(size)
+        check_size(size[:3])
+        if any(count < 1 for count in size):
+            raise ScanError(DAMAGED)
         if len(size) < 3:
             raise ScanError("this is a flat image: a volume of several slices is needed")
-        if any(count > 1 for count in size[3:]):
+        return size[0], size[1], size[2]
+
+    def frame_count(self) -> int:
+        """Number of volumes along the fourth axis.
+
+        Raises
+        ------
+        ScanError
+            There are several along another one.
+        """
+        others = [int(count) for count in self.dim[4 : self.dim[0] + 1]]
+        if any(count > 1 for count in others[1:]):
             raise ScanError(
-                f"the file is {len(size)}-D and holds {int(np.prod(size[3:]))} volumes (times or channels): "
+                f"the file is {self.dim[0]}-D and holds {math.prod(others)} volumes (times or channels): "
                 "export the one that is wanted as a 3-D file"
             )
-        return size[0], size[1], size[2]
+        return others[0] if others else 1
+
+    def times_ms(self) -> tuple[float, ...] | None:
+        """Time of each volume, ms; None where no step or no unit is stated."""
+        unit, step = UNIT_MS_OF_TIME.get(self.units & 0x38), float(self.pixdim[4])
+        if unit is None or not (0.0 < step < math.inf and math.isfinite(self.time_offset)):
+            return None
+        # The header has float32 in NIfTI-1: of its digits nine are enough to write one.
+        return tuple(round(unit * (self.time_offset + step * n), 6) for n in range(self.frame_count()))
 
     def dtype(self) -> np.dtype[Any]:
         """Type of the stored values.
@@ -124,9 +148,8 @@ class _Header:
         sform[:3] = np.array(self.srow, dtype=np.float64).reshape(3, 4)
         geometry = self._lattice(sform)
         if self.qform_code > 0:
-            corners = np.array(list(product((0, 1), repeat=3))) * (np.array(self.size()) - 1)
-            world = geometry.index_to_world(corners)
-            apart = np.abs(self._lattice(self._qform()).index_to_world(corners) - world).max()
+            apart = corner_distance_mm(geometry.affine, self._lattice(self._qform()).affine, self.size())
+            world = geometry.index_to_world(corners_of(self.size()))
             if apart > AGREEMENT_MM + self._turn_by_rounding() * np.linalg.norm(world[-1] - world[0]):
                 raise ScanError(
                     f"the header states two orientations (sform and qform) that lie {apart:.1f} mm apart: find out "
@@ -184,29 +207,36 @@ def _order_and_version(data: bytes) -> tuple[str, int]:
     raise ScanError("the file is not a NIfTI file, or its start is damaged: export it again")
 
 
-def _read_fully(stream: BinaryIO, count: int) -> bytes:
-    data = stream.read(count)
-    if len(data) < count:
-        raise ScanError(DAMAGED)
-    return data
+class _Rest:
+    """What follows a start that was read already."""
+
+    def __init__(self, start: bytes, stream: BinaryIO) -> None:
+        self._start, self._stream = start, stream
+
+    def read(self, count: int) -> bytes:
+        head, self._start = self._start[:count], self._start[count:]
+        return head + self._stream.read(count - len(head))
 
 
-def _read(stream: BinaryIO) -> RawVolume:
+def _read(stream: BinaryIO, choice: FrameChoice | None) -> RawVolume:
     start = stream.read(540)
     header = _Header(start)
-    size, dtype = header.size(), header.dtype()
-    shape = size[::-1]
+    size, dtype, count = header.size(), header.dtype(), header.frame_count()
+    if count > 1 and choice is None:
+        raise ScanError(
+            f"the file is 4-D and holds {count} volumes (times or channels): export the one that is wanted as a 3-D "
+            "file"
+        )
+    found = pick_frame(count, header.times_ms(), choice) if count > 1 and choice is not None else None
     geometry = header.geometry()
     shortest = 348 if header.version == 1 else 540
     if not shortest <= header.vox_offset <= 2**24:
         raise ScanError(DAMAGED)
-    byte_count = int(np.prod(size)) * dtype.itemsize
-    body = start[int(header.vox_offset) :]
-    _read_fully(stream, max(0, int(header.vox_offset) - len(start)))
-    body += _read_fully(stream, max(0, byte_count - len(body)))
+    read = fully(_Rest(start, stream), DAMAGED)
+    read(int(header.vox_offset))
+    values = read_frame(read, (*size, count), 3, found.number if found else 0, dtype)
     # Reading on to the end makes gzip compare its checksum.
     stream.read(2**16)
-    values = np.frombuffer(body, dtype=dtype, count=int(np.prod(size))).reshape(shape)
     if np.isfinite(header.slope) and header.slope != 0.0 and (header.slope, header.inter) != (1, 0):
         if not np.isfinite(header.inter):
             raise ScanError("the header scales the values, but its intercept is not a number: export the file again")
@@ -216,16 +246,19 @@ def _read(stream: BinaryIO) -> RawVolume:
         values=values,
         geometry=geometry,
         orientation_is_stated=header.sform_code > 0 or header.qform_code > 0,
+        frame=found,
     )
 
 
-def read_nifti(path: Path) -> RawVolume:
-    """Read a NIfTI file that holds one volume of plain numbers.
+def read_nifti(path: Path, choice: FrameChoice | None = None) -> RawVolume:
+    """Read a volume of plain numbers from a NIfTI file.
 
     Parameters
     ----------
     path
         The file; compressed or not is told from its content.
+    choice
+        Which volume of a file of several; None where the file is to hold one.
 
     Returns
     -------
@@ -243,8 +276,8 @@ def read_nifti(path: Path) -> RawVolume:
             if file.read(2) == b"\x1f\x8b":
                 file.seek(0)
                 with gzip.GzipFile(fileobj=file) as stream:
-                    return _read(stream)  # type: ignore[arg-type]
+                    return _read(stream, choice)  # type: ignore[arg-type]
             file.seek(0)
-            return _read(file)
+            return _read(file, choice)
     except (OSError, EOFError, zlib.error, MemoryError):
         raise ScanError(DAMAGED) from None

@@ -15,6 +15,8 @@ from pathlib import Path
 import numpy as np
 import SimpleITK
 
+from heartcase.pipeline.formats.frames import FrameChoice
+from heartcase.pipeline.formats.nrrd_frames import frame_axis, read_nrrd_frame
 from heartcase.pipeline.formats.quiet_itk import quiet_itk
 from heartcase.pipeline.formats.raw_volume import (
     DAMAGED,
@@ -32,22 +34,25 @@ from heartcase.schemas.errors import ScanError
 __all__ = ["nrrd_data_file", "read_nrrd"]
 
 ZLIB_OR_GZIP = 47
+SKIPS = ("byte skip", "byteskip", "line skip", "lineskip")
 SPACE = re.compile(r"(left|right|l|r)-?(anterior|posterior|a|p)-?(superior|inferior|s|i)", re.IGNORECASE)
 
 MILLIMETRES = {"", "mm", "millimeter", "millimeters", "millimetre", "millimetres"}
 
-NRRD_BYTES = {
-    **dict.fromkeys(("signed char", "int8", "int8_t", "uchar", "unsigned char", "uint8", "uint8_t"), 1),
-    **dict.fromkeys(("short", "short int", "signed short", "signed short int", "int16", "int16_t"), 2),
-    **dict.fromkeys(("ushort", "unsigned short", "unsigned short int", "uint16", "uint16_t"), 2),
-    **dict.fromkeys(
-        ("int", "signed int", "int32", "int32_t", "uint", "unsigned int", "uint32", "uint32_t", "float"), 4
-    ),
-    **dict.fromkeys(("longlong", "long long", "long long int", "signed long long", "signed long long int"), 8),
-    **dict.fromkeys(("int64", "int64_t", "ulonglong", "unsigned long long", "unsigned long long int"), 8),
-    **dict.fromkeys(("uint64", "uint64_t", "double"), 8),
+NRRD_TYPES = {
+    **dict.fromkeys(("signed char", "int8", "int8_t"), "i1"),
+    **dict.fromkeys(("uchar", "unsigned char", "uint8", "uint8_t"), "u1"),
+    **dict.fromkeys(("short", "short int", "signed short", "signed short int", "int16", "int16_t"), "i2"),
+    **dict.fromkeys(("ushort", "unsigned short", "unsigned short int", "uint16", "uint16_t"), "u2"),
+    **dict.fromkeys(("int", "signed int", "int32", "int32_t"), "i4"),
+    **dict.fromkeys(("uint", "unsigned int", "uint32", "uint32_t"), "u4"),
+    **dict.fromkeys(("longlong", "long long", "long long int", "signed long long", "signed long long int"), "i8"),
+    **dict.fromkeys(("int64", "int64_t"), "i8"),
+    **dict.fromkeys(("ulonglong", "unsigned long long", "unsigned long long int", "uint64", "uint64_t"), "u8"),
+    "float": "f4",
+    "double": "f8",
 }
-"""Type of an NRRD file -> bytes of one value."""
+"""Type of an NRRD file -> NumPy's name without the byte order."""
 
 
 def _read_image(path: Path, header: dict[str, str], *, orientation_is_stated: bool) -> RawVolume:
@@ -110,13 +115,15 @@ def _numbers_of(text: str) -> list[float]:
         raise ScanError(DAMAGED) from None
 
 
-def read_nrrd(path: Path) -> RawVolume:
+def read_nrrd(path: Path, choice: FrameChoice | None = None) -> RawVolume:
     """Read an NRRD file: one volume, or a list of segmentation layers over one volume.
 
     Parameters
     ----------
     path
         .nrrd, .nhdr or .seg.nrrd file.
+    choice
+        Which volume of a file of several; None where the file is to hold one, or layers.
 
     Returns
     -------
@@ -130,6 +137,9 @@ def read_nrrd(path: Path) -> RawVolume:
     """
     fields, pairs, end = _header(path)
     sizes = integers_of(fields.get("sizes", ""))
+    axis = frame_axis(fields, sizes) if choice is not None else None
+    if choice is not None and axis is not None and sizes[axis] > 1:
+        return _read_one_of_several(path, fields, pairs, end, sizes=sizes, axis=axis, choice=choice)
     check_size(sizes or (0,))
     kinds = fields.get("kinds", "").lower().split()
     lists = [kind for kind in kinds if kind not in ("domain", "space", "???", "none")]
@@ -140,10 +150,8 @@ def read_nrrd(path: Path) -> RawVolume:
     _check_spacing(fields, [axis for axis in range(len(sizes)) if kinds[axis : axis + 1] != lists or not lists])
     detached = _data_file(path, fields)
     data = detached or path
-    has_skips = any(fields.get(key, "0") != "0" for key in ("byte skip", "byteskip", "line skip", "lineskip"))
-    element = NRRD_BYTES.get(" ".join(fields.get("type", "").lower().split()))
-    if element is None:
-        raise ScanError("the header gives no known type of values: export the file again")
+    has_skips = any(fields.get(key, "0") != "0" for key in SKIPS)
+    element = np.dtype(_element_of(fields)).itemsize
     if not has_skips:
         offset = end if detached is None else 0
         encoding, byte_count = fields.get("encoding", "").lower(), math.prod(sizes) * element
@@ -151,8 +159,44 @@ def read_nrrd(path: Path) -> RawVolume:
             _check_stream(data, offset, byte_count=byte_count)
         elif encoding == "raw" and data.stat().st_size - offset < byte_count:
             raise ScanError(DAMAGED)
-    stated = SPACE.match(fields.get("space", "")) is not None and "space directions" in fields
-    return _read_image(path, pairs, orientation_is_stated=stated)
+    return _read_image(path, pairs, orientation_is_stated=_is_orientation_stated(fields))
+
+
+def _is_orientation_stated(fields: dict[str, str]) -> bool:
+    return SPACE.match(fields.get("space", "")) is not None and "space directions" in fields
+
+
+def _element_of(fields: dict[str, str]) -> str:
+    element = NRRD_TYPES.get(" ".join(fields.get("type", "").lower().split()))
+    if element is None:
+        raise ScanError("the header gives no known type of values: export the file again")
+    return element
+
+
+def _read_one_of_several(
+    path: Path,
+    fields: dict[str, str],
+    pairs: dict[str, str],
+    end: int,
+    *,
+    sizes: tuple[int, ...],
+    axis: int,
+    choice: FrameChoice,
+) -> RawVolume:
+    _check_spacing(fields, [number for number in range(4) if number != axis])
+    if any(fields.get(key, "0") != "0" for key in SKIPS):
+        raise ScanError("the header skips a part of its data file: export the scan again without that")
+    detached = _data_file(path, fields)
+    return read_nrrd_frame(
+        fields,
+        pairs,
+        (path, end) if detached is None else (detached, 0),
+        sizes=sizes,
+        axis=axis,
+        element=_element_of(fields),
+        choice=choice,
+        orientation_is_stated=_is_orientation_stated(fields),
+    )
 
 
 def nrrd_data_file(path: Path) -> Path | None:

@@ -4,27 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.pipeline.formats.agreement import AGREEMENT_MM, EXACT_MM, even_line
+from heartcase.pipeline.formats.dicom_archive import SourceFile
 from heartcase.schemas.errors import ScanError
 
 __all__ = ["COSINE_TOLERANCE", "SPACING_TOLERANCE", "Slice", "Stack", "find_stack", "places_of", "stack_problem"]
 
 COSINE_TOLERANCE = 1e-3
-"""Largest difference in a direction cosine within a stack, and from right angles: rounded digits in headers."""
+"""Largest difference in a direction cosine within a stack: rounded digits in headers."""
 SPACING_TOLERANCE = 1e-3
 """Largest relative difference in pixel spacing within a stack."""
-GAP_TOLERANCE = 0.01
-"""Largest difference of a gap between slices from the median gap, as a part of it; see GAP_FLOOR_MM."""
-GAP_FLOOR_MM = 0.02
-"""Positions are often written with two decimals, so that a gap is off by up to 0.01 mm: less than this is even, unless
-it is a quarter of the gap."""
-DRIFT_TOLERANCE = 0.1
-"""Largest shift of the last slice against the first within the slice plane, in pixels: more is a tilted gantry."""
+SAME_PLACE_MM = 0.02
+"""Slices that lie nearer to each other than this, and than a tenth of the widest gap, lie at one place."""
+PLACE_PART = 0.25
+"""Part of the distance between slices by which one may be off its place at most, however roundly it is written: more
+could as well be a missing slice."""
 MISSING_GAP = 1.5
 """A gap of this many median gaps or more has lost a slice."""
 MISSING_IN_A_ROW = 2
@@ -33,6 +32,7 @@ MISSING_PART = 1.0 / 3.0
 """Part of the stack's slices that may be interpolated."""
 ECHO_TOLERANCE = 0.02
 """Largest relative difference in echo time within a stack: rounded digits."""
+NOT_AT_RIGHT_ANGLES = "the directions in the headers are not at right angles: export the series again"
 NAMED_GAPS = 5
 """How many gaps an error names."""
 
@@ -44,7 +44,7 @@ Rescale = Literal["stated", "unstated", "unreadable", "table"]
 class Slice:
     """One image of a series, as its header describes it."""
 
-    path: Path
+    path: SourceFile
     """Where its pixels are; goes into no message."""
     frame: int | None
     """Frame of a multi-frame file."""
@@ -70,10 +70,16 @@ class Slice:
     """Whether the header calls it a localiser."""
     uid: str = ""
     """Identity of the image, to recognise copies by; goes into no message."""
-    copies: tuple[Path, ...] = ()
+    copies: tuple[SourceFile, ...] = ()
     """Other files that claim to be this image."""
     rescale: Rescale = "unstated"
     """What the header says of slope and intercept; ``table`` for a modality LUT."""
+    position_decimals: tuple[int, ...] = ()
+    """Decimals in which each coordinate of the position is written; empty where that is not known."""
+    orientation_decimals: int | None = None
+    """Decimals in which the direction is written, the most of its six numbers; None where that is not known."""
+    acquired_s: float | None = None
+    """Time of day at which it was acquired, s: to tell which of two images came first, and for nothing else."""
     coordinates: str = ""
     """Identity of the study and of the coordinate system that the position refers to; goes into no message."""
 
@@ -136,7 +142,7 @@ def find_stack(slices: Sequence[Slice], *, interpolate_missing: bool = False, st
     Returns
     -------
     Stack
-        Two slices or more. Spacing along the stack is that from first to last, shared evenly.
+        Two slices or more, on the even line that lies nearest to all of them.
 
     Raises
     ------
@@ -154,22 +160,33 @@ def find_stack(slices: Sequence[Slice], *, interpolate_missing: bool = False, st
     _check_duplicates(gaps)
     _check_kinds(slices)
     spacing = np.median([image.spacing for image in slices], axis=0)
-    drift = positions - positions[0] - (along - along[0])[:, np.newaxis] * normal
-    angle = _tilt_degrees(drift, along, spacing)
+    rounding = _rounding_mm(slices)
+    across = np.stack([row, column], axis=1)
+    drift = (positions - positions[0]) @ across
+    angle = _tilt_degrees(drift, along, max(AGREEMENT_MM, float(rounding @ np.abs(across).max(axis=1))))
     if angle > 0.0 and not straighten_tilt:
         raise ScanError(
             f"the stack leans by {angle:.1f} degrees (tilted gantry): have it straightened with --straighten-tilt, or "
             "straighten_tilt = true in the recipe's [scan]"
         )
-    steps = _steps(gaps, interpolate_missing)
-    places = (0, *(int(place) for place in np.cumsum(steps)))
+    places, start, step = _places(along, max(AGREEMENT_MM, float(rounding @ np.abs(normal))), interpolate_missing)
     affine = np.eye(4)
     affine[:3, 0] = row * spacing[1]
     affine[:3, 1] = column * spacing[0]
-    affine[:3, 2] = normal * (along[-1] - along[0]) / places[-1]
-    affine[:3, 3] = positions[0]
-    lean = drift @ np.stack([row, column], axis=1) if angle > 0.0 else np.zeros((len(slices), 2))
+    affine[:3, 2] = normal * step
+    affine[:3, 3] = positions[0] + normal * (start - along[0])
+    if angle == 0.0 and np.abs(drift).max() > EXACT_MM:
+        affine[:3, 3] += across @ (drift.min(axis=0) + drift.max(axis=0)) / 2.0
+    lean = drift if angle > 0.0 else np.zeros((len(slices), 2))
     return Stack(tuple(slices[index] for index in order), affine, places, lean, angle)
+
+
+def _rounding_mm(slices: Sequence[Slice]) -> Float64:
+    """Half a unit of the last decimal that is written of each coordinate in any of the slices, mm, shape (3,)."""
+    written = [image.position_decimals for image in slices]
+    if not all(len(one) == 3 for one in written):
+        return np.zeros(3)
+    return np.asarray(0.5 * 10.0 ** -np.max(written, axis=0).astype(float))
 
 
 def _check_alike(slices: Sequence[Slice]) -> None:
@@ -225,17 +242,24 @@ def _axes(slices: Sequence[Slice]) -> tuple[Float64, Float64, Float64]:
     cosines = np.median([image.orientation for image in slices], axis=0)
     row, column = cosines[:3], cosines[3:]
     lengths = np.linalg.norm(row), np.linalg.norm(column)
-    if max(abs(lengths[0] - 1.0), abs(lengths[1] - 1.0), abs(row @ column)) > COSINE_TOLERANCE:
-        raise ScanError("the directions in the headers are not at right angles: export the series again")
-    row = row / lengths[0]
-    column = column - (column @ row) * row
-    column /= np.linalg.norm(column)
-    return row, column, np.cross(row, column)
+    if min(lengths) < 0.5 or np.linalg.norm(np.cross(row, column)) < 0.5:
+        raise ScanError(NOT_AT_RIGHT_ANGLES)
+    straight_row = row / lengths[0]
+    straight_column = column - (column @ straight_row) * straight_row
+    straight_column /= np.linalg.norm(straight_column)
+    # rows may have several sizes and spacings here, in which case they are no stack anyway
+    extent = np.max([np.multiply(image.shape, image.spacing or (0.0, 0.0)) for image in slices], axis=0)
+    moved = [sign * extent[1] * (row - straight_row) + extent[0] * (column - straight_column) for sign in (-1.0, 1.0)]
+    decimals = [image.orientation_decimals for image in slices]
+    rounding = 0.0 if None in decimals else min(10.0 ** -max(d for d in decimals if d is not None), COSINE_TOLERANCE)
+    if np.linalg.norm(moved, axis=1).max() > max(AGREEMENT_MM, rounding * extent.sum()):
+        raise ScanError(NOT_AT_RIGHT_ANGLES)
+    return straight_row, straight_column, np.cross(straight_row, straight_column)
 
 
 def _same_place(gaps: Float64) -> npt.NDArray[np.bool_]:
     """Which gaps between sorted positions are none."""
-    same: npt.NDArray[np.bool_] = gaps <= max(min(GAP_FLOOR_MM, 0.1 * gaps.max(initial=0.0)), 1e-6)
+    same: npt.NDArray[np.bool_] = gaps <= max(min(SAME_PLACE_MM, 0.1 * gaps.max(initial=0.0)), 1e-6)
     return same
 
 
@@ -258,65 +282,70 @@ def _check_duplicates(gaps: Float64) -> None:
     number = int(same.sum())
     raise ScanError(
         f"{number} slice{'s are' if number > 1 else ' is'} there twice, first slices {first} and {first + 1} lie at "
-        "one position: remove the copies"
+        "one position: remove the copies, or take one of two acquisitions that meet there with --overlap"
     )
 
 
-def _tilt_degrees(drift: Float64, along: Float64, spacing: Float64) -> float:
-    """Angle by which the stack leans, 0 within the tolerance."""
-    length = np.linalg.norm(drift, axis=1)
-    if length.max() <= DRIFT_TOLERANCE * spacing.min():
+def _tilt_degrees(drift: Float64, along: Float64, tolerance: float) -> float:
+    """Angle by which the stack leans, 0 within the tolerance, mm; ``drift`` along rows and columns, shape (n, 2)."""
+    if np.linalg.norm(np.ptp(drift, axis=0)) / 2.0 <= tolerance:
         return 0.0
     total = along[-1] - along[0]
-    straight = np.abs(drift - np.outer((along - along[0]) / total, drift[-1])).max() <= DRIFT_TOLERANCE * spacing.min()
-    if straight and length[-1] > 0.0:
-        return float(np.degrees(np.arctan2(length[-1], total)))
+    straight = np.abs(drift - np.outer((along - along[0]) / total, drift[-1])).max() <= tolerance
+    length = float(np.linalg.norm(drift[-1]))
+    if straight and length > 0.0:
+        return float(np.degrees(np.arctan2(length, total)))
     raise ScanError(
         "the slices are shifted sideways against each other, so they do not form one stack: export the series again"
     )
 
 
-def _tolerance(usual: float) -> float:
-    return min(max(GAP_FLOOR_MM, GAP_TOLERANCE * usual), 0.25 * usual)
-
-
-def _usual_gap(gaps: Float64) -> float:
+def _usual_gap(gaps: Float64, tolerance: float) -> float:
     """The smallest gap where all are whole multiples of it, else the median (the lower of two)."""
     single = float(np.median(gaps[gaps < MISSING_GAP * gaps.min()]))
-    if (np.abs(gaps - np.round(gaps / single) * single) <= _tolerance(single)).all():
+    allowed = min(2.0 * tolerance, PLACE_PART * single)
+    if (np.abs(gaps - np.round(gaps / single) * single) <= allowed).all():
         return single
     return float(np.sort(gaps)[(gaps.size - 1) // 2])
 
 
-def _steps(gaps: Float64, may_interpolate: bool) -> list[int]:
-    """How many slice distances each gap is: 1, or more where slices are missing and may be."""
-    usual = _usual_gap(gaps)
-    tolerance = _tolerance(usual)
-    problems, steps = [], []
-    for index, gap in enumerate(gaps):
+def _places(along: Float64, tolerance: float, may_interpolate: bool) -> tuple[tuple[int, ...], float, float]:
+    """Index of each slice, from 0; position of the first place, and the distance between places, mm.
+
+    ``tolerance`` is how far a slice may lie from its place, mm.
+    """
+    gaps = np.diff(along)
+    usual = _usual_gap(gaps, tolerance)
+    missing = np.where(gaps >= MISSING_GAP * usual, np.maximum(1, np.round(gaps / usual) - 1), 0).astype(np.int64)
+    places = np.concatenate(([0], np.cumsum(missing + 1)))
+    start, spacing, distance = even_line(along, places)
+    is_even = distance <= min(tolerance, PLACE_PART * spacing)
+    allowed = min(2.0 * tolerance, PLACE_PART * usual)
+    problems = []
+    for index, (gap, count) in enumerate(zip(gaps.tolist(), missing.tolist(), strict=True)):
         between = f"between slice {index + 1} and the next one that is there"
-        count = max(1, round(gap / usual) - 1) if gap >= MISSING_GAP * usual else 0
-        steps.append(count + 1)
-        is_even = abs(gap - (count + 1) * usual) <= tolerance
-        if count and not (may_interpolate and is_even and count <= MISSING_IN_A_ROW):
+        is_off = not is_even and abs(gap - (count + 1) * usual) > allowed
+        if count and (not may_interpolate or is_off or count > MISSING_IN_A_ROW):
             problems.append(
                 f"{count} slice{'s are' if count > 1 else ' is'} missing {between} (gap {gap:.2f} mm, elsewhere "
                 f"{usual:.2f} mm)"
             )
-        elif not count and not is_even:
+        elif is_off:
             problems.append(f"uneven spacing {between} ({gap:.2f} mm, elsewhere {usual:.2f} mm)")
-    missing = sum(steps) - len(steps)
-    if not problems and missing > MISSING_PART * (sum(steps) + 1):
-        problems.append(f"{missing} of {sum(steps) + 1} slices are missing, more than a third")
+    lost, whole = int(missing.sum()), int(places[-1]) + 1
+    if not is_even and not problems:
+        problems.append(f"uneven spacing (slices lie up to {distance:.2f} mm from places {spacing:.2f} mm apart)")
+    if not problems and lost > MISSING_PART * whole:
+        problems.append(f"{lost} of {whole} slices are missing, more than a third")
     if problems:
         rest = f", and {len(problems) - NAMED_GAPS} more" if len(problems) > NAMED_GAPS else ""
         remedy = "export the whole series again"
         if may_interpolate:
             remedy += " (at most two slices in a row and a third of all are interpolated, at even spacing)"
-        elif missing:
+        elif lost:
             remedy += (
                 ", or have it filled from its neighbours with --interpolate-missing, or interpolate_missing = true in "
                 "the recipe's [scan]"
             )
         raise ScanError(f"{'; '.join(problems[:NAMED_GAPS])}{rest}: {remedy}")
-    return steps
+    return tuple(places.tolist()), start, spacing

@@ -54,6 +54,8 @@ class Truth:
     """Map from index (i, j, k, 1) to LPS mm."""
     loss: float = 0.0
     """Largest error of a value that the compression may have made."""
+    place_mm: float = 1e-4
+    """Largest error of a corner's place that the header's digits may have made."""
 
 
 @dataclass(frozen=True)
@@ -125,6 +127,8 @@ def outcome_of(situation: Situation, folder: Path) -> Outcome:
 def all_situations() -> tuple[Situation, ...]:
     """Every situation: how images are stored, which belong together, where headers disagree, what is refused."""
     from tests.pipeline.formats import (
+        dicom_situations_damaged,
+        dicom_situations_doubtful,
         dicom_situations_mixed,
         dicom_situations_read,
         dicom_situations_refused,
@@ -136,6 +140,8 @@ def all_situations() -> tuple[Situation, ...]:
         *dicom_situations_stacks.SITUATIONS,
         *dicom_situations_mixed.SITUATIONS,
         *dicom_situations_refused.SITUATIONS,
+        *dicom_situations_doubtful.SITUATIONS,
+        *dicom_situations_damaged.SITUATIONS,
     )
 
 
@@ -145,6 +151,8 @@ OPTION_WORDS = {
     "echo_time_ms": "--echo-time {:g}",
     "interpolate_missing": "--interpolate-missing",
     "straighten_tilt": "--straighten-tilt",
+    "overlap": "--overlap {}",
+    "frame": "--frame {}",
 }
 
 

@@ -219,7 +219,11 @@ SITUATIONS = (
         {"straighten_tilt": True},
         refused="shifted sideways",
     ),
-    Situation("a slice taken twice", _doubled, refused="1 slice is there twice, first slices 4 and 5"),
+    Situation(
+        "a slice taken twice",
+        _doubled,
+        refused=r"1 slice is there twice \(slice 4\), with the same pixels: remove the copies",
+    ),
     Situation(
         "two files with other pixels claim to be one image",
         _other_pixels,

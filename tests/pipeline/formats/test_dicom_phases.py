@@ -98,7 +98,9 @@ def test_what_is_listed(tmp_path: Path) -> None:
     with pytest.raises(ScanError, match="no trigger time is near 10000 ms"):
         read_scan(tmp_path, trigger_time_ms=1e4, series="1")
     with pytest.raises(ScanError, match="the given --series holds several stacks"):
-        read_scan(tmp_path, series=listed[1].uid_code)
+        read_scan(tmp_path, series=listed[1].uid_code.partition("-")[0])
+    assert len({info.uid_code for info in listed}) == 4
+    assert read_scan(tmp_path, series=listed[2].uid_code).geometry == read_scan(tmp_path, series="3").geometry
     assert read_scan(tmp_path, series="3").geometry.size == (40, 40, 3)
 
 

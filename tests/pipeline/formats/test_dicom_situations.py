@@ -22,7 +22,6 @@ from tests.pipeline.formats.dicom_situations import (
 SITUATIONS = {situation.name: situation for situation in all_situations()}
 OUTCOMES: dict[str, Outcome] = {}
 DOCUMENT = Path(__file__).parents[3] / "docs" / "dicom.md"
-GEOMETRY_MM = 1e-4
 
 
 def leaks(text: str, folder: Path) -> bool:
@@ -60,9 +59,11 @@ def check_what_was_read(situation: Situation, outcome: Outcome) -> None:
     assert outcome.truth is not None
     geometry, values = outcome.scan.geometry, outcome.scan.values
     assert values.shape == geometry.shape == outcome.truth.values.shape
-    corners = np.array([(i, j, k, 1) for i in (0, geometry.size[0]) for j in (0, geometry.size[1]) for k in (0, 9)])
+    corners = np.array(
+        [(i, j, k, 1) for i in (0, geometry.size[0]) for j in (0, geometry.size[1]) for k in (0, geometry.size[2])]
+    )
     off = corners @ (geometry.affine - outcome.truth.affine).T
-    assert np.abs(off).max() <= GEOMETRY_MM
+    assert np.abs(off).max() <= outcome.truth.place_mm
     error = np.abs(values.astype(np.float64) - outcome.truth.values)
     assert np.isfinite(error).mean() > 0.8
     assert np.nanmax(error) <= outcome.truth.loss
