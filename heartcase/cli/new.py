@@ -40,7 +40,7 @@ def command(scan: Path, out: Path, name: str | None, force: bool, choice: dict[s
     center = volume.geometry.index_to_world([(n - 1) / 2 for n in volume.geometry.size])
     extent = [n * s for n, s in zip(volume.geometry.size, volume.geometry.spacing_mm, strict=True)]
     text = starter_recipe(
-        name=name or f"case-{made_up_case_id('', volume.values_sha256)[3:7].lower()}",
+        name=f"case-{made_up_case_id('', volume.values_sha256)[3:7].lower()}" if name is None else name,
         scan_path=relative,
         choice=choice,
         center_mm=tuple(round(float(v), 1) for v in center),

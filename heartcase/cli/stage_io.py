@@ -51,7 +51,9 @@ def scan_options(function: F) -> F:
     @functools.wraps(function)
     def collecting(*args: Any, **given: Any) -> Any:
         choice = {name: given.pop(name) for name in _SCAN_OPTIONS}
-        return function(*args, choice={name: v for name, v in choice.items() if v not in (None, False)}, **given)
+        # by identity: 0.0 equals False, and is a time
+        stated = {name: value for name, value in choice.items() if value is not None and value is not False}
+        return function(*args, choice=stated, **given)
 
     wrapped: Any = collecting
     for name, option in reversed(_SCAN_OPTIONS.items()):

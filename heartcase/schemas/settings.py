@@ -99,7 +99,7 @@ class SegmentSettings(Model):
     every large dark region. Needs some of the heart marked."""
     smallest_piece_ml: Annotated[float, Field(ge=0.0)] = 0.0
     """Pieces of a label that are smaller than this become background; 0 keeps all."""
-    file: str | None = None
+    file: Annotated[str, Field(min_length=1)] | None = None
     """Labels: path of the finished segmentation, relative to the recipe: a label volume, a DICOM SEG, or a folder of
     closed STL parts."""
     names: dict[str, Name] = {}
