@@ -46,6 +46,7 @@ __all__ = [
     "ScanSource",
     "load_recipe",
     "parse_recipe",
+    "plain_recipe",
     "read_recipe_text",
 ]
 
@@ -329,6 +330,11 @@ def parse_recipe(text: str, *, needs_markers: bool = True) -> Recipe:
         raise RecipeError(
             (*problems_from_validation(error, model=Recipe), *_hidden_problems(data, error, needs_markers))
         ) from None
+
+
+def plain_recipe() -> Recipe:
+    """A recipe that asks for nothing but the usual: what a stage command works by when it is given none."""
+    return Recipe.model_validate(_NEUTRAL, context={"needs_markers": False})
 
 
 _NEUTRAL: dict[str, Any] = {"heartcase_recipe": RECIPE_VERSION, "name": "x", "scan": {"path": "x"}}

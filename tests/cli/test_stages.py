@@ -38,9 +38,45 @@ def run(*arguments):
     return main([str(argument) for argument in arguments])
 
 
+TELLING = """
+[region]
+center_mm = [6, 0, 0]
+size_mm = [40, 62, 62]
+[about]
+origin = "synthetic"
+licence = "CC0-1.0"
+attribution = "the tests"
+[[about.diagnoses]]
+name = "open ball"
+[about.texts.en]
+title = "A ball"
+what = "It is cut."
+look_for = "The cut."
+[[landmarks]]
+name = "top"
+kind = "point"
+points_mm = [[0, 0, 20]]
+[[labels]]
+value = 3
+name = "nowhere"
+role = "vessel_lumen"
+[[edits]]
+kind = "remove"
+name = "the hole"
+label = "muscle"
+radius_mm = 4
+points_mm = [[10, 0, 0], [24, 0, 0]]
+[[edits]]
+kind = "remove_islands"
+label = "muscle"
+smallest_ml = 0.1
+"""
+"""What makes several stages tell something, and the case hold more than its parts."""
+
+
 def test_the_stages_one_by_one_make_the_case_that_build_makes(work):
     levels = "level_counts = [600, 250]\n"
-    recipe = write_ball_recipe(work / "scan.nii.gz", work / "levels.toml", surface=levels)
+    recipe = write_ball_recipe(work / "scan.nii.gz", work / "levels.toml", surface=levels, more=TELLING)
     steps = [
         ("filter", work / "scan.nii.gz", work / "filtered.safetensors", "--recipe", recipe),
         ("segment", work / "filtered.safetensors", work / "labels.safetensors", "--recipe", recipe),
@@ -66,6 +102,10 @@ def test_the_stages_one_by_one_make_the_case_that_build_makes(work):
     assert {entry.role for entry in built.manifest.files} == set(FileRole) - {FileRole.SCAN}
     for role in (entry.role for entry in built.manifest.files):
         assert by_hand.manifest.file(role).sha256 == built.manifest.file(role).sha256, role
+    assert len(built.manifest.warnings) >= 2
+    assert built.manifest.about is not None
+    assert built.manifest.quality["volumes_ml"]
+    assert by_hand.manifest.model_dump() == built.manifest.model_dump()
 
 
 def test_images_in_and_out(work, capsys):
