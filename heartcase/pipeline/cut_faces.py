@@ -68,7 +68,7 @@ def face_name(geometry: Geometry, axis: int, *, is_last: bool) -> str:
     Returns
     -------
     str
-        Such as ``head face``; of the slice axis (k) of an oblique stack ``last slice, towards head and left``.
+        Such as ``head face``; of the slice axis (k) of an oblique stack ``last slice (towards head and left)``.
     """
     outward = geometry.direction_matrix[:, axis] * (1.0 if is_last else -1.0)
     order = np.argsort(-np.abs(outward), kind="stable")
@@ -76,7 +76,7 @@ def face_name(geometry: Geometry, axis: int, *, is_last: bool) -> str:
     if abs(outward[order[0]]) >= STRAIGHT:
         return f"{words[0]} face"
     towards = " and ".join(words[:2])
-    return f"{'last' if is_last else 'first'} slice, towards {towards}" if axis == 2 else f"face towards {towards}"
+    return f"{'last' if is_last else 'first'} slice (towards {towards})" if axis == 2 else f"face towards {towards}"
 
 
 def voxel_cautions(geometry: Geometry) -> tuple[Caution, ...]:
