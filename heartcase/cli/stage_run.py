@@ -157,7 +157,9 @@ def merged_history(histories: Mapping[str, History]) -> History:
         for record in history.stages:
             other, known = records.setdefault(record.stage, (name, record))
             if known != record:
-                message = f"were made from different outputs of the stage '{record.stage}': run the stages after it again"
+                message = (
+                    f"were made from different outputs of the stage '{record.stage}': run the stages after it again"
+                )
                 problems.append(Problem(f"{other} and {name}", message))
         told |= history.told
         whole = whole or history.whole

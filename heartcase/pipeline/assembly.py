@@ -50,7 +50,7 @@ class StageResults:
     grid: SimulationGrid
     """Its cells."""
     structures: Structures | None = None
-    """The fields after edits; without them nothing is known of volumes, openings and cut faces, and a warning says so."""
+    """The fields after edits; without them volumes, openings and cut faces are not known, and a warning says so."""
     surface: Surface | None = None
     """The visible surface."""
     grid_map: GridMap | None = None
@@ -165,7 +165,10 @@ def assemble_case(recipe: Recipe, results: StageResults, *, name: str, case_id: 
         if surface is not None:
             surface = with_rims(surface, openings, structures.geometry)
     else:
-        unknown = "it is not known what the scan's faces cut off, nor what is open to each other: the structures were not given"
+        unknown = (
+            "the structures were not given, so it is not known what the scan's faces cut off, nor what is open to each "
+            "other: give the output of 'walls' or 'edit'"
+        )
         told["unknown"] = (*told.get("unknown", ()), Caution(unknown))
     shown = (surface, *surface.levels) if surface is not None else ()
     outputs = {"walls": structures, "grid": grid, "surface": surface, "map": grid_map}
@@ -188,7 +191,9 @@ def assemble_case(recipe: Recipe, results: StageResults, *, name: str, case_id: 
         grid_map=grid_map,
         picking=picking_surface(grid) if Part.PICKING in recipe.parts else None,
         glbs=[glb_bytes(one, case_id=case_id) for one in shown] if Part.RENDER in recipe.parts else (),
-        labels_nrrd=segmentation_nrrd_bytes(labels, case_id=case_id) if labels and Part.LABELS in recipe.parts else None,
+        labels_nrrd=segmentation_nrrd_bytes(labels, case_id=case_id)
+        if labels and Part.LABELS in recipe.parts
+        else None,
         scan=scan_part(filtered) if filtered is not None and Part.SCAN in recipe.parts else None,
         landmarks=recipe.landmarks,
         about=recipe.about,

@@ -42,7 +42,8 @@ class _Face:
 
     def layer(self, labels: UInt8) -> UInt8:
         """The voxels at the face, two-dimensional."""
-        return labels.take(-1 if self.is_last else 0, axis=2 - self.axis)
+        layer: UInt8 = np.take(labels, -1 if self.is_last else 0, axis=2 - self.axis)
+        return layer
 
     def spacing_mm(self, geometry: Geometry) -> tuple[float, float]:
         """Distance of neighbours in the layer, along its rows and its columns."""
@@ -107,9 +108,9 @@ def cut_cautions(labels: Segmentation, *, whole: Geometry | None = None) -> tupl
     Returns
     -------
     tuple of Caution
-        For each face one line about chambers and heart muscle (the anatomy may be wrong), one about walls of chambers
-        and vessels that are cut along their length (to be looked at), and one about vessels that leave through it (for
-        information), each with areas.
+        For each face one line about chambers and heart muscle (the anatomy may be wrong), one about vessels that are
+        cut along their length (to be looked at), and one about vessels that leave through it (for information), each
+        with areas.
     """
     found: list[Caution] = []
     for face in _FACES:
@@ -123,20 +124,21 @@ def _cautions(face: _Face, labels: Segmentation, whole: Geometry | None) -> Iter
     counts = np.bincount(layer.ravel(), minlength=256)
     areas = {label.value: float(counts[label.value]) * spacing[0] * spacing[1] for label in labels.table}
     cut: list[str] = []
-    doubtful: list[str] = []
+    lengthwise: list[str] = []
     open_vessels: list[str] = []
     for label in labels.table:
         area = areas[label.value]
         if area == 0.0 or label.value == BACKGROUND:
             continue
         words = f"{label.name} ({_area(area)})"
-        if label.role in (Role.BLOOD, Role.MYOCARDIUM):
+        if label.wall_of is not None:
+            if _is_of_whole_chamber(label, labels.table, areas):
+                cut.append(words)
+        elif label.role in (Role.BLOOD, Role.MYOCARDIUM):
             cut.append(words)
         elif label.role is Role.VESSEL_LUMEN:
             is_along = _elongation(layer == label.value, spacing) > LENGTHWISE
-            (doubtful if is_along else open_vessels).append(words)
-        elif label.role is Role.WALL and _is_of_whole_chamber(label, labels.table, areas):
-            doubtful.append(words)
+            (lengthwise if is_along else open_vessels).append(words)
     name, is_of_region = _named(face, geometry, whole)
     if cut:
         remedy = (
@@ -145,22 +147,19 @@ def _cautions(face: _Face, labels: Segmentation, whole: Geometry | None) -> Iter
             else "take a scan that holds the whole heart"
         )
         yield anatomy(
-            f"the heart is cut off at {name}, without an end marker: {', '.join(cut)}. What lies beyond is missing from "
-            f"the model, its volumes and its pictures: {remedy}"
+            f"the heart is cut off at {name}, without an end marker: {', '.join(cut)}. What lies beyond is missing "
+            f"from the model, its volumes and its pictures: {remedy}"
         )
-    if doubtful:
-        yield Caution(
-            f"{name} runs along or grazes {', '.join(doubtful)}: look whether anything of it is missing beyond"
-        )
+    if lengthwise:
+        yield Caution(f"{name} cuts along {', '.join(lengthwise)}, not across: look how much of it is missing beyond")
     if open_vessels:
         yield Caution(f"open where they leave through {name}: {', '.join(open_vessels)}", Severity.NOTE)
 
 
 def _is_of_whole_chamber(wall: Label, table: LabelTable, areas: dict[int, float]) -> bool:
     """Whether this is the grown wall of a chamber that does not itself reach the face."""
-    if wall.wall_of is None or wall.wall_of not in table:
-        return False
-    return table[wall.wall_of].role is Role.BLOOD and areas[wall.wall_of] == 0.0
+    cavity = table[wall.wall_of] if wall.wall_of is not None and wall.wall_of in table else None
+    return cavity is not None and cavity.role is Role.BLOOD and areas[cavity.value] == 0.0
 
 
 def _named(face: _Face, geometry: Geometry, whole: Geometry | None) -> tuple[str, bool]:

@@ -15,7 +15,17 @@ from heartcase.pipeline.side_by_side import may_share, side_by_side
 from heartcase.schemas.bundle import StageRecord
 from heartcase.schemas.files import atomic_write
 
-__all__ = ["SECONDS_GUESSED", "STAGES", "STAGE_VERSIONS", "BuildListener", "Job", "Node", "Runner", "SilentListener", "UncachedRunner"]
+__all__ = [
+    "SECONDS_GUESSED",
+    "STAGES",
+    "STAGE_VERSIONS",
+    "BuildListener",
+    "Job",
+    "Node",
+    "Runner",
+    "SilentListener",
+    "UncachedRunner",
+]
 
 T = TypeVar("T")
 U = TypeVar("U")
