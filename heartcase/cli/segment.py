@@ -38,13 +38,18 @@ def command(
     """
     from heartcase.pipeline.assembly import told_of_outlines
     from heartcase.pipeline.cautions import worst_first
+    from heartcase.pipeline.placeholders import placeholder_problems
     from heartcase.pipeline.stages import have
+    from heartcase.schemas.errors import RecipeError
     from heartcase.schemas.recipe import MarkerFile
 
     work = stage_run(recipe, sets, stage="segment")
     volume = work.take_scan(scan, choice)
     files = [MarkerFile(path=str(path.resolve())) for path in markers]
     work.recipe = work.recipe.model_copy(update={"markers": (*work.recipe.markers, *files)})
+    examples = placeholder_problems(work.recipe, work.nodes.whole)
+    if examples:
+        raise RecipeError(examples)
     work.nodes.filtered = work.nodes.scan
     work.run("markers")
     work.run("segment")

@@ -39,6 +39,7 @@ def command(labels: Path, output: Path, recipe: Path | None, sets: tuple[str, ..
             None,
             convention=naming.convention,
             others=naming.others,
+            order=naming.order,
         )
         work.told |= told_of_outlines(work.recipe, segmentation, None, None)
         if naming.method != "labels":

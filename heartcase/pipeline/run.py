@@ -14,12 +14,13 @@ from heartcase.pipeline.bundle import check_place, check_replacement, write_bund
 from heartcase.pipeline.cache import Cache, stage_key
 from heartcase.pipeline.cautions import cautions_of
 from heartcase.pipeline.lock import check_lock, resolve_recipe
+from heartcase.pipeline.placeholders import placeholder_problems
 from heartcase.pipeline.runner import STAGE_VERSIONS, STAGES, BuildListener, Runner, SilentListener
 from heartcase.pipeline.stages import RUN_STAGE, StageOutputs, filtered_tree, have
 from heartcase.schemas.approval import bundle_sha256
 from heartcase.schemas.bundle import CaseManifest
 from heartcase.schemas.bundle_reader import open_bundle
-from heartcase.schemas.errors import BundleError, UsageError
+from heartcase.schemas.errors import BundleError, RecipeError, UsageError
 from heartcase.schemas.files import atomic_write, remove_leftovers, sha256_of_file
 from heartcase.schemas.recipe import Part, Recipe
 
@@ -110,6 +111,9 @@ def build_case(
         RUN_STAGE[stage](recipe, directory, runner, nodes)
         if stage == "read":
             scan = have(nodes.scan).get()
+            examples = placeholder_problems(recipe, nodes.whole)
+            if examples:
+                raise RecipeError(examples)
             lock_warnings = check_lock(recipe, directory, scan, accept_inputs=accept_inputs)
             recipe = resolve_recipe(recipe, scan)
             if until is None and not replace:

@@ -157,6 +157,7 @@ def _markers(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutput
             directory,
             scan=scan,
             automatic=automatic,
+            whole=nodes.whole,
         ),
     )
     check_markers(nodes.markers.get(), recipe.table, automatic=automatic)
@@ -196,7 +197,7 @@ def _segment(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutput
     scan, filtered, markers = have(nodes.scan), have(nodes.filtered), nodes.markers
     settings = resolved(recipe.segment) | {"labels": _all(recipe.labels)}
     # what concerns a file's names or the markers is in what they give
-    for elsewhere in ("file", "names", "convention", "others", "automatic"):
+    for elsewhere in ("file", "names", "convention", "others", "order", "automatic"):
         settings.pop(elsewhere)
     if recipe.segment.method == "labels":
         finished = directory / cast(str, recipe.segment.file)
@@ -210,6 +211,7 @@ def _segment(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutput
                 scan.get().geometry,
                 convention=recipe.segment.convention,
                 others=recipe.segment.others,
+                order=recipe.segment.order,
             ),
         )
         return

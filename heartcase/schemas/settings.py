@@ -108,6 +108,9 @@ class SegmentSettings(Model):
     """Labels: what the values of a file without names stand for (see docs/labels.md)."""
     others: Literal["refuse", "ignore"] = "refuse"
     """Labels: segments, values and parts that are no label: refuse the file, or leave them out."""
+    order: tuple[Name, ...] = ()
+    """Labels: where segments or parts of the file overlap, label names from the lowest to the topmost. Those that are
+    not named lie below, in the file's order, the later one over the earlier."""
 
     @model_validator(mode="after")
     def _method_has_its_input(self) -> SegmentSettings:
