@@ -130,7 +130,7 @@ method = "watershed"    # or "threshold" (specimens), or "labels" (a finished se
 # background = true       # where the draft holds 0 is background, as far from every structure
 
 # ... or write strokes: a round brush along a line. Mark every structure, and what is not heart as background.
-# These two are examples and stand for nothing in the scan: validate and build refuse them until you move or remove them.
+# These two are examples and stand for nothing in the scan: they are refused until you move or remove them.
 [[strokes]]
 label = "left ventricle"
 radius_mm = 2.0
