@@ -90,16 +90,16 @@ class Clipping:
         """One line about what the region of interest cuts off."""
         if not self.left_out and not self.cut:
             return ()
-        prefix = f"{place}: " if place else ""
         parts = []
         if self.left_out:
+            lie = "lies" if self.left_out == 1 else "lie"
             parts.append(
-                f"{self.left_out} lie{'s' if self.left_out == 1 else ''} wholly outside and {_is(self.left_out)}"
+                f"{self.left_out} {lie} wholly outside the region of interest and {_is(self.left_out)} left out"
             )
         if self.cut:
-            parts.append(f"{self.cut} reach{'es' if self.cut == 1 else ''} out of it and {_is(self.cut)} cut there")
-        text = f"{prefix}the region of interest leaves out part of the {counted(self.count, self.thing)}: "
-        words = text + ", ".join(parts)
+            reach = "reaches" if self.cut == 1 else "reach"
+            parts.append(f"{self.cut} {reach} out of the region of interest and {_is(self.cut)} cut there")
+        words = f"{f'{place}: ' if place else ''}of {counted(self.count, self.thing)} {', '.join(parts)}"
         return (Caution(words),) if self.left_out else (note(words),)
 
 
