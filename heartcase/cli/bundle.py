@@ -7,8 +7,9 @@ from typing import Any
 
 import click
 
-from heartcase.cli.output import working
-from heartcase.cli.stage_io import load_outputs, optional_recipe, read_scan_or_output, scan_options
+from heartcase.cli.output import echo_warnings, working
+from heartcase.cli.stage_io import scan_options
+from heartcase.cli.stage_run import stage_run
 from heartcase.schemas.errors import UsageError
 
 __all__ = ["command"]
@@ -28,10 +29,17 @@ __all__ = ["command"]
 @click.option(
     "--structures",
     type=click.Path(path_type=Path, readable=False),
-    help="Output of 'walls' or 'edit': adds the labels and the rims of defects.",
+    help="Output of 'walls' or 'edit': adds the labels, the openings and what the scan cuts off.",
 )
 @click.option(
-    "--recipe", type=click.Path(path_type=Path, readable=False), help="Materials and landmarks from a recipe."
+    "--filtered",
+    type=click.Path(path_type=Path, readable=False),
+    help="Output of 'heartcase filter': adds the slices, where the recipe's parts name 'scan'.",
+)
+@click.option(
+    "--recipe",
+    type=click.Path(path_type=Path, readable=False),
+    help="Materials, landmarks, diagnoses and parts from a recipe.",
 )
 @scan_options
 @working("writing the case")
@@ -42,57 +50,64 @@ def command(
     surface: Path | None,
     grid_map: Path | None,
     structures: Path | None,
+    filtered: Path | None,
     recipe: Path | None,
     choice: dict[str, Any],
 ) -> None:
-    """Write the case OUTPUT (NAME.case) from GRID and the other stages' outputs."""
-    from heartcase.pipeline.bundle import assemble_bundle, resolve_materials, write_bundle
-    from heartcase.pipeline.case_id import made_up_case_id
-    from heartcase.pipeline.data import GridMap, SimulationGrid, Structures, Surface
-    from heartcase.pipeline.mesh.glb import glb_bytes
-    from heartcase.pipeline.openings import find_openings
-    from heartcase.pipeline.picking import picking_surface
-    from heartcase.pipeline.rims import with_rims
-    from heartcase.pipeline.run import labels_of
-    from heartcase.pipeline.write import segmentation_nrrd_bytes
-    from heartcase.schemas.settings import MaterialsSettings
+    """Write the case OUTPUT (NAME.case) from GRID and the other stages' outputs.
 
-    loaded = optional_recipe(recipe)
-    cells, mesh, tied, fields = load_outputs(
+    Warnings, figures and provenance of all stages are those that 'heartcase build' gives: outputs carry them on.
+    """
+    from heartcase.pipeline.assembly import StageResults, assemble_case
+    from heartcase.pipeline.bundle import write_bundle
+    from heartcase.pipeline.case_id import made_up_case_id
+    from heartcase.pipeline.cautions import Caution
+    from heartcase.pipeline.data import GridMap, Scan, SimulationGrid, Structures, Surface
+    from heartcase.pipeline.lock import check_lock
+    from heartcase.schemas.recipe import Part
+
+    work = stage_run(recipe)
+    cells, mesh, tied, fields, smooth = work.take(
         {
             "GRID": (grid, SimulationGrid),
             "--surface": (surface, Surface),
             "--map": (grid_map, GridMap),
             "--structures": (structures, Structures),
+            "--filtered": (filtered, Scan),
         }
     )
-    volume = read_scan_or_output(scan, choice)
-    name = output.name.removesuffix(".case")
-    case_id = (loaded.case_id if loaded else None) or made_up_case_id(name, volume.values_sha256)
-    labels = labels_of(fields) if fields else None
-    if labels is not None and not labels.geometry.matches(volume.geometry):
+    history, is_known = work.history, work.is_known
+    volume = work.take_scan(scan, choice)
+    if fields is not None and not fields.geometry.matches(volume.geometry):
         raise UsageError(
-            "lie on another lattice than the scan: give the scan that they were made from", place="--structures"
+            "lie on another lattice than the scan: give the scan, and the recipe, that they were made from",
+            place="--structures",
         )
-    if mesh is not None and fields is not None and labels is not None:
-        edits, landmarks = (loaded.edits, loaded.landmarks) if loaded else ((), ())
-        mesh = with_rims(mesh, find_openings(fields, labels, edits, landmarks), fields.geometry)
-    content = assemble_bundle(
+    parts = work.recipe.parts
+    if work.has_recipe and Part.SCAN in parts and smooth is None:
+        raise UsageError("the recipe's parts name 'scan': give the output of 'heartcase filter'", place="--filtered")
+    name = output.name.removesuffix(".case")
+    told = dict(history.told)
+    told["lock"] = check_lock(work.recipe, work.directory, volume)
+    if not is_known:
+        unknown = "an output of a stage does not say how it came about, so what was told on the way is not known here"
+        told["unknown"] = (*told.get("unknown", ()), Caution(unknown))
+    assembled = assemble_case(
+        work.recipe,
+        StageResults(
+            scan=volume,
+            grid=cells,
+            structures=fields,
+            surface=mesh,
+            grid_map=tied,
+            filtered=smooth,
+            whole=work.nodes.whole,
+            stages=history.stages,
+            told=told,
+        ),
         name=name,
-        case_id=case_id,
-        grid=cells,
-        materials=resolve_materials(loaded.materials if loaded else MaterialsSettings(), cells.table),
-        scan_geometry=volume.geometry,
-        scan_sha256=volume.values_sha256,
-        stages=(),
-        surface=mesh,
-        grid_map=tied,
-        picking=picking_surface(cells),
-        glbs=[glb_bytes(one, case_id=case_id) for one in (mesh, *mesh.levels)] if mesh else (),
-        labels_nrrd=segmentation_nrrd_bytes(labels, case_id=case_id) if labels else None,
-        landmarks=loaded.landmarks if loaded else (),
-        modality=volume.modality,
-        acquisition=volume.acquisition,
+        case_id=work.recipe.case_id or made_up_case_id(name, volume.whole_sha256 or volume.values_sha256),
     )
-    write_bundle(output, content)
+    write_bundle(output, assembled.content)
+    echo_warnings(assembled.warnings)
     click.echo(f"wrote {output}", err=True)

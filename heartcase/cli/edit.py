@@ -6,8 +6,9 @@ from pathlib import Path
 
 import click
 
-from heartcase.cli.output import working
+from heartcase.cli.output import echo_warnings, working
 from heartcase.cli.stage_io import save_output
+from heartcase.cli.stage_run import node_of, stage_run
 
 __all__ = ["command"]
 
@@ -24,10 +25,15 @@ __all__ = ["command"]
 @working("editing")
 def command(structures: Path, output: Path, recipe: Path) -> None:
     """Carry out a recipe's edits on STRUCTURES (from 'heartcase walls') and write OUTPUT (.safetensors)."""
-    from heartcase.pipeline.artifacts import load_artifact
     from heartcase.pipeline.data import Structures
-    from heartcase.pipeline.edit import apply_edits
-    from heartcase.schemas.recipe import load_recipe
+    from heartcase.pipeline.edit import with_edit_names
+    from heartcase.pipeline.stages import have
 
-    edits = load_recipe(recipe).edits
-    save_output(output, apply_edits(load_artifact(structures, Structures), edits))
+    work = stage_run(recipe)
+    (grown,) = work.take({"STRUCTURES": (structures, Structures)})
+    work.nodes.grown = node_of(grown)
+    work.run("edit")
+    edited = have(work.nodes.structures).get()
+    save_output(output, edited, work.finished_history())
+    told = set(grown.warnings)
+    echo_warnings(line for line in with_edit_names(edited.warnings, work.recipe.edits) if line not in told)

@@ -7,15 +7,9 @@ from typing import Any
 
 import click
 
-from heartcase.cli.output import working
-from heartcase.cli.stage_io import (
-    optional_recipe,
-    read_scan_or_output,
-    save_output,
-    scan_options,
-    settings_of,
-    stage_options,
-)
+from heartcase.cli.output import echo_warnings, working
+from heartcase.cli.stage_io import save_output, scan_options, stage_options
+from heartcase.cli.stage_run import stage_run
 
 __all__ = ["command"]
 
@@ -28,11 +22,13 @@ __all__ = ["command"]
 @working("smoothing the scan")
 def command(scan: Path, output: Path, choice: dict[str, Any], recipe: Path | None, sets: tuple[str, ...]) -> None:
     """Smooth SCAN by anisotropic diffusion and write OUTPUT (.nii.gz, .nrrd, .mha or .safetensors)."""
-    from heartcase.pipeline.filter import filter_scan
-    from heartcase.pipeline.region import crop_scan
-    from heartcase.schemas.settings import FilterSettings
+    from heartcase.pipeline.filter import resolve_filter
+    from heartcase.pipeline.stages import have
 
-    loaded = optional_recipe(recipe)
-    settings = settings_of(FilterSettings, loaded.filter if loaded else None, sets)
-    volume = crop_scan(read_scan_or_output(scan, choice), loaded.region if loaded else None)
-    save_output(output, filter_scan(volume, settings))
+    work = stage_run(recipe, sets, stage="filter")
+    volume = work.take_scan(scan, choice)
+    settings = resolve_filter(work.recipe.filter, volume)
+    work.recipe = work.recipe.model_copy(update={"filter": settings})
+    work.run("filter")
+    save_output(output, have(work.nodes.filtered).get(), work.finished_history())
+    echo_warnings(volume.warnings, err=True)

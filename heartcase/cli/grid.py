@@ -7,7 +7,8 @@ from pathlib import Path
 import click
 
 from heartcase.cli.output import working
-from heartcase.cli.stage_io import optional_recipe, save_output, settings_of, stage_options
+from heartcase.cli.stage_io import save_output, stage_options
+from heartcase.cli.stage_run import node_of, stage_run
 
 __all__ = ["command"]
 
@@ -19,15 +20,16 @@ __all__ = ["command"]
 @working("making the grid")
 def command(structures: Path, output: Path, recipe: Path | None, sets: tuple[str, ...]) -> None:
     """Make the simulation grid of STRUCTURES (from 'heartcase walls' or 'edit') and write OUTPUT (.safetensors)."""
-    from heartcase.pipeline.artifacts import load_artifact
     from heartcase.pipeline.data import Structures
-    from heartcase.pipeline.grid import build_grid
-    from heartcase.schemas.settings import GridSettings
+    from heartcase.pipeline.grid import resolve_grid
+    from heartcase.pipeline.stages import have
 
-    loaded = optional_recipe(recipe)
-    settings = settings_of(GridSettings, loaded.grid if loaded else None, sets)
-    grid = build_grid(load_artifact(structures, Structures), settings, pins=loaded.pins if loaded else ())
-    save_output(output, grid)
+    work = stage_run(recipe, sets, stage="grid")
+    work.nodes.structures = node_of(work.take({"STRUCTURES": (structures, Structures)})[0])
+    work.recipe = work.recipe.model_copy(update={"grid": resolve_grid(work.recipe.grid)})
+    work.run("grid")
+    grid = have(work.nodes.grid).get()
+    save_output(output, grid, work.finished_history())
     for warning in grid.warnings:
         click.echo(f"warning: {warning}")
     click.echo(f"{len(grid.nodes):,} nodes, {len(grid.cells):,} cells of {grid.geometry.spacing_mm[0]:.2f} mm")

@@ -62,8 +62,10 @@ def build(
         raise UsageError(
             "the scheduler's workers are as they were started: leave this out", place="--workers, --memory-mb"
         )
+    if scheduler is not None and not scheduler.strip():
+        raise UsageError("no address is given: leave the option out to use this machine", place="--scheduler")
     start = time.perf_counter()
-    local = None if scheduler else default_workers(workers, memory_mb)
+    local = default_workers(workers, memory_mb) if scheduler is None else None
     cases = plan_library(directory)
     stale = stale_cases(cases, out, force=force)
     console = error_console()

@@ -7,7 +7,8 @@ from pathlib import Path
 import click
 
 from heartcase.cli.output import working
-from heartcase.cli.stage_io import load_outputs, optional_recipe, save_output, settings_of, stage_options
+from heartcase.cli.stage_io import save_output, stage_options
+from heartcase.cli.stage_run import node_of, stage_run
 
 __all__ = ["command"]
 
@@ -27,15 +28,16 @@ def command(
     Both were made (by 'heartcase surface' and 'grid') from STRUCTURES, which tell where walls and gaps are.
     """
     from heartcase.pipeline.data import SimulationGrid, Structures, Surface
-    from heartcase.pipeline.map import map_surface
-    from heartcase.schemas.settings import MapSettings
+    from heartcase.pipeline.stages import have
 
-    loaded = optional_recipe(recipe)
-    settings = settings_of(MapSettings, loaded.map if loaded else None, sets)
-    mesh, cells, fields = load_outputs(
+    work = stage_run(recipe, sets, stage="map")
+    mesh, cells, fields = work.take(
         {"SURFACE": (surface, Surface), "GRID": (grid, SimulationGrid), "STRUCTURES": (structures, Structures)}
     )
-    tied = map_surface(mesh, cells, fields, settings)
-    save_output(output, tied)
+    nodes = work.nodes
+    nodes.surface, nodes.grid, nodes.structures = node_of(mesh), node_of(cells), node_of(fields)
+    work.run("map")
+    tied = have(nodes.grid_map).get()
+    save_output(output, tied, work.finished_history())
     for warning in tied.warnings:
         click.echo(f"warning: {warning}")

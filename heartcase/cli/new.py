@@ -31,27 +31,29 @@ __all__ = ["command", "starter_recipe"]
 def command(scan: Path, out: Path, name: str | None, force: bool, choice: dict[str, Any]) -> None:
     """Read SCAN and write a commented recipe for it, ready for the markers."""
     from heartcase.pipeline.case_id import made_up_case_id
+    from heartcase.pipeline.placeholders import StarterPlaces
     from heartcase.pipeline.read import read_scan
 
     if out.exists() and not force:
         raise UsageError("there is already a recipe: choose another --out, or give --force", place=str(out))
     volume = read_scan(scan, **choice)
     relative = Path(os.path.relpath(scan.resolve(), out.resolve().parent)).as_posix()
-    center = volume.geometry.index_to_world([(n - 1) / 2 for n in volume.geometry.size])
-    extent = [n * s for n, s in zip(volume.geometry.size, volume.geometry.spacing_mm, strict=True)]
+    places = StarterPlaces.of(volume.geometry)
     text = starter_recipe(
-        name=name or f"case-{made_up_case_id('', volume.values_sha256)[3:7].lower()}",
+        name=f"case-{made_up_case_id('', volume.values_sha256)[3:7].lower()}" if name is None else name,
         scan_path=relative,
         choice=choice,
-        center_mm=tuple(round(float(v), 1) for v in center),
-        extent_mm=tuple(round(float(v), 1) for v in extent),
+        center_mm=places.center_mm,
+        extent_mm=places.extent_mm,
         modality=volume.modality,
     )
     parse_recipe(text)
     atomic_write(out, text.encode())
     for warning in volume.warnings:
         click.echo(f"note: {warning}", err=True)
-    click.echo(f"wrote {out}: add your markers to it, then run  heartcase build {out}")
+    click.echo(
+        f"wrote {out}: put your markers in the place of its two example strokes, then run  heartcase build {out}"
+    )
 
 
 def _label_lines(table: LabelTable) -> str:
@@ -128,15 +130,16 @@ method = "watershed"    # or "threshold" (specimens), or "labels" (a finished se
 # background = true       # where the draft holds 0 is background, as far from every structure
 
 # ... or write strokes: a round brush along a line. Mark every structure, and what is not heart as background.
+# These two are examples and stand for nothing in the scan: they are refused until you move or remove them.
 [[strokes]]
 label = "left ventricle"
 radius_mm = 2.0
-points_mm = [{list(center_mm)}]     # replace: this is only the middle of the scan
+points_mm = [{list(center_mm)}]     # an example: this is only the middle of the scan
 
 [[strokes]]
 label = "background"
 radius_mm = 2.0
-points_mm = [{[round(center_mm[0] - 0.45 * extent_mm[0], 1), *center_mm[1:]]}]     # replace
+points_mm = [{[round(center_mm[0] - 0.45 * extent_mm[0], 1), *center_mm[1:]]}]     # an example
 
 # An eraser: it takes away what was marked there before.
 # [[strokes]]

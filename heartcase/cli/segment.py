@@ -7,15 +7,9 @@ from typing import Any
 
 import click
 
-from heartcase.cli.output import working
-from heartcase.cli.stage_io import (
-    optional_recipe,
-    read_scan_or_output,
-    save_output,
-    scan_options,
-    settings_of,
-    stage_options,
-)
+from heartcase.cli.output import echo_warnings, working
+from heartcase.cli.stage_io import save_output, scan_options, stage_options
+from heartcase.cli.stage_run import stage_run
 
 __all__ = ["command"]
 
@@ -42,35 +36,25 @@ def command(
     Markers and strokes come from the recipe, from --markers, or both; the labels are the recipe's, or those of a heart
     with four chambers.
     """
-    from heartcase.pipeline.markers import load_markers, load_segmentation
-    from heartcase.pipeline.region import crop_scan
-    from heartcase.pipeline.segment import segment_scan
-    from heartcase.schemas.labels import default_label_table
+    from heartcase.pipeline.assembly import told_of_outlines
+    from heartcase.pipeline.cautions import worst_first
+    from heartcase.pipeline.placeholders import placeholder_problems
+    from heartcase.pipeline.stages import have
+    from heartcase.schemas.errors import RecipeError
     from heartcase.schemas.recipe import MarkerFile
-    from heartcase.schemas.settings import SegmentSettings
 
-    loaded = optional_recipe(recipe)
-    settings = settings_of(SegmentSettings, loaded.segment if loaded else None, sets)
-    table = loaded.table if loaded else default_label_table()
-    directory = recipe.parent if recipe else Path()
-    volume = crop_scan(read_scan_or_output(scan, choice), loaded.region if loaded else None)
-    if settings.method == "labels" and settings.file is not None:
-        finished = load_segmentation(
-            directory / settings.file,
-            settings.names,
-            table,
-            volume.geometry,
-            convention=settings.convention,
-            others=settings.others,
-        )
-        save_output(output, finished)
-        return
-    painted = None
-    if settings.method == "watershed":
-        files = [MarkerFile(path=str(path.resolve())) for path in markers]
-        files = [*(loaded.markers if loaded else ()), *files]
-        strokes = loaded.strokes if loaded else ()
-        painted = load_markers(
-            files, strokes, table, volume.geometry, directory, scan=volume, automatic=settings.automatic
-        )
-    save_output(output, segment_scan(volume, painted, settings, table))
+    work = stage_run(recipe, sets, stage="segment")
+    volume = work.take_scan(scan, choice)
+    files = [MarkerFile(path=str(path.resolve())) for path in markers]
+    work.recipe = work.recipe.model_copy(update={"markers": (*work.recipe.markers, *files)})
+    examples = placeholder_problems(work.recipe, work.nodes.whole)
+    if examples:
+        raise RecipeError(examples)
+    work.nodes.filtered = work.nodes.scan
+    work.run("markers")
+    work.run("segment")
+    found = have(work.nodes.segmentation).get()
+    painted = work.nodes.markers.get() if work.nodes.markers else None
+    work.told |= told_of_outlines(work.recipe, found, painted, volume)
+    save_output(output, found, work.finished_history())
+    echo_warnings(worst_first(*work.told.values()))

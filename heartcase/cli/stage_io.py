@@ -6,7 +6,7 @@ import functools
 import tomllib
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import click
 from pydantic import ValidationError
@@ -14,13 +14,13 @@ from pydantic import ValidationError
 from heartcase.schemas.base import Model
 from heartcase.schemas.errors import Problem, RecipeError, StageError, UsageError, problems_from_validation
 from heartcase.schemas.files import atomic_write
-from heartcase.schemas.recipe import Recipe, load_recipe
+
+if TYPE_CHECKING:
+    from heartcase.pipeline.artifacts import History
 
 __all__ = [
     "SCAN_SUFFIXES",
     "load_outputs",
-    "optional_recipe",
-    "read_scan_or_output",
     "save_output",
     "scan_options",
     "settings_of",
@@ -51,7 +51,9 @@ def scan_options(function: F) -> F:
     @functools.wraps(function)
     def collecting(*args: Any, **given: Any) -> Any:
         choice = {name: given.pop(name) for name in _SCAN_OPTIONS}
-        return function(*args, choice={name: v for name, v in choice.items() if not (v is None or v is False)}, **given)
+        # by identity: 0.0 equals False, and is a time
+        stated = {name: value for name, value in choice.items() if value is not None and value is not False}
+        return function(*args, choice=stated, **given)
 
     wrapped: Any = collecting
     for name, option in reversed(_SCAN_OPTIONS.items()):
@@ -90,11 +92,6 @@ _SCAN_OPTIONS: dict[str, tuple[str, dict[str, Any]]] = {
 """Parameter of ``read_scan`` -> option of the command line."""
 
 
-def optional_recipe(path: Path | None) -> Recipe | None:
-    """Load the recipe, if one was given."""
-    return load_recipe(path) if path is not None else None
-
-
 def settings_of(model: type[M], given: M | None, sets: tuple[str, ...]) -> M:
     """The recipe's settings, or the defaults, with the changes of ``--set``.
 
@@ -124,15 +121,6 @@ def settings_of(model: type[M], given: M | None, sets: tuple[str, ...]) -> M:
         raise RecipeError(problems_from_validation(error, place="settings")) from None
 
 
-def read_scan_or_output(path: Path, choice: dict[str, Any] | None = None) -> Any:
-    """A scan from any format that is read, or from the output of a stage (``.safetensors``)."""
-    from heartcase.pipeline.artifacts import load_artifact
-    from heartcase.pipeline.data import Scan
-    from heartcase.pipeline.read import read_scan
-
-    return load_artifact(path, Scan) if path.suffix == ".safetensors" else read_scan(path, **choice or {})
-
-
 def load_outputs(wanted: Mapping[str, tuple[Path | None, type]]) -> list[Any]:
     """Outputs of stages, by the name of the argument: each the (path, kind); None where there is no path.
 
@@ -155,8 +143,8 @@ def load_outputs(wanted: Mapping[str, tuple[Path | None, type]]) -> list[Any]:
     return found
 
 
-def save_output(path: Path, output: Any) -> None:
-    """Write a stage's output: ``.safetensors``, or an image format for scans and label volumes.
+def save_output(path: Path, output: Any, history: History | None = None) -> None:
+    """Write a stage's output: ``.safetensors``, or an image format for scans and label volumes, without a history.
 
     Raises
     ------
@@ -168,7 +156,7 @@ def save_output(path: Path, output: Any) -> None:
     from heartcase.pipeline.write import write_scan, write_segmentation
 
     if path.suffix == ".safetensors":
-        atomic_write(path, artifact_to_bytes(output))
+        atomic_write(path, artifact_to_bytes(output, history))
     elif isinstance(output, Scan) and path.name.endswith(SCAN_SUFFIXES):
         write_scan(output, path)
     elif isinstance(output, Segmentation) and path.name.endswith(SCAN_SUFFIXES):

@@ -7,7 +7,8 @@ from pathlib import Path
 import click
 
 from heartcase.cli.output import working
-from heartcase.cli.stage_io import optional_recipe, save_output, settings_of, stage_options
+from heartcase.cli.stage_io import save_output, stage_options
+from heartcase.cli.stage_run import node_of, stage_run
 
 __all__ = ["command"]
 
@@ -22,19 +23,17 @@ __all__ = ["command"]
 @working("making the surface")
 def command(structures: Path, output: Path, glb: Path | None, recipe: Path | None, sets: tuple[str, ...]) -> None:
     """Extract the surface of STRUCTURES (from 'heartcase walls' or 'edit') and write OUTPUT (.safetensors)."""
-    from heartcase.pipeline.artifacts import load_artifact
     from heartcase.pipeline.data import Structures
     from heartcase.pipeline.mesh.glb import glb_bytes
-    from heartcase.pipeline.surface import build_surface
+    from heartcase.pipeline.stages import surface_job
     from heartcase.schemas.files import atomic_write
-    from heartcase.schemas.settings import SurfaceSettings
 
-    loaded = optional_recipe(recipe)
-    settings = settings_of(SurfaceSettings, loaded.surface if loaded else None, sets)
-    surface = build_surface(load_artifact(structures, Structures), settings)
-    save_output(output, surface)
+    work = stage_run(recipe, sets, stage="surface")
+    work.nodes.structures = node_of(work.take({"STRUCTURES": (structures, Structures)})[0])
+    made = work.runner.run(surface_job(work.recipe, work.nodes)).get()
+    save_output(output, made, work.finished_history())
     if glb is not None:
-        atomic_write(glb, glb_bytes(surface))
-    for warning in surface.warnings:
+        atomic_write(glb, glb_bytes(made))
+    for warning in made.warnings:
         click.echo(f"warning: {warning}")
-    click.echo(f"{len(surface.triangles):,} triangles, {len(surface.vertices_mm):,} vertices")
+    click.echo(f"{len(made.triangles):,} triangles, {len(made.vertices_mm):,} vertices")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 from pathlib import Path
 
 import click
@@ -25,19 +26,24 @@ __all__ = ["command"]
 def command(ctx: click.Context, path: Path, as_json: bool) -> None:
     """Check PATH, a case directory, a recipe (.toml) or a simulation script (.toml), and list every problem.
 
-    Of a case the hash of every file and every value is checked; of a recipe also that the files it names are there,
-    and that its strokes mark background and tissue where no file or program marks anything.
+    Of a case the hash of every file and every value is checked; of a recipe also that the files it names are there and
+    can be read, that its markers lie on the scan and mark background and tissue, and that none of its strokes is still
+    the example of a starter recipe. What overlaps or is cut off is told as a warning.
     Exit code 0: sound; 1: problems were found.
     """
-    problems = _problems(path)
+    found = _findings(path)
+    problems = found.problems
     approval = approval_state(path) if path.is_dir() else None
     if as_json:
-        found = [{"place": problem.place, "message": problem.message} for problem in problems]
+        listed = [{"place": problem.place, "message": problem.message} for problem in problems]
         stated = {"approval": approval.as_dict()} if approval else {}
-        echo_json({"valid": not problems, "problems": found, **stated})
+        told = {"warnings": [str(warning) for warning in found.warnings]} if found.warnings else {}
+        echo_json({"valid": not problems, "problems": listed, **told, **stated})
     else:
         for problem in problems:
             click.echo(str(problem))
+        for warning in found.warnings:
+            click.echo(f"warning: {warning}")
         click.echo(f"{len(problems)} problem{'s' * (len(problems) != 1)} found" if problems else "sound")
         if approval is not None:
             click.echo(approval.words)
@@ -45,36 +51,45 @@ def command(ctx: click.Context, path: Path, as_json: bool) -> None:
         ctx.exit(1)
 
 
-def _problems(path: Path) -> tuple[Problem, ...]:
+@dataclass(frozen=True)
+class _Findings:
+    """What is to be said of a path."""
+
+    problems: tuple[Problem, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+def _findings(path: Path) -> _Findings:
     if path.suffix == ".toml" and not path.exists():
-        return (Problem("PATH", "there is nothing at this path: check its spelling"),)
+        return _Findings((Problem("PATH", "there is nothing at this path: check its spelling"),))
     if path.suffix != ".toml" or not path.is_file():
-        return check_bundle(path)
+        return _Findings(check_bundle(path))
     try:
         if _is_script(path):
             from heartcase.simulator.script import load_script
 
             load_script(path)
-            return ()
+            return _Findings()
         recipe = load_recipe(path)
     except HeartcaseError as error:
-        return error.problems
-    problems = (*recipe.missing_files(path.parent), *_stroke_problems(recipe))
+        return _Findings(error.problems)
+    inputs = _input_findings(recipe, path.parent)
+    problems = (*recipe.missing_files(path.parent), *inputs.problems)
     if recipe.lock is None:
-        return problems
+        return _Findings(problems, inputs.warnings)
     from heartcase.pipeline.lock import changed_files
 
-    return (*problems, *changed_files(recipe, path.parent))
+    return _Findings((*problems, *changed_files(recipe, path.parent)), inputs.warnings)
 
 
-def _stroke_problems(recipe: Recipe) -> tuple[Problem, ...]:
+def _input_findings(recipe: Recipe, directory: Path) -> _Findings:
     try:
-        from heartcase.pipeline.stages import stroke_problems
-
-        return stroke_problems(recipe)
+        from heartcase.pipeline.input_check import check_inputs
     except ImportError:
         # without the libraries that build, the recipe is still checked for all else
-        return ()
+        return _Findings()
+    checked = check_inputs(recipe, directory)
+    return _Findings(checked.problems, checked.warnings)
 
 
 def _is_script(path: Path) -> bool:

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import click
 
-from heartcase.cli.output import working
-from heartcase.cli.stage_io import optional_recipe, save_output, settings_of, stage_options
+from heartcase.cli.output import echo_warnings, working
+from heartcase.cli.stage_io import save_output, stage_options
+from heartcase.cli.stage_run import node_of, stage_run
 
 __all__ = ["command"]
 
@@ -19,21 +20,36 @@ __all__ = ["command"]
 @working("growing the walls")
 def command(labels: Path, output: Path, recipe: Path | None, sets: tuple[str, ...]) -> None:
     """Grow the walls of LABELS (from 'heartcase segment', .safetensors; or any label volume) into OUTPUT."""
-    from heartcase.pipeline.artifacts import load_artifact
+    from heartcase.pipeline.assembly import told_of_ends, told_of_outlines
+    from heartcase.pipeline.cautions import Caution, worst_first
     from heartcase.pipeline.data import Segmentation
     from heartcase.pipeline.markers import load_segmentation
-    from heartcase.pipeline.walls import grow_walls
-    from heartcase.schemas.labels import default_label_table
-    from heartcase.schemas.settings import SegmentSettings, WallsSettings
+    from heartcase.pipeline.stages import have
+    from heartcase.pipeline.walls import resolve_walls
 
-    loaded = optional_recipe(recipe)
-    settings = settings_of(WallsSettings, loaded.walls if loaded else None, sets)
+    work = stage_run(recipe, sets, stage="walls")
     if labels.suffix == ".safetensors":
-        segmentation = load_artifact(labels, Segmentation)
+        (segmentation,) = work.take({"LABELS": (labels, Segmentation)})
     else:
-        table = loaded.table if loaded else default_label_table()
-        naming = loaded.segment if loaded else SegmentSettings()
+        naming = work.recipe.segment
         segmentation = load_segmentation(
-            labels, naming.names, table, None, convention=naming.convention, others=naming.others
+            labels,
+            naming.names,
+            work.recipe.table,
+            None,
+            convention=naming.convention,
+            others=naming.others,
+            order=naming.order,
         )
-    save_output(output, grow_walls(segmentation, settings, loaded.ends if loaded else ()))
+        work.told |= told_of_outlines(work.recipe, segmentation, None, None)
+        if naming.method != "labels":
+            unknown = "the labels came from an image file, which holds nothing of what was told when they were made"
+            work.told["unknown"] = (Caution(unknown),)
+    work.told |= told_of_ends(work.recipe, segmentation)
+    settings = resolve_walls(work.recipe.walls, segmentation.geometry, segmentation.table)
+    work.recipe = work.recipe.model_copy(update={"walls": settings})
+    work.nodes.segmentation = node_of(segmentation)
+    work.run("walls")
+    grown = have(work.nodes.grown).get()
+    save_output(output, grown, work.finished_history())
+    echo_warnings(worst_first(*work.told.values(), grown.warnings))

@@ -1,13 +1,16 @@
 """Stage outputs as bytes and back: what the cache keeps and what the stage commands hand on.
 
 One safetensors file per output: its arrays, and the rest as JSON in the file's metadata. The same output gives the
-same bytes, so their hash names it.
+same bytes, so their hash names it. What a stage command writes also has a history: how it came about, and what was told
+on the way. The cache keeps none, as a build remembers it.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -20,11 +23,12 @@ from safetensors.numpy import save as save_safetensors
 
 from heartcase.pipeline import data as stage_data
 from heartcase.pipeline.cautions import caution_from_json, caution_to_json
+from heartcase.schemas.bundle import StageRecord
 from heartcase.schemas.errors import StageError
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable
 
-__all__ = ["ARTIFACT_TYPES", "artifact_from_bytes", "artifact_to_bytes", "load_artifact"]
+__all__ = ["ARTIFACT_TYPES", "History", "artifact_from_bytes", "artifact_to_bytes", "load_artifact", "load_history"]
 
 T = TypeVar("T")
 
@@ -46,11 +50,59 @@ ARTIFACT_TYPES: dict[str, type] = {
 _MODELS: dict[str, type] = {"geometry": Geometry, "table": LabelTable}
 
 
-def artifact_to_bytes(artifact: Any) -> bytes:
-    """Serialise a stage's output; equal outputs give equal bytes."""
+@dataclass(frozen=True)
+class History:
+    """How a stage's output came about, for the stages after it: a case made of them knows what a build knows."""
+
+    stages: tuple[StageRecord, ...] = ()
+    """Records of the stages up to this one, in the order of the stages."""
+    told: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """What was told on the way, by what it is about (:data:`heartcase.pipeline.assembly.SOURCES`)."""
+    whole: Geometry | None = None
+    """Lattice of the scan before its region of interest was cut out; None where it is not known."""
+
+    def after(
+        self, stages: Iterable[StageRecord], told: Mapping[str, tuple[str, ...]], *, whole: Geometry | None = None
+    ) -> History:
+        """The history with further stages, and what was told of them."""
+        return History((*self.stages, *stages), {**self.told, **told}, self.whole if whole is None else whole)
+
+    def as_json(self) -> str:
+        """As text."""
+        return json.dumps(
+            {
+                "stages": [record.model_dump(mode="json") for record in self.stages],
+                "told": {source: [caution_to_json(line) for line in lines] for source, lines in self.told.items()},
+                "whole": None if self.whole is None else self.whole.model_dump(mode="json"),
+            },
+            sort_keys=True,
+            allow_nan=False,
+        )
+
+    @classmethod
+    def from_json(cls, text: str) -> History:
+        """What :meth:`as_json` made, back.
+
+        Raises
+        ------
+        ValueError, KeyError, TypeError, AttributeError
+            It is none.
+        """
+        data = json.loads(text)
+        return cls(
+            tuple(StageRecord.model_validate(record) for record in data["stages"]),
+            {str(source): tuple(caution_from_json(line) for line in lines) for source, lines in data["told"].items()},
+            None if data["whole"] is None else TypeAdapter(Geometry).validate_json(json.dumps(data["whole"])),
+        )
+
+
+def artifact_to_bytes(artifact: Any, history: History | None = None) -> bytes:
+    """Serialise a stage's output; equal outputs, with equal histories or none, give equal bytes."""
     arrays: dict[str, npt.NDArray[Any]] = {}
     rest = _taken_apart(artifact, "", arrays)
     metadata = {"artifact": type(artifact).__name__, "fields": json.dumps(rest, sort_keys=True, allow_nan=False)}
+    if history is not None:
+        metadata["history"] = history.as_json()
     # The library writes metadata in hash order, so one key alone keeps the bytes the same from run to run.
     return save_safetensors(arrays, {"heartcase": json.dumps(metadata, sort_keys=True)})
 
@@ -89,9 +141,7 @@ def artifact_from_bytes(content: bytes, expected: type[T]) -> T:
         The bytes are damaged, or hold the output of another stage.
     """
     try:
-        length = int.from_bytes(content[:8], "little")
-        header = json.loads(content[8 : 8 + length])
-        metadata = json.loads(header["__metadata__"]["heartcase"])
+        metadata = _metadata(content)
         found, rest = str(metadata["artifact"]), dict(json.loads(metadata["fields"]))
         arrays = load_safetensors(content)
     except (ValueError, KeyError, TypeError, SafetensorError):
@@ -102,6 +152,11 @@ def artifact_from_bytes(content: bytes, expected: type[T]) -> T:
         return _put_together(expected, rest, "", arrays)
     except (KeyError, TypeError, ValidationError):
         raise StageError("was written by another version: run the stage again", place="input") from None
+
+
+def _metadata(content: bytes) -> dict[str, Any]:
+    length = int.from_bytes(content[:8], "little")
+    return dict(json.loads(json.loads(content[8 : 8 + length])["__metadata__"]["heartcase"]))
 
 
 def _put_together(expected: type[T], rest: dict[str, Any], prefix: str, arrays: dict[str, npt.NDArray[Any]]) -> T:
@@ -145,3 +200,20 @@ def load_artifact(path: Path | str, expected: type[T]) -> T:
     except OSError:
         raise StageError("the file cannot be read: check the path", place="input") from None
     return artifact_from_bytes(content, expected)
+
+
+def load_history(path: Path | str) -> History | None:
+    """How the stage's output in a file came about; None where the file does not say it.
+
+    Raises
+    ------
+    StageError
+        There is no such file, or it is no output of a stage.
+    """
+    try:
+        metadata = _metadata(Path(path).read_bytes())
+        return History.from_json(metadata["history"]) if "history" in metadata else None
+    except OSError:
+        raise StageError("the file cannot be read: check the path", place="input") from None
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise StageError("the file is not the output of a stage, or it is damaged", place="input") from None

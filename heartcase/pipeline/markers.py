@@ -5,23 +5,24 @@ What a file calls its segments and points may be a patient's name: messages call
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.pipeline.cautions import note
+from heartcase.pipeline.cautions import Caution, note
 from heartcase.pipeline.data import Markers, Scan, Segmentation
 from heartcase.pipeline.formats.point_lists import MarkupList, read_point_lists
 from heartcase.pipeline.formats.raw_volume import placed
-from heartcase.pipeline.formats.segments import SegmentInfo
 from heartcase.pipeline.formats.stl_parts import holds_parts, read_parts
-from heartcase.pipeline.marker_help import ERASED, AutomaticMarkers, label_cores
-from heartcase.pipeline.naming import Naming, called, label_lookup, left_out, listed, value_of
-from heartcase.pipeline.paint import paint_capsule, paint_passed_voxels, pull_nearest
+from heartcase.pipeline.marker_help import AutomaticMarkers, label_cores
+from heartcase.pipeline.naming import Naming, called, label_lookup, left_out, listed, rank_by_label, value_of
+from heartcase.pipeline.overlaps import file_over_file, overlap_cautions
+from heartcase.pipeline.paint import pull_nearest
 from heartcase.pipeline.read import LabelVolume, read_labels
+from heartcase.pipeline.strokes import Clipping, paint_strokes, rasterise_strokes, stroke_voxels, without_erased
 from heartcase.schemas.errors import MarkerError, Problem
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND, LabelTable
@@ -53,6 +54,7 @@ def load_markers(
     *,
     scan: Scan | None = None,
     automatic: Collection[str] = (),
+    whole: Geometry | None = None,
 ) -> Markers:
     """Gather all markers of a recipe.
 
@@ -77,21 +79,24 @@ def load_markers(
     scan, automatic
         The scan, and which background the program marks on it under all of these: see
         :class:`heartcase.pipeline.marker_help.AutomaticMarkers`.
+    whole
+        Lattice of the whole scan, where ``geometry`` is that of its region of interest: what is marked outside the
+        region but in the scan is cut off, with a warning.
 
     Returns
     -------
     Markers
-        On ``geometry``.
+        On ``geometry``. Warnings say what was cut off, and what overlaps in marker files.
 
     Raises
     ------
     MarkerError
         With every file that cannot be read, every name that is no label, and every marker that lies outside the scan.
     """
-    stated = stated_markers(recipe_markers, strokes, table, geometry, directory)
+    stated = stated_markers(recipe_markers, strokes, table, geometry, directory, whole=whole)
     if automatic and scan is not None:
         return replace(AutomaticMarkers(scan, automatic, stated.labels).markers, warnings=stated.warnings)
-    return Markers(labels=_without_erased(stated.labels), geometry=geometry, warnings=stated.warnings)
+    return Markers(labels=without_erased(stated.labels), geometry=geometry, warnings=stated.warnings)
 
 
 @dataclass(frozen=True)
@@ -111,6 +116,8 @@ def stated_markers(
     table: LabelTable,
     geometry: Geometry,
     directory: Path,
+    *,
+    whole: Geometry | None = None,
 ) -> StatedMarkers:
     """What marker files and strokes say of each voxel; arguments and errors are those of :func:`load_markers`."""
     warnings: list[str] = []
@@ -123,16 +130,17 @@ def stated_markers(
             if path.name.lower().endswith(POINT_LIST_SUFFIXES):
                 if file.core_mm is not None:
                     raise MarkerError("points have no core: leave core_mm out, radius_mm is the dab around each point")
-                painted = _painted_points(path, file, table, geometry)
+                painted, told = _painted_points(path, file, table, geometry, place, whole)
             else:
-                painted = _painted_volume(path, file, table, geometry)
+                painted, told = _painted_volume(path, file, table, geometry, place, whole)
+            warnings += [*told, *file_over_file(labels, painted, table, geometry, place)]
             np.copyto(labels, painted, where=painted != UNMARKED)
             if file.background:
                 warnings += _taken_for_background(painted, place, table)
         except MarkerError as error:
             problems += placed(error, place, MarkerError).problems
     try:
-        _paint_strokes(labels, strokes, table, geometry)
+        warnings += paint_strokes(labels, strokes, table, Clipping(geometry, whole))
     except MarkerError as error:
         problems += error.problems
     if problems:
@@ -150,10 +158,6 @@ def _taken_for_background(painted: UInt8, place: str, table: LabelTable) -> list
         f"{place} holds no {', '.join(absent)}, and with background = true it marks as background what it holds no "
         "label for: where this heart has one of these, paint it, also over the middle of it"
     ]
-
-
-def _without_erased(stated: UInt8) -> UInt8:
-    return np.where(stated == ERASED, np.uint8(UNMARKED), stated)
 
 
 def check_markers(markers: Markers, table: LabelTable, *, automatic: Collection[str] = ()) -> None:
@@ -204,6 +208,7 @@ def load_segmentation(
     *,
     convention: str | None = None,
     others: str = "refuse",
+    order: Sequence[str] = (),
 ) -> Segmentation:
     """Load a finished segmentation, which is taken as it is.
 
@@ -224,12 +229,15 @@ def load_segmentation(
         Key of :data:`heartcase.schemas.terms.CONVENTIONS`: what the values of a file without segments stand for.
     others
         What is no label: ``refuse`` the file, or ``ignore`` it.
+    order
+        Label names from the lowest to the topmost, where segments or parts overlap; the others lie below, in the file's
+        order.
 
     Returns
     -------
     Segmentation
         Each voxel has the label at its centre; outside the file, and where it holds 0, is background. A segment named
-        like a wall that will be grown is left out, and ``warnings`` says so.
+        like a wall that will be grown is left out. ``warnings`` says so, and what overlaps.
 
     Raises
     ------
@@ -238,8 +246,8 @@ def load_segmentation(
     """
     place = "segmentation"
     try:
-        naming = Naming(names, convention, others, leaves_out_walls=True)
-        volume = _finished(Path(path), geometry, left_out(naming, table))
+        naming = Naming(names, convention, others, leaves_out_walls=True, order=order)
+        volume = _finished(Path(path), geometry, naming, table)
         lookup = label_lookup(volume, naming, table)
         geometry = geometry or volume.geometry
         values = resample_labels(volume, geometry)
@@ -256,7 +264,8 @@ def load_segmentation(
             place=place,
         )
     labels = np.where(lookup.values == UNMARKED, BACKGROUND, lookup.values).astype(np.uint8)[values]
-    warnings = (*volume.warnings, *_walls_left_out(lookup.walls))
+    overlaps = overlap_cautions(volume, lookup.values, table, place)
+    warnings = (*volume.warnings, *overlaps, *_walls_left_out(lookup.walls))
     return Segmentation(labels=labels, geometry=geometry, table=table, warnings=warnings)
 
 
@@ -272,12 +281,13 @@ def _walls_left_out(walls: Sequence[str]) -> tuple[str, ...]:
     )
 
 
-def _finished(path: Path, geometry: Geometry | None, is_left_out: Callable[[SegmentInfo], bool]) -> LabelVolume:
+def _finished(path: Path, geometry: Geometry | None, naming: Naming, table: LabelTable) -> LabelVolume:
+    choice = left_out(naming, table), rank_by_label(naming, table)
     if not holds_parts(path):
-        return read_labels(path, geometry, is_left_out)
+        return read_labels(path, geometry, *choice)
     if geometry is None:
         raise MarkerError("surfaces have no voxels of their own: give the scan that they were made on")
-    return read_parts(path, geometry, is_left_out)
+    return read_parts(path, geometry, *choice)
 
 
 def resample_labels(volume: LabelVolume, geometry: Geometry) -> npt.NDArray[np.uint8] | npt.NDArray[np.uint16]:
@@ -302,109 +312,38 @@ def resample_labels(volume: LabelVolume, geometry: Geometry) -> npt.NDArray[np.u
     return pull_nearest(volume.values, np.ascontiguousarray(to_index[:3]), geometry.shape)
 
 
-def rasterise_strokes(strokes: Sequence[Stroke], table: LabelTable, geometry: Geometry) -> UInt8:
-    """Paint strokes: a ball of the brush's radius swept along a polyline, in true mm.
-
-    Parameters
-    ----------
-    strokes
-        Painted in order, later ones over earlier ones.
-    table
-        Label table.
-    geometry
-        Lattice to paint on; oblique, anisotropic and left-handed ones are fine.
-
-    Returns
-    -------
-    ndarray
-        uint8, shape ``geometry.shape``: label value (255 for an eraser) of each voxel whose centre is within the radius
-        of the line, and of each voxel that the line itself passes (so that a thin brush leaves no gap, and radius 0 a
-        line); 255 elsewhere. What reaches out of the lattice is cut off.
-
-    Raises
-    ------
-    MarkerError
-        With every stroke whose label is not in the table or that lies wholly outside the scan.
-    """
-    labels = np.full(geometry.shape, UNMARKED, dtype=np.uint8)
-    _paint_strokes(labels, strokes, table, geometry)
-    return _without_erased(labels)
-
-
-def stroke_voxels(stroke: Stroke, geometry: Geometry) -> npt.NDArray[np.int64]:
-    """Voxels that a stroke marks or erases, see :func:`rasterise_strokes`.
-
-    Returns
-    -------
-    ndarray
-        Flat indices into a C-order array of ``geometry.shape``, ascending, int64; none where it lies outside.
-    """
-    return _polyline_voxels(np.array(stroke.points_mm), stroke.radius_mm, geometry)
-
-
-def _polyline_voxels(points_mm: npt.NDArray[np.float64], radius_mm: float, geometry: Geometry) -> npt.NDArray[np.int64]:
-    index = geometry.world_to_index(points_mm)
-    spacing = np.array(geometry.spacing_mm)
-    reach = radius_mm / spacing + 1.0
-    # a box around the line, so that a short stroke costs the same in a large scan
-    low = np.clip(np.floor(index.min(axis=0) - reach), 0, np.array(geometry.size)).astype(np.int64)
-    high = np.clip(np.ceil(index.max(axis=0) + reach) + 1, low, np.array(geometry.size)).astype(np.int64)
-    box = np.zeros((high - low)[::-1], np.uint8)
-    if not box.size:
-        return np.empty(0, np.int64)
-    index = index - low
-    for start, end in zip(index[: max(1, len(index) - 1)], index[1:] if len(index) > 1 else index, strict=True):
-        if radius_mm > 0.0:
-            paint_capsule(box, start, end, spacing, radius_mm, 1)
-        paint_passed_voxels(box, start, end, 1)
-    k, j, i = np.nonzero(box)
-    found: npt.NDArray[np.int64] = ((k + low[2]) * geometry.size[1] + j + low[1]) * geometry.size[0] + i + low[0]
-    return found
-
-
-def _paint_strokes(labels: UInt8, strokes: Sequence[Stroke], table: LabelTable, geometry: Geometry) -> None:
-    """Paint strokes over what is there; where an eraser passes is ERASED then."""
-    problems = []
-    for number, stroke in enumerate(strokes, start=1):
-        place = f"strokes[{number}]"
-        value = ERASED if stroke.label is None else value_of(stroke.label, {}, table)
-        called_stroke = "the eraser's stroke" if stroke.label is None else f"the stroke {stroke.label!r}"
-        if value is None:
-            problems.append(Problem(place, f"there is no label {stroke.label!r} ({listed(table)})"))
-        elif not _paint(labels, np.array(stroke.points_mm), stroke.radius_mm, value, geometry):
-            problems.append(Problem(place, _outside(np.array(stroke.points_mm), called_stroke, geometry)))
-    if problems:
-        raise MarkerError(problems)
-
-
-def _paint(labels: UInt8, points_mm: npt.NDArray[np.float64], radius_mm: float, value: int, geometry: Geometry) -> bool:
-    """Paint one polyline; whether it marked anything."""
-    voxels = _polyline_voxels(points_mm, radius_mm, geometry)
-    labels.reshape(-1)[voxels] = value
-    return bool(len(voxels))
-
-
-def _painted_volume(path: Path, file: MarkerFile, table: LabelTable, geometry: Geometry) -> UInt8:
-    naming = Naming(file.names, file.convention, file.others)
-    volume = read_labels(path, geometry, left_out(naming, table))
+def _painted_volume(
+    path: Path, file: MarkerFile, table: LabelTable, geometry: Geometry, place: str, whole: Geometry | None
+) -> tuple[UInt8, tuple[Caution, ...]]:
+    naming = Naming(file.names, file.convention, file.others, order=file.order)
+    volume = read_labels(path, geometry, left_out(naming, table), rank_by_label(naming, table))
     lookup = label_lookup(volume, naming, table).values
     values = resample_labels(volume, geometry)
     if not volume.marks_anything:
         raise MarkerError("the file marks nothing: paint in it, or leave it out")
     lost = [value for value in _lost(volume, values) if lookup[value] != UNMARKED]
+    told = list(overlap_cautions(volume, lookup, table, place))
+    if lost and whole is not None and not whole.matches(geometry):
+        in_scan = set(np.unique(resample_labels(volume, whole)).tolist())
+        cut_off = [value for value in lost if value in in_scan]
+        lost = [value for value in lost if value not in in_scan]
+        if cut_off:
+            told.append(
+                Caution(f"{place}: {called(volume, cut_off)} lie outside the region of interest and are left out")
+            )
     if lost:
         raise MarkerError(
             f"{called(volume, lost)} lie outside the scan or its region of interest, or are thinner than its voxels: "
             "check that they were painted on this scan, with a brush of a voxel's width or more"
         )
-    if file.core_mm is None:
-        return lookup[values]
     draft = lookup[values]
+    if file.core_mm is None:
+        return draft, tuple(told)
     if file.background:
         # beyond the file's own border it says nothing
         says_something = resample_labels(replace(volume, values=np.ones_like(volume.values)), geometry) != 0
         draft[says_something & (values == 0)] = BACKGROUND
-    return label_cores(draft, geometry, file.core_mm)
+    return label_cores(draft, geometry, file.core_mm), tuple(told)
 
 
 def _lost(volume: LabelVolume, values: npt.NDArray[np.uint8] | npt.NDArray[np.uint16]) -> list[int]:
@@ -413,9 +352,12 @@ def _lost(volume: LabelVolume, values: npt.NDArray[np.uint8] | npt.NDArray[np.ui
     return sorted(marked - set(np.unique(values).tolist()) - {0})
 
 
-def _painted_points(path: Path, file: MarkerFile, table: LabelTable, geometry: Geometry) -> UInt8:
+def _painted_points(
+    path: Path, file: MarkerFile, table: LabelTable, geometry: Geometry, place: str, whole: Geometry | None
+) -> tuple[UInt8, tuple[Caution, ...]]:
     labels = np.full(geometry.shape, UNMARKED, dtype=np.uint8)
     problems: dict[str, None] = {}
+    clipping = Clipping(geometry, whole, "mark")
     for markup in read_point_lists(path):
         for line_called, title, polyline in _named_polylines(markup):
             value = next((v for name in title if (v := value_of(name, file.names, table)) is not None), None)
@@ -425,13 +367,15 @@ def _painted_points(path: Path, file: MarkerFile, table: LabelTable, geometry: G
                         f"the name of {line_called} is no label: rename it or its list, or map it under names "
                         f"({listed(table)})"
                     ] = None
-            elif not _paint(labels, polyline, file.radius_mm, value, geometry):
-                problems[_outside(polyline, line_called, geometry)] = None
-    if problems:
-        raise MarkerError(Problem("", message) for message in problems)
-    if (labels == UNMARKED).all():
+                continue
+            voxels = clipping.take(line_called, line_called, polyline, file.radius_mm)
+            labels.reshape(-1)[voxels] = value
+    refused = [*(Problem("", message) for message in problems), *clipping.problems("")]
+    if refused:
+        raise MarkerError(refused)
+    if not clipping.count:
         raise MarkerError("the file marks nothing: set points in it, or leave it out")
-    return labels
+    return labels, clipping.cautions(place)
 
 
 def _named_polylines(markup: MarkupList) -> list[tuple[str, tuple[str, ...], npt.NDArray[np.float64]]]:
@@ -447,16 +391,3 @@ def _named_polylines(markup: MarkupList) -> list[tuple[str, tuple[str, ...], npt
         )
         for number, label, point in zip(markup.numbers, markup.labels, markup.points_mm, strict=True)
     ]
-
-
-def _outside(points_mm: npt.NDArray[np.float64], what: str, geometry: Geometry) -> str:
-    corners = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
-    reach = geometry.index_to_world(corners * np.array(geometry.size) - 0.5)
-    bounds = ", ".join(
-        f"{axis} {low:.1f} to {high:.1f}"
-        for axis, low, high in zip("xyz", reach.min(axis=0), reach.max(axis=0), strict=True)
-    )
-    flipped = geometry.world_to_index(points_mm * (-1.0, -1.0, 1.0))
-    is_flipped = bool(((flipped > -0.5) & (flipped < np.array(geometry.size) - 0.5)).all())
-    remedy = "they seem to be RAS: change the sign of x and y" if is_flipped else "check its positions (LPS mm)"
-    return f"{what} lies outside the scan or its region of interest, which reach over {bounds} mm: {remedy}"

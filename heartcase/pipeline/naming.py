@@ -17,7 +17,7 @@ from heartcase.schemas.errors import MarkerError, Problem
 from heartcase.schemas.labels import Label, LabelTable
 from heartcase.schemas.terms import CONVENTIONS, contradicts, is_of_another_version
 
-__all__ = ["LabelLookup", "Naming", "called", "label_lookup", "left_out", "listed", "value_of"]
+__all__ = ["LabelLookup", "Naming", "called", "label_lookup", "left_out", "listed", "rank_by_label", "value_of"]
 
 UInt8 = npt.NDArray[np.uint8]
 UNMARKED = Markers.UNMARKED
@@ -35,6 +35,8 @@ class Naming:
     """What is no label: ``refuse`` the file, or ``ignore`` it."""
     leaves_out_walls: bool = False
     """Whether segments named like a wall that heartcase will grow are left out."""
+    order: Sequence[str] = ()
+    """Label names from the lowest to the topmost, where segments overlap; the others lie below."""
 
 
 @dataclass(frozen=True)
@@ -137,6 +139,17 @@ def left_out(naming: Naming, table: LabelTable) -> Callable[[SegmentInfo], bool]
         )
 
     return is_left_out
+
+
+def rank_by_label(naming: Naming, table: LabelTable) -> Callable[[SegmentInfo], int]:
+    """How high each segment of a file lies where segments overlap: by its label's place in ``order``, else below."""
+    places = {label.value: at for at, name in enumerate(naming.order, start=1) if (label := table.find(name))}
+
+    def rank(segment: SegmentInfo) -> int:
+        label, _ = _label_of(segment, segment.number, naming, table)
+        return 0 if label is None else places.get(label, 0)
+
+    return rank
 
 
 def _is_contrary(segment: SegmentInfo, label: int | None, coded: Label | None) -> bool:

@@ -23,7 +23,7 @@ from heartcase.pipeline.formats.read_dicom import SeriesInfo, describe_volume, i
 from heartcase.pipeline.formats.read_metaimage import metaimage_data_file, read_metaimage
 from heartcase.pipeline.formats.read_nifti import read_nifti
 from heartcase.pipeline.formats.read_nrrd import nrrd_data_file, read_nrrd
-from heartcase.pipeline.formats.segments import LabelVolume, SegmentInfo, keep_all, segments_of
+from heartcase.pipeline.formats.segments import LabelVolume, SegmentInfo, in_file_order, keep_all, segments_of
 from heartcase.schemas.errors import MarkerError, Problem, ScanError
 from heartcase.schemas.geometry import Geometry
 
@@ -189,7 +189,10 @@ def list_series(path: Path | str) -> tuple[SeriesInfo, ...]:
 
 
 def read_labels(
-    path: Path | str, scan: Geometry | None = None, left_out: Callable[[SegmentInfo], bool] = keep_all
+    path: Path | str,
+    scan: Geometry | None = None,
+    left_out: Callable[[SegmentInfo], bool] = keep_all,
+    rank: Callable[[SegmentInfo], int] = in_file_order,
 ) -> LabelVolume:
     """Read a label volume: painted markers or a finished segmentation.
 
@@ -201,12 +204,14 @@ def read_labels(
         The scan's lattice: tells how far the planes of a DICOM SEG are apart where the file does not.
     left_out
         Which segments nobody wants: they take no voxel from those that overlap them.
+    rank
+        How high each segment lies where segments overlap; of one rank the later one of the file's list lies on top.
 
     Returns
     -------
     LabelVolume
         On the file's own grid, which may be cropped to what is painted. Where segments of a .seg.nrrd or a DICOM SEG
-        overlap, the one that comes later in the file's list wins; a DICOM SEG, and a .seg.nrrd with several layers,
+        overlap, the one on top wins, and ``overlaps`` says where; a DICOM SEG, and a .seg.nrrd with several layers,
         is renumbered, segment n of the list getting the value n.
 
     Raises
@@ -219,14 +224,15 @@ def read_labels(
         if is_archive(path):
             raise ScanError("this is a zip archive: unpack it, and give the file of markers or labels")
         if is_dicom_source(path):
-            return read_dicom_seg(path, scan, left_out)
+            return read_dicom_seg(path, scan, left_out, rank)
         raw = _read_file(path)
     except ScanError as error:
         raise placed(error, "", MarkerError) from None
     values = _as_whole_numbers(raw.values)
-    values, segments, vanished = segments_of(values, raw.header, left_out)
+    values, segments, vanished, overlaps = segments_of(values, raw.header, left_out, rank)
     fits = values.max(initial=0) < 256
-    return LabelVolume(values.astype(np.uint8) if fits else values, raw.geometry, segments, vanished)
+    values_kept = values.astype(np.uint8) if fits else values
+    return LabelVolume(values_kept, raw.geometry, segments, vanished, overlaps=overlaps)
 
 
 def is_dicom_source(path: Path) -> bool:

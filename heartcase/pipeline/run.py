@@ -6,22 +6,21 @@ import hashlib
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from heartcase import __version__
-from heartcase.pipeline.bundle import assemble_bundle, check_place, check_replacement, resolve_materials, write_bundle
+from heartcase.pipeline.assembly import StageResults, assemble_case, labels_of, told_of_ends, told_of_outlines
+from heartcase.pipeline.bundle import check_place, check_replacement, write_bundle
 from heartcase.pipeline.cache import Cache, stage_key
-from heartcase.pipeline.cautions import cautions_of, worst_first
-from heartcase.pipeline.data import Segmentation, Structures
+from heartcase.pipeline.cautions import cautions_of
 from heartcase.pipeline.lock import check_lock, resolve_recipe
+from heartcase.pipeline.placeholders import placeholder_problems
 from heartcase.pipeline.runner import STAGE_VERSIONS, STAGES, BuildListener, Runner, SilentListener
 from heartcase.pipeline.stages import RUN_STAGE, StageOutputs, filtered_tree, have
 from heartcase.schemas.approval import bundle_sha256
 from heartcase.schemas.bundle import CaseManifest
 from heartcase.schemas.bundle_reader import open_bundle
-from heartcase.schemas.errors import BundleError, UsageError
+from heartcase.schemas.errors import BundleError, RecipeError, UsageError
 from heartcase.schemas.files import atomic_write, remove_leftovers, sha256_of_file
 from heartcase.schemas.recipe import Part, Recipe
 
@@ -112,6 +111,9 @@ def build_case(
         RUN_STAGE[stage](recipe, directory, runner, nodes)
         if stage == "read":
             scan = have(nodes.scan).get()
+            examples = placeholder_problems(recipe, nodes.whole)
+            if examples:
+                raise RecipeError(examples)
             lock_warnings = check_lock(recipe, directory, scan, accept_inputs=accept_inputs)
             recipe = resolve_recipe(recipe, scan)
             if until is None and not replace:
@@ -122,30 +124,11 @@ def build_case(
     return _finish(recipe, runner, nodes, out, lock_warnings)
 
 
-def labels_of(structures: Structures) -> Segmentation:
-    """The label of every voxel of the fields' lattice, walls included."""
-    from heartcase.pipeline.fields import ownership_on_lattice
-
-    owner = ownership_on_lattice(structures, structures.geometry)
-    labels = np.where(owner.tissue_mm < 0.0, owner.tissue_label, owner.void_label).astype(np.uint8)
-    return Segmentation(labels, structures.geometry, structures.table)
-
-
 def _finish(
     recipe: Recipe, runner: Runner, nodes: StageOutputs, out: Path, lock_warnings: tuple[str, ...]
 ) -> BuildResult:
     """Write the bundle and the report; the recipe is resolved."""
-    from heartcase.pipeline.edit import made_by, with_edit_names
-    from heartcase.pipeline.ends import closed_vessels
-    from heartcase.pipeline.mesh.glb import glb_bytes
-    from heartcase.pipeline.openings import find_openings, opening_cautions, opening_figures
-    from heartcase.pipeline.picking import picking_surface
     from heartcase.pipeline.report.build_report import build_report
-    from heartcase.pipeline.rims import with_rims
-    from heartcase.pipeline.scan_part import scan_part
-    from heartcase.pipeline.segment import segmentation_warnings
-    from heartcase.pipeline.walls import structure_volumes_ml
-    from heartcase.pipeline.write import segmentation_nrrd_bytes
 
     case, report = out / f"{recipe.name}.case", out / f"{recipe.name}.report.html"
     key = stage_key(
@@ -171,59 +154,27 @@ def _finish(
     runner.announce("bundle")
     start = time.perf_counter()
     scan, grid, structures = have(nodes.scan).get(), have(nodes.grid).get(), have(nodes.structures).get()
-    surface = nodes.surface.get() if nodes.surface else None
     grid_map = nodes.grid_map.get() if nodes.grid_map else None
     segmentation = have(nodes.segmentation).get()
     markers = nodes.markers.get() if nodes.markers else None
-    volumes_ml = structure_volumes_ml(structures)
-    labels = labels_of(structures)
-    openings = find_openings(structures, labels, recipe.edits, recipe.landmarks)
-    if surface is not None:
-        surface = with_rims(surface, openings, structures.geometry)
-    shown = (surface, *surface.levels) if surface is not None else ()
-    outputs: dict[str, Any] = {"walls": structures, "grid": grid, "surface": surface, "map": grid_map}
-    quality: dict[str, Any] = {
-        "volumes_ml": {structures.table[value].name: round(volume, 3) for value, volume in volumes_ml.items()},
-        "openings": opening_figures(openings),
-    }
-    quality |= {stage: output.quality for stage, output in outputs.items() if getattr(output, "quality", None)}
-    if grid_map is not None:
-        pairs = zip(shown[1:], grid_map.levels, strict=True)
-        quality["levels"] = [{"surface": one.quality, "map": tie.quality} for one, tie in pairs]
-    warnings = worst_first(
-        lock_warnings,
-        scan.warnings,
-        markers.warnings if markers else (),
-        segmentation.warnings,
-        segmentation_warnings(
-            segmentation, markers, filtered=scan, made_later=made_by(recipe.edits, segmentation.table)
+    told = told_of_outlines(recipe, segmentation, markers, scan) | told_of_ends(recipe, segmentation)
+    assembled = assemble_case(
+        recipe,
+        StageResults(
+            scan=scan,
+            grid=grid,
+            structures=structures,
+            surface=nodes.surface.get() if nodes.surface else None,
+            grid_map=grid_map,
+            filtered=have(nodes.filtered).get() if Part.SCAN in recipe.parts else None,
+            whole=nodes.whole,
+            stages=runner.records,
+            told=told | {"lock": lock_warnings},
         ),
-        closed_vessels(segmentation, recipe.ends),
-        opening_cautions(openings),
-        with_edit_names(structures.warnings, recipe.edits),
-        *(getattr(outputs[stage], "warnings", ()) for stage in ("grid", "map", "surface")),
-    )
-    content = assemble_bundle(
         name=recipe.name,
         case_id=recipe.case_id,
-        grid=grid,
-        materials=resolve_materials(recipe.materials, structures.table),
-        scan_geometry=scan.geometry,
-        scan_sha256=scan.values_sha256,
-        stages=runner.records,
-        surface=surface,
-        grid_map=grid_map,
-        picking=picking_surface(grid) if Part.PICKING in recipe.parts else None,
-        glbs=[glb_bytes(one, case_id=recipe.case_id) for one in shown] if Part.RENDER in recipe.parts else (),
-        labels_nrrd=segmentation_nrrd_bytes(labels, case_id=recipe.case_id) if Part.LABELS in recipe.parts else None,
-        scan=scan_part(have(nodes.filtered).get()) if Part.SCAN in recipe.parts else None,
-        landmarks=recipe.landmarks,
-        about=recipe.about,
-        modality=scan.modality,
-        acquisition=scan.acquisition,
-        quality=quality,
-        warnings=warnings,
     )
+    content, warnings = assembled.content, assembled.warnings
     runner.seconds["bundle"] = time.perf_counter() - start
     html = build_report(
         sureness=_sureness(recipe, runner, nodes),
@@ -232,10 +183,10 @@ def _finish(
         segmentation=segmentation,
         structures=structures,
         grid=grid,
-        surface=surface,
+        surface=assembled.surface,
         grid_map=grid_map,
-        volumes_ml=volumes_ml,
-        openings=openings,
+        volumes_ml=assembled.volumes_ml,
+        openings=assembled.openings,
         timings_s=runner.seconds,
         stages=runner.records,
         warnings=warnings,
@@ -250,7 +201,7 @@ def _finish(
     )
     runner.learn("bundle", time.perf_counter() - start)
     runner.listener.stage_finished("bundle", seconds=time.perf_counter() - start, reused=not changed)
-    return BuildResult(case, report, content.manifest, runner.seconds, tuple(runner.reused), changed, tuple(warnings))
+    return BuildResult(case, report, content.manifest, runner.seconds, tuple(runner.reused), changed, warnings)
 
 
 def _sureness(recipe: Recipe, runner: Runner, nodes: StageOutputs) -> Sureness | None:

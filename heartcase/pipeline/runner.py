@@ -7,7 +7,7 @@ import json
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar, cast
 
 from heartcase.pipeline.artifacts import artifact_to_bytes
 from heartcase.pipeline.cache import Cache, stage_key
@@ -15,7 +15,17 @@ from heartcase.pipeline.side_by_side import may_share, side_by_side
 from heartcase.schemas.bundle import StageRecord
 from heartcase.schemas.files import atomic_write
 
-__all__ = ["SECONDS_GUESSED", "STAGES", "STAGE_VERSIONS", "BuildListener", "Job", "Node", "Runner", "SilentListener"]
+__all__ = [
+    "SECONDS_GUESSED",
+    "STAGES",
+    "STAGE_VERSIONS",
+    "BuildListener",
+    "Job",
+    "Node",
+    "Runner",
+    "SilentListener",
+    "UncachedRunner",
+]
 
 T = TypeVar("T")
 U = TypeVar("U")
@@ -200,6 +210,23 @@ class Runner:
         """Remember how long a stage took, per million voxels."""
         rates = self._rates() | {stage: round(seconds * 1e6 / max(self.voxel_count, 1), 3)}
         atomic_write(self.cache.directory / "rates.json", json.dumps(rates, sort_keys=True).encode())
+
+
+class UncachedRunner(Runner):
+    """Computes every stage and keeps nothing: for a single stage, whose output the user names a file for."""
+
+    def __init__(self) -> None:
+        super().__init__(cast("Cache", None), SilentListener(), force=True)
+
+    def run(self, job: Job[T], *, done: tuple[T, float] | None = None) -> Node[T]:
+        """Compute the stage."""
+        return self.run_always(job.stage, settings=job.settings, compute=(lambda: done[0]) if done else job.compute)
+
+    def announce(self, stage: str) -> None:
+        """Tell nobody."""
+
+    def learn(self, stage: str, seconds: float) -> None:
+        """Remember nothing."""
 
 
 def _key_of(job: Job[Any]) -> str:

@@ -91,6 +91,8 @@ def open_session(
 ) -> RecipeSession:
     """Open a recipe for painting; scan, filter and tree are taken from the build's cache where they are there.
 
+    The example strokes of a starter recipe are left out: they mark nothing. A build refuses them.
+
     Parameters
     ----------
     path
@@ -121,13 +123,18 @@ def open_session(
     filtered = have(nodes.filtered)
     from heartcase.pipeline.marker_help import AutomaticMarkers
     from heartcase.pipeline.markers import load_markers, stated_markers
+    from heartcase.pipeline.placeholders import example_strokes
 
     scan, markers = have(nodes.scan).get(), None
-    stated = (recipe.markers, recipe.strokes, recipe.table, scan.geometry, path.parent)
+    examples = example_strokes(recipe.strokes, nodes.whole)
+    strokes = [stroke for number, stroke in enumerate(recipe.strokes, start=1) if number not in examples]
+    stated = (recipe.markers, strokes, recipe.table, scan.geometry, path.parent)
     if recipe.segment.automatic:
-        markers = AutomaticMarkers(scan, recipe.segment.automatic, stated_markers(*stated).labels)
+        markers = AutomaticMarkers(scan, recipe.segment.automatic, stated_markers(*stated, whole=nodes.whole).labels)
     tree = filtered_tree(recipe, filtered, runner.cache)
-    session = SegmentationSession(tree, filtered.get().geometry, recipe.table, markers=markers or load_markers(*stated))
+    session = SegmentationSession(
+        tree, filtered.get().geometry, recipe.table, markers=markers or load_markers(*stated, whole=nodes.whole)
+    )
     return RecipeSession(session, recipe, path, text, text)
 
 

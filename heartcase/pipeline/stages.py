@@ -23,7 +23,16 @@ from heartcase.schemas.settings import resolved
 if TYPE_CHECKING:
     from heartcase.pipeline.watershed.tree import BasinTree
 
-__all__ = ["RUN_STAGE", "StageOutputs", "filtered_tree", "have", "region_of_scan", "stroke_problems"]
+__all__ = [
+    "RUN_STAGE",
+    "StageOutputs",
+    "filtered_tree",
+    "have",
+    "region_of_scan",
+    "stroke_problems",
+    "surface_job",
+    "whole_scan",
+]
 
 T = TypeVar("T")
 
@@ -36,6 +45,8 @@ def _all(models: tuple[Model, ...]) -> list[Any]:
 class StageOutputs:
     """Outputs of the stages so far."""
 
+    whole: Geometry | None = None
+    """Lattice of the scan before its region of interest was cut out."""
     scan: Node[Scan] | None = None
     filtered: Node[Scan] | None = None
     markers: Node[Markers] | None = None
@@ -60,8 +71,20 @@ def region_of_scan(recipe: Recipe, directory: Path) -> Scan:
     ScanError
         There is no scan, or it cannot be read.
     """
-    from heartcase.pipeline.read import read_scan
     from heartcase.pipeline.region import crop_scan
+
+    return crop_scan(whole_scan(recipe, directory), recipe.region)
+
+
+def whole_scan(recipe: Recipe, directory: Path) -> Scan:
+    """Read a recipe's scan, all of it.
+
+    Raises
+    ------
+    ScanError
+        There is no scan, or it cannot be read.
+    """
+    from heartcase.pipeline.read import read_scan
 
     path = directory / recipe.scan.path
     if not path.exists():
@@ -71,16 +94,23 @@ def region_of_scan(recipe: Recipe, directory: Path) -> Scan:
             place="scan.path",
         )
     scan = _with_modality(read_scan(path, **recipe.scan.choice), recipe)
-    return crop_scan(dataclasses.replace(scan, whole_sha256=scan.values_sha256), recipe.region)
+    return dataclasses.replace(scan, whole_sha256=scan.values_sha256)
 
 
 def _read(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutputs) -> None:
+    from heartcase.pipeline.region import crop_scan
+
+    def cut_out() -> Scan:
+        whole = whole_scan(recipe, directory)
+        nodes.whole = whole.geometry
+        return crop_scan(whole, recipe.region)
+
     # the end of a series UID may identify the patient, so it is in no record
     choice = {name: value for name, value in recipe.scan.choice.items() if name != "series"}
     nodes.scan = runner.run_always(
         "read",
         settings=choice | {"region": resolved(recipe.region) if recipe.region else None},
-        compute=lambda: region_of_scan(recipe, directory),
+        compute=cut_out,
     )
     runner.voxel_count = nodes.scan.get().values.size
 
@@ -127,6 +157,7 @@ def _markers(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutput
             directory,
             scan=scan,
             automatic=automatic,
+            whole=nodes.whole,
         ),
     )
     check_markers(nodes.markers.get(), recipe.table, automatic=automatic)
@@ -166,7 +197,7 @@ def _segment(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutput
     scan, filtered, markers = have(nodes.scan), have(nodes.filtered), nodes.markers
     settings = resolved(recipe.segment) | {"labels": _all(recipe.labels)}
     # what concerns a file's names or the markers is in what they give
-    for elsewhere in ("file", "names", "convention", "others", "automatic"):
+    for elsewhere in ("file", "names", "convention", "others", "order", "automatic"):
         settings.pop(elsewhere)
     if recipe.segment.method == "labels":
         finished = directory / cast(str, recipe.segment.file)
@@ -180,6 +211,7 @@ def _segment(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutput
                 scan.get().geometry,
                 convention=recipe.segment.convention,
                 others=recipe.segment.others,
+                order=recipe.segment.order,
             ),
         )
         return
@@ -200,7 +232,7 @@ def _segment(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutput
     )
 
 
-def filtered_tree(recipe: Recipe, filtered: Node[Scan], cache: Cache) -> BasinTree:
+def filtered_tree(recipe: Recipe, filtered: Node[Scan], cache: Cache | None) -> BasinTree:
     """The watershed's tree of a recipe's smoothed scan: kept from before, or made and kept."""
     from heartcase.pipeline.watershed.kept import scan_tree
 
@@ -269,7 +301,8 @@ def _grid(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutputs) 
     nodes.grid = runner.run(_grid_job(recipe, nodes))
 
 
-def _surface_job(recipe: Recipe, nodes: StageOutputs) -> Job[Surface]:
+def surface_job(recipe: Recipe, nodes: StageOutputs) -> Job[Surface]:
+    """What the surface stage computes; ``RUN_STAGE`` makes the grid beside it."""
     from heartcase.pipeline.surface import build_surface
 
     structures = have(nodes.structures)
@@ -285,7 +318,7 @@ def _surface_job(recipe: Recipe, nodes: StageOutputs) -> Job[Surface]:
 
 def _surface(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutputs) -> None:
     """The surface, and with it the grid, which takes less time and waits for one core where this one does not."""
-    nodes.grid, nodes.surface = runner.run_both(_grid_job(recipe, nodes), _surface_job(recipe, nodes))
+    nodes.grid, nodes.surface = runner.run_both(_grid_job(recipe, nodes), surface_job(recipe, nodes))
 
 
 def _map(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutputs) -> None:

@@ -46,6 +46,7 @@ __all__ = [
     "ScanSource",
     "load_recipe",
     "parse_recipe",
+    "plain_recipe",
     "read_recipe_text",
 ]
 
@@ -119,6 +120,9 @@ class MarkerFile(Model):
     """Label volumes without names: what their values stand for (see docs/labels.md)."""
     others: Literal["refuse", "ignore"] = "refuse"
     """Segments, values and points that are no label: refuse the file, or leave them out."""
+    order: tuple[Name, ...] = ()
+    """Where segments of the file overlap, label names from the lowest to the topmost. Those that are not named lie
+    below, in the file's order, the later one over the earlier. Between files the later one of the recipe counts."""
     radius_mm: Annotated[float, Field(ge=0.0, le=50.0)] = 1.5
     """Point lists: radius of the dab around each point."""
     core_mm: Annotated[float, Field(gt=0.0, le=50.0)] | None = None
@@ -238,8 +242,12 @@ class Recipe(Model):
         for n, marker in enumerate(self.markers, start=1):
             for name in marker.names.values():
                 check(f"markers[{n}].names", name, table)
+            for name in marker.order:
+                check(f"markers[{n}].order", name, table)
         for name in self.segment.names.values():
             check("segment.names", name, table)
+        for name in self.segment.order:
+            check("segment.order", name, table)
         for n, wanted in enumerate(self.segment.ranges, start=1):
             check(f"segment.ranges[{n}]", wanted.label, table)
         for n, end in enumerate(self.ends, start=1):
@@ -343,6 +351,11 @@ def parse_recipe(text: str, *, needs_markers: bool = True) -> Recipe:
         raise RecipeError(
             (*problems_from_validation(error, model=Recipe), *_hidden_problems(data, error, needs_markers))
         ) from None
+
+
+def plain_recipe() -> Recipe:
+    """A recipe that asks for nothing but the usual: what a stage command works by when it is given none."""
+    return Recipe.model_validate(_NEUTRAL, context={"needs_markers": False})
 
 
 _NEUTRAL: dict[str, Any] = {"heartcase_recipe": RECIPE_VERSION, "name": "x", "scan": {"path": "x"}}

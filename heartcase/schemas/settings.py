@@ -99,7 +99,7 @@ class SegmentSettings(Model):
     every large dark region. Needs some of the heart marked."""
     smallest_piece_ml: Annotated[float, Field(ge=0.0)] = 0.0
     """Pieces of a label that are smaller than this become background; 0 keeps all."""
-    file: str | None = None
+    file: Annotated[str, Field(min_length=1)] | None = None
     """Labels: path of the finished segmentation, relative to the recipe: a label volume, a DICOM SEG, or a folder of
     closed STL parts."""
     names: dict[str, Name] = {}
@@ -108,6 +108,9 @@ class SegmentSettings(Model):
     """Labels: what the values of a file without names stand for (see docs/labels.md)."""
     others: Literal["refuse", "ignore"] = "refuse"
     """Labels: segments, values and parts that are no label: refuse the file, or leave them out."""
+    order: tuple[Name, ...] = ()
+    """Labels: where segments or parts of the file overlap, label names from the lowest to the topmost. Those that are
+    not named lie below, in the file's order, the later one over the earlier."""
 
     @model_validator(mode="after")
     def _method_has_its_input(self) -> SegmentSettings:

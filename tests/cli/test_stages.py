@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from heartcase.cli.main import COMMANDS, cli, main
-from heartcase.pipeline.artifacts import load_artifact
+from heartcase.pipeline.artifacts import artifact_to_bytes, load_artifact, load_history
 from heartcase.pipeline.data import Scan, Segmentation, SimulationGrid, Structures, Surface
 from heartcase.schemas.bundle import FileRole
 from heartcase.schemas.bundle_check import check_bundle
@@ -38,9 +38,45 @@ def run(*arguments):
     return main([str(argument) for argument in arguments])
 
 
+TELLING = """
+[region]
+center_mm = [6, 0, 0]
+size_mm = [40, 62, 62]
+[about]
+origin = "synthetic"
+licence = "CC0-1.0"
+attribution = "the tests"
+[[about.diagnoses]]
+name = "open ball"
+[about.texts.en]
+title = "A ball"
+what = "It is cut."
+look_for = "The cut."
+[[landmarks]]
+name = "top"
+kind = "point"
+points_mm = [[0, 0, 20]]
+[[labels]]
+value = 3
+name = "nowhere"
+role = "vessel_lumen"
+[[edits]]
+kind = "remove"
+name = "the hole"
+label = "muscle"
+radius_mm = 4
+points_mm = [[10, 0, 0], [24, 0, 0]]
+[[edits]]
+kind = "remove_islands"
+label = "muscle"
+smallest_ml = 0.1
+"""
+"""What makes several stages tell something, and the case hold more than its parts."""
+
+
 def test_the_stages_one_by_one_make_the_case_that_build_makes(work):
     levels = "level_counts = [600, 250]\n"
-    recipe = write_ball_recipe(work / "scan.nii.gz", work / "levels.toml", surface=levels)
+    recipe = write_ball_recipe(work / "scan.nii.gz", work / "levels.toml", surface=levels, more=TELLING)
     steps = [
         ("filter", work / "scan.nii.gz", work / "filtered.safetensors", "--recipe", recipe),
         ("segment", work / "filtered.safetensors", work / "labels.safetensors", "--recipe", recipe),
@@ -66,6 +102,10 @@ def test_the_stages_one_by_one_make_the_case_that_build_makes(work):
     assert {entry.role for entry in built.manifest.files} == set(FileRole) - {FileRole.SCAN}
     for role in (entry.role for entry in built.manifest.files):
         assert by_hand.manifest.file(role).sha256 == built.manifest.file(role).sha256, role
+    assert len(built.manifest.warnings) >= 2
+    assert built.manifest.about is not None
+    assert built.manifest.quality["volumes_ml"]
+    assert by_hand.manifest.model_dump() == built.manifest.model_dump()
 
 
 def test_images_in_and_out(work, capsys):
@@ -257,3 +297,64 @@ def test_all_inputs_of_a_stage_that_are_wrong_are_told_at_once_by_name(work, tmp
     assert "GRID: " in error
     assert "--surface: " in error
     assert not case.exists()
+
+
+def without_history(path, kind):
+    """The same output as another program, or an older heartcase, would hand it on."""
+    path.write_bytes(artifact_to_bytes(load_artifact(path, kind)))
+
+
+def test_what_was_told_on_the_way_is_in_the_case_and_what_is_not_known_is_told(work, tmp_path, capsys):
+    """A ball whose muscle reaches the region's faces, with a label that nothing is painted for."""
+    recipe = write_ball_recipe(work / "scan.nii.gz", tmp_path / "told.toml", more=TELLING)
+    assert run("segment", work / "scan.nii.gz", tmp_path / "labels.safetensors", "--recipe", recipe) == 0
+    assert "The nowhere is not in the model" in capsys.readouterr().out
+    assert run("walls", tmp_path / "labels.safetensors", tmp_path / "walls.safetensors", "--recipe", recipe) == 0
+    assert run("grid", tmp_path / "walls.safetensors", tmp_path / "grid.safetensors", "--recipe", recipe) == 0
+    bundle = ("bundle", tmp_path / "grid.safetensors", tmp_path / "told.case", "--scan", work / "scan.nii.gz")
+    assert run(*bundle, "--structures", tmp_path / "walls.safetensors", "--recipe", recipe) == 0
+    manifest = open_bundle(tmp_path / "told.case").manifest
+    first, *rest = manifest.warnings
+    assert "the heart is cut off at the right face of the region of interest" in first
+    assert manifest.warning_grades[0] == "anatomy"
+    assert any("the nowhere is not in the model" in line for line in rest)
+    assert not any("not known" in line for line in rest)
+    assert [record.stage for record in manifest.stages] == ["read", "markers", "segment", "walls", "grid"]
+    # without the fields nothing can be said of the faces, and that is said
+    assert run(*bundle, "--recipe", recipe) == 0
+    warnings = open_bundle(tmp_path / "told.case").manifest.warnings
+    assert any("not known what the scan's faces cut off" in line for line in warnings)
+    without_history(tmp_path / "grid.safetensors", SimulationGrid)
+    assert run(*bundle, "--structures", tmp_path / "walls.safetensors", "--recipe", recipe) == 0
+    warnings = open_bundle(tmp_path / "told.case").manifest.warnings
+    assert any("does not say how it came about" in line for line in warnings)
+
+
+def test_outputs_that_do_not_belong_together_are_refused(work, tmp_path, capsys):
+    recipe = write_ball_recipe(work / "scan.nii.gz", tmp_path / "a.toml")
+    run("segment", work / "scan.nii.gz", tmp_path / "labels.safetensors", "--recipe", recipe)
+    for name, smoothing in (("a", 1.0), ("b", 2.5)):
+        made = tmp_path / f"{name}.safetensors"
+        change = ("--set", f"smoothing_mm={smoothing}")
+        assert run("walls", tmp_path / "labels.safetensors", made, "--recipe", recipe, *change) == 0
+    assert run("grid", tmp_path / "a.safetensors", tmp_path / "grid.safetensors", "--recipe", recipe) == 0
+    bundle = ("bundle", tmp_path / "grid.safetensors", tmp_path / "a.case", "--scan", work / "scan.nii.gz")
+    capsys.readouterr()
+    assert run(*bundle, "--structures", tmp_path / "b.safetensors", "--recipe", recipe) == 2
+    assert "GRID and --structures: were made from different outputs of the stage 'walls'" in capsys.readouterr().err
+    assert run(*bundle, "--structures", tmp_path / "a.safetensors", "--recipe", recipe) == 0
+
+
+def test_labels_from_an_image_file_say_that_what_was_told_is_not_known(work, tmp_path, capsys):
+    recipe = write_ball_recipe(work / "scan.nii.gz", tmp_path / "a.toml")
+    assert run("segment", work / "scan.nii.gz", tmp_path / "labels.seg.nrrd", "--recipe", recipe) == 0
+    assert run("walls", tmp_path / "labels.seg.nrrd", tmp_path / "walls.safetensors", "--recipe", recipe) == 0
+    told = load_history(tmp_path / "walls.safetensors").told
+    assert "image file" in told["unknown"][0]
+
+
+def test_options_that_choose_a_scan_are_refused_for_the_output_of_a_stage(work, tmp_path, capsys):
+    assert run("filter", work / "scan.nii.gz", tmp_path / "f.safetensors", "--recipe", work / "ball.toml") == 0
+    arguments = (tmp_path / "f.safetensors", tmp_path / "g.safetensors", "--trigger-time", "0")
+    assert run("filter", *arguments) == 2
+    assert "choose among the images" in capsys.readouterr().err

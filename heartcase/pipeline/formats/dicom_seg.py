@@ -8,6 +8,7 @@ list: their labels may name a patient.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +23,14 @@ from pydicom.sr.coding import Code
 from heartcase.pipeline.formats.agreement import AGREEMENT_MM, even_line
 from heartcase.pipeline.formats.dicom_headers import is_dicom, quiet_pydicom
 from heartcase.pipeline.formats.raw_volume import check_size, geometry_from_affine
-from heartcase.pipeline.formats.segments import LabelVolume, SegmentInfo, keep_all
+from heartcase.pipeline.formats.segments import (
+    LabelVolume,
+    SegmentInfo,
+    count_overlaps,
+    in_file_order,
+    keep_all,
+    stacking_of,
+)
 from heartcase.schemas.errors import HeartcaseError, MarkerError
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.terms import TERMS
@@ -59,8 +67,25 @@ class _Frame:
     """Segment number; None in a label map."""
 
 
+@dataclass(frozen=True)
+class _Packed:
+    """A segment's part of a plane, one bit a pixel: frames come in any order, and all of a plane are needed at once."""
+
+    place: int
+    """Its place in the stacking."""
+    bits: npt.NDArray[np.uint8]
+
+    def unpacked(self, shape: tuple[int, ...]) -> npt.NDArray[np.uint16]:
+        """Its place where it is, 0 elsewhere."""
+        inside = np.unpackbits(self.bits, count=int(np.prod(shape))).reshape(shape)
+        return inside.astype(np.uint16) * np.uint16(self.place)
+
+
 def read_dicom_seg(
-    path: Path, scan: Geometry | None = None, left_out: Callable[[SegmentInfo], bool] = keep_all
+    path: Path,
+    scan: Geometry | None = None,
+    left_out: Callable[[SegmentInfo], bool] = keep_all,
+    rank: Callable[[SegmentInfo], int] = in_file_order,
 ) -> LabelVolume:
     """Read a DICOM SEG.
 
@@ -73,12 +98,14 @@ def read_dicom_seg(
         on slices of the scan, it is the scan's.
     left_out
         Which segments nobody wants: they take no voxel from others, and count as vanished.
+    rank
+        How high each segment lies; of one rank the later one of the file's list lies on top.
 
     Returns
     -------
     LabelVolume
         From the first to the last plane that the file holds, axes along rows, columns and their normal. Segment n of
-        the file's list has the value n, from 1; where segments overlap the later one of the list wins. A fractional
+        the file's list has the value n, from 1; where segments overlap the one on top wins. A fractional
         voxel belongs to its segment from one half up.
 
     Raises
@@ -89,7 +116,7 @@ def read_dicom_seg(
     """
     with quiet_pydicom():
         try:
-            return _read(_one_file(path), scan, left_out)
+            return _read(_one_file(path), scan, left_out, rank)
         except HeartcaseError:
             raise
         except Exception:  # pydicom raises errors of every kind on damaged files
@@ -108,7 +135,12 @@ def _one_file(path: Path) -> Path:
     return files[0]
 
 
-def _read(file: Path, scan: Geometry | None, left_out: Callable[[SegmentInfo], bool]) -> LabelVolume:
+def _read(
+    file: Path,
+    scan: Geometry | None,
+    left_out: Callable[[SegmentInfo], bool],
+    rank: Callable[[SegmentInfo], int],
+) -> LabelVolume:
     dataset = pydicom.dcmread(file, force=True)
     if str(dataset.get("SOPClassUID", "")) not in SEG_CLASSES:
         raise MarkerError("the DICOM file is no segmentation (SEG): is it a slice of the scan? Export a DICOM SEG")
@@ -129,9 +161,8 @@ def _read(file: Path, scan: Geometry | None, left_out: Callable[[SegmentInfo], b
         place: SegmentInfo(place, " ".join(str(item.get("SegmentLabel", "")).split())[:64], _snomed(item))
         for place, item in enumerate(listed, start=1)
     }
-    is_wanted = np.ones(len(listed) + 1, bool)
-    is_wanted[[place for place, segment in segments.items() if left_out(segment)]] = False
-    merged = np.zeros(geometry.shape, np.uint16)
+    stacking = stacking_of(segments.values(), left_out, rank)
+    of_slice: dict[int, list[_Packed]] = {}
     painted: set[int] = set()
     for frame, k, stored in zip(frames, places, _stored(dataset, len(frames)), strict=True):
         if frame.segment is None:
@@ -143,10 +174,20 @@ def _read(file: Path, scan: Geometry | None, left_out: Callable[[SegmentInfo], b
             if place_in_list[frame.segment] == 0:
                 raise MarkerError("a frame shows a segment that the file does not list: export it again")
             shown = stored * place_in_list[frame.segment]
-        np.maximum(merged[k], np.where(is_wanted[shown], shown, 0), out=merged[k])
-        painted |= set(np.unique(shown).tolist()) - {0}
+        found = set(np.unique(shown).tolist()) - {0}
+        painted |= found
+        taken = [number for number in sorted(found) if stacking.place[number]]
+        of_slice.setdefault(int(k), []).extend(_Packed(int(stacking.place[n]), np.packbits(shown == n)) for n in taken)
+    merged = np.zeros(geometry.shape, np.uint16)
+    overlaps: Counter[tuple[int, int]] = Counter()
+    for k, parts in of_slice.items():
+        layers = [part.unpacked(merged[k].shape) for part in parts]
+        if layers:
+            merged[k] = stacking.number[np.max(layers, axis=0)]
+            overlaps += count_overlaps(layers)
     vanished = tuple(sorted(painted - set(np.unique(merged).tolist())))
-    return LabelVolume(merged.astype(np.uint8) if len(listed) < 256 else merged, geometry, segments, vanished)
+    values = merged.astype(np.uint8) if len(listed) < 256 else merged
+    return LabelVolume(values, geometry, segments, vanished, overlaps=stacking.overlaps(overlaps))
 
 
 def _frames(dataset: Any, is_map: bool) -> list[_Frame]:

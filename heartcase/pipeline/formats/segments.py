@@ -7,8 +7,10 @@ The name of a segment may be a patient's: it is compared with label names and go
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +21,18 @@ from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND, Label
 from heartcase.schemas.terms import term_by_code
 
-__all__ = ["LabelVolume", "SegmentInfo", "keep_all", "segment_table", "segments_of"]
+__all__ = [
+    "LabelVolume",
+    "Overlap",
+    "SegmentInfo",
+    "Stacking",
+    "count_overlaps",
+    "in_file_order",
+    "keep_all",
+    "segment_table",
+    "segments_of",
+    "stacking_of",
+]
 
 UInt16 = npt.NDArray[np.uint16]
 
@@ -37,6 +50,18 @@ class SegmentInfo:
 
 
 @dataclass(frozen=True)
+class Overlap:
+    """Voxels that two segments of a file both mark."""
+
+    under: int
+    """Value of the segment that lost them."""
+    over: int
+    """Value of the segment that lies over it."""
+    voxel_count: int
+    """Voxels of the volume that lie in both; where a third lies over both, it has them."""
+
+
+@dataclass(frozen=True)
 class LabelVolume:
     """A label volume as its file holds it; overlapping segments are resolved."""
 
@@ -50,6 +75,8 @@ class LabelVolume:
     """Values of segments that mark something, but no voxel here: others cover it, or it lies off the lattice."""
     warnings: tuple[str, ...] = ()
     """What was assumed in reading it, in plain words."""
+    overlaps: tuple[Overlap, ...] = ()
+    """Which segments overlap, by ascending values; none of those that are left out."""
 
     @property
     def marks_anything(self) -> bool:
@@ -72,9 +99,79 @@ def keep_all(segment: SegmentInfo) -> bool:
     return False
 
 
+def in_file_order(segment: SegmentInfo) -> int:
+    """Raise no segment over others: the later one of the file lies on top."""
+    return 0
+
+
+@dataclass(frozen=True)
+class Stacking:
+    """How the segments of a file lie over each other."""
+
+    numbers: tuple[int, ...]
+    """Numbers of the segments that are taken, from the lowest to the topmost."""
+    place: UInt16
+    """Number of a segment -> its place from the bottom, from 1; 0 for what is left out. Shape (segment count + 1,)."""
+
+    @property
+    def number(self) -> UInt16:
+        """Place from the bottom -> number of the segment; 0 for 0."""
+        return np.array((0, *self.numbers), np.uint16)
+
+    def overlaps(self, found: Counter[tuple[int, int]]) -> tuple[Overlap, ...]:
+        """Pairs of places with their counts of voxels, as overlaps of segments."""
+        pairs = [(self.numbers[low - 1], self.numbers[high - 1], count) for (low, high), count in found.items()]
+        return tuple(Overlap(*pair) for pair in sorted(pairs))
+
+
+def stacking_of(
+    segments: Iterable[SegmentInfo], left_out: Callable[[SegmentInfo], bool], rank: Callable[[SegmentInfo], int]
+) -> Stacking:
+    """Put segments in order: by their rank, those of one rank as the file lists them."""
+    listed = list(segments)
+    taken = sorted((one for one in listed if not left_out(one)), key=lambda one: (rank(one), one.number))
+    place = np.zeros(max((one.number for one in listed), default=0) + 1, np.uint16)
+    for at, one in enumerate(taken, start=1):
+        place[one.number] = at
+    return Stacking(tuple(one.number for one in taken), place)
+
+
+def count_overlaps(layers: Sequence[npt.NDArray[np.uint16]]) -> Counter[tuple[int, int]]:
+    """How many voxels lie in two segments each.
+
+    Parameters
+    ----------
+    layers
+        Places of segments in their stacking, uint16, all of one shape; 0 where a layer holds none.
+
+    Returns
+    -------
+    Counter
+        (lower place, higher place) -> voxels that lie in both. A voxel in three segments counts for three pairs.
+    """
+    found: Counter[tuple[int, int]] = Counter()
+    depth = np.zeros(layers[0].shape, np.uint8) if layers else np.zeros(0, np.uint8)
+    for layer in layers:
+        np.add(depth, 1, out=depth, where=(layer != 0) & (depth < 2))
+    where = np.flatnonzero(depth.ravel() > 1)
+    if not len(where):
+        return found
+    columns = [layer.reshape(-1)[where].astype(np.int64) for layer in layers]
+    for one, other in combinations(columns, 2):
+        both = (one != 0) & (other != 0) & (one != other)
+        if both.any():
+            pair = np.minimum(one, other)[both] << 16 | np.maximum(one, other)[both]
+            for code, count in zip(*np.unique(pair, return_counts=True), strict=True):
+                found[int(code) >> 16, int(code) & 0xFFFF] += int(count)
+    return found
+
+
 def segments_of(
-    values: UInt16, header: Mapping[str, str], left_out: Callable[[SegmentInfo], bool] = keep_all
-) -> tuple[UInt16, dict[int, SegmentInfo], tuple[int, ...]]:
+    values: UInt16,
+    header: Mapping[str, str],
+    left_out: Callable[[SegmentInfo], bool] = keep_all,
+    rank: Callable[[SegmentInfo], int] = in_file_order,
+) -> tuple[UInt16, dict[int, SegmentInfo], tuple[int, ...], tuple[Overlap, ...]]:
     """Resolve the layers of a segmentation to one value per voxel.
 
     Parameters
@@ -85,16 +182,20 @@ def segments_of(
         Key-value pairs of the NRRD header; empty for other formats.
     left_out
         Which segments nobody wants: they take no voxel from others, and count as vanished.
+    rank
+        How high each segment lies; of one rank the later one of the table lies on top.
 
     Returns
     -------
     values
         Shape (z, y, x). A single layer keeps its values; of several, segment n of the table (from 1) gets value n,
-        and where segments overlap the later one of the table wins.
+        and where segments overlap the one on top wins.
     segments
         Value -> segment; empty where the file has no table.
     vanished
-        Values of segments that later ones cover wholly, or that are left out.
+        Values of segments that others cover wholly, or that are left out.
+    overlaps
+        Which segments overlap.
 
     Raises
     ------
@@ -102,24 +203,33 @@ def segments_of(
         There are several layers but no table that explains them, or the table is damaged.
     """
     segments = _segments(header, layer_count=values.shape[3] if values.ndim == 4 else 1)
+    infos = {n: SegmentInfo(n, s.name, s.snomed) for n, s in enumerate(segments, start=1)}
     if values.ndim == 3:
-        return values, {s.value: SegmentInfo(n, s.name, s.snomed) for n, s in enumerate(segments, start=1)}, ()
+        return values, {s.value: info for s, info in zip(segments, infos.values(), strict=True)}, (), ()
     if not segments:
         raise MarkerError("every voxel holds several values but no table names segments: export a plain label volume")
-    merged = np.zeros(values.shape[:3], dtype=np.uint16)
-    explained = values == 0
+    stacking = stacking_of(infos.values(), left_out, rank)
+    layers: list[UInt16] = []
     painted = set()
-    infos = {n: SegmentInfo(n, s.name, s.snomed) for n, s in enumerate(segments, start=1)}
-    for number, segment in enumerate(segments, start=1):
-        inside = values[..., segment.layer] == segment.value
-        if not left_out(infos[number]):
-            merged[inside] = number
-        painted |= {number} if inside.any() else set()
-        explained[..., segment.layer] |= inside
-    if not explained.all():
-        raise MarkerError("the volume holds values that its segment table does not name: save it again in 3D Slicer")
+    for layer in range(values.shape[3]):
+        # numbers of the segments, where values of the layer are theirs
+        number = np.zeros(max(int(values[..., layer].max(initial=0)), *(s.value for s in segments)) + 1, np.uint16)
+        for n, segment in enumerate(segments, start=1):
+            if segment.layer == layer:
+                number[segment.value] = n
+        shown = number[values[..., layer]]
+        if ((shown == 0) & (values[..., layer] != 0)).any():
+            raise MarkerError(
+                "the volume holds values that its segment table does not name: save it again in 3D Slicer"
+            )
+        painted |= set(np.unique(shown).tolist()) - {0}
+        layers.append(stacking.place[shown])
+    top = layers[0].copy()
+    for one in layers[1:]:
+        np.maximum(top, one, out=top)
+    merged = stacking.number[top]
     vanished = tuple(sorted(painted - set(np.unique(merged).tolist())))
-    return merged, infos, vanished
+    return merged, infos, vanished, stacking.overlaps(count_overlaps(layers))
 
 
 def _segments(header: Mapping[str, str], *, layer_count: int) -> list[_Segment]:

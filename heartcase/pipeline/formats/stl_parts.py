@@ -17,7 +17,14 @@ import numpy.typing as npt
 
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.formats.raw_volume import check_size, require_file
-from heartcase.pipeline.formats.segments import LabelVolume, SegmentInfo, keep_all
+from heartcase.pipeline.formats.segments import (
+    LabelVolume,
+    SegmentInfo,
+    count_overlaps,
+    in_file_order,
+    keep_all,
+    stacking_of,
+)
 from heartcase.schemas.errors import HeartcaseError, MarkerError, Problem
 from heartcase.schemas.geometry import Geometry
 
@@ -52,7 +59,12 @@ def holds_parts(path: Path) -> bool:
     return path.is_dir() and any(file.suffix.lower() == ".stl" for file in path.iterdir())
 
 
-def read_parts(path: Path, geometry: Geometry, left_out: Callable[[SegmentInfo], bool] = keep_all) -> LabelVolume:
+def read_parts(
+    path: Path,
+    geometry: Geometry,
+    left_out: Callable[[SegmentInfo], bool] = keep_all,
+    rank: Callable[[SegmentInfo], int] = in_file_order,
+) -> LabelVolume:
     """Read all parts of a folder onto a lattice.
 
     Parameters
@@ -64,13 +76,16 @@ def read_parts(path: Path, geometry: Geometry, left_out: Callable[[SegmentInfo],
         The scan's lattice.
     left_out
         Which parts nobody wants: they take no voxel from others, and count as vanished.
+    rank
+        How high each part lies; of one rank the later one by the alphabet lies on top.
 
     Returns
     -------
     LabelVolume
-        On ``geometry``. Part n, by the alphabet of the file names, has the value n; where parts overlap the later one
-        wins. The name of a part is its file's, without the ending. Parts that mark no voxel are listed as vanished, and
-        a warning says which parts were taken as LPS because they do not say what they are.
+        On ``geometry``. Part n, by the alphabet of the file names, has the value n; where parts overlap the one on top
+        wins, and ``overlaps`` says where. The name of a part is its file's, without the ending. Parts that mark no
+        voxel are listed as vanished, and a warning says which parts were taken as LPS because they do not say what they
+        are.
 
     Raises
     ------
@@ -85,7 +100,11 @@ def read_parts(path: Path, geometry: Geometry, left_out: Callable[[SegmentInfo],
         raise MarkerError(f"the folder holds more than {PART_LIMIT} parts: keep the parts of the heart alone")
     check_size(geometry.size)
     names = {number: " ".join(file.stem.split())[:64] for number, file in enumerate(files, start=1)}
-    values = np.zeros(geometry.shape, np.uint8)
+    infos = {number: SegmentInfo(number, name) for number, name in names.items()}
+    stacking = stacking_of(infos.values(), left_out, rank)
+    top = np.zeros(geometry.shape, np.uint16)
+    is_shared = np.zeros(geometry.shape, bool)
+    packed: dict[int, npt.NDArray[np.uint8]] = {}
     problems, silent = [], []
     for number, file in enumerate(files, start=1):
         try:
@@ -94,19 +113,30 @@ def read_parts(path: Path, geometry: Geometry, left_out: Callable[[SegmentInfo],
             if not mesh.space_is_stated:
                 _check_side(mesh.vertices_mm, geometry)
                 silent.append(number)
-            if not left_out(SegmentInfo(number, names[number])):
-                values[inside_of_mesh(mesh.vertices_mm, mesh.triangles, geometry)] = number
+            if stacking.place[number]:
+                inside = inside_of_mesh(mesh.vertices_mm, mesh.triangles, geometry)
+                is_shared |= inside & (top != 0)
+                np.maximum(top, stacking.place[number], out=top, where=inside)
+                packed[int(stacking.place[number])] = np.packbits(inside)
         except HeartcaseError as error:
             place = f"part {number} of the folder, by the alphabet"
             problems += [Problem(place, problem.message) for problem in error.problems]
     if problems:
         raise MarkerError(problems)
+    shared = np.flatnonzero(is_shared)
+    layers = [
+        np.unpackbits(bits, count=top.size)[shared].astype(np.uint16) * np.uint16(place)
+        for place, bits in packed.items()
+        if len(shared)
+    ]
+    values = stacking.number[top].astype(np.uint8)
     return LabelVolume(
         values,
         geometry,
-        {number: SegmentInfo(number, name) for number, name in names.items()},
+        infos,
         vanished=tuple(sorted(set(names) - set(np.unique(values).tolist()))),
         warnings=_taken_as_lps(silent),
+        overlaps=stacking.overlaps(count_overlaps(layers)),
     )
 
 

@@ -127,7 +127,9 @@ def test_parts_are_named_by_their_files_and_later_ones_win(tmp_path, text):
     expected[ventricle] = 1
     np.testing.assert_array_equal(segmentation.labels, expected)
     assert set(np.unique(expected)) == {0, 1, 3, 5}
-    (warning,) = segmentation.warnings
+    warning, overlap = segmentation.warnings
+    assert f"{np.count_nonzero(ventricle & atrium)} voxels" in overlap
+    assert "Aorta" not in overlap
     assert "LPS was assumed" in warning
     assert "part 1)" in warning
     with pytest.raises(MarkerError, match="give the scan"):
