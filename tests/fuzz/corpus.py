@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import nibabel
 import numpy as np
+import pydicom
 import SimpleITK
 import trimesh
+from pydicom.uid import JPEG2000Lossless
 
 from heartcase.pipeline.artifacts import artifact_to_bytes, load_artifact
 from heartcase.pipeline.bundle import write_bundle
@@ -77,6 +81,40 @@ def _enhanced(folder: Path) -> Path:
     path = folder / "enhanced.dcm"
     write_enhanced(path, _values().astype(np.int16), positions, orientation=AXIAL, spacing=(1.5, 1.0))
     return path
+
+
+def _dicom_zip(folder: Path) -> Path:
+    archive = shutil.make_archive(str(folder / "series"), "zip", _dicom(folder / "unpacked"))
+    shutil.rmtree(folder / "unpacked")
+    return Path(archive)
+
+
+def _jpeg2000(folder: Path) -> Path:
+    positions = np.array([[-4.0, 3.0, 10.0 + 2.0 * k] for k in range(6)])
+    stored = np.random.default_rng(4).integers(0, 900, (6, 36, 34)).astype(np.uint16)
+    for path in write_series(folder / "series", stored, positions):
+        dataset = pydicom.dcmread(path)
+        dataset.compress(JPEG2000Lossless, generate_instance_uid=False)
+        dataset.save_as(path, enforce_file_format=True)
+    return folder / "series"
+
+
+def _four_axes(suffix: str) -> Callable[[Path], Path]:
+    def write(folder: Path) -> Path:
+        volumes = np.stack([_values() + n for n in range(3)]).astype(np.int16)
+        path = folder / f"scan{suffix}"
+        if suffix == ".nii.gz":
+            nibabel.save(nibabel.Nifti1Image(volumes.T, np.diag([1.0, 1.5, 2.0, 1.0])), path)
+        else:
+            image = SimpleITK.GetImageFromArray(volumes, isVector=False)
+            SimpleITK.WriteImage(image, str(path), useCompression=True)
+        return path
+
+    return write
+
+
+def _read_frame(path: Path) -> Scan:
+    return read_scan(path, frame=1)
 
 
 def _labels(suffix: str) -> Callable[[Path], Path]:
@@ -177,6 +215,11 @@ KINDS: dict[str, tuple[Callable[[Path], Path], Callable[[Path], Any]]] = {
     "mhd": (_detached(".mhd"), read_scan),
     "dicom": (_dicom, _read_series),
     "dicom-enhanced": (_enhanced, read_scan),
+    "dicom-zip": (_dicom_zip, _read_series),
+    "dicom-jpeg2000": (_jpeg2000, _read_series),
+    "nifti-4d": (_four_axes(".nii.gz"), _read_frame),
+    "nrrd-4d": (_four_axes(".nrrd"), _read_frame),
+    "metaimage-4d": (_four_axes(".mha"), _read_frame),
     "stage-output": (_artifact, lambda path: load_artifact(path, Scan)),
     "markers-seg-nrrd": (_labels(".seg.nrrd"), read_labels),
     "markers-nifti": (_labels(".nii.gz"), read_labels),

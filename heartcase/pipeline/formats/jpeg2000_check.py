@@ -21,7 +21,7 @@ __all__ = ["is_contradictory"]
 SIZ, COD, SOT, SOD, EOC = 0xFF51, 0xFF52, 0xFF90, 0xFF93, 0xFFD9
 OTHERS = (0xFF53, 0xFF5E, 0xFF5F, 0xFF60, 0xFF61)
 """Markers of what is not followed: components of their own kind, regions, changes of order, packed headers."""
-END_BYTES = 6
+END_BYTES = 4
 """By how many bytes encoders may differ at the end of a code block: how the last bits are flushed is left to them."""
 PROGRESSIONS = ("LRCP", "RLCP", "RPCL", "PCRL", "CPRL")
 LARGEST_PRECINCT = 15

@@ -25,6 +25,7 @@ from heartcase.schemas.recipe import load_recipe
 from tests.pipeline.formats import dicom_situations_read
 from tests.pipeline.formats.dicom_series import items
 from tests.pipeline.formats.dicom_situations import STORED, outcome_of, write
+from tests.pipeline.formats.dicom_situations_doubtful import uneven_cine
 from tests.pipeline.formats.dicom_situations_read import POSITIONS, enhanced, lossless_jpeg
 from tests.pipeline.formats.dicom_situations_stacks import cine, localizers, phase, tilted
 
@@ -64,6 +65,55 @@ def test_an_image_missing_from_one_phase_leaves_the_others_whole() -> None:
     assert [len(stack.slices) for stack in group.stacks] == [5, 4, 5, 5]
     for n, stack in enumerate(group.stacks):
         assert {str(one.path).split()[1] for one in stack.slices} == {str(n)}
+
+
+def test_only_times_that_every_position_has_are_listed(tmp_path: Path) -> None:
+    uneven_cine(tmp_path, (20, 20, 20, 2))
+    (info,) = list_series(tmp_path)
+    assert info.trigger_times_ms == (0.0, 463.0)
+    assert info.has_choice
+    assert "2 cardiac phases at 0 to 463 ms at every slice position and 18 at some of them" in info.description
+    with pytest.raises(ScanError, match=r"2 cardiac phases \(trigger times 0, 463 ms\), and 18 that some slice"):
+        read_scan(tmp_path)
+
+
+def test_a_position_without_an_image_near_the_time_is_told_or_filled(tmp_path: Path) -> None:
+    """Where it lies between others it may be filled; at an end nothing but this tells of it."""
+    uneven_cine(tmp_path / "middle", (20, 20, 20, 20, 2, 20, 20, 20, 20))
+    with pytest.raises(ScanError, match=r"1 of 9 .* near 92\.6 ms: slice 5 .*or have them filled .*--interpolate"):
+        read_scan(tmp_path / "middle", trigger_time_ms=92.6)
+    scan = read_scan(tmp_path / "middle", trigger_time_ms=92.6, interpolate_missing=True)
+    assert scan.geometry.size[2] == 9
+    assert any("slice 5 was missing" in warning for warning in scan.warnings)
+    uneven_cine(tmp_path / "end", (2, 20, 20, 20, 20, 20, 20, 20, 20))
+    with pytest.raises(ScanError, match="slice 1 "):
+        read_scan(tmp_path / "end", trigger_time_ms=92.6, interpolate_missing=True)
+
+
+@settings(max_examples=40, deadline=None)
+@given(data=st.data(), slices=st.integers(3, 7), phases=st.integers(3, 12))
+def test_each_position_gives_the_image_nearest_in_time(data, slices: int, phases: int) -> None:
+    """Against a plain search: usual positions give phase n, the others their nearest image, or none that is near."""
+    counts = [phases] * slices
+    odd = data.draw(st.integers(0, slices - 1))
+    counts[odd] = data.draw(st.integers(1, 2 * phases).filter(lambda n: n != phases))
+    images = [
+        image(k, f"{k} {n}", trigger_time_ms=round(900.0 * n / count, 3))
+        for k, count in enumerate(counts)
+        for n in range(count)
+    ]
+    (group,) = stack_groups(ImageSeries("1", "MR", tuple(data.draw(st.permutations(images)))))
+    times = np.array([round(900.0 * n / phases, 3) for n in range(phases)])
+    there = np.array([round(900.0 * n / counts[odd], 3) for n in range(counts[odd])])
+    assert [stack.trigger_time_ms for stack in group.stacks] == pytest.approx(times.tolist())
+    step = float(np.median(np.diff(times)))
+    for n, stack in enumerate(group.stacks):
+        of_odd = [str(one.path) for one in stack.slices if str(one.path).startswith(f"{odd} ")]
+        mine = [m for m, time in enumerate(there) if np.abs(times - time).argmin() == n]
+        near = [m for m in mine if abs(there[m] - times[n]) <= max(50.0, step / 2.0)]
+        best = min(near, key=lambda m: abs(there[m] - times[n]), default=None)
+        assert of_odd == ([] if best is None else [f"{odd} {best}"])
+        assert [lack.number for lack in stack.lacks] == ([odd + 1] if best is None else [])
 
 
 def test_an_image_taken_again_is_not_a_stack_of_its_own() -> None:
