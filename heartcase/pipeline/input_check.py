@@ -71,7 +71,7 @@ def _told(recipe: Recipe, directory: Path, scan: Scan, whole: Geometry) -> tuple
     MarkerError
         What a build would refuse of them.
     """
-    from heartcase.pipeline.markers import load_segmentation, stated_markers
+    from heartcase.pipeline.markers import check_markers, load_markers, load_segmentation
 
     segment = recipe.segment
     if segment.method == "labels" and segment.file is not None:
@@ -86,4 +86,8 @@ def _told(recipe: Recipe, directory: Path, scan: Scan, whole: Geometry) -> tuple
         ).warnings
     if segment.method != "watershed":
         return ()
-    return stated_markers(recipe.markers, recipe.strokes, recipe.table, scan.geometry, directory, whole=whole).warnings
+    painted = load_markers(recipe.markers, recipe.strokes, recipe.table, scan.geometry, directory, whole=whole)
+    # what strokes alone mark is known without the scan, and what the program marks by itself takes long
+    if recipe.markers and not segment.automatic:
+        check_markers(painted, recipe.table)
+    return painted.warnings

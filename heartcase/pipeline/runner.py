@@ -40,7 +40,7 @@ STAGE_VERSIONS = {
     "grid": 10,
     "surface": 13,
     "map": 9,
-    "bundle": 6,
+    "bundle": 7,
 }
 """Raised whenever a stage's output changes for the same input, so that the cache forgets the old one."""
 

@@ -9,9 +9,11 @@ import pytest
 from heartcase.cli.main import COMMANDS, cli, main
 from heartcase.pipeline.artifacts import artifact_to_bytes, load_artifact, load_history
 from heartcase.pipeline.data import Scan, Segmentation, SimulationGrid, Structures, Surface
+from heartcase.pipeline.write import write_scan
 from heartcase.schemas.bundle import FileRole
 from heartcase.schemas.bundle_check import check_bundle
 from heartcase.schemas.bundle_reader import open_bundle
+from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.recipe import load_recipe
 from tests.ball import write_ball_recipe, write_ball_scan
 
@@ -244,15 +246,33 @@ def test_validate_tells_what_build_would_refuse_of_the_strokes(work, tmp_path, c
     assert said[-1].endswith("found")
 
 
-@pytest.mark.parametrize("more", ['[[markers]]\npath = "m.nrrd"\n', '[segment]\nautomatic = ["background"]\n'])
-def test_validate_says_nothing_of_markers_that_it_cannot_know(work, tmp_path, capsys, more):
-    for name in ("scan.nii.gz", "m.nrrd"):
-        (tmp_path / name).write_bytes((work / "scan.nii.gz").read_bytes())
+def write_marks(path, value):
+    """A label volume on the ball's lattice that marks a corner."""
+    geometry = Geometry.of(shape=(32, 32, 32), spacing_mm=(2, 2, 2), origin_mm=(-31, -31, -31))
+    values = np.zeros(geometry.shape, np.float32)
+    values[:2, :2, :2] = value
+    write_scan(Scan(values, geometry), path)
+
+
+MARKER_FILE = '[[markers]]\npath = "m.nrrd"\nnames = { "1" = "background", "2" = "muscle" }\n'
+
+
+@pytest.mark.parametrize("more", [MARKER_FILE, '[segment]\nautomatic = ["background"]\n'])
+def test_validate_knows_what_marker_files_mark_and_says_nothing_of_what_the_program_marks(work, tmp_path, capsys, more):
+    (tmp_path / "scan.nii.gz").write_bytes((work / "scan.nii.gz").read_bytes())
+    write_marks(tmp_path / "m.nrrd", 1)
     recipe = tmp_path / "unknown.toml"
     text = (work / "ball.toml").read_text().replace('label = "background"', 'label = "muscle"')
     recipe.write_text(text + more)
     assert run("validate", recipe) == 0
     assert capsys.readouterr().out == "sound\n"
+    if more == MARKER_FILE:
+        write_marks(tmp_path / "m.nrrd", 2)
+        assert run("validate", recipe) == 1
+        assert "markers: nothing is marked as background" in capsys.readouterr().out
+        (tmp_path / "m.nrrd").write_bytes(b"no volume")
+        assert run("validate", recipe) == 1
+        assert "markers[1]: the file is not an NRRD file" in capsys.readouterr().out
     threshold = '[segment]\nmethod = "threshold"\nranges = [{ label = "muscle", lower = 1 }]\n'
     recipe.write_text(text + threshold)
     assert run("validate", recipe) == 0
