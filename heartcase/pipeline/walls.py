@@ -71,7 +71,8 @@ def grow_walls(segmentation: Segmentation, settings: WallsSettings, ends: Sequen
     smoothing, band = cast(float, settings.smoothing_mm), cast(float, settings.band_mm)
     clearance = settings.thickest_mm(table) + 3.0 * smoothing + 2.0 * float(spacing.max())
     varying = {table[one.label].value: max(one.thickness_mm) for one in settings.thickness}
-    cut = cut_ends(segmentation, table, ends, clearance_mm=clearance, thickness_mm=varying)
+    find = settings.find_ends
+    cut = cut_ends(segmentation, table, ends, clearance_mm=clearance, thickness_mm=varying, find=find)
     labels = cut.labels
     distances = label_distances(
         labels,
@@ -95,6 +96,7 @@ def grow_walls(segmentation: Segmentation, settings: WallsSettings, ends: Sequen
             for end, axis in zip(cut.ends, axes, strict=True)
         ),
         reshapings=cut.reshapings,
+        vessel_ends=cut.vessel_ends,
         thickness_tables=tuple(
             ThicknessTable(table[one.label].value, one.kind, one.points_mm, one.thickness_mm)
             for one in settings.thickness
