@@ -27,7 +27,7 @@ def command(labels: Path, output: Path, recipe: Path | None, sets: tuple[str, ..
     from heartcase.schemas.settings import SegmentSettings, WallsSettings
 
     loaded = optional_recipe(recipe)
-    settings = settings_of(WallsSettings, loaded.walls if loaded else None, sets)
+    settings = settings_of(WallsSettings, loaded.walls_to_grow if loaded else None, sets)
     if labels.suffix == ".safetensors":
         segmentation = load_artifact(labels, Segmentation)
     else:

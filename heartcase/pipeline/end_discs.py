@@ -8,13 +8,25 @@ from dataclasses import dataclass
 import cc3d
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import binary_dilation
 
 from heartcase.pipeline.data import Segmentation, VesselEnd
 from heartcase.schemas.geometry import Geometry
-from heartcase.schemas.labels import Label
-from heartcase.schemas.settings import EndMarker
+from heartcase.schemas.labels import Label, LabelTable
+from heartcase.schemas.settings import EndMarker, WallsSettings
 
-__all__ = ["Disc", "Sides", "Stumps", "disc_of", "end_marker", "is_clean", "meets", "radii_for", "sides_of"]
+__all__ = [
+    "Disc",
+    "Sides",
+    "Stumps",
+    "disc_of",
+    "end_marker",
+    "is_beside_blood",
+    "is_clean",
+    "meets",
+    "radii_for",
+    "sides_of",
+]
 
 Bool = npt.NDArray[np.bool_]
 Float64 = npt.NDArray[np.float64]
@@ -26,6 +38,10 @@ STUMP_TAPER = 0.1
 """How much narrower the room for a stump gets per mm behind the disc: a lumen is known to a part of a voxel only."""
 
 
+FEW_VOXELS = 2
+"""Other blood beside a stump that does not count."""
+
+
 @dataclass(frozen=True)
 class Stumps:
     """What is left of vessels behind their discs."""
@@ -34,6 +50,13 @@ class Stumps:
     """Length of a stump: more than the thickest wall and the reach of the smoothing."""
     thickness_mm: Mapping[int, float]
     """Label value -> greatest thickness of its wall, where it is not the table's."""
+
+    @classmethod
+    def of(cls, settings: WallsSettings, table: LabelTable, spacing_mm: tuple[float, float, float]) -> Stumps:
+        """Stumps for the walls of some settings, which are resolved, on a lattice."""
+        smoothing_mm = settings.smoothing_mm or 0.0
+        clearance_mm = settings.thickest_mm(table) + 3.0 * smoothing_mm + 2.0 * max(spacing_mm)
+        return cls(clearance_mm, {table[one.label].value: max(one.thickness_mm) for one in settings.thickness})
 
     def wall_mm(self, label: Label) -> float:
         """Greatest thickness of a vessel's wall."""
@@ -190,6 +213,16 @@ def is_clean(
     if disc is None or sides is None or not sides.is_divided or not meets(segmentation.labels, disc):
         return False
     return _takes_only(segmentation, disc, sides, stumps, within)
+
+
+def is_beside_blood(segmentation: Segmentation, end: EndMarker, label: Label, stumps: Stumps, blood: Bool) -> bool:
+    """Whether the lumen behind a disc touches other blood: there that one's wall would be taken away with it."""
+    disc = disc_of(segmentation, end, label.value, stumps.wall_mm(label), stumps.clearance_mm)
+    if disc is None:
+        return False
+    own = (segmentation.labels[disc.box] == label.value) & disc.cylinder & (disc.along >= 0.0)
+    others = blood[disc.box] & (segmentation.labels[disc.box] != label.value)
+    return bool(np.count_nonzero(binary_dilation(own) & others) > FEW_VOXELS)
 
 
 def _takes_only(segmentation: Segmentation, disc: Disc, sides: Sides, stumps: Stumps, within: Int64 | None) -> bool:

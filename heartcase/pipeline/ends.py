@@ -7,7 +7,7 @@ reach; what lies further out loses its label; the exact plane is a reshaping of 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cc3d
@@ -68,17 +68,16 @@ def cut_ends(
     segmentation: Segmentation,
     table: LabelTable,
     ends: Sequence[EndMarker],
+    stumps: Stumps,
     *,
-    clearance_mm: float,
-    thickness_mm: Mapping[int, float] | None = None,
     find: bool = False,
 ) -> EndCuts:
     """Make each vessel run straight on through its end marker, and take its label from the voxels beyond.
 
-    A stump of ``clearance_mm`` stays so that the fields are undisturbed at the plane; a reshaping takes it away. Where
-    the lumen rounds off before the stump's end, or stops up to the disc's radius short of the disc, its last full
-    cross-section is continued along the axis: into background only, and nowhere beside other blood. No part of a stump
-    comes so near the rim that its wall would stick out of the cylinder behind the disc, which is all that is cut off.
+    A stump stays so that the fields are undisturbed at the plane; a reshaping takes it away. Where the lumen rounds off
+    before the stump's end, or stops up to the disc's radius short of the disc, its last full cross-section is continued
+    along the axis: into background only, and nowhere beside other blood. No part of a stump comes so near the rim that
+    its wall would stick out of the cylinder behind the disc, which is all that is cut off.
     A marker that does not cut its vessel is moved onto it where it is clear which one is meant
     (:mod:`heartcase.pipeline.snap_ends`).
 
@@ -90,10 +89,8 @@ def cut_ends(
         Label table with the grown walls.
     ends
         End markers.
-    clearance_mm
-        Length of the stump: more than the thickest wall and the reach of the smoothing.
-    thickness_mm
-        Greatest thickness of the wall of each label value, where it is not the table's.
+    stumps
+        What is left behind the discs.
     find
         Cut also the ends that :func:`heartcase.pipeline.find_ends.find_ends` finds beside those of the markers.
 
@@ -108,7 +105,6 @@ def cut_ends(
         For every marker that lies outside the volume, whose label is not in the segmentation, or that does not cut
         through its vessel: with the numbers that would.
     """
-    stumps = Stumps(clearance_mm, thickness_mm or {})
     work = _Work(segmentation, table, stumps)
     problems: list[Problem] = []
     for number, end in enumerate(ends, start=1):
@@ -397,8 +393,8 @@ def _continued(lumen: Bool, disc: Disc, first: float, last: float) -> Bool:
     return section
 
 
-def closed_vessels(segmentation: Segmentation, ends: Sequence[EndMarker]) -> tuple[str, ...]:
-    """Warn of vessels that nothing cuts open: no end marker is theirs, and they end inside the volume.
+def closed_vessels(segmentation: Segmentation, ends: Sequence[EndMarker | VesselEnd]) -> tuple[str, ...]:
+    """Warn of vessels that nothing cuts open: no end is theirs, and they end inside the volume.
 
     A wall closes such a vessel like a sac, which no vessel of a heart is.
     """
@@ -410,7 +406,7 @@ def closed_vessels(segmentation: Segmentation, ends: Sequence[EndMarker]) -> tup
     return tuple(
         anatomy(
             f"the {label.name} ends in a closed sac, as no vessel does: mark where it is cut off (an entry of 'ends' "
-            "in the recipe)"
+            "in the recipe; heartcase suggest --ends proposes one)"
         )
         for label in segmentation.table
         if label.role is Role.VESSEL_LUMEN

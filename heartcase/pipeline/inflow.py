@@ -17,6 +17,7 @@ from heartcase.schemas.labels import Label, LabelTable, Role
 __all__ = ["LEAST_VOXELS", "VEINS", "Kind", "kind_of", "sources_of"]
 
 Bool = npt.NDArray[np.bool_]
+UInt8 = npt.NDArray[np.uint8]
 Kind = Literal["vessel", "atrium", "appendage", "other"]
 """``vessel`` and ``atrium`` have ends, the latter those of the veins that are a part of it."""
 
@@ -82,7 +83,8 @@ def _nearest(piece: Bool, labels: UInt8, values: Sequence[int], segmentation: Se
     if len(others) == 0:
         return piece
     geometry = segmentation.geometry
-    distance = cKDTree(geometry.index_to_world(others[:, ::-1])).query(geometry.index_to_world(own[:, ::-1]))[0]
+    tree = cKDTree(geometry.index_to_world(others[:, ::-1]))
+    distance = np.asarray(tree.query(geometry.index_to_world(own[:, ::-1]))[0])
     found = np.zeros_like(piece)
     found[tuple(own[distance <= distance.min() + max(geometry.spacing_mm)].T)] = True
     return found

@@ -12,7 +12,16 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.data import Segmentation, VesselEnd
-from heartcase.pipeline.end_discs import Disc, Stumps, disc_of, end_marker, is_clean, radii_for, sides_of
+from heartcase.pipeline.end_discs import (
+    Disc,
+    Stumps,
+    disc_of,
+    end_marker,
+    is_beside_blood,
+    is_clean,
+    radii_for,
+    sides_of,
+)
 from heartcase.pipeline.inflow import LEAST_VOXELS, kind_of, sources_of
 from heartcase.pipeline.lumen_branches import Branch, find_branches
 from heartcase.pipeline.lumen_sections import Lumen, Section, across, angle_between
@@ -113,6 +122,7 @@ class LabelSearch:
         stumps: Stumps,
         known: Sequence[EndMarker],
     ) -> LabelSearch | None:
+        """Prepare the search for one label; None where there is hardly any of it."""
         geometry = segmentation.geometry
         mask = segmentation.labels == label.value
         if np.count_nonzero(mask) < LEAST_VOXELS:
@@ -284,11 +294,17 @@ class LabelSearch:
                     reasons.append(why)
                 else:
                     candidates.append((change, branch, section))
+            beside: list[VesselEnd] = []
             for least, most in itertools.pairwise((0.0, *TUBE_SHARES)):
                 for change, branch, section in candidates:
                     end = self._end_at(section, branch) if least < change <= most else None
-                    if end is not None:
+                    if end is None:
+                        continue
+                    if self._is_free(end):
                         return _Outcome((end,), (), is_settled=True)
+                    beside.append(end)
+            if beside:
+                return _Outcome((beside[0],), (), is_settled=True)
             reasons += [_FAULTS[0 if change <= TUBE_SHARES[-1] else 1] for change, _, _ in candidates]
         if self._is_atrium:
             return _Outcome((), (), is_settled=False)
@@ -296,6 +312,10 @@ class LabelSearch:
         place = ", ".join(f"{v:.1f}" for v in tip)
         why = max(sorted({*reasons}), key=reasons.count) if reasons else "it is too short"
         return _Outcome((), (f"the {self.label.name} ends near ({place}) mm and was not cut there: {why}",), False)
+
+    def _is_free(self, end: VesselEnd) -> bool:
+        blood = np.isin(self.segmentation.labels, self.blood)
+        return not is_beside_blood(self.segmentation, end_marker(end), self.label, self.stumps, blood)
 
     def _end_at(self, section: Section, branch: Branch) -> VesselEnd | None:
         """The end with the widest disc at a section that takes nothing but the branch away; None where none does."""

@@ -198,7 +198,7 @@ def _finish(
         segmentation_warnings(
             segmentation, markers, filtered=scan, made_later=made_by(recipe.edits, segmentation.table)
         ),
-        closed_vessels(segmentation, recipe.ends),
+        closed_vessels(segmentation, (*recipe.ends, *structures.vessel_ends)),
         opening_cautions(openings),
         with_edit_names(structures.warnings, recipe.edits),
         *(getattr(outputs[stage], "warnings", ()) for stage in ("grid", "map", "surface")),

@@ -25,12 +25,12 @@ STAGE_VERSIONS = {
     "markers": 1,
     "filter": 2,
     "segment": 2,
-    "walls": 12,
+    "walls": 13,
     "edit": 5,
     "grid": 10,
     "surface": 13,
     "map": 9,
-    "bundle": 6,
+    "bundle": 7,
 }
 """Raised whenever a stage's output changes for the same input, so that the cache forgets the old one."""
 
