@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import cc3d
@@ -33,9 +33,10 @@ __all__ = ["LabelSearch"]
 Bool = npt.NDArray[np.bool_]
 Float64 = npt.NDArray[np.float64]
 
-TUBE_SHARES = (1.25, 1.6, 2.2)
+TUBE_SHARES = (1.15, 1.6, 2.2)
 """A lumen is a tube where its section becomes no more than so many times larger or smaller towards the heart. A branch
-is searched once with each, so that a tapering tip is cut where it has become a tube."""
+is searched once with each, so that a tapering tip is cut where it has become a tube. The last one is for vessels
+alone: what widens so fast on an atrium is a bulge of it."""
 TUBE_PLACES = (0.4, 0.8)
 """How far before the disc that is looked at, in radii of the section."""
 SECTION_RADII = 4.0
@@ -55,6 +56,8 @@ TWIG_SHARE = 0.2
 """Least radius of an arm, in longest sides of a voxel, and as a part of the radius of the largest ball in the label."""
 JOINT_RADII = 4.0
 """Where one of several arms cannot be cut, all are cut behind their joint, if that is no farther than so many radii."""
+MOST_BESIDE = 6
+"""So many places whose stump would touch other blood are tried before the first of them is taken."""
 CAP_SHARE = 0.35
 """A lumen whose tip touches other blood over more than this part of its section goes on there."""
 AHEAD_RADII = 5.0
@@ -73,6 +76,16 @@ class _Arm:
     """From outside in; the way goes on from each to the next."""
     arms: tuple[_Arm, ...]
     """Arms that join it: none, or two and more."""
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """A section that a disc may take."""
+
+    branch: Branch
+    section: Section
+    change: float
+    """How many times larger or smaller the lumen becomes towards the heart, 1 and more."""
 
 
 @dataclass(frozen=True)
@@ -280,38 +293,52 @@ class LabelSearch:
 
     def _disc_on(self, arm: _Arm) -> _Outcome:
         """A disc on an arm, or why there is none; no reason where it is no vessel."""
+        if self._is_atrium and self._is_appendage(arm):
+            return _Outcome((), (), is_settled=False)
+        shares = TUBE_SHARES[:-1] if self._is_atrium else TUBE_SHARES
         reasons: list[str] = []
-        is_appendage = self._is_atrium and self._is_appendage(arm)
         for places, cut in ((self._places(arm), across), (self._places_straight(arm), Lumen.section)):
-            candidates = []
-            for branch, point, axis in places:
-                ball = self._ball_at(point)
-                if self._is_atrium and ball > BRANCH_SHARE * self.widest_mm:
-                    continue
-                section = cut(self.lumen, point, axis, SECTION_RADII * max(ball, self._step_mm))
-                why, change = self._judged(section, point, axis, is_appendage=is_appendage)
-                if why or section is None:
-                    reasons.append(why)
-                else:
-                    candidates.append((change, branch, section))
+            looked_at: list[_Candidate] = []
             beside: list[VesselEnd] = []
-            for least, most in itertools.pairwise((0.0, *TUBE_SHARES)):
-                for change, branch, section in candidates:
-                    end = self._end_at(section, branch) if least < change <= most else None
+            for least, most in itertools.pairwise((0.0, *shares)):
+                # the first round looks at the places, the others go over what it found
+                for one in looked_at or self._candidates(places, cut, looked_at, reasons):
+                    end = self._end_at(one.section, one.branch) if least < one.change <= most else None
                     if end is None:
                         continue
-                    if self._is_free(end):
-                        return _Outcome((end,), (), is_settled=True)
+                    if self._is_free(end) or len(beside) == MOST_BESIDE:
+                        return _Outcome((beside[0] if len(beside) == MOST_BESIDE else end,), (), is_settled=True)
                     beside.append(end)
             if beside:
                 return _Outcome((beside[0],), (), is_settled=True)
-            reasons += [_FAULTS[0 if change <= TUBE_SHARES[-1] else 1] for change, _, _ in candidates]
-        if self._is_atrium:
+            reasons += [_FAULTS[0 if one.change <= shares[-1] else 1] for one in looked_at]
+        if self._is_atrium and _FAULTS[0] not in reasons:
             return _Outcome((), (), is_settled=False)
         tip = self.segmentation.geometry.index_to_world(arm.parts[0].index[0][::-1])
         place = ", ".join(f"{v:.1f}" for v in tip)
         why = max(sorted({*reasons}), key=reasons.count) if reasons else "it is too short"
+        why = _FAULTS[0] if _FAULTS[0] in reasons else why
         return _Outcome((), (f"the {self.label.name} ends near ({place}) mm and was not cut there: {why}",), False)
+
+    def _candidates(
+        self,
+        places: Iterator[tuple[Branch, Float64, Float64]],
+        cut: Callable[[Lumen, Float64, Float64, float], Section | None],
+        kept: list[_Candidate],
+        reasons: list[str],
+    ) -> Iterator[_Candidate]:
+        """Sections that may take a disc; they are also put into ``kept``, and why others may not into ``reasons``."""
+        for branch, point, axis in places:
+            ball = self._ball_at(point)
+            if self._is_atrium and ball > BRANCH_SHARE * self.widest_mm:
+                continue
+            section = cut(self.lumen, point, axis, SECTION_RADII * max(ball, self._step_mm))
+            why, change = self._judged(section, point, axis)
+            if why or section is None:
+                reasons.append(why)
+                continue
+            kept.append(_Candidate(branch, section, change))
+            yield kept[-1]
 
     def _is_free(self, end: VesselEnd) -> bool:
         blood = np.isin(self.segmentation.labels, self.blood)
@@ -319,12 +346,12 @@ class LabelSearch:
 
     def _end_at(self, section: Section, branch: Branch) -> VesselEnd | None:
         """The end with the widest disc at a section that takes nothing but the branch away; None where none does."""
-        section = self._outermost(section)
         wall = self.stumps.wall_mm(self.label)
-        for radius in radii_for(self._extent(section), wall, self.stumps, self._step_mm):
-            end = _end(self.label, section.middle, section.axis, radius, section.radius_mm)
-            if is_clean(self.segmentation, end_marker(end), self.label, self.stumps, within=branch.index):
-                return end
+        for one in (self._outermost(section), section):
+            for radius in radii_for(self._extent(one), wall, self.stumps, self._step_mm):
+                end = _end(self.label, one.middle, one.axis, radius, one.radius_mm)
+                if is_clean(self.segmentation, end_marker(end), self.label, self.stumps, within=branch.index):
+                    return end
         return None
 
     def _ball_at(self, point: Float64) -> float:
@@ -372,9 +399,7 @@ class LabelSearch:
             if slab.any():
                 yield branch, points[slab].mean(axis=0), axis
 
-    def _judged(
-        self, section: Section | None, point: Float64, axis: Float64, *, is_appendage: bool
-    ) -> tuple[str, float]:
+    def _judged(self, section: Section | None, point: Float64, axis: Float64) -> tuple[str, float]:
         """Why a section is no place for a disc, or an empty string; and how much it changes towards the heart."""
         if section is None or not section.is_whole or angle_between(section.axis, axis) > TURN_DEGREES:
             return "its cross-section is no tube's", np.inf
@@ -384,7 +409,7 @@ class LabelSearch:
             return "its cross-section is too flat", np.inf
         if section.radius_mm < self._least_radius_mm:
             return "it is too narrow", np.inf
-        if self._is_atrium and (why := self._no_vein(section, is_towards_valve=is_appendage)):
+        if self._is_atrium and (why := self._no_vein(section)):
             return why, np.inf
         change = 1.0
         for back in TUBE_PLACES:
@@ -407,12 +432,10 @@ class LabelSearch:
         nearest = float(np.sqrt((away**2).sum(axis=1)).min(initial=np.inf))
         return bool(nearest < (APPENDAGE_SHARE + cosine) * self.widest_mm)
 
-    def _no_vein(self, section: Section, *, is_towards_valve: bool) -> str:
+    def _no_vein(self, section: Section) -> str:
         """Why a branch of an atrium is no vein, or an empty string."""
         if section.radius_mm > BRANCH_SHARE * self.widest_mm:
             return "it is as wide as the atrium"
-        if is_towards_valve:
-            return "it lies towards the valve and on other chambers, as an appendage does"
         ahead = np.arange(1.0, AHEAD_RADII * section.radius_mm, 0.5 * self._step_mm)
         points = section.middle + ahead[:, None] * section.axis
         index = np.rint(self.segmentation.geometry.world_to_index(points)).astype(int)[:, ::-1]
@@ -428,7 +451,7 @@ class LabelSearch:
         for number in range(1, 1 + int(section.radius_mm / step)):
             point = section.middle + number * step * section.axis
             further = self.lumen.section(point, section.axis, SECTION_RADII * section.radius_mm)
-            if further is None or not further.is_whole or not 0.85 <= further.area_mm2 / section.area_mm2 <= 1.25:
+            if further is None or not further.is_whole or not 0.92 <= further.area_mm2 / section.area_mm2 <= 1.25:
                 break
             best = further
         return best

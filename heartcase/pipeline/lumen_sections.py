@@ -21,8 +21,13 @@ ROUNDS = 4
 """Times that a plane is moved to the middle of its section and turned across the line of middles."""
 RIVAL_SHARE = 0.5
 """Part of a section's size from which on another piece in its plane may be meant as well."""
-ARM_SHARE = 0.75
-"""How far before and behind the plane the line of middles is looked at, in radii of the section."""
+ARM_PLACES = (-1.0, -0.5, 0.5)
+"""How far before and behind the plane the line of middles is looked at, in radii of the section: farther on the heart's
+side, as the tip may be near."""
+NEAR_EXTENTS = 1.5
+"""How far around its middle the next section of the same tube is looked for, in extents of the last and one radius."""
+ALIKE = 1.45
+"""Sections whose areas differ by more than this factor are not of one tube."""
 
 
 @dataclass(frozen=True)
@@ -151,17 +156,24 @@ def across(lumen: Lumen, point: Float64, axis: Float64, limit_mm: float) -> Sect
     for _ in range(ROUNDS):
         if found is None or not found.is_whole:
             return None
-        arm = max(ARM_SHARE * found.radius_mm, *lumen.geometry.spacing_mm)
-        middles = [found.middle]
-        for way in (-arm, arm):
-            beside = lumen.section(found.middle + way * found.axis, found.axis, limit_mm)
-            if beside is not None and beside.is_whole and 0.7 <= beside.area_mm2 / found.area_mm2 <= 1.45:
-                middles.insert(0 if way < 0.0 else len(middles), beside.middle)
-        line = middles[-1] - middles[0]
-        if len(middles) > 1 and line @ found.axis > 0.0:
-            axis = line / np.linalg.norm(line)
+        arm = max(found.radius_mm, *lumen.geometry.spacing_mm)
+        # what reaches farther is not of the same tube
+        limit_mm = min(limit_mm, NEAR_EXTENTS * found.extent_mm + arm)
+        places, middles = [0.0], [found.middle]
+        for place in ARM_PLACES:
+            beside = lumen.section(found.middle + place * arm * found.axis, found.axis, limit_mm)
+            if beside is not None and beside.is_whole and _is_alike(beside, found):
+                places.append(place)
+                middles.append(beside.middle)
+        slope = (np.array(places) - np.mean(places)) @ np.array(middles)
+        if len(middles) > 1 and slope @ found.axis > 0.0:
+            axis = slope / np.linalg.norm(slope)
         found = lumen.section(found.middle, axis, limit_mm)
     return found if found is not None and found.is_whole else None
+
+
+def _is_alike(one: Section, other: Section) -> bool:
+    return 1.0 / ALIKE <= one.area_mm2 / other.area_mm2 <= ALIKE
 
 
 def angle_between(one: Float64, other: Float64) -> float:
