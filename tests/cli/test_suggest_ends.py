@@ -47,7 +47,7 @@ def work(tmp_path_factory):
     middle = -10.0 * AXIS
     segmentation = segmented(
         GEOMETRY,
-        (1, ball(GEOMETRY, middle, 11.0) & ball(GEOMETRY, middle + (-3.0, 0.0, 0.0), 11.0)),
+        (1, ball(GEOMETRY, middle, 11.0) & ball(GEOMETRY, middle - np.array((3.0, 0.0, 0.0)), 11.0)),
         (4, ball(GEOMETRY, (6.0, -6.0, -14.0), 8.0)),
         (2, tube(GEOMETRY, line(tuple(middle), tuple(ENDS["superior vena cava"])), 5.0)),
         (5, tube(GEOMETRY, line((6.0, -6.0, -14.0), tuple(ENDS["aorta"])), 5.0)),
@@ -117,11 +117,26 @@ def test_what_cannot_be_written_is_refused(work):
         proposed.save()
 
 
-def test_automatic_ends_are_found_in_the_build_told_in_the_report_and_locked(work):
-    path = written(work, "auto.toml", head='ends = "automatic"\n')
-    recipe = load_recipe(path)
-    assert recipe.walls.find_ends
+def test_a_lock_writes_down_the_ends_that_a_build_would_find(work):
+    recipe = load_recipe(written(work, "auto.toml", head='ends = "automatic"\n'))
+    assert recipe.walls_to_grow.find_ends
     assert recipe.ends == ()
+    locked = lock_recipe(recipe, directory=work, out=work)
+    check_ends([end.model_dump() for end in locked.ends])
+    assert locked.lock.found_end_count == 2
+    assert not locked.walls_to_grow.find_ends
+    text = recipe_text(locked)
+    assert parse_recipe(text) == locked
+    # locked again it stays as it is; unlocked they are sought again
+    assert recipe_text(lock_recipe(locked, directory=work, out=work)) == text
+    today = unlocked_recipe(locked)
+    assert today.ends == ()
+    assert today.walls_to_grow.find_ends
+
+
+@pytest.mark.slow
+def test_automatic_ends_are_found_in_the_build_and_told_in_the_report(work):
+    recipe = load_recipe(written(work, "build.toml", head='ends = "automatic"\n'))
     built = build_case(recipe, directory=work, out=work / "out")
     assert not [line for line in built.warnings if "closed sac" in line]
     html = built.report.read_text()
@@ -129,27 +144,6 @@ def test_automatic_ends_are_found_in_the_build_told_in_the_report_and_locked(wor
     assert section.count("cut where the program found the end") == 2
     assert 'src="data:image/jpeg' in section
     assert "found by the program" in html.partition('<section id="hand">')[2]
-
-    locked = lock_recipe(recipe, directory=work, out=work)
-    check_ends([end.model_dump() for end in locked.ends])
-    assert locked.lock.found_end_count == 2
-    text = recipe_text(locked)
-    assert parse_recipe(text) == locked
-    again = build_case(locked, directory=work, out=work / "locked")
-    for name in ("cells.bin", "nodes.bin"):
-        assert (again.case / name).exists() == (built.case / name).exists()
+    again = build_case(lock_recipe(recipe, directory=work, out=work), directory=work, out=work / "locked")
     stated = again.report.read_text().partition('<section id="ends">')[2].partition("</section>")[0]
     assert stated.count("cut where the recipe says") == 2
-    # a lock is kept when it is locked again, and undone with what it filled in
-    assert recipe_text(lock_recipe(locked, directory=work, out=work)) == text
-    today = unlocked_recipe(locked)
-    assert today.ends == ()
-    assert today.walls.find_ends
-
-
-def test_without_them_the_vessels_stay_closed_and_the_warning_says_what_to_do(work):
-    built = build_case(load_recipe(written(work, "closed.toml")), directory=work, out=work / "closed")
-    sacs = [line for line in built.warnings if "closed sac" in line]
-    assert len(sacs) == 2
-    assert all("heartcase suggest --ends" in line for line in sacs)
-    assert '<section id="ends">' not in built.report.read_text()
