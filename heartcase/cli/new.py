@@ -148,7 +148,11 @@ points_mm = [{[round(center_mm[0] - 0.45 * extent_mm[0], 1), *center_mm[1:]]}]  
 # points_mm = [{list(center_mm)}]
 
 # NEEDED for every vessel that ends inside the scan: where it is cut open. Without it the vessel becomes a closed sac.
-# The axis points out of the heart; the tissue at the cut is held fixed.
+# The program finds the ends when [walls] says find_ends = true; look at them in the report. Or let
+#   heartcase suggest THIS_FILE --ends --write
+# write them here, to be changed, or write your own. The axis points out of the heart; the tissue at the cut is held.
+# [walls]
+# find_ends = true
 # [[ends]]
 # label = "aorta"
 # position_mm = {list(center_mm)}

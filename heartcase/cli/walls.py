@@ -45,11 +45,11 @@ def command(labels: Path, output: Path, recipe: Path | None, sets: tuple[str, ..
         if naming.method != "labels":
             unknown = "the labels came from an image file, which holds nothing of what was told when they were made"
             work.told["unknown"] = (Caution(unknown),)
-    work.told |= told_of_ends(work.recipe, segmentation)
     settings = resolve_walls(work.recipe.walls, segmentation.geometry, segmentation.table)
     work.recipe = work.recipe.model_copy(update={"walls": settings})
     work.nodes.segmentation = node_of(segmentation)
     work.run("walls")
     grown = have(work.nodes.grown).get()
+    work.told |= told_of_ends(work.recipe, segmentation, grown)
     save_output(output, grown, work.finished_history())
     echo_warnings(worst_first(*work.told.values(), grown.warnings))

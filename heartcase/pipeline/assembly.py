@@ -115,11 +115,11 @@ def told_of_outlines(
     }
 
 
-def told_of_ends(recipe: Recipe, segmentation: Segmentation) -> dict[str, tuple[str, ...]]:
+def told_of_ends(recipe: Recipe, segmentation: Segmentation, structures: Structures) -> dict[str, tuple[str, ...]]:
     """What is to be told of vessels that nothing cuts open."""
     from heartcase.pipeline.ends import closed_vessels
 
-    return {"ends": closed_vessels(segmentation, recipe.ends)}
+    return {"ends": closed_vessels(segmentation, (*recipe.ends, *structures.vessel_ends))}
 
 
 def assemble_case(recipe: Recipe, results: StageResults, *, name: str, case_id: str | None) -> AssembledCase:

@@ -27,6 +27,7 @@ __all__ = [
     "Structures",
     "Surface",
     "ThicknessTable",
+    "VesselEnd",
 ]
 
 Float32 = npt.NDArray[np.float32]
@@ -125,6 +126,25 @@ class Reshaping(NamedTuple):
         return min(2.0 * half, math.dist(low, high))
 
 
+class VesselEnd(NamedTuple):
+    """Where a vessel leaves the model."""
+
+    label: str
+    """Name of the vessel's label."""
+    position_mm: tuple[float, float, float]
+    """Middle of the lumen there, LPS mm."""
+    axis: tuple[float, float, float]
+    """Direction out of the heart, of length one."""
+    radius_mm: float
+    """Radius of the disc that cuts it; of the lumen where nothing cuts it."""
+    lumen_radius_mm: float
+    """Radius of a circle of the lumen's area there."""
+    is_open: bool = False
+    """Whether the volume's face cuts it, so that no disc is needed."""
+    found: str = "found"
+    """``stated`` in the recipe, ``moved`` from what the recipe states, or ``found`` by the search."""
+
+
 class ThicknessTable(NamedTuple):
     """Thickness of one cavity's wall that varies from place to place (:mod:`heartcase.pipeline.wall_thickness`)."""
 
@@ -177,6 +197,8 @@ class Structures:
     """Thickness of the walls that are not equally thick all over; one for each of their cavities."""
     has_voxel_steps: bool = field(default=False, metadata={"is_kept_when_empty": False})
     """Whether the fields came from labels, whose voxels leave small steps in them: normals are smoothed then."""
+    vessel_ends: tuple[VesselEnd, ...] = field(default=(), metadata={"is_kept_when_empty": False})
+    """The vessels' ends: cut by a disc, or, where they were sought, open at a face of the volume."""
     quality: dict[str, Any] = field(default_factory=dict, metadata={"is_kept_when_empty": False})
     """What the smoothing of the outlines did: volumes and narrowest lumens before and after, for the report."""
 
@@ -186,6 +208,7 @@ class Structures:
         for one in self.reshapings:
             if len(one.points_mm) < SHAPE_POINTS.get(one.shape, len(one.points_mm) + 1):
                 raise TypeError(f"a reshaping of shape {one.shape!r} with {len(one.points_mm)} points is none")
+        object.__setattr__(self, "vessel_ends", tuple(VesselEnd(*one) for one in self.vessel_ends))
         object.__setattr__(self, "thickness_tables", tuple(ThicknessTable(*one) for one in self.thickness_tables))
 
     @property

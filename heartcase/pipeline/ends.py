@@ -7,7 +7,7 @@ reach; what lies further out loses its label; the exact plane is a reshaping of 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cc3d
@@ -18,10 +18,12 @@ from scipy.ndimage import binary_dilation, map_coordinates
 
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.cautions import Caution, anatomy, severity_of
-from heartcase.pipeline.data import Reshaping, Segmentation
+from heartcase.pipeline.data import Reshaping, Segmentation, VesselEnd
+from heartcase.pipeline.end_discs import Disc, Sides, Stumps, disc_of, end_marker, meets, sides_of
+from heartcase.pipeline.find_ends import FoundEnds, find_ends
+from heartcase.pipeline.snap_ends import advice_for, moved_words, snapped_end
 from heartcase.schemas.errors import Problem, StageError
-from heartcase.schemas.geometry import Geometry
-from heartcase.schemas.labels import BACKGROUND, LabelTable, Role
+from heartcase.schemas.labels import BACKGROUND, Label, LabelTable, Role
 from heartcase.schemas.settings import EndMarker
 
 __all__ = ["EndCuts", "closed_vessels", "cut_ends"]
@@ -29,7 +31,6 @@ __all__ = ["EndCuts", "closed_vessels", "cut_ends"]
 Bool = npt.NDArray[np.bool_]
 Float64 = npt.NDArray[np.float64]
 UInt8 = npt.NDArray[np.uint8]
-Box = tuple[slice, slice, slice]
 
 FULL_SHARE = 0.9
 """Least part of its area that a cross-section keeps over half a radius, where the lumen is not yet its tip."""
@@ -39,8 +40,6 @@ BODY_SHARE = 0.5
 """Cross-sections that reach more than this part of the disc's rim belong to the chamber that the vessel leaves."""
 OPEN_SHARE = 0.5
 """Part of its area that the lumen must keep to count as open."""
-STUMP_TAPER = 0.1
-"""How much narrower the room for a stump gets per mm behind the disc: a lumen is known to a part of a voxel only."""
 GAP_VOXELS = 2.0
 """Gap between lumen and disc that is closed without a word."""
 HALF = 0.5 - 1e-6
@@ -58,55 +57,30 @@ class EndCuts:
     reshapings: tuple[Reshaping, ...]
     """The cut at each marker that meets its vessel, in order."""
     ends: tuple[EndMarker, ...]
-    """The markers that meet their vessel."""
+    """The markers that cut, as stated, moved or found."""
+    vessel_ends: tuple[VesselEnd, ...]
+    """The same with what is known of them; where ends were sought, also those that are open at a face of the volume."""
     warnings: tuple[str, ...]
-    """Markers that do not, and lumens that were continued over a gap."""
-
-
-@dataclass(frozen=True)
-class _Disc:
-    """An end marker, its vessel's value, and the part of the lattice around it."""
-
-    value: int
-    position: Float64
-    axis: Float64
-    radius_mm: float
-    wall_mm: float
-    """Thickness of the vessel's wall; no lumen is left beyond the disc whose wall would stick out of the cylinder."""
-    clearance_mm: float
-    geometry: Geometry
-    box: Box
-    along: Float64
-    """Distance beyond the disc's plane of each voxel of the box, mm, shape [z, y, x]."""
-    across: Float64
-    """Distance from the disc's axis, mm."""
-
-    @property
-    def cylinder(self) -> Bool:
-        """Voxels of the box in front of the disc and behind it."""
-        return (self.across <= self.radius_mm) & (self.along <= self.clearance_mm)
-
-    @property
-    def stump(self) -> Bool:
-        """Voxels of the box behind the disc whose wall, were they lumen, would lie in the cylinder that is cut off."""
-        room = self.radius_mm - self.wall_mm - STUMP_TAPER * self.along
-        return self.cylinder & (self.along >= 0.0) & (self.across <= room)
+    """Markers that do not meet their vessel or were moved, lumens that were continued over a gap, and branches without
+    an end."""
 
 
 def cut_ends(
     segmentation: Segmentation,
     table: LabelTable,
     ends: Sequence[EndMarker],
+    stumps: Stumps,
     *,
-    clearance_mm: float,
-    thickness_mm: Mapping[int, float] | None = None,
+    find: bool = False,
 ) -> EndCuts:
     """Make each vessel run straight on through its end marker, and take its label from the voxels beyond.
 
-    A stump of ``clearance_mm`` stays so that the fields are undisturbed at the plane; a reshaping takes it away. Where
-    the lumen rounds off before the stump's end, or stops up to the disc's radius short of the disc, its last full
-    cross-section is continued along the axis: into background only, and nowhere beside other blood. No part of a stump
-    comes so near the rim that its wall would stick out of the cylinder behind the disc, which is all that is cut off.
+    A stump stays so that the fields are undisturbed at the plane; a reshaping takes it away. Where the lumen rounds off
+    before the stump's end, or stops up to the disc's radius short of the disc, its last full cross-section is continued
+    along the axis: into background only, and nowhere beside other blood. No part of a stump comes so near the rim that
+    its wall would stick out of the cylinder behind the disc, which is all that is cut off.
+    A marker that does not cut its vessel is moved onto it where it is clear which one is meant
+    (:mod:`heartcase.pipeline.snap_ends`).
 
     Parameters
     ----------
@@ -116,10 +90,10 @@ def cut_ends(
         Label table with the grown walls.
     ends
         End markers.
-    clearance_mm
-        Length of the stump: more than the thickest wall and the reach of the smoothing.
-    thickness_mm
-        Greatest thickness of the wall of each label value, where it is not the table's.
+    stumps
+        What is left behind the discs.
+    find
+        Cut also the ends that :func:`heartcase.pipeline.find_ends.find_ends` finds beside those of the markers.
 
     Returns
     -------
@@ -130,44 +104,112 @@ def cut_ends(
     ------
     StageError
         For every marker that lies outside the volume, whose label is not in the segmentation, or that does not cut
-        through its vessel.
+        through its vessel: with the numbers that would.
     """
-    labels = segmentation.labels.copy()
-    cuts: list[Reshaping] = []
-    met: list[EndMarker] = []
+    work = _Work(segmentation, table, stumps)
     problems: list[Problem] = []
-    warnings: list[str] = []
     for number, end in enumerate(ends, start=1):
-        place = f"ends[{number}]"
-        try:
-            label = table[end.label]
-        except KeyError:
-            problems.append(Problem(place, f"there is no label {end.label!r}: check the name"))
-            continue
-        wall_mm = (thickness_mm or {}).get(label.value, label.wall_thickness_mm)
-        disc = _disc_of(segmentation, end, label.value, wall_mm, clearance_mm)
-        sides = _sides(segmentation.labels, disc) if disc is not None else None
-        message = _refusal(disc, sides)
-        if disc is None or sides is None or message:
-            problems.append(Problem(place, message.format(name=label.name)))
-            continue
-        away = _way_to_vessel(segmentation, disc)
-        if away:
-            warnings.append(anatomy(f"{place} ({label.name}): {away}"))
-            continue
-        _clear_beyond(labels, sides, disc)
-        warnings += [
-            Caution(f"{place} ({label.name}): {text}", severity_of(text))
-            for text in _continue_lumen(labels, disc, table.blood_values)
-        ]
-        met.append(end)
-        cuts.append(_cut(disc, end, table))
+        problem = work.cut_stated(f"ends[{number}]", end)
+        if problem is not None:
+            problems.append(problem)
     if problems:
         raise StageError(problems)
-    return EndCuts(labels, tuple(cuts), tuple(met), tuple(warnings))
+    if find:
+        work.cut_found(find_ends(segmentation, table, stumps, known=work.met))
+    return EndCuts(work.labels, tuple(work.cuts), tuple(work.met), tuple(work.vessel_ends), tuple(work.warnings))
 
 
-def _cut(disc: _Disc, end: EndMarker, table: LabelTable) -> Reshaping:
+class _Work:
+    """Cuts one end after the other."""
+
+    def __init__(self, segmentation: Segmentation, table: LabelTable, stumps: Stumps) -> None:
+        self.segmentation, self.table, self.stumps = segmentation, table, stumps
+        self.labels = segmentation.labels.copy()
+        self.cuts: list[Reshaping] = []
+        self.met: list[EndMarker] = []
+        self.vessel_ends: list[VesselEnd] = []
+        self.warnings: list[str] = []
+        self._found: dict[int, tuple[VesselEnd, ...]] = {}
+
+    def cut_stated(self, place: str, end: EndMarker) -> Problem | None:
+        """Cut at a marker of the recipe; why that cannot be."""
+        label = self.table.find(end.label)
+        if label is None:
+            return Problem(place, f"there is no label {end.label!r}: check the name")
+        if not (self.segmentation.labels == label.value).any():
+            message = f"there is no '{label.name}' in the segmentation: check the markers, or remove this end marker"
+            return Problem(place, message)
+        disc = self._disc(end, label)
+        sides = sides_of(self.segmentation.labels, disc) if disc is not None else None
+        is_met = disc is not None and meets(self.segmentation.labels, disc)
+        if disc is not None and sides is not None and sides.is_divided and is_met:
+            self._cut(f"{place} ({label.name})", end, label, disc, sides, "stated")
+            if _cuts_heart_off(self.segmentation, self.table, sides):
+                words = "more of it is cut off than stays, with what a chamber touches: turn its axis out of the heart"
+                self.warnings.append(anatomy(f"{place} ({label.name}): {words}"))
+            return None
+        moved = snapped_end(self.segmentation, label, end, self.stumps, self._ends_of(label))
+        disc_there = self._disc(moved, label) if moved is not None else None
+        sides_there = sides_of(self.segmentation.labels, disc_there) if disc_there is not None else None
+        if moved is not None and disc_there is not None and sides_there is not None:
+            self.warnings.append(f"{place} ({label.name}): {moved_words(end, moved)}")
+            self._cut(f"{place} ({label.name})", moved, label, disc_there, sides_there, "moved")
+            return None
+        advice = advice_for(self.segmentation, label, end, self._ends_of(label))
+        if disc is None:
+            return Problem(place, f"the disc lies outside the volume; of '{label.name}', {advice}")
+        if sides is not None and not sides.is_divided:
+            return Problem(place, f"the disc does not cut through '{label.name}'; {advice}")
+        away = _way_to_vessel(self.segmentation, disc)
+        self.warnings.append(anatomy(f"{place} ({label.name}): {away}; {advice}"))
+        return None
+
+    def cut_found(self, found: FoundEnds) -> None:
+        """Cut at the ends that the search found."""
+        for end in found.ends:
+            label = self.table[end.label]
+            if end.is_open:
+                self.vessel_ends.append(end)
+                continue
+            marker = end_marker(end)
+            disc = self._disc(marker, label)
+            sides = sides_of(self.segmentation.labels, disc) if disc is not None else None
+            if disc is not None and sides is not None:
+                place = ", ".join(f"{v:.1f}" for v in end.position_mm)
+                self._cut(f"the end of the {label.name} at ({place}) mm", marker, label, disc, sides, "found", end)
+        self.warnings += [anatomy(words) for words in found.dropped]
+
+    def _disc(self, end: EndMarker, label: Label) -> Disc | None:
+        return disc_of(self.segmentation, end, label.value, self.stumps.wall_mm(label), self.stumps.clearance_mm)
+
+    def _ends_of(self, label: Label) -> tuple[VesselEnd, ...]:
+        """Ends of one label, looked for once."""
+        if label.value not in self._found:
+            found = find_ends(self.segmentation, self.table, self.stumps, only=(label.value,))
+            self._found[label.value] = found.ends
+        return self._found[label.value]
+
+    def _cut(
+        self,
+        place: str,
+        marker: EndMarker,
+        label: Label,
+        disc: Disc,
+        sides: Sides,
+        how: str,
+        known: VesselEnd | None = None,
+    ) -> None:
+        _clear_beyond(self.labels, sides, disc)
+        texts, radius_mm = _continue_lumen(self.labels, disc, self.table.blood_values)
+        self.warnings += [Caution(f"{place}: {text}", severity_of(text)) for text in texts]
+        self.met.append(marker)
+        self.cuts.append(_reshaping(disc, marker, self.table))
+        axis = tuple(round(float(v), 6) for v in disc.axis)
+        stated = VesselEnd(label.name, marker.position_mm, axis, marker.radius_mm, round(radius_mm, 1), found=how)  # type: ignore[arg-type]
+        self.vessel_ends.append(known or stated)
+
+
+def _reshaping(disc: Disc, end: EndMarker, table: LabelTable) -> Reshaping:
     wall = table.wall_value(disc.value)
     sources = (table[disc.value].name,) if wall is None else (table[disc.value].name, table[wall].name)
     far = disc.position + 2.0 * disc.clearance_mm * disc.axis
@@ -175,84 +217,8 @@ def _cut(disc: _Disc, end: EndMarker, table: LabelTable) -> Reshaping:
     return Reshaping("cylinder", points, end.radius_mm, sources, (table[BACKGROUND].name,))
 
 
-def _disc_of(
-    segmentation: Segmentation, end: EndMarker, value: int, wall_mm: float, clearance_mm: float
-) -> _Disc | None:
-    """Look at the lattice around an end marker; None outside the volume."""
-    geometry = segmentation.geometry
-    position = np.array(end.position_mm)
-    axis = np.array(end.axis) / np.linalg.norm(end.axis)
-    middles = geometry.world_to_index(position + np.outer([-3.0 * end.radius_mm, clearance_mm], axis))
-    reach = end.radius_mm / np.array(geometry.spacing_mm) + 1.0
-    low = np.maximum(np.floor(middles.min(axis=0) - reach), 0).astype(int)
-    high = np.minimum(np.ceil(middles.max(axis=0) + reach) + 1, geometry.size).astype(int)
-    index = geometry.world_to_index(position)
-    size = np.array(geometry.size)
-    if np.any(high <= low) or np.any(index < -reach) or np.any(index > size - 1 + reach):
-        return None
-    box = (slice(low[2], high[2]), slice(low[1], high[1]), slice(low[0], high[0]))
-    k, j, i = np.meshgrid(*(np.arange(part.start, part.stop) for part in box), indexing="ij")
-    offset = geometry.index_to_world(np.stack([i, j, k], axis=-1)) - position
-    along = offset @ axis
-    across = np.sqrt(np.maximum(np.einsum("...x,...x->...", offset, offset) - along * along, 0.0))
-    return _Disc(value, position, axis, end.radius_mm, wall_mm, clearance_mm, geometry, box, along, across)
-
-
-def _refusal(disc: _Disc | None, sides: _Sides | None) -> str:
-    """What is wrong with a marker, or an empty string."""
-    if disc is None:
-        return "the disc lies outside the volume: move its position_mm onto the end of '{name}'"
-    if sides is None:
-        return "there is no '{name}' in the segmentation: check the markers, or remove this end marker"
-    if sides.before & sides.after:
-        return "the disc does not cut through '{name}': enlarge radius_mm, or set the axis along the vessel"
-    return ""
-
-
-@dataclass(frozen=True)
-class _Sides:
-    """A vessel without the layer at the disc, in pieces."""
-
-    before: set[int]
-    """Pieces that lie right before the disc."""
-    after: set[int]
-    """Pieces that lie right beyond it."""
-    pieces: npt.NDArray[np.uint32]
-    """Piece of each voxel of a box around the vessel and the disc; 0 off the vessel."""
-    box: Box
-    disc_box: Box
-    """The disc's box within that box."""
-
-
-def _sides(labels: UInt8, disc: _Disc) -> _Sides | None:
-    """The vessel's pieces; None where there is no such vessel."""
-    vessel = labels == disc.value
-    there = [np.flatnonzero(vessel.any(axis=axes)) for axes in ((1, 2), (0, 2), (0, 1))]
-    if len(there[0]) == 0:
-        return None
-    z, y, x = (
-        slice(min(int(one[0]), part.start), max(int(one[-1]) + 1, part.stop))
-        for one, part in zip(there, disc.box, strict=True)
-    )
-    box = (z, y, x)
-    c, b, a = (slice(part.start - of.start, part.stop - of.start) for part, of in zip(disc.box, box, strict=True))
-    disc_box = (c, b, a)
-    voxel = float(max(disc.geometry.spacing_mm))
-    on_disc = disc.across <= disc.radius_mm
-    divided = vessel[box]
-    divided[disc_box] &= ~(on_disc & (disc.along >= 0.0) & (disc.along <= 1.8 * voxel))
-    pieces = cc3d.connected_components(np.ascontiguousarray(divided), connectivity=6)
-    near = pieces[disc_box]
-    before = {int(n) for n in np.unique(near[on_disc & (disc.along < 0.0) & (disc.along >= -1.8 * voxel)])} - {0}
-    after = {int(n) for n in np.unique(near[on_disc & (disc.along > 1.8 * voxel) & (disc.along <= 3.6 * voxel)])} - {0}
-    return _Sides(before, after, pieces, box, disc_box)
-
-
-def _way_to_vessel(segmentation: Segmentation, disc: _Disc) -> str:
-    """What to say where the vessel does not come near the disc from the heart's side, or an empty string."""
-    vessel = segmentation.labels[disc.box] == disc.value
-    if np.any(vessel & (disc.across <= disc.radius_mm) & (disc.along < 0.0) & (disc.along >= -disc.radius_mm)):
-        return ""
+def _way_to_vessel(segmentation: Segmentation, disc: Disc) -> str:
+    """What is wrong where the vessel does not come near the disc from the heart's side."""
     where = np.argwhere(segmentation.labels == disc.value)
     offset = disc.geometry.index_to_world(where[:, ::-1]) - disc.position
     along = offset @ disc.axis
@@ -265,23 +231,37 @@ def _way_to_vessel(segmentation: Segmentation, disc: _Disc) -> str:
     return f"the segmented vessel ends {distance[nearest]:.1f} mm away from this end marker and stays closed: {remedy}"
 
 
-def _clear_beyond(labels: UInt8, sides: _Sides, disc: _Disc) -> None:
+def _cuts_heart_off(segmentation: Segmentation, table: LabelTable, sides: Sides) -> bool:
+    """Whether what is cut off is more than what stays, and touches a chamber, as where the axis is the wrong way."""
+    gone = np.isin(sides.pieces, sorted(sides.after))
+    if 2 * np.count_nonzero(gone) <= np.count_nonzero(sides.pieces):
+        return False
+    chambers = [label.value for label in table if label.role is Role.BLOOD]
+    value = segmentation.labels[sides.box]
+    own = value[gone][0]
+    others = np.isin(value, [one for one in chambers if one != own])
+    return bool((binary_dilation(gone) & others).any())
+
+
+def _clear_beyond(labels: UInt8, sides: Sides, disc: Disc) -> None:
     """Take the label from what is connected to the vessel beyond its stump, in place."""
     beyond = np.isin(sides.pieces, sorted(sides.after))
     beyond[sides.disc_box] &= ~disc.stump
     labels[sides.box][beyond] = BACKGROUND
 
 
-def _continue_lumen(labels: UInt8, disc: _Disc, blood_values: Sequence[int]) -> list[str]:
-    """Continue a lumen through its disc in place; what the user must know."""
+def _continue_lumen(labels: UInt8, disc: Disc, blood_values: Sequence[int]) -> tuple[list[str], float]:
+    """Continue a lumen through its disc in place; what the user must know, and the radius of the section, mm."""
     near = labels[disc.box]
     lumen = _lumen_before(near, disc)
     steps, areas, rims = _areas(lumen, disc)
     first, last = _full_sections(steps, areas, rims > BODY_SHARE, disc)
     is_outside = (disc.along >= 0.0) & ~disc.stump
     near[lumen & is_outside] = BACKGROUND
+    at_disc = int(np.searchsorted(steps, min(last, 0.0)))
+    radius_mm = float(np.sqrt(areas[at_disc] / np.pi))
     if last >= disc.clearance_mm:
-        return []
+        return [], radius_mm
     section = _continued(lumen, disc, first, last)
     blood = np.isin(near, list(blood_values)) & ~lumen
     beyond = disc.cylinder & (disc.along > last)
@@ -302,10 +282,10 @@ def _continue_lumen(labels: UInt8, disc: _Disc, blood_values: Sequence[int]) -> 
         messages.append(
             anatomy("other structures close the vessel at this end marker: move the marker towards the heart")
         )
-    return messages
+    return messages, radius_mm
 
 
-def _lumen_before(near: UInt8, disc: _Disc) -> Bool:
+def _lumen_before(near: UInt8, disc: Disc) -> Bool:
     """Find the vessel's largest piece in the disc's cylinder that comes near the disc from the heart's side."""
     pieces = cc3d.connected_components((near == disc.value) & disc.cylinder, connectivity=6)
     close = (disc.along < 0.0) & (disc.along >= -disc.radius_mm)
@@ -314,7 +294,7 @@ def _lumen_before(near: UInt8, disc: _Disc) -> Bool:
     return lumen
 
 
-def _areas(lumen: Bool, disc: _Disc) -> tuple[Float64, Float64, Float64]:
+def _areas(lumen: Bool, disc: Disc) -> tuple[Float64, Float64, Float64]:
     """Cross-sections along the axis: places, mm beyond the disc, areas, mm2, and parts of the rim in the lumen."""
     step = 0.5 * float(min(disc.geometry.spacing_mm))
     side = np.cross(disc.axis, np.eye(3)[np.argmin(np.abs(disc.axis))])
@@ -359,7 +339,7 @@ def _count_inside(mask, points, way, places, is_rim):  # type: ignore[no-untyped
     return inside, inside_rim
 
 
-def _full_sections(places: Float64, areas: Float64, is_body: Bool, disc: _Disc) -> tuple[float, float]:
+def _full_sections(places: Float64, areas: Float64, is_body: Bool, disc: Disc) -> tuple[float, float]:
     """First and last place, mm beyond the disc, of the stretch that is continued: it ends where the rounded tip begins.
 
     Both are the clearance where the lumen runs on by itself. The stretch belongs to the vessel alone: where it leaves a
@@ -397,7 +377,7 @@ def _full_sections(places: Float64, areas: Float64, is_body: Bool, disc: _Disc) 
     return float(places[int(other[-1]) + 1 if len(other) else 0]), float(places[last])
 
 
-def _continued(lumen: Bool, disc: _Disc, first: float, last: float) -> Bool:
+def _continued(lumen: Bool, disc: Disc, first: float, last: float) -> Bool:
     """Voxels whose projection along the axis onto the sections from ``first`` to ``last`` mostly lies in the lumen."""
     voxel = float(max(disc.geometry.spacing_mm))
     ends = disc.geometry.world_to_index(np.stack([disc.position, disc.position + disc.axis]))
@@ -414,8 +394,8 @@ def _continued(lumen: Bool, disc: _Disc, first: float, last: float) -> Bool:
     return section
 
 
-def closed_vessels(segmentation: Segmentation, ends: Sequence[EndMarker]) -> tuple[str, ...]:
-    """Warn of vessels that nothing cuts open: no end marker is theirs, and they end inside the volume.
+def closed_vessels(segmentation: Segmentation, ends: Sequence[EndMarker | VesselEnd]) -> tuple[str, ...]:
+    """Warn of vessels that nothing cuts open: no end is theirs, and they end inside the volume.
 
     A wall closes such a vessel like a sac, which no vessel of a heart is.
     """
@@ -427,7 +407,7 @@ def closed_vessels(segmentation: Segmentation, ends: Sequence[EndMarker]) -> tup
     return tuple(
         anatomy(
             f"the {label.name} ends in a closed sac, as no vessel does: mark where it is cut off (an entry of 'ends' "
-            "in the recipe)"
+            "in the recipe; heartcase suggest --ends proposes one)"
         )
         for label in segmentation.table
         if label.role is Role.VESSEL_LUMEN

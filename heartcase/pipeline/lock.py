@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -23,6 +24,7 @@ from heartcase.schemas.errors import HeartcaseError, MarkerError, Problem, Recip
 from heartcase.schemas.files import sha256_of_file
 from heartcase.schemas.lock import RecipeLock, defaulted_settings, settings_of, unset_settings, without_settings
 from heartcase.schemas.recipe import Part, Recipe, parse_recipe
+from heartcase.schemas.settings import EndMarker
 from heartcase.schemas.toml import toml_text, toml_value
 
 __all__ = [
@@ -85,6 +87,10 @@ def lock_recipe(recipe: Recipe, *, directory: Path, out: Path) -> Recipe:
     scan = region_of_scan(recipe, directory)
     resolved = resolve_recipe(recipe, scan)
     kept = recipe.lock.defaulted if recipe.lock else ()
+    found_count = recipe.lock.found_end_count if recipe.lock else None
+    if recipe.walls_to_grow.find_ends:
+        found = _found_ends(recipe, directory)
+        resolved, found_count = resolved.model_copy(update={"ends": (*recipe.ends, *found)}), len(found)
     if "labels" in recipe.model_fields_set:
         # The places below count labels as the resolved table has them.
         recipe = recipe.model_copy(update={"labels": recipe.table.labels})
@@ -98,6 +104,7 @@ def lock_recipe(recipe: Recipe, *, directory: Path, out: Path) -> Recipe:
             _input_sha256(f"markers[{n}]", directory / marker.path) for n, marker in enumerate(recipe.markers, start=1)
         ),
         segmentation_sha256=None if finished is None else _input_sha256("segment.file", finished),
+        found_end_count=found_count,
         defaulted=defaulted,
         unset=_but_the_lock(unset_settings(resolved)),
     )
@@ -107,6 +114,15 @@ def lock_recipe(recipe: Recipe, *, directory: Path, out: Path) -> Recipe:
     locked = parse_recipe(recipe_text(locked))
     signed = lock.model_copy(update={"settings_sha256": _settings_sha256(locked)})
     return parse_recipe(recipe_text(locked.model_copy(update={"lock": signed})))
+
+
+def _found_ends(recipe: Recipe, directory: Path) -> tuple[EndMarker, ...]:
+    """The vessel ends that a build of the recipe would find."""
+    from heartcase.pipeline.end_discs import end_marker
+    from heartcase.pipeline.recipe_ends import ends_at_locking
+
+    with tempfile.TemporaryDirectory() as cache:
+        return tuple(end_marker(end) for end in ends_at_locking(recipe, directory, Path(cache)))
 
 
 def recipe_text(recipe: Recipe) -> str:
@@ -123,7 +139,9 @@ def unlocked_recipe(recipe: Recipe) -> Recipe:
         Without them it is no recipe any more: somebody edited the lock.
     """
     places = {"lock", *(recipe.lock.defaulted if recipe.lock else ())}
-    return parse_recipe(toml_text(without_settings(recipe.model_dump(mode="json", exclude_none=True), places)))
+    count = recipe.lock.found_end_count if recipe.lock else None
+    stated = recipe.model_copy(update={"ends": recipe.ends[: len(recipe.ends) - (count or 0)]})
+    return parse_recipe(toml_text(without_settings(stated.model_dump(mode="json", exclude_none=True), places)))
 
 
 def setting_changes(locked: Recipe, today: Recipe) -> tuple[Problem, ...]:

@@ -157,7 +157,7 @@ def _finish(
     grid_map = nodes.grid_map.get() if nodes.grid_map else None
     segmentation = have(nodes.segmentation).get()
     markers = nodes.markers.get() if nodes.markers else None
-    told = told_of_outlines(recipe, segmentation, markers, scan) | told_of_ends(recipe, segmentation)
+    told = told_of_outlines(recipe, segmentation, markers, scan) | told_of_ends(recipe, segmentation, structures)
     assembled = assemble_case(
         recipe,
         StageResults(

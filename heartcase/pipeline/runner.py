@@ -35,7 +35,7 @@ STAGE_VERSIONS = {
     "markers": 1,
     "filter": 2,
     "segment": 2,
-    "walls": 12,
+    "walls": 13,
     "edit": 5,
     "grid": 10,
     "surface": 13,

@@ -16,7 +16,7 @@ from heartcase.schemas.recipe import Recipe, parse_recipe, read_recipe_text
 from heartcase.schemas.settings import Stroke
 from heartcase.schemas.toml import toml_text
 
-__all__ = ["RecipeSession", "open_session"]
+__all__ = ["RecipeSession", "open_session", "with_tables"]
 
 
 @dataclass
@@ -67,15 +67,8 @@ class RecipeSession:
         """
         if path.exists() and path.resolve() not in {self.path.resolve(), *self.copies}:
             raise RecipeError(f"{path.name} is there already and is not replaced: choose another name", place="save_as")
-        text = self.opened_text + _strokes_text(self.session.strokes)
-        try:
-            parse_recipe(text, needs_markers=False)
-        except RecipeError:
-            raise RecipeError(
-                "strokes cannot be added at the end of this recipe: write its strokes as [[strokes]] tables instead of "
-                "strokes = [...]",
-                place="strokes",
-            ) from None
+        advice = "write its strokes as [[strokes]] tables instead of strokes = [...]"
+        text = with_tables(self.opened_text, _strokes_text(self.session.strokes), place="strokes", advice=advice)
         try:
             atomic_write(path, text.encode("utf-8"))
         except OSError as error:
@@ -136,6 +129,22 @@ def open_session(
         tree, filtered.get().geometry, recipe.table, markers=markers or load_markers(*stated, whole=nodes.whole)
     )
     return RecipeSession(session, recipe, path, text, text)
+
+
+def with_tables(text: str, addition: str, *, place: str, advice: str) -> str:
+    """A recipe's text with tables added at its end.
+
+    Raises
+    ------
+    RecipeError
+        At ``place``, with the ``advice``: what comes out is no recipe, as where it has the same as one array.
+    """
+    whole = (text if text.endswith("\n") or not addition else f"{text}\n") + addition
+    try:
+        parse_recipe(whole, needs_markers=False)
+    except RecipeError:
+        raise RecipeError(f"{place} cannot be added at the end of this recipe: {advice}", place=place) from None
+    return whole
 
 
 def _strokes_text(strokes: tuple[Stroke, ...]) -> str:

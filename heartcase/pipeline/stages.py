@@ -248,13 +248,17 @@ def filtered_tree(recipe: Recipe, filtered: Node[Scan], cache: Cache | None) -> 
 def _walls(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutputs) -> None:
     from heartcase.pipeline.walls import grow_walls
 
-    segmentation = have(nodes.segmentation)
+    segmentation, walls = have(nodes.segmentation), recipe.walls_to_grow
+    settings = resolved(walls) | {"ends": _all(recipe.ends)}
+    if not walls.find_ends:
+        # a setting that came later: what does not use it keeps its records
+        settings.pop("find_ends")
     nodes.grown = runner.run(
         Job(
             stage="walls",
-            settings=resolved(recipe.walls) | {"ends": _all(recipe.ends)},
+            settings=settings,
             inputs={"segmentation": segmentation},
-            compute=lambda: grow_walls(segmentation.get(), recipe.walls, recipe.ends),
+            compute=lambda: grow_walls(segmentation.get(), walls, recipe.ends),
             kind=Structures,
         )
     )

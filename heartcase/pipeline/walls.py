@@ -16,6 +16,7 @@ import numpy.typing as npt
 from heartcase.pipeline.cautions import anatomy
 from heartcase.pipeline.data import Segmentation, Structures, ThicknessTable
 from heartcase.pipeline.distance import default_smoothing_mm, label_distances
+from heartcase.pipeline.end_discs import Stumps
 from heartcase.pipeline.ends import cut_ends
 from heartcase.pipeline.fields import FieldReader, ownership_on_lattice
 from heartcase.pipeline.leaks import leak_cautions
@@ -69,9 +70,8 @@ def grow_walls(segmentation: Segmentation, settings: WallsSettings, ends: Sequen
     spacing = np.array(geometry.spacing_mm)
     settings = resolve_walls(settings, geometry, table)
     smoothing, band = cast(float, settings.smoothing_mm), cast(float, settings.band_mm)
-    clearance = settings.thickest_mm(table) + 3.0 * smoothing + 2.0 * float(spacing.max())
-    varying = {table[one.label].value: max(one.thickness_mm) for one in settings.thickness}
-    cut = cut_ends(segmentation, table, ends, clearance_mm=clearance, thickness_mm=varying)
+    stumps = Stumps.of(settings, table, geometry.spacing_mm)
+    cut = cut_ends(segmentation, table, ends, stumps, find=settings.find_ends)
     labels = cut.labels
     distances = label_distances(
         labels,
@@ -95,6 +95,7 @@ def grow_walls(segmentation: Segmentation, settings: WallsSettings, ends: Sequen
             for end, axis in zip(cut.ends, axes, strict=True)
         ),
         reshapings=cut.reshapings,
+        vessel_ends=cut.vessel_ends,
         thickness_tables=tuple(
             ThicknessTable(table[one.label].value, one.kind, one.points_mm, one.thickness_mm)
             for one in settings.thickness

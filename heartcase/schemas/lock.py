@@ -31,6 +31,8 @@ class RecipeLock(Model):
     """Hash of the finished segmentation's file, where the recipe takes one."""
     settings_sha256: _Sha256 | None = None
     """Hash of all settings as they were locked: it shows when somebody edits the lock."""
+    found_end_count: Annotated[int, Field(ge=0)] | None = None
+    """How many of the last entries of ``ends`` were found at locking, as ``walls.find_ends`` asks for."""
     defaulted: tuple[_Place, ...] = ()
     """Settings that the recipe had left out, so that the lock filled them in."""
     unset: tuple[_Place, ...] = ()

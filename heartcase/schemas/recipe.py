@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import re
 import tomllib
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -138,6 +138,15 @@ class MarkerFile(Model):
         return self
 
 
+AUTOMATIC = "automatic"
+
+
+def _or_automatic(schema: dict[str, Any]) -> None:
+    """Let the JSON Schema of the ends take the one text that they may be."""
+    array = {key: schema.pop(key) for key in ("type", "items") if key in schema}
+    schema["anyOf"] = [array, {"const": AUTOMATIC, "type": "string"}]
+
+
 class Recipe(Model):
     """Everything that makes a case, but the scan itself."""
 
@@ -163,8 +172,9 @@ class Recipe(Model):
     """Painted strokes, over the marker files; later ones paint over earlier ones."""
     walls: WallsSettings = WallsSettings()
     """Distance fields and walls."""
-    ends: tuple[EndMarker, ...] = ()
-    """Where vessels are cut off."""
+    ends: Annotated[tuple[EndMarker, ...], Field(json_schema_extra=_or_automatic)] = ()
+    """Where vessels are cut off. ``ends = "automatic"`` instead lets the program find where: it stands for no entry and
+    ``find_ends = true`` in ``[walls]``, which goes with entries as well."""
     edits: tuple[Edit, ...] = ()
     """Septal defects, sculpting and cleaning of structures, in order."""
     grid: GridSettings = GridSettings()
@@ -211,6 +221,28 @@ class Recipe(Model):
             for place, path in self.input_files
             if not (directory / path).exists()
         )
+
+    @property
+    def walls_to_grow(self) -> WallsSettings:
+        """The walls' settings for a build: a locked recipe's ends were found when it was locked."""
+        if self.lock is None or self.lock.found_end_count is None:
+            return self.walls
+        return self.walls.model_copy(update={"find_ends": False})
+
+    @model_validator(mode="before")
+    @classmethod
+    def _automatic_ends(cls, data: Any) -> Any:
+        if not isinstance(data, Mapping) or not isinstance(data.get("ends"), str):
+            return data
+        walls = data.get("walls", {})
+        if data["ends"] != AUTOMATIC:
+            raise ModelProblems([Problem("ends", f"write [[ends]] tables, or ends = {AUTOMATIC!r}")])
+        if not isinstance(walls, Mapping):
+            return {**data, "ends": []}
+        if walls.get("find_ends", True) is not True:
+            message = f"says false, but ends = {AUTOMATIC!r} asks for it: remove one of them"
+            raise ModelProblems([Problem("walls.find_ends", message)])
+        return {**data, "ends": [], "walls": {**walls, "find_ends": True}}
 
     @field_validator("heartcase_recipe")
     @classmethod

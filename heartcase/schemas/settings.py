@@ -205,6 +205,8 @@ class WallsSettings(Model):
     spacing when left out."""
     band_mm: PositiveMm | None = None
     """Distance up to which the fields are exact; the thickest wall and three voxels when left out."""
+    find_ends: bool = False
+    """Find where vessels end, and cut them open there, beside those of ``ends``; what ``ends = "automatic"`` sets."""
     thickness: tuple[WallThickness, ...] = ()
     """Walls whose thickness varies, one table for each cavity."""
 

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from scipy.ndimage import map_coordinates
 
 from heartcase.pipeline.data import Segmentation
+from heartcase.pipeline.end_discs import Stumps
 from heartcase.pipeline.ends import HALF, _count_inside, cut_ends
 from heartcase.pipeline.fields import ownership_at_points
 from heartcase.pipeline.walls import grow_walls
@@ -164,7 +165,7 @@ def test_no_wall_is_left_beside_the_stump_of_a_vessel_that_turns_away(kind, bend
 def test_a_lumen_that_runs_on_by_itself_is_left_as_it_is():
     geometry = lattice("oblique", 44.0)
     labels = tube(geometry, radius_mm=6.0).astype(np.uint8)
-    cut = cut_ends(Segmentation(labels, geometry, TABLE), TABLE.with_walls(), (marker(),), clearance_mm=8.0)
+    cut = cut_ends(Segmentation(labels, geometry, TABLE), TABLE.with_walls(), (marker(),), Stumps(8.0, {}))
     near = points_of(geometry) @ AXIS <= 8.0 - 1e-9
     assert np.array_equal(cut.labels[near], labels[near])
 
@@ -225,7 +226,7 @@ def test_the_continuation_takes_background_only_and_joins_no_blood():
     lateral = points_of(geometry) @ side
     labels[(lateral > 3.0) & (along > -2.0)] = 2
     labels[(lateral < -4.0) & (along > -2.0)] = 3
-    cut = cut_ends(Segmentation(labels, geometry, TABLE), TABLE.with_walls(), (marker(),), clearance_mm=8.0)
+    cut = cut_ends(Segmentation(labels, geometry, TABLE), TABLE.with_walls(), (marker(),), Stumps(8.0, {}))
     changed = cut.labels != labels
     assert changed.any()
     assert (labels[changed] == 0).all()

@@ -358,3 +358,36 @@ def test_a_wrong_setting_does_not_hide_an_unknown_label():
     assert "colour: unknown setting" in said
     assert "grid.cell_mm: must be above 0" in said
     assert "there is no label 'left ventrikel'; did you mean 'morphologically left ventricle'?" in said
+
+
+AUTOMATIC = """
+heartcase_recipe = 1
+name = "case"
+scan = { path = "scan.nii.gz" }
+strokes = [{ label = "aorta", points_mm = [[0, 0, 0]] }]
+"""
+
+
+def test_ends_may_be_the_text_automatic_which_stands_for_a_setting_of_the_walls():
+    recipe = parse_recipe(f'ends = "automatic"\n{AUTOMATIC}')
+    assert recipe.ends == ()
+    assert recipe.walls.find_ends
+    assert recipe == parse_recipe(f"ends = []\nwalls = {{ find_ends = true }}\n{AUTOMATIC}")
+    assert parse_recipe(f'ends = "automatic"\nwalls = {{ find_ends = true }}\n{AUTOMATIC}') == recipe
+    assert not parse_recipe(AUTOMATIC).walls.find_ends
+
+
+@pytest.mark.parametrize(
+    ("lines", "place", "said"),
+    [
+        ('ends = "auto"', "ends", "[[ends]]"),
+        ('ends = "automatic"\nwalls = { find_ends = false }', "walls.find_ends", "remove one of them"),
+        ('ends = "automatic"\nwalls = 3', "walls", "table"),
+    ],
+)
+def test_another_text_or_a_contradiction_is_refused(lines, place, said):
+    with pytest.raises(RecipeError) as caught:
+        parse_recipe(f"{lines}\n{AUTOMATIC}")
+    (problem,) = caught.value.problems
+    assert problem.place == place
+    assert said in problem.message

@@ -15,6 +15,7 @@ from heartcase.pipeline.confidence import Sureness
 from heartcase.pipeline.data import GridMap, Scan, Segmentation, SimulationGrid, Structures, Surface
 from heartcase.pipeline.openings import Opening, Verdict
 from heartcase.pipeline.report.confidence_part import ConfidencePart, confidence_part
+from heartcase.pipeline.report.ends_part import EndsPart, ends_part
 from heartcase.pipeline.report.hand_work import hand_work_facts, region_words
 from heartcase.pipeline.report.plain_words import (
     Fact,
@@ -165,6 +166,8 @@ class ReportData:
     """What -> volume, ml: sums over the structures."""
     openings: Sequence[OpeningRow] = ()
     """Openings between chambers and vessels, the worst first."""
+    ends: EndsPart | None = None
+    """Where vessels end; None where none does."""
     quality: Mapping[str, Sequence[Fact]] = field(default_factory=dict)
     """Title -> figures."""
     hand_work: Sequence[Fact] = ()
@@ -275,6 +278,7 @@ def build_report(
             structures=rows,
             totals=list(totals.items()),
             openings=[_opening_row(one) for one in openings],
+            ends=ends_part(scan, structures),
             quality={title: facts for title, facts in quality.items() if facts},
             hand_work=hand_work_facts(recipe, scan),
             stages=_stage_rows(stages, timings_s),

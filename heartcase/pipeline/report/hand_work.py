@@ -26,7 +26,7 @@ _STAGES = {
 }
 """Settings of the recipe -> what they set, for those that have defaults."""
 
-_TOLD_APART = {"method", "ranges", "file", "names", "automatic"}
+_TOLD_APART = {"method", "ranges", "file", "names", "automatic", "find_ends"}
 
 
 def hand_work_facts(recipe: Recipe, scan: Scan | None = None) -> list[Fact]:
@@ -101,8 +101,11 @@ def _painted(recipe: Recipe) -> Iterator[Fact]:
 def _shaped(recipe: Recipe) -> Iterator[Fact]:
     for number, edit in enumerate(recipe.edits, start=1):
         yield Fact(f"Edit {number}", _edit_words(edit))
-    for end in recipe.ends:
+    found_count = 0 if recipe.lock is None else recipe.lock.found_end_count or 0
+    for end in recipe.ends[: len(recipe.ends) - found_count]:
         yield Fact("Vessel cut off", f"{end.label} at {placed(end.position_mm)}")
+    if recipe.walls.find_ends:
+        yield Fact("Ends of vessels", "found by the program", "As the recipe asks: see the part on where vessels end.")
     for pin in recipe.pins:
         yield Fact("Held fixed by hand", f"ball of {pin.radius_mm:g} mm radius at {placed(pin.position_mm)}")
     for landmark in recipe.landmarks:

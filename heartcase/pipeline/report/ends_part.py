@@ -1,0 +1,199 @@
+"""Where vessels end, for the report: a table, and the scan along and across each vessel at the disc that cuts it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import map_coordinates
+
+from heartcase.pipeline.data import Scan, Structures, VesselEnd
+from heartcase.pipeline.fields import ownership_at_points
+from heartcase.pipeline.report.pictures import direction_letters
+from heartcase.pipeline.report.plain_words import placed
+from heartcase.pipeline.report.report_pictures import Picture, embedded_picture
+from heartcase.pipeline.report.slices import display_window
+from heartcase.schemas.labels import BACKGROUND, LabelTable
+
+__all__ = ["EndRow", "EndsPart", "ends_part"]
+
+Float64 = npt.NDArray[np.float64]
+UInt8 = npt.NDArray[np.uint8]
+
+_WORDS = {
+    "stated": "cut where the recipe says",
+    "moved": "cut near where the recipe says: its disc did not cut the vessel and was moved",
+    "found": "cut where the program found the end",
+}
+_OPEN_WORDS = "open at the face of the scan or region: nothing is cut"
+_INCH_PIXELS = 140
+_PANEL_PIXELS = 200
+_PER_ROW = 8
+_MARGIN = 1.8
+"""Half the edge of a panel, in radii of the disc."""
+_SAMPLES = 96
+"""Points along the edge of a panel."""
+_BEFORE_MM = 1.0
+"""How far before the disc the scan is shown across the vessel: at the disc itself the model ends."""
+
+
+@dataclass(frozen=True)
+class EndRow:
+    """One end."""
+
+    number: int
+    """As in the pictures, from 1."""
+    vessel: str
+    """Name of the label."""
+    colour: str
+    """``#rrggbb``."""
+    place: str
+    """Where it is."""
+    direction: str
+    """Where it leads, in letters and numbers."""
+    radius_mm: float | None
+    """Radius of the disc; None where nothing is cut."""
+    lumen_radius_mm: float
+    """Radius of a circle of the lumen's area."""
+    words: str
+    """How it came about."""
+    is_doubtful: bool
+    """Whether it is to be looked at before others."""
+
+
+@dataclass(frozen=True)
+class EndsPart:
+    """What the page shows of the vessels' ends."""
+
+    rows: Sequence[EndRow]
+    """Ends by label."""
+    pictures: Sequence[Picture]
+    """Rows of panels, two for each end that is cut."""
+
+
+def ends_part(scan: Scan, structures: Structures) -> EndsPart | None:
+    """Tell and draw the ends of the vessels.
+
+    Parameters
+    ----------
+    scan
+        The scan, cropped to the region of interest.
+    structures
+        The fields after edits, with the ends.
+
+    Returns
+    -------
+    EndsPart or None
+        None where there are no ends.
+    """
+    ends = structures.vessel_ends
+    if not ends:
+        return None
+    table = structures.table
+    rows = [
+        EndRow(
+            number,
+            end.label,
+            table[end.label].colour,
+            placed(end.position_mm),
+            f"{direction_letters(end.axis)} ({', '.join(f'{v:.2f}' for v in end.axis)})",
+            None if end.is_open else end.radius_mm,
+            end.lumen_radius_mm,
+            _OPEN_WORDS if end.is_open else _WORDS[end.found],
+            end.found != "stated" and not end.is_open,
+        )
+        for number, end in enumerate(ends, start=1)
+    ]
+    cut = [(number, end) for number, end in enumerate(ends, start=1) if not end.is_open]
+    per_picture = _PER_ROW // 2
+    groups = [cut[start : start + per_picture] for start in range(0, len(cut), per_picture)]
+    window = display_window(scan.values, modality=scan.modality)
+    return EndsPart(rows, [_picture(scan, structures, group, window) for group in groups])
+
+
+def _picture(
+    scan: Scan, structures: Structures, ends: Sequence[tuple[int, VesselEnd]], window: tuple[float, float]
+) -> Picture:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Circle
+
+    caption = 30
+    width, height = _PER_ROW * _PANEL_PIXELS, _PANEL_PIXELS + caption
+    figure = Figure(figsize=(width / _INCH_PIXELS, height / _INCH_PIXELS), dpi=_INCH_PIXELS, facecolor="white")
+    canvas = FigureCanvasAgg(figure)
+    for column, (number, end) in enumerate(ends):
+        axis = np.array(end.axis) / np.linalg.norm(end.axis)
+        side, up = _sides(axis)
+        middle, half = np.array(end.position_mm), _MARGIN * end.radius_mm
+        for part, (origin, right, top) in enumerate(
+            ((middle, axis, up), (middle - _BEFORE_MM * axis, side, up)),
+        ):
+            left = (2 * column + part + 0.01) / _PER_ROW
+            axes = figure.add_axes((left, 0.0, 0.98 / _PER_ROW, _PANEL_PIXELS / height), facecolor="#d9dee4")
+            axes.set_axis_off()
+            flat = np.linspace(-half, half, _SAMPLES)
+            points = origin + flat[None, :, None] * right + flat[:, None, None] * top
+            extent = (-half, half, -half, half)
+            grey = _sampled(scan, points)
+            axes.imshow(grey, cmap="gray", vmin=window[0], vmax=window[1], extent=extent, origin="lower")
+            _outline(axes, structures, points, flat)
+            if part == 0:
+                axes.plot([0.0, 0.0], [-end.radius_mm, end.radius_mm], color="#ffe9a8", linewidth=1.6)
+            else:
+                axes.add_patch(Circle((0.0, 0.0), end.radius_mm, fill=False, color="#ffe9a8", linewidth=1.6))
+            axes.set_xlim(-half, half)
+            axes.set_ylim(-half, half)
+        figure.text(
+            (2 * column + 1) / _PER_ROW,
+            1.0 - 0.8 * caption / height,
+            f"{number}: {_short(end.label)}, {2.0 * half:.0f} mm wide",
+            fontsize=8,
+            ha="center",
+            color="#282c34",
+        )
+    canvas.draw()  # type: ignore[no-untyped-call]
+    pixels = np.array(canvas.buffer_rgba())[..., :3].copy()  # type: ignore[no-untyped-call]
+    pixels = pixels[:, : int(2 * len(ends) * width / _PER_ROW)]
+    numbers = ", ".join(str(number) for number, _ in ends)
+    return embedded_picture(
+        f"Ends {numbers}: the scan along each vessel, and across it right before the cut",
+        "For each end two pictures of the scan with the outlines of the model: along the vessel, which leaves the "
+        "heart to the right and ends at the line, and across it, with the disc as a circle.",
+        pixels,
+        lossy=True,
+    )
+
+
+def _short(name: str) -> str:
+    return name.removeprefix("morphologically ")
+
+
+def _sides(axis: Float64) -> tuple[Float64, Float64]:
+    """Two directions across an axis: to the right and up in a picture that is seen against the axis."""
+    away = np.array((0.0, 0.0, 1.0)) if abs(axis[2]) < 0.9 else np.array((0.0, -1.0, 0.0))
+    up = away - (away @ axis) * axis
+    up /= np.linalg.norm(up)
+    return np.cross(up, axis), up
+
+
+def _sampled(scan: Scan, points: Float64) -> Float64:
+    """Intensities at points, shape (..., 3); NaN beyond the volume."""
+    index = np.moveaxis(scan.geometry.world_to_index(points)[..., ::-1], -1, 0)
+    value = map_coordinates(scan.values, index, order=1, mode="nearest").astype(float)
+    last = np.array(scan.values.shape).reshape(3, 1, 1) - 0.5
+    value[((index < -0.5) | (index > last)).any(axis=0)] = np.nan
+    return np.asarray(value, dtype=float)
+
+
+def _outline(axes, structures: Structures, points: Float64, flat: Float64) -> None:  # type: ignore[no-untyped-def]
+    """Draw the border of each structure, blood on top."""
+    owner = ownership_at_points(structures, points.reshape(-1, 3))
+    label = np.where(owner.tissue_mm < 0.0, owner.tissue_label, owner.void_label).reshape(points.shape[:2])
+    table: LabelTable = structures.table
+    for one in sorted(table, key=lambda label: label.role.is_blood):
+        inside = label == one.value
+        if one.value != BACKGROUND and inside.any() and not inside.all():
+            axes.contour(flat, flat, inside.astype(float), levels=[0.5], colors=[one.colour], linewidths=1.1)
