@@ -22,6 +22,7 @@ def command(labels: Path, output: Path, recipe: Path | None, sets: tuple[str, ..
     from heartcase.pipeline.artifacts import load_artifact
     from heartcase.pipeline.data import Segmentation
     from heartcase.pipeline.markers import load_segmentation
+    from heartcase.pipeline.septa import open_places
     from heartcase.pipeline.walls import grow_walls
     from heartcase.schemas.labels import default_label_table
     from heartcase.schemas.settings import SegmentSettings, WallsSettings
@@ -36,4 +37,5 @@ def command(labels: Path, output: Path, recipe: Path | None, sets: tuple[str, ..
         segmentation = load_segmentation(
             labels, naming.names, table, None, convention=naming.convention, others=naming.others
         )
-    save_output(output, grow_walls(segmentation, settings, loaded.ends if loaded else ()))
+    places = open_places(loaded.strokes, loaded.landmarks, loaded.table) if loaded else ()
+    save_output(output, grow_walls(segmentation, settings, loaded.ends if loaded else (), open_places=places))

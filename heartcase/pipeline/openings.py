@@ -34,7 +34,9 @@ __all__ = [
     "find_openings",
     "opening_cautions",
     "opening_figures",
+    "root_of_surface_m",
     "states_an_opening",
+    "verdict_of",
 ]
 
 Bool = npt.NDArray[np.bool_]
@@ -235,12 +237,12 @@ def find_openings(
     contact = find_contact(structures, labels, [one.line_mm for one in statements if one.axis is not None])
     points, pairs = contact.points_mm, contact.pairs
     margin = REACH_VOXELS * labels.geometry.voxel_volume_mm3 ** (1.0 / 3.0)
-    root_m = _root_of_surface_m(labels)
+    root_m = root_of_surface_m(labels)
     found: list[Opening] = []
     for values in np.unique(pairs, axis=0):
         of_pair = (pairs == values).all(axis=1)
         pair = (labels.table[int(values[0])], labels.table[int(values[1])])
-        plain = _verdict(*pair)
+        plain = verdict_of(*pair)
         if plain is Verdict.EXPECTED:
             found.append(replace(_opening(contact[of_pair], pair, plain), usual_mm=_usual_mm(pair, root_m)))
             continue
@@ -287,7 +289,8 @@ def states_an_opening(landmark: Landmark) -> bool:
     return _STATING_WORDS.search(landmark.name.casefold().replace("_", " ")) is not None
 
 
-def _verdict(first: Label, second: Label) -> Verdict:
+def verdict_of(first: Label, second: Label) -> Verdict:
+    """What is to be thought of an opening between two cavities, by their names alone."""
     one, other = first.term, second.term
     if one is None or other is None:
         return Verdict.UNKNOWN
@@ -313,7 +316,7 @@ _VENTRICLES = frozenset(term for pair in _term_pairs([("lv", "rv")]) for term in
 _DISCORDANT = _term_pairs(_OTHER_VENTRICLE)
 
 
-def _root_of_surface_m(labels: Segmentation) -> float | None:
+def root_of_surface_m(labels: Segmentation) -> float | None:
     """Square root of the body surface area that goes with the larger ventricle's volume, m; None where it is not known.
 
     The larger one, since the smaller may be malformed, or taken by its neighbour. Of a ventricle that the volume's

@@ -214,15 +214,21 @@ def filtered_tree(recipe: Recipe, filtered: Node[Scan], cache: Cache) -> BasinTr
 
 
 def _walls(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutputs) -> None:
+    from heartcase.pipeline.septa import open_places
     from heartcase.pipeline.walls import grow_walls
 
     segmentation = have(nodes.segmentation)
+    settings: dict[str, Any] = resolved(recipe.walls) | {"ends": _all(recipe.ends)}
+    places = open_places(recipe.strokes, recipe.landmarks, recipe.table) if recipe.walls.septa == "grown" else ()
+    if places:
+        # not what a landmark is called, nor a stroke that opens nothing
+        settings["open_places"] = [list(one) for one in places]
     nodes.grown = runner.run(
         Job(
             stage="walls",
-            settings=resolved(recipe.walls) | {"ends": _all(recipe.ends)},
+            settings=settings,
             inputs={"segmentation": segmentation},
-            compute=lambda: grow_walls(segmentation.get(), recipe.walls, recipe.ends),
+            compute=lambda: grow_walls(segmentation.get(), recipe.walls, recipe.ends, open_places=places),
             kind=Structures,
         )
     )
