@@ -76,7 +76,9 @@ def command(
         )
     if mesh is not None and fields is not None and labels is not None:
         edits, landmarks = (loaded.edits, loaded.landmarks) if loaded else ((), ())
-        mesh = with_rims(mesh, find_openings(fields, labels, edits, landmarks), fields.geometry)
+        strokes, connected = (loaded.strokes, loaded.walls.connected) if loaded else ((), ())
+        openings = find_openings(fields, labels, edits, landmarks, strokes=strokes, connected=connected)
+        mesh = with_rims(mesh, openings, fields.geometry)
     content = assemble_bundle(
         name=name,
         case_id=case_id,

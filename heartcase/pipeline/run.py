@@ -177,7 +177,14 @@ def _finish(
     markers = nodes.markers.get() if nodes.markers else None
     volumes_ml = structure_volumes_ml(structures)
     labels = labels_of(structures)
-    openings = find_openings(structures, labels, recipe.edits, recipe.landmarks)
+    openings = find_openings(
+        structures,
+        labels,
+        recipe.edits,
+        recipe.landmarks,
+        strokes=recipe.strokes,
+        connected=recipe.walls.connected,
+    )
     if surface is not None:
         surface = with_rims(surface, openings, structures.geometry)
     shown = (surface, *surface.levels) if surface is not None else ()
