@@ -135,9 +135,7 @@ class SeptumFigures:
     """The contact on both sides of which it was grown, openings included."""
 
 
-def open_places(
-    strokes: Sequence[Stroke], landmarks: Sequence[Landmark], table: LabelTable
-) -> tuple[OpenPlace, ...]:
+def open_places(strokes: Sequence[Stroke], landmarks: Sequence[Landmark], table: LabelTable) -> tuple[OpenPlace, ...]:
     """Where the recipe states openings, beside its edits.
 
     A landmark whose name says so (:func:`~heartcase.pipeline.openings.states_an_opening`) opens every septum near it: a
