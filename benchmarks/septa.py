@@ -1,7 +1,7 @@
-"""Septa that are thinner than the voxels: what stays open wrongly, what is kept of true defects, and how thick they are.
+"""Septa thinner than the voxels: what stays open wrongly, what is kept of true defects, and how thick they are.
 
-The phantom's atria, and its vessels and atria, lie 1 to 2 mm apart. Each label has a few short strokes, none of them along
-a septum. A defect is marked by two strokes that run into each other through it. ``as_segmented`` grows no septa.
+The phantom's atria, and its vessels and atria, lie 1 to 2 mm apart. Each label has a few short strokes, none of them
+along a septum. A defect is marked by two strokes that run into each other through it. ``as_segmented`` grows no septa.
 """
 
 from __future__ import annotations

@@ -240,8 +240,8 @@ def _of_split(structures: Structures, change: Change) -> Caution:
 def _of_cut(structures: Structures, change: Change) -> Caution:
     name = structures.table[change.labels[0]].name
     return anatomy(
-        f"{name}: cut in two by a grown septum {_where(change.extent)}, where it is narrow and lies along another cavity; "
-        "give the pair a smaller thickness_mm in [[walls.septum]], or paint the wall between the two"
+        f"{name}: cut in two by a grown septum {_where(change.extent)}, where it is narrow and lies along another "
+        "cavity; give the pair a smaller thickness_mm in [[walls.septum]], or paint the wall between the two"
     )
 
 

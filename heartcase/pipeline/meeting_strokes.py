@@ -7,7 +7,7 @@ lines around that place, as wide as the narrower brush.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from itertools import combinations
+from itertools import combinations, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -71,7 +71,7 @@ def _meetings(lines: Sequence[tuple[int, int, float, Float64]]) -> Iterator[Meet
         )
         if away.max() > wider:
             continue
-        distance, nearest = cKDTree(other_points).query(points)
+        distance, nearest = (np.asarray(one) for one in cKDTree(other_points).query(points))
         first = int(np.argmin(distance.round(6)))
         if distance[first] > wider:
             continue
@@ -85,7 +85,7 @@ def _sampled(stroke: Stroke) -> Float64:
     """Points along a stroke's line, its own among them, shape (n, 3)."""
     corners = np.array(stroke.points_mm, np.float64)
     parts = [corners[:1]]
-    for start, end in zip(corners[:-1], corners[1:], strict=True):
+    for start, end in pairwise(corners):
         count = max(int(np.ceil(np.linalg.norm(end - start) / STEP_MM)), 1)
         parts.append(start + np.linspace(0.0, 1.0, count + 1)[1:, None] * (end - start))
     return np.concatenate(parts)

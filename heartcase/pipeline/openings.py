@@ -414,9 +414,9 @@ def _cautions(one: Opening) -> Iterator[Caution]:
     if one.verdict is Verdict.UNEXPECTED:
         yield anatomy(
             f"{where}: paint the wall between them (a stroke of background, or of the muscle), or the third cavity "
-            "whose blood they were given, if one lies there; or name the two in [[walls.septum]], so that one is grown; "
-            "or, if the patient has this opening, say so: an edit of kind septal_defect, or a landmark (point or ring) "
-            "there whose name says defect, VSD or ASD"
+            "whose blood they were given, if one lies there; or name the two in [[walls.septum]], so that one is "
+            "grown; or, if the patient has this opening, say so: an edit of kind septal_defect, or a landmark (point "
+            "or ring) there whose name says defect, VSD or ASD"
         )
     elif one.verdict is Verdict.OTHER_VENTRICLE:
         yield Caution(f"{where}: the great artery arises from the other ventricle; is that the malformation?")

@@ -51,9 +51,9 @@ ADULT_MM = {
     "atrium and other ventricle": 2.0,
     "vein or appendage": 1.5,
 }
-"""What lies between -> thickness in an adult, mm. Atria: the floor of the oval fossa, 1.8 mm (SD 0.7) in Schwinger et al.,
-American Heart Journal 119, 1990, doi 10.1016/s0002-8703(05)80191-7; only what is so thin is lost in the voxels. No table
-was found of the others: round numbers, about what two thin walls are together."""
+"""What lies between -> thickness in an adult, mm. Atria: the floor of the oval fossa, 1.8 mm (SD 0.7) in Schwinger et
+al., American Heart Journal 119, 1990, doi 10.1016/s0002-8703(05)80191-7; only what is so thin is lost in the voxels. No
+table was found of the others: round numbers, about what two thin walls are together."""
 LEAST_MM = 0.8
 """The thinnest septum, of the smallest hearts."""
 ROOT_RANGE = (0.4, 1.2)
@@ -202,9 +202,9 @@ def pairs_kept_apart(
     By their names: the atria; the ventricles; the great arteries; an artery and an atrium, vein or appendage; veins,
     appendages and atria of different sides; a vein or an appendage and a ventricle; and an atrium and the ventricle of
     the other side where it opens wider into its own. Nothing is grown between a ventricle and an artery, within one
-    side's atrium, veins and appendage, and beside what the vocabulary does not know, such as a common atrium or a single
-    ventricle. A structure that does not meet what it opens into in a normal heart is open to what can take its place: so
-    the right atrium to the left one in tricuspid atresia.
+    side's atrium, veins and appendage, and beside what the vocabulary does not know, such as a common atrium or a
+    single ventricle. A structure that does not meet what it opens into in a normal heart is open to what can take its
+    place: so the right atrium to the left one in tricuspid atresia.
 
     Parameters
     ----------
@@ -305,10 +305,10 @@ def septum_cautions(figures: Sequence[SeptumFigures], table: LabelTable) -> tupl
     )
     return (
         Caution(
-            f"walls were grown where two outlines touch, not seen, because a heart does not join these: {listed}. If the "
-            "patient has an opening there, say so: an edit of kind septal_defect, a landmark (ring or point) whose name "
-            "says defect, VSD or ASD, or strokes of the two that run into each other through it; if the two are one, name "
-            "them in walls.connected"
+            f"walls were grown where two outlines touch, not seen, because a heart does not join these: {listed}. If "
+            "the patient has an opening there, say so: an edit of kind septal_defect, a landmark (ring or point) whose "
+            "name says defect, VSD or ASD, or strokes of the two that run into each other through it; if the two are "
+            "one, name them in walls.connected"
         ),
     )
 

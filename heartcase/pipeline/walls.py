@@ -1,7 +1,7 @@
 """The walls stage: distance fields of the structures, and walls grown outward from the cavities (thesis 11.2.3).
 
-Only the bare structures get a field here. Where two cavities touch that a heart does not join, a septum is grown between
-them: :mod:`heartcase.pipeline.septa`. A wall is a thickness in the label table, or a table of thicknesses by
+Only the bare structures get a field here. Where two cavities touch that a heart does not join, a septum is grown
+between them: :mod:`heartcase.pipeline.septa`. A wall is a thickness in the label table, or a table of thicknesses by
 place, worked out by :mod:`heartcase.pipeline.fields` wherever it is asked for, so it is exact however thin it is.
 """
 
@@ -48,8 +48,8 @@ def grow_walls(
 
     A wall takes the background within its thickness of its cavity, to a fraction of a voxel, and nothing else: it
     enters no other structure. Where two cavities touch that a heart does not join, both give up half of a septum's
-    thickness, unless the settings say ``as segmented``; other cavities that touch are open to each other. Where two walls meet, the nearer cavity's wins
-    (ties: the lower label). Where neighbours are closer than both walls together, the walls share the room between
+    thickness, unless the settings say ``as segmented``; other cavities that touch are open to each other. Where two
+    walls meet, the nearer cavity's wins (ties: the lower label). Where neighbours are closer than both walls together, the walls share the room between
     them. A vessel that the volume's border or an end marker cuts stays open there.
 
     Parameters

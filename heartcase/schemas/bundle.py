@@ -28,6 +28,7 @@ __all__ = [
     "LEVELS",
     "LEVEL_MAX",
     "MANIFEST_NAME",
+    "VERSION_WITHOUT_SEPTA",
     "ArrayEntry",
     "ArraySpec",
     "CaseManifest",
@@ -36,7 +37,6 @@ __all__ = [
     "Material",
     "ScanValues",
     "SimulationFigures",
-    "VERSION_WITHOUT_SEPTA",
     "StageRecord",
     "WarningGrade",
 ]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from enum import StrEnum
+from itertools import combinations
 from typing import Annotated, Any
 
 from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer, model_validator
@@ -95,7 +96,7 @@ class Label(Model):
 
     @model_serializer(mode="wrap")
     def _without_what_is_new(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave ``septum_of`` out where it is none: what has no septa keeps the bytes that it had before there were any."""
+        """Leave ``septum_of`` out where it is none: what has no septa keeps its bytes."""
         written: dict[str, Any] = write(self)
         if self.septum_of is None:
             written.pop("septum_of", None)
@@ -272,6 +273,12 @@ class LabelTable(Model):
                     )
                 )
         return table
+
+    @property
+    def septum_names(self) -> frozenset[str]:
+        """Names that septa grown between two cavities of the table would have, in lower case."""
+        cavities = [label for label in self.labels if label.role.is_blood]
+        return frozenset(_septum_name(low, high).lower() for low, high in combinations(cavities, 2))
 
     def with_septum(self, first: int, second: int) -> LabelTable:
         """A table with a label for the septum that is grown between two cavities.
