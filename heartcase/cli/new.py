@@ -178,7 +178,7 @@ septa = "grown"          # or "as segmented": no such wall
 # connected = [["right atrium", "left atrium"]]     # these two are one: no wall between them
 
 # [[walls.septum]]        # how thick, where it should not follow from the size of the heart
-# between = ["right atrium", "left atrium"]
+# between = ["aorta", "left atrium"]
 # thickness_mm = 1.5
 
 # A wall that is not equally thick everywhere, instead of the one wall_thickness_mm of its label:

@@ -49,8 +49,8 @@ def grow_walls(
     A wall takes the background within its thickness of its cavity, to a fraction of a voxel, and nothing else: it
     enters no other structure. Where two cavities touch that a heart does not join, both give up half of a septum's
     thickness, unless the settings say ``as segmented``; other cavities that touch are open to each other. Where two
-    walls meet, the nearer cavity's wins (ties: the lower label). Where neighbours are closer than both walls together, the walls share the room between
-    them. A vessel that the volume's border or an end marker cuts stays open there.
+    walls meet, the nearer cavity's wins (ties: the lower label). Where neighbours are closer than both walls together,
+    the walls share the room between them. A vessel that the volume's border or an end marker cuts stays open there.
 
     Parameters
     ----------
