@@ -177,6 +177,17 @@ points_mm = [{[round(center_mm[0] - 0.45 * extent_mm[0], 1), *center_mm[1:]]}]  
 # kind = "point"
 # points_mm = [{list(center_mm)}]
 
+# Where the outlines of two cavities touch that a heart does not join (the atria, an artery and an atrium, ...), a wall
+# is grown between them. A hole that the patient has there must be told: by a landmark named "... defect", by a stroke
+# of each of the two that run into each other in it, or by an edit septal_defect.
+[walls]
+septa = "grown"          # or "as segmented": no such wall
+# connected = [["right atrium", "left atrium"]]     # these two are one: no wall between them
+
+# [[walls.septum]]        # how thick, where it should not follow from the size of the heart
+# between = ["aorta", "left atrium"]
+# thickness_mm = 1.5
+
 # A wall that is not equally thick everywhere, instead of the one wall_thickness_mm of its label:
 # [[walls.thickness]]
 # label = "aorta"

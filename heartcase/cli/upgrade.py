@@ -11,7 +11,7 @@ import click
 
 from heartcase import __version__
 from heartcase.cli.output import echo_json, working
-from heartcase.schemas.bundle import FORMAT_VERSION
+from heartcase.schemas.bundle import FORMAT_VERSION, VERSION_WITHOUT_SEPTA
 from heartcase.schemas.bundle_reader import read_manifest
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.files import atomic_write
@@ -148,6 +148,8 @@ def _of_case(path: Path) -> Preview:
     changes = [
         f"format {version} adds: {sentence}"
         for version, sentence in bundle_changes(manifest.format_version, FORMAT_VERSION)
+        # a case without septa is written as the version before them today as well
+        if manifest.format_version != VERSION_WITHOUT_SEPTA
     ]
     changes += _stage_lines(stage_changes({record.stage: record.version for record in manifest.stages}), "the case")
     notes: tuple[str, ...] = ()

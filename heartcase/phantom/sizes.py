@@ -13,7 +13,7 @@ root of the area.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from heartcase.schemas.heart_form import HeartForm
 
@@ -66,4 +66,6 @@ def proportions_of(form: HeartForm) -> Proportions:
         sizes = Proportions(scale, 5.7 * area**0.4, walls, 1.12, width, 0.92 * (walls[3] + walls[4]))
     if form.right_ventricular_wall_mm is not None:
         walls[2] = form.right_ventricular_wall_mm
+    if form.septum_mm is not None:
+        sizes = replace(sizes, gap_mm=form.septum_mm)
     return sizes

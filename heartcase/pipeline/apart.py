@@ -97,12 +97,17 @@ class Change:
 
 
 def compartment_changes(
-    labels: UInt8, fine: UInt8, blood_values: Sequence[int], fine_geometry: Geometry
+    labels: UInt8,
+    fine: UInt8,
+    blood_values: Sequence[int],
+    fine_geometry: Geometry,
+    *,
+    least_voxels: int = LEAST_VOXELS,
 ) -> tuple[Change, ...]:
     """Compare the compartments of blood of a segmentation with those of what was made of it, on a finer lattice.
 
     Two compartments are joined where one of the finer lattice overlaps with both; one is split where it overlaps with
-    two. Compartments and overlaps of less than ``LEAST_VOXELS`` voxels do not count.
+    two. Compartments and overlaps of less than ``least_voxels`` voxels do not count.
 
     Parameters
     ----------
@@ -114,6 +119,8 @@ def compartment_changes(
         Values of blood and vessel lumen.
     fine_geometry
         Lattice of ``fine``.
+    least_voxels
+        Voxels of ``labels`` from which a compartment counts.
 
     Returns
     -------
@@ -123,8 +130,8 @@ def compartment_changes(
     factor = fine.shape[0] // labels.shape[0]
     is_blood = np.zeros(256, np.bool_)
     is_blood[list(blood_values)] = True
-    least_after = LEAST_VOXELS * factor**3
-    before = _large_pieces(is_blood[labels], LEAST_VOXELS)
+    least_after = least_voxels * factor**3
+    before = _large_pieces(is_blood[labels], least_voxels)
     after = _large_pieces(is_blood[fine], least_after)
     overlap = _overlaps(before, after, factor) >= least_after
     changes: list[Change] = []

@@ -156,7 +156,14 @@ def assemble_case(recipe: Recipe, results: StageResults, *, name: str, case_id: 
     labels: Segmentation | None = None
     if structures is not None:
         volumes_ml, labels = structure_volumes_ml(structures), labels_of(structures)
-        openings = find_openings(structures, labels, recipe.edits, recipe.landmarks)
+        openings = find_openings(
+            structures,
+            labels,
+            recipe.edits,
+            recipe.landmarks,
+            strokes=recipe.strokes,
+            connected=recipe.walls.connected,
+        )
         quality["volumes_ml"] = {structures.table[value].name: round(ml, 3) for value, ml in volumes_ml.items()}
         quality["openings"] = opening_figures(openings)
         told["cut"] = (*cut_cautions(labels, whole=results.whole), *told["cut"])

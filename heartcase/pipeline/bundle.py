@@ -27,8 +27,10 @@ from heartcase.pipeline.scan_part import ScanPart
 from heartcase.schemas.about import About
 from heartcase.schemas.bundle import (
     ARRAYS,
+    FORMAT_VERSION,
     LEVEL_MAX,
     MANIFEST_NAME,
+    VERSION_WITHOUT_SEPTA,
     ArrayEntry,
     CaseManifest,
     FileEntry,
@@ -212,7 +214,9 @@ def assemble_bundle(
         files[file_name] = content
         listed = _listed(role, parts[role], aligned[role]) if role in aligned else ()
         entries.append(FileEntry(role=role, name=file_name, size=len(content), sha256=digest, arrays=listed))
+    has_septa = any(label.septum_of is not None for label in grid.table)
     manifest = CaseManifest(
+        format_version=FORMAT_VERSION if has_septa else VERSION_WITHOUT_SEPTA,
         name=name,
         case_id=case_id,
         scan_geometry=scan_geometry,

@@ -23,6 +23,7 @@ __all__ = [
     "Reshaping",
     "Scan",
     "Segmentation",
+    "Septum",
     "SimulationGrid",
     "Structures",
     "Surface",
@@ -158,11 +159,23 @@ class ThicknessTable(NamedTuple):
     """At each point, mm; 0 for no wall."""
 
 
+class Septum(NamedTuple):
+    """A wall that is grown between two cavities where their outlines touch: :mod:`heartcase.pipeline.septa`."""
+
+    value: int
+    """Label value of the septum."""
+    first: int
+    second: int
+    """Label values of the cavities, the lower first."""
+    thickness_mm: float
+    """Thickness, half of it on either side of the contact."""
+
+
 @dataclass(frozen=True)
 class Structures:
     """Where every structure is, to a fraction of a voxel: what grid, surface and map read, through ``fields.py`` only.
 
-    At any point, :mod:`heartcase.pipeline.fields` gives every label a signed distance (negative inside) in three
+    At any point, :mod:`heartcase.pipeline.fields` gives every label a signed distance (negative inside) in four
     steps, and the lowest of them owns the point (ties: the lower value):
 
     1. The stored fields, interpolated. They are distances to the faces of the *bare* structures, before any wall: they
@@ -171,9 +184,12 @@ class Structures:
        ``wall_thickness_mm`` of its cavity, or within what the cavity's table of thicknesses says there. It is worked
        out at the point itself, never sampled, so that a wall thinner than a voxel keeps its thickness. Where walls
        meet the nearer cavity's wins; the background gets what is left.
-    3. The reshapings, in order, worked out at the point as well, so that edits are as sharp as their shapes.
+    3. Septa. Each of the two cavities gives up what lies within half the septum's thickness of the other one, so
+       that a wall of the whole thickness stands where they touch, and of less where background parts them by less
+       than that half. It is worked out at the point as well, and ends where a third structure begins.
+    4. The reshapings, in order, worked out at the point as well, so that edits are as sharp as their shapes.
 
-    A structure with a stored field whose label is not of the two last kinds is just that field, so structures that
+    A structure with a stored field whose label is not of the last kinds is just that field, so structures that
     hold one plain field per label (walls too) are read as they are.
     """
 
@@ -195,6 +211,8 @@ class Structures:
     compartments of blood that were joined or split, walls with a gap."""
     thickness_tables: tuple[ThicknessTable, ...] = field(default=(), metadata={"is_kept_when_empty": False})
     """Thickness of the walls that are not equally thick all over; one for each of their cavities."""
+    septa: tuple[Septum, ...] = field(default=(), metadata={"is_kept_when_empty": False})
+    """Walls between cavities that were grown and not seen, by ascending cavities."""
     has_voxel_steps: bool = field(default=False, metadata={"is_kept_when_empty": False})
     """Whether the fields came from labels, whose voxels leave small steps in them: normals are smoothed then."""
     vessel_ends: tuple[VesselEnd, ...] = field(default=(), metadata={"is_kept_when_empty": False})
@@ -210,6 +228,12 @@ class Structures:
                 raise TypeError(f"a reshaping of shape {one.shape!r} with {len(one.points_mm)} points is none")
         object.__setattr__(self, "vessel_ends", tuple(VesselEnd(*one) for one in self.vessel_ends))
         object.__setattr__(self, "thickness_tables", tuple(ThicknessTable(*one) for one in self.thickness_tables))
+        object.__setattr__(self, "septa", tuple(Septum(*one) for one in self.septa))
+
+    @property
+    def grown_septa(self) -> tuple[Septum, ...]:
+        """The septa whose two cavities are there."""
+        return tuple(one for one in self.septa if one.first in self.distance_mm and one.second in self.distance_mm)
 
     @property
     def grown_walls(self) -> dict[int, tuple[int, float]]:
@@ -227,7 +251,7 @@ class Structures:
     @property
     def values(self) -> tuple[int, ...]:
         """Values of all labels that may own a point: stored, grown and made by reshapings; ascending."""
-        there = set(self.distance_mm) | set(self.grown_walls)
+        there = set(self.distance_mm) | set(self.grown_walls) | {one.value for one in self.grown_septa}
         names = {label.name: label.value for label in self.table}
         for one in self.reshapings:
             if all(name in names and names[name] in there for name in one.sources):
@@ -242,6 +266,7 @@ class Structures:
         """Thickness of the thinnest grown wall or patch, mm: sample finer than this; None where there is none."""
         least = {one.cavity: min(t for t in one.thickness_mm if t > 0.0) for one in self.thickness_tables}
         layers = [least.get(cavity, thickness) for cavity, thickness in self.grown_walls.values()]
+        layers += [one.thickness_mm for one in self.grown_septa]
         layers += [one.thickness_mm for one in self.reshapings if self._adds_tissue(one)]
         return min(layers, default=None)
 

@@ -242,6 +242,8 @@ def _bare(structures: Structures, name: str) -> Label:
     if label.value in structures.grown_walls:
         cavity = structures.table[structures.grown_walls[label.value][0]]
         raise StageError(f"'{label.name}' is grown around '{cavity.name}' and follows it: name '{cavity.name}'")
+    if label.septum_of is not None:
+        raise StageError(f"'{label.name}' is grown between two cavities and follows them: name one of the two")
     if label.value in structures.distance_mm:
         return label
     if label.value in structures.values:

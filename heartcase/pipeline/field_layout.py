@@ -67,6 +67,15 @@ class FieldLayout(NamedTuple):
     """Shape (reshapings, slots)."""
     stored_wall: Int32
     """Number of the wall that is grown around each stored field, or -1."""
+    septum_slot: Int32
+    """Slot of each grown septum."""
+    septum_first: Int32
+    septum_second: Int32
+    """Numbers of the stored fields of its two cavities."""
+    septum_half_mm: Float32
+    """Half of its thickness."""
+    septum_reach_mm: float
+    """Distance from a septum beyond which it is not looked at."""
     block_count: UInt8
     """How many stored fields matter in each block of lattice cells, shape (z, y, x); 255 where all may."""
     block_fields: UInt8
@@ -88,6 +97,7 @@ def layout_of(structures: Structures) -> FieldLayout:
     walls = sorted((cavity, value, thickness) for value, (cavity, thickness) in structures.grown_walls.items())
     cavities = [cavity for cavity, *_ in walls]
     shapes = _shapes(structures, slot)
+    septa = structures.grown_septa
     nz, ny, nx = (max(-(-(n - 1) // BLOCK), 1) for n in structures.geometry.shape)
     layout = FieldLayout(
         stack,
@@ -101,14 +111,25 @@ def layout_of(structures: Structures) -> FieldLayout:
         np.ascontiguousarray(structures.geometry.affine[:3]),
         *shapes,
         np.array([cavities.index(value) if value in cavities else -1 for value in stored], np.int32),
+        np.array([slot[one.value] for one in septa], np.int32),
+        np.array([stored.index(one.first) for one in septa], np.int32),
+        np.array([stored.index(one.second) for one in septa], np.int32),
+        np.array([0.5 * one.thickness_mm for one in septa], np.float32),
+        _septum_reach_mm(structures),
         np.full((nz, ny, nx), ALL_FIELDS, np.uint8),
         np.zeros((nz, ny, nx, len(stored)), np.uint8),
     )
-    has_tissue = any(value in stored for value in tissues) or len(walls) > 0
+    has_tissue = any(value in stored for value in tissues) or len(walls) > 0 or len(septa) > 0
     if has_tissue and BACKGROUND in stored and not structures.thickness_tables:
         # by themselves: what a parallel loop writes to arrays of a tuple was seen to be lost
         _find_fields_of_blocks(layout, layout.block_count, layout.block_fields)
     return layout
+
+
+def _septum_reach_mm(structures: Structures) -> float:
+    """As far as the fields are exact beyond the thickest wall, and at least a voxel."""
+    thickest_mm = max((thickness for _, thickness in structures.grown_walls.values()), default=0.0)
+    return float(max(structures.band_mm - thickest_mm, *structures.geometry.spacing_mm))
 
 
 def varying_walls(structures: Structures) -> ThicknessArrays:
@@ -179,6 +200,8 @@ def _find_fields_of_layer(fields, block_count, block_fields, bk):  # type: ignor
                         for s in range(stored):
                             low[s] = min(low[s], row[s])
                             high[s] = max(high[s], row[s])
+            if _is_septal(fields, low):
+                continue
             tissue, void, body = np.float32(np.inf), np.float32(np.inf), np.float32(np.inf)
             for s in range(stored):
                 slot = fields.stored_slot[s]
@@ -208,7 +231,7 @@ def _find_fields_of_layer(fields, block_count, block_fields, bk):  # type: ignor
 
 @kernel(parallel=True)
 def _find_fields_of_blocks(layout, block_count, block_fields):  # type: ignore[no-untyped-def]
-    """Find the fields that can be lowest anywhere in each block, in blocks that no reshaping reaches.
+    """Find the fields that can be lowest anywhere in each block, in blocks that no reshaping and no septum reaches.
 
     A tissue, or a cavity, whose least value exceeds the greatest one of another is not the lowest anywhere. A cavity
     matters to the walls where it is not farther, its wall's thickness taken off, than another one is everywhere, and
@@ -217,6 +240,17 @@ def _find_fields_of_blocks(layout, block_count, block_fields):  # type: ignore[n
     fields = lend(layout)
     for bk in numba.prange(block_count.shape[0]):
         _find_fields_of_layer(fields, block_count, block_fields, bk)
+
+
+@copied
+def _is_septal(layout, low):  # type: ignore[no-untyped-def]
+    """Whether a septum is looked at anywhere in a block, from the least value of each stored field in it."""
+    slack = np.float32(1e-3)
+    for n in range(len(layout.septum_slot)):
+        nearest = max(low[layout.septum_first[n]], low[layout.septum_second[n]])
+        if nearest - layout.septum_half_mm[n] <= layout.septum_reach_mm + slack:
+            return True
+    return False
 
 
 @copied

@@ -230,6 +230,30 @@ def _grow_walls(layout, v, thick, scale):  # type: ignore[no-untyped-def]
 
 
 @copied
+def _grow_septa(layout, raw, v):  # type: ignore[no-untyped-def]
+    """Let the two cavities of each septum give up what lies within half its thickness of the other; ``raw`` as stored.
+
+    The septum ends where a third structure begins; of the background it takes the notch beside the contact, which the
+    walls of the two take as well.
+    """
+    stored_slot, background = layout.stored_slot, layout.background
+    for n in range(len(layout.septum_slot)):
+        one, other, half = layout.septum_first[n], layout.septum_second[n], layout.septum_half_mm[n]
+        value = max(raw[one], raw[other]) - half
+        if value > layout.septum_reach_mm:
+            continue
+        for s in range(len(raw)):
+            if s != one and s != other and stored_slot[s] != background:
+                value = max(value, -raw[s])
+        v[layout.septum_slot[n]] = value
+        first, second = stored_slot[one], stored_slot[other]
+        v[first] = max(v[first], half - raw[other])
+        v[second] = max(v[second], half - raw[one])
+        if background >= 0:
+            v[background] = max(v[background], -value)
+
+
+@copied
 def _reshape(layout, x, y, z, v):  # type: ignore[no-untyped-def]
     """Carry out the reshapings at a point, given by its index."""
     m = layout.to_world
@@ -292,6 +316,8 @@ def _evaluate_one(layout, tables, x, y, z, raw, v, thick, scale):  # type: ignor
         if len(tables.wall) > 0:
             _vary(layout, tables, x, y, z, v, thick, scale)
         nearest_wall = _grow_walls(layout, v, thick, scale)
+    if len(layout.septum_slot) > 0:
+        _grow_septa(layout, raw, v)
     if len(layout.shape_kind) > 0:
         _reshape(layout, x, y, z, v)
     lowest_tissue = np.float32(np.inf)

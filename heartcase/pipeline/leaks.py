@@ -7,6 +7,7 @@ than that is looked for between its points as well.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numba
 import numpy as np
@@ -35,12 +36,16 @@ TISSUE = 255
 """What stands for all tissue; no label has this value."""
 LEAST_GAP_MM2 = 1.0
 """Gaps of a smaller area are where three structures meet, and are not reported."""
+LEAST_CUT_OFF = 8 * FACTOR**3
+"""What a septum cuts off a cavity is told from this many fine points on."""
 MOST_CAUTIONS = 5
 """Joins, splits and gaps that are told one by one, the largest; the rest is counted."""
 
 
 def leak_cautions(structures: Structures, labels: UInt8) -> tuple[Caution, ...]:
     """Compare the compartments of blood with those of the segmentation, and look for gaps in the walls.
+
+    That grown septa part what was in one piece is meant; that one cuts a cavity by itself in two is told.
 
     Parameters
     ----------
@@ -65,14 +70,42 @@ def leak_cautions(structures: Structures, labels: UInt8) -> tuple[Caution, ...]:
     changes, found = side_by_side(
         lambda: compartment_changes(part, fine, blood.tolist(), geometry), lambda: list(_gaps(reader, fine, geometry))
     )
+    cut_by_septa: list[Change] = []
+    if structures.grown_septa:
+        without, _ = _fine_labels(_without_septa(reader), part, corner, blood)
+        plain = compartment_changes(part, without, blood.tolist(), geometry)
+        changes = (*(one for one in changes if one.is_joined), *(one for one in plain if not one.is_joined))
+        cut_by_septa = _cut_by_septa(structures, without, fine, geometry)
     joined = sorted((one for one in changes if one.is_joined), key=lambda one: -one.extent.area_mm2)
     split = sorted((one for one in changes if not one.is_joined), key=lambda one: -one.extent.area_mm2)
     gaps = sorted(found, key=lambda one: -one[1].area_mm2)
     return (
         *_listed([_of_joined(structures, one) for one in joined]),
         *_listed([_of_split(structures, one) for one in split]),
+        *_listed([_of_cut(structures, one) for one in cut_by_septa]),
         *_listed([_of_gap(structures, *one) for one in gaps]),
     )
+
+
+def _without_septa(reader: FieldReader) -> FieldReader:
+    """A reader of the same structures before septa were grown; openings in them then change nothing."""
+    none = np.zeros(0, np.int32)
+    layout = reader.layout._replace(
+        septum_slot=none, septum_first=none, septum_second=none, septum_half_mm=np.zeros(0, np.float32)
+    )
+    return FieldReader(replace(reader.structures, septa=()), layout, reader.tables)
+
+
+def _cut_by_septa(structures: Structures, before: UInt8, after: UInt8, geometry: Geometry) -> list[Change]:
+    """Where a cavity by itself is in one piece without the septa and in two with them, the largest first."""
+    cavities = sorted({value for one in structures.grown_septa for value in (one.first, one.second)})
+    changes = [
+        one
+        for cavity in cavities
+        for one in compartment_changes(before, after, [cavity], geometry, least_voxels=LEAST_CUT_OFF)
+        if not one.is_joined
+    ]
+    return sorted(changes, key=lambda one: -one.extent.area_mm2)
 
 
 def _box_with_blood(structures: Structures, labels: UInt8, blood: UInt8) -> tuple[tuple[int, int, int], UInt8 | None]:
@@ -202,6 +235,14 @@ def _of_split(structures: Structures, change: Change) -> Caution:
     return anatomy(
         f"{what}: in one piece in the segmentation, but cut in two {_where(change.extent)} where the passage is "
         "narrow; widen it there with a stroke, or take a smaller walls.smoothing_mm"
+    )
+
+
+def _of_cut(structures: Structures, change: Change) -> Caution:
+    name = structures.table[change.labels[0]].name
+    return anatomy(
+        f"{name}: cut in two by a grown septum {_where(change.extent)}, where it is narrow and lies along another "
+        "cavity; give the pair a smaller thickness_mm in [[walls.septum]], or paint the wall between the two"
     )
 
 

@@ -13,9 +13,10 @@ from dataclasses import dataclass
 
 import cc3d
 import edt
-import numba
 import numpy as np
 import numpy.typing as npt
+
+from heartcase.compiling.kernel import kernel
 
 __all__ = ["Branch", "find_branches", "way_within"]
 
@@ -76,7 +77,7 @@ def way_within(mask: Bool, spacing_mm: tuple[float, float, float], sources: Bool
     return np.ascontiguousarray(inner)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _march(mask, starts, steps, spacing, way):  # type: ignore[no-untyped-def]
     """Fast marching to first order; ties go to the voxel that comes first."""
     is_done = np.zeros(len(mask), np.bool_)
@@ -101,7 +102,7 @@ def _march(mask, starts, steps, spacing, way):  # type: ignore[no-untyped-def]
                     heapq.heappush(queue, (new, there))
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _arrival(voxel, is_done, way, steps, spacing, lowest, step_mm):  # type: ignore[no-untyped-def]
     """The way at a voxel from those of its neighbours that are done: |gradient| = 1, upwind."""
     count = 0
@@ -192,7 +193,7 @@ def find_branches(mask: Bool, spacing_mm: tuple[float, float, float], sources: B
     return tuple(roots)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _root(parent, voxel):  # type: ignore[no-untyped-def]
     while parent[voxel] != voxel:
         parent[voxel] = parent[parent[voxel]]
@@ -200,7 +201,7 @@ def _root(parent, voxel):  # type: ignore[no-untyped-def]
     return voxel
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _merge(order, way, width, around, least_mm, share):  # type: ignore[no-untyped-def]
     """Where branches meet: the tips of the one that lives on and of the other, the way there; and the tips at the end.
 

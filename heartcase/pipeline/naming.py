@@ -128,15 +128,14 @@ def _label_of(segment: SegmentInfo | None, value: int, naming: Naming, table: La
 
 def left_out(naming: Naming, table: LabelTable) -> Callable[[SegmentInfo], bool]:
     """Which segments of a file with several layers are not taken: they must not cover those that are."""
-    grown = table.with_walls()
+    grown, septa = table.with_walls(), table.septum_names
 
     def is_left_out(segment: SegmentInfo) -> bool:
         label, is_contrary = _label_of(segment, segment.number, naming, table)
         if label is not None or is_contrary:
             return False
-        return naming.others == "ignore" or (
-            naming.leaves_out_walls and value_of(segment.name, naming.names, grown) is not None
-        )
+        is_grown = value_of(segment.name, naming.names, grown) is not None or segment.name.lower() in septa
+        return naming.others == "ignore" or (naming.leaves_out_walls and is_grown)
 
     return is_left_out
 
@@ -173,14 +172,16 @@ def _refusal(volume: LabelVolume, unknown: Sequence[int], naming: Naming, table:
 
 
 def _grown_walls(volume: LabelVolume, values: Sequence[int], naming: Naming, table: LabelTable) -> dict[int, str]:
-    """Those values whose segments are named like a wall that the walls stage will grow, with the wall's name."""
-    grown = table.with_walls()
+    """Those values whose segments are named like a wall or a septum that the walls stage may grow, with its name."""
+    grown, septa = table.with_walls(), table.septum_names
     found = {}
     for value in values:
         segment = volume.segments.get(value)
         label = None if segment is None else value_of(segment.name, naming.names, grown)
         if label is not None and label not in table:
             found[value] = grown[label].name
+        elif segment is not None and segment.name.lower() in septa:
+            found[value] = segment.name
     return found
 
 

@@ -22,9 +22,11 @@ from scipy.spatial import cKDTree
 from heartcase.pipeline.cautions import Caution, anatomy, note
 from heartcase.pipeline.contacts import Contact, find_contact
 from heartcase.pipeline.data import Segmentation, Structures
+from heartcase.pipeline.meeting_strokes import meetings_of
 from heartcase.schemas.edit_settings import Edit, SeptalDefect, edit_place
-from heartcase.schemas.labels import Label
+from heartcase.schemas.labels import Label, LabelTable
 from heartcase.schemas.landmarks import Landmark
+from heartcase.schemas.settings import Stroke
 from heartcase.schemas.terms import Term, term_by_name
 
 __all__ = [
@@ -34,7 +36,9 @@ __all__ = [
     "find_openings",
     "opening_cautions",
     "opening_figures",
+    "root_of_surface_m",
     "states_an_opening",
+    "verdict_of",
 ]
 
 Bool = npt.NDArray[np.bool_]
@@ -108,6 +112,8 @@ class _Statement:
     """Direction of the long diameter of a canal that is not round; its part at right angles to the axis counts."""
     short_radius_mm: float = 0.0
     """Half of the short diameter of such a canal."""
+    values: tuple[int, int] | None = None
+    """The two labels that it is about, the lower first; None for any."""
 
     @property
     def line_mm(self) -> tuple[Float64, Float64]:
@@ -209,6 +215,9 @@ def find_openings(
     labels: Segmentation,
     edits: Sequence[Edit] = (),
     landmarks: Sequence[Landmark] = (),
+    *,
+    strokes: Sequence[Stroke] = (),
+    connected: Sequence[tuple[str, str]] = (),
 ) -> tuple[Opening, ...]:
     """Find every place where two labels of blood or vessel lumen touch with no tissue between.
 
@@ -223,6 +232,10 @@ def find_openings(
     landmarks
         The recipe's landmarks: one that :func:`states_an_opening` states the opening around it, out to its radius or,
         for a point, :data:`POINT_REACH_MM`.
+    strokes
+        The recipe's strokes: those of two cavities that run into each other state an opening between them there.
+    connected
+        Names of pairs that the recipe says are open to each other, wherever they touch.
 
     Returns
     -------
@@ -231,20 +244,27 @@ def find_openings(
         them: what lies beyond the reach of a stated defect is an opening of its own. Pairs of a normal heart are one
         opening each; whether one of their patches lies where it should not is not judged.
     """
-    statements = _statements(edits, landmarks)
+    statements = (
+        *_stated_by_edits(edits),
+        *_stated_by_landmarks(landmarks),
+        *_stated_by_strokes(strokes, labels.table),
+        *_stated_by_pairs(connected, labels.table),
+    )
     contact = find_contact(structures, labels, [one.line_mm for one in statements if one.axis is not None])
     points, pairs = contact.points_mm, contact.pairs
     margin = REACH_VOXELS * labels.geometry.voxel_volume_mm3 ** (1.0 / 3.0)
-    root_m = _root_of_surface_m(labels)
+    root_m = root_of_surface_m(labels)
     found: list[Opening] = []
     for values in np.unique(pairs, axis=0):
         of_pair = (pairs == values).all(axis=1)
         pair = (labels.table[int(values[0])], labels.table[int(values[1])])
-        plain = _verdict(*pair)
+        plain = verdict_of(*pair)
         if plain is Verdict.EXPECTED:
             found.append(replace(_opening(contact[of_pair], pair, plain), usual_mm=_usual_mm(pair, root_m)))
             continue
         for statement in statements:
+            if statement.values not in (None, (pair[0].value, pair[1].value)):
+                continue
             covered = of_pair & statement.covers(points, margin)
             if covered.any():
                 of_pair &= ~covered
@@ -287,7 +307,8 @@ def states_an_opening(landmark: Landmark) -> bool:
     return _STATING_WORDS.search(landmark.name.casefold().replace("_", " ")) is not None
 
 
-def _verdict(first: Label, second: Label) -> Verdict:
+def verdict_of(first: Label, second: Label) -> Verdict:
+    """What is to be thought of an opening between two cavities, by their names alone."""
     one, other = first.term, second.term
     if one is None or other is None:
         return Verdict.UNKNOWN
@@ -313,7 +334,7 @@ _VENTRICLES = frozenset(term for pair in _term_pairs([("lv", "rv")]) for term in
 _DISCORDANT = _term_pairs(_OTHER_VENTRICLE)
 
 
-def _root_of_surface_m(labels: Segmentation) -> float | None:
+def root_of_surface_m(labels: Segmentation) -> float | None:
     """Square root of the body surface area that goes with the larger ventricle's volume, m; None where it is not known.
 
     The larger one, since the smaller may be malformed, or taken by its neighbour. Of a ventricle that the volume's
@@ -347,10 +368,6 @@ def _opening(contact: Contact, pair: tuple[Label, Label], verdict: Verdict) -> O
     )
 
 
-def _statements(edits: Sequence[Edit], landmarks: Sequence[Landmark]) -> tuple[_Statement, ...]:
-    return (*_stated_by_edits(edits), *_stated_by_landmarks(landmarks))
-
-
 def _stated_by_edits(edits: Sequence[Edit]) -> Iterator[_Statement]:
     for number, edit in enumerate(edits, start=1):
         if isinstance(edit, SeptalDefect) and edit.enabled:
@@ -378,6 +395,18 @@ def _stated_by_landmarks(landmarks: Sequence[Landmark]) -> Iterator[_Statement]:
             yield _Statement(f"the landmark '{landmark.name}'", center, radius)
 
 
+def _stated_by_strokes(strokes: Sequence[Stroke], table: LabelTable) -> Iterator[_Statement]:
+    for one in meetings_of(strokes, table):
+        words = f"strokes {one.numbers[0]} and {one.numbers[1]}, which run into each other"
+        yield _Statement(words, np.array(one.center_mm), one.radius_mm, values=one.values)
+
+
+def _stated_by_pairs(pairs: Sequence[tuple[str, str]], table: LabelTable) -> Iterator[_Statement]:
+    for names in pairs:
+        low, high = sorted(table[name].value for name in names)
+        yield _Statement("walls.connected", np.zeros(3), math.inf, values=(low, high))
+
+
 def _cautions(one: Opening) -> Iterator[Caution]:
     place = f"({', '.join(f'{value:.1f}' for value in one.center_mm)}) mm"
     pieces = f" in {one.patches} patches, the largest" if one.patches > 1 else ""
@@ -385,8 +414,9 @@ def _cautions(one: Opening) -> Iterator[Caution]:
     if one.verdict is Verdict.UNEXPECTED:
         yield anatomy(
             f"{where}: paint the wall between them (a stroke of background, or of the muscle), or the third cavity "
-            "whose blood they were given, if one lies there; or, if the patient has this opening, say so: an edit of "
-            "kind septal_defect, or a landmark (point or ring) there whose name says defect, VSD or ASD"
+            "whose blood they were given, if one lies there; or name the two in [[walls.septum]], so that one is "
+            "grown; or, if the patient has this opening, say so: an edit of kind septal_defect, or a landmark (point "
+            "or ring) there whose name says defect, VSD or ASD"
         )
     elif one.verdict is Verdict.OTHER_VENTRICLE:
         yield Caution(f"{where}: the great artery arises from the other ventricle; is that the malformation?")

@@ -246,19 +246,24 @@ def filtered_tree(recipe: Recipe, filtered: Node[Scan], cache: Cache | None) -> 
 
 
 def _walls(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutputs) -> None:
+    from heartcase.pipeline.septa import open_places
     from heartcase.pipeline.walls import grow_walls
 
     segmentation, walls = have(nodes.segmentation), recipe.walls_to_grow
-    settings = resolved(walls) | {"ends": _all(recipe.ends)}
+    settings: dict[str, Any] = resolved(walls) | {"ends": _all(recipe.ends)}
     if not walls.find_ends:
         # a setting that came later: what does not use it keeps its records
         settings.pop("find_ends")
+    places = open_places(recipe.strokes, recipe.landmarks, recipe.table) if walls.septa == "grown" else ()
+    if places:
+        # not what a landmark is called, nor a stroke that opens nothing
+        settings["open_places"] = [list(one) for one in places]
     nodes.grown = runner.run(
         Job(
             stage="walls",
             settings=settings,
             inputs={"segmentation": segmentation},
-            compute=lambda: grow_walls(segmentation.get(), walls, recipe.ends),
+            compute=lambda: grow_walls(segmentation.get(), walls, recipe.ends, open_places=places),
             kind=Structures,
         )
     )

@@ -1,6 +1,7 @@
 """The walls stage: distance fields of the structures, and walls grown outward from the cavities (thesis 11.2.3).
 
-Only the bare structures get a field here. A wall is a thickness in the label table, or a table of thicknesses by
+Only the bare structures get a field here. Where two cavities touch that a heart does not join, a septum is grown
+between them: :mod:`heartcase.pipeline.septa`. A wall is a thickness in the label table, or a table of thicknesses by
 place, worked out by :mod:`heartcase.pipeline.fields` wherever it is asked for, so it is exact however thin it is.
 """
 
@@ -20,6 +21,7 @@ from heartcase.pipeline.end_discs import Stumps
 from heartcase.pipeline.ends import cut_ends
 from heartcase.pipeline.fields import FieldReader, ownership_on_lattice
 from heartcase.pipeline.leaks import leak_cautions
+from heartcase.pipeline.septa import OpenPlace, SeptumFigures, septum_cautions, septum_figures, with_septa
 from heartcase.pipeline.side_by_side import side_by_side
 from heartcase.pipeline.smoothing_effects import smoothing_effects
 from heartcase.schemas.errors import Problem, StageError
@@ -36,13 +38,20 @@ BAND_VOXELS = 3.0
 """Voxels beyond the thickest wall up to which the fields are exact by default."""
 
 
-def grow_walls(segmentation: Segmentation, settings: WallsSettings, ends: Sequence[EndMarker]) -> Structures:
+def grow_walls(
+    segmentation: Segmentation,
+    settings: WallsSettings,
+    ends: Sequence[EndMarker],
+    *,
+    open_places: Sequence[OpenPlace] = (),
+) -> Structures:
     """Make the structures of a segmentation: smooth distance fields, walls around the cavities, open vessel ends.
 
     A wall takes the background within its thickness of its cavity, to a fraction of a voxel, and nothing else: it
-    enters no other structure, and none grows where two cavities touch. Where two walls meet, the nearer cavity's wins
-    (ties: the lower label). Where neighbours are closer than both walls together, the walls share the room between
-    them. A vessel that the volume's border or an end marker cuts stays open there.
+    enters no other structure. Where two cavities touch that a heart does not join, both give up half of a septum's
+    thickness, unless the settings say ``as segmented``; other cavities that touch are open to each other. Where two
+    walls meet, the nearer cavity's wins (ties: the lower label). Where neighbours are closer than both walls together,
+    the walls share the room between them. A vessel that the volume's border or an end marker cuts stays open there.
 
     Parameters
     ----------
@@ -52,6 +61,8 @@ def grow_walls(segmentation: Segmentation, settings: WallsSettings, ends: Sequen
         Smoothing, band, and thicknesses that vary; the band is at least a voxel more than the thickest wall.
     ends
         Discs beyond which a vessel and its wall are taken away.
+    open_places
+        Where a septum is open, from :func:`heartcase.pipeline.septa.open_places`.
 
     Returns
     -------
@@ -102,9 +113,14 @@ def grow_walls(segmentation: Segmentation, settings: WallsSettings, ends: Sequen
         ),
         has_voxel_steps=True,
     )
+    septa: tuple[SeptumFigures, ...] = ()
+    if settings.septa == "grown":
+        structures, septa = with_septa(structures, _labels_on_lattice(structures), settings, open_places)
     leaks, (figures, warnings) = side_by_side(
         lambda: leak_cautions(structures, labels), lambda: smoothing_effects(labels, distances, geometry, table)
     )
+    if septa:
+        figures = figures | {"septa": septum_figures(septa, structures.table)}
     grown = replace(
         structures,
         quality=figures,
@@ -112,6 +128,7 @@ def grow_walls(segmentation: Segmentation, settings: WallsSettings, ends: Sequen
             *cut.warnings,
             *warnings,
             *_table_warnings(structures),
+            *septum_cautions(septa, structures.table),
             *leaks,
         ),
     )
@@ -151,6 +168,12 @@ def structure_volumes_ml(structures: Structures) -> dict[int, float]:
     return {int(value): float(counts[value] * fine.voxel_volume_mm3 / 1000.0) for value in np.flatnonzero(counts)}
 
 
+def _labels_on_lattice(structures: Structures) -> UInt8:
+    """Label of every voxel, walls included."""
+    owner = ownership_on_lattice(structures, structures.geometry)
+    return np.where(owner.tissue_mm < 0.0, owner.tissue_label, owner.void_label).astype(np.uint8)
+
+
 def _check(segmentation: Segmentation, settings: WallsSettings) -> None:
     there = [int(value) for value in np.flatnonzero(np.bincount(segmentation.labels.ravel(), minlength=256))]
     unknown = [value for value in there if value not in segmentation.table]
@@ -166,6 +189,13 @@ def _check(segmentation: Segmentation, settings: WallsSettings) -> None:
         if segmentation.table.find(one.label) is None
     ]
     problems += settings.thickness_problems(segmentation.table)
+    problems += [
+        Problem(place, f"there is no label {name!r}: check the name")
+        for place, pair in settings.septum_pairs
+        for name in pair
+        if segmentation.table.find(name) is None
+    ]
+    problems += settings.septum_problems(segmentation.table)
     if problems:
         raise StageError(problems)
 

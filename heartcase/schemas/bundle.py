@@ -28,6 +28,7 @@ __all__ = [
     "LEVELS",
     "LEVEL_MAX",
     "MANIFEST_NAME",
+    "VERSION_WITHOUT_SEPTA",
     "ArrayEntry",
     "ArraySpec",
     "CaseManifest",
@@ -41,7 +42,10 @@ __all__ = [
 ]
 
 FORMAT_NAME = "heartcase-bundle"
-FORMAT_VERSION = "1.4"
+FORMAT_VERSION = "1.5"
+"""The newest version that is read and written."""
+VERSION_WITHOUT_SEPTA = "1.4"
+"""What a case without grown septa is written as: it has nothing that 1.5 added, and keeps its bytes."""
 MANIFEST_NAME = "case.json"
 
 ALIGNMENT = 64

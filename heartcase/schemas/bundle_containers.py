@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from safetensors import SafetensorError, safe_open
 
-from heartcase.schemas.bundle import FORMAT_VERSION, CaseManifest, FileRole
+from heartcase.schemas.bundle import FORMAT_VERSION, VERSION_WITHOUT_SEPTA, CaseManifest, FileRole
 from heartcase.schemas.bundle_manifest import stated
 from heartcase.schemas.bundle_surfaces import rest_basis
 from heartcase.schemas.bundle_values import Arrays, Parts
@@ -56,7 +56,7 @@ def safetensors_problems(file: Path, role: FileRole, layout: Layout, version: st
     size = file.stat().st_size
     for name, (begin, end) in layout.others.items():
         if not re.fullmatch(r"_pad[0-9]{1,9}", name):
-            if version in ("1.0", "1.1", "1.2", FORMAT_VERSION):
+            if version in ("1.0", "1.1", "1.2", VERSION_WITHOUT_SEPTA, FORMAT_VERSION):
                 yield Problem(place, "holds an array that the format does not have")
         elif 0 <= begin <= end <= size and _has_bytes(file, begin, end):
             yield Problem(place, "the padding between its arrays is not zero")

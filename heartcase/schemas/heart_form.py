@@ -91,6 +91,8 @@ class HeartForm(Model):
     """Width and length of its cavity against the normal one; below 1 it is hypoplastic."""
     right_ventricular_wall_mm: Annotated[float, Field(ge=1.0, le=15.0)] | None = None
     """Thickness of the right ventricle's free wall; that of the size when left out."""
+    septum_mm: Annotated[float, Field(ge=0.5, le=10.0)] | None = None
+    """Least tissue between the atria, and between vessels and atria; that of the size when left out."""
     aortic_override: Annotated[float, Field(ge=0.0, le=0.6)] = 0.0
     """How far the aortic root is moved over the septum, as a part of its diameter."""
     pulmonary_outflow: _Part = 1.0

@@ -5,9 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from enum import StrEnum
+from itertools import combinations
 from typing import Annotated, Any
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer, model_validator
 
 from heartcase.schemas.base import Colour, Model, Name
 from heartcase.schemas.terms import TERMS, Term, normalised, term_by_code, term_by_name
@@ -76,6 +77,9 @@ class Label(Model):
     """Thickness of the wall to grow around this cavity, in mm; 0 grows none."""
     wall_of: int | None = None
     """For a grown wall: the value of the cavity around which it was grown."""
+    septum_of: tuple[int, int] | None = None
+    """For a grown septum: the values of the two cavities that it keeps apart, the lower first. Not written where it is
+    none."""
     snomed: Annotated[str, Field(pattern=r"^[0-9]{6,18}$")] | None = None
     """SNOMED CT concept identifier."""
 
@@ -89,6 +93,14 @@ class Label(Model):
             term_by_name(name) if isinstance(name, str) else None
         )
         return data if term is None else {**data, "colour": _COLOURS[term.name]}
+
+    @model_serializer(mode="wrap")
+    def _without_what_is_new(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave ``septum_of`` out where it is none: what has no septa keeps its bytes."""
+        written: dict[str, Any] = write(self)
+        if self.septum_of is None:
+            written.pop("septum_of", None)
+        return written
 
     @property
     def term(self) -> Term | None:
@@ -137,6 +149,8 @@ class LabelTable(Model):
                 )
             if label.wall_of is not None and label.wall_of not in seen_values:
                 problems.append(f"{label.name!r}: wall_of names value {label.wall_of}, which is not in the table")
+            if label.septum_of is not None and not set(label.septum_of) <= set(seen_values):
+                problems.append(f"{label.name!r}: septum_of names a value that is not in the table")
         if problems:
             raise ValueError("; ".join(problems))
         return labels
@@ -259,6 +273,40 @@ class LabelTable(Model):
                     )
                 )
         return table
+
+    @property
+    def septum_names(self) -> frozenset[str]:
+        """Names that septa grown between two cavities of the table would have, in lower case."""
+        cavities = [label for label in self.labels if label.role.is_blood]
+        return frozenset(_septum_name(low, high).lower() for low, high in combinations(cavities, 2))
+
+    def with_septum(self, first: int, second: int) -> LabelTable:
+        """A table with a label for the septum that is grown between two cavities.
+
+        It has the role ``wall``, the lowest value that is free, and a name of both cavities' names.
+        """
+        low, high = self[min(first, second)], self[max(first, second)]
+        if any(label.septum_of == (low.value, high.value) for label in self.labels):
+            return self
+        value, colour = self.free_value(), _between(low.colour, high.colour)
+        name = _septum_name(low, high)
+        if any(label.name.lower() == name.lower() for label in self.labels):
+            name = f"{name} {value}"
+        return self.with_label(
+            Label(value=value, name=name, role=Role.WALL, colour=colour, septum_of=(low.value, high.value))
+        )
+
+
+def _septum_name(low: Label, high: Label) -> str:
+    """Name of a grown septum, of at most 60 letters; "grown" stays in it, so that nobody takes it for seen."""
+    one, other = (label.name.removeprefix("morphologically ")[:22].strip() for label in (low, high))
+    return f"{one}-{other} septum (grown)"
+
+
+def _between(first: str, second: str) -> str:
+    """The middle of two colours."""
+    channels = [[int(colour[i : i + 2], 16) for i in (1, 3, 5)] for colour in (first, second)]
+    return "#" + "".join(f"{(one + other) // 2:02x}" for one, other in zip(*channels, strict=True))
 
 
 def _wall_name(cavity: Label) -> str:

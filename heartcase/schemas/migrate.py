@@ -122,6 +122,10 @@ BUNDLE_CHANGES: dict[str, tuple[str, ...]] = {
         "a polyline that is a planned incision has a depth",
         "a case says how much each of its warnings matters",
     ),
+    "1.5": (
+        "a label that is a septum grown between two cavities says which two, and its triangles are of a kind of their "
+        "own",
+    ),
 }
 """Minor version of the bundle's format -> what it added."""
 

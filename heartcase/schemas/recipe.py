@@ -287,6 +287,10 @@ class Recipe(Model):
         for n, varying in enumerate(self.walls.thickness, start=1):
             check(f"walls.thickness[{n}]", varying.label, table)
         problems += self.walls.thickness_problems(table)
+        for place, pair in self.walls.septum_pairs:
+            for named_cavity in pair:
+                check(place, named_cavity, table)
+        problems += self.walls.septum_problems(table)
         for n, edit in enumerate(self.edits, start=1):
             if isinstance(edit, SeptalDefect | CloseDefect):
                 if not any(edit.axis):

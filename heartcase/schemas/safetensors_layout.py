@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.schemas.bundle import ARRAYS, FORMAT_VERSION, FileEntry, FileRole
+from heartcase.schemas.bundle import ARRAYS, FORMAT_VERSION, VERSION_WITHOUT_SEPTA, FileEntry, FileRole
 from heartcase.schemas.errors import Problem
 from heartcase.schemas.strict_json import parse_json
 
@@ -109,7 +109,7 @@ def listing_problems(entry: FileEntry, layout: Layout, version: str | None) -> I
     listed = {array.name: array for array in entry.arrays}
     known = {spec.name for spec in ARRAYS[entry.role]}
     must_list = version not in (None, "1.0")
-    if version == FORMAT_VERSION:
+    if version in (VERSION_WITHOUT_SEPTA, FORMAT_VERSION):
         for name in sorted(set(listed) - known):
             yield Problem(f"{entry.role.value}.{name}", "is listed in case.json, but the format has no such array")
     if len(listed) != len(entry.arrays):

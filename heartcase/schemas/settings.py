@@ -22,6 +22,7 @@ __all__ = [
     "Pin",
     "RegionSettings",
     "SegmentSettings",
+    "SeptumThickness",
     "Stroke",
     "SurfaceSettings",
     "ThresholdRange",
@@ -197,6 +198,15 @@ class WallThickness(Model):
         return self
 
 
+class SeptumThickness(Model):
+    """Thickness of the septum between two cavities, where it is grown."""
+
+    between: tuple[Name, Name]
+    """Names of the two cavities."""
+    thickness_mm: Annotated[float, Field(gt=0.0, le=15.0)]
+    """Thickness, mm: half of it is grown to either side of where their outlines touch."""
+
+
 class WallsSettings(Model):
     """Distance fields of the structures, and walls grown outward from the cavities (thesis 11.2.3)."""
 
@@ -209,6 +219,39 @@ class WallsSettings(Model):
     """Find where vessels end, and cut them open there, beside those of ``ends``; what ``ends = "automatic"`` sets."""
     thickness: tuple[WallThickness, ...] = ()
     """Walls whose thickness varies, one table for each cavity."""
+    septa: Literal["grown", "as segmented"] = "grown"
+    """``grown``: cavities that a heart does not join get a wall where their outlines touch; ``as segmented``: they are
+    open to each other there."""
+    connected: tuple[tuple[Name, Name], ...] = ()
+    """Pairs of cavities that are open to each other in this heart: no septum is grown between them."""
+    septum: tuple[SeptumThickness, ...] = ()
+    """Pairs of cavities that are kept apart, with the thickness of what is grown between them; other pairs follow
+    from their names, and their thickness from the size of the heart."""
+
+    @property
+    def septum_pairs(self) -> tuple[tuple[str, tuple[str, str]], ...]:
+        """Place in the recipe and the two names of each pair of cavities that is named."""
+        named = [(f"walls.connected[{n}]", pair) for n, pair in enumerate(self.connected, start=1)]
+        return (*named, *((f"walls.septum[{n}]", one.between) for n, one in enumerate(self.septum, start=1)))
+
+    def septum_problems(self, table: LabelTable) -> tuple[Problem, ...]:
+        """What is wrong between the named pairs and a label table; names that are no label are left out."""
+        problems: list[Problem] = []
+        seen: dict[frozenset[int], str] = {}
+        for place, names in self.septum_pairs:
+            labels = [label for name in names if (label := table.find(name)) is not None]
+            if len(labels) < 2:
+                continue
+            pair = frozenset(label.value for label in labels)
+            other = [label.name for label in labels if not label.role.is_blood]
+            if other:
+                problems.append(Problem(place, f"{other[0]!r} is no cavity: name two labels of blood or vessel_lumen"))
+            elif len(pair) == 1:
+                problems.append(Problem(place, f"{labels[0].name!r} is named twice: name two cavities"))
+            elif pair in seen:
+                problems.append(Problem(place, f"these two are named in {seen[pair]} already: remove one of the two"))
+            seen.setdefault(pair, place)
+        return tuple(problems)
 
     def thickness_problems(self, table: LabelTable) -> tuple[Problem, ...]:
         """What is wrong between the tables of thickness and a label table; names that are no label are left out."""

@@ -31,6 +31,8 @@ class SurfaceKind(IntEnum):
     """Around an opening between chambers or vessels that no normal heart has, or that the recipe states."""
     CUT_FACE = 7
     """Where the tissue was cut off, by the end of a vessel or of the scan."""
+    GROWN_SEPTUM = 8
+    """A wall between two cavities that was grown where their outlines touch and not seen, from inside either."""
 
     @property
     def is_of_void(self) -> bool:
@@ -40,7 +42,7 @@ class SurfaceKind(IntEnum):
     @property
     def is_of_tissue(self) -> bool:
         """Whether such triangles go by the tissue behind them."""
-        return self in (SurfaceKind.VESSEL_OUTSIDE, SurfaceKind.DEVICE)
+        return self in (SurfaceKind.VESSEL_OUTSIDE, SurfaceKind.DEVICE, SurfaceKind.GROWN_SEPTUM)
 
 
 def plain_kinds(void: UInt8, tissue: UInt8, is_cut: npt.ArrayLike, table: LabelTable) -> UInt8:
@@ -57,7 +59,7 @@ def plain_kinds(void: UInt8, tissue: UInt8, is_cut: npt.ArrayLike, table: LabelT
     """
     inside = np.full(256, SurfaceKind.ENDOCARDIUM, np.uint8)
     outside = np.full(256, SurfaceKind.EPICARDIUM, np.uint8)
-    is_device = np.zeros(256, np.bool_)
+    is_device, is_septum = np.zeros(256, np.bool_), np.zeros(256, np.bool_)
     roles = {label.value: label.role for label in table}
     for label in table:
         if label.role is Role.VESSEL_LUMEN:
@@ -65,7 +67,9 @@ def plain_kinds(void: UInt8, tissue: UInt8, is_cut: npt.ArrayLike, table: LabelT
         elif label.role is Role.WALL and (label.wall_of is None or roles.get(label.wall_of) is not Role.BLOOD):
             outside[label.value] = SurfaceKind.VESSEL_OUTSIDE
         is_device[label.value] = label.role is Role.DEVICE
+        is_septum[label.value] = label.septum_of is not None
     kinds = np.where(void == BACKGROUND, outside[tissue], inside[void])
+    kinds[is_septum[tissue] & (void != BACKGROUND)] = SurfaceKind.GROWN_SEPTUM
     kinds[is_device[tissue]] = SurfaceKind.DEVICE
     kinds[np.asarray(is_cut).astype(np.bool_)] = SurfaceKind.CUT_FACE
     return kinds.astype(np.uint8)

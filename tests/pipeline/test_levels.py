@@ -13,7 +13,7 @@ from heartcase.pipeline.artifacts import artifact_from_bytes, artifact_to_bytes
 from heartcase.pipeline.data import Surface
 from heartcase.pipeline.run import build_case
 from heartcase.pipeline.surface import build_surface
-from heartcase.schemas.bundle import ARRAYS, FORMAT_VERSION, LEVEL_MAX, LEVELS, FileRole
+from heartcase.schemas.bundle import ARRAYS, LEVEL_MAX, LEVELS, VERSION_WITHOUT_SEPTA, FileRole
 from heartcase.schemas.bundle_check import check_bundle
 from heartcase.schemas.bundle_reader import OpenBundle, open_bundle
 from heartcase.schemas.errors import UsageError
@@ -167,7 +167,7 @@ def test_a_case_of_version_1_1_is_still_read(case, tmp_path):
 
     shutil.copytree(case, tmp_path / "old.case")
     manifest = json.loads((tmp_path / "old.case" / "case.json").read_text())
-    assert manifest["format_version"] == FORMAT_VERSION
+    assert manifest["format_version"] == VERSION_WITHOUT_SEPTA
     manifest["format_version"] = "1.1"
     kept = []
     for entry in manifest["files"]:

@@ -75,7 +75,7 @@ def test_unknown_keys_anywhere_of_a_newer_minor_version_are_ignored(case, manife
     changed["format_version"] = NEWER
     read = open_bundle(with_manifest(case, changed)).manifest
     original = read_manifest(with_manifest(case, manifest))
-    assert read.model_copy(update={"format_version": FORMAT_VERSION}) == original
+    assert read.model_copy(update={"format_version": original.format_version}) == original
 
 
 def test_a_file_with_a_role_of_a_newer_minor_version_is_ignored(case, manifest):

@@ -225,11 +225,11 @@ def walls_smoothing_mm(bundle: OpenBundle) -> float | None:
 
 
 def _cast_table(table: LabelTable) -> LabelTable:
-    """A table in which the blood is tissue, so that it is what gets a surface, and grown walls are left out."""
+    """A table in which the blood is tissue, so that it is what gets a surface; grown walls and septa are left out."""
     return LabelTable(
         labels=tuple(
             label.model_copy(update={"role": _CAST_ROLE.get(label.role, Role.BLOOD), "wall_thickness_mm": 0.0})
             for label in table
-            if label.wall_of is None
+            if label.wall_of is None and label.septum_of is None
         )
     )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from heartcase import __version__
 from heartcase.pipeline.cautions import CautionGroup, grouped
@@ -107,6 +108,22 @@ class OpeningRow:
 
 
 @dataclass(frozen=True)
+class SeptumRow:
+    """A wall between two cavities that was grown and not seen."""
+
+    between: str
+    """Names of the two."""
+    area_mm2: float
+    """Area of the contact on both sides of which it was grown, mm2."""
+    thickness_mm: float
+    """Thickness, mm."""
+    patches: int
+    """Pieces of the contact."""
+    place: str
+    """A point of the largest piece."""
+
+
+@dataclass(frozen=True)
 class StageRow:
     """One stage: how long it took and how it was set."""
 
@@ -168,6 +185,8 @@ class ReportData:
     """Openings between chambers and vessels, the worst first."""
     ends: EndsPart | None = None
     """Where vessels end; None where none does."""
+    septa: Sequence[SeptumRow] = ()
+    """Walls between cavities that were grown where their outlines touch, the largest first."""
     quality: Mapping[str, Sequence[Fact]] = field(default_factory=dict)
     """Title -> figures."""
     hand_work: Sequence[Fact] = ()
@@ -253,7 +272,8 @@ def build_report(
         if label.value != BACKGROUND and label.value in volumes_ml
     ]
     totals = _totals(table, volumes_ml)
-    shown = surface_parts(surface, recipe.landmarks, recipe.walls)
+    septa_mm = {one.value: one.thickness_mm for one in structures.grown_septa}
+    shown = surface_parts(surface, recipe.landmarks, recipe.walls, septa_mm)
     quality = {
         "Smoothing of the outlines": smoothing_facts(structures.quality),
         "Simulation grid": figure_facts(grid.quality),
@@ -279,6 +299,7 @@ def build_report(
             totals=list(totals.items()),
             openings=[_opening_row(one) for one in openings],
             ends=ends_part(scan, structures),
+            septa=[_septum_row(one) for one in structures.quality.get("septa", ())],
             quality={title: facts for title, facts in quality.items() if facts},
             hand_work=hand_work_facts(recipe, scan),
             stages=_stage_rows(stages, timings_s),
@@ -326,6 +347,17 @@ def _scan_facts(recipe: Recipe, scan: Scan) -> list[Fact]:
     others = {name: value for name, value in scan.acquisition.items() if name not in _PHASE}
     facts += [Fact(fact.name, fact.value) for fact in figure_facts(others)]
     return facts
+
+
+def _septum_row(figure: Mapping[str, Any]) -> SeptumRow:
+    one, other = figure["between"]
+    return SeptumRow(
+        f"{one} and {other}",
+        float(figure["area_mm2"]),
+        float(figure["thickness_mm"]),
+        int(figure["patches"]),
+        placed(figure["center_mm"]),
+    )
 
 
 def _opening_row(one: Opening) -> OpeningRow:

@@ -113,11 +113,14 @@ def _is_parallel(one: Geometry, other: Geometry) -> bool:
 
 
 def surface_parts(
-    surface: Surface | None, landmarks: Sequence[Landmark] = (), walls: WallsSettings | None = None
+    surface: Surface | None,
+    landmarks: Sequence[Landmark] = (),
+    walls: WallsSettings | None = None,
+    septa_mm: Mapping[int, float] | None = None,
 ) -> SurfaceParts:
     """Draw the surface from all six sides, in the surgeon's view, cut open and by thickness; measure the thickness.
 
-    ``walls`` are the recipe's, of which some may vary in thickness.
+    ``walls`` are the recipe's, of which some may vary in thickness; ``septa_mm`` the thickness of each grown septum.
     """
     if surface is None or len(surface.triangles) == 0:
         return SurfaceParts()
@@ -160,7 +163,8 @@ def surface_parts(
         )
     )
     varying = {label.value for one in (walls.thickness if walls else ()) if (label := table.find(one.label))}
-    rows = [ThicknessRow(one, table[one.label].colour, _wanted_mm(table, one.label, varying)) for one in figures]
+    wanted = {one.label: _wanted_mm(table, one.label, varying) for one in figures} | dict(septa_mm or {})
+    rows = [ThicknessRow(one, table[one.label].colour, wanted[one.label]) for one in figures]
     return SurfaceParts(sides, views, len(views) < _VIEW_COUNT, maps, rows)
 
 
