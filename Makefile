@@ -47,12 +47,17 @@ $(VENV)-plain/installed: requirements-plain.lock pyproject.toml
 	$(VENV)-plain/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
 	touch $@
 
+# Tests of the kernels that the adult phantom's case does not use.
+BESIDE = tests/pipeline/test_stage_versions.py tests/pipeline/formats/test_stl_parts.py tests/pipeline/test_markers.py \
+  tests/pipeline/watershed/test_forest.py tests/pipeline/test_wall_thickness.py tests/pipeline/edits/test_shapes.py \
+  tests/phantom/test_shapes.py tests/phantom/test_nearest.py tests/phantom/test_tables.py
+
 # With an empty cache of numba's: all is compiled here and now. Other packages round some figures otherwise, and bring
 # warnings of their own: then bytes may differ, but not where the nodes are.
 versions: $(VENV)/installed
 	rm -rf $(VENV)/numba-cache
 	NUMBA_CACHE_DIR=$(VENV)/numba-cache HEARTCASE_VERSIONS=out/versions HEARTCASE_OTHER_PACKAGES=$(OTHER_PACKAGES) \
-	$(BIN)/python -m pytest -s -m slow $(if $(OTHER_PACKAGES),-W ignore) tests/compiling/test_every_kernel.py
+	$(BIN)/python -m pytest -s -m 'not slow' -p no:cacheprovider $(if $(OTHER_PACKAGES),-W ignore,$(BESIDE)) tests/compiling/test_every_kernel.py
 
 lowest:
 	$(MAKE) versions VENV=$(VENV)-lowest LOCK=requirements-lowest.lock OTHER_PACKAGES=1

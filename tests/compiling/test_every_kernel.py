@@ -1,7 +1,7 @@
 """Every kernel compiles on this Python, and a sample case made and moved with them is that of the other Pythons.
 
-``make versions`` runs this with an empty cache of numba's on every Python that is promised. The first writes what it
-found to the folder that HEARTCASE_VERSIONS names, the others compare.
+``make versions`` runs this with an empty cache of numba's on every Python that is promised, after tests of what the case
+does not use. The first writes what it found to the folder that HEARTCASE_VERSIONS names, the others compare.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from heartcase.simulator.force_law import ForceLaw
 from heartcase.simulator.load import load_case
 from heartcase.simulator.simulation import Simulation
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.versions
 
 RECIPE = Path(__file__).parents[2] / "sample_cases" / "adult_phantom.toml"
 LAWS = {
