@@ -57,7 +57,7 @@ BESIDE = tests/pipeline/test_stage_versions.py tests/pipeline/formats/test_stl_p
 versions: $(VENV)/installed
 	rm -rf $(VENV)/numba-cache
 	NUMBA_CACHE_DIR=$(VENV)/numba-cache HEARTCASE_VERSIONS=out/versions HEARTCASE_OTHER_PACKAGES=$(OTHER_PACKAGES) \
-	$(BIN)/python -m pytest -s -m 'not slow' -p no:cacheprovider $(if $(OTHER_PACKAGES),-W ignore,$(BESIDE)) tests/compiling/test_every_kernel.py
+	$(BIN)/python -m pytest -s -m 'not slow' -p no:cacheprovider $(if $(OTHER_PACKAGES),-W ignore) $(BESIDE) tests/compiling/test_every_kernel.py
 
 lowest:
 	$(MAKE) versions VENV=$(VENV)-lowest LOCK=requirements-lowest.lock OTHER_PACKAGES=1
