@@ -202,7 +202,7 @@ def test_the_drawn_part_of_a_sample_case_is_current(path):
     if DRAWN_BELOW in path.read_text():
         assert not draw_recipe(path, write=False)
     else:
-        assert path.stem in {"adult_phantom", "child_phantom", "chest_ct"}
+        assert path.stem in {"adult_phantom", "child_phantom", "chest_ct", "chest_ct_few_strokes"}
 
 
 def test_a_recipe_with_markers_of_its_own_is_not_drawn_over(monkeypatch):
