@@ -166,7 +166,7 @@ def assemble_case(recipe: Recipe, results: StageResults, *, name: str, case_id: 
         )
         quality["volumes_ml"] = {structures.table[value].name: round(ml, 3) for value, ml in volumes_ml.items()}
         quality["openings"] = opening_figures(openings)
-        told["cut"] = (*cut_cautions(labels, whole=results.whole), *told["cut"])
+        told["cut"] = (*cut_cautions(labels, whole=results.whole, ends=structures.vessel_ends), *told["cut"])
         told["openings"] = opening_cautions(openings)
         told["structures"] = with_edit_names(structures.warnings, recipe.edits)
         if surface is not None:

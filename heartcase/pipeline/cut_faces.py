@@ -5,7 +5,7 @@ Looked for in the final labels, after end cuts and edits, so that a vessel that 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import cc3d
@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.cautions import Caution, Severity, anatomy
-from heartcase.pipeline.data import Segmentation
+from heartcase.pipeline.data import Segmentation, VesselEnd
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND, Label, LabelTable, Role
 
@@ -94,7 +94,9 @@ def voxel_cautions(geometry: Geometry) -> tuple[Caution, ...]:
     )
 
 
-def cut_cautions(labels: Segmentation, *, whole: Geometry | None = None) -> tuple[Caution, ...]:
+def cut_cautions(
+    labels: Segmentation, *, whole: Geometry | None = None, ends: Sequence[VesselEnd] = ()
+) -> tuple[Caution, ...]:
     """What the faces of the scan or of the region of interest cut off.
 
     Parameters
@@ -104,6 +106,9 @@ def cut_cautions(labels: Segmentation, *, whole: Geometry | None = None) -> tupl
     whole
         Lattice of the whole scan, which the labels lie on a part of; None where it is not known. Then a face is told as
         one of the scan or its region.
+    ends
+        Where vessels end, as they were found: a vein that is a part of an atrium, and is open at a face, is told as a
+        vessel.
 
     Returns
     -------
@@ -114,11 +119,13 @@ def cut_cautions(labels: Segmentation, *, whole: Geometry | None = None) -> tupl
     """
     found: list[Caution] = []
     for face in _FACES:
-        found += _cautions(face, labels, whole)
+        found += _cautions(face, labels, whole, [end for end in ends if end.is_open])
     return tuple(found)
 
 
-def _cautions(face: _Face, labels: Segmentation, whole: Geometry | None) -> Iterator[Caution]:
+def _cautions(
+    face: _Face, labels: Segmentation, whole: Geometry | None, open_ends: Sequence[VesselEnd]
+) -> Iterator[Caution]:
     layer, geometry = face.layer(labels.labels), labels.geometry
     spacing = face.spacing_mm(geometry)
     counts = np.bincount(layer.ravel(), minlength=256)
@@ -135,7 +142,11 @@ def _cautions(face: _Face, labels: Segmentation, whole: Geometry | None) -> Iter
             if _is_of_whole_chamber(label, labels.table, areas):
                 cut.append(words)
         elif label.role in (Role.BLOOD, Role.MYOCARDIUM):
-            cut.append(words)
+            veins = _area_of_ends(face, labels, label, [end for end in open_ends if end.label == label.name])
+            if veins < area:
+                cut.append(f"{label.name} ({_area(area - veins)})")
+            if veins > 0.0:
+                open_vessels.append(f"veins of the {label.name} ({_area(veins)})")
         elif label.role is Role.VESSEL_LUMEN:
             is_along = _elongation(layer == label.value, spacing) > LENGTHWISE
             (lengthwise if is_along else open_vessels).append(words)
@@ -154,6 +165,30 @@ def _cautions(face: _Face, labels: Segmentation, whole: Geometry | None) -> Iter
         yield Caution(f"{name} cuts along {', '.join(lengthwise)}, not across: look how much of it is missing beyond")
     if open_vessels:
         yield Caution(f"open where they leave through {name}: {', '.join(open_vessels)}", Severity.NOTE)
+
+
+def _area_of_ends(face: _Face, labels: Segmentation, label: Label, ends: Sequence[VesselEnd]) -> float:
+    """Area of the pieces of a label's cut in which one of these ends lies, mm2."""
+    if not ends:
+        return 0.0
+    geometry = labels.geometry
+    spacing = face.spacing_mm(geometry)
+    inside = face.layer(labels.labels) == label.value
+    pieces = cc3d.connected_components(np.ascontiguousarray(inside.astype(np.uint8)), connectivity=4)
+    where = np.argwhere(pieces)
+    own = pieces[tuple(where.T)]
+    last = geometry.size[face.axis] - 1
+    across = [axis for axis in (2, 1, 0) if axis != face.axis]
+    open_pieces: set[int] = set()
+    for end in ends:
+        index = geometry.world_to_index(end.position_mm)
+        depth = last - index[face.axis] if face.is_last else index[face.axis]
+        if abs(depth) > 1.0:
+            continue
+        way = np.hypot(*((where - index[across]) * spacing).T)
+        if way.min() <= end.lumen_radius_mm + max(spacing):
+            open_pieces.add(int(own[way.argmin()]))
+    return float(np.isin(own, sorted(open_pieces)).sum()) * spacing[0] * spacing[1]
 
 
 def _is_of_whole_chamber(wall: Label, table: LabelTable, areas: dict[int, float]) -> bool:

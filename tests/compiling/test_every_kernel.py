@@ -1,7 +1,7 @@
 """Every kernel compiles on this Python, and a sample case made and moved with them is that of the other Pythons.
 
-``make versions`` runs this with an empty cache of numba's on every Python that is promised, after tests of what the case
-does not use. The first writes what it found to the folder that HEARTCASE_VERSIONS names, the others compare.
+``make versions`` runs this with an empty cache of numba's on every Python that is promised, after tests of what the
+case does not use. The first writes what it found to the folder that HEARTCASE_VERSIONS names, the others compare.
 """
 
 from __future__ import annotations

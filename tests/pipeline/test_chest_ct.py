@@ -6,16 +6,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from heartcase.pipeline.assembly import labels_of
 from heartcase.pipeline.data import Markers
 from heartcase.pipeline.end_discs import Stumps
 from heartcase.pipeline.ends import cut_ends
 from heartcase.pipeline.filter import filter_scan
 from heartcase.pipeline.find_ends import find_ends
 from heartcase.pipeline.markers import load_markers, rasterise_strokes
+from heartcase.pipeline.openings import Verdict, find_openings
 from heartcase.pipeline.read import read_scan
 from heartcase.pipeline.region import crop_scan
 from heartcase.pipeline.segment import segment_scan, segmentation_warnings
-from heartcase.pipeline.walls import resolve_walls
+from heartcase.pipeline.septa import open_places
+from heartcase.pipeline.walls import grow_walls, resolve_walls
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.recipe import load_recipe
 
@@ -52,6 +55,35 @@ def test_the_strokes_are_few_and_thin():
     assert np.mean(painted != Markers.UNMARKED) < 0.01
     assert set(np.unique(painted)) == {*recipe.table.values, Markers.UNMARKED}
     assert recipe.scan.origin
+
+
+def test_the_quick_strokes_are_at_most_six_a_label():
+    recipe = load_recipe(RECIPE.with_name("chest_ct_few_strokes.toml"))
+    assert max(Counter(stroke.label for stroke in recipe.strokes).values()) <= 6
+    assert max(stroke.radius_mm for stroke in recipe.strokes) <= 3.0
+    assert not recipe.ends
+    assert recipe.walls_to_grow.find_ends
+
+
+def test_no_septum_is_open_with_the_quick_strokes():
+    """Atria, great arteries and cavae touch in the scan, and are apart in the model."""
+    recipe = load_recipe(RECIPE.with_name("chest_ct_few_strokes.toml"))
+    path = RECIPE.parent / recipe.scan.path
+    if not path.exists():
+        pytest.skip("the scan is not at hand; the recipe says where to get it")
+    scan = crop_scan(read_scan(path), recipe.region)
+    markers = load_markers((), recipe.strokes, recipe.table, scan.geometry, RECIPE.parent)
+    segmentation = segment_scan(filter_scan(scan, recipe.filter), markers, recipe.segment, recipe.table)
+    opened = open_places(recipe.strokes, recipe.landmarks, recipe.table)
+    bare = grow_walls(segmentation, recipe.walls_to_grow.model_copy(update={"septa": "as segmented"}), ())
+    grown = grow_walls(segmentation, recipe.walls_to_grow, (), open_places=opened)
+
+    def wrong(structures):
+        found = find_openings(structures, labels_of(structures), (), recipe.landmarks, strokes=recipe.strokes)
+        return {one.names: one.area_mm2 for one in found if one.verdict is Verdict.UNEXPECTED}
+
+    assert len(wrong(bare)) >= 6
+    assert wrong(grown) == {}
 
 
 def test_four_chambers_that_meet_only_at_their_valves_and_the_pulmonary_artery_of_the_given_label():

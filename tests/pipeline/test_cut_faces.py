@@ -9,7 +9,7 @@ import pytest
 
 from heartcase.pipeline.cautions import Severity, severity_of, worst_first
 from heartcase.pipeline.cut_faces import cut_cautions, face_name, voxel_cautions
-from heartcase.pipeline.data import Segmentation
+from heartcase.pipeline.data import Segmentation, VesselEnd
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import Label, LabelTable, Role, default_label_table
 
@@ -155,3 +155,30 @@ def test_voxels_more_than_three_times_as_long_as_wide(spacing, is_told) -> None:
     cautions = voxel_cautions(Geometry.of(shape=(4, 4, 4), spacing_mm=spacing))
     assert bool(cautions) is is_told
     assert all(severity_of(caution) is Severity.ANATOMY for caution in cautions)
+
+
+@pytest.mark.parametrize(("axis", "is_last", "name"), FACES)
+def test_a_vein_of_an_atrium_that_is_open_at_a_face_is_a_vessel_and_the_rest_of_the_atrium_is_not(axis, is_last, name):
+    cut = segmentation(direction=turned(20.0))
+    layer = np.moveaxis(cut.labels, 2 - axis, 0)[-1 if is_last else 0]
+    layer[3:6, 4:6] = LA  # the vein
+    layer[10:14, 9:14] = LA
+    pixel = np.prod([spacing for n, spacing in enumerate(cut.geometry.spacing_mm) if n != axis])
+    index = np.zeros(3)
+    index[axis] = cut.geometry.size[axis] - 1 if is_last else 0.0
+    rows, columns = (n for n in (2, 1, 0) if n != axis)
+    index[rows], index[columns] = 4.0, 4.5
+    vein = VesselEnd(TABLE["LA"].name, tuple(cut.geometry.index_to_world(index)), (0, 0, 1), 3.0, 3.0, is_open=True)
+    (alone,) = cut_cautions(cut)
+    assert severity_of(alone) is Severity.ANATOMY
+    assert f"morphologically left atrium ({26 * pixel:.0f} mm²)" in alone or 26 * pixel >= 100.0
+    anatomy, note = worst_first(cut_cautions(cut, ends=[vein]))
+    assert severity_of(anatomy) is Severity.ANATOMY
+    assert severity_of(note) is Severity.NOTE
+    assert f"veins of the morphologically left atrium ({6 * pixel:.0f} mm²)" in note
+    rest = 20 * pixel
+    assert f"morphologically left atrium ({rest / 100:.1f} cm²)" in anatomy or f"({rest:.0f} mm²)" in anatomy
+    # an end that a disc cuts, or one elsewhere, takes nothing off
+    assert cut_cautions(cut, ends=[vein._replace(is_open=False)]) == (alone,)
+    index[rows] = 18.0
+    assert cut_cautions(cut, ends=[vein._replace(position_mm=tuple(cut.geometry.index_to_world(index)))]) == (alone,)
