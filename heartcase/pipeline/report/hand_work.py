@@ -161,10 +161,9 @@ def _settings(recipe: Recipe, scan: Scan | None) -> Iterator[Fact]:
             yield Fact(f"Wall thickness: {label.name}", f"{label.wall_thickness_mm:g} mm")
     for names in recipe.walls.connected:
         yield Fact(f"Open to each other: {' and '.join(names)}", "no wall is grown between them", "As the recipe says.")
-    for one in recipe.walls.septum:
-        yield Fact(
-            f"Kept apart: {' and '.join(one.between)}", f"{one.thickness_mm:g} mm", "Where their outlines touch."
-        )
+    for septum in recipe.walls.septum:
+        pair = " and ".join(septum.between)
+        yield Fact(f"Kept apart: {pair}", f"{septum.thickness_mm:g} mm", "Where their outlines touch.")
     default = type(recipe.materials)()
     materials = {"all tissue": recipe.materials} | dict(recipe.materials.labels)
     for name, one in materials.items():
