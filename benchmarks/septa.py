@@ -119,8 +119,9 @@ def errors(inputs: Inputs, output: Structures) -> dict[str, float]:
             thickness_mm=inputs.septum_mm,
             margin_mm=MARGIN_MM,
         )
-        found["atrial septum's thickness, mean [mm]"] = error.mean_mm
-        found["atrial septum's thickness, 95% [mm]"] = error.percentile_95_mm
+        if np.isfinite(error.mean_mm):
+            found["atrial septum's thickness, mean [mm]"] = error.mean_mm
+            found["atrial septum's thickness, 95% [mm]"] = error.percentile_95_mm
     return found
 
 

@@ -36,7 +36,7 @@ STAGE_VERSIONS = {
     "filter": 2,
     "segment": 2,
     "walls": 13,
-    "edit": 6,
+    "edit": 5,
     "grid": 10,
     "surface": 13,
     "map": 9,

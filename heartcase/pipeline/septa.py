@@ -64,6 +64,9 @@ BLOOD_IN_VENTRICLES = 6.0
 """All blood of a heart with its great vessels against that of one ventricle: measured on the phantoms, 5.3 to 7."""
 OWN_OPENING_MM = 4.0
 """Diameter from which a contact counts as the way to a structure's own chamber, in an adult."""
+OWN_SHARE = 0.5
+"""Area of an atrium's way into its own ventricle against its contact with the other one, from which the latter is no
+way: where the connection is discordant, or both atria open into one ventricle, the former is missing or small."""
 
 
 def _term(name: str) -> Term:
@@ -201,10 +204,10 @@ def pairs_kept_apart(
 
     By their names: the atria; the ventricles; the great arteries; an artery and an atrium, vein or appendage; veins,
     appendages and atria of different sides; a vein or an appendage and a ventricle; and an atrium and the ventricle of
-    the other side where it opens wider into its own. Nothing is grown between a ventricle and an artery, within one
-    side's atrium, veins and appendage, and beside what the vocabulary does not know, such as a common atrium or a
-    single ventricle. A structure that does not meet what it opens into in a normal heart is open to what can take its
-    place: so the right atrium to the left one in tricuspid atresia.
+    the other side where its way into its own is at least half as wide. Nothing is grown between a ventricle and an
+    artery, within one side's atrium, veins and appendage, and beside what the vocabulary does not know, such as a
+    common atrium or a single ventricle. A structure that does not meet what it opens into in a normal heart is open to
+    what can take its place: so the right atrium to the left one in tricuspid atresia.
 
     Parameters
     ----------
@@ -272,7 +275,7 @@ class _Meetings:
         if both & _ATRIA and both & _VENTRICLES:
             atrium = one if one in _ATRIA else other
             own = max((self._area(atrium, term) for term in _OWN[atrium]), default=0.0)
-            return "atrium and other ventricle" if own >= self._area(one, other) else None
+            return "atrium and other ventricle" if own >= OWN_SHARE * self._area(one, other) else None
         if both <= _ATRIA | _ARTERIES:
             return "artery and atrium"
         return "vein or appendage"

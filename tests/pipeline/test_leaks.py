@@ -15,10 +15,16 @@ from heartcase.pipeline.walls import grow_walls
 from heartcase.schemas.labels import Label, LabelTable, Role
 from heartcase.schemas.settings import EndMarker, WallsSettings, WallThickness
 from tests.pipeline.lattices import lattice, points_of
-from tests.pipeline.test_walls import KINDS, grown, owners
+from tests.pipeline.test_walls import KINDS, owners
+from tests.pipeline.test_walls import grown as grown_by_default
 
 AORTA, ATRIUM, SEPTUM = 1, 2, 3
 AXIS = np.array([0.48, 0.6, 0.64])
+
+
+def grown(labels, geometry, *, settings=None, **more):
+    """Walls, and no septa: what the outlines alone join and split is looked at."""
+    return grown_by_default(labels, geometry, settings=settings or WallsSettings(septa="as segmented"), **more)
 
 
 def place_and_area(caution):
@@ -110,7 +116,7 @@ def test_what_the_stage_does_to_any_boxes_it_never_joins_in_silence(boxes, kind,
         labels[k : k + dk, j : j + dj, i : i + di] = value
     if not labels.any():
         return
-    structures = grown(labels, geometry, settings=WallsSettings(smoothing_mm=smoothing))
+    structures = grown(labels, geometry, settings=WallsSettings(smoothing_mm=smoothing, septa="as segmented"))
     owner = ownership_on_lattice(structures, geometry.refined(2))
     after, _ = label((owner.tissue_mm > 0.0) & np.isin(owner.void_label, (AORTA, ATRIUM)))
     before, count = label(np.isin(labels, (AORTA, ATRIUM)))

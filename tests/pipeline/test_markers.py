@@ -609,7 +609,10 @@ def test_point_lists_with_numbers_beyond_any_size(tmp_path: Path, number: str) -
         load_markers([MarkerFile(path="m.mrk.json")], (), TABLE, PLAIN, tmp_path)
 
 
-@pytest.mark.parametrize(("name", "others"), [("a tumour", "ignore"), ("aorta wall", "refuse")])
+@pytest.mark.parametrize(
+    ("name", "others"),
+    [("a tumour", "ignore"), ("aorta wall", "refuse"), ("right ventricle-aorta septum (grown)", "refuse")],
+)
 def test_a_segment_that_is_not_taken_covers_none_that_is(tmp_path: Path, name: str, others: str) -> None:
     """Whatever nobody wants, or will be grown again, comes later in the list and overlaps."""
     values = np.zeros((*PLAIN.shape, 2), np.uint8)

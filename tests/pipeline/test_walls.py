@@ -116,7 +116,7 @@ def test_no_wall_grows_between_cavities_that_touch_or_into_tissue():
     x = points[..., 0]
     labels = np.where(ball, np.where(x < -4.0, 1, np.where(x > 4.0, 2, 3)), 0)
     labels[ball & (np.abs(x) < 4.0) & (points[..., 1] > 4.0)] = 1
-    structures = grown(labels, geometry, first_mm=3.0, second_mm=3.0)
+    structures = grown(labels, geometry, settings=WallsSettings(septa="as segmented"), first_mm=3.0, second_mm=3.0)
     septum = np.stack([np.linspace(-2.3, 2.3, 65), np.full(65, -4.0), np.zeros(65)], axis=-1)
     assert (owners(structures, septum) == 3).all()
     mitral = np.stack([np.linspace(-2.0, 10.0, 121), np.full(121, 7.0), np.zeros(121)], axis=-1)

@@ -26,7 +26,7 @@ _STAGES = {
 }
 """Settings of the recipe -> what they set, for those that have defaults."""
 
-_TOLD_APART = {"method", "ranges", "file", "names", "automatic", "find_ends"}
+_TOLD_APART = {"method", "ranges", "file", "names", "automatic", "connected", "septum", "find_ends"}
 
 
 def hand_work_facts(recipe: Recipe, scan: Scan | None = None) -> list[Fact]:
@@ -162,6 +162,11 @@ def _settings(recipe: Recipe, scan: Scan | None) -> Iterator[Fact]:
             yield Fact(f"Wall thickness: {label.name}", f"{label.wall_thickness_mm:g} mm", meaning)
         elif standard is None and label.wall_thickness_mm > 0.0:
             yield Fact(f"Wall thickness: {label.name}", f"{label.wall_thickness_mm:g} mm")
+    for names in recipe.walls.connected:
+        yield Fact(f"Open to each other: {' and '.join(names)}", "no wall is grown between them", "As the recipe says.")
+    for septum in recipe.walls.septum:
+        pair = " and ".join(septum.between)
+        yield Fact(f"Kept apart: {pair}", f"{septum.thickness_mm:g} mm", "Where their outlines touch.")
     default = type(recipe.materials)()
     materials = {"all tissue": recipe.materials} | dict(recipe.materials.labels)
     for name, one in materials.items():

@@ -175,3 +175,23 @@ def test_a_wall_that_varies_is_told_by_its_range(points, numbers, words):
         f'[[walls.thickness]]\nlabel = "aorta"\nkind = "positions"\npoints_mm = {points}\nthickness_mm = {numbers}\n'
     )
     assert told(HEAD + THRESHOLD + table)["Wall thickness: aorta"] == words
+
+
+def test_pairs_that_are_connected_or_kept_apart_are_told_by_name():
+    text = """
+heartcase_recipe = 1
+name = "pairs"
+[scan]
+path = "scan.nii.gz"
+[walls]
+connected = [["right atrium", "left atrium"]]
+[[walls.septum]]
+between = ["aorta", "left atrium"]
+thickness_mm = 1.5
+[[strokes]]
+label = "aorta"
+points_mm = [[0, 0, 0]]
+"""
+    told = {fact.name: fact.value for fact in hand_work_facts(parse_recipe(text))}
+    assert told["Open to each other: right atrium and left atrium"] == "no wall is grown between them"
+    assert told["Kept apart: aorta and left atrium"] == "1.5 mm"
