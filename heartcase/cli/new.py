@@ -148,11 +148,9 @@ points_mm = [{[round(center_mm[0] - 0.45 * extent_mm[0], 1), *center_mm[1:]]}]  
 # points_mm = [{list(center_mm)}]
 
 # NEEDED for every vessel that ends inside the scan: where it is cut open. Without it the vessel becomes a closed sac.
-# The program finds the ends when [walls] says find_ends = true; look at them in the report. Or let
+# The program finds the ends when [walls] below says find_ends = true; look at them in the report. Or let
 #   heartcase suggest THIS_FILE --ends --write
 # write them here, to be changed, or write your own. The axis points out of the heart; the tissue at the cut is held.
-# [walls]
-# find_ends = true
 # [[ends]]
 # label = "aorta"
 # position_mm = {list(center_mm)}
@@ -182,6 +180,7 @@ points_mm = [{[round(center_mm[0] - 0.45 * extent_mm[0], 1), *center_mm[1:]]}]  
 # of each of the two that run into each other in it, or by an edit septal_defect.
 [walls]
 septa = "grown"          # or "as segmented": no such wall
+# find_ends = true       # find where vessels end, and cut them open there
 # connected = [["right atrium", "left atrium"]]     # these two are one: no wall between them
 
 # [[walls.septum]]        # how thick, where it should not follow from the size of the heart

@@ -228,7 +228,7 @@ def test_upgrade_of_a_case_previews_and_sends_to_build(case, capsys):
     manifest.write_text(before)
     changes = run_json(capsys, "upgrade", case)[1]["changes"]
     assert any("multiples of 64 bytes" in line for line in changes)
-    assert all(line.startswith(tuple(f"format 1.{minor} adds: " for minor in range(1, 5))) for line in changes)
+    assert all(line.startswith(tuple(f"format 1.{minor} adds: " for minor in range(1, 6))) for line in changes)
     assert run("upgrade", case, "--write") == 2
     assert "build it again from its recipe" in capsys.readouterr().err
     assert manifest.read_text() == before

@@ -50,7 +50,9 @@ CANDIDATES: list[Any] = [
         "diagnoses": [{"name": "x"}],
         "texts": {"en": {"title": "x", "what": "x", "look_for": "x"}},
     },
-    *("hvsmr-2.0", "none", "threshold", "xatlas", "exact", "ignore", "slit"),
+    *("hvsmr-2.0", "none", "threshold", "xatlas", "exact", "ignore", "slit", "earlier", "as segmented"),
+    [["cavity", "myocardium"]],
+    [{"between": ["cavity", "myocardium"], "thickness_mm": 1.0}],
     [{"label": "cavity", "kind": "positions", "points_mm": [_POINT], "thickness_mm": [1.0]}],
 ]
 """Values, one of which is allowed and not the default, for every setting; add one where a new setting needs it."""
