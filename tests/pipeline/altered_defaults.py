@@ -51,6 +51,7 @@ CANDIDATES: list[Any] = [
         "texts": {"en": {"title": "x", "what": "x", "look_for": "x"}},
     },
     *("hvsmr-2.0", "none", "threshold", "xatlas", "exact", "ignore", "slit", "earlier", "as segmented"),
+    (1, 2),
     [["cavity", "myocardium"]],
     [{"between": ["cavity", "myocardium"], "thickness_mm": 1.0}],
     [{"label": "cavity", "kind": "positions", "points_mm": [_POINT], "thickness_mm": [1.0]}],
