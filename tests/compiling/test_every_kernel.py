@@ -11,6 +11,7 @@ import json
 import os
 import pkgutil
 import platform
+import re
 import sys
 from pathlib import Path
 
@@ -21,6 +22,7 @@ import pytest
 import heartcase
 from heartcase.cli.main import main
 from heartcase.compiling.kernel import KERNELS
+from heartcase.phantom.heart import HeartPhantom
 from heartcase.pipeline.session_file import open_session
 from heartcase.schemas.bundle_manifest import listed_files
 from heartcase.schemas.settings import Stroke
@@ -87,6 +89,22 @@ def test_a_session_paints_and_erases(out, tmp_path):
     assert session.suggest(count=2).places
     session.undo(), session.undo()
     np.testing.assert_array_equal(session.labels, before)
+
+
+def test_the_phantom_knows_its_truth(tmp_path):
+    assert main(["phantom", str(tmp_path / "child"), "--size", "child", "--spacing", "4"]) == 0
+    assert (tmp_path / "child" / "truth.nii.gz").exists()
+    truth = HeartPhantom.child().truth
+    border = truth.surface_points(1)[::200]
+    assert np.abs(truth.distance(border, 1)).max() < 0.1
+
+
+def test_ends_are_found(out, tmp_path, capsys):
+    text = re.sub(r"^\[\[ends\]\].*?(?=^\[)", "", RECIPE.read_text(), flags=re.DOTALL | re.MULTILINE)
+    recipe = tmp_path / "without_ends.toml"
+    recipe.write_text(text.replace('"../out/', f'"{RECIPE.parents[1].as_posix()}/out/'))
+    assert main(["suggest", str(recipe), "--out", str(out), "--ends", "--json"]) == 0
+    assert len(json.loads(capsys.readouterr().out)["ends"]) >= 4
 
 
 def test_springs_go_and_come(case):
