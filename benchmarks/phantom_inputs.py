@@ -67,7 +67,9 @@ def phantom_inputs(params: dict[str, Any]) -> PhantomInputs:
         signal = _signal(phantom, params["modality"], geometry, caval_hu)
         made = acquire(phantom, geometry, seed=params["seed"], signal=signal, **options)
         scan = Scan(made.values, geometry, made.modality)
-        made = acquire(phantom, geometry, seed=params["seed"], signal=signal, **options | {"contrast_to_noise": math.inf})
+        made = acquire(
+            phantom, geometry, seed=params["seed"], signal=signal, **options | {"contrast_to_noise": math.inf}
+        )
         clean = Scan(made.values, geometry, made.modality)
         indices = np.indices(geometry.shape).reshape(3, -1)[::-1].T
         labels = phantom.truth.label(geometry.index_to_world(indices))

@@ -93,9 +93,7 @@ def prepare(params: dict[str, Any]) -> Inputs:
     chosen = [first_strokes(phantom, count), *(random_strokes(phantom, count, n) for n in range(1, sets))]
     markers = tuple(_markers(strokes, phantom.table, geometry) for strokes in chosen)
     values = tuple(value for value in np.unique(bare_truth(source)).tolist() if value)
-    return Inputs(
-        source.scan, markers, phantom.table, bare_truth(source), behind_ends(phantom, geometry), values
-    )
+    return Inputs(source.scan, markers, phantom.table, bare_truth(source), behind_ends(phantom, geometry), values)
 
 
 def _markers(strokes: tuple[Stroke, ...], table: LabelTable, geometry: Geometry) -> Any:
@@ -126,9 +124,7 @@ def _chest(count: int, sets: int) -> Inputs:
     for n in range(sets):
         generator = np.random.Generator(np.random.PCG64([n, count]))
         chosen = [
-            of_label[i]
-            for of_label in strokes.values()
-            for i in sorted(generator.permutation(len(of_label))[:count])
+            of_label[i] for of_label in strokes.values() for i in sorted(generator.permutation(len(of_label))[:count])
         ]
         markers.append(_markers(tuple(chosen), recipe.table, scan.geometry))
     truth = np.where(artery, value, 0).astype(np.uint8)

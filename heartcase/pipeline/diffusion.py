@@ -180,6 +180,21 @@ def _fluxes(out, low, high, scale, side, side_beyond, other, other_beyond):  # t
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract"})
+def _power_of_half(exponent):  # type: ignore[no-untyped-def]
+    """2 to the minus ``exponent``, which is at least 0; no less than 2^-125."""
+    exponent = min(exponent, np.float32(125.0))
+    whole = np.int32(exponent + np.float32(0.5))
+    # the same interpolant as in _fluxes, whose loop stays as it is: its bytes are those of earlier cases
+    r = np.float32(whole) - exponent
+    p = np.float32(0.0013390863) * r + np.float32(0.009676032)
+    p = p * r + np.float32(0.05550357)
+    p = p * r + np.float32(0.24022107)
+    p = p * r + np.float32(0.6931472)
+    p = p * r + np.float32(1.0000001)
+    return p * np.int32((np.int32(127) - whole) << np.int32(23)).view(np.float32)
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"contract"})
 def _normals(out, low, high, scale, side, side_beyond, other, other_beyond):  # type: ignore[no-untyped-def]
     """The unit normal's part through a row of faces times conductance; the arguments are those of :func:`_fluxes`."""
     for i in range(out.size):
@@ -187,17 +202,17 @@ def _normals(out, low, high, scale, side, side_beyond, other, other_beyond):  # 
         across = side[i] + side_beyond[i]
         beside = other[i] + other_beyond[i]
         square = along * along + across * across + beside * beside
-        exponent = min(square, np.float32(125.0))
-        whole = np.int32(exponent + np.float32(0.5))
-        r = np.float32(whole) - exponent
-        p = np.float32(0.0013390863) * r + np.float32(0.009676032)
-        p = p * r + np.float32(0.05550357)
-        p = p * r + np.float32(0.24022107)
-        p = p * r + np.float32(0.6931472)
-        p = p * r + np.float32(1.0000001)
-        power = np.int32((np.int32(127) - whole) << np.int32(23)).view(np.float32)
         # where nothing slopes there is no normal
-        out[i] = along / np.sqrt(square + np.float32(1e-30)) * (p * power)
+        out[i] = along / np.sqrt(square + np.float32(1e-30)) * _power_of_half(square)
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"contract"})
+def _carriers(out, low, high, slope, scale):  # type: ignore[no-untyped-def]
+    """Slopes at a row of faces times conductance."""
+    for i in range(out.size):
+        difference = high[i] - low[i]
+        along = difference * scale
+        out[i] = difference * slope * _power_of_half(along * along)
 
 
 @copied
@@ -236,11 +251,11 @@ def _add_divergence(new, old, weight, x_flux, y_low, y_high, z_low, z_high):  # 
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract"})
-def _move_level_sets(new, old, weight, pace, x_flux, y_low, y_high, z_low, z_high, x_step, y_step, z_step):  # type: ignore[no-untyped-def]
+def _move_level_sets(new, old, weight, pace, x_flux, y_low, y_high, z_low, z_high, x_step, y_before, y_after, z_before, z_after):  # type: ignore[no-untyped-def]
     """New values of whole rows: the divergence of the normals times the upwind slope.
 
-    ``x_step`` holds the slope at one face more than there are voxels, the two rows of ``y_step`` and ``z_step`` those at
-    the low and the high face of each voxel.
+    ``x_step`` holds the slope at one face more than there are voxels, the others those at the low and the high face of
+    each voxel.
     """
     wx, wy, wz = weight[0], weight[1], weight[2]
     none = np.float32(0.0)
@@ -251,26 +266,27 @@ def _move_level_sets(new, old, weight, pace, x_flux, y_low, y_high, z_low, z_hig
         # what rises takes from the higher neighbours, what falls from the lower ones
         sign = np.float32(1.0) if speed > none else np.float32(-1.0)
         a, b = max(sign * x_step[i + 1], none), max(-sign * x_step[i], none)
-        c, d = max(sign * y_step[1, i], none), max(-sign * y_step[0, i], none)
-        e, f = max(sign * z_step[1, i], none), max(-sign * z_step[0, i], none)
+        c, d = max(sign * y_after[i], none), max(-sign * y_before[i], none)
+        e, f = max(sign * z_after[i], none), max(-sign * z_before[i], none)
         new[i] = old[i] + pace * speed * np.sqrt(a * a + b * b + c * c + d * d + e * e + f * f)
 
 
 @copied
-def _steps(x_step, y_step, z_step, here, down, up, start, stop, nx, slope):  # type: ignore[no-untyped-def]
-    """Slopes at the faces of whole rows of plane ``here``; none at the outer faces of the volume."""
+def _steps(x_step, y_step, z_step, here, down, up, start, stop, nx, slope, scale):  # type: ignore[no-untyped-def]
+    """Slopes that carry level sets at the faces of whole rows of plane ``here``; none at the volume's outer faces.
+
+    ``y_step`` holds a row of faces more than there are rows of voxels.
+    """
     count, size = stop - start, here.size
-    _differences(x_step[1:count], here[start : stop - 1], here[start + 1 : stop], slope[0])
+    _carriers(x_step[1:count], here[start : stop - 1], here[start + 1 : stop], slope[0], scale[0])
     x_step[0 : count + 1 : nx] = np.float32(0.0)
-    low, high = max(start, nx), min(stop, size - nx)
-    y_step[0, : low - start] = np.float32(0.0)
-    if stop > low:
-        _differences(y_step[0, low - start : count], here[low - nx : stop - nx], here[low:stop], slope[1])
-    y_step[1, max(high - start, 0) : count] = np.float32(0.0)
-    if high > start:
-        _differences(y_step[1, : high - start], here[start:high], here[start + nx : high + nx], slope[1])
-    _differences(z_step[0, :count], down[start:stop], here[start:stop], slope[2])
-    _differences(z_step[1, :count], here[start:stop], up[start:stop], slope[2])
+    low, high = max(start, nx), min(stop + nx, size)
+    y_step[: low - start] = np.float32(0.0)
+    y_step[high - start : count + nx] = np.float32(0.0)
+    if high > low:
+        _carriers(y_step[low - start : high - start], here[low - nx : high - nx], here[low:high], slope[1], scale[1])
+    _carriers(z_step[0, :count], down[start:stop], here[start:stop], slope[2], scale[2])
+    _carriers(z_step[1, :count], here[start:stop], up[start:stop], slope[2], scale[2])
 
 
 @copied
@@ -326,7 +342,7 @@ def _step_slab(planes, new, nx, slab, scale, weight, edges, slope, pace):  # typ
     z_side = np.empty(block + nx, np.float32)
     x_flux = np.zeros(block + 1, np.float32)
     x_step = np.empty(block + 1, np.float32)
-    y_step = np.empty((2, block), np.float32)
+    y_step = np.empty(block + nx, np.float32)
     z_step = np.empty((2, block), np.float32)
     y_flux = np.empty(block + nx, np.float32)
     z_low = np.zeros(size, np.float32)
@@ -382,7 +398,7 @@ def _step_slab(planes, new, nx, slab, scale, weight, edges, slope, pace):  # typ
             else:
                 z_high[:] = 0.0
             if pace > np.float32(0.0):
-                _steps(x_step, y_step, z_step, here, down, up, start, stop, nx, slope)
+                _steps(x_step, y_step, z_step, here, down, up, start, stop, nx, slope, scale)
                 _move_level_sets(
                     new[k, start:stop],
                     here[start:stop],
@@ -394,8 +410,10 @@ def _step_slab(planes, new, nx, slab, scale, weight, edges, slope, pace):  # typ
                     z_low[start:stop],
                     z_high[:count],
                     x_step,
-                    y_step,
-                    z_step,
+                    y_step[:count],
+                    y_step[nx : count + nx],
+                    z_step[0, :count],
+                    z_step[1, :count],
                 )
             else:
                 _add_divergence(

@@ -3,8 +3,9 @@
 Two schemes, in mm, with c = exp(-|grad u|^2 / (2 K^2)):
 
 - by curvature, du/dt = |grad u| div(c grad u / |grad u|): Whitaker and Xue, "Variable-conductance, level-set curvature for
-  image denoising", Proc. ICIP (2001). Surfaces of equal intensity move by their curvature. So a border is smoothed along
-  itself and nothing flows across it, whatever the contrast: a thin wall keeps its height. This is the default.
+  image denoising", Proc. ICIP (2001). Surfaces of equal intensity move by their curvature, so a border is smoothed along
+  itself and nothing flows across it, whatever the contrast. Only what is one voxel thin can fade, and c keeps that where
+  it is steeper than K. This is the default.
 - by gradient, du/dt = div(c grad u): Perona and Malik, with the full gradient at each voxel face as in Gerig, Kuebler, Kikinis
   and Jolesz, "Nonlinear anisotropic filtering of MRI data", IEEE Trans. Medical Imaging 11 (1992).
 
@@ -33,11 +34,11 @@ Method = Literal["curvature_diffusion", "gradient_diffusion"]
 
 __all__ = ["default_conductance", "filter_scan", "resolve_filter", "time_step_limit"]
 
-NOISE_GRADIENTS = {"gradient_diffusion": 2.0, "curvature_diffusion": 4.0}
-"""K of the default conductance, by method, in units of the root mean square gradient that the scan's noise makes.
+NOISE_GRADIENTS = 2.0
+"""K of the default conductance in units of the root mean square gradient that the scan's noise makes.
 
-By curvature nothing crosses a border, so K may be larger. ``heartcase bench filter`` prints the error that it leaves beside
-that of a conductance of 1, ``heartcase bench accuracy-default`` what becomes of the labels.
+Twice as much would smooth more, and take half of the height of a wall of one voxel. ``heartcase bench filter`` prints the
+error that it leaves beside that of a conductance of 1, ``heartcase bench accuracy-default`` what becomes of the labels.
 """
 CONDUCTANCE_RANGE = (0.001, 100.0)
 """Least and largest default conductance."""
@@ -111,11 +112,11 @@ def resolve_filter(settings: FilterSettings, scan: Scan) -> FilterSettings:
     if settings.time_step is None and math.isfinite(limit):
         found["time_step"] = limit
     if settings.conductance is None:
-        found["conductance"] = default_conductance(scan, settings.method)
+        found["conductance"] = default_conductance(scan)
     return settings.model_copy(update=found)
 
 
-def default_conductance(scan: Scan, method: Method = "curvature_diffusion") -> float:
+def default_conductance(scan: Scan) -> float:
     """Conductance at which noise is smoothed and edges stay: K is NOISE_GRADIENTS times the gradient of the noise.
 
     Between 0.001, where there is no noise and nothing changes, and 100; to four digits, so that another processor's
@@ -135,7 +136,7 @@ def default_conductance(scan: Scan, method: Method = "curvature_diffusion") -> f
     of_unit_noise = math.sqrt(sum(0.5 / h**2 for h, n in zip(geometry.spacing_mm, geometry.size, strict=True) if n > 1))
     gradient = estimate_noise(scan.values).difference_sigma * of_unit_noise
     lower, upper = CONDUCTANCE_RANGE
-    return float(f"{min(max(NOISE_GRADIENTS[method] * gradient / math.sqrt(total), lower), upper):.4g}")
+    return float(f"{min(max(NOISE_GRADIENTS * gradient / math.sqrt(total), lower), upper):.4g}")
 
 
 def _check_values(scan: Scan) -> None:
