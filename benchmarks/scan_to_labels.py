@@ -132,7 +132,16 @@ def _chest(count: int, sets: int) -> Inputs:
 
 
 def heartcase(inputs: Inputs) -> tuple[Any, ...]:
-    filtered = filter_scan(inputs.scan, FilterSettings())
+    return _ours(inputs, FilterSettings())
+
+
+def heartcase_gradient(inputs: Inputs) -> tuple[Any, ...]:
+    """The same behind the other of our two filters."""
+    return _ours(inputs, FilterSettings(method="gradient_diffusion"))
+
+
+def _ours(inputs: Inputs, filter_settings: FilterSettings) -> tuple[Any, ...]:
+    filtered = filter_scan(inputs.scan, filter_settings)
     settings = SegmentSettings()
     tree = build_basin_tree(
         landscape(
@@ -177,6 +186,7 @@ def _named(kind: str, *, is_blurred: bool) -> Callable[[Inputs], tuple[Any, ...]
 
 METHODS = {
     "heartcase": heartcase,
+    "heartcase_gradient": heartcase_gradient,
     "gradient": _named("gradient", is_blurred=False),
     "gradient_blurred": _named("gradient", is_blurred=True),
     "curvature": _named("curvature", is_blurred=False),

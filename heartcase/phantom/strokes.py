@@ -9,6 +9,7 @@ set of strokes is one chance, with several of :func:`random_strokes`.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -116,7 +117,8 @@ def _stroke(label: str, radius: float, points: Float64) -> Stroke:
     return Stroke(label=label, radius_mm=radius, points_mm=rounded)
 
 
-def _drawn_lines(phantom: HeartPhantom) -> list[tuple[str, float, Float64]]:
+@lru_cache(maxsize=2)
+def _drawn_lines(phantom: HeartPhantom) -> tuple[tuple[str, float, Float64], ...]:
     """Label, radius of the brush and line of every stroke."""
     radius = round(1.5 * phantom.scale, 1)
     fine = round(1.1 * phantom.scale, 1)
@@ -134,7 +136,7 @@ def _drawn_lines(phantom: HeartPhantom) -> list[tuple[str, float, Float64]]:
     if phantom.form.body_surface_m2 is not None:
         drawn += [("background", width, points) for width, points in _septal_lines(phantom)]
     drawn = [line for line in drawn if len(line[2])]
-    return drawn if phantom.form in _FIXED else [*drawn, *wall_lines(phantom, drawn)]
+    return tuple(drawn) if phantom.form in _FIXED else (*drawn, *wall_lines(phantom, drawn))
 
 
 def _cut(points: Float64, longest_mm: float) -> list[Float64]:

@@ -4,8 +4,8 @@ By gradient, the flux through each voxel face is taken with the full gradient th
 "Nonlinear anisotropic filtering of MRI data", IEEE Trans. Medical Imaging 11, 1992). By curvature, the level sets move,
 du/dt = |grad u| div(c grad u / |grad u|), so that along a border it is smoothed and across it nothing flows (Whitaker and
 Xue, "Variable-conductance, level-set curvature for image denoising", Proc. ICIP, 2001); |grad u| before the divergence is
-the upwind one of Osher and Sethian (Journal of Computational Physics 79, 1988). What goes through a face is worked out
-once and used by the voxels on both sides of it, a row of faces at a time.
+the upwind one of Osher and Sethian (Journal of Computational Physics 79, 1988), of slopes times their conductance. What
+goes through a face is worked out once and used by the voxels on both sides of it, a row of faces at a time.
 """
 
 from __future__ import annotations
@@ -251,7 +251,9 @@ def _add_divergence(new, old, weight, x_flux, y_low, y_high, z_low, z_high):  # 
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract"})
-def _move_level_sets(new, old, weight, pace, x_flux, y_low, y_high, z_low, z_high, x_step, y_before, y_after, z_before, z_after):  # type: ignore[no-untyped-def]
+def _move_level_sets(
+    new, old, weight, pace, x_flux, y_low, y_high, z_low, z_high, x_step, y_before, y_after, z_before, z_after
+):  # type: ignore[no-untyped-def]
     """New values of whole rows: the divergence of the normals times the upwind slope.
 
     ``x_step`` holds the slope at one face more than there are voxels, the others those at the low and the high face of

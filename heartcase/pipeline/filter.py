@@ -4,8 +4,9 @@ Two schemes, in mm, with c = exp(-|grad u|^2 / (2 K^2)):
 
 - by curvature, du/dt = |grad u| div(c grad u / |grad u|): Whitaker and Xue, "Variable-conductance, level-set curvature for
   image denoising", Proc. ICIP (2001). Surfaces of equal intensity move by their curvature, so a border is smoothed along
-  itself and nothing flows across it, whatever the contrast. Only what is one voxel thin can fade, and c keeps that where
-  it is steeper than K. This is the default.
+  itself and hardly across. This is the default. In a wall of one voxel their scheme lets the noise of the wall itself lift
+  it: of the two slopes across, those to the higher side count. So here each slope that carries a surface counts with its
+  own c: what is steeper than K stays.
 - by gradient, du/dt = div(c grad u): Perona and Malik, with the full gradient at each voxel face as in Gerig, Kuebler, Kikinis
   and Jolesz, "Nonlinear anisotropic filtering of MRI data", IEEE Trans. Medical Imaging 11 (1992).
 
@@ -37,8 +38,8 @@ __all__ = ["default_conductance", "filter_scan", "resolve_filter", "time_step_li
 NOISE_GRADIENTS = 2.0
 """K of the default conductance in units of the root mean square gradient that the scan's noise makes.
 
-Twice as much would smooth more, and take half of the height of a wall of one voxel. ``heartcase bench filter`` prints the
-error that it leaves beside that of a conductance of 1, ``heartcase bench accuracy-default`` what becomes of the labels.
+``heartcase bench filter`` prints the error that it leaves beside that of a conductance of 1, ``heartcase bench
+accuracy-default`` what becomes of the labels.
 """
 CONDUCTANCE_RANGE = (0.001, 100.0)
 """Least and largest default conductance."""

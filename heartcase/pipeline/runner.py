@@ -23,8 +23,8 @@ U = TypeVar("U")
 STAGE_VERSIONS = {
     "read": 2,
     "markers": 1,
-    "filter": 2,
-    "segment": 2,
+    "filter": 3,
+    "segment": 3,
     "walls": 12,
     "edit": 5,
     "grid": 10,
