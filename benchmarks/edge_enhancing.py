@@ -48,7 +48,7 @@ def prepare(params: dict[str, Any]) -> Inputs:
 
 
 def heartcase(inputs: Inputs) -> Scan:
-    return filter_scan(inputs.source.scan, FilterSettings())
+    return filter_scan(inputs.source.scan, FilterSettings(method="gradient_diffusion"))
 
 
 def edge_enhancing(inputs: Inputs) -> Scan:

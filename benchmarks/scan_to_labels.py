@@ -1,8 +1,8 @@
 """From scan to labels with default settings, filter included: ours beside what users of SimpleITK and scikit-image do.
 
-One set of few strokes is one chance: which thin wall is missed by a stroke decides more than any filter. So every figure is
-the mean over several sets, the same for all methods: on phantoms the ordered strokes of ``first_strokes`` and random ones,
-on the real CT random ones of its recipe.
+One set of few strokes is one chance: which thin wall is missed by a stroke decides more than any filter. So every
+figure is the mean over several sets, the same for all methods: on phantoms the ordered strokes of ``first_strokes`` and
+random ones, on the real CT random ones of its recipe.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 None is thicker than 2 mm in radius, and every stroke stays inside its structure. The two hearts of fixed size have at
 most ten strokes a label; hearts of any other form get more where those would not do
-(:mod:`heartcase.phantom.corrections`). What a few short strokes reach is measured with :func:`first_strokes` and, as one
-set of strokes is one chance, with several of :func:`random_strokes`.
+(:mod:`heartcase.phantom.corrections`). What a few short strokes reach is measured with :func:`first_strokes` and, as
+one set of strokes is one chance, with several of :func:`random_strokes`.
 """
 
 from __future__ import annotations

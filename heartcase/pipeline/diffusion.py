@@ -1,11 +1,12 @@
 """Anisotropic diffusion of a volume, by gradient or by curvature: the explicit schemes and their kernels.
 
-By gradient, the flux through each voxel face is taken with the full gradient there (Gerig, Kuebler, Kikinis and Jolesz,
-"Nonlinear anisotropic filtering of MRI data", IEEE Trans. Medical Imaging 11, 1992). By curvature, the level sets move,
-du/dt = |grad u| div(c grad u / |grad u|), so that along a border it is smoothed and across it nothing flows (Whitaker and
-Xue, "Variable-conductance, level-set curvature for image denoising", Proc. ICIP, 2001); |grad u| before the divergence is
-the upwind one of Osher and Sethian (Journal of Computational Physics 79, 1988), of slopes times their conductance. What
-goes through a face is worked out once and used by the voxels on both sides of it, a row of faces at a time.
+By gradient, the flux through each voxel face is taken with the full gradient there (Gerig, Kuebler, Kikinis and
+Jolesz, "Nonlinear anisotropic filtering of MRI data", IEEE Trans. Medical Imaging 11, 1992). By curvature, the level
+sets move, du/dt = |grad u| div(c grad u / |grad u|), so that a border is smoothed along itself and hardly across
+(Whitaker and Xue, "Variable-conductance, level-set curvature for image denoising", Proc. ICIP, 2001); |grad u| before
+the divergence is the upwind one of Osher and Sethian (Journal of Computational Physics 79, 1988), of slopes times their
+conductance. What goes through a face is worked out once and used by the voxels on both sides of it, a row of faces at a
+time.
 """
 
 from __future__ import annotations

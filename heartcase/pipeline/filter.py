@@ -2,13 +2,13 @@
 
 Two schemes, in mm, with c = exp(-|grad u|^2 / (2 K^2)):
 
-- by curvature, du/dt = |grad u| div(c grad u / |grad u|): Whitaker and Xue, "Variable-conductance, level-set curvature for
-  image denoising", Proc. ICIP (2001). Surfaces of equal intensity move by their curvature, so a border is smoothed along
-  itself and hardly across. This is the default. In a wall of one voxel their scheme lets the noise of the wall itself lift
-  it: of the two slopes across, those to the higher side count. So here each slope that carries a surface counts with its
-  own c: what is steeper than K stays.
-- by gradient, du/dt = div(c grad u): Perona and Malik, with the full gradient at each voxel face as in Gerig, Kuebler, Kikinis
-  and Jolesz, "Nonlinear anisotropic filtering of MRI data", IEEE Trans. Medical Imaging 11 (1992).
+- by curvature, du/dt = |grad u| div(c grad u / |grad u|): Whitaker and Xue, "Variable-conductance, level-set curvature
+  for image denoising", Proc. ICIP (2001). Surfaces of equal intensity move by their curvature, so a border is smoothed
+  along itself and hardly across. This is the default. In a wall of one voxel their scheme lets the noise of the wall
+  itself lift it: of the two slopes across, only those towards the side that a voxel moves to count. So here each slope
+  that carries a surface counts with its own c: what is steeper than K stays.
+- by gradient, du/dt = div(c grad u): Perona and Malik, with the full gradient at each voxel face as in Gerig, Kuebler,
+  Kikinis and Jolesz, "Nonlinear anisotropic filtering of MRI data", IEEE Trans. Medical Imaging 11 (1992).
 
 K is ``conductance`` times the root mean square gradient of the scan, taken anew before each step, so a setting serves
 every scanner's intensities. Where the recipe leaves it out it follows from the scan's own noise: see
@@ -154,14 +154,14 @@ def time_step_limit(geometry: Geometry, method: Method = "curvature_diffusion") 
     """Longest stable diffusion step, mm2, over the axes that have more than one voxel.
 
     By gradient it is 1 / (4 sum 1/h^2). Up to there every spatial frequency is damped by a factor between 0 and 1 (the
-    largest eigenvalue of the discrete Laplacian is 4 sum 1/h^2 and no conductance exceeds one), and each new value is an
-    average of old ones with weights that are not negative. Twice as long a step still obeys the maximum principle, but
-    turns the sign of the finest frequency, which is mostly noise, instead of removing it.
+    largest eigenvalue of the discrete Laplacian is 4 sum 1/h^2 and no conductance exceeds one), and each new value is
+    an average of old ones with weights that are not negative. Twice as long a step still obeys the maximum principle,
+    but turns the sign of the finest frequency, which is mostly noise, instead of removing it.
 
     By curvature it is 1 / (2 sum 1/h sqrt(2 sum 1/h^2)). No part of a normal exceeds one, so a voxel moves by at most
     2 sum 1/h times its upwind slope, and that slope is at most sqrt(2 sum 1/h^2) times the largest difference to a
-    neighbour on the side that it moves to: so no voxel passes its neighbours, and one that stands out alone comes down to
-    them at once.
+    neighbour on the side that it moves to: so no voxel passes its neighbours, and one that stands out alone comes down
+    to them at once.
     """
     spacing = [h for h, n in zip(geometry.spacing_mm, geometry.size, strict=True) if n > 1]
     if not spacing:

@@ -7,11 +7,11 @@ exceed about the gradient of the noise, so that steep borders hardly move:
 
     height = g + c * s / sqrt(c^2 + s^2)
 
-with the gradient magnitude g, that of the blurred scan s, and c 1.25 times the tenth percentile of g. So flat a tenth of a
-scan is noise alone, whatever else is in it; a median would not do, as in a real chest half of the voxels are lung, fat and
-bone with a texture of their own, several times as steep as blood. ``heartcase bench accuracy`` puts it beside a watershed
-of the gradient alone: chambers are mostly divided better, the myocardium can lose a little. Blur and share were chosen on
-phantoms, so those are no independent test of them.
+with the gradient magnitude g, that of the blurred scan s, and c 1.25 times the tenth percentile of g. So flat a tenth
+of a scan is noise alone, whatever else is in it; a median would not do, as in a real chest half of the voxels are lung,
+fat and bone with a texture of their own, several times as steep as blood. ``heartcase bench accuracy`` puts it beside a
+watershed of the gradient alone: chambers are mostly divided better, the myocardium can lose a little. Blur and share
+were chosen on phantoms, so those are no independent test of them.
 """
 
 from __future__ import annotations

@@ -52,8 +52,8 @@ class FilterSettings(Model):
     """Edge-preserving smoothing of the scan (thesis 11.1.2)."""
 
     method: Literal["curvature_diffusion", "gradient_diffusion", "none"] = "curvature_diffusion"
-    """Anisotropic diffusion by curvature (Whitaker and Xue), which lets nothing flow across a border; by gradient (Perona
-    and Malik); or no filter."""
+    """Anisotropic diffusion by curvature (Whitaker and Xue), which smooths a border along itself and hardly across; by
+    gradient (Perona and Malik); or no filter."""
     iterations: Annotated[int, Field(ge=1, le=200)] = 5
     """Number of diffusion steps."""
     conductance: Annotated[float, Field(gt=0.0, le=100.0)] | None = None
