@@ -252,9 +252,9 @@ def _add_divergence(new, old, weight, x_flux, y_low, y_high, z_low, z_high):  # 
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract"})
-def _move_level_sets(
+def _move_level_sets(  # type: ignore[no-untyped-def]
     new, old, weight, pace, x_flux, y_low, y_high, z_low, z_high, x_step, y_before, y_after, z_before, z_after
-):  # type: ignore[no-untyped-def]
+):
     """New values of whole rows: the divergence of the normals times the upwind slope.
 
     ``x_step`` holds the slope at one face more than there are voxels, the others those at the low and the high face of

@@ -35,8 +35,8 @@ Method = Literal["curvature_diffusion", "gradient_diffusion"]
 
 __all__ = ["default_conductance", "filter_scan", "resolve_filter", "time_step_limit"]
 
-NOISE_GRADIENTS = 2.0
-"""K of the default conductance in units of the root mean square gradient that the scan's noise makes.
+NOISE_GRADIENTS = {"gradient_diffusion": 2.0, "curvature_diffusion": 3.0}
+"""K of the default conductance, by method, in units of the root mean square gradient that the scan's noise makes.
 
 ``heartcase bench filter`` prints the error that it leaves beside that of a conductance of 1, ``heartcase bench
 accuracy-default`` what becomes of the labels.
@@ -113,11 +113,11 @@ def resolve_filter(settings: FilterSettings, scan: Scan) -> FilterSettings:
     if settings.time_step is None and math.isfinite(limit):
         found["time_step"] = limit
     if settings.conductance is None:
-        found["conductance"] = default_conductance(scan)
+        found["conductance"] = default_conductance(scan, settings.method)
     return settings.model_copy(update=found)
 
 
-def default_conductance(scan: Scan) -> float:
+def default_conductance(scan: Scan, method: Method = "curvature_diffusion") -> float:
     """Conductance at which noise is smoothed and edges stay: K is NOISE_GRADIENTS times the gradient of the noise.
 
     Between 0.001, where there is no noise and nothing changes, and 100; to four digits, so that another processor's
@@ -137,7 +137,7 @@ def default_conductance(scan: Scan) -> float:
     of_unit_noise = math.sqrt(sum(0.5 / h**2 for h, n in zip(geometry.spacing_mm, geometry.size, strict=True) if n > 1))
     gradient = estimate_noise(scan.values).difference_sigma * of_unit_noise
     lower, upper = CONDUCTANCE_RANGE
-    return float(f"{min(max(NOISE_GRADIENTS * gradient / math.sqrt(total), lower), upper):.4g}")
+    return float(f"{min(max(NOISE_GRADIENTS[method] * gradient / math.sqrt(total), lower), upper):.4g}")
 
 
 def _check_values(scan: Scan) -> None:

@@ -7,7 +7,7 @@ exceed about the gradient of the noise, so that steep borders hardly move:
 
     height = g + c * s / sqrt(c^2 + s^2)
 
-with the gradient magnitude g, that of the blurred scan s, and c 1.25 times the tenth percentile of g. So flat a tenth
+with the gradient magnitude g, that of the blurred scan s, and c 1.6 times the tenth percentile of g. So flat a tenth
 of a scan is noise alone, whatever else is in it; a median would not do, as in a real chest half of the voxels are lung,
 fat and bone with a texture of their own, several times as steep as blood. ``heartcase bench accuracy`` puts it beside a
 watershed of the gradient alone: chambers are mostly divided better, the myocardium can lose a little. Blur and share
@@ -26,7 +26,7 @@ __all__ = ["landscape"]
 
 Float32 = npt.NDArray[np.float32]
 
-SHAPE_SHARE = 1.25
+SHAPE_SHARE = 1.6
 """Most that the shape adds, in units of the gradient of the flattest voxels."""
 FLAT_QUANTILE = 0.1
 """Part of the voxels that surely lies in tissue of one kind: the gradient there is noise alone."""

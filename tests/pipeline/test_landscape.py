@@ -29,7 +29,7 @@ def plain_gradient(values, spacing_mm, sigma_mm):
 def test_equals_the_formula_in_float64(shape, spacing_mm, shape_sigma_mm, seed):
     values = np.random.default_rng(seed).normal(0.0, 100.0, shape).astype(np.float32)
     steep, shaped = plain_gradient(values, spacing_mm, 1e-9), plain_gradient(values, spacing_mm, shape_sigma_mm)
-    most = 1.25 * np.quantile(steep, 0.1)
+    most = 1.6 * np.quantile(steep, 0.1)
     want = steep + most * shaped / np.hypot(most, shaped)
     got = landscape(values, spacing_mm, gradient_sigma_mm=0.0, shape_sigma_mm=shape_sigma_mm)
     assert got.dtype == np.float32
@@ -50,8 +50,8 @@ def test_the_shape_adds_no_more_than_the_gradient_of_what_is_flat_and_padding_do
     added = got - steep
     assert added.min() >= 0.0
     flat = np.quantile(steep[steep > 0.0], 0.1)
-    assert added.max() <= 1.25 * flat * (1.0 + 1e-5)
-    assert added.max() > 1.0 * flat
+    assert added.max() <= 1.6 * flat * (1.0 + 1e-5)
+    assert added.max() > 1.3 * flat
 
 
 def test_lung_and_bone_of_a_steep_texture_do_not_raise_the_shape_in_blood():
@@ -66,8 +66,8 @@ def test_lung_and_bone_of_a_steep_texture_do_not_raise_the_shape_in_blood():
         return float((got - gradient_magnitude(values, (1.0, 1.0, 1.0))).max())
 
     of_blood = 5.0 * np.sqrt(3.0 / 2.0)  # root mean square of central differences along three axes
-    assert added(chest) < 1.25 * of_blood
-    assert added(quiet) < 1.25 * of_blood
+    assert added(chest) < 1.6 * of_blood
+    assert added(quiet) < 1.6 * of_blood
 
 
 def test_what_is_flat_has_no_height():
