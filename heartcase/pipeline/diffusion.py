@@ -195,7 +195,7 @@ def _power_of_half(exponent):  # type: ignore[no-untyped-def]
     return p * np.int32((np.int32(127) - whole) << np.int32(23)).view(np.float32)
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract"})
+@numba.njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")
 def _normals(out, low, high, scale, side, side_beyond, other, other_beyond):  # type: ignore[no-untyped-def]
     """The unit normal's part through a row of faces times conductance; the arguments are those of :func:`_fluxes`."""
     for i in range(out.size):
