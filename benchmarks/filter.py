@@ -27,7 +27,7 @@ class Inputs:
 
 
 def prepare(params: dict[str, Any]) -> Inputs:
-    chosen = FilterSettings(method=params.pop("method", FilterSettings().method))
+    chosen = FilterSettings(method=params.pop("method", None))
     source = phantom_inputs(params)
     resolve_filter(chosen, source.scan)
     start = time.perf_counter()

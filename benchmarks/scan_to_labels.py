@@ -7,6 +7,7 @@ random ones, on the real CT random ones of its recipe.
 
 from __future__ import annotations
 
+import dataclasses
 from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -113,7 +114,7 @@ def _chest(count: int, sets: int) -> Inputs:
     path = RECIPE.parent / recipe.scan.path
     if not path.exists():
         raise MethodSkipped(f"the scan is not there: {recipe.scan.origin}")
-    scan = crop_scan(read_scan(path), recipe.region)
+    scan = dataclasses.replace(crop_scan(read_scan(path), recipe.region), modality="CT")
     given = read_labels(path.with_name("pulmonary_artery.nii.gz"))
     artery = crop_scan(Scan((given.values > 0).astype(np.float32), given.geometry), recipe.region).values > 0.5
     value = recipe.table["pulmonary artery"].value
@@ -135,9 +136,10 @@ def heartcase(inputs: Inputs) -> tuple[Any, ...]:
     return _ours(inputs, FilterSettings())
 
 
-def heartcase_gradient(inputs: Inputs) -> tuple[Any, ...]:
-    """The same behind the other of our two filters."""
-    return _ours(inputs, FilterSettings(method="gradient_diffusion"))
+def heartcase_other(inputs: Inputs) -> tuple[Any, ...]:
+    """The same behind the filter that is not the default for this modality."""
+    is_ct = inputs.scan.modality == "CT"
+    return _ours(inputs, FilterSettings(method="gradient_diffusion" if is_ct else "curvature_diffusion"))
 
 
 def _ours(inputs: Inputs, filter_settings: FilterSettings) -> tuple[Any, ...]:
@@ -186,7 +188,7 @@ def _named(kind: str, *, is_blurred: bool) -> Callable[[Inputs], tuple[Any, ...]
 
 METHODS = {
     "heartcase": heartcase,
-    "heartcase_gradient": heartcase_gradient,
+    "heartcase_other": heartcase_other,
     "gradient": _named("gradient", is_blurred=False),
     "gradient_blurred": _named("gradient", is_blurred=True),
     "curvature": _named("curvature", is_blurred=False),

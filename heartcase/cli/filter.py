@@ -30,9 +30,12 @@ def command(scan: Path, output: Path, choice: dict[str, Any], recipe: Path | Non
     """Smooth SCAN by anisotropic diffusion and write OUTPUT (.nii.gz, .nrrd, .mha or .safetensors)."""
     from heartcase.pipeline.filter import filter_scan
     from heartcase.pipeline.region import crop_scan
+    from heartcase.pipeline.stages import with_modality
     from heartcase.schemas.settings import FilterSettings
 
     loaded = optional_recipe(recipe)
     settings = settings_of(FilterSettings, loaded.filter if loaded else None, sets)
     volume = crop_scan(read_scan_or_output(scan, choice), loaded.region if loaded else None)
+    if loaded:
+        volume = with_modality(volume, loaded)
     save_output(output, filter_scan(volume, settings))

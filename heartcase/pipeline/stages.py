@@ -23,7 +23,7 @@ from heartcase.schemas.settings import resolved
 if TYPE_CHECKING:
     from heartcase.pipeline.watershed.tree import BasinTree
 
-__all__ = ["RUN_STAGE", "StageOutputs", "filtered_tree", "have", "region_of_scan", "stroke_problems"]
+__all__ = ["RUN_STAGE", "StageOutputs", "filtered_tree", "have", "region_of_scan", "stroke_problems", "with_modality"]
 
 T = TypeVar("T")
 
@@ -70,7 +70,7 @@ def region_of_scan(recipe: Recipe, directory: Path) -> Scan:
             f"there is no scan: check the spelling (it is relative to the recipe), or put the scan there.{where}",
             place="scan.path",
         )
-    scan = _with_modality(read_scan(path, **recipe.scan.choice), recipe)
+    scan = with_modality(read_scan(path, **recipe.scan.choice), recipe)
     return crop_scan(dataclasses.replace(scan, whole_sha256=scan.values_sha256), recipe.region)
 
 
@@ -85,7 +85,7 @@ def _read(recipe: Recipe, directory: Path, runner: Runner, nodes: StageOutputs) 
     runner.voxel_count = nodes.scan.get().values.size
 
 
-def _with_modality(scan: Scan, recipe: Recipe) -> Scan:
+def with_modality(scan: Scan, recipe: Recipe) -> Scan:
     """The file's own word on the kind of scan counts; the recipe's where the file says nothing."""
     if scan.modality != "unknown" or recipe.scan.modality is None:
         return scan

@@ -51,9 +51,9 @@ class RegionSettings(Model):
 class FilterSettings(Model):
     """Edge-preserving smoothing of the scan (thesis 11.1.2)."""
 
-    method: Literal["curvature_diffusion", "gradient_diffusion", "none"] = "curvature_diffusion"
+    method: Literal["curvature_diffusion", "gradient_diffusion", "none"] | None = None
     """Anisotropic diffusion by curvature (Whitaker and Xue), which smooths a border along itself and hardly across; by
-    gradient (Perona and Malik); or no filter."""
+    gradient (Perona and Malik); or no filter. By curvature for a CT and by gradient for others when left out."""
     iterations: Annotated[int, Field(ge=1, le=200)] = 5
     """Number of diffusion steps."""
     conductance: Annotated[float, Field(gt=0.0, le=100.0)] | None = None

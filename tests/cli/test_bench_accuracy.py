@@ -148,7 +148,7 @@ def test_every_method_finds_the_shells(accuracy, method):
     assert (found.labels == inputs.true_labels).mean() > 0.93
 
 
-METHODS_OF_SCANS = ("heartcase", "heartcase_gradient", "gradient", "gradient_blurred", "curvature", "curvature_blurred")
+METHODS_OF_SCANS = ("heartcase", "heartcase_other", "gradient", "gradient_blurred", "curvature", "curvature_blurred")
 
 
 @pytest.mark.parametrize("method", METHODS_OF_SCANS)

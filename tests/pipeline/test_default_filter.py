@@ -1,5 +1,6 @@
 """Default filter and landscape beside SimpleITK's diffusion and scikit-image's watershed, with the same markers."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -69,7 +70,7 @@ def test_the_pulmonary_artery_of_the_real_ct_from_few_strokes():
     path = QUICK.parent / recipe.scan.path
     if not path.exists():
         pytest.skip("the scan is not at hand; the recipe says where to get it")
-    scan = crop_scan(read_scan(path), recipe.region)
+    scan = dataclasses.replace(crop_scan(read_scan(path), recipe.region), modality="CT")
     given = read_labels(path.with_name("pulmonary_artery.nii.gz"))
     artery = crop_scan(Scan((given.values > 0).astype(np.float32), given.geometry), recipe.region).values > 0.5
     markers = load_markers((), recipe.strokes, recipe.table, scan.geometry, QUICK.parent)

@@ -393,6 +393,20 @@ def test_clamped_air_does_not_change_the_default_much():
     assert threshold(padded) == pytest.approx(threshold(noisy), rel=0.15)
 
 
+def test_a_ct_is_smoothed_by_curvature_and_any_other_scan_by_gradient():
+    _, noisy = blocks_of_tissue(1, 30.0)
+    for modality, method in (("CT", METHODS[0]), ("MR", METHODS[1]), ("unknown", METHODS[1])):
+        scan = make_scan(noisy, modality=modality)
+        resolved = resolve_filter(FilterSettings(), scan)
+        assert resolved.method == method
+        assert resolved.time_step == time_step_limit(scan.geometry, method)
+        assert resolved.conductance == default_conductance(scan, method)
+        stated = filter_scan(scan, FilterSettings(method=method)).values
+        np.testing.assert_array_equal(filter_scan(scan, FilterSettings()).values, stated)
+        other = FilterSettings(method=METHODS[modality == "CT"])
+        assert np.abs(filter_scan(scan, other).values - stated).max() > 1.0
+
+
 def test_what_is_left_out_is_filled_in_once():
     _, noisy = blocks_of_tissue(1, 30.0)
     scan = make_scan(noisy, ANISOTROPIC)
@@ -402,7 +416,7 @@ def test_what_is_left_out_is_filled_in_once():
     assert float(f"{resolved.conductance:.4g}") == resolved.conductance
     assert resolve_filter(resolved, scan) == resolved
     np.testing.assert_array_equal(filter_scan(scan, resolved).values, filter_scan(scan, FilterSettings()).values)
-    stated = FilterSettings(conductance=0.7, time_step=0.01)
+    stated = FilterSettings(method="curvature_diffusion", conductance=0.7, time_step=0.01)
     assert resolve_filter(stated, scan) == stated
     off = FilterSettings(method="none")
     assert resolve_filter(off, scan) == off

@@ -78,7 +78,7 @@ def test_every_setting_is_stated_and_locking_again_changes_nothing(work, locked)
     again = recipe_text(lock_recipe(recipe, directory=work, out=work))
     assert again == locked
     # What rules find for voxels of 2 mm and no grown wall, by their own formulas.
-    assert recipe.filter.time_step == pytest.approx(2.0**2 / (6 * 6**0.5))
+    assert recipe.filter.time_step == pytest.approx(1 / (4 * 3 / 2.0**2))
     assert recipe.walls.smoothing_mm == pytest.approx(0.8 * 2.0)
     assert recipe.walls.band_mm == pytest.approx(3 * 2.0)
     assert recipe.grid.node_count == 30_000
