@@ -73,7 +73,7 @@ def prepare(params: dict[str, Any]) -> Inputs:
 @cache
 def _scan(key: tuple[tuple[str, Any], ...]) -> tuple[PhantomInputs, Scan, Any]:
     source = phantom_inputs(dict(key))
-    return source, filter_scan(source.scan, FilterSettings()), _behind_ends(source.phantom, source.scan.geometry)
+    return source, filter_scan(source.scan, FilterSettings()), behind_ends(source.phantom, source.scan.geometry)
 
 
 @cache
@@ -82,7 +82,7 @@ def _strokes(size: str, count: int) -> tuple[Stroke, ...]:
     return first_strokes(phantom, count) if count else marker_strokes(phantom)
 
 
-def _behind_ends(phantom: HeartPhantom, geometry: Geometry) -> Any:
+def behind_ends(phantom: HeartPhantom, geometry: Geometry) -> Any:
     """Voxels behind an end disc, where the scan goes on and the truth does not."""
     points = geometry.index_to_world(np.indices(geometry.shape).reshape(3, -1)[::-1].T)
     behind = np.zeros(len(points), bool)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ def prepare(params: dict[str, Any]) -> Inputs:
     path = RECIPE.parent / recipe.scan.path
     if not path.exists():
         raise UsageError(f"the scan is not there: {recipe.scan.origin}", place="segment-chest-ct")
-    scan = read_scan(path)
+    scan = dataclasses.replace(read_scan(path), modality=recipe.scan.modality)
     filtered = filter_scan(crop_scan(scan, recipe.region), recipe.filter)
     given = read_labels(path.with_name("pulmonary_artery.nii.gz"))
     # The label goes through the same crop as the scan, so that both end where the region ends.

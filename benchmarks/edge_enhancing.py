@@ -48,7 +48,7 @@ def prepare(params: dict[str, Any]) -> Inputs:
 
 
 def heartcase(inputs: Inputs) -> Scan:
-    return filter_scan(inputs.source.scan, FilterSettings())
+    return filter_scan(inputs.source.scan, FilterSettings(method="gradient_diffusion"))
 
 
 def edge_enhancing(inputs: Inputs) -> Scan:
@@ -60,7 +60,7 @@ def edge_enhancing(inputs: Inputs) -> Scan:
             scan.geometry.spacing_mm,
             contrast=inputs.contrast * estimate_noise(scan.values).difference_sigma,
             sigma_mm=inputs.sigma_mm,
-            time_step=time_step_limit(scan.geometry),
+            time_step=time_step_limit(scan.geometry, "gradient_diffusion"),
         )
     return dataclasses.replace(scan, values=values)
 

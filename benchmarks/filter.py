@@ -27,10 +27,11 @@ class Inputs:
 
 
 def prepare(params: dict[str, Any]) -> Inputs:
+    chosen = FilterSettings(method=params.pop("method", None))
     source = phantom_inputs(params)
-    resolve_filter(FilterSettings(), source.scan)
+    resolve_filter(chosen, source.scan)
     start = time.perf_counter()
-    settings = resolve_filter(FilterSettings(), source.scan)
+    settings = resolve_filter(chosen, source.scan)
     return Inputs(source, settings, time.perf_counter() - start)
 
 
@@ -42,7 +43,9 @@ def simpleitk(inputs: Inputs) -> Scan:
     scan, settings = inputs.source.scan, inputs.settings
     image = sitk.GetImageFromArray(scan.values)
     image.SetSpacing(scan.geometry.spacing_mm)
-    smoothed = sitk.GradientAnisotropicDiffusion(
+    is_curvature = settings.method == "curvature_diffusion"
+    diffuse = sitk.CurvatureAnisotropicDiffusion if is_curvature else sitk.GradientAnisotropicDiffusion
+    smoothed = diffuse(
         image,
         # on cubic voxels: it divides by the spacing once where the divergence in mm divides twice
         timeStep=settings.time_step / scan.geometry.spacing_mm[0],
@@ -65,7 +68,7 @@ def errors(inputs: Inputs, output: Scan) -> dict[str, float]:
     def rms(values: Any) -> float:
         return float(np.sqrt(np.mean(np.square(values - clean, dtype=np.float64)[heart]))) / extent
 
-    fixed = filter_scan(scan, FilterSettings(conductance=1.0)).values
+    fixed = filter_scan(scan, FilterSettings(method=inputs.settings.method, conductance=1.0)).values
     peer = simpleitk(inputs).values
     return {
         "voxels [million]": scan.values.size / 1e6,

@@ -6,20 +6,24 @@ import hashlib
 import math
 import tempfile
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import heartcase.phantom
-from heartcase.phantom.acquisition import CT_UNITS, MRI_UNITS, acquire_ct, acquire_mri, noise_free
+from heartcase.phantom.acquisition import CT_UNITS, MRI_UNITS, CtArtefacts, acquire_ct, acquire_mri, noise_free
 from heartcase.phantom.heart import HeartPhantom
 from heartcase.phantom.strokes import marker_strokes
 from heartcase.pipeline.cache import Cache, stage_key
 from heartcase.pipeline.data import Markers, Scan, Segmentation
 from heartcase.pipeline.markers import load_markers
 from heartcase.schemas.geometry import Geometry
+from heartcase.schemas.heart_form import HeartForm
+
+STREAK_HU = 150.0
+"""By how much streaks from undiluted contrast medium darken the worst place."""
 
 
 @dataclass(frozen=True)
@@ -34,38 +38,63 @@ class PhantomInputs:
 
 
 def phantom_inputs(params: dict[str, Any]) -> PhantomInputs:
-    """Scan, true labels and markers for ``size``, ``modality``, ``spacing_mm``, ``noise`` and ``seed``."""
+    """Scan, true labels and markers for ``size``, ``modality``, ``spacing_mm``, ``noise`` and ``seed``.
+
+    ``body_surface_m2`` takes the heart of that size instead; ``texture`` gives a CT noise that neighbours share,
+    ``contrast_hu`` contrast medium that is still undiluted in the superior vena cava and 150 HU of streaks from it.
+    """
     params = {"size": "adult", "modality": "mri", "spacing_mm": 1.75, "seed": 1} | params
-    phantom = HeartPhantom.of_size(params["size"])
+    phantom = phantom_of(params["size"], params.get("body_surface_m2"))
     geometry = phantom.scan_geometry(params["spacing_mm"], oblique=params.get("oblique", False))
     key = code_key(params)
-    cache = Cache(Path(tempfile.gettempdir()) / "heartcase-benchmark-inputs")
-    scan = cache.load("scan", key, Scan)
-    clean = cache.load("clean", key, Scan)
-    truth = cache.load("truth", key, Segmentation)
+    kept = Cache(Path(tempfile.gettempdir()) / "heartcase-benchmark-inputs")
+    scan = kept.load("scan", key, Scan)
+    clean = kept.load("clean", key, Scan)
+    truth = kept.load("truth", key, Segmentation)
     if scan is None or clean is None or truth is None:
         acquire = acquire_mri if params["modality"] == "mri" else acquire_ct
-        options = {"contrast_to_noise": params["noise"]} if "noise" in params else {}
-        signal = _signal(params["size"], params["modality"], geometry)
+        options: dict[str, Any] = {"contrast_to_noise": params["noise"]} if "noise" in params else {}
+        caval_hu = params.get("contrast_hu")
+        if params["modality"] == "ct":
+            options["artefacts"] = CtArtefacts(
+                texture=params.get("texture", False),
+                # neighbours in a slice then share a third of their noise, as those of two slices do
+                texture_peak_per_mm=0.21 / geometry.spacing_mm[0],
+                slice_correlation=0.35,
+                streak=0.0 if caval_hu is None else STREAK_HU,
+                caval_hu=caval_hu,
+            )
+        signal = _signal(phantom, params["modality"], geometry, caval_hu)
         made = acquire(phantom, geometry, seed=params["seed"], signal=signal, **options)
         scan = Scan(made.values, geometry, made.modality)
-        made = acquire(phantom, geometry, seed=params["seed"], signal=signal, contrast_to_noise=math.inf)
+        made = acquire(
+            phantom, geometry, seed=params["seed"], signal=signal, **options | {"contrast_to_noise": math.inf}
+        )
         clean = Scan(made.values, geometry, made.modality)
         indices = np.indices(geometry.shape).reshape(3, -1)[::-1].T
         labels = phantom.truth.label(geometry.index_to_world(indices))
         table = phantom.truth.table
         truth = Segmentation(labels.reshape(geometry.shape), geometry, table)
-        cache.store("scan", key, scan, seconds=0.0)
-        cache.store("clean", key, clean, seconds=0.0)
-        cache.store("truth", key, truth, seconds=0.0)
+        kept.store("scan", key, scan, seconds=0.0)
+        kept.store("clean", key, clean, seconds=0.0)
+        kept.store("truth", key, truth, seconds=0.0)
     markers = load_markers((), marker_strokes(phantom), phantom.table, geometry, Path())
     return PhantomInputs(phantom, scan, clean, truth, markers)
 
 
 @lru_cache(maxsize=1)
-def _signal(size: str, modality: str, geometry: Geometry) -> Any:
+def _signal(phantom: HeartPhantom, modality: str, geometry: Geometry, caval_hu: float | None) -> Any:
     """The noise-free signal, the same at every noise; no more than one, as it is the largest array here."""
-    return noise_free(HeartPhantom.of_size(size), geometry, MRI_UNITS if modality == "mri" else CT_UNITS)
+    units = MRI_UNITS if modality == "mri" else CT_UNITS
+    return noise_free(phantom, geometry, units if caval_hu is None else (*units, caval_hu))
+
+
+@cache
+def phantom_of(size: str, body_surface_m2: float | None) -> HeartPhantom:
+    """A heart of fixed size, or that of a body surface area."""
+    if body_surface_m2 is None:
+        return HeartPhantom.of_size(size)
+    return HeartPhantom.of_form(HeartForm(body_surface_m2=body_surface_m2))
 
 
 def code_key(settings: Any) -> str:

@@ -2,12 +2,14 @@
 
 None is thicker than 2 mm in radius, and every stroke stays inside its structure. The two hearts of fixed size have at
 most ten strokes a label; hearts of any other form get more where those would not do
-(:mod:`heartcase.phantom.corrections`). What a few short strokes reach is measured with :func:`first_strokes`.
+(:mod:`heartcase.phantom.corrections`). What a few short strokes reach is measured with :func:`first_strokes` and, as
+one set of strokes is one chance, with several of :func:`random_strokes`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -24,7 +26,7 @@ from heartcase.schemas.errors import UsageError
 from heartcase.schemas.heart_form import HeartForm
 from heartcase.schemas.settings import Stroke
 
-__all__ = ["LONGEST_SHORT_STROKE_MM", "first_strokes", "marker_strokes"]
+__all__ = ["LONGEST_SHORT_STROKE_MM", "first_strokes", "marker_strokes", "random_strokes"]
 
 Float64 = npt.NDArray[np.float64]
 _FIXED = (HeartForm(size="adult"), HeartForm(size="child"))
@@ -67,17 +69,47 @@ def first_strokes(phantom: HeartPhantom, count: int) -> tuple[Stroke, ...]:
     UsageError
         The count is below one.
     """
+    return tuple(
+        _stroke(label, *drawn[n])
+        for label, drawn in _short_lines(phantom, count).items()
+        for n in _middle_first([line for _, line in drawn], count)
+    )
+
+
+def random_strokes(phantom: HeartPhantom, count: int, seed: int) -> tuple[Stroke, ...]:
+    """``count`` short strokes of every label, taken at random from those that :func:`first_strokes` puts in order.
+
+    Parameters
+    ----------
+    phantom
+        The heart.
+    count
+        Strokes a label, background included; fewer where a small label has no more.
+    seed
+        Of the choice; a smaller count's strokes are not among those of a larger.
+
+    Raises
+    ------
+    UsageError
+        The count is below one.
+    """
+    generator = np.random.Generator(np.random.PCG64([seed, count]))
+    return tuple(
+        _stroke(label, *drawn[n])
+        for label, drawn in _short_lines(phantom, count).items()
+        for n in sorted(generator.permutation(len(drawn))[:count])
+    )
+
+
+def _short_lines(phantom: HeartPhantom, count: int) -> dict[str, list[tuple[float, Float64]]]:
+    """Radius of the brush and line of every short stroke, by label."""
     if count < 1:
         raise UsageError("every label needs at least one stroke", place="strokes")
     pieces: dict[str, list[tuple[float, Float64]]] = {}
     for label, radius, points in _drawn_lines(phantom):
         lines = _cut(points, LONGEST_SHORT_STROKE_MM)
         pieces.setdefault(label, []).extend((radius, line) for line in lines)
-    return tuple(
-        _stroke(label, *drawn[n])
-        for label, drawn in pieces.items()
-        for n in _middle_first([line for _, line in drawn], count)
-    )
+    return pieces
 
 
 def _stroke(label: str, radius: float, points: Float64) -> Stroke:
@@ -85,7 +117,8 @@ def _stroke(label: str, radius: float, points: Float64) -> Stroke:
     return Stroke(label=label, radius_mm=radius, points_mm=rounded)
 
 
-def _drawn_lines(phantom: HeartPhantom) -> list[tuple[str, float, Float64]]:
+@lru_cache(maxsize=2)
+def _drawn_lines(phantom: HeartPhantom) -> tuple[tuple[str, float, Float64], ...]:
     """Label, radius of the brush and line of every stroke."""
     radius = round(1.5 * phantom.scale, 1)
     fine = round(1.1 * phantom.scale, 1)
@@ -103,7 +136,7 @@ def _drawn_lines(phantom: HeartPhantom) -> list[tuple[str, float, Float64]]:
     if phantom.form.body_surface_m2 is not None:
         drawn += [("background", width, points) for width, points in _septal_lines(phantom)]
     drawn = [line for line in drawn if len(line[2])]
-    return drawn if phantom.form in _FIXED else [*drawn, *wall_lines(phantom, drawn)]
+    return tuple(drawn) if phantom.form in _FIXED else (*drawn, *wall_lines(phantom, drawn))
 
 
 def _cut(points: Float64, longest_mm: float) -> list[Float64]:

@@ -33,8 +33,8 @@ U = TypeVar("U")
 STAGE_VERSIONS = {
     "read": 3,
     "markers": 1,
-    "filter": 2,
-    "segment": 2,
+    "filter": 3,
+    "segment": 3,
     "walls": 13,
     "edit": 5,
     "grid": 10,

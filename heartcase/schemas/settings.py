@@ -52,15 +52,16 @@ class RegionSettings(Model):
 class FilterSettings(Model):
     """Edge-preserving smoothing of the scan (thesis 11.1.2)."""
 
-    method: Literal["gradient_diffusion", "none"] = "gradient_diffusion"
-    """Gradient anisotropic diffusion (Perona and Malik), or no filter."""
+    method: Literal["curvature_diffusion", "gradient_diffusion", "none"] | None = None
+    """Anisotropic diffusion by curvature (Whitaker and Xue), which smooths a border along itself and hardly across; by
+    gradient (Perona and Malik); or no filter. By curvature for a CT and by gradient for others when left out."""
     iterations: Annotated[int, Field(ge=1, le=200)] = 5
     """Number of diffusion steps."""
     conductance: Annotated[float, Field(gt=0.0, le=100.0)] | None = None
     """Edge threshold in units of the scan's root mean square gradient: lower keeps weaker edges. From the scan's own
     noise when left out."""
     time_step: Annotated[float, Field(gt=0.0)] | None = None
-    """Diffusion time step; the stability limit of the scan's spacing when left out."""
+    """Diffusion time step; in mm2; the stability limit of the method and the scan's spacing when left out."""
 
 
 class ThresholdRange(Model):

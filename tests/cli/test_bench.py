@@ -134,10 +134,12 @@ def test_wrong_cases_are_refused_in_words(tmp_path, text, words):
 def test_the_repository_s_own_cases_are_sound():
     cases = load_cases(ROOT / "benchmarks")
     assert {case.module for case in cases} <= {path.stem for path in (ROOT / "benchmarks").glob("*.py")}
-    table = [case for case in cases if case.name.startswith("accuracy-")]
+    table = [case for case in cases if case.module == "accuracy" and case.name.startswith("accuracy-")]
     # the table itself, and the child that nothing was chosen on
     assert len(table) == 4 * 3 * 5 + 2 * 3 * 3
     assert {tuple(case.methods) for case in table} == {("heartcase", "skimage", "growcut", "randomwalker")}
+    # three sizes in MR and CT, two stacks of flat voxels and the real CT
+    assert len([case for case in cases if case.group == "accuracy-default"]) == (3 * 5 + 2 + 1) * 3
 
 
 def test_a_run_goes_on_without_a_method_that_cannot_run(tmp_path, capsys):

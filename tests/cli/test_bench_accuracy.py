@@ -36,8 +36,15 @@ def accuracy(monkeypatch):
 
     yield accuracy
     for name in set(sys.modules) - before:
-        if name in ("accuracy", "phantom_inputs"):
+        if name in ("accuracy", "phantom_inputs", "scan_to_labels"):
             del sys.modules[name]
+
+
+@pytest.fixture
+def scan_to_labels(accuracy):
+    import scan_to_labels
+
+    return scan_to_labels
 
 
 def ball(radius: float) -> tuple[np.ndarray, np.ndarray]:
@@ -139,6 +146,30 @@ def test_every_method_finds_the_shells(accuracy, method):
     marked = inputs.markers.labels != Markers.UNMARKED
     np.testing.assert_array_equal(found.labels[marked], inputs.markers.labels[marked])
     assert (found.labels == inputs.true_labels).mean() > 0.93
+
+
+METHODS_OF_SCANS = ("heartcase", "heartcase_other", "gradient", "gradient_blurred", "curvature", "curvature_blurred")
+
+
+@pytest.mark.parametrize("method", METHODS_OF_SCANS)
+def test_every_method_finds_the_shells_from_the_scan_for_each_set_of_markers(accuracy, scan_to_labels, method):
+    assert tuple(scan_to_labels.METHODS) == METHODS_OF_SCANS
+    truth = shells(6.0, 10.0)
+    source = inputs_of(accuracy, truth)
+    noisy = source.filtered.values + np.random.default_rng(2).normal(0.0, 4.0, truth.shape)
+    marked = source.markers.labels
+    fewer = marked.copy()
+    fewer[INDEX[2] > 20] = Markers.UNMARKED
+    inputs = scan_to_labels.Inputs(
+        Scan(noisy.astype(np.float32), GEOMETRY), (marked, fewer), TABLE, truth, np.zeros(truth.shape, bool), (1, 9)
+    )
+    found = scan_to_labels.METHODS[method](inputs)
+    assert len(found) == 2
+    for labels, markers in zip(found, inputs.marker_sets, strict=True):
+        np.testing.assert_array_equal(labels[markers != Markers.UNMARKED], markers[markers != Markers.UNMARKED])
+    assert (found[0] == truth).mean() > 0.9
+    errors = scan_to_labels.errors(inputs, (truth, np.zeros_like(truth)))
+    assert errors["all labels Dice [1]"] == errors["left ventricle Dice [1]"] == 0.5
 
 
 def test_the_random_walker_says_why_it_is_left_out(accuracy):

@@ -9,6 +9,7 @@ import pytest
 from heartcase.cli.main import COMMANDS, cli, main
 from heartcase.pipeline.artifacts import artifact_to_bytes, load_artifact, load_history
 from heartcase.pipeline.data import Scan, Segmentation, SimulationGrid, Structures, Surface
+from heartcase.pipeline.read import read_scan
 from heartcase.pipeline.write import write_scan
 from heartcase.schemas.bundle import FileRole
 from heartcase.schemas.bundle_check import check_bundle
@@ -108,6 +109,24 @@ def test_the_stages_one_by_one_make_the_case_that_build_makes(work):
     assert built.manifest.about is not None
     assert built.manifest.quality["volumes_ml"]
     assert by_hand.manifest.model_dump() == built.manifest.model_dump()
+
+
+def test_the_recipe_s_kind_of_scan_decides_on_the_filter(work):
+    """A NIfTI does not say what it is."""
+    recipe = work / "ct.toml"
+    plain = (work / "ball.toml").read_text()
+    recipe.write_text(plain.replace("[scan]\n", '[scan]\nmodality = "CT"\n', 1))
+    assert 'modality = "CT"' in recipe.read_text()
+    found = []
+    for name, options in (
+        ("ct", ("--recipe", recipe)),
+        ("curvature", ("--set", "method=curvature_diffusion")),
+        ("gradient", ()),
+    ):
+        assert run("filter", work / "scan.nii.gz", work / f"{name}.nrrd", *options) == 0
+        found.append(read_scan(work / f"{name}.nrrd").values)
+    np.testing.assert_array_equal(found[0], found[1])
+    assert np.abs(found[0] - found[2]).max() > 0.0
 
 
 def test_images_in_and_out(work, capsys):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from heartcase.phantom.heart import HeartPhantom
-from heartcase.phantom.strokes import LONGEST_SHORT_STROKE_MM, first_strokes
+from heartcase.phantom.strokes import LONGEST_SHORT_STROKE_MM, first_strokes, random_strokes
 from heartcase.schemas.errors import UsageError
 from tests.phantom.test_strokes import segment_points
 
@@ -68,3 +68,16 @@ def test_the_first_stroke_is_nearer_to_the_middle_than_the_second(drawn):
 def test_no_stroke_at_all_is_refused():
     with pytest.raises(UsageError, match="at least one stroke"):
         first_strokes(HeartPhantom.child(), 0)
+
+
+def test_random_strokes_are_some_of_the_ordered_ones_and_others_for_another_seed(drawn):
+    phantom, _ = drawn
+    every = set(first_strokes(phantom, 1000))
+    some, same, other = (random_strokes(phantom, 3, seed) for seed in (1, 1, 2))
+    assert some == same != other
+    for strokes in (some, other):
+        assert set(strokes) <= every
+        assert len(set(strokes)) == len(strokes)
+        assert max(Counter(stroke.label for stroke in strokes).values()) == 3
+    with pytest.raises(UsageError, match="at least one stroke"):
+        random_strokes(phantom, 0, 1)

@@ -1,5 +1,6 @@
 """The recipe of the real scan: its limits always, its result where the scan is at hand."""
 
+import dataclasses
 from collections import Counter
 from pathlib import Path
 
@@ -91,7 +92,7 @@ def test_four_chambers_that_meet_only_at_their_valves_and_the_pulmonary_artery_o
     path = RECIPE.parent / recipe.scan.path
     if not path.exists():
         pytest.skip("the scan is not at hand; the recipe says where to get it")
-    whole = read_scan(path)
+    whole = dataclasses.replace(read_scan(path), modality=recipe.scan.modality)
     assert whole.geometry.matches(SCAN_GEOMETRY)
     scan = crop_scan(whole, recipe.region)
     markers = load_markers((), recipe.strokes, recipe.table, scan.geometry, RECIPE.parent)

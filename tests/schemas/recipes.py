@@ -84,7 +84,9 @@ def recipe_data(draw):
     optional = {
         "region": st.fixed_dictionaries({"center_mm": points, "size_mm": st.tuples(lengths, lengths, lengths)}),
         "filter": maybe(
-            method=st.sampled_from(["gradient_diffusion", "none"]), iterations=st.integers(1, 200), time_step=lengths
+            method=st.sampled_from(["curvature_diffusion", "gradient_diffusion", "none"]),
+            iterations=st.integers(1, 200),
+            time_step=lengths,
         ),
         "markers": st.lists(marker, max_size=2),
         "walls": maybe(smoothing_mm=st.floats(0, 20), band_mm=lengths),

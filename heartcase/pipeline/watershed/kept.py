@@ -15,7 +15,7 @@ from heartcase.pipeline.watershed.tree import BasinTree, build_basin_tree, resto
 
 __all__ = ["TREE_VERSION", "KeptTree", "scan_tree"]
 
-TREE_VERSION = 2
+TREE_VERSION = 3
 """Raised whenever the landscape or the order of the faces changes."""
 
 
