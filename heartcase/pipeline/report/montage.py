@@ -98,4 +98,4 @@ def font_of_size(size: int) -> ImageFont.FreeTypeFont:
     """The sans-serif font that pictures are written in, at a height in pixels."""
     import matplotlib
 
-    return ImageFont.truetype(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf", size)
+    return ImageFont.truetype(str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"), size)
