@@ -30,6 +30,8 @@ __all__ = ["Picture", "SurfaceParts", "ThicknessRow", "embedded_picture", "slice
 UInt8 = npt.NDArray[np.uint8]
 
 _LINES = ("-", "--", ":")
+_MOST_IN_THE_PLOT = 9
+"""Curves whose legend still fits beside them; that of more lies outside the axes."""
 _VIEW_COUNT = 4
 _SIDES: dict[View, str] = {
     "anterior": "From the front",
