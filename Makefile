@@ -3,6 +3,7 @@
 # make bench  run time against error (minutes)
 # make versions  every kernel compiles, and a sample case comes out as on the Python that ran this before
 # make lowest, make newest  the same with the oldest packages that pyproject.toml allows, and with the newest there are
+# make gpu    what only an NVIDIA GPU can show: tests and benchmarks of its engine (ten minutes)
 # All need Python 3.11 or newer and make. Another Python: make case PYTHON=python3.12 VENV=.venv-3.12
 
 PYTHON ?= python3
@@ -10,7 +11,7 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 LOCK ?= requirements.lock
 
-.PHONY: case test check plain bench versions lowest newest lock clean
+.PHONY: case test check plain bench versions lowest newest gpu lock clean
 
 # Not compiled to byte code: most of what comes is never imported, and the rest is compiled as it is.
 $(VENV)/installed: $(LOCK) pyproject.toml
@@ -67,6 +68,27 @@ newest:
 	$(VENV)-newest/bin/python -m pip install --quiet --disable-pip-version-check --upgrade --editable '.[dev]'
 	touch $(VENV)-newest/installed
 	$(MAKE) versions VENV=$(VENV)-newest OTHER_PACKAGES=1
+
+# An environment that has numba-cuda and pytest already: make gpu GPU_PYTHON=python3. A machine without the pipeline takes
+# lattices (python benchmarks/lattices.py out/lattices) and a case that another one made.
+GPU_PYTHON ?= $(VENV)-gpu/bin/python
+GPU_OUT ?= out/gpu
+GPU_JOBS ?= 6
+# Not in numba's simulator: there is no answer without a GPU.
+gpu: export NUMBA_ENABLE_CUDASIM = 0
+gpu: export HEARTCASE_LATTICES ?= out/lattices
+gpu: $(if $(filter file,$(origin GPU_PYTHON)),$(VENV)-gpu/installed)
+	mkdir -p $(GPU_OUT)
+	$(GPU_PYTHON) -m tests.parity.gpu
+	$(GPU_PYTHON) -m pytest -n $(GPU_JOBS) -p no:cacheprovider --durations 10 -k 'cuda or gpu' tests/parity tests/simulator/test_hands.py \
+	  tests/simulator/test_simulation.py tests/simulator/test_strain_sharing.py tests/stress/test_violence_other_backends.py
+	$(GPU_PYTHON) -m heartcase bench engine-gpu frame-adult-gpu --json $(GPU_OUT)/bench.json
+
+$(VENV)-gpu/installed: $(LOCK) pyproject.toml
+	$(PYTHON) -m venv $(VENV)-gpu
+	$(VENV)-gpu/bin/python -m pip install --quiet --disable-pip-version-check --no-compile -r $(LOCK)
+	$(VENV)-gpu/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[cuda]'
+	touch $@
 
 bench: $(VENV)/installed
 	$(BIN)/heartcase bench --json out/bench.json

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import os
+import pickle
 from collections.abc import Callable
 from typing import Any, overload
 
@@ -62,6 +63,41 @@ class _KernelCacheImpl(CompileResultCacheImpl):  # type: ignore[misc]
         return found
 
 
+class _StampedIndex(IndexDataCacheFile):  # type: ignore[misc]
+    """numba's index of what is kept of a function, with the stamp in front of the rest.
+
+    The rest names classes of modules that a newer heartcase may not have any more. numba reads it before it compares
+    the stamp, and fails.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self._version = f"{numba.__version__}, stamp first"
+
+    def _load_index(self) -> dict[Any, str]:
+        try:
+            with open(self._index_path, "rb") as file:
+                if pickle.load(file) != self._version or pickle.load(file) != self._source_stamp:
+                    return {}
+                return dict(pickle.loads(file.read()))
+        except Exception:  # none yet, or a damaged one, which can raise anything and costs no more than compiling again
+            return {}
+
+    def _save_index(self, overloads: dict[Any, str]) -> None:
+        with self._open_for_write(self._index_path) as file:
+            pickle.dump(self._version, file)
+            pickle.dump(self._source_stamp, file)
+            file.write(self._dump(overloads))
+
+    def _load_data(self, name: str) -> Any:
+        try:
+            return super()._load_data(name)
+        except OSError:
+            raise
+        except Exception:
+            raise OSError(f"{name} is damaged") from None  # which numba takes as absent
+
+
 class _KernelCache(FunctionCache):  # type: ignore[misc]
     """numba's cache of a function, which is fresh as long as all the source that it was compiled from is the same."""
 
@@ -72,7 +108,7 @@ class _KernelCache(FunctionCache):  # type: ignore[misc]
         file = inspect.getfile(function)
         if not os.path.exists(file):
             return  # in a zip archive or a frozen program numba takes the stamp of the whole
-        self._cache_file = IndexDataCacheFile(
+        self._cache_file = _StampedIndex(
             cache_path=self._cache_path,
             filename_base=self._impl.filename_base,
             source_stamp=source_stamp(file),

@@ -60,10 +60,10 @@ def package(tmp_path):
     return tmp_path
 
 
-def run(package: Path) -> list[float]:
+def run(package: Path, code: str = RUN) -> list[float]:
     environment = os.environ | {"PYTHONPATH": str(package), "NUMBA_CACHE_DIR": str(package / "cache")}
     done = subprocess.run(
-        [sys.executable, "-c", RUN], cwd=package, env=environment, capture_output=True, text=True, check=True
+        [sys.executable, "-c", code], cwd=package, env=environment, capture_output=True, text=True, check=True
     )
     return [float(text) for text in done.stdout.split()]
 
@@ -112,3 +112,21 @@ def late():
 def test_modules_that_import_different_things_have_different_stamps():
     stamps = {source_stamp(str(file)) for file in (PACKAGE / "simulator").glob("*.py")}
     assert len(stamps) == len(list((PACKAGE / "simulator").glob("*.py")))
+
+
+def test_what_a_module_that_is_gone_left_in_the_cache_is_compiled_anew(package):
+    """A kernel's arguments may be of a class that the next heartcase has under another name."""
+    simulator = package / "heartcase" / "simulator"
+    (simulator / "probe_point.py").write_text("from typing import NamedTuple\nclass Point(NamedTuple):\n    x: float\n")
+    lines = "from heartcase.simulator.probe_point import Point\n", "@kernel\ndef of_point(p):\n    return p.x\n"
+    (simulator / "probe_kernel.py").write_text("".join((lines[0], KERNEL, lines[1])))
+    code = RUN + "\nprint(p.of_point(p.Point(4.0)), sum(p.of_point.stats.cache_hits.values()))"
+    assert run(package, code)[3:] == [4.0, 0]
+    assert run(package, code)[3:] == [4.0, 1]
+    (simulator / "probe_point.py").rename(simulator / "probe_place.py")
+    (simulator / "probe_kernel.py").write_text("".join((lines[0].replace("_point", "_place"), KERNEL, lines[1])))
+    assert run(package, code)[3:] == [4.0, 0]
+    for kept in (package / "cache").rglob("probe_kernel.of_point-*.nb[ic]"):
+        kept.write_bytes(kept.read_bytes()[: kept.stat().st_size // 2])
+    assert run(package, code)[3:] == [4.0, 0]
+    assert run(package, code)[3:] == [4.0, 1]
