@@ -49,8 +49,8 @@ $(VENV)-plain/installed: requirements-plain.lock pyproject.toml
 	touch $@
 
 # Tests of the kernels that the adult phantom's case does not use.
-BESIDE = tests/pipeline/test_stage_versions.py tests/pipeline/formats/test_stl_parts.py tests/pipeline/test_markers.py \
-  tests/pipeline/watershed/test_forest.py tests/pipeline/test_wall_thickness.py tests/pipeline/edits/test_shapes.py \
+BESIDE = tests/pipeline/test_stage_versions.py tests/pipeline/formats/test_stl_parts.py tests/pipeline/markers/test_markers.py \
+  tests/pipeline/watershed/test_forest.py tests/pipeline/fields/test_wall_thickness.py tests/pipeline/edits/test_shapes.py \
   tests/pipeline/mesh/test_decimate.py tests/pipeline/mesh/test_normal_map.py
 
 # With an empty cache of numba's: all is compiled here and now. Other packages round some figures otherwise, and bring
@@ -80,8 +80,8 @@ gpu: export HEARTCASE_LATTICES ?= out/lattices
 gpu: $(if $(filter file,$(origin GPU_PYTHON)),$(VENV)-gpu/installed)
 	mkdir -p $(GPU_OUT)
 	$(GPU_PYTHON) -m tests.parity.gpu
-	$(GPU_PYTHON) -m pytest -n $(GPU_JOBS) -p no:cacheprovider --durations 10 -k 'cuda or gpu' tests/parity tests/simulator/test_hands.py \
-	  tests/simulator/test_simulation.py tests/simulator/test_strain_sharing.py tests/stress/test_violence_other_backends.py
+	$(GPU_PYTHON) -m pytest -n $(GPU_JOBS) -p no:cacheprovider --durations 10 -k 'cuda or gpu' tests/parity tests/simulator/instruments/test_hands.py \
+	  tests/simulator/test_simulation.py tests/simulator/lattice/test_strain_sharing.py tests/stress/test_violence_other_backends.py
 	$(GPU_PYTHON) -m heartcase bench engine-gpu frame-adult-gpu --json $(GPU_OUT)/bench.json
 
 $(VENV)-gpu/installed: $(LOCK) pyproject.toml

@@ -10,11 +10,11 @@ from typing import Any
 
 from phantom_inputs import phantom_inputs
 
-from heartcase.phantom.recipe import recipe_text
-from heartcase.pipeline.run import BuildResult, build_case
-from heartcase.pipeline.write import write_scan
-from heartcase.schemas.bundle_check import check_bundle
-from heartcase.schemas.recipe import load_recipe
+from heartcase.phantom.drawing.recipe import recipe_text
+from heartcase.pipeline.build.run import BuildResult, build_case
+from heartcase.pipeline.formats.write_images import write_scan
+from heartcase.schemas.bundle.check import check_bundle
+from heartcase.schemas.recipe.recipe import load_recipe
 
 
 @dataclass(frozen=True)

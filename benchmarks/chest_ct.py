@@ -11,13 +11,13 @@ from segment import METHODS, Inputs
 
 from heartcase.phantom.metrics import dice
 from heartcase.pipeline.data import Markers, Scan, Segmentation
-from heartcase.pipeline.filter import filter_scan
-from heartcase.pipeline.gradient import gradient_magnitude
-from heartcase.pipeline.markers import load_markers
-from heartcase.pipeline.read import read_labels, read_scan
-from heartcase.pipeline.region import crop_scan
+from heartcase.pipeline.formats.read_scan import read_labels, read_scan
+from heartcase.pipeline.image.filter_scan import filter_scan
+from heartcase.pipeline.image.gradient import gradient_magnitude
+from heartcase.pipeline.image.region import crop_scan
+from heartcase.pipeline.markers.load_markers import load_markers
 from heartcase.schemas.errors import UsageError
-from heartcase.schemas.recipe import load_recipe
+from heartcase.schemas.recipe.recipe import load_recipe
 
 __all__ = ["METHODS", "errors", "prepare"]
 

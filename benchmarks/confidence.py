@@ -11,12 +11,12 @@ import numpy.typing as npt
 from accuracy import Inputs, prepare
 from scipy.stats import rankdata
 
-from heartcase.pipeline.confidence import Sureness, sureness_of
+from heartcase.pipeline.markers.confidence import Sureness, sureness_of
 from heartcase.pipeline.watershed.certainty import voxel_certainty
 from heartcase.pipeline.watershed.forest import solve_forest
-from heartcase.pipeline.watershed.kept import scan_tree
 from heartcase.pipeline.watershed.tree import BasinTree
-from heartcase.schemas.settings import SegmentSettings
+from heartcase.pipeline.watershed.tree_cache import scan_tree
+from heartcase.schemas.recipe.settings import SegmentSettings
 
 __all__ = ["METHODS", "errors", "heartcase", "prepare"]
 

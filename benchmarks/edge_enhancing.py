@@ -17,14 +17,14 @@ import numpy.typing as npt
 from phantom_inputs import PhantomInputs, bare_truth, phantom_inputs
 from scipy import ndimage
 
+from heartcase.phantom.drawing.strokes import marker_strokes
 from heartcase.phantom.metrics import dice
-from heartcase.phantom.strokes import marker_strokes
 from heartcase.pipeline.data import Scan
-from heartcase.pipeline.filter import filter_scan, time_step_limit
-from heartcase.pipeline.markers import load_markers
-from heartcase.pipeline.noise import estimate_noise
-from heartcase.pipeline.segment import segment_scan
-from heartcase.schemas.settings import FilterSettings, SegmentSettings
+from heartcase.pipeline.image.filter_scan import filter_scan, time_step_limit
+from heartcase.pipeline.image.noise import estimate_noise
+from heartcase.pipeline.markers.load_markers import load_markers
+from heartcase.pipeline.watershed.segment_scan import segment_scan
+from heartcase.schemas.recipe.settings import FilterSettings, SegmentSettings
 
 Float32 = npt.NDArray[np.float32]
 

@@ -14,13 +14,13 @@ import numpy as np
 import numpy.typing as npt
 from phantom_inputs import PhantomInputs, bare_truth, phantom_inputs
 
-from heartcase.phantom.heart import HeartPhantom
+from heartcase.phantom.anatomy.heart import HeartPhantom
 from heartcase.pipeline.data import Segmentation, Structures
-from heartcase.pipeline.edit import apply_edits
-from heartcase.pipeline.fields import ownership_at_points, ownership_on_lattice
-from heartcase.pipeline.walls import grow_walls
-from heartcase.schemas.edit_settings import SeptalDefect
-from heartcase.schemas.settings import WallsSettings
+from heartcase.pipeline.edits.apply_edits import apply_edits
+from heartcase.pipeline.fields.reader import ownership_at_points, ownership_on_lattice
+from heartcase.pipeline.walls.grow_walls import grow_walls
+from heartcase.schemas.recipe.edit_settings import SeptalDefect
+from heartcase.schemas.recipe.settings import WallsSettings
 
 STEP_MM = 0.05
 

@@ -40,12 +40,12 @@ from elasticity_strips import Strip
 from statics import NoEquilibriumError
 
 from heartcase.schemas.benchmark import MethodSkipped
-from heartcase.simulator.engine import make_engine
-from heartcase.simulator.force_law import ForceLaw
-from heartcase.simulator.integrate import Verlet
-from heartcase.simulator.model import LatticeModel
-from heartcase.simulator.state import State
-from heartcase.simulator.step_size import SAFETY
+from heartcase.simulator.dynamics.integrate import Verlet
+from heartcase.simulator.dynamics.step_size import SAFETY
+from heartcase.simulator.engine.backends import make_engine
+from heartcase.simulator.lattice.force_law import ForceLaw
+from heartcase.simulator.lattice.model import LatticeModel
+from heartcase.simulator.lattice.state import State
 
 THICKNESS_MM = 10.0
 """Thickness of a bar, half the width of the punch: with it a number of cells is a size of cells."""

@@ -9,7 +9,7 @@ from skfem import Basis, ElementHex1, ElementVector, FacetBasis, LinearForm, Mes
 from skfem.models.elasticity import linear_elasticity
 from statics import solve_linear
 
-from heartcase.simulator.force_law import ForceLaw
+from heartcase.simulator.lattice.force_law import ForceLaw
 
 
 def solve_trilinear(scene: Scene, cells_per_unit: int, law: ForceLaw) -> float:

@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 from statics import Held, equilibrium
 
-from heartcase.simulator.force_law import ForceLaw
-from heartcase.simulator.model import LatticeModel, make_model
+from heartcase.simulator.lattice.force_law import ForceLaw
+from heartcase.simulator.lattice.model import LatticeModel, make_model
 
 Float64 = npt.NDArray[np.float64]
 Led = tuple[npt.NDArray[np.bool_], Float64]

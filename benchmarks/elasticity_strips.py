@@ -12,8 +12,8 @@ import numpy.typing as npt
 from elasticity_voxels import COVERAGE_MIN, located, voxelised
 from statics import solve_linear, stiffness
 
-from heartcase.simulator.force_law import ForceLaw
-from heartcase.simulator.model import LatticeModel
+from heartcase.simulator.lattice.force_law import ForceLaw
+from heartcase.simulator.lattice.model import LatticeModel
 
 Float64 = npt.NDArray[np.float64]
 

@@ -19,7 +19,7 @@ from skfem import Basis, ElementHex2, ElementVector, FacetBasis, LinearForm, Mes
 from skfem.models.elasticity import linear_elasticity
 from statics import Held, solve_linear, solve_newton
 
-from heartcase.simulator.force_law import ForceLaw
+from heartcase.simulator.lattice.force_law import ForceLaw
 
 Float64 = npt.NDArray[np.float64]
 Material = Callable[[Float64, float, float], tuple[Float64, Float64]]
@@ -42,7 +42,7 @@ def neo_hooke(F: Float64, mu: float, lam: float) -> tuple[Float64, Float64]:
 
 
 def our_energy(F: Float64, mu: float, lam: float) -> tuple[Float64, Float64]:
-    """W of heartcase/simulator/cell_forces.py without H: stress (n, 3, 3) and its derivative (n, 3, 3, 3, 3)."""
+    """W of heartcase/simulator/forces/cell_forces.py without H: stress (n, 3, 3) and its derivative (n, 3, 3, 3, 3)."""
     modulus = lam + mu / 3.0
     T = np.swapaxes(np.linalg.inv(F), 1, 2)
     J = np.linalg.det(F)[:, None, None]

@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from heartcase.schemas.lattice import CORNER_OFFSETS
-from heartcase.simulator.force_law import ForceLaw
-from heartcase.simulator.model import LatticeModel, make_model
+from heartcase.schemas.bundle.lattice import CORNER_OFFSETS
+from heartcase.simulator.lattice.force_law import ForceLaw
+from heartcase.simulator.lattice.model import LatticeModel, make_model
 
 Float64 = npt.NDArray[np.float64]
 

@@ -17,16 +17,16 @@ from phantom_inputs import phantom_inputs
 from scipy.ndimage import convolve
 from skimage.morphology import skeletonize
 
-from heartcase.phantom.heart import HeartPhantom
+from heartcase.phantom.anatomy.heart import HeartPhantom
 from heartcase.pipeline.data import Segmentation
-from heartcase.pipeline.end_discs import Stumps
-from heartcase.pipeline.filter import filter_scan
-from heartcase.pipeline.find_ends import find_ends
-from heartcase.pipeline.lumen_sections import angle_between
-from heartcase.pipeline.segment import segment_scan
-from heartcase.pipeline.walls import resolve_walls
-from heartcase.schemas.heart_form import HeartForm
-from heartcase.schemas.settings import FilterSettings, SegmentSettings, WallsSettings
+from heartcase.pipeline.ends.discs import Stumps
+from heartcase.pipeline.ends.find_ends import find_ends
+from heartcase.pipeline.ends.lumen_sections import angle_between
+from heartcase.pipeline.image.filter_scan import filter_scan
+from heartcase.pipeline.walls.grow_walls import resolve_walls
+from heartcase.pipeline.watershed.segment_scan import segment_scan
+from heartcase.schemas.recipe.heart_form import HeartForm
+from heartcase.schemas.recipe.settings import FilterSettings, SegmentSettings, WallsSettings
 
 Float64 = npt.NDArray[np.float64]
 

@@ -13,10 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.schemas.benchmark import MethodSkipped
-from heartcase.simulator.integrate import Verlet
-from heartcase.simulator.lanes import lane_layout
-from heartcase.simulator.model import LatticeModel
-from heartcase.simulator.state import State
+from heartcase.simulator.dynamics.integrate import Verlet
+from heartcase.simulator.engine.shared.lanes import lane_layout
+from heartcase.simulator.lattice.model import LatticeModel
+from heartcase.simulator.lattice.state import State
 
 __all__ = ["CppLattice"]
 

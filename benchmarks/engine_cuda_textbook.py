@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import cuda
 
-from heartcase.simulator.integrate import Verlet
-from heartcase.simulator.state import State
+from heartcase.simulator.dynamics.integrate import Verlet
+from heartcase.simulator.lattice.state import State
 
 __all__ = ["CudaTextbook"]
 

@@ -1,6 +1,6 @@
-// Steps of the spring lattice by hand in C++, on the lanes of heartcase.simulator.lanes. A peer, not ours.
+// Steps of the spring lattice by hand in C++, on the lanes of heartcase.simulator.engine.shared.lanes. A peer, not ours.
 //
-// Windows, weights and the formula of a spring's force are those of heartcase/simulator/kernel_cpu_springs.py. Other than
+// Windows, weights and the formula of a spring's force are those of heartcase/simulator/engine/cpu/springs.py. Other than
 // there, lanes do not lie in banks, weights lie by lane alone, and each spring is worked out from both ends, at once:
 // 1. A window of 8 lanes starts wherever a node does, not at a multiple of 8, so that fewer lanes are empty.
 // 2. Lengths are in units of two cells. With U = D / 2 and o the rest vector in cells, e / 4 = o.U + U.U and

@@ -7,8 +7,8 @@ import os
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.simulator.integrate import Verlet
-from heartcase.simulator.state import State
+from heartcase.simulator.dynamics.integrate import Verlet
+from heartcase.simulator.lattice.state import State
 
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
 

@@ -7,8 +7,8 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from heartcase.simulator.integrate import Verlet
-from heartcase.simulator.state import State
+from heartcase.simulator.dynamics.integrate import Verlet
+from heartcase.simulator.lattice.state import State
 
 wp.config.log_level = wp.LOG_ERROR
 wp.config.kernel_cache_dir = str(Path(tempfile.gettempdir()) / "heartcase-benchmark-warp")

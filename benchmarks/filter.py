@@ -11,8 +11,8 @@ import SimpleITK as sitk
 from phantom_inputs import PhantomInputs, phantom_inputs
 
 from heartcase.pipeline.data import Scan
-from heartcase.pipeline.filter import filter_scan, resolve_filter
-from heartcase.schemas.settings import FilterSettings
+from heartcase.pipeline.image.filter_scan import filter_scan, resolve_filter
+from heartcase.schemas.recipe.settings import FilterSettings
 
 sitk.ProcessObject.SetGlobalWarningDisplay(False)
 

@@ -19,10 +19,10 @@ import numpy.typing as npt
 from build import build_phantom
 from safetensors.numpy import load_file
 
-from heartcase.simulator.integrate import verlet_step
+from heartcase.simulator.dynamics.integrate import verlet_step
+from heartcase.simulator.lattice.state import State
 from heartcase.simulator.load import load_case
 from heartcase.simulator.simulation import Simulation
-from heartcase.simulator.state import State
 
 Float64 = npt.NDArray[np.float64]
 

@@ -20,12 +20,12 @@ import numpy as np
 
 from heartcase.schemas.benchmark import MethodSkipped
 from heartcase.schemas.errors import SimulationError
-from heartcase.simulator.engine import Backend
-from heartcase.simulator.instruments import Grab
+from heartcase.simulator.engine.backends import Backend
+from heartcase.simulator.instruments.held import Grab
 from heartcase.simulator.load import Case, load_case
 from heartcase.simulator.simulation import Simulation
-from heartcase.simulator.surface import DeformedSurface, deform
-from heartcase.simulator.surface_moved import SurfaceFollower
+from heartcase.simulator.surface.deform import DeformedSurface, deform
+from heartcase.simulator.surface.followers import SurfaceFollower
 
 FRAME_S = 1 / 30
 PULL_MM = (4.0, -3.0, 5.0)

@@ -11,13 +11,13 @@ from phantom_inputs import PhantomInputs, bare_truth, phantom_inputs
 from skimage.measure import marching_cubes
 
 from heartcase.phantom.metrics import SurfaceError, closest_distance_mm
+from heartcase.pipeline.cells.build_grid import build_grid
+from heartcase.pipeline.cells.map_surface import map_surface
 from heartcase.pipeline.data import GridMap, Segmentation, SimulationGrid, Structures, Surface
-from heartcase.pipeline.fields import ownership_on_lattice
-from heartcase.pipeline.grid import build_grid
-from heartcase.pipeline.map import map_surface
-from heartcase.pipeline.surface import build_surface
-from heartcase.pipeline.walls import grow_walls
-from heartcase.schemas.settings import GridSettings, MapSettings, SurfaceSettings, WallsSettings
+from heartcase.pipeline.fields.reader import ownership_on_lattice
+from heartcase.pipeline.mesh.build_surface import build_surface
+from heartcase.pipeline.walls.grow_walls import grow_walls
+from heartcase.schemas.recipe.settings import GridSettings, MapSettings, SurfaceSettings, WallsSettings
 
 
 @dataclass(frozen=True)

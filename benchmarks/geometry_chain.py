@@ -21,17 +21,17 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from heartcase.phantom.metrics import closest_distance_mm
+from heartcase.pipeline.cells.build_grid import build_grid
+from heartcase.pipeline.cells.map_surface import map_surface
 from heartcase.pipeline.data import Segmentation
-from heartcase.pipeline.grid import build_grid
-from heartcase.pipeline.map import map_surface
-from heartcase.pipeline.mesh.atlas import Atlas, tangents
-from heartcase.pipeline.mesh.decimate import mesh_defects
-from heartcase.pipeline.mesh.intersections import self_intersections
-from heartcase.pipeline.side_by_side import side_by_side
-from heartcase.pipeline.surface import build_surface
-from heartcase.pipeline.walls import grow_walls
+from heartcase.pipeline.kernels.parallel import side_by_side
+from heartcase.pipeline.mesh.build_surface import build_surface
+from heartcase.pipeline.mesh.decimation.decimate import mesh_defects
+from heartcase.pipeline.mesh.texture.atlas import Atlas, tangents
+from heartcase.pipeline.mesh.triangles.intersections import self_intersections
+from heartcase.pipeline.walls.grow_walls import grow_walls
 from heartcase.schemas.benchmark import MethodSkipped
-from heartcase.schemas.settings import EndMarker, GridSettings, MapSettings, SurfaceSettings, WallsSettings
+from heartcase.schemas.recipe.settings import EndMarker, GridSettings, MapSettings, SurfaceSettings, WallsSettings
 
 Float64 = npt.NDArray[np.float64]
 

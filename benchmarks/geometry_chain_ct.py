@@ -13,13 +13,13 @@ from chest_ct import RECIPE
 from geometry_chain import METHODS, Inputs, Shown, soundness
 
 from heartcase.phantom.metrics import closest_distance_mm
-from heartcase.pipeline.filter import filter_scan
-from heartcase.pipeline.markers import load_markers
-from heartcase.pipeline.read import read_scan
-from heartcase.pipeline.region import crop_scan
-from heartcase.pipeline.segment import segment_scan
+from heartcase.pipeline.formats.read_scan import read_scan
+from heartcase.pipeline.image.filter_scan import filter_scan
+from heartcase.pipeline.image.region import crop_scan
+from heartcase.pipeline.markers.load_markers import load_markers
+from heartcase.pipeline.watershed.segment_scan import segment_scan
 from heartcase.schemas.errors import UsageError
-from heartcase.schemas.recipe import load_recipe
+from heartcase.schemas.recipe.recipe import load_recipe
 
 __all__ = ["METHODS", "errors", "prepare"]
 

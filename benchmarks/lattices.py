@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from heartcase.schemas.benchmark import MethodSkipped
-from heartcase.simulator.model import LatticeModel, make_model
+from heartcase.simulator.lattice.model import LatticeModel, make_model
 
 NODE_COUNTS = (10_000, 20_000, 30_000, 60_000, 100_000, 250_000)
 """What is written for other machines."""
@@ -49,8 +49,8 @@ def _made(node_count: int) -> dict[str, Any]:
     try:
         from geometry import prepare as prepare_geometry
 
-        from heartcase.pipeline.grid import build_grid
-        from heartcase.schemas.settings import GridSettings
+        from heartcase.pipeline.cells.build_grid import build_grid
+        from heartcase.schemas.recipe.settings import GridSettings
     except ImportError:
         raise MethodSkipped("it needs heartcase[prepare], or HEARTCASE_LATTICES (benchmarks/lattices.py)") from None
     structures = prepare_geometry(SCAN | {"stage": "grid"}).structures

@@ -16,12 +16,12 @@ import numpy.typing as npt
 from geometry import prepare as prepare_geometry
 from scipy.spatial import cKDTree
 
+from heartcase.pipeline.cells.map_surface import map_surface
 from heartcase.pipeline.data import GridMap, SimulationGrid, Surface
-from heartcase.pipeline.map import map_surface
-from heartcase.schemas.lattice import CORNER_OFFSETS, cell_nodes
-from heartcase.schemas.settings import MapSettings
-from heartcase.simulator.model import LatticeModel, make_model
-from heartcase.simulator.surface import Curvature, SurfaceModel, deform, make_surface
+from heartcase.schemas.bundle.lattice import CORNER_OFFSETS, cell_nodes
+from heartcase.schemas.recipe.settings import MapSettings
+from heartcase.simulator.lattice.model import LatticeModel, make_model
+from heartcase.simulator.surface.deform import Curvature, SurfaceModel, deform, make_surface
 
 Float64 = npt.NDArray[np.float64]
 

@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from heartcase.phantom import tables
-from heartcase.phantom.heart import HeartPhantom
-from heartcase.phantom.nearest import SampleTree
+from heartcase.phantom.anatomy import tables
+from heartcase.phantom.anatomy.heart import HeartPhantom
+from heartcase.phantom.anatomy.nearest import SampleTree
 
 Float64 = npt.NDArray[np.float64]
 COMPARED = 50

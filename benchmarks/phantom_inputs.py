@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 
 import heartcase.phantom
-from heartcase.phantom.acquisition import CT_UNITS, MRI_UNITS, CtArtefacts, acquire_ct, acquire_mri, noise_free
-from heartcase.phantom.heart import HeartPhantom
-from heartcase.phantom.strokes import marker_strokes
-from heartcase.pipeline.cache import Cache, stage_key
+from heartcase.phantom.anatomy.heart import HeartPhantom
+from heartcase.phantom.drawing.strokes import marker_strokes
+from heartcase.phantom.scan.acquisition import CT_UNITS, MRI_UNITS, CtArtefacts, acquire_ct, acquire_mri, noise_free
+from heartcase.pipeline.artifacts.cache import Cache, stage_key
 from heartcase.pipeline.data import Markers, Scan, Segmentation
-from heartcase.pipeline.markers import load_markers
+from heartcase.pipeline.markers.load_markers import load_markers
 from heartcase.schemas.geometry import Geometry
-from heartcase.schemas.heart_form import HeartForm
+from heartcase.schemas.recipe.heart_form import HeartForm
 
 STREAK_HU = 150.0
 """By how much streaks from undiluted contrast medium darken the worst place."""

@@ -21,21 +21,21 @@ from accuracy import behind_ends
 from phantom_inputs import bare_truth, phantom_inputs
 from skimage.segmentation import watershed
 
+from heartcase.phantom.drawing.strokes import first_strokes, random_strokes
 from heartcase.phantom.metrics import dice
-from heartcase.phantom.strokes import first_strokes, random_strokes
 from heartcase.pipeline.data import Markers, Scan
-from heartcase.pipeline.filter import filter_scan
-from heartcase.pipeline.landscape import landscape
-from heartcase.pipeline.markers import load_markers
-from heartcase.pipeline.read import read_labels, read_scan
-from heartcase.pipeline.region import crop_scan
+from heartcase.pipeline.formats.read_scan import read_labels, read_scan
+from heartcase.pipeline.image.filter_scan import filter_scan
+from heartcase.pipeline.image.landscape import landscape
+from heartcase.pipeline.image.region import crop_scan
+from heartcase.pipeline.markers.load_markers import load_markers
 from heartcase.pipeline.watershed.forest import solve_forest
 from heartcase.pipeline.watershed.tree import build_basin_tree
 from heartcase.schemas.benchmark import MethodSkipped
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable
-from heartcase.schemas.recipe import load_recipe
-from heartcase.schemas.settings import FilterSettings, SegmentSettings, Stroke
+from heartcase.schemas.recipe.recipe import load_recipe
+from heartcase.schemas.recipe.settings import FilterSettings, SegmentSettings, Stroke
 
 sitk.ProcessObject.SetGlobalWarningDisplay(False)
 

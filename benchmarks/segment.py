@@ -9,16 +9,16 @@ import numpy as np
 import SimpleITK as sitk
 from phantom_inputs import phantom_inputs
 
+from heartcase.phantom.anatomy.truth import Truth
 from heartcase.phantom.metrics import dice, surface_error
-from heartcase.phantom.truth import Truth
+from heartcase.pipeline.build.run import labels_of
 from heartcase.pipeline.data import Markers, Scan, Segmentation
-from heartcase.pipeline.filter import filter_scan
-from heartcase.pipeline.gradient import gradient_magnitude
-from heartcase.pipeline.run import labels_of
-from heartcase.pipeline.segment import segment_scan
-from heartcase.pipeline.walls import grow_walls
+from heartcase.pipeline.image.filter_scan import filter_scan
+from heartcase.pipeline.image.gradient import gradient_magnitude
+from heartcase.pipeline.walls.grow_walls import grow_walls
+from heartcase.pipeline.watershed.segment_scan import segment_scan
 from heartcase.schemas.labels import LabelTable
-from heartcase.schemas.settings import EndMarker, FilterSettings, SegmentSettings, WallsSettings
+from heartcase.schemas.recipe.settings import EndMarker, FilterSettings, SegmentSettings, WallsSettings
 
 
 @dataclass(frozen=True)

@@ -13,22 +13,22 @@ from typing import Any
 
 import numpy as np
 
-from heartcase.phantom.acquisition import acquire_ct, acquire_mri
-from heartcase.phantom.heart import HeartPhantom
+from heartcase.phantom.anatomy.heart import HeartPhantom
+from heartcase.phantom.drawing.strokes import first_strokes
 from heartcase.phantom.metrics import wall_thickness_error
-from heartcase.phantom.strokes import first_strokes
+from heartcase.phantom.scan.acquisition import acquire_ct, acquire_mri
+from heartcase.pipeline.build.run import labels_of
+from heartcase.pipeline.checks.openings import Verdict, find_openings
 from heartcase.pipeline.data import Scan, Segmentation, Structures
-from heartcase.pipeline.filter import filter_scan
-from heartcase.pipeline.markers import load_markers
-from heartcase.pipeline.openings import Verdict, find_openings
-from heartcase.pipeline.run import labels_of
-from heartcase.pipeline.segment import segment_scan
-from heartcase.pipeline.septa import open_places
-from heartcase.pipeline.surface import build_surface
-from heartcase.pipeline.walls import grow_walls
-from heartcase.schemas.edit_settings import SeptalDefect
-from heartcase.schemas.heart_form import HeartForm
-from heartcase.schemas.settings import (
+from heartcase.pipeline.image.filter_scan import filter_scan
+from heartcase.pipeline.markers.load_markers import load_markers
+from heartcase.pipeline.mesh.build_surface import build_surface
+from heartcase.pipeline.walls.grow_walls import grow_walls
+from heartcase.pipeline.walls.septa import open_places
+from heartcase.pipeline.watershed.segment_scan import segment_scan
+from heartcase.schemas.recipe.edit_settings import SeptalDefect
+from heartcase.schemas.recipe.heart_form import HeartForm
+from heartcase.schemas.recipe.settings import (
     FilterSettings,
     SegmentSettings,
     SeptumThickness,

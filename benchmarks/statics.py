@@ -14,9 +14,9 @@ import numpy.typing as npt
 import scipy.sparse as sp
 from scipy.sparse.linalg import SuperLU, splu
 
-from heartcase.simulator.cell_forces import MODES, mean_gradients, mean_slopes, own_forces_at_corners, stretching
-from heartcase.simulator.forces_reference import elastic_forces
-from heartcase.simulator.model import LatticeModel
+from heartcase.simulator.forces.cell_forces import MODES, mean_gradients, mean_slopes, own_forces_at_corners, stretching
+from heartcase.simulator.forces.reference import elastic_forces
+from heartcase.simulator.lattice.model import LatticeModel
 
 Float64 = npt.NDArray[np.float64]
 Held = tuple[npt.NDArray[np.intp], Float64]

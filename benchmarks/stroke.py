@@ -15,12 +15,12 @@ from phantom_inputs import PhantomInputs, bare_truth, phantom_inputs
 from skimage.segmentation import watershed
 
 from heartcase.pipeline.data import Markers
-from heartcase.pipeline.filter import filter_scan
-from heartcase.pipeline.session import SegmentationSession
+from heartcase.pipeline.image.filter_scan import filter_scan
+from heartcase.pipeline.markers.session import SegmentationSession
 from heartcase.pipeline.watershed.forest import solve_forest
-from heartcase.pipeline.watershed.kept import scan_tree
 from heartcase.pipeline.watershed.tree import BasinTree
-from heartcase.schemas.settings import FilterSettings, SegmentSettings, Stroke
+from heartcase.pipeline.watershed.tree_cache import scan_tree
+from heartcase.schemas.recipe.settings import FilterSettings, SegmentSettings, Stroke
 
 REPEATS = {"heartcase": 300, "anew": 20, "skimage": 2}
 STROKE_LENGTH_MM = 10.0

@@ -15,10 +15,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import brentq, least_squares
 
-from heartcase.simulator.force_law import ForceLaw, LawName
-from heartcase.simulator.model import LatticeModel, make_model
+from heartcase.simulator.lattice.force_law import ForceLaw, LawName
+from heartcase.simulator.lattice.model import LatticeModel, make_model
+from heartcase.simulator.lattice.state import State
 from heartcase.simulator.simulation import Simulation
-from heartcase.simulator.state import State
 
 Float64 = npt.NDArray[np.float64]
 

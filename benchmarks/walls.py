@@ -20,12 +20,12 @@ from skimage.measure import marching_cubes
 
 from heartcase.phantom.metrics import SurfaceError, closest_distance_mm, wall_thickness_errors
 from heartcase.pipeline.data import Segmentation, Structures
-from heartcase.pipeline.filter import filter_scan
-from heartcase.pipeline.segment import segment_scan
-from heartcase.pipeline.surface import build_surface
-from heartcase.pipeline.walls import grow_walls
+from heartcase.pipeline.image.filter_scan import filter_scan
+from heartcase.pipeline.mesh.build_surface import build_surface
+from heartcase.pipeline.walls.grow_walls import grow_walls
+from heartcase.pipeline.watershed.segment_scan import segment_scan
 from heartcase.schemas.labels import LabelTable
-from heartcase.schemas.settings import FilterSettings, SegmentSettings, SurfaceSettings, WallsSettings
+from heartcase.schemas.recipe.settings import FilterSettings, SegmentSettings, SurfaceSettings, WallsSettings
 
 Float32 = npt.NDArray[np.float32]
 Float64 = npt.NDArray[np.float64]

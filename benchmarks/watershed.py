@@ -19,13 +19,13 @@ from skimage.segmentation import watershed
 
 from heartcase.phantom.metrics import dice
 from heartcase.pipeline.data import Markers
-from heartcase.pipeline.filter import filter_scan
-from heartcase.pipeline.landscape import landscape
-from heartcase.pipeline.segment import segment_scan
+from heartcase.pipeline.image.filter_scan import filter_scan
+from heartcase.pipeline.image.landscape import landscape
 from heartcase.pipeline.watershed.certainty import voxel_certainty
 from heartcase.pipeline.watershed.forest import solve_forest
+from heartcase.pipeline.watershed.segment_scan import segment_scan
 from heartcase.pipeline.watershed.tree import build_basin_tree
-from heartcase.schemas.settings import FilterSettings, SegmentSettings
+from heartcase.schemas.recipe.settings import FilterSettings, SegmentSettings
 
 UInt8 = npt.NDArray[np.uint8]
 

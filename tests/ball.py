@@ -7,7 +7,7 @@ import os
 import numpy as np
 
 from heartcase.pipeline.data import Scan
-from heartcase.pipeline.write import write_scan
+from heartcase.pipeline.formats.write_images import write_scan
 from heartcase.schemas.geometry import Geometry
 
 INNER_MM, OUTER_MM = 14.0, 20.0

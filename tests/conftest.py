@@ -36,7 +36,7 @@ def shared_anatomies(tmp_path_factory):
     import hashlib
     import pickle
 
-    from heartcase.phantom import heart
+    from heartcase.phantom.anatomy import heart
 
     own = tmp_path_factory.getbasetemp()
     folder = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "anatomies"

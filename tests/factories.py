@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from heartcase.pipeline.bundle import BundleContent, assemble_bundle, resolve_materials
+from heartcase.pipeline.bundle.write_bundle import BundleContent, assemble_bundle, resolve_materials
 from heartcase.pipeline.data import GridMap, PickingSurface, SimulationGrid, Surface
-from heartcase.schemas.bundle import StageRecord
+from heartcase.schemas.bundle.format import StageRecord
+from heartcase.schemas.bundle.lattice import FULL_MOMENTS, cell_nodes
+from heartcase.schemas.bundle.surface_kinds import SurfaceKind
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable, default_label_table
-from heartcase.schemas.lattice import FULL_MOMENTS, cell_nodes
-from heartcase.schemas.settings import MaterialsSettings
-from heartcase.schemas.surface_kinds import SurfaceKind
+from heartcase.schemas.recipe.settings import MaterialsSettings
 
 TABLE: LabelTable = default_label_table().with_walls()
 MYOCARDIUM = 9

@@ -2,7 +2,7 @@
 
 import sys
 
-from heartcase.pipeline.bundle import write_bundle
+from heartcase.pipeline.bundle.write_bundle import write_bundle
 from tests.factories import block_case
 
 if __name__ == "__main__":

@@ -43,7 +43,12 @@ COMMANDS: dict[str, str] = {
     "bundle": "Stage: write the case.",
     "schema": "Print or write the JSON Schemas.",
 }
-"""Name -> one-line help of each subcommand; its code is in the module of the same name."""
+"""Name -> one-line help of each subcommand."""
+
+_ROOMS = {"bench": "bench", "library": "library"} | dict.fromkeys(
+    ("filter", "segment", "walls", "edit", "grid", "surface", "map", "bundle"), "stages"
+)
+"""Folder of the module of a command's name, where it is not ``commands``."""
 
 INTERNAL_ERROR = 70
 """Exit code of what should not happen (EX_SOFTWARE of sysexits)."""
@@ -80,7 +85,7 @@ class _LazyGroup(click.Group):
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
         if name not in COMMANDS:
             return None
-        module = importlib.import_module(f"heartcase.cli.{name}")
+        module = importlib.import_module(f"heartcase.cli.{_ROOMS.get(name, 'commands')}.{name}")
         command: click.Command = module.command
         return command
 

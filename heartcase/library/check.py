@@ -17,15 +17,15 @@ from scipy.optimize import least_squares
 
 from heartcase.library.diff import mesh_of
 from heartcase.library.openings import FalseOpening, false_openings
-from heartcase.phantom.heart import HeartPhantom
+from heartcase.phantom.anatomy.heart import HeartPhantom
+from heartcase.phantom.anatomy.truth import Truth
 from heartcase.phantom.metrics import SurfaceError, dice
-from heartcase.phantom.truth import Truth
-from heartcase.pipeline.read import read_labels
-from heartcase.schemas.bundle import FileRole
-from heartcase.schemas.bundle_reader import open_bundle
-from heartcase.schemas.edit_settings import SeptalDefect
+from heartcase.pipeline.formats.read_scan import read_labels
+from heartcase.schemas.bundle.format import FileRole
+from heartcase.schemas.bundle.reader import open_bundle
 from heartcase.schemas.errors import UsageError
-from heartcase.schemas.phantom_scan import PhantomScan
+from heartcase.schemas.recipe.edit_settings import SeptalDefect
+from heartcase.schemas.recipe.phantom_scan import PhantomScan
 
 __all__ = ["CaseCheck", "DefectCheck", "check_case", "joined_cavities"]
 

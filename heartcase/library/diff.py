@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.schemas.bundle import CaseManifest, FileRole
+from heartcase.schemas.bundle.format import CaseManifest, FileRole
 from heartcase.schemas.errors import BundleError, UsageError
 from heartcase.schemas.files import sha256_of_file
 
 if TYPE_CHECKING:
-    from heartcase.schemas.bundle_reader import OpenBundle
+    from heartcase.schemas.bundle.reader import OpenBundle
 
 __all__ = ["CaseChange", "Tolerances", "diff_libraries", "mesh_of", "surface_change", "warning_changes"]
 
@@ -94,8 +94,8 @@ def surface_change(one: Mesh, other: Mesh) -> tuple[float, float]:
 
     The largest is the Hausdorff distance but for what lies inside triangles.
     """
-    from heartcase.pipeline.mesh.mesh_distance import mesh_distance_mm
-    from heartcase.pipeline.mesh.triangle_grid import triangle_grid
+    from heartcase.pipeline.mesh.triangles.mesh_distance import mesh_distance_mm
+    from heartcase.pipeline.mesh.triangles.triangle_grid import triangle_grid
 
     there = mesh_distance_mm(np.asarray(one[0], np.float64), triangle_grid(*other))
     back = mesh_distance_mm(np.asarray(other[0], np.float64), triangle_grid(*one))
@@ -103,7 +103,7 @@ def surface_change(one: Mesh, other: Mesh) -> tuple[float, float]:
 
 
 def _change(name: str, old: Path, new: Path, allowed: Tolerances) -> CaseChange:
-    from heartcase.schemas.bundle_reader import open_bundle
+    from heartcase.schemas.bundle.reader import open_bundle
 
     if not new.exists():
         return CaseChange(name, "removed", ("the case is gone",))

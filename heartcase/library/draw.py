@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from heartcase.phantom.recipe import drawn_part
+from heartcase.phantom.drawing.recipe import drawn_part
 from heartcase.schemas.errors import RecipeError
 from heartcase.schemas.files import atomic_write
-from heartcase.schemas.recipe import parse_recipe, read_recipe_text
+from heartcase.schemas.recipe.recipe import parse_recipe, read_recipe_text
 
 __all__ = ["DRAWN_BELOW", "draw_recipe"]
 

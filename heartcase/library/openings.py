@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from heartcase.phantom.truth import Truth
-from heartcase.pipeline.openings import Verdict
+from heartcase.phantom.anatomy.truth import Truth
+from heartcase.pipeline.checks.openings import Verdict
 
 __all__ = ["FalseOpening", "false_openings"]
 

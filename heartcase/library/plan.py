@@ -3,7 +3,7 @@
 A stamp is the hash of the recipe's text, of size and time of every file that it reads, and of the versions of software,
 stages and phantom. Where it is that of the record, and the case's files are those that the build wrote, nothing is
 opened. A stamp that changed says only that the case has to be looked at: what is computed again is decided by hashes
-of contents, in the cache (:mod:`heartcase.pipeline.cache`).
+of contents, in the cache (:mod:`heartcase.pipeline.artifacts.cache`).
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from typing import Any
 
 from heartcase import __version__
 from heartcase.phantom.version import PHANTOM_VERSION
-from heartcase.pipeline.runner import STAGE_VERSIONS
+from heartcase.pipeline.stages.table import stage_versions
 from heartcase.schemas.errors import HeartcaseError, Problem, RecipeError, UsageError
 from heartcase.schemas.files import atomic_write
-from heartcase.schemas.recipe import parse_recipe, read_recipe_text
+from heartcase.schemas.recipe.recipe import parse_recipe, read_recipe_text
 
 __all__ = ["CaseRecord", "LibraryCase", "files_written", "is_up_to_date", "plan_library", "read_record", "write_record"]
 
@@ -199,7 +199,7 @@ def _read_known(path: Path) -> Known:
 
 def _stamp(recipe_sha256: str, inputs: list[str], directory: Path) -> str:
     stats = [[path, *_stats_of(directory / path)] for path in inputs]
-    from_what: list[Any] = [__version__, STAGE_VERSIONS, PHANTOM_VERSION, recipe_sha256, stats]
+    from_what: list[Any] = [__version__, stage_versions(), PHANTOM_VERSION, recipe_sha256, stats]
     return hashlib.sha256(json.dumps(from_what, sort_keys=True).encode()).hexdigest()
 
 

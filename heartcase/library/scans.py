@@ -7,14 +7,14 @@ import os
 from pathlib import Path
 from typing import Any
 
-from heartcase.phantom.made_scan import made_scan
+from heartcase.phantom.scan.made_scan import made_scan
 from heartcase.phantom.version import PHANTOM_VERSION
 from heartcase.pipeline.data import Scan
-from heartcase.pipeline.write import write_scan
+from heartcase.pipeline.formats.write_images import write_scan
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.files import TEMPORARY_PREFIX, atomic_write, remove_leftovers, sha256_of_file
-from heartcase.schemas.phantom_scan import PhantomScan
-from heartcase.schemas.recipe import ScanSource
+from heartcase.schemas.recipe.phantom_scan import PhantomScan
+from heartcase.schemas.recipe.recipe import ScanSource
 
 __all__ = ["ensure_scan", "note_scan", "scan_is_made"]
 

@@ -11,9 +11,9 @@ from pathlib import Path
 
 from heartcase.library.plan import CaseRecord, LibraryCase, files_written, write_record
 from heartcase.library.scans import ensure_scan
-from heartcase.pipeline.run import build_case
+from heartcase.pipeline.build.run import build_case
 from heartcase.schemas.errors import HeartcaseError
-from heartcase.schemas.recipe import load_recipe
+from heartcase.schemas.recipe.recipe import load_recipe
 
 __all__ = ["build_one"]
 

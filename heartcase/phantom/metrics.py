@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.phantom.truth import Truth
+from heartcase.phantom.anatomy.truth import Truth
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable
 

@@ -147,7 +147,7 @@ class VesselEnd(NamedTuple):
 
 
 class ThicknessTable(NamedTuple):
-    """Thickness of one cavity's wall that varies from place to place (:mod:`heartcase.pipeline.wall_thickness`)."""
+    """Thickness of one cavity's wall that varies with the place (:mod:`heartcase.pipeline.fields.wall_thickness`)."""
 
     cavity: int
     """Label value of the cavity."""
@@ -160,7 +160,7 @@ class ThicknessTable(NamedTuple):
 
 
 class Septum(NamedTuple):
-    """A wall that is grown between two cavities where their outlines touch: :mod:`heartcase.pipeline.septa`."""
+    """A wall that is grown between two cavities where their outlines touch: :mod:`heartcase.pipeline.walls.septa`."""
 
     value: int
     """Label value of the septum."""
@@ -175,7 +175,7 @@ class Septum(NamedTuple):
 class Structures:
     """Where every structure is, to a fraction of a voxel: what grid, surface and map read, through ``fields.py`` only.
 
-    At any point, :mod:`heartcase.pipeline.fields` gives every label a signed distance (negative inside) in four
+    At any point, :mod:`heartcase.pipeline.fields.reader` gives every label a signed distance (negative inside) in four
     steps, and the lowest of them owns the point (ties: the lower value):
 
     1. The stored fields, interpolated. They are distances to the faces of the *bare* structures, before any wall: they
@@ -273,7 +273,7 @@ class Structures:
 
 @dataclass(frozen=True)
 class SimulationGrid:
-    """Cubic cells of tissue, in the order of :mod:`heartcase.schemas.bundle` (k, then j, then i)."""
+    """Cubic cells of tissue, in the order of :mod:`heartcase.schemas.bundle.format` (k, then j, then i)."""
 
     geometry: Geometry
     """Right-handed lattice of the cells, parallel to the scan's axes: ``origin_mm`` is the CENTRE of cell (0, 0, 0)."""
@@ -327,7 +327,7 @@ class Surface:
     triangle_is_cut: UInt8
     """1 where the triangle closes tissue that the region of interest or an end marker cuts."""
     triangle_kind: UInt8
-    """:class:`~heartcase.schemas.surface_kinds.SurfaceKind` of each triangle, shape (triangle_count,)."""
+    """:class:`~heartcase.schemas.bundle.surface_kinds.SurfaceKind` of each triangle, shape (triangle_count,)."""
     normals: Float32
     """Unit vertex normals of the true surface, out of the tissue, shape (vertex_count, 3)."""
     vertex_label: UInt8

@@ -2,7 +2,7 @@
 
 The story is :class:`heartcase.simulator.simulation.Simulation`; a case comes from
 :func:`heartcase.simulator.load.load_case`, a lattice without a case from
-:func:`heartcase.simulator.model.make_model`::
+:func:`heartcase.simulator.lattice.model.make_model`::
 
     case = load_case("heart.case", needs=("surface",))
     simulation = Simulation(case.model, surface=case.surface)
@@ -11,6 +11,7 @@ The story is :class:`heartcase.simulator.simulation.Simulation`; a case comes fr
     simulation.step(100)
     simulation.surface_now().vertices_mm
 
-Constant arrays are a :class:`~heartcase.simulator.model.LatticeModel`, what changes is a
-:class:`~heartcase.simulator.state.State`, and an :class:`~heartcase.simulator.engine.Engine` takes one to the next.
+Constant arrays are a :class:`~heartcase.simulator.lattice.model.LatticeModel`, what changes is a
+:class:`~heartcase.simulator.lattice.state.State`, and an :class:`~heartcase.simulator.engine.backends.Engine` takes one
+to the next.
 """

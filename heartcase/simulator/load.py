@@ -10,13 +10,13 @@ from typing import Literal, cast, get_args
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.schemas.bundle import CaseManifest, FileRole, ScanValues
-from heartcase.schemas.bundle_reader import OpenBundle, open_bundle
+from heartcase.schemas.bundle.format import CaseManifest, FileRole, ScanValues
+from heartcase.schemas.bundle.lattice import FULL_MOMENTS
+from heartcase.schemas.bundle.reader import OpenBundle, open_bundle
 from heartcase.schemas.errors import BundleError, SimulationError, UsageError
 from heartcase.schemas.geometry import Geometry
-from heartcase.schemas.lattice import FULL_MOMENTS
-from heartcase.simulator.model import LatticeModel, make_model
-from heartcase.simulator.surface import Curvature, PickingModel, SurfaceModel, make_picking, make_surface
+from heartcase.simulator.lattice.model import LatticeModel, make_model
+from heartcase.simulator.surface.deform import Curvature, PickingModel, SurfaceModel, make_picking, make_surface
 
 __all__ = ["Case", "Need", "ScanVolume", "load_case"]
 

@@ -17,11 +17,11 @@ from heartcase.schemas.errors import Problem, ScriptError, SimulationError, prob
 from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.migrate import SCRIPT
 from heartcase.schemas.script import GrabAction, SimulationScript, Waypoint
-from heartcase.simulator.instruments import Grab
-from heartcase.simulator.integrate import Energy
-from heartcase.simulator.model import LatticeModel
+from heartcase.simulator.dynamics.integrate import Energy
+from heartcase.simulator.instruments.held import Grab
+from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.simulation import Simulation
-from heartcase.simulator.surface import SurfaceModel
+from heartcase.simulator.surface.deform import SurfaceModel
 
 __all__ = ["SessionSummary", "default_script", "load_script", "parse_script", "run_script", "with_positions"]
 

@@ -9,17 +9,17 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.schemas.errors import Problem, SimulationError
-from heartcase.simulator.contact import NO_PROBES, probe_row
-from heartcase.simulator.engine import Backend, make_engine
-from heartcase.simulator.instruments import Grab, Pose, Probe, nodes_in_reach
-from heartcase.simulator.integrate import Energy, Verlet, energy
-from heartcase.simulator.joining import join
-from heartcase.simulator.measures import inverted_cells
-from heartcase.simulator.model import LatticeModel
-from heartcase.simulator.state import Snapshot, State
-from heartcase.simulator.step_size import checked_step, own_step_limit
-from heartcase.simulator.surface import DeformedSurface, PickingModel, SurfaceModel
-from heartcase.simulator.surface_moved import SurfaceFollower
+from heartcase.simulator.dynamics.integrate import Energy, Verlet, energy
+from heartcase.simulator.dynamics.joining import join
+from heartcase.simulator.dynamics.measures import inverted_cells
+from heartcase.simulator.dynamics.step_size import checked_step, own_step_limit
+from heartcase.simulator.engine.backends import Backend, make_engine
+from heartcase.simulator.engine.shared.contact import NO_PROBES, probe_row
+from heartcase.simulator.instruments.held import Grab, Pose, Probe, nodes_in_reach
+from heartcase.simulator.lattice.model import LatticeModel
+from heartcase.simulator.lattice.state import Snapshot, State
+from heartcase.simulator.surface.deform import DeformedSurface, PickingModel, SurfaceModel
+from heartcase.simulator.surface.followers import SurfaceFollower
 from heartcase.simulator.watchdog import Watch, find_runaway, find_trouble, watch
 
 __all__ = ["SLEEP_MM", "Simulation"]
@@ -115,7 +115,7 @@ class Simulation:
         self._picker = None if picking is None else SurfaceFollower(model, picking, skips_unmoved=skips_unmoved)
         self._surface_on_device: Callable[[], DeformedSurface] | None = None
         if surface is not None and is_on_device:
-            from heartcase.simulator.surface_cuda import deform_on_device
+            from heartcase.simulator.surface.device import deform_on_device
 
             self._surface_on_device = deform_on_device(model, surface, self._engine)
 

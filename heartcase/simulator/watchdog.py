@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.compiling.kernel import kernel
-from heartcase.simulator.integrate import Verlet
-from heartcase.simulator.measures import elastic_energy_of, inverted_cells
-from heartcase.simulator.model import LatticeModel
-from heartcase.simulator.state import State
+from heartcase.simulator.dynamics.integrate import Verlet
+from heartcase.simulator.dynamics.measures import elastic_energy_of, inverted_cells
+from heartcase.simulator.lattice.model import LatticeModel
+from heartcase.simulator.lattice.state import State
 
 __all__ = ["Watch", "find_runaway", "find_trouble", "watch"]
 

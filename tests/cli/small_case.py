@@ -7,8 +7,8 @@ import numpy as np
 import SimpleITK
 from scipy.spatial.transform import Rotation
 
-from heartcase.pipeline.bundle import assemble_bundle, write_bundle
-from heartcase.schemas.bundle import Material
+from heartcase.pipeline.bundle.write_bundle import assemble_bundle, write_bundle
+from heartcase.schemas.bundle.format import Material
 from tests.pipeline.report.analytic_heart import AnalyticHeart, make_heart
 
 SCAN_DIRECTION = Rotation.from_euler("x", 10.0, degrees=True).as_matrix() @ np.array(

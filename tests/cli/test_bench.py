@@ -18,8 +18,8 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from heartcase.cli.bench_plots import as_error, drawn_errors, write_plots
-from heartcase.cli.bench_report import write_report
+from heartcase.cli.bench.plots import as_error, drawn_errors, write_plots
+from heartcase.cli.bench.report import write_report
 from heartcase.cli.main import main
 from heartcase.schemas.benchmark import BenchmarkCase, BenchmarkRecord, load_cases
 from heartcase.schemas.errors import UsageError

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import pyvista
 
-from heartcase.phantom.heart import HeartPhantom
+from heartcase.phantom.anatomy.heart import HeartPhantom
 from heartcase.pipeline.data import Markers, Scan, Segmentation
 from heartcase.schemas.benchmark import MethodSkipped
 from heartcase.schemas.geometry import Geometry

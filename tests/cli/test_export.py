@@ -16,18 +16,18 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from heartcase.cli.main import main
-from heartcase.pipeline.cautions import Severity, severity_of
+from heartcase.pipeline.build.run import build_case
 from heartcase.pipeline.data import Segmentation
 from heartcase.pipeline.exports import models
-from heartcase.pipeline.formats.write_dicom_seg import dicom_seg_bytes
-from heartcase.pipeline.markers import load_segmentation
-from heartcase.pipeline.run import build_case
-from heartcase.pipeline.write import write_segmentation
-from heartcase.schemas.bundle import FileRole
-from heartcase.schemas.bundle_reader import open_bundle, read_manifest
+from heartcase.pipeline.formats.labels.write_dicom_seg import dicom_seg_bytes
+from heartcase.pipeline.formats.write_images import write_segmentation
+from heartcase.pipeline.markers.load_markers import load_segmentation
+from heartcase.pipeline.warnings import Severity, severity_of
+from heartcase.schemas.bundle.format import FileRole
+from heartcase.schemas.bundle.reader import open_bundle, read_manifest
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import default_label_table
-from heartcase.schemas.recipe import load_recipe
+from heartcase.schemas.recipe.recipe import load_recipe
 from tests.cli.small_case import write_case
 from tests.pipeline.formats.dicom_series import write_series
 

@@ -9,7 +9,7 @@ import SimpleITK
 from pydantic import BaseModel
 
 from heartcase.cli.main import main
-from heartcase.cli.output import echo_json, file_size, json_ready, print_facts, print_table
+from heartcase.cli.shared.output import echo_json, file_size, json_ready, print_facts, print_table
 from tests.cli.small_case import SCAN_DIRECTION, write_case, write_scan
 
 RECIPE = """

@@ -10,10 +10,10 @@ import pytest
 from click.testing import CliRunner
 
 from heartcase.cli.main import cli, main
-from heartcase.cli.stage_io import scan_options
-from heartcase.pipeline.read import read_scan
+from heartcase.cli.shared.stage_io import scan_options
+from heartcase.pipeline.formats.read_scan import read_scan
 from heartcase.schemas.errors import RecipeError
-from heartcase.schemas.recipe import load_recipe, parse_recipe
+from heartcase.schemas.recipe.recipe import load_recipe, parse_recipe
 from tests.ball import write_ball_scan
 from tests.pipeline.formats.dicom_situations_stacks import cine
 

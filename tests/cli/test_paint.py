@@ -7,10 +7,10 @@ import pytest
 from click.testing import CliRunner
 
 from heartcase.cli.main import cli
-from heartcase.pipeline.session_file import open_session
+from heartcase.pipeline.build.session_file import open_session
 from heartcase.schemas.errors import RecipeError, UsageError
-from heartcase.schemas.recipe import load_recipe
-from heartcase.schemas.settings import Stroke
+from heartcase.schemas.recipe.recipe import load_recipe
+from heartcase.schemas.recipe.settings import Stroke
 from tests.cli.small_case import write_scan
 
 RECIPE = """

@@ -5,10 +5,10 @@ import pytest
 import SimpleITK as sitk
 from click.testing import CliRunner
 
+from heartcase.cli.commands.phantom import command
 from heartcase.cli.main import main
-from heartcase.cli.phantom import command
-from heartcase.phantom.heart import HeartPhantom
-from heartcase.schemas.recipe import load_recipe
+from heartcase.phantom.anatomy.heart import HeartPhantom
+from heartcase.schemas.recipe.recipe import load_recipe
 
 
 def run(*arguments):

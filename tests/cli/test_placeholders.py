@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 
 from heartcase.cli.main import main
-from heartcase.pipeline.placeholders import StarterPlaces, example_strokes, placeholder_problems
-from heartcase.pipeline.session_file import open_session
+from heartcase.pipeline.build.session_file import open_session
+from heartcase.pipeline.markers.placeholders import StarterPlaces, example_strokes, placeholder_problems
 from heartcase.schemas.geometry import Geometry
-from heartcase.schemas.recipe import Recipe, load_recipe
-from heartcase.schemas.settings import Stroke
+from heartcase.schemas.recipe.recipe import Recipe, load_recipe
+from heartcase.schemas.recipe.settings import Stroke
 from tests.ball import write_ball_scan
 
 GEOMETRY = Geometry.of(shape=(32, 32, 32), spacing_mm=(2, 2, 2), origin_mm=(-31, -31, -31))

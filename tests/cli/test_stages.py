@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from heartcase.cli.main import COMMANDS, cli, main
-from heartcase.pipeline.artifacts import artifact_to_bytes, load_artifact, load_history
+from heartcase.pipeline.artifacts.serialise import artifact_to_bytes, load_artifact, load_history
 from heartcase.pipeline.data import Scan, Segmentation, SimulationGrid, Structures, Surface
-from heartcase.pipeline.read import read_scan
-from heartcase.pipeline.write import write_scan
-from heartcase.schemas.bundle import FileRole
-from heartcase.schemas.bundle_check import check_bundle
-from heartcase.schemas.bundle_reader import open_bundle
+from heartcase.pipeline.formats.read_scan import read_scan
+from heartcase.pipeline.formats.write_images import write_scan
+from heartcase.schemas.bundle.check import check_bundle
+from heartcase.schemas.bundle.format import FileRole
+from heartcase.schemas.bundle.reader import open_bundle
 from heartcase.schemas.geometry import Geometry
-from heartcase.schemas.recipe import load_recipe
+from heartcase.schemas.recipe.recipe import load_recipe
 from tests.ball import write_ball_recipe, write_ball_scan
 
 pytestmark = pytest.mark.usefixtures("plain_reports")
@@ -152,7 +152,7 @@ def test_an_edit_opens_the_ball(work, tmp_path):
     run("segment", work / "scan.nii.gz", tmp_path / "labels.safetensors", "--recipe", recipe)
     run("walls", tmp_path / "labels.safetensors", tmp_path / "closed.safetensors", "--recipe", recipe)
     assert run("edit", tmp_path / "closed.safetensors", tmp_path / "open.safetensors", "--recipe", recipe) == 0
-    from heartcase.pipeline.fields import ownership_at_points
+    from heartcase.pipeline.fields.reader import ownership_at_points
 
     middle = np.array([[17.0, 0.0, 0.0]])
     before = ownership_at_points(load_artifact(tmp_path / "closed.safetensors", Structures), middle)

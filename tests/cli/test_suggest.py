@@ -9,8 +9,8 @@ from click.testing import CliRunner
 from scipy import ndimage
 
 from heartcase.cli.main import cli
-from heartcase.pipeline.session_file import open_session
-from heartcase.schemas.settings import Stroke
+from heartcase.pipeline.build.session_file import open_session
+from heartcase.schemas.recipe.settings import Stroke
 from tests.cli.small_case import SCAN_DIRECTION
 
 SHAPE = (18, 22, 26)

@@ -8,11 +8,11 @@ import pytest
 from click.testing import CliRunner
 
 from heartcase.cli.main import cli
-from heartcase.pipeline.lock import lock_recipe, recipe_text, unlocked_recipe
-from heartcase.pipeline.recipe_ends import propose_ends
-from heartcase.pipeline.run import build_case
+from heartcase.pipeline.build.lock import lock_recipe, recipe_text, unlocked_recipe
+from heartcase.pipeline.build.recipe_ends import propose_ends
+from heartcase.pipeline.build.run import build_case
 from heartcase.schemas.errors import RecipeError
-from heartcase.schemas.recipe import load_recipe, parse_recipe
+from heartcase.schemas.recipe.recipe import load_recipe, parse_recipe
 from tests.pipeline.lattices import lattice
 from tests.pipeline.vessel_shapes import ball, line, segmented, tube
 from tests.pipeline.write_labels import write_labels

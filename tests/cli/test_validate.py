@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 
 from heartcase.cli.main import main
 from heartcase.pipeline.data import Segmentation
-from heartcase.pipeline.write import segmentation_nrrd_bytes
-from heartcase.schemas.bundle_check import check_bundle
-from heartcase.schemas.bundle_manifest import read_manifest
+from heartcase.pipeline.formats.write_images import segmentation_nrrd_bytes
+from heartcase.schemas.bundle.check import check_bundle
+from heartcase.schemas.bundle.manifest import read_manifest
 from tests.golden.make import CASE
 from tests.readers.damage import CaseCopy
 

@@ -6,15 +6,15 @@ import tomllib
 
 import pytest
 
-from heartcase.cli.build import STAGE_WORDS
+from heartcase.cli.commands.build import STAGE_WORDS
 from heartcase.cli.main import main
-from heartcase.pipeline import runner
-from heartcase.pipeline.bundle import write_bundle
-from heartcase.schemas.approval import approval_log
-from heartcase.schemas.bundle import StageRecord
+from heartcase.pipeline.build import runner
+from heartcase.pipeline.bundle.write_bundle import write_bundle
+from heartcase.schemas.bundle.approval import approval_log
+from heartcase.schemas.bundle.format import StageRecord
 from heartcase.schemas.migrate import RECIPE, SCRIPT, Migration
-from heartcase.schemas.recipe import load_recipe
-from heartcase.schemas.settings import SurfaceSettings
+from heartcase.schemas.recipe.recipe import load_recipe
+from heartcase.schemas.recipe.settings import SurfaceSettings
 from tests.ball import write_ball_recipe, write_ball_scan
 from tests.factories import block_case
 
@@ -95,7 +95,7 @@ def test_the_help_of_build_names_every_stage():
     # It is written out, because finding it out would load the pipeline for a page of help.
     from click.testing import CliRunner
 
-    from heartcase.cli.build import command
+    from heartcase.cli.commands.build import command
 
     text = " ".join(CliRunner().invoke(command, ["--help"]).output.split())
     *first, last = runner.STAGES[:-1]
@@ -140,9 +140,9 @@ def test_upgrade_of_a_locked_recipe_says_which_defaults_and_stages_are_others(sc
     assert run_json(capsys, "upgrade", locked)[1]["changes"] == []
 
     field = SurfaceSettings.model_fields["atlas"]
-    monkeypatch.setattr("heartcase.pipeline.walls.default_smoothing_mm", lambda spacing: 0.25)
+    monkeypatch.setattr("heartcase.pipeline.walls.grow_walls.default_smoothing_mm", lambda spacing: 0.25)
     monkeypatch.setitem(runner.STAGE_VERSIONS, "walls", 99)
-    from heartcase.schemas.recipe import Recipe
+    from heartcase.schemas.recipe.recipe import Recipe
 
     try:
         field.default = "xatlas"
@@ -237,7 +237,7 @@ def test_upgrade_of_a_case_previews_and_sends_to_build(case, capsys):
 def test_approve_asks_first_and_info_validate_and_simulate_say_the_state(case, capsys):
     from click.testing import CliRunner
 
-    from heartcase.cli.approve import command
+    from heartcase.cli.commands.approve import command
 
     arguments = [str(case), "--role", "consultant cardiologist", "--note", "seen"]
     answered_no = CliRunner().invoke(command, arguments, input="n\n")
@@ -261,7 +261,7 @@ def test_approve_asks_first_and_info_validate_and_simulate_say_the_state(case, c
 def test_approve_asks_about_wrong_anatomy_by_itself_and_yes_says_it(case, capsys):
     from click.testing import CliRunner
 
-    from heartcase.cli.approve import command
+    from heartcase.cli.commands.approve import command
 
     manifest = case / "case.json"
     texts, grades = ["a hole", "a second hole", "a look", "a note"], ["anatomy", "anatomy", "look", "note"]

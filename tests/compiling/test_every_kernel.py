@@ -22,11 +22,11 @@ import pytest
 import heartcase
 from heartcase.cli.main import main
 from heartcase.compiling.kernel import KERNELS
-from heartcase.phantom.heart import HeartPhantom
-from heartcase.pipeline.session_file import open_session
-from heartcase.schemas.bundle_manifest import listed_files
-from heartcase.schemas.settings import Stroke
-from heartcase.simulator.force_law import ForceLaw
+from heartcase.phantom.anatomy.heart import HeartPhantom
+from heartcase.pipeline.build.session_file import open_session
+from heartcase.schemas.bundle.manifest import listed_files
+from heartcase.schemas.recipe.settings import Stroke
+from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.load import load_case
 from heartcase.simulator.simulation import Simulation
 

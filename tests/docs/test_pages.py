@@ -11,11 +11,11 @@ import pytest
 
 from heartcase.cli.main import COMMANDS, main
 from heartcase.pipeline.data import Segmentation
-from heartcase.pipeline.write import write_segmentation
+from heartcase.pipeline.formats.write_images import write_segmentation
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import Label, LabelTable, Role
-from heartcase.schemas.recipe import Recipe
-from heartcase.schemas.reference import reference_page
+from heartcase.schemas.published.reference import reference_page
+from heartcase.schemas.recipe.recipe import Recipe
 from tests.ball import write_ball_recipe, write_ball_scan
 from tests.docs.pages import PAGES, ROOT, examples_of, is_run, run_page
 

@@ -15,20 +15,20 @@ import SimpleITK
 import trimesh
 from pydicom.uid import JPEG2000Lossless
 
-from heartcase.pipeline.artifacts import artifact_to_bytes, load_artifact
-from heartcase.pipeline.bundle import write_bundle
+from heartcase.pipeline.artifacts.serialise import artifact_to_bytes, load_artifact
+from heartcase.pipeline.bundle.write_bundle import write_bundle
 from heartcase.pipeline.data import Scan, Segmentation
-from heartcase.pipeline.formats.point_lists import read_point_lists
-from heartcase.pipeline.formats.write_dicom_seg import dicom_seg_bytes
-from heartcase.pipeline.markers import load_segmentation
-from heartcase.pipeline.read import list_series, read_labels, read_scan
-from heartcase.pipeline.write import write_scan, write_segmentation
-from heartcase.schemas.approval import approval_state, approve_case
-from heartcase.schemas.bundle_check import check_bundle
-from heartcase.schemas.bundle_reader import open_bundle
+from heartcase.pipeline.formats.labels.point_lists import read_point_lists
+from heartcase.pipeline.formats.labels.write_dicom_seg import dicom_seg_bytes
+from heartcase.pipeline.formats.read_scan import list_series, read_labels, read_scan
+from heartcase.pipeline.formats.write_images import write_scan, write_segmentation
+from heartcase.pipeline.markers.load_markers import load_segmentation
+from heartcase.schemas.bundle.approval import approval_state, approve_case
+from heartcase.schemas.bundle.check import check_bundle
+from heartcase.schemas.bundle.reader import open_bundle
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import default_label_table
-from heartcase.schemas.recipe import load_recipe
+from heartcase.schemas.recipe.recipe import load_recipe
 from heartcase.simulator.load import load_case
 from heartcase.simulator.script import load_script
 from tests.factories import block_case

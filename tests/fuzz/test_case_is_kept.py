@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from heartcase.pipeline.run import build_case
+from heartcase.pipeline.build.run import build_case
 from heartcase.schemas.errors import HeartcaseError
-from heartcase.schemas.recipe import load_recipe
+from heartcase.schemas.recipe.recipe import load_recipe
 from tests.ball import write_ball_recipe, write_ball_scan
 
 pytestmark = pytest.mark.usefixtures("plain_reports")

@@ -15,12 +15,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from heartcase.pipeline.bundle import write_bundle
-from heartcase.pipeline.formats.point_lists import read_point_lists
-from heartcase.schemas.bundle import MANIFEST_NAME
-from heartcase.schemas.bundle_check import check_bundle
+from heartcase.pipeline.bundle.write_bundle import write_bundle
+from heartcase.pipeline.formats.labels.point_lists import read_point_lists
+from heartcase.schemas.bundle.check import check_bundle
+from heartcase.schemas.bundle.format import MANIFEST_NAME
 from heartcase.schemas.errors import HeartcaseError, Problem
-from heartcase.schemas.recipe import load_recipe
+from heartcase.schemas.recipe.recipe import load_recipe
 from heartcase.simulator.load import load_case
 from heartcase.simulator.script import load_script
 from tests.factories import block_case

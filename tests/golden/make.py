@@ -8,7 +8,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from heartcase.pipeline.bundle import write_bundle
+from heartcase.pipeline.bundle.write_bundle import write_bundle
 from heartcase.schemas.files import atomic_write
 from tests.golden.motion import expected
 from tests.golden.shape import CASE_NAME, golden_content

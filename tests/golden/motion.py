@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.schemas.bundle import FileRole
-from heartcase.schemas.bundle_reader import OpenBundle, open_bundle
-from heartcase.schemas.lattice import CELL_DIAGONALS, CELL_EDGES
-from heartcase.simulator.integrate import Verlet, verlet_step
+from heartcase.schemas.bundle.format import FileRole
+from heartcase.schemas.bundle.lattice import CELL_DIAGONALS, CELL_EDGES
+from heartcase.schemas.bundle.reader import OpenBundle, open_bundle
+from heartcase.simulator.dynamics.integrate import Verlet, verlet_step
+from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.load import load_case
-from heartcase.simulator.model import LatticeModel
 from tests.golden.shape import LANDMARKS
 
 __all__ = ["DAMPING_PER_S", "GRAVITY_M_S2", "STEPS", "TOLERANCE_MM", "chirality", "expected", "start_displacement_mm"]

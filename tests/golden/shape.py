@@ -9,20 +9,20 @@ from fractions import Fraction
 
 import numpy as np
 
-from heartcase.pipeline.bundle import BundleContent, assemble_bundle
+from heartcase.pipeline.bundle.glb import glb_bytes
+from heartcase.pipeline.bundle.write_bundle import BundleContent, assemble_bundle
+from heartcase.pipeline.cells.build_grid import FACE_CORNERS
+from heartcase.pipeline.cells.map_surface import map_surface
+from heartcase.pipeline.cells.picking import picking_surface
 from heartcase.pipeline.data import Scan, SimulationGrid, Surface
-from heartcase.pipeline.grid import FACE_CORNERS
-from heartcase.pipeline.map import map_surface
-from heartcase.pipeline.mesh.glb import glb_bytes
-from heartcase.pipeline.picking import picking_surface
-from heartcase.pipeline.scan_part import scan_part
-from heartcase.schemas.bundle import Material, StageRecord
+from heartcase.pipeline.image.scan_part import scan_part
+from heartcase.schemas.bundle.format import Material, StageRecord
+from heartcase.schemas.bundle.lattice import FULL_MOMENTS, cell_nodes
+from heartcase.schemas.bundle.surface_kinds import plain_kinds
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import Label, LabelTable, Role
 from heartcase.schemas.landmarks import Landmark
-from heartcase.schemas.lattice import FULL_MOMENTS, cell_nodes
-from heartcase.schemas.settings import MapSettings
-from heartcase.schemas.surface_kinds import plain_kinds
+from heartcase.schemas.recipe.settings import MapSettings
 from tests.cell_fields import structures_of_cells
 
 __all__ = ["CASE_NAME", "LANDMARKS", "golden_content"]

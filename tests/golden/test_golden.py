@@ -9,14 +9,14 @@ import struct
 import numpy as np
 import pytest
 
-from heartcase.schemas.bundle import FileRole
-from heartcase.schemas.bundle_check import check_bundle
-from heartcase.schemas.bundle_reader import open_bundle
-from heartcase.simulator.engine import make_engine
+from heartcase.schemas.bundle.check import check_bundle
+from heartcase.schemas.bundle.format import FileRole
+from heartcase.schemas.bundle.reader import open_bundle
+from heartcase.simulator.engine.backends import make_engine
+from heartcase.simulator.lattice.state import State
 from heartcase.simulator.load import load_case
 from heartcase.simulator.simulation import Simulation
-from heartcase.simulator.state import State
-from heartcase.simulator.surface import deform
+from heartcase.simulator.surface.deform import deform
 from tests.golden import reader
 from tests.golden.make import CASE, EXPECTED, differences, make
 from tests.golden.motion import chirality, enclosed

@@ -12,8 +12,8 @@ import pydicom
 import pytest
 
 from heartcase.cli.main import main
-from heartcase.pipeline.read import read_scan
-from heartcase.schemas.bundle_reader import open_bundle
+from heartcase.pipeline.formats.read_scan import read_scan
+from heartcase.schemas.bundle.reader import open_bundle
 from heartcase.schemas.geometry import Geometry
 from tests.ball import INNER_MM, OUTER_MM, write_ball_scan
 from tests.identity.plants import (
@@ -370,7 +370,7 @@ def test_a_fault_of_our_own_is_told_without_its_text(tmp_path: Path, ear: Ear, m
     def fail(path: Path) -> None:
         raise KeyError(f"{NAME} {path}")
 
-    monkeypatch.setattr("heartcase.cli.validate.check_bundle", fail)
+    monkeypatch.setattr("heartcase.cli.commands.validate.check_bundle", fail)
     said = ear.run("validate", tmp_path / NAME, code=70)
     assert "KeyError in cli/validate.py" in said
     monkeypatch.setenv("HEARTCASE_DEBUG", "1")

@@ -26,9 +26,9 @@ from heartcase.library.build import (
     stale_cases,
 )
 from heartcase.library.plan import CaseRecord, LibraryCase, plan_library, read_record
-from heartcase.pipeline.run import build_case
+from heartcase.pipeline.build.run import build_case
 from heartcase.schemas.errors import UsageError
-from heartcase.schemas.recipe import load_recipe
+from heartcase.schemas.recipe.recipe import load_recipe
 from tests.ball import write_ball_recipe, write_ball_scan
 
 pytestmark = pytest.mark.usefixtures("plain_reports")

@@ -24,8 +24,8 @@ from heartcase.library.catalogue.oxygenation import Oxygen, oxygenation
 from heartcase.library.catalogue.pages import words_script
 from heartcase.library.catalogue.site import write_catalogue
 from heartcase.library.catalogue.words import WORDS
-from heartcase.phantom.shapes import Tube
-from heartcase.schemas.bundle_reader import open_bundle
+from heartcase.phantom.anatomy.shapes import Tube
+from heartcase.schemas.bundle.reader import open_bundle
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.labels import Label, LabelTable, Role, default_label_table
 from tests.cli.small_case import write_case

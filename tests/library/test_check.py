@@ -7,7 +7,7 @@ from skimage.measure import marching_cubes
 from heartcase.cli.main import main
 from heartcase.library.check import CaseCheck, DefectCheck, _defect_check, joined_cavities, problems_of
 from heartcase.library.openings import FalseOpening, false_openings
-from heartcase.phantom.heart import HeartPhantom
+from heartcase.phantom.anatomy.heart import HeartPhantom
 from heartcase.phantom.metrics import SurfaceError
 
 

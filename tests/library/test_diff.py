@@ -11,9 +11,9 @@ import trimesh
 
 from heartcase.cli.main import main
 from heartcase.library.diff import Tolerances, diff_libraries, surface_change, warning_changes
-from heartcase.pipeline.run import build_case
+from heartcase.pipeline.build.run import build_case
 from heartcase.schemas.errors import UsageError
-from heartcase.schemas.recipe import load_recipe
+from heartcase.schemas.recipe.recipe import load_recipe
 from tests.ball import write_ball_recipe, write_ball_scan
 
 pytestmark = pytest.mark.usefixtures("plain_reports")

@@ -16,7 +16,7 @@ import pytest
 
 from heartcase.cli.main import main
 from heartcase.library.check import check_case, problems_of
-from heartcase.schemas.recipe import load_recipe
+from heartcase.schemas.recipe.recipe import load_recipe
 
 SAMPLES = Path(__file__).parents[2] / "sample_cases"
 MADE = [path for path in sorted(SAMPLES.glob("*.toml")) if "[scan.phantom]" in path.read_text()]

@@ -12,14 +12,14 @@ from heartcase.library.draw import DRAWN_BELOW, draw_recipe
 from heartcase.library.plan import is_up_to_date, plan_library
 from heartcase.library.scans import ensure_scan, scan_is_made
 from heartcase.library.worker import build_one
-from heartcase.phantom.acquisition import SyntheticScan
-from heartcase.pipeline.read import read_scan
-from heartcase.schemas.bundle_reader import open_bundle
+from heartcase.phantom.scan.acquisition import SyntheticScan
+from heartcase.pipeline.formats.read_scan import read_scan
+from heartcase.schemas.bundle.reader import open_bundle
 from heartcase.schemas.errors import RecipeError, UsageError
 from heartcase.schemas.geometry import Geometry
-from heartcase.schemas.heart_form import HeartForm
-from heartcase.schemas.phantom_scan import PhantomScan
-from heartcase.schemas.recipe import ScanSource, load_recipe
+from heartcase.schemas.recipe.heart_form import HeartForm
+from heartcase.schemas.recipe.phantom_scan import PhantomScan
+from heartcase.schemas.recipe.recipe import ScanSource, load_recipe
 from tests.ball import write_ball_recipe, write_ball_scan
 
 SAMPLES = Path(__file__).parents[2] / "sample_cases"

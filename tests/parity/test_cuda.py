@@ -12,17 +12,17 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from heartcase.schemas.errors import SimulationError
-from heartcase.simulator import kernel_cuda
-from heartcase.simulator.contact import NO_PROBES, probe_row
-from heartcase.simulator.engine import make_engine
-from heartcase.simulator.engine_cuda import CudaEngine, _fitting, plan_launch
-from heartcase.simulator.force_law import ForceLaw
-from heartcase.simulator.forces_reference import elastic_forces, spring_forces
-from heartcase.simulator.integrate import Verlet
-from heartcase.simulator.intrinsics_cuda import IS_SIMULATED
-from heartcase.simulator.lanes import LANE_COUNT, lane_layout
+from heartcase.simulator.dynamics.integrate import Verlet
+from heartcase.simulator.engine.backends import make_engine
+from heartcase.simulator.engine.cuda import kernel as kernel_cuda
+from heartcase.simulator.engine.cuda.engine import CudaEngine, _fitting, plan_launch
+from heartcase.simulator.engine.cuda.intrinsics import IS_SIMULATED
+from heartcase.simulator.engine.shared.contact import NO_PROBES, probe_row
+from heartcase.simulator.engine.shared.lanes import LANE_COUNT, lane_layout
+from heartcase.simulator.forces.reference import elastic_forces, spring_forces
+from heartcase.simulator.lattice.force_law import ForceLaw
+from heartcase.simulator.lattice.state import State
 from heartcase.simulator.simulation import Simulation
-from heartcase.simulator.state import State
 from tests.parity.test_engines import check_explicit_springs, check_probes, stretch_at_nodes, unguarded
 from tests.parity.test_force_laws import force_scale, with_law
 from tests.simulator.lattices import EPS, block, random_field, random_models, random_probes, tied
@@ -229,7 +229,7 @@ def test_removed_springs_pull_no_more():
 
 def test_without_a_device_the_message_says_what_to_do():
     code = (
-        "from heartcase.simulator.engine import make_engine\n"
+        "from heartcase.simulator.engine.backends import make_engine\n"
         "from tests.simulator.lattices import block\n"
         "make_engine(block(1, 1, 1), 'cuda')\n"
     )

@@ -10,13 +10,13 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from heartcase.schemas.errors import SimulationError
-from heartcase.simulator.contact import NO_PROBES, probe_row
-from heartcase.simulator.engine import make_engine
-from heartcase.simulator.engine_cpu import PARALLEL_WINDOWS_MIN
-from heartcase.simulator.force_law import ForceLaw
-from heartcase.simulator.forces_reference import spring_forces
-from heartcase.simulator.integrate import Verlet
-from heartcase.simulator.state import State
+from heartcase.simulator.dynamics.integrate import Verlet
+from heartcase.simulator.engine.backends import make_engine
+from heartcase.simulator.engine.cpu.engine import PARALLEL_WINDOWS_MIN
+from heartcase.simulator.engine.shared.contact import NO_PROBES, probe_row
+from heartcase.simulator.forces.reference import spring_forces
+from heartcase.simulator.lattice.force_law import ForceLaw
+from heartcase.simulator.lattice.state import State
 from tests.simulator.lattices import EPS, block, random_field, random_models, random_probes, tied
 
 BACKENDS = ("cpu", "reference")

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from heartcase.simulator.contact import NO_PROBES
-from heartcase.simulator.engine import make_engine
-from heartcase.simulator.force_law import ForceLaw
-from heartcase.simulator.forces_reference import elastic_forces
-from heartcase.simulator.integrate import Verlet
-from heartcase.simulator.state import State
+from heartcase.simulator.dynamics.integrate import Verlet
+from heartcase.simulator.engine.backends import make_engine
+from heartcase.simulator.engine.shared.contact import NO_PROBES
+from heartcase.simulator.forces.reference import elastic_forces
+from heartcase.simulator.lattice.force_law import ForceLaw
+from heartcase.simulator.lattice.state import State
 from tests.simulator.lattices import EPS, block, random_field, random_models, random_moments, random_shares
 
 LAWS = st.builds(

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from heartcase.simulator.lattice.state import State
 from heartcase.simulator.simulation import Simulation
-from heartcase.simulator.state import State
-from heartcase.simulator.surface import deform
+from heartcase.simulator.surface.deform import deform
 from tests.simulator.lattices import EPS, block, oblique_geometry, random_field
-from tests.simulator.test_surface import hung_surface
+from tests.simulator.surface.test_surface import hung_surface
 
 
 @pytest.mark.parametrize("tangents", [False, True])

@@ -2,7 +2,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from heartcase.phantom.heart import HeartPhantom
+from heartcase.phantom.anatomy.heart import HeartPhantom
 from heartcase.schemas.geometry import Geometry
 
 

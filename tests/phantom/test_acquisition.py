@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from heartcase.phantom.acquisition import (
+from heartcase.phantom.scan.acquisition import (
     CT_UNITS,
     MRI_UNITS,
     SPECIMEN_UNITS,

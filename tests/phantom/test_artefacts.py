@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from heartcase.phantom.artefacts import (
+from heartcase.phantom.scan.artefacts import (
     acquired_by_lines,
     breathing,
     coarse_blocks,

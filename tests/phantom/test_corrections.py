@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from skimage.graph import MCP_Geometric
 
-from heartcase.phantom import corrections
-from heartcase.phantom.corrections import corrective_lines, wall_lines
-from heartcase.phantom.strokes import marker_strokes
+from heartcase.phantom.drawing import corrections
+from heartcase.phantom.drawing.corrections import corrective_lines, wall_lines
+from heartcase.phantom.drawing.strokes import marker_strokes
 from tests.phantom.conftest import lattice_points
 from tests.phantom.test_strokes import segment_points
 

@@ -6,8 +6,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from heartcase.phantom.heart import HeartPhantom
-from heartcase.phantom.strokes import LONGEST_SHORT_STROKE_MM, first_strokes, random_strokes
+from heartcase.phantom.anatomy.heart import HeartPhantom
+from heartcase.phantom.drawing.strokes import LONGEST_SHORT_STROKE_MM, first_strokes, random_strokes
 from heartcase.schemas.errors import UsageError
 from tests.phantom.test_strokes import segment_points
 

@@ -7,12 +7,12 @@ import pytest
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from heartcase.phantom.axes import LONG_AXIS
-from heartcase.phantom.baffle_rings import baffle_rings
-from heartcase.phantom.heart import HeartPhantom
-from heartcase.phantom.surface_lines import coronary_arteries, coronary_landmarks, incision_landmark
-from heartcase.pipeline.mesh.tubes import vessel_tubes
-from heartcase.schemas.heart_form import Baffle, DefectKind, HeartDefect, HeartForm
+from heartcase.phantom.anatomy.axes import LONG_AXIS
+from heartcase.phantom.anatomy.heart import HeartPhantom
+from heartcase.phantom.drawing.baffle_rings import baffle_rings
+from heartcase.phantom.drawing.surface_lines import coronary_arteries, coronary_landmarks, incision_landmark
+from heartcase.pipeline.exports.tubes import vessel_tubes
+from heartcase.schemas.recipe.heart_form import Baffle, DefectKind, HeartDefect, HeartForm
 from tests.phantom.conftest import lattice_points
 from tests.phantom.test_heart import assert_distance_by_labels
 

@@ -3,10 +3,10 @@ import pytest
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from heartcase.phantom.axes import LONG_AXIS, SEPTUM_AXIS, UPWARD_AXIS
-from heartcase.phantom.border import STEEPNESS, border_distances
-from heartcase.phantom.heart import HeartPhantom
-from heartcase.phantom.truth import TOLERANCE_MM
+from heartcase.phantom.anatomy.axes import LONG_AXIS, SEPTUM_AXIS, UPWARD_AXIS
+from heartcase.phantom.anatomy.border import STEEPNESS, border_distances
+from heartcase.phantom.anatomy.heart import HeartPhantom
+from heartcase.phantom.anatomy.truth import TOLERANCE_MM
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.labels import default_label_table
 from tests.phantom.conftest import lattice_points

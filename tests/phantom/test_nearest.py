@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from heartcase.phantom.nearest import SampleTree
+from heartcase.phantom.anatomy.nearest import SampleTree
 
 
 @given(

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
-from heartcase.phantom.shapes import (
+from heartcase.phantom.anatomy.shapes import (
     Capsule,
     Ellipsoid,
     HalfSpace,

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from heartcase.phantom.heart import HeartPhantom
-from heartcase.phantom.recipe import recipe_text
-from heartcase.phantom.strokes import marker_strokes
-from heartcase.phantom.surface_lines import coronary_landmarks
-from heartcase.schemas.recipe import load_recipe, parse_recipe
+from heartcase.phantom.anatomy.heart import HeartPhantom
+from heartcase.phantom.drawing.recipe import recipe_text
+from heartcase.phantom.drawing.strokes import marker_strokes
+from heartcase.phantom.drawing.surface_lines import coronary_landmarks
+from heartcase.schemas.recipe.recipe import load_recipe, parse_recipe
 from tests.phantom.conftest import lattice_points
 
 SAMPLES = Path(__file__).parents[2] / "sample_cases"

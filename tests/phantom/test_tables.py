@@ -2,8 +2,8 @@ import numba
 import numpy as np
 import pytest
 
-from heartcase.phantom.shapes import Capsule, Ellipsoid, Shape, Union
-from heartcase.phantom.tables import DistanceTables, tabulate
+from heartcase.phantom.anatomy.shapes import Capsule, Ellipsoid, Shape, Union
+from heartcase.phantom.anatomy.tables import DistanceTables, tabulate
 
 
 class Squeezed:

@@ -11,9 +11,11 @@ from pydantic import TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from heartcase.pipeline import grid, lock, walls
+from heartcase.pipeline.build import lock
+from heartcase.pipeline.cells import build_grid as grid
+from heartcase.pipeline.walls import grow_walls as walls
 from heartcase.schemas.base import Model
-from heartcase.schemas.recipe import Recipe
+from heartcase.schemas.recipe.recipe import Recipe
 
 _POINT = (0.0, 0.0, 1.0)
 CANDIDATES: list[Any] = [

@@ -9,10 +9,10 @@ import numpy.typing as npt
 from skimage import measure
 
 from heartcase.pipeline.data import Structures, Surface
-from heartcase.pipeline.fields import ownership_at_points, ownership_on_lattice
+from heartcase.pipeline.fields.reader import ownership_at_points, ownership_on_lattice
+from heartcase.schemas.bundle.surface_kinds import SurfaceKind
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import Label, LabelTable, Role
-from heartcase.schemas.surface_kinds import SurfaceKind
 
 Points = npt.NDArray[np.float64]
 Distance = Callable[[Points], Points]

@@ -8,14 +8,14 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.data import Segmentation, Structures
-from heartcase.pipeline.edit import apply_edits
-from heartcase.pipeline.fields import ownership_on_lattice
-from heartcase.pipeline.walls import grow_walls
-from heartcase.schemas.edit_settings import SeptalDefect
+from heartcase.pipeline.edits.apply_edits import apply_edits
+from heartcase.pipeline.fields.reader import ownership_on_lattice
+from heartcase.pipeline.walls.grow_walls import grow_walls
 from heartcase.schemas.errors import StageError
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import Label, LabelTable, Role
-from heartcase.schemas.settings import GridSettings, MapSettings, Pin, SurfaceSettings, WallsSettings
+from heartcase.schemas.recipe.edit_settings import SeptalDefect
+from heartcase.schemas.recipe.settings import GridSettings, MapSettings, Pin, SurfaceSettings, WallsSettings
 
 Float64 = npt.NDArray[np.float64]
 

@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
+from heartcase.pipeline.cells.picking import split_faces
 from heartcase.pipeline.data import GridMap, SimulationGrid, Structures, Surface
-from heartcase.pipeline.fields import FieldReader, ownership_at_points, ownership_on_lattice
-from heartcase.pipeline.picking import split_faces
+from heartcase.pipeline.fields.reader import FieldReader, ownership_at_points, ownership_on_lattice
 
 Bool = npt.NDArray[np.bool_]
 Float64 = npt.NDArray[np.float64]

@@ -13,21 +13,21 @@ from unittest.mock import patch
 import numpy as np
 import pygltflib
 import SimpleITK
+from heartcase.pipeline.stages.all_stages import RUN_STAGE, StageOutputs
 from PIL import Image
 from safetensors.numpy import load_file
 
-from heartcase.pipeline.cache import Cache
+from heartcase.pipeline.artifacts.cache import Cache
+from heartcase.pipeline.build.lock import resolve_recipe
+from heartcase.pipeline.build.run import build_case
+from heartcase.pipeline.build.runner import STAGES, Runner, SilentListener
 from heartcase.pipeline.data import Scan, Structures
-from heartcase.pipeline.fields import ownership_on_lattice
-from heartcase.pipeline.lock import resolve_recipe
-from heartcase.pipeline.run import build_case
-from heartcase.pipeline.runner import STAGES, Runner, SilentListener
-from heartcase.pipeline.stages import RUN_STAGE, StageOutputs
-from heartcase.pipeline.write import write_scan
-from heartcase.schemas.bundle import ARRAYS, FileRole
-from heartcase.schemas.bundle_reader import open_bundle
+from heartcase.pipeline.fields.reader import ownership_on_lattice
+from heartcase.pipeline.formats.write_images import write_scan
+from heartcase.schemas.bundle.format import ARRAYS, FileRole
+from heartcase.schemas.bundle.reader import open_bundle
 from heartcase.schemas.geometry import Geometry
-from heartcase.schemas.recipe import Part, parse_recipe
+from heartcase.schemas.recipe.recipe import Part, parse_recipe
 from tests.pipeline.stage_recipes import SMALL_RECIPES
 
 Arrays = dict[str, np.ndarray]

@@ -14,7 +14,7 @@ import numpy.typing as npt
 import SimpleITK
 
 from heartcase.pipeline.data import Scan
-from heartcase.pipeline.write import write_scan
+from heartcase.pipeline.formats.write_images import write_scan
 from heartcase.schemas.geometry import Geometry
 
 __all__ = ["SMALL_RECIPES"]

@@ -7,21 +7,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from heartcase.pipeline.assembly import labels_of
+from heartcase.pipeline.bundle.assembly import labels_of
+from heartcase.pipeline.checks.openings import Verdict, find_openings
 from heartcase.pipeline.data import Markers
-from heartcase.pipeline.end_discs import Stumps
-from heartcase.pipeline.ends import cut_ends
-from heartcase.pipeline.filter import filter_scan
-from heartcase.pipeline.find_ends import find_ends
-from heartcase.pipeline.markers import load_markers, rasterise_strokes
-from heartcase.pipeline.openings import Verdict, find_openings
-from heartcase.pipeline.read import read_scan
-from heartcase.pipeline.region import crop_scan
-from heartcase.pipeline.segment import segment_scan, segmentation_warnings
-from heartcase.pipeline.septa import open_places
-from heartcase.pipeline.walls import grow_walls, resolve_walls
+from heartcase.pipeline.ends.cut_ends import cut_ends
+from heartcase.pipeline.ends.discs import Stumps
+from heartcase.pipeline.ends.find_ends import find_ends
+from heartcase.pipeline.formats.read_scan import read_scan
+from heartcase.pipeline.image.filter_scan import filter_scan
+from heartcase.pipeline.image.region import crop_scan
+from heartcase.pipeline.markers.load_markers import load_markers, rasterise_strokes
+from heartcase.pipeline.walls.grow_walls import grow_walls, resolve_walls
+from heartcase.pipeline.walls.septa import open_places
+from heartcase.pipeline.watershed.segment_scan import segment_scan, segmentation_warnings
 from heartcase.schemas.geometry import Geometry
-from heartcase.schemas.recipe import load_recipe
+from heartcase.schemas.recipe.recipe import load_recipe
 
 RECIPE = Path(__file__).parents[2] / "sample_cases" / "chest_ct.toml"
 SCAN_GEOMETRY = Geometry.of(

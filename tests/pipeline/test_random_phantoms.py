@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 import trimesh
 
-from heartcase.pipeline.bundle import assemble_bundle, resolve_materials, write_bundle
+from heartcase.pipeline.bundle.glb import glb_bytes
+from heartcase.pipeline.bundle.write_bundle import assemble_bundle, resolve_materials, write_bundle
+from heartcase.pipeline.cells.build_grid import build_grid
+from heartcase.pipeline.cells.map_surface import map_surface
+from heartcase.pipeline.cells.picking import picking_surface, split_faces
 from heartcase.pipeline.data import GridMap, SimulationGrid, Surface
-from heartcase.pipeline.grid import build_grid
-from heartcase.pipeline.map import map_surface
-from heartcase.pipeline.mesh.decimate import folded_triangles
-from heartcase.pipeline.mesh.glb import glb_bytes
-from heartcase.pipeline.mesh.intersections import self_intersections
-from heartcase.pipeline.picking import picking_surface, split_faces
-from heartcase.pipeline.surface import build_surface
-from heartcase.schemas.bundle_check import check_bundle
-from heartcase.schemas.settings import MaterialsSettings
+from heartcase.pipeline.mesh.build_surface import build_surface
+from heartcase.pipeline.mesh.decimation.decimate import folded_triangles
+from heartcase.pipeline.mesh.triangles.intersections import self_intersections
+from heartcase.schemas.bundle.check import check_bundle
+from heartcase.schemas.recipe.settings import MaterialsSettings
 from tests.pipeline.random_phantoms import RandomHeart, random_heart
 from tests.pipeline.sides import sides
 

@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from heartcase.pipeline.stages.all_stages import RUN_STAGE, StageOutputs, have
 
 from heartcase.cli.main import main
-from heartcase.pipeline.cache import Cache
-from heartcase.pipeline.lock import resolve_recipe
-from heartcase.pipeline.mesh.decimate import folded_triangles, mesh_defects
-from heartcase.pipeline.mesh.intersections import self_intersections
-from heartcase.pipeline.runner import STAGES, Runner, SilentListener
-from heartcase.pipeline.stages import RUN_STAGE, StageOutputs, have
-from heartcase.schemas.recipe import load_recipe
+from heartcase.pipeline.artifacts.cache import Cache
+from heartcase.pipeline.build.lock import resolve_recipe
+from heartcase.pipeline.build.runner import STAGES, Runner, SilentListener
+from heartcase.pipeline.mesh.decimation.decimate import folded_triangles, mesh_defects
+from heartcase.pipeline.mesh.triangles.intersections import self_intersections
+from heartcase.schemas.recipe.recipe import load_recipe
 from tests.pipeline.sides import sides
 
 SAMPLES = Path(__file__).parents[2] / "sample_cases"

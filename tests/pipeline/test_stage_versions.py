@@ -24,7 +24,7 @@ import llvmlite.binding
 import numpy as np
 import pytest
 
-from heartcase.pipeline.runner import STAGE_VERSIONS, STAGES
+from heartcase.pipeline.build.runner import STAGE_VERSIONS, STAGES
 from tests.pipeline.stage_outputs import INPUTS, Arrays, Outputs, inputs_of, sha256_of, stage_outputs, summary_of
 
 FINGERPRINTS = Path(__file__).with_name("stage_fingerprints.json")

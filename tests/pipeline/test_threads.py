@@ -4,17 +4,17 @@ import numba
 import numpy as np
 import pytest
 
-from heartcase.pipeline.artifacts import artifact_to_bytes
+from heartcase.pipeline.artifacts.serialise import artifact_to_bytes
+from heartcase.pipeline.cells.build_grid import build_grid
+from heartcase.pipeline.cells.map_surface import map_surface
 from heartcase.pipeline.data import Segmentation
-from heartcase.pipeline.grid import build_grid
-from heartcase.pipeline.map import map_surface
-from heartcase.pipeline.mesh import collapse
-from heartcase.pipeline.side_by_side import side_by_side
-from heartcase.pipeline.surface import build_surface
-from heartcase.pipeline.walls import grow_walls
+from heartcase.pipeline.kernels.parallel import side_by_side
+from heartcase.pipeline.mesh.build_surface import build_surface
+from heartcase.pipeline.mesh.decimation import collapse
+from heartcase.pipeline.walls.grow_walls import grow_walls
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import Label, LabelTable, Role
-from heartcase.schemas.settings import EndMarker, GridSettings, MapSettings, SurfaceSettings, WallsSettings
+from heartcase.schemas.recipe.settings import EndMarker, GridSettings, MapSettings, SurfaceSettings, WallsSettings
 
 TABLE = LabelTable(
     labels=(

@@ -8,7 +8,7 @@ import subprocess
 import numpy as np
 import pytest
 
-from heartcase.schemas.coordinates import Coordinates
+from heartcase.schemas.bundle.coordinates import Coordinates
 from tests.readers.test_readers import LANGUAGES, READERS, ROOT, _compile, _program
 
 MARKS = np.array([[1, 2, 3], [3, 2, 3], [1, 5, 3], [1, 2, 7]], float)

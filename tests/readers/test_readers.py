@@ -18,11 +18,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from safetensors.numpy import load_file, save_file
 
-from heartcase.pipeline.bundle import write_bundle
-from heartcase.schemas.bundle_check import check_bundle
-from heartcase.schemas.bundle_reader import open_bundle
+from heartcase.pipeline.bundle.write_bundle import write_bundle
+from heartcase.schemas.bundle.check import check_bundle
+from heartcase.schemas.bundle.reader import open_bundle
 from heartcase.schemas.geometry import Geometry
-from heartcase.simulator.integrate import Verlet, verlet_step
+from heartcase.simulator.dynamics.integrate import Verlet, verlet_step
 from heartcase.simulator.load import load_case
 from tests.factories import block_case
 from tests.readers.damage import DAMAGES, CaseCopy, Damage

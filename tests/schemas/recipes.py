@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from hypothesis import strategies as st
 
-from heartcase.schemas.recipe import Part, Recipe
+from heartcase.schemas.recipe.recipe import Part, Recipe
 
 names = st.from_regex(r"[A-Za-z0-9][A-Za-z0-9 _.()+-]{0,10}", fullmatch=True)
 numbers = st.floats(-300, 300)

@@ -3,7 +3,7 @@ import pytest
 from heartcase.schemas.about import About
 from heartcase.schemas.errors import RecipeError
 from heartcase.schemas.landmarks import Landmark
-from heartcase.schemas.recipe import parse_recipe
+from heartcase.schemas.recipe.recipe import parse_recipe
 
 TEXT = {"title": "A heart", "what": "A hole.", "look_for": "The hole."}
 DATA = {

@@ -7,8 +7,8 @@ from datetime import UTC, datetime, timedelta, timezone
 
 import pytest
 
-from heartcase.pipeline.bundle import write_bundle
-from heartcase.schemas.approval import Approval, approval_log, approval_state, approve_case, bundle_sha256
+from heartcase.pipeline.bundle.write_bundle import write_bundle
+from heartcase.schemas.bundle.approval import Approval, approval_log, approval_state, approve_case, bundle_sha256
 from heartcase.schemas.errors import BundleError, UsageError
 from tests.crash import Crash, crash_after
 from tests.factories import block_case
@@ -306,7 +306,7 @@ def test_a_build_waits_until_the_line_is_written(case, monkeypatch):
     import fcntl
     import os
 
-    from heartcase.schemas import approval
+    from heartcase.schemas.bundle import approval
 
     def is_held(directory):
         descriptor = os.open(directory, os.O_RDONLY)

@@ -13,19 +13,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from heartcase.pipeline.bundle import assemble_bundle, write_bundle
+from heartcase.pipeline.bundle.glb import glb_bytes
+from heartcase.pipeline.bundle.write_bundle import assemble_bundle, write_bundle
+from heartcase.pipeline.cells.map_surface import map_surface
 from heartcase.pipeline.data import Segmentation
-from heartcase.pipeline.map import map_surface
-from heartcase.pipeline.mesh.glb import glb_bytes
-from heartcase.pipeline.write import segmentation_nrrd_bytes
-from heartcase.schemas.bundle import Material
-from heartcase.schemas.bundle_check import check_bundle
-from heartcase.schemas.bundle_manifest import read_manifest, salvaged_manifest, stated
-from heartcase.schemas.bundle_reader import open_bundle
+from heartcase.pipeline.formats.write_images import segmentation_nrrd_bytes
+from heartcase.schemas.bundle.check import check_bundle
+from heartcase.schemas.bundle.format import Material
+from heartcase.schemas.bundle.manifest import read_manifest, salvaged_manifest, stated
+from heartcase.schemas.bundle.reader import open_bundle
+from heartcase.schemas.bundle.safetensors_layout import HEADER_SIZE_MAX
 from heartcase.schemas.errors import BundleError
 from heartcase.schemas.geometry import Geometry
-from heartcase.schemas.safetensors_layout import HEADER_SIZE_MAX
-from heartcase.schemas.settings import MapSettings
+from heartcase.schemas.recipe.settings import MapSettings
 from heartcase.schemas.strict_json import parse_json
 from tests.cell_fields import structures_of_cells
 from tests.factories import MYOCARDIUM, block_case, block_grid, block_surface
@@ -110,7 +110,7 @@ def test_a_grid_across_the_scans_axes_is_found(i: int, j: int, k: int) -> None:
     content = block_case()
     scan = Geometry.of(shape=(40, 40, 40), origin_mm=(-50, -80, -30), spacing_mm=(3, 3, 3), direction=turned)
     manifest = content.manifest.model_copy(update={"scan_geometry": scan})
-    from heartcase.schemas.bundle_values import figure_problems
+    from heartcase.schemas.bundle.values import figure_problems
 
     assert [problem.place for problem in figure_problems(manifest)] == ["grid_geometry.direction"]
     assert [*figure_problems(content.manifest)] == []
@@ -135,7 +135,7 @@ def test_normals_that_point_inwards_everywhere_are_found(golden: CaseCopy) -> No
 def test_one_node_that_is_not_near_is_found(golden: CaseCopy) -> None:
     bundle = open_bundle(golden.folder)
     grid = bundle.manifest.grid_geometry
-    from heartcase.schemas.bundle import FileRole
+    from heartcase.schemas.bundle.format import FileRole
 
     nodes = grid.index_to_world(bundle.arrays(FileRole.GRID)["nodes"] - 0.5)
     vertex = bundle.arrays(FileRole.SURFACE)["vertices"][7]

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from heartcase.pipeline.bundle import write_bundle
-from heartcase.schemas.bundle import FORMAT_VERSION, FileRole
-from heartcase.schemas.bundle_check import check_bundle
-from heartcase.schemas.bundle_reader import open_bundle, read_manifest
+from heartcase.pipeline.bundle.write_bundle import write_bundle
+from heartcase.schemas.bundle.check import check_bundle
+from heartcase.schemas.bundle.format import FORMAT_VERSION, FileRole
+from heartcase.schemas.bundle.reader import open_bundle, read_manifest
 from heartcase.schemas.errors import BundleError
 from tests.factories import block_case
 

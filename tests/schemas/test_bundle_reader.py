@@ -10,17 +10,17 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays_of
 from safetensors.numpy import load, load_file, save_file
 
-from heartcase.pipeline.aligned import aligned_safetensors
-from heartcase.pipeline.bundle import assemble_bundle, resolve_materials, write_bundle
+from heartcase.pipeline.bundle.aligned import aligned_safetensors
+from heartcase.pipeline.bundle.write_bundle import assemble_bundle, resolve_materials, write_bundle
 from heartcase.pipeline.data import Scan
-from heartcase.pipeline.scan_part import scan_part
-from heartcase.schemas.bundle import ALIGNMENT, ARRAYS, VERSION_WITHOUT_SEPTA, FileRole
-from heartcase.schemas.bundle_check import check_bundle
-from heartcase.schemas.bundle_reader import open_bundle
+from heartcase.pipeline.image.scan_part import scan_part
+from heartcase.schemas.bundle.check import check_bundle
+from heartcase.schemas.bundle.format import ALIGNMENT, ARRAYS, VERSION_WITHOUT_SEPTA, FileRole
+from heartcase.schemas.bundle.lattice import FULL_MOMENTS
+from heartcase.schemas.bundle.reader import open_bundle
 from heartcase.schemas.errors import BundleError
 from heartcase.schemas.geometry import Geometry
-from heartcase.schemas.lattice import FULL_MOMENTS
-from heartcase.schemas.settings import MaterialsSettings
+from heartcase.schemas.recipe.settings import MaterialsSettings
 from heartcase.simulator.load import load_case
 from tests.factories import block_case, block_grid
 

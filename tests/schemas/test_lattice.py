@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from heartcase.schemas.lattice import (
+from heartcase.schemas.bundle.lattice import (
     CELL_DIAGONALS,
     CELL_EDGES,
     CORNER_OFFSETS,

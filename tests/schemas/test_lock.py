@@ -3,7 +3,7 @@
 import copy
 
 from heartcase.schemas.base import Model
-from heartcase.schemas.lock import defaulted_settings, fill_unset, settings_of, unset_settings, without_settings
+from heartcase.schemas.recipe.lock import defaulted_settings, fill_unset, settings_of, unset_settings, without_settings
 
 
 class Inner(Model):

@@ -3,7 +3,7 @@
 import pytest
 
 from heartcase import __version__
-from heartcase.schemas.bundle import FORMAT_VERSION
+from heartcase.schemas.bundle.format import FORMAT_VERSION
 from heartcase.schemas.errors import RecipeError, ScriptError
 from heartcase.schemas.migrate import (
     BUNDLE_CHANGES,
@@ -13,7 +13,7 @@ from heartcase.schemas.migrate import (
     VersionedFormat,
     bundle_changes,
 )
-from heartcase.schemas.recipe import RECIPE_VERSION, parse_recipe
+from heartcase.schemas.recipe.recipe import RECIPE_VERSION, parse_recipe
 from heartcase.simulator.script import parse_script
 
 RECIPE_TEXT = """

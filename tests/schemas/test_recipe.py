@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from heartcase.cli.new import starter_recipe
+from heartcase.cli.commands.new import starter_recipe
 from heartcase.schemas.errors import RecipeError
-from heartcase.schemas.export import schema_files
-from heartcase.schemas.recipe import Recipe, load_recipe, parse_recipe
+from heartcase.schemas.published.json_schemas import schema_files
+from heartcase.schemas.recipe.recipe import Recipe, load_recipe, parse_recipe
 
 MINIMAL = """
 heartcase_recipe = 1

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from pydicom.sr import codedict
 
 from heartcase.schemas.labels import Label, LabelTable, Role, default_label_table
-from heartcase.schemas.recipe import parse_recipe
+from heartcase.schemas.recipe.recipe import parse_recipe
 from heartcase.schemas.terms import CONVENTIONS, TERMS, as_markdown, normalised, term_by_code, term_by_name
 
 TABLE = default_label_table()
@@ -141,7 +141,7 @@ axis = [0, 0, 1]
 radius_mm = 5
 """
     )
-    from heartcase.pipeline.bundle import resolve_materials
+    from heartcase.pipeline.bundle.write_bundle import resolve_materials
 
     table = recipe.table.with_walls()
     moduli = {one.label: one.youngs_modulus_kpa for one in resolve_materials(recipe.materials, table)}

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from heartcase.schemas.recipe import Recipe, parse_recipe
+from heartcase.schemas.recipe.recipe import Recipe, parse_recipe
 from heartcase.schemas.toml import toml_text
 from tests.schemas.recipes import recipes
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from heartcase.pipeline.bundle import write_bundle
+from heartcase.pipeline.bundle.write_bundle import write_bundle
 from tests.factories import block_case
 
 

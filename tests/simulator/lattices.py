@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 from hypothesis import strategies as st
 
+from heartcase.schemas.bundle.lattice import cell_nodes
 from heartcase.schemas.geometry import Geometry
-from heartcase.schemas.lattice import cell_nodes
-from heartcase.simulator.contact import probe_row
-from heartcase.simulator.explicit import ExplicitSprings
-from heartcase.simulator.model import LatticeModel, make_model
+from heartcase.simulator.engine.shared.contact import probe_row
+from heartcase.simulator.lattice.explicit import ExplicitSprings
+from heartcase.simulator.lattice.model import LatticeModel, make_model
 
 EPS = float(np.finfo(np.float32).eps)
 
@@ -80,7 +80,7 @@ def random_shares(cell_count: int, rng: np.random.Generator) -> np.ndarray:
 
 def stiffness_matrix(model: LatticeModel, displacement: np.ndarray | None = None) -> np.ndarray:
     """Minus the derivative of the reference forces, at rest or where displaced, by central differences, (3 n, 3 n)."""
-    from heartcase.simulator.forces_reference import elastic_forces
+    from heartcase.simulator.forces.reference import elastic_forces
 
     n = 3 * model.node_count
     step = 1e-5

@@ -8,12 +8,12 @@ import sys
 import numpy as np
 import pytest
 
-from heartcase.schemas.bundle import FileRole
-from heartcase.schemas.bundle_reader import OpenBundle, open_bundle
+from heartcase.schemas.bundle.format import FileRole
+from heartcase.schemas.bundle.reader import OpenBundle, open_bundle
 from heartcase.schemas.errors import BundleError, UsageError
+from heartcase.simulator.dynamics.step_size import default_step, step_limit
 from heartcase.simulator.load import load_case
-from heartcase.simulator.step_size import default_step, step_limit
-from heartcase.simulator.surface import deform
+from heartcase.simulator.surface.deform import deform
 from tests.factories import TABLE, block_grid
 from tests.simulator.lattices import EPS
 

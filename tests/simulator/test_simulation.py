@@ -8,13 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from heartcase.schemas.errors import SimulationError
-from heartcase.simulator.force_law import ForceLaw
-from heartcase.simulator.forces_reference import elastic_energy, spring_forces
-from heartcase.simulator.instruments import nodes_in_reach
-from heartcase.simulator.measures import elastic_energy_of, inverted_cells
-from heartcase.simulator.model import DIRECTIONS, make_model
+from heartcase.simulator.dynamics.measures import elastic_energy_of, inverted_cells
+from heartcase.simulator.forces.reference import elastic_energy, spring_forces
+from heartcase.simulator.instruments.held import nodes_in_reach
+from heartcase.simulator.lattice.force_law import ForceLaw
+from heartcase.simulator.lattice.model import DIRECTIONS, make_model
+from heartcase.simulator.lattice.state import State
 from heartcase.simulator.simulation import Simulation
-from heartcase.simulator.state import State
 from heartcase.simulator.watchdog import Watch
 from tests.simulator.lattices import EPS, block, block_cells, oblique_geometry, random_field, random_models
 

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from heartcase.schemas.errors import SimulationError
-from heartcase.simulator.measures import inverted_cells
+from heartcase.simulator.dynamics.measures import inverted_cells
+from heartcase.simulator.lattice.state import State
 from heartcase.simulator.simulation import Simulation
-from heartcase.simulator.state import State
 from heartcase.simulator.watchdog import find_trouble
 from tests.simulator.lattices import block, random_field, random_models
 

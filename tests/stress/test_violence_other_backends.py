@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from heartcase.simulator.intrinsics_cuda import IS_SIMULATED
+from heartcase.simulator.engine.cuda.intrinsics import IS_SIMULATED
 from tests.stress.test_violence import LAWS, survive
 
 on_a_gpu = pytest.mark.skipif(IS_SIMULATED, reason="there is no GPU here")

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from heartcase.schemas.bundle.lattice import cell_nodes
 from heartcase.schemas.errors import SimulationError
-from heartcase.schemas.lattice import cell_nodes
-from heartcase.simulator.force_law import ForceLaw
-from heartcase.simulator.measures import inverted_cells
-from heartcase.simulator.model import LatticeModel, make_model
+from heartcase.simulator.dynamics.measures import inverted_cells
+from heartcase.simulator.lattice.force_law import ForceLaw
+from heartcase.simulator.lattice.model import LatticeModel, make_model
+from heartcase.simulator.lattice.state import State
 from heartcase.simulator.simulation import Simulation
-from heartcase.simulator.state import State
 from tests.simulator.lattices import block_cells, random_moments
 
 SETTLED_STEPS = 250

@@ -9,18 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from heartcase.phantom.acquisition import acquire_mri
-from heartcase.phantom.heart import HeartPhantom
+from heartcase.phantom.anatomy.heart import HeartPhantom
+from heartcase.phantom.drawing.strokes import marker_strokes
 from heartcase.phantom.metrics import SurfaceError, closest_distance_mm, dice, surface_error, wall_thickness_errors
-from heartcase.phantom.strokes import marker_strokes
+from heartcase.phantom.scan.acquisition import acquire_mri
+from heartcase.pipeline.build.run import labels_of
 from heartcase.pipeline.data import Markers, Scan
-from heartcase.pipeline.filter import filter_scan
-from heartcase.pipeline.markers import load_markers
-from heartcase.pipeline.run import labels_of
-from heartcase.pipeline.segment import segment_scan
-from heartcase.pipeline.surface import build_surface
-from heartcase.pipeline.walls import grow_walls, structure_volumes_ml
-from heartcase.schemas.settings import FilterSettings, SegmentSettings, SurfaceSettings, WallsSettings
+from heartcase.pipeline.image.filter_scan import filter_scan
+from heartcase.pipeline.markers.load_markers import load_markers
+from heartcase.pipeline.mesh.build_surface import build_surface
+from heartcase.pipeline.walls.grow_walls import grow_walls, structure_volumes_ml
+from heartcase.pipeline.watershed.segment_scan import segment_scan
+from heartcase.schemas.recipe.settings import FilterSettings, SegmentSettings, SurfaceSettings, WallsSettings
 
 STROKES_PER_LABEL_MAX = 10
 STROKE_RADIUS_MAX_MM = 2.0
@@ -136,7 +136,7 @@ def test_tissue_volume_and_surface_are_those_of_the_heart(phantom, structures, s
 def test_the_right_and_the_left_heart_do_not_meet(phantom, structures):
     import cc3d
 
-    from heartcase.pipeline.fields import ownership_on_lattice
+    from heartcase.pipeline.fields.reader import ownership_on_lattice
 
     owner = ownership_on_lattice(structures, structures.geometry.refined(2))
     blood = np.isin(owner.void_label, structures.table.blood_values) & (owner.tissue_mm >= 0)

@@ -14,8 +14,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from heartcase.simulator.force_law import ForceLaw
-from heartcase.simulator.model import make_model
+from heartcase.simulator.lattice.force_law import ForceLaw
+from heartcase.simulator.lattice.model import make_model
 from tests.simulator.lattices import block_cells
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from heartcase.simulator.engine import make_engine
-from heartcase.simulator.forces_reference import spring_forces
-from heartcase.simulator.integrate import Verlet, energy, runge_kutta_step, staggered, verlet_step
+from heartcase.simulator.dynamics.integrate import Verlet, energy, runge_kutta_step, staggered, verlet_step
+from heartcase.simulator.engine.backends import make_engine
+from heartcase.simulator.forces.reference import spring_forces
+from heartcase.simulator.lattice.state import State
 from heartcase.simulator.simulation import Simulation
-from heartcase.simulator.state import State
 from tests.simulator.lattices import EPS, block, oblique_geometry, random_field, stiffness_matrix
 
 REST_LIMIT = 2 / np.sqrt(20)

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from heartcase.simulator.forces_reference import elastic_energy
-from heartcase.simulator.model import make_model
+from heartcase.simulator.forces.reference import elastic_energy
+from heartcase.simulator.lattice.model import make_model
 from tests.simulator.lattices import block, random_models, stiffness_matrix
 
 E_KPA = 30.0

@@ -10,14 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from heartcase.schemas.errors import SimulationError
-from heartcase.simulator.engine import make_engine
-from heartcase.simulator.force_law import ForceLaw
-from heartcase.simulator.forces_reference import elastic_energy, elastic_forces
-from heartcase.simulator.integrate import Verlet
-from heartcase.simulator.measures import inverted_cells
-from heartcase.simulator.model import make_model
-from heartcase.simulator.spectrum import largest_eigenvalue
-from heartcase.simulator.state import State
+from heartcase.simulator.dynamics.integrate import Verlet
+from heartcase.simulator.dynamics.measures import inverted_cells
+from heartcase.simulator.dynamics.spectrum import largest_eigenvalue
+from heartcase.simulator.engine.backends import make_engine
+from heartcase.simulator.forces.reference import elastic_energy, elastic_forces
+from heartcase.simulator.lattice.force_law import ForceLaw
+from heartcase.simulator.lattice.model import make_model
+from heartcase.simulator.lattice.state import State
 from tests.examples import few_and_many, hold_for
 from tests.simulator.lattices import block, random_models, random_moments, stiffness_matrix
 from tests.verification.test_elasticity import stretch

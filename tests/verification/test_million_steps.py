@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from heartcase.simulator.engine import make_engine
-from heartcase.simulator.force_law import ForceLaw
-from heartcase.simulator.forces_reference import elastic_energy, elastic_forces
-from heartcase.simulator.integrate import Verlet
-from heartcase.simulator.state import State
+from heartcase.simulator.dynamics.integrate import Verlet
+from heartcase.simulator.engine.backends import make_engine
+from heartcase.simulator.forces.reference import elastic_energy, elastic_forces
+from heartcase.simulator.lattice.force_law import ForceLaw
+from heartcase.simulator.lattice.state import State
 from tests.simulator.lattices import block, random_field
 
 STEPS = 1_000_000

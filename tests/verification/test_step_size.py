@@ -10,10 +10,10 @@ from scipy import sparse
 from scipy.sparse.linalg import eigsh
 
 from heartcase.schemas.errors import SimulationError
-from heartcase.simulator.model import make_model
+from heartcase.simulator.dynamics.spectrum import largest_eigenvalue
+from heartcase.simulator.dynamics.step_size import checked_step, default_step, own_step_limit, step_limit
+from heartcase.simulator.lattice.model import make_model
 from heartcase.simulator.simulation import Simulation
-from heartcase.simulator.spectrum import largest_eigenvalue
-from heartcase.simulator.step_size import checked_step, default_step, own_step_limit, step_limit
 from tests.examples import few_and_many, hold_for
 from tests.simulator.lattices import block, random_field, random_models, stiffness_matrix
 

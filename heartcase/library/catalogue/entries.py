@@ -9,14 +9,14 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
-from heartcase.pipeline.cautions import CautionGroup, Severity, cautions_of, grouped
-from heartcase.pipeline.openings import Verdict
+from heartcase.pipeline.checks.openings import Verdict
 from heartcase.pipeline.report.build_report import VERDICT_WORDS
 from heartcase.pipeline.report.plain_words import Fact, figure_facts
+from heartcase.pipeline.warnings import CautionGroup, Severity, cautions_of, grouped
 from heartcase.schemas.about import About
 from heartcase.schemas.base import Name
-from heartcase.schemas.bundle import MANIFEST_NAME, CaseManifest, FileRole
-from heartcase.schemas.bundle_reader import OpenBundle, open_bundle
+from heartcase.schemas.bundle.format import MANIFEST_NAME, CaseManifest, FileRole
+from heartcase.schemas.bundle.reader import OpenBundle, open_bundle
 from heartcase.schemas.errors import BundleError
 from heartcase.schemas.landmarks import Landmark
 

@@ -23,12 +23,12 @@ from heartcase.library.catalogue.colours import (
     safe_colour,
 )
 from heartcase.library.catalogue.oxygenation import Oxygen, Oxygenation
-from heartcase.pipeline.mesh.tubes import VESSEL_COLOUR, TubeMesh
+from heartcase.pipeline.exports.tubes import VESSEL_COLOUR, TubeMesh
 from heartcase.pipeline.report.views import four_chamber_view, places_of, short_axis_view
-from heartcase.schemas.bundle_reader import OpenBundle
+from heartcase.schemas.bundle.reader import OpenBundle
+from heartcase.schemas.bundle.surface_kinds import SurfaceKind
 from heartcase.schemas.labels import BACKGROUND, LabelTable
 from heartcase.schemas.landmarks import Landmark
-from heartcase.schemas.surface_kinds import SurfaceKind
 
 __all__ = [
     "PACKED_MAX",
@@ -74,7 +74,7 @@ class SurfaceArrays:
     tissue: Bytes
     """Label behind each triangle, shape (triangle_count,)."""
     kind: Bytes | None
-    """:class:`~heartcase.schemas.surface_kinds.SurfaceKind` of each triangle; None in cases of version 1.0 and 1.1."""
+    """:class:`~heartcase.schemas.bundle.surface_kinds.SurfaceKind` of each triangle; None in versions 1.0 and 1.1."""
 
 
 @dataclass(frozen=True)

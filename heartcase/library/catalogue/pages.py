@@ -15,7 +15,7 @@ from heartcase.library.catalogue.mesh_data import PackedMesh, group_look, script
 from heartcase.library.catalogue.oxygenation import Oxygen, Oxygenation
 from heartcase.library.catalogue.pictures import PICTURE_SIZE
 from heartcase.library.catalogue.words import INTERFACE_LANGUAGES, LANGUAGE_NAMES, WORDS
-from heartcase.schemas.bundle import CaseManifest
+from heartcase.schemas.bundle.format import CaseManifest
 from heartcase.schemas.landmarks import Landmark
 
 if TYPE_CHECKING:

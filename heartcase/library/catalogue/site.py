@@ -31,8 +31,8 @@ from heartcase.library.catalogue.oxygenation import oxygenation
 from heartcase.library.catalogue.pages import case_page, index_page, index_script, list_page, words_script
 from heartcase.library.catalogue.pictures import case_pictures
 from heartcase.library.catalogue.words import INTERFACE_LANGUAGES
-from heartcase.pipeline.mesh.tubes import vessel_tubes
-from heartcase.schemas.bundle import MANIFEST_NAME
+from heartcase.pipeline.exports.tubes import vessel_tubes
+from heartcase.schemas.bundle.format import MANIFEST_NAME
 from heartcase.schemas.errors import HeartcaseError, Problem, UsageError
 from heartcase.schemas.files import exclusive, remove_leftovers
 

@@ -18,7 +18,7 @@ from scipy.sparse import csgraph
 
 from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel
-from heartcase.pipeline.cells.topology import Connectivity, betti_numbers, components
+from heartcase.pipeline.kernels.topology import Connectivity, betti_numbers, components
 
 __all__ = ["Change", "topology_changes"]
 

@@ -15,8 +15,8 @@ import numpy.typing as npt
 from heartcase.compiling.calls import called, copied
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.data import SimulationGrid
-from heartcase.pipeline.vectors import cross
-from heartcase.schemas.lattice import CELL_DIAGONALS, CELL_EDGES, cell_nodes, distinct_keys
+from heartcase.pipeline.kernels.vectors import cross
+from heartcase.schemas.bundle.lattice import CELL_DIAGONALS, CELL_EDGES, cell_nodes, distinct_keys
 
 __all__ = ["curvature_errors", "grid_springs", "node_neighbours"]
 

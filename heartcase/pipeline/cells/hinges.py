@@ -17,7 +17,7 @@ import numpy.typing as npt
 from heartcase.pipeline.cells.passages import closes_passage
 from heartcase.pipeline.cells.repair import CellState, Index, cells_of_pieces, find_leaks, index_of
 from heartcase.pipeline.cells.sampling import CellSamples, VoidPieces
-from heartcase.pipeline.cells.topology import components
+from heartcase.pipeline.kernels.topology import components
 
 __all__ = ["NEGLIGIBLE_CELLS", "NEGLIGIBLE_SHARE", "HingeRepairs", "hanging_cells", "mend_hinges"]
 
@@ -101,7 +101,7 @@ def hanging_cells(tissue: Bool, corners: Int32, nodes: Int32, fixed: UInt8) -> l
     tissue
         Tissue cells, ``[k, j, i]``.
     corners, nodes
-        From :func:`heartcase.schemas.lattice.cell_nodes`.
+        From :func:`heartcase.schemas.bundle.lattice.cell_nodes`.
     fixed
         1 for each node that is held, shape (node_count,).
     """

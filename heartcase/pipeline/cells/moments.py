@@ -10,7 +10,7 @@ import numpy.typing as npt
 from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.cells.sampling import CellSamples, tissue_part
-from heartcase.schemas.lattice import FULL_MOMENTS
+from heartcase.schemas.bundle.lattice import FULL_MOMENTS
 
 __all__ = ["cell_moments"]
 

@@ -22,7 +22,7 @@ from scipy.sparse import csgraph
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.cells.repair import CellState, Index, index_of
 from heartcase.pipeline.cells.sampling import CellSamples, VoidPieces
-from heartcase.schemas.lattice import distinct_keys
+from heartcase.schemas.bundle.lattice import distinct_keys
 
 __all__ = ["LUMEN_CELLS", "OPENING_CELLS", "blocked_openings", "closes_passage", "open_passages"]
 

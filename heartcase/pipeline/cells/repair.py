@@ -18,7 +18,7 @@ from scipy.sparse import csgraph
 
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.cells.sampling import CellSamples, VoidPieces
-from heartcase.pipeline.cells.topology import components
+from heartcase.pipeline.kernels.topology import components
 
 __all__ = [
     "CellState",

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from heartcase.compiling.calls import called, copied
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.data import Structures
-from heartcase.pipeline.fields import FieldReader, ownership_on_lattice
+from heartcase.pipeline.fields.reader import FieldReader, ownership_on_lattice
 from heartcase.schemas.geometry import Geometry
 
 __all__ = ["CellSamples", "VoidPieces", "cell_lattice", "sample_cells", "sample_factor", "tissue_part", "void_pieces"]

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.pipeline.cautions import counted
 from heartcase.pipeline.cells.sampling import CellSamples
-from heartcase.pipeline.cells.topology import components
 from heartcase.pipeline.data import Structures
+from heartcase.pipeline.kernels.topology import components
+from heartcase.pipeline.warnings import counted
 from heartcase.schemas.errors import Problem, StageError
 from heartcase.schemas.geometry import Geometry
-from heartcase.schemas.settings import Pin
+from heartcase.schemas.recipe.settings import Pin
 
 __all__ = ["fixed_nodes", "floating_pieces"]
 
@@ -44,7 +44,7 @@ def fixed_nodes(
     tissue
         Tissue cells, ``[k, j, i]``.
     nodes, corners
-        From :func:`heartcase.schemas.lattice.cell_nodes`.
+        From :func:`heartcase.schemas.bundle.lattice.cell_nodes`.
     pins
         Balls of tissue, world mm.
 

@@ -28,9 +28,9 @@ from heartcase.pipeline.cells.ways import (
     searched,
 )
 from heartcase.pipeline.data import Surface
-from heartcase.pipeline.fields import FieldReader, scratch
-from heartcase.pipeline.side_by_side import every_other
-from heartcase.pipeline.vectors import dot, put, square_to_triangle
+from heartcase.pipeline.fields.reader import FieldReader, scratch
+from heartcase.pipeline.kernels.parallel import every_other
+from heartcase.pipeline.kernels.vectors import dot, put, square_to_triangle
 from heartcase.schemas.geometry import Geometry
 
 __all__ = ["Check", "NodeTriangles", "TieChooser", "closest_weights"]

@@ -13,10 +13,10 @@ import numpy.typing as npt
 
 from heartcase.compiling.calls import called, copied
 from heartcase.compiling.kernel import kernel
-from heartcase.pipeline.field_layout import FieldLayout
-from heartcase.pipeline.fields import FieldReader, evaluate_owner, steps_through
-from heartcase.pipeline.vectors import dot
-from heartcase.pipeline.wall_thickness import ThicknessArrays
+from heartcase.pipeline.fields.layout import FieldLayout
+from heartcase.pipeline.fields.reader import FieldReader, evaluate_owner, steps_through
+from heartcase.pipeline.fields.wall_thickness import ThicknessArrays
+from heartcase.pipeline.kernels.vectors import dot
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND
 

@@ -4,7 +4,7 @@ The fields of :class:`~heartcase.pipeline.data.Structures` are one per structure
 its neighbours get theirs: what it leaves goes to the nearest other structure, what it takes is theirs no more. With f
 the new field of the structure, v the stored ones and K the lowest but one's own of the others, a neighbour M is where
 ``max((v_M - v_K) / 2, -f)`` is below zero. These zero levels meet without gap or overlap; each is then made a distance
-again (:func:`heartcase.pipeline.distance.signed_distance`). Nothing changes farther than the band from where the
+again (:func:`heartcase.pipeline.fields.distance.signed_distance`). Nothing changes farther than the band from where the
 border moved.
 """
 
@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.data import Structures
-from heartcase.pipeline.distance import signed_distance
+from heartcase.pipeline.fields.distance import signed_distance
 
 __all__ = ["Borders", "Box", "distance_beyond_band"]
 

@@ -13,14 +13,14 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import gaussian_filter
 
-from heartcase.pipeline.cautions import anatomy
 from heartcase.pipeline.data import Reshaping, Structures
 from heartcase.pipeline.edits.borders import Borders, Box
 from heartcase.pipeline.edits.probes import look, overlap
-from heartcase.pipeline.shapes import distance_on_lattice
-from heartcase.schemas.edit_settings import Fill, Smooth
+from heartcase.pipeline.fields.shapes import distance_on_lattice
+from heartcase.pipeline.warnings import anatomy
 from heartcase.schemas.errors import StageError
 from heartcase.schemas.labels import BACKGROUND, Label
+from heartcase.schemas.recipe.edit_settings import Fill, Smooth
 
 __all__ = ["fill_structure", "smooth_structure"]
 
@@ -46,8 +46,8 @@ def smooth_structure(structures: Structures, edit: Smooth, label: Label, place: 
 
     The stored field v becomes ``v + w (2 g - g' - v)`` with g its Gaussian blur, g' the blur of g, and w rising from
     0 at the brush's face to 1 half a radius inside. One blur alone draws a curved face inwards by ``sigma**2`` times
-    its mean curvature; the second takes that off to first order, as in :mod:`heartcase.pipeline.distance`. A wave of
-    length l in a flat face keeps ``1 - (1 - exp(-2 (pi sigma / l)**2))**2`` of its height.
+    its mean curvature; the second takes that off to first order, as in :mod:`heartcase.pipeline.fields.distance`. A
+    wave of length l in a flat face keeps ``1 - (1 - exp(-2 (pi sigma / l)**2))**2`` of its height.
 
     Raises
     ------

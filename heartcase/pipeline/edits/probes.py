@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.data import Reshaping, Structures
-from heartcase.pipeline.fields import ownership_at_points
-from heartcase.pipeline.shapes import frame_of, section_distance
+from heartcase.pipeline.fields.reader import ownership_at_points
+from heartcase.pipeline.fields.shapes import frame_of, section_distance
 
 __all__ = ["Found", "joins_cavities", "look", "overlap"]
 

@@ -13,11 +13,11 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.exports.models import TaggedMesh
-from heartcase.schemas.bundle import FileRole
-from heartcase.schemas.bundle_reader import OpenBundle
+from heartcase.schemas.bundle.format import FileRole
+from heartcase.schemas.bundle.lattice import cell_nodes
+from heartcase.schemas.bundle.reader import OpenBundle
 from heartcase.schemas.errors import BundleError, Problem, UsageError
 from heartcase.schemas.labels import LabelTable
-from heartcase.schemas.lattice import cell_nodes
 
 __all__ = ["Hexahedra", "grid_hexahedra", "hexahedra_bytes", "surface_bytes"]
 
@@ -30,8 +30,8 @@ _FORMATS = {".vtu": "vtu", ".vtk": "vtk42", ".inp": "abaqus", ".msh": "gmsh22"}
 """Ending -> meshio's name of the format. Gmsh's version 2.2 is the one that finite-element codes read; of the old VTK
 format VTK itself cannot read the bytes and integers that meshio writes as version 5.1."""
 _VTK_ORDER = [0, 1, 3, 2, 4, 5, 7, 6]
-"""Corner of a cell (:mod:`heartcase.schemas.lattice`) at each place of a hexahedron: around the lower face, then the
-upper one, both counter-clockwise from above. VTK, Abaqus (C3D8) and Gmsh agree in this."""
+"""Corner of a cell (:mod:`heartcase.schemas.bundle.lattice`) at each place of a hexahedron: around the lower face, then
+the upper one, both counter-clockwise from above. VTK, Abaqus (C3D8) and Gmsh agree in this."""
 
 
 @dataclass(frozen=True)

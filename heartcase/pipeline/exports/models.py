@@ -14,16 +14,16 @@ import numpy.typing as npt
 from pydantic import ValidationError
 
 from heartcase.pipeline.data import Segmentation, Structures
-from heartcase.pipeline.distance import label_distances
-from heartcase.pipeline.mesh.tubes import VESSEL_COLOUR, vessel_tubes
-from heartcase.pipeline.surface import build_surface
-from heartcase.pipeline.walls import resolve_walls
-from heartcase.schemas.bundle import FileRole
-from heartcase.schemas.bundle_reader import OpenBundle
+from heartcase.pipeline.exports.tubes import VESSEL_COLOUR, vessel_tubes
+from heartcase.pipeline.fields.distance import label_distances
+from heartcase.pipeline.mesh.build_surface import build_surface
+from heartcase.pipeline.walls.grow_walls import resolve_walls
+from heartcase.schemas.bundle.format import FileRole
+from heartcase.schemas.bundle.reader import OpenBundle
+from heartcase.schemas.bundle.surface_kinds import plain_kinds
 from heartcase.schemas.errors import StageError, UsageError
 from heartcase.schemas.labels import BACKGROUND, Label, LabelTable, Role
-from heartcase.schemas.settings import SurfaceSettings, WallsSettings
-from heartcase.schemas.surface_kinds import plain_kinds
+from heartcase.schemas.recipe.settings import SurfaceSettings, WallsSettings
 
 __all__ = ["TaggedMesh", "hollow_model", "solid_model", "vessels_model", "walls_smoothing_mm"]
 
@@ -60,7 +60,7 @@ class TaggedMesh:
     table: LabelTable
     """What the labels stand for."""
     triangle_kind: UInt8 | None = None
-    """:class:`~heartcase.schemas.surface_kinds.SurfaceKind` of each triangle of a hollow model."""
+    """:class:`~heartcase.schemas.bundle.surface_kinds.SurfaceKind` of each triangle of a hollow model."""
     warnings: tuple[str, ...] = ()
     """What the model lacks, in plain words."""
 

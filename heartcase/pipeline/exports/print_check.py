@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.pipeline.cautions import counted
 from heartcase.pipeline.exports.models import TaggedMesh
-from heartcase.pipeline.mesh.decimate import mesh_defects
-from heartcase.pipeline.mesh.extract import shell_volumes
-from heartcase.pipeline.mesh.half_edges import connected_parts, opposites
-from heartcase.pipeline.mesh.intersections import self_intersections
-from heartcase.pipeline.mesh.thickness import triangle_normals, wall_thickness_mm
+from heartcase.pipeline.mesh.decimation.decimate import mesh_defects
+from heartcase.pipeline.mesh.extraction.extract import shell_volumes
+from heartcase.pipeline.mesh.triangles.half_edges import connected_parts, opposites
+from heartcase.pipeline.mesh.triangles.intersections import self_intersections
+from heartcase.pipeline.mesh.triangles.thickness import triangle_normals, wall_thickness_mm
+from heartcase.pipeline.warnings import counted
 from heartcase.schemas.errors import StageError
 
 __all__ = ["PrintCheck", "ThinPlaces", "check_for_printing"]
@@ -116,7 +116,7 @@ def check_for_printing(mesh: TaggedMesh, *, min_thickness_mm: float) -> PrintChe
     Returns
     -------
     PrintCheck
-        Thickness is that of :mod:`heartcase.pipeline.mesh.thickness`.
+        Thickness is that of :mod:`heartcase.pipeline.mesh.triangles.thickness`.
 
     Raises
     ------

@@ -7,9 +7,9 @@ from typing import Any
 
 import pydicom
 
-from heartcase.pipeline.formats.dicom_tags import quiet_pydicom
-from heartcase.pipeline.formats.read_dicom import chosen_file
-from heartcase.pipeline.read import is_dicom_source
+from heartcase.pipeline.formats.dicom.read import chosen_file
+from heartcase.pipeline.formats.dicom.tags import quiet_pydicom
+from heartcase.pipeline.formats.read_scan import is_dicom_source
 from heartcase.schemas.errors import ScanError
 
 __all__ = ["identity_of"]
@@ -34,7 +34,7 @@ def identity_of(scan: Path, **choice: Any) -> dict[str, str]:
     Parameters
     ----------
     scan
-        What :func:`heartcase.pipeline.read.read_scan` takes.
+        What :func:`heartcase.pipeline.formats.read_scan.read_scan` takes.
     choice
         ``series``, ``trigger_time_ms`` and ``echo_time_ms`` as there.
 

@@ -11,10 +11,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from heartcase import __version__
-from heartcase.pipeline.cautions import CautionGroup, grouped
-from heartcase.pipeline.confidence import Sureness
+from heartcase.pipeline.checks.openings import Opening, Verdict
 from heartcase.pipeline.data import GridMap, Scan, Segmentation, SimulationGrid, Structures, Surface
-from heartcase.pipeline.openings import Opening, Verdict
+from heartcase.pipeline.markers.confidence import Sureness
 from heartcase.pipeline.report.confidence_part import ConfidencePart, confidence_part
 from heartcase.pipeline.report.ends_part import EndsPart, ends_part
 from heartcase.pipeline.report.hand_work import hand_work_facts, region_words
@@ -27,9 +26,11 @@ from heartcase.pipeline.report.plain_words import (
     smoothing_facts,
 )
 from heartcase.pipeline.report.report_pictures import Picture, ThicknessRow, slice_parts, surface_parts
-from heartcase.schemas.bundle import CaseManifest, StageRecord
+from heartcase.pipeline.stages.table import STAGES
+from heartcase.pipeline.warnings import CautionGroup, grouped
+from heartcase.schemas.bundle.format import CaseManifest, StageRecord
 from heartcase.schemas.labels import BACKGROUND, LabelTable, Role
-from heartcase.schemas.recipe import Recipe
+from heartcase.schemas.recipe.recipe import Recipe
 
 __all__ = ["VERDICT_WORDS", "OpeningRow", "ReportData", "StageRow", "StructureRow", "build_report", "render_report"]
 
@@ -59,18 +60,6 @@ _TOTALS = {
     "All tissue": (Role.MYOCARDIUM, Role.WALL, Role.DEVICE),
 }
 _PHASE = ("trigger_time_ms", "cardiac_phase_percent")
-_STAGE_WORDS = {
-    "read": "read the scan",
-    "filter": "smooth it, keeping edges",
-    "markers": "collect the painted markers",
-    "segment": "find the structures",
-    "walls": "grow the walls",
-    "edit": "make the edits",
-    "grid": "divide the tissue into cells",
-    "surface": "make the visible surface",
-    "map": "tie the surface to the cells",
-    "bundle": "write the case",
-}
 
 
 @dataclass(frozen=True)
@@ -250,7 +239,7 @@ def build_report(
     stages
         Provenance of the stages, in order.
     warnings
-        In any order; marked in :mod:`heartcase.pipeline.cautions`.
+        In any order; marked in :mod:`heartcase.pipeline.warnings`.
     case_id
         Made-up identifier of the case.
     bundle_sha256
@@ -382,13 +371,14 @@ def _opening_row(one: Opening) -> OpeningRow:
 def _stage_rows(stages: Sequence[StageRecord], timings_s: Mapping[str, float]) -> list[StageRow]:
     longest = max(timings_s.values(), default=0.0)
     records = {record.stage: record for record in stages}
+    deeds = {stage.name: stage.deed for stage in STAGES}
     rows = []
-    for name in sorted({*records, *timings_s}, key=_stage_order):
+    for name in sorted({*records, *timings_s}, key=lambda name: _place_in(list(deeds), name)):
         record, seconds = records.get(name), timings_s.get(name)
         rows.append(
             StageRow(
                 name=name,
-                words=_STAGE_WORDS.get(name, ""),
+                words=deeds.get(name, ""),
                 seconds=seconds,
                 share=seconds / longest if seconds is not None and longest > 0.0 else 0.0,
                 version=record.version if record else None,
@@ -399,6 +389,5 @@ def _stage_rows(stages: Sequence[StageRecord], timings_s: Mapping[str, float]) -
     return rows
 
 
-def _stage_order(name: str) -> tuple[int, str]:
-    known = list(_STAGE_WORDS)
+def _place_in(known: list[str], name: str) -> tuple[int, str]:
     return (known.index(name) if name in known else len(known), name)

@@ -9,8 +9,8 @@ import edt
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.pipeline.confidence import Sureness
 from heartcase.pipeline.data import Scan, Segmentation
+from heartcase.pipeline.markers.confidence import Sureness
 from heartcase.pipeline.report.montage import stacked
 from heartcase.pipeline.report.plain_words import placed
 from heartcase.pipeline.report.report_pictures import Picture, embedded_picture

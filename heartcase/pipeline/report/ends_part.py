@@ -10,7 +10,7 @@ import numpy.typing as npt
 from scipy.ndimage import map_coordinates
 
 from heartcase.pipeline.data import Scan, Structures, VesselEnd
-from heartcase.pipeline.fields import ownership_at_points
+from heartcase.pipeline.fields.reader import ownership_at_points
 from heartcase.pipeline.report.pictures import direction_letters
 from heartcase.pipeline.report.plain_words import placed
 from heartcase.pipeline.report.report_pictures import Picture, embedded_picture

@@ -7,24 +7,16 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from heartcase.pipeline.cautions import counted
 from heartcase.pipeline.data import Scan
 from heartcase.pipeline.report.plain_words import Fact, placed, setting_lines
-from heartcase.schemas.edit_settings import CloseDefect, Edit, KeepLargest, RemoveIslands, SeptalDefect
+from heartcase.pipeline.stages.resolve import resolve_recipe
+from heartcase.pipeline.stages.table import STAGES
+from heartcase.pipeline.warnings import counted
 from heartcase.schemas.labels import Label, LabelTable, default_label_table
-from heartcase.schemas.recipe import Recipe
+from heartcase.schemas.recipe.edit_settings import CloseDefect, Edit, KeepLargest, RemoveIslands, SeptalDefect
+from heartcase.schemas.recipe.recipe import Recipe
 
 __all__ = ["hand_work_facts", "region_words"]
-
-_STAGES = {
-    "filter": "smoothing the scan",
-    "segment": "finding the structures",
-    "walls": "walls and outlines",
-    "grid": "dividing the tissue into cells",
-    "surface": "visible surface",
-    "map": "tie between surface and cells",
-}
-"""Settings of the recipe -> what they set, for those that have defaults."""
 
 _TOLD_APART = {"method", "ranges", "file", "names", "automatic", "connected", "septum", "find_ends"}
 
@@ -138,13 +130,16 @@ def _size(edit: SeptalDefect | CloseDefect) -> str:
     return f"{edit.diameter_mm:g} x {edit.width_mm:g} mm ({edit.shape})"
 
 
+def _subjects() -> dict[str, str]:
+    """Settings of the recipe that have defaults -> what they set."""
+    return {stage.name: stage.subject for stage in STAGES if stage.subject}
+
+
 def _untouched(recipe: Recipe, scan: Scan | None) -> Recipe:
     """The recipe as if nobody had set anything, with what the program chooses for this scan."""
-    plain = recipe.model_copy(update={stage: type(getattr(recipe, stage))() for stage in _STAGES})
+    plain = recipe.model_copy(update={stage: type(getattr(recipe, stage))() for stage in _subjects()})
     if scan is None:
         return plain
-    from heartcase.pipeline.lock import resolve_recipe
-
     return resolve_recipe(plain, scan)
 
 
@@ -177,7 +172,7 @@ def _settings(recipe: Recipe, scan: Scan | None) -> Iterator[Fact]:
             )
             yield Fact(f"Material: {name}", value, meaning)
     untouched = _untouched(recipe, scan)
-    for stage, words in _STAGES.items():
+    for stage, words in _subjects().items():
         chosen = getattr(recipe, stage)
         for field in type(chosen).model_fields:
             value, before = getattr(chosen, field), getattr(getattr(untouched, stage), field)

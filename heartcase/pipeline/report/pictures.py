@@ -16,8 +16,8 @@ import numpy.typing as npt
 from PIL import Image, ImageDraw
 from scipy.spatial import KDTree
 
-from heartcase.pipeline.mesh.cut import Plane, clipped, crossings, filled
-from heartcase.pipeline.mesh.thickness import vertex_normals
+from heartcase.pipeline.mesh.triangles.thickness import vertex_normals
+from heartcase.pipeline.report.cut import Plane, clipped, crossings, filled
 from heartcase.pipeline.report.montage import INK, font_of_size
 from heartcase.pipeline.report.render import Camera, Mesh, camera_for, downsampled, draw_mesh
 from heartcase.schemas.labels import BACKGROUND, LabelTable

@@ -13,8 +13,13 @@ import numpy.typing as npt
 from PIL import Image
 
 from heartcase.pipeline.data import Scan, Segmentation, Structures, Surface
-from heartcase.pipeline.fields import ownership_on_lattice
-from heartcase.pipeline.mesh.thickness import ThicknessFigures, thickness_figures, triangle_normals, wall_thickness_mm
+from heartcase.pipeline.fields.reader import ownership_on_lattice
+from heartcase.pipeline.mesh.triangles.thickness import (
+    ThicknessFigures,
+    thickness_figures,
+    triangle_normals,
+    wall_thickness_mm,
+)
 from heartcase.pipeline.report.montage import png_bytes
 from heartcase.pipeline.report.pictures import View, coronal_plane, cutaway_picture, surface_picture
 from heartcase.pipeline.report.plain_words import cardiac_phase_words
@@ -23,7 +28,7 @@ from heartcase.pipeline.report.views import CutView, Place, four_chamber_view, p
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable
 from heartcase.schemas.landmarks import Landmark
-from heartcase.schemas.settings import WallsSettings
+from heartcase.schemas.recipe.settings import WallsSettings
 
 __all__ = ["Picture", "SurfaceParts", "ThicknessRow", "embedded_picture", "slice_parts", "surface_parts"]
 

@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.watershed.descent import row_chunks, side_offsets
+from heartcase.pipeline.watershed.incremental import mend, unmark
 from heartcase.pipeline.watershed.marks import (
     CONTESTED,
     UNMARKED,
@@ -27,7 +28,6 @@ from heartcase.pipeline.watershed.marks import (
     own_key,
     reach,
 )
-from heartcase.pipeline.watershed.mending import mend, unmark
 from heartcase.pipeline.watershed.painting import paint_basins, paint_rows
 from heartcase.pipeline.watershed.plateaus import divide_flat
 from heartcase.pipeline.watershed.tree import NO_KEY, BasinTree

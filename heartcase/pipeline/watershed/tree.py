@@ -132,7 +132,7 @@ def build_basin_tree(height: Float32) -> BasinTree:
 
 
 def restored_tree(height: Float32, direction: UInt8, key: Int64) -> BasinTree | None:
-    """A tree from what :mod:`heartcase.pipeline.watershed.kept` keeps; None where the parts do not fit each other."""
+    """A tree from what :mod:`heartcase.pipeline.watershed.tree_cache` keeps; None where its parts do not agree."""
     basin, root = basins_of(direction)
     if len(root) != len(key) + 1:
         return None

@@ -6,7 +6,7 @@ from hypothesis.extra import numpy as hnp
 from scipy import ndimage
 
 from heartcase.pipeline.cells.changes import _is_simple, topology_changes
-from heartcase.pipeline.cells.topology import betti_numbers, distance_in_samples
+from heartcase.pipeline.kernels.topology import betti_numbers, distance_in_samples
 
 
 def changes(before, after, connectivity=26):

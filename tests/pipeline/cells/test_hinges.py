@@ -5,9 +5,9 @@ from heartcase.pipeline.cells.hinges import HingeRepairs, hanging_cells, mend_hi
 from heartcase.pipeline.cells.passages import closes_passage
 from heartcase.pipeline.cells.repair import CellState, cell_coverage
 from heartcase.pipeline.cells.sampling import CellSamples, void_pieces
-from heartcase.pipeline.cells.topology import components
+from heartcase.pipeline.kernels.topology import components
+from heartcase.schemas.bundle.lattice import CELL_DIAGONALS, CELL_EDGES, cell_nodes
 from heartcase.schemas.geometry import Geometry
-from heartcase.schemas.lattice import CELL_DIAGONALS, CELL_EDGES, cell_nodes
 
 
 def scene(tissue, *, coverage=None, blood=None):

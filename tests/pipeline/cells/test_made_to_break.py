@@ -11,10 +11,10 @@ import pytest
 from scipy import ndimage
 from skimage import measure
 
+from heartcase.pipeline.cells.build_grid import build_grid
 from heartcase.pipeline.cells.sampling import cell_lattice
-from heartcase.pipeline.fields import ownership_on_lattice
-from heartcase.pipeline.grid import build_grid
-from heartcase.schemas.settings import GridSettings, Pin
+from heartcase.pipeline.fields.reader import ownership_on_lattice
+from heartcase.schemas.recipe.settings import GridSettings, Pin
 from tests.pipeline.analytic_structures import (
     LEFT,
     RIGHT,

@@ -5,7 +5,7 @@ import pytest
 
 from heartcase.pipeline.cells.moments import cell_moments
 from heartcase.pipeline.cells.sampling import cell_lattice, sample_cells, sample_factor, tissue_part
-from heartcase.schemas.lattice import FULL_MOMENTS
+from heartcase.schemas.bundle.lattice import FULL_MOMENTS
 from tests.pipeline.analytic_structures import WALL, ball, lattice, rotation, slab, structures, without
 
 OBLIQUE = rotation((1.0, 2.0, 3.0), 33.0)

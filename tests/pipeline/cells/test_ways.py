@@ -14,7 +14,7 @@ from heartcase.pipeline.cells.ways import (
     looks_elsewhere,
     searched,
 )
-from heartcase.pipeline.fields import FieldReader, ownership_at_points, scratch
+from heartcase.pipeline.fields.reader import FieldReader, ownership_at_points, scratch
 from heartcase.schemas.geometry import Geometry
 from tests.pipeline.analytic_structures import (
     LEFT,

@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from heartcase.pipeline.artifacts import artifact_to_bytes
+from heartcase.pipeline.artifacts.serialise import artifact_to_bytes
 from heartcase.pipeline.data import Segmentation, Structures
-from heartcase.pipeline.edit import apply_edits
-from heartcase.pipeline.fields import ownership_at_points
-from heartcase.pipeline.walls import grow_walls, structure_volumes_ml
-from heartcase.schemas.edit_settings import Fill, Sculpt, SeptalDefect, Smooth
+from heartcase.pipeline.edits.apply_edits import apply_edits
+from heartcase.pipeline.fields.reader import ownership_at_points
+from heartcase.pipeline.walls.grow_walls import grow_walls, structure_volumes_ml
 from heartcase.schemas.errors import StageError
 from heartcase.schemas.labels import Label, LabelTable, Role
-from heartcase.schemas.settings import WallsSettings
+from heartcase.schemas.recipe.edit_settings import Fill, Sculpt, SeptalDefect, Smooth
+from heartcase.schemas.recipe.settings import WallsSettings
 from tests.pipeline.lattices import directions, lattice, points_of
 
 FAR = 100.0

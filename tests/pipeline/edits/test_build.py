@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
+from heartcase.pipeline.build.run import build_case
+from heartcase.pipeline.cells.build_grid import build_grid
 from heartcase.pipeline.data import Segmentation
-from heartcase.pipeline.edit import apply_edits
-from heartcase.pipeline.grid import build_grid
-from heartcase.pipeline.run import build_case
-from heartcase.pipeline.surface import build_surface
-from heartcase.pipeline.walls import grow_walls
+from heartcase.pipeline.edits.apply_edits import apply_edits
+from heartcase.pipeline.mesh.build_surface import build_surface
+from heartcase.pipeline.walls.grow_walls import grow_walls
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import Label, LabelTable, Role
-from heartcase.schemas.recipe import load_recipe
+from heartcase.schemas.recipe.recipe import load_recipe
 from tests.ball import write_ball_recipe, write_ball_scan
 from tests.pipeline.lattices import points_of
 

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from heartcase.pipeline.artifacts import artifact_from_bytes, artifact_to_bytes
+from heartcase.pipeline.artifacts.serialise import artifact_from_bytes, artifact_to_bytes
 from heartcase.pipeline.data import Reshaping, Structures
-from heartcase.pipeline.shapes import distance_on_lattice, frame_of, section_distance
+from heartcase.pipeline.fields.shapes import distance_on_lattice, frame_of, section_distance
 from heartcase.schemas.errors import StageError
 from heartcase.schemas.labels import LabelTable
 from tests.pipeline.lattices import lattice, points_of

@@ -11,8 +11,8 @@ import pyvista
 
 from heartcase.pipeline.exports.meshio_files import grid_hexahedra, hexahedra_bytes, surface_bytes
 from heartcase.pipeline.exports.models import hollow_model
-from heartcase.schemas.bundle import FileRole
-from heartcase.schemas.bundle_reader import open_bundle
+from heartcase.schemas.bundle.format import FileRole
+from heartcase.schemas.bundle.reader import open_bundle
 from tests.readers.test_readers import ROOT
 
 NAMES = {

@@ -5,19 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from heartcase.pipeline.build.run import labels_of
 from heartcase.pipeline.data import Segmentation
 from heartcase.pipeline.exports.models import hollow_model, solid_model, walls_smoothing_mm
 from heartcase.pipeline.exports.print_check import check_for_printing
-from heartcase.pipeline.mesh.mesh_distance import mesh_distance_mm
-from heartcase.pipeline.mesh.triangle_grid import triangle_grid
-from heartcase.pipeline.run import labels_of
-from heartcase.pipeline.surface import build_surface
-from heartcase.pipeline.walls import grow_walls
-from heartcase.schemas.bundle_reader import open_bundle
+from heartcase.pipeline.mesh.build_surface import build_surface
+from heartcase.pipeline.mesh.triangles.mesh_distance import mesh_distance_mm
+from heartcase.pipeline.mesh.triangles.triangle_grid import triangle_grid
+from heartcase.pipeline.walls.grow_walls import grow_walls
+from heartcase.schemas.bundle.reader import open_bundle
 from heartcase.schemas.errors import StageError
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import Label, LabelTable, Role
-from heartcase.schemas.settings import SurfaceSettings, WallsSettings
+from heartcase.schemas.recipe.settings import SurfaceSettings, WallsSettings
 from tests.pipeline.solids import OBLIQUE, points
 from tests.readers.test_readers import ROOT
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from heartcase.pipeline.data import Scan
-from heartcase.pipeline.read import read_scan
+from heartcase.pipeline.formats.read_scan import read_scan
 from heartcase.schemas.errors import ScanError
 from heartcase.schemas.geometry import Geometry
 from tests.pipeline.formats.dicom_series import write_series

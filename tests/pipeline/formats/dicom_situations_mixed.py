@@ -13,7 +13,7 @@ from pydicom.dataelem import RawDataElement
 from pydicom.dataset import Dataset, FileDataset
 from pydicom.tag import Tag
 
-from heartcase.pipeline.formats.dicom_tags import quiet_pydicom
+from heartcase.pipeline.formats.dicom.tags import quiet_pydicom
 from tests.pipeline.formats.dicom_series import items
 from tests.pipeline.formats.dicom_situations import GEOMETRY, PLANTED, STORED, Situation, Truth, write
 from tests.pipeline.formats.dicom_situations_read import POSITIONS, enhanced

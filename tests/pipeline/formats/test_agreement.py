@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-from heartcase.pipeline.formats.agreement import AGREEMENT_MM, corner_distance_mm, even_line, right_angled
-from heartcase.pipeline.formats.raw_volume import geometry_from_affine
-from heartcase.pipeline.read import read_scan
+from heartcase.pipeline.formats.read_scan import read_scan
+from heartcase.pipeline.formats.volumes.agreement import AGREEMENT_MM, corner_distance_mm, even_line, right_angled
+from heartcase.pipeline.formats.volumes.raw_volume import geometry_from_affine
 from heartcase.schemas.errors import ScanError
 from tests.pipeline.formats.dicom_series import write_series
 
@@ -138,7 +138,7 @@ def test_the_even_line_is_that_of_a_linear_programme(count: int, spacing: float,
 @settings(max_examples=40, deadline=None)
 @given(spacing=st.floats(0.3, 9.0), count=st.integers(5, 60), start=st.floats(-300.0, 300.0), digits=st.integers(1, 3))
 def test_rounded_positions_are_read_with_a_spacing_that_fits_all(spacing, count, start, digits) -> None:
-    from heartcase.pipeline.formats.stack import Slice, find_stack
+    from heartcase.pipeline.formats.dicom.stack import Slice, find_stack
 
     along = np.round(start + spacing * np.arange(count), digits)
     slices = [

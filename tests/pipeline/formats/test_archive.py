@@ -13,11 +13,11 @@ import pytest
 from click.testing import CliRunner
 
 from heartcase.cli.main import cli, main
-from heartcase.pipeline.formats import dicom_archive
+from heartcase.pipeline.formats.dicom import archive as dicom_archive
 from heartcase.pipeline.formats.dicom_identity import identity_of
-from heartcase.pipeline.read import list_series, read_labels, read_scan
+from heartcase.pipeline.formats.read_scan import list_series, read_labels, read_scan
 from heartcase.schemas.errors import HeartcaseError, ScanError
-from heartcase.schemas.recipe import load_recipe
+from heartcase.schemas.recipe.recipe import load_recipe
 from tests.pipeline.formats.dicom_situations import PLANTED, STORED, write
 from tests.pipeline.formats.dicom_situations_stacks import cine, phase
 

@@ -14,8 +14,8 @@ import SimpleITK
 from scipy.spatial.transform import Rotation
 
 from heartcase.pipeline.data import Segmentation
-from heartcase.pipeline.formats.write_dicom_seg import dicom_seg_bytes
-from heartcase.pipeline.read import read_labels
+from heartcase.pipeline.formats.labels.write_dicom_seg import dicom_seg_bytes
+from heartcase.pipeline.formats.read_scan import read_labels
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import default_label_table
 from tests.pipeline.formats.dicom_series import write_series

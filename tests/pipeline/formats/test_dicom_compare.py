@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from heartcase.pipeline.formats.dicom_compare import noise_level
-from heartcase.pipeline.read import list_series, read_scan
+from heartcase.pipeline.formats.dicom.compare import noise_level
+from heartcase.pipeline.formats.read_scan import list_series, read_scan
 from tests.pipeline.formats.dicom_series import write_series
 from tests.pipeline.formats.dicom_situations_doubtful import kernels
 

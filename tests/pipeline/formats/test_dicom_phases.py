@@ -15,13 +15,13 @@ from hypothesis import strategies as st
 from pydicom import uid
 
 from heartcase.cli.main import cli
-from heartcase.pipeline.formats import dicom_tags
-from heartcase.pipeline.formats.dicom_headers import ImageSeries
-from heartcase.pipeline.formats.dicom_phases import stack_groups
-from heartcase.pipeline.formats.stack import Slice
-from heartcase.pipeline.read import list_series, read_scan
+from heartcase.pipeline.formats.dicom import tags as dicom_tags
+from heartcase.pipeline.formats.dicom.headers import ImageSeries
+from heartcase.pipeline.formats.dicom.phases import stack_groups
+from heartcase.pipeline.formats.dicom.stack import Slice
+from heartcase.pipeline.formats.read_scan import list_series, read_scan
 from heartcase.schemas.errors import ScanError
-from heartcase.schemas.recipe import load_recipe
+from heartcase.schemas.recipe.recipe import load_recipe
 from tests.pipeline.formats import dicom_situations_read
 from tests.pipeline.formats.dicom_series import items
 from tests.pipeline.formats.dicom_situations import STORED, outcome_of, write
@@ -218,7 +218,7 @@ def test_no_decoder_beyond_the_plain_install_is_needed(tmp_path: Path) -> None:
     wanted = [s for s in dicom_situations_read.SITUATIONS if "JPEG" in s.name or "RLE" in s.name]
     assert len(wanted) > 12
     script = ["import sys", "sys.modules |= dict.fromkeys(('pylibjpeg', 'openjpeg', 'libjpeg', 'rle'))"]
-    script += ["import hashlib", "from heartcase.pipeline.read import read_scan"]
+    script += ["import hashlib", "from heartcase.pipeline.formats.read_scan import read_scan"]
     script += ["for path in sys.argv[1:]: print(hashlib.sha256(read_scan(path).values.tobytes()).hexdigest())"]
     folders, hashes = [], []
     for number, situation in enumerate(wanted):
@@ -237,8 +237,8 @@ def test_no_decoder_beyond_the_plain_install_is_needed(tmp_path: Path) -> None:
 @pytest.mark.parametrize("modality", ["MR", "CT"])
 def test_the_phantom_through_dicom(tmp_path: Path, modality: str) -> None:
     """A synthetic scan of the heart, oblique and with thick slices, comes back as it was written."""
-    from heartcase.phantom.acquisition import acquire_ct, acquire_mri
-    from heartcase.phantom.heart import HeartPhantom
+    from heartcase.phantom.anatomy.heart import HeartPhantom
+    from heartcase.phantom.scan.acquisition import acquire_ct, acquire_mri
 
     phantom = HeartPhantom.child()
     geometry = phantom.scan_geometry((3.0, 4.0, 8.0), oblique=True)

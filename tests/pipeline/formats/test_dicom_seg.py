@@ -15,11 +15,11 @@ from pydicom.uid import ExplicitVRLittleEndian, RLELossless, generate_uid
 from scipy.spatial.transform import Rotation
 
 from heartcase.pipeline.data import Segmentation
-from heartcase.pipeline.formats.dicom_seg import read_dicom_seg
-from heartcase.pipeline.formats.dicom_source import find_source
-from heartcase.pipeline.formats.write_dicom_seg import dicom_seg_bytes
-from heartcase.pipeline.markers import load_segmentation
-from heartcase.pipeline.read import read_scan
+from heartcase.pipeline.formats.dicom.source import find_source
+from heartcase.pipeline.formats.labels.dicom_seg import read_dicom_seg
+from heartcase.pipeline.formats.labels.write_dicom_seg import dicom_seg_bytes
+from heartcase.pipeline.formats.read_scan import read_scan
+from heartcase.pipeline.markers.load_markers import load_segmentation
 from heartcase.schemas.errors import MarkerError, UsageError
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable, default_label_table

@@ -10,9 +10,9 @@ import pydicom
 import pytest
 
 from heartcase.pipeline.data import Scan
-from heartcase.pipeline.formats.dicom_source import SourceSeries, find_source
-from heartcase.pipeline.read import list_series, read_scan
-from heartcase.schemas.bundle import CaseManifest, StageRecord
+from heartcase.pipeline.formats.dicom.source import SourceSeries, find_source
+from heartcase.pipeline.formats.read_scan import list_series, read_scan
+from heartcase.schemas.bundle.format import CaseManifest, StageRecord
 from heartcase.schemas.errors import ScanError, UsageError
 from heartcase.schemas.geometry import Geometry
 from tests.pipeline.formats.dicom_series import items

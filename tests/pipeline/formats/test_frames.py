@@ -14,10 +14,10 @@ import SimpleITK
 from click.testing import CliRunner
 
 from heartcase.cli.main import cli, main
-from heartcase.pipeline.formats import frames
-from heartcase.pipeline.read import read_labels, read_scan
+from heartcase.pipeline.formats.read_scan import read_labels, read_scan
+from heartcase.pipeline.formats.volumes import frames
 from heartcase.schemas.errors import MarkerError, ScanError
-from heartcase.schemas.recipe import load_recipe, parse_recipe
+from heartcase.schemas.recipe.recipe import load_recipe, parse_recipe
 from tests.pipeline.formats.dicom_situations import write
 
 SHAPE = (6, 5, 4, 3)

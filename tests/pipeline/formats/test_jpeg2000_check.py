@@ -11,8 +11,8 @@ import PIL.Image
 import pytest
 from openjpeg.utils import encode_array
 
-from heartcase.pipeline.formats import jpeg2000_check
-from heartcase.pipeline.formats.jpeg2000_check import is_contradictory
+from heartcase.pipeline.formats.dicom import jpeg2000_check
+from heartcase.pipeline.formats.dicom.jpeg2000_check import is_contradictory
 
 PROGRESSIONS = ("LRCP", "RLCP", "RPCL", "PCRL", "CPRL")
 

@@ -18,12 +18,12 @@ from pydicom.datadict import dictionary_VR, keyword_dict
 from pydicom.dataset import Dataset
 from pydicom.uid import JPEG2000Lossless, RLELossless
 
-from heartcase.pipeline.formats import dicom_pixels
-from heartcase.pipeline.formats.dicom_choice import listed, named
-from heartcase.pipeline.formats.dicom_headers import ImageSeries
-from heartcase.pipeline.formats.dicom_phases import stack_groups
-from heartcase.pipeline.formats.stack import Slice
-from heartcase.pipeline.read import list_series, read_scan
+from heartcase.pipeline.formats.dicom import pixels as dicom_pixels
+from heartcase.pipeline.formats.dicom.choice import listed, named
+from heartcase.pipeline.formats.dicom.headers import ImageSeries
+from heartcase.pipeline.formats.dicom.phases import stack_groups
+from heartcase.pipeline.formats.dicom.stack import Slice
+from heartcase.pipeline.formats.read_scan import list_series, read_scan
 from heartcase.schemas.errors import ScanError
 from tests.pipeline.formats.dicom_series import (
     AXIAL,

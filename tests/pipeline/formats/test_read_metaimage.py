@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from heartcase.pipeline.formats.read_metaimage import ELEMENT_TYPES, read_metaimage
+from heartcase.pipeline.formats.volumes.read_metaimage import ELEMENT_TYPES, read_metaimage
 from heartcase.schemas.errors import ScanError
 
 TYPES = ["int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64"]

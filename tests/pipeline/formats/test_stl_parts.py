@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from heartcase.pipeline.formats.stl_parts import inside_of_mesh, read_parts
-from heartcase.pipeline.markers import load_segmentation
+from heartcase.pipeline.formats.labels.stl_parts import inside_of_mesh, read_parts
+from heartcase.pipeline.markers.load_markers import load_segmentation
 from heartcase.schemas.errors import MarkerError
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import default_label_table

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from heartcase.pipeline.formats.stack import Slice, find_stack
-from heartcase.pipeline.formats.straighten import straight_shape, straightened, with_missing
+from heartcase.pipeline.formats.dicom.stack import Slice, find_stack
+from heartcase.pipeline.formats.dicom.straighten import straight_shape, straightened, with_missing
 from heartcase.schemas.errors import ScanError
 
 COUNT, ROWS, COLUMNS = 10, 7, 6

@@ -5,9 +5,9 @@ import pytest
 import trimesh
 from scipy import ndimage
 
-from heartcase.pipeline.mesh.atlas import make_atlas, tangents
-from heartcase.pipeline.mesh.decimate import decimate
-from heartcase.pipeline.mesh.extract import extract
+from heartcase.pipeline.mesh.decimation.decimate import decimate
+from heartcase.pipeline.mesh.extraction.extract import extract
+from heartcase.pipeline.mesh.texture.atlas import make_atlas, tangents
 from heartcase.schemas.errors import StageError
 from tests.pipeline.solids import bumps, helix, lattice, solid, sphere, torus, walled
 

@@ -12,17 +12,17 @@ from scipy.spatial import cKDTree
 from skimage.measure import marching_cubes
 
 from heartcase.pipeline.data import Segmentation
-from heartcase.pipeline.edit import apply_edits
-from heartcase.pipeline.fields import FieldReader, ownership_at_points, ownership_on_lattice
-from heartcase.pipeline.mesh.cube_cases import cube_cases, edge_corners
-from heartcase.pipeline.mesh.cubes import ROOT_MARGIN, padded_field, triangulated_border
-from heartcase.pipeline.mesh.decimate import mesh_defects
-from heartcase.pipeline.mesh.extract import extraction_lattice, shell_volumes
-from heartcase.pipeline.walls import grow_walls
-from heartcase.schemas.edit_settings import SeptalDefect
+from heartcase.pipeline.edits.apply_edits import apply_edits
+from heartcase.pipeline.fields.reader import FieldReader, ownership_at_points, ownership_on_lattice
+from heartcase.pipeline.mesh.decimation.decimate import mesh_defects
+from heartcase.pipeline.mesh.extraction.cube_cases import cube_cases, edge_corners
+from heartcase.pipeline.mesh.extraction.cubes import ROOT_MARGIN, padded_field, triangulated_border
+from heartcase.pipeline.mesh.extraction.extract import extraction_lattice, shell_volumes
+from heartcase.pipeline.walls.grow_walls import grow_walls
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import Label, LabelTable, Role
-from heartcase.schemas.settings import WallsSettings
+from heartcase.schemas.recipe.edit_settings import SeptalDefect
+from heartcase.schemas.recipe.settings import WallsSettings
 from tests.pipeline.solids import LEFT_HANDED, OBLIQUE, helix, lattice, solid, sphere, torus, walled
 
 TABLE = LabelTable(

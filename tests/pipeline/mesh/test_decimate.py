@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from heartcase.pipeline.mesh.decimate import _within
+from heartcase.pipeline.mesh.decimation.decimate import _within
 
 
 @pytest.mark.parametrize("seed", range(5))

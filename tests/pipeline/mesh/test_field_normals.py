@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from heartcase.pipeline.fields import FieldReader, ownership_at_points
-from heartcase.pipeline.mesh.field_normals import (
+from heartcase.pipeline.fields.reader import FieldReader, ownership_at_points
+from heartcase.pipeline.mesh.extraction.field_normals import (
     RING_MISFIT,
     RING_WAYS,
     SMOOTH_SPANS_VOXELS,

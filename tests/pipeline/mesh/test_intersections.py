@@ -9,7 +9,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from trimesh.creation import icosphere
 
-from heartcase.pipeline.mesh.intersections import _ERROR_BOUND, self_intersections
+from heartcase.pipeline.mesh.triangles.intersections import _ERROR_BOUND, self_intersections
 
 
 def exact_side(a, b, c, d, least=0.0):

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from heartcase.pipeline.distance import default_smoothing_mm, label_distances
-from heartcase.pipeline.fields import FieldReader
-from heartcase.pipeline.mesh import normal_map
-from heartcase.pipeline.mesh.field_normals import rings_of, to_index_matrix
-from heartcase.pipeline.mesh.half_edges import opposites
-from heartcase.pipeline.surface import build_surface
-from heartcase.schemas.settings import SurfaceSettings
+from heartcase.pipeline.fields.distance import default_smoothing_mm, label_distances
+from heartcase.pipeline.fields.reader import FieldReader
+from heartcase.pipeline.mesh.build_surface import build_surface
+from heartcase.pipeline.mesh.extraction.field_normals import rings_of, to_index_matrix
+from heartcase.pipeline.mesh.texture import normal_map
+from heartcase.pipeline.mesh.triangles.half_edges import opposites
+from heartcase.schemas.recipe.settings import SurfaceSettings
 from tests.pipeline.solids import (
     LEFT_HANDED,
     OBLIQUE,

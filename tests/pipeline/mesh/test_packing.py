@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from heartcase.pipeline.mesh.packing import _skyline
+from heartcase.pipeline.mesh.texture.packing import _skyline
 
 Float64 = npt.NDArray[np.float64]
 Int64 = npt.NDArray[np.int64]

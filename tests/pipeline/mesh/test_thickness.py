@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from heartcase.pipeline.mesh.thickness import thickness_figures, triangle_normals, vertex_normals, wall_thickness_mm
+from heartcase.pipeline.mesh.triangles.thickness import (
+    thickness_figures,
+    triangle_normals,
+    vertex_normals,
+    wall_thickness_mm,
+)
 from heartcase.schemas.labels import default_label_table
 
 

@@ -7,11 +7,11 @@ from scipy.ndimage import map_coordinates
 from skimage.measure import marching_cubes
 
 from heartcase.pipeline.data import Scan, Segmentation, SimulationGrid, Structures, Surface
-from heartcase.pipeline.mesh.thickness import vertex_normals
+from heartcase.pipeline.mesh.triangles.thickness import vertex_normals
+from heartcase.schemas.bundle.lattice import FULL_MOMENTS, cell_nodes
+from heartcase.schemas.bundle.surface_kinds import plain_kinds
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable, default_label_table
-from heartcase.schemas.lattice import FULL_MOMENTS, cell_nodes
-from heartcase.schemas.surface_kinds import plain_kinds
 
 CAVITIES = {
     1: ((22.0, -12.0, -14.0), (17.0, 17.0, 26.0)),

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from heartcase.pipeline.confidence import Sureness
+from heartcase.pipeline.markers.confidence import Sureness
+from heartcase.pipeline.markers.suggest import StrokePlace, StrokePlaces
 from heartcase.pipeline.report.build_report import build_report
 from heartcase.pipeline.report.confidence_part import confidence_part
-from heartcase.pipeline.suggest import StrokePlace, StrokePlaces
-from heartcase.schemas.recipe import parse_recipe
+from heartcase.schemas.recipe.recipe import parse_recipe
 from tests.pipeline.report.analytic_heart import make_heart
 from tests.pipeline.report.test_report import RECIPE, Page, grid_map
 

@@ -10,9 +10,9 @@ from heartcase.pipeline.data import Scan, Segmentation
 from heartcase.pipeline.report.build_report import ReportData, render_report
 from heartcase.pipeline.report.ends_part import ends_part
 from heartcase.pipeline.report.hand_work import hand_work_facts
-from heartcase.pipeline.walls import grow_walls
-from heartcase.schemas.recipe import Recipe
-from heartcase.schemas.settings import WallsSettings
+from heartcase.pipeline.walls.grow_walls import grow_walls
+from heartcase.schemas.recipe.recipe import Recipe
+from heartcase.schemas.recipe.settings import WallsSettings
 from tests.pipeline.lattices import lattice
 from tests.pipeline.vessel_shapes import TABLE, ball, line, segmented, tube
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import pytest
 
-from heartcase.pipeline.lock import resolve_recipe
+from heartcase.pipeline.build.lock import resolve_recipe
 from heartcase.pipeline.report.hand_work import hand_work_facts
-from heartcase.schemas.recipe import parse_recipe
+from heartcase.schemas.recipe.recipe import parse_recipe
 from tests.pipeline.report.analytic_heart import make_heart
 
 HEAD = 'heartcase_recipe = 1\nname = "x"\n[scan]\npath = "a.nrrd"\n'

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy.ndimage import gaussian_filter
 
-from heartcase.pipeline.mesh.cut import clipped, crossings, filled
-from heartcase.pipeline.mesh.thickness import vertex_normals
+from heartcase.pipeline.mesh.triangles.thickness import vertex_normals
 from heartcase.pipeline.report import render
+from heartcase.pipeline.report.cut import clipped, crossings, filled
 from heartcase.pipeline.report.montage import label_colours, legend_picture, montage, stacked
 from heartcase.pipeline.report.pictures import (
     VIEWS,

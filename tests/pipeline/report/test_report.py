@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from heartcase.pipeline.cautions import anatomy, grouped, note
 from heartcase.pipeline.data import GridMap
 from heartcase.pipeline.report.build_report import ReportData, build_report, render_report
 from heartcase.pipeline.report.hand_work import hand_work_facts
 from heartcase.pipeline.report.plain_words import cardiac_phase_words, figure_facts, setting_lines
-from heartcase.schemas.bundle import CaseManifest, StageRecord
-from heartcase.schemas.recipe import parse_recipe
+from heartcase.pipeline.warnings import anatomy, grouped, note
+from heartcase.schemas.bundle.format import CaseManifest, StageRecord
+from heartcase.schemas.recipe.recipe import parse_recipe
 from tests.pipeline.report.analytic_heart import make_heart
 
 RECIPE = """

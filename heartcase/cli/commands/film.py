@@ -1,0 +1,187 @@
+"""Pictures and animations of a session, drawn without a screen."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from heartcase.schemas.errors import MissingExtraError, UsageError
+from heartcase.schemas.files import atomic_write
+from heartcase.simulator.surface.deform import DeformedSurface
+
+__all__ = [
+    "ANIMATION_FORMATS",
+    "Filmer",
+    "check_animation_name",
+    "check_picture_name",
+    "write_animation",
+    "write_picture",
+]
+
+Float32 = npt.NDArray[np.float32]
+Int32 = npt.NDArray[np.int32]
+UInt8 = npt.NDArray[np.uint8]
+
+ANIMATION_FORMATS = (".gif", ".mp4")
+"""What an animation can be written as."""
+PICTURE_FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG"}
+"""What a picture can be written as: suffix -> Pillow's name."""
+
+_FROM_LEFT_FRONT = (0.45, -1.0, 0.25)
+"""Direction from the heart to the camera, LPS: front, somewhat left and above."""
+
+
+class Filmer:
+    """Takes pictures of a deforming surface from one place, each triangle in its structure's colour.
+
+    Parameters
+    ----------
+    rest_mm
+        Vertices at rest, LPS mm, shape (vertex_count, 3): they set the frame.
+    triangles
+        Vertex numbers, shape (triangle_count, 3).
+    colours
+        Red, green, blue of each triangle, shape (triangle_count, 3).
+    size
+        Width and height in pixels; whole multiples of 16 for MP4.
+
+    Raises
+    ------
+    MissingExtraError
+        What draws is not installed.
+    """
+
+    def __init__(
+        self, rest_mm: Float32, triangles: Int32, colours: UInt8, *, size: tuple[int, int] = (720, 608)
+    ) -> None:
+        try:
+            import PIL.Image  # noqa: F401
+
+            from heartcase.pipeline.report.render import camera_for
+        except ImportError:
+            raise MissingExtraError("A picture or an animation", "prepare") from None
+        self.frames: list[UInt8] = []
+        self._triangles = np.ascontiguousarray(triangles, dtype=np.int64)
+        self._colours = np.ascontiguousarray(colours)
+        centre = (rest_mm.min(axis=0) + rest_mm.max(axis=0)) / 2
+        # Room for the tissue that a hand pulls out of the frame of the tissue at rest.
+        roomy = centre + 1.25 * (np.asarray(rest_mm, dtype=float) - centre)
+        self._camera = camera_for(roomy, towards=_FROM_LEFT_FRONT, up=(0.0, 0.0, 1.0), size=size, margin=0.02)
+
+    def take(self, surface: DeformedSurface) -> UInt8:
+        """A picture of the surface, shape (height, width, 3)."""
+        from heartcase.pipeline.report.render import Mesh, draw_mesh
+
+        points, normals = surface.vertices_mm.astype(float), surface.normals.astype(float)
+        return draw_mesh(Mesh(points, self._triangles, normals, self._colours), self._camera, depth_shading=True)
+
+    def film(self, surface: DeformedSurface) -> None:
+        """Keep a picture of the surface as the next frame."""
+        self.frames.append(self.take(surface))
+
+
+def write_picture(path: Path | str, picture: UInt8, *, comment: str = "") -> None:
+    """Write a picture, whole or not at all; the suffix says the format (``.png``, ``.jpg``).
+
+    The comment goes into the file's own comment field: the case's identifier belongs there.
+
+    Raises
+    ------
+    UsageError
+        The suffix is none of these.
+    """
+    from PIL import Image
+
+    from heartcase.pipeline.report.montage import png_bytes
+
+    path = Path(path)
+    check_picture_name(path)
+    kind = PICTURE_FORMATS[path.suffix.lower()]
+    if kind == "PNG":
+        atomic_write(path, png_bytes(picture, comment=comment))
+        return
+    data = io.BytesIO()
+    Image.fromarray(picture).save(data, format=kind, comment=comment.encode())
+    atomic_write(path, data.getbuffer())
+
+
+def write_animation(path: Path | str, frames: list[UInt8], *, frames_per_second: float, comment: str = "") -> None:
+    """Write frames as a GIF that repeats, or as MP4 where imageio and its ffmpeg are installed.
+
+    The comment goes into the file's own comment field: the case's identifier belongs there.
+
+    Raises
+    ------
+    UsageError
+        The suffix is neither, or MP4 cannot be written here.
+    """
+    path = Path(path)
+    check_animation_name(path)
+    write = _gif if path.suffix.lower() == ".gif" else _mp4
+    atomic_write(path, write(frames, frames_per_second, comment))
+
+
+def check_animation_name(path: Path) -> None:
+    """Refuse a name that no animation can be written to, before any work is done.
+
+    Raises
+    ------
+    UsageError
+        The suffix is neither ``.gif`` nor ``.mp4``, or MP4 cannot be written here.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in ANIMATION_FORMATS:
+        raise UsageError(f"an animation is written as {' or '.join(ANIMATION_FORMATS)}; {path.name!r} is neither")
+    if suffix == ".mp4":
+        _imageio()
+
+
+def check_picture_name(path: Path) -> None:
+    """Refuse a name that no picture can be written to, before any work is done.
+
+    Raises
+    ------
+    UsageError
+        The suffix is not a picture's.
+    """
+    if path.suffix.lower() not in PICTURE_FORMATS:
+        raise UsageError(f"a picture is written as {', '.join(PICTURE_FORMATS)}; {path.name!r} is none of these")
+
+
+def _gif(frames: list[UInt8], frames_per_second: float, comment: str) -> bytes:
+    from PIL import Image
+
+    pictures = [Image.fromarray(frame).quantize(colors=128, dither=Image.Dither.NONE) for frame in frames]
+    data = io.BytesIO()
+    # A GIF counts hundredths of a second, and viewers slow down what is shorter than two of them.
+    duration = 10 * max(2, round(100 / frames_per_second))
+    told = {"comment": comment.encode()} if comment else {}
+    pictures[0].save(data, format="GIF", save_all=True, append_images=pictures[1:], duration=duration, loop=0, **told)
+    return data.getvalue()
+
+
+def _mp4(frames: list[UInt8], frames_per_second: float, comment: str) -> bytes:
+    written: bytes = _imageio().imwrite(
+        "<bytes>",
+        np.stack(frames),
+        extension=".mp4",
+        plugin="FFMPEG",
+        fps=frames_per_second,
+        output_params=["-metadata", f"comment={comment}"],
+    )
+    return written
+
+
+def _imageio() -> Any:
+    try:
+        import imageio.v3
+        import imageio_ffmpeg  # noqa: F401
+    except ImportError:
+        raise UsageError(
+            "MP4 needs two more packages: run  pip install imageio imageio-ffmpeg  or ask for .gif"
+        ) from None
+    return imageio.v3

@@ -1,0 +1,271 @@
+"""``heartcase simulate``: a scripted session on a case."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import get_args
+
+import click
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+
+from heartcase.cli.commands.film import Filmer, check_animation_name, check_picture_name, write_animation, write_picture
+from heartcase.cli.shared.output import echo_json
+from heartcase.schemas.bundle.approval import approval_state
+from heartcase.schemas.bundle.format import LEVEL_MAX
+from heartcase.schemas.errors import UsageError
+from heartcase.schemas.script import SimulationScript
+from heartcase.simulator.engine.backends import Backend
+from heartcase.simulator.lattice.force_law import RATIO_MAX, RATIO_MIN, ForceLaw, LawName
+from heartcase.simulator.load import Case, load_case
+from heartcase.simulator.script import SessionSummary, default_script, load_script, run_script, with_positions
+from heartcase.simulator.simulation import SLEEP_MM, Simulation
+from heartcase.simulator.surface.deform import DeformedSurface
+from heartcase.simulator.surface.write_surface import SURFACE_FORMATS, write_surface
+
+__all__ = ["command"]
+
+DEFAULT_SECONDS = 2.0
+FILM_FRAMES_PER_SECOND = 15.0
+"""An animation takes up no more than this."""
+QUIET_SECONDS = 1.0
+"""The progress bar shows after this long."""
+
+_OUT = click.Path(path_type=Path, dir_okay=False, readable=False)
+_SECONDS = click.FloatRange(min=0.0, max=3600.0, min_open=True)
+_STEP = click.FloatRange(min=0.0, max=1.0, min_open=True)
+
+
+@click.command()
+@click.argument("case", type=click.Path(path_type=Path, readable=False))
+@click.option(
+    "--script", "script_path", type=click.Path(path_type=Path, readable=False), help="What the hands do (TOML)."
+)
+@click.option("--seconds", type=_SECONDS, help="Simulated time; the script's, or 2 without a script.")
+@click.option("--step", "step_s", type=_STEP, help="Time step in s; the case's default when left out.")
+@click.option("--backend", type=click.Choice(get_args(Backend)), default="cpu", help="Which kernel steps.")
+@click.option("--law", type=click.Choice(get_args(LawName)), default="springs", help="What resists deformation.")
+@click.option(
+    "--poissons-ratio",
+    type=click.FloatRange(RATIO_MIN, RATIO_MAX),
+    default=RATIO_MIN,
+    help="How little volume changes; the closer to 1/2, the more steps.",
+)
+@click.option(
+    "--sleep-mm",
+    type=click.FloatRange(0.0, 10.0),
+    default=SLEEP_MM,
+    show_default=True,
+    help="Movement in mm below which tissue rests and is not worked out (CPU); 0 works out all.",
+)
+@click.option(
+    "--level", type=click.IntRange(0, LEVEL_MAX), default=0, help="Level of detail of the surface; 0 is the finest."
+)
+@click.option("--surface", "surface_out", type=_OUT, help="Write the final surface here (.ply, .stl, .obj).")
+@click.option("--animation", type=_OUT, help="Write an animation here (.gif, .mp4).")
+@click.option("--picture", type=_OUT, help="Write a picture of start and furthest deformation (.png).")
+@click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
+def command(
+    case: Path,
+    script_path: Path | None,
+    seconds: float | None,
+    step_s: float | None,
+    backend: Backend,
+    law: LawName,
+    poissons_ratio: float,
+    sleep_mm: float,
+    level: int,
+    surface_out: Path | None,
+    animation: Path | None,
+    picture: Path | None,
+    as_json: bool,
+) -> None:
+    """Run a scripted session on CASE and say what came of it.
+
+    Without --script a hand pulls the tissue that is farthest from the fixed nodes outward by 10 mm, and lets go.
+    """
+    if any(number is not None and math.isnan(number) for number in (seconds, step_s, poissons_ratio, sleep_mm)):
+        raise UsageError("must be numbers", place="--seconds, --step, --poissons-ratio, --sleep-mm")
+    _check_names(surface_out, animation, picture)
+    script = load_script(script_path) if script_path is not None else None
+    curvature = script.curvature if script else "flagged"
+    loaded = load_case(case, needs=("surface", "colours"), curvature=curvature, level=level)
+    loaded = replace(loaded, model=loaded.model.with_law(ForceLaw(law, poissons_ratio)))
+    script = _completed(script, loaded, seconds, step_s)
+    simulation = Simulation(
+        loaded.model,
+        surface=loaded.surface,
+        step_s=script.step_s,
+        damping_per_s=script.damping_per_s,
+        gravity_m_s2=script.gravity_m_s2,
+        backend=backend,
+        sleep_mm=sleep_mm,
+    )
+    case_id, approval = loaded.manifest.case_id, approval_state(case)
+    film_every = max(1, round(script.frames_per_second / FILM_FRAMES_PER_SECOND)) if animation is not None else 0
+    with ExitStack() as stack:
+        camera = _filmer(loaded) if animation is not None or picture is not None else None
+        audience = _Audience(camera, film_every=film_every, wants_picture=picture is not None, case_id=case_id)
+        stack.enter_context(audience.bar(script.seconds))
+        summary = run_script(simulation, script, on_frame=audience.watch)
+        shot = audience.furthest_picture()
+    comment = f"heartcase {case_id}" if case_id else "heartcase"
+    if animation is not None and camera is not None:
+        speed = script.frames_per_second / film_every
+        write_animation(animation, camera.frames, frames_per_second=speed, comment=comment)
+    if picture is not None and shot is not None:
+        write_picture(picture, shot, comment=comment)
+    if surface_out is not None and loaded.surface is not None:
+        end = simulation.surface_now()
+        write_surface(
+            surface_out,
+            end.vertices_mm,
+            end.normals,
+            loaded.surface.triangles,
+            colours=loaded.triangle_colours,
+            case_id=case_id,
+        )
+    if as_json:
+        named = {"case": loaded.manifest.name, "case_id": case_id, "approval": approval.state, "backend": backend}
+        echo_json({**named, "law": law, "poissons_ratio": poissons_ratio, **summary.to_dict()})
+    else:
+        click.echo(f"Approval   {approval.words}")
+        for line in _lines(loaded, summary):
+            click.echo(line)
+        for what, path in (("picture", picture), ("animation", animation), ("surface", surface_out)):
+            if path is not None:
+                click.echo(f"wrote the {what} to {path}")
+
+
+class _Audience:
+    """What looks on while the session runs: the progress bar, the film, the picture of the furthest deformation."""
+
+    def __init__(self, camera: Filmer | None, *, film_every: int, wants_picture: bool, case_id: str | None) -> None:
+        self.camera = camera
+        self.title = f"{case_id} " if case_id else ""
+        self.film_every = film_every
+        self.wants_picture = wants_picture
+        self.frame_number = 0
+        self.furthest = -1.0
+        self.furthest_surface: DeformedSurface | None = None
+        self.furthest_time_s = 0.0
+        self.rest_surface: DeformedSurface | None = None
+        self.started = time.perf_counter()
+        self.progress = Progress(
+            TextColumn("simulating"),
+            BarColumn(),
+            TextColumn("{task.completed:.2f} of {task.total:.2f} s"),
+            TimeRemainingColumn(),
+            console=Console(stderr=True),
+            transient=True,
+        )
+        self.task: TaskID | None = None
+
+    @contextmanager
+    def bar(self, seconds: float) -> Iterator[None]:
+        """Show the progress, once it is worth showing, until the end of the block."""
+        self.task = self.progress.add_task("", total=seconds)
+        try:
+            yield
+        finally:
+            self.progress.stop()
+
+    def watch(self, simulation: Simulation, time_s: float) -> None:
+        """Look at a frame."""
+        if self.task is not None:
+            self.progress.update(self.task, completed=time_s)
+        if time.perf_counter() - self.started > QUIET_SECONDS:
+            self.progress.start()
+        if self.camera is not None:
+            if self.film_every and self.frame_number % self.film_every == 0:
+                self.camera.film(simulation.surface_now())
+            moved = float(np.abs(simulation.state.displacement).max())
+            if self.wants_picture and moved > self.furthest:
+                self.furthest = moved
+                self.furthest_surface = simulation.surface_now()
+                self.furthest_time_s = time_s
+            if self.wants_picture and self.rest_surface is None:
+                self.rest_surface = simulation.surface_now()
+        self.frame_number += 1
+
+    def furthest_picture(self) -> np.ndarray | None:
+        """The start and the furthest deformation side by side, if a picture was wanted."""
+        if self.camera is None or self.furthest_surface is None or self.rest_surface is None:
+            return None
+        from heartcase.pipeline.report.montage import montage
+
+        pictures = {
+            f"{self.title}at the start": self.camera.take(self.rest_surface),
+            f"at {self.furthest_time_s:.2f} s, moved furthest": self.camera.take(self.furthest_surface),
+        }
+        return montage(pictures, columns=2)
+
+
+def _check_names(surface: Path | None, animation: Path | None, picture: Path | None) -> None:
+    """Refuse what cannot be written before any work is done."""
+    if surface is not None and surface.suffix.lower() not in SURFACE_FORMATS:
+        raise UsageError(f"a surface is written as {', '.join(SURFACE_FORMATS)}", place="--surface")
+    if animation is not None:
+        check_animation_name(animation)
+    if picture is not None:
+        check_picture_name(picture)
+    for path in (surface, animation, picture):
+        if path is not None and not path.absolute().parent.is_dir():
+            raise UsageError(f"the folder of {path.name} does not exist: make it first")
+
+
+def _completed(
+    script: SimulationScript | None, case: Case, seconds: float | None, step_s: float | None
+) -> SimulationScript:
+    """The script, or the default pull, with its landmarks found and what the command line changes."""
+    if script is None:
+        script = default_script(case.model, case.surface, seconds=seconds or DEFAULT_SECONDS)
+    script = with_positions(script, case.manifest.landmarks)
+    changes = {"seconds": seconds, "step_s": step_s}
+    return script.model_copy(update={key: value for key, value in changes.items() if value is not None})
+
+
+def _filmer(case: Case) -> Filmer:
+    assert case.surface is not None
+    assert case.triangle_colours is not None
+    return Filmer(case.surface.rest_mm, case.surface.triangles, case.triangle_colours)
+
+
+def _lines(case: Case, summary: SessionSummary) -> Iterator[str]:
+    """The summary in plain words."""
+    yield f"Case       {case.manifest.name}" + (f" ({case.manifest.case_id})" if case.manifest.case_id else "")
+    yield (
+        f"Lattice    {summary.node_count:,} nodes, {summary.spring_count:,} springs, "
+        f"cells of {summary.cell_mm:.2f} mm, {int(case.model.node_is_fixed.sum()):,} nodes fixed"
+    )
+    yield f"Law        {case.model.law.name}, Poisson's ratio {case.model.law.poissons_ratio:g}"
+    yield f"Surface    {summary.triangle_count:,} triangles"
+    yield (
+        f"Step       {summary.step_s * 1e3:.4f} ms (at rest stable up to {summary.step_limit_s * 1e3:.4f} ms), "
+        f"{summary.step_count:,} steps"
+    )
+    yield (
+        f"Time       {summary.seconds:.2f} s simulated in {summary.wall_seconds:.2f} s: "
+        f"{summary.step_count / summary.wall_seconds:,.0f} steps per second, "
+        f"real-time factor {summary.real_time_factor:.2f}"
+    )
+    yield (
+        f"Movement   at most {summary.displacement_max_mm:.2f} mm from rest, "
+        f"{summary.displacement_end_mm:.2f} mm at the end"
+    )
+    for name, force in summary.peak_force_n.items():
+        yield f"Force      {name}: at most {force:.3g} N on {summary.held_node_count[name]:,} nodes"
+    if summary.inverted_cell_count_end:
+        count = summary.inverted_cell_count_end
+        are = "cell is" if count == 1 else "cells are"
+        yield (
+            f"Warning    {count:,} {are} turned inside out at the end, and may stay so and hold tissue away from rest: "
+            "let it come to rest for longer, pull less far, or with a larger radius"
+        )
+    yield case.manifest.notice

@@ -1,0 +1,101 @@
+"""``heartcase validate``: every problem of a case, a recipe or a simulation script."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+
+from heartcase.cli.shared.output import echo_json, working
+from heartcase.schemas.bundle.approval import approval_state
+from heartcase.schemas.bundle.check import check_bundle
+from heartcase.schemas.errors import HeartcaseError, Problem
+from heartcase.schemas.recipe.recipe import Recipe, load_recipe
+from heartcase.schemas.script import SimulationScript
+
+__all__ = ["command"]
+
+
+@click.command()
+@click.argument("path", type=click.Path(path_type=Path, readable=False))
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+@click.pass_context
+@working("checking")
+def command(ctx: click.Context, path: Path, as_json: bool) -> None:
+    """Check PATH, a case directory, a recipe (.toml) or a simulation script (.toml), and list every problem.
+
+    Of a case the hash of every file and every value is checked; of a recipe also that the files it names are there and
+    can be read, that its markers lie on the scan and mark background and tissue, and that none of its strokes is still
+    the example of a starter recipe. What overlaps or is cut off is told as a warning.
+    Exit code 0: sound; 1: problems were found.
+    """
+    found = _findings(path)
+    problems = found.problems
+    approval = approval_state(path) if path.is_dir() else None
+    if as_json:
+        listed = [{"place": problem.place, "message": problem.message} for problem in problems]
+        stated = {"approval": approval.as_dict()} if approval else {}
+        told = {"warnings": [str(warning) for warning in found.warnings]} if found.warnings else {}
+        echo_json({"valid": not problems, "problems": listed, **told, **stated})
+    else:
+        for problem in problems:
+            click.echo(str(problem))
+        for warning in found.warnings:
+            click.echo(f"warning: {warning}")
+        click.echo(f"{len(problems)} problem{'s' * (len(problems) != 1)} found" if problems else "sound")
+        if approval is not None:
+            click.echo(approval.words)
+    if problems:
+        ctx.exit(1)
+
+
+@dataclass(frozen=True)
+class _Findings:
+    """What is to be said of a path."""
+
+    problems: tuple[Problem, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+def _findings(path: Path) -> _Findings:
+    if path.suffix == ".toml" and not path.exists():
+        return _Findings((Problem("PATH", "there is nothing at this path: check its spelling"),))
+    if path.suffix != ".toml" or not path.is_file():
+        return _Findings(check_bundle(path))
+    try:
+        if _is_script(path):
+            from heartcase.simulator.script import load_script
+
+            load_script(path)
+            return _Findings()
+        recipe = load_recipe(path)
+    except HeartcaseError as error:
+        return _Findings(error.problems)
+    inputs = _input_findings(recipe, path.parent)
+    problems = (*recipe.missing_files(path.parent), *inputs.problems)
+    if recipe.lock is None:
+        return _Findings(problems, inputs.warnings)
+    from heartcase.pipeline.build.lock import changed_files
+
+    return _Findings((*problems, *changed_files(recipe, path.parent)), inputs.warnings)
+
+
+def _input_findings(recipe: Recipe, directory: Path) -> _Findings:
+    try:
+        from heartcase.pipeline.build.input_check import check_inputs
+    except ImportError:
+        # without the libraries that build, the recipe is still checked for all else
+        return _Findings()
+    checked = check_inputs(recipe, directory)
+    return _Findings(checked.problems, checked.warnings)
+
+
+def _is_script(path: Path) -> bool:
+    """Whether a TOML file is meant as a simulation script: by its version key, or by what only scripts have."""
+    keys = set(re.findall(r"^\s*\[{0,2}\s*(\w+)", path.read_text(encoding="utf-8", errors="replace"), re.M))
+    if {"heartcase_recipe", "heartcase_script"} & keys:
+        return "heartcase_recipe" not in keys
+    only_recipe, only_script = set(Recipe.model_fields), set(SimulationScript.model_fields)
+    return len(keys & only_script) > len(keys & only_recipe)

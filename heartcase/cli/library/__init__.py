@@ -1,0 +1,1 @@
+"""``heartcase library``: build, check, compare and show many cases."""

@@ -1,0 +1,241 @@
+"""``heartcase library``: many cases from a folder of recipes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import click
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from heartcase.cli.library.review import check, diff
+from heartcase.cli.shared.output import echo_json, error_console, print_table, working
+from heartcase.library.plan import CaseRecord, LibraryCase
+from heartcase.pipeline.warnings import counted
+from heartcase.schemas.errors import Problem, UsageError
+
+__all__ = ["command"]
+
+
+@click.group(name="library")
+def command() -> None:
+    """Many cases from a folder of recipes."""
+
+
+command.add_command(check)
+command.add_command(diff)
+
+
+@command.command()
+@click.argument("directory", metavar="DIR", type=click.Path(path_type=Path, readable=False))
+@click.option("--out", type=click.Path(path_type=Path, readable=False), default=Path("library"), show_default=True)
+@click.option(
+    "--cache", type=click.Path(path_type=Path, readable=False), help="Folder of the cache; OUT/.heartcase-cache."
+)
+@click.option("--workers", type=int, help="Processes on this machine; left out: as cores and memory allow.")
+@click.option(
+    "--memory-mb", type=int, help="Memory beyond which a worker is stopped; left out: its share of what there is."
+)
+@click.option("--scheduler", metavar="ADDRESS", help="Use the workers of this Dask scheduler, tcp://HOST:PORT.")
+@click.option("--force", is_flag=True, help="Look at every case, also those that nothing changed for.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+def build(
+    directory: Path,
+    out: Path,
+    cache: Path | None,
+    workers: int | None,
+    memory_mb: int | None,
+    scheduler: str | None,
+    force: bool,
+    as_json: bool,
+) -> None:
+    """Build the case of every recipe in DIR and below, several at a time.
+
+    Only what changed is built. A case that fails is listed, and does not stop the others; what was interrupted goes on
+    from there when the library is built again. Exits with 1 where a case failed.
+    """
+    from heartcase.library.build import build_cases, connected, default_workers, has_dashboard, stale_cases
+    from heartcase.library.plan import plan_library
+
+    if scheduler is not None and (workers is not None or memory_mb is not None):
+        raise UsageError(
+            "the scheduler's workers are as they were started: leave this out", place="--workers, --memory-mb"
+        )
+    if scheduler is not None and not scheduler.strip():
+        raise UsageError("no address is given: leave the option out to use this machine", place="--scheduler")
+    start = time.perf_counter()
+    local = default_workers(workers, memory_mb) if scheduler is None else None
+    cases = plan_library(directory)
+    stale = stale_cases(cases, out, force=force)
+    console = error_console()
+
+    def say(line: str) -> None:
+        console.print(line, markup=False, soft_wrap=True)
+
+    failed = [case for case in cases if case.problems]
+    say(f"{counted(len(cases), 'recipe')}: {len(stale)} to build, {len(cases) - len(stale) - len(failed)} unchanged")
+    for case in failed:
+        _say_failed(say, case.name, case.problems)
+    planned_s = time.perf_counter() - start
+    records: list[CaseRecord] = []
+    if stale:
+        columns = (
+            TextColumn("{task.description}"),
+            BarColumn(24),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+        )
+        with connected(local, scheduler) as client:
+            if local is not None:
+                each = f"{local.thread_count} thread{'s' * (local.thread_count > 1)} and {local.memory_mb:,} MB each"
+                say(f"{local.count} worker{'s' * (local.count > 1)}, {each}")
+            if has_dashboard():
+                say(f"dashboard: {client.dashboard_link}")
+            with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+                task = progress.add_task("cases", total=len(stale))
+                for record in build_cases(stale, client, out=out, cache=cache):
+                    records.append(record)
+                    progress.advance(task)
+                    if record.problems:
+                        _say_failed(say, record.name, [Problem(*one) for one in record.problems])
+                    else:
+                        memory = f", {record.memory_peak_mb:,.0f} MB" if record.memory_peak_mb else ""
+                        say(f"  {record.name:<32} {record.seconds:7.1f} s{memory}")
+    _tell(cases, failed, records, planned_s, time.perf_counter() - start, out, as_json=as_json)
+    if failed or any(record.problems for record in records):
+        raise click.exceptions.Exit(1)
+
+
+def _say_failed(say: Callable[[str], None], name: str, problems: Iterable[Problem]) -> None:
+    say(f"  {name}: failed")
+    for problem in problems:
+        say(f"    {problem}")
+
+
+def _tell(
+    cases: tuple[LibraryCase, ...],
+    failed: list[LibraryCase],
+    records: list[CaseRecord],
+    planned_s: float,
+    seconds: float,
+    out: Path,
+    *,
+    as_json: bool,
+) -> None:
+    built = [record for record in records if not record.problems]
+    wrong: dict[str, list[list[str]]] = {}
+    for case in failed:
+        # Recipes of one name are each listed.
+        wrong.setdefault(case.name, []).extend([one.place, one.message] for one in case.problems)
+    for record in records:
+        if record.problems:
+            wrong[record.name] = [list(one) for one in record.problems]
+    failed_count = len(failed) + len(records) - len(built)
+    if as_json:
+        echo_json(
+            {
+                "out": str(out),
+                "case_count": len(cases),
+                "unchanged": len(cases) - len(failed) - len(records),
+                "built": [
+                    {
+                        "name": record.name,
+                        "seconds": record.seconds,
+                        "stage_seconds": record.stage_seconds,
+                        "reused": record.reused,
+                        "memory_peak_mb": record.memory_peak_mb,
+                        "warning_count": len(record.warnings),
+                    }
+                    for record in sorted(built, key=lambda record: record.name)
+                ],
+                "failed": wrong,
+                "planning_seconds": round(planned_s, 3),
+                "seconds": round(seconds, 2),
+            }
+        )
+        return
+    if built:
+        rows = [
+            (
+                record.name,
+                f"{record.seconds:.1f}",
+                f"{record.memory_peak_mb:,.0f}" if record.memory_peak_mb else "",
+                ", ".join(stage for stage in record.stage_seconds or {} if stage not in record.reused),
+                len(record.warnings),
+            )
+            for record in sorted(built, key=lambda record: record.name)
+        ]
+        columns = ("case", "s", "peak MB", "stages computed", "warnings")
+        print_table(columns, rows, title="Built", right=("s", "peak MB", "warnings"))
+    rate = f", {len(built) / seconds * 3600:,.0f} cases an hour" if built else ""
+    click.echo(
+        f"{counted(len(cases), 'recipe')}: {len(built)} built, {failed_count} failed, "
+        f"{len(cases) - len(failed) - len(records)} unchanged, in {seconds:.1f} s{rate}; cases are in {out}"
+    )
+
+
+@command.command()
+@click.argument("recipes", nargs=-1, required=True, type=click.Path(path_type=Path, readable=False))
+@click.option("--check", is_flag=True, help="Write nothing; exit with 1 where a recipe would change.")
+def draw(recipes: tuple[Path, ...], check: bool) -> None:
+    """Draw the markers of RECIPES whose scans are synthetic.
+
+    What [scan.phantom] says of the heart decides where strokes, vessel ends, planned incisions and other landmarks are;
+    they replace what stands below the line that says so. The rest of the recipe stays as it is.
+    """
+    from heartcase.library.draw import draw_recipe
+
+    changed = 0
+    for path in recipes:
+        with working(f"drawing {path.name}"):
+            changes = draw_recipe(path, write=not check)
+        changed += changes
+        click.echo(f"{path}: {('would change' if check else 'drawn') if changes else 'unchanged'}")
+    if check and changed:
+        raise click.exceptions.Exit(1)
+
+
+@command.command()
+@click.argument("out", type=click.Path(path_type=Path, readable=False))
+@click.option("--to", type=click.Path(path_type=Path, readable=False), help="Folder of the site; OUT/catalogue.")
+@click.option(
+    "--language", "languages", metavar="CODE", multiple=True, help="Offer only this language, and English; repeatable."
+)
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+def catalogue(out: Path, to: Path | None, languages: tuple[str, ...], as_json: bool) -> None:
+    """Write a website that shows the cases in OUT; open its index.html in a browser, from the folder.
+
+    A case without [about] in its recipe is refused, and so is a patient's without a recorded release. Exits with 1
+    where a case was refused.
+    """
+    from heartcase.library.catalogue.site import write_catalogue
+
+    console = error_console()
+    result = write_catalogue(
+        out, to, languages=languages, say=lambda name: console.print(f"  {name}", markup=False, soft_wrap=True)
+    )
+    if as_json:
+        echo_json(
+            {
+                "index": str(result.index),
+                "shown": result.shown,
+                "made": result.made,
+                "removed": result.removed,
+                "refused": {name: [[one.place, one.message] for one in why] for name, why in result.refused.items()},
+                "seconds": round(result.seconds, 2),
+            }
+        )
+    else:
+        for name, problems in result.refused.items():
+            click.echo(f"{name}: refused", err=True)
+            for problem in problems:
+                click.echo(f"  {problem}", err=True)
+        click.echo(
+            f"{counted(len(result.shown), 'case')} shown: {len(result.made)} made, "
+            f"{len(result.shown) - len(result.made)} unchanged; {len(result.removed)} removed, "
+            f"{len(result.refused)} refused, in {result.seconds:.1f} s; open {result.index}"
+        )
+    if result.refused:
+        raise click.exceptions.Exit(1)

@@ -1,0 +1,1 @@
+"""The synthetic heart itself: its shapes, and the true label and signed distance of every point."""

@@ -1,0 +1,144 @@
+"""The vessel ends that a recipe's scan shows: for ``heartcase suggest --ends``, and for the lock."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from heartcase.pipeline.artifacts.cache import Cache
+from heartcase.pipeline.build.runner import BuildListener, Runner, SilentListener, run_stages
+from heartcase.pipeline.build.session_file import with_tables
+from heartcase.pipeline.data import Segmentation, VesselEnd
+from heartcase.pipeline.ends.cut_ends import cut_ends
+from heartcase.pipeline.ends.discs import Stumps, end_marker
+from heartcase.pipeline.ends.find_ends import find_ends
+from heartcase.pipeline.stages.resolve import resolve_recipe
+from heartcase.pipeline.stages.stage import Work, have
+from heartcase.schemas.errors import Problem, RecipeError, StageError
+from heartcase.schemas.files import atomic_write
+from heartcase.schemas.labels import LabelTable
+from heartcase.schemas.recipe.recipe import Recipe, parse_recipe, read_recipe_text
+from heartcase.schemas.toml import toml_text
+
+__all__ = ["ProposedEnds", "ends_at_locking", "propose_ends"]
+
+
+@dataclass(frozen=True)
+class ProposedEnds:
+    """Ends that a recipe does not cut yet. Made by :func:`propose_ends`."""
+
+    path: Path
+    """The recipe's file."""
+    text: str
+    """Its text as it was read."""
+    recipe: Recipe
+    """What it says."""
+    ends: tuple[VesselEnd, ...]
+    """Discs to cut at, and lumens that are open at a face already."""
+    dropped: tuple[str, ...]
+    """Branches that end without a place for a disc, in plain words."""
+    problems: tuple[Problem, ...]
+    """What is wrong with the ends that the recipe has."""
+
+    @property
+    def toml(self) -> str:
+        """The discs as ``[[ends]]`` tables; empty where there are none."""
+        tables = [end_marker(end).model_dump(mode="json") for end in self.ends if not end.is_open]
+        return toml_text({"ends": tables}) if tables else ""
+
+    def save(self) -> int:
+        """Write the discs at the end of the recipe, the rest of which stays to the letter; how many they are.
+
+        Raises
+        ------
+        RecipeError
+            Another program changed the file meanwhile, its ends are one array or automatic, which cannot be added to,
+            or the file cannot be written.
+        """
+        if not self.toml:
+            return 0
+        if read_recipe_text(self.path) != self.text:
+            raise RecipeError("the recipe was changed by another program meanwhile: try again", place="recipe")
+        advice = 'remove ends = "automatic", or write its ends as [[ends]] tables instead of ends = [...]'
+        text = with_tables(self.text, f"\n# Vessel ends that were found.\n{self.toml}", place="ends", advice=advice)
+        try:
+            atomic_write(self.path, text.encode("utf-8"))
+        except OSError as error:
+            raise RecipeError(f"cannot be written: {error.strerror}", place="recipe") from None
+        return sum(not end.is_open for end in self.ends)
+
+
+def propose_ends(
+    path: Path, *, out: Path, cache: Path | None = None, listener: BuildListener | None = None
+) -> ProposedEnds:
+    """Find the ends of a recipe's vessels that none of its own cuts.
+
+    Parameters
+    ----------
+    path
+        The recipe's file.
+    out
+        Directory that the case is built in.
+    cache
+        Directory of the cache; ``out/.heartcase-cache`` when left out.
+    listener
+        Told of progress.
+
+    Raises
+    ------
+    HeartcaseError
+        A problem with the recipe, the scan or the markers.
+    """
+    text = read_recipe_text(path)
+    recipe = parse_recipe(text)
+    segmentation, resolved = _segmented(recipe, path.parent, Cache(cache or out / ".heartcase-cache"), listener)
+    table, stumps = _stumps(segmentation, resolved)
+    problems: tuple[Problem, ...] = ()
+    try:
+        known = cut_ends(segmentation, table, recipe.ends, stumps).ends
+    except StageError as error:
+        known, problems = recipe.ends, error.problems
+    found = find_ends(segmentation, table, stumps, known=known)
+    return ProposedEnds(path, text, recipe, found.ends, found.dropped, problems)
+
+
+def ends_at_locking(recipe: Recipe, directory: Path, cache: Path) -> tuple[VesselEnd, ...]:
+    """The ends that a build of a recipe with ``walls.find_ends`` finds beside those that it states.
+
+    Parameters
+    ----------
+    recipe
+        The recipe.
+    directory
+        Where its relative paths start.
+    cache
+        Directory for what the stages make on the way.
+
+    Raises
+    ------
+    HeartcaseError
+        A problem with the scan, the markers or the stated ends.
+    """
+    segmentation, resolved = _segmented(recipe, directory, Cache(cache), None)
+    table, stumps = _stumps(segmentation, resolved)
+    cut = cut_ends(segmentation, table, recipe.ends, stumps, find=True)
+    return tuple(end for end in cut.vessel_ends if end.found == "found" and not end.is_open)
+
+
+def _segmented(
+    recipe: Recipe, directory: Path, cache: Cache, listener: BuildListener | None
+) -> tuple[Segmentation, Recipe]:
+    """The segmentation of a build, and the recipe with everything resolved."""
+    runner, work = Runner(cache, listener or SilentListener(), force=False), Work(recipe, directory, cache=cache)
+
+    def after(stage: str) -> None:
+        if stage == "read":
+            work.recipe = resolve_recipe(recipe, have(work.outputs.scan).get())
+
+    run_stages(runner, work, until="segment", after=after)
+    return have(work.outputs.segmentation).get(), work.recipe
+
+
+def _stumps(segmentation: Segmentation, resolved: Recipe) -> tuple[LabelTable, Stumps]:
+    table = segmentation.table.with_walls()
+    return table, Stumps.of(resolved.walls, table, segmentation.geometry.spacing_mm)

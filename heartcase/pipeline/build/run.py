@@ -1,0 +1,204 @@
+"""From a recipe to a case: the stages in their order, then the bundle and the report."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from heartcase.pipeline.artifacts.cache import Cache, stage_key
+from heartcase.pipeline.build.lock import check_lock
+from heartcase.pipeline.build.runner import BuildListener, Runner, SilentListener, run_stages
+from heartcase.pipeline.bundle.assembly import AssembledCase
+from heartcase.pipeline.bundle.write_bundle import check_place, check_replacement, write_bundle
+from heartcase.pipeline.markers.placeholders import placeholder_problems
+from heartcase.pipeline.stages.bundle import STAGE as BUNDLE
+from heartcase.pipeline.stages.resolve import resolve_recipe
+from heartcase.pipeline.stages.segment import filtered_tree
+from heartcase.pipeline.stages.stage import Work, have
+from heartcase.pipeline.stages.table import stage_names
+from heartcase.pipeline.warnings import cautions_of
+from heartcase.schemas.bundle.approval import bundle_sha256
+from heartcase.schemas.bundle.format import CaseManifest
+from heartcase.schemas.bundle.reader import open_bundle
+from heartcase.schemas.errors import BundleError, RecipeError, UsageError
+from heartcase.schemas.files import atomic_write, remove_leftovers, sha256_of_file
+from heartcase.schemas.recipe.recipe import Recipe
+
+if TYPE_CHECKING:
+    from heartcase.pipeline.markers.confidence import Sureness
+
+__all__ = ["BuildListener", "BuildResult", "build_case"]
+
+
+@dataclass(frozen=True)
+class BuildResult:
+    """What a build made."""
+
+    case: Path | None
+    """The bundle, or None when the build stopped before it."""
+    report: Path | None
+    """The report, or None when the build stopped before it."""
+    manifest: CaseManifest | None
+    """The case's manifest."""
+    seconds: dict[str, float]
+    """Stage -> seconds that it took, now or when its output was computed."""
+    reused: tuple[str, ...]
+    """Stages whose output was found in the cache."""
+    changed: bool
+    """Whether anything in the bundle changed."""
+    warnings: tuple[str, ...] = ()
+    """What the user must know."""
+
+
+def build_case(
+    recipe: Recipe,
+    *,
+    directory: Path,
+    out: Path,
+    cache: Path | None = None,
+    listener: BuildListener | None = None,
+    force: bool = False,
+    until: str | None = None,
+    accept_inputs: bool = False,
+    replace: bool = False,
+) -> BuildResult:
+    """Build a case.
+
+    Parameters
+    ----------
+    recipe
+        What to build.
+    directory
+        Where the recipe's relative paths start.
+    out
+        Directory for ``NAME.case`` and ``NAME.report.html``; made when it is not there.
+    cache
+        Directory of the cache; ``out/.heartcase-cache`` when left out.
+    listener
+        Told of progress.
+    force
+        Compute every stage anew.
+    until
+        Stop after the stage of this name: see :func:`heartcase.pipeline.stages.table.stage_names`.
+    replace
+        Replace a case of this name although it was made from another scan.
+    accept_inputs
+        Build a locked recipe although its scan or marker files are not those that it was locked with.
+
+    Raises
+    ------
+    HeartcaseError
+        A problem with the scan, the markers or a stage; the case that was there before is untouched.
+    """
+    if until is not None and until not in stage_names():
+        raise UsageError(f"there is no stage {until!r}; the stages are: {', '.join(stage_names())}", place="until")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        store = Cache(cache or out / ".heartcase-cache")
+    except OSError as error:
+        raise UsageError(f"cannot be written to: {error.strerror}", place="output or cache directory") from None
+    store.clean()
+    remove_leftovers(out)
+    check_place(out / f"{recipe.name}.case")
+    runner = Runner(store, listener or SilentListener(), force)
+    work = Work(recipe, directory, cache=store)
+
+    def after(stage: str) -> None:
+        """Once the scan is known, refuse what does not suit it, and state every setting."""
+        if stage != "read":
+            return
+        scan = have(work.outputs.scan).get()
+        examples = placeholder_problems(recipe, work.outputs.whole)
+        if examples:
+            raise RecipeError(examples)
+        work.told["lock"] = check_lock(recipe, directory, scan, accept_inputs=accept_inputs)
+        work.recipe = resolve_recipe(recipe, scan)
+        if until is None and not replace:
+            check_replacement(out / f"{recipe.name}.case", work.recipe.case_id)
+
+    run_stages(runner, work, until=until, after=after)
+    if until not in (None, BUNDLE.name):
+        warnings = work.told["lock"]
+        return BuildResult(None, None, None, runner.seconds, tuple(runner.reused), changed=False, warnings=warnings)
+    return _finish(runner, work, out)
+
+
+def _finish(runner: Runner, work: Work, out: Path) -> BuildResult:
+    """Write the bundle and the report."""
+    case, report = out / f"{work.recipe.name}.case", out / f"{work.recipe.name}.report.html"
+    key = stage_key(
+        stage=BUNDLE.name,
+        version=BUNDLE.version,
+        settings=BUNDLE.settings(work),
+        inputs={record.stage: record.output_sha256 for record in work.records},
+    )
+    manifest = None if runner.force else _unchanged(case, report, runner.cache, key)
+    if manifest is not None:
+        runner.listener.stage_finished(BUNDLE.name, seconds=0.0, reused=True)
+        reused = (*runner.reused, BUNDLE.name)
+        return BuildResult(case, report, manifest, runner.seconds, reused, False, cautions_of(manifest))
+    runner.announce(BUNDLE.name)
+    start = time.perf_counter()
+    assembled = BUNDLE.compute(work)
+    runner.seconds[BUNDLE.name] = time.perf_counter() - start
+    html = _report(runner, work, assembled).encode()
+    # The report is ready before the case is touched: where drawing fails, the old case and its report stay.
+    changed = write_bundle(case, assembled.content)
+    atomic_write(report, html)
+    sums = {"bundle_sha256": assembled.content.sha256, "report_sha256": hashlib.sha256(html).hexdigest()}
+    runner.cache.note(BUNDLE.name, key, sums)
+    runner.learn(BUNDLE.name, time.perf_counter() - start)
+    runner.listener.stage_finished(BUNDLE.name, seconds=time.perf_counter() - start, reused=not changed)
+    manifest = assembled.content.manifest
+    return BuildResult(case, report, manifest, runner.seconds, tuple(runner.reused), changed, assembled.warnings)
+
+
+def _report(runner: Runner, work: Work, assembled: AssembledCase) -> str:
+    """The page about an assembled case."""
+    from heartcase.pipeline.report.build_report import build_report
+
+    outputs = work.outputs
+    return build_report(
+        sureness=_sureness(work),
+        recipe=work.recipe,
+        scan=have(outputs.scan).get(),
+        segmentation=have(outputs.segmentation).get(),
+        structures=have(outputs.structures).get(),
+        grid=have(outputs.grid).get(),
+        surface=assembled.surface,
+        grid_map=outputs.grid_map.get() if outputs.grid_map else None,
+        volumes_ml=assembled.volumes_ml,
+        openings=assembled.openings,
+        timings_s=runner.seconds,
+        stages=work.records,
+        warnings=assembled.warnings,
+        case_id=work.recipe.case_id,
+        bundle_sha256=assembled.content.sha256,
+    )
+
+
+def _sureness(work: Work) -> Sureness | None:
+    """How sure the watershed is, from the tree that the cache keeps; None for other methods."""
+    from heartcase.pipeline.markers.confidence import sureness_of
+
+    if work.outputs.markers is None:
+        return None
+    return sureness_of(filtered_tree(work), work.outputs.markers.get())
+
+
+def _unchanged(case: Path, report: Path, cache: Cache, key: str) -> CaseManifest | None:
+    """The manifest of the case that is there, when it and its report are whole and made from exactly these inputs."""
+    note = cache.noted("bundle", key)
+    try:
+        if (
+            note is None
+            or note["report_sha256"] != sha256_of_file(report)
+            or note["bundle_sha256"] != bundle_sha256(case)
+        ):
+            return None
+        return open_bundle(case).manifest
+    except (OSError, KeyError, BundleError):
+        return None

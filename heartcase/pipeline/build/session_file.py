@@ -1,0 +1,157 @@
+"""A painting session on a recipe: what the build made of its scan so far, and the strokes back into its file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from heartcase.pipeline.artifacts.cache import Cache
+from heartcase.pipeline.build.runner import BuildListener, Runner, SilentListener
+from heartcase.pipeline.markers.session import SegmentationSession
+from heartcase.pipeline.stages.filter import STAGE as FILTER
+from heartcase.pipeline.stages.read import STAGE as READ
+from heartcase.pipeline.stages.resolve import resolve_recipe
+from heartcase.pipeline.stages.segment import filtered_tree
+from heartcase.pipeline.stages.stage import Work, have
+from heartcase.schemas.errors import RecipeError, UsageError
+from heartcase.schemas.files import atomic_write
+from heartcase.schemas.recipe.recipe import Recipe, parse_recipe, read_recipe_text
+from heartcase.schemas.recipe.settings import Stroke
+from heartcase.schemas.toml import toml_text
+
+__all__ = ["RecipeSession", "open_session", "with_tables"]
+
+
+@dataclass
+class RecipeSession:
+    """A session, and the recipe's file that its strokes go into. Made by :func:`open_session`."""
+
+    session: SegmentationSession
+    """What is painted on."""
+    recipe: Recipe
+    """The recipe as it was opened, with everything resolved."""
+    path: Path
+    """Its file."""
+    opened_text: str
+    """Its text as it was opened: kept to the letter, with its comments."""
+    written_text: str
+    """Its text as it was written last."""
+    copies: set[Path] = field(default_factory=set)
+    """Files that :meth:`save_as` has written."""
+
+    def save(self) -> int:
+        """Write the session's strokes at the end of the recipe; how many they are.
+
+        Saving again, also after an undo, leaves what the session holds then. A crash leaves the old file or the new.
+
+        Raises
+        ------
+        RecipeError
+            Another program changed the file meanwhile, or its strokes are one array, which cannot be added to.
+        """
+        if read_recipe_text(self.path) != self.written_text:
+            raise RecipeError(
+                "the recipe was changed by another program since it was opened: save under another name, and copy the "
+                "strokes from there",
+                place="recipe",
+            )
+        return self.save_as(self.path)
+
+    def save_as(self, path: Path) -> int:
+        """Write the recipe with the session's strokes to another file; how many they are.
+
+        What is there already is never replaced, unless this session wrote it.
+
+        Raises
+        ------
+        RecipeError
+            There is such a file, the recipe's strokes are one array, which cannot be added to, or the file cannot be
+            written.
+        """
+        if path.exists() and path.resolve() not in {self.path.resolve(), *self.copies}:
+            raise RecipeError(f"{path.name} is there already and is not replaced: choose another name", place="save_as")
+        advice = "write its strokes as [[strokes]] tables instead of strokes = [...]"
+        text = with_tables(self.opened_text, _strokes_text(self.session.strokes), place="strokes", advice=advice)
+        try:
+            atomic_write(path, text.encode("utf-8"))
+        except OSError as error:
+            raise RecipeError(f"cannot be written: {error.strerror}", place="recipe") from None
+        if path == self.path:
+            self.written_text = text
+        self.copies.add(path.resolve())
+        return len(self.session.strokes)
+
+
+def open_session(
+    path: Path, *, out: Path, cache: Path | None = None, listener: BuildListener | None = None
+) -> RecipeSession:
+    """Open a recipe for painting; scan, filter and tree are taken from the build's cache where they are there.
+
+    The example strokes of a starter recipe are left out: they mark nothing. A build refuses them.
+
+    Parameters
+    ----------
+    path
+        The recipe's file.
+    out
+        Directory that the case is built in.
+    cache
+        Directory of the cache; ``out/.heartcase-cache`` when left out.
+    listener
+        Told of progress.
+
+    Raises
+    ------
+    HeartcaseError
+        A problem with the recipe, the scan or the markers; or the recipe's method is not the watershed.
+    """
+    text = read_recipe_text(path)
+    recipe = parse_recipe(text, needs_markers=False)
+    if recipe.segment.method != "watershed":
+        raise UsageError(
+            f"the recipe's segment.method is {recipe.segment.method!r}: only the watershed is painted", place="segment"
+        )
+    store = Cache(cache or out / ".heartcase-cache")
+    runner, work = Runner(store, listener or SilentListener(), force=False), Work(recipe, path.parent, cache=store)
+    runner.run(READ, work)
+    recipe = work.recipe = resolve_recipe(recipe, have(work.outputs.scan).get())
+    runner.run(FILTER, work)
+    filtered, nodes = have(work.outputs.filtered), work.outputs
+    from heartcase.pipeline.markers.load_markers import load_markers, stated_markers
+    from heartcase.pipeline.markers.marker_help import AutomaticMarkers
+    from heartcase.pipeline.markers.placeholders import example_strokes
+
+    scan, markers = have(nodes.scan).get(), None
+    examples = example_strokes(recipe.strokes, nodes.whole)
+    strokes = [stroke for number, stroke in enumerate(recipe.strokes, start=1) if number not in examples]
+    stated = (recipe.markers, strokes, recipe.table, scan.geometry, path.parent)
+    if recipe.segment.automatic:
+        markers = AutomaticMarkers(scan, recipe.segment.automatic, stated_markers(*stated, whole=nodes.whole).labels)
+    tree = filtered_tree(work)
+    session = SegmentationSession(
+        tree, filtered.get().geometry, recipe.table, markers=markers or load_markers(*stated, whole=nodes.whole)
+    )
+    return RecipeSession(session, recipe, path, text, text)
+
+
+def with_tables(text: str, addition: str, *, place: str, advice: str) -> str:
+    """A recipe's text with tables added at its end.
+
+    Raises
+    ------
+    RecipeError
+        At ``place``, with the ``advice``: what comes out is no recipe, as where it has the same as one array.
+    """
+    whole = (text if text.endswith("\n") or not addition else f"{text}\n") + addition
+    try:
+        parse_recipe(whole, needs_markers=False)
+    except RecipeError:
+        raise RecipeError(f"{place} cannot be added at the end of this recipe: {advice}", place=place) from None
+    return whole
+
+
+def _strokes_text(strokes: tuple[Stroke, ...]) -> str:
+    if not strokes:
+        return ""
+    tables = [stroke.model_dump(mode="json", exclude_defaults=True) for stroke in strokes]
+    return "\n# Painted in a session.\n" + toml_text({"strokes": tables})

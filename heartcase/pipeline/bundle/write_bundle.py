@@ -1,0 +1,354 @@
+"""Writing a case bundle: data files named by their content, the manifest last.
+
+A crash at any moment leaves the case that was there before, or the new one: ``case.json`` is replaced in one step, and
+files of the old case are removed only after that.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from heartcase import __version__
+from heartcase.pipeline.bundle.aligned import AlignedFile, aligned_safetensors
+from heartcase.pipeline.data import GridMap, PickingSurface, SimulationGrid, Surface
+from heartcase.pipeline.image.scan_part import ScanPart
+from heartcase.pipeline.warnings import severity_of
+from heartcase.schemas.about import About
+from heartcase.schemas.bundle.format import (
+    ARRAYS,
+    FORMAT_VERSION,
+    LEVEL_MAX,
+    MANIFEST_NAME,
+    VERSION_WITHOUT_SEPTA,
+    ArrayEntry,
+    CaseManifest,
+    FileEntry,
+    FileRole,
+    Material,
+    SimulationFigures,
+    StageRecord,
+)
+from heartcase.schemas.bundle.reader import read_manifest
+from heartcase.schemas.errors import BundleError
+from heartcase.schemas.files import LOCK_NAME, TEMPORARY_PREFIX, atomic_write, exclusive, remove_leftovers
+from heartcase.schemas.geometry import Geometry
+from heartcase.schemas.labels import LabelTable
+from heartcase.schemas.landmarks import Landmark
+from heartcase.schemas.recipe.settings import MaterialsSettings
+
+__all__ = [
+    "BundleContent",
+    "assemble_bundle",
+    "check_place",
+    "check_replacement",
+    "resolve_materials",
+    "simulation_figures",
+    "write_bundle",
+]
+
+_SUFFIX = {FileRole.RENDER.at(level): ".glb" for level in range(LEVEL_MAX + 1)} | {FileRole.LABELS: ".seg.nrrd"}
+_DATA_FILE = re.compile(rf"({'|'.join(FileRole)})-[0-9a-f]{{16}}(\.safetensors|\.glb|\.seg\.nrrd)")
+"""Names that :func:`assemble_bundle` gives: nothing else in a case's directory is ever removed."""
+
+
+@dataclass(frozen=True)
+class BundleContent:
+    """A case in memory, ready to be written."""
+
+    manifest: CaseManifest
+    """The manifest, with an entry for each file."""
+    files: dict[str, bytes]
+    """File name -> content."""
+
+    @property
+    def manifest_bytes(self) -> bytes:
+        """``case.json`` as it is written."""
+        return json.dumps(self.manifest.model_dump(mode="json"), indent=1, sort_keys=True).encode() + b"\n"
+
+    @property
+    def sha256(self) -> str:
+        """The bundle hash: SHA-256 of ``case.json``, which lists the hash of every other file."""
+        return hashlib.sha256(self.manifest_bytes).hexdigest()
+
+
+def resolve_materials(settings: MaterialsSettings, table: LabelTable) -> tuple[Material, ...]:
+    """Elastic constants of every tissue label, by ascending value."""
+    exceptions = {label.value: values for name, values in settings.labels.items() if (label := table.find(name))}
+    return tuple(
+        Material(
+            label=label.value,
+            youngs_modulus_kpa=exceptions.get(label.value, settings).youngs_modulus_kpa,
+            density_kg_m3=exceptions.get(label.value, settings).density_kg_m3,
+        )
+        for label in table
+        if label.role.is_tissue
+    )
+
+
+def simulation_figures(grid: SimulationGrid, materials: Sequence[Material]) -> SimulationFigures:
+    """Counts and step sizes of a case.
+
+    A cell's largest squared frequency is 20 k/m with k = 0.4 E h and m = density h^3 (both scale with coverage), so
+    it is 8 E / (density h^2); the default step keeps a margin for stretched springs, 24 k/m, and takes 0.8 of it
+    (DESIGN.md, The simulation model).
+    """
+    cell_m = grid.geometry.spacing_mm[0] * 1e-3
+    used = set(np.unique(grid.cell_label).tolist())
+    ratio = max(m.youngs_modulus_kpa * 1e3 / m.density_kg_m3 for m in materials if m.label in used)
+    stiffness_over_mass = 0.4 * ratio / cell_m**2
+    step_default = 0.8 * 2.0 / math.sqrt(24.0 * stiffness_over_mass)
+    return SimulationFigures(
+        node_count=len(grid.nodes),
+        cell_count=len(grid.cells),
+        fixed_node_count=int(grid.fixed.sum()),
+        cell_mm=grid.geometry.spacing_mm[0],
+        step_default_s=step_default,
+        step_limit_s=2.0 / math.sqrt(20.0 * stiffness_over_mass),
+        steps_per_second=1.0 / step_default,
+        tissue_volume_ml=float(grid.cell_coverage.sum(dtype=np.float64)) * grid.geometry.voxel_volume_mm3 * 1e-3,
+    )
+
+
+def assemble_bundle(
+    *,
+    name: str,
+    case_id: str | None = None,
+    grid: SimulationGrid,
+    materials: Sequence[Material],
+    scan_geometry: Geometry,
+    scan_sha256: str,
+    stages: Sequence[StageRecord],
+    surface: Surface | None = None,
+    grid_map: GridMap | None = None,
+    picking: PickingSurface | None = None,
+    glbs: Sequence[bytes] = (),
+    labels_nrrd: bytes | None = None,
+    scan: ScanPart | None = None,
+    landmarks: Sequence[Landmark] = (),
+    about: About | None = None,
+    modality: str = "unknown",
+    acquisition: Mapping[str, Any] | None = None,
+    quality: Mapping[str, Any] | None = None,
+    warnings: Sequence[str] = (),
+) -> BundleContent:
+    """Put a case together in memory.
+
+    Parameters
+    ----------
+    name
+        Name of the case.
+    case_id
+        Made-up identifier of the case.
+    grid, surface, grid_map, picking, labels_nrrd, scan
+        The parts; those that are None are left out, and levels of detail beyond the format's. ``labels_nrrd`` is a
+        whole file.
+    glbs
+        Whole files, one for each level of detail, from fine to coarse; none where nobody wants them.
+    materials
+        Elastic constants of every tissue label.
+    scan_geometry, scan_sha256, modality, acquisition
+        About the scan, without identity.
+    stages
+        Provenance.
+    landmarks, about, quality
+        As in :class:`CaseManifest`.
+    warnings
+        Marked in :mod:`heartcase.pipeline.warnings`, the worst first.
+
+    Raises
+    ------
+    BundleError
+        An array has not the type or shape that the format states, or a value is not finite.
+    """
+    constants = {material.label: material for material in materials}
+    stiffness = np.zeros(256, np.float32)
+    density = np.zeros(256, np.float32)
+    for label, material in constants.items():
+        stiffness[label] = material.youngs_modulus_kpa
+        density[label] = material.density_kg_m3
+    parts: dict[FileRole, dict[str, npt.NDArray[Any]]] = {
+        FileRole.GRID: {
+            "cells": grid.cells,
+            "cell_coverage": grid.cell_coverage,
+            "cell_moments": grid.cell_moments,
+            "cell_label": grid.cell_label,
+            "cell_stiffness": stiffness[grid.cell_label],
+            "cell_density": density[grid.cell_label],
+            "nodes": grid.nodes,
+            "fixed": grid.fixed,
+        }
+    }
+    for level, one in enumerate((surface, *surface.levels)[: LEVEL_MAX + 1] if surface else ()):
+        names = ("normals", "triangles", "triangle_label", "triangle_tissue", "triangle_is_cut", "triangle_kind")
+        part = {item: getattr(one, item) for item in (*names, "vertex_label", "render_to_welded")}
+        parts[FileRole.SURFACE.at(level)] = part | {"vertices": one.vertices_mm}
+    for level, tie in enumerate((grid_map, *grid_map.levels)[: LEVEL_MAX + 1] if grid_map else ()):
+        names = ("triangle_nodes", "weights", "normal", "curvature", "tangent", "nearest_node")
+        part = {item: getattr(tie, item) for item in names}
+        parts[FileRole.MAPPING.at(level)] = part | {"offset": tie.offset_mm}
+    if picking is not None:
+        parts[FileRole.PICKING] = {item: getattr(picking, item) for item in ("nodes", "triangles", "triangle_label")}
+    if scan is not None:
+        parts[FileRole.SCAN] = {"intensity": scan.intensity}
+    aligned = {role: _checked_file(role, arrays) for role, arrays in parts.items()}
+    contents = {role: file.content for role, file in aligned.items()}
+    contents |= {FileRole.RENDER.at(level): glb for level, glb in enumerate(glbs[: LEVEL_MAX + 1])}
+    if labels_nrrd is not None:
+        contents[FileRole.LABELS] = labels_nrrd
+    files: dict[str, bytes] = {}
+    entries = []
+    for role, content in contents.items():
+        digest = hashlib.sha256(content).hexdigest()
+        file_name = f"{role.value}-{digest[:16]}{_SUFFIX.get(role, '.safetensors')}"
+        files[file_name] = content
+        listed = _listed(role, parts[role], aligned[role]) if role in aligned else ()
+        entries.append(FileEntry(role=role, name=file_name, size=len(content), sha256=digest, arrays=listed))
+    has_septa = any(label.septum_of is not None for label in grid.table)
+    manifest = CaseManifest(
+        format_version=FORMAT_VERSION if has_septa else VERSION_WITHOUT_SEPTA,
+        name=name,
+        case_id=case_id,
+        scan_geometry=scan_geometry,
+        scan_values=scan.values if scan else None,
+        grid_geometry=grid.geometry,
+        labels=grid.table,
+        materials=tuple(materials),
+        landmarks=tuple(landmarks),
+        about=about,
+        simulation=simulation_figures(grid, materials),
+        software_version=__version__,
+        scan_sha256=scan_sha256,
+        modality=modality,
+        acquisition=dict(acquisition or {}),
+        stages=tuple(stages),
+        quality=dict(quality or {}),
+        warnings=tuple(str(warning) for warning in warnings),
+        warning_grades=tuple(severity_of(warning).grade for warning in warnings),
+        files=tuple(entries),
+    )
+    return BundleContent(manifest, files)
+
+
+def _checked_file(role: FileRole, arrays: Mapping[str, npt.NDArray[Any]]) -> AlignedFile:
+    counts: dict[str, int] = {}
+    checked: dict[str, npt.NDArray[Any]] = {}
+    for spec in ARRAYS[role]:
+        array = arrays[spec.name]
+        fits = array.dtype == spec.dtype and array.ndim == len(spec.shape)
+        for size, want in zip(array.shape, spec.shape, strict=False):
+            fits &= size == (counts.setdefault(want, size) if isinstance(want, str) else want)
+        if not fits:
+            found = f"{array.dtype} {list(array.shape)}"
+            raise BundleError(f"is {found}, not {spec.dtype} {list(spec.shape)}", place=f"{role.value}.{spec.name}")
+        if array.dtype.kind == "f" and not np.isfinite(array).all():
+            raise BundleError("holds values that are not finite numbers", place=f"{role.value}.{spec.name}")
+        checked[spec.name] = array
+    return aligned_safetensors(checked)
+
+
+def _listed(role: FileRole, arrays: Mapping[str, npt.NDArray[Any]], file: AlignedFile) -> tuple[ArrayEntry, ...]:
+    return tuple(
+        ArrayEntry(
+            name=spec.name,
+            dtype=spec.dtype,
+            shape=arrays[spec.name].shape,
+            offset=file.offsets[spec.name],
+            unit=spec.unit,
+            meaning=spec.meaning,
+        )
+        for spec in ARRAYS[role]
+    )
+
+
+def write_bundle(directory: Path | str, content: BundleContent) -> bool:
+    """Write a case over whatever case is there; returns whether anything changed.
+
+    Raises
+    ------
+    BundleError
+        The directory holds something else than a case, or cannot be written to.
+    """
+    directory = Path(directory)
+    check_place(directory)
+    manifest = content.manifest_bytes
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        with exclusive(directory):
+            remove_leftovers(directory)
+            changed = False
+            for name, data in content.files.items():
+                if not _holds(directory / name, data):
+                    atomic_write(directory / name, data)
+                    changed = True
+            if not _holds(directory / MANIFEST_NAME, manifest):
+                atomic_write(directory / MANIFEST_NAME, manifest)
+                changed = True
+            keep = {*content.files, MANIFEST_NAME, LOCK_NAME}
+            for stale in sorted(directory.iterdir()):
+                if stale.name not in keep and _DATA_FILE.fullmatch(stale.name) and stale.is_file():
+                    with contextlib.suppress(OSError):
+                        stale.unlink()
+    except OSError as error:
+        raise BundleError(f"cannot be written: {error.strerror}", place="output") from None
+    return changed
+
+
+def check_place(directory: Path | str) -> None:
+    """Refuse a place where something else than a case is.
+
+    Raises
+    ------
+    BundleError
+        The case's name is taken by a file, or by a directory that holds other things.
+    """
+    directory = Path(directory)
+    if directory.exists() and (not directory.is_dir() or not _is_ours(directory)):
+        raise BundleError("there is something else in this place: choose another name or directory", place="output")
+
+
+def check_replacement(directory: Path | str, case_id: str | None) -> None:
+    """Refuse to replace another case: two scans may have been given one name.
+
+    Raises
+    ------
+    BundleError
+        The case that is there has another identifier.
+    """
+    try:
+        there = read_manifest(Path(directory)).case_id
+    except BundleError:
+        return
+    if there is not None and there != case_id:
+        raise BundleError(
+            f"another case of this name is there ({there}), made from another scan: give this one another name or "
+            "--out, or replace that one with --replace",
+            place="output",
+        )
+
+
+def _is_ours(directory: Path) -> bool:
+    """A directory that is empty, or holds only what this module writes."""
+    return all(
+        path.name in (MANIFEST_NAME, LOCK_NAME)
+        or path.name.startswith(TEMPORARY_PREFIX)
+        or _DATA_FILE.fullmatch(path.name)
+        for path in directory.iterdir()
+    )
+
+
+def _holds(path: Path, data: bytes) -> bool:
+    try:
+        return not path.is_symlink() and path.stat().st_size == len(data) and path.read_bytes() == data
+    except OSError:
+        return False

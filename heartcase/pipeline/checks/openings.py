@@ -1,0 +1,441 @@
+"""Where blood of one chamber or vessel meets that of another without a wall between, and whether a heart has that.
+
+Walls grow into background only, so two cavities whose outlines touch are open to each other. At a valve that is
+right; at a septum it is a hole that the patient may not have.
+
+What touches, and over which area, is found in :mod:`heartcase.pipeline.fields.contacts`; here it is judged.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+from heartcase.pipeline.data import Segmentation, Structures
+from heartcase.pipeline.fields.contacts import Contact, find_contact
+from heartcase.pipeline.markers.meeting_strokes import meetings_of
+from heartcase.pipeline.warnings import Caution, anatomy, note
+from heartcase.schemas.labels import Label, LabelTable
+from heartcase.schemas.landmarks import Landmark
+from heartcase.schemas.recipe.edit_settings import Edit, SeptalDefect, edit_place
+from heartcase.schemas.recipe.settings import Stroke
+from heartcase.schemas.terms import Term, term_by_name
+
+__all__ = [
+    "POINT_REACH_MM",
+    "Opening",
+    "Verdict",
+    "find_openings",
+    "opening_cautions",
+    "opening_figures",
+    "root_of_surface_m",
+    "states_an_opening",
+    "verdict_of",
+]
+
+Bool = npt.NDArray[np.bool_]
+Float64 = npt.NDArray[np.float64]
+
+POINT_REACH_MM = 8.0
+"""What a landmark that is a point speaks for: this far around it. A ring speaks for its own radius."""
+REACH_VOXELS = 2.0
+"""How much farther than its radius a stated defect reaches, in edges of a cube with the volume of a voxel."""
+MORE_THAN_ASKED = 1.5
+"""An opening at a septal_defect edit is looked at when it is this many times as large as the edit asks for."""
+CANAL_COSINE = 0.7
+"""What faces along a canal's axis less than this is its wall."""
+_NORMAL_PAIRS = (
+    ("lv", "la"),
+    ("lv", "aorta"),
+    ("rv", "ra"),
+    ("rv", "pa"),
+    ("ra", "svc"),
+    ("ra", "ivc"),
+    ("ra", "coronary sinus"),
+    ("ra", "raa"),
+    ("la", "pulmonary vein"),
+    ("la", "laa"),
+)
+_VALVES_MM = ((("lv", "la"), 30.0), (("rv", "ra"), 30.0), (("lv", "aorta"), 20.0), (("rv", "pa"), 20.0))
+"""Diameter of a valve at a body surface area of 1 m2: round numbers, enough for VALVE_SHARES. That diameters go with
+the area's square root is from Lopez et al., Circulation: Cardiovascular Imaging 10, 2017, doi
+10.1161/CIRCIMAGING.117.006979."""
+VALVE_SHARES = (0.4, 2.0)
+"""A valve's opening is looked at when it is less or more than this many times the usual one: wider than any normal
+heart, a dilated one, or blood whose border does not lie flat in the valve."""
+LEAST_VENTRICLE_ML = 3.0
+"""Half of a newborn's: of a smaller one nothing is said."""
+_OTHER_VENTRICLE = (("lv", "pa"), ("rv", "aorta"))
+_STATING_WORDS = re.compile(
+    r"defect|fistula|shunt|anastomos[ei]s|fenestration|ductus|window|opening|connection|drainage"
+    r"|(?<![a-z])(?:asd|vsd|avsd|pfo|pda)(?![a-z])"
+)
+
+
+class Verdict(StrEnum):
+    """What is to be thought of an opening."""
+
+    EXPECTED = "expected"
+    """A normal heart has it: a valve, a vein's mouth, an appendage."""
+    STATED = "stated"
+    """The recipe says that it is meant."""
+    OTHER_VENTRICLE = "other ventricle"
+    """A great artery arises from the ventricle that is not its own, as some malformed hearts have it."""
+    UNKNOWN = "unknown"
+    """The vocabulary does not know one of the two."""
+    UNEXPECTED = "unexpected"
+    """No normal heart has it, and the recipe does not say that this one does."""
+
+
+_WORST_FIRST = (Verdict.UNEXPECTED, Verdict.OTHER_VENTRICLE, Verdict.UNKNOWN, Verdict.STATED, Verdict.EXPECTED)
+
+
+@dataclass(frozen=True)
+class _Statement:
+    """A place of the recipe at which an opening is meant: a canal, or a ball where there is no axis."""
+
+    words: str
+    center_mm: Float64
+    radius_mm: float
+    axis: Float64 | None = None
+    half_length_mm: float = 0.0
+    asked_mm2: float | None = None
+    long_axis: Float64 | None = None
+    """Direction of the long diameter of a canal that is not round; its part at right angles to the axis counts."""
+    short_radius_mm: float = 0.0
+    """Half of the short diameter of such a canal."""
+    values: tuple[int, int] | None = None
+    """The two labels that it is about, the lower first; None for any."""
+
+    @property
+    def line_mm(self) -> tuple[Float64, Float64]:
+        """The ends of the canal's axis."""
+        reach = self.half_length_mm * (np.zeros(3) if self.axis is None else self.axis)
+        return self.center_mm - reach, self.center_mm + reach
+
+    def covers(self, points_mm: Float64, margin_mm: float) -> Bool:
+        """Which points, shape (n, 3), lie within its reach."""
+        away = points_mm - self.center_mm
+        if self.axis is None:
+            near: Bool = np.linalg.norm(away, axis=1) <= self.radius_mm + margin_mm
+            return near
+        along = away @ self.axis
+        across = np.linalg.norm(self._from_middle_line(away - along[:, None] * self.axis), axis=1)
+        radius = self.radius_mm if self.long_axis is None else self.short_radius_mm
+        within: Bool = (across <= radius + margin_mm) & (np.abs(along) <= self.half_length_mm + margin_mm)
+        return within
+
+    def _from_middle_line(self, across: Float64) -> Float64:
+        """Vectors in the plane of the opening, less the way along the middle line of one that is not round."""
+        if self.long_axis is None or self.axis is None:
+            return across
+        side = self.long_axis - (self.long_axis @ self.axis) * self.axis
+        side = side / np.linalg.norm(side)
+        half = self.radius_mm - self.short_radius_mm
+        shortened: Float64 = across - np.clip(across @ side, -half, half)[:, None] * side
+        return shortened
+
+
+@dataclass(frozen=True)
+class Opening:
+    """Where two cavities are open to each other, as far as one verdict goes."""
+
+    labels: tuple[int, int]
+    """Values of the two labels, the lower first."""
+    names: tuple[str, str]
+    """Their names in the label table."""
+    area_mm2: float
+    """Area of all patches together, mm2."""
+    patches: int
+    """Pieces of it that do not touch."""
+    center_mm: tuple[float, float, float]
+    """The point of the largest patch that is nearest to its mean, world mm."""
+    verdict: Verdict
+    """What is to be thought of it."""
+    stated_by: str = ""
+    """What in the recipe says that it is meant."""
+    asked_mm2: float | None = None
+    """Area that the septal_defect edit asks for, mm2."""
+    usual_mm: float | None = None
+    """Usual diameter of this valve in a heart with ventricles of this volume, mm; None for what is no valve, or where
+    the volume is not known."""
+    points_mm: Float64 = field(default_factory=lambda: np.empty((0, 3)), compare=False, repr=False)
+    """Centres of the faces between the two, world mm, shape (face_count, 3)."""
+    statement: _Statement | None = field(default=None, compare=False, repr=False)
+    """The place that the recipe states."""
+
+    @property
+    def diameter_mm(self) -> float:
+        """Diameter of a circle of this area, mm."""
+        return 2.0 * math.sqrt(self.area_mm2 / math.pi)
+
+    @property
+    def is_too_large(self) -> bool:
+        """Whether it is larger than the edit that states it asks for, by more than voxels explain."""
+        return self.asked_mm2 is not None and self.area_mm2 > MORE_THAN_ASKED * self.asked_mm2
+
+    @property
+    def is_odd_size(self) -> bool:
+        """Whether it is far narrower or wider than this valve is in any heart of this size."""
+        low, high = VALVE_SHARES
+        return self.usual_mm is not None and not low <= self.diameter_mm / self.usual_mm <= high
+
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether a person must look at it."""
+        return self.is_too_large or self.is_odd_size or self.verdict not in (Verdict.EXPECTED, Verdict.STATED)
+
+    def has_rim_at(self, points_mm: Float64, normals: Float64, reach_mm: float) -> Bool:
+        """Which points of the tissue's border are its rim: near its faces, or on the wall of the canal it was cut by.
+
+        Parameters
+        ----------
+        points_mm, normals
+            Points and unit normals of the border, shape (n, 3).
+        reach_mm
+            How far from a face.
+        """
+        near: Bool = np.isfinite(cKDTree(self.points_mm).query(points_mm, distance_upper_bound=reach_mm, workers=1)[0])
+        if self.statement is not None and self.statement.axis is not None:
+            is_wall = np.abs(normals @ self.statement.axis) < CANAL_COSINE
+            near |= is_wall & self.statement.covers(points_mm, reach_mm)
+        return near
+
+
+def find_openings(
+    structures: Structures,
+    labels: Segmentation,
+    edits: Sequence[Edit] = (),
+    landmarks: Sequence[Landmark] = (),
+    *,
+    strokes: Sequence[Stroke] = (),
+    connected: Sequence[tuple[str, str]] = (),
+) -> tuple[Opening, ...]:
+    """Find every place where two labels of blood or vessel lumen touch with no tissue between.
+
+    Parameters
+    ----------
+    structures
+        The final structures, after edits and end cuts.
+    labels
+        The label of every voxel of their lattice: :func:`heartcase.pipeline.build.run.labels_of`.
+    edits
+        The recipe's edits: a ``septal_defect`` states the opening at its canal.
+    landmarks
+        The recipe's landmarks: one that :func:`states_an_opening` states the opening around it, out to its radius or,
+        for a point, :data:`POINT_REACH_MM`.
+    strokes
+        The recipe's strokes: those of two cavities that run into each other state an opening between them there.
+    connected
+        Names of pairs that the recipe says are open to each other, wherever they touch.
+
+    Returns
+    -------
+    tuple of Opening
+        The worst verdict first, then by area, the largest first. The faces of one pair are told apart by what states
+        them: what lies beyond the reach of a stated defect is an opening of its own. Pairs of a normal heart are one
+        opening each; whether one of their patches lies where it should not is not judged.
+    """
+    statements = (
+        *_stated_by_edits(edits),
+        *_stated_by_landmarks(landmarks),
+        *_stated_by_strokes(strokes, labels.table),
+        *_stated_by_pairs(connected, labels.table),
+    )
+    contact = find_contact(structures, labels, [one.line_mm for one in statements if one.axis is not None])
+    points, pairs = contact.points_mm, contact.pairs
+    margin = REACH_VOXELS * labels.geometry.voxel_volume_mm3 ** (1.0 / 3.0)
+    root_m = root_of_surface_m(labels)
+    found: list[Opening] = []
+    for values in np.unique(pairs, axis=0):
+        of_pair = (pairs == values).all(axis=1)
+        pair = (labels.table[int(values[0])], labels.table[int(values[1])])
+        plain = verdict_of(*pair)
+        if plain is Verdict.EXPECTED:
+            found.append(replace(_opening(contact[of_pair], pair, plain), usual_mm=_usual_mm(pair, root_m)))
+            continue
+        for statement in statements:
+            if statement.values not in (None, (pair[0].value, pair[1].value)):
+                continue
+            covered = of_pair & statement.covers(points, margin)
+            if covered.any():
+                of_pair &= ~covered
+                one = _opening(contact[covered], pair, Verdict.STATED)
+                found.append(
+                    replace(one, stated_by=statement.words, asked_mm2=statement.asked_mm2, statement=statement)
+                )
+        if of_pair.any():
+            found.append(_opening(contact[of_pair], pair, plain))
+    return tuple(sorted(found, key=lambda one: (_WORST_FIRST.index(one.verdict), -one.area_mm2, one.labels)))
+
+
+def opening_cautions(openings: Sequence[Opening]) -> tuple[Caution, ...]:
+    """What the user must know about the openings, in their order."""
+    return tuple(caution for one in openings for caution in _cautions(one))
+
+
+def opening_figures(openings: Sequence[Opening]) -> list[dict[str, Any]]:
+    """The openings as plain values for the manifest, rounded to 0.1 mm2 and 0.1 mm."""
+    figures = []
+    for one in openings:
+        figure: dict[str, Any] = {
+            "between": list(one.names),
+            "labels": list(one.labels),
+            "area_mm2": round(one.area_mm2, 1),
+            "patches": one.patches,
+            "center_mm": [round(value, 1) + 0.0 for value in one.center_mm],
+            "verdict": one.verdict.value,
+        }
+        if one.stated_by:
+            figure["stated_by"] = one.stated_by
+        if one.asked_mm2 is not None:
+            figure["asked_mm2"] = round(one.asked_mm2, 1)
+        figures.append(figure)
+    return figures
+
+
+def states_an_opening(landmark: Landmark) -> bool:
+    """Whether a landmark says by its name that two cavities are open to each other there: "defect", "VSD" and so on."""
+    return _STATING_WORDS.search(landmark.name.casefold().replace("_", " ")) is not None
+
+
+def verdict_of(first: Label, second: Label) -> Verdict:
+    """What is to be thought of an opening between two cavities, by their names alone."""
+    one, other = first.term, second.term
+    if one is None or other is None:
+        return Verdict.UNKNOWN
+    pair = frozenset((one, other))
+    if len(pair) == 1 or pair in _EXPECTED:
+        return Verdict.EXPECTED
+    return Verdict.OTHER_VENTRICLE if pair in _DISCORDANT else Verdict.UNEXPECTED
+
+
+def _term_pairs(pairs: Sequence[tuple[str, str]]) -> frozenset[frozenset[Term]]:
+    def term(name: str) -> Term:
+        found = term_by_name(name)
+        if found is None:
+            raise KeyError(name)
+        return found
+
+    return frozenset(frozenset((term(one), term(other))) for one, other in pairs)
+
+
+_EXPECTED = _term_pairs(_NORMAL_PAIRS)
+_VALVES = {next(iter(_term_pairs([pair]))): diameter for pair, diameter in _VALVES_MM}
+_VENTRICLES = frozenset(term for pair in _term_pairs([("lv", "rv")]) for term in pair)
+_DISCORDANT = _term_pairs(_OTHER_VENTRICLE)
+
+
+def root_of_surface_m(labels: Segmentation) -> float | None:
+    """Square root of the body surface area that goes with the larger ventricle's volume, m; None where it is not known.
+
+    The larger one, since the smaller may be malformed, or taken by its neighbour. Of a ventricle that the volume's
+    border cuts only a part is known.
+    """
+    counts = np.bincount(labels.labels.ravel(), minlength=256)
+    values = [one.value for one in labels.table if one.term in _VENTRICLES and one.role.is_blood]
+    value = max(values, key=lambda one: counts[one], default=None)
+    if value is None or any((labels.labels.take((0, -1), axis) == value).any() for axis in range(3)):
+        return None
+    volume_ml = float(counts[value]) * labels.geometry.voxel_volume_mm3 / 1000.0
+    # 62.02 A^1.3 ml for an area of A m2: the source named at _VALVES_MM.
+    return (volume_ml / 62.02) ** (0.5 / 1.3) if volume_ml >= LEAST_VENTRICLE_ML else None
+
+
+def _usual_mm(pair: tuple[Label, Label], root_m: float | None) -> float | None:
+    """Usual diameter of the valve between two structures, mm."""
+    terms = frozenset(term for label in pair if (term := label.term) is not None)
+    diameter = _VALVES.get(terms)
+    return None if diameter is None or root_m is None else diameter * root_m
+
+
+def _opening(contact: Contact, pair: tuple[Label, Label], verdict: Verdict) -> Opening:
+    """Measure the faces of one pair; ``pair`` is by ascending value."""
+    return Opening(
+        (pair[0].value, pair[1].value),
+        (pair[0].name, pair[1].name),
+        *contact.extent(),
+        verdict,
+        points_mm=contact.points_mm,
+    )
+
+
+def _stated_by_edits(edits: Sequence[Edit]) -> Iterator[_Statement]:
+    for number, edit in enumerate(edits, start=1):
+        if isinstance(edit, SeptalDefect) and edit.enabled:
+            long_axis = None if edit.long_axis is None else np.array(edit.long_axis)
+            yield _Statement(
+                edit_place(number, edit),
+                np.array(edit.position_mm),
+                0.5 * edit.diameter_mm,
+                np.array(edit.axis) / np.linalg.norm(edit.axis),
+                0.5 * edit.length_mm,
+                edit.area_mm2,
+                long_axis,
+                0.5 * (edit.width_mm or edit.diameter_mm),
+            )
+
+
+def _stated_by_landmarks(landmarks: Sequence[Landmark]) -> Iterator[_Statement]:
+    for landmark in landmarks:
+        if states_an_opening(landmark):
+            points = np.array(landmark.points_mm)
+            center = points.mean(axis=0)
+            radius = float(np.linalg.norm(points - center, axis=1).max())
+            if len(points) == 1:
+                radius = landmark.radius_mm or POINT_REACH_MM
+            yield _Statement(f"the landmark '{landmark.name}'", center, radius)
+
+
+def _stated_by_strokes(strokes: Sequence[Stroke], table: LabelTable) -> Iterator[_Statement]:
+    for one in meetings_of(strokes, table):
+        words = f"strokes {one.numbers[0]} and {one.numbers[1]}, which run into each other"
+        yield _Statement(words, np.array(one.center_mm), one.radius_mm, values=one.values)
+
+
+def _stated_by_pairs(pairs: Sequence[tuple[str, str]], table: LabelTable) -> Iterator[_Statement]:
+    for names in pairs:
+        low, high = sorted(table[name].value for name in names)
+        yield _Statement("walls.connected", np.zeros(3), math.inf, values=(low, high))
+
+
+def _cautions(one: Opening) -> Iterator[Caution]:
+    place = f"({', '.join(f'{value:.1f}' for value in one.center_mm)}) mm"
+    pieces = f" in {one.patches} patches, the largest" if one.patches > 1 else ""
+    where = f"{one.names[0]} and {one.names[1]} are open to each other over {_area(one.area_mm2)}{pieces} near {place}"
+    if one.verdict is Verdict.UNEXPECTED:
+        yield anatomy(
+            f"{where}: paint the wall between them (a stroke of background, or of the muscle), or the third cavity "
+            "whose blood they were given, if one lies there; or name the two in [[walls.septum]], so that one is "
+            "grown; or, if the patient has this opening, say so: an edit of kind septal_defect, or a landmark (point "
+            "or ring) there whose name says defect, VSD or ASD"
+        )
+    elif one.verdict is Verdict.OTHER_VENTRICLE:
+        yield Caution(f"{where}: the great artery arises from the other ventricle; is that the malformation?")
+    elif one.verdict is Verdict.UNKNOWN:
+        yield Caution(f"{where}: a name that heartcase does not know, so look whether a wall belongs between them")
+    elif one.is_odd_size and one.usual_mm is not None:
+        size = "narrow" if one.diameter_mm < one.usual_mm else "wide"
+        yield Caution(
+            f"{where}, as a circle of {one.diameter_mm:.0f} mm: very {size} for this valve, where about "
+            f"{one.usual_mm:.0f} mm is usual with ventricles of this volume; check that the labels of the two meet at "
+            "the valve and that neither has taken a part of the other, or that this is the malformation"
+        )
+    elif one.verdict is Verdict.STATED:
+        asked = "" if one.asked_mm2 is None else f", which asks for {_area(one.asked_mm2)}"
+        if one.is_too_large:
+            yield Caution(f"{where}, at {one.stated_by}{asked}: the wall around the defect may be missing as well")
+        else:
+            yield note(f"{where}, as stated by {one.stated_by}{asked}")
+
+
+def _area(area_mm2: float) -> str:
+    return f"{area_mm2:,.0f} mm²" if area_mm2 >= 10.0 else f"{area_mm2:.1f} mm²"

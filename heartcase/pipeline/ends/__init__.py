@@ -1,0 +1,1 @@
+"""Where vessels end: ends found from the labels, moved onto their vessel, and cut open."""

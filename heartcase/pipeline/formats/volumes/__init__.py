@@ -1,0 +1,1 @@
+"""Scans from image files that hold a whole volume: NIfTI, NRRD, MetaImage."""

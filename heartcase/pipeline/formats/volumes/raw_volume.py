@@ -1,0 +1,192 @@
+"""What the readers of the file formats hand on, and the checks that they share.
+
+No message names a path or a file: both may hold a patient's name, and the user knows which file was given.
+"""
+
+from __future__ import annotations
+
+import stat
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import ValidationError
+
+from heartcase.pipeline.formats.volumes.agreement import AGREEMENT_MM, corner_distance_mm, right_angled
+from heartcase.pipeline.formats.volumes.frames import FrameFound
+from heartcase.schemas.errors import HeartcaseError, Problem, ScanError
+from heartcase.schemas.geometry import ORIGIN_LIMIT_MM, SPACING_LIMITS_MM, Geometry
+
+__all__ = [
+    "DAMAGED",
+    "HEADER_LIMIT",
+    "NOT_ONE_VOLUME",
+    "VOXEL_LIMIT",
+    "RawVolume",
+    "check_size",
+    "geometry_from_affine",
+    "integers_of",
+    "local_data_file",
+    "placed",
+    "require_file",
+]
+
+E = TypeVar("E", bound=HeartcaseError)
+
+HEADER_LIMIT = 2**22
+"""Longest text header that is read, bytes."""
+DAMAGED = "the file is cut short or damaged: copy or export it again"
+NOT_ONE_VOLUME = "the file is {dimension}-D: export the one volume that is wanted as a 3-D file"
+
+VOXEL_LIMIT = 2**30
+"""Largest number of values in a volume, as many as 1024 x 1024 x 1024: a header that claims more is not believed."""
+
+
+@dataclass(frozen=True)
+class RawVolume:
+    """A volume as a file holds it."""
+
+    values: npt.NDArray[Any]
+    """Values, shape ``geometry.shape``; with a fourth axis where every voxel holds several values."""
+    geometry: Geometry
+    """Where the voxel centres lie."""
+    header: dict[str, str] = field(default_factory=dict)
+    """NRRD: the key-value pairs of the header, which hold the segment table. For this package's eyes only."""
+    orientation_is_stated: bool = True
+    """Whether the file says which way the axes point in the patient."""
+    frame: FrameFound | None = None
+    """Which volume it is, of a file that holds several."""
+
+
+def require_file(path: Path) -> None:
+    """Make sure that this is a file with something in it (a pipe or a device could block for ever).
+
+    Raises
+    ------
+    ScanError
+        It is not.
+    """
+    try:
+        status = path.stat()
+    except (OSError, ValueError):
+        raise ScanError("there is no such file or folder, or it may not be read: check the path") from None
+    if not stat.S_ISREG(status.st_mode):
+        raise ScanError("this is neither a file nor a folder: give an image file or a DICOM folder")
+    if status.st_size == 0:
+        raise ScanError("the file is empty: copy or export it again")
+
+
+def local_data_file(path: Path, name: str) -> Path:
+    """The data file that a detached header names, which must be beside it: a header must not reach other files.
+
+    Raises
+    ------
+    ScanError
+        It names several files or one elsewhere, or there is none.
+    """
+    if name.upper().startswith("LIST") or "%" in name:
+        raise ScanError("the slices are in separate files: export the scan as one file")
+    if name != Path(name).name or "\\" in name:
+        raise ScanError("the header names a data file in another folder: put both files into one folder")
+    data = path.parent / name
+    try:
+        require_file(data)
+    except ScanError:
+        raise ScanError("the data file that belongs to this header is missing or empty: put it beside it") from None
+    return data
+
+
+def integers_of(text: str) -> tuple[int, ...]:
+    """Whole numbers of a header's line.
+
+    Raises
+    ------
+    ScanError
+        It holds anything else.
+    """
+    try:
+        return tuple(int(word) for word in text.split())
+    except ValueError:
+        raise ScanError(DAMAGED) from None
+
+
+def check_size(size: Sequence[int], *, components: int = 1) -> None:
+    """Refuse sizes that no scan has.
+
+    Parameters
+    ----------
+    size
+        Number of voxels along each axis.
+    components
+        Number of values per voxel.
+
+    Raises
+    ------
+    ScanError
+        A size is below one, or the product is above :data:`VOXEL_LIMIT`.
+    """
+    if any(count < 1 for count in size) or components < 1:
+        raise ScanError("the header gives a size below 1: the file is damaged, export it again")
+    total = components
+    for count in size:
+        total *= count
+    if total > VOXEL_LIMIT:
+        raise ScanError("the header claims more than 1024 x 1024 x 1024 values: crop the scan, or export it again")
+
+
+def geometry_from_affine(affine: npt.ArrayLike, shape: tuple[int, ...]) -> Geometry:
+    """Geometry from a homogeneous matrix.
+
+    Parameters
+    ----------
+    affine
+        Map from index (i, j, k, 1) to patient LPS mm, shape (4, 4).
+    shape
+        Shape ``[z, y, x]`` of the array.
+
+    Returns
+    -------
+    Geometry
+        Spacing is the length, direction the unit vector of each column; of columns that are not quite at right angles
+        the nearest ones that are, about the middle of the volume.
+
+    Raises
+    ------
+    ScanError
+        The columns are zero, not finite, or so far from right angles that evening them out would move a corner of the
+        volume by more than :data:`~heartcase.pipeline.formats.volumes.agreement.AGREEMENT_MM`.
+    """
+    matrix = np.asarray(affine, dtype=np.float64)
+    with np.errstate(over="ignore", invalid="ignore"):
+        spacing = np.linalg.norm(matrix[:3, :3], axis=0)
+    low, high = SPACING_LIMITS_MM
+    if not np.isfinite(matrix).all() or not low <= spacing.min() <= spacing.max() <= high:
+        raise ScanError("the voxel spacing or position in the header is zero or not a number: export the file again")
+    if np.abs(matrix[:3, 3]).max() > ORIGIN_LIMIT_MM:
+        raise ScanError("the position in the header is kilometres away: export the file again")
+    straight = right_angled(matrix, shape[::-1])
+    off = corner_distance_mm(matrix, straight, shape[::-1])
+    if off > AGREEMENT_MM:
+        raise ScanError(
+            f"the voxel axes are not at right angles (a sheared volume, by {off:.2g} mm at its corners): resample it "
+            "onto a straight grid, for instance with 'Resample Scalar Volume' of 3D Slicer"
+        )
+    try:
+        return _geometry(matrix, spacing, shape)
+    except ValidationError:
+        return _geometry(straight, spacing, shape)
+
+
+def _geometry(matrix: npt.NDArray[np.float64], spacing: npt.NDArray[np.float64], shape: tuple[int, ...]) -> Geometry:
+    return Geometry.of(shape=shape, origin_mm=matrix[:3, 3], spacing_mm=spacing, direction=matrix[:3, :3] / spacing)
+
+
+def placed(error: HeartcaseError, place: str, kind: type[E]) -> E:
+    """The same problems as an error of another kind, with ``place`` before each place."""
+    return kind(
+        Problem(f"{place}, {problem.place}" if problem.place and place else place or problem.place, problem.message)
+        for problem in error.problems
+    )

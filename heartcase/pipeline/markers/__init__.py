@@ -1,0 +1,1 @@
+"""What a person marks: strokes and marker files, names of structures, painting sessions, where to paint next."""

@@ -1,0 +1,267 @@
+"""A segmentation that answers while it is painted: strokes, erasing, undo and redo on a scan's basin tree."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from heartcase.pipeline.data import Markers, Scan, Segmentation
+from heartcase.pipeline.markers.load_markers import rasterise_strokes, stroke_voxels
+from heartcase.pipeline.markers.marker_help import ERASED, AutomaticMarkers
+from heartcase.pipeline.watershed.forest import UNMARKED, Box, solve_forest
+from heartcase.pipeline.watershed.tree import BasinTree
+from heartcase.schemas.errors import MarkerError, UsageError
+from heartcase.schemas.geometry import Geometry
+from heartcase.schemas.labels import LabelTable
+from heartcase.schemas.recipe.settings import SegmentSettings, Stroke
+
+if TYPE_CHECKING:
+    from heartcase.pipeline.markers.suggest import StrokePlaces
+
+__all__ = ["SegmentationSession"]
+
+UInt8 = npt.NDArray[np.uint8]
+AXES = ("i", "j", "k")
+
+
+@dataclass(frozen=True)
+class _Done:
+    """A stroke, and what was marked where it went."""
+
+    stroke: Stroke
+    voxels: npt.NDArray[np.int64]
+    before: UInt8
+
+
+class SegmentationSession:
+    """What a viewer drives: it paints, and shows the labels of the whole watershed at once.
+
+    At any time the labels are those that the watershed gives for the markers there are then, voxel for voxel
+    (:mod:`heartcase.pipeline.watershed`), as if nothing had been painted before and taken back.
+
+    Parameters
+    ----------
+    tree
+        The tree of the smoothed scan's gradient: see :func:`heartcase.pipeline.watershed.tree_cache.scan_tree`.
+    geometry
+        The scan's lattice.
+    table
+        What may be painted.
+    markers
+        What is marked at the start; nothing when left out. With automatic markers among them, these follow what is
+        painted: see :class:`heartcase.pipeline.markers.marker_help.AutomaticMarkers`.
+
+    Raises
+    ------
+    MarkerError
+        The markers lie on another lattice, or mark values that are not in the table.
+    """
+
+    def __init__(
+        self,
+        tree: BasinTree,
+        geometry: Geometry,
+        table: LabelTable,
+        *,
+        markers: Markers | AutomaticMarkers | None = None,
+    ) -> None:
+        if tree.height.shape != geometry.shape:
+            raise UsageError("the tree was made on another scan", place="session")
+        self._automatic = markers if isinstance(markers, AutomaticMarkers) else None
+        if isinstance(markers, AutomaticMarkers):
+            markers = markers.markers
+        painted = np.full(geometry.shape, UNMARKED, np.uint8) if markers is None else markers.labels
+        if markers is not None:
+            if not markers.geometry.matches(geometry):
+                raise MarkerError("the markers lie on another lattice than the scan", place="markers")
+            unknown = set(np.unique(painted).tolist()) - {*table.values, UNMARKED}
+            if unknown:
+                listed = ", ".join(str(value) for value in sorted(unknown))
+                raise MarkerError(f"value {listed} is not in the label table", place="markers")
+        self.geometry = geometry
+        self.table = table
+        self._forest = solve_forest(tree, painted)
+        self._done: list[_Done] = []
+        self._undone: list[Stroke] = []
+        self._changed: Box | None = None
+        # the lists that a first stroke would otherwise wait for
+        _ = tree.voxels, tree.neighbours
+
+    @classmethod
+    def of_scan(
+        cls,
+        filtered: Scan,
+        table: LabelTable,
+        *,
+        markers: Markers | AutomaticMarkers | None = None,
+        settings: SegmentSettings | None = None,
+    ) -> SegmentationSession:
+        """A session on a smoothed scan, without a cache."""
+        from heartcase.pipeline.watershed.tree_cache import scan_tree
+
+        settings = settings or SegmentSettings()
+        tree = scan_tree(filtered, gradient_sigma_mm=settings.gradient_sigma_mm, shape_sigma_mm=settings.shape_sigma_mm)
+        return cls(tree, filtered.geometry, table, markers=markers)
+
+    def paint(self, stroke: Stroke) -> Box | None:
+        """Mark, or erase, along a stroke.
+
+        Parameters
+        ----------
+        stroke
+            The brush's radius and its line; a label of the table, or ``erase``.
+
+        Returns
+        -------
+        tuple of slices or None
+            The box [z, y, x] in which labels changed; None where none did.
+
+        Raises
+        ------
+        MarkerError
+            The label is not in the table, or the stroke lies outside the scan. Nothing is changed then.
+        """
+        box = self._carry_out(stroke)
+        self._undone.clear()
+        return box
+
+    def undo(self) -> Box | None:
+        """Take the last stroke back; the box in which labels changed.
+
+        Raises
+        ------
+        UsageError
+            There is no stroke of this session to take back.
+        """
+        if not self._done:
+            raise UsageError("there is no stroke to take back", place="undo")
+        last = self._done.pop()
+        self._undone.append(last.stroke)
+        return self._note(self._mark(last.voxels, last.before))
+
+    def redo(self) -> Box | None:
+        """Paint the stroke again that was taken back last; the box in which labels changed.
+
+        Raises
+        ------
+        UsageError
+            Nothing was taken back since the last stroke.
+        """
+        if not self._undone:
+            raise UsageError("there is no stroke to paint again", place="redo")
+        box = self._carry_out(self._undone[-1])
+        self._undone.pop()
+        return box
+
+    @property
+    def labels(self) -> UInt8:
+        """Label of every voxel, uint8, shape [z, y, x], read-only; 255 everywhere while nothing is marked.
+
+        It is the same array always, so what is read from it later is what holds then.
+        """
+        view = self._forest.labels.view()
+        view.flags.writeable = False
+        return view
+
+    def labels_of_slice(self, axis: str, index: int) -> UInt8:
+        """Labels of one slice at right angles to the scan's axis ``i``, ``j`` or ``k``: a copy, two-dimensional.
+
+        Raises
+        ------
+        UsageError
+            There is no such axis or slice.
+        """
+        if axis not in AXES:
+            raise UsageError(f"there is no axis {axis!r}: i, j or k", place="axis")
+        place = 2 - AXES.index(axis)
+        if not 0 <= index < self._forest.labels.shape[place]:
+            raise UsageError(f"there is no slice {index} along {axis}: 0 to {self._forest.labels.shape[place] - 1}")
+        labels: UInt8 = np.take(self._forest.labels, index, axis=place)
+        return labels
+
+    def labels_of_box(self, box: Box) -> UInt8:
+        """Labels in a box of slices [z, y, x]: a copy."""
+        return self._forest.labels[box].copy()
+
+    def take_changed(self) -> Box | None:
+        """The box of all changes since this was asked last; None where nothing changed."""
+        box, self._changed = self._changed, None
+        return box
+
+    @property
+    def strokes(self) -> tuple[Stroke, ...]:
+        """The strokes of this session that hold, in order: what goes into the recipe."""
+        return tuple(done.stroke for done in self._done)
+
+    @property
+    def redo_count(self) -> int:
+        """Number of strokes that :meth:`redo` can paint again."""
+        return len(self._undone)
+
+    def markers(self) -> Markers:
+        """All markers as they are now: a copy."""
+        return Markers(self._forest.painted.copy(), self.geometry)
+
+    def segmentation(self) -> Segmentation:
+        """The labels as they are now: a copy.
+
+        Raises
+        ------
+        MarkerError
+            Nothing is marked.
+        """
+        self._check_that_anything_is_marked()
+        return Segmentation(self._forest.labels.copy(), self.geometry, self.table)
+
+    def suggest(self, *, count: int = 5) -> StrokePlaces:
+        """Where one more stroke would change most: see :func:`heartcase.pipeline.markers.suggest.suggest_strokes`.
+
+        Parameters
+        ----------
+        count
+            Number of places, at most.
+
+        Raises
+        ------
+        MarkerError
+            Nothing is marked.
+        """
+        from heartcase.pipeline.markers.suggest import suggest_strokes
+
+        self._check_that_anything_is_marked()
+        return suggest_strokes(self._forest, self.geometry, count=count)
+
+    def _check_that_anything_is_marked(self) -> None:
+        if self._forest.labels.flat[0] == UNMARKED:
+            raise MarkerError("no voxel of the scan is marked: paint first", place="markers")
+
+    def _carry_out(self, stroke: Stroke) -> Box | None:
+        voxels = stroke_voxels(stroke, self.geometry)
+        label = None if stroke.label is None else self.table.find(stroke.label)
+        if not len(voxels) or (stroke.label is not None and label is None):
+            # the same words as for a recipe's stroke
+            rasterise_strokes((stroke,), self.table, self.geometry)
+        stated = self._forest.painted if self._automatic is None else self._automatic.stated
+        erased = UNMARKED if self._automatic is None else ERASED
+        before = stated.ravel()[voxels]
+        box = self._mark(voxels, np.full(len(voxels), erased if label is None else label.value, np.uint8))
+        self._done.append(_Done(stroke, voxels, before))
+        return self._note(box)
+
+    def _mark(self, voxels: npt.NDArray[np.int64], values: UInt8) -> Box | None:
+        """Mark voxels, and what automatic markers follow from that; a box around the labels that changed."""
+        if self._automatic is not None:
+            voxels, values = self._automatic.paint(voxels, values)
+        return self._forest.restore(voxels, values)
+
+    def _note(self, box: Box | None) -> Box | None:
+        if box is not None and self._changed is not None:
+            pairs = zip(box, self._changed, strict=True)
+            k, j, i = (slice(min(a.start, b.start), max(a.stop, b.stop)) for a, b in pairs)
+            self._changed = (k, j, i)
+        elif box is not None:
+            self._changed = box
+        return box

@@ -1,0 +1,1 @@
+"""Fewer triangles with the same shape: edge collapse by quadrics, and the distance that it costs."""

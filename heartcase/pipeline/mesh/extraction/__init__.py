@@ -1,0 +1,1 @@
+"""Triangles from distance fields: marching cubes, tags, and normals of the fields."""

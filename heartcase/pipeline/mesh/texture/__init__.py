@@ -1,0 +1,1 @@
+"""Texture coordinates and normal maps of a surface."""

@@ -1,0 +1,1 @@
+"""Triangle meshes as such: half edges, a spatial index, intersections, distances, thickness."""

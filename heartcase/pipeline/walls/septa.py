@@ -1,0 +1,382 @@
+"""Septa and shared walls by anatomy: where cavities that a heart does not join touch, a wall is grown between them.
+
+A septum of 1 to 2 mm is lost in voxels of 1.5 mm: the outlines of the two cavities then touch, and no wall grows into
+background there, because there is none. Which cavities are kept apart follows from their names and from what they meet
+(see :func:`pairs_kept_apart`); the recipe can say otherwise in either direction. How thick a septum is follows from the
+size of the heart, or from the recipe. Where the recipe states an opening, by a landmark or by strokes that run into
+each other, the septum is left open as wide as it says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from heartcase.pipeline.checks.openings import POINT_REACH_MM, Verdict, root_of_surface_m, states_an_opening, verdict_of
+from heartcase.pipeline.data import Reshaping, Segmentation, Septum, Structures
+from heartcase.pipeline.fields.contacts import Contact, Extent, find_contact
+from heartcase.pipeline.markers.meeting_strokes import meetings_of
+from heartcase.pipeline.warnings import Caution
+from heartcase.schemas.labels import LabelTable
+from heartcase.schemas.landmarks import Landmark
+from heartcase.schemas.recipe.settings import Stroke, WallsSettings
+from heartcase.schemas.terms import Term, term_by_name
+
+__all__ = [
+    "OpenPlace",
+    "SeptumFigures",
+    "open_places",
+    "pairs_kept_apart",
+    "septum_cautions",
+    "septum_figures",
+    "septum_thickness_mm",
+    "with_septa",
+]
+
+UInt8 = npt.NDArray[np.uint8]
+Float64 = npt.NDArray[np.float64]
+Pair = tuple[int, int]
+
+ADULT_SURFACE_M2 = 1.9
+"""Body surface area of the hearts for which ``ADULT_MM`` holds."""
+ADULT_MM = {
+    "atria": 1.8,
+    "ventricles": 2.5,
+    "arteries": 2.0,
+    "artery and atrium": 2.0,
+    "atrium and other ventricle": 2.0,
+    "vein or appendage": 1.5,
+}
+"""What lies between -> thickness in an adult, mm. Atria: the floor of the oval fossa, 1.8 mm (SD 0.7) in Schwinger et
+al., American Heart Journal 119, 1990, doi 10.1016/s0002-8703(05)80191-7; only what is so thin is lost in the voxels. No
+table was found of the others: round numbers, about what two thin walls are together."""
+LEAST_MM = 0.8
+"""The thinnest septum, of the smallest hearts."""
+ROOT_RANGE = (0.4, 1.2)
+"""Least and greatest thickness against the adult's."""
+ROUNDING_MM = 0.05
+"""Thickness is rounded to this, so that it does not hang on a few voxels."""
+BLOOD_IN_VENTRICLES = 6.0
+"""All blood of a heart with its great vessels against that of one ventricle: measured on the phantoms, 5.3 to 7."""
+OWN_OPENING_MM = 4.0
+"""Diameter from which a contact counts as the way to a structure's own chamber, in an adult."""
+OWN_SHARE = 0.5
+"""Area of an atrium's way into its own ventricle against its contact with the other one, from which the latter is no
+way: where the connection is discordant, or both atria open into one ventricle, the former is missing or small."""
+
+
+def _term(name: str) -> Term:
+    found = term_by_name(name)
+    if found is None:
+        raise KeyError(name)
+    return found
+
+
+def _terms(names: str) -> frozenset[Term]:
+    return frozenset(_term(name) for name in names.split())
+
+
+_LV, _RV, _LA, _RA, _AORTA, _PA, _SVC, _IVC, _CS, _PV, _LAA, _RAA = (
+    _term(name) for name in ("lv", "rv", "la", "ra", "aorta", "pa", "svc", "ivc", "cs", "pv", "laa", "raa")
+)
+_ATRIA, _VENTRICLES, _ARTERIES = _terms("la ra"), _terms("lv rv"), _terms("aorta pa")
+_INFLOWS = (_terms("ra svc ivc cs raa"), _terms("la pv laa"))
+"""What drains into one atrium; within such a group nothing is grown."""
+_OWN: Mapping[Term, frozenset[Term]] = {
+    _RA: _terms("rv"),
+    _LA: _terms("lv"),
+    _RV: _terms("ra la"),
+    _LV: _terms("la ra"),
+    _SVC: _terms("ra"),
+    _IVC: _terms("ra"),
+    _CS: _terms("ra"),
+    _PV: _terms("la"),
+    _LAA: _terms("la"),
+    _RAA: _terms("ra"),
+    _AORTA: _VENTRICLES,
+    _PA: _VENTRICLES,
+}
+"""Structure -> what it opens into, or arises from."""
+_INSTEAD: Mapping[Term, frozenset[Term]] = {
+    _RA: _terms("la lv"),
+    _LA: _terms("ra rv"),
+    _RV: _terms("lv"),
+    _LV: _terms("rv"),
+    _SVC: _terms("la pa"),
+    _IVC: _terms("la pa"),
+    _CS: _terms("la"),
+    _PV: _terms("ra svc ivc cs"),
+    _LAA: _terms("ra"),
+    _RAA: _terms("la"),
+    _AORTA: _terms("pa"),
+    _PA: _terms("aorta"),
+}
+"""Structure -> what its blood goes to or comes from in hearts where it does not meet its own: tricuspid and mitral
+atresia, anomalous veins, a cavopulmonary anastomosis, a common arterial trunk."""
+
+
+class OpenPlace(NamedTuple):
+    """A place where the recipe says that a septum is open: the shape of :class:`~heartcase.pipeline.data.Reshaping`."""
+
+    shape: str
+    points_mm: tuple[tuple[float, float, float], ...]
+    radius_mm: float
+    values: Pair | None = None
+    """The two cavities that it is about; None for any."""
+
+
+@dataclass(frozen=True)
+class SeptumFigures:
+    """A septum that was grown, and where."""
+
+    septum: Septum
+    extent: Extent
+    """The contact on both sides of which it was grown, openings included."""
+
+
+def open_places(strokes: Sequence[Stroke], landmarks: Sequence[Landmark], table: LabelTable) -> tuple[OpenPlace, ...]:
+    """Where the recipe states openings, beside its edits.
+
+    A landmark whose name says so (:func:`~heartcase.pipeline.checks.openings.states_an_opening`) opens every septum
+    near it: a ring a canal of its radius, a point a ball of its radius or of
+    :data:`~heartcase.pipeline.checks.openings.POINT_REACH_MM`. Strokes of two cavities that run into each other open
+    the septum between these two along both lines, as wide as the narrower brush.
+    """
+    places = [_of_landmark(landmark) for landmark in landmarks if states_an_opening(landmark)]
+    for one in meetings_of(strokes, table):
+        places += [OpenPlace("strokes", tube, one.radius_mm, one.values) for tube in one.tubes_mm]
+    return tuple(places)
+
+
+def with_septa(
+    structures: Structures, labels: UInt8, settings: WallsSettings, places: Sequence[OpenPlace] = ()
+) -> tuple[Structures, tuple[SeptumFigures, ...]]:
+    """Structures with a septum wherever two cavities touch that are kept apart.
+
+    Parameters
+    ----------
+    structures
+        With walls and vessel ends, and without septa.
+    labels
+        Label of every voxel of their lattice, walls included.
+    settings
+        Which pairs are named, and how thick.
+    places
+        Where septa are open, from :func:`open_places`.
+
+    Returns
+    -------
+    structures, figures
+        The same structures where nothing touches that is kept apart.
+    """
+    voxels = Segmentation(labels, structures.geometry, structures.table)
+    contact = find_contact(structures, voxels)
+    areas = _extents(contact)
+    root_m = _root_m(voxels)
+    wanted = pairs_kept_apart(structures.table, {pair: one.area_mm2 for pair, one in areas.items()}, settings, root_m)
+    table = structures.table
+    septa: list[Septum] = []
+    cuts: list[Reshaping] = []
+    for (first, second), thickness in sorted(wanted.items()):
+        table = table.with_septum(first, second)
+        label = next(one for one in table if one.septum_of == (first, second))
+        septa.append(Septum(label.value, first, second, thickness))
+        names = (table[first].name, table[second].name)
+        cuts += [
+            Reshaping(one.shape, one.points_mm, one.radius_mm, (label.name,), names)
+            for one in places
+            if one.values in (None, (first, second))
+        ]
+    if not septa:
+        return structures, ()
+    grown = replace(structures, table=table, septa=tuple(septa), reshapings=(*cuts, *structures.reshapings))
+    return grown, tuple(SeptumFigures(one, areas[one.first, one.second]) for one in septa)
+
+
+def pairs_kept_apart(
+    table: LabelTable, areas_mm2: Mapping[Pair, float], settings: WallsSettings, root_m: float
+) -> dict[Pair, float]:
+    """Which of the pairs that touch get a septum, and how thick.
+
+    By their names: the atria; the ventricles; the great arteries; an artery and an atrium, vein or appendage; veins,
+    appendages and atria of different sides; a vein or an appendage and a ventricle; and an atrium and the ventricle of
+    the other side where its way into its own is at least half as wide. Nothing is grown between a ventricle and an
+    artery, within one side's atrium, veins and appendage, and beside what the vocabulary does not know, such as a
+    common atrium or a single ventricle. A structure that does not meet what it opens into in a normal heart is open to
+    what can take its place: so the right atrium to the left one in tricuspid atresia.
+
+    Parameters
+    ----------
+    table
+        Label table.
+    areas_mm2
+        Label values of two cavities that touch, the lower first -> area of the contact.
+    settings
+        Pairs in ``connected`` get none, pairs in ``septum`` one of that thickness, whatever they are called.
+    root_m
+        Square root of the body surface area, m.
+
+    Returns
+    -------
+    dict
+        Label values, the lower first -> thickness, mm.
+    """
+    connected = {_values(table, names) for names in settings.connected}
+    stated = {_values(table, one.between): one.thickness_mm for one in settings.septum}
+    meets = _Meetings(table, areas_mm2, root_m)
+    found: dict[Pair, float] = {}
+    for pair in areas_mm2:
+        if pair in connected:
+            continue
+        kind = meets.kind_of(pair)
+        if pair in stated:
+            found[pair] = stated[pair]
+        elif kind is not None:
+            found[pair] = septum_thickness_mm(kind, root_m)
+    return found
+
+
+def septum_thickness_mm(kind: str, root_m: float) -> float:
+    """Thickness of a septum of one kind of :data:`ADULT_MM` by the square root of the body surface area, m."""
+    share = float(np.clip(root_m / np.sqrt(ADULT_SURFACE_M2), *ROOT_RANGE))
+    thickness = max(ADULT_MM[kind] * share, LEAST_MM)
+    return round(round(thickness / ROUNDING_MM) * ROUNDING_MM, 2)
+
+
+@dataclass(frozen=True)
+class _Meetings:
+    """What touches what, by structure."""
+
+    table: LabelTable
+    areas_mm2: Mapping[Pair, float]
+    root_m: float
+
+    def kind_of(self, pair: Pair) -> str | None:
+        """Kind of septum between two labels, None where none is grown."""
+        first, second = (self.table[value] for value in pair)
+        one, other = first.term, second.term
+        if one is None or other is None or verdict_of(first, second) is not Verdict.UNEXPECTED:
+            return None
+        if any({one, other} <= group for group in _INFLOWS):
+            return None
+        if self._takes_the_place(one, other) or self._takes_the_place(other, one):
+            return None
+        both = {one, other}
+        if both == _ATRIA:
+            return "atria"
+        if both == _VENTRICLES:
+            return "ventricles"
+        if both == _ARTERIES:
+            return "arteries"
+        if both & _ATRIA and both & _VENTRICLES:
+            atrium = one if one in _ATRIA else other
+            own = max((self._area(atrium, term) for term in _OWN[atrium]), default=0.0)
+            return "atrium and other ventricle" if own >= OWN_SHARE * self._area(one, other) else None
+        if both <= _ATRIA | _ARTERIES:
+            return "artery and atrium"
+        return "vein or appendage"
+
+    def _area(self, one: Term, other: Term) -> float:
+        """Area of the contact between all labels of two structures, mm2."""
+        both = {one, other}
+        return sum(area for pair, area in self.areas_mm2.items() if {self.table[value].term for value in pair} == both)
+
+    def _takes_the_place(self, one: Term, other: Term) -> bool:
+        """Whether one structure does not meet its own and another can be what its blood goes to instead."""
+        if other not in _INSTEAD[one]:
+            return False
+        there = {label.term for label in self.table if label.role.is_blood}
+        if not _OWN[one] & there:
+            return False
+        diameter = OWN_OPENING_MM * self.root_m / np.sqrt(ADULT_SURFACE_M2)
+        least = 0.25 * np.pi * diameter**2
+        return all(self._area(one, term) < least for term in _OWN[one])
+
+
+def septum_cautions(figures: Sequence[SeptumFigures], table: LabelTable) -> tuple[Caution, ...]:
+    """What a person must look at: walls that nobody saw."""
+    if not figures:
+        return ()
+    listed = "; ".join(
+        f"{table[one.septum.first].name} and {table[one.septum.second].name} over {_area_words(one.extent)} "
+        f"({one.septum.thickness_mm:g} mm thick)"
+        for one in sorted(figures, key=lambda one: -one.extent.area_mm2)
+    )
+    return (
+        Caution(
+            f"walls were grown where two outlines touch, not seen, because a heart does not join these: {listed}. If "
+            "the patient has an opening there, say so: an edit of kind septal_defect, a landmark (ring or point) whose "
+            "name says defect, VSD or ASD, or strokes of the two that run into each other through it; if the two are "
+            "one, name them in walls.connected"
+        ),
+    )
+
+
+def septum_figures(figures: Sequence[SeptumFigures], table: LabelTable) -> list[dict[str, Any]]:
+    """The septa as plain values for the manifest, the largest first, rounded to 0.1 mm2 and 0.1 mm."""
+    return [
+        {
+            "between": [table[one.septum.first].name, table[one.septum.second].name],
+            "label": one.septum.value,
+            "thickness_mm": one.septum.thickness_mm,
+            "area_mm2": round(one.extent.area_mm2, 1),
+            "patches": one.extent.patches,
+            "center_mm": [round(value, 1) + 0.0 for value in one.extent.center_mm],
+        }
+        for one in sorted(figures, key=lambda one: (-round(one.extent.area_mm2, 1), one.septum.value))
+    ]
+
+
+def _area_words(extent: Extent) -> str:
+    place = ", ".join(f"{value:.1f}" for value in extent.center_mm)
+    return f"{extent.area_mm2:,.0f} mm² near ({place}) mm"
+
+
+def _of_landmark(landmark: Landmark) -> OpenPlace:
+    points = np.array(landmark.points_mm, np.float64)
+    center = points.mean(axis=0)
+    radius = float(np.linalg.norm(points - center, axis=1).max())
+    if len(points) == 1:
+        radius = landmark.radius_mm or POINT_REACH_MM
+    if landmark.kind != "ring":
+        return OpenPlace("strokes", (_point(center),), radius)
+    axis = np.linalg.svd(points - center)[2][2] if landmark.axis is None else np.array(landmark.axis, np.float64)
+    reach = (radius + POINT_REACH_MM) * axis / np.linalg.norm(axis)
+    return OpenPlace("cylinder", (_point(center - reach), _point(center + reach)), radius)
+
+
+def _point(values: Float64) -> tuple[float, float, float]:
+    x, y, z = (round(float(value), 4) for value in values)
+    return x, y, z
+
+
+def _values(table: LabelTable, names: tuple[str, str]) -> Pair:
+    low, high = sorted(table[name].value for name in names)
+    return low, high
+
+
+def _extents(contact: Contact) -> dict[Pair, Extent]:
+    """Each pair of labels that touch -> the extent of the contact."""
+    return dict(_each_extent(contact))
+
+
+def _each_extent(contact: Contact) -> Iterator[tuple[Pair, Extent]]:
+    pairs = contact.pairs
+    for values in np.unique(pairs, axis=0):
+        yield (int(values[0]), int(values[1])), contact[(pairs == values).all(axis=1)].extent()
+
+
+def _root_m(voxels: Segmentation) -> float:
+    """Square root of the body surface area that goes with the heart, m: by its ventricles, else by all its blood."""
+    root_m = root_of_surface_m(voxels)
+    if root_m is not None:
+        return root_m
+    counts = np.bincount(voxels.labels.ravel(), minlength=256)
+    blood = sum(int(counts[value]) for value in voxels.table.blood_values)
+    volume_ml = blood * voxels.geometry.voxel_volume_mm3 / 1000.0 / BLOOD_IN_VENTRICLES
+    # As for a ventricle: see root_of_surface_m.
+    return float((volume_ml / 62.02) ** (0.5 / 1.3))

@@ -1,0 +1,1 @@
+"""The case bundle: its format, reading it, checking it, and its approval."""

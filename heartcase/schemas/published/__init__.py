@@ -1,0 +1,1 @@
+"""The formats as JSON Schemas and as pages of tables, made from the models themselves."""

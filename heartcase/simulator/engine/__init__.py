@@ -1,0 +1,1 @@
+"""What takes steps: one interface, and an engine for each backend."""

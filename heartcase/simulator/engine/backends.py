@@ -1,0 +1,122 @@
+"""What advances a state: one interface, one engine per backend. All agree within the rounding of float32."""
+
+from __future__ import annotations
+
+from typing import Literal, Protocol, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from heartcase.schemas.errors import SimulationError
+from heartcase.simulator.dynamics.integrate import Verlet, verlet_step
+from heartcase.simulator.engine.shared.contact import NO_PROBES, keep_outside
+from heartcase.simulator.forces.reference import elastic_forces
+from heartcase.simulator.lattice.model import LatticeModel
+from heartcase.simulator.lattice.state import State
+
+__all__ = ["Backend", "Engine", "ReferenceEngine", "make_engine"]
+
+Backend = Literal["cpu", "cuda", "reference"]
+Float32 = npt.NDArray[np.float32]
+
+
+class Engine(Protocol):
+    """Holds a state and advances it. All arrays in grid units and axes, one row per node."""
+
+    step_count: int
+    """Steps taken."""
+
+    @property
+    def threads_pay(self) -> bool:
+        """Whether the host has threads idle that would make its work quicker."""
+
+    def load(self, state: State) -> None:
+        """Start from this state."""
+
+    def read(self) -> State:
+        """A copy of the state."""
+
+    def prescribe(self, nodes: npt.NDArray[np.intp], displacement: Float32, velocity: Float32) -> None:
+        """Set where nodes are and how they move on, whatever pulls at them, shape (len(nodes), 3) each."""
+
+    def set_inverse_mass(self, inverse_mass: Float32) -> None:
+        """Inverse masses [1 / full cell], shape (node_count,); nodes at zero keep their velocity."""
+
+    def advance(self, step_count: int, verlet: Verlet, probes: Float32 = NO_PROBES) -> None:
+        """Take steps; probes (:func:`heartcase.simulator.engine.shared.contact.probe_row`) move on in each."""
+
+    def set_springs(self, model: LatticeModel) -> None:
+        """Go on with the springs, also the explicit ones, of another model of the same nodes and law."""
+
+    def forces(self, nodes: npt.NDArray[np.intp] | None = None) -> Float32:
+        """Spring forces now, shape (node_count, 3), or on some nodes, shape (len(nodes), 3)."""
+
+
+def make_engine(model: LatticeModel, backend: Backend) -> Engine:
+    """The engine of a backend, with the state at rest.
+
+    Raises
+    ------
+    SimulationError
+        There is no such backend, or it cannot run here.
+    """
+    if backend == "cpu":
+        from heartcase.simulator.engine.cpu.engine import CpuEngine
+
+        return CpuEngine(model)
+    if backend == "cuda":
+        from heartcase.simulator.engine.cuda.engine import CudaEngine
+
+        return CudaEngine(model)
+    if backend == "reference":
+        return ReferenceEngine(model)
+    raise SimulationError(f"there is no backend {backend!r}: choose from {', '.join(get_args(Backend))}")
+
+
+class ReferenceEngine:
+    """Plain NumPy in float64: slow, obvious, the truth that the others are held against."""
+
+    threads_pay = False
+
+    def __init__(self, model: LatticeModel) -> None:
+        self.model = model
+        self.inverse_mass = model.inverse_mass.astype(np.float64)
+        self.load(State.at_rest(model.node_count))
+
+    def load(self, state: State) -> None:
+        """Start from this state."""
+        self.displacement = state.displacement.astype(np.float64)
+        self.velocity = state.velocity.astype(np.float64)
+        self.step_count = state.step_count
+
+    def read(self) -> State:
+        """A copy of the state, rounded to float32."""
+        return State(self.displacement.astype(np.float32), self.velocity.astype(np.float32), self.step_count)
+
+    def prescribe(self, nodes: npt.NDArray[np.intp], displacement: Float32, velocity: Float32) -> None:
+        """Set where nodes are and how they move on."""
+        self.displacement[nodes] = displacement
+        self.velocity[nodes] = velocity
+
+    def set_inverse_mass(self, inverse_mass: Float32) -> None:
+        """Inverse masses; nodes at zero keep their velocity."""
+        self.inverse_mass = inverse_mass.astype(np.float64)
+
+    def advance(self, step_count: int, verlet: Verlet, probes: Float32 = NO_PROBES) -> None:
+        """Take steps."""
+        for step_number in range(step_count):
+            later, velocity = verlet_step(self.model, verlet, self.displacement, self.velocity, self.inverse_mass)
+            if len(probes):
+                how = (self.model, probes, step_number, verlet.step, self.inverse_mass)
+                later, velocity = keep_outside(*how, self.displacement, later, velocity)
+            self.displacement, self.velocity = later, velocity
+        self.step_count += step_count
+
+    def set_springs(self, model: LatticeModel) -> None:
+        """Go on with the springs, also the explicit ones, of another model of the same nodes."""
+        self.model = model
+
+    def forces(self, nodes: npt.NDArray[np.intp] | None = None) -> Float32:
+        """Spring forces now, on some nodes or all."""
+        force = elastic_forces(self.model, self.displacement).astype(np.float32)
+        return force if nodes is None else force[nodes]

@@ -1,0 +1,231 @@
+"""What the CPU kernel does to windows of 8 cells: the forces of elements, of the volume term and of the corner guard.
+
+A cell is kept in the lane of its lowest corner. A window of cells adds its forces to those on the nodes, row by row: of
+two cells side by side, the forces on the nodes between them are added first.
+"""
+
+from __future__ import annotations
+
+from functools import reduce
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+from heartcase.compiling.emitting import array_data, nothing, room
+from heartcase.schemas.bundle.lattice import CORNER_OFFSETS
+from heartcase.simulator.engine.cpu.vector_ir import Lanes, Vector, Window
+from heartcase.simulator.engine.shared.lanes import CELL_NUMBERS, LANE_COUNT
+from heartcase.simulator.forces.cell_forces import LOOK_BELOW
+from heartcase.simulator.forces.cell_math import NOTHING_SHARED, make_cell_math
+
+__all__ = [
+    "CALM",
+    "clear_window",
+    "element_of_window",
+    "gradient_of_window",
+    "guard_of_window",
+    "is_flat_window",
+    "mean_stress_of_window",
+    "sharing_element_of_window",
+    "volume_of_window",
+]
+
+CALM = 0.12
+"""Difference of corners' displacements, along any axis, up to which no corner of a cell is below LOOK_BELOW [edges].
+
+With edges of a corner 1 + G, |G_ij| <= c, its volume is at least (1 - c)^3 - 3 (1 - c) c^2 - 2 c^3, here 0.64."""
+_CORNERS = [(int(i), int(j), int(k)) for i, j, k in CORNER_OFFSETS]
+
+_OWN_NUMBER = len(_CORNERS)
+"""Place in the shares of a cell of the stiffness that is stretched as the cell is."""
+_INVERSE_NUMBER = 9
+"""Place after a lane's gradient of the inverse of what shares strain around its node."""
+
+_math = make_cell_math(lambda function: function, Lanes.positive_part)
+
+
+def _make_cell_window(kind: str) -> Any:
+    """The intrinsic that adds the forces of one window of cells: ``element``, ``volume`` or ``guard``.
+
+    It takes displacement, numbers of the cells, forces on the nodes, law, rows and window.
+    """
+
+    @intrinsic
+    def window_forces(typing_context, displacement, numbers, cell_force, law, rows, window):  # type: ignore[no-untyped-def]
+        def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            arrays = zip(signature.args[:5], arguments, strict=False)
+            u, n, f, constants, starts = (array_data(context, builder, *pair) for pair in arrays)
+            here = Window(builder, starts, arguments[5])
+            corners = tuple(here.load_vector(u, offset) for offset in _CORNERS)
+            scale = here.load(n, 0)
+            if kind == "element":
+                forces = _math.element(
+                    corners, scale, scale, _moments(here, n), _law(builder, constants), NOTHING_SHARED
+                )
+            elif kind == "volume":
+                forces = _math.volume_term(corners, scale, _constant(builder, constants, 0))
+            else:
+                forces = _math.corner_guard(corners, here.load(n, 1))
+            _add_forces(here, f, forces)
+            return nothing(context)
+
+        return types.void(displacement, numbers, cell_force, law, rows, types.int64), codegen
+
+    return window_forces
+
+
+@intrinsic
+def sharing_element_of_window(  # type: ignore[no-untyped-def]
+    typing_context, displacement, numbers, shares, stress, cell_force, law, rows, window
+):
+    """Add the forces of one window of elements that share strain; takes the stress of the means around the nodes."""
+
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        arrays = zip(signature.args[:7], arguments, strict=False)
+        u, n, w, p, f, constants, starts = (array_data(context, builder, *pair) for pair in arrays)
+        here = Window(builder, starts, arguments[7])
+        corners = tuple(here.load_vector(u, offset) for offset in _CORNERS)
+        shared = _sum(here, w, p, [(number, offset, (0, 0, 0)) for number, offset in enumerate(_CORNERS)])
+        scale, own = here.load(n, 0), here.load(w, _OWN_NUMBER)
+        forces = _math.element(corners, scale, own, _moments(here, n), _law(builder, constants), _columns(shared))
+        _add_forces(here, f, forces)
+        return nothing(context)
+
+    return types.void(displacement, numbers, shares, stress, cell_force, law, rows, types.int64), codegen
+
+
+@intrinsic
+def gradient_of_window(typing_context, displacement, numbers, gradient, rows, window):  # type: ignore[no-untyped-def]
+    """Write the nine numbers of F - 1 of a window of cells."""
+
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        arrays = zip(signature.args[:4], arguments, strict=False)
+        u, n, g, starts = (array_data(context, builder, *pair) for pair in arrays)
+        here = Window(builder, starts, arguments[4])
+        corners = tuple(here.load_vector(u, offset) for offset in _CORNERS)
+        _store(here, g, _math.gradient(corners, _moments(here, n)))
+        return nothing(context)
+
+    return types.void(displacement, numbers, gradient, rows, types.int64), codegen
+
+
+@intrinsic
+def mean_stress_of_window(typing_context, gradient, shares, stress, law, rows, window):  # type: ignore[no-untyped-def]
+    """Write the stress, per stiffness, of the mean gradient around a window of nodes."""
+
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        arrays = zip(signature.args[:5], arguments, strict=False)
+        g, w, p, constants, starts = (array_data(context, builder, *pair) for pair in arrays)
+        here = Window(builder, starts, arguments[5])
+        # A node is the corner of the cell behind it by that corner's offset.
+        behind = [(-i, -j, -k) for i, j, k in _CORNERS]
+        inverse = here.load(g, _INVERSE_NUMBER)
+        mean = [total * inverse for total in _sum(here, w, g, [(c, at, at) for c, at in enumerate(behind)])]
+        _store(here, p, _math.stretching(_columns(mean), _law(builder, constants)))
+        return nothing(context)
+
+    return types.void(gradient, shares, stress, law, rows, types.int64), codegen
+
+
+def _sum(
+    here: Window, shares: Any, values: Any, places: list[tuple[int, tuple[int, int, int], tuple[int, int, int]]]
+) -> list[Lanes]:
+    """Nine numbers each at some offsets, times a share of a number at another offset, added up."""
+    totals: list[Lanes] = []
+    for number, value_offset, share_offset in places:
+        share = here.load(shares, number, share_offset)
+        terms = [here.load(values, component, value_offset) * share for component in range(9)]
+        totals = [total + term for total, term in zip(totals, terms, strict=True)] if totals else terms
+    return totals
+
+
+def _columns(nine: list[Lanes]) -> tuple[Vector, ...]:
+    return tuple((nine[place], nine[place + 1], nine[place + 2]) for place in (0, 3, 6))
+
+
+def _store(here: Window, array: Any, columns: tuple[Vector, ...]) -> None:
+    """Write three columns as nine numbers."""
+    for number, value in enumerate(component for column in columns for component in column):
+        value.store(here.pointer(array, number))
+
+
+def _moments(here: Window, numbers: Any) -> tuple[Lanes, ...]:
+    return tuple(here.load(numbers, number) for number in range(1, CELL_NUMBERS))
+
+
+def _law(builder: Any, constants: Any) -> tuple[Lanes, ...]:
+    return tuple(_constant(builder, constants, number) for number in range(5))
+
+
+def _add_forces(here: Window, node_force: Any, forces: Any) -> None:
+    for axis, at_corners in enumerate(forces):
+        _add_to_nodes(here, node_force, axis, dict(zip(_CORNERS, at_corners, strict=True)))
+
+
+def _add_to_nodes(here: Window, node_force: Any, axis: int, at_corners: dict[tuple[int, int, int], Lanes]) -> None:
+    """Add one component of the forces of a window of cells on their corners to those on the nodes."""
+    builder = here.builder
+    for j, k in ((0, 0), (1, 0), (0, 1), (1, 1)):
+        at_left, at_right = at_corners[0, j, k], at_corners[1, j, k]
+        place = here.pointer(node_force, axis, (0, j, k))
+        (Lanes.loaded(builder, place) + (at_left + at_right.after(0.0))).store(place)
+        beyond = here.pointer(node_force, axis, (LANE_COUNT, j, k))
+        builder.store(builder.fadd(builder.load(beyond), at_right.last()), beyond)
+
+
+def _constant(builder: Any, array: Any, number: int) -> Lanes:
+    return Lanes.filled(builder, builder.load(builder.gep(array, [ir.Constant(ir.IntType(64), number)])))
+
+
+element_of_window = _make_cell_window("element")
+volume_of_window = _make_cell_window("volume")
+guard_of_window = _make_cell_window("guard")
+
+
+@intrinsic
+def clear_window(typing_context, force, rows, window):  # type: ignore[no-untyped-def]
+    """Set the forces on a window of nodes to zero."""
+
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        f, starts = (array_data(context, builder, *pair) for pair in zip(signature.args[:2], arguments, strict=False))
+        here = Window(builder, starts, arguments[2])
+        for axis in range(3):
+            Lanes.filled(builder, 0.0).store(here.pointer(f, axis))
+        return nothing(context)
+
+    return types.void(force, rows, types.int64), codegen
+
+
+def _spread(corners: tuple[Vector, ...]) -> Lanes:
+    """Largest difference of two corners' displacements, along any axis."""
+    spreads = []
+    for axis in range(3):
+        values = [corner[axis] for corner in corners]
+        spreads.append(reduce(Lanes.greater, values) - reduce(Lanes.lesser, values))
+    return reduce(Lanes.greater, spreads)
+
+
+@intrinsic
+def is_flat_window(typing_context, displacement, numbers, rows, window):  # type: ignore[no-untyped-def]
+    """Whether a corner of one of a window's cells has a volume below LOOK_BELOW."""
+
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        arrays = zip(signature.args[:3], arguments, strict=False)
+        u, n, starts = (array_data(context, builder, *pair) for pair in arrays)
+        here = Window(builder, starts, arguments[3])
+        corners = tuple(here.load_vector(u, offset) for offset in _CORNERS)
+        # Lanes without a cell have no stiffness, wherever the nodes around them are.
+        scale = here.load(n, 0)
+        zero = Lanes.filled(builder, 0.0)
+        spread = _spread(corners).where_positive(scale, zero)
+        result = room(builder, ir.IntType(1))
+        builder.store(ir.Constant(ir.IntType(1), 0), result)
+        with builder.if_then((spread - CALM).is_any_positive()):
+            lack = _math.corner_lack(corners, np.float32(LOOK_BELOW)) * scale
+            builder.store(lack.is_any_positive(), result)
+        return builder.load(result)
+
+    return types.boolean(displacement, numbers, rows, types.int64), codegen

@@ -1,0 +1,177 @@
+"""Which windows a thread steps, and the springs that it works out: each of them once.
+
+Both ends of a spring need its tension. A window works out those of the nine springs ahead of each lane and keeps them;
+for the springs behind, it finds them where earlier windows left them. A thread takes a chunk of windows that follow
+each other, and before it those behind them that are not in it, or are asleep: of these it works out the tensions alone.
+So no thread waits for another, and what two of them both work out is the same to the bit. It is alike with cells: a
+thread works out all that its windows are corners of, and adds up their forces for itself, always in the same order.
+
+Lattices that no cache holds take longer to keep and fetch tensions than to work them out from both ends.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import get_num_threads
+
+from heartcase.compiling.kernel import kernel
+from heartcase.simulator.engine.cpu.sleep import SleepArrays
+from heartcase.simulator.engine.shared.lanes import LANE_COUNT, ROWS, LaneLayout
+from heartcase.simulator.lattice.model import DIRECTIONS
+
+__all__ = ["KEPT_NODES_MAX", "ChunkArrays", "chunk_arrays", "share_out"]
+
+Int32 = npt.NDArray[np.int32]
+Int64 = npt.NDArray[np.int64]
+
+KEPT_NODES_MAX = 120_000
+"""Nodes up to which tensions are kept. On a processor with 32 MB of cache that others use, too, to keep them took 0.63
+to 0.85 of the time at 60,000 and 100,000 nodes, and as long as both ends at 250,000."""
+_LAYERS_MIN = 2
+"""Layers of windows in a chunk: with fewer, threads would work out more tensions for others than for themselves."""
+
+
+class ChunkArrays(NamedTuple):
+    """The windows of each chunk."""
+
+    behind: Int32
+    """Windows with the other ends of the springs behind each window's lanes, then -1, shape (window_count, any)."""
+    ends: Int64
+    """Where each chunk begins, and the last ends, in the list of windows that are awake, shape (chunk_count + 1,)."""
+    before: Int32
+    """Windows of which a chunk needs the tensions alone come first, shape (chunk_count, window_count)."""
+    before_counts: Int64
+    """How many these are, shape (chunk_count,)."""
+    taken_by: Int32
+    """Room for the last chunk that a window was counted to, shape (window_count,)."""
+    chunk_of: Int32
+    """Chunk that steps each window, -1 for those that sleep, shape (window_count,)."""
+    touches: Int64
+    """Windows of nodes that the cells of a window have corners in, then -1, shape (cell_window_count, 8)."""
+    cells: Int32
+    """Windows of cells that have a corner in a chunk come first, shape (chunk_count, cell_window_count)."""
+    cell_counts: Int64
+    """How many these are, shape (chunk_count,)."""
+    corners: Int32
+    """Windows of nodes that are corners of the windows of cells that are awake come first, shape (window_count,)."""
+    corner_counts: Int64
+    """How many these are, shape (1,)."""
+
+
+def chunk_arrays(
+    layout: LaneLayout, touches: Int64, sleep: SleepArrays, layer_count: int, keeps_tensions: bool
+) -> ChunkArrays:
+    """Share out the windows of a layout to as many chunks as there are threads, if its layers are enough."""
+    chunk_count = max(1, min(get_num_threads(), layer_count // _LAYERS_MIN))
+    window_count = layout.window_count
+    chunks = ChunkArrays(
+        _windows_behind(layout) if keeps_tensions else np.full((window_count, 1), -1, np.int32),
+        np.zeros(chunk_count + 1, np.int64),
+        np.zeros((chunk_count, window_count), np.int32),
+        np.zeros(chunk_count, np.int64),
+        np.zeros(window_count, np.int32),
+        np.zeros(window_count, np.int32),
+        touches,
+        np.zeros((chunk_count, len(touches)), np.int32),
+        np.zeros(chunk_count, np.int64),
+        np.zeros(window_count, np.int32),
+        np.zeros(1, np.int64),
+    )
+    share_out(chunks, sleep)
+    return chunks
+
+
+def _windows_behind(layout: LaneLayout) -> Int32:
+    window_count = layout.window_count
+    window_of_lane = np.full(layout.lane_count, -1, np.int32)
+    window_of_lane[layout.window_rows[:, 4, None] + np.arange(LANE_COUNT)] = np.arange(window_count)[:, None]
+    row_of = {(int(j), int(k)): number for number, (j, k) in enumerate(ROWS)}
+    found = [
+        window_of_lane[layout.window_rows[:, row_of[-j, -k], None] - i + np.arange(LANE_COUNT)]
+        for i, j, k in DIRECTIONS.tolist()
+    ]
+    behind = np.sort(np.concatenate(found, axis=1), axis=1)[:, ::-1]
+    behind[:, 1:][behind[:, 1:] == behind[:, :-1]] = -1
+    behind[behind == np.arange(window_count)[:, None]] = -1
+    behind = np.sort(behind, axis=1)[:, ::-1]
+    return np.ascontiguousarray(behind[:, : max(1, int((behind >= 0).sum(axis=1).max(initial=0)))])
+
+
+@kernel
+def _set_ends(ends: Int64, before_counts: Int64, count: int) -> None:
+    """Share out so many windows, where a window of which the tensions alone are needed is half as much work."""
+    chunk_count = len(before_counts)
+    work = 2 * count + before_counts.sum()
+    spent = 0
+    for chunk in range(chunk_count):
+        spent += before_counts[chunk]
+        end = ((chunk + 1) * work // chunk_count - spent) // 2
+        ends[chunk + 1] = max(ends[chunk], min(end, count))
+    ends[chunk_count] = count
+
+
+@kernel
+def share_out(chunks: ChunkArrays, sleep: SleepArrays) -> None:
+    """Make the chunks from the windows that are awake."""
+    behind, ends, before, before_counts, taken_by, chunk_of, touches, cells, cell_counts, _, _ = chunks
+    awake, awake_cells, is_asleep, count = sleep.awake, sleep.awake_cells, sleep.is_asleep, sleep.counts[0]
+    chunk_count = len(before_counts)
+    before_counts[:] = 0
+    # Once to see how many windows each chunk needs the tensions of, then again so that these are shared out, too.
+    for _ in range(2):
+        _set_ends(ends, before_counts, count)
+        taken_by[:] = -1
+        for chunk in range(chunk_count):
+            first, end = ends[chunk], ends[chunk + 1]
+            before_counts[chunk] = 0
+            if first == end:
+                continue
+            lowest = awake[first]
+            for number in range(first, end):
+                for window in behind[awake[number]]:
+                    if window < 0:
+                        break
+                    # Windows behind come earlier: from the chunk's first on, those that are awake are its own.
+                    is_in_chunk = window >= lowest and not is_asleep[window]
+                    if not is_in_chunk and taken_by[window] != chunk:
+                        taken_by[window] = chunk
+                        before[chunk, before_counts[chunk]] = window
+                        before_counts[chunk] += 1
+    chunk_of[:] = -1
+    cell_counts[:] = 0
+    for chunk in range(chunk_count):
+        for number in range(ends[chunk], ends[chunk + 1]):
+            chunk_of[awake[number]] = chunk
+    for number in range(sleep.counts[1]):
+        window = awake_cells[number]
+        for touched in touches[window]:
+            if touched < 0:
+                break
+            chunk = chunk_of[touched]
+            if chunk < 0:
+                continue
+            last = cell_counts[chunk] - 1
+            if last < 0 or cells[chunk, last] != window:
+                cells[chunk, last + 1] = window
+                cell_counts[chunk] += 1
+    _list_corners(chunks, sleep)
+
+
+@kernel
+def _list_corners(chunks: ChunkArrays, sleep: SleepArrays) -> None:
+    is_corner = chunks.taken_by
+    is_corner[:] = 0
+    for number in range(sleep.counts[1]):
+        for touched in chunks.touches[sleep.awake_cells[number]]:
+            if touched < 0:
+                break
+            is_corner[touched] = 1
+    count = 0
+    for window in range(len(is_corner)):
+        if is_corner[window]:
+            chunks.corners[count] = window
+            count += 1
+    chunks.corner_counts[0] = count

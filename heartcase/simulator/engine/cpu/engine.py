@@ -1,0 +1,249 @@
+"""The engine on the CPU: float32, all cores, vectors of 8 lanes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+from numba import get_num_threads
+
+from heartcase.simulator.dynamics.integrate import Verlet
+from heartcase.simulator.engine.cpu.autotune import Pace
+from heartcase.simulator.engine.cpu.barrier import Crew, Meeting
+from heartcase.simulator.engine.cpu.chunks import KEPT_NODES_MAX, chunk_arrays
+from heartcase.simulator.engine.cpu.kernel import (
+    CHUNKS_PER_ROOM,
+    ELEMENTS,
+    NO_CELLS,
+    SHARING_ELEMENTS,
+    VOLUME_TERM,
+    SharingArrays,
+    advance,
+    lane_forces,
+)
+from heartcase.simulator.engine.cpu.sleep import ROUNDING, sleep_arrays
+from heartcase.simulator.engine.cpu.springs import WINDOW_NUMBERS
+from heartcase.simulator.engine.shared.contact import NO_PROBES
+from heartcase.simulator.engine.shared.lanes import (
+    EMPTY_START,
+    LANE_COUNT,
+    ROWS,
+    SHARE_NUMBERS,
+    cell_layout,
+    inverse_shared,
+    lane_layout,
+)
+from heartcase.simulator.lattice.explicit import SpringsByNode
+from heartcase.simulator.lattice.model import DIRECTIONS, LatticeModel
+from heartcase.simulator.lattice.state import State
+
+__all__ = ["PARALLEL_WINDOWS_MIN", "CpuEngine"]
+
+Float32 = npt.NDArray[np.float32]
+
+PARALLEL_WINDOWS_MIN = 1024
+"""Windows from which on more than one thread pays."""
+
+
+class CpuEngine:
+    """The numba kernel over the lanes of :mod:`heartcase.simulator.engine.shared.lanes`."""
+
+    def __init__(self, model: LatticeModel) -> None:
+        self.layout = layout = lane_layout(model, in_banks=True)
+        # The row of no window: one of empty lanes.
+        rows = np.vstack([layout.window_rows, np.full((1, len(ROWS)), EMPTY_START)])
+        self._rows = rows[:-1]
+        self._vectors = layout.places(layout.node_lane, 3)
+        self._keeps_tensions = model.node_count <= KEPT_NODES_MAX
+        # Displacement in two buffers, velocity and inverse mass share one array, what is seldom needed another. Each is
+        # a view that reaches over the others' places: only the lanes of nodes are written.
+        state, room = _aligned((layout.length(10),)), _aligned((layout.length(9),))
+        self._buffers = state[: layout.length(6)]
+        self.velocity = state[6 * layout.stride :][: layout.length(3)]
+        self.inverse_mass = state[9 * layout.stride :][: layout.lane_count]
+        self.force = room[: layout.length(3)]
+        self._rest = room[3 * layout.stride :][: layout.length(3)]
+        self._rest[self._vectors] = model.node_index
+        self.weight = self.presence = _aligned((layout.length(len(DIRECTIONS)),))
+        self.tension = _aligned((layout.length(len(DIRECTIONS)) if self._keeps_tensions else 0,))
+        self.window_numbers = _aligned(
+            (layout.window_count + 1 if self._keeps_tensions else 0, WINDOW_NUMBERS, LANE_COUNT)
+        )
+        self.cells = cell_layout(model, layout)
+        self.is_flat = np.zeros(len(self.cells.window_rows), np.int8)
+        self.is_touched = np.zeros(layout.window_count, np.int8)
+        before = room[6 * layout.stride :]
+        self._sleep = sleep_arrays(model, layout, len(self.cells.window_rows), before)
+        layer_count = int(np.ptp(model.node_index[:, 2])) + 1
+        self._chunks = chunk_arrays(layout, self.cells.touches, self._sleep, layer_count, self._keeps_tensions)
+        # Where no cell can act there is no room for what it does.
+        may_act = model.law.acts_in_cells or model.law.has_corner_guard
+        room_count = -(-(len(self._chunks.ends) - 1) // CHUNKS_PER_ROOM)
+        self.cell_force = _aligned((room_count, layout.length(3 * CHUNKS_PER_ROOM) if may_act else 0))
+        self._means = _aligned((0,)), _aligned((0,))
+        self.set_springs(model)
+        self.set_inverse_mass(model.inverse_mass)
+        self.pace = Pace()
+        self._crew = Crew()
+        self.current = 0
+        self.step_count = 0
+
+    @property
+    def awake_part(self) -> float:
+        """Part of the windows of nodes that the last step worked out."""
+        return float(self._sleep.counts[0]) / self.layout.window_count
+
+    @property
+    def displacement(self) -> Float32:
+        """The displacement now [cells], three numbers a lane."""
+        return self._buffers[3 * self.layout.stride * self.current :][: self.layout.length(3)]
+
+    def load(self, state: State) -> None:
+        """Start from this state."""
+        self.prescribe(np.arange(len(self.layout.node_lane)), state.displacement, state.velocity)
+        self.step_count = state.step_count
+
+    def read(self) -> State:
+        """A copy of the state."""
+        return State(self.displacement[self._vectors], self.velocity[self._vectors], self.step_count)
+
+    def prescribe(self, nodes: npt.NDArray[np.intp], displacement: Float32, velocity: Float32) -> None:
+        """Set where nodes are and how they move on."""
+        self.displacement[self._vectors[nodes]] = displacement
+        self.velocity[self._vectors[nodes]] = velocity
+
+    def set_inverse_mass(self, inverse_mass: Float32) -> None:
+        """Inverse masses; nodes at zero keep their velocity."""
+        self.inverse_mass[self.layout.node_lane] = inverse_mass
+        if self._keeps_tensions:
+            self.window_numbers[:-1, -1] = self.inverse_mass[self._window_lanes]
+
+    def advance(self, step_count: int, verlet: Verlet, probes: Float32 = NO_PROBES) -> None:
+        """Take steps."""
+        taken = 0
+
+        def with_threads(thread_count: int) -> Callable[[int], None]:
+            def take(count: int) -> None:
+                nonlocal taken
+                self.advance_by(thread_count, count, verlet, probes, taken)
+                taken += count
+
+            return take
+
+        thread_count = min(get_num_threads(), len(self._chunks.before_counts))
+        if self.layout.window_count < PARALLEL_WINDOWS_MIN or thread_count == 1:
+            with_threads(1)(step_count)
+        else:
+            self.pace.run(step_count, (with_threads(1), with_threads(thread_count)))
+
+    @property
+    def threads_pay(self) -> bool:
+        """Whether more than one thread has been quicker lately: a busy machine has none to spare."""
+        return bool(self.pace.seconds_per_step) and self.pace.quickest == 1
+
+    def advance_by(
+        self, thread_count: int, step_count: int, verlet: Verlet, probes: Float32, first_step: int = 0
+    ) -> None:
+        """Take steps with so many threads; the bits are the same with any number."""
+
+        def part(thread: int, thread_count: int, meeting: Meeting) -> int:
+            return int(advance(*arguments, thread, thread_count, meeting))
+
+        arguments = (
+            self._buffers,
+            self.velocity,
+            self.weight,
+            self.window_numbers,
+            self.tension,
+            self.presence,
+            self.inverse_mass,
+            self._rows,
+            self.current,
+            step_count,
+            tuple(np.float32(number) for number in verlet.numbers),
+            self._cell_arrays,
+            self._kinds,
+            self._sharing,
+            self._explicit,
+            self._rest,
+            probes,
+            first_step,
+            self._sleep,
+            self._chunks,
+            np.array([*verlet.still, ROUNDING * verlet.kick], np.float32),
+        )
+        self.current = self._crew.run(thread_count, part)
+        self.step_count += step_count
+
+    def set_springs(self, model: LatticeModel) -> None:
+        """Go on with the springs of another model of the same nodes."""
+        law = model.law
+        weight = model.acting_weight
+        self.weight[:] = self.layout.spring_weight(model, weight)
+        if self._keeps_tensions:
+            for direction in range(len(DIRECTIONS)):
+                self.window_numbers[:-1, direction] = self.weight[direction * self.layout.stride + self._window_lanes]
+        if law.is_element:
+            self.presence = self.layout.spring_weight(model, model.spring_weight)
+        in_cells = ELEMENTS if law.is_element else VOLUME_TERM if law.has_volume_term else NO_CELLS
+        if model.shares_strain:
+            in_cells = SHARING_ELEMENTS
+        self._sharing = self._sharing_arrays(model)
+        self._kinds = (in_cells, bool(weight.any()), law.has_corner_guard)
+        self._cell_arrays = (
+            self.cells.window_rows,
+            self.cells.numbers(model),
+            self.cell_force,
+            np.array(law.constants, np.float32),
+            self.is_flat,
+            self.is_touched,
+            self.cells.touches,
+        )
+        springs = SpringsByNode.of(model.explicit, model.node_index)
+        nodes = np.flatnonzero(np.diff(springs.first))
+        first = np.append(springs.first[nodes], len(springs.other)).astype(np.int64)
+        lanes = self.layout.node_lane
+        self._explicit = (lanes[nodes], first, lanes[springs.other], springs.offset, springs.stiffness)
+        self.model = model
+
+    def _sharing_arrays(self, model: LatticeModel) -> SharingArrays:
+        """What elements need that share strain."""
+        is_sharing = np.zeros(len(self.cells.window_rows), np.int8)
+        if not model.shares_strain:
+            return SharingArrays(_aligned((0,)), *self._means, is_sharing)
+        if not len(self._means[0]):
+            length = self.layout.length
+            self._means = _aligned((length(SHARE_NUMBERS + 1),)), _aligned((length(SHARE_NUMBERS),))
+        gradient, stress = self._means
+        # Cells that share nothing any more are not written, but read, with a share of zero: no number must be left.
+        gradient[:] = 0.0
+        gradient[SHARE_NUMBERS * self.layout.stride + self.layout.node_lane] = inverse_shared(model)
+        window = np.searchsorted(self.cells.window_rows[:, 4], self.cells.cell_lane, side="right") - 1
+        is_sharing[window[model.shared_stiffness.any(axis=1)]] = 1
+        return SharingArrays(self.cells.shares(model), gradient, stress, is_sharing)
+
+    def forces(self, nodes: npt.NDArray[np.intp] | None = None) -> Float32:
+        """Spring forces now, on some nodes or all; only the windows that hold them are worked out."""
+        rows = self.layout.window_rows if nodes is None else self.layout.windows_of(nodes)
+        cells = (self._cell_arrays, self._kinds, self._sharing)
+        lane_forces(self.displacement, self.weight, self.force, rows, *cells, self._rows, self._sleep, self._chunks)
+        force = self.force[self._vectors if nodes is None else self._vectors[nodes]]
+        if self.model.explicit.count:
+            explicit = self.model.explicit.forces(self.model.node_index, self.read().displacement)
+            force += explicit if nodes is None else explicit[nodes]
+        return force
+
+    @cached_property
+    def _window_lanes(self) -> npt.NDArray[np.int64]:
+        """Lanes of each window, shape (window_count, 8)."""
+        return self._rows[:, 4, None] + np.arange(LANE_COUNT)
+
+
+def _aligned(shape: tuple[int, ...]) -> Float32:
+    """Zeros that start on a cache line: a vector load across two lines costs double."""
+    line = 16
+    room = np.zeros(int(np.prod(shape)) + line, np.float32)
+    shift = -(room.ctypes.data // room.itemsize) % line
+    return room[shift : shift + int(np.prod(shape))].reshape(shape)

@@ -1,0 +1,466 @@
+"""The CPU kernel: steps of all windows, on one thread or on all of them, in float32.
+
+In a step, each thread first adds up the forces of the cells around its nodes, then nodes add those of their springs and
+move (:mod:`heartcase.simulator.engine.cpu.steps`). Where elements share strain, all threads first write the gradients
+of the cells, meet, write the stress of the means around the nodes, and meet again. A window reads only what was written
+before the threads last met, or by its own thread (:mod:`heartcase.simulator.engine.cpu.chunks`), and writes only its
+own lanes, so that the result does not depend on the number of threads.
+
+Corners that are about to turn inside out are looked for in the first step and every LOOK_STEPS from there; in between,
+only the windows that had such corners are looked after. Where tissue may sleep (:mod:`heartcase.simulator.
+kernel_cpu_sleep`), only windows that are awake are worked out.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from heartcase.compiling.kernel import kernel
+from heartcase.simulator.engine.cpu.barrier import Meeting, meet
+from heartcase.simulator.engine.cpu.cells import (
+    clear_window,
+    element_of_window,
+    gradient_of_window,
+    guard_of_window,
+    is_flat_window,
+    mean_stress_of_window,
+    sharing_element_of_window,
+    volume_of_window,
+)
+from heartcase.simulator.engine.cpu.chunks import ChunkArrays, share_out
+from heartcase.simulator.engine.cpu.instruments import Constants, ExplicitArrays, keep_window_outside, pull_explicitly
+from heartcase.simulator.engine.cpu.sleep import (
+    CHECK_STEPS,
+    ROUSE_STEPS,
+    SleepArrays,
+    check,
+    feel_probes,
+    remember,
+    rouse,
+    settle,
+)
+from heartcase.simulator.engine.cpu.springs import force_of_window, force_of_window_with_cells, tension_of_window
+from heartcase.simulator.engine.cpu.steps import (
+    step_of_windows,
+    step_of_windows_from_both_ends,
+    step_of_windows_with_cells,
+    step_of_windows_with_cells_alone,
+    step_of_windows_with_cells_from_both_ends,
+)
+from heartcase.simulator.engine.cpu.vector_ir import flush_subnormals, restore_subnormals
+from heartcase.simulator.engine.shared.lanes import BANK_LANES, CELL_NUMBERS
+
+__all__ = [
+    "CHUNKS_PER_ROOM",
+    "ELEMENTS",
+    "NO_CELLS",
+    "SHARING_ELEMENTS",
+    "VOLUME_TERM",
+    "SharingArrays",
+    "advance",
+    "lane_forces",
+]
+
+Float32 = npt.NDArray[np.float32]
+Int8 = npt.NDArray[np.int8]
+Int32 = npt.NDArray[np.int32]
+Int64 = npt.NDArray[np.int64]
+CellArrays = tuple[Int64, Float32, Float32, Float32, Int8, Int8, Int64]
+Kinds = tuple[int, bool, bool]
+StateArrays = tuple[Float32, Float32, Float32, Float32, Float32, Float32, Float32, Int64]
+
+SHARES = 64
+"""Parts of the windows that threads take one by one."""
+LOOK_STEPS = 8
+"""Steps between two looks for corners that are about to turn inside out."""
+CHUNKS_PER_ROOM = CELL_NUMBERS // 3
+"""Chunks whose forces share an array: it has room for so many numbers a lane."""
+NO_CELLS, VOLUME_TERM, ELEMENTS, SHARING_ELEMENTS = 0, 1, 2, 3
+"""What acts in the cells beside springs and the corner guard."""
+
+
+class SharingArrays(NamedTuple):
+    """What elements need that share strain; of length 0 where none do."""
+
+    shares: Float32
+    """Stiffness of each cell that is strained by the mean around each corner, and by itself [k/h]: nine numbers a
+    lane."""
+    gradient: Float32
+    """Room for F - 1 of each cell, nine numbers a lane; then the inverse of the stiffness that shares strain around
+    each node [h/k], zero where there is none."""
+    stress: Float32
+    """Room for the stress of the mean strain around each node, nine numbers a lane."""
+    is_sharing: Int8
+    """Whether a cell of a window shares strain, shape (cell_window_count,)."""
+
+
+@kernel
+def _part(share: int, count: int) -> tuple[int, int]:
+    return share * count // SHARES, (share + 1) * count // SHARES
+
+
+@kernel
+def _look_at_share(share: int, now: Float32, cells: CellArrays, sleep: SleepArrays) -> None:
+    """Mark the windows of cells that have a corner to be looked after."""
+    rows, numbers, _, _, is_flat, _, _ = cells
+    awake, counts = sleep.awake_cells, sleep.counts
+    first, end = _part(share, counts[1])
+    for window in awake[first:end]:
+        is_flat[window] = is_flat_window(now, numbers, rows, window)
+
+
+@kernel
+def _mark_touched(cells: CellArrays) -> None:
+    """Mark the windows of nodes to which flat cells belong."""
+    rows, _, _, _, is_flat, is_touched, touches = cells
+    is_touched[:] = 0
+    for window in range(len(rows)):
+        if is_flat[window]:
+            for touched in touches[window]:
+                if touched >= 0:
+                    is_touched[touched] = 1
+
+
+@kernel
+def _has_flat(cells: CellArrays) -> bool:
+    return bool(cells[4].any())
+
+
+@kernel
+def _stretch(
+    thread: int, thread_count: int, now: Float32, cells: CellArrays, sharing: SharingArrays, sleep: SleepArrays
+) -> None:
+    """Write the gradients of a thread's part of the windows of cells that share strain."""
+    count = sleep.counts[1]
+    for window in sleep.awake_cells[thread * count // thread_count : (thread + 1) * count // thread_count]:
+        if sharing.is_sharing[window]:
+            gradient_of_window(now, cells[1], sharing.gradient, cells[0], window)
+
+
+@kernel
+def _share_strain(
+    thread: int, thread_count: int, rows: Int64, cells: CellArrays, sharing: SharingArrays, chunks: ChunkArrays
+) -> None:
+    """Write the stress of the means around a thread's part of the nodes; all that cells which are awake end at."""
+    count = chunks.corner_counts[0]
+    for window in chunks.corners[thread * count // thread_count : (thread + 1) * count // thread_count]:
+        mean_stress_of_window(sharing.gradient, sharing.shares, sharing.stress, cells[3], rows, np.int64(window))
+
+
+@kernel
+def _add_cells(
+    windows: Int64 | Int32, kind: int, now: Float32, force: Float32, cells: CellArrays, sharing: SharingArrays
+) -> None:
+    """Add the forces of some windows of cells to those on the nodes."""
+    rows, numbers, _, law, is_flat, _, _ = cells
+    for place in range(len(windows)):
+        window = np.int64(windows[place])
+        if kind == SHARING_ELEMENTS and sharing.is_sharing[window]:
+            sharing_element_of_window(now, numbers, sharing.shares, sharing.stress, force, law, rows, window)
+        elif kind >= ELEMENTS:
+            element_of_window(now, numbers, force, law, rows, window)
+        elif kind == VOLUME_TERM:
+            volume_of_window(now, numbers, force, law, rows, window)
+        if is_flat[window]:
+            guard_of_window(now, numbers, force, law, rows, window)
+
+
+@kernel
+def _step_chunk(chunk: int, state: StateArrays, constants: Constants, chunks: ChunkArrays, sleep: SleepArrays) -> None:
+    """Move the windows of a chunk, by springs alone."""
+    now, later, velocity, weight, window_numbers, tension, inverse_mass, rows = state
+    awake, before = sleep.awake, chunks.before
+    first, end = chunks.ends[chunk], chunks.ends[chunk + 1]
+    for number in range(chunks.before_counts[chunk]):
+        tension_of_window(now, window_numbers, tension, rows, np.int64(before[chunk, number]))
+    what = (
+        now,
+        later,
+        velocity,
+        weight,
+        window_numbers,
+        tension,
+        velocity,
+        inverse_mass,
+        rows,
+        awake,
+        first,
+        end,
+        constants,
+    )
+    if len(tension):
+        step_of_windows(*what)
+    else:
+        step_of_windows_from_both_ends(*what)
+
+
+@kernel
+def _step_chunk_with_cells(
+    chunk: int,
+    state: StateArrays,
+    constants: Constants,
+    cells: CellArrays,
+    kinds: Kinds,
+    sharing: SharingArrays,
+    chunks: ChunkArrays,
+    sleep: SleepArrays,
+) -> None:
+    """Move the windows of a chunk, by cells and springs."""
+    now, later, velocity, weight, window_numbers, tension, inverse_mass, rows = state
+    is_touched = cells[5]
+    force = cells[2][chunk // CHUNKS_PER_ROOM, 3 * BANK_LANES * (chunk % CHUNKS_PER_ROOM) :]
+    kind, has_springs, _ = kinds
+    awake, before = sleep.awake, chunks.before
+    first, end = chunks.ends[chunk], chunks.ends[chunk + 1]
+    for window in awake[first:end]:
+        if kind != NO_CELLS or is_touched[window]:
+            clear_window(force, rows, window)
+    _add_cells(chunks.cells[chunk, : chunks.cell_counts[chunk]], kind, now, force, cells, sharing)
+    if has_springs:
+        for number in range(chunks.before_counts[chunk]):
+            tension_of_window(now, window_numbers, tension, rows, np.int64(before[chunk, number]))
+    arrays = (now, later, velocity, weight, window_numbers, tension, force, inverse_mass, rows)
+    keeps_tensions = len(tension) > 0
+    while first < end:
+        # As many as follow each other that are alike: all, but where only corners are guarded.
+        has_cells = kind != NO_CELLS or is_touched[awake[first]] > 0
+        stop = end if kind != NO_CELLS else first + 1
+        while stop < end and (is_touched[awake[stop]] > 0) == has_cells:
+            stop += 1
+        what = (*arrays, awake, first, stop, constants)
+        if not has_springs:
+            step_of_windows_with_cells_alone(*what)
+        elif has_cells and keeps_tensions:
+            step_of_windows_with_cells(*what)
+        elif has_cells:
+            step_of_windows_with_cells_from_both_ends(*what)
+        elif keeps_tensions:
+            step_of_windows(*what)
+        else:
+            step_of_windows_from_both_ends(*what)
+        first = stop
+
+
+@kernel
+def lane_forces(
+    displacement: Float32,
+    weight: Float32,
+    force: Float32,
+    rows: Int64,
+    cells: CellArrays,
+    kinds: Kinds,
+    sharing: SharingArrays,
+    nodes: Int64,
+    sleep: SleepArrays,
+    chunks: ChunkArrays,
+) -> None:
+    """Write the forces [grid units] on some windows, of displacements [cells]; three numbers a lane each.
+
+    ``rows`` are those of these windows, ``nodes`` those of all.
+    """
+    kind, _, has_guard = kinds
+    if rouse(sleep, True):
+        share_out(chunks, sleep)
+    if has_guard:
+        for share in range(SHARES):
+            _look_at_share(share, displacement, cells, sleep)
+        if kind == NO_CELLS:
+            _mark_touched(cells)
+    if kind != NO_CELLS or has_guard:
+        cell_force = cells[2][0]
+        for window in range(rows.shape[0]):
+            clear_window(cell_force, rows, window)
+        if kind == SHARING_ELEMENTS:
+            _stretch(0, 1, displacement, cells, sharing, sleep)
+            _share_strain(0, 1, nodes, cells, sharing, chunks)
+        _add_cells(sleep.awake_cells, kind, displacement, cell_force, cells, sharing)
+        for window in range(rows.shape[0]):
+            force_of_window_with_cells(displacement, weight, cell_force, force, rows, window)
+    else:
+        for window in range(rows.shape[0]):
+            force_of_window(displacement, weight, force, force, rows, window)
+
+
+@kernel
+def _check_share(
+    share: int,
+    displacement: Float32,
+    velocity: Float32,
+    inverse_mass: Float32,
+    rows: Int64,
+    rest: Float32,
+    probes: Float32,
+    step_number: int,
+    sleep: SleepArrays,
+    still: Float32,
+) -> None:
+    """Look for what moves, or soon will, in a share of the windows of nodes."""
+    first, end = _part(share, sleep.counts[0])
+    check(first, end, rows, displacement, velocity, inverse_mass, still, sleep)
+    if len(probes):
+        first, end = _part(share, len(rows))
+        feel_probes(first, end, rows, displacement, rest, probes, step_number, sleep)
+
+
+@kernel
+def advance(
+    displacement: Float32,
+    velocity: Float32,
+    weight: Float32,
+    window_numbers: Float32,
+    tension: Float32,
+    presence: Float32,
+    inverse_mass: Float32,
+    rows: Int64,
+    current: int,
+    step_count: int,
+    constants: Constants,
+    cells: CellArrays,
+    kinds: Kinds,
+    sharing: SharingArrays,
+    explicit: ExplicitArrays,
+    rest: Float32,
+    probes: Float32,
+    first_step: int,
+    sleep: SleepArrays,
+    chunks: ChunkArrays,
+    still: Float32,
+    thread: int,
+    thread_count: int,
+    meeting: Meeting,
+) -> int:
+    """Take steps in place, as one of some threads that all call it.
+
+    Arrays with several numbers a lane have them BANK_LANES apart
+    (:class:`heartcase.simulator.engine.shared.lanes.LaneLayout`).
+
+    Parameters
+    ----------
+    displacement
+        Two buffers [cells], six numbers a lane; the steps alternate between them.
+    velocity
+        Half a step before [cells / unit of time], three numbers a lane.
+    weight
+        Spring stiffness by direction [k], nine numbers a lane; read where springs are worked out from both ends.
+    window_numbers
+        The same and then the inverse mass, of each window's lanes by themselves, with one more window of zeros, shape
+        (window_count + 1, 10, 8); read where each spring is worked out once.
+    tension
+        Room for the tensions of the springs over their lengths [k], zeros at first, nine numbers a lane; of length 0
+        where each is to be worked out from both ends.
+    presence
+        Above zero where there is a spring, whether it acts or not, nine numbers a lane.
+    inverse_mass
+        [1 / full cell], 0 where there is no node or its motion is prescribed, shape (lane_count,).
+    rows
+        Lane at each window's first i in its nine rows, shape (window_count, 9); in memory one more row follows, that of
+        a window of empty lanes.
+    current
+        Buffer that holds the displacement now.
+    step_count
+        Steps to take.
+    constants
+        Step, keep, kick, the three components of gravity and the speed limit, grid units.
+    cells
+        Rows of the windows that hold cells, shape (count, 9); numbers of the cells, CELL_NUMBERS a lane; room for their
+        forces on the nodes of each chunk, three numbers a lane, of CHUNKS_PER_ROOM chunks side by side, shape (any,
+        any); constants of the law; whether each window of cells is looked after; whether such cells belong to each
+        window of nodes; windows of nodes that a window of cells belongs to, -1 for none, (count, 8).
+    kinds
+        What acts in the cells, whether springs act, and whether corners are guarded.
+    sharing
+        Of elements that share strain.
+    explicit
+        Lanes with explicit springs, where the springs of each begin (and the last end); lane at the other end, offset
+        to it with rest length [cells], shape (count, 4), and stiffness [k] of each spring.
+    rest
+        Rest positions [cells], three numbers a lane; read where there are probes.
+    probes
+        Probes as of :func:`heartcase.simulator.engine.shared.contact.probe_row`, shape (probe_count, PROBE_SIZE).
+    first_step
+        Steps that were taken before in this row: probes have moved so far, and looks and checks are counted from there.
+    sleep
+        As of :func:`heartcase.simulator.engine.cpu.sleep.sleep_arrays`.
+    chunks
+        As of :func:`heartcase.simulator.engine.cpu.chunks.chunk_arrays`.
+    still
+        Speed below which a node is still, change of it in a step [cells / unit of time], and what rounding may add to
+        that per cell of displacement, shape (3,); zeros where no tissue sleeps.
+    thread, thread_count
+        Number of this thread, and how many there are.
+    meeting
+        What they meet with.
+
+    Returns
+    -------
+    int
+        Buffer that holds the displacement at the end.
+    """
+    kind, _, has_guard = kinds
+    chunk_count = len(chunks.before_counts)
+    works_cells = kind != NO_CELLS or _has_flat(cells)
+    # Nobody changes anything before all are there.
+    if not meet(meeting, thread_count):
+        return current
+    before = flush_subnormals()
+    for step_number in range(step_count):
+        now = displacement[3 * BANK_LANES * current :]
+        later = displacement[3 * BANK_LANES * (1 - current) :]
+        row_step = first_step + step_number
+        if row_step % ROUSE_STEPS == 0:
+            if thread == 0 and rouse(sleep, row_step == 0):
+                share_out(chunks, sleep)
+            meet(meeting, thread_count)
+        is_checked = still[0] > 0 and row_step % CHECK_STEPS == 0
+        if is_checked:
+            for share in range(thread, SHARES, thread_count):
+                first, end = _part(share, sleep.counts[0])
+                remember(first, end, rows, velocity, sleep)
+            meet(meeting, thread_count)
+        if has_guard and row_step % LOOK_STEPS == 0:
+            for share in range(thread, SHARES, thread_count):
+                _look_at_share(share, now, cells, sleep)
+            meet(meeting, thread_count)
+            if kind == NO_CELLS:
+                works_cells = _has_flat(cells)
+                if works_cells:
+                    if thread == 0:
+                        _mark_touched(cells)
+                    meet(meeting, thread_count)
+        if len(explicit[0]):
+            if thread == 0:
+                pull_explicitly(now, velocity, inverse_mass, explicit, constants)
+            meet(meeting, thread_count)
+        if kind == SHARING_ELEMENTS:
+            _stretch(thread, thread_count, now, cells, sharing, sleep)
+            meet(meeting, thread_count)
+            _share_strain(thread, thread_count, rows, cells, sharing, chunks)
+            meet(meeting, thread_count)
+        state = (now, later, velocity, weight, window_numbers, tension, inverse_mass, rows)
+        for chunk in range(thread, chunk_count, thread_count):
+            if works_cells:
+                _step_chunk_with_cells(chunk, state, constants, cells, kinds, sharing, chunks, sleep)
+            else:
+                _step_chunk(chunk, state, constants, chunks, sleep)
+        meet(meeting, thread_count)
+        if len(probes):
+            step = constants[0]
+            for share in range(thread, SHARES, thread_count):
+                first, end = _part(share, sleep.counts[0])
+                for window in sleep.awake[first:end]:
+                    row = rows[window]
+                    keep_window_outside(now, later, velocity, presence, inverse_mass, rest, row, probes, row_step, step)
+            meet(meeting, thread_count)
+        current = 1 - current
+        if is_checked:
+            for share in range(thread, SHARES, thread_count):
+                _check_share(share, later, velocity, inverse_mass, rows, rest, probes, row_step + 1, sleep, still)
+            meet(meeting, thread_count)
+            if thread == 0 and settle(later, now, velocity, rows, cells[6], sleep):
+                share_out(chunks, sleep)
+            meet(meeting, thread_count)
+    restore_subnormals(before)
+    return current

@@ -1,0 +1,1 @@
+"""The engine of NVIDIA GPUs: many steps in one launch."""

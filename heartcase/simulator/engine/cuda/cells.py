@@ -1,0 +1,119 @@
+"""The cells of a model on a CUDA device: what the engine needs where more than springs acts."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from heartcase.simulator.engine.shared.lanes import (
+    SHARE_NUMBERS,
+    LaneLayout,
+    cell_numbers,
+    inverse_shared,
+    share_numbers,
+)
+from heartcase.simulator.forces.cell_forces import LOOK_BELOW
+from heartcase.simulator.lattice.model import LatticeModel
+
+__all__ = ["LOOK_STEPS", "CellsOnDevice", "plain_launch"]
+
+LOOK_STEPS = 64
+"""Steps between two looks for corners that are about to turn inside out: each makes the host wait for the device."""
+PLAIN_THREADS = 128
+"""Threads of a block in the kernels that do not meet."""
+
+
+def plain_launch(count: int) -> tuple[int, int]:
+    """Blocks and threads of each, so that there is a thread for each of so many."""
+    return -(-count // PLAIN_THREADS), PLAIN_THREADS
+
+
+class CellsOnDevice:
+    """Arrays of the cells, and the kernels that work them out."""
+
+    def __init__(self, cuda: Any, model: LatticeModel, layout: LaneLayout) -> None:
+        from heartcase.simulator.engine.cuda import cell_kernels as kernel_cuda_cells
+
+        self.kernels = kernel_cuda_cells
+        self._cuda = cuda
+        self._layout = layout
+        self._count = model.cell_count
+        corners = model.cell_corners.T
+        self._corner_lane = cuda.to_device(layout.node_lane[corners].astype(np.uint32).ravel())
+        node_cell = np.full((8, model.node_count), kernel_cuda_cells.NO_CELL, np.uint32)
+        for corner in range(8):
+            node_cell[corner, corners[corner]] = np.arange(self._count)
+        self._node_cell = cuda.to_device(node_cell.ravel())
+        self._corner_node = cuda.to_device(corners.astype(np.uint32).ravel())
+        self._force = cuda.to_device(np.zeros(24 * self._count, np.float32))
+        self._gradient = self._stress = cuda.to_device(np.zeros(1, np.float32))
+        self._is_flat = cuda.mapped_array(1, np.uint32)
+        self.set_model(model)
+
+    def set_model(self, model: LatticeModel) -> None:
+        """Go on with the springs, cuts and law of another model of the same nodes."""
+        law = model.law
+        self._has_elements, self._has_guard = law.is_element, law.has_corner_guard
+        self._always = law.acts_in_cells
+        self._numbers = self._cuda.to_device(cell_numbers(model).ravel())
+        self._has_sharing = model.shares_strain
+        if self._has_sharing and len(self._stress) == 1:
+            counts = (self._count, model.node_count)
+            room = [self._cuda.to_device(np.zeros(SHARE_NUMBERS * count, np.float32)) for count in counts]
+            self._gradient, self._stress = room
+        self._shares = self._cuda.to_device(share_numbers(model).ravel())
+        self._inverse_shared = self._cuda.to_device(inverse_shared(model))
+        self._law = self._cuda.to_device(np.resize(law.constants, 5).astype(np.float32))
+        self._presence = self._cuda.to_device(self._layout.spring_weight(model, model.spring_weight))
+
+    @property
+    def steps_most(self) -> int | None:
+        """Steps after which to ask again whether cells act, None for never."""
+        return None if self._always or not self._has_guard else LOOK_STEPS
+
+    @property
+    def may_act(self) -> bool:
+        """Whether there is a state in which cells have to be worked out."""
+        return self._always or self._has_guard
+
+    def act(self, displacement: Any, first: int) -> bool:
+        """Whether cells have to be worked out, for displacements from vector ``first`` on; may wait for the device."""
+        if self._always or not self._has_guard:
+            return self._always
+        self._is_flat[0] = 0
+        look = self.kernels.look_at_cells[plain_launch(self._count)]
+        look(displacement, first, self._corner_lane, self._numbers, np.float32(LOOK_BELOW), self._is_flat)
+        self._cuda.synchronize()
+        return bool(self._is_flat[0])
+
+    def arguments(self) -> tuple[Any, ...]:
+        """What ``advance_with_cells`` wants of the cells, from ``corner_lane`` to ``has_sharing``."""
+        arrays = (self._corner_lane, self._numbers, self._force, self._law, self._node_cell)
+        return (*arrays, *self._sharing)
+
+    @property
+    def _sharing(self) -> tuple[Any, ...]:
+        """What kernels want from ``corner_node`` to ``has_sharing``."""
+        arrays = (self._corner_node, self._shares, self._inverse_shared, self._gradient, self._stress)
+        return (*arrays, self._has_elements, self._has_guard, self._has_sharing)
+
+    @property
+    def presence(self) -> Any:
+        """Above zero where there is a spring, by direction and lane."""
+        return self._presence
+
+    def add_forces(self, displacement: Any, first: int, nodes: Any, force: Any) -> None:
+        """Add the forces of the cells to those on some nodes, shape (at least len(nodes), 3)."""
+        if not self.may_act:
+            return
+        if self._has_sharing:
+            stretch = self.kernels.stretch_cells[plain_launch(self._count)]
+            stretch(displacement, first, self._corner_lane, self._numbers, self._gradient)
+            share = self.kernels.share_strain[plain_launch(len(self._inverse_shared))]
+            means = (self._gradient, self._shares, self._inverse_shared, self._stress)
+            share(*means, self._law, self._node_cell)
+        work = self.kernels.work_cells[plain_launch(self._count)]
+        work(displacement, first, self._corner_lane, self._numbers, self._force, self._law, *self._sharing)
+        add = self.kernels.add_cell_forces[plain_launch(len(nodes))]
+        add(self._force, self._node_cell, self._count, nodes, force)

@@ -1,0 +1,370 @@
+"""The engine on a CUDA device: the state stays there, and the host reads what it asks for.
+
+Where ``NUMBA_ENABLE_CUDASIM=1`` is set before numba is loaded, the same code runs in numba's simulator: exact and very
+slow, for tests without a device.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from heartcase.schemas.errors import SimulationError
+from heartcase.simulator.dynamics.integrate import Verlet
+from heartcase.simulator.engine.cuda.cells import CellsOnDevice, plain_launch
+from heartcase.simulator.engine.shared.contact import NO_PROBES, moved_on
+from heartcase.simulator.engine.shared.lanes import lane_layout
+from heartcase.simulator.lattice.explicit import SpringsByNode
+from heartcase.simulator.lattice.model import LatticeModel
+from heartcase.simulator.lattice.state import State
+
+__all__ = ["CudaEngine", "Launch", "plan_launch"]
+
+Float32 = npt.NDArray[np.float32]
+
+WARP = 32
+"""Threads that a multiprocessor runs in step."""
+NODE_SETS_KEPT = 16
+"""Sets of nodes whose forces were asked for that stay on the device."""
+STEPS_PER_LAUNCH = 100_000
+"""So that Ctrl-C is heard within seconds, and the count of the meetings stays in its 32 bits."""
+
+
+@dataclass(frozen=True)
+class Launch:
+    """How the nodes are shared among threads."""
+
+    block_count: int
+    """Blocks of threads."""
+    thread_count: int
+    """Threads of each block."""
+    sweep_count: int
+    """Sweeps that hold all nodes; one where each thread has a node for good."""
+    share: int
+    """Nodes of each block of threads in a sweep."""
+
+
+def plan_launch(node_count: int, block_count: int, thread_count: int) -> Launch:
+    """Share nodes evenly among at most so many blocks of threads with at most so many threads.
+
+    A block of threads takes ``share`` neighbouring nodes, so that most of what it reads is its own; a sweep takes
+    ``share * block_count`` nodes.
+    """
+    sweep_count = -(-node_count // (block_count * thread_count))
+    share = -(-node_count // (sweep_count * block_count))
+    share = min(-(-share // WARP) * WARP, thread_count)
+    return Launch(
+        block_count=min(block_count, -(-node_count // share)), thread_count=share, sweep_count=sweep_count, share=share
+    )
+
+
+class _SharedMemory:
+    """Memory of the host that the device reads and writes in place: what is small passes without a copy."""
+
+    def __init__(self, cuda: Any, node_count: int) -> None:
+        self.nodes = cuda.mapped_array(node_count, np.uint32)
+        self.displacement = cuda.mapped_array((node_count, 3), np.float32)
+        self.velocity = cuda.mapped_array((node_count, 3), np.float32)
+        self.event = cuda.event()
+        """Past once the device has read what was written here."""
+
+
+class CudaEngine:
+    """The CUDA kernels: float32, many steps in one launch.
+
+    Parameters
+    ----------
+    model
+        The lattice.
+    resident
+        Whether each thread keeps a node for good: by default where the device has room for all nodes.
+
+    Raises
+    ------
+    SimulationError
+        There is no CUDA device, or what it needs is not installed.
+    """
+
+    threads_pay = False
+
+    def __init__(self, model: LatticeModel, *, resident: bool | None = None) -> None:
+        self._cuda = _cuda()
+        from heartcase.simulator.engine.cuda import kernel as kernel_cuda
+
+        self._kernels = kernel_cuda
+        self.model = model
+        layout = lane_layout(model)
+        self._layout = layout
+        self._lane_count = layout.lane_count
+        cuda = self._cuda
+        self._node_lane = cuda.to_device(layout.node_lane.astype(np.uint32))
+        self._node_slot = cuda.to_device(layout.node_slot.astype(np.uint32))
+        self._window_rows = cuda.to_device(layout.window_rows.astype(np.uint32).ravel())
+        self._cells = CellsOnDevice(cuda, model, layout)
+        self.set_springs(model)
+        self._displacement = cuda.to_device(np.zeros(8 * layout.lane_count, np.float32))
+        self._velocity = cuda.to_device(np.zeros(4 * layout.lane_count, np.float32))
+        self._arrivals = cuda.to_device(np.zeros(1, np.uint32))
+        self._nothing = cuda.to_device(np.zeros(0, np.float32))
+        self._no_probes = self._probes = cuda.to_device(NO_PROBES)
+        self._nodes_seen: dict[bytes, Any] = {}
+        self._shown = _SharedMemory(cuda, model.node_count)
+        self._given: _SharedMemory | None = None
+        self._constants: dict[Verlet, Any] = {}
+        self._current = 0
+        self.step_count = 0
+        self._resident = resident
+        self._plans: dict[bool, tuple[Launch, bool]] = {}
+        self._plan_with_cells: tuple[int, int] | None = None
+        self._advance(0, self._constants_of(Verlet(0.0)))
+        self.set_inverse_mass(model.inverse_mass)
+
+    def load(self, state: State) -> None:
+        """Start from this state."""
+        self.prescribe(np.arange(self.model.node_count), state.displacement, state.velocity)
+        self.step_count = state.step_count
+
+    def read(self) -> State:
+        """A copy of the state."""
+        first = self._current * self._lane_count
+        gather = self._kernels.gather_nodes[plain_launch(self.model.node_count)]
+        gather(self._displacement, first, self._node_lane, self._shown.displacement)
+        gather(self._velocity, 0, self._node_lane, self._shown.velocity)
+        self._cuda.synchronize()
+        return State(np.array(self._shown.displacement), np.array(self._shown.velocity), self.step_count)
+
+    def displacement_on_device(self) -> Any:
+        """Displacement of every node [cells] on the device, shape (node_count, 3), until it is asked for again."""
+        first = self._current * self._lane_count
+        gather = self._kernels.gather_nodes[plain_launch(self.model.node_count)]
+        gather(self._displacement, first, self._node_lane, self._by_node)
+        return self._by_node
+
+    def prescribe(self, nodes: npt.NDArray[np.intp], displacement: Float32, velocity: Float32) -> None:
+        """Set where nodes are and how they move on."""
+        if not len(nodes):
+            return
+        if self._given is None or len(self._given.nodes) < len(nodes):
+            self._cuda.synchronize()
+            self._given = _SharedMemory(self._cuda, len(nodes))
+        given = self._given
+        given.event.synchronize()
+        given.nodes[: len(nodes)] = nodes
+        given.displacement[: len(nodes)] = displacement
+        given.velocity[: len(nodes)] = velocity
+        self._kernels.scatter_nodes[plain_launch(len(nodes))](
+            len(nodes),
+            given.nodes,
+            given.displacement,
+            given.velocity,
+            self._node_lane,
+            self._current * self._lane_count,
+            self._displacement,
+            self._velocity,
+        )
+        given.event.record()
+
+    def set_inverse_mass(self, inverse_mass: Float32) -> None:
+        """Inverse masses; nodes at zero keep their velocity."""
+        self._kernels.write_inverse_mass[plain_launch(len(inverse_mass))](
+            self._cuda.to_device(np.ascontiguousarray(inverse_mass, np.float32)), self._node_lane, self._velocity
+        )
+
+    def advance(self, step_count: int, verlet: Verlet, probes: Float32 = NO_PROBES) -> None:
+        """Take steps. They are under way when this returns; whatever reads the state waits for them."""
+        constants = self._constants_of(verlet)
+        left = step_count
+        if not step_count and self._cells.may_act:
+            # compile it before it is needed in the middle of a scene
+            self._advance_with_cells(0, constants, probes)
+        while True:
+            acts = self._cells.act(self._displacement, self._current * self._lane_count)
+            count = min(left, self._cells.steps_most or STEPS_PER_LAUNCH)
+            if acts:
+                self._advance_with_cells(count, constants, probes)
+            else:
+                self._advance(count, constants, probes)
+            self._current = (self._current + count) % 2
+            self.step_count += count
+            probes = moved_on(probes, count)
+            left -= count
+            if not left:
+                return
+            self._cuda.synchronize()
+
+    def set_springs(self, model: LatticeModel) -> None:
+        """Go on with the springs of another model of the same nodes."""
+        weight = self._layout.spring_weight(model, model.acting_weight)
+        self._spring_weight = self._cuda.to_device(weight)
+        self._cells.set_model(model)
+        self._uniform_weight = self._cuda.to_device(self._layout.uniform_weight(model))
+        springs = SpringsByNode.of(model.explicit, model.node_index)
+        self._explicit_count = model.explicit.count
+        self._explicit = (
+            self._cuda.to_device(springs.first.astype(np.uint32)),
+            self._cuda.to_device(self._layout.node_lane[springs.other].astype(np.uint32)),
+            self._cuda.to_device(springs.offset.ravel()),
+            self._cuda.to_device(springs.stiffness),
+        )
+
+    def forces(self, nodes: npt.NDArray[np.intp] | None = None) -> Float32:
+        """Spring forces now, on some nodes or all."""
+        nodes = np.arange(self.model.node_count) if nodes is None else nodes
+        if not len(nodes):
+            return np.zeros((0, 3), np.float32)
+        self._kernels.node_forces[plain_launch(len(nodes))](
+            self._displacement,
+            self._spring_weight,
+            self._window_rows,
+            self._node_slot,
+            self._lane_count,
+            self._current,
+            *self._explicit,
+            self._on_device(nodes),
+            self._shown.displacement,
+        )
+        first = self._current * self._lane_count
+        self._cells.add_forces(self._displacement, first, self._on_device(nodes), self._shown.displacement)
+        self._cuda.synchronize()
+        return np.array(self._shown.displacement[: len(nodes)])
+
+    def _advance(self, step_count: int, constants: Any, probes: Float32 = NO_PROBES) -> None:
+        has_hands = self._explicit_count > 0 or len(probes) > 0
+        if has_hands not in self._plans:
+            self._plans[has_hands] = self._plan(has_hands, constants)
+        launch, is_resident = self._plans[has_hands]
+        self._start(launch, step_count, constants, probes, has_hands=has_hands, is_resident=is_resident)
+
+    def _advance_with_cells(self, step_count: int, constants: Any, probes: Float32) -> None:
+        kernel = self._cells.kernels.advance_with_cells
+        rest = self._rest if len(probes) else self._nothing
+        hands = (*self._explicit, rest, self._on_device_probes(probes) if len(probes) else self._no_probes)
+
+        def start(count: int, threads: tuple[int, int]) -> None:
+            kernel[threads](
+                self._displacement,
+                self._velocity,
+                self._spring_weight,
+                self._cells.presence,
+                self._window_rows,
+                self._node_slot,
+                self._lane_count,
+                *self._cells.arguments(),
+                self._current,
+                count,
+                constants,
+                self._arrivals,
+                *hands,
+            )
+
+        if self._plan_with_cells is None:
+            start(0, (1, WARP))
+            overload = next(iter(kernel.overloads.values()), None) or kernel.overloads[()]
+            blocks, threads = _fitting(overload.max_cooperative_grid_blocks, self._cells.kernels.CELL_THREADS)
+            self._plan_with_cells = min(blocks, -(-self.model.node_count // threads)), threads
+        start(step_count, self._plan_with_cells)
+
+    def _start(
+        self, launch: Launch, step_count: int, constants: Any, probes: Float32, *, has_hands: bool, is_resident: bool
+    ) -> None:
+        state = (self._displacement, self._velocity, self._spring_weight)
+        where = (self._window_rows, self._node_slot, self._lane_count)
+        what = (self._current, step_count, constants, self._arrivals)
+        rest = self._rest if len(probes) else self._nothing
+        hands = (*self._explicit, rest, self._on_device_probes(probes) if len(probes) else self._no_probes)
+        threads = (launch.block_count, launch.thread_count)
+        if is_resident:
+            self._kernels.advance_resident[has_hands][threads](*state, *where, *what, *hands)
+        else:
+            sweeps = (launch.sweep_count, launch.share)
+            arguments = (*state, self._uniform_weight, *where, *sweeps, *what, *hands)
+            self._kernels.advance_streaming[has_hands][threads](*arguments)
+
+    def _plan(self, has_hands: bool, constants: Any) -> tuple[Launch, bool]:
+        """Compile the kernel that suits the number of nodes, and share them so that all threads run at once."""
+        kernels, node_count = self._kernels, self.model.node_count
+        for family, is_resident in ((kernels.advance_resident, True), (kernels.advance_streaming, False)):
+            if self._resident not in (None, is_resident):
+                continue
+            one = Launch(1, WARP, 1, WARP)
+            self._start(one, 0, constants, NO_PROBES, has_hands=has_hands, is_resident=is_resident)
+            most = kernels.RESIDENT_THREADS if is_resident else kernels.STREAMING_THREADS
+            overloads = family[has_hands].overloads
+            overload = next(iter(overloads.values()), None) or overloads[()]
+            launch = plan_launch(node_count, *_fitting(overload.max_cooperative_grid_blocks, most))
+            if launch.sweep_count == 1 or not is_resident:
+                return launch, is_resident
+        raise SimulationError(f"the device has no room to keep {node_count} nodes in registers: leave resident out")
+
+    def _constants_of(self, verlet: Verlet) -> Any:
+        if verlet not in self._constants:
+            self._constants = {verlet: self._cuda.to_device(np.array(verlet.numbers, np.float32))}
+        return self._constants[verlet]
+
+    def _on_device(self, nodes: npt.NDArray[np.intp]) -> Any:
+        """Numbers of nodes on the device, kept for the next time: a hand asks for the same every frame."""
+        key = nodes.tobytes()
+        if key not in self._nodes_seen:
+            if len(self._nodes_seen) == NODE_SETS_KEPT:
+                del self._nodes_seen[next(iter(self._nodes_seen))]
+            self._nodes_seen[key] = self._cuda.to_device(np.asarray(nodes, np.uint32))
+        return self._nodes_seen[key]
+
+    def _on_device_probes(self, probes: Float32) -> Any:
+        """Probes on the device, in the same memory as long as there are as many."""
+        if self._probes.shape != probes.shape:
+            self._probes = self._cuda.to_device(probes)
+        else:
+            self._probes.copy_to_device(probes)
+        return self._probes
+
+    @cached_property
+    def _by_node(self) -> Any:
+        return self._cuda.device_array((self.model.node_count, 3), np.float32)
+
+    @cached_property
+    def _rest(self) -> Any:
+        """Rest positions by node on the device, i, j, k and one unused [cells]."""
+        rest = np.zeros((self.model.node_count, 4), np.float32)
+        rest[:, :3] = self.model.node_index
+        return self._cuda.to_device(rest.ravel())
+
+
+def _fitting(blocks_at_once: Callable[[int], int], thread_count: int) -> tuple[int, int]:
+    """Blocks that the device runs at once and their threads: at most so many, fewer where its registers are fewer.
+
+    Raises
+    ------
+    SimulationError
+        Not one block of the fewest threads fits.
+    """
+    while thread_count >= WARP:
+        block_count = blocks_at_once(thread_count)
+        if block_count:
+            return block_count, thread_count
+        thread_count = thread_count // 2 // WARP * WARP
+    raise SimulationError("the device cannot run the kernels: choose the backend 'cpu'", place="backend")
+
+
+def _cuda() -> Any:
+    """Numba's CUDA target, where it works.
+
+    Raises
+    ------
+    SimulationError
+        It does not.
+    """
+    remedy = "install heartcase[cuda] on a machine with an NVIDIA GPU and its driver, or choose the backend 'cpu'"
+    try:
+        from numba import cuda
+    except (ImportError, OSError, RuntimeError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise SimulationError(f"numba cannot load CUDA ({reason}): {remedy}", place="backend") from None
+    if not cuda.is_available():
+        raise SimulationError(f"there is no CUDA device: {remedy}", place="backend")
+    return cuda

@@ -1,0 +1,475 @@
+"""The CUDA kernels: a thread per node, many steps in one launch.
+
+Nodes lie in the lanes of :mod:`heartcase.simulator.engine.shared.lanes`. The force is
+:mod:`heartcase.simulator.engine.cpu.springs`'s, spring for spring in the same order. All threads meet after every step,
+so that one launch takes as many steps as the host wants. A step reads only the displacements of the one before and
+writes only its own nodes: the result does not depend on how the nodes are shared among threads.
+
+Two kernels take the same steps to the same bits. ``advance_resident`` gives each thread one node, whose springs,
+mass and velocity stay in registers from the first step to the last: all that is read in a step are displacements.
+``advance_streaming`` sweeps over any number of nodes, forth and back, and reads their constants in every step.
+
+Vectors are stored by fours, so that a node's is read in one access: x, y, z of the displacement and one unused; x, y,
+z of the velocity and the inverse mass.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+from numba import cuda
+
+from heartcase.simulator.engine.cuda.intrinsics import load_four, meet, register_limit, store_four
+from heartcase.simulator.engine.shared.contact import make_contact
+from heartcase.simulator.engine.shared.lanes import LANE_COUNT
+
+__all__ = [
+    "RESIDENT_THREADS",
+    "STREAMING_THREADS",
+    "advance_resident",
+    "advance_streaming",
+    "force_of_springs",
+    "gather_nodes",
+    "keep_outside",
+    "next_velocity",
+    "node_forces",
+    "pull_explicitly",
+    "rows_of",
+    "scatter_nodes",
+    "start_meeting",
+    "weights_of",
+    "write_inverse_mass",
+]
+
+RESIDENT_THREADS = 512
+"""Most threads of a block of ``advance_resident``; one block fits on a multiprocessor of 65,536 registers."""
+STREAMING_THREADS = 640
+"""Most threads of a block of ``advance_streaming``; one block fits."""
+
+_U = np.uint32
+_LANE_COUNT = _U(LANE_COUNT)
+_ROW_COUNT = _U(9)
+_TINY = np.float32(1e-30)
+"""Keeps the division defined where two nodes lie on one spot."""
+_M, _O, _P = np.float32(-1.0), np.float32(0.0), np.float32(1.0)
+_EDGE, _DIAGONAL = np.float32(1.0), np.float32(np.sqrt(2.0))
+
+
+@cuda.jit(device=True, fastmath=True)
+def _add_pull(total, own, displacement, place, offset, length, weight):
+    """The force so far plus the pull of one spring; see :mod:`heartcase.simulator.engine.cpu.springs`."""
+    other = load_four(displacement, _U(place))
+    Dx, Dy, Dz = other[0] - own[0], other[1] - own[1], other[2] - own[2]
+    dx, dy, dz = Dx + offset[0], Dy + offset[1], Dz + offset[2]
+    e = (dx + offset[0]) * Dx + (dy + offset[1]) * Dy + (dz + offset[2]) * Dz
+    d_squared = dx * dx + _TINY + dy * dy + dz * dz
+    pull = weight * e / (d_squared + length * sqrt(d_squared))
+    return total[0] + pull * dx, total[1] + pull * dy, total[2] + pull * dz
+
+
+@cuda.jit(device=True, fastmath=True)
+def force_of_springs(displacement, buffer, own, row, weight):
+    """Sum of the pulls of a node's 18 springs.
+
+    ``buffer`` is where the displacements begin, ``own`` the node's, ``row`` the lanes at its i in the nine ROWS,
+    ``weight`` the stiffness of the springs along the nine DIRECTIONS, each before its opposite.
+    """
+    behind, here, ahead = buffer + row[3], buffer + row[4], buffer + row[5]
+    below, above = buffer + row[1], buffer + row[7]
+    f = (_O, _O, _O)
+    f = _add_pull(f, own, displacement, here + 1, (_P, _O, _O), _EDGE, weight[0])
+    f = _add_pull(f, own, displacement, here - 1, (_M, _O, _O), _EDGE, weight[1])
+    f = _add_pull(f, own, displacement, ahead - 1, (_M, _P, _O), _DIAGONAL, weight[2])
+    f = _add_pull(f, own, displacement, behind + 1, (_P, _M, _O), _DIAGONAL, weight[3])
+    f = _add_pull(f, own, displacement, ahead, (_O, _P, _O), _EDGE, weight[4])
+    f = _add_pull(f, own, displacement, behind, (_O, _M, _O), _EDGE, weight[5])
+    f = _add_pull(f, own, displacement, ahead + 1, (_P, _P, _O), _DIAGONAL, weight[6])
+    f = _add_pull(f, own, displacement, behind - 1, (_M, _M, _O), _DIAGONAL, weight[7])
+    f = _add_pull(f, own, displacement, buffer + row[6], (_O, _M, _P), _DIAGONAL, weight[8])
+    f = _add_pull(f, own, displacement, buffer + row[2], (_O, _P, _M), _DIAGONAL, weight[9])
+    f = _add_pull(f, own, displacement, above - 1, (_M, _O, _P), _DIAGONAL, weight[10])
+    f = _add_pull(f, own, displacement, below + 1, (_P, _O, _M), _DIAGONAL, weight[11])
+    f = _add_pull(f, own, displacement, above, (_O, _O, _P), _EDGE, weight[12])
+    f = _add_pull(f, own, displacement, below, (_O, _O, _M), _EDGE, weight[13])
+    f = _add_pull(f, own, displacement, above + 1, (_P, _O, _P), _DIAGONAL, weight[14])
+    f = _add_pull(f, own, displacement, below - 1, (_M, _O, _M), _DIAGONAL, weight[15])
+    f = _add_pull(f, own, displacement, buffer + row[8], (_O, _P, _P), _DIAGONAL, weight[16])
+    return _add_pull(f, own, displacement, buffer + row[0], (_O, _M, _M), _DIAGONAL, weight[17])
+
+
+@cuda.jit(device=True)
+def rows_of(window_rows, slot):
+    """Lanes at a slot's i in the nine ROWS; number 4 is its own. A slot is a window's number times eight plus i."""
+    first, i = _U(slot // _LANE_COUNT * _ROW_COUNT), _U(slot % _LANE_COUNT)
+    return (
+        _U(window_rows[first] + i),
+        _U(window_rows[_U(first + 1)] + i),
+        _U(window_rows[_U(first + 2)] + i),
+        _U(window_rows[_U(first + 3)] + i),
+        _U(window_rows[_U(first + 4)] + i),
+        _U(window_rows[_U(first + 5)] + i),
+        _U(window_rows[_U(first + 6)] + i),
+        _U(window_rows[_U(first + 7)] + i),
+        _U(window_rows[_U(first + 8)] + i),
+    )
+
+
+@cuda.jit(device=True)
+def weights_of(spring_weight, lane_count, row):
+    """Stiffness of a node's 18 springs; a spring's is stored at its lower node."""
+    own = row[4]
+    return (
+        spring_weight[own],
+        spring_weight[_U(own - 1)],
+        spring_weight[_U(lane_count + own)],
+        spring_weight[_U(lane_count + row[3] + 1)],
+        spring_weight[_U(2 * lane_count + own)],
+        spring_weight[_U(2 * lane_count + row[3])],
+        spring_weight[_U(3 * lane_count + own)],
+        spring_weight[_U(3 * lane_count + row[3] - 1)],
+        spring_weight[_U(4 * lane_count + own)],
+        spring_weight[_U(4 * lane_count + row[2])],
+        spring_weight[_U(5 * lane_count + own)],
+        spring_weight[_U(5 * lane_count + row[1] + 1)],
+        spring_weight[_U(6 * lane_count + own)],
+        spring_weight[_U(6 * lane_count + row[1])],
+        spring_weight[_U(7 * lane_count + own)],
+        spring_weight[_U(7 * lane_count + row[1] - 1)],
+        spring_weight[_U(8 * lane_count + own)],
+        spring_weight[_U(8 * lane_count + row[0])],
+    )
+
+
+@cuda.jit(device=True)
+def _window_weights(spring_weight, uniform_weight, lane_count, slot, row):
+    """:func:`_weights`, read only where the springs of the slot's window are not all alike."""
+    alike = uniform_weight[_U(slot // _LANE_COUNT)]
+    if alike > _O:
+        return (
+            alike, alike, alike, alike, alike, alike, alike, alike, alike,
+            alike, alike, alike, alike, alike, alike, alike, alike, alike,
+        )  # fmt: skip
+    return weights_of(spring_weight, lane_count, row)
+
+
+@cuda.jit(device=True)
+def _within(value, limit):
+    """A velocity within its limit; what is not a number stays, for the watchdog to see."""
+    if value > limit:
+        return limit
+    return -limit if value < -limit else value
+
+
+@cuda.jit(device=True, fastmath=True)
+def next_velocity(v, force, keep, kick, gravity, limit):
+    """See :mod:`heartcase.simulator.dynamics.integrate`; where the inverse mass ``v[3]`` is zero the velocity stays."""
+    mass_inverse = v[3]
+    if mass_inverse > _O:
+        return (
+            _within(keep * v[0] + kick * (force[0] * mass_inverse + gravity[0]), limit),
+            _within(keep * v[1] + kick * (force[1] * mass_inverse + gravity[1]), limit),
+            _within(keep * v[2] + kick * (force[2] * mass_inverse + gravity[2]), limit),
+            mass_inverse,
+        )
+    return v
+
+
+@cuda.jit(device=True)
+def pull_explicitly(f, displacement, buffer, own, begin, end, explicit_lane, explicit_offset, explicit_stiffness):
+    """The force so far plus the pulls of a node's explicit springs."""
+    for spring in range(begin, end):
+        other = load_four(displacement, _U(buffer + explicit_lane[spring]))
+        offset = load_four(explicit_offset, _U(spring))
+        dx, dy, dz = offset[0] + (other[0] - own[0]), offset[1] + (other[1] - own[1]), offset[2] + (other[2] - own[2])
+        length = sqrt(dx * dx + dy * dy + dz * dz)
+        if length > _O:
+            pull = explicit_stiffness[spring] * (length - offset[3]) / length
+            f = (f[0] + pull * dx, f[1] + pull * dy, f[2] + pull * dz)
+    return f
+
+
+_pushed_out, _allowed_share = make_contact(cuda.jit(device=True))
+
+
+@cuda.jit(device=True)
+def _way_to(displacement, place, own, offset):
+    """Vector from a node to the one at a lane."""
+    other = load_four(displacement, _U(place))
+    return other[0] - own[0] + offset[0], other[1] - own[1] + offset[1], other[2] - own[2] + offset[2]
+
+
+@cuda.jit(device=True)
+def keep_outside(displacement, buffer, own, u, v, rest, row, weight, probes, step_number, step):
+    """Displacement and velocity of a node after a step; see :mod:`heartcase.simulator.engine.shared.contact`."""
+    if v[3] <= _O:
+        return u, v
+    new = (u[0], u[1], u[2])
+    is_near, is_inside = False, False
+    for probe in range(probes.shape[0]):
+        pushed, is_in_reach = _pushed_out(rest, new, probes[probe], step_number)
+        is_near = is_near or is_in_reach
+        is_inside = is_inside or pushed[0] != new[0] or pushed[1] != new[1] or pushed[2] != new[2]
+        new = pushed
+    if not is_near:
+        return u, v
+    m = (new[0] - own[0], new[1] - own[1], new[2] - own[2])
+    ahead = (
+        _way_to(displacement, buffer + row[4] + 1, own, (_P, _O, _O)),
+        _way_to(displacement, buffer + row[5], own, (_O, _P, _O)),
+        _way_to(displacement, buffer + row[7], own, (_O, _O, _P)),
+    )
+    behind = (
+        _way_to(displacement, buffer + row[4] - 1, own, (_M, _O, _O)),
+        _way_to(displacement, buffer + row[3], own, (_O, _M, _O)),
+        _way_to(displacement, buffer + row[1], own, (_O, _O, _M)),
+    )
+    has_ahead = (weight[0] > _O, weight[4] > _O, weight[12] > _O)
+    has_behind = (weight[1] > _O, weight[5] > _O, weight[13] > _O)
+    share = _allowed_share(m, ahead, behind, has_ahead, has_behind)
+    if share >= _P and not is_inside:
+        return u, v
+    x, y, z = share * m[0], share * m[1], share * m[2]
+    return (own[0] + x, own[1] + y, own[2] + z, _O), (x / step, y / step, z / step, v[3])
+
+
+@cuda.jit(device=True)
+def start_meeting(arrivals):
+    """Set the count to zero; numba's own meeting makes it launch the grid only if all of it runs at once."""
+    if cuda.grid(1) == 0:
+        arrivals[0] = 0
+    cuda.cg.this_grid().sync()
+
+
+def _make_advance_resident(has_hands):
+    @cuda.jit(fastmath=True, **register_limit(128))
+    def advance_resident(
+        displacement,
+        velocity,
+        spring_weight,
+        window_rows,
+        node_slot,
+        lane_count,
+        current,
+        step_count,
+        constants,
+        arrivals,
+        explicit_first,
+        explicit_lane,
+        explicit_offset,
+        explicit_stiffness,
+        rest,
+        probes,
+    ):
+        """Take steps in place, with a thread for every node.
+
+        Parameters
+        ----------
+        displacement
+            Two buffers of lanes, x, y, z [cells] and one unused, float32, shape (2 * lane_count * 4,); the steps
+            alternate between them.
+        velocity
+            x, y, z half a step before [cells / unit of time] and inverse mass [1 / full cell], 0 where motion is
+            prescribed, float32, shape (lane_count * 4,).
+        spring_weight
+            Spring stiffness by direction [k], float32, shape (9 * lane_count,).
+        window_rows
+            Lane at each window's first i in its nine rows, uint32, shape (window_count * 9,).
+        node_slot
+            Number of each node's window times eight plus its place there, uint32, shape (node_count,).
+        lane_count
+            Number of lanes.
+        current
+            Buffer that holds the displacement now; the other after an odd number of steps.
+        step_count
+            Steps to take; times the number of blocks of threads at most 2**32 - 1.
+        constants
+            Step, keep, kick, the three components of gravity and the speed limit, grid units, float32, shape (7,).
+        arrivals
+            Room for the meetings' count, uint32, shape (1,).
+        explicit_first
+            Where the explicit springs of each node begin, and the last end, uint32, shape (node_count + 1,).
+        explicit_lane, explicit_offset, explicit_stiffness
+            Lane at the other end, uint32, shape (count,); offset to it with rest length [cells], float32, shape
+            (4 * count,); stiffness [k], float32, shape (count,).
+        rest
+            Rest positions, i, j, k and one unused, float32, shape (4 * node_count,); read where there are probes.
+        probes
+            Probes as of :func:`heartcase.simulator.engine.shared.contact.probe_row`, float32, shape (probe_count,
+            PROBE_SIZE).
+        """
+        start_meeting(arrivals)
+        number = cuda.grid(1)
+        is_used = number < node_slot.shape[0]
+        slot = _U(0)
+        if is_used:
+            slot = node_slot[number]
+        count = _U(lane_count)
+        row = rows_of(window_rows, slot)
+        lane = row[4]
+        weight = weights_of(spring_weight, count, row)
+        step, keep, kick, limit = constants[0], constants[1], constants[2], constants[6]
+        gravity = (constants[3], constants[4], constants[5])
+        now, later = _U(current * count), _U((1 - current) * count)
+        u = load_four(displacement, _U(now + lane))
+        v = load_four(velocity, lane)
+        begin, end = _U(0), _U(0)
+        if has_hands and is_used:
+            begin, end = explicit_first[number], explicit_first[number + 1]
+        expected = _U(0)
+        for step_number in range(step_count):
+            if is_used:
+                f = force_of_springs(displacement, now, u, row, weight)
+                if has_hands and begin < end:
+                    f = pull_explicitly(
+                        f, displacement, now, u, begin, end, explicit_lane, explicit_offset, explicit_stiffness
+                    )
+                v = next_velocity(v, f, keep, kick, gravity, limit)
+                own, u = u, (u[0] + step * v[0], u[1] + step * v[1], u[2] + step * v[2], _O)
+                if has_hands and probes.shape[0] > 0:
+                    place = load_four(rest, _U(number))
+                    u, v = keep_outside(displacement, now, own, u, v, place, row, weight, probes, step_number, step)
+                store_four(displacement, _U(later + lane), u[0], u[1], u[2], _O)
+            now, later = later, now
+            expected = _U(expected + cuda.gridDim.x)
+            meet(arrivals, expected)
+        if is_used:
+            store_four(velocity, lane, v[0], v[1], v[2], v[3])
+
+    return advance_resident
+
+
+def _make_advance_streaming(has_hands):
+    @cuda.jit(fastmath=True, **register_limit(96))
+    def advance_streaming(
+        displacement,
+        velocity,
+        spring_weight,
+        uniform_weight,
+        window_rows,
+        node_slot,
+        lane_count,
+        sweep_count,
+        share,
+        current,
+        step_count,
+        constants,
+        arrivals,
+        explicit_first,
+        explicit_lane,
+        explicit_offset,
+        explicit_stiffness,
+        rest,
+        probes,
+    ):
+        """``advance_resident`` for any number of nodes.
+
+        Parameters
+        ----------
+        uniform_weight
+            Stiffness of all springs of a window's nodes where they are all alike, else 0 [k], float32, shape
+            (window_count,).
+        sweep_count, share
+            A sweep is a stretch of ``share`` nodes, at most one per thread, for every block of threads; so many sweeps
+            hold all nodes. Every other step takes them in the opposite order, while the last ones' memory is near.
+        """
+        start_meeting(arrivals)
+        step, keep, kick, limit = constants[0], constants[1], constants[2], constants[6]
+        gravity = (constants[3], constants[4], constants[5])
+        count = _U(lane_count)
+        now, later = _U(current * count), _U((1 - current) * count)
+        expected = _U(0)
+        for step_number in range(step_count):
+            for sweep in range(sweep_count):
+                turn = sweep if step_number % 2 == 0 else sweep_count - 1 - sweep
+                number = (turn * cuda.gridDim.x + cuda.blockIdx.x) * share + cuda.threadIdx.x
+                if cuda.threadIdx.x < share and number < node_slot.shape[0]:
+                    slot = node_slot[number]
+                    row = rows_of(window_rows, slot)
+                    lane = row[4]
+                    weight = _window_weights(spring_weight, uniform_weight, count, slot, row)
+                    own = load_four(displacement, _U(now + lane))
+                    f = force_of_springs(displacement, now, own, row, weight)
+                    if has_hands:
+                        begin, end = explicit_first[number], explicit_first[number + 1]
+                        f = pull_explicitly(
+                            f, displacement, now, own, begin, end, explicit_lane, explicit_offset, explicit_stiffness
+                        )
+                    v = next_velocity(load_four(velocity, lane), f, keep, kick, gravity, limit)
+                    u = (own[0] + step * v[0], own[1] + step * v[1], own[2] + step * v[2], _O)
+                    if has_hands and probes.shape[0] > 0:
+                        place = load_four(rest, _U(number))
+                        u, v = keep_outside(displacement, now, own, u, v, place, row, weight, probes, step_number, step)
+                    store_four(velocity, lane, v[0], v[1], v[2], v[3])
+                    store_four(displacement, _U(later + lane), u[0], u[1], u[2], _O)
+            now, later = later, now
+            expected = _U(expected + cuda.gridDim.x)
+            meet(arrivals, expected)
+
+    return advance_streaming
+
+
+advance_resident = {has_hands: _make_advance_resident(has_hands) for has_hands in (False, True)}
+"""The kernel without and with what explicit springs and probes take: registers, hence time, where there are none."""
+advance_streaming = {has_hands: _make_advance_streaming(has_hands) for has_hands in (False, True)}
+"""Likewise."""
+
+
+@cuda.jit(fastmath=True)
+def node_forces(
+    displacement,
+    spring_weight,
+    window_rows,
+    node_slot,
+    lane_count,
+    current,
+    explicit_first,
+    explicit_lane,
+    explicit_offset,
+    explicit_stiffness,
+    nodes,
+    force,
+):
+    """Write the spring forces [grid units] on some nodes, shape (at least len(nodes), 3)."""
+    number = cuda.grid(1)
+    if number < nodes.shape[0]:
+        node = nodes[number]
+        count = _U(lane_count)
+        now = _U(current * count)
+        row = rows_of(window_rows, node_slot[node])
+        own = load_four(displacement, _U(now + row[4]))
+        f = force_of_springs(displacement, now, own, row, weights_of(spring_weight, count, row))
+        if explicit_lane.shape[0] > 0:
+            begin, end = explicit_first[node], explicit_first[node + 1]
+            f = pull_explicitly(
+                f, displacement, now, own, begin, end, explicit_lane, explicit_offset, explicit_stiffness
+            )
+        force[number, 0], force[number, 1], force[number, 2] = f[0], f[1], f[2]
+
+
+@cuda.jit
+def gather_nodes(by_lane, first, node_lane, by_node):
+    """Copy x, y, z of the vectors by lane, from vector ``first`` on, to the nodes, shape (node_count, 3)."""
+    node = cuda.grid(1)
+    if node < node_lane.shape[0]:
+        vector = load_four(by_lane, _U(first + node_lane[node]))
+        by_node[node, 0], by_node[node, 1], by_node[node, 2] = vector[0], vector[1], vector[2]
+
+
+@cuda.jit
+def scatter_nodes(count, nodes, displacement_of, velocity_of, node_lane, first, displacement, velocity):
+    """Write displacements and velocities of ``count`` nodes, shape (at least count, 3) each, into their lanes."""
+    number = cuda.grid(1)
+    if number < count:
+        lane = node_lane[nodes[number]]
+        u, v = displacement_of[number], velocity_of[number]
+        store_four(displacement, _U(first + lane), u[0], u[1], u[2], _O)
+        store_four(velocity, lane, v[0], v[1], v[2], load_four(velocity, lane)[3])
+
+
+@cuda.jit
+def write_inverse_mass(inverse_mass, node_lane, velocity):
+    """Write the nodes' inverse masses, shape (node_count,), into their lanes."""
+    node = cuda.grid(1)
+    if node < node_lane.shape[0]:
+        velocity[4 * node_lane[node] + 3] = inverse_mass[node]

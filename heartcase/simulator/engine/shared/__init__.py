@@ -1,0 +1,1 @@
+"""What the engines share: the layout of nodes in lanes, and contact with probes."""

@@ -1,0 +1,1 @@
+"""What a hand holds: grabs and probes."""

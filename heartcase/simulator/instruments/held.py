@@ -1,0 +1,160 @@
+"""What a hand holds.
+
+The grab closes on the nodes in a sphere, leads them, lets go (thesis 8.7.2). The probe pushes aside what it meets
+(thesis 8.7.1; :mod:`heartcase.simulator.engine.shared.contact`).
+"""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import dataclass, field
+from math import sqrt
+
+import numpy as np
+import numpy.typing as npt
+
+from heartcase.schemas.errors import SimulationError
+from heartcase.simulator.engine.shared.contact import probe_row
+from heartcase.simulator.lattice.model import LatticeModel
+
+__all__ = ["Grab", "Pose", "Probe", "nodes_in_reach"]
+
+Float32 = npt.NDArray[np.float32]
+Float64 = npt.NDArray[np.float64]
+
+DETOUR_MAX = sqrt(1.5)
+"""Longest way along lattice springs over the straight way, in an uncut lattice."""
+
+
+TOUCH = 1e-3
+"""Part of its size within which a node counts as touched by a probe: where it was pushed to is rounded."""
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Offset and turn of a hand from where it closed."""
+
+    offset: Float64 = field(default_factory=lambda: np.zeros(3))
+    """Way of its centre [cells, grid axes], shape (3,)."""
+    turn: Float64 = field(default_factory=lambda: np.eye(3))
+    """Rotation about its centre, grid axes, shape (3, 3)."""
+
+
+@dataclass(eq=False)
+class Grab:
+    """Nodes that a hand holds, and where it leads them."""
+
+    nodes: npt.NDArray[np.intp]
+    """Nodes held, ascending, shape (count,)."""
+    closed_at: Float32
+    """Their displacements when the hand closed [cells, grid axes], shape (count, 3)."""
+    arms: Float64
+    """Vectors from the hand's centre to the nodes when it closed [cells, grid axes], shape (count, 3)."""
+    name: str = "grab"
+    """Name in summaries."""
+    pose: Pose = field(default_factory=Pose)
+    """Where the hand is, from where it closed."""
+    target: Pose = field(default_factory=Pose)
+    """Where it shall be at the end of the next steps."""
+
+    def displacement_at(self, pose: Pose) -> Float64:
+        """Displacements of the nodes at a pose [cells, grid axes], shape (count, 3)."""
+        return self.closed_at + (self.arms @ pose.turn.T - self.arms) + pose.offset
+
+
+@dataclass(eq=False)
+class Probe:
+    """An ellipsoid that pushes nodes out of itself."""
+
+    semi_axes: Float64
+    """Semi-axes [cells], shape (3,)."""
+    turn: Float64
+    """Directions of the semi-axes in its columns, grid axes, shape (3, 3)."""
+    centre: Float64
+    """Where it is [cells, grid axes]."""
+    target: Float64
+    """Where it shall be at the end of the next steps [cells, grid axes]."""
+    name: str = "probe"
+    """Name in messages."""
+
+    def row(self, step_count: int) -> Float32:
+        """The probe on its way to the target, as the kernels read it."""
+        return probe_row(self.centre, (self.target - self.centre) / step_count, self.semi_axes, self.turn)
+
+    def touched(self, model: LatticeModel, displacement: Float32) -> npt.NDArray[np.intp]:
+        """Free nodes on its surface or in it now."""
+        from_centre = (model.node_index + displacement - self.centre) @ self.turn / self.semi_axes
+        is_touched = np.linalg.norm(from_centre, axis=1) <= 1.0 + TOUCH
+        return np.flatnonzero(is_touched & ~model.node_is_fixed)
+
+
+def nodes_in_reach(
+    model: LatticeModel, displacement: Float32, center_mm: npt.ArrayLike, radius_mm: float
+) -> npt.NDArray[np.intp]:
+    """Nodes in a sphere that can be reached along springs inside it, from the one nearest its centre.
+
+    The way along the springs may not be longer than it is in uncut tissue, so that a grab never bridges an incision.
+    Fixed nodes are left out.
+
+    Parameters
+    ----------
+    model
+        The lattice, without the springs that were cut.
+    displacement
+        Displacement of the nodes [cells, grid axes], shape (node_count, 3).
+    center_mm
+        Centre of the sphere, LPS mm.
+    radius_mm
+        Its radius, mm.
+
+    Returns
+    -------
+    ndarray
+        Node numbers, ascending; at least one.
+
+    Raises
+    ------
+    SimulationError
+        There is no tissue in the sphere, or only fixed nodes.
+    """
+    center = np.asarray(model.geometry.world_to_index(center_mm)) + 0.5
+    radius = radius_mm / model.cell_mm
+    distance = np.linalg.norm(model.node_index + displacement - center, axis=1)
+    nearest = int(distance.argmin())
+    if distance[nearest] > radius:
+        raise SimulationError(
+            f"there is no tissue within {radius_mm:.3g} mm of the grab; the nearest is "
+            f"{distance[nearest] * model.cell_mm:.1f} mm from its centre: move it there or give a larger radius",
+            place="grab",
+        )
+    inside = distance <= radius
+    reach = DETOUR_MAX * (radius + distance[nearest]) + 1.0
+    held = _along_springs(model, inside, start=nearest, reach=reach)
+    held = held[~model.node_is_fixed[held]]
+    if not len(held):
+        raise SimulationError("all the tissue in the grab is fixed: grab elsewhere", place="grab")
+    return held
+
+
+def _along_springs(
+    model: LatticeModel, inside: npt.NDArray[np.bool_], *, start: int, reach: float
+) -> npt.NDArray[np.intp]:
+    """Nodes inside whose shortest way along springs inside, by rest length, is at most ``reach`` [cells]."""
+    springs = np.flatnonzero(inside[model.spring_nodes].all(axis=1))
+    beside: dict[int, list[tuple[int, float]]] = {}
+    lengths = model.spring_length[springs].tolist()
+    for (lower, higher), length in zip(model.spring_nodes[springs].tolist(), lengths, strict=True):
+        beside.setdefault(lower, []).append((higher, length))
+        beside.setdefault(higher, []).append((lower, length))
+    way = {start: 0.0}
+    queue = [(0.0, start)]
+    while queue:
+        so_far, node = heapq.heappop(queue)
+        if so_far > way[node]:
+            continue
+        for other, length in beside.get(node, ()):
+            there = so_far + length
+            if there <= reach and there < way.get(other, np.inf):
+                way[other] = there
+                heapq.heappush(queue, (there, other))
+    return np.array(sorted(way), dtype=np.intp)

@@ -1,0 +1,1 @@
+"""The cell lattice: nodes, springs, law of force, and what changes while it moves."""

@@ -1,0 +1,67 @@
+"""Two pieces of work at the same time."""
+
+import threading
+
+import numba
+import pytest
+
+from heartcase.pipeline.kernels.parallel import every_other, may_share, side_by_side
+
+
+@pytest.fixture
+def two_threads():
+    before = numba.get_num_threads()
+    if numba.config.NUMBA_NUM_THREADS < 2:
+        pytest.skip("one thread only")
+    numba.set_num_threads(2)
+    if not may_share():
+        numba.set_num_threads(before)
+        pytest.skip("numba's threading layer does not allow it here")
+    yield
+    numba.set_num_threads(before)
+
+
+def test_both_results_come_back_and_both_run_at_once(two_threads):
+    meeting = threading.Barrier(2, timeout=20.0)
+
+    def first():
+        meeting.wait()
+        return threading.get_ident()
+
+    def second():
+        meeting.wait()
+        return threading.get_ident(), numba.get_num_threads()
+
+    one, (other, threads) = side_by_side(first, second)
+    assert one == threading.get_ident() != other
+    assert threads == 2
+
+
+def test_with_one_thread_one_comes_after_the_other():
+    before = numba.get_num_threads()
+    numba.set_num_threads(1)
+    try:
+        assert side_by_side(threading.get_ident, threading.get_ident) == (threading.get_ident(),) * 2
+    finally:
+        numba.set_num_threads(before)
+
+
+@pytest.mark.parametrize("which", [0, 1])
+def test_an_error_of_either_comes_out_when_both_have_ended(two_threads, which):
+    ended = []
+
+    def fine():
+        ended.append(1)
+
+    def wrong():
+        raise ValueError("no")
+
+    with pytest.raises(ValueError, match="no"):
+        side_by_side(*((wrong, fine) if which == 0 else (fine, wrong)))
+    assert ended == [1]
+
+
+def test_every_chunk_is_taken_once_and_the_even_ones_first():
+    for count in range(12):
+        order = [every_other.py_func(number, count) for number in range(count)]
+        assert order == [*range(0, count, 2), *range(1, count, 2)]

@@ -1,0 +1,131 @@
+"""Places for one more stroke: known answers, and what really changes when the stroke is painted."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+from scipy.spatial.transform import Rotation
+
+from heartcase.pipeline.markers.load_markers import stroke_voxels
+from heartcase.pipeline.markers.suggest import LEAST_ML, SURE, suggest_strokes
+from heartcase.pipeline.watershed.forest import UNMARKED, solve_forest
+from heartcase.pipeline.watershed.tree import build_basin_tree
+from heartcase.schemas.geometry import Geometry
+from heartcase.schemas.recipe.settings import Stroke
+
+DIRECTION = Rotation.from_euler("xyz", (20.0, -35.0, 50.0), degrees=True).as_matrix() @ np.diag([1.0, 1.0, -1.0])
+
+
+def oblique(shape, spacing_mm=(0.9, 1.4, 2.2)):
+    return Geometry.of(shape=shape, origin_mm=(12.0, -40.0, 90.0), spacing_mm=spacing_mm, direction=DIRECTION)
+
+
+def marked(shape, **labels):
+    markers = np.full(shape, UNMARKED, np.uint8)
+    for name, index in labels.items():
+        markers[index] = int(name.removeprefix("label"))
+    return markers
+
+
+def test_a_plain_with_one_doubtful_lake_is_told_as_it_is():
+    # two plains with a marker each, and a lake between them behind walls of 6 and 8
+    shape = (12, 14, 30)
+    height = np.ones(shape, np.float32)
+    height[:, :, 12] = 6.0
+    height[:, :, 20] = 8.0
+    height[5, 7, 16] = 0.5  # the lake's lowest voxel
+    height[5, 7, 3] = height[5, 7, 26] = 0.25
+    geometry = oblique(shape)
+    forest = solve_forest(build_basin_tree(height), marked(shape, label1=(5, 7, 3), label2=(5, 7, 26)))
+    found = suggest_strokes(forest, geometry, count=3)
+    assert len(found.places) == 1
+    place = found.places[0]
+    np.testing.assert_allclose(place.position_mm, geometry.index_to_world((16, 7, 5)), atol=1e-9)
+    assert (place.label, place.rival) == (1, 2)
+    # passes of 6 and 8
+    assert place.certainty == pytest.approx(0.25)
+    # both walls drain to the side of lower x: that at 20 into the lake, that at 12 is the first that does not change
+    assert place.change_ml == pytest.approx(12 * 14 * 8 * 0.9 * 1.4 * 2.2 / 1000.0)
+    assert place.radius_mm == pytest.approx(4 * 0.9)
+    # 13 voxels to the one marker, 10 to the other
+    nearness = 13.0 / (13.0 + 10.0)
+    assert place.worth_ml == pytest.approx(min(place.change_ml, 5.0) * 0.75**4 * nearness**2)
+    assert found.rest_ml == 0.0
+
+
+def rough(seed, shape):
+    values = ndimage.gaussian_filter(np.random.default_rng(seed).normal(size=shape), 1.5)
+    return (values - values.min()).astype(np.float32)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_stroke_inside_the_radius_changes_exactly_the_volume_that_was_said(seed):
+    shape = (20, 24, 28)
+    geometry = oblique(shape, (1.5, 2.0, 2.5))
+    random = np.random.default_rng(seed)
+    markers = np.full(shape, UNMARKED, np.uint8)
+    markers.flat[random.choice(markers.size, 5, replace=False)] = [0, 1, 2, 3, 0]
+    tree = build_basin_tree(rough(seed, shape))
+    forest = solve_forest(tree, markers)
+    found = suggest_strokes(forest, geometry, count=6, apart_mm=4.0)
+    assert found.places
+    changed_before = np.zeros(shape, bool)
+    for place in found.places:
+        assert 0.0 <= place.certainty < SURE
+        assert place.change_ml >= LEAST_ML
+        index = np.rint(geometry.world_to_index(np.array(place.position_mm))).astype(int)
+        assert forest.labels[tuple(index[::-1])] == place.label != place.rival
+        for radius in (0.0, 0.999 * place.radius_mm):
+            for label in (place.rival, 9):
+                stroke = Stroke(label="any", radius_mm=min(radius, 50.0), points_mm=(place.position_mm,))
+                painted = markers.copy()
+                painted.flat[stroke_voxels(stroke, geometry)] = label
+                changed = solve_forest(tree, painted).labels != forest.labels
+                assert changed.sum() * geometry.voxel_volume_mm3 / 1000.0 == pytest.approx(place.change_ml, abs=1e-9)
+        assert not (changed & changed_before).any()
+        changed_before |= changed
+    positions = np.array([place.position_mm for place in found.places])
+    apart = np.linalg.norm(positions[:, None] - positions, axis=-1) + 1e9 * np.eye(len(positions))
+    assert apart.min() >= 4.0
+    worth = [place.worth_ml for place in found.places]
+    assert worth == sorted(worth, reverse=True)
+    assert worth[-1] >= found.rest_ml
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_rest_is_the_worth_of_the_next_place(seed):
+    shape = (20, 24, 28)
+    markers = np.full(shape, UNMARKED, np.uint8)
+    markers.flat[np.random.default_rng(seed).choice(markers.size, 4, replace=False)] = [0, 1, 2, 3]
+    forest = solve_forest(build_basin_tree(rough(seed, shape)), markers)
+    geometry = oblique(shape)
+    many = suggest_strokes(forest, geometry, count=4, apart_mm=3.0).places
+    assert len(many) >= 2
+    for count in range(1, len(many)):
+        few = suggest_strokes(forest, geometry, count=count, apart_mm=3.0)
+        assert few.places == many[:count]
+        assert few.rest_ml >= many[count].worth_ml
+
+
+def test_without_markers_or_with_one_label_there_is_nothing_to_say():
+    shape = (6, 7, 8)
+    for markers in (marked(shape), marked(shape, label4=(1, 2, 3))):
+        found = suggest_strokes(solve_forest(build_basin_tree(rough(1, shape)), markers), oblique(shape))
+        assert found.places == ()
+        assert found.rest_ml == 0.0
+
+
+def test_a_doubtful_lake_in_the_background_is_named_only_near_the_heart():
+    # a plain of background and one of the heart, 7 high between them; in the background two lakes behind walls of 6
+    shape = (5, 5, 80)
+    height = np.ones(shape, np.float32)
+    height[:, :, 70] = 7.0
+    for lake, wall in ((10, 20), (60, 50)):
+        height[:, :, wall] = 6.0
+        height[2, 2, lake] = 0.5
+    height[2, 2, 35] = height[2, 2, 75] = 0.25
+    geometry = oblique(shape, (1.0, 1.0, 1.0))
+    forest = solve_forest(build_basin_tree(height), marked(shape, label0=(35, 2, 2)[::-1], label3=(2, 2, 75)))
+    near = [geometry.index_to_world((60, 2, 2))]
+    found = suggest_strokes(forest, geometry)
+    np.testing.assert_allclose([place.position_mm for place in found.places], near, atol=1e-9)
+    assert found.rest_ml == 0.0
