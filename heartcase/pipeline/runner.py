@@ -35,7 +35,7 @@ STAGE_VERSIONS = {
     "markers": 1,
     "filter": 3,
     "segment": 3,
-    "walls": 13,
+    "walls": 14,
     "edit": 5,
     "grid": 10,
     "surface": 13,
