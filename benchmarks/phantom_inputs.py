@@ -101,7 +101,9 @@ def code_key(settings: Any) -> str:
     """Key of what the phantom's present code makes from these settings, 64 hexadecimal digits."""
     # How markers are drawn changes nothing that is kept.
     folder = Path(heartcase.phantom.__file__).parent
-    sources = sorted(path for path in folder.glob("*.py") if path.name not in ("strokes.py", "recipe.py", "metrics.py"))
+    sources = sorted(
+        path for path in folder.rglob("*.py") if path.name not in ("strokes.py", "recipe.py", "metrics.py")
+    )
     code = hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()
     return stage_key(stage="phantom", version=1, settings=settings, inputs={"code": code})
 

@@ -11,7 +11,7 @@ from phantom_inputs import phantom_inputs
 
 from heartcase.phantom.anatomy.truth import Truth
 from heartcase.phantom.metrics import dice, surface_error
-from heartcase.pipeline.build.run import labels_of
+from heartcase.pipeline.bundle.assembly import labels_of
 from heartcase.pipeline.data import Markers, Scan, Segmentation
 from heartcase.pipeline.image.filter_scan import filter_scan
 from heartcase.pipeline.image.gradient import gradient_magnitude

@@ -17,7 +17,7 @@ from heartcase.phantom.anatomy.heart import HeartPhantom
 from heartcase.phantom.drawing.strokes import first_strokes
 from heartcase.phantom.metrics import wall_thickness_error
 from heartcase.phantom.scan.acquisition import acquire_ct, acquire_mri
-from heartcase.pipeline.build.run import labels_of
+from heartcase.pipeline.bundle.assembly import labels_of
 from heartcase.pipeline.checks.openings import Verdict, find_openings
 from heartcase.pipeline.data import Scan, Segmentation, Structures
 from heartcase.pipeline.image.filter_scan import filter_scan

@@ -6,10 +6,9 @@ import tomllib
 
 import pytest
 
-from heartcase.cli.commands.build import STAGE_WORDS
 from heartcase.cli.main import main
-from heartcase.pipeline.build import runner
 from heartcase.pipeline.bundle.write_bundle import write_bundle
+from heartcase.pipeline.stages import table
 from heartcase.schemas.bundle.approval import approval_log
 from heartcase.schemas.bundle.format import StageRecord
 from heartcase.schemas.migrate import RECIPE, SCRIPT, Migration
@@ -17,6 +16,7 @@ from heartcase.schemas.recipe.recipe import load_recipe
 from heartcase.schemas.recipe.settings import SurfaceSettings
 from tests.ball import write_ball_recipe, write_ball_scan
 from tests.factories import block_case
+from tests.pipeline.stage_tables import with_versions
 
 
 def run(*arguments):
@@ -98,9 +98,8 @@ def test_the_help_of_build_names_every_stage():
     from heartcase.cli.commands.build import command
 
     text = " ".join(CliRunner().invoke(command, ["--help"]).output.split())
-    *first, last = runner.STAGES[:-1]
+    *first, last = table.stage_names()[:-1]
     assert f"Stop after this stage: {', '.join(first)} or {last}." in text
-    assert set(STAGE_WORDS) == set(runner.STAGES)
 
 
 def test_upgrade_of_an_unlocked_recipe_of_today_has_nothing_to_do(recipe, capsys):
@@ -141,7 +140,7 @@ def test_upgrade_of_a_locked_recipe_says_which_defaults_and_stages_are_others(sc
 
     field = SurfaceSettings.model_fields["atlas"]
     monkeypatch.setattr("heartcase.pipeline.walls.grow_walls.default_smoothing_mm", lambda spacing: 0.25)
-    monkeypatch.setitem(runner.STAGE_VERSIONS, "walls", 99)
+    with_versions(monkeypatch, walls=99)
     from heartcase.schemas.recipe.recipe import Recipe
 
     try:
@@ -183,7 +182,7 @@ def test_upgrade_does_not_lock_to_another_scan(recipe, capsys, monkeypatch):
     assert run("lock", recipe) == 0
     locked = recipe.with_name("ball.lock.toml")
     locked.write_text(locked.read_text().replace(load_recipe(locked).lock.scan_sha256, "0" * 64))
-    monkeypatch.setitem(runner.STAGE_VERSIONS, "walls", 99)
+    with_versions(monkeypatch, walls=99)
     text = locked.read_text()
     assert run("upgrade", locked, "--write") == 2
     assert "heartcase lock --force" in capsys.readouterr().err
@@ -219,7 +218,7 @@ def test_upgrade_of_a_case_previews_and_sends_to_build(case, capsys):
     manifest.write_text(json.dumps(data | {"software_version": "0.0.1"}))
     said = run_json(capsys, "upgrade", case)[1]
     assert said["changes"] == [
-        f"stage walls: version 1 in the case, version {runner.STAGE_VERSIONS['walls']} today; its output may differ"
+        f"stage walls: version 1 in the case, version {table.stage_versions()['walls']} today; its output may differ"
     ]
     assert "built by heartcase 0.0.1" in said["notes"][0]
     for entry in data["files"]:

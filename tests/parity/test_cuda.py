@@ -8,13 +8,13 @@ import sys
 
 import numpy as np
 import pytest
+from heartcase.simulator.engine.cuda import kernel as kernel_cuda
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.dynamics.integrate import Verlet
 from heartcase.simulator.engine.backends import make_engine
-from heartcase.simulator.engine.cuda import kernel as kernel_cuda
 from heartcase.simulator.engine.cuda.engine import CudaEngine, _fitting, plan_launch
 from heartcase.simulator.engine.cuda.intrinsics import IS_SIMULATED
 from heartcase.simulator.engine.shared.contact import NO_PROBES, probe_row
@@ -242,7 +242,8 @@ def test_without_a_device_the_message_says_what_to_do():
 
 @pytest.mark.skipif(IS_SIMULATED, reason="there is no CUDA device")
 def test_two_million_nodes_on_the_device():
-    model = block(160, 120, 100, fix_base=True)
+    # Some corners are flat in this state. The engines look for those after different numbers of steps.
+    model = unguarded(block(160, 120, 100, fix_base=True))
     start = State(random_field(model, 1, 0.05), random_field(model, 2, 0.01))
     engine, cpu = CudaEngine(model), make_engine(model, "cpu")
     for each in (engine, cpu):

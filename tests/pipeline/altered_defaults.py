@@ -11,8 +11,8 @@ from pydantic import TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from heartcase.pipeline.build import lock
 from heartcase.pipeline.cells import build_grid as grid
+from heartcase.pipeline.stages import resolve
 from heartcase.pipeline.walls import grow_walls as walls
 from heartcase.schemas.base import Model
 from heartcase.schemas.recipe.recipe import Recipe
@@ -116,7 +116,7 @@ def altered_defaults(monkeypatch, *, only: Collection[str] = ()):
             patch.setattr(walls, "default_smoothing_mm", lambda spacing: 9.875)
             patch.setattr(walls, "BAND_VOXELS", 17.0)
             patch.setattr(grid, "DEFAULT_NODE_COUNT", 11)
-            patch.setattr(lock, "made_up_case_id", lambda name, sha256: "HC-BBBB")
+            patch.setattr(resolve, "made_up_case_id", lambda name, sha256: "HC-BBBB")
             yield len(kept)
     finally:
         for field, default, factory in kept:

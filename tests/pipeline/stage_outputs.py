@@ -13,21 +13,21 @@ from unittest.mock import patch
 import numpy as np
 import pygltflib
 import SimpleITK
-from heartcase.pipeline.stages.all_stages import RUN_STAGE, StageOutputs
 from PIL import Image
 from safetensors.numpy import load_file
 
 from heartcase.pipeline.artifacts.cache import Cache
-from heartcase.pipeline.build.lock import resolve_recipe
 from heartcase.pipeline.build.run import build_case
-from heartcase.pipeline.build.runner import STAGES, Runner, SilentListener
+from heartcase.pipeline.build.runner import Runner, SilentListener, run_stages
 from heartcase.pipeline.data import Scan, Structures
 from heartcase.pipeline.fields.reader import ownership_on_lattice
 from heartcase.pipeline.formats.write_images import write_scan
+from heartcase.pipeline.stages.resolve import resolve_recipe
+from heartcase.pipeline.stages.stage import Work
 from heartcase.schemas.bundle.format import ARRAYS, FileRole
 from heartcase.schemas.bundle.reader import open_bundle
 from heartcase.schemas.geometry import Geometry
-from heartcase.schemas.recipe.recipe import Part, parse_recipe
+from heartcase.schemas.recipe.recipe import parse_recipe
 from tests.pipeline.stage_recipes import SMALL_RECIPES
 
 Arrays = dict[str, np.ndarray]
@@ -160,14 +160,14 @@ def inputs_of(recipe: str, stage: str) -> list[str]:
 def _outputs_of_recipe(directory: Path) -> dict[str, Arrays]:
     recipe = parse_recipe((directory / "recipe.toml").read_text())
     runner = Runner(Cache(directory / "cache"), SilentListener(), force=False)
-    nodes = StageOutputs()
-    stated = recipe
-    for stage in STAGES[:-1]:
-        if stage in ("surface", "map") and Part.SURFACE not in recipe.parts:
-            continue
-        RUN_STAGE[stage](recipe, directory, runner, nodes)
+    stated, work = recipe, Work(recipe, directory, cache=runner.cache)
+
+    def after(stage: str) -> None:
         if stage == "read":
-            recipe = resolve_recipe(recipe, nodes.scan.get())
+            work.recipe = resolve_recipe(stated, work.outputs.scan.get())
+
+    run_stages(runner, work, after=after)
+    recipe, nodes = work.recipe, work.outputs
     scan, grid = nodes.scan.get(), nodes.grid.get()
     outputs = {
         "read": {"values": scan.values, "affine": scan.geometry.affine},

@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from heartcase.pipeline.stages.all_stages import RUN_STAGE, StageOutputs, have
 
 from heartcase.cli.main import main
 from heartcase.pipeline.artifacts.cache import Cache
-from heartcase.pipeline.build.lock import resolve_recipe
-from heartcase.pipeline.build.runner import STAGES, Runner, SilentListener
+from heartcase.pipeline.build.runner import Runner, SilentListener, run_stages
 from heartcase.pipeline.mesh.decimation.decimate import folded_triangles, mesh_defects
 from heartcase.pipeline.mesh.triangles.intersections import self_intersections
+from heartcase.pipeline.stages.resolve import resolve_recipe
+from heartcase.pipeline.stages.stage import StageOutputs, Work, have
 from heartcase.schemas.recipe.recipe import load_recipe
 from tests.pipeline.sides import sides
 
@@ -32,13 +32,15 @@ def outputs_of(name: str, folder: Path) -> StageOutputs:
         directory.mkdir()
     if not (directory / recipe.scan.path).exists():
         pytest.skip("the scan is not at hand; the recipe says where to get it")
-    runner, nodes = Runner(Cache(folder / "cache"), SilentListener(), force=False), StageOutputs()
-    for stage in STAGES[:-1]:
-        if stage != "grid":  # it comes with the surface
-            RUN_STAGE[stage](recipe, directory, runner, nodes)
+    runner = Runner(Cache(folder / "cache"), SilentListener(), force=False)
+    work = Work(recipe, directory, cache=runner.cache)
+
+    def after(stage):
         if stage == "read":
-            recipe = resolve_recipe(recipe, have(nodes.scan).get())
-    return nodes
+            work.recipe = resolve_recipe(recipe, have(work.outputs.scan).get())
+
+    run_stages(runner, work, after=after)
+    return work.outputs
 
 
 @pytest.mark.slow

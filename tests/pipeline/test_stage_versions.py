@@ -3,7 +3,7 @@
 The small cases of ``stage_outputs.py`` go through every stage, and ``stage_fingerprints.json`` has what came of it. On
 a processor family that has a hash there, every bit must match. On another one, figures of each array must, to these
 tolerances: counts 2%, standard deviations 2%, means and projections 5% of the array's standard deviation. When an
-output was meant to change, raise its number in STAGE_VERSIONS and run
+output was meant to change, raise the version in its module in pipeline/stages and run
 
     python -m tests.pipeline.test_stage_versions --write
 
@@ -24,9 +24,10 @@ import llvmlite.binding
 import numpy as np
 import pytest
 
-from heartcase.pipeline.build.runner import STAGE_VERSIONS, STAGES
+from heartcase.pipeline.stages.table import stage_names, stage_versions
 from tests.pipeline.stage_outputs import INPUTS, Arrays, Outputs, inputs_of, sha256_of, stage_outputs, summary_of
 
+STAGES, VERSIONS = stage_names(), stage_versions()
 FINGERPRINTS = Path(__file__).with_name("stage_fingerprints.json")
 COUNT_TOLERANCE, MEAN_TOLERANCE, SPREAD_TOLERANCE = 0.02, 0.05, 0.02
 FLOOR = 1e-5
@@ -55,7 +56,7 @@ def problems_of(outputs: Outputs, stored: Mapping[str, Any], versions: Mapping[s
         if versions[stage] != fingerprint["version"]:
             problems.append(f"the version of {stage} is not that of its fingerprint: run `{WRITE}`")
         elif is_blamed:
-            problems.append(f"the output of {stage} changed: raise STAGE_VERSIONS['{stage}'] and run `{WRITE}`")
+            problems.append(f"the output of {stage} changed: raise the version in stages/{stage}.py and run `{WRITE}`")
     return problems
 
 
@@ -87,9 +88,9 @@ def fingerprints_of(outputs: Outputs, stored: Mapping[str, Any], cpu: str) -> di
     result: dict[str, Any] = {}
     for stage in STAGES:
         old = stored.get(stage, {})
-        before = old.get("recipes", {}) if old.get("version") == STAGE_VERSIONS[stage] else {}
+        before = old.get("recipes", {}) if old.get("version") == VERSIONS[stage] else {}
         result[stage] = {
-            "version": STAGE_VERSIONS[stage],
+            "version": VERSIONS[stage],
             "recipes": {
                 recipe: _fingerprint_of(arrays[stage], before.get(recipe), cpu)
                 for recipe, arrays in outputs.items()
@@ -124,7 +125,7 @@ def stored():
 
 
 def test_no_output_changed_without_its_version(outputs, stored):
-    assert problems_of(outputs, stored, STAGE_VERSIONS, cpu_family()) == []
+    assert problems_of(outputs, stored, VERSIONS, cpu_family()) == []
 
 
 def test_the_small_cases_use_every_stage_and_every_way_through_it(outputs):
@@ -152,7 +153,7 @@ def test_the_small_cases_use_every_stage_and_every_way_through_it(outputs):
 @pytest.mark.parametrize("stage", STAGES)
 def test_a_changed_output_is_found_and_the_right_stage_is_blamed(outputs, of_today, stage):
     cpu = cpu_family()
-    assert problems_of(outputs, of_today, STAGE_VERSIONS, cpu) == []
+    assert problems_of(outputs, of_today, VERSIONS, cpu) == []
     for recipe in (name for name, arrays in outputs.items() if stage in arrays):
         changed = {name: {one: dict(arrays) for one, arrays in stages.items()} for name, stages in outputs.items()}
         for later in changed[recipe]:
@@ -162,9 +163,9 @@ def test_a_changed_output_is_found_and_the_right_stage_is_blamed(outputs, of_tod
                 array = arrays[name].copy()
                 array.reshape(-1).view(np.uint8)[array.nbytes // 2] ^= 1
                 arrays[name] = array
-        (problem,) = problems_of(changed, of_today, STAGE_VERSIONS, cpu)
-        assert problem == f"the output of {stage} changed: raise STAGE_VERSIONS['{stage}'] and run `{WRITE}`"
-        raised = {**STAGE_VERSIONS, stage: STAGE_VERSIONS[stage] + 1}
+        (problem,) = problems_of(changed, of_today, VERSIONS, cpu)
+        assert problem == f"the output of {stage} changed: raise the version in stages/{stage}.py and run `{WRITE}`"
+        raised = {**VERSIONS, stage: VERSIONS[stage] + 1}
         (problem,) = problems_of(changed, of_today, raised, cpu)
         assert problem == f"the version of {stage} is not that of its fingerprint: run `{WRITE}`"
 
@@ -174,18 +175,18 @@ def test_what_one_recipe_shows_is_not_hidden_by_another(outputs, of_today):
     changed = {name: {one: dict(arrays) for one, arrays in stages.items()} for name, stages in outputs.items()}
     for recipe, stage, name in (("threshold", "segment", "labels"), ("labels", "grid", "nodes")):
         changed[recipe][stage][name] = changed[recipe][stage][name] + 1
-    blamed = [problem.split()[3] for problem in problems_of(changed, of_today, STAGE_VERSIONS, cpu_family())]
+    blamed = [problem.split()[3] for problem in problems_of(changed, of_today, VERSIONS, cpu_family())]
     assert blamed == ["segment", "grid"]
 
 
 def test_a_recipe_that_is_new_or_gone_needs_new_fingerprints(outputs, of_today):
     fewer = {name: dict(arrays) for name, arrays in outputs.items() if name != "threshold"}
-    said = problems_of(fewer, of_today, STAGE_VERSIONS, cpu_family())
+    said = problems_of(fewer, of_today, VERSIONS, cpu_family())
     expected = [f"{stage} has no fingerprint of some recipe: run `{WRITE}`" for stage in outputs["threshold"]]
     assert sorted(said) == sorted(expected)
     # and hides no change of the others
     fewer["points"]["markers"] = {"labels": fewer["points"]["markers"]["labels"] + 1}
-    blamed = [line for line in problems_of(fewer, of_today, STAGE_VERSIONS, cpu_family()) if "output" in line]
+    blamed = [line for line in problems_of(fewer, of_today, VERSIONS, cpu_family()) if "output" in line]
     assert [line.split()[3] for line in blamed] == ["markers"]
 
 
@@ -203,7 +204,7 @@ def test_on_another_processor_rounding_passes_and_a_real_change_does_not(outputs
         }
         for recipe, stages in outputs.items()
     }
-    assert problems_of(rounded, of_today, STAGE_VERSIONS, "another family") == []
+    assert problems_of(rounded, of_today, VERSIONS, "another family") == []
     for stage, name, change in (
         ("filter", "values", lambda array: array * 1.03),
         ("segment", "labels", lambda array: np.roll(array, 1, axis=0)),
@@ -224,7 +225,7 @@ def main(arguments: list[str]) -> int:
     stored = json.loads(FINGERPRINTS.read_text()) if FINGERPRINTS.exists() else {}
     with tempfile.TemporaryDirectory() as directory:
         outputs = stage_outputs(Path(directory))
-    problems = problems_of(outputs, stored, STAGE_VERSIONS, cpu_family())
+    problems = problems_of(outputs, stored, VERSIONS, cpu_family())
     for problem in problems:
         print(problem)
     if arguments != ["--write"]:

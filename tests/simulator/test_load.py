@@ -85,8 +85,8 @@ class Block(importlib.abc.MetaPathFinder):
 sys.meta_path.insert(0, Block())
 import pkgutil
 import heartcase.simulator
-for module in pkgutil.iter_modules(heartcase.simulator.__path__):
-    __import__("heartcase.simulator." + module.name)
+for module in pkgutil.walk_packages(heartcase.simulator.__path__, "heartcase.simulator."):
+    __import__(module.name)
 from heartcase.simulator.load import load_case
 from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.script import default_script, run_script

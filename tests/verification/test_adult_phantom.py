@@ -13,7 +13,7 @@ from heartcase.phantom.anatomy.heart import HeartPhantom
 from heartcase.phantom.drawing.strokes import marker_strokes
 from heartcase.phantom.metrics import SurfaceError, closest_distance_mm, dice, surface_error, wall_thickness_errors
 from heartcase.phantom.scan.acquisition import acquire_mri
-from heartcase.pipeline.build.run import labels_of
+from heartcase.pipeline.bundle.assembly import labels_of
 from heartcase.pipeline.data import Markers, Scan
 from heartcase.pipeline.image.filter_scan import filter_scan
 from heartcase.pipeline.markers.load_markers import load_markers

@@ -12,11 +12,17 @@ from rich.progress_bar import ProgressBar
 from rich.text import Text
 
 from heartcase.cli.shared.output import echo_json, echo_warnings, working
-from heartcase.pipeline.stages.table import stage_named
 from heartcase.pipeline.warnings import severity_of
 from heartcase.schemas.recipe.recipe import load_recipe
 
 __all__ = ["command"]
+
+
+def _title(stage: str) -> str:
+    """What a stage does; the pipeline is loaded by then, and not for a page of help."""
+    from heartcase.pipeline.stages.table import stage_named
+
+    return stage_named(stage).title
 
 
 class _TimedBar(BarColumn):
@@ -45,14 +51,14 @@ class _Bar:
         self.task: TaskID | None = None
 
     def stage_started(self, stage: str, *, seconds_expected: float, seconds_after: float) -> None:
-        words = stage_named(stage).title
+        words = _title(stage)
         self.task = self.progress.add_task(words, total=max(seconds_expected, 0.1), seconds_after=seconds_after)
 
     def stage_finished(self, stage: str, *, seconds: float, reused: bool) -> None:
         if self.task is not None:
             self.progress.remove_task(self.task)
             self.task = None
-        words = stage_named(stage).title
+        words = _title(stage)
         self.console.print(f"  {words:<28} {'unchanged' if reused else f'{seconds:6.1f} s'}", highlight=False)
 
 

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from heartcase.pipeline.data import Segmentation
 from heartcase.schemas.labels import Label, LabelTable, Role
 
-__all__ = ["LEAST_VOXELS", "VEINS", "Kind", "kind_of", "sources_of"]
+__all__ = ["LEAST_VOXELS", "VEINS", "Kind", "is_great_artery", "kind_of", "sources_of"]
 
 Bool = npt.NDArray[np.bool_]
 UInt8 = npt.NDArray[np.uint8]
@@ -44,6 +44,11 @@ def kind_of(label: Label) -> Kind:
     if term in _ATRIA:
         return "atrium"
     return "vessel" if label.role is Role.VESSEL_LUMEN else "other"
+
+
+def is_great_artery(label: Label) -> bool:
+    """Whether a label is the aorta or the pulmonary artery."""
+    return label.term is not None and label.term.name in _ARTERIES
 
 
 def sources_of(segmentation: Segmentation, table: LabelTable, label: Label, mask: Bool) -> Bool:

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.data import Segmentation, VesselEnd
+from heartcase.pipeline.ends.appendage import Surroundings
 from heartcase.pipeline.ends.discs import (
     Disc,
     Stumps,
@@ -25,7 +26,7 @@ from heartcase.pipeline.ends.discs import (
 from heartcase.pipeline.ends.inflow import LEAST_VOXELS, kind_of, sources_of
 from heartcase.pipeline.ends.lumen_branches import Branch, find_branches
 from heartcase.pipeline.ends.lumen_sections import Lumen, Section, across, angle_between
-from heartcase.schemas.labels import Label, LabelTable, Role
+from heartcase.schemas.labels import Label, LabelTable
 from heartcase.schemas.recipe.settings import EndMarker
 
 __all__ = ["LabelSearch"]
@@ -47,13 +48,10 @@ REACH_RADII, REACH_MM = 3.0, 25.0
 """How far before a tip a place for the disc is looked for: the greater of the two."""
 BRANCH_SHARE = 0.75
 """A vein of an atrium's label is narrower than this part of the atrium."""
-APPENDAGE_SHARE = 0.6
-"""A branch of an atrium is an appendage where the way from the atrium's middle to its tip makes an acute angle with
-that to the valve, and the tip is nearer to another chamber than this plus the angle's cosine, in radii of the largest
-ball in the atrium."""
 TWIG_VOXELS = 1.5
-TWIG_SHARE = 0.2
-"""Least radius of an arm, in longest sides of a voxel, and as a part of the radius of the largest ball in the label."""
+TWIG_SHARE, VEIN_SHARE = 0.2, 0.15
+"""Least radius of an arm, in longest sides of a voxel, and as a part of the radius of the largest ball in the label.
+The last one is for veins of an atrium: they are no wider where it is dilated."""
 JOINT_RADII = 4.0
 """Where one of several arms cannot be cut, all are cut behind their joint, if that is no farther than so many radii."""
 MOST_BESIDE = 6
@@ -108,8 +106,8 @@ class LabelSearch:
     stumps: Stumps
     blood: tuple[int, ...]
     """Values of blood."""
-    chambers: tuple[int, ...]
-    """Values of the other chambers and of muscle."""
+    around: Surroundings
+    """What tells an appendage from a vein."""
     mask: Bool
     """The label's voxels that no known disc cuts off."""
     sources: Bool
@@ -158,11 +156,7 @@ class LabelSearch:
             segmentation,
             stumps,
             table.blood_values,
-            tuple(
-                one.value
-                for one in table
-                if one.role in (Role.BLOOD, Role.MYOCARDIUM) and one != label and kind_of(one) != "appendage"
-            ),
+            Surroundings.of(segmentation, table, label),
             mask,
             sources,
             tuple(discs),
@@ -185,7 +179,8 @@ class LabelSearch:
     @property
     def _least_radius_mm(self) -> float:
         """Arms that are narrower are twigs: the vessel is cut before them."""
-        return max(TWIG_VOXELS * self._step_mm, TWIG_SHARE * self.widest_mm)
+        share = VEIN_SHARE if self._is_atrium else TWIG_SHARE
+        return max(TWIG_VOXELS * self._step_mm, share * self.widest_mm)
 
     def ends(self) -> tuple[list[VesselEnd], list[str]]:
         """Ends and branches without one."""
@@ -194,8 +189,8 @@ class LabelSearch:
         for trunk in find_branches(self.mask, self.segmentation.geometry.spacing_mm, self.sources):
             if len(trunk.index) < LEAST_VOXELS:
                 continue
-            arm = self._arm(trunk)
-            outcomes = [self._of_arm(one) for one in (arm.arms if self._is_atrium else (arm,))]
+            # an atrium's trunk is the atrium itself
+            outcomes = [self._of_arm(one) for one in (self._arms_of(trunk) if self._is_atrium else [self._arm(trunk)])]
             # two branches may leave through one place of a face
             ends |= {end.position_mm: end for outcome in outcomes for end in outcome.ends}
             reasons += [reason for outcome in outcomes for reason in outcome.reasons]
@@ -203,10 +198,14 @@ class LabelSearch:
 
     def _arm(self, branch: Branch) -> _Arm:
         """A branch without its twigs."""
-        arms = [self._arm(one) for one in branch.arms if self._radius_of(one) >= self._least_radius_mm]
+        arms = self._arms_of(branch)
         if len(arms) == 1:
             return _Arm((*arms[0].parts, branch), arms[0].arms)
         return _Arm((branch,), tuple(arms))
+
+    def _arms_of(self, branch: Branch) -> list[_Arm]:
+        """The arms that join a branch, without twigs."""
+        return [self._arm(one) for one in branch.arms if self._radius_of(one) >= self._least_radius_mm]
 
     def _radius_of(self, branch: Branch) -> float:
         """Median radius of a circle of the lumen's area, over the way from a branch's foot to its top."""
@@ -231,7 +230,7 @@ class LabelSearch:
         if all(outcome.is_settled for outcome in outcomes):
             return _Outcome(ends, (), is_settled=True)
         behind = self._disc_on(arm)
-        if behind.is_settled and self._loses_little(behind.ends[0], ends):
+        if behind.is_settled and self._loses_little(behind.ends[0], ends) and self._takes_all(behind.ends[0], arm):
             return behind
         return _Outcome(ends, reasons, is_settled=False)
 
@@ -239,6 +238,17 @@ class LabelSearch:
         """Whether a disc behind a joint lies near those beyond it, which it makes needless."""
         away = [float(np.linalg.norm(np.subtract(end.position_mm, behind.position_mm))) for end in ends]
         return max(away, default=0.0) <= JOINT_RADII * behind.lumen_radius_mm
+
+    def _takes_all(self, behind: VesselEnd, arm: _Arm) -> bool:
+        """Whether a disc behind a joint cuts off each of the arms that meet there."""
+        wall_mm, clearance_mm = self.stumps.wall_mm(self.label), self.stumps.clearance_mm
+        disc = disc_of(self.segmentation, end_marker(behind), self.label.value, wall_mm, clearance_mm)
+        sides = sides_of(self.segmentation.labels, disc) if disc is not None else None
+        if sides is None:
+            return False
+        tips = np.array([one.parts[0].index[0] for one in arm.arms]) - [part.start for part in sides.box]
+        # none has a tip in the disc's own layer
+        return bool(np.isin(sides.pieces[tuple(tips.T)], [0, *sides.after]).all())
 
     def _settled(self, arm: _Arm) -> _Outcome | None:
         """What there is at an arm's tip already: a face, a known disc, or other blood; None where there is nothing."""
@@ -363,26 +373,37 @@ class LabelSearch:
 
     def _places(self, arm: _Arm) -> Iterator[tuple[Branch, Float64, Float64]]:
         """Middles of the lumen along an arm, and its way out there, from outside in, no farther than makes sense."""
-        geometry, step = self.segmentation.geometry, self._step_mm
-        gone_mm = 0.0
+        points, step, gone_mm = np.empty((0, 3)), self._step_mm, 0.0
+        last: Branch | None = None
+        for branch, level, band, radius in self._bands(arm):
+            gone_mm += 0.5 * step
+            if gone_mm > max(REACH_RADII * radius, REACH_MM):
+                return
+            if branch is not last:
+                points, last = self.segmentation.geometry.index_to_world(branch.index[:, ::-1]), branch
+            way, lowest = branch.way_mm, max(branch.foot_mm, 0.0)
+            behind = (way <= max(level - max(radius, step), lowest) + 0.5 * step) & (way < level - 0.5 * step)
+            if not band.any():
+                continue
+            middle = points[band].mean(axis=0)
+            out = middle - (points[behind][: np.count_nonzero(band)].mean(axis=0) if behind.any() else self.valve)
+            if np.linalg.norm(out) > 0.0:
+                yield branch, middle, out / np.linalg.norm(out)
+
+    def _bands(self, arm: _Arm) -> Iterator[tuple[Branch, float, Bool, float]]:
+        """Slices across the way of an arm, from where it is no longer as narrow as a twig to its foot.
+
+        With each its branch, the way to its middle, the voxels of the branch that are in it, and their radius.
+        """
+        step, is_begun = self._step_mm, False
         for branch in arm.parts:
-            points, way = geometry.index_to_world(branch.index[:, ::-1]), branch.way_mm
-            lowest = max(branch.foot_mm, 0.0)
-            for level in np.arange(branch.top_mm, lowest - 1e-9, -0.5 * step):
-                band = (way <= level + 0.5 * step) & (way > level - 0.5 * step)
-                radius = float(np.sqrt(np.count_nonzero(band) * geometry.voxel_volume_mm3 / step / np.pi))
-                if radius < 0.75 * self._least_radius_mm and gone_mm == 0.0:
-                    continue
-                gone_mm += 0.5 * step
-                if gone_mm > max(REACH_RADII * radius, REACH_MM):
-                    return
-                behind = (way <= max(level - max(radius, step), lowest) + 0.5 * step) & (way < level - 0.5 * step)
-                if not band.any():
-                    continue
-                middle = points[band].mean(axis=0)
-                out = middle - (points[behind][: np.count_nonzero(band)].mean(axis=0) if behind.any() else self.valve)
-                if np.linalg.norm(out) > 0.0:
-                    yield branch, middle, out / np.linalg.norm(out)
+            for level in np.arange(branch.top_mm, max(branch.foot_mm, 0.0) - 1e-9, -0.5 * step):
+                band = (branch.way_mm <= level + 0.5 * step) & (branch.way_mm > level - 0.5 * step)
+                volume_mm3 = np.count_nonzero(band) * self.segmentation.geometry.voxel_volume_mm3
+                radius = float(np.sqrt(volume_mm3 / step / np.pi))
+                is_begun = is_begun or radius >= 0.75 * self._least_radius_mm
+                if is_begun:
+                    yield branch, float(level), band, radius
 
     def _places_straight(self, arm: _Arm) -> Iterator[tuple[Branch, Float64, Float64]]:
         """Middles of slabs across the straight way from an arm's foot to its tip: for what is wider than long."""
@@ -422,15 +443,10 @@ class LabelSearch:
         return "", change
 
     def _is_appendage(self, arm: _Arm) -> bool:
-        """Whether an arm of an atrium lies towards the valve, and the nearer to other chambers the more it does."""
-        tip = self.segmentation.geometry.index_to_world(arm.parts[0].index[0][::-1])
-        cosine = np.cos(np.radians(angle_between(self.valve - self.middle, tip - self.middle)))
-        if cosine <= 0.0:
-            return False
-        others = np.argwhere(np.isin(self.segmentation.labels, self.chambers))
-        away = self.segmentation.geometry.index_to_world(others[:, ::-1]) - tip
-        nearest = float(np.sqrt((away**2).sum(axis=1)).min(initial=np.inf))
-        return bool(nearest < (APPENDAGE_SHARE + cosine) * self.widest_mm)
+        """Whether an arm of an atrium is its appendage, by where it leads without its twigs."""
+        branch, _, band, _ = next(self._bands(arm), (arm.parts[0], 0.0, arm.parts[0].way_mm > 0.0, 0.0))
+        tip = self.segmentation.geometry.index_to_world(branch.index[band][:, ::-1]).mean(axis=0)
+        return self.around.is_appendage(tip, self.middle, self.valve, self.widest_mm)
 
     def _no_vein(self, section: Section) -> str:
         """Why a branch of an atrium is no vein, or an empty string."""
@@ -440,7 +456,7 @@ class LabelSearch:
         points = section.middle + ahead[:, None] * section.axis
         index = np.rint(self.segmentation.geometry.world_to_index(points)).astype(int)[:, ::-1]
         inside = ((index >= 0) & (index < self.mask.shape)).all(axis=1)
-        if np.isin(self.segmentation.labels[tuple(index[inside].T)], self.chambers).any():
+        if np.isin(self.segmentation.labels[tuple(index[inside].T)], self.around.chambers).any():
             return "it leads towards another chamber, as an appendage does"
         return ""
 

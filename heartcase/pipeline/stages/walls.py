@@ -43,7 +43,7 @@ def _compute(work: Work) -> Structures:
 
 STAGE = Stage(
     name="walls",
-    version=13,
+    version=14,
     title="distance fields and walls",
     deed="grow the walls",
     subject="walls and outlines",

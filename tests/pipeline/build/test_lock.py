@@ -7,27 +7,27 @@ import tomllib
 
 import numpy as np
 import pytest
-from heartcase.pipeline.stages.all_stages import region_of_scan
 from hypothesis import HealthCheck, given, settings
 
-from heartcase.pipeline.build import runner
 from heartcase.pipeline.build.lock import (
     check_lock,
     lock_recipe,
     recipe_text,
-    resolve_recipe,
     setting_changes,
     stage_changes,
     unlocked_recipe,
 )
 from heartcase.pipeline.build.run import build_case
 from heartcase.pipeline.data import Scan
+from heartcase.pipeline.stages.read import region_of_scan
+from heartcase.pipeline.stages.resolve import resolve_recipe
 from heartcase.schemas.errors import RecipeError
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.recipe.recipe import load_recipe, parse_recipe
 from heartcase.schemas.toml import toml_text
 from tests.ball import write_ball_recipe, write_ball_scan
 from tests.pipeline.altered_defaults import altered_defaults
+from tests.pipeline.stage_tables import with_versions
 from tests.schemas.recipes import recipes
 
 EDITS = """
@@ -217,8 +217,7 @@ def test_what_says_the_same_is_no_edit(work, locked):
 
 
 def test_other_stage_versions_are_the_first_warning(work, locked, monkeypatch):
-    monkeypatch.setitem(runner.STAGE_VERSIONS, "walls", 99)
-    monkeypatch.setitem(runner.STAGE_VERSIONS, "markers", 98)
+    with_versions(monkeypatch, walls=99, markers=98)
     recipe = relocked(locked, surface=lambda table: {k: v for k, v in table.items() if k != "atlas"})
     first, second, third = check_lock(recipe, work, scan_of(work))
     assert "walls 99" in first

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import SimpleITK
 import trimesh
-from heartcase.pipeline.stages.all_stages import region_of_scan
 
 from heartcase.cli.main import main
 from heartcase.pipeline.build.lock import changed_files, check_lock, lock_recipe, recipe_text
 from heartcase.pipeline.data import Scan
 from heartcase.pipeline.formats.write_images import write_scan
 from heartcase.pipeline.markers.load_markers import load_segmentation
+from heartcase.pipeline.stages.read import region_of_scan
 from heartcase.schemas.errors import MarkerError, RecipeError
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.recipe.recipe import load_recipe, parse_recipe

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 import SimpleITK
 
-from heartcase.pipeline.build.run import STAGES, build_case
+from heartcase.pipeline.build.run import build_case
+from heartcase.pipeline.stages.table import stage_names
 from heartcase.schemas.bundle.check import check_bundle
 from heartcase.schemas.bundle.format import FileRole
 from heartcase.schemas.bundle.reader import open_bundle
@@ -79,7 +80,7 @@ def test_a_scan_and_markers_become_a_sound_case(built):
 def test_stages_are_recorded_in_their_order_although_two_run_at_once(built):
     _, _, result = built
     recorded = [record.stage for record in result.manifest.stages]
-    assert recorded == [stage for stage in STAGES if stage in recorded]
+    assert recorded == [stage for stage in stage_names() if stage in recorded]
     assert {"grid", "surface"} < set(recorded)
     assert min(result.seconds["grid"], result.seconds["surface"]) > 0.0
 
@@ -170,17 +171,17 @@ def test_no_patient_name_from_a_path_is_in_any_output(scan_directory, tmp_path):
 def memoised(monkeypatch):
     """Compute each stage once for the whole test: the files are what is tested."""
     for module, name in (
-        ("read", "read_scan"),
-        ("filter", "filter_scan"),
-        ("segment", "segment_scan"),
-        ("walls", "grow_walls"),
-        ("walls", "structure_volumes_ml"),
-        ("grid", "build_grid"),
-        ("surface", "build_surface"),
-        ("map", "map_surface"),
+        ("formats.read_scan", "read_scan"),
+        ("image.filter_scan", "filter_scan"),
+        ("watershed.segment_scan", "segment_scan"),
+        ("walls.grow_walls", "grow_walls"),
+        ("walls.grow_walls", "structure_volumes_ml"),
+        ("cells.build_grid", "build_grid"),
+        ("mesh.build_surface", "build_surface"),
+        ("cells.map_surface", "map_surface"),
         ("report.build_report", "build_report"),
-        ("mesh.glb", "glb_bytes"),
-        ("write", "segmentation_nrrd_bytes"),
+        ("bundle.glb", "glb_bytes"),
+        ("formats.write_images", "segmentation_nrrd_bytes"),
     ):
         loaded = importlib.import_module(f"heartcase.pipeline.{module}")
         function = getattr(loaded, name)
@@ -262,7 +263,7 @@ def test_the_report_names_every_stage_and_structure(built):
     text = built[2].report.read_text()
     for word in ("cavity", "muscle", "Not a medical device", "ball"):
         assert word in text
-    assert all(stage in text for stage in STAGES if stage != "edit")
+    assert all(stage in text for stage in stage_names() if stage != "edit")
 
 
 def test_the_command_line_reports_as_json(built):

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from heartcase.pipeline.build.run import labels_of
+from heartcase.pipeline.bundle.assembly import labels_of
 from heartcase.pipeline.checks.openings import find_openings
 from heartcase.pipeline.checks.rims import with_rims
 from heartcase.pipeline.edits.apply_edits import apply_edits

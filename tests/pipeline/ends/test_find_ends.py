@@ -125,6 +125,43 @@ def test_veins_that_are_a_part_of_an_atrium_are_cut_and_an_appendage_is_not():
         check_end(end, tip, tip / np.linalg.norm(tip), 5.0, geometry, degrees=10.0)
 
 
+def test_a_lower_vein_behind_the_ventricle_is_no_appendage():
+    """It lies towards the valve and near the ventricle, as the appendage does, but not by an artery."""
+    geometry = lattice("even", 110.0)
+    atrium, ventricle = ball(geometry, (0.0, 0.0, 0.0), 17.0), ball(geometry, (0.0, -34.0, 0.0), 21.0)
+    ends = [np.array((30.0, 13.0, 6.0)), np.array((-29.0, -10.0, -6.0))]
+    veins = np.logical_or.reduce([tube(geometry, line((0.0, 0.0, 0.0), tuple(end)), 5.0) for end in ends])
+    auricle = tube(geometry, line((0.0, 0.0, 0.0), (20.0, -12.0, 14.0), (20.0, -26.0, 12.0)), 5.5, is_round=True)
+    aorta = tube(geometry, line((8.0, -26.0, 18.0), (8.0, -26.0, 50.0)), 6.0)
+    segmentation = segmented(geometry, (3, atrium | veins | auricle), (4, ventricle), (5, aorta))
+    found = found_in(segmentation, only=(3,)).ends
+    assert len(found) == 2
+    for end in found:
+        tip = min(ends, key=lambda one: np.linalg.norm(one - np.array(end.position_mm)))
+        check_end(end, tip, tip / np.linalg.norm(tip), 5.0, geometry, degrees=12.0)
+
+
+def test_a_vein_is_judged_by_where_it_leads_and_not_by_its_twigs():
+    """It splits into two that are too narrow, one of which runs back to the front of the ventricle."""
+    geometry = lattice("even", 110.0)
+    atrium, ventricle = ball(geometry, (0.0, 0.0, 0.0), 17.0), ball(geometry, (0.0, -34.0, 0.0), 21.0)
+    tip = np.array((32.0, 11.0, 6.0))
+    vein = tube(geometry, line((0.0, 0.0, 0.0), tuple(tip)), 5.0)
+    back = tube(geometry, line(tuple(tip), (40.0, 4.0, 6.0), (40.0, -12.0, 6.0), (26.0, -26.0, 6.0)), 1.6)
+    out = tube(geometry, line(tuple(tip), (40.0, 24.0, 8.0)), 1.6)
+    (end,) = found_in(segmented(geometry, (3, atrium | vein | back | out), (4, ventricle))).ends
+    check_end(end, tip, tip / np.linalg.norm(tip), 5.0, geometry, degrees=12.0)
+
+
+def test_a_dilated_atrium_has_veins_of_a_usual_width():
+    geometry = lattice("even", 110.0)
+    atrium, ventricle = ball(geometry, (0.0, 0.0, 0.0), 24.0), ball(geometry, (0.0, -40.0, 0.0), 21.0)
+    tip = np.array((36.0, 16.0, 9.0))
+    vein = tube(geometry, line((0.0, 0.0, 0.0), tuple(tip)), 4.2)
+    (end,) = found_in(segmented(geometry, (3, atrium | vein), (4, ventricle))).ends
+    check_end(end, tip, tip / np.linalg.norm(tip), 4.2, geometry, degrees=10.0)
+
+
 def test_where_there_is_no_vessel_or_no_wall_there_is_no_end():
     geometry = lattice("even", 60.0)
     atrium, ventricle = ball(geometry, (0.0, 0.0, 0.0), 13.0), ball(geometry, (0.0, 0.0, -22.0), 14.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from heartcase.pipeline.build.run import labels_of
+from heartcase.pipeline.bundle.assembly import labels_of
 from heartcase.pipeline.data import Segmentation
 from heartcase.pipeline.exports.models import hollow_model, solid_model, walls_smoothing_mm
 from heartcase.pipeline.exports.print_check import check_for_printing

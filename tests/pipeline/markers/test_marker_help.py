@@ -6,7 +6,6 @@ import edt
 import numpy as np
 import pytest
 import SimpleITK
-from heartcase.pipeline.stages.all_stages import RUN_STAGE, StageOutputs
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
@@ -16,14 +15,16 @@ from heartcase.phantom.drawing.strokes import first_strokes
 from heartcase.phantom.metrics import dice
 from heartcase.phantom.scan.acquisition import CT_UNITS, acquire_ct, acquire_mri, noise_free
 from heartcase.pipeline.artifacts.cache import Cache
-from heartcase.pipeline.build.lock import lock_recipe, recipe_text, resolve_recipe
-from heartcase.pipeline.build.runner import Runner, SilentListener
+from heartcase.pipeline.build.lock import lock_recipe, recipe_text
+from heartcase.pipeline.build.runner import Runner, SilentListener, run_stages
 from heartcase.pipeline.build.session_file import open_session
 from heartcase.pipeline.data import Markers, Scan
 from heartcase.pipeline.image.filter_scan import filter_scan
 from heartcase.pipeline.markers.load_markers import check_markers, load_markers, rasterise_strokes
 from heartcase.pipeline.markers.marker_help import ERASED, AutomaticMarkers, label_cores
 from heartcase.pipeline.markers.session import SegmentationSession
+from heartcase.pipeline.stages.resolve import resolve_recipe
+from heartcase.pipeline.stages.stage import Work
 from heartcase.pipeline.watershed.segment_scan import segment_scan
 from heartcase.schemas.errors import MarkerError, RecipeError
 from heartcase.schemas.geometry import Geometry
@@ -404,12 +405,15 @@ def automatic_recipe(tmp_path):
 
 def labels_of_a_build(path):
     recipe = parse_recipe(path.read_text())
-    runner, nodes = Runner(Cache(path.parent / "cache"), SilentListener(), force=False), StageOutputs()
-    RUN_STAGE["read"](recipe, path.parent, runner, nodes)
-    recipe = resolve_recipe(recipe, nodes.scan.get())
-    for stage in ("markers", "filter", "segment"):
-        RUN_STAGE[stage](recipe, path.parent, runner, nodes)
-    return nodes, runner
+    runner = Runner(Cache(path.parent / "cache"), SilentListener(), force=False)
+    work = Work(recipe, path.parent, cache=runner.cache)
+
+    def after(stage):
+        if stage == "read":
+            work.recipe = resolve_recipe(recipe, work.outputs.scan.get())
+
+    run_stages(runner, work, until="segment", after=after)
+    return work
 
 
 def test_a_session_that_was_saved_is_what_a_build_makes(automatic_recipe):
@@ -420,11 +424,12 @@ def test_a_session_that_was_saved_is_what_a_build_makes(automatic_recipe):
     assert (opened.session.markers().labels == 0).sum() > 1000
     opened.session.paint(Stroke(erase=True, radius_mm=8.0, points_mm=(lung,)))
     opened.save()
-    nodes, runner = labels_of_a_build(path)
+    work = labels_of_a_build(path)
+    nodes = work.outputs
     np.testing.assert_array_equal(nodes.markers.get().labels, opened.session.markers().labels)
     np.testing.assert_array_equal(nodes.segmentation.get().labels, opened.session.labels)
     assert set(np.unique(opened.session.labels)) == {0, TABLE.find(NAMES[1]).value}
-    settings_of = {record.stage: record.settings for record in runner.records}
+    settings_of = {record.stage: record.settings for record in work.records}
     assert settings_of["markers"]["automatic"] == ["background", "lung"]
     assert "automatic" not in settings_of["segment"]
     again = open_session(path, out=path.parent, cache=path.parent / "cache")

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import pytest
 
-from heartcase.pipeline.build.lock import resolve_recipe
 from heartcase.pipeline.report.hand_work import hand_work_facts
+from heartcase.pipeline.stages.resolve import resolve_recipe
 from heartcase.schemas.recipe.recipe import parse_recipe
 from tests.pipeline.report.analytic_heart import make_heart
 

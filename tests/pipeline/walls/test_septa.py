@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.ndimage import label as pieces_of
 
 from heartcase.pipeline.artifacts.serialise import artifact_from_bytes, artifact_to_bytes
-from heartcase.pipeline.build.run import labels_of
+from heartcase.pipeline.bundle.assembly import labels_of
 from heartcase.pipeline.checks.openings import Verdict, find_openings
 from heartcase.pipeline.data import Segmentation, Septum, Structures
 from heartcase.pipeline.edits.apply_edits import apply_edits

@@ -6,11 +6,13 @@ slow, for tests without a device.
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+import numba
 import numpy as np
 import numpy.typing as npt
 
@@ -367,4 +369,33 @@ def _cuda() -> Any:
         raise SimulationError(f"numba cannot load CUDA ({reason}): {remedy}", place="backend") from None
     if not cuda.is_available():
         raise SimulationError(f"there is no CUDA device: {remedy}", place="backend")
+    if not numba.config.ENABLE_CUDASIM:
+        _check_library()
+        # The first launch of a kernel compiles it, with one block of threads, and a hand moves few nodes.
+        _cuda_config().CUDA_LOW_OCCUPANCY_WARNINGS = 0
     return cuda
+
+
+def _check_library() -> None:
+    """Refuse a NumPy that numba's CUDA target does not know, which it says only when it compiles.
+
+    Raises
+    ------
+    SimulationError
+        It does not know this one.
+    """
+    try:
+        importlib.import_module("numba.cuda.cudaimpl")
+    except AttributeError as error:
+        raise SimulationError(
+            f"numba-cuda does not know NumPy {np.__version__} ({error}): run  pip install 'heartcase[cuda]'",
+            place="backend",
+        ) from None
+
+
+def _cuda_config() -> Any:
+    """Settings of numba's CUDA target, which has its own in newer versions."""
+    try:
+        return importlib.import_module("numba.cuda.core.config")
+    except ImportError:
+        return numba.config
