@@ -25,7 +25,7 @@ from heartcase.phantom.metrics import dice
 from heartcase.phantom.strokes import first_strokes, random_strokes
 from heartcase.pipeline.data import Markers, Scan
 from heartcase.pipeline.filter import filter_scan
-from heartcase.pipeline.landscape import landscape
+from heartcase.pipeline.landscape import default_flat_floor, landscape
 from heartcase.pipeline.markers import load_markers
 from heartcase.pipeline.read import read_labels, read_scan
 from heartcase.pipeline.region import crop_scan
@@ -151,6 +151,7 @@ def _ours(inputs: Inputs, filter_settings: FilterSettings) -> tuple[Any, ...]:
             filtered.geometry.spacing_mm,
             gradient_sigma_mm=settings.gradient_sigma_mm,
             shape_sigma_mm=settings.shape_sigma_mm,
+            flat_floor=default_flat_floor(filtered.modality),
         )
     )
     return tuple(solve_forest(tree, markers).labels for markers in inputs.marker_sets)

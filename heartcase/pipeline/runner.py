@@ -34,7 +34,7 @@ STAGE_VERSIONS = {
     "read": 3,
     "markers": 1,
     "filter": 3,
-    "segment": 3,
+    "segment": 4,
     "walls": 13,
     "edit": 5,
     "grid": 10,

@@ -97,7 +97,12 @@ def segment_scan(
 
 
 def _tree(filtered: Scan, settings: SegmentSettings) -> BasinTree:
-    return scan_tree(filtered, gradient_sigma_mm=settings.gradient_sigma_mm, shape_sigma_mm=settings.shape_sigma_mm)
+    return scan_tree(
+        filtered,
+        gradient_sigma_mm=settings.gradient_sigma_mm,
+        shape_sigma_mm=settings.shape_sigma_mm,
+        flat_floor=settings.flat_floor,
+    )
 
 
 def segment_by_threshold(values: Float32, ranges: tuple[ThresholdRange, ...], table: LabelTable) -> UInt8:

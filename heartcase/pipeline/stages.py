@@ -240,6 +240,7 @@ def filtered_tree(recipe: Recipe, filtered: Node[Scan], cache: Cache | None) -> 
         filtered.get(),
         gradient_sigma_mm=recipe.segment.gradient_sigma_mm,
         shape_sigma_mm=recipe.segment.shape_sigma_mm,
+        flat_floor=recipe.segment.flat_floor,
         cache=cache,
         scan_sha256=filtered.sha256,
     )
