@@ -23,7 +23,6 @@ __all__ = [
     "keep_large_pieces",
     "resolve_segment",
     "segment_by_threshold",
-    "resolve_segment",
     "segment_scan",
     "segmentation_warnings",
 ]
