@@ -1,4 +1,4 @@
-"""What goes in and out of the stages: volumes, distance fields, grid, surface, mapping.
+"""Inputs and outputs of the stages: scan, labels, distance fields, grid, surface, mapping.
 
 All arrays of a volume are indexed ``[z, y, x]``; points are (x, y, z) in patient LPS mm unless a name says otherwise.
 """

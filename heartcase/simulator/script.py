@@ -1,4 +1,4 @@
-"""Scripted sessions: a TOML file says what the hands do, a summary says what came of it."""
+"""Scripted sessions: a TOML file says what the instruments do, a summary says what came of it."""
 
 from __future__ import annotations
 

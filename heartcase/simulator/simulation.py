@@ -1,4 +1,4 @@
-"""A running simulation: steps, hands, surface, watchdog."""
+"""A running simulation: steps, instruments, surface, watchdog."""
 
 from __future__ import annotations
 

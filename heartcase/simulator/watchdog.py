@@ -1,4 +1,4 @@
-"""What tells that a simulation has left physics behind."""
+"""The watchdog: stops a simulation whose numbers no longer describe tissue."""
 
 from __future__ import annotations
 

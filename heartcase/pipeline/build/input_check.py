@@ -1,4 +1,4 @@
-"""What a build would say of a recipe's scan, markers and finished segmentation, before it computes anything long."""
+"""Checks of a recipe's scan, markers and finished segmentation that a build would make, before anything long runs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Locking a recipe: every setting written down, so that no later default changes a case silently.
+"""Locking a recipe: every setting is written down, so that no later default changes a case silently.
 
 A setting that a recipe leaves out has a default, or a rule that finds it from the scan. :func:`resolve_recipe` applies
 both, for a build as for a lock, so the two cannot differ.

@@ -1,4 +1,4 @@
-"""The vessel ends that a recipe's scan shows: for ``heartcase suggest --ends``, and for the lock."""
+"""Finding the vessel ends of a recipe's scan, for ``heartcase suggest --ends`` and for the lock."""
 
 from __future__ import annotations
 

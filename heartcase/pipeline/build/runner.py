@@ -1,4 +1,4 @@
-"""Runs a build's stages through the cache, and tells who listens how it goes on."""
+"""Running the stages of a build through the cache, with progress for a listener."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A painting session on a recipe: what the build made of its scan so far, and the strokes back into its file."""
+"""Opening a recipe for painting, and writing the strokes back into its file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where two sets of voxels differ in topology, not only by how many pieces, tunnels and hollows.
+"""Changes of topology between two sets of voxels, located: Betti numbers alone can agree where the sets differ.
 
 One set is changed into the other voxel by voxel, as long as a voxel is *simple*: adding or taking it away changes no
 piece, tunnel or hollow (Bertrand and Malandain, "A new characterization of three-dimensional simple points", Pattern

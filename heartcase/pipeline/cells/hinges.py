@@ -1,4 +1,4 @@
-"""Cells that hang on the rest of the tissue by an edge or a corner only, and would swing freely.
+"""Cells that are joined to the rest of the tissue by an edge or a corner only: they would swing freely.
 
 Two cells that share a face share four nodes and are stiff together. Across an edge they share two nodes, a hinge
 without stiffness, and across a corner one, a pivot. So the groups of cells joined by faces are the stiff bodies of a

@@ -1,4 +1,4 @@
-"""Where in its cell the tissue lies: its first and second moments, from the samples that give the coverage."""
+"""First and second moments of the tissue in each cell, from the samples that give the coverage."""
 
 from __future__ import annotations
 

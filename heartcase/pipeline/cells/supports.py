@@ -1,4 +1,4 @@
-"""What holds the heart: nodes that the region of interest, an end marker or a pin fixes, and what nothing holds."""
+"""Fixed nodes: those that the region of interest, an end marker or a pin fixes, and pieces that nothing fixes."""
 
 from __future__ import annotations
 

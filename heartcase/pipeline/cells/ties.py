@@ -1,4 +1,4 @@
-"""Which triangle of nodes a vertex of the surface follows: the nearest one on its own side of every wall and gap.
+"""The triangle of nodes that each vertex of the surface follows: the nearest one on its own side of every wall and gap.
 
 The way from the void beside a vertex to its reference point may lie in the void, and may end in tissue. Where it comes
 out of tissue again there is a wall, or the lip of an opening, between the two, whatever the labels on both sides are.

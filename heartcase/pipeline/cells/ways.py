@@ -1,4 +1,4 @@
-"""What lies between a place on the heart's border and a cell, read from the fields: walls, gaps, other voids.
+"""Line of sight in the fields from a place on the heart's border to a cell: walls, gaps and other voids between.
 
 The visible surface is decimated, so by itself it says only within its own error where a thin wall or a narrow gap is.
 All places are in cells: cell (i, j, k) goes from (i, j, k) on, along the grid's axes.

@@ -1,4 +1,4 @@
-"""What the faces of the scan, or of its region of interest, cut off: no model can show what lies beyond them.
+"""Structures cut off by faces of the scan or of its region of interest, and voxels that are much longer than wide.
 
 Looked for in the final labels, after end cuts and edits, so that a vessel that an end marker cuts inside is no finding.
 """

@@ -1,4 +1,4 @@
-"""What leaks once the walls are grown: compartments of blood that were joined or split, cavities open to the outside.
+"""Leaks after the walls are grown: blood compartments that were joined or split, cavities open to the outside.
 
 The structures are looked at on a lattice of twice the resolution, near the border of the blood only; a wall thinner
 than that is looked for between its points as well.

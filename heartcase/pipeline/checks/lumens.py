@@ -1,4 +1,4 @@
-"""The narrowest places of the blood's way, before and after the smoothing of the outlines.
+"""The narrowest places of blood's way through the heart, before and after the outlines are smoothed.
 
 Smoothing must not tighten a stenosis or close a defect. Narrow places are the saddles of the distance to the nearest
 wall: flooding the blood from its widest places down, two of them meet at each (a merge tree; Carr, Snoeyink, Axen,

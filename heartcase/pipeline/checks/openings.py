@@ -1,4 +1,4 @@
-"""Where blood of one chamber or vessel meets that of another without a wall between, and whether a heart has that.
+"""Openings: where two cavities touch without a wall between them, and whether a normal heart has that opening.
 
 Walls grow into background only, so two cavities whose outlines touch are open to each other. At a valve that is
 right; at a septum it is a hole that the patient may not have.

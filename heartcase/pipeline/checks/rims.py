@@ -1,4 +1,4 @@
-"""Which triangles are the rim of a defect: where blood passes through a wall that a normal heart has closed."""
+"""Rims of defects: triangles around an opening that a normal heart has closed."""
 
 from __future__ import annotations
 

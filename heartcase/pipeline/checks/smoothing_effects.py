@@ -1,4 +1,4 @@
-"""What the smoothing of the outlines did to the structures: volumes, and how wide the blood's narrowest places are."""
+"""Effects of smoothing the outlines: volumes of the structures, and widths of the narrowest lumens."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The edit stage: septal defects made and closed, structures sculpted and cleaned of stray pieces.
+"""Carrying out edits: septal defects made and closed, structures sculpted and cleaned of stray components.
 
 Defects, patches and strokes that add or remove become reshapings: nothing is resampled, they are worked out wherever
 the structures are read, so a defect is as round and a patch as thin as the recipe says. Smoothing, filling and the

@@ -1,4 +1,4 @@
-"""Moving the border of a bare structure in a part of the volume, so that the stored fields still divide space.
+"""Moving the border of a bare structure in a part of the volume; the stored fields still divide space after it.
 
 The fields of :class:`~heartcase.pipeline.data.Structures` are one per structure. Where one of them gets a new border,
 its neighbours get theirs: what it leaves goes to the nearest other structure, what it takes is theirs no more. With f

@@ -1,4 +1,4 @@
-"""Keeping the largest piece of a bare structure, and removing small ones.
+"""Connected components of a bare structure: keeping the largest, removing small ones.
 
 Pieces are those of the voxels that the structure owns before any reshaping: 26-connected in tissue, 6-connected in
 blood and background. A piece that goes takes the wall grown around it along.

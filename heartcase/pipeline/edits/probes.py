@@ -1,4 +1,4 @@
-"""What lies inside the shape of an edit: points on a lattice that is fine against the shape and the voxels."""
+"""Sample points inside the shape of an edit, on a lattice that is fine against the shape and the voxels."""
 
 from __future__ import annotations
 

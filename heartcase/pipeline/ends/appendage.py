@@ -1,4 +1,4 @@
-"""Which arm of an atrium is its appendage, and no vein.
+"""Telling the appendage of an atrium from its veins.
 
 An appendage lies on the heart: towards the atrium's valve, on other chambers, and beside a great artery. Veins lead
 away from it, but a lower one may run close behind a ventricle.

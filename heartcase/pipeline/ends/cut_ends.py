@@ -1,4 +1,4 @@
-"""Cutting vessels off at end markers: the lumen is made to run on through the disc, then a reshaping cuts it there.
+"""Cutting vessels open at end markers: the lumen runs on through the disc, and the vessel is cut there.
 
 A lumen that rounds off at the disc, or stops short of it, would get a wall over its mouth. So its label is continued
 along the disc's axis, by the last cross-section that is not yet its rounded tip, as far as the wall and the smoothing

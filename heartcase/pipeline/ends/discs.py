@@ -1,4 +1,4 @@
-"""The disc of an end marker on the lattice: what of its vessel lies on which side, and whether it cuts it through."""
+"""The disc of an end marker on the lattice: the parts of its vessel on both sides, and whether it cuts it through."""
 
 from __future__ import annotations
 

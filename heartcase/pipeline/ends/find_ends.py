@@ -1,4 +1,4 @@
-"""Where vessels leave the model: their ends, found from the labels, with the discs that cut them open.
+"""Finding the ends of vessels from the labels, with the discs that cut them open.
 
 A vessel's blood comes in where its lumen touches the chamber that it belongs to. From there the lumen is followed to
 the tips of its branches (:mod:`heartcase.pipeline.ends.lumen_branches`), and at each tip a disc is looked for, from

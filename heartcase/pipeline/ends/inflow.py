@@ -1,4 +1,4 @@
-"""Where blood comes into a vessel or an atrium, and which labels have ends at all."""
+"""Inflow of vessels and atria: where blood comes into them, and which labels have ends at all."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The ends of one label: its branches from outside in, and on each the first place where a disc cuts it clean."""
+"""Ends of one label: on each branch, from outside in, the first place where a disc cuts it clean."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A lumen as branches: how far each voxel is from where the blood comes in, and the arms in which that way ends.
+"""Branches of a lumen: the distance of each voxel from the inflow, and the arms in which the lumen ends.
 
 The way is the distance within the lumen, by fast marching (Sethian, PNAS 93, 1996, doi 10.1073/pnas.93.4.1591). A
 branch is what hangs together above a height of that way, down to where it meets another branch: the leaves of the merge

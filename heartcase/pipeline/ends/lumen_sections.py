@@ -1,4 +1,4 @@
-"""Plane cross-sections of a lumen, to a fraction of a voxel, and planes that are turned and moved to lie across it."""
+"""Plane cross-sections of a lumen, to a fraction of a voxel, and planes turned and moved to lie across it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""End markers that a person set a little off their vessel: moved onto it where it is clear which one is meant.
+"""Moving an end marker that a person set a little off its vessel onto it, where it is clear which vessel is meant.
 
 The disc is moved along its axis, to the middle of the lumen, and turned across it, by no more than its radius and 45
 degrees. Where that finds no place, an end that the search finds (:mod:`heartcase.pipeline.ends.find_ends`) within the

@@ -1,4 +1,4 @@
-"""What a 3D printer's operator wants to know of a model before it is printed."""
+"""Checks of a model before it is 3-D printed: closed, thick enough, of one piece."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Keeping blood compartments as they were: what was apart stays apart, what was joined stays joined.
+"""Keeping blood compartments as they were: separate ones stay separate, joined ones stay joined.
 
 A compartment is a 6-connected piece of all blood. :func:`bridging_voxels` guards the smoothing voxel by voxel;
 :func:`compartment_changes` looks at what came out in the end, between the voxels too.

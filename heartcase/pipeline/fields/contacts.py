@@ -1,4 +1,4 @@
-"""Where blood of one label touches that of another with no tissue between: faces, their area, their pieces.
+"""Contacts of blood of two labels with no tissue between: faces, their area, their connected components.
 
 The contact is found over the faces between voxels, then over those of sub-voxels near them. Faces make a staircase,
 which has up to 1.73 times the area of the smooth border (1.5 times on average over all directions). So each face

@@ -1,4 +1,4 @@
-"""Structures as kernels read them, and which fields matter where.
+"""The layout of structures in memory for kernels, and the fields that matter in each block.
 
 The stored fields lie side by side, so that a point reads them together. Most of them are far from most points: for each
 block of lattice cells it is known which ones can be the lowest anywhere in it, and no others are read there.

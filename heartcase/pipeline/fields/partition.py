@@ -1,4 +1,4 @@
-"""Who owns a point between voxels: labels divide space into groups first, and then the groups into labels.
+"""Partition of the space between voxels among labels: into groups of labels first, then into labels.
 
 Each label's mask is blurred, and the highest owns the point. Where two labels of one group (two chambers, two muscles)
 meet at the border of another, as at a valve's ring or in the middle of a defect's canal, either alone is lower than

@@ -1,4 +1,4 @@
-"""Reading the structures between voxels: who owns a point, and how far the tissue's border is.
+"""Reading the structures between voxels: the label at a point, and the distance to the tissue's border.
 
 The stored fields are interpolated; walls and reshapings are then worked out at the point (see
 :class:`~heartcase.pipeline.data.Structures`), so a wall or a patch thinner than a voxel is as thick as it should be.

@@ -1,4 +1,4 @@
-"""Signed distances of the shapes that reshape the structures: canals of three cross-sections, and strokes of a brush.
+"""Signed distances of shapes that reshape structures: canals of three cross-sections, strokes of a brush.
 
 All are exact inside and out. The nearest point of an ellipse is the root of a convex function that Newton's iteration
 reaches from one side (Eberly, Distance from a point to an ellipse, an ellipsoid, or a hyperellipsoid, 2013).

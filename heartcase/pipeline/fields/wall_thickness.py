@@ -1,4 +1,4 @@
-"""The thickness of a wall at a point, where a table of places says that it varies.
+"""Wall thickness that varies from place to place, given by a table of places.
 
 Along a centreline the thickness is that of the nearest point of the polyline, linear in arc length between the table's
 points and constant beyond its ends. Among positions it is the mean weighted by the inverse fourth power of the distance

@@ -1,4 +1,4 @@
-"""Who a DICOM scan is of: read for the key file alone, on the user's word, and passed to nothing else."""
+"""The patient's identity in a DICOM scan: read for the key file alone, and passed to nothing else."""
 
 from __future__ import annotations
 

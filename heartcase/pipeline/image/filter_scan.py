@@ -1,4 +1,4 @@
-"""The filter stage: edge-preserving smoothing of the scan (thesis 11.1.2).
+"""Edge-preserving smoothing of a scan (thesis 11.1.2), with the settings that suit its noise.
 
 Two schemes, in mm, with c = exp(-|grad u|^2 / (2 K^2)):
 

@@ -1,4 +1,4 @@
-"""How noisy a scan is, from the scan alone.
+"""Estimating the noise of a scan from the scan alone.
 
 Blocks of 2 x 2 x 2 voxels are taken apart into orthonormal Haar wavelets. In tissue of one kind every coefficient but
 the mean is noise. The finest coefficient, a difference along all axes at once, sees few edges: its median absolute

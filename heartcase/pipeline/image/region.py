@@ -1,4 +1,4 @@
-"""The region of interest: what is cut out of the scan before anything else is done with it."""
+"""Cutting the region of interest out of a scan."""
 
 from __future__ import annotations
 

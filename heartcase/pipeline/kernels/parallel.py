@@ -1,4 +1,4 @@
-"""Work for all cores: two pieces of it at the same time, and a kernel's own spread evenly."""
+"""Parallel work: two functions at the same time, and a kernel's loop spread evenly over all cores."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Vectors and triangles for kernels: what several of them need, with no array made on the way."""
+"""Vectors and triangles for kernels, without arrays made on the way."""
 
 from __future__ import annotations
 

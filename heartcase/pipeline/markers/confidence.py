@@ -1,4 +1,4 @@
-"""How confident one may be in the label of each voxel, for the report.
+"""Confidence in the label of each voxel, for the report.
 
     confidence = 1 - (own / other)^4 * (d_own / (d_own + d_rival))^2
 

@@ -1,4 +1,4 @@
-"""Markers that nobody has to paint: the safe cores of a draft's labels, and what is surely not heart.
+"""Markers that nobody has to paint: the safe cores of a draft's labels, and voxels that are surely not heart.
 
 A draft is any label map of the heart: a network's output, another tool's, last month's case. Its borders are not to be
 trusted, its cores are; the watershed then finds the borders in the scan.

@@ -1,4 +1,4 @@
-"""Where strokes of two cavities run into each other: so a hole in a septum is marked by painting through it.
+"""Strokes of two cavities that touch: painting through a septum marks a hole in it.
 
 Two strokes meet where the line of one comes within the brush of the other. The hole that they mark is a tube along both
 lines around that place, as wide as the narrower brush.

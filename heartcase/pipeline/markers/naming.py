@@ -1,4 +1,4 @@
-"""Which label each segment or value of a file is: what the recipe says of names, what a name or a code stands for.
+"""Matching the segments and values of a file to labels: by the recipe's names, by terms, by codes.
 
 What a file calls its segments may be a patient's name: messages call them by their place in the file.
 """

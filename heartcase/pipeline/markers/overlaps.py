@@ -1,4 +1,4 @@
-"""What overlaps in marker files and finished segmentations, in plain words: never without a word does one win."""
+"""Overlaps in marker files and finished segmentations: which label wins is always told."""
 
 from __future__ import annotations
 

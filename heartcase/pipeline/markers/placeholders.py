@@ -1,4 +1,4 @@
-"""The examples that a starter recipe holds, and how they are known again: they lie where no hand put them.
+"""The example strokes of a starter recipe, and how they are recognised.
 
 They are told by where they lie, not by a mark in the file: a comment is easily kept beside a stroke that was moved, or
 lost beside one that was not. Whoever moves an example makes it a stroke; whoever leaves one as it was is told.

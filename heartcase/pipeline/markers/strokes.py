@@ -1,4 +1,4 @@
-"""Strokes on a lattice, and what becomes of those that reach out of the scan or of its region of interest."""
+"""Strokes on a lattice, clipped where they leave the scan or its region of interest."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where one more stroke would change most, so that a person knows where to look and when to stop.
+"""Places where one more stroke would change most: where to paint next, and when to stop.
 
 At any place a stroke of another label changes a known volume (:mod:`heartcase.pipeline.watershed.subtrees`). Where it
 is worth a look is guessed: at each basin's lowest voxel

@@ -1,4 +1,4 @@
-"""The surface stage: what the surgeon sees (thesis 11.2.2).
+"""The visible surface: extraction, decimation, levels of detail, texture (thesis 11.2.2).
 
 Extract the tissue's border at full resolution, leave out specks, tag each triangle with the void beside it and the
 tissue behind it, decimate, take the true normals from the fields, and make the UV atlas and the normal map. The fields

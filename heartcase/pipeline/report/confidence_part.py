@@ -1,4 +1,4 @@
-"""How sure the outlines are, for the report: slices coloured by it, figures of each structure, places to look at."""
+"""Confidence in the outlines, for the report: coloured slices, figures of each structure, places to look at."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where vessels end, for the report: a table, and the scan along and across each vessel at the disc that cuts it."""
+"""Ends of vessels, for the report: a table, and the scan along and across each vessel at the disc that cuts it."""
 
 from __future__ import annotations
 

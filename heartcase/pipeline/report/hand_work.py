@@ -1,4 +1,4 @@
-"""What a person did or decided for a case, in plain words: never a path, a file name or a name from a file."""
+"""What a person did or decided for a case, in plain words, without paths, file names or names from a file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The views in which a heart is discussed: four-chamber, short-axis and the surgeon's, from landmarks where given.
+"""The standard views of a heart: four-chamber, short-axis and the surgeon's, from landmarks where given.
 
 Each cut takes away the side of the viewer. In both cuts the picture's right is as near to the patient's left as the
 plane allows, so that the patient's right is on the picture's left as in the slices, and a heart that lies the other

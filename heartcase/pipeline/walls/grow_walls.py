@@ -1,4 +1,4 @@
-"""The walls stage: distance fields of the structures, and walls grown outward from the cavities (thesis 11.2.3).
+"""Distance fields of the structures, and walls grown outward from the cavities (thesis 11.2.3).
 
 Only the bare structures get a field here. Where two cavities touch that a heart does not join, a septum is grown
 between them: :mod:`heartcase.pipeline.walls.septa`. A wall is a thickness in the label table, or a table of thicknesses

@@ -1,4 +1,4 @@
-"""How sure a watershed's labels are: the pass that a label came over against the lowest one of any other label.
+"""Certainty of a watershed's labels: the pass that a label came over against the lowest one of any other label.
 
 The *pass* of a label to a voxel is the lowest height that a way of neighbouring voxels from the voxel to one marked
 with the label must climb to, both ends included (a minimax path). A voxel's label is one whose pass is lowest; ``own``

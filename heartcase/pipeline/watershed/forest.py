@@ -1,4 +1,4 @@
-"""The minimum spanning forest of a tree of basins and markers: solved at once, or mended where something was painted.
+"""The minimum spanning forest of basins and markers: solved at once, or updated where something was painted.
 
 Of a marked basin only what lies below its marked voxels (its *foot*) waits for a label from elsewhere: a voxel has the
 label of the first marked voxel on its way down, or that of the foot. A foot is reached through the basin's own lowest

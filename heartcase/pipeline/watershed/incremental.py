@@ -1,4 +1,4 @@
-"""Mending of a forest where voxels were marked, or markers taken away."""
+"""Updating a forest where voxels were marked, or markers taken away."""
 
 from __future__ import annotations
 

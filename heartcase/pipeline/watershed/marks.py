@@ -1,4 +1,4 @@
-"""What the marked voxels are to their basins and flat minima."""
+"""Marked voxels in their basins and flat minima."""
 
 from __future__ import annotations
 

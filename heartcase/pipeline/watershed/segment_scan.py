@@ -1,4 +1,4 @@
-"""The segment stage: each voxel gets a label (thesis 11.1.1, and 12.3.2 for plastinated specimens)."""
+"""A label for each voxel, by watershed or thresholds (thesis 11.1.1, and 12.3.2 for plastinated specimens)."""
 
 from __future__ import annotations
 

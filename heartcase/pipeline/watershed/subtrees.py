@@ -1,4 +1,4 @@
-"""What one more marker would change: the pieces of a forest that hang on one face each.
+"""Subtrees of a forest that hang on one face each: what one more marker there would change.
 
 All feet that got their label by the same face make a *piece*: before this face was joined they hung together and had no
 label. The face hangs the piece on a marked voxel, or on a foot of another piece, its *parent*. A marker of another

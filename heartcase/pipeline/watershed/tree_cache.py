@@ -1,4 +1,4 @@
-"""The tree of a scan's landscape, kept in the build's cache: opening a case again does not pay for it again."""
+"""The tree of a scan's landscape in the build's cache, so that a case opens again without working it out."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How long a time step may be.
+"""The longest stable time step.
 
 Central differences are stable while step < 2 / omega, omega the highest angular frequency. Stiffness and mass of the
 lattice are sums over cells, so omega^2 is at most the highest of any single cell alone (Irons and Treharne's element

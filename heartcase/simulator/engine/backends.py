@@ -1,4 +1,4 @@
-"""What advances a state: one interface, one engine per backend. All agree within the rounding of float32."""
+"""Engines, which advance a state: one interface, one engine per backend, equal within the rounding of float32."""
 
 from __future__ import annotations
 

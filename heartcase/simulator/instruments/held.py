@@ -1,4 +1,4 @@
-"""What a hand holds.
+"""Instruments: grabs and probes.
 
 The grab closes on the nodes in a sphere, leads them, lets go (thesis 8.7.2). The probe pushes aside what it meets
 (thesis 8.7.1; :mod:`heartcase.simulator.engine.shared.contact`).

@@ -1,4 +1,4 @@
-"""What resists deformation: springs with a volume term, or hexahedral elements. One choice per model.
+"""The force law: springs with a volume term, or hexahedral elements; one for a model.
 
 Both are an isotropic solid of the tissue's Young's modulus E and of any Poisson's ratio from 1/4 to almost 1/2. Stress
 is reckoned in units of k/h = 0.4 E: there mu = 1.25 / (1 + ratio) and lambda = 2 mu ratio / (1 - 2 ratio).

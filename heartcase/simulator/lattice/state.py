@@ -1,4 +1,4 @@
-"""What changes while the tissue moves; with the lattice of the moment, a snapshot."""
+"""The state of a moving lattice: displacement and velocity; with the lattice of the moment, a snapshot."""
 
 from __future__ import annotations
 

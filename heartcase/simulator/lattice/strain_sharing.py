@@ -1,4 +1,4 @@
-"""How much of its strain a cell of a thin wall takes from the mean around its corners.
+"""Strain sharing: how much of its strain a cell of a thin wall takes from the mean around its corners.
 
 A wall that lies askew to the grid crosses cells of which it fills a corner. There trilinear displacements cannot follow
 a bent wall: each cell by itself is stretched, one on the wall's one side and its neighbour on the other, and the wall

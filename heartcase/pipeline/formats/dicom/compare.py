@@ -1,4 +1,4 @@
-"""What tells reconstructions apart that their headers describe alike: how sharp and how noisy they are, as measured.
+"""Telling apart reconstructions whose headers are alike, by measured sharpness and noise.
 
 The name of a reconstruction kernel is a text of the header and is shown nowhere. What it does can be measured: the same
 slices in the middle of each stack are read, and compared at the same pixels.

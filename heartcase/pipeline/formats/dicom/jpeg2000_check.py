@@ -1,4 +1,4 @@
-"""Finds damage within a lossless JPEG 2000 frame, for which its decoders do not look.
+"""Finding damage within a lossless JPEG 2000 frame, for which its decoders do not look.
 
 A frame without error marks has no checksum (ISO/IEC 15444-1). Where bytes within a code block are lost, OpenJPEG, which
 the decoders at hand are made with, goes on with what the arithmetic decoder makes of the rest, and says nothing. But a

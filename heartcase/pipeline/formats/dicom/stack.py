@@ -1,4 +1,4 @@
-"""Do these images form one straight stack of even spacing? And if not, what is wrong with it."""
+"""Whether images form one straight stack of even spacing, and if not, what is wrong with it."""
 
 from __future__ import annotations
 

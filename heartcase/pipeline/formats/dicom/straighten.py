@@ -1,4 +1,4 @@
-"""Fill missing slices, and set the slices of a leaning stack straight above each other: when told to, never else."""
+"""Filling missing slices, and straightening the slices of a tilted gantry: only when told to."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tells a whole DICOM object that is no image from what is left of an image.
+"""Telling a whole DICOM object that is no image from the remains of a damaged image.
 
 The elements of its data set are walked from the first to the last (PS3.5 chapter 7): the last one must end where the
 file ends. pydicom takes the end of a file for the end of a data set, wherever it comes.

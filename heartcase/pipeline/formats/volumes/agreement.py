@@ -1,4 +1,4 @@
-"""One tolerance for everything that a header says twice, or in rounded digits: how far it moves a corner of the volume.
+"""One tolerance for what a header says twice or in rounded digits: how far it moves a corner of the volume.
 
 A cosine that is off by 0.001 means nothing on a small image and a voxel on a large one, so no part of a header has a
 tolerance of its own: what counts is where the volume's voxels lie. sform and qform, axes that are not quite at right

@@ -1,4 +1,4 @@
-"""Which of the times that a scan holds is meant by a given one."""
+"""Choosing the time of a scan that is nearest to a given one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the readers of the file formats hand on, and the checks that they share.
+"""The volume that all readers of image files return, and the checks that they share.
 
 No message names a path or a file: both may hold a patient's name, and the user knows which file was given.
 """

@@ -1,4 +1,4 @@
-"""What lies on both sides of each triangle of the tissue's border: the void in front, the tissue behind, or a cut."""
+"""Tags of the surface's triangles: the void in front, the tissue behind, or a cut end."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a triangle mesh passes through itself.
+"""Self-intersections of a triangle mesh.
 
 Two triangles count as intersecting when an edge of one strictly crosses the inside of the other. Neighbours that share
 an edge or a vertex are judged by the same rule: what they share lies in both planes, so it crosses neither. Triangles

@@ -1,4 +1,4 @@
-"""A lattice of boxes that tells which triangles of a mesh are near a place."""
+"""A spatial index of triangles: a lattice of boxes, each with the triangles near it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which of two ways to do the same work is quicker at present.
+"""Autotuning: choosing, while it runs, the quicker of two ways to do the same work.
 
 Threads that meet after every step are quickest on an idle machine and slowest on a busy one, where each meeting waits
 for the other thread's turn. What is quicker is therefore measured as the work goes on. It may be: both ways give the

@@ -1,4 +1,4 @@
-"""Threads that take steps together: each works on its own part, and all meet before one goes on to what others wrote.
+"""A team of threads that take steps together, and the barrier at which they wait for one another.
 
 A meeting is a counter that the last thread to arrive resets. The others wait for it without rest at first, as steps are
 short, and then give their turn to whatever else wants the core: on a busy machine that may be the very thread that they

@@ -1,4 +1,4 @@
-"""What the CPU kernel does to windows of 8 cells: the forces of elements, of the volume term and of the corner guard.
+"""Cells in the CPU kernel, in windows of 8: forces of elements, of the volume term and of the corner guard.
 
 A cell is kept in the lane of its lowest corner. A window of cells adds its forces to those on the nodes, row by row: of
 two cells side by side, the forces on the nodes between them are added first.

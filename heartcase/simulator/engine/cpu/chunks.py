@@ -1,4 +1,4 @@
-"""Which windows a thread steps, and the springs that it works out: each of them once.
+"""Division of the windows among threads; each spring is worked out once.
 
 Both ends of a spring need its tension. A window works out those of the nine springs ahead of each lane and keeps them;
 for the springs behind, it finds them where earlier windows left them. A thread takes a chunk of windows that follow

@@ -1,4 +1,4 @@
-"""What the CPU kernel does for hands: explicit springs pull before a step, probes push after it."""
+"""Instruments in the CPU kernel: explicit springs pull before a step, probes push after it."""
 
 from __future__ import annotations
 

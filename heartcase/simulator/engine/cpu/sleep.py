@@ -1,4 +1,4 @@
-"""Tissue that rests is not worked out: which windows of the CPU kernel sleep, from one check to the next.
+"""Sleep: windows of the CPU kernel whose tissue rests are not worked out, from one check to the next.
 
 A window is still when, in a step, each of its nodes is slower than a speed and the force on it changes its velocity by
 less than a difference, or than the rounding of float32 does; the second keeps a swing at its turning point awake, and

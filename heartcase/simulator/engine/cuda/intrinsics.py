@@ -1,4 +1,4 @@
-"""What the CUDA kernels need and numba has no name for: vectors of four in one access, and a meeting of all threads.
+"""Intrinsics of the CUDA kernels: vectors of four in one access, and a grid-wide barrier.
 
 In numba's CUDA simulator, which runs a single block of threads, the same names are plain Python.
 """

@@ -1,4 +1,4 @@
-"""Probes: nodes that an instrument meets are pushed out of it, and move only so far that no cell turns inside out.
+"""Contact with probes: nodes are pushed out of them, only so far that no cell turns inside out.
 
 After a step, a free node inside a probe's ellipsoid is moved to its surface, away from its centre (thesis 8.7.1). Near
 a probe, a node's movement of the step is then shortened so that it takes at most a tenth of what each corner that it

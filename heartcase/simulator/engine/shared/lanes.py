@@ -1,4 +1,4 @@
-"""The nodes in lanes: how the kernels lay out a lattice in memory.
+"""The layout of a lattice in memory: nodes in lanes of vectors.
 
 Nodes are stored in blocks of 8 lanes: 8 neighbours along i, aligned. Blocks that follow each other along i lie side by
 side, as a run; between runs lies an empty block. A vector instruction works on a window: 8 lanes of a run from a node
