@@ -26,9 +26,9 @@ from heartcase.phantom.metrics import dice
 from heartcase.pipeline.data import Markers, Scan
 from heartcase.pipeline.formats.read_scan import read_labels, read_scan
 from heartcase.pipeline.image.filter_scan import filter_scan
-from heartcase.pipeline.image.landscape import default_flat_floor, landscape
+from heartcase.pipeline.image.landscape import landscape
 from heartcase.pipeline.image.region import crop_scan
-from heartcase.pipeline.markers import load_markers
+from heartcase.pipeline.markers.load_markers import load_markers
 from heartcase.pipeline.watershed.forest import solve_forest
 from heartcase.pipeline.watershed.tree import build_basin_tree
 from heartcase.schemas.benchmark import MethodSkipped
@@ -151,7 +151,6 @@ def _ours(inputs: Inputs, filter_settings: FilterSettings) -> tuple[Any, ...]:
             filtered.geometry.spacing_mm,
             gradient_sigma_mm=settings.gradient_sigma_mm,
             shape_sigma_mm=settings.shape_sigma_mm,
-            flat_floor=default_flat_floor(filtered.modality),
         )
     )
     return tuple(solve_forest(tree, markers).labels for markers in inputs.marker_sets)

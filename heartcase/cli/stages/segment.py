@@ -40,14 +40,11 @@ def command(
     from heartcase.pipeline.markers.placeholders import placeholder_problems
     from heartcase.pipeline.stages.stage import have
     from heartcase.pipeline.warnings import worst_first
-    from heartcase.pipeline.watershed.segment_scan import resolve_segment
     from heartcase.schemas.errors import RecipeError
     from heartcase.schemas.recipe.recipe import MarkerFile
 
     work = stage_run(recipe, sets, stage="segment")
     volume = work.take_scan(scan, choice)
-    settings = resolve_segment(work.recipe.segment, volume)
-    work.recipe = work.recipe.model_copy(update={"segment": settings})
     files = [MarkerFile(path=str(path.resolve())) for path in markers]
     work.recipe = work.recipe.model_copy(update={"markers": (*work.recipe.markers, *files)})
     examples = placeholder_problems(work.recipe, work.outputs.whole)

@@ -12,10 +12,6 @@ of a scan is noise alone, whatever else is in it; a median would not do, as in a
 fat and bone with a texture of their own, several times as steep as blood. ``heartcase bench accuracy`` puts it beside a
 watershed of the gradient alone: chambers are mostly divided better, the myocardium can lose a little. Blur and share
 were chosen on phantoms, so those are no independent test of them.
-
-In a CT all that is lower than four times that percentile is raised to it. Smooth blood is then a flat minimum, which
-the watershed divides half way between the strokes; without the floor the one flood that finds the lowest way takes all
-of it. In an MR that divides chambers less well than the shape does (``heartcase bench accuracy-default``).
 """
 
 from __future__ import annotations
@@ -27,7 +23,7 @@ import numpy.typing as npt
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.image.gradient import gradient_magnitude
 
-__all__ = ["default_flat_floor", "landscape"]
+__all__ = ["landscape"]
 
 Float32 = npt.NDArray[np.float32]
 
@@ -35,19 +31,12 @@ SHAPE_SHARE = 1.6
 """Most that the shape adds, in units of the gradient of the flattest voxels."""
 FLAT_QUANTILE = 0.1
 """Part of the voxels that surely lies in tissue of one kind: the gradient there is noise alone."""
-CT_FLAT_FLOOR = 4.0
-"""Default floor of a CT, in units of the gradient of the flattest voxels; other scans have none."""
 SAMPLE_VOXELS = 200_000
 """Voxels of which the percentile is taken, at least where there are as many."""
 
 
 def landscape(
-    values: npt.ArrayLike,
-    spacing_mm: tuple[float, float, float],
-    *,
-    gradient_sigma_mm: float,
-    shape_sigma_mm: float,
-    flat_floor: float = 0.0,
+    values: npt.ArrayLike, spacing_mm: tuple[float, float, float], *, gradient_sigma_mm: float, shape_sigma_mm: float
 ) -> Float32:
     """Height of each voxel for the watershed.
 
@@ -61,8 +50,6 @@ def landscape(
         Standard deviation of the Gaussian blur before the gradient is taken, mm; 0 blurs nothing.
     shape_sigma_mm
         Standard deviation of the blur for the shape, mm; 0 takes the gradient alone.
-    flat_floor
-        Least height, in units of the gradient of the flattest tenth; 0 for none.
 
     Returns
     -------
@@ -70,20 +57,12 @@ def landscape(
         Intensity per mm, float32, same shape, >= 0.
     """
     height = gradient_magnitude(values, spacing_mm, sigma_mm=gradient_sigma_mm)
-    of_flat = _of_flat(height) if shape_sigma_mm > 0.0 or flat_floor > 0.0 else 0.0
     if shape_sigma_mm > 0.0:
-        most = SHAPE_SHARE * of_flat
+        most = SHAPE_SHARE * _of_flat(height)
         if most > 0.0:
             shape = gradient_magnitude(values, spacing_mm, sigma_mm=shape_sigma_mm)
             _add_shape(height.reshape(-1), shape.reshape(-1), np.float32(most))
-    if flat_floor * of_flat > 0.0:
-        np.maximum(height, np.float32(flat_floor * of_flat), out=height)
     return height
-
-
-def default_flat_floor(modality: str | None) -> float:
-    """The floor where a recipe states none."""
-    return CT_FLAT_FLOOR if modality == "CT" else 0.0
 
 
 def _of_flat(height: Float32) -> float:

@@ -103,12 +103,7 @@ class SegmentationSession:
         from heartcase.pipeline.watershed.tree_cache import scan_tree
 
         settings = settings or SegmentSettings()
-        tree = scan_tree(
-            filtered,
-            gradient_sigma_mm=settings.gradient_sigma_mm,
-            shape_sigma_mm=settings.shape_sigma_mm,
-            flat_floor=settings.flat_floor,
-        )
+        tree = scan_tree(filtered, gradient_sigma_mm=settings.gradient_sigma_mm, shape_sigma_mm=settings.shape_sigma_mm)
         return cls(tree, filtered.geometry, table, markers=markers)
 
     def paint(self, stroke: Stroke) -> Box | None:

@@ -22,14 +22,12 @@ def resolve_recipe(recipe: Recipe, scan: Scan) -> Recipe:
     from heartcase.pipeline.cells.build_grid import resolve_grid
     from heartcase.pipeline.image.filter_scan import resolve_filter
     from heartcase.pipeline.walls.grow_walls import resolve_walls
-    from heartcase.pipeline.watershed.segment_scan import resolve_segment
 
     return recipe.model_copy(
         update={
             "case_id": recipe.case_id or made_up_case_id(recipe.name, scan.whole_sha256 or scan.values_sha256),
             "labels": recipe.table.labels,
             "filter": resolve_filter(recipe.filter, scan),
-            "segment": resolve_segment(recipe.segment, scan),
             "walls": resolve_walls(recipe.walls, scan.geometry, recipe.table),
             "grid": resolve_grid(recipe.grid),
         }

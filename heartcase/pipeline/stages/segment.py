@@ -24,7 +24,6 @@ def filtered_tree(work: Work) -> BasinTree:
         filtered.get(),
         gradient_sigma_mm=work.recipe.segment.gradient_sigma_mm,
         shape_sigma_mm=work.recipe.segment.shape_sigma_mm,
-        flat_floor=work.recipe.segment.flat_floor,
         cache=work.cache,
         scan_sha256=filtered.sha256,
     )
@@ -69,7 +68,7 @@ def _compute(work: Work) -> Segmentation:
 
 STAGE = Stage(
     name="segment",
-    version=4,
+    version=3,
     title="segmenting",
     deed="find the structures",
     subject="finding the structures",

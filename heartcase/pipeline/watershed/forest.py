@@ -21,7 +21,6 @@ from heartcase.pipeline.watershed.marks import (
     CONTESTED,
     UNMARKED,
     find_lowest_marks,
-    in_divided_flat,
     is_flat_contested,
     mark_below,
     marked_voxels,
@@ -30,7 +29,7 @@ from heartcase.pipeline.watershed.marks import (
     reach,
 )
 from heartcase.pipeline.watershed.painting import paint_basins, paint_rows
-from heartcase.pipeline.watershed.plateaus import divide_flat, extend_division
+from heartcase.pipeline.watershed.plateaus import divide_flat
 from heartcase.pipeline.watershed.tree import NO_KEY, BasinTree
 
 __all__ = ["UNMARKED", "Box", "Forest", "solve_forest"]
@@ -64,8 +63,6 @@ class Forest:
     """Flat index of each basin's lowest marked voxel; -1 without any."""
     flat_label: npt.NDArray[np.int16]
     """Label that marks each flat minimum: -1 none, -2 several."""
-    steps: npt.NDArray[np.int32]
-    """Steps of each voxel of a divided flat minimum to its marked voxel; undefined elsewhere."""
     labels: UInt8
     """Label of each voxel."""
 
@@ -88,7 +85,6 @@ class Forest:
         voxels = voxels[flat_painted[voxels] != label]
         if not len(voxels):
             return None
-        before = flat_painted[voxels]
         flat_painted[voxels] = label
         tree = self.tree
         bits, basin = tree.height.view(np.int32).ravel(), tree.basin.ravel()
@@ -98,23 +94,6 @@ class Forest:
         graph = (*tree.neighbours, tree.key, *tree.ends)
         feet = (self.marks.reshape(-1), self.foot_label, self.foot_level, self.lowest_mark)
         if label != UNMARKED:
-            divided = in_divided_flat(bits, basin, tree.root, tree.flat, self.flat_label, voxels)
-            if (before[divided] != UNMARKED).any():
-                # painted over: the other label may be gone from the flat, which then is divided no more
-                return self.solve()
-            if divided.any():
-                taken = extend_division(
-                    bits,
-                    basin,
-                    tree.flat,
-                    self.marks.shape,
-                    side_offsets(self.marks.shape),
-                    voxels[divided],
-                    np.uint8(label),
-                    self.marks.reshape(-1),
-                    self.steps.reshape(-1),
-                )
-                voxels = np.concatenate([voxels[~divided], taken])
             return self._paint_basins(mend(landscape, graph, voxels, label, *feet))
         changed = unmark(landscape, graph, tree.voxels, voxels, *feet, int(MOST_MENDED * tree.basin_count))
         return self._paint_basins(changed) if len(changed) else self.solve()
@@ -164,7 +143,6 @@ class Forest:
                 side_offsets(self.marks.shape),
                 voxels[number == contested],
                 self.marks.reshape(-1),
-                self.steps.reshape(-1),
                 UNMARKED,
             )
 
@@ -226,7 +204,6 @@ def solve_forest(tree: BasinTree, markers: UInt8) -> Forest:
         foot_level=np.empty(count, np.int64),
         lowest_mark=np.empty(count, np.int64),
         flat_label=np.empty(count, np.int16),
-        steps=np.empty(markers.shape, np.int32),
         labels=np.full(markers.shape, UNMARKED, np.uint8),
     )
     forest.solve()

@@ -13,7 +13,6 @@ __all__ = [
     "CONTESTED",
     "UNMARKED",
     "find_lowest_marks",
-    "in_divided_flat",
     "is_flat_contested",
     "mark_below",
     "marked_voxels",
@@ -64,7 +63,7 @@ def note_flats(bits, basin, root, flat, marks, voxels, flat_label):  # type: ign
 
 @kernel
 def is_flat_contested(bits, basin, root, flat, flat_label, voxels, label):  # type: ignore[no-untyped-def]
-    """Whether flat minima must be divided anew: where a second label comes, or markers of a divided one are taken away.
+    """Whether a flat minimum with some voxels that get a label (255: lose theirs) holds several labels, then or before.
 
     Notes the label where not. That of a flat whose markers are all gone stays noted: it is solved anew in vain.
     """
@@ -76,19 +75,9 @@ def is_flat_contested(bits, basin, root, flat, flat_label, voxels, label):  # ty
                     return True
             elif flat_label[number] == -1:
                 flat_label[number] = label
-            elif flat_label[number] != label and flat_label[number] != CONTESTED:
+            elif flat_label[number] != label:
                 return True
     return False
-
-
-@kernel
-def in_divided_flat(bits, basin, root, flat, flat_label, voxels):  # type: ignore[no-untyped-def]
-    """Which voxels lie in a flat minimum that is divided between labels."""
-    found = np.zeros(len(voxels), np.bool_)
-    for n in range(len(voxels)):
-        b = basin[voxels[n]]
-        found[n] = flat[b] >= 0 and bits[voxels[n]] == bits[root[b]] and flat_label[flat[b]] == CONTESTED
-    return found
 
 
 @kernel

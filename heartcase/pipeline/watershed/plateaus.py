@@ -10,7 +10,7 @@ from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.watershed.descent import side_offsets
 
-__all__ = ["divide_flat", "extend_division", "flat_minima"]
+__all__ = ["divide_flat", "flat_minima"]
 
 Float32 = npt.NDArray[np.float32]
 Int32 = npt.NDArray[np.int32]
@@ -41,7 +41,7 @@ def flat_minima(height: Float32, root: Int64, key: Int64, first: Int32, second: 
 
 
 @kernel
-def divide_flat(bits, basin, flat, shape, offsets, voxels, marks, steps, unmarked):  # type: ignore[no-untyped-def]
+def divide_flat(bits, basin, flat, shape, offsets, voxels, marks, unmarked):  # type: ignore[no-untyped-def]
     """Divide a flat minimum among its marked voxels, in place: each voxel goes to the marked one with fewest steps.
 
     Parameters
@@ -54,20 +54,14 @@ def divide_flat(bits, basin, flat, shape, offsets, voxels, marks, steps, unmarke
         Of the volume: (z, y, x), and from :func:`heartcase.pipeline.watershed.descent.side_offsets`.
     voxels
         Flat indices of the marked voxels of the flat, ascending.
-    steps
-        Gets the steps of each voxel of the flat to its marked voxel, int32.
     unmarked
         Value in ``marks`` of what is not marked.
     """
     nz, ny, nx = shape
     shore = voxels
-    step = np.int32(0)
-    for v in voxels:
-        steps[v] = step
     level = bits[shore[0]]
     number = flat[basin[shore[0]]]
     while len(shore) > 0:
-        step += np.int32(1)
         reached = np.empty(6 * len(shore), np.int64)
         count = 0
         # in ascending order, so that of neighbours equally near the one with the lowest index gives its label
@@ -89,88 +83,9 @@ def divide_flat(bits, basin, flat, shape, offsets, voxels, marks, steps, unmarke
                 u = v + offsets[side]
                 if marks[u] == unmarked and bits[u] == level and flat[basin[u]] == number:
                     marks[u] = marks[v]
-                    steps[u] = step
                     reached[count] = u
                     count += 1
         shore = np.sort(reached[:count])
-
-
-@copied
-def _is_inside(v, side, shape):  # type: ignore[no-untyped-def]
-    """Whether a voxel has a neighbour in a direction."""
-    nz, ny, nx = shape
-    i = v % nx
-    j = v // nx % ny
-    k = v // (nx * ny)
-    if side == 0:
-        return k > 0
-    if side == 1:
-        return j > 0
-    if side == 2:
-        return i > 0
-    if side == 4:
-        return i < nx - 1
-    if side == 5:
-        return j < ny - 1
-    return side == 6 and k < nz - 1
-
-
-@copied
-def _nearer_label(u, step, number, level, bits, basin, flat, shape, offsets, marks, steps):  # type: ignore[no-untyped-def]
-    """Label of the neighbour with the lowest index that is one step nearer; the directions ascend with the index."""
-    for side in range(7):
-        if _is_inside(u, side, shape):
-            w = u + offsets[side]
-            if bits[w] == level and flat[basin[w]] == number and steps[w] == step - 1:
-                return marks[w]
-    return marks[u]
-
-
-@kernel
-def extend_division(bits, basin, flat, shape, offsets, voxels, label, marks, steps):  # type: ignore[no-untyped-def]
-    """Carry newly marked voxels into the division of their flat minima, in place; all voxels that got the label.
-
-    A voxel changes where the new ones are nearer, or as near with a neighbour of lower index one step nearer: it then
-    gets their label, never another one. So only what changes is looked at, wave by wave.
-
-    Parameters
-    ----------
-    bits, basin, flat, shape, offsets, marks, steps
-        As for :func:`divide_flat`, which has divided the flats of all ``voxels``.
-    voxels
-        Flat indices of the voxels that were marked.
-    label
-        Their label.
-    """
-    changed = [np.int64(v) for v in voxels]
-    for v in voxels:
-        marks[v] = label
-        steps[v] = 0
-    begin = 0
-    step = np.int32(0)
-    while begin < len(changed):
-        step += np.int32(1)
-        end = len(changed)
-        for n in range(begin, end):
-            v = changed[n]
-            level = bits[v]
-            number = flat[basin[v]]
-            for side in range(7):
-                if not _is_inside(v, side, shape):
-                    continue
-                u = v + offsets[side]
-                if bits[u] != level or flat[basin[u]] != number or steps[u] < step:
-                    continue
-                if steps[u] == step:
-                    if marks[u] == label:
-                        continue
-                    if _nearer_label(u, step, number, level, bits, basin, flat, shape, offsets, marks, steps) != label:
-                        continue
-                steps[u] = step
-                marks[u] = label
-                changed.append(u)
-        begin = end
-    return np.array(changed)
 
 
 @copied

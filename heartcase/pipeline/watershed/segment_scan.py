@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.data import Markers, Scan, Segmentation
-from heartcase.pipeline.image.landscape import default_flat_floor
 from heartcase.pipeline.warnings import anatomy
 from heartcase.pipeline.watershed.forest import solve_forest
 from heartcase.pipeline.watershed.tree import BasinTree
@@ -19,13 +18,7 @@ from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND, LabelTable
 from heartcase.schemas.recipe.settings import SegmentSettings, ThresholdRange
 
-__all__ = [
-    "keep_large_pieces",
-    "resolve_segment",
-    "segment_by_threshold",
-    "segment_scan",
-    "segmentation_warnings",
-]
+__all__ = ["keep_large_pieces", "segment_by_threshold", "segment_scan", "segmentation_warnings"]
 
 Float32 = npt.NDArray[np.float32]
 UInt8 = npt.NDArray[np.uint8]
@@ -34,21 +27,6 @@ TISSUE_CONNECTIVITY = 26
 BLOOD_CONNECTIVITY = 6
 PIECES_NAMED = 3
 """How many stray pieces of a label a warning describes; the rest is counted."""
-
-
-def resolve_segment(settings: SegmentSettings, scan: Scan) -> SegmentSettings:
-    """Settings with what they leave to the scan filled in: the floor of the landscape.
-
-    Parameters
-    ----------
-    settings
-        Any; settings that state all come back as they are.
-    scan
-        The scan that is segmented.
-    """
-    if settings.flat_floor is not None:
-        return settings
-    return settings.model_copy(update={"flat_floor": default_flat_floor(scan.modality)})
 
 
 def segment_scan(
@@ -119,12 +97,7 @@ def segment_scan(
 
 
 def _tree(filtered: Scan, settings: SegmentSettings) -> BasinTree:
-    return scan_tree(
-        filtered,
-        gradient_sigma_mm=settings.gradient_sigma_mm,
-        shape_sigma_mm=settings.shape_sigma_mm,
-        flat_floor=settings.flat_floor,
-    )
+    return scan_tree(filtered, gradient_sigma_mm=settings.gradient_sigma_mm, shape_sigma_mm=settings.shape_sigma_mm)
 
 
 def segment_by_threshold(values: Float32, ranges: tuple[ThresholdRange, ...], table: LabelTable) -> UInt8:

@@ -10,12 +10,12 @@ import numpy.typing as npt
 
 from heartcase.pipeline.artifacts.cache import Cache, stage_key
 from heartcase.pipeline.data import Scan
-from heartcase.pipeline.image.landscape import default_flat_floor, landscape
+from heartcase.pipeline.image.landscape import landscape
 from heartcase.pipeline.watershed.tree import BasinTree, build_basin_tree, restored_tree
 
 __all__ = ["TREE_VERSION", "KeptTree", "scan_tree"]
 
-TREE_VERSION = 4
+TREE_VERSION = 3
 """Raised whenever the landscape or the order of the faces changes."""
 
 
@@ -34,7 +34,6 @@ def scan_tree(
     *,
     gradient_sigma_mm: float,
     shape_sigma_mm: float,
-    flat_floor: float | None = None,
     cache: Cache | None = None,
     scan_sha256: str = "",
 ) -> BasinTree:
@@ -46,8 +45,6 @@ def scan_tree(
         The smoothed scan.
     gradient_sigma_mm, shape_sigma_mm
         Blur before the gradient and for the shape, mm; 0 for none.
-    flat_floor
-        Floor of the landscape, in units of the gradient of the flattest tenth; None takes that of the modality.
     cache
         Where the tree is looked for and kept; None works it out.
     scan_sha256
@@ -59,7 +56,6 @@ def scan_tree(
         See :func:`heartcase.pipeline.watershed.tree.build_basin_tree`.
     """
     settings = {"gradient_sigma_mm": gradient_sigma_mm, "shape_sigma_mm": shape_sigma_mm}
-    settings["flat_floor"] = default_flat_floor(filtered.modality) if flat_floor is None else flat_floor
     height = landscape(filtered.values, filtered.geometry.spacing_mm, **settings)
     if cache is None:
         return build_basin_tree(height)

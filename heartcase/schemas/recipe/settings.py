@@ -93,9 +93,6 @@ class SegmentSettings(Model):
     shape_sigma_mm: Annotated[float, Field(ge=0.0, le=20.0)] = 3.0
     """Watershed: blur for the shape, which decides where the gradient is only noise, such as in an open valve; 0 leaves
     the shape out."""
-    flat_floor: Annotated[float, Field(ge=0.0, le=100.0)] | None = None
-    """Watershed: what is flatter than this many times the flattest tenth of the scan counts as flat, and is divided
-    half way between strokes; 0 leaves it as it is. Left out: 4 in a CT, 0 in other scans."""
     ranges: tuple[ThresholdRange, ...] = ()
     """Threshold: intensity range of each label; a voxel in two ranges gets the first."""
     automatic: tuple[Literal["background", "lung"], ...] = ()

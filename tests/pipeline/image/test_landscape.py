@@ -92,13 +92,3 @@ def test_two_chambers_part_at_the_door_between_them():
 
     with_shape, without = (np.mean([wrong_share(seed, sigma) for seed in range(10)]) for sigma in (3.0, 0.0))
     assert with_shape < 0.5 * without
-
-
-def test_what_is_lower_than_the_floor_is_raised_to_it_and_nothing_else_changes():
-    values = np.random.default_rng(3).normal(0.0, 9.0, (9, 10, 11)).astype(np.float32)
-    spacing = (1.0, 1.5, 2.0)
-    without = landscape(values, spacing, gradient_sigma_mm=0.0, shape_sigma_mm=3.0)
-    got = landscape(values, spacing, gradient_sigma_mm=0.0, shape_sigma_mm=3.0, flat_floor=4.0)
-    floor = 4.0 * np.quantile(plain_gradient(values, spacing, 1e-9), 0.1)
-    assert 0.1 < (without < floor).mean() < 0.9
-    np.testing.assert_allclose(got, np.maximum(without, floor), rtol=1e-5)

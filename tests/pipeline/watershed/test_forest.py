@@ -116,28 +116,6 @@ def test_long_sequences_on_larger_landscapes_end_where_a_fresh_solve_does(seed, 
         np.testing.assert_array_equal(forest.foot_level, fresh.foot_level)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_strokes_in_a_divided_flat_end_where_a_fresh_solve_does_without_one(seed, monkeypatch):
-    random = np.random.default_rng(seed)
-    shape = (11, 13, 12)
-    height = np.maximum(smooth_noise(seed, shape), np.float32(0.6 * smooth_noise(seed, shape).max()))
-    tree = build_basin_tree(height)
-    floor = np.flatnonzero(height == height.min())
-    start = np.full(shape, UNMARKED, np.uint8)
-    start.flat[floor[[0, -1]]] = 0, 1
-    forest = solve_forest(tree, start)
-    for _ in range(30):
-        voxels = np.unique(random.choice(floor, int(random.integers(1, 5))))
-        voxels = voxels[forest.painted.flat[voxels] == UNMARKED]
-        with monkeypatch.context() as patched:
-            patched.setattr(forest_module.Forest, "solve", lambda _: pytest.fail("solved anew"))
-            forest.paint(voxels, int(random.integers(0, 2)))
-        fresh = solve_forest(tree, forest.painted)
-        np.testing.assert_array_equal(forest.labels, fresh.labels)
-        np.testing.assert_array_equal(forest.marks, fresh.marks)
-        np.testing.assert_array_equal(forest.foot_level, fresh.foot_level)
-
-
 @settings(max_examples=100, deadline=None)
 @given(shape=shapes, levels=level_counts, seed=st.integers(0, 2**32 - 1))
 def test_restored_labels_are_those_of_a_fresh_solve(shape, levels, seed):
