@@ -12,14 +12,12 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.kernel import kernel
+from heartcase.schemas.arrays import Float64, Int64
 
 __all__ = ["SampleTree"]
 
-Float64 = npt.NDArray[np.float64]
-Int64 = npt.NDArray[np.int64]
 _FAN = 8
 """Samples of a leaf and boxes of a parent."""
 _PART = 1024

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from heartcase.compiling.kernel import kernel
+from heartcase.schemas.arrays import Float64
 
 __all__ = [
     "Capsule",
@@ -33,7 +34,6 @@ __all__ = [
     "smooth_min",
 ]
 
-Float64 = npt.NDArray[np.float64]
 Vector = Sequence[float] | Float64
 
 

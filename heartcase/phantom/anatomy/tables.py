@@ -17,18 +17,15 @@ from dataclasses import dataclass, replace
 
 import numba
 import numpy as np
-import numpy.typing as npt
 from scipy import ndimage
 
 from heartcase.compiling.kernel import kernel
 from heartcase.phantom.anatomy.nearest import SampleTree
 from heartcase.phantom.anatomy.shapes import Offset, Shape, complement
+from heartcase.schemas.arrays import Bool, Float32, Float64, Int64
 
 __all__ = ["DistanceTables", "table_value", "tabulate"]
 
-Float64 = npt.NDArray[np.float64]
-Float32 = npt.NDArray[np.float32]
-Int64 = npt.NDArray[np.int64]
 COARSE = 4
 _PART = 4096
 """Points that one task of a parallel loop takes; no result depends on it."""
@@ -217,7 +214,7 @@ def _interpolated_along(spline: Float64, count: int, order: int) -> Float64:
 
 def _surface_samples(
     values: Float64,
-    known: npt.NDArray[np.bool_],
+    known: Bool,
     points: Float64,
     origin: Float64,
     size: Int64,

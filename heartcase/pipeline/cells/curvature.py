@@ -10,19 +10,16 @@ from __future__ import annotations
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.calls import called, copied
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.data import SimulationGrid
 from heartcase.pipeline.kernels.vectors import cross
+from heartcase.schemas.arrays import Float32, Float64, Int32
 from heartcase.schemas.bundle.lattice import CELL_DIAGONALS, CELL_EDGES, cell_nodes, distinct_keys
 
 __all__ = ["curvature_errors", "grid_springs", "node_neighbours"]
 
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
 
 _AMPLITUDE = 1e-3
 

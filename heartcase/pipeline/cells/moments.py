@@ -5,17 +5,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.cells.sampling import CellSamples, tissue_part
+from heartcase.schemas.arrays import Float32, Int32
 from heartcase.schemas.bundle.lattice import FULL_MOMENTS
 
 __all__ = ["cell_moments"]
-
-Float32 = npt.NDArray[np.float32]
-Int32 = npt.NDArray[np.int32]
 
 
 def cell_moments(samples: CellSamples, cells: Int32) -> Float32:

@@ -15,21 +15,17 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 from scipy import sparse
 from scipy.sparse import csgraph
 
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.cells.repair import CellState, Index, index_of
 from heartcase.pipeline.cells.sampling import CellSamples, VoidPieces
+from heartcase.schemas.arrays import Bool, Float32, Float64, Int32, Int64
 from heartcase.schemas.bundle.lattice import distinct_keys
 
 __all__ = ["LUMEN_CELLS", "OPENING_CELLS", "blocked_openings", "closes_passage", "open_passages"]
 
-Bool = npt.NDArray[np.bool_]
-Int64 = npt.NDArray[np.int64]
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
 
 OPENING_CELLS = 0.75
 """An opening at least this wide, in cells, is kept open."""
@@ -117,7 +113,7 @@ class _Graph:
     """Flat cell of each graph node, ascending."""
     node_piece: Int64
     """Piece of the cell."""
-    node: npt.NDArray[np.int32]
+    node: Int32
     """Graph node at each sample; -1 where there is none."""
     contacts: Int64
     """Touching nodes, shape (n, 2), lower first."""

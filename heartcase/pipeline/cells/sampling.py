@@ -11,21 +11,15 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.calls import called, copied
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.data import Structures
 from heartcase.pipeline.fields.reader import FieldReader, ownership_on_lattice
+from heartcase.schemas.arrays import Bool, Float32, Float64, UInt8, UInt16
 from heartcase.schemas.geometry import Geometry
 
 __all__ = ["CellSamples", "VoidPieces", "cell_lattice", "sample_cells", "sample_factor", "tissue_part", "void_pieces"]
-
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
-UInt8 = npt.NDArray[np.uint8]
-UInt16 = npt.NDArray[np.uint16]
-Bool = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from heartcase.compiling.calls import called, copied
@@ -31,14 +30,11 @@ from heartcase.pipeline.data import Surface
 from heartcase.pipeline.fields.reader import FieldReader, scratch
 from heartcase.pipeline.kernels.parallel import every_other
 from heartcase.pipeline.kernels.vectors import dot, put, square_to_triangle
+from heartcase.schemas.arrays import Float32, Float64, Int32, Int64
 from heartcase.schemas.geometry import Geometry
 
 __all__ = ["Check", "NodeTriangles", "TieChooser", "closest_weights"]
 
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
-Int64 = npt.NDArray[np.int64]
 
 _MORE = 4
 """So many times the candidates are tried where all of them are beyond a wall or a gap."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.calls import called, copied
 from heartcase.compiling.kernel import kernel
@@ -17,6 +16,7 @@ from heartcase.pipeline.fields.layout import FieldLayout
 from heartcase.pipeline.fields.reader import FieldReader, evaluate_owner, steps_through
 from heartcase.pipeline.fields.wall_thickness import ThicknessArrays
 from heartcase.pipeline.kernels.vectors import dot
+from heartcase.schemas.arrays import Float64, Int64
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND
 
@@ -32,8 +32,6 @@ __all__ = [
     "searched",
 ]
 
-Float64 = npt.NDArray[np.float64]
-Int64 = npt.NDArray[np.int64]
 
 BESIDE = 0.05
 """Cells from the border to where the void beside it, or the tissue behind it, is looked up."""

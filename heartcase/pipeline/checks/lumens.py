@@ -13,21 +13,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.kernels.feature_transform import distance_to_marked
+from heartcase.schemas.arrays import Bool, Float32, Float64, Int64, UInt8
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable
 
 __all__ = ["Narrowing", "narrowest_lumens"]
 
-Bool = npt.NDArray[np.bool_]
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
-Int64 = npt.NDArray[np.int64]
-UInt8 = npt.NDArray[np.uint8]
 
 WIDER = 1.3
 """The way on both sides of a narrow place is at least this many times as wide."""

@@ -7,19 +7,16 @@ from typing import Any
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.checks.lumens import narrowest_lumens
 from heartcase.pipeline.warnings import anatomy
+from heartcase.schemas.arrays import Float32, UInt8
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND, LabelTable
 
 __all__ = ["NARROWED_VOXELS", "smoothing_effects", "volume_voxels"]
 
-Float32 = npt.NDArray[np.float32]
-Int64 = npt.NDArray[np.int64]
-UInt8 = npt.NDArray[np.uint8]
 
 LOSS_LIMIT = 0.10
 """Part of a structure's volume that the smoothing may take without a warning."""

@@ -14,15 +14,12 @@ from dataclasses import dataclass
 import cc3d
 import edt
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.kernel import kernel
+from heartcase.schemas.arrays import Bool, Float64, Int64
 
 __all__ = ["Branch", "find_branches", "way_within"]
 
-Bool = npt.NDArray[np.bool_]
-Float64 = npt.NDArray[np.float64]
-Int64 = npt.NDArray[np.int64]
 
 BUMP_VOXELS = 1.25
 """What rises less than this above its saddle, in edges of the longest side of a voxel, is a step of the voxels."""

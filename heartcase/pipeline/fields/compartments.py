@@ -20,13 +20,11 @@ from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.fields.contacts import Extent, faces_between
 from heartcase.pipeline.kernels.topology import piece_sizes
+from heartcase.schemas.arrays import Bool, UInt8, UInt32
 from heartcase.schemas.geometry import Geometry
 
 __all__ = ["Change", "bridging_voxels", "compartment_changes"]
 
-Bool = npt.NDArray[np.bool_]
-UInt8 = npt.NDArray[np.uint8]
-UInt32 = npt.NDArray[np.uint32]
 Box = tuple[slice, slice, slice]
 
 LEAST_VOXELS = 8

@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.calls import called, copied
 from heartcase.compiling.kernel import kernel
@@ -19,15 +18,11 @@ from heartcase.compiling.lent import lend
 from heartcase.pipeline.data import Structures
 from heartcase.pipeline.fields.shapes import SHAPE_KINDS
 from heartcase.pipeline.fields.wall_thickness import ThicknessArrays, thickness_arrays
+from heartcase.schemas.arrays import Bool, Float32, Float64, Int32, UInt8
 from heartcase.schemas.labels import BACKGROUND
 
 __all__ = ["ALL_FIELDS", "BLOCK", "FieldLayout", "layout_of", "varying_walls"]
 
-Bool = npt.NDArray[np.bool_]
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
-UInt8 = npt.NDArray[np.uint8]
 
 INTERLEAVED_PLANES = 2
 BLOCK = 4

@@ -13,15 +13,12 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.kernel import kernel
+from heartcase.schemas.arrays import Float32, UInt8
 
 __all__ = ["Box", "Part", "Touch", "divide", "find_touches", "heights_of_groups", "leads_of"]
 
-Bool = npt.NDArray[np.bool_]
-Float32 = npt.NDArray[np.float32]
-UInt8 = npt.NDArray[np.uint8]
 Box = tuple[slice, slice, slice]
 
 TOUCH_GAIN = 4.0

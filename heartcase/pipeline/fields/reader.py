@@ -28,6 +28,7 @@ from heartcase.pipeline.fields.layout import ALL_FIELDS, BLOCK, FieldLayout, lay
 from heartcase.pipeline.fields.shapes import shape_distance
 from heartcase.pipeline.fields.wall_thickness import ThicknessArrays, table_thickness
 from heartcase.pipeline.kernels.parallel import every_other
+from heartcase.schemas.arrays import Float32, Float64, UInt8
 from heartcase.schemas.geometry import Geometry
 
 __all__ = [
@@ -40,11 +41,6 @@ __all__ = [
     "steps_through",
 ]
 
-Bool = npt.NDArray[np.bool_]
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
-UInt8 = npt.NDArray[np.uint8]
 
 _Layout = FieldLayout
 """Its former name: numba's caches of earlier versions do not load without it."""

@@ -7,16 +7,15 @@ reaches from one side (Eberly, Distance from a point to an ellipse, an ellipsoid
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.data import Reshaping
+from heartcase.schemas.arrays import Float64
 from heartcase.schemas.geometry import Geometry
 
 __all__ = ["SHAPE_KINDS", "distance_on_lattice", "frame_of", "section_distance", "shape_distance"]
 
-Float64 = npt.NDArray[np.float64]
 
 SHAPE_KINDS = {"cylinder": 0, "strokes": 1, "elliptic": 2, "slit": 3}
 """Name of a shape -> number that the kernels know it by."""

@@ -22,11 +22,9 @@ import numpy.typing as npt
 from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.data import ThicknessTable
+from heartcase.schemas.arrays import Float64, Int32
 
 __all__ = ["ThicknessArrays", "table_thickness", "thickness_arrays", "thickness_at_points"]
-
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
 
 
 class ThicknessArrays(NamedTuple):

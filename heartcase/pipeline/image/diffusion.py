@@ -15,14 +15,13 @@ import math
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel
+from heartcase.schemas.arrays import Float32, Float64
 
 __all__ = ["diffuse", "mean_square_gradient"]
 
-Float32 = npt.NDArray[np.float32]
 
 _SLAB = 8
 """Planes that one task goes through; fixed, so that the result does not depend on the number of threads."""
@@ -91,7 +90,7 @@ def diffuse(
     return old if old is not values else old.copy()
 
 
-def _scale(factors: npt.NDArray[np.float64]) -> Float32:
+def _scale(factors: Float64) -> Float32:
     """Factors of differences as float32, none of them infinite."""
     clipped: Float32 = np.minimum(factors, _SCALE_LIMIT).astype(np.float32)
     return clipped

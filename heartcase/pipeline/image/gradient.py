@@ -11,10 +11,10 @@ from scipy import ndimage
 
 from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel
+from heartcase.schemas.arrays import Float32
 
 __all__ = ["gradient_magnitude"]
 
-Float32 = npt.NDArray[np.float32]
 
 BLUR_REACH = 4.0
 """Standard deviations after which the Gaussian is cut off."""

@@ -22,10 +22,10 @@ import numpy.typing as npt
 
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.image.gradient import gradient_magnitude
+from heartcase.schemas.arrays import Float32
 
 __all__ = ["landscape"]
 
-Float32 = npt.NDArray[np.float32]
 
 SHAPE_SHARE = 1.6
 """Most that the shape adds, in units of the gradient of the flattest voxels."""

@@ -19,11 +19,10 @@ import numpy.typing as npt
 from scipy.ndimage import gaussian_filter
 
 from heartcase.compiling.kernel import kernel
+from heartcase.schemas.arrays import Float64, Int64, UInt8
 
 __all__ = ["Camera", "Mesh", "camera_for", "downsampled", "draw_mesh"]
 
-Float64 = npt.NDArray[np.float64]
-UInt8 = npt.NDArray[np.uint8]
 
 _KEY_LIGHT = np.array((-0.45, 0.55, 0.70)) / np.linalg.norm((-0.45, 0.55, 0.70))
 _KEY, _FILL, _AMBIENT = 0.55, 0.40, 0.28
@@ -38,7 +37,7 @@ class Mesh:
 
     points_mm: Float64
     """Points, shape (point_count, 3)."""
-    triangles: npt.NDArray[np.int64]
+    triangles: Int64
     """Point numbers, shape (triangle_count, 3)."""
     normals: Float64
     """Unit normal of each point, shape (point_count, 3)."""

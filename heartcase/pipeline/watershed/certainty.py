@@ -23,18 +23,16 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.watershed.descent import row_chunks, side_offsets
 from heartcase.pipeline.watershed.forest import Forest
 from heartcase.pipeline.watershed.marks import UNMARKED, mark_below
+from heartcase.schemas.arrays import Float32, UInt8
 
 __all__ = ["FootCertainty", "foot_certainty", "voxel_certainty"]
 
-Float32 = npt.NDArray[np.float32]
-UInt8 = npt.NDArray[np.uint8]
 
 NOBODY = -1
 INFINITE_BITS = np.int32(0x7F800000)

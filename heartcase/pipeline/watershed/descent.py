@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel
+from heartcase.schemas.arrays import Float32, Int32, Int64, UInt8
 
 __all__ = [
     "ROOT",
@@ -20,10 +20,6 @@ __all__ = [
     "steepest_descent",
 ]
 
-Float32 = npt.NDArray[np.float32]
-Int32 = npt.NDArray[np.int32]
-Int64 = npt.NDArray[np.int64]
-UInt8 = npt.NDArray[np.uint8]
 
 ROOT = 3
 """Direction of a voxel without lower neighbour. The others, by ascending index of the neighbour: 0 z - 1, 1 y - 1,

@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.watershed.descent import side_offsets
+from heartcase.schemas.arrays import Float32, Int32, Int64
 
 __all__ = ["divide_flat", "flat_minima"]
-
-Float32 = npt.NDArray[np.float32]
-Int32 = npt.NDArray[np.int32]
-Int64 = npt.NDArray[np.int64]
 
 
 def flat_minima(height: Float32, root: Int64, key: Int64, first: Int32, second: Int32) -> Int32:

@@ -14,17 +14,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.watershed.descent import side_offsets
 from heartcase.pipeline.watershed.forest import Forest
 from heartcase.pipeline.watershed.marks import UNMARKED, mark_below
+from heartcase.schemas.arrays import Bool, Int32, Int64
 
 __all__ = ["NO_PIECE", "ForestPieces", "forest_pieces"]
 
-Int32 = npt.NDArray[np.int32]
-Int64 = npt.NDArray[np.int64]
 
 NO_PIECE = -1
 
@@ -49,7 +47,7 @@ class ForestPieces:
     flipped_count: Int64
     """Voxels that a marker in the piece takes: those of its feet and of all pieces that hang on it; 0 for level 0."""
 
-    def hanging_on(self, piece: int) -> npt.NDArray[np.bool_]:
+    def hanging_on(self, piece: int) -> Bool:
         """Which pieces a marker in a piece takes, itself included, bool, shape (pieces,)."""
         taken = np.zeros(len(self.level), np.bool_)
         _find_hanging(self.parent, piece, taken)

@@ -12,7 +12,6 @@ from functools import cached_property
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel
@@ -26,14 +25,11 @@ from heartcase.pipeline.watershed.descent import (
     steepest_descent,
 )
 from heartcase.pipeline.watershed.plateaus import flat_minima
+from heartcase.schemas.arrays import Float32, Int32, Int64, UInt8
 from heartcase.schemas.errors import StageError
 
 __all__ = ["MOST_VOXELS", "BasinTree", "build_basin_tree", "restored_tree"]
 
-Float32 = npt.NDArray[np.float32]
-Int32 = npt.NDArray[np.int32]
-Int64 = npt.NDArray[np.int64]
-UInt8 = npt.NDArray[np.uint8]
 
 MOST_VOXELS = 1 << 29
 """Voxels of the largest volume: a face's key holds the index of its higher voxel in 29 bits."""

@@ -6,19 +6,15 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from numba import get_num_threads
 
 from heartcase.compiling.kernel import kernel
+from heartcase.schemas.arrays import Float32, Float64, Int32, UInt8
 from heartcase.simulator.engine.cpu.barrier import Crew, Meeting
 from heartcase.simulator.surface.formulas import make_vertex_math
 
 __all__ = ["EVERYTHING", "deform_vertices", "mark_moved", "move_at_rest", "node_normals", "place_nodes"]
 
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
-UInt8 = npt.NDArray[np.uint8]
 
 EVERYTHING: UInt8 = np.zeros(0, np.uint8)
 """Marks nothing: all is worked out."""

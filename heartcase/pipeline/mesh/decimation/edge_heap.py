@@ -7,17 +7,17 @@ half-edge.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.mesh.decimation.collapse import Collapsing, join_ends, may_join
 from heartcase.pipeline.mesh.decimation.quadrics import best_place, next_edge
+from heartcase.schemas.arrays import Float64
 
 __all__ = ["finished"]
 
 
-def finished(mesh: Collapsing, wanted: int, care: npt.NDArray[np.float64] | None = None) -> Collapsing:
+def finished(mesh: Collapsing, wanted: int, care: Float64 | None = None) -> Collapsing:
     """Collapse the cheapest edge again and again, until ``wanted`` triangles are left or none may go.
 
     The mesh is not changed, so another count, or more care at some vertices (numbered as they were before the sweeps),

@@ -11,21 +11,17 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.calls import called, copied
 from heartcase.compiling.kernel import kernel
 from heartcase.compiling.lent import lend
 from heartcase.pipeline.fields.reader import FieldReader, evaluate_owner, scratch, steps_through
 from heartcase.pipeline.mesh.extraction.cube_cases import cube_cases
+from heartcase.schemas.arrays import Float32, Float64, Int32, UInt8
 from heartcase.schemas.geometry import Geometry
 
 __all__ = ["PaddedField", "padded_field", "triangulated_border"]
 
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
-UInt8 = npt.NDArray[np.uint8]
 
 ROOT_MARGIN = 0.004
 """Part of a lattice edge that vertices keep from its ends."""

@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.calls import called
 from heartcase.compiling.kernel import kernel
@@ -23,11 +22,10 @@ from heartcase.compiling.lent import lend
 from heartcase.pipeline.fields.reader import FieldReader, evaluate_owner, scratch
 from heartcase.pipeline.kernels.parallel import every_other
 from heartcase.pipeline.kernels.vectors import cross, make_unit, put
+from heartcase.schemas.arrays import Bool, Float64
 
 __all__ = ["Rings", "fit_normal", "fitted_normals", "rings_of", "to_index_matrix"]
 
-Bool = npt.NDArray[np.bool_]
-Float64 = npt.NDArray[np.float64]
 
 CHUNK = 256
 STEPPED_SPANS_VOXELS = (3.5, 3.0, 2.5, 2.0, 1.5)

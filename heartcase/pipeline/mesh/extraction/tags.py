@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel
@@ -15,15 +14,11 @@ from heartcase.pipeline.data import Structures
 from heartcase.pipeline.fields.reader import FieldReader, evaluate_owner, scratch
 from heartcase.pipeline.mesh.extraction.extract import FullMesh
 from heartcase.pipeline.mesh.triangles.half_edges import connected_parts, opposites
+from heartcase.schemas.arrays import Bool, Float64, Int32, Int64, UInt8
 from heartcase.schemas.geometry import Geometry
 
 __all__ = ["CUT", "TriangleTags", "cut_faces", "tag_keys", "tag_triangles"]
 
-Bool = npt.NDArray[np.bool_]
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
-Int64 = npt.NDArray[np.int64]
-UInt8 = npt.NDArray[np.uint8]
 
 CUT = 256
 """Key of a cut face; other keys are labels."""

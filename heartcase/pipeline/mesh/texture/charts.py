@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import numba
 import numpy as np
-import numpy.typing as npt
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -18,11 +17,10 @@ from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.kernels.vectors import put
 from heartcase.pipeline.mesh.triangles.half_edges import opposites
+from heartcase.schemas.arrays import Float64, Int32
 
 __all__ = ["cut_into_charts", "project"]
 
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
 
 CONE_COSINE = float(np.cos(np.radians(45.0)))
 MERGE_TRIANGLES = 40

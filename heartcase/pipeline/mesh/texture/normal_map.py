@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.calls import called, copied
 from heartcase.compiling.kernel import kernel
@@ -23,13 +22,10 @@ from heartcase.pipeline.mesh.texture.atlas import Atlas
 from heartcase.pipeline.mesh.triangles.half_edges import opposites
 from heartcase.pipeline.mesh.triangles.mesh_distance import nearest_on_mesh
 from heartcase.pipeline.mesh.triangles.triangle_grid import TriangleGrid
+from heartcase.schemas.arrays import Bool, Float32, Float64, Int32, Int64, UInt8
 
 __all__ = ["bake_normal_map"]
 
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
-UInt8 = npt.NDArray[np.uint8]
 
 CHUNK = 64
 FLAT = (128, 128, 255)
@@ -47,7 +43,7 @@ def bake_normal_map(
     vertices_mm: Float32,
     normals: Float32,
     tangents: Float32,
-    flat_triangles: npt.NDArray[np.bool_],
+    flat_triangles: Bool,
     *,
     size: int,
     reach_mm: float,
@@ -131,9 +127,9 @@ def _fitted_between(
     corners: Int32,
     vertices: Float64,
     normals: Float64,
-    flat: npt.NDArray[np.bool_],
+    flat: Bool,
     reach_mm: float,
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], Float32]:
+) -> tuple[Int64, Int64, Float32]:
     """Parts of each triangle's edge, where its points begin, and the normals at all points."""
     rings, to_index = rings_of(reader), to_index_matrix(reader)
     apart = POINT_RINGS * rings.spans_mm[0]

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.kernel import kernel
+from heartcase.schemas.arrays import Float64, Int32
 from heartcase.schemas.errors import StageError
 
 __all__ = ["GUTTER_TEXELS", "pack", "turned"]
 
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
 
 GUTTER_TEXELS = 2
 """Texels that are kept free on each side of a chart."""

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.kernel import kernel
+from heartcase.schemas.arrays import Bool, Int32
 
 __all__ = ["connected_parts", "opposites", "opposites_of_some"]
-
-Int32 = npt.NDArray[np.int32]
 
 
 def opposites(triangles: Int32) -> Int32:
@@ -35,7 +33,7 @@ def opposites(triangles: Int32) -> Int32:
     return opposite
 
 
-def opposites_of_some(opposite: Int32, kept: npt.NDArray[np.bool_]) -> Int32:
+def opposites_of_some(opposite: Int32, kept: Bool) -> Int32:
     """Opposite half-edges where only some triangles are kept, numbered anew in the same order.
 
     Parameters

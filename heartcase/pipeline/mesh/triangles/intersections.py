@@ -13,24 +13,21 @@ from __future__ import annotations
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.calls import called, copied
 from heartcase.compiling.kernel import kernel
 from heartcase.compiling.lent import lend
 from heartcase.pipeline.mesh.triangles.triangle_grid import triangle_grid
+from heartcase.schemas.arrays import Bool, Float, Int32
 
 __all__ = ["self_intersections"]
 
-Int32 = npt.NDArray[np.int32]
 
 _ERROR_BOUND = (7.0 + 56.0 * 2.0**-53) * 2.0**-53
 """Of a volume's sign, in units of the sum of its products' sizes: Shewchuk's o3derrboundA."""
 
 
-def self_intersections(
-    vertices: npt.NDArray[np.floating], triangles: Int32, *, among: npt.NDArray[np.bool_] | None = None
-) -> Int32:
+def self_intersections(vertices: Float, triangles: Int32, *, among: Bool | None = None) -> Int32:
     """Find all pairs of triangles that cross.
 
     Parameters
@@ -60,7 +57,7 @@ def self_intersections(
     return pairs
 
 
-def _pairs_among(vertices: npt.NDArray[np.floating], triangles: Int32, among: npt.NDArray[np.bool_]) -> Int32:
+def _pairs_among(vertices: Float, triangles: Int32, among: Bool) -> Int32:
     """Pairs with one of some triangles, which alone are sorted into boxes."""
     which = np.flatnonzero(among)
     grid = triangle_grid(vertices, triangles[which])

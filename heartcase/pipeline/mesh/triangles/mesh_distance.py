@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.calls import called
 from heartcase.compiling.kernel import kernel
 from heartcase.compiling.lent import lend
 from heartcase.pipeline.kernels.vectors import square_to_triangle
 from heartcase.pipeline.mesh.triangles.triangle_grid import TriangleGrid
+from heartcase.schemas.arrays import Float64
 
 __all__ = ["mesh_distance_mm", "nearest_on_mesh"]
 
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
 
 SLACK = 1.0 + 1e-9
 """Boxes are taken to be nearer by this factor, so that rounding leaves none out."""

@@ -6,15 +6,12 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.kernel import kernel
+from heartcase.schemas.arrays import Float, Float64, Int32, Int64
 
 __all__ = ["TriangleGrid", "triangle_grid"]
 
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
-Int64 = npt.NDArray[np.int64]
 
 _EDGES_PER_BOX = 1.5
 _BOX_COUNT = 8_000_000
@@ -42,7 +39,7 @@ class TriangleGrid(NamedTuple):
     """Triangles of each box, ascending."""
 
 
-def triangle_grid(vertices_mm: npt.NDArray[np.floating], triangles: Int32) -> TriangleGrid:
+def triangle_grid(vertices_mm: Float, triangles: Int32) -> TriangleGrid:
     """Sort the triangles of a mesh into boxes about as large as one and a half of them.
 
     Parameters

@@ -14,17 +14,17 @@ from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
 from heartcase.compiling.emitting import array_data, named_function, nothing
 from heartcase.compiling.kernel import kernel
+from heartcase.schemas.arrays import Int64
 
 __all__ = ["Crew", "Meeting", "meet", "raise_to"]
 
-Meeting = npt.NDArray[np.int64]
+Meeting = Int64
 
 PATIENCE = 30_000
 """Looks at a meeting before a thread gives its turn away, some 0.3 to 1 ms: two threads that the system has put on one

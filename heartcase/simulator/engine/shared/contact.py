@@ -19,12 +19,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.schemas.arrays import Float32, Float64, Intp
 from heartcase.simulator.lattice.model import DIRECTIONS, LatticeModel
 
 __all__ = ["NO_PROBES", "PROBE_SIZE", "keep_outside", "make_contact", "moved_on", "probe_row"]
 
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
 
 SHARE = 0.1
 """Part of a corner's volume above the floor that one node may take in one step."""
@@ -117,7 +116,7 @@ def keep_outside(
     return later, velocity
 
 
-def _shares(model: LatticeModel, displacement: Float64, nodes: npt.NDArray[np.intp], moved: Float64) -> Float64:
+def _shares(model: LatticeModel, displacement: Float64, nodes: Intp, moved: Float64) -> Float64:
     """Part of some nodes' movements that their corners allow, shape (len(nodes),)."""
     to = np.full((2, 3, model.node_count), -1)
     for axis, direction in enumerate(_AXES):
