@@ -284,7 +284,7 @@ def _patch_distance(
 
 
 @kernel
-def _weights(u, value, first, second):  # type: ignore[no-untyped-def]
+def _weights(u, value, first, second):
     """Cubic B-spline weights at a fraction u and their first and second derivatives, each four long."""
     v = 1.0 - u
     value[0] = v * v * v / 6.0
@@ -302,13 +302,13 @@ def _weights(u, value, first, second):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _mirrored(index, count):  # type: ignore[no-untyped-def]
+def _mirrored(index, count):
     index = abs(index)
     return index if index < count else 2 * (count - 1) - index
 
 
 @kernel
-def _derivatives_part(coefficients, size, origin, spacing, points, value, gradient, hessian, start, stop):  # type: ignore[no-untyped-def]
+def _derivatives_part(coefficients, size, origin, spacing, points, value, gradient, hessian, start, stop):
     weight = np.empty((3, 3, 4))
     cell = np.empty(3, np.int64)
     for n in range(start, stop):
@@ -351,7 +351,7 @@ def _derivatives_part(coefficients, size, origin, spacing, points, value, gradie
 
 
 @kernel(parallel=True)
-def _derivatives(coefficients, size, origin, spacing, points):  # type: ignore[no-untyped-def]
+def _derivatives(coefficients, size, origin, spacing, points):
     """Value (n,), gradient (n, 3) and Hessian (n, 3, 3) of one spline at points inside its lattice."""
     count = points.shape[0]
     value = np.zeros(count)
@@ -364,7 +364,7 @@ def _derivatives(coefficients, size, origin, spacing, points):  # type: ignore[n
 
 
 @kernel
-def table_value(coefficients, start, size, origin, spacing, margin, field, x, y, z):  # type: ignore[no-untyped-def]
+def table_value(coefficients, start, size, origin, spacing, margin, field, x, y, z):
     """Value of one field at one point; outside its lattice the value at the border plus the way to it.
 
     More than two margins outside the structure, where nothing asks for more, it is interpolated linearly.
@@ -414,7 +414,7 @@ def table_value(coefficients, start, size, origin, spacing, margin, field, x, y,
 
 
 @kernel(inline="always")
-def _weight(u, which):  # type: ignore[no-untyped-def]
+def _weight(u, which):
     if which == 0:
         return (1.0 - u) ** 3 / 6.0
     if which == 1:
@@ -425,7 +425,7 @@ def _weight(u, which):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _evaluate_tables(coefficients, start, size, origin, spacing, margin, points):  # type: ignore[no-untyped-def]
+def _evaluate_tables(coefficients, start, size, origin, spacing, margin, points):
     values = np.empty((points.shape[0], start.shape[0]))
     for n in range(points.shape[0]):
         x, y, z = points[n, 0], points[n, 1], points[n, 2]

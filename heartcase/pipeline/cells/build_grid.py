@@ -424,7 +424,7 @@ def _thickness_percentiles(samples: CellSamples) -> dict[str, float]:
 
 
 @called
-def _find_ridges_of_plane(tissue, depth, ridge, z):  # type: ignore[no-untyped-def]
+def _find_ridges_of_plane(tissue, depth, ridge, z):
     """Find them in one plane."""
     ny, nx = ridge.shape[1:]
     half = np.float32(0.5)
@@ -444,7 +444,7 @@ def _find_ridges_of_plane(tissue, depth, ridge, z):  # type: ignore[no-untyped-d
 
 
 @kernel(parallel=True)
-def _find_ridges(tissue, depth, ridge):  # type: ignore[no-untyped-def]
+def _find_ridges(tissue, depth, ridge):
     """Depth at the samples that are as deep as their six neighbours, 0 elsewhere; the first two are a sample wider.
 
     Across a wall the depth is a roof; its height follows from the steeper side and both neighbours.
@@ -454,7 +454,7 @@ def _find_ridges(tissue, depth, ridge):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _label_faces(piece, main, void_label, s, beside, side, label):  # type: ignore[no-untyped-def]
+def _label_faces(piece, main, void_label, s, beside, side, label):
     nk, nj, ni = main.shape
     share = np.zeros(256, np.int64)
     near = np.zeros(256, np.int64)

@@ -127,7 +127,7 @@ def _groups(left: Bool, labels: UInt32, count: int) -> list[tuple[int, Change]]:
 
 
 @copied
-def _beside(mask):  # type: ignore[no-untyped-def]
+def _beside(mask):
     """A set of neighbours and all that share a face with one of them."""
     wide = mask | (mask & ~_LOW_X) >> 1 | (mask << 1) & ~_LOW_X
     wide |= (mask & ~_LOW_Y) >> 3 | (mask << 3) & ~_LOW_Y
@@ -135,7 +135,7 @@ def _beside(mask):  # type: ignore[no-untyped-def]
 
 
 @copied
-def _around(mask):  # type: ignore[no-untyped-def]
+def _around(mask):
     """A set of neighbours and all that share a corner with one of them."""
     mask |= (mask & ~_LOW_X) >> 1 | (mask << 1) & ~_LOW_X & _ALL
     mask |= (mask & ~_LOW_Y) >> 3 | (mask << 3) & ~_LOW_Y & _ALL
@@ -143,7 +143,7 @@ def _around(mask):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _is_simple(inside):  # type: ignore[no-untyped-def]
+def _is_simple(inside):
     """Whether a voxel of a 26-connected set is simple, from the set's neighbours of it."""
     inside &= ~_CENTRE
     outside = _ALL & ~inside & ~_CENTRE & ~_CORNERS
@@ -166,7 +166,7 @@ def _is_simple(inside):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _deform(now, differs, order, steps, is_six):  # type: ignore[no-untyped-def]
+def _deform(now, differs, order, steps, is_six):
     """Change what differs as long as it is simple; ``now`` and ``differs`` are flat, with a rim of one voxel."""
     count = len(order)
     queue = order.copy()

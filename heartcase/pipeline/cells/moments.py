@@ -41,7 +41,7 @@ def cell_moments(samples: CellSamples, cells: Int32) -> Float32:
 
 
 @copied
-def _outward(below, value, above):  # type: ignore[no-untyped-def]
+def _outward(below, value, above):
     """Growth of the field along an axis towards the nearer void, and that less the growth to the other side.
 
     The two differ only in a layer of tissue that is thinner than a sample: it has void to both sides.
@@ -51,7 +51,7 @@ def _outward(below, value, above):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _add_up(tissue_mm, wz, wy, wx, s, width, cells, moments):  # type: ignore[no-untyped-def]
+def _add_up(tissue_mm, wz, wy, wx, s, width, cells, moments):
     nz, ny, nx = tissue_mm.shape
     place = np.empty(3)
     box = np.empty(3)

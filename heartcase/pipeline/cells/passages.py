@@ -351,7 +351,7 @@ def _from_void(ways: Int64, cost: Float64, sources: Int64, tissue: Bool) -> tupl
 
 
 @kernel
-def _number_samples(piece, main, tissue, base, s, node):  # type: ignore[no-untyped-def]
+def _number_samples(piece, main, tissue, base, s, node):
     nk, nj, ni = tissue.shape
     for k in range(nk):
         for j in range(nj):
@@ -372,7 +372,7 @@ def _number_samples(piece, main, tissue, base, s, node):  # type: ignore[no-unty
 
 
 @kernel
-def _connected_nearby(tissue, is_blood, k0, j0, i0, k1, j1, i1, margin):  # type: ignore[no-untyped-def]
+def _connected_nearby(tissue, is_blood, k0, j0, i0, k1, j1, i1, margin):
     """Whether blood cells join two blood cells inside their common box, grown by a margin."""
     nk, nj, ni = tissue.shape
     lk, hk = max(min(k0, k1) - margin, 0), min(max(k0, k1) + margin, nk - 1)

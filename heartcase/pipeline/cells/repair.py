@@ -237,7 +237,7 @@ def index_of(values: npt.ArrayLike) -> Index:
 
 
 @kernel
-def _find_leaks(piece, main, tissue, s, flags):  # type: ignore[no-untyped-def]
+def _find_leaks(piece, main, tissue, s, flags):
     nk, nj, ni = tissue.shape
     for k in range(nk):
         for j in range(nj):

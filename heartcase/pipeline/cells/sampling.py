@@ -159,7 +159,7 @@ def _inside(volume: Geometry, lattice: Geometry, factor: int) -> tuple[Float64, 
 
 
 @copied
-def _mean_in_sample(tissue_mm, z, y, x, width):  # type: ignore[no-untyped-def]
+def _mean_in_sample(tissue_mm, z, y, x, width):
     """Mean of the field over a sample: its centre's value and 1/24 of the second differences, where it is smooth."""
     value = tissue_mm[z, y, x]
     if abs(value) > width:
@@ -173,13 +173,13 @@ def _mean_in_sample(tissue_mm, z, y, x, width):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def tissue_part(tissue_mm, z, y, x, width):  # type: ignore[no-untyped-def]
+def tissue_part(tissue_mm, z, y, x, width):
     """Part of a sample that is tissue, 0 to 1: linear in the mean of the field over it. ``width`` is its edge, mm."""
     return min(max(0.5 - _mean_in_sample(tissue_mm, z, y, x, width) / width, 0.0), 1.0)
 
 
 @called
-def _measure_layer(tissue_mm, tissue_label, wz, wy, wx, s, width, coverage, cell_label, k):  # type: ignore[no-untyped-def]
+def _measure_layer(tissue_mm, tissue_label, wz, wy, wx, s, width, coverage, cell_label, k):
     """Measure a layer of cells."""
     nj, ni = coverage.shape[1:]
     share = np.zeros(256)
@@ -204,13 +204,13 @@ def _measure_layer(tissue_mm, tissue_label, wz, wy, wx, s, width, coverage, cell
 
 
 @kernel(parallel=True)
-def _measure(tissue_mm, tissue_label, wz, wy, wx, s, width, coverage, cell_label):  # type: ignore[no-untyped-def]
+def _measure(tissue_mm, tissue_label, wz, wy, wx, s, width, coverage, cell_label):
     for k in numba.prange(len(coverage)):
         _measure_layer(tissue_mm, tissue_label, wz, wy, wx, s, width, coverage, cell_label, k)
 
 
 @called
-def _label_layer(void, void_label, s, piece, count, main, main_label, k):  # type: ignore[no-untyped-def]
+def _label_layer(void, void_label, s, piece, count, main, main_label, k):
     """Label the pieces in a layer of cells."""
     nj, ni = count.shape[1:]
     stack = np.empty(s * s * s, np.int64)
@@ -268,6 +268,6 @@ def _label_layer(void, void_label, s, piece, count, main, main_label, k):  # typ
 
 
 @kernel(parallel=True)
-def _label_pieces(void, void_label, s, piece, count, main, main_label):  # type: ignore[no-untyped-def]
+def _label_pieces(void, void_label, s, piece, count, main, main_label):
     for k in numba.prange(len(count)):
         _label_layer(void, void_label, s, piece, count, main, main_label, k)

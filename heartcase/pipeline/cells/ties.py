@@ -183,7 +183,7 @@ def closest_weights(points: Float64, corners: Float64) -> Float32:
 
 
 @copied
-def _closest_point(p, a, b, c, weights):  # type: ignore[no-untyped-def]
+def _closest_point(p, a, b, c, weights):
     """Weights of the point of triangle (a, b, c) that is closest to p; returns the squared distance."""
     squared, second, third = square_to_triangle(p[0], p[1], p[2], a, b, c)
     weights[0], weights[1], weights[2] = 1.0 - second - third, second, third
@@ -191,7 +191,7 @@ def _closest_point(p, a, b, c, weights):  # type: ignore[no-untyped-def]
 
 
 @called
-def _choose_some(places, normals, fields, who, triangles, tried, apart, penalty, check, most, chosen, score, chunk):  # type: ignore[no-untyped-def]
+def _choose_some(places, normals, fields, who, triangles, tried, apart, penalty, check, most, chosen, score, chunk):
     """:func:`_choose` for a chunk of the vertices."""
     spare, room = scratch(fields.layout), searched()
     weights, value = np.empty(3), np.empty(tried.shape[1])
@@ -247,7 +247,7 @@ def _choose_some(places, normals, fields, who, triangles, tried, apart, penalty,
 
 
 @kernel(parallel=True)
-def _choose(  # type: ignore[no-untyped-def]
+def _choose(
     places, normals, layout, tables, lattice, who, all_triangles, tried, apart, penalty, check, most, chosen, score
 ):
     """The best of the tried triangles (by the distance of their middles) for each vertex; ties: the least number."""
@@ -272,7 +272,7 @@ def _choose(  # type: ignore[no-untyped-def]
 
 
 @kernel(parallel=True)
-def _closest_weights(points, corners, out):  # type: ignore[no-untyped-def]
+def _closest_weights(points, corners, out):
     steps = 16777216.0
     for n in numba.prange(len(points)):
         weights = np.empty(3)

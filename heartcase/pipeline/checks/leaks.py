@@ -141,7 +141,7 @@ def _fine_labels(
 
 
 @kernel(parallel=True)
-def _fill_fine(layout, tables, start, step, coarse, near, fine):  # type: ignore[no-untyped-def]
+def _fill_fine(layout, tables, start, step, coarse, near, fine):
     """Label of each fine point: evaluated in the voxels that are near, else their centre's."""
     nz, ny, nx = fine.shape
     fields, walls = lend(layout), lend(tables)

@@ -97,7 +97,7 @@ def volume_voxels(distance: Float32, width_mm: float) -> float:
 
 
 @kernel(parallel=True)
-def _inside(distance, near):  # type: ignore[no-untyped-def]
+def _inside(distance, near):
     """Points of each plane that are inside, of 27 in each voxel; the border's values go on beyond it."""
     nz, ny, nx = distance.shape
     found = np.zeros(nz, np.int64)

@@ -311,7 +311,7 @@ def _areas(lumen: Bool, disc: Disc) -> tuple[Float64, Float64, Float64]:
 
 
 @kernel(parallel=True)
-def _count_inside(mask, points, way, places, is_rim):  # type: ignore[no-untyped-def]
+def _count_inside(mask, points, way, places, is_rim):
     """How many points of a section, and of its rim, lie in a mask (half of it or more, linearly) at each place."""
     inside, inside_rim = np.zeros(len(places), np.int64), np.zeros(len(places), np.int64)
     nz, ny, nx = mask.shape

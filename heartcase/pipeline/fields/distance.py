@@ -137,7 +137,7 @@ def label_distances(
 
 
 @kernel
-def _face_counts(owner, count):  # type: ignore[no-untyped-def]
+def _face_counts(owner, count):
     """Faces along x between each label and others."""
     faces = np.zeros(count, np.int64)
     nz, ny, nx = owner.shape
@@ -265,7 +265,7 @@ def _inverse_response(lead: Float32, spacing: Float64, sigma_mm: float) -> Float
 
 
 @kernel
-def _look_up(values, first, scale, table, found):  # type: ignore[no-untyped-def]
+def _look_up(values, first, scale, table, found):
     """Nearest entry of a table to each value, its ends beyond them."""
     last = np.float32(len(table) - 1)
     for n in range(len(values)):
@@ -296,7 +296,7 @@ def _two_lowest(shape: tuple[int, ...], parts: list[Part], outside: float) -> tu
 
 
 @kernel
-def _insert(lowest, second, owner, values, number):  # type: ignore[no-untyped-def]
+def _insert(lowest, second, owner, values, number):
     nz, ny, nx = values.shape
     for k in range(nz):
         for j in range(ny):

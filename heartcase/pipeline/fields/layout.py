@@ -178,7 +178,7 @@ def _interleave(fields: tuple[Float32, ...], stack: Float32) -> None:
 
 
 @called
-def _find_fields_of_layer(fields, block_count, block_fields, bk):  # type: ignore[no-untyped-def]
+def _find_fields_of_layer(fields, block_count, block_fields, bk):
     """Find them in one layer of blocks; see :func:`_find_fields_of_blocks`."""
     nz, ny, nx, stored = fields.stack.shape
     low, high = np.empty(stored, np.float32), np.empty(stored, np.float32)
@@ -225,7 +225,7 @@ def _find_fields_of_layer(fields, block_count, block_fields, bk):  # type: ignor
 
 
 @kernel(parallel=True)
-def _find_fields_of_blocks(layout, block_count, block_fields):  # type: ignore[no-untyped-def]
+def _find_fields_of_blocks(layout, block_count, block_fields):
     """Find the fields that can be lowest anywhere in each block, in blocks that no reshaping and no septum reaches.
 
     A tissue, or a cavity, whose least value exceeds the greatest one of another is not the lowest anywhere. A cavity
@@ -238,7 +238,7 @@ def _find_fields_of_blocks(layout, block_count, block_fields):  # type: ignore[n
 
 
 @copied
-def _is_septal(layout, low):  # type: ignore[no-untyped-def]
+def _is_septal(layout, low):
     """Whether a septum is looked at anywhere in a block, from the least value of each stored field in it."""
     slack = np.float32(1e-3)
     for n in range(len(layout.septum_slot)):
@@ -249,7 +249,7 @@ def _is_septal(layout, low):  # type: ignore[no-untyped-def]
 
 
 @copied
-def _is_reshaped(layout, bk, bj, bi):  # type: ignore[no-untyped-def]
+def _is_reshaped(layout, bk, bj, bi):
     """Whether a reshaping may reach into a block; those at the border hold all that lies beyond."""
     blocks = layout.block_count.shape
     for n in range(len(layout.shape_kind)):

@@ -73,7 +73,7 @@ def _of_flat(height: Float32) -> float:
 
 
 @kernel(parallel=True)
-def _add_shape(height, shape, most):  # type: ignore[no-untyped-def]
+def _add_shape(height, shape, most):
     for n in numba.prange(len(height)):
         part = shape[n] / most
         height[n] += most * part / np.sqrt(np.float32(1.0) + part * part)

@@ -57,7 +57,7 @@ def components(mask: Bool, connectivity: Connectivity) -> tuple[UInt32, int]:
 
 
 @kernel
-def piece_sizes(labels, count):  # type: ignore[no-untyped-def]
+def piece_sizes(labels, count):
     """Voxels of each number up to ``count``; ``labels`` is flat."""
     sizes = np.zeros(count + 1, np.int64)
     for n in range(len(labels)):

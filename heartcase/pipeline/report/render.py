@@ -242,7 +242,7 @@ def _shade_by_depth(picture: UInt8, depth: Float64, mm_per_pixel: float) -> None
 
 
 @kernel
-def _darken(picture, depth, around):  # type: ignore[no-untyped-def]
+def _darken(picture, depth, around):
     """Dim each drawn pixel of ``picture`` by how far it lies behind ``around``, its coarse surroundings."""
     height, width = depth.shape
     for row in range(height):
@@ -255,7 +255,7 @@ def _darken(picture, depth, around):  # type: ignore[no-untyped-def]
 
 
 @kernel(inline="always")
-def _weights(points, triangle, column, row):  # type: ignore[no-untyped-def]
+def _weights(points, triangle, column, row):
     """Barycentric coordinates of a pixel's centre."""
     a, b, c = triangle
     ax, ay, bx, by, cx, cy = points[a, 0], points[a, 1], points[b, 0], points[b, 1], points[c, 0], points[c, 1]
@@ -266,7 +266,7 @@ def _weights(points, triangle, column, row):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _rasterise(points, triangles, depth, owner):  # type: ignore[no-untyped-def]
+def _rasterise(points, triangles, depth, owner):
     """Find the nearest triangle at each pixel: its height in ``depth`` and its number in ``owner``."""
     height, width = depth.shape
     for t in range(len(triangles)):
@@ -290,7 +290,7 @@ def _rasterise(points, triangles, depth, owner):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _light_up(points, normals, triangles, colours, colours_of_points, key_light, depth, owner, picture):  # type: ignore[no-untyped-def]
+def _light_up(points, normals, triangles, colours, colours_of_points, key_light, depth, owner, picture):
     """Colour each drawn pixel of ``picture`` as its triangle, lit by the interpolated normal."""
     height, width = depth.shape
     for row in range(height):

@@ -223,7 +223,7 @@ def _as_box(low: Int64, high: Int64) -> Box | None:
 
 
 @kernel
-def _solve(landscape, faces, marks, lowest_mark, foot_label, foot_level):  # type: ignore[no-untyped-def]
+def _solve(landscape, faces, marks, lowest_mark, foot_label, foot_level):
     """Kruskal's algorithm over the joining faces and those under the lowest marked voxels, in their common order."""
     bits, direction, _, offsets = landscape
     key, higher, lower, first, second = faces

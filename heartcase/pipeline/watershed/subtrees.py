@@ -85,7 +85,7 @@ def forest_pieces(forest: Forest) -> ForestPieces:
 
 
 @kernel
-def _find_parents(hung, higher, lower, landscape, marks, lowest_mark, piece, parent):  # type: ignore[no-untyped-def]
+def _find_parents(hung, higher, lower, landscape, marks, lowest_mark, piece, parent):
     direction, basin, offsets = landscape
     for n in range(len(hung)):
         v = lower[n] if piece[basin[higher[n]]] == hung[n] else higher[n]
@@ -95,7 +95,7 @@ def _find_parents(hung, higher, lower, landscape, marks, lowest_mark, piece, par
 
 
 @kernel
-def _count_voxels(landscape, marks, lowest_mark, piece, count):  # type: ignore[no-untyped-def]
+def _count_voxels(landscape, marks, lowest_mark, piece, count):
     direction, basin, offsets = landscape
     for v in range(len(basin)):
         b = basin[v]
@@ -104,14 +104,14 @@ def _count_voxels(landscape, marks, lowest_mark, piece, count):  # type: ignore[
 
 
 @kernel
-def _add_to_parents(parent, level, count):  # type: ignore[no-untyped-def]
+def _add_to_parents(parent, level, count):
     for n in range(len(parent) - 1, -1, -1):
         if parent[n] >= 0 and level[parent[n]] != 0:
             count[parent[n]] += count[n]
 
 
 @kernel
-def _find_hanging(parent, piece, taken):  # type: ignore[no-untyped-def]
+def _find_hanging(parent, piece, taken):
     taken[piece] = True
     for n in range(piece + 1, len(parent)):
         taken[n] = parent[n] >= 0 and taken[parent[n]]

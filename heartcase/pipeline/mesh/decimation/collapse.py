@@ -50,7 +50,7 @@ MOST_PARTS = 16
 
 
 @kernel
-def _add_normals(position, tail, opposite, start, normal):  # type: ignore[no-untyped-def]
+def _add_normals(position, tail, opposite, start, normal):
     """Add the doubled areas of the triangles around the tail of ``start`` to ``normal``; their least quality."""
     least = 1.0
     g = start
@@ -78,7 +78,7 @@ def _add_normals(position, tail, opposite, start, normal):  # type: ignore[no-un
 
 
 @kernel
-def _keeps_shape(position, tail, opposite, start, gone_a, gone_b, p, around, floor):  # type: ignore[no-untyped-def]
+def _keeps_shape(position, tail, opposite, start, gone_a, gone_b, p, around, floor):
     """Whether moving the tail of ``start`` to ``p`` turns over none of its triangles and makes no needle and no fold.
 
     The normal of a needle or a speck means little: it is held against the mean normal ``around`` instead.
@@ -153,7 +153,7 @@ def _keeps_shape(position, tail, opposite, start, gone_a, gone_b, p, around, flo
 
 
 @kernel
-def _keeps_manifold(tail, opposite, h, mark, epoch):  # type: ignore[no-untyped-def]
+def _keeps_manifold(tail, opposite, h, mark, epoch):
     """Link condition: the ends of ``h`` share just the two corners beside it, and those keep three neighbours."""
     g = h
     while True:
@@ -186,7 +186,7 @@ def _keeps_manifold(tail, opposite, h, mark, epoch):  # type: ignore[no-untyped-
 
 
 @called
-def may_join(position, tail, opposite, h, p, around, mark, epoch):  # type: ignore[no-untyped-def]
+def may_join(position, tail, opposite, h, p, around, mark, epoch):
     """Whether an edge may be collapsed to ``p``; ``around`` and ``mark`` are work space."""
     o = np.int64(opposite[h])
     around[:] = 0.0
@@ -201,7 +201,7 @@ def may_join(position, tail, opposite, h, p, around, mark, epoch):  # type: igno
 
 
 @kernel
-def join_ends(position, tail, opposite, quadric, alive, h, p):  # type: ignore[no-untyped-def]
+def join_ends(position, tail, opposite, quadric, alive, h, p):
     """Collapse an edge into its tail, which goes to ``p``; a half-edge that leaves it."""
     o = opposite[h]
     u = tail[h]
@@ -229,7 +229,7 @@ def join_ends(position, tail, opposite, quadric, alive, h, p):  # type: ignore[n
 
 
 @called
-def _sweep_part(position, tail, opposite, quadric, alive, cost, limit, mark, moved, still, begin, end, most):  # type: ignore[no-untyped-def]
+def _sweep_part(position, tail, opposite, quadric, alive, cost, limit, mark, moved, still, begin, end, most):
     """Collapse edges of the triangles from ``begin`` to ``end`` in their order; returns how many triangles go."""
     p = np.empty(3)
     around = np.empty(5)
@@ -251,7 +251,7 @@ def _sweep_part(position, tail, opposite, quadric, alive, cost, limit, mark, mov
 
 
 @kernel(parallel=True)
-def _sweep(position, tail, opposite, quadric, alive, cost, limit, still, parts, most):  # type: ignore[no-untyped-def]
+def _sweep(position, tail, opposite, quadric, alive, cost, limit, still, parts, most):
     """Collapse edges of at most the cost ``limit``, but none beside a vertex that has moved already.
 
     ``still`` are vertices that stay, ``parts`` the bounds of the parts of the mesh, ``most`` how many triangles each

@@ -239,7 +239,7 @@ def folded_triangles(vertices: Float64, triangles: Int32, *, opposite: Int32 | N
 
 
 @kernel(parallel=True)
-def _find_folded(vertices, triangles, opposite, folded):  # type: ignore[no-untyped-def]
+def _find_folded(vertices, triangles, opposite, folded):
     doubled = np.empty((len(triangles), 3))
     for t in numba.prange(len(triangles)):
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
@@ -261,7 +261,7 @@ def _find_folded(vertices, triangles, opposite, folded):  # type: ignore[no-unty
 
 
 @kernel(parallel=True)
-def _within(vertices, middles, reaches):  # type: ignore[no-untyped-def]
+def _within(vertices, middles, reaches):
     """Whether a vertex is within the reach of one of some places, mm, which ascend along z."""
     near = np.zeros(len(vertices), np.bool_)
     most = reaches.max()

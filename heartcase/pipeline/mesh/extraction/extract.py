@@ -153,7 +153,7 @@ def enclosed_volume_mm3(vertices: Float64, triangles: Int32) -> float:
 
 
 @kernel
-def _volumes(vertices, triangles, middle, shell, count):  # type: ignore[no-untyped-def]
+def _volumes(vertices, triangles, middle, shell, count):
     """Signed volume of each shell."""
     six = np.zeros(count)
     x, y, z = middle
@@ -261,7 +261,7 @@ def smooth_creases(mesh: FullMesh, still: Bool, *, opposite: Int32 | None = None
 
 
 @kernel
-def _at_creases(vertices, triangles, opposite, cosine, least):  # type: ignore[no-untyped-def]
+def _at_creases(vertices, triangles, opposite, cosine, least):
     """Vertices at an edge of at least a length whose triangles' normals are further apart than a cosine says."""
     normal = np.empty((len(triangles), 3))
     for t in range(len(triangles)):

@@ -117,7 +117,7 @@ def _planes(structures: Structures) -> Float64:
 
 
 @copied
-def _is_cut(centre, normal, to_lattice, direction, size, planes, near):  # type: ignore[no-untyped-def]
+def _is_cut(centre, normal, to_lattice, direction, size, planes, near):
     """Whether a triangle lies in an outer face of the volume, or in an end marker's disc, and faces outward there."""
     for axis in range(3):
         at = to_lattice[axis, 3]
@@ -143,7 +143,7 @@ def _is_cut(centre, normal, to_lattice, direction, size, planes, near):  # type:
 
 
 @copied
-def _middle(vertices, triangle, centre, normal):  # type: ignore[no-untyped-def]
+def _middle(vertices, triangle, centre, normal):
     """Centre and unit normal of a triangle."""
     a, b, c = vertices[triangle[0]], vertices[triangle[1]], vertices[triangle[2]]
     for k in range(3):
@@ -157,7 +157,7 @@ def _middle(vertices, triangle, centre, normal):  # type: ignore[no-untyped-def]
 
 
 @kernel(parallel=True)
-def _find_cuts(to_lattice, direction, size, planes, near, vertices, triangles, is_cut):  # type: ignore[no-untyped-def]
+def _find_cuts(to_lattice, direction, size, planes, near, vertices, triangles, is_cut):
     for chunk in numba.prange((len(triangles) + CHUNK - 1) // CHUNK):
         centre, normal = np.empty(3), np.empty(3)
         for t in range(chunk * CHUNK, min((chunk + 1) * CHUNK, len(triangles))):
@@ -166,7 +166,7 @@ def _find_cuts(to_lattice, direction, size, planes, near, vertices, triangles, i
 
 
 @kernel(parallel=True)
-def _look(layout, tables, to_index, way, vertices, triangles, void, tissue):  # type: ignore[no-untyped-def]
+def _look(layout, tables, to_index, way, vertices, triangles, void, tissue):
     fields, walls = lend(layout), lend(tables)
     for chunk in numba.prange((len(triangles) + CHUNK - 1) // CHUNK):
         spare = scratch(fields)

@@ -182,9 +182,7 @@ def _look_up(
 
 
 @kernel(parallel=True)
-def _look_up_rows(  # type: ignore[no-untyped-def]
-    owner, texel, triangles, corners, vertices, normals, grid, facing, faces, fitted, reach, given
-):
+def _look_up_rows(owner, texel, triangles, corners, vertices, normals, grid, facing, faces, fitted, reach, given):
     boxes = lend(grid)
     for row in numba.prange(owner.shape[0]):
         weights, here, normal, out = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
@@ -207,7 +205,7 @@ def _look_up_rows(  # type: ignore[no-untyped-def]
 
 
 @copied
-def _mix(weights, values, which, out):  # type: ignore[no-untyped-def]
+def _mix(weights, values, which, out):
     """Weighted sum of the three vectors ``values[which]``."""
     a, b, c = which[0], which[1], which[2]
     for axis in range(3):
@@ -215,7 +213,7 @@ def _mix(weights, values, which, out):  # type: ignore[no-untyped-def]
 
 
 @copied
-def _corner_weights(texel, which, x, y, weights):  # type: ignore[no-untyped-def]
+def _corner_weights(texel, which, x, y, weights):
     """Weights of the corners at a point of the picture, clipped to the triangle."""
     ax, ay = texel[which[0], 0], texel[which[0], 1]
     ux, uy = texel[which[1], 0] - ax, texel[which[1], 1] - ay
@@ -235,13 +233,13 @@ def _corner_weights(texel, which, x, y, weights):  # type: ignore[no-untyped-def
 
 
 @kernel(inline="always")
-def _number(i, j, parts):  # type: ignore[no-untyped-def]
+def _number(i, j, parts):
     """Place of a triangle's point, ``i`` steps towards its second corner and ``j`` towards its third."""
     return j * (parts + 1) - (j * (j - 1)) // 2 + i
 
 
 @kernel(inline="always")
-def _place_on_edge(edge, step, parts):  # type: ignore[no-untyped-def]
+def _place_on_edge(edge, step, parts):
     """Place of a triangle's point that is so many steps along an edge; edge 0 goes from corner 0 to corner 1."""
     if edge == 0:
         return _number(step, 0, parts)
@@ -249,14 +247,14 @@ def _place_on_edge(edge, step, parts):  # type: ignore[no-untyped-def]
 
 
 @kernel(inline="always")
-def _giver(t, edge, parts, flat, opposite):  # type: ignore[no-untyped-def]
+def _giver(t, edge, parts, flat, opposite):
     """Half-edge whose triangle fits the points that both have on an edge; -1 where triangle ``t`` does so itself."""
     other = opposite[3 * t + edge]
     return other if other // 3 < t and parts[other // 3] == parts[t] and not flat[other // 3] else -1
 
 
 @called
-def _fit_some_lattices(  # type: ignore[no-untyped-def]
+def _fit_some_lattices(
     fields, walls, m, corners, vertices, normals, flat, opposite, parts, start, rings, reach, known, chunk
 ):
     """Fit those of a chunk of the triangles that no other one gives."""
@@ -288,9 +286,7 @@ def _fit_some_lattices(  # type: ignore[no-untyped-def]
 
 
 @kernel(parallel=True)
-def _fit_lattices(  # type: ignore[no-untyped-def]
-    layout, tables, m, corners, vertices, normals, flat, opposite, parts, start, rings, reach, known
-):
+def _fit_lattices(layout, tables, m, corners, vertices, normals, flat, opposite, parts, start, rings, reach, known):
     """Normals at the points of every triangle that is not flat; on an edge that two share, fitted once."""
     chunks = (len(corners) + CHUNK - 1) // CHUNK
     fields, walls, wide_to_narrow = lend(layout), lend(tables), lend(rings)
@@ -323,7 +319,7 @@ def _fit_lattices(  # type: ignore[no-untyped-def]
 
 
 @kernel(inline="always")
-def _between(known, start, parts, weights, out):  # type: ignore[no-untyped-def]
+def _between(known, start, parts, weights, out):
     """Unit normal between the three points of a triangle around a place given by its corners' weights."""
     x, y = weights[1] * parts, weights[2] * parts
     i, j = min(int(x), parts - 1), min(int(y), parts - 1)
@@ -343,7 +339,7 @@ def _between(known, start, parts, weights, out):  # type: ignore[no-untyped-def]
 
 
 @kernel(parallel=True)
-def _bake_rows(  # type: ignore[no-untyped-def]
+def _bake_rows(
     owner, texel, triangles, corners, vertices, normals, tangents, flat, parts, start, known, given, picture
 ):
     for row in numba.prange(owner.shape[0]):
@@ -395,7 +391,7 @@ def _bake_rows(  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _rasterise(uv, triangles, owner):  # type: ignore[no-untyped-def]
+def _rasterise(uv, triangles, owner):
     """Lowest triangle that holds each texel's centre."""
     size = owner.shape[0]
     for t in range(len(triangles)):
@@ -422,7 +418,7 @@ def _rasterise(uv, triangles, owner):  # type: ignore[no-untyped-def]
 
 
 @kernel(parallel=True)
-def _first_edge(filled):  # type: ignore[no-untyped-def]
+def _first_edge(filled):
     """Unfilled texels beside filled ones, row by row: (row, column), shape (n, 2)."""
     rows, columns = filled.shape
     begin = np.zeros(rows + 1, np.int64)
@@ -443,7 +439,7 @@ def _first_edge(filled):  # type: ignore[no-untyped-def]
 
 
 @copied
-def _is_beside(filled, j, i):  # type: ignore[no-untyped-def]
+def _is_beside(filled, j, i):
     """Whether one of a texel's eight neighbours is filled."""
     rows, columns = filled.shape
     for dj in range(max(j - 1, 0), min(j + 2, rows)):
@@ -454,7 +450,7 @@ def _is_beside(filled, j, i):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _dilate(picture, filled, first_edge, rounds):  # type: ignore[no-untyped-def]
+def _dilate(picture, filled, first_edge, rounds):
     """Continue the filled texels outward, each round by the mean of the filled neighbours."""
     rows, columns = filled.shape
     seen = filled.copy()
@@ -485,7 +481,7 @@ def _dilate(picture, filled, first_edge, rounds):  # type: ignore[no-untyped-def
 
 
 @copied
-def _unfilled_around(filled, seen, j, i, edge, count):  # type: ignore[no-untyped-def]
+def _unfilled_around(filled, seen, j, i, edge, count):
     """List the unfilled neighbours of a texel that are not listed yet."""
     rows, columns = filled.shape
     for dj in range(max(j - 1, 0), min(j + 2, rows)):

@@ -69,7 +69,7 @@ def pack(extent_mm: Float64, size: int) -> tuple[Float64, float]:
 
 
 @kernel
-def _skyline(boxes, size):  # type: ignore[no-untyped-def]
+def _skyline(boxes, size):
     """Put boxes one by one where their upper side comes lowest, leftmost on a tie.
 
     The skyline is a list of steps. The leftmost of the lowest places is always at the left end of one: from anywhere

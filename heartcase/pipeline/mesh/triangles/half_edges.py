@@ -51,7 +51,7 @@ def opposites_of_some(opposite: Int32, kept: Bool) -> Int32:
 
 
 @kernel(parallel=True)
-def _pair_half_edges(tail, vertex_count, opposite):  # type: ignore[no-untyped-def]
+def _pair_half_edges(tail, vertex_count, opposite):
     """Pair each half-edge with the one that runs the other way; whether each has exactly one."""
     start = np.zeros(vertex_count + 1, np.int32)
     for h in range(len(tail)):
@@ -83,7 +83,7 @@ def _pair_half_edges(tail, vertex_count, opposite):  # type: ignore[no-untyped-d
 
 
 @kernel
-def connected_parts(key, opposite):  # type: ignore[no-untyped-def]
+def connected_parts(key, opposite):
     """Number of the connected part of equal keys that each triangle is in, and how many triangles each part has.
 
     Parts are numbered by their first triangle; triangles are connected over edges. ``key`` is int64, shape

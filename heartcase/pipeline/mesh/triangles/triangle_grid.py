@@ -62,7 +62,7 @@ def triangle_grid(vertices_mm: Float, triangles: Int32) -> TriangleGrid:
 
 
 @kernel(parallel=True)
-def _take_corners(vertices, triangles, corner):  # type: ignore[no-untyped-def]
+def _take_corners(vertices, triangles, corner):
     """Corners of all triangles; lowest and highest place, and sum of the triangles' widths, of each chunk of them."""
     chunks = (len(triangles) + _CHUNK - 1) // _CHUNK
     low, high, widths = np.full((chunks, 3), np.inf), np.full((chunks, 3), -np.inf), np.zeros(chunks)
@@ -82,7 +82,7 @@ def _take_corners(vertices, triangles, corner):  # type: ignore[no-untyped-def]
 
 
 @kernel(parallel=True)
-def _find_boxes(corner, origin, edge, size, first, last):  # type: ignore[no-untyped-def]
+def _find_boxes(corner, origin, edge, size, first, last):
     for chunk in numba.prange((len(corner) + _CHUNK - 1) // _CHUNK):
         for t in range(chunk * _CHUNK, min((chunk + 1) * _CHUNK, len(corner))):
             for axis in range(3):
@@ -92,7 +92,7 @@ def _find_boxes(corner, origin, edge, size, first, last):  # type: ignore[no-unt
 
 
 @kernel
-def _fill(first, last, size):  # type: ignore[no-untyped-def]
+def _fill(first, last, size):
     start = np.zeros(size[0] * size[1] * size[2] + 1, np.int64)
     for turn in range(2):
         if turn == 1:

@@ -158,7 +158,7 @@ def make_contact(compiled: Callable[[Any], Any]) -> tuple[Any, Any]:
     part, floor = np.float32(SHARE), np.float32(FLOOR)
 
     @compiled
-    def pushed_out(rest, u, probe, step_number):  # type: ignore[no-untyped-def]
+    def pushed_out(rest, u, probe, step_number):
         steps = np.float32(step_number + 1)
         dx = rest[0] - (probe[0] + steps * probe[3]) + u[0]
         dy = rest[1] - (probe[1] + steps * probe[4]) + u[1]
@@ -176,7 +176,7 @@ def make_contact(compiled: Callable[[Any], Any]) -> tuple[Any, Any]:
         return (u[0] + outward * dx, u[1] + outward * dy, u[2] + outward * dz), True
 
     @compiled
-    def corner_share(share, m, a, b, c, sign):  # type: ignore[no-untyped-def]
+    def corner_share(share, m, a, b, c, sign):
         bx, by, bz = b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0]
         volume = sign * (a[0] * bx + a[1] * by + a[2] * bz)
         # The three products are b x c + a x (b - c).
@@ -187,7 +187,7 @@ def make_contact(compiled: Callable[[Any], Any]) -> tuple[Any, Any]:
         return min(share, allowed / loss) if loss > allowed else share
 
     @compiled
-    def allowed_share(m, ahead, behind, has_ahead, has_behind):  # type: ignore[no-untyped-def]
+    def allowed_share(m, ahead, behind, has_ahead, has_behind):
         share = one
         if has_ahead[2]:
             if has_ahead[1] and has_ahead[0]:
