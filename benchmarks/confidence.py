@@ -7,7 +7,6 @@ pairs of a wrong and a right voxel in which the wrong one is less confident: 50%
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from accuracy import Inputs, prepare
 from scipy.stats import rankdata
 
@@ -16,11 +15,10 @@ from heartcase.pipeline.watershed.certainty import voxel_certainty
 from heartcase.pipeline.watershed.forest import solve_forest
 from heartcase.pipeline.watershed.tree import BasinTree
 from heartcase.pipeline.watershed.tree_cache import scan_tree
+from heartcase.schemas.arrays import Bool, Float32
 from heartcase.schemas.recipe.settings import SegmentSettings
 
 __all__ = ["METHODS", "errors", "heartcase", "prepare"]
-
-Bool = npt.NDArray[np.bool_]
 
 
 def _tree(inputs: Inputs) -> BasinTree:
@@ -63,7 +61,7 @@ def errors(inputs: Inputs, output: Sureness) -> dict[str, float]:
     }
 
 
-def _auc(sure: npt.NDArray[np.float32], wrong: Bool) -> float:
+def _auc(sure: Float32, wrong: Bool) -> float:
     """Mann and Whitney's statistic of the wrong voxels against the right ones, ties by half."""
     rank = rankdata(sure)
     wrong_count, right_count = int(wrong.sum()), int((~wrong).sum())

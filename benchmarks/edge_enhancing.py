@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from phantom_inputs import PhantomInputs, bare_truth, phantom_inputs
 from scipy import ndimage
 
@@ -24,9 +23,8 @@ from heartcase.pipeline.image.filter_scan import filter_scan, time_step_limit
 from heartcase.pipeline.image.noise import estimate_noise
 from heartcase.pipeline.markers.load_markers import load_markers
 from heartcase.pipeline.watershed.segment_scan import segment_scan
+from heartcase.schemas.arrays import Float32
 from heartcase.schemas.recipe.settings import FilterSettings, SegmentSettings
-
-Float32 = npt.NDArray[np.float32]
 
 FLUX_PEAK = 3.31488
 """Makes the flux across an edge largest where the gradient equals the contrast, for the power of eight."""

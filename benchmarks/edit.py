@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from phantom_inputs import PhantomInputs, bare_truth, phantom_inputs
 
 from heartcase.phantom.anatomy.heart import HeartPhantom
@@ -19,6 +18,7 @@ from heartcase.pipeline.data import Segmentation, Structures
 from heartcase.pipeline.edits.apply_edits import apply_edits
 from heartcase.pipeline.fields.reader import ownership_at_points, ownership_on_lattice
 from heartcase.pipeline.walls.grow_walls import grow_walls
+from heartcase.schemas.arrays import Bool, Float64, UInt8
 from heartcase.schemas.recipe.edit_settings import SeptalDefect
 from heartcase.schemas.recipe.settings import WallsSettings
 
@@ -32,7 +32,7 @@ class Inputs:
     source: PhantomInputs
     structures: Structures
     defect: SeptalDefect
-    labels: npt.NDArray[np.uint8]
+    labels: UInt8
     """True labels at the voxels, what is painted on by ``stock``."""
 
 
@@ -41,7 +41,7 @@ class Edited:
     """What came out: structures, or voxels."""
 
     structures: Structures | None
-    voxels: npt.NDArray[np.bool_]
+    voxels: Bool
     """Tissue at the voxels."""
 
 
@@ -101,7 +101,7 @@ def errors(inputs: Inputs, output: Edited) -> dict[str, float]:
     return found
 
 
-def _plane(defect: SeptalDefect) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+def _plane(defect: SeptalDefect) -> tuple[Float64, Float64]:
     """Unit vectors along the long and the short diameter."""
     axis = np.array(defect.axis) / np.linalg.norm(defect.axis)
     long = np.eye(3)[np.argmin(np.abs(axis))] if defect.long_axis is None else np.array(defect.long_axis)
@@ -110,19 +110,19 @@ def _plane(defect: SeptalDefect) -> tuple[npt.NDArray[np.float64], npt.NDArray[n
     return side, np.cross(axis, side)
 
 
-def _in_section(defect: SeptalDefect, u: npt.NDArray[np.float64], v: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
+def _in_section(defect: SeptalDefect, u: Float64, v: Float64) -> Bool:
     long, short = 0.5 * defect.diameter_mm, 0.5 * (defect.width_mm or defect.diameter_mm)
     if defect.shape == "slit":
         return np.asarray(np.hypot(np.maximum(np.abs(u) - (long - short), 0.0), v) < short)
     return np.asarray((u / long) ** 2 + (v / short) ** 2 < 1.0)
 
 
-def _tissue(inputs: Inputs, output: Edited, points: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
+def _tissue(inputs: Inputs, output: Edited, points: Float64) -> Bool:
     if output.structures is not None:
         return np.asarray(ownership_at_points(output.structures, points).tissue_mm < 0.0)
     index = np.rint(inputs.source.truth.geometry.world_to_index(points)).astype(int)
     return np.asarray(output.voxels[index[:, 2], index[:, 1], index[:, 0]])
 
 
-def _diameter(hole: npt.NDArray[np.bool_]) -> float:
+def _diameter(hole: Bool) -> float:
     return 2.0 * float(np.sqrt(hole.sum() * STEP_MM**2 / np.pi))

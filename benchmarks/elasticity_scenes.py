@@ -9,14 +9,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from statics import Held, equilibrium
 
+from heartcase.schemas.arrays import Bool, Float64
 from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.lattice.model import LatticeModel, make_model
 
-Float64 = npt.NDArray[np.float64]
-Led = tuple[npt.NDArray[np.bool_], Float64]
+Led = tuple[Bool, Float64]
 """Which components of which nodes are led, and where to, shape (n, 3) each."""
 
 YOUNGS_MODULUS = ForceLaw().youngs_modulus
@@ -114,7 +113,7 @@ def _nothing_led(points: Float64) -> Led:
     return np.zeros(points.shape, np.bool_), np.zeros(points.shape)
 
 
-def _is_at(points: Float64, axis: int, place: float) -> npt.NDArray[np.bool_]:
+def _is_at(points: Float64, axis: int, place: float) -> Bool:
     return np.abs(points[:, axis] - place) < 1e-6
 
 
@@ -205,7 +204,7 @@ def _indentation(is_large: bool) -> Scene:
     """A block 4 x 4 x 2 stuck to the ground, and to a square punch of 2 x 2 in the middle of its top."""
     depth = 0.5 if is_large else 1.0
 
-    def punched(points: Float64) -> npt.NDArray[np.bool_]:
+    def punched(points: Float64) -> Bool:
         inside = (np.abs(points[:, :2]) < 1.0 + 1e-6).all(axis=1)
         return inside & _is_at(points, 2, 0.0)
 

@@ -9,14 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from elasticity_voxels import located, voxelised
 from statics import solve_linear, stiffness
 
+from heartcase.schemas.arrays import Bool, Float64
 from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.lattice.model import LatticeModel
-
-Float64 = npt.NDArray[np.float64]
 
 VENTRICLE_INNER, VENTRICLE_OUTER = (20.0, 45.0), (30.0, 55.0)
 """Radius and length of the cavity and of the outside, mm."""
@@ -46,7 +44,7 @@ def tube(wall: float, cells_per_wall: float, law: ForceLaw, radius_mm: float = 2
     reach = int(np.ceil((1.0 + wall) / edge)) + 1
     centre = edge * np.array(_TUBE_CENTRE)
 
-    def is_tissue(x: Float64) -> npt.NDArray[np.bool_]:
+    def is_tissue(x: Float64) -> Bool:
         r = np.hypot(x[..., 0] - centre[0], x[..., 1] - centre[1])
         return (r >= 1.0) & (r <= 1.0 + wall)
 
@@ -73,7 +71,7 @@ def ventricle(cells_per_wall: float, law: ForceLaw) -> LatticeModel:
     """A quarter of the shell, its base on the plane z = 0 and its apex above."""
     edge = VENTRICLE_WALL / cells_per_wall
 
-    def is_tissue(x: Float64) -> npt.NDArray[np.bool_]:
+    def is_tissue(x: Float64) -> Bool:
         across = x[..., 0] ** 2 + x[..., 1] ** 2
         (a, c), (A, C) = VENTRICLE_INNER, VENTRICLE_OUTER
         return (across / a**2 + (x[..., 2] / c) ** 2 >= 1.0) & (across / A**2 + (x[..., 2] / C) ** 2 <= 1.0)
@@ -104,9 +102,7 @@ _TUBE_CENTRE = (0.37, 0.21)
 """From a corner [cells]."""
 
 
-def _under_pressure(
-    model: LatticeModel, wetted: Wetted, is_held: npt.NDArray[np.bool_], edge: float
-) -> tuple[Float64, Float64]:
+def _under_pressure(model: LatticeModel, wetted: Wetted, is_held: Bool, edge: float) -> tuple[Float64, Float64]:
     """Displacement of the wetted points, and of the nodes; in the scene's units of length, shape (..., 3)."""
     nodes, shares = located(model, wetted.points / edge)
     load = np.zeros((model.node_count, 3))

@@ -8,14 +8,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from elasticity_voxels import COVERAGE_MIN, located, voxelised
 from statics import solve_linear, stiffness
 
+from heartcase.schemas.arrays import Bool, Float64, Intp
 from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.lattice.model import LatticeModel
-
-Float64 = npt.NDArray[np.float64]
 
 LENGTH, WIDTH = 12.0, 3
 _THIN = 0.75
@@ -54,14 +52,14 @@ class Strip:
         samples = _SAMPLES_OF_THIN if self.thickness < _THIN else _SAMPLES
         along, through, across = self.axes
 
-        def is_tissue(x: Float64) -> npt.NDArray[np.bool_]:
+        def is_tissue(x: Float64) -> Bool:
             d = x - self._origin
             on = d @ along
             is_within = (np.abs(d @ through) <= self.thickness / 2.0) & (np.abs(d @ across) <= WIDTH / 2.0)
             return (on >= 0.0) & (on <= LENGTH) & is_within
 
-        def is_near(x: Float64) -> npt.NDArray[np.bool_]:
-            near: npt.NDArray[np.bool_] = np.abs((x - self._origin) @ through) <= (self.thickness + np.sqrt(3.0)) / 2.0
+        def is_near(x: Float64) -> Bool:
+            near: Bool = np.abs((x - self._origin) @ through) <= (self.thickness + np.sqrt(3.0)) / 2.0
             return near
 
         reach = np.abs(through) * self.thickness / 2.0 + np.abs(across) * WIDTH / 2.0
@@ -122,7 +120,7 @@ class Strip:
         return moved
 
 
-def _floating(model: LatticeModel) -> npt.NDArray[np.intp]:
+def _floating(model: LatticeModel) -> Intp:
     """Six degrees of freedom that keep it in place; nothing pulls at them, for the loads hold each other."""
     x = model.node_index.astype(float)
     root = int(x.sum(axis=1).argmin())

@@ -12,16 +12,15 @@ from functools import cache, cached_property
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 import scipy.sparse as sp
 from elasticity_scenes import Field, Scene, scene
 from skfem import Basis, ElementHex2, ElementVector, FacetBasis, LinearForm, MeshHex, MeshHex2
 from skfem.models.elasticity import linear_elasticity
 from statics import Held, solve_linear, solve_newton
 
+from heartcase.schemas.arrays import Bool, Float64
 from heartcase.simulator.lattice.force_law import ForceLaw
 
-Float64 = npt.NDArray[np.float64]
 Material = Callable[[Float64, float, float], tuple[Float64, Float64]]
 """From deformation gradients (n, 3, 3), mu and lambda: first Piola-Kirchhoff stress and its derivative."""
 
@@ -115,7 +114,7 @@ class Solid:
         columns = np.broadcast_to(degrees[:, None, :], blocks.shape).ravel()
         return sp.csc_array(sp.coo_array((blocks.ravel(), (rows, columns)), shape=(u.size, u.size)))
 
-    def normal_shares(self, is_on: Callable[[Float64], npt.NDArray[np.bool_]]) -> Float64:
+    def normal_shares(self, is_on: Callable[[Float64], Bool]) -> Float64:
         """Integral of each node's shape function times the outward normal over a part of the boundary, shape (n, 3).
 
         ``is_on`` says of points of shape (3, count), the middles of facets, whether they belong to it.
@@ -218,7 +217,7 @@ def solve_ventricle(
     is_held[is_held[:, 2]] = True
     middle = (np.array(inner) + outer) / 2
 
-    def is_inside(x: Float64) -> npt.NDArray[np.bool_]:
+    def is_inside(x: Float64) -> Bool:
         off_planes = (x > 1e-9).all(axis=0)
         return off_planes & ((x[0] ** 2 + x[1] ** 2) / middle[0] ** 2 + (x[2] / middle[1]) ** 2 < 1.0)
 

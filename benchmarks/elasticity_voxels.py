@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial import cKDTree
 
+from heartcase.schemas.arrays import Bool, Float64, Int32
 from heartcase.schemas.bundle.lattice import CORNER_OFFSETS
 from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.lattice.model import LatticeModel, make_model
-
-Float64 = npt.NDArray[np.float64]
 
 COVERAGE_MIN = 0.02
 SAMPLES = 8
@@ -20,7 +18,7 @@ SAMPLES = 8
 
 
 def voxelised(
-    is_tissue: Callable[[Float64], npt.NDArray[np.bool_]],
+    is_tissue: Callable[[Float64], Bool],
     low: tuple[int, int, int],
     high: tuple[int, int, int],
     edge: float,
@@ -29,7 +27,7 @@ def voxelised(
     *,
     samples: int = SAMPLES,
     coverage_min: float = COVERAGE_MIN,
-    is_near: Callable[[Float64], npt.NDArray[np.bool_]] | None = None,
+    is_near: Callable[[Float64], Bool] | None = None,
 ) -> LatticeModel:
     """Cells with the coverage and the moments of samples.
 
@@ -69,7 +67,7 @@ def voxelised(
     return make_model(cells[kept], coverage=coverage[kept], moments=moments[kept], law=law, cell_mm=cell_mm)
 
 
-def located(model: LatticeModel, points: Float64) -> tuple[npt.NDArray[np.int32], Float64]:
+def located(model: LatticeModel, points: Float64) -> tuple[Int32, Float64]:
     """Corners of the cell of each point [cells], and their trilinear shares, shape (count, 8) each.
 
     A point whose cell has too little tissue to be there belongs to the nearest that is, and shares go beyond 0 and 1.

@@ -12,7 +12,6 @@ from typing import Any
 
 import edt
 import numpy as np
-import numpy.typing as npt
 from phantom_inputs import phantom_inputs
 from scipy.ndimage import convolve
 from skimage.morphology import skeletonize
@@ -25,10 +24,9 @@ from heartcase.pipeline.ends.lumen_sections import angle_between
 from heartcase.pipeline.image.filter_scan import filter_scan
 from heartcase.pipeline.walls.grow_walls import resolve_walls
 from heartcase.pipeline.watershed.segment_scan import segment_scan
+from heartcase.schemas.arrays import Float64
 from heartcase.schemas.recipe.heart_form import HeartForm
 from heartcase.schemas.recipe.settings import FilterSettings, SegmentSettings, WallsSettings
-
-Float64 = npt.NDArray[np.float64]
 
 LAST_MM = 5.0
 """Stretch of the skeleton that tells a direction."""

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from lattices import heart_lattice
 
+from heartcase.schemas.arrays import Float, Float32, Float64
 from heartcase.schemas.benchmark import MethodSkipped
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.dynamics.integrate import Verlet, verlet_step
@@ -51,7 +52,7 @@ class Lattice(Protocol):
     def advance(self, step_count: int) -> None:
         """Take steps."""
 
-    def read(self) -> npt.NDArray[np.floating]:
+    def read(self) -> Float:
         """The displacements."""
 
 
@@ -147,7 +148,7 @@ class Ours:
         self.engine.advance(step_count, self.rule)
         self.engine.forces(np.zeros(1, np.intp))  # waits for a device
 
-    def read(self) -> npt.NDArray[np.float32]:
+    def read(self) -> Float32:
         """The displacements."""
         return self.engine.read().displacement
 
@@ -177,7 +178,7 @@ class Textbook:
                 rule.step,
             )
 
-    def read(self) -> npt.NDArray[np.float64]:
+    def read(self) -> Float64:
         """The displacements."""
         return self.displacement
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.schemas.arrays import Float32
 from heartcase.schemas.benchmark import MethodSkipped
 from heartcase.simulator.dynamics.integrate import Verlet
 from heartcase.simulator.engine.shared.lanes import lane_layout
@@ -20,7 +21,6 @@ from heartcase.simulator.lattice.state import State
 
 __all__ = ["CppLattice"]
 
-Float32 = npt.NDArray[np.float32]
 
 SOURCE = Path(__file__).with_name("engine_kernel.cpp")
 COMPILERS = ("c++", "g++", "clang++")

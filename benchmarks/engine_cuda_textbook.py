@@ -6,9 +6,9 @@ from math import sqrt
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from numba import cuda
 
+from heartcase.schemas.arrays import Float32
 from heartcase.simulator.dynamics.integrate import Verlet
 from heartcase.simulator.lattice.state import State
 
@@ -44,7 +44,7 @@ class CudaTextbook:
             self._displacement = [later, now]
         cuda.synchronize()
 
-    def read(self) -> npt.NDArray[np.float32]:
+    def read(self) -> Float32:
         """The displacements."""
         return np.asarray(self._displacement[0].copy_to_host()).T
 

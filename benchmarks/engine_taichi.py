@@ -5,8 +5,8 @@ import io
 import os
 
 import numpy as np
-import numpy.typing as npt
 
+from heartcase.schemas.arrays import Float, Float32, Integer
 from heartcase.simulator.dynamics.integrate import Verlet
 from heartcase.simulator.lattice.state import State
 
@@ -26,11 +26,11 @@ class TaichiLattice:
 
     def __init__(
         self,
-        count: npt.NDArray[np.integer],
-        other: npt.NDArray[np.integer],
-        rest: npt.NDArray[np.floating],
-        weight: npt.NDArray[np.floating],
-        mass_inverse: npt.NDArray[np.floating],
+        count: Integer,
+        other: Integer,
+        rest: Float,
+        weight: Float,
+        mass_inverse: Float,
         rule: Verlet,
     ) -> None:
         with contextlib.redirect_stdout(io.StringIO()):
@@ -82,7 +82,7 @@ class TaichiLattice:
             self._steps()
         ti.sync()
 
-    def read(self) -> npt.NDArray[np.float32]:
+    def read(self) -> Float32:
         """The displacements."""
-        displacement: npt.NDArray[np.float32] = self._displacement.to_numpy()
+        displacement: Float32 = self._displacement.to_numpy()
         return displacement

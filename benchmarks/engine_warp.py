@@ -4,9 +4,9 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import warp as wp
 
+from heartcase.schemas.arrays import Float, Float32, Integer
 from heartcase.simulator.dynamics.integrate import Verlet
 from heartcase.simulator.lattice.state import State
 
@@ -50,11 +50,11 @@ class WarpLattice:
 
     def __init__(
         self,
-        count: npt.NDArray[np.integer],
-        other: npt.NDArray[np.integer],
-        rest: npt.NDArray[np.floating],
-        weight: npt.NDArray[np.floating],
-        mass_inverse: npt.NDArray[np.floating],
+        count: Integer,
+        other: Integer,
+        rest: Float,
+        weight: Float,
+        mass_inverse: Float,
         rule: Verlet,
     ) -> None:
         # No gradients: the kernel need not be compiled backwards too.
@@ -97,7 +97,7 @@ class WarpLattice:
             self._launches[self._current].launch()
             self._current = 1 - self._current
 
-    def read(self) -> npt.NDArray[np.float32]:
+    def read(self) -> Float32:
         """The displacements."""
-        displacement: npt.NDArray[np.float32] = self._displacement[self._current].numpy().copy()
+        displacement: Float32 = self._displacement[self._current].numpy().copy()
         return displacement

@@ -15,16 +15,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from build import build_phantom
 from safetensors.numpy import load_file
 
+from heartcase.schemas.arrays import Float32
 from heartcase.simulator.dynamics.integrate import verlet_step
 from heartcase.simulator.lattice.state import State
 from heartcase.simulator.load import load_case
 from heartcase.simulator.simulation import Simulation
-
-Float64 = npt.NDArray[np.float64]
 
 DAMPING_PER_S = 10.0
 GRAVITY_M_S2 = (0.0, 9.81, 0.0)
@@ -36,7 +34,7 @@ class Inputs:
 
     case: Path
     needs: tuple[str, ...]
-    start: npt.NDArray[np.float32]
+    start: Float32
 
 
 @dataclass(frozen=True)

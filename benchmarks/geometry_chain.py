@@ -15,7 +15,6 @@ from typing import Any, Literal
 
 import edt
 import numpy as np
-import numpy.typing as npt
 from phantom_inputs import PhantomInputs, bare_truth, phantom_inputs
 from scipy import ndimage
 from scipy.spatial import cKDTree
@@ -30,10 +29,9 @@ from heartcase.pipeline.mesh.decimation.decimate import mesh_defects
 from heartcase.pipeline.mesh.texture.atlas import Atlas, tangents
 from heartcase.pipeline.mesh.triangles.intersections import self_intersections
 from heartcase.pipeline.walls.grow_walls import grow_walls
+from heartcase.schemas.arrays import Float32, Float64
 from heartcase.schemas.benchmark import MethodSkipped
 from heartcase.schemas.recipe.settings import EndMarker, GridSettings, MapSettings, SurfaceSettings, WallsSettings
-
-Float64 = npt.NDArray[np.float64]
 
 TRIANGLE_COUNT = 80_000
 CELL_VOXELS = 2.7
@@ -141,7 +139,7 @@ def naive(inputs: Inputs) -> Shown:
 METHODS = {"heartcase": heartcase, "heartcase_exact": heartcase_exact, "stock": stock, "naive": naive}
 
 
-def _tissue_field(segmentation: Segmentation) -> tuple[npt.NDArray[np.float32], float, Any]:
+def _tissue_field(segmentation: Segmentation) -> tuple[Float32, float, Any]:
     """Signed distance to tissue, walls included, at half the voxel spacing; the spacing; and the way to world mm."""
     geometry, table = segmentation.geometry, segmentation.table
     spacing = geometry.spacing_mm[::-1]

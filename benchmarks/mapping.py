@@ -12,18 +12,16 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from geometry import prepare as prepare_geometry
 from scipy.spatial import cKDTree
 
 from heartcase.pipeline.cells.map_surface import map_surface
 from heartcase.pipeline.data import GridMap, SimulationGrid, Surface
+from heartcase.schemas.arrays import Float32, Float64, Int32
 from heartcase.schemas.bundle.lattice import CORNER_OFFSETS, cell_nodes
 from heartcase.schemas.recipe.settings import MapSettings
 from heartcase.simulator.lattice.model import LatticeModel, make_model
 from heartcase.simulator.surface.deform import Curvature, SurfaceModel, deform, make_surface
-
-Float64 = npt.NDArray[np.float64]
 
 RADIUS = 60.0
 """Radius of the bent middle plane, and cells for a twist by one radian."""
@@ -42,7 +40,7 @@ class Inputs:
     grid: SimulationGrid
     mapped: GridMap
     model: LatticeModel
-    motions: dict[str, list[npt.NDArray[np.float32]]]
+    motions: dict[str, list[Float32]]
     """Name -> displacements of the nodes [cells], one for each axis."""
     wanted: dict[str, list[Float64]]
     """Name -> displacements of the vertices in the trilinear embedding [cells]."""
@@ -55,7 +53,7 @@ def prepare(params: dict[str, Any]) -> Inputs:
     grid, surface = made.grid, made.surface
     model = make_model(grid.cells, coverage=grid.cell_coverage, fixed=grid.fixed, geometry=grid.geometry)
     centre = grid.nodes.mean(axis=0)
-    motions: dict[str, list[npt.NDArray[np.float32]]] = {}
+    motions: dict[str, list[Float32]] = {}
     for name, move in _MOTIONS.items():
         for axis in range(3):
             # Each motion is along its first axis.
@@ -99,7 +97,7 @@ _MOTIONS: dict[str, Callable[[Float64], Float64]] = {
 }
 
 
-def _embedding(grid: SimulationGrid, vertices_mm: Float64) -> tuple[npt.NDArray[np.int32], Float64]:
+def _embedding(grid: SimulationGrid, vertices_mm: Float64) -> tuple[Int32, Float64]:
     """Nodes of the cell that holds each vertex or is nearest to it, and their trilinear weights, shape (n, 8)."""
     place = grid.geometry.world_to_index(vertices_mm)
     near = cKDTree(grid.cells).query(place, k=min(_NEAR_CELLS, len(grid.cells)), workers=1)[1]
@@ -114,7 +112,7 @@ def _embedding(grid: SimulationGrid, vertices_mm: Float64) -> tuple[npt.NDArray[
 class Output:
     """Displacements of the vertices, LPS mm, as :class:`Inputs` has them for the nodes."""
 
-    moved_mm: dict[str, list[npt.NDArray[np.float32]]]
+    moved_mm: dict[str, list[Float32]]
     curved_share: float
 
 

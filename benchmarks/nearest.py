@@ -6,14 +6,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from heartcase.phantom.anatomy import tables
 from heartcase.phantom.anatomy.heart import HeartPhantom
 from heartcase.phantom.anatomy.nearest import SampleTree
+from heartcase.schemas.arrays import Float64, Int64
 
-Float64 = npt.NDArray[np.float64]
 COMPARED = 50
 """Queries of each surface that are compared with all its samples."""
 
@@ -29,7 +28,7 @@ class Inputs:
 class _Recorder(SampleTree):
     """A tree that notes what it is asked."""
 
-    def query(self, points: Float64) -> tuple[Float64, npt.NDArray[np.int64]]:
+    def query(self, points: Float64) -> tuple[Float64, Int64]:
         given = np.empty_like(self.samples)
         given[self.order] = self.samples
         _RECORDED.append((given, points.copy()))

@@ -14,12 +14,12 @@ import numpy.typing as npt
 import scipy.sparse as sp
 from scipy.sparse.linalg import SuperLU, splu
 
+from heartcase.schemas.arrays import Float64, Intp
 from heartcase.simulator.forces.cell_forces import MODES, mean_gradients, mean_slopes, own_forces_at_corners, stretching
 from heartcase.simulator.forces.reference import elastic_forces
 from heartcase.simulator.lattice.model import LatticeModel
 
-Float64 = npt.NDArray[np.float64]
-Held = tuple[npt.NDArray[np.intp], Float64]
+Held = tuple[Intp, Float64]
 """Degrees of freedom that are led, and their displacement [cells], shape (count,) each."""
 
 _STEP = 1e-5
@@ -123,7 +123,7 @@ def _corrected(
     tangent: Callable[[Float64], sp.csc_array],
     f: Float64,
     u: Float64,
-    free: npt.NDArray[np.intp],
+    free: Intp,
     tolerance: float,
 ) -> Float64:
     """Newton's steps with held nodes where they are."""
@@ -159,7 +159,7 @@ def equilibrium(
     return solve_newton(lambda u: elastic_forces(model, u), lambda u: stiffness(model, u), load, held_at, step_count)
 
 
-def _spring_parts(model: LatticeModel, u: Float64) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], Float64]:
+def _spring_parts(model: LatticeModel, u: Float64) -> tuple[Intp, Intp, Float64]:
     """Rows, columns and values of the springs' stiffness: w ((1 - rest/length)(I - n n^T) + n n^T)."""
     acting = np.flatnonzero(model.acting_weight)
     lower, higher = model.spring_nodes[acting].T
@@ -180,16 +180,14 @@ def _pairs(lower: npt.NDArray[Any], higher: npt.NDArray[Any]) -> list[tuple[npt.
     return [(lower, lower, 1.0), (higher, higher, 1.0), (lower, higher, -1.0), (higher, lower, -1.0)]
 
 
-def _spread(
-    a: npt.NDArray[Any], b: npt.NDArray[Any], block: Float64
-) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], Float64]:
+def _spread(a: npt.NDArray[Any], b: npt.NDArray[Any], block: Float64) -> tuple[Intp, Intp, Float64]:
     axes = np.arange(3)
     rows = np.broadcast_to(3 * a[:, None, None] + axes[:, None], block.shape)
     columns = np.broadcast_to(3 * b[:, None, None] + axes, block.shape)
     return rows.ravel(), columns.ravel(), block.ravel()
 
 
-def _cell_parts(model: LatticeModel, u: Float64) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], Float64]:
+def _cell_parts(model: LatticeModel, u: Float64) -> tuple[Intp, Intp, Float64]:
     """Rows, columns and values of the cells' stiffness, by central differences of each cell's forces by itself."""
     count = model.cell_count
     here = u[model.cell_corners]

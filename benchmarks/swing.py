@@ -12,15 +12,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import brentq, least_squares
 
+from heartcase.schemas.arrays import Float32, Float64
 from heartcase.simulator.lattice.force_law import ForceLaw, LawName
 from heartcase.simulator.lattice.model import LatticeModel, make_model
 from heartcase.simulator.lattice.state import State
 from heartcase.simulator.simulation import Simulation
-
-Float64 = npt.NDArray[np.float64]
 
 SLENDERNESS = 10
 LENGTH_MM = 100.0
@@ -142,7 +140,7 @@ def _timoshenko(ratio: float) -> tuple[float, float]:
     return b, -moment_p / moment_q
 
 
-def _shape(model: LatticeModel, ratio: float) -> npt.NDArray[np.float32]:
+def _shape(model: LatticeModel, ratio: float) -> Float32:
     """The swing on the nodes [cells]: deflection along z, and the sections' turn."""
     b, cosine = _timoshenko(ratio)
     p, q, turn_p, turn_q = _waves(b, ratio)

@@ -12,7 +12,6 @@ from typing import Any
 
 import edt
 import numpy as np
-import numpy.typing as npt
 from phantom_inputs import PhantomInputs, bare_truth, phantom_inputs
 from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
@@ -24,12 +23,9 @@ from heartcase.pipeline.image.filter_scan import filter_scan
 from heartcase.pipeline.mesh.build_surface import build_surface
 from heartcase.pipeline.walls.grow_walls import grow_walls
 from heartcase.pipeline.watershed.segment_scan import segment_scan
+from heartcase.schemas.arrays import Bool, Float32, Float64, Int32, UInt8
 from heartcase.schemas.labels import LabelTable
 from heartcase.schemas.recipe.settings import FilterSettings, SegmentSettings, SurfaceSettings, WallsSettings
-
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
-UInt8 = npt.NDArray[np.uint8]
 
 MARGIN_MM = 2.0
 """What lies nearer than this to where a wall ends or meets another is not measured."""
@@ -131,7 +127,7 @@ def _walled(table: LabelTable) -> dict[int, float]:
     return {label.value: label.wall_thickness_mm for label in table if label.wall_thickness_mm > 0.0}
 
 
-def _signed(mask: npt.NDArray[np.bool_], spacing_mm: tuple[float, ...]) -> Float32:
+def _signed(mask: Bool, spacing_mm: tuple[float, ...]) -> Float32:
     """Distance between voxel centres across the border, less the half voxel to it; negative inside."""
     half = 0.5 * float(np.mean(spacing_mm))
     out = edt.edt(~mask, anisotropy=spacing_mm[::-1], parallel=2)
@@ -139,7 +135,7 @@ def _signed(mask: npt.NDArray[np.bool_], spacing_mm: tuple[float, ...]) -> Float
     return np.where(mask, half - within, out - half).astype(np.float32)
 
 
-def _voxel_mesh(inputs: Inputs, output: Voxels) -> tuple[Float64, npt.NDArray[np.int32], UInt8, UInt8]:
+def _voxel_mesh(inputs: Inputs, output: Voxels) -> tuple[Float64, Int32, UInt8, UInt8]:
     """Marching cubes on the tissue's voxels, each triangle with the labels of the voxels on its sides."""
     tissue = np.isin(output.labels, output.table.tissue_values).astype(np.float32)
     zyx, triangles, _, _ = marching_cubes(tissue, 0.5)

@@ -12,7 +12,6 @@ from typing import Any
 
 import cc3d
 import numpy as np
-import numpy.typing as npt
 import SimpleITK as sitk
 from phantom_inputs import PhantomInputs, phantom_inputs
 from skimage.segmentation import watershed
@@ -25,9 +24,8 @@ from heartcase.pipeline.watershed.certainty import voxel_certainty
 from heartcase.pipeline.watershed.forest import solve_forest
 from heartcase.pipeline.watershed.segment_scan import segment_scan
 from heartcase.pipeline.watershed.tree import build_basin_tree
+from heartcase.schemas.arrays import Float32, UInt8
 from heartcase.schemas.recipe.settings import FilterSettings, SegmentSettings
-
-UInt8 = npt.NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
@@ -35,7 +33,7 @@ class Inputs:
     """A landscape and markers."""
 
     source: PhantomInputs | None
-    height: npt.NDArray[np.float32]
+    height: Float32
     markers: UInt8
 
 

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import least_squares
 
 from heartcase.library.diff import mesh_of
@@ -21,6 +20,7 @@ from heartcase.phantom.anatomy.heart import HeartPhantom
 from heartcase.phantom.anatomy.truth import Truth
 from heartcase.phantom.metrics import SurfaceError, dice
 from heartcase.pipeline.formats.read_scan import read_labels
+from heartcase.schemas.arrays import Bool, Float64, Int32, UInt8
 from heartcase.schemas.bundle.format import FileRole
 from heartcase.schemas.bundle.reader import open_bundle
 from heartcase.schemas.errors import UsageError
@@ -29,8 +29,6 @@ from heartcase.schemas.recipe.phantom_scan import PhantomScan
 
 __all__ = ["CaseCheck", "DefectCheck", "check_case", "joined_cavities"]
 
-Float64 = npt.NDArray[np.float64]
-UInt8 = npt.NDArray[np.uint8]
 _SAMPLE_COUNT = 3000
 """Vertices of the surface that are measured: the truth takes about 1 ms for each."""
 _TOLERANCE_MM = 0.03
@@ -146,7 +144,7 @@ def check_case(case: Path, scan: PhantomScan) -> CaseCheck:
     )
 
 
-def joined_cavities(blood: npt.NDArray[np.bool_], labels: UInt8, names: dict[int, str]) -> tuple[tuple[str, ...], ...]:
+def joined_cavities(blood: Bool, labels: UInt8, names: dict[int, str]) -> tuple[tuple[str, ...], ...]:
     """Groups of cavities that share a piece of blood.
 
     Parameters
@@ -171,9 +169,7 @@ def joined_cavities(blood: npt.NDArray[np.bool_], labels: UInt8, names: dict[int
     return tuple(sorted(set(groups)))
 
 
-def _defect_check(
-    kind: str, canal: SeptalDefect, truth: Truth, surface: tuple[Float64, npt.NDArray[np.int32]]
-) -> DefectCheck:
+def _defect_check(kind: str, canal: SeptalDefect, truth: Truth, surface: tuple[Float64, Int32]) -> DefectCheck:
     """Width and place of a hole, by rays from the canal's axis to its wall: in truth, and in the case.
 
     What the rays differ by is fitted by a change of radius and a shift (least squares).

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from heartcase.schemas.arrays import Float64, Int32
 from heartcase.schemas.bundle.format import CaseManifest, FileRole
 from heartcase.schemas.errors import BundleError, UsageError
 from heartcase.schemas.files import sha256_of_file
@@ -21,8 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = ["CaseChange", "Tolerances", "diff_libraries", "mesh_of", "surface_change", "warning_changes"]
 
-Float64 = npt.NDArray[np.float64]
-Mesh = tuple[Float64, npt.NDArray[np.int32]]
+Mesh = tuple[Float64, Int32]
 _MANIFEST = "case.json"
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.phantom.anatomy.truth import Truth
+from heartcase.schemas.arrays import Float64, Int64, UInt8
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable
 
@@ -23,10 +24,6 @@ __all__ = [
     "wall_thickness_error",
     "wall_thickness_errors",
 ]
-
-Float64 = npt.NDArray[np.float64]
-Int64 = npt.NDArray[np.int64]
-UInt8 = npt.NDArray[np.uint8]
 
 
 @dataclass(frozen=True)

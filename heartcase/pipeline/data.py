@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from heartcase.schemas.arrays import Float32, Float64, Int32, UInt8
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable
 
@@ -30,10 +30,6 @@ __all__ = [
     "ThicknessTable",
     "VesselEnd",
 ]
-
-Float32 = npt.NDArray[np.float32]
-Int32 = npt.NDArray[np.int32]
-UInt8 = npt.NDArray[np.uint8]
 
 
 SHAPE_POINTS = {"cylinder": 2, "elliptic": 4, "slit": 4, "strokes": 1}
@@ -304,7 +300,7 @@ class SimulationGrid:
     warnings: tuple[str, ...] = ()
     """What could not be repaired, in plain words with positions in mm."""
 
-    def node_positions_mm(self) -> npt.NDArray[np.float64]:
+    def node_positions_mm(self) -> Float64:
         """Rest positions of the nodes in world mm, shape (node_count, 3), float64."""
         return self.geometry.index_to_world(self.nodes - 0.5)
 

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, field_validator
 
+from heartcase.schemas.arrays import Float64
 from heartcase.schemas.base import Model, Vector3
 
 __all__ = ["ORIGIN_LIMIT_MM", "SPACING_LIMITS_MM", "Geometry"]
@@ -90,18 +91,18 @@ class Geometry(Model):
         return self.size[2], self.size[1], self.size[0]
 
     @property
-    def direction_matrix(self) -> npt.NDArray[np.float64]:
+    def direction_matrix(self) -> Float64:
         """Direction, shape (3, 3), columns are the axes."""
         return np.array(self.direction)
 
     @property
-    def index_to_world_matrix(self) -> npt.NDArray[np.float64]:
+    def index_to_world_matrix(self) -> Float64:
         """Linear part of the map from index (i, j, k) to world mm, shape (3, 3)."""
-        matrix: npt.NDArray[np.float64] = self.direction_matrix * np.array(self.spacing_mm)
+        matrix: Float64 = self.direction_matrix * np.array(self.spacing_mm)
         return matrix
 
     @property
-    def affine(self) -> npt.NDArray[np.float64]:
+    def affine(self) -> Float64:
         """Homogeneous map from index (i, j, k, 1) to world mm, shape (4, 4)."""
         affine = np.eye(4)
         affine[:3, :3] = self.index_to_world_matrix
@@ -118,16 +119,16 @@ class Geometry(Model):
         """Volume of one voxel or cell, in mm3."""
         return float(np.prod(self.spacing_mm))
 
-    def index_to_world(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    def index_to_world(self, points: npt.ArrayLike) -> Float64:
         """Map continuous indices (i, j, k), shape (..., 3), to world mm (x, y, z)."""
-        world: npt.NDArray[np.float64] = np.asarray(points, dtype=float) @ self.index_to_world_matrix.T
+        world: Float64 = np.asarray(points, dtype=float) @ self.index_to_world_matrix.T
         world += np.array(self.origin_mm)
         return world
 
-    def world_to_index(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    def world_to_index(self, points: npt.ArrayLike) -> Float64:
         """Map world points (x, y, z) in mm, shape (..., 3), to continuous indices (i, j, k)."""
         shifted = np.asarray(points, dtype=float) - np.array(self.origin_mm)
-        index: npt.NDArray[np.float64] = shifted @ np.linalg.inv(self.index_to_world_matrix).T
+        index: Float64 = shifted @ np.linalg.inv(self.index_to_world_matrix).T
         return index
 
     def cropped(self, start: tuple[int, int, int], size: tuple[int, int, int]) -> Geometry:

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Literal, cast, get_args
 
 import numpy as np
-import numpy.typing as npt
 
+from heartcase.schemas.arrays import Float32, Int16, UInt8
 from heartcase.schemas.bundle.format import CaseManifest, FileRole, ScanValues
 from heartcase.schemas.bundle.lattice import FULL_MOMENTS
 from heartcase.schemas.bundle.reader import OpenBundle, open_bundle
@@ -29,16 +29,16 @@ triangles, the one-to-one surface, the scan for slices."""
 class ScanVolume:
     """The filtered scan, as it is stored: 16 bits a voxel, mapped into memory."""
 
-    stored: npt.NDArray[np.int16]
+    stored: Int16
     """Whole numbers, [z, y, x], shape ``geometry.shape``; read-only."""
     geometry: Geometry
     """Where the voxel centres lie."""
     values: ScanValues
     """What a stored number stands for."""
 
-    def slice_at(self, index: int) -> npt.NDArray[np.float32]:
+    def slice_at(self, index: int) -> Float32:
         """Intensities of one plane of voxels along k (Hounsfield units for CT), float32, shape (size j, size i)."""
-        plane: npt.NDArray[np.float32] = self.stored[index] * np.float32(self.values.slope)
+        plane: Float32 = self.stored[index] * np.float32(self.values.slope)
         plane += np.float32(self.values.intercept)
         return plane
 
@@ -53,7 +53,7 @@ class Case:
     """The lattice."""
     surface: SurfaceModel | None = None
     """The visible surface, where it was asked for."""
-    triangle_colours: npt.NDArray[np.uint8] | None = None
+    triangle_colours: UInt8 | None = None
     """Red, green, blue of each triangle, shape (triangle_count, 3), where they were asked for."""
     picking: PickingModel | None = None
     """The one-to-one surface, where it was asked for."""
@@ -153,7 +153,7 @@ def _surface(
     )
 
 
-def _triangle_colours(bundle: OpenBundle, level: int) -> npt.NDArray[np.uint8]:
+def _triangle_colours(bundle: OpenBundle, level: int) -> UInt8:
     """Colour of the cavity that a triangle faces; outside, of the tissue behind it."""
     mesh = bundle.arrays(FileRole.SURFACE.at(level), ("triangle_label", "triangle_tissue"))
     palette = np.zeros((256, 3), np.uint8)

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import ValidationError
 
+from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import Problem, ScriptError, SimulationError, problems_from_validation
 from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.migrate import SCRIPT
@@ -25,7 +25,6 @@ from heartcase.simulator.surface.deform import SurfaceModel
 
 __all__ = ["SessionSummary", "default_script", "load_script", "parse_script", "run_script", "with_positions"]
 
-Float64 = npt.NDArray[np.float64]
 
 PULL_MM = 10.0
 """How far the default script pulls."""

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import Problem, SimulationError
 from heartcase.simulator.dynamics.integrate import Energy, Verlet, energy
 from heartcase.simulator.dynamics.joining import join
@@ -24,8 +25,6 @@ from heartcase.simulator.watchdog import Watch, find_runaway, find_trouble, watc
 
 __all__ = ["SLEEP_MM", "Simulation"]
 
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
 
 SLEEP_MM = 0.05
 """Movement that may be left out where nothing else is said, mm."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.kernel import kernel
+from heartcase.schemas.arrays import Bool, Float32, Int32
 from heartcase.simulator.dynamics.integrate import Verlet
 from heartcase.simulator.dynamics.measures import elastic_energy_of, inverted_cells
 from heartcase.simulator.lattice.model import LatticeModel
@@ -29,7 +29,7 @@ class Watch:
     """Free nodes that would move more than half a cell in a step, and are held back: energy is lost there."""
 
 
-def watch(model: LatticeModel, state: State, speed_limit: float, led: npt.NDArray[np.bool_]) -> Watch:
+def watch(model: LatticeModel, state: State, speed_limit: float, led: Bool) -> Watch:
     """Count what is beyond physics.
 
     Parameters
@@ -80,14 +80,14 @@ def find_runaway(model: LatticeModel, verlet: Verlet, before: State, after: Stat
     return f"its energy grew from {had * unit:.2g} J to {has * unit:.2g} J by itself"
 
 
-def _largest(values: npt.NDArray[np.float32]) -> float:
+def _largest(values: Float32) -> float:
     """Largest absolute value, or what is not finite, if there is any."""
     bits = _largest_bits(np.ascontiguousarray(values).view(np.int32).ravel())
     return float(np.int32(bits).view(np.float32))
 
 
 @kernel
-def _largest_bits(bits: npt.NDArray[np.int32]) -> int:
+def _largest_bits(bits: Int32) -> int:
     """Largest of the bits but the sign: they sort as the numbers do, and a maximum of integers is a vector's work."""
     largest = np.int32(0)
     for bit in bits:

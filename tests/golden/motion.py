@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.schemas.arrays import Float64, Int32
 from heartcase.schemas.bundle.format import FileRole
 from heartcase.schemas.bundle.lattice import CELL_DIAGONALS, CELL_EDGES
 from heartcase.schemas.bundle.reader import OpenBundle, open_bundle
@@ -23,7 +24,6 @@ from tests.golden.shape import LANDMARKS
 
 __all__ = ["DAMPING_PER_S", "GRAVITY_M_S2", "STEPS", "TOLERANCE_MM", "chirality", "expected", "start_displacement_mm"]
 
-Float64 = npt.NDArray[np.float64]
 
 DAMPING_PER_S = 40.0
 GRAVITY_M_S2 = (2.0, 9.0, -3.0)
@@ -35,7 +35,7 @@ with positions in m. The least of the slips in test_golden.py moves something by
 DECIMALS = 9
 
 
-def start_displacement_mm(nodes: npt.NDArray[np.int32]) -> dict[int, tuple[float, float, float]]:
+def start_displacement_mm(nodes: Int32) -> dict[int, tuple[float, float, float]]:
     """Node number -> where it starts from its rest position, LPS mm: the hook and the long arm's tip are pulled."""
     pulled = {int(n): (1.25, -0.75, 0.5) for n in np.flatnonzero(nodes[:, 2] >= 3)}
     return pulled | {int(n): (-0.5, 1.0, 0.75) for n in np.flatnonzero(nodes[:, 0] == 6)}
@@ -185,9 +185,7 @@ def _flat_basis(p: Float64) -> Float64:
     return np.array([T, N, np.cross(N, T)])
 
 
-def _curved_basis(
-    nodes_mm: Float64, springs: npt.NDArray[np.int32], three: npt.NDArray[np.int32], w: Float64
-) -> Float64:
+def _curved_basis(nodes_mm: Float64, springs: Int32, three: Int32, w: Float64) -> Float64:
     T = _unit(nodes_mm[three[1]] - nodes_mm[three[0]])
     approximate = []
     for node in three:

@@ -1,8 +1,8 @@
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from heartcase.phantom.anatomy.heart import HeartPhantom
+from heartcase.schemas.arrays import Float64
 from heartcase.schemas.geometry import Geometry
 
 
@@ -16,7 +16,7 @@ def child() -> HeartPhantom:
     return HeartPhantom.child()
 
 
-def lattice_points(geometry: Geometry) -> npt.NDArray[np.float64]:
+def lattice_points(geometry: Geometry) -> Float64:
     """World position of every voxel centre, shape (*geometry.shape, 3)."""
     return geometry.index_to_world(np.moveaxis(np.indices(geometry.shape), 0, -1)[..., ::-1])
 

@@ -10,11 +10,12 @@ from skimage import measure
 
 from heartcase.pipeline.data import Structures, Surface
 from heartcase.pipeline.fields.reader import ownership_at_points, ownership_on_lattice
+from heartcase.schemas.arrays import Float64
 from heartcase.schemas.bundle.surface_kinds import SurfaceKind
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import Label, LabelTable, Role
 
-Points = npt.NDArray[np.float64]
+Points = Float64
 Distance = Callable[[Points], Points]
 
 LEFT, RIGHT, WALL = 1, 2, 3

@@ -5,19 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.pipeline.data import Segmentation, Structures
 from heartcase.pipeline.edits.apply_edits import apply_edits
 from heartcase.pipeline.fields.reader import ownership_on_lattice
 from heartcase.pipeline.walls.grow_walls import grow_walls
+from heartcase.schemas.arrays import Bool, Float64
 from heartcase.schemas.errors import StageError
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import Label, LabelTable, Role
 from heartcase.schemas.recipe.edit_settings import SeptalDefect
 from heartcase.schemas.recipe.settings import GridSettings, MapSettings, Pin, SurfaceSettings, WallsSettings
-
-Float64 = npt.NDArray[np.float64]
 
 MUSCLE = 20
 REACH_MM = 30.0
@@ -158,7 +156,7 @@ def _chambers(random: np.random.Generator, points: Float64) -> list[tuple[Float6
 
 def _vessel(
     random: np.random.Generator, points: Float64, start: Float64, chambers: list[tuple[Float64, Float64]]
-) -> npt.NDArray[np.bool_]:
+) -> Bool:
     """A bent tube from a chamber outward, away from the others by a gap."""
     middle = points.reshape(-1, 3).mean(axis=0)
     way = start - middle + random.normal(0.0, 6.0, 3)
@@ -174,7 +172,7 @@ def _vessel(
         np.minimum(nearest, np.linalg.norm(points - at, axis=-1), out=nearest)
     own = min(range(len(chambers)), key=lambda n: float(np.linalg.norm(chambers[n][0] - start)))
     clear = np.logical_and.reduce([field > 1.0 for n, (_, field) in enumerate(chambers) if n != own])
-    tube: npt.NDArray[np.bool_] = (nearest < radius) & clear
+    tube: Bool = (nearest < radius) & clear
     return tube
 
 

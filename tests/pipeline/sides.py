@@ -5,15 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy import ndimage
 
 from heartcase.pipeline.cells.picking import split_faces
 from heartcase.pipeline.data import GridMap, SimulationGrid, Structures, Surface
 from heartcase.pipeline.fields.reader import FieldReader, ownership_at_points, ownership_on_lattice
-
-Bool = npt.NDArray[np.bool_]
-Float64 = npt.NDArray[np.float64]
+from heartcase.schemas.arrays import Bool, Float64, Int32, Int64, UInt8
 
 BESIDE = 0.05
 """Cells outside a vertex or a face where the void beside it is looked up."""
@@ -80,7 +77,7 @@ def sides(structures: Structures, surface: Surface, grid: SimulationGrid, mapped
     )
 
 
-def _look(reader: FieldReader, points: Float64) -> tuple[Float64, npt.NDArray[np.uint8]]:
+def _look(reader: FieldReader, points: Float64) -> tuple[Float64, UInt8]:
     """Distance to tissue, mm, and the void there; beyond the scanned volume all is void and outside."""
     owner = ownership_at_points(reader, points)
     geometry = reader.structures.geometry
@@ -90,9 +87,7 @@ def _look(reader: FieldReader, points: Float64) -> tuple[Float64, npt.NDArray[np
     return np.where(is_out, beyond, owner.tissue_mm), np.where(is_out, 0, owner.void_label).astype(np.uint8)
 
 
-def _borders_on(
-    reader: FieldReader, surface: Surface, beside: Float64, out_mm: float, label: npt.NDArray[np.uint8]
-) -> Bool:
+def _borders_on(reader: FieldReader, surface: Surface, beside: Float64, out_mm: float, label: UInt8) -> Bool:
     """Whether a void is beside each vertex: along its normal, or before one of the triangles around it."""
     corners = surface.vertices_mm.astype(float)[surface.triangles]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -105,7 +100,7 @@ def _borders_on(
     return borders
 
 
-def _faces_of(grid: SimulationGrid, mapped: GridMap) -> tuple[npt.NDArray[np.int64], Bool]:
+def _faces_of(grid: SimulationGrid, mapped: GridMap) -> tuple[Int64, Bool]:
     """Boundary face of each vertex, 0 and True where it follows none."""
     number = {tuple(three): n // 2 for n, three in enumerate(np.sort(split_faces(grid.faces), axis=1).tolist())}
     face = np.array([number.get(tuple(three), -1) for three in np.sort(mapped.triangle_nodes, axis=1).tolist()])
@@ -141,7 +136,7 @@ def _apart(grid: SimulationGrid, mask: Bool, neighbours: int, points: Float64, o
     return apart
 
 
-def _labels_in(labels: npt.NDArray[np.int32], at: npt.NDArray[np.int64], before: int, after: int) -> set[int]:
+def _labels_in(labels: Int32, at: Int64, before: int, after: int) -> set[int]:
     """Labels of pieces in a box around or from a sample on."""
     box = labels[tuple(slice(max(a - before, 0), a + after) for a in at)]
     return set(np.unique(box).tolist()) - {0}

@@ -8,10 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.data import Structures
+from heartcase.schemas.arrays import Float64
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import Label, LabelTable, Role
 
-Distance = Callable[[npt.NDArray[np.float64]], npt.NDArray[np.float64]]
+Distance = Callable[[Float64], Float64]
 
 AXES = np.eye(3)
 OBLIQUE = np.array([[0.8, -0.36, 0.48], [0.6, 0.48, -0.64], [0.0, 0.8, 0.6]])
@@ -33,7 +34,7 @@ def lattice(
     return Geometry.of(shape=tuple(size[::-1]), origin_mm=origin, spacing_mm=steps, direction=matrix)
 
 
-def points(geometry: Geometry) -> npt.NDArray[np.float64]:
+def points(geometry: Geometry) -> Float64:
     """World points of a lattice, shape (z, y, x, 3)."""
     k, j, i = np.meshgrid(*[np.arange(n) for n in geometry.shape], indexing="ij")
     return geometry.index_to_world(np.stack([i, j, k], axis=-1))
@@ -74,7 +75,7 @@ def tube(radius: float) -> Distance:
 def helix(major: float, pitch: float, minor: float) -> Distance:
     """A tube wound around z: near enough its distance where the pitch is small."""
 
-    def distance(p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def distance(p: Float64) -> Float64:
         turn = np.arctan2(p[..., 1], p[..., 0]) / (2.0 * np.pi)
         height = p[..., 2] / pitch - turn
         height -= np.round(height)
@@ -84,14 +85,14 @@ def helix(major: float, pitch: float, minor: float) -> Distance:
     return distance
 
 
-def bumps(p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def bumps(p: Float64) -> Float64:
     """A sphere of 20 mm with bumps of 0.35 mm, about 4 mm apart; zero on its surface."""
     r = np.linalg.norm(p, axis=-1)
     x, y, z = np.moveaxis(p / np.maximum(r, 1e-9)[..., None], -1, 0)
     return r - 20.0 - 0.35 * np.sin(16.0 * x) * np.sin(16.0 * y + 1.0) * np.sin(16.0 * z + 2.0)
 
 
-def bump_normals(p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def bump_normals(p: Float64) -> Float64:
     """True normals of :func:`bumps` at points drawn along the radius to its surface."""
     unit = p / np.linalg.norm(p, axis=-1)[..., None]
     at = unit * (np.linalg.norm(p, axis=-1) - bumps(p))[..., None]

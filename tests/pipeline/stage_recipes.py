@@ -10,16 +10,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import SimpleITK
 
 from heartcase.pipeline.data import Scan
 from heartcase.pipeline.formats.write_images import write_scan
+from heartcase.schemas.arrays import Float64, UInt8
 from heartcase.schemas.geometry import Geometry
 
 __all__ = ["SMALL_RECIPES"]
 
-Float64 = npt.NDArray[np.float64]
 
 TILT = np.array([[1.0, 0.0, 0.0], [0.0, 0.8, -0.6], [0.0, 0.6, 0.8]])
 SPACING_MM, SHAPE = (2.2, 2.0, 2.4), (18, 20, 17)
@@ -93,7 +92,7 @@ def _world(geometry: Geometry) -> Float64:
     return geometry.index_to_world(np.stack([i, j, k], axis=-1))
 
 
-def _structures(points_mm: Float64) -> npt.NDArray[np.uint8]:
+def _structures(points_mm: Float64) -> UInt8:
     """A ball of muscle (3) with a cavity in it (1), and a smaller one that looks out of it, higher and behind (2)."""
     labels = np.where(np.linalg.norm(points_mm, axis=-1) < 14.0, 3, 0).astype(np.uint8)
     labels[np.linalg.norm(points_mm - LEFT_MM, axis=-1) < 5.5] = 1
@@ -111,9 +110,7 @@ def _write_scan(directory: Path, intensities: tuple[float, ...], noise: float, *
     write_scan(Scan(values.astype(np.float32), geometry, "MR"), directory / "scan.nii")
 
 
-def _write_labels(
-    path: Path, labels: npt.NDArray[np.uint8], geometry: Geometry, names: dict[int, str] | None = None
-) -> None:
+def _write_labels(path: Path, labels: UInt8, geometry: Geometry, names: dict[int, str] | None = None) -> None:
     image = SimpleITK.GetImageFromArray(labels)
     image.SetSpacing(geometry.spacing_mm)
     image.SetOrigin(geometry.origin_mm)

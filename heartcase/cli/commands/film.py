@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from heartcase.schemas.arrays import Float32, Int32, UInt8
 from heartcase.schemas.errors import MissingExtraError, UsageError
 from heartcase.schemas.files import atomic_write
 from heartcase.simulator.surface.deform import DeformedSurface
@@ -22,9 +22,6 @@ __all__ = [
     "write_picture",
 ]
 
-Float32 = npt.NDArray[np.float32]
-Int32 = npt.NDArray[np.int32]
-UInt8 = npt.NDArray[np.uint8]
 
 ANIMATION_FORMATS = (".gif", ".mp4")
 """What an animation can be written as."""

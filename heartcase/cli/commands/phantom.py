@@ -14,8 +14,7 @@ from heartcase.schemas.errors import UsageError
 from heartcase.schemas.files import atomic_write
 
 if TYPE_CHECKING:
-    import numpy.typing as npt
-
+    from heartcase.schemas.arrays import UInt8
     from heartcase.schemas.geometry import Geometry
     from heartcase.schemas.recipe.phantom_scan import PhantomScan
 
@@ -224,7 +223,7 @@ def _diameter(value: float, option: str) -> float:
     return value
 
 
-def _true_labels(label_of: Any, geometry: Geometry) -> npt.NDArray[np.uint8]:
+def _true_labels(label_of: Any, geometry: Geometry) -> UInt8:
     labels = np.empty(geometry.shape, np.uint8)
     j, i = np.indices(geometry.shape[1:])
     for k in range(geometry.shape[0]):

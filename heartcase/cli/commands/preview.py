@@ -16,10 +16,8 @@ from heartcase.schemas.errors import UsageError
 from heartcase.schemas.files import atomic_write
 
 if TYPE_CHECKING:
-    import numpy as np
-    import numpy.typing as npt
-
     from heartcase.pipeline.report.pictures import View
+    from heartcase.schemas.arrays import UInt8
 
 __all__ = ["command"]
 
@@ -80,7 +78,7 @@ def command(path: Path, output: Path, view: str | None, level: int, as_json: boo
         click.echo(f"wrote a picture of {width} x {height} pixels, {file_size(len(content))}")
 
 
-def _scan_picture(path: Path, kind: str, view: str | None, choice: dict[str, Any]) -> npt.NDArray[np.uint8]:
+def _scan_picture(path: Path, kind: str, view: str | None, choice: dict[str, Any]) -> UInt8:
     from heartcase.pipeline.formats.read_scan import read_scan
     from heartcase.pipeline.report.montage import stacked
     from heartcase.pipeline.report.slices import STACKS, slice_pictures
@@ -99,7 +97,7 @@ def _scan_picture(path: Path, kind: str, view: str | None, choice: dict[str, Any
     return stacked(list(rows.values()))
 
 
-def _case_picture(path: Path, view: str | None, level: int) -> npt.NDArray[np.uint8]:
+def _case_picture(path: Path, view: str | None, level: int) -> UInt8:
     from heartcase.pipeline.report.montage import label_colours, legend_picture, montage, stacked
     from heartcase.pipeline.report.pictures import VIEWS, coronal_plane, cutaway_picture, surface_picture
     from heartcase.schemas.bundle.reader import open_bundle
@@ -117,7 +115,7 @@ def _case_picture(path: Path, view: str | None, level: int) -> npt.NDArray[np.ui
         "table": table,
     }
     sides = [side for side in (tuple(VIEWS) if view else _SIDES) if view in (None, side)]
-    pictures: dict[str, npt.NDArray[np.uint8]] = {side: surface_picture(**mesh, view=side) for side in sides}
+    pictures: dict[str, UInt8] = {side: surface_picture(**mesh, view=side) for side in sides}
     if view in (None, "cutaway"):
         pictures["cut through the chambers"] = cutaway_picture(**mesh)
     if view is None:

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.library.catalogue.colours import (
     OXYGEN_COLOURS,
@@ -25,6 +24,7 @@ from heartcase.library.catalogue.colours import (
 from heartcase.library.catalogue.oxygenation import Oxygen, Oxygenation
 from heartcase.pipeline.exports.tubes import VESSEL_COLOUR, TubeMesh
 from heartcase.pipeline.report.views import four_chamber_view, places_of, short_axis_view
+from heartcase.schemas.arrays import Float32, Float64, Int8, Int32, UInt8
 from heartcase.schemas.bundle.reader import OpenBundle
 from heartcase.schemas.bundle.surface_kinds import SurfaceKind
 from heartcase.schemas.labels import BACKGROUND, LabelTable
@@ -56,18 +56,18 @@ _RIM = 255
 _VESSEL = 251
 """Group number of all vessels that have a surface of their own."""
 
-Bytes = npt.NDArray[np.uint8]
+Bytes = UInt8
 
 
 @dataclass(frozen=True)
 class SurfaceArrays:
     """One level of detail of a case's surface."""
 
-    vertices_mm: npt.NDArray[np.float32]
+    vertices_mm: Float32
     """LPS mm, shape (vertex_count, 3)."""
-    normals: npt.NDArray[np.float32]
+    normals: Float32
     """Unit normals out of the tissue, shape (vertex_count, 3)."""
-    triangles: npt.NDArray[np.int32]
+    triangles: Int32
     """Vertex numbers, shape (triangle_count, 3)."""
     void: Bytes
     """Label before each triangle, shape (triangle_count,)."""
@@ -204,14 +204,14 @@ def _name_and_part(number: int, table: LabelTable) -> tuple[str, str]:
     return label.name, "outside" if label.role.is_tissue else "inside"
 
 
-def _folded(normals: npt.NDArray[np.float32]) -> npt.NDArray[np.int8]:
+def _folded(normals: Float32) -> Int8:
     """Unit vectors folded onto the square that an octahedron unfolds to."""
     vectors = normals.astype(np.float64)
     vectors /= np.maximum(np.abs(vectors).sum(axis=1, keepdims=True), 1e-12)
     flat = vectors[:, :2]
     turned = (1.0 - np.abs(flat[:, ::-1])) * np.where(flat >= 0.0, 1.0, -1.0)
     folded = np.where(vectors[:, 2:] < 0.0, turned, flat)
-    rounded: npt.NDArray[np.int8] = np.rint(folded * _FOLDED).astype(np.int8)
+    rounded: Int8 = np.rint(folded * _FOLDED).astype(np.int8)
     return rounded
 
 
@@ -240,12 +240,12 @@ def landmark_lines(landmarks: tuple[Landmark, ...]) -> list[dict[str, Any]]:
     return lines
 
 
-def _circle(centre: npt.NDArray[np.float64], axis: npt.NDArray[np.float64], radius: float) -> npt.NDArray[np.float64]:
+def _circle(centre: Float64, axis: Float64, radius: float) -> Float64:
     axis = axis / np.linalg.norm(axis)
     aside = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
     aside /= np.linalg.norm(aside)
     angle = np.linspace(0.0, 2.0 * np.pi, _RING_POINTS, endpoint=False)[:, None]
-    circle: npt.NDArray[np.float64] = centre + radius * (np.cos(angle) * aside + np.sin(angle) * np.cross(axis, aside))
+    circle: Float64 = centre + radius * (np.cos(angle) * aside + np.sin(angle) * np.cross(axis, aside))
     return circle
 
 
@@ -317,6 +317,6 @@ def script_call(function: str, data: Any) -> str:
     return f"{function}({text});\n"
 
 
-def _three(values: npt.NDArray[np.float64]) -> tuple[float, float, float]:
+def _three(values: Float64) -> tuple[float, float, float]:
     x, y, z = (float(value) for value in values)
     return x, y, z

@@ -6,12 +6,12 @@ import io
 import re
 
 import numpy as np
-import numpy.typing as npt
 from PIL import Image
 
 from heartcase.library.catalogue.mesh_data import SurfaceArrays
 from heartcase.pipeline.report.pictures import cutaway_picture, surface_picture
 from heartcase.pipeline.report.views import CutView, four_chamber_view, places_of
+from heartcase.schemas.arrays import Float64, UInt8
 from heartcase.schemas.labels import LabelTable
 from heartcase.schemas.landmarks import Landmark
 
@@ -22,7 +22,6 @@ SMALL_SIZE = (320, 240)
 _QUALITY = 84
 _HOLE = re.compile(r"\b(defect|vsd|asd)\b", re.IGNORECASE)
 _LEAST_SINE, _UPRIGHT = 0.05, 0.35
-Float64 = npt.NDArray[np.float64]
 
 
 def case_pictures(
@@ -84,7 +83,7 @@ def _through(middle: Float64, first: Float64, second: Float64, words: str) -> Cu
     return CutView((middle, normal), up / np.linalg.norm(up), f"The cut is {words}.")
 
 
-def _webp(pixels: npt.NDArray[np.uint8]) -> bytes:
+def _webp(pixels: UInt8) -> bytes:
     stream = io.BytesIO()
     Image.fromarray(pixels).save(stream, format="WEBP", quality=_QUALITY, method=4)
     return stream.getvalue()

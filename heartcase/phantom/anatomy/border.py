@@ -28,7 +28,7 @@ _CHILDREN = (7, 6, 5, 3, 4, 2, 1, 0)
 
 
 @kernel
-def _border_distance(  # type: ignore[no-untyped-def]
+def _border_distance(
     tables, ends, canals, thickness, wall_label, region, point, upper, tolerance, steepness, stack, d, c
 ):
     qx, qy, qz = point[0], point[1], point[2]
@@ -68,7 +68,7 @@ def _border_distance(  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _border_distances_part(  # type: ignore[no-untyped-def]
+def _border_distances_part(
     tables, ends, canals, thickness, wall_label, region, points, upper, tolerance, steepness, distances, first, last
 ):
     d = np.empty(CAVITY_COUNT + 2)
@@ -93,7 +93,7 @@ def _border_distances_part(  # type: ignore[no-untyped-def]
 
 
 @kernel(parallel=True)
-def border_distances(  # type: ignore[no-untyped-def]
+def border_distances(
     tables, ends, canals, thickness, wall_label, region, points, upper, tolerance, steepness, distances
 ):
     """Fill ``distances`` with the unsigned distance to a region's border at points, shape (n, 3).

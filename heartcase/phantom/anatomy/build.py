@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.phantom.anatomy.axes import LONG_AXIS, SEPTUM_AXIS, UPWARD_AXIS
 from heartcase.phantom.anatomy.inner import baffle_shape, with_left_detail, with_right_detail
@@ -29,12 +28,12 @@ from heartcase.phantom.anatomy.shapes import (
 from heartcase.phantom.anatomy.sizes import proportions_of
 from heartcase.phantom.anatomy.tables import DistanceTables, tabulate
 from heartcase.phantom.anatomy.vessels import Outlet, Vessels, build_vessels
+from heartcase.schemas.arrays import Float64
 from heartcase.schemas.recipe.heart_form import HeartForm
 from heartcase.schemas.recipe.settings import EndMarker
 
 __all__ = ["EXTENSION_MM", "Anatomy", "build_anatomy"]
 
-Float64 = npt.NDArray[np.float64]
 
 EXTENSION_MM = 3.0
 """How far a vessel goes on behind its end disc before it ends round, in a synthetic scan."""

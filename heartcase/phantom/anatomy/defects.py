@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.phantom.anatomy.axes import LONG_AXIS, SEPTUM_AXIS, UPWARD_AXIS
 from heartcase.phantom.anatomy.build import Anatomy, mirrored
+from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.recipe.edit_settings import SeptalDefect
 from heartcase.schemas.recipe.heart_form import DefectKind, HeartDefect
 
 __all__ = ["mirrored_defect", "place_defect", "straight_defect"]
 
-Float64 = npt.NDArray[np.float64]
 LEFT_VENTRICLE, RIGHT_VENTRICLE, LEFT_ATRIUM, RIGHT_ATRIUM, SUPERIOR_CAVA = 0, 1, 2, 3, 6
 
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.phantom.anatomy.axes import LONG_AXIS, SEPTUM_AXIS, UPWARD_AXIS
 from heartcase.phantom.anatomy.build import EXTENSION_MM, Anatomy, build_anatomy
@@ -24,7 +23,6 @@ from heartcase.schemas.recipe.settings import EndMarker
 
 __all__ = ["HeartPhantom"]
 
-Float64 = npt.NDArray[np.float64]
 _BAFFLE = Label(value=10, name="baffle", role=Role.DEVICE, colour="#e8e0c8")
 _LEAFLETS = Label(value=10, name="valve leaflets", role=Role.DEVICE, colour="#f0d8b0")
 

@@ -5,16 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.phantom.anatomy.axes import LONG_AXIS, SEPTUM_AXIS, UPWARD_AXIS
 from heartcase.phantom.anatomy.shapes import Capsule, HalfSpace, Intersection, Shape, Tube, complement
 from heartcase.phantom.anatomy.vessels import Vessels
+from heartcase.schemas.arrays import Float64
 from heartcase.schemas.recipe.heart_form import Baffle
 
 __all__ = ["BAFFLE_LINE", "Trabeculae", "baffle_shape", "tunnel", "with_left_detail", "with_right_detail"]
 
-Float64 = npt.NDArray[np.float64]
 BAFFLE_LINE = (
     *((9.3, -22.0, 1.7), (9.1, -32.0, 2.3), (4.0, -38.0, -0.5), (-5.0, -39.5, 0.5), (-12.5, -36.5, 6.0)),
     (-16.0, -32.0, 14.0),

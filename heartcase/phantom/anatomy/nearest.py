@@ -12,14 +12,12 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.kernel import kernel
+from heartcase.schemas.arrays import Float64, Int64
 
 __all__ = ["SampleTree"]
 
-Float64 = npt.NDArray[np.float64]
-Int64 = npt.NDArray[np.int64]
 _FAN = 8
 """Samples of a leaf and boxes of a parent."""
 _PART = 1024
@@ -92,7 +90,7 @@ def _morton(samples: Float64) -> Int64:
 
 
 @kernel(inline="always")
-def _square_gap(lower, upper, x, y, z):  # type: ignore[no-untyped-def]
+def _square_gap(lower, upper, x, y, z):
     """Squared distance of a point to a box."""
     dx = max(lower[0] - x, x - upper[0], 0.0)
     dy = max(lower[1] - y, y - upper[1], 0.0)
@@ -101,7 +99,7 @@ def _square_gap(lower, upper, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _descend(samples, boxes, level_start, x, y, z):  # type: ignore[no-untyped-def]
+def _descend(samples, boxes, level_start, x, y, z):
     """A sample that is near: of each level the nearest box below the one before."""
     at = 0
     for level in range(level_start.shape[0] - 3, -1, -1):
@@ -117,7 +115,7 @@ def _descend(samples, boxes, level_start, x, y, z):  # type: ignore[no-untyped-d
 
 
 @kernel
-def _query_part(samples, boxes, level_start, points, distance, index, start, stop):  # type: ignore[no-untyped-def]
+def _query_part(samples, boxes, level_start, points, distance, index, start, stop):
     root = level_start.shape[0] - 2
     waiting = np.empty((_LEVEL_MAX * _FAN, 2), np.int64)
     near = -1
@@ -170,7 +168,7 @@ def _query_part(samples, boxes, level_start, points, distance, index, start, sto
 
 
 @kernel(parallel=True)
-def _query(samples, boxes, level_start, points):  # type: ignore[no-untyped-def]
+def _query(samples, boxes, level_start, points):
     count = points.shape[0]
     distance = np.empty(count)
     index = np.empty(count, np.int64)

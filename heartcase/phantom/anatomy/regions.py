@@ -38,7 +38,7 @@ _PART = 4096
 
 
 @kernel
-def _evaluate(tables, ends, canals, x, y, z, d, c):  # type: ignore[no-untyped-def]
+def _evaluate(tables, ends, canals, x, y, z, d, c):
     """Fill d (10 values: cavities, body, sheets) and c (8 values) at a point; returns k."""
     coefficients, start, size, origin, spacing, margin = tables
     d[_SHEET] = _FAR
@@ -57,7 +57,7 @@ def _evaluate(tables, ends, canals, x, y, z, d, c):  # type: ignore[no-untyped-d
 
 
 @kernel
-def _cylinder(rows, row, first, x, y, z):  # type: ignore[no-untyped-def]
+def _cylinder(rows, row, first, x, y, z):
     """Value of a cylinder (start x, y, z, axis x, y, z, radius, length), below zero inside."""
     gx = x - rows[row, first]
     gy = y - rows[row, first + 1]
@@ -69,7 +69,7 @@ def _cylinder(rows, row, first, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _canal(rows, row, x, y, z):  # type: ignore[no-untyped-def]
+def _canal(rows, row, x, y, z):
     """Value of a defect (a cylinder as above, the unit vector of its long diameter, half the short one, shape).
 
     Shape 0 is round, 1 an ellipse, 2 a straight slit with round ends. An ellipse's value is exact along its short
@@ -94,13 +94,13 @@ def _canal(rows, row, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _label(d, c, k, thickness, wall_label):  # type: ignore[no-untyped-def]
+def _label(d, c, k, thickness, wall_label):
     label = _label_without_sheets(d, c, k, thickness, wall_label)
     return wall_label[CAVITY_COUNT] if d[_SHEET] < 0.0 and 0 < label <= CAVITY_COUNT else label
 
 
 @kernel
-def _label_without_sheets(d, c, k, thickness, wall_label):  # type: ignore[no-untyped-def]
+def _label_without_sheets(d, c, k, thickness, wall_label):
     lowest = _FAR
     nearest = 0
     for i in range(CAVITY_COUNT):
@@ -124,7 +124,7 @@ def _label_without_sheets(d, c, k, thickness, wall_label):  # type: ignore[no-un
 
 
 @kernel
-def _label_points_part(tables, ends, canals, thickness, wall_label, points, labels, first, last):  # type: ignore[no-untyped-def]
+def _label_points_part(tables, ends, canals, thickness, wall_label, points, labels, first, last):
     d = np.empty(CAVITY_COUNT + 2)
     c = np.empty(CAVITY_COUNT)
     for n in range(first, last):
@@ -133,7 +133,7 @@ def _label_points_part(tables, ends, canals, thickness, wall_label, points, labe
 
 
 @kernel(parallel=True)
-def label_points(tables, ends, canals, thickness, wall_label, points, labels):  # type: ignore[no-untyped-def]
+def label_points(tables, ends, canals, thickness, wall_label, points, labels):
     """Fill ``labels`` at points, shape (n, 3)."""
     count = points.shape[0]
     for part in numba.prange((count + _PART - 1) // _PART):
@@ -143,7 +143,7 @@ def label_points(tables, ends, canals, thickness, wall_label, points, labels):  
 
 
 @kernel
-def _materials_part(tables, ends, canals, thickness, points, material, clearance, hull, first, last):  # type: ignore[no-untyped-def]
+def _materials_part(tables, ends, canals, thickness, points, material, clearance, hull, first, last):
     d = np.empty(CAVITY_COUNT + 2)
     c = np.empty(CAVITY_COUNT)
     for n in range(first, last):
@@ -172,7 +172,7 @@ def _materials_part(tables, ends, canals, thickness, points, material, clearance
 
 
 @kernel(parallel=True)
-def materials(tables, ends, canals, thickness, points, material, clearance, hull):  # type: ignore[no-untyped-def]
+def materials(tables, ends, canals, thickness, points, material, clearance, hull):
     """Fill what a scanner sees at points: it knows no end discs, so vessels go on behind them.
 
     ``material`` is 0 outside the heart, 1 blood, 2 myocardium (left ventricle, or the wall of a chamber), 3 wall of
@@ -196,7 +196,7 @@ def materials(tables, ends, canals, thickness, points, material, clearance, hull
 
 
 @kernel
-def _region(d, c, k, thickness, wall_label, region):  # type: ignore[no-untyped-def]
+def _region(d, c, k, thickness, wall_label, region):
     blood = _FAR
     hull = d[CAVITY_COUNT]
     tissue = d[CAVITY_COUNT]
@@ -236,14 +236,14 @@ def _region(d, c, k, thickness, wall_label, region):  # type: ignore[no-untyped-
 
 
 @kernel
-def region_value(tables, ends, canals, thickness, wall_label, region, x, y, z, d, c):  # type: ignore[no-untyped-def]
+def region_value(tables, ends, canals, thickness, wall_label, region, x, y, z, d, c):
     """A region's value at one point; ``d`` (10 values) and ``c`` (8 values) are room to work in."""
     k = _evaluate(tables, ends, canals, x, y, z, d, c)
     return _region(d, c, k, thickness, wall_label, region)
 
 
 @kernel
-def _region_values_part(tables, ends, canals, thickness, wall_label, region, points, values, first, last):  # type: ignore[no-untyped-def]
+def _region_values_part(tables, ends, canals, thickness, wall_label, region, points, values, first, last):
     d = np.empty(CAVITY_COUNT + 2)
     c = np.empty(CAVITY_COUNT)
     for n in range(first, last):
@@ -252,7 +252,7 @@ def _region_values_part(tables, ends, canals, thickness, wall_label, region, poi
 
 
 @kernel(parallel=True)
-def region_values(tables, ends, canals, thickness, wall_label, region, points, values):  # type: ignore[no-untyped-def]
+def region_values(tables, ends, canals, thickness, wall_label, region, points, values):
     """Fill ``values`` with a region's value at points, shape (n, 3)."""
     count = points.shape[0]
     for part in numba.prange((count + _PART - 1) // _PART):

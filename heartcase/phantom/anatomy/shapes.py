@@ -16,6 +16,7 @@ import numpy.typing as npt
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from heartcase.compiling.kernel import kernel
+from heartcase.schemas.arrays import Float64
 
 __all__ = [
     "Capsule",
@@ -33,7 +34,6 @@ __all__ = [
     "smooth_min",
 ]
 
-Float64 = npt.NDArray[np.float64]
 Vector = Sequence[float] | Float64
 
 
@@ -97,7 +97,7 @@ class Ellipsoid:
 
 
 @kernel
-def _ellipsoid_distance(local, radii):  # type: ignore[no-untyped-def]
+def _ellipsoid_distance(local, radii):
     # Foot of the perpendicular: x_i = r_i^2 y_i / (t + r_i^2) with t the largest root of g. g is convex and falls, so
     # Newton from the left of the root converges monotonically.
     count = local.shape[0]
@@ -238,7 +238,7 @@ class Tube:
 
 
 @kernel
-def _nearest_parameter(points, at, samples, breaks, coefficients):  # type: ignore[no-untyped-def]
+def _nearest_parameter(points, at, samples, breaks, coefficients):
     count = points.shape[0]
     found = np.empty(count)
     last = len(breaks) - 2

@@ -17,18 +17,15 @@ from dataclasses import dataclass, replace
 
 import numba
 import numpy as np
-import numpy.typing as npt
 from scipy import ndimage
 
 from heartcase.compiling.kernel import kernel
 from heartcase.phantom.anatomy.nearest import SampleTree
 from heartcase.phantom.anatomy.shapes import Offset, Shape, complement
+from heartcase.schemas.arrays import Bool, Float32, Float64, Int64
 
 __all__ = ["DistanceTables", "table_value", "tabulate"]
 
-Float64 = npt.NDArray[np.float64]
-Float32 = npt.NDArray[np.float32]
-Int64 = npt.NDArray[np.int64]
 COARSE = 4
 _PART = 4096
 """Points that one task of a parallel loop takes; no result depends on it."""
@@ -217,7 +214,7 @@ def _interpolated_along(spline: Float64, count: int, order: int) -> Float64:
 
 def _surface_samples(
     values: Float64,
-    known: npt.NDArray[np.bool_],
+    known: Bool,
     points: Float64,
     origin: Float64,
     size: Int64,
@@ -287,7 +284,7 @@ def _patch_distance(
 
 
 @kernel
-def _weights(u, value, first, second):  # type: ignore[no-untyped-def]
+def _weights(u, value, first, second):
     """Cubic B-spline weights at a fraction u and their first and second derivatives, each four long."""
     v = 1.0 - u
     value[0] = v * v * v / 6.0
@@ -305,13 +302,13 @@ def _weights(u, value, first, second):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _mirrored(index, count):  # type: ignore[no-untyped-def]
+def _mirrored(index, count):
     index = abs(index)
     return index if index < count else 2 * (count - 1) - index
 
 
 @kernel
-def _derivatives_part(coefficients, size, origin, spacing, points, value, gradient, hessian, start, stop):  # type: ignore[no-untyped-def]
+def _derivatives_part(coefficients, size, origin, spacing, points, value, gradient, hessian, start, stop):
     weight = np.empty((3, 3, 4))
     cell = np.empty(3, np.int64)
     for n in range(start, stop):
@@ -354,7 +351,7 @@ def _derivatives_part(coefficients, size, origin, spacing, points, value, gradie
 
 
 @kernel(parallel=True)
-def _derivatives(coefficients, size, origin, spacing, points):  # type: ignore[no-untyped-def]
+def _derivatives(coefficients, size, origin, spacing, points):
     """Value (n,), gradient (n, 3) and Hessian (n, 3, 3) of one spline at points inside its lattice."""
     count = points.shape[0]
     value = np.zeros(count)
@@ -367,7 +364,7 @@ def _derivatives(coefficients, size, origin, spacing, points):  # type: ignore[n
 
 
 @kernel
-def table_value(coefficients, start, size, origin, spacing, margin, field, x, y, z):  # type: ignore[no-untyped-def]
+def table_value(coefficients, start, size, origin, spacing, margin, field, x, y, z):
     """Value of one field at one point; outside its lattice the value at the border plus the way to it.
 
     More than two margins outside the structure, where nothing asks for more, it is interpolated linearly.
@@ -417,7 +414,7 @@ def table_value(coefficients, start, size, origin, spacing, margin, field, x, y,
 
 
 @kernel(inline="always")
-def _weight(u, which):  # type: ignore[no-untyped-def]
+def _weight(u, which):
     if which == 0:
         return (1.0 - u) ** 3 / 6.0
     if which == 1:
@@ -428,7 +425,7 @@ def _weight(u, which):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _evaluate_tables(coefficients, start, size, origin, spacing, margin, points):  # type: ignore[no-untyped-def]
+def _evaluate_tables(coefficients, start, size, origin, spacing, margin, points):
     values = np.empty((points.shape[0], start.shape[0]))
     for n in range(points.shape[0]):
         x, y, z = points[n, 0], points[n, 1], points[n, 2]

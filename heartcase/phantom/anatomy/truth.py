@@ -17,14 +17,13 @@ from scipy.spatial import cKDTree
 from heartcase.phantom.anatomy.border import STEEPNESS, border_distances
 from heartcase.phantom.anatomy.regions import TISSUE, label_points, region_values
 from heartcase.phantom.anatomy.tables import DistanceTables
+from heartcase.schemas.arrays import Bool, Float64, Int64, UInt8
 from heartcase.schemas.labels import LabelTable, Role
 from heartcase.schemas.recipe.edit_settings import SeptalDefect
 from heartcase.schemas.recipe.settings import EndMarker
 
 __all__ = ["TOLERANCE_MM", "Truth"]
 
-Float64 = npt.NDArray[np.float64]
-UInt8 = npt.NDArray[np.uint8]
 TOLERANCE_MM = 0.01
 """How far a distance may be off, unless another tolerance is asked for."""
 _REACH_MM = 0.003
@@ -56,7 +55,7 @@ class Truth:
         return self.label_table.with_walls()
 
     @property
-    def kernel_arguments(self) -> tuple[object, Float64, Float64, Float64, npt.NDArray[np.int64]]:
+    def kernel_arguments(self) -> tuple[object, Float64, Float64, Float64, Int64]:
         """What the kernels of :mod:`heartcase.phantom.anatomy.regions` take."""
         table = self.table
         thickness = np.array([table[value].wall_thickness_mm for value in range(1, 9)])
@@ -169,10 +168,10 @@ class Truth:
             at -= unit * (value / np.clip(length, 0.3, None))[:, None]
         return at, unit
 
-    def _crosses(self, points: Float64, unit: Float64, region: int) -> npt.NDArray[np.bool_]:
+    def _crosses(self, points: Float64, unit: Float64, region: int) -> Bool:
         """Where the value changes its sign across a point."""
         before = self._value(points - _REACH_MM * unit, region) < 0.0
-        crosses: npt.NDArray[np.bool_] = before != (self._value(points + _REACH_MM * unit, region) < 0.0)
+        crosses: Bool = before != (self._value(points + _REACH_MM * unit, region) < 0.0)
         return crosses
 
     def _gradient(self, points: Float64, region: int) -> tuple[Float64, Float64]:

@@ -10,16 +10,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.phantom.anatomy.axes import SEPTUM_AXIS
 from heartcase.phantom.anatomy.shapes import Narrowing, Tube
 from heartcase.phantom.anatomy.sizes import Proportions
+from heartcase.schemas.arrays import Float64
 from heartcase.schemas.recipe.heart_form import HeartForm
 
 __all__ = ["Outlet", "Vessels", "build_vessels"]
 
-Float64 = npt.NDArray[np.float64]
 Points = list[tuple[float, float, float]]
 TRIM_MM = 7.0
 """How much of a vessel's line is kept off its shape: its round end stays inside the tables."""

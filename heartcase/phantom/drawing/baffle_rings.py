@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.phantom.anatomy.heart import HeartPhantom
 from heartcase.phantom.anatomy.inner import tunnel
 from heartcase.phantom.anatomy.regions import CAVITY_COUNT
 from heartcase.phantom.anatomy.sizes import proportions_of
 from heartcase.phantom.anatomy.vessels import build_vessels
+from heartcase.schemas.arrays import Bool, Float64
 from heartcase.schemas.labels import Role
 
 __all__ = ["baffle_rings"]
@@ -58,10 +58,10 @@ def baffle_rings(
     return rings
 
 
-def _runs(points: npt.NDArray[np.float64], kept: npt.NDArray[np.bool_]) -> list[npt.NDArray[np.float64]]:
+def _runs(points: Float64, kept: Bool) -> list[Float64]:
     edges = np.flatnonzero(np.diff(np.concatenate([[False], kept, [False]])))
     return [points[a:b] for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= _LEAST_POINTS]
 
 
-def _rounded(points: npt.NDArray[np.float64]) -> Points:
+def _rounded(points: Float64) -> Points:
     return tuple((round(float(x), 1), round(float(y), 1), round(float(z), 1)) for x, y, z in points)

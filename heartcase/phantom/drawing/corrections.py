@@ -12,19 +12,16 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from heartcase.phantom.anatomy.heart import HeartPhantom
 from heartcase.phantom.anatomy.regions import MYOCARDIUM
+from heartcase.schemas.arrays import Bool, Float64, Int64
 
 __all__ = ["corrective_lines", "wall_lines"]
 
-Bool = npt.NDArray[np.bool_]
-Float64 = npt.NDArray[np.float64]
-Int64 = npt.NDArray[np.int64]
 Line = tuple[str, float, Float64]
 
 BLOOD_STEP, TISSUE_STEP = 1.5, 1.0

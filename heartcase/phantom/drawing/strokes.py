@@ -13,7 +13,6 @@ from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from heartcase.phantom.anatomy.axes import LONG_AXIS, SEPTUM_AXIS, UPWARD_AXIS
@@ -22,13 +21,13 @@ from heartcase.phantom.anatomy.heart import HeartPhantom
 from heartcase.phantom.anatomy.inner import BAFFLE_LINE
 from heartcase.phantom.anatomy.sizes import proportions_of
 from heartcase.phantom.drawing.corrections import corrective_lines, wall_lines
+from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.recipe.heart_form import HeartForm
 from heartcase.schemas.recipe.settings import Stroke
 
 __all__ = ["LONGEST_SHORT_STROKE_MM", "first_strokes", "marker_strokes", "random_strokes"]
 
-Float64 = npt.NDArray[np.float64]
 _FIXED = (HeartForm(size="adult"), HeartForm(size="child"))
 """Hearts whose strokes were drawn by hand."""
 LONGEST_SHORT_STROKE_MM = 30.0

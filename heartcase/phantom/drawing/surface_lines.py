@@ -9,11 +9,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.phantom.anatomy.axes import LONG_AXIS, SEPTUM_AXIS, UPWARD_AXIS
 from heartcase.phantom.anatomy.build import mirrored
 from heartcase.phantom.anatomy.shapes import Tube
+from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.recipe.heart_form import IncisionName
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 __all__ = ["coronary_arteries", "coronary_landmarks", "incision_landmark"]
 
-Float64 = npt.NDArray[np.float64]
 _BEYOND_MM = 1.0
 """How much deeper than the wall an incision is planned."""
 _EXIT_STEPS = 6

@@ -13,12 +13,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy import ndimage
 
 from heartcase.phantom.anatomy.heart import HeartPhantom
 from heartcase.phantom.anatomy.regions import CAVITY_COUNT, materials
 from heartcase.phantom.scan.artefacts import acquired_by_lines, breathing, line_weights, streaked, textured_noise
+from heartcase.schemas.arrays import Complex64, Float32, Float64, UInt8
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.geometry import Geometry
 
@@ -35,10 +35,6 @@ __all__ = [
     "noise_free",
 ]
 
-Complex64 = npt.NDArray[np.complex64]
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
-UInt8 = npt.NDArray[np.uint8]
 
 LUNG, BLOOD, MYOCARDIUM, VESSEL_WALL, FAT, SOFT_TISSUE, LIVER, CAVAL_BLOOD = range(8)
 MRI_UNITS: tuple[float, ...] = (40.0, 1000.0, 420.0, 350.0, 180.0, 330.0, 480.0)

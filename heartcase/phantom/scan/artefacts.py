@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 from scipy import fft, ndimage, sparse
 
+from heartcase.schemas.arrays import Complex64, Float, Float32, Float64
 from heartcase.schemas.errors import UsageError
 
 __all__ = [
@@ -24,9 +24,6 @@ __all__ = [
     "textured_noise",
 ]
 
-Complex64 = npt.NDArray[np.complex64]
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
 
 _STILL_VOXELS = 1e-6
 _BLEND_VOXELS = 16
@@ -109,7 +106,7 @@ def line_weights(count: int, amplitude: float, period: float) -> Float64:
 
 
 def acquired_by_lines(
-    signal: npt.NDArray[np.floating],
+    signal: Float,
     phase_axis: int,
     *,
     weights: Float64 | None = None,
@@ -278,7 +275,7 @@ def _filtered_slices(shape: tuple[int, int], gain: Float32, generator: np.random
         yield fft.irfft2(gain * fft.rfft2(white, workers=1), shape, workers=1)
 
 
-def coarse_blocks(values: npt.NDArray[np.floating], most: int) -> tuple[Float64, tuple[int, int]]:
+def coarse_blocks(values: Float, most: int) -> tuple[Float64, tuple[int, int]]:
     """Means of the smallest blocks of pixels that leave at most ``most`` rows and columns.
 
     Parameters
@@ -372,9 +369,7 @@ def _ramp_kernel(length: int) -> Float64:
     return kernel
 
 
-def streaked(
-    values: npt.NDArray[np.floating], pixel_mm: tuple[float, float], *, above: float, darkest: float, most: int = 128
-) -> Float64:
+def streaked(values: Float, pixel_mm: tuple[float, float], *, above: float, darkest: float, most: int = 128) -> Float64:
     """Slices with the dark bands of beam hardening by dense tissue (see :func:`hardening_error`).
 
     Parameters

@@ -8,10 +8,10 @@ import struct
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from PIL import Image
 
 from heartcase.pipeline.data import Surface
+from heartcase.schemas.arrays import Float, Int32
 from heartcase.schemas.bundle.surface_kinds import SurfaceKind, group_labels
 from heartcase.schemas.labels import Label, LabelTable, Role
 
@@ -127,12 +127,12 @@ class _Writer:
         self.data += data
         return len(self.views) - 1
 
-    def vertex_array(self, array: npt.NDArray[np.floating], kind: str, **more: Any) -> int:
+    def vertex_array(self, array: Float, kind: str, **more: Any) -> int:
         view = self.view(array.tobytes(), ARRAY_BUFFER)
         self.accessors.append({"bufferView": view, "componentType": FLOAT, "count": len(array), "type": kind, **more})
         return len(self.accessors) - 1
 
-    def index_array(self, triangles: npt.NDArray[np.int32]) -> int:
+    def index_array(self, triangles: Int32) -> int:
         view = self.view(triangles.astype("<u4").tobytes(), ELEMENT_ARRAY_BUFFER)
         self.accessors.append(
             {"bufferView": view, "componentType": UINT32, "count": int(triangles.size), "type": "SCALAR"}

@@ -13,7 +13,6 @@ from typing import Any, cast
 
 import numba
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from heartcase.compiling.calls import called
@@ -37,6 +36,7 @@ from heartcase.pipeline.fields.reader import FieldReader
 from heartcase.pipeline.kernels.parallel import side_by_side
 from heartcase.pipeline.kernels.topology import betti_numbers, components, distance_in_samples, piece_sizes
 from heartcase.pipeline.warnings import anatomy, counted, note
+from heartcase.schemas.arrays import Bool, Float32, Int32, UInt8
 from heartcase.schemas.bundle.lattice import cell_nodes
 from heartcase.schemas.errors import StageError
 from heartcase.schemas.labels import LabelTable
@@ -44,10 +44,6 @@ from heartcase.schemas.recipe.settings import GridSettings, Pin
 
 __all__ = ["DEFAULT_NODE_COUNT", "FACE_CORNERS", "build_grid", "resolve_grid"]
 
-Bool = npt.NDArray[np.bool_]
-Int32 = npt.NDArray[np.int32]
-UInt8 = npt.NDArray[np.uint8]
-Float32 = npt.NDArray[np.float32]
 
 DEFAULT_NODE_COUNT = 30_000
 """Nodes to aim at when neither a cell edge nor a node count is asked for (thesis 11.2.1)."""
@@ -428,7 +424,7 @@ def _thickness_percentiles(samples: CellSamples) -> dict[str, float]:
 
 
 @called
-def _find_ridges_of_plane(tissue, depth, ridge, z):  # type: ignore[no-untyped-def]
+def _find_ridges_of_plane(tissue, depth, ridge, z):
     """Find them in one plane."""
     ny, nx = ridge.shape[1:]
     half = np.float32(0.5)
@@ -448,7 +444,7 @@ def _find_ridges_of_plane(tissue, depth, ridge, z):  # type: ignore[no-untyped-d
 
 
 @kernel(parallel=True)
-def _find_ridges(tissue, depth, ridge):  # type: ignore[no-untyped-def]
+def _find_ridges(tissue, depth, ridge):
     """Depth at the samples that are as deep as their six neighbours, 0 elsewhere; the first two are a sample wider.
 
     Across a wall the depth is a roof; its height follows from the steeper side and both neighbours.
@@ -458,7 +454,7 @@ def _find_ridges(tissue, depth, ridge):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _label_faces(piece, main, void_label, s, beside, side, label):  # type: ignore[no-untyped-def]
+def _label_faces(piece, main, void_label, s, beside, side, label):
     nk, nj, ni = main.shape
     share = np.zeros(256, np.int64)
     near = np.zeros(256, np.int64)

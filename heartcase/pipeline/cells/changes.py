@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy import sparse
 from scipy.ndimage import find_objects
 from scipy.sparse import csgraph
@@ -19,13 +18,10 @@ from scipy.sparse import csgraph
 from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.kernels.topology import Connectivity, betti_numbers, components
+from heartcase.schemas.arrays import Bool, Float32, UInt32
 
 __all__ = ["Change", "topology_changes"]
 
-Bool = npt.NDArray[np.bool_]
-Float32 = npt.NDArray[np.float32]
-Int64 = npt.NDArray[np.int64]
-UInt8 = npt.NDArray[np.uint8]
 
 _LOOKED_AT = 500
 """Groups beyond which none is looked at again: what differs in so many places differs indeed."""
@@ -94,9 +90,7 @@ def topology_changes(
     return [one for n, one in _groups(left, labels, count) if is_real[n]]
 
 
-def _differ_around(
-    now: Bool, after: Bool, labels: npt.NDArray[np.uint32], connectivity: Connectivity, reach: int
-) -> Bool:
+def _differ_around(now: Bool, after: Bool, labels: UInt32, connectivity: Connectivity, reach: int) -> Bool:
     """For each group of voxels that are left, whether the topology around it and the groups near it is another."""
     boxes = find_objects(labels.astype(np.int32))
     low = np.array([[part.start - reach for part in box] for box in boxes])
@@ -116,7 +110,7 @@ def _differ_around(
     return is_real
 
 
-def _groups(left: Bool, labels: npt.NDArray[np.uint32], count: int) -> list[tuple[int, Change]]:
+def _groups(left: Bool, labels: UInt32, count: int) -> list[tuple[int, Change]]:
     """Number and middle of each group of voxels, the largest first (ties: in raster order)."""
     places = np.argwhere(left)
     group = labels[left].astype(np.int64) - 1
@@ -133,7 +127,7 @@ def _groups(left: Bool, labels: npt.NDArray[np.uint32], count: int) -> list[tupl
 
 
 @copied
-def _beside(mask):  # type: ignore[no-untyped-def]
+def _beside(mask):
     """A set of neighbours and all that share a face with one of them."""
     wide = mask | (mask & ~_LOW_X) >> 1 | (mask << 1) & ~_LOW_X
     wide |= (mask & ~_LOW_Y) >> 3 | (mask << 3) & ~_LOW_Y
@@ -141,7 +135,7 @@ def _beside(mask):  # type: ignore[no-untyped-def]
 
 
 @copied
-def _around(mask):  # type: ignore[no-untyped-def]
+def _around(mask):
     """A set of neighbours and all that share a corner with one of them."""
     mask |= (mask & ~_LOW_X) >> 1 | (mask << 1) & ~_LOW_X & _ALL
     mask |= (mask & ~_LOW_Y) >> 3 | (mask << 3) & ~_LOW_Y & _ALL
@@ -149,7 +143,7 @@ def _around(mask):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _is_simple(inside):  # type: ignore[no-untyped-def]
+def _is_simple(inside):
     """Whether a voxel of a 26-connected set is simple, from the set's neighbours of it."""
     inside &= ~_CENTRE
     outside = _ALL & ~inside & ~_CENTRE & ~_CORNERS
@@ -172,7 +166,7 @@ def _is_simple(inside):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _deform(now, differs, order, steps, is_six):  # type: ignore[no-untyped-def]
+def _deform(now, differs, order, steps, is_six):
     """Change what differs as long as it is simple; ``now`` and ``differs`` are flat, with a rim of one voxel."""
     count = len(order)
     queue = order.copy()

@@ -10,19 +10,16 @@ from __future__ import annotations
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.calls import called, copied
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.data import SimulationGrid
 from heartcase.pipeline.kernels.vectors import cross
+from heartcase.schemas.arrays import Float32, Float64, Int32
 from heartcase.schemas.bundle.lattice import CELL_DIAGONALS, CELL_EDGES, cell_nodes, distinct_keys
 
 __all__ = ["curvature_errors", "grid_springs", "node_neighbours"]
 
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
 
 _AMPLITUDE = 1e-3
 
@@ -88,7 +85,7 @@ def curvature_errors(
 
 
 @copied
-def _normalise(v):  # type: ignore[no-untyped-def]
+def _normalise(v):
     length = np.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
     if length > 0.0:
         v[0] /= length
@@ -98,7 +95,7 @@ def _normalise(v):  # type: ignore[no-untyped-def]
 
 
 @copied
-def _displace(x, normal, curvature, out):  # type: ignore[no-untyped-def]
+def _displace(x, normal, curvature, out):
     """Move a point as a plate through the origin with this normal and curvature tensor bends."""
     height = normal[0] * x[0] + normal[1] * x[1] + normal[2] * x[2]
     quadratic = 0.0
@@ -111,7 +108,7 @@ def _displace(x, normal, curvature, out):  # type: ignore[no-untyped-def]
 
 
 @copied
-def _interpolated(place, normal, curvature, out):  # type: ignore[no-untyped-def]
+def _interpolated(place, normal, curvature, out):
     """Move of the origin when the displacement is interpolated between the corners of its cell."""
     out[:] = 0.0
     for a in range(3):
@@ -122,7 +119,7 @@ def _interpolated(place, normal, curvature, out):  # type: ignore[no-untyped-def
 
 
 @copied
-def _plate_curvature(normal, mode, curvature):  # type: ignore[no-untyped-def]
+def _plate_curvature(normal, mode, curvature):
     """Curvature tensor of a bending one way (0), the other way (1) and a twist (2) of equal size."""
     axis = np.argmin(np.abs(normal))
     first = np.zeros(3)
@@ -142,7 +139,7 @@ def _plate_curvature(normal, mode, curvature):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _bases(points, around, counts, weights, flat, curved, scratch):  # type: ignore[no-untyped-def]
+def _bases(points, around, counts, weights, flat, curved, scratch):
     """Rows T, N, B of the triangle's basis and of the interpolated one; False where the latter is not defined."""
     for x in range(3):
         flat[0, x] = points[1, x] - points[0, x]
@@ -178,7 +175,7 @@ def _bases(points, around, counts, weights, flat, curved, scratch):  # type: ign
 
 
 @called
-def _errors_at(places, facing, triangle_nodes, weights, nodes, neighbours, flat_error, curved_error, aligned, v):  # type: ignore[no-untyped-def]
+def _errors_at(places, facing, triangle_nodes, weights, nodes, neighbours, flat_error, curved_error, aligned, v):
     """Errors at one vertex."""
     rest = np.empty((3, 3))
     rest_around = np.empty((3, 18, 3))
@@ -231,6 +228,6 @@ def _errors_at(places, facing, triangle_nodes, weights, nodes, neighbours, flat_
 
 
 @kernel(parallel=True)
-def _errors(places, facing, triangle_nodes, weights, nodes, neighbours, flat_error, curved_error, aligned):  # type: ignore[no-untyped-def]
+def _errors(places, facing, triangle_nodes, weights, nodes, neighbours, flat_error, curved_error, aligned):
     for v in numba.prange(len(places)):
         _errors_at(places, facing, triangle_nodes, weights, nodes, neighbours, flat_error, curved_error, aligned, v)

@@ -12,20 +12,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.pipeline.cells.passages import closes_passage
 from heartcase.pipeline.cells.repair import CellState, Index, cells_of_pieces, find_leaks, index_of
 from heartcase.pipeline.cells.sampling import CellSamples, VoidPieces
 from heartcase.pipeline.kernels.topology import components
+from heartcase.schemas.arrays import Bool, Int32, Int64, UInt8, UInt32
 
 __all__ = ["NEGLIGIBLE_CELLS", "NEGLIGIBLE_SHARE", "HingeRepairs", "hanging_cells", "mend_hinges"]
 
-Bool = npt.NDArray[np.bool_]
-Int32 = npt.NDArray[np.int32]
-Int64 = npt.NDArray[np.int64]
-UInt8 = npt.NDArray[np.uint8]
-UInt32 = npt.NDArray[np.uint32]
 
 NEGLIGIBLE_CELLS = 1.0
 """A hanging group is dropped where it holds less tissue than this many full cells ..."""

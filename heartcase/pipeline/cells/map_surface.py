@@ -14,7 +14,6 @@ from typing import Any
 
 import numba
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from heartcase.pipeline.cells.build_grid import FACE_CORNERS
@@ -24,6 +23,7 @@ from heartcase.pipeline.cells.ties import Check, NodeTriangles, TieChooser, clos
 from heartcase.pipeline.data import GridMap, SimulationGrid, Structures, Surface
 from heartcase.pipeline.fields.reader import FieldReader, steps_through
 from heartcase.pipeline.kernels.parallel import side_by_side
+from heartcase.schemas.arrays import Bool, Float32, Float64, Int32, Int64, UInt8
 from heartcase.schemas.bundle.lattice import cell_nodes, lattice_keys
 from heartcase.schemas.errors import Problem, StageError
 from heartcase.schemas.geometry import Geometry
@@ -39,11 +39,6 @@ __all__ = [
     "triangle_basis",
 ]
 
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
-Int64 = npt.NDArray[np.int64]
-Bool = npt.NDArray[np.bool_]
 
 NEAR_CELLS = 1.25
 """A boundary face of the vertex's own void within this many cells is taken; else a nearer face between cells, where
@@ -290,7 +285,7 @@ def _query(points: Float64, places: Float64) -> tuple[Float64, Int64]:
     return np.asarray(distance, np.float64), np.asarray(at, np.int64)
 
 
-def _quality(far: Float64, is_inner: Bool, is_other: Bool, curvature: npt.NDArray[np.uint8]) -> dict[str, Any]:
+def _quality(far: Float64, is_inner: Bool, is_other: Bool, curvature: UInt8) -> dict[str, Any]:
     count = len(far)
     p50, p95, most = np.percentile(far, [50, 95, 100]) if count else (0.0, 0.0, 0.0)
     return {

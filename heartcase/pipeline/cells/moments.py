@@ -5,17 +5,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.cells.sampling import CellSamples, tissue_part
+from heartcase.schemas.arrays import Float32, Int32
 from heartcase.schemas.bundle.lattice import FULL_MOMENTS
 
 __all__ = ["cell_moments"]
-
-Float32 = npt.NDArray[np.float32]
-Int32 = npt.NDArray[np.int32]
 
 
 def cell_moments(samples: CellSamples, cells: Int32) -> Float32:
@@ -44,7 +41,7 @@ def cell_moments(samples: CellSamples, cells: Int32) -> Float32:
 
 
 @copied
-def _outward(below, value, above):  # type: ignore[no-untyped-def]
+def _outward(below, value, above):
     """Growth of the field along an axis towards the nearer void, and that less the growth to the other side.
 
     The two differ only in a layer of tissue that is thinner than a sample: it has void to both sides.
@@ -54,7 +51,7 @@ def _outward(below, value, above):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _add_up(tissue_mm, wz, wy, wx, s, width, cells, moments):  # type: ignore[no-untyped-def]
+def _add_up(tissue_mm, wz, wy, wx, s, width, cells, moments):
     nz, ny, nx = tissue_mm.shape
     place = np.empty(3)
     box = np.empty(3)

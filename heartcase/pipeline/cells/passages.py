@@ -15,21 +15,17 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 from scipy import sparse
 from scipy.sparse import csgraph
 
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.cells.repair import CellState, Index, index_of
 from heartcase.pipeline.cells.sampling import CellSamples, VoidPieces
+from heartcase.schemas.arrays import Bool, Float32, Float64, Int32, Int64
 from heartcase.schemas.bundle.lattice import distinct_keys
 
 __all__ = ["LUMEN_CELLS", "OPENING_CELLS", "blocked_openings", "closes_passage", "open_passages"]
 
-Bool = npt.NDArray[np.bool_]
-Int64 = npt.NDArray[np.int64]
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
 
 OPENING_CELLS = 0.75
 """An opening at least this wide, in cells, is kept open."""
@@ -117,7 +113,7 @@ class _Graph:
     """Flat cell of each graph node, ascending."""
     node_piece: Int64
     """Piece of the cell."""
-    node: npt.NDArray[np.int32]
+    node: Int32
     """Graph node at each sample; -1 where there is none."""
     contacts: Int64
     """Touching nodes, shape (n, 2), lower first."""
@@ -355,7 +351,7 @@ def _from_void(ways: Int64, cost: Float64, sources: Int64, tissue: Bool) -> tupl
 
 
 @kernel
-def _number_samples(piece, main, tissue, base, s, node):  # type: ignore[no-untyped-def]
+def _number_samples(piece, main, tissue, base, s, node):
     nk, nj, ni = tissue.shape
     for k in range(nk):
         for j in range(nj):
@@ -376,7 +372,7 @@ def _number_samples(piece, main, tissue, base, s, node):  # type: ignore[no-unty
 
 
 @kernel
-def _connected_nearby(tissue, is_blood, k0, j0, i0, k1, j1, i1, margin):  # type: ignore[no-untyped-def]
+def _connected_nearby(tissue, is_blood, k0, j0, i0, k1, j1, i1, margin):
     """Whether blood cells join two blood cells inside their common box, grown by a margin."""
     nk, nj, ni = tissue.shape
     lk, hk = max(min(k0, k1) - margin, 0), min(max(k0, k1) + margin, nk - 1)

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.pipeline.data import PickingSurface, SimulationGrid
+from heartcase.schemas.arrays import Int32
 
 __all__ = ["picking_surface", "split_faces"]
-
-Int32 = npt.NDArray[np.int32]
 
 
 def split_faces(faces: Int32) -> Int32:

@@ -19,6 +19,7 @@ from scipy.sparse import csgraph
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.cells.sampling import CellSamples, VoidPieces
 from heartcase.pipeline.kernels.topology import components
+from heartcase.schemas.arrays import Bool, Float32, Float64, Int64, UInt16, UInt32
 
 __all__ = [
     "CellState",
@@ -31,8 +32,6 @@ __all__ = [
     "join_tissue",
 ]
 
-Bool = npt.NDArray[np.bool_]
-Int64 = npt.NDArray[np.int64]
 Index = tuple[int, int, int]
 
 
@@ -42,7 +41,7 @@ class CellState:
 
     tissue: Bool
     """Tissue cells, ``[k, j, i]``."""
-    main: npt.NDArray[np.uint16]
+    main: UInt16
     """The piece of each cell that stands for it where it is void."""
     is_blood: Bool
     """Whether that piece is blood."""
@@ -102,7 +101,7 @@ def close_leaks(samples: CellSamples, pieces: VoidPieces, state: CellState) -> i
     return joined
 
 
-def join_tissue(samples: CellSamples, state: CellState, fine: npt.NDArray[np.uint32]) -> list[Index]:
+def join_tissue(samples: CellSamples, state: CellState, fine: UInt32) -> list[Index]:
     """Join pieces of tissue that the cells broke apart, through the fewest cells that hold any of the same piece.
 
     Parameters
@@ -136,7 +135,7 @@ def join_tissue(samples: CellSamples, state: CellState, fine: npt.NDArray[np.uin
     return stranded
 
 
-def cell_coverage(samples: CellSamples, state: CellState, coverage_min: float) -> npt.NDArray[np.float32]:
+def cell_coverage(samples: CellSamples, state: CellState, coverage_min: float) -> Float32:
     """Coverage of every cell after the repairs, 0 in void.
 
     The tissue of a cell that left the grid goes to the tissue cells around it, those that share a face first, by how
@@ -195,7 +194,7 @@ def _join_piece(samples: CellSamples, state: CellState, cells: Int64) -> list[In
             at = int(before[at])
 
 
-def _shortest(pairs: Int64, cost: npt.NDArray[np.float64], sources: Int64) -> tuple[npt.NDArray[np.float64], Int64]:
+def _shortest(pairs: Int64, cost: Float64, sources: Int64) -> tuple[Float64, Int64]:
     graph = sparse.csr_matrix(
         (
             np.concatenate((cost[pairs[:, 1]], cost[pairs[:, 0]])),
@@ -222,7 +221,7 @@ def _neighbour_pairs(cells: Int64, shape: tuple[int, ...]) -> Int64:
     return np.concatenate(pairs)
 
 
-def cells_of_pieces(fine: npt.NDArray[np.uint32], factor: int) -> tuple[Int64, Int64]:
+def cells_of_pieces(fine: UInt32, factor: int) -> tuple[Int64, Int64]:
     """Every (flat cell, number of a tissue piece) that share a sample, as two arrays of the same length."""
     shape = tuple(n // factor for n in fine.shape)
     z, y, x = np.nonzero(fine)
@@ -238,7 +237,7 @@ def index_of(values: npt.ArrayLike) -> Index:
 
 
 @kernel
-def _find_leaks(piece, main, tissue, s, flags):  # type: ignore[no-untyped-def]
+def _find_leaks(piece, main, tissue, s, flags):
     nk, nj, ni = tissue.shape
     for k in range(nk):
         for j in range(nj):

@@ -11,21 +11,15 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.calls import called, copied
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.data import Structures
 from heartcase.pipeline.fields.reader import FieldReader, ownership_on_lattice
+from heartcase.schemas.arrays import Bool, Float32, Float64, UInt8, UInt16
 from heartcase.schemas.geometry import Geometry
 
 __all__ = ["CellSamples", "VoidPieces", "cell_lattice", "sample_cells", "sample_factor", "tissue_part", "void_pieces"]
-
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
-UInt8 = npt.NDArray[np.uint8]
-UInt16 = npt.NDArray[np.uint16]
-Bool = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -165,7 +159,7 @@ def _inside(volume: Geometry, lattice: Geometry, factor: int) -> tuple[Float64, 
 
 
 @copied
-def _mean_in_sample(tissue_mm, z, y, x, width):  # type: ignore[no-untyped-def]
+def _mean_in_sample(tissue_mm, z, y, x, width):
     """Mean of the field over a sample: its centre's value and 1/24 of the second differences, where it is smooth."""
     value = tissue_mm[z, y, x]
     if abs(value) > width:
@@ -179,13 +173,13 @@ def _mean_in_sample(tissue_mm, z, y, x, width):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def tissue_part(tissue_mm, z, y, x, width):  # type: ignore[no-untyped-def]
+def tissue_part(tissue_mm, z, y, x, width):
     """Part of a sample that is tissue, 0 to 1: linear in the mean of the field over it. ``width`` is its edge, mm."""
     return min(max(0.5 - _mean_in_sample(tissue_mm, z, y, x, width) / width, 0.0), 1.0)
 
 
 @called
-def _measure_layer(tissue_mm, tissue_label, wz, wy, wx, s, width, coverage, cell_label, k):  # type: ignore[no-untyped-def]
+def _measure_layer(tissue_mm, tissue_label, wz, wy, wx, s, width, coverage, cell_label, k):
     """Measure a layer of cells."""
     nj, ni = coverage.shape[1:]
     share = np.zeros(256)
@@ -210,13 +204,13 @@ def _measure_layer(tissue_mm, tissue_label, wz, wy, wx, s, width, coverage, cell
 
 
 @kernel(parallel=True)
-def _measure(tissue_mm, tissue_label, wz, wy, wx, s, width, coverage, cell_label):  # type: ignore[no-untyped-def]
+def _measure(tissue_mm, tissue_label, wz, wy, wx, s, width, coverage, cell_label):
     for k in numba.prange(len(coverage)):
         _measure_layer(tissue_mm, tissue_label, wz, wy, wx, s, width, coverage, cell_label, k)
 
 
 @called
-def _label_layer(void, void_label, s, piece, count, main, main_label, k):  # type: ignore[no-untyped-def]
+def _label_layer(void, void_label, s, piece, count, main, main_label, k):
     """Label the pieces in a layer of cells."""
     nj, ni = count.shape[1:]
     stack = np.empty(s * s * s, np.int64)
@@ -274,6 +268,6 @@ def _label_layer(void, void_label, s, piece, count, main, main_label, k):  # typ
 
 
 @kernel(parallel=True)
-def _label_pieces(void, void_label, s, piece, count, main, main_label):  # type: ignore[no-untyped-def]
+def _label_pieces(void, void_label, s, piece, count, main, main_label):
     for k in numba.prange(len(count)):
         _label_layer(void, void_label, s, piece, count, main, main_label, k)

@@ -5,21 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.pipeline.cells.sampling import CellSamples
 from heartcase.pipeline.data import Structures
 from heartcase.pipeline.kernels.topology import components
 from heartcase.pipeline.warnings import counted
+from heartcase.schemas.arrays import Bool, Int32, UInt8
 from heartcase.schemas.errors import Problem, StageError
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.recipe.settings import Pin
 
 __all__ = ["fixed_nodes", "floating_pieces"]
-
-Bool = npt.NDArray[np.bool_]
-Int32 = npt.NDArray[np.int32]
-UInt8 = npt.NDArray[np.uint8]
 
 
 def fixed_nodes(

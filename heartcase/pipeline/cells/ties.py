@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from heartcase.compiling.calls import called, copied
@@ -31,14 +30,11 @@ from heartcase.pipeline.data import Surface
 from heartcase.pipeline.fields.reader import FieldReader, scratch
 from heartcase.pipeline.kernels.parallel import every_other
 from heartcase.pipeline.kernels.vectors import dot, put, square_to_triangle
+from heartcase.schemas.arrays import Float32, Float64, Int32, Int64
 from heartcase.schemas.geometry import Geometry
 
 __all__ = ["Check", "NodeTriangles", "TieChooser", "closest_weights"]
 
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
-Int64 = npt.NDArray[np.int64]
 
 _MORE = 4
 """So many times the candidates are tried where all of them are beyond a wall or a gap."""
@@ -187,7 +183,7 @@ def closest_weights(points: Float64, corners: Float64) -> Float32:
 
 
 @copied
-def _closest_point(p, a, b, c, weights):  # type: ignore[no-untyped-def]
+def _closest_point(p, a, b, c, weights):
     """Weights of the point of triangle (a, b, c) that is closest to p; returns the squared distance."""
     squared, second, third = square_to_triangle(p[0], p[1], p[2], a, b, c)
     weights[0], weights[1], weights[2] = 1.0 - second - third, second, third
@@ -195,7 +191,7 @@ def _closest_point(p, a, b, c, weights):  # type: ignore[no-untyped-def]
 
 
 @called
-def _choose_some(places, normals, fields, who, triangles, tried, apart, penalty, check, most, chosen, score, chunk):  # type: ignore[no-untyped-def]
+def _choose_some(places, normals, fields, who, triangles, tried, apart, penalty, check, most, chosen, score, chunk):
     """:func:`_choose` for a chunk of the vertices."""
     spare, room = scratch(fields.layout), searched()
     weights, value = np.empty(3), np.empty(tried.shape[1])
@@ -251,7 +247,7 @@ def _choose_some(places, normals, fields, who, triangles, tried, apart, penalty,
 
 
 @kernel(parallel=True)
-def _choose(  # type: ignore[no-untyped-def]
+def _choose(
     places, normals, layout, tables, lattice, who, all_triangles, tried, apart, penalty, check, most, chosen, score
 ):
     """The best of the tried triangles (by the distance of their middles) for each vertex; ties: the least number."""
@@ -276,7 +272,7 @@ def _choose(  # type: ignore[no-untyped-def]
 
 
 @kernel(parallel=True)
-def _closest_weights(points, corners, out):  # type: ignore[no-untyped-def]
+def _closest_weights(points, corners, out):
     steps = 16777216.0
     for n in numba.prange(len(points)):
         weights = np.empty(3)

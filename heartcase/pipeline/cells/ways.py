@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.calls import called, copied
 from heartcase.compiling.kernel import kernel
@@ -17,6 +16,7 @@ from heartcase.pipeline.fields.layout import FieldLayout
 from heartcase.pipeline.fields.reader import FieldReader, evaluate_owner, steps_through
 from heartcase.pipeline.fields.wall_thickness import ThicknessArrays
 from heartcase.pipeline.kernels.vectors import dot
+from heartcase.schemas.arrays import Float64, Int64
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND
 
@@ -32,8 +32,6 @@ __all__ = [
     "searched",
 ]
 
-Float64 = npt.NDArray[np.float64]
-Int64 = npt.NDArray[np.int64]
 
 BESIDE = 0.05
 """Cells from the border to where the void beside it, or the tissue behind it, is looked up."""
@@ -101,13 +99,13 @@ class Searched(NamedTuple):
 
 
 @copied
-def searched():  # type: ignore[no-untyped-def]
+def searched():
     """Room for searches of one thread."""
     return Searched(np.zeros(1 + _EDGE**3, np.int64), np.empty(_EDGE**3, np.int64))
 
 
 @called
-def field_at(fields, x, y, z, spare):  # type: ignore[no-untyped-def]
+def field_at(fields, x, y, z, spare):
     """Tissue field and void at a place; beyond the scanned volume all is void and background.
 
     Returns the signed distance to tissue, in cells, the label of the nearest void, and how far, in cells, the edge of
@@ -127,7 +125,7 @@ def field_at(fields, x, y, z, spare):  # type: ignore[no-untyped-def]
 
 
 @called
-def is_beyond_wall(fields, spare, vertex, normal, facing, to):  # type: ignore[no-untyped-def]
+def is_beyond_wall(fields, spare, vertex, normal, facing, to):
     """Whether the way from the void beside a vertex to a point of a face leads through tissue into void again.
 
     It may end in tissue; where it comes from behind the face, it is then followed on beyond it. A wall or a void that
@@ -160,7 +158,7 @@ def is_beyond_wall(fields, spare, vertex, normal, facing, to):  # type: ignore[n
 
 
 @called
-def looks_elsewhere(fields, spare, room, vertex, normal, facing, cell):  # type: ignore[no-untyped-def]
+def looks_elsewhere(fields, spare, room, vertex, normal, facing, cell):
     """Whether a face of a cell looks into another void than a vertex does.
 
     One of another label is the same void where the two hang together near both.
@@ -176,7 +174,7 @@ def looks_elsewhere(fields, spare, room, vertex, normal, facing, cell):  # type:
 
 
 @called
-def hangs_together(fields, spare, room, vertex, normal, cell, is_void):  # type: ignore[no-untyped-def]
+def hangs_together(fields, spare, room, vertex, normal, cell, is_void):
     """Whether the tissue behind a vertex, or the void before it, and that of a cell hang together near both.
 
     Judged on samples, four along a cell's edge, within the cells of both and one more to every side; tissue hangs
@@ -218,7 +216,7 @@ def hangs_together(fields, spare, room, vertex, normal, cell, is_void):  # type:
 
 
 @kernel
-def _leads_straight(fields, spare, begin, cell):  # type: ignore[no-untyped-def]
+def _leads_straight(fields, spare, begin, cell):
     """Whether all samples from that of a place on, each a step nearer to a cell along every axis, are tissue."""
     cells = fields.lattice.cells
     i = min(max(int(np.floor(begin[0] * _FINE)), 0), _FINE * cells[0] - 1)
@@ -235,7 +233,7 @@ def _leads_straight(fields, spare, begin, cell):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _sample(fields, i, j, k, spare):  # type: ignore[no-untyped-def]
+def _sample(fields, i, j, k, spare):
     """Tissue field, mm, at a sample; beyond the scan that of its nearest place."""
     start, step = fields.lattice.start, fields.lattice.step
     x = start[0] + (i + 0.5) / _FINE * step[0]
@@ -245,7 +243,7 @@ def _sample(fields, i, j, k, spare):  # type: ignore[no-untyped-def]
 
 
 @called
-def _add(fields, spare, room, low, high, at, before, after, cell, is_void, steps, top):  # type: ignore[no-untyped-def]
+def _add(fields, spare, room, low, high, at, before, after, cell, is_void, steps, top):
     """Put the samples of tissue, or of void, around one that this search has not come to on the stack.
 
     Those in a box, and at most some steps away. Returns the height of the stack, and whether one of them is of the
@@ -274,7 +272,7 @@ def _add(fields, spare, room, low, high, at, before, after, cell, is_void, steps
 
 
 @kernel(inline="always")
-def _towards(cell, sample):  # type: ignore[no-untyped-def]
+def _towards(cell, sample):
     """Step from a sample towards a cell along one axis; 0 where it is of the cell, or next to it."""
     if sample < _FINE * cell - 1:
         return 1

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 import cc3d
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.pipeline.data import Segmentation, VesselEnd
 from heartcase.pipeline.warnings import Caution, Severity, anatomy
+from heartcase.schemas.arrays import Bool, UInt8
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND, Label, LabelTable, Role
 
@@ -27,8 +27,6 @@ an angle of 19 degrees to the face has a cut of this shape."""
 STRAIGHT = 0.9
 """Cosine from which on an axis is called by the one direction that it runs towards."""
 _WAYS = (("right", "left"), ("front", "back"), ("feet", "head"))
-
-UInt8 = npt.NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
@@ -208,7 +206,7 @@ def _named(face: _Face, geometry: Geometry, whole: Geometry | None) -> tuple[str
     return f"the {name} of the {'scan' if is_scans else 'region of interest'}", not is_scans
 
 
-def _elongation(inside: npt.NDArray[np.bool_], spacing_mm: tuple[float, float]) -> float:
+def _elongation(inside: Bool, spacing_mm: tuple[float, float]) -> float:
     """Length over width of the largest piece of a cut: of the ellipse with its second moments."""
     pieces = cc3d.connected_components(np.ascontiguousarray(inside.astype(np.uint8)), connectivity=8)
     counts = np.bincount(pieces.ravel())

@@ -11,7 +11,6 @@ from dataclasses import replace
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.kernel import kernel
 from heartcase.compiling.lent import lend
@@ -22,13 +21,12 @@ from heartcase.pipeline.fields.reader import FieldReader, evaluate_owner, owners
 from heartcase.pipeline.fields.wall_thickness import thickness_at_points
 from heartcase.pipeline.kernels.parallel import side_by_side
 from heartcase.pipeline.warnings import Caution, anatomy, note
+from heartcase.schemas.arrays import Bool, UInt8
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND, Role
 
 __all__ = ["leak_cautions"]
 
-Bool = npt.NDArray[np.bool_]
-UInt8 = npt.NDArray[np.uint8]
 
 FACTOR = 2
 """Points along each edge of a voxel."""
@@ -143,7 +141,7 @@ def _fine_labels(
 
 
 @kernel(parallel=True)
-def _fill_fine(layout, tables, start, step, coarse, near, fine):  # type: ignore[no-untyped-def]
+def _fill_fine(layout, tables, start, step, coarse, near, fine):
     """Label of each fine point: evaluated in the voxels that are near, else their centre's."""
     nz, ny, nx = fine.shape
     fields, walls = lend(layout), lend(tables)

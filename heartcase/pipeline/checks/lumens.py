@@ -13,21 +13,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.kernels.feature_transform import distance_to_marked
+from heartcase.schemas.arrays import Bool, Float32, Float64, Int64, UInt8
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable
 
 __all__ = ["Narrowing", "narrowest_lumens"]
 
-Bool = npt.NDArray[np.bool_]
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
-Int64 = npt.NDArray[np.int64]
-UInt8 = npt.NDArray[np.uint8]
 
 WIDER = 1.3
 """The way on both sides of a narrow place is at least this many times as wide."""
@@ -116,7 +111,7 @@ def _box_of(mask: Bool) -> tuple[Int64, Int64]:
 
 
 @copied
-def _root(parent, at):  # type: ignore[no-untyped-def]
+def _root(parent, at):
     while parent[at] != at:
         parent[at] = parent[parent[at]]
         at = parent[at]
@@ -124,7 +119,7 @@ def _root(parent, at):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _saddles(depth, order, spacing, wider, least, count_min):  # type: ignore[no-untyped-def]
+def _saddles(depth, order, spacing, wider, least, count_min):
     """Rows of voxel (k, j, i), depth and way (z, y, x, mm) from one side to the other of each significant saddle."""
     nz, ny, nx = depth.shape
     flat = depth.ravel()
@@ -180,7 +175,7 @@ def _saddles(depth, order, spacing, wider, least, count_min):  # type: ignore[no
 
 
 @copied
-def _way_between(parent, one, other, k, j, i, shape, spacing, width, way):  # type: ignore[no-untyped-def]
+def _way_between(parent, one, other, k, j, i, shape, spacing, width, way):
     """From the middle of the voxels of one side around a saddle to the middle of those of the other, mm."""
     nz, ny, nx = shape
     sums, counts = np.zeros((2, 3)), np.zeros(2)
@@ -289,7 +284,7 @@ def _area(
 
 
 @kernel
-def _points_inside(lead, centre, side, other, step, count, is_linear):  # type: ignore[no-untyped-def]
+def _points_inside(lead, centre, side, other, step, count, is_linear):
     """Points of a plane in the region (``lead`` above 0) that is nearest to its middle; -1 where it meets the edge."""
     size = 2 * count + 1
     inside = np.zeros((size, size), np.bool_)
@@ -329,7 +324,7 @@ def _points_inside(lead, centre, side, other, step, count, is_linear):  # type: 
 
 
 @copied
-def _is_above(values, z, y, x, is_linear):  # type: ignore[no-untyped-def]
+def _is_above(values, z, y, x, is_linear):
     """Whether a field is above zero at a point, by its nearest value or between eight; nothing is above beyond it."""
     nz, ny, nx = values.shape
     if z < 0.0 or y < 0.0 or x < 0.0 or z > nz - 1.0 or y > ny - 1.0 or x > nx - 1.0:

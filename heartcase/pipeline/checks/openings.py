@@ -16,13 +16,13 @@ from enum import StrEnum
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from heartcase.pipeline.data import Segmentation, Structures
 from heartcase.pipeline.fields.contacts import Contact, find_contact
 from heartcase.pipeline.markers.meeting_strokes import meetings_of
 from heartcase.pipeline.warnings import Caution, anatomy, note
+from heartcase.schemas.arrays import Bool, Float64
 from heartcase.schemas.labels import Label, LabelTable
 from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.recipe.edit_settings import Edit, SeptalDefect, edit_place
@@ -41,8 +41,6 @@ __all__ = [
     "verdict_of",
 ]
 
-Bool = npt.NDArray[np.bool_]
-Float64 = npt.NDArray[np.float64]
 
 POINT_REACH_MM = 8.0
 """What a landmark that is a point speaks for: this far around it. A ring speaks for its own radius."""

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.pipeline.checks.openings import Opening, Verdict
 from heartcase.pipeline.data import Surface
@@ -15,8 +14,6 @@ from heartcase.schemas.geometry import Geometry
 
 __all__ = ["with_rims"]
 
-Bool = npt.NDArray[np.bool_]
-Float64 = npt.NDArray[np.float64]
 
 RIM_VOXELS = 1.5
 """How far from the plane of an opening its rim reaches, in edges of a cube with the volume of a voxel."""

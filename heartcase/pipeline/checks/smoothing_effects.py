@@ -7,19 +7,16 @@ from typing import Any
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.checks.lumens import narrowest_lumens
 from heartcase.pipeline.warnings import anatomy
+from heartcase.schemas.arrays import Float32, UInt8
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND, LabelTable
 
 __all__ = ["NARROWED_VOXELS", "smoothing_effects", "volume_voxels"]
 
-Float32 = npt.NDArray[np.float32]
-Int64 = npt.NDArray[np.int64]
-UInt8 = npt.NDArray[np.uint8]
 
 LOSS_LIMIT = 0.10
 """Part of a structure's volume that the smoothing may take without a warning."""
@@ -100,7 +97,7 @@ def volume_voxels(distance: Float32, width_mm: float) -> float:
 
 
 @kernel(parallel=True)
-def _inside(distance, near):  # type: ignore[no-untyped-def]
+def _inside(distance, near):
     """Points of each plane that are inside, of 27 in each voxel; the border's values go on beyond it."""
     nz, ny, nx = distance.shape
     found = np.zeros(nz, np.int64)

@@ -14,17 +14,13 @@ from dataclasses import replace
 
 import edt
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.pipeline.data import Structures
 from heartcase.pipeline.fields.distance import signed_distance
+from heartcase.schemas.arrays import Bool, Float32, Float64, UInt8
 
 __all__ = ["Borders", "Box", "distance_beyond_band"]
 
-Bool = npt.NDArray[np.bool_]
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
-UInt8 = npt.NDArray[np.uint8]
 Box = tuple[slice, slice, slice]
 
 STILL_MM = 1e-4

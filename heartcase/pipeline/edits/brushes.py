@@ -10,7 +10,6 @@ from dataclasses import replace
 
 import cc3d
 import numpy as np
-import numpy.typing as npt
 from scipy.ndimage import gaussian_filter
 
 from heartcase.pipeline.data import Reshaping, Structures
@@ -18,14 +17,13 @@ from heartcase.pipeline.edits.borders import Borders, Box
 from heartcase.pipeline.edits.probes import look, overlap
 from heartcase.pipeline.fields.shapes import distance_on_lattice
 from heartcase.pipeline.warnings import anatomy
+from heartcase.schemas.arrays import Float32, Float64
 from heartcase.schemas.errors import StageError
 from heartcase.schemas.labels import BACKGROUND, Label
 from heartcase.schemas.recipe.edit_settings import Fill, Smooth
 
 __all__ = ["fill_structure", "smooth_structure"]
 
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
 
 SIGMA_SHARE = 1.0 / 3.0
 """Blur of a smoothing that states none, in radii of its brush."""

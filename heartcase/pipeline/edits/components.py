@@ -16,13 +16,11 @@ import numpy.typing as npt
 from heartcase.pipeline.data import Structures
 from heartcase.pipeline.edits.borders import Borders, distance_beyond_band
 from heartcase.pipeline.warnings import Caution, counted, note
+from heartcase.schemas.arrays import Bool, Int64
 from heartcase.schemas.labels import BACKGROUND, Label
 from heartcase.schemas.recipe.edit_settings import RemoveIslands
 
 __all__ = ["keep_largest_piece", "remove_islands"]
-
-Bool = npt.NDArray[np.bool_]
-Int64 = npt.NDArray[np.int64]
 
 
 def keep_largest_piece(structures: Structures, label: Label, into: Label | None, place: str) -> Structures:

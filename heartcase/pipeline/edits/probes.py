@@ -8,16 +8,14 @@ from dataclasses import dataclass
 
 import cc3d
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.pipeline.data import Reshaping, Structures
 from heartcase.pipeline.fields.reader import ownership_at_points
 from heartcase.pipeline.fields.shapes import frame_of, section_distance
+from heartcase.schemas.arrays import Bool, Float64
 
 __all__ = ["Found", "joins_cavities", "look", "overlap"]
 
-Bool = npt.NDArray[np.bool_]
-Float64 = npt.NDArray[np.float64]
 
 PROBES_ACROSS = 24
 """Points across a canal at which it is asked what it meets."""

@@ -10,16 +10,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.pipeline.data import Segmentation
 from heartcase.pipeline.ends.inflow import is_great_artery, kind_of
 from heartcase.pipeline.ends.lumen_sections import angle_between
+from heartcase.schemas.arrays import Float64
 from heartcase.schemas.labels import Label, LabelTable, Role
 
 __all__ = ["Surroundings"]
 
-Float64 = npt.NDArray[np.float64]
 
 APPENDAGE_SHARE = 0.6
 """A branch of an atrium is an appendage where the way from the atrium's middle to its tip makes an acute angle with

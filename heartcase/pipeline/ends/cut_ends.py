@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import cc3d
 import numba
 import numpy as np
-import numpy.typing as npt
 from scipy.ndimage import binary_dilation, map_coordinates
 
 from heartcase.compiling.kernel import kernel
@@ -22,15 +21,13 @@ from heartcase.pipeline.ends.discs import Disc, Sides, Stumps, disc_of, end_mark
 from heartcase.pipeline.ends.find_ends import FoundEnds, find_ends
 from heartcase.pipeline.ends.snap_ends import advice_for, moved_words, snapped_end
 from heartcase.pipeline.warnings import Caution, anatomy, severity_of
+from heartcase.schemas.arrays import Bool, Float64, UInt8
 from heartcase.schemas.errors import Problem, StageError
 from heartcase.schemas.labels import BACKGROUND, Label, LabelTable, Role
 from heartcase.schemas.recipe.settings import EndMarker
 
 __all__ = ["EndCuts", "closed_vessels", "cut_ends"]
 
-Bool = npt.NDArray[np.bool_]
-Float64 = npt.NDArray[np.float64]
-UInt8 = npt.NDArray[np.uint8]
 
 FULL_SHARE = 0.9
 """Least part of its area that a cross-section keeps over half a radius, where the lumen is not yet its tip."""
@@ -314,7 +311,7 @@ def _areas(lumen: Bool, disc: Disc) -> tuple[Float64, Float64, Float64]:
 
 
 @kernel(parallel=True)
-def _count_inside(mask, points, way, places, is_rim):  # type: ignore[no-untyped-def]
+def _count_inside(mask, points, way, places, is_rim):
     """How many points of a section, and of its rim, lie in a mask (half of it or more, linearly) at each place."""
     inside, inside_rim = np.zeros(len(places), np.int64), np.zeros(len(places), np.int64)
     nz, ny, nx = mask.shape

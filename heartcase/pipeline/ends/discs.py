@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import cc3d
 import numpy as np
-import numpy.typing as npt
 from scipy.ndimage import binary_dilation
 
 from heartcase.pipeline.data import Segmentation, VesselEnd
+from heartcase.schemas.arrays import Bool, Float64, Int64, UInt8, UInt32
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import Label, LabelTable
 from heartcase.schemas.recipe.settings import EndMarker, WallsSettings
@@ -28,10 +28,6 @@ __all__ = [
     "sides_of",
 ]
 
-Bool = npt.NDArray[np.bool_]
-Float64 = npt.NDArray[np.float64]
-UInt8 = npt.NDArray[np.uint8]
-Int64 = npt.NDArray[np.int64]
 Box = tuple[slice, slice, slice]
 
 STUMP_TAPER = 0.1
@@ -134,7 +130,7 @@ class Sides:
     """Pieces that lie right before the disc."""
     after: set[int]
     """Pieces that lie right beyond it."""
-    pieces: npt.NDArray[np.uint32]
+    pieces: UInt32
     """Piece of each voxel of a box around the vessel and the disc; 0 off the vessel."""
     box: Box
     """That box."""

@@ -7,17 +7,15 @@ from typing import Literal
 
 import cc3d
 import numpy as np
-import numpy.typing as npt
 from scipy.ndimage import binary_dilation, generate_binary_structure
 from scipy.spatial import cKDTree
 
 from heartcase.pipeline.data import Segmentation
+from heartcase.schemas.arrays import Bool, UInt8
 from heartcase.schemas.labels import Label, LabelTable, Role
 
 __all__ = ["LEAST_VOXELS", "VEINS", "Kind", "is_great_artery", "kind_of", "sources_of"]
 
-Bool = npt.NDArray[np.bool_]
-UInt8 = npt.NDArray[np.uint8]
 Kind = Literal["vessel", "atrium", "appendage", "other"]
 """``vessel`` and ``atrium`` have ends, the latter those of the veins that are a part of it."""
 

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import cc3d
 import edt
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.pipeline.data import Segmentation, VesselEnd
 from heartcase.pipeline.ends.appendage import Surroundings
@@ -26,13 +25,12 @@ from heartcase.pipeline.ends.discs import (
 from heartcase.pipeline.ends.inflow import LEAST_VOXELS, kind_of, sources_of
 from heartcase.pipeline.ends.lumen_branches import Branch, find_branches
 from heartcase.pipeline.ends.lumen_sections import Lumen, Section, across, angle_between
+from heartcase.schemas.arrays import Bool, Float32, Float64, UInt32
 from heartcase.schemas.labels import Label, LabelTable
 from heartcase.schemas.recipe.settings import EndMarker
 
 __all__ = ["LabelSearch"]
 
-Bool = npt.NDArray[np.bool_]
-Float64 = npt.NDArray[np.float64]
 
 TUBE_SHARES = (1.15, 1.6, 2.2)
 """A lumen is a tube where its section becomes no more than so many times larger or smaller towards the heart. A branch
@@ -113,9 +111,9 @@ class LabelSearch:
     sources: Bool
     known: tuple[Disc, ...]
     lumen: Lumen
-    at_face: npt.NDArray[np.uint32]
+    at_face: UInt32
     """Number of the place at the volume's faces where the lumen leaves it; 0 elsewhere."""
-    depth_mm: npt.NDArray[np.float32]
+    depth_mm: Float32
     """Distance from the border, 0 outside."""
     widest_mm: float
     """Radius of the largest ball in it."""

@@ -14,15 +14,12 @@ from dataclasses import dataclass
 import cc3d
 import edt
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.kernel import kernel
+from heartcase.schemas.arrays import Bool, Float64, Int64
 
 __all__ = ["Branch", "find_branches", "way_within"]
 
-Bool = npt.NDArray[np.bool_]
-Float64 = npt.NDArray[np.float64]
-Int64 = npt.NDArray[np.int64]
 
 BUMP_VOXELS = 1.25
 """What rises less than this above its saddle, in edges of the longest side of a voxel, is a step of the voxels."""
@@ -78,7 +75,7 @@ def way_within(mask: Bool, spacing_mm: tuple[float, float, float], sources: Bool
 
 
 @kernel
-def _march(mask, starts, steps, spacing, way):  # type: ignore[no-untyped-def]
+def _march(mask, starts, steps, spacing, way):
     """Fast marching to first order; ties go to the voxel that comes first."""
     is_done = np.zeros(len(mask), np.bool_)
     queue = [(0.0, np.int64(starts[n])) for n in range(len(starts))]
@@ -103,7 +100,7 @@ def _march(mask, starts, steps, spacing, way):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _arrival(voxel, is_done, way, steps, spacing, lowest, step_mm):  # type: ignore[no-untyped-def]
+def _arrival(voxel, is_done, way, steps, spacing, lowest, step_mm):
     """The way at a voxel from those of its neighbours that are done: |gradient| = 1, upwind."""
     count = 0
     for axis in range(3):
@@ -194,7 +191,7 @@ def find_branches(mask: Bool, spacing_mm: tuple[float, float, float], sources: B
 
 
 @kernel
-def _root(parent, voxel):  # type: ignore[no-untyped-def]
+def _root(parent, voxel):
     while parent[voxel] != voxel:
         parent[voxel] = parent[parent[voxel]]
         voxel = parent[voxel]
@@ -202,7 +199,7 @@ def _root(parent, voxel):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _merge(order, way, width, around, least_mm, share):  # type: ignore[no-untyped-def]
+def _merge(order, way, width, around, least_mm, share):
     """Where branches meet: the tips of the one that lives on and of the other, the way there; and the tips at the end.
 
     ``order``: voxels by descending way. Branches that are bumps meet unseen.

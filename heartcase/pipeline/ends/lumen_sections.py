@@ -5,17 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.ndimage import label as labelled
 from scipy.ndimage import map_coordinates
 
+from heartcase.schemas.arrays import Bool, Float32, Float64
 from heartcase.schemas.geometry import Geometry
 
 __all__ = ["Lumen", "Section", "across", "angle_between"]
 
-Bool = npt.NDArray[np.bool_]
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
 
 ROUNDS = 4
 """Times that a plane is moved to the middle of its section and turned across the line of middles."""

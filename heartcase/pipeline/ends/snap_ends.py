@@ -10,17 +10,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.pipeline.data import Segmentation, VesselEnd
 from heartcase.pipeline.ends.discs import Stumps, end_marker, is_clean, radii_for
 from heartcase.pipeline.ends.lumen_sections import Lumen, Section, across, angle_between
+from heartcase.schemas.arrays import Float64
 from heartcase.schemas.labels import Label
 from heartcase.schemas.recipe.settings import EndMarker
 
 __all__ = ["advice_for", "moved_words", "snapped_end"]
 
-Float64 = npt.NDArray[np.float64]
 
 TURN_DEGREES = 45.0
 """A disc is turned by no more than this."""

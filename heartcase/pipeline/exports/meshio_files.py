@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.exports.models import TaggedMesh
+from heartcase.schemas.arrays import Float32, Float64, Int32, UInt8
 from heartcase.schemas.bundle.format import FileRole
 from heartcase.schemas.bundle.lattice import cell_nodes
 from heartcase.schemas.bundle.reader import OpenBundle
@@ -21,10 +22,6 @@ from heartcase.schemas.labels import LabelTable
 
 __all__ = ["Hexahedra", "grid_hexahedra", "hexahedra_bytes", "surface_bytes"]
 
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
-UInt8 = npt.NDArray[np.uint8]
 
 _FORMATS = {".vtu": "vtu", ".vtk": "vtk42", ".inp": "abaqus", ".msh": "gmsh22"}
 """Ending -> meshio's name of the format. Gmsh's version 2.2 is the one that finite-element codes read; of the old VTK

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import ValidationError
 
 from heartcase.pipeline.data import Segmentation, Structures
@@ -18,6 +17,7 @@ from heartcase.pipeline.exports.tubes import VESSEL_COLOUR, vessel_tubes
 from heartcase.pipeline.fields.distance import label_distances
 from heartcase.pipeline.mesh.build_surface import build_surface
 from heartcase.pipeline.walls.grow_walls import resolve_walls
+from heartcase.schemas.arrays import Float32, Int32, UInt8
 from heartcase.schemas.bundle.format import FileRole
 from heartcase.schemas.bundle.reader import OpenBundle
 from heartcase.schemas.bundle.surface_kinds import plain_kinds
@@ -27,9 +27,6 @@ from heartcase.schemas.recipe.settings import SurfaceSettings, WallsSettings
 
 __all__ = ["TaggedMesh", "hollow_model", "solid_model", "vessels_model", "walls_smoothing_mm"]
 
-Float32 = npt.NDArray[np.float32]
-Int32 = npt.NDArray[np.int32]
-UInt8 = npt.NDArray[np.uint8]
 
 _VESSEL_COUNT_MAX = 250
 """Values of labels end here."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.pipeline.exports.models import TaggedMesh
 from heartcase.pipeline.mesh.decimation.decimate import mesh_defects
@@ -14,12 +13,11 @@ from heartcase.pipeline.mesh.triangles.half_edges import connected_parts, opposi
 from heartcase.pipeline.mesh.triangles.intersections import self_intersections
 from heartcase.pipeline.mesh.triangles.thickness import triangle_normals, wall_thickness_mm
 from heartcase.pipeline.warnings import counted
+from heartcase.schemas.arrays import Float64, Int32
 from heartcase.schemas.errors import StageError
 
 __all__ = ["PrintCheck", "ThinPlaces", "check_for_printing"]
 
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
 PointMm = tuple[float, float, float]
 
 AREA_SHARE_MIN = 1e-4

@@ -9,11 +9,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 
+from heartcase.schemas.arrays import Float32, Float64, Int32, Int64
 from heartcase.schemas.landmarks import Landmark
 
 __all__ = ["VESSEL_COLOUR", "TubeMesh", "tube_mesh", "vessel_tubes"]
 
-Float64 = npt.NDArray[np.float64]
 
 VESSEL_COLOUR = "#b3001b"
 """Colour of vessels, ``#rrggbb``."""
@@ -25,11 +25,11 @@ _SMALLEST_STEP = 1e-3
 class TubeMesh:
     """A closed tube with round ends."""
 
-    vertices_mm: npt.NDArray[np.float32]
+    vertices_mm: Float32
     """LPS mm, shape (vertex_count, 3)."""
-    normals: npt.NDArray[np.float32]
+    normals: Float32
     """Unit normals outward, shape (vertex_count, 3)."""
-    triangles: npt.NDArray[np.int32]
+    triangles: Int32
     """Vertex numbers, counter-clockwise from outside, shape (triangle_count, 3)."""
 
 
@@ -113,7 +113,7 @@ def _frames(centres: Float64, tangents: Float64) -> tuple[Float64, Float64]:
     return aside, np.cross(tangents, aside)
 
 
-def _triangles(ring_count: int, side_count: int) -> npt.NDArray[np.int64]:
+def _triangles(ring_count: int, side_count: int) -> Int64:
     """Rings of vertices one after the other, then the pole before the first and the one after the last."""
     here = np.arange(side_count)
     after = np.roll(here, -1)

@@ -41,7 +41,7 @@ FOCUS = 0.35
 
 
 @kernel(inline="always")
-def _cubic(t, w, row, bend):  # type: ignore[no-untyped-def]
+def _cubic(t, w, row, bend):
     """Catmull-Rom weights, their first and, where asked for, second derivatives at t in [0, 1]; rows from ``row``."""
     t2 = t * t
     t3 = t2 * t
@@ -61,7 +61,7 @@ def _cubic(t, w, row, bend):  # type: ignore[no-untyped-def]
 
 
 @kernel(inline="always")
-def _sample(f, z, y, x, w, out, bend):  # type: ignore[no-untyped-def]
+def _sample(f, z, y, x, w, out, bend):
     """Tricubic value, gradient per voxel and, where asked for, Hessian at a point, clamped to the lattice.
 
     ``out``: value, z, y, x, zz, yy, xx, zy, zx, yx.
@@ -122,7 +122,7 @@ def _sample(f, z, y, x, w, out, bend):  # type: ignore[no-untyped-def]
 
 
 @copied
-def _walk(f, h, k, j, i, foot, best, pace, w, out, is_seed):  # type: ignore[no-untyped-def]
+def _walk(f, h, k, j, i, foot, best, pace, w, out, is_seed):
     """Walk from a point near a node's closest one on the zero level to that; returns the node's distance to the level.
 
     The iteration of Chopp, SIAM J. Sci. Comput. 23, 2001: down the gradient to the level, and along it, there by
@@ -185,7 +185,7 @@ def _walk(f, h, k, j, i, foot, best, pace, w, out, is_seed):  # type: ignore[no-
 
 
 @kernel(inline="always")
-def _square_to(h, k, j, i, foot, n):  # type: ignore[no-untyped-def]
+def _square_to(h, k, j, i, foot, n):
     """Square of a node's distance to the n-th point, mm2."""
     dz = (k - foot[n, 0]) * h[0]
     dy = (j - foot[n, 1]) * h[1]
@@ -194,7 +194,7 @@ def _square_to(h, k, j, i, foot, n):  # type: ignore[no-untyped-def]
 
 
 @copied
-def _beside(f, seed):  # type: ignore[no-untyped-def]
+def _beside(f, seed):
     """Number the nodes beside the zero level in ``seed``, -1 elsewhere; returns their places."""
     nz, ny, nx = f.shape
     count = 0
@@ -226,7 +226,7 @@ def _beside(f, seed):  # type: ignore[no-untyped-def]
 
 
 @copied
-def _crossing(f, h, k, j, i, foot):  # type: ignore[no-untyped-def]
+def _crossing(f, h, k, j, i, foot):
     """Closest crossing of the zero level on the lattice edges of a node beside it; returns its distance."""
     nz, ny, nx = f.shape
     here = np.float64(f[k, j, i])
@@ -251,7 +251,7 @@ def _crossing(f, h, k, j, i, foot):  # type: ignore[no-untyped-def]
 
 
 @copied
-def _shape_at(f, h, foot, w, out, shape):  # type: ignore[no-untyped-def]
+def _shape_at(f, h, foot, w, out, shape):
     """Unit normal (z, y, x) and second fundamental form (zz, yy, xx, zy, zx, yx; 1/mm) of the level at a point."""
     _sample(f, foot[0], foot[1], foot[2], w, out, True)
     n0 = out[1] / h[0]
@@ -287,7 +287,7 @@ def _shape_at(f, h, foot, w, out, shape):  # type: ignore[no-untyped-def]
 
 
 @kernel(inline="always")
-def _foretell(h, k, j, i, foot, n, shape, smallest, point, pace):  # type: ignore[no-untyped-def]
+def _foretell(h, k, j, i, foot, n, shape, smallest, point, pace):
     """Where a node's closest point should be, by the level's bend at the n-th point; that point where it tells nothing.
 
     With the way ``r`` from it to the node, ``a = r . n`` and the rest ``t`` along the level, the closest point lies
@@ -327,7 +327,7 @@ def _foretell(h, k, j, i, foot, n, shape, smallest, point, pace):  # type: ignor
 
 
 @copied
-def _nearest_of_neighbours(seed, foot, h, k, j, i, nearest):  # type: ignore[no-untyped-def]
+def _nearest_of_neighbours(seed, foot, h, k, j, i, nearest):
     """The nearest of the points that a node and its 26 neighbours found, and the square of the distance."""
     nz, ny, nx = seed.shape
     best = _square_to(h, k, j, i, foot, nearest)
@@ -343,7 +343,7 @@ def _nearest_of_neighbours(seed, foot, h, k, j, i, nearest):  # type: ignore[no-
 
 
 @kernel
-def closest_points(f, h, reach, square):  # type: ignore[no-untyped-def]
+def closest_points(f, h, reach, square):
     """Squared distance of the nodes near a field's zero level to it.
 
     Parameters
@@ -404,7 +404,7 @@ def closest_points(f, h, reach, square):  # type: ignore[no-untyped-def]
 
 
 @copied
-def _bend(d, limit):  # type: ignore[no-untyped-def]
+def _bend(d, limit):
     """Sum of the second differences over 12, zero where a neighbour is unknown."""
     nz, ny, nx = d.shape
     bend = np.zeros(d.shape, np.float32)
@@ -425,7 +425,7 @@ def _bend(d, limit):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def offset_for_interpolation(d, limit):  # type: ignore[no-untyped-def]
+def offset_for_interpolation(d, limit):
     """Take the mean error of trilinear interpolation off a sampled distance.
 
     Between samples the linear interpolant of a function exceeds it by ``h**2 / 12`` times its second derivative on

@@ -20,13 +20,11 @@ from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.fields.contacts import Extent, faces_between
 from heartcase.pipeline.kernels.topology import piece_sizes
+from heartcase.schemas.arrays import Bool, UInt8, UInt32
 from heartcase.schemas.geometry import Geometry
 
 __all__ = ["Change", "bridging_voxels", "compartment_changes"]
 
-Bool = npt.NDArray[np.bool_]
-UInt8 = npt.NDArray[np.uint8]
-UInt32 = npt.NDArray[np.uint32]
 Box = tuple[slice, slice, slice]
 
 LEAST_VOXELS = 8
@@ -162,7 +160,7 @@ def _large_pieces(blood: Bool, least: int) -> UInt32:
 
 
 @kernel(parallel=True)
-def _renumber(pieces, numbers):  # type: ignore[no-untyped-def]
+def _renumber(pieces, numbers):
     for n in numba.prange(len(pieces)):
         pieces[n] = numbers[pieces[n]]
 
@@ -177,7 +175,7 @@ def _overlaps(before: UInt32, after: UInt32, factor: int) -> Any:
 
 
 @copied
-def _runs_of(coarse, fine, factor, at, rows, columns, counts):  # type: ignore[no-untyped-def]
+def _runs_of(coarse, fine, factor, at, rows, columns, counts):
     """List the runs of one piece before and one after along a line, from ``at`` on where there is room; the end."""
     last_row, last_column = np.uint32(0), np.uint32(0)
     for i in range(len(coarse)):
@@ -198,7 +196,7 @@ def _runs_of(coarse, fine, factor, at, rows, columns, counts):  # type: ignore[n
 
 
 @kernel(parallel=True)
-def _count_runs(before, after, factor):  # type: ignore[no-untyped-def]
+def _count_runs(before, after, factor):
     """Runs in each fine plane."""
     found = np.zeros(len(after), np.int64)
     for k in numba.prange(len(after)):
@@ -209,7 +207,7 @@ def _count_runs(before, after, factor):  # type: ignore[no-untyped-def]
 
 
 @kernel(parallel=True)
-def _list_runs(before, after, factor, start, rows, columns, counts):  # type: ignore[no-untyped-def]
+def _list_runs(before, after, factor, start, rows, columns, counts):
     """Both pieces of each run, and its voxels; the runs of each plane begin at ``start``."""
     for k in numba.prange(len(after)):
         at = start[k]

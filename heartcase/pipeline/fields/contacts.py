@@ -16,22 +16,18 @@ from typing import Any, NamedTuple
 
 import cc3d
 import numpy as np
-import numpy.typing as npt
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from heartcase.pipeline.data import Segmentation, Structures
 from heartcase.pipeline.fields.reader import FieldReader, ownership_at_points
+from heartcase.schemas.arrays import Bool, Float64, Int64, Intp, UInt8
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND, LabelTable, Role
 
 __all__ = ["Contact", "Extent", "faces_between", "find_contact", "without_tissue"]
 
-Bool = npt.NDArray[np.bool_]
-Float64 = npt.NDArray[np.float64]
-Int64 = npt.NDArray[np.int64]
-UInt8 = npt.NDArray[np.uint8]
 
 FINE_MM = 0.6
 """Contacts are measured on voxels divided to about this size, into no more than ``MOST_FINE`` along each edge."""
@@ -99,7 +95,7 @@ class Contact:
         center = (float(nearest[0]), float(nearest[1]), float(nearest[2]))
         return Extent(float(area.sum()), int(patches), center)
 
-    def _areas_mm2(self, neighbours: npt.NDArray[np.intp]) -> Float64:
+    def _areas_mm2(self, neighbours: Intp) -> Float64:
         """Each face's share of the smooth border, shape (n,), above zero."""
         spacing = np.array(self.geometry.spacing_mm)
         face_mm2 = float(np.prod(spacing)) / spacing[self.axis]
@@ -274,7 +270,7 @@ def _box(structures: Structures, low: Int64, high: Int64) -> Structures:
     )
 
 
-def _graph(neighbours: npt.NDArray[np.intp], count: int) -> Any:
+def _graph(neighbours: Intp, count: int) -> Any:
     """Symmetric adjacency matrix, its rows in order so that sums do not depend on the search."""
     one, other = neighbours.T
     ends = (np.concatenate([one, other]), np.concatenate([other, one]))

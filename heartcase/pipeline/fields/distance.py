@@ -32,13 +32,10 @@ from heartcase.pipeline.fields.partition import (
     leads_of,
 )
 from heartcase.pipeline.kernels.feature_transform import distance_to_marked
+from heartcase.schemas.arrays import Bool, Float32, Float64, Int64, UInt8
 
 __all__ = ["default_smoothing_mm", "label_distances", "signed_distance"]
 
-Bool = npt.NDArray[np.bool_]
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
-UInt8 = npt.NDArray[np.uint8]
 SATURATION = 3.0
 """Standard deviations of the blur up to which its step response is inverted."""
 LEAST_SIGMA_VOXELS = 0.6
@@ -140,7 +137,7 @@ def label_distances(
 
 
 @kernel
-def _face_counts(owner, count):  # type: ignore[no-untyped-def]
+def _face_counts(owner, count):
     """Faces along x between each label and others."""
     faces = np.zeros(count, np.int64)
     nz, ny, nx = owner.shape
@@ -268,7 +265,7 @@ def _inverse_response(lead: Float32, spacing: Float64, sigma_mm: float) -> Float
 
 
 @kernel
-def _look_up(values, first, scale, table, found):  # type: ignore[no-untyped-def]
+def _look_up(values, first, scale, table, found):
     """Nearest entry of a table to each value, its ends beyond them."""
     last = np.float32(len(table) - 1)
     for n in range(len(values)):
@@ -299,7 +296,7 @@ def _two_lowest(shape: tuple[int, ...], parts: list[Part], outside: float) -> tu
 
 
 @kernel
-def _insert(lowest, second, owner, values, number):  # type: ignore[no-untyped-def]
+def _insert(lowest, second, owner, values, number):
     nz, ny, nx = values.shape
     for k in range(nz):
         for j in range(ny):
@@ -317,7 +314,7 @@ def _insert(lowest, second, owner, values, number):  # type: ignore[no-untyped-d
                     second[k, j, i] = value
 
 
-def _box_around(mask: Bool, margin: npt.NDArray[np.int64]) -> Box:
+def _box_around(mask: Bool, margin: Int64) -> Box:
     """Box of the true voxels and a margin, within the volume."""
     slices = []
     for axis in range(3):

@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.calls import called, copied
 from heartcase.compiling.kernel import kernel
@@ -19,15 +18,11 @@ from heartcase.compiling.lent import lend
 from heartcase.pipeline.data import Structures
 from heartcase.pipeline.fields.shapes import SHAPE_KINDS
 from heartcase.pipeline.fields.wall_thickness import ThicknessArrays, thickness_arrays
+from heartcase.schemas.arrays import Bool, Float32, Float64, Int32, UInt8
 from heartcase.schemas.labels import BACKGROUND
 
 __all__ = ["ALL_FIELDS", "BLOCK", "FieldLayout", "layout_of", "varying_walls"]
 
-Bool = npt.NDArray[np.bool_]
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
-UInt8 = npt.NDArray[np.uint8]
 
 INTERLEAVED_PLANES = 2
 BLOCK = 4
@@ -183,7 +178,7 @@ def _interleave(fields: tuple[Float32, ...], stack: Float32) -> None:
 
 
 @called
-def _find_fields_of_layer(fields, block_count, block_fields, bk):  # type: ignore[no-untyped-def]
+def _find_fields_of_layer(fields, block_count, block_fields, bk):
     """Find them in one layer of blocks; see :func:`_find_fields_of_blocks`."""
     nz, ny, nx, stored = fields.stack.shape
     low, high = np.empty(stored, np.float32), np.empty(stored, np.float32)
@@ -230,7 +225,7 @@ def _find_fields_of_layer(fields, block_count, block_fields, bk):  # type: ignor
 
 
 @kernel(parallel=True)
-def _find_fields_of_blocks(layout, block_count, block_fields):  # type: ignore[no-untyped-def]
+def _find_fields_of_blocks(layout, block_count, block_fields):
     """Find the fields that can be lowest anywhere in each block, in blocks that no reshaping and no septum reaches.
 
     A tissue, or a cavity, whose least value exceeds the greatest one of another is not the lowest anywhere. A cavity
@@ -243,7 +238,7 @@ def _find_fields_of_blocks(layout, block_count, block_fields):  # type: ignore[n
 
 
 @copied
-def _is_septal(layout, low):  # type: ignore[no-untyped-def]
+def _is_septal(layout, low):
     """Whether a septum is looked at anywhere in a block, from the least value of each stored field in it."""
     slack = np.float32(1e-3)
     for n in range(len(layout.septum_slot)):
@@ -254,7 +249,7 @@ def _is_septal(layout, low):  # type: ignore[no-untyped-def]
 
 
 @copied
-def _is_reshaped(layout, bk, bj, bi):  # type: ignore[no-untyped-def]
+def _is_reshaped(layout, bk, bj, bi):
     """Whether a reshaping may reach into a block; those at the border hold all that lies beyond."""
     blocks = layout.block_count.shape
     for n in range(len(layout.shape_kind)):

@@ -13,15 +13,12 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.kernel import kernel
+from heartcase.schemas.arrays import Float32, UInt8
 
 __all__ = ["Box", "Part", "Touch", "divide", "find_touches", "heights_of_groups", "leads_of"]
 
-Bool = npt.NDArray[np.bool_]
-Float32 = npt.NDArray[np.float32]
-UInt8 = npt.NDArray[np.uint8]
 Box = tuple[slice, slice, slice]
 
 TOUCH_GAIN = 4.0
@@ -93,7 +90,7 @@ def find_touches(
 
 
 @kernel
-def _find_faces(labels, number, group, boxes):  # type: ignore[no-untyped-def]
+def _find_faces(labels, number, group, boxes):
     """Box of the voxels beside the faces between each two labels of one group: lowest, and beyond the highest."""
     nz, ny, nx = labels.shape
     for k in range(nz):
@@ -115,7 +112,7 @@ def _find_faces(labels, number, group, boxes):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _beside_faces(labels, one, other):  # type: ignore[no-untyped-def]
+def _beside_faces(labels, one, other):
     """1 in the voxels beside a face between two labels."""
     nz, ny, nx = labels.shape
     beside = np.zeros(labels.shape, np.float32)
@@ -188,7 +185,7 @@ def leads_of(heights: Sequence[Float32]) -> list[Float32]:
 
 
 @kernel(parallel=True)
-def _two_highest(highest, second, values):  # type: ignore[no-untyped-def]
+def _two_highest(highest, second, values):
     for n in numba.prange(len(values)):
         if values[n] > highest[n]:
             second[n] = highest[n]
@@ -198,7 +195,7 @@ def _two_highest(highest, second, values):  # type: ignore[no-untyped-def]
 
 
 @kernel(parallel=True)
-def _behind(values, highest, second, lead):  # type: ignore[no-untyped-def]
+def _behind(values, highest, second, lead):
     for n in numba.prange(len(values)):
         lead[n] = (second[n] if values[n] == highest[n] else highest[n]) - values[n]
 

@@ -28,6 +28,7 @@ from heartcase.pipeline.fields.layout import ALL_FIELDS, BLOCK, FieldLayout, lay
 from heartcase.pipeline.fields.shapes import shape_distance
 from heartcase.pipeline.fields.wall_thickness import ThicknessArrays, table_thickness
 from heartcase.pipeline.kernels.parallel import every_other
+from heartcase.schemas.arrays import Float32, Float64, UInt8
 from heartcase.schemas.geometry import Geometry
 
 __all__ = [
@@ -40,11 +41,6 @@ __all__ = [
     "steps_through",
 ]
 
-Bool = npt.NDArray[np.bool_]
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
-UInt8 = npt.NDArray[np.uint8]
 
 _Layout = FieldLayout
 """Its former name: numba's caches of earlier versions do not load without it."""
@@ -168,7 +164,7 @@ def ownership_at_points(structures: Structures | FieldReader, points_mm: npt.Arr
 
 
 @kernel
-def _place(x, count):  # type: ignore[no-untyped-def]
+def _place(x, count):
     """The two voxels around a coordinate, clamped to the lattice, and the second one's weight."""
     x = min(max(x, 0.0), count - 1.0)
     low = min(int(x), max(count - 2, 0))
@@ -176,7 +172,7 @@ def _place(x, count):  # type: ignore[no-untyped-def]
 
 
 @copied
-def _vary(layout, tables, x, y, z, v, thick, scale):  # type: ignore[no-untyped-def]
+def _vary(layout, tables, x, y, z, v, thick, scale):
     """Thickness at a point, given by its index, of the walls that have a table, and what makes a distance of it."""
     m = layout.to_world
     for n in range(len(tables.wall)):
@@ -194,7 +190,7 @@ def _vary(layout, tables, x, y, z, v, thick, scale):  # type: ignore[no-untyped-
 
 
 @copied
-def _grow_walls(layout, v, thick, scale):  # type: ignore[no-untyped-def]
+def _grow_walls(layout, v, thick, scale):
     """Give the walls their part of the bare background; ``v`` holds the cavities and the bare background.
 
     Returns the slot of the wall whose cavity is nearest.
@@ -230,7 +226,7 @@ def _grow_walls(layout, v, thick, scale):  # type: ignore[no-untyped-def]
 
 
 @copied
-def _grow_septa(layout, raw, v):  # type: ignore[no-untyped-def]
+def _grow_septa(layout, raw, v):
     """Let the two cavities of each septum give up what lies within half its thickness of the other; ``raw`` as stored.
 
     The septum ends where a third structure begins; of the background it takes the notch beside the contact, which the
@@ -254,7 +250,7 @@ def _grow_septa(layout, raw, v):  # type: ignore[no-untyped-def]
 
 
 @copied
-def _reshape(layout, x, y, z, v):  # type: ignore[no-untyped-def]
+def _reshape(layout, x, y, z, v):
     """Carry out the reshapings at a point, given by its index."""
     m = layout.to_world
     for n in range(len(layout.shape_kind)):
@@ -303,7 +299,7 @@ def _reshape(layout, x, y, z, v):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _evaluate_one(layout, tables, x, y, z, raw, v, thick, scale):  # type: ignore[no-untyped-def]
+def _evaluate_one(layout, tables, x, y, z, raw, v, thick, scale):
     """Finish a point, given by its index, from the interpolated stored fields ``raw``."""
     stored_slot, labels, tissue_count = layout.stored_slot, layout.labels, layout.tissue_count
     if len(v) > len(raw):
@@ -341,7 +337,7 @@ def _evaluate_one(layout, tables, x, y, z, raw, v, thick, scale):  # type: ignor
 
 
 @kernel
-def _between(tissue, void):  # type: ignore[no-untyped-def]
+def _between(tissue, void):
     """The tissue field, from the lowest field of a tissue and that of a void."""
     if tissue < 0.0 and void > 0.0:
         return min(tissue, -void)
@@ -351,7 +347,7 @@ def _between(tissue, void):  # type: ignore[no-untyped-def]
 
 
 @copied
-def scratch(layout):  # type: ignore[no-untyped-def]
+def scratch(layout):
     """What :func:`evaluate_owner` writes into; each thread needs its own."""
     stored, slots, walls = layout.stack.shape[3], len(layout.labels), len(layout.wall_mm)
     spare = np.ones(stored + slots + 2 * walls, np.float32)
@@ -361,7 +357,7 @@ def scratch(layout):  # type: ignore[no-untyped-def]
 
 
 @called
-def evaluate_owner(layout, tables, x, y, z, spare):  # type: ignore[no-untyped-def]
+def evaluate_owner(layout, tables, x, y, z, spare):
     """Tissue field, void label and tissue label at one point, given by its index; ``spare`` from scratch().
 
     For kernels. Layout and tables are lent.
@@ -442,7 +438,7 @@ def evaluate_owner(layout, tables, x, y, z, spare):  # type: ignore[no-untyped-d
 
 
 @kernel(parallel=True)
-def _evaluate_lattice(layout, tables, start, step, tissue, void_label, tissue_label):  # type: ignore[no-untyped-def]
+def _evaluate_lattice(layout, tables, start, step, tissue, void_label, tissue_label):
     nz, ny, nx = tissue.shape
     fields, walls = lend(layout), lend(tables)
     for k in numba.prange(nz):
@@ -458,7 +454,7 @@ def _evaluate_lattice(layout, tables, start, step, tissue, void_label, tissue_la
 
 
 @kernel(parallel=True)
-def _evaluate_points(layout, tables, index, tissue, void_label, tissue_label):  # type: ignore[no-untyped-def]
+def _evaluate_points(layout, tables, index, tissue, void_label, tissue_label):
     chunks = (len(index) + CHUNK - 1) // CHUNK
     fields, walls = lend(layout), lend(tables)
     for number in numba.prange(chunks):

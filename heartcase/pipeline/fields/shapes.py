@@ -7,16 +7,15 @@ reaches from one side (Eberly, Distance from a point to an ellipse, an ellipsoid
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.data import Reshaping
+from heartcase.schemas.arrays import Float64
 from heartcase.schemas.geometry import Geometry
 
 __all__ = ["SHAPE_KINDS", "distance_on_lattice", "frame_of", "section_distance", "shape_distance"]
 
-Float64 = npt.NDArray[np.float64]
 
 SHAPE_KINDS = {"cylinder": 0, "strokes": 1, "elliptic": 2, "slit": 3}
 """Name of a shape -> number that the kernels know it by."""
@@ -78,7 +77,7 @@ def section_distance(one: Reshaping, u: Float64, v: Float64) -> Float64:
 
 
 @copied
-def _cylinder_distance(points, radius, x, y, z):  # type: ignore[no-untyped-def]
+def _cylinder_distance(points, radius, x, y, z):
     """Signed distance to a cylinder with flat ends, exact inside and out."""
     ax = points[1, 0] - points[0, 0]
     ay = points[1, 1] - points[0, 1]
@@ -96,7 +95,7 @@ def _cylinder_distance(points, radius, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @copied
-def _strokes_distance(points, radius, x, y, z):  # type: ignore[no-untyped-def]
+def _strokes_distance(points, radius, x, y, z):
     """Signed distance to the chain of capsules along a polyline."""
     lowest = np.inf
     for n in range(max(len(points) - 1, 1)):
@@ -119,7 +118,7 @@ def _strokes_distance(points, radius, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @copied
-def _ellipse_distance(a, b, u, v):  # type: ignore[no-untyped-def]
+def _ellipse_distance(a, b, u, v):
     """Signed distance to an ellipse with half diameters ``a >= b``, exact to 1e-9 of its size."""
     # The foot is (a^2 u / (s + a^2 - b^2), b^2 v / s) with s the root of g, which is convex and falls; on the axes the
     # pole of g would hide the root, so points there are moved by a billionth.
@@ -142,7 +141,7 @@ def _ellipse_distance(a, b, u, v):  # type: ignore[no-untyped-def]
 
 
 @copied
-def _section(kind, a, b, u, v):  # type: ignore[no-untyped-def]
+def _section(kind, a, b, u, v):
     """Signed distance to a cross-section in its plane."""
     if kind == 2:
         return _ellipse_distance(a, b, u, v)
@@ -151,7 +150,7 @@ def _section(kind, a, b, u, v):  # type: ignore[no-untyped-def]
 
 
 @copied
-def _prism_distance(kind, points, x, y, z):  # type: ignore[no-untyped-def]
+def _prism_distance(kind, points, x, y, z):
     """Signed distance to a canal with flat ends whose cross-section is an ellipse or a slit.
 
     ``points``: the middles of the ends, and the tips of the long and of the short half diameter in the middle.
@@ -186,7 +185,7 @@ def _prism_distance(kind, points, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @copied
-def shape_distance(kind, points, radius, x, y, z):  # type: ignore[no-untyped-def]
+def shape_distance(kind, points, radius, x, y, z):
     """Signed distance at a world point to the shape with a number of :data:`SHAPE_KINDS`, mm, negative inside."""
     if kind == 0:
         return _cylinder_distance(points, radius, x, y, z)
@@ -196,13 +195,13 @@ def shape_distance(kind, points, radius, x, y, z):  # type: ignore[no-untyped-de
 
 
 @kernel
-def _fill_section(kind, long, short, u, v, distance):  # type: ignore[no-untyped-def]
+def _fill_section(kind, long, short, u, v, distance):
     for n in range(len(u)):
         distance[n] = _section(kind, long, short, u[n], v[n])
 
 
 @kernel
-def _fill_lattice(kind, points, radius, to_world, distance):  # type: ignore[no-untyped-def]
+def _fill_lattice(kind, points, radius, to_world, distance):
     m = to_world
     for k in range(distance.shape[0]):
         for j in range(distance.shape[1]):

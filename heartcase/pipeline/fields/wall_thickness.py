@@ -22,11 +22,9 @@ import numpy.typing as npt
 from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.data import ThicknessTable
+from heartcase.schemas.arrays import Float64, Int32
 
 __all__ = ["ThicknessArrays", "table_thickness", "thickness_arrays", "thickness_at_points"]
-
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
 
 
 class ThicknessArrays(NamedTuple):
@@ -88,7 +86,7 @@ def thickness_at_points(table: ThicknessTable, points_mm: npt.ArrayLike) -> tupl
 
 
 @copied
-def _along_centreline(points, thickness, x, y, z):  # type: ignore[no-untyped-def]
+def _along_centreline(points, thickness, x, y, z):
     """Thickness at the nearest point of a polyline (ties: the first), and its slope along the line there."""
     lowest = np.inf
     value = thickness[0]
@@ -118,7 +116,7 @@ def _along_centreline(points, thickness, x, y, z):  # type: ignore[no-untyped-de
 
 
 @copied
-def _among_positions(points, thickness, x, y, z):  # type: ignore[no-untyped-def]
+def _among_positions(points, thickness, x, y, z):
     """Shepard's mean with weights 1 / distance^4, and the length of its gradient."""
     lowest = np.inf
     nearest = 0
@@ -151,7 +149,7 @@ def _among_positions(points, thickness, x, y, z):  # type: ignore[no-untyped-def
 
 
 @copied
-def table_thickness(arrays, n, x, y, z):  # type: ignore[no-untyped-def]
+def table_thickness(arrays, n, x, y, z):
     """Thickness in mm, and the length of its gradient, of table ``n`` at a world point."""
     points = arrays.points[arrays.first[n] : arrays.first[n + 1]]
     thickness = arrays.thickness[arrays.first[n] : arrays.first[n + 1]]
@@ -161,7 +159,7 @@ def table_thickness(arrays, n, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _at_points(arrays, points, found):  # type: ignore[no-untyped-def]
+def _at_points(arrays, points, found):
     for p in range(len(points)):
         value, slope = table_thickness(arrays, 0, points[p, 0], points[p, 1], points[p, 2])
         found[0, p] = value

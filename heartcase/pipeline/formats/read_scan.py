@@ -24,6 +24,7 @@ from heartcase.pipeline.formats.volumes.raw_volume import RawVolume, check_size,
 from heartcase.pipeline.formats.volumes.read_metaimage import metaimage_data_file, read_metaimage
 from heartcase.pipeline.formats.volumes.read_nifti import read_nifti
 from heartcase.pipeline.formats.volumes.read_nrrd import nrrd_data_file, read_nrrd
+from heartcase.schemas.arrays import Float32, UInt16
 from heartcase.schemas.errors import MarkerError, Problem, ScanError
 from heartcase.schemas.geometry import Geometry
 
@@ -272,7 +273,7 @@ def _read_file(path: Path, choice: FrameChoice | None = None) -> RawVolume:
     return raw
 
 
-def _as_float32(values: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+def _as_float32(values: npt.NDArray[Any]) -> Float32:
     with np.errstate(over="ignore", invalid="ignore"):
         result = np.ascontiguousarray(values, dtype=np.float32)
     bad = result.size - int(np.count_nonzero(np.isfinite(result)))
@@ -284,7 +285,7 @@ def _as_float32(values: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
     return result
 
 
-def _as_whole_numbers(values: npt.NDArray[Any]) -> npt.NDArray[np.uint16]:
+def _as_whole_numbers(values: npt.NDArray[Any]) -> UInt16:
     if values.dtype.kind == "f":
         whole = bool(np.isfinite(values).all()) and bool((values == np.round(values)).all())
     else:

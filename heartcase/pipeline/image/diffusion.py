@@ -15,14 +15,13 @@ import math
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel
+from heartcase.schemas.arrays import Float32, Float64
 
 __all__ = ["diffuse", "mean_square_gradient"]
 
-Float32 = npt.NDArray[np.float32]
 
 _SLAB = 8
 """Planes that one task goes through; fixed, so that the result does not depend on the number of threads."""
@@ -91,7 +90,7 @@ def diffuse(
     return old if old is not values else old.copy()
 
 
-def _scale(factors: npt.NDArray[np.float64]) -> Float32:
+def _scale(factors: Float64) -> Float32:
     """Factors of differences as float32, none of them infinite."""
     clipped: Float32 = np.minimum(factors, _SCALE_LIMIT).astype(np.float32)
     return clipped
@@ -119,7 +118,7 @@ def mean_square_gradient(values: Float32, spacing_mm: tuple[float, float, float]
 
 
 @kernel(parallel=True)
-def _square_gradient_sums(u, scale):  # type: ignore[no-untyped-def]
+def _square_gradient_sums(u, scale):
     """Sum over each plane of the squared central differences times ``scale``."""
     nz, ny, nx = u.shape
     sums = np.empty(nz)
@@ -133,7 +132,7 @@ def _square_gradient_sums(u, scale):  # type: ignore[no-untyped-def]
 
 
 @kernel(fastmath={"contract"})
-def _add_squares(row_sum, here, ym, yp, zm, zp, scale):  # type: ignore[no-untyped-def]
+def _add_squares(row_sum, here, ym, yp, zm, zp, scale):
     """Add the squared central differences of a row times ``scale`` to ``row_sum``."""
     sx, sy, sz = scale[0], scale[1], scale[2]
     last = here.size - 1
@@ -150,14 +149,14 @@ def _add_squares(row_sum, here, ym, yp, zm, zp, scale):  # type: ignore[no-untyp
 
 
 @kernel(fastmath={"contract"})
-def _differences(out, low, high, scale):  # type: ignore[no-untyped-def]
+def _differences(out, low, high, scale):
     """Scaled differences of two rows."""
     for i in range(out.size):
         out[i] = (high[i] - low[i]) * scale
 
 
 @kernel(fastmath={"contract"})
-def _fluxes(out, low, high, scale, side, side_beyond, other, other_beyond):  # type: ignore[no-untyped-def]
+def _fluxes(out, low, high, scale, side, side_beyond, other, other_beyond):
     """Difference times conductance, 2 to the minus squared scaled gradient, of a row of faces between two rows.
 
     ``side`` and ``other`` are a quarter of the scaled differences along the other two axes (central ones, times two) in
@@ -182,7 +181,7 @@ def _fluxes(out, low, high, scale, side, side_beyond, other, other_beyond):  # t
 
 
 @kernel(fastmath={"contract"})
-def _power_of_half(exponent):  # type: ignore[no-untyped-def]
+def _power_of_half(exponent):
     """2 to the minus ``exponent``, which is at least 0; no less than 2^-125."""
     exponent = min(exponent, np.float32(125.0))
     whole = np.int32(exponent + np.float32(0.5))
@@ -197,7 +196,7 @@ def _power_of_half(exponent):  # type: ignore[no-untyped-def]
 
 
 @kernel(fastmath={"contract"}, error_model="numpy")
-def _normals(out, low, high, scale, side, side_beyond, other, other_beyond):  # type: ignore[no-untyped-def]
+def _normals(out, low, high, scale, side, side_beyond, other, other_beyond):
     """The unit normal's part through a row of faces times conductance; the arguments are those of :func:`_fluxes`."""
     for i in range(out.size):
         along = (high[i] - low[i]) * scale
@@ -209,7 +208,7 @@ def _normals(out, low, high, scale, side, side_beyond, other, other_beyond):  # 
 
 
 @kernel(fastmath={"contract"})
-def _carriers(out, low, high, slope, scale):  # type: ignore[no-untyped-def]
+def _carriers(out, low, high, slope, scale):
     """Slopes at a row of faces times conductance."""
     for i in range(out.size):
         difference = high[i] - low[i]
@@ -218,7 +217,7 @@ def _carriers(out, low, high, slope, scale):  # type: ignore[no-untyped-def]
 
 
 @copied
-def _x_differences(out, rows, nx, scale):  # type: ignore[no-untyped-def]
+def _x_differences(out, rows, nx, scale):
     """Scaled central differences along x of whole rows; the ends of a row are repeated."""
     count = rows.size
     _differences(out[1 : count - 1], rows[: count - 2], rows[2:], scale)
@@ -229,7 +228,7 @@ def _x_differences(out, rows, nx, scale):  # type: ignore[no-untyped-def]
 
 
 @copied
-def _y_differences(out, plane, start, nx, scale):  # type: ignore[no-untyped-def]
+def _y_differences(out, plane, start, nx, scale):
     """Scaled central differences along y of the whole rows of a plane that start at voxel ``start``."""
     stop, size = start + out.size, plane.size
     low, high = max(start, nx), min(stop, size - nx)
@@ -242,7 +241,7 @@ def _y_differences(out, plane, start, nx, scale):  # type: ignore[no-untyped-def
 
 
 @kernel(fastmath={"contract"})
-def _add_divergence(new, old, weight, x_flux, y_low, y_high, z_low, z_high):  # type: ignore[no-untyped-def]
+def _add_divergence(new, old, weight, x_flux, y_low, y_high, z_low, z_high):
     """New values of whole rows; ``x_flux`` holds one face more than there are voxels."""
     wx, wy, wz = weight[0], weight[1], weight[2]
     for i in range(new.size):
@@ -253,7 +252,7 @@ def _add_divergence(new, old, weight, x_flux, y_low, y_high, z_low, z_high):  # 
 
 
 @kernel(fastmath={"contract"})
-def _move_level_sets(  # type: ignore[no-untyped-def]
+def _move_level_sets(
     new, old, weight, pace, x_flux, y_low, y_high, z_low, z_high, x_step, y_before, y_after, z_before, z_after
 ):
     """New values of whole rows: the divergence of the normals times the upwind slope.
@@ -276,7 +275,7 @@ def _move_level_sets(  # type: ignore[no-untyped-def]
 
 
 @copied
-def _steps(x_step, y_step, z_step, here, down, up, start, stop, nx, slope, scale):  # type: ignore[no-untyped-def]
+def _steps(x_step, y_step, z_step, here, down, up, start, stop, nx, slope, scale):
     """Slopes that carry level sets at the faces of whole rows of plane ``here``; none at the volume's outer faces.
 
     ``y_step`` holds a row of faces more than there are rows of voxels.
@@ -294,7 +293,7 @@ def _steps(x_step, y_step, z_step, here, down, up, start, stop, nx, slope, scale
 
 
 @copied
-def _through_faces(out, low, high, scale, side, side_beyond, other, other_beyond, pace):  # type: ignore[no-untyped-def]
+def _through_faces(out, low, high, scale, side, side_beyond, other, other_beyond, pace):
     """What goes through a row of faces: intensity, or the normal where level sets move."""
     if pace > np.float32(0.0):
         _normals(out, low, high, scale, side, side_beyond, other, other_beyond)
@@ -303,7 +302,7 @@ def _through_faces(out, low, high, scale, side, side_beyond, other, other_beyond
 
 
 @copied
-def _z_fluxes(out, here, up, start, nx, scale, work, pace):  # type: ignore[no-untyped-def]
+def _z_fluxes(out, here, up, start, nx, scale, work, pace):
     """Fluxes from plane ``here`` to plane ``up`` for whole rows that start at voxel ``start``."""
     count = out.size
     stop = start + count
@@ -317,7 +316,7 @@ def _z_fluxes(out, here, up, start, nx, scale, work, pace):  # type: ignore[no-u
 
 
 @kernel(parallel=True)
-def _keep_edges(edges, planes):  # type: ignore[no-untyped-def]
+def _keep_edges(edges, planes):
     """Copy the first and the last plane of each slab: its neighbours need them after they are overwritten."""
     nz = planes.shape[0]
     for slab in numba.prange(edges.shape[1]):
@@ -326,14 +325,14 @@ def _keep_edges(edges, planes):  # type: ignore[no-untyped-def]
 
 
 @kernel(parallel=True)
-def _step(planes, new, nx, scale, weight, edges, slope, pace):  # type: ignore[no-untyped-def]
+def _step(planes, new, nx, scale, weight, edges, slope, pace):
     """One Jacobi step; ``planes`` and ``new``, maybe the same, hold a plane of rows of ``nx`` voxels in each row."""
     for slab in numba.prange(edges.shape[1]):
         _step_slab(planes, new, nx, slab, scale, weight, edges, slope, pace)
 
 
 @copied
-def _step_slab(planes, new, nx, slab, scale, weight, edges, slope, pace):  # type: ignore[no-untyped-def]
+def _step_slab(planes, new, nx, slab, scale, weight, edges, slope, pace):
     """The step in the planes of a slab, a block of rows at a time, each plane from a copy of what it held before."""
     nz, size = planes.shape
     first, last = slab * _SLAB, min((slab + 1) * _SLAB, nz)

@@ -11,10 +11,10 @@ from scipy import ndimage
 
 from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel
+from heartcase.schemas.arrays import Float32
 
 __all__ = ["gradient_magnitude"]
 
-Float32 = npt.NDArray[np.float32]
 
 BLUR_REACH = 4.0
 """Standard deviations after which the Gaussian is cut off."""
@@ -75,20 +75,20 @@ def _blur_weights(count: int, sigma: float) -> tuple[Float32, int]:
 
 
 @kernel(fastmath={"contract"})
-def _add_four(one, two, three, four, weights, out):  # type: ignore[no-untyped-def]
+def _add_four(one, two, three, four, weights, out):
     a, b, c, d = weights[0], weights[1], weights[2], weights[3]
     for i in range(len(out)):
         out[i] += a * one[i] + b * two[i] + c * three[i] + d * four[i]
 
 
 @kernel(fastmath={"contract"})
-def _add_one(row, weight, out):  # type: ignore[no-untyped-def]
+def _add_one(row, weight, out):
     for i in range(len(out)):
         out[i] += weight * row[i]
 
 
 @copied
-def _blur_row(row, weights, reach, padded, out):  # type: ignore[no-untyped-def]
+def _blur_row(row, weights, reach, padded, out):
     count = len(row)
     out[:] = np.float32(0.0)
     if count <= 2 * reach:
@@ -120,7 +120,7 @@ def _blur_row(row, weights, reach, padded, out):  # type: ignore[no-untyped-def]
 
 
 @kernel(parallel=True)
-def _blur_rows(values, weights, reach, blurred):  # type: ignore[no-untyped-def]
+def _blur_rows(values, weights, reach, blurred):
     nz, ny, nx = values.shape
     for k in numba.prange(nz):
         padded = np.empty(nx + 2 * reach, np.float32)
@@ -129,7 +129,7 @@ def _blur_rows(values, weights, reach, blurred):  # type: ignore[no-untyped-def]
 
 
 @copied
-def _blur_sheet(rows, weights, reach, blurred):  # type: ignore[no-untyped-def]
+def _blur_sheet(rows, weights, reach, blurred):
     """Blur across the rows of a sheet of them."""
     count = len(rows)
     for here in range(count):
@@ -145,13 +145,13 @@ def _blur_sheet(rows, weights, reach, blurred):  # type: ignore[no-untyped-def]
 
 
 @kernel(parallel=True)
-def _blur_along_y(values, weights, reach, blurred):  # type: ignore[no-untyped-def]
+def _blur_along_y(values, weights, reach, blurred):
     for k in numba.prange(values.shape[0]):
         _blur_sheet(values[k], weights, reach, blurred[k])
 
 
 @kernel(parallel=True)
-def _blur_along_z(values, weights, reach, blurred):  # type: ignore[no-untyped-def]
+def _blur_along_z(values, weights, reach, blurred):
     nz, ny, nx = values.shape
     slices, blurred_slices = values.reshape(nz, ny * nx), blurred.reshape(nz, ny * nx)
     for part in numba.prange((ny * nx + PART - 1) // PART):
@@ -160,7 +160,7 @@ def _blur_along_z(values, weights, reach, blurred):  # type: ignore[no-untyped-d
 
 
 @copied
-def _row_lengths(row, ym, yp, zm, zp, hx, hy, hz, out):  # type: ignore[no-untyped-def]
+def _row_lengths(row, ym, yp, zm, zp, hx, hy, hz, out):
     """Slopes of one row from itself and from its neighbours; ``hx`` to ``hz`` divide a central difference."""
     last = len(row) - 1
     for i in range(len(row)):
@@ -180,7 +180,7 @@ def _row_lengths(row, ym, yp, zm, zp, hx, hy, hz, out):  # type: ignore[no-untyp
 
 
 @kernel(parallel=True)
-def _slope_lengths(values, spacing, length):  # type: ignore[no-untyped-def]
+def _slope_lengths(values, spacing, length):
     nz, ny, _ = values.shape
     half = np.float32(0.5)
     for line in numba.prange(nz * ny):

@@ -22,10 +22,10 @@ import numpy.typing as npt
 
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.image.gradient import gradient_magnitude
+from heartcase.schemas.arrays import Float32
 
 __all__ = ["landscape"]
 
-Float32 = npt.NDArray[np.float32]
 
 SHAPE_SHARE = 1.6
 """Most that the shape adds, in units of the gradient of the flattest voxels."""
@@ -73,7 +73,7 @@ def _of_flat(height: Float32) -> float:
 
 
 @kernel(parallel=True)
-def _add_shape(height, shape, most):  # type: ignore[no-untyped-def]
+def _add_shape(height, shape, most):
     for n in numba.prange(len(height)):
         part = shape[n] / most
         height[n] += most * part / np.sqrt(np.float32(1.0) + part * part)

@@ -19,13 +19,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
+
+from heartcase.schemas.arrays import Bool, Float32, Float64
 
 __all__ = ["NoiseEstimate", "estimate_noise"]
 
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
-Bool = npt.NDArray[np.bool_]
 
 _BLOCK_COUNT = 200_000
 """Blocks that are looked at, at most: more would not make the estimate better."""

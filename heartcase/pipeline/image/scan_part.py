@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.pipeline.data import Scan
+from heartcase.schemas.arrays import Int16
 from heartcase.schemas.bundle.format import ScanValues
 
 __all__ = ["ScanPart", "scan_part"]
@@ -22,7 +22,7 @@ HOUNSFIELD_SPAN_MIN = 256.0
 class ScanPart:
     """A scan in 16 bits."""
 
-    intensity: npt.NDArray[np.int16]
+    intensity: Int16
     """Stored numbers, shape ``geometry.shape`` of the scan: [z, y, x]."""
     values: ScanValues
     """What a stored number stands for."""

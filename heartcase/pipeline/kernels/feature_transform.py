@@ -16,7 +16,7 @@ __all__ = ["distance_to_marked", "nearest_seeds"]
 
 
 @copied
-def _lower_envelope(cost, count, width, last, bound):  # type: ignore[no-untyped-def]
+def _lower_envelope(cost, count, width, last, bound):
     """Lower envelope of the parabolas of a line, ``cost`` plus the squared way along it; none where that is infinite.
 
     ``last`` receives the places of the parabolas that are lowest somewhere, ``bound`` where each of them begins to be,
@@ -44,7 +44,7 @@ def _lower_envelope(cost, count, width, last, bound):  # type: ignore[no-untyped
 
 
 @copied
-def _nearest_entries(cost, here, count, width, last, bound, out):  # type: ignore[no-untyped-def]
+def _nearest_entries(cost, here, count, width, last, bound, out):
     """For each place of a line the entry of ``here`` with the lowest parabola, -1 where there is none."""
     if _lower_envelope(cost, count, width, last, bound) == 0:
         out[:count] = -1
@@ -57,7 +57,7 @@ def _nearest_entries(cost, here, count, width, last, bound, out):  # type: ignor
 
 
 @copied
-def _lowest_values(cost, count, width, last, bound, out):  # type: ignore[no-untyped-def]
+def _lowest_values(cost, count, width, last, bound, out):
     """For each place of a line the value of the lowest parabola, infinite where there is none."""
     if _lower_envelope(cost, count, width, last, bound) == 0:
         out[:count] = np.inf
@@ -71,7 +71,7 @@ def _lowest_values(cost, count, width, last, bound, out):  # type: ignore[no-unt
 
 
 @copied
-def nearest_seeds(seed, place, h, reach):  # type: ignore[no-untyped-def]
+def nearest_seeds(seed, place, h, reach):
     """Turn numbers of nodes, -1 elsewhere, into the number of the nearest such node, where one may lie in reach.
 
     Parameters
@@ -147,7 +147,7 @@ def nearest_seeds(seed, place, h, reach):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def distance_to_marked(marked, h, distance):  # type: ignore[no-untyped-def]
+def distance_to_marked(marked, h, distance):
     """Distance of every node to the nearest marked one.
 
     Parameters

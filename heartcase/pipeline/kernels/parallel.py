@@ -65,14 +65,14 @@ def may_share() -> bool:
 
 
 @kernel(parallel=True)
-def _start_threads(values):  # type: ignore[no-untyped-def]
+def _start_threads(values):
     """The threading layer is known only after the first parallel kernel."""
     for n in numba.prange(len(values)):
         values[n] += 1.0
 
 
 @kernel(inline="always")
-def every_other(number, count):  # type: ignore[no-untyped-def]
+def every_other(number, count):
     """The chunk to take as the ``number``-th of ``count``: first the even ones, then the odd ones.
 
     Threads share a kernel's loop in a few long stretches, and what lies side by side is often as hard as each other.

@@ -12,14 +12,13 @@ from typing import Literal
 
 import cc3d
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.kernels.feature_transform import distance_to_marked
+from heartcase.schemas.arrays import Bool, Float32, UInt32
 
 __all__ = ["Betti", "betti_numbers", "components", "distance_in_samples", "euler_characteristic", "piece_sizes"]
 
-Bool = npt.NDArray[np.bool_]
 Connectivity = Literal[6, 26]
 
 
@@ -39,7 +38,7 @@ class Betti:
         return [self.components, self.tunnels, self.cavities]
 
 
-def components(mask: Bool, connectivity: Connectivity) -> tuple[npt.NDArray[np.uint32], int]:
+def components(mask: Bool, connectivity: Connectivity) -> tuple[UInt32, int]:
     """Label the connected pieces of a mask from 1 on, in raster order of their first voxel.
 
     Returns
@@ -58,7 +57,7 @@ def components(mask: Bool, connectivity: Connectivity) -> tuple[npt.NDArray[np.u
 
 
 @kernel
-def piece_sizes(labels, count):  # type: ignore[no-untyped-def]
+def piece_sizes(labels, count):
     """Voxels of each number up to ``count``; ``labels`` is flat."""
     sizes = np.zeros(count + 1, np.int64)
     for n in range(len(labels)):
@@ -66,7 +65,7 @@ def piece_sizes(labels, count):  # type: ignore[no-untyped-def]
     return sizes
 
 
-def distance_in_samples(mask: Bool) -> npt.NDArray[np.float32]:
+def distance_in_samples(mask: Bool) -> Float32:
     """Distance of each point of a mask to the nearest point off it, in samples; the array's border is not off it."""
     distance = np.empty(mask.shape, np.float32)
     distance_to_marked(~mask, np.ones(3), distance)

@@ -10,13 +10,13 @@ __all__ = ["cross", "dot", "make_unit", "put", "square_to_triangle"]
 
 
 @kernel(inline="always")
-def dot(a, b):  # type: ignore[no-untyped-def]
+def dot(a, b):
     """Scalar product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @kernel(inline="always")
-def cross(a, b, out):  # type: ignore[no-untyped-def]
+def cross(a, b, out):
     """Vector product."""
     out[0] = a[1] * b[2] - a[2] * b[1]
     out[1] = a[2] * b[0] - a[0] * b[2]
@@ -24,14 +24,14 @@ def cross(a, b, out):  # type: ignore[no-untyped-def]
 
 
 @kernel(inline="always")
-def put(v, out):  # type: ignore[no-untyped-def]
+def put(v, out):
     """Write a vector to another; numba's own assignment of arrays compiles words for the case that they do not fit."""
     for axis in range(3):
         out[axis] = v[axis]
 
 
 @kernel
-def make_unit(v, least):  # type: ignore[no-untyped-def]
+def make_unit(v, least):
     """Divide a vector by its length, or make it zero where that is too small; returns whether it is not."""
     length = np.sqrt(dot(v, v))
     factor = 1.0 / length if length > least else 0.0
@@ -41,7 +41,7 @@ def make_unit(v, least):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def square_to_triangle(px, py, pz, a, b, c):  # type: ignore[no-untyped-def]
+def square_to_triangle(px, py, pz, a, b, c):
     """Square of the distance, and the weights of the second and third corner at the nearest point.
 
     Ericson, Real-Time Collision Detection, 2005, section 5.1.5.

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 
 import edt
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.pipeline.data import Markers
 from heartcase.pipeline.markers.suggest import DISTANCE_POWER, DOUBT_POWER, StrokePlaces, suggest_strokes
@@ -24,11 +23,10 @@ from heartcase.pipeline.watershed.certainty import FootCertainty, foot_certainty
 from heartcase.pipeline.watershed.forest import Forest, solve_forest
 from heartcase.pipeline.watershed.marks import UNMARKED
 from heartcase.pipeline.watershed.tree import BasinTree
+from heartcase.schemas.arrays import Float32
 from heartcase.schemas.geometry import Geometry
 
 __all__ = ["Sureness", "sureness_of", "voxel_confidence"]
-
-Float32 = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.pipeline.data import Markers, Scan, Segmentation
 from heartcase.pipeline.formats.labels.point_lists import MarkupList, read_point_lists
@@ -23,6 +22,7 @@ from heartcase.pipeline.markers.overlaps import file_over_file, overlap_cautions
 from heartcase.pipeline.markers.paint import pull_nearest
 from heartcase.pipeline.markers.strokes import Clipping, paint_strokes, rasterise_strokes, stroke_voxels, without_erased
 from heartcase.pipeline.warnings import Caution, note
+from heartcase.schemas.arrays import Float64, UInt8, UInt16
 from heartcase.schemas.errors import MarkerError, Problem
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND, LabelTable
@@ -40,7 +40,6 @@ __all__ = [
     "stroke_voxels",
 ]
 
-UInt8 = npt.NDArray[np.uint8]
 UNMARKED = Markers.UNMARKED
 POINT_LIST_SUFFIXES = (".mrk.json", ".json")
 
@@ -290,7 +289,7 @@ def _finished(path: Path, geometry: Geometry | None, naming: Naming, table: Labe
     return read_parts(path, geometry, *choice)
 
 
-def resample_labels(volume: LabelVolume, geometry: Geometry) -> npt.NDArray[np.uint8] | npt.NDArray[np.uint16]:
+def resample_labels(volume: LabelVolume, geometry: Geometry) -> UInt8 | UInt16:
     """Label values on another lattice, by nearest neighbour: each voxel gets the value at its centre.
 
     Parameters
@@ -346,7 +345,7 @@ def _painted_volume(
     return label_cores(draft, geometry, file.core_mm), tuple(told)
 
 
-def _lost(volume: LabelVolume, values: npt.NDArray[np.uint8] | npt.NDArray[np.uint16]) -> list[int]:
+def _lost(volume: LabelVolume, values: UInt8 | UInt16) -> list[int]:
     """Values that the file marks something with, and that are not among those on the scan's lattice."""
     marked = {*np.unique(volume.values).tolist(), *volume.vanished}
     return sorted(marked - set(np.unique(values).tolist()) - {0})
@@ -378,7 +377,7 @@ def _painted_points(
     return labels, clipping.cautions(place)
 
 
-def _named_polylines(markup: MarkupList) -> list[tuple[str, tuple[str, ...], npt.NDArray[np.float64]]]:
+def _named_polylines(markup: MarkupList) -> list[tuple[str, tuple[str, ...], Float64]]:
     """What messages call it, names to try in order (which no message may show), and the points that belong together."""
     common = (markup.name, markup.file_stem)
     if markup.is_line:

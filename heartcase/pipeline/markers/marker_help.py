@@ -15,17 +15,14 @@ from collections.abc import Collection
 import cc3d
 import edt
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.pipeline.data import Markers, Scan
+from heartcase.schemas.arrays import Bool, Int64, UInt8
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND
 
 __all__ = ["ERASED", "AutomaticMarkers", "label_cores"]
 
-Bool = npt.NDArray[np.bool_]
-Int64 = npt.NDArray[np.int64]
-UInt8 = npt.NDArray[np.uint8]
 
 UNMARKED = Markers.UNMARKED
 ERASED = 254

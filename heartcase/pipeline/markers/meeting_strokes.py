@@ -11,15 +11,14 @@ from itertools import combinations, pairwise
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial import cKDTree
 
+from heartcase.schemas.arrays import Float64
 from heartcase.schemas.labels import LabelTable
 from heartcase.schemas.recipe.settings import Stroke
 
 __all__ = ["Meeting", "meetings_of"]
 
-Float64 = npt.NDArray[np.float64]
 Point = tuple[float, float, float]
 
 STEP_MM = 0.25

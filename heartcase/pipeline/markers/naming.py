@@ -9,17 +9,16 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.pipeline.data import Markers
 from heartcase.pipeline.formats.labels.segments import LabelVolume, SegmentInfo
+from heartcase.schemas.arrays import UInt8
 from heartcase.schemas.errors import MarkerError, Problem
 from heartcase.schemas.labels import Label, LabelTable
 from heartcase.schemas.terms import CONVENTIONS, contradicts, is_of_another_version
 
 __all__ = ["LabelLookup", "Naming", "called", "label_lookup", "left_out", "listed", "rank_by_label", "value_of"]
 
-UInt8 = npt.NDArray[np.uint8]
 UNMARKED = Markers.UNMARKED
 
 

@@ -4,19 +4,15 @@ from __future__ import annotations
 
 from collections import Counter
 
-import numpy as np
-import numpy.typing as npt
-
 from heartcase.pipeline.data import Markers
 from heartcase.pipeline.formats.labels.segments import LabelVolume
 from heartcase.pipeline.markers.naming import called
 from heartcase.pipeline.warnings import Caution, counted, note
+from heartcase.schemas.arrays import UInt8
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable
 
 __all__ = ["file_over_file", "overlap_cautions"]
-
-UInt8 = npt.NDArray[np.uint8]
 
 
 def overlap_cautions(volume: LabelVolume, lookup: UInt8, table: LabelTable, place: str) -> tuple[Caution, ...]:

@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.compiling.kernel import kernel
+from heartcase.schemas.arrays import Float64, Int64, UInt8
 
 __all__ = ["paint_capsule", "paint_passed_voxels", "pull_nearest"]
 
-Float64 = npt.NDArray[np.float64]
 
 TOUCHING = 1.0 + 1e-9
 """A voxel centre on the brush's rim is painted, whatever the rounding."""
@@ -20,9 +20,7 @@ STANDING = 1e-12
 
 
 @kernel
-def paint_capsule(
-    labels: npt.NDArray[np.uint8], start: Float64, end: Float64, spacing: Float64, radius: float, value: int
-) -> int:
+def paint_capsule(labels: UInt8, start: Float64, end: Float64, spacing: Float64, radius: float, value: int) -> int:
     """Paint the voxels whose centre is within a radius of a line segment.
 
     Parameters
@@ -78,7 +76,7 @@ def paint_capsule(
     return painted
 
 
-def paint_passed_voxels(labels: npt.NDArray[np.uint8], start: Float64, end: Float64, value: int) -> bool:
+def paint_passed_voxels(labels: UInt8, start: Float64, end: Float64, value: int) -> bool:
     """Paint the voxels that a line segment passes, without gaps across faces.
 
     Between two neighbouring crossings of voxel faces the line is inside one voxel: that of the middle between them
@@ -116,7 +114,7 @@ def paint_passed_voxels(labels: npt.NDArray[np.uint8], start: Float64, end: Floa
     return bool(len(index))
 
 
-def _clipped(start: Float64, end: Float64, size: npt.NDArray[np.int64]) -> tuple[Float64, Float64] | None:
+def _clipped(start: Float64, end: Float64, size: Int64) -> tuple[Float64, Float64] | None:
     """The part of a segment inside the volume (Liang and Barsky, 1984); None where there is none."""
     along = end - start
     enter, leave = 0.0, 1.0

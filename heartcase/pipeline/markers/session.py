@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.pipeline.data import Markers, Scan, Segmentation
 from heartcase.pipeline.markers.load_markers import rasterise_strokes, stroke_voxels
 from heartcase.pipeline.markers.marker_help import ERASED, AutomaticMarkers
 from heartcase.pipeline.watershed.forest import UNMARKED, Box, solve_forest
 from heartcase.pipeline.watershed.tree import BasinTree
+from heartcase.schemas.arrays import Int64, UInt8
 from heartcase.schemas.errors import MarkerError, UsageError
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 __all__ = ["SegmentationSession"]
 
-UInt8 = npt.NDArray[np.uint8]
 AXES = ("i", "j", "k")
 
 
@@ -32,7 +31,7 @@ class _Done:
     """A stroke, and what was marked where it went."""
 
     stroke: Stroke
-    voxels: npt.NDArray[np.int64]
+    voxels: Int64
     before: UInt8
 
 
@@ -251,7 +250,7 @@ class SegmentationSession:
         self._done.append(_Done(stroke, voxels, before))
         return self._note(box)
 
-    def _mark(self, voxels: npt.NDArray[np.int64], values: UInt8) -> Box | None:
+    def _mark(self, voxels: Int64, values: UInt8) -> Box | None:
         """Mark voxels, and what automatic markers follow from that; a box around the labels that changed."""
         if self._automatic is not None:
             voxels, values = self._automatic.paint(voxels, values)

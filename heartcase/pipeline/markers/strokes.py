@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.pipeline.data import Markers
 from heartcase.pipeline.markers.marker_help import ERASED
 from heartcase.pipeline.markers.naming import listed, value_of
 from heartcase.pipeline.markers.paint import paint_capsule, paint_passed_voxels
 from heartcase.pipeline.warnings import Caution, counted, note
+from heartcase.schemas.arrays import Float64, Int64, UInt8
 from heartcase.schemas.errors import MarkerError, Problem
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable
@@ -20,8 +20,6 @@ from heartcase.schemas.recipe.settings import Stroke
 
 __all__ = ["Clipping", "paint_strokes", "polyline_voxels", "rasterise_strokes", "stroke_voxels", "without_erased"]
 
-UInt8 = npt.NDArray[np.uint8]
-Float64 = npt.NDArray[np.float64]
 UNMARKED = Markers.UNMARKED
 MARKS_NAMED = 6
 """How many marks outside the scan a message calls by their place; the rest is counted."""
@@ -50,7 +48,7 @@ class Clipping:
     outside: list[tuple[str, str, Float64]] = field(default_factory=list)
     """Places, names for messages and points of those outside the scan."""
 
-    def take(self, place: str, called: str, points_mm: Float64, radius_mm: float) -> npt.NDArray[np.int64]:
+    def take(self, place: str, called: str, points_mm: Float64, radius_mm: float) -> Int64:
         """The voxels that a mark paints: see :func:`polyline_voxels`; none where it lies outside."""
         self.count += 1
         voxels = polyline_voxels(points_mm, radius_mm, self.geometry)
@@ -155,7 +153,7 @@ def rasterise_strokes(strokes: Sequence[Stroke], table: LabelTable, geometry: Ge
     return without_erased(labels)
 
 
-def stroke_voxels(stroke: Stroke, geometry: Geometry) -> npt.NDArray[np.int64]:
+def stroke_voxels(stroke: Stroke, geometry: Geometry) -> Int64:
     """Voxels that a stroke marks or erases, see :func:`rasterise_strokes`.
 
     Returns
@@ -166,7 +164,7 @@ def stroke_voxels(stroke: Stroke, geometry: Geometry) -> npt.NDArray[np.int64]:
     return polyline_voxels(np.array(stroke.points_mm), stroke.radius_mm, geometry)
 
 
-def polyline_voxels(points_mm: Float64, radius_mm: float, geometry: Geometry) -> npt.NDArray[np.int64]:
+def polyline_voxels(points_mm: Float64, radius_mm: float, geometry: Geometry) -> Int64:
     """Voxels of a lattice that a round brush along a polyline marks: flat indices, ascending, as for strokes."""
     index = geometry.world_to_index(points_mm)
     spacing = np.array(geometry.spacing_mm)
@@ -183,7 +181,7 @@ def polyline_voxels(points_mm: Float64, radius_mm: float, geometry: Geometry) ->
             paint_capsule(box, start, end, spacing, radius_mm, 1)
         paint_passed_voxels(box, start, end, 1)
     k, j, i = np.nonzero(box)
-    found: npt.NDArray[np.int64] = ((k + low[2]) * geometry.size[1] + j + low[1]) * geometry.size[0] + i + low[0]
+    found: Int64 = ((k + low[2]) * geometry.size[1] + j + low[1]) * geometry.size[0] + i + low[0]
     return found
 
 

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 
 import edt
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from heartcase.pipeline.watershed.certainty import FootCertainty, foot_certainty
@@ -25,14 +24,12 @@ from heartcase.pipeline.watershed.descent import side_offsets
 from heartcase.pipeline.watershed.forest import Forest
 from heartcase.pipeline.watershed.marks import UNMARKED, mark_below
 from heartcase.pipeline.watershed.subtrees import ForestPieces, forest_pieces
+from heartcase.schemas.arrays import Bool, Float64, Int64
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND
 
 __all__ = ["DISTANCE_POWER", "DOUBT_POWER", "SURE", "StrokePlace", "StrokePlaces", "suggest_strokes"]
 
-Bool = npt.NDArray[np.bool_]
-Float64 = npt.NDArray[np.float64]
-Int64 = npt.NDArray[np.int64]
 
 SURE = 0.5
 """Certainty from which on a place is not named."""

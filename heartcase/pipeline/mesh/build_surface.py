@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.pipeline.data import Structures, Surface
 from heartcase.pipeline.fields.reader import FieldReader
@@ -41,16 +40,12 @@ from heartcase.pipeline.mesh.texture.normal_map import bake_normal_map
 from heartcase.pipeline.mesh.triangles.half_edges import opposites
 from heartcase.pipeline.mesh.triangles.triangle_grid import TriangleGrid, triangle_grid
 from heartcase.pipeline.warnings import note
+from heartcase.schemas.arrays import Bool, Float32, Float64, Int32, UInt8
 from heartcase.schemas.bundle.surface_kinds import plain_kinds
 from heartcase.schemas.recipe.settings import LEAST_MAP_SIZE, SurfaceSettings
 
 __all__ = ["build_surface"]
 
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
-UInt8 = npt.NDArray[np.uint8]
-Bool = npt.NDArray[np.bool_]
 
 SPECK_MM3 = 20.0
 SPECK_FRACTION = 1e-3

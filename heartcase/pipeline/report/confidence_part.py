@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import edt
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.pipeline.data import Scan, Segmentation
 from heartcase.pipeline.markers.confidence import Sureness
@@ -15,11 +14,11 @@ from heartcase.pipeline.report.montage import stacked
 from heartcase.pipeline.report.plain_words import placed
 from heartcase.pipeline.report.report_pictures import Picture, embedded_picture
 from heartcase.pipeline.report.slices import slice_pictures
+from heartcase.schemas.arrays import Float32, UInt8
 from heartcase.schemas.labels import BACKGROUND
 
 __all__ = ["ConfidenceBand", "ConfidencePart", "ConfidenceRow", "PlaceRow", "confidence_part"]
 
-UInt8 = npt.NDArray[np.uint8]
 
 _UNSURE = 0.75
 """Confidence below which a voxel counts as unsure."""
@@ -136,7 +135,7 @@ def confidence_part(scan: Scan, segmentation: Segmentation, sureness: Sureness) 
     return ConfidencePart(_pictures(scan, segmentation, confidence), _BANDS, rows, places, strokes.rest_ml)
 
 
-def _pictures(scan: Scan, segmentation: Segmentation, confidence: npt.NDArray[np.float32]) -> list[Picture]:
+def _pictures(scan: Scan, segmentation: Segmentation, confidence: Float32) -> list[Picture]:
     labels, table, geometry = segmentation.labels, segmentation.table, segmentation.geometry
     if not labels.any():
         return []
@@ -162,7 +161,7 @@ def _pictures(scan: Scan, segmentation: Segmentation, confidence: npt.NDArray[np
     ]
 
 
-def _bands_of(labels: UInt8, confidence: npt.NDArray[np.float32], spacing_mm: tuple[float, ...]) -> UInt8:
+def _bands_of(labels: UInt8, confidence: Float32, spacing_mm: tuple[float, ...]) -> UInt8:
     """Number of each voxel's band, from 1; 0 where it is sure, and far from the heart."""
     bands = np.searchsorted([band.below for band in _BANDS], confidence, side="right") + 1
     bands[bands > len(_BANDS)] = 0

@@ -6,10 +6,10 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.report.render import Mesh
+from heartcase.schemas.arrays import Bool, Float64, Int64, Integer
 
 __all__ = ["Plane", "clipped", "crossings", "filled"]
 
-Float64 = npt.NDArray[np.float64]
 Plane = tuple[npt.ArrayLike, npt.ArrayLike]
 """A point in mm, and a normal towards the side that is taken away."""
 
@@ -44,9 +44,7 @@ def clipped(mesh: Mesh, plane: Plane) -> Mesh:
     return Mesh(np.concatenate(new_points), triangles, np.concatenate(new_normals), colours, mesh.colours_of_points)
 
 
-def crossings(
-    points: Float64, faces: npt.NDArray[np.integer], plane: Plane
-) -> tuple[Float64, Float64, npt.NDArray[np.int64]]:
+def crossings(points: Float64, faces: Integer, plane: Plane) -> tuple[Float64, Float64, Int64]:
     """Where triangles cross a plane: starts and ends of the pieces, shape (n, 3), and their triangles."""
     point, normal = (np.asarray(part, dtype=float) for part in plane)
     height = ((points - point) @ (normal / np.linalg.norm(normal)))[faces]
@@ -65,7 +63,7 @@ def crossings(
     return np.where(turned, ends[1], ends[0]), np.where(turned, ends[0], ends[1]), member
 
 
-def filled(start: Float64, end: Float64, width: int, height: int) -> npt.NDArray[np.bool_]:
+def filled(start: Float64, end: Float64, width: int, height: int) -> Bool:
     """Pixels whose centre the closed, oriented outline winds around; rows where the outline is open stay empty."""
     low, high = np.minimum(start[:, 1], end[:, 1]), np.maximum(start[:, 1], end[:, 1])
     first = np.clip(np.ceil(low), 0, height).astype(np.int64)
@@ -79,5 +77,5 @@ def filled(start: Float64, end: Float64, width: int, height: int) -> npt.NDArray
     np.add.at(turns, (row, at), np.where(b[:, 1] > a[:, 1], 1, -1))
     winding = np.cumsum(turns, axis=1)
     closed = winding[:, -1] == 0
-    result: npt.NDArray[np.bool_] = (winding[:, :-1] != 0) & closed[:, None]
+    result: Bool = (winding[:, :-1] != 0) & closed[:, None]
     return result

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.ndimage import map_coordinates
 
 from heartcase.pipeline.data import Scan, Structures, VesselEnd
@@ -15,12 +14,11 @@ from heartcase.pipeline.report.pictures import direction_letters
 from heartcase.pipeline.report.plain_words import placed
 from heartcase.pipeline.report.report_pictures import Picture, embedded_picture
 from heartcase.pipeline.report.slices import display_window
+from heartcase.schemas.arrays import Float64
 from heartcase.schemas.labels import BACKGROUND, LabelTable
 
 __all__ = ["EndRow", "EndsPart", "ends_part"]
 
-Float64 = npt.NDArray[np.float64]
-UInt8 = npt.NDArray[np.uint8]
 
 _WORDS = {
     "stated": "cut where the recipe says",

@@ -8,15 +8,14 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 from PIL.PngImagePlugin import PngInfo
 
+from heartcase.schemas.arrays import UInt8
 from heartcase.schemas.labels import LabelTable
 
 __all__ = ["INK", "font_of_size", "label_colours", "legend_picture", "montage", "png_bytes", "stacked"]
 
-UInt8 = npt.NDArray[np.uint8]
 
 INK = (40, 44, 52)
 """Colour of writing on pictures."""

@@ -20,6 +20,7 @@ from heartcase.pipeline.mesh.triangles.thickness import vertex_normals
 from heartcase.pipeline.report.cut import Plane, clipped, crossings, filled
 from heartcase.pipeline.report.montage import INK, font_of_size
 from heartcase.pipeline.report.render import Camera, Mesh, camera_for, downsampled, draw_mesh
+from heartcase.schemas.arrays import Bool, Float64, Integer, UInt8
 from heartcase.schemas.labels import BACKGROUND, LabelTable
 
 __all__ = [
@@ -32,8 +33,6 @@ __all__ = [
     "surface_picture",
 ]
 
-Float64 = npt.NDArray[np.float64]
-UInt8 = npt.NDArray[np.uint8]
 View = Literal["anterior", "posterior", "left", "right", "superior", "inferior", "surgeon"]
 
 VIEWS: dict[View, tuple[tuple[float, float, float], tuple[float, float, float]]] = {
@@ -245,7 +244,7 @@ def _upward_for(towards: Float64) -> tuple[float, float, float]:
     return (0.0, -1.0, 0.0) if abs(towards[2]) > 0.75 * np.linalg.norm(towards) else (0.0, 0.0, 1.0)
 
 
-def _centre(points: Float64, faces: npt.NDArray[np.integer]) -> Float64:
+def _centre(points: Float64, faces: Integer) -> Float64:
     corners = points[faces]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     centre: Float64 = np.average(corners.mean(axis=1), axis=0, weights=area)
@@ -263,7 +262,7 @@ def _colour_table(table: LabelTable) -> UInt8:
     return colours
 
 
-def _triangle_colours(label: npt.NDArray[np.integer], tissue: npt.ArrayLike | None, table: LabelTable) -> UInt8:
+def _triangle_colours(label: Integer, tissue: npt.ArrayLike | None, table: LabelTable) -> UInt8:
     colours = _colour_table(table)
     outside = (
         np.broadcast_to(np.array(_TISSUE_COLOUR, np.uint8), (len(label), 3))
@@ -291,12 +290,12 @@ def _value_colours(values: Float64, low: float, high: float) -> UInt8:
 
 def _cut_face(
     points: Float64,
-    faces: npt.NDArray[np.integer],
-    tissue: npt.NDArray[np.integer],
+    faces: Integer,
+    tissue: Integer,
     plane: Plane,
     table: LabelTable,
     camera: Camera,
-) -> tuple[UInt8, npt.NDArray[np.bool_]]:
+) -> tuple[UInt8, Bool]:
     """Colour of the cut tissue at each pixel, and which pixels it covers."""
     width, height = camera.size
     starts, ends, owner = crossings(points, faces, plane)

@@ -19,11 +19,10 @@ import numpy.typing as npt
 from scipy.ndimage import gaussian_filter
 
 from heartcase.compiling.kernel import kernel
+from heartcase.schemas.arrays import Float64, Int64, UInt8
 
 __all__ = ["Camera", "Mesh", "camera_for", "downsampled", "draw_mesh"]
 
-Float64 = npt.NDArray[np.float64]
-UInt8 = npt.NDArray[np.uint8]
 
 _KEY_LIGHT = np.array((-0.45, 0.55, 0.70)) / np.linalg.norm((-0.45, 0.55, 0.70))
 _KEY, _FILL, _AMBIENT = 0.55, 0.40, 0.28
@@ -38,7 +37,7 @@ class Mesh:
 
     points_mm: Float64
     """Points, shape (point_count, 3)."""
-    triangles: npt.NDArray[np.int64]
+    triangles: Int64
     """Point numbers, shape (triangle_count, 3)."""
     normals: Float64
     """Unit normal of each point, shape (point_count, 3)."""
@@ -243,7 +242,7 @@ def _shade_by_depth(picture: UInt8, depth: Float64, mm_per_pixel: float) -> None
 
 
 @kernel
-def _darken(picture, depth, around):  # type: ignore[no-untyped-def]
+def _darken(picture, depth, around):
     """Dim each drawn pixel of ``picture`` by how far it lies behind ``around``, its coarse surroundings."""
     height, width = depth.shape
     for row in range(height):
@@ -256,7 +255,7 @@ def _darken(picture, depth, around):  # type: ignore[no-untyped-def]
 
 
 @kernel(inline="always")
-def _weights(points, triangle, column, row):  # type: ignore[no-untyped-def]
+def _weights(points, triangle, column, row):
     """Barycentric coordinates of a pixel's centre."""
     a, b, c = triangle
     ax, ay, bx, by, cx, cy = points[a, 0], points[a, 1], points[b, 0], points[b, 1], points[c, 0], points[c, 1]
@@ -267,7 +266,7 @@ def _weights(points, triangle, column, row):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _rasterise(points, triangles, depth, owner):  # type: ignore[no-untyped-def]
+def _rasterise(points, triangles, depth, owner):
     """Find the nearest triangle at each pixel: its height in ``depth`` and its number in ``owner``."""
     height, width = depth.shape
     for t in range(len(triangles)):
@@ -291,7 +290,7 @@ def _rasterise(points, triangles, depth, owner):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _light_up(points, normals, triangles, colours, colours_of_points, key_light, depth, owner, picture):  # type: ignore[no-untyped-def]
+def _light_up(points, normals, triangles, colours, colours_of_points, key_light, depth, owner, picture):
     """Colour each drawn pixel of ``picture`` as its triangle, lit by the interpolated normal."""
     height, width = depth.shape
     for row in range(height):

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from PIL import Image
 
 from heartcase.pipeline.data import Scan, Segmentation, Structures, Surface
@@ -25,6 +24,7 @@ from heartcase.pipeline.report.pictures import View, coronal_plane, cutaway_pict
 from heartcase.pipeline.report.plain_words import cardiac_phase_words
 from heartcase.pipeline.report.slices import slice_pictures
 from heartcase.pipeline.report.views import CutView, Place, four_chamber_view, places_of, short_axis_view
+from heartcase.schemas.arrays import Float32, UInt8
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable
 from heartcase.schemas.landmarks import Landmark
@@ -32,7 +32,6 @@ from heartcase.schemas.recipe.settings import WallsSettings
 
 __all__ = ["Picture", "SurfaceParts", "ThicknessRow", "embedded_picture", "slice_parts", "surface_parts"]
 
-UInt8 = npt.NDArray[np.uint8]
 
 _LINES = ("-", "--", ":")
 _MOST_IN_THE_PLOT = 9
@@ -210,7 +209,7 @@ def _wanted_mm(table: LabelTable, tissue: int, varying: Collection[int]) -> floa
     return None if cavity is None or cavity in varying else table[cavity].wall_thickness_mm
 
 
-def _histogram(thickness: npt.NDArray[np.float32], surface: Surface, figures: Sequence[ThicknessFigures]) -> UInt8:
+def _histogram(thickness: Float32, surface: Surface, figures: Sequence[ThicknessFigures]) -> UInt8:
     """Curves of the surface's area by thickness, one per tissue."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

@@ -16,13 +16,12 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.report.pictures import direction_letters
+from heartcase.schemas.arrays import UInt8
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND, LabelTable
 
 __all__ = ["STACKS", "SliceView", "Stack", "display_window", "slice_pictures", "slice_position", "slice_view"]
 
-Float64 = npt.NDArray[np.float64]
-UInt8 = npt.NDArray[np.uint8]
 Stack = Literal["axial", "coronal", "sagittal"]
 
 _STACKS: dict[Stack, tuple[int, tuple[float, float, float], tuple[float, float, float]]] = {

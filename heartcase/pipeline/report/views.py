@@ -15,12 +15,12 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.report.pictures import four_chamber_plane
+from heartcase.schemas.arrays import Float64
 from heartcase.schemas.labels import LabelTable
 from heartcase.schemas.landmarks import Landmark
 
 __all__ = ["CutView", "Place", "four_chamber_view", "places_of", "short_axis_view"]
 
-Float64 = npt.NDArray[np.float64]
 
 _LEFT_VENTRICLE, _LEFT_ATRIUM = "87878005", "82471001"
 _FEET_FIRST = np.array([0.0, -0.3, -1.0])

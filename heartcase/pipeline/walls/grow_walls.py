@@ -13,7 +13,6 @@ from dataclasses import replace
 from typing import cast
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.pipeline.checks.leaks import leak_cautions
 from heartcase.pipeline.checks.smoothing_effects import smoothing_effects
@@ -25,6 +24,7 @@ from heartcase.pipeline.fields.reader import FieldReader, ownership_on_lattice
 from heartcase.pipeline.kernels.parallel import side_by_side
 from heartcase.pipeline.walls.septa import OpenPlace, SeptumFigures, septum_cautions, septum_figures, with_septa
 from heartcase.pipeline.warnings import anatomy
+from heartcase.schemas.arrays import UInt8
 from heartcase.schemas.errors import Problem, StageError
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND, LabelTable
@@ -32,8 +32,6 @@ from heartcase.schemas.recipe.settings import EndMarker, WallsSettings
 
 __all__ = ["grow_walls", "resolve_walls", "structure_volumes_ml"]
 
-Float32 = npt.NDArray[np.float32]
-UInt8 = npt.NDArray[np.uint8]
 
 BAND_VOXELS = 3.0
 """Voxels beyond the thickest wall up to which the fields are exact by default."""

@@ -14,13 +14,13 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.pipeline.checks.openings import POINT_REACH_MM, Verdict, root_of_surface_m, states_an_opening, verdict_of
 from heartcase.pipeline.data import Reshaping, Segmentation, Septum, Structures
 from heartcase.pipeline.fields.contacts import Contact, Extent, find_contact
 from heartcase.pipeline.markers.meeting_strokes import meetings_of
 from heartcase.pipeline.warnings import Caution
+from heartcase.schemas.arrays import Float64, UInt8
 from heartcase.schemas.labels import LabelTable
 from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.recipe.settings import Stroke, WallsSettings
@@ -37,8 +37,6 @@ __all__ = [
     "with_septa",
 ]
 
-UInt8 = npt.NDArray[np.uint8]
-Float64 = npt.NDArray[np.float64]
 Pair = tuple[int, int]
 
 ADULT_SURFACE_M2 = 1.9

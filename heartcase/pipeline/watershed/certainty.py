@@ -23,18 +23,16 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.watershed.descent import row_chunks, side_offsets
 from heartcase.pipeline.watershed.forest import Forest
 from heartcase.pipeline.watershed.marks import UNMARKED, mark_below
+from heartcase.schemas.arrays import Float32, UInt8
 
 __all__ = ["FootCertainty", "foot_certainty", "voxel_certainty"]
 
-Float32 = npt.NDArray[np.float32]
-UInt8 = npt.NDArray[np.uint8]
 
 NOBODY = -1
 INFINITE_BITS = np.int32(0x7F800000)
@@ -118,7 +116,7 @@ def voxel_certainty(forest: Forest, feet: FootCertainty | None = None) -> Float3
 
 
 @kernel
-def _find_lowest_rivals(bits, basin, marks, voxels, lowest_mark, lowest_rival):  # type: ignore[no-untyped-def]
+def _find_lowest_rivals(bits, basin, marks, voxels, lowest_mark, lowest_rival):
     """Each basin's lowest voxel that is marked with another label than its lowest marked voxel."""
     for v in voxels:
         b = basin[v]
@@ -130,7 +128,7 @@ def _find_lowest_rivals(bits, basin, marks, voxels, lowest_mark, lowest_rival): 
 
 
 @copied
-def _top(parent, b):  # type: ignore[no-untyped-def]
+def _top(parent, b):
     while parent[b] != b:
         parent[b] = parent[parent[b]]
         b = parent[b]
@@ -138,7 +136,7 @@ def _top(parent, b):  # type: ignore[no-untyped-def]
 
 
 @copied
-def _give(foot, height, rivals, following, foot_label, other, rival):  # type: ignore[no-untyped-def]
+def _give(foot, height, rivals, following, foot_label, other, rival):
     """Give a height to a ring of feet, and the first label that is not their own."""
     at = foot
     while True:
@@ -153,7 +151,7 @@ def _give(foot, height, rivals, following, foot_label, other, rival):  # type: i
 
 
 @kernel
-def _find_others(landscape, faces, lowest_mark, lowest_rival, foot_label):  # type: ignore[no-untyped-def]
+def _find_others(landscape, faces, lowest_mark, lowest_rival, foot_label):
     """Join basins in the order of the faces; feet get a height when theirs is the first join that brings another label.
 
     A piece of joined basins knows up to two of its labels: with two, none of its feet waits any more.
@@ -213,7 +211,7 @@ def _find_others(landscape, faces, lowest_mark, lowest_rival, foot_label):  # ty
 
 
 @kernel(parallel=True)
-def _fill_voxels(chunks, landscape, marks, lowest_mark, foot_label, own, other, certainty):  # type: ignore[no-untyped-def]
+def _fill_voxels(chunks, landscape, marks, lowest_mark, foot_label, own, other, certainty):
     height, direction, basin, offsets = landscape
     for c in numba.prange(len(chunks) - 1):
         for v in range(chunks[c], chunks[c + 1]):

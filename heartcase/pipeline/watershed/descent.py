@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel
+from heartcase.schemas.arrays import Float32, Int32, Int64, UInt8
 
 __all__ = [
     "ROOT",
@@ -20,10 +20,6 @@ __all__ = [
     "steepest_descent",
 ]
 
-Float32 = npt.NDArray[np.float32]
-Int32 = npt.NDArray[np.int32]
-Int64 = npt.NDArray[np.int64]
-UInt8 = npt.NDArray[np.uint8]
 
 ROOT = 3
 """Direction of a voxel without lower neighbour. The others, by ascending index of the neighbour: 0 z - 1, 1 y - 1,
@@ -107,7 +103,7 @@ def basins_of(direction: UInt8) -> tuple[Int32, Int64]:
 
 
 @kernel(inline="always")
-def _lowest_side(zm, ym, xm, here, xp, yp, zp):  # type: ignore[no-untyped-def]
+def _lowest_side(zm, ym, xm, here, xp, yp, zp):
     best = zm
     side = 0
     if ym < best:
@@ -131,7 +127,7 @@ def _lowest_side(zm, ym, xm, here, xp, yp, zp):  # type: ignore[no-untyped-def]
 
 
 @copied
-def _row_directions(row, zm, ym, yp, zp, out):  # type: ignore[no-untyped-def]
+def _row_directions(row, zm, ym, yp, zp, out):
     last = len(row) - 1
     wall = np.float32(np.inf)
     out[0] = _lowest_side(zm[0], ym[0], wall, row[0], row[min(1, last)] if last > 0 else wall, yp[0], zp[0])
@@ -142,7 +138,7 @@ def _row_directions(row, zm, ym, yp, zp, out):  # type: ignore[no-untyped-def]
 
 
 @kernel(parallel=True)
-def _directions(height, direction):  # type: ignore[no-untyped-def]
+def _directions(height, direction):
     nz, ny, nx = height.shape
     wall = np.full(nx, np.inf, np.float32)
     for line in numba.prange(nz * ny):
@@ -156,7 +152,7 @@ def _directions(height, direction):  # type: ignore[no-untyped-def]
 
 
 @kernel(inline="always")
-def _count_lower(zm, ym, xm, xp, yp, zp):  # type: ignore[no-untyped-def]
+def _count_lower(zm, ym, xm, xp, yp, zp):
     """How many neighbours are lower than each, three bits for each direction."""
     ym_zm = np.int32(ym < zm)
     xm_zm = np.int32(xm < zm)
@@ -183,7 +179,7 @@ def _count_lower(zm, ym, xm, xp, yp, zp):  # type: ignore[no-untyped-def]
 
 
 @copied
-def _row_ranks(row, zm, ym, yp, zp, out):  # type: ignore[no-untyped-def]
+def _row_ranks(row, zm, ym, yp, zp, out):
     last = len(row) - 1
     wall = np.float32(np.inf)
     out[0] = _count_lower(zm[0], ym[0], wall, row[1] if last > 0 else wall, yp[0], zp[0])
@@ -194,7 +190,7 @@ def _row_ranks(row, zm, ym, yp, zp, out):  # type: ignore[no-untyped-def]
 
 
 @kernel(parallel=True)
-def _ranks(height, ranks):  # type: ignore[no-untyped-def]
+def _ranks(height, ranks):
     nz, ny, nx = height.shape
     wall = np.full(nx, np.inf, np.float32)
     for line in numba.prange(nz * ny):
@@ -208,7 +204,7 @@ def _ranks(height, ranks):  # type: ignore[no-untyped-def]
 
 
 @kernel(inline="always")
-def side_of_rank(ranks, rank):  # type: ignore[no-untyped-def]
+def side_of_rank(ranks, rank):
     """Direction of the neighbour with a rank, from a voxel's :func:`neighbour_ranks`."""
     side = 0
     side += 1 * (((ranks >> 3) & 7) == rank)
@@ -220,7 +216,7 @@ def side_of_rank(ranks, rank):  # type: ignore[no-untyped-def]
 
 
 @copied
-def ranks_at(height, v):  # type: ignore[no-untyped-def]
+def ranks_at(height, v):
     """:func:`neighbour_ranks` of one voxel, by its flat index."""
     nz, ny, nx = height.shape
     k = v // (nx * ny)
@@ -238,7 +234,7 @@ def ranks_at(height, v):  # type: ignore[no-untyped-def]
 
 
 @kernel(parallel=True)
-def _root_counts(direction, chunks):  # type: ignore[no-untyped-def]
+def _root_counts(direction, chunks):
     counts = np.zeros(len(chunks) - 1, np.int64)
     for c in numba.prange(len(chunks) - 1):
         count = 0
@@ -249,7 +245,7 @@ def _root_counts(direction, chunks):  # type: ignore[no-untyped-def]
 
 
 @kernel(parallel=True)
-def _number_roots(direction, chunks, first, basin, root):  # type: ignore[no-untyped-def]
+def _number_roots(direction, chunks, first, basin, root):
     for c in numba.prange(len(chunks) - 1):
         number = first[c]
         for v in range(chunks[c], chunks[c + 1]):
@@ -262,7 +258,7 @@ def _number_roots(direction, chunks, first, basin, root):  # type: ignore[no-unt
 
 
 @copied
-def _sweep(direction, low, high, waiting, count, forward, offsets, basin):  # type: ignore[no-untyped-def]
+def _sweep(direction, low, high, waiting, count, forward, offsets, basin):
     """Give the voxels that wait the number of the neighbour they drain to, where that is known; how many still wait.
 
     ``waiting[low:high]`` holds them: at its end for a sweep forward, at its start for one back, and the other way round
@@ -287,7 +283,7 @@ def _sweep(direction, low, high, waiting, count, forward, offsets, basin):  # ty
 
 
 @copied
-def _sweep_until_stuck(direction, low, high, waiting, count, offsets, basin):  # type: ignore[no-untyped-def]
+def _sweep_until_stuck(direction, low, high, waiting, count, offsets, basin):
     before = count + 1
     while 0 < count < before:
         before = count
@@ -297,7 +293,7 @@ def _sweep_until_stuck(direction, low, high, waiting, count, offsets, basin):  #
 
 
 @copied
-def _first_sweep(direction, low, high, waiting, offsets, basin):  # type: ignore[no-untyped-def]
+def _first_sweep(direction, low, high, waiting, offsets, basin):
     left = 0
     for v in range(low, high):
         number = basin[v + offsets[direction[v]]]
@@ -308,7 +304,7 @@ def _first_sweep(direction, low, high, waiting, offsets, basin):  # type: ignore
 
 
 @kernel(parallel=True)
-def _follow(direction, chunks, offsets, basin):  # type: ignore[no-untyped-def]
+def _follow(direction, chunks, offsets, basin):
     """Hand the basins' numbers up the descents; no branch depends on the data, which could not be predicted."""
     waiting = np.empty(len(direction), np.int32)
     count = np.zeros(len(chunks) - 1, np.int64)

@@ -12,7 +12,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.watershed.descent import row_chunks, side_offsets
@@ -31,11 +30,10 @@ from heartcase.pipeline.watershed.marks import (
 from heartcase.pipeline.watershed.painting import paint_basins, paint_rows
 from heartcase.pipeline.watershed.plateaus import divide_flat
 from heartcase.pipeline.watershed.tree import NO_KEY, BasinTree
+from heartcase.schemas.arrays import Int16, Int64, UInt8
 
 __all__ = ["UNMARKED", "Box", "Forest", "solve_forest"]
 
-Int64 = npt.NDArray[np.int64]
-UInt8 = npt.NDArray[np.uint8]
 Box = tuple[slice, slice, slice]
 
 NO_FLAT = -1
@@ -61,7 +59,7 @@ class Forest:
     """Key of the highest face on each foot's way to its marked voxel; 0 where that is its lowest voxel."""
     lowest_mark: Int64
     """Flat index of each basin's lowest marked voxel; -1 without any."""
-    flat_label: npt.NDArray[np.int16]
+    flat_label: Int16
     """Label that marks each flat minimum: -1 none, -2 several."""
     labels: UInt8
     """Label of each voxel."""
@@ -225,7 +223,7 @@ def _as_box(low: Int64, high: Int64) -> Box | None:
 
 
 @kernel
-def _solve(landscape, faces, marks, lowest_mark, foot_label, foot_level):  # type: ignore[no-untyped-def]
+def _solve(landscape, faces, marks, lowest_mark, foot_label, foot_level):
     """Kruskal's algorithm over the joining faces and those under the lowest marked voxels, in their common order."""
     bits, direction, _, offsets = landscape
     key, higher, lower, first, second = faces

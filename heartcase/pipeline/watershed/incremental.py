@@ -14,7 +14,7 @@ __all__ = ["mend", "unmark"]
 
 
 @kernel
-def mend(landscape, graph, voxels, label, marks, foot_label, foot_level, lowest_mark):  # type: ignore[no-untyped-def]
+def mend(landscape, graph, voxels, label, marks, foot_label, foot_level, lowest_mark):
     """Mark voxels, and carry the label as far as its way is lower than what was there; the basins to paint anew."""
     bits, direction, basin, offsets = landscape
     start, faces, key, higher, lower = graph
@@ -76,7 +76,7 @@ def mend(landscape, graph, voxels, label, marks, foot_label, foot_level, lowest_
 
 
 @copied
-def _carry(foot, level, label, landscape, graph, marks, foot_label, foot_level, lowest_mark, is_changed, changed):  # type: ignore[no-untyped-def]
+def _carry(foot, level, label, landscape, graph, marks, foot_label, foot_level, lowest_mark, is_changed, changed):
     """Offer a label to a foot by a way as high as ``level``, and on to all feet that have a higher way now.
 
     Where the way is the one that a foot has already, only its label is new.
@@ -111,7 +111,7 @@ def _carry(foot, level, label, landscape, graph, marks, foot_label, foot_level, 
 
 
 @kernel
-def unmark(landscape, graph, voxel_lists, voxels, marks, foot_label, foot_level, lowest_mark, most):  # type: ignore[no-untyped-def]
+def unmark(landscape, graph, voxel_lists, voxels, marks, foot_label, foot_level, lowest_mark, most):
     """Take the markers of voxels away, and label what hung on them anew; the basins to paint anew.
 
     Only what hung on these markers can change: ways become longer, never shorter. ``most`` limits the number of feet to
@@ -154,7 +154,7 @@ def unmark(landscape, graph, voxel_lists, voxels, marks, foot_label, foot_level,
 
 
 @copied
-def _first_marked(v, direction, offsets, marks):  # type: ignore[no-untyped-def]
+def _first_marked(v, direction, offsets, marks):
     """The first marked voxel on the way down from a voxel, itself included; the basin's lowest where there is none."""
     while marks[v] == UNMARKED and direction[v] != ROOT:
         v += offsets[direction[v]]
@@ -162,7 +162,7 @@ def _first_marked(v, direction, offsets, marks):  # type: ignore[no-untyped-def]
 
 
 @copied
-def _feet_that_hang(landscape, graph, touched, erased, marks, foot_level, lowest_mark, is_taken, most):  # type: ignore[no-untyped-def]
+def _feet_that_hang(landscape, graph, touched, erased, marks, foot_level, lowest_mark, is_taken, most):
     """Feet whose way leads to a marked voxel that is erased, noted in ``is_taken``; some of them where too many do."""
     bits, direction, basin, offsets = landscape
     start, faces, key, higher, lower = graph
@@ -207,7 +207,7 @@ def _feet_that_hang(landscape, graph, touched, erased, marks, foot_level, lowest
 
 
 @copied
-def _solve_feet(feet, is_taken, landscape, graph, marks, foot_label, foot_level, lowest_mark):  # type: ignore[no-untyped-def]
+def _solve_feet(feet, is_taken, landscape, graph, marks, foot_label, foot_level, lowest_mark):
     """Kruskal's algorithm over the faces of some feet; what is beyond them has its label already."""
     bits, direction, basin, offsets = landscape
     start, faces, key, higher, lower = graph

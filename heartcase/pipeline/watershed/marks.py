@@ -28,7 +28,7 @@ CONTESTED = -2
 
 
 @kernel(parallel=True)
-def marked_voxels(marks, chunks):  # type: ignore[no-untyped-def]
+def marked_voxels(marks, chunks):
     """Flat indices of the marked voxels, ascending."""
     count = np.zeros(len(chunks), np.int64)
     for c in numba.prange(len(chunks) - 1):
@@ -48,7 +48,7 @@ def marked_voxels(marks, chunks):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def note_flats(bits, basin, root, flat, marks, voxels, flat_label):  # type: ignore[no-untyped-def]
+def note_flats(bits, basin, root, flat, marks, voxels, flat_label):
     """Which label marks each flat minimum, or that several do."""
     flat_label[:] = -1
     for v in voxels:
@@ -62,7 +62,7 @@ def note_flats(bits, basin, root, flat, marks, voxels, flat_label):  # type: ign
 
 
 @kernel
-def is_flat_contested(bits, basin, root, flat, flat_label, voxels, label):  # type: ignore[no-untyped-def]
+def is_flat_contested(bits, basin, root, flat, flat_label, voxels, label):
     """Whether a flat minimum with some voxels that get a label (255: lose theirs) holds several labels, then or before.
 
     Notes the label where not. That of a flat whose markers are all gone stays noted: it is solved anew in vain.
@@ -81,7 +81,7 @@ def is_flat_contested(bits, basin, root, flat, flat_label, voxels, label):  # ty
 
 
 @kernel
-def find_lowest_marks(bits, basin, voxels, lowest):  # type: ignore[no-untyped-def]
+def find_lowest_marks(bits, basin, voxels, lowest):
     """Note each basin's lowest marked voxel in ``lowest``, which holds -1."""
     for v in voxels:
         old = lowest[basin[v]]
@@ -90,7 +90,7 @@ def find_lowest_marks(bits, basin, voxels, lowest):  # type: ignore[no-untyped-d
 
 
 @kernel
-def mark_below(v, direction, offsets, marks):  # type: ignore[no-untyped-def]
+def mark_below(v, direction, offsets, marks):
     """Label of the first marked voxel on the way down from a voxel, itself included; 255 where it ends in the foot."""
     while marks[v] == UNMARKED and direction[v] != ROOT:
         v += offsets[direction[v]]
@@ -98,7 +98,7 @@ def mark_below(v, direction, offsets, marks):  # type: ignore[no-untyped-def]
 
 
 @copied
-def own_key(v, bits, direction):  # type: ignore[no-untyped-def]
+def own_key(v, bits, direction):
     """Key of the face under a marked voxel, through which it reaches the foot; 0 where it is in the foot."""
     if direction[v] == ROOT:
         return np.int64(0)
@@ -106,7 +106,7 @@ def own_key(v, bits, direction):  # type: ignore[no-untyped-def]
 
 
 @copied
-def reach(foot, level, label, following, foot_label, foot_level):  # type: ignore[no-untyped-def]
+def reach(foot, level, label, following, foot_label, foot_level):
     """Give a label to all feet that hang together with one and have none."""
     at = foot
     while foot_label[at] == UNMARKED:

@@ -16,7 +16,7 @@ MARKED_BASIN = 254
 
 
 @kernel
-def paint_basins(changed, first_voxel, voxel_list, direction, offsets, marks, lowest_mark, foot_label, labels, shape):  # type: ignore[no-untyped-def]
+def paint_basins(changed, first_voxel, voxel_list, direction, offsets, marks, lowest_mark, foot_label, labels, shape):
     """Label the voxels of some basins anew; lowest and highest (z, y, x) at which that changed something."""
     nz, ny, nx = shape
     low_k, low_j, low_i = np.int64(nz), np.int64(ny), np.int64(nx)
@@ -45,7 +45,7 @@ def paint_basins(changed, first_voxel, voxel_list, direction, offsets, marks, lo
 
 
 @copied
-def _paint_row(row, begin, basin, table, direction, offsets, marks, foot_label):  # type: ignore[no-untyped-def]
+def _paint_row(row, begin, basin, table, direction, offsets, marks, foot_label):
     """Label a row; the first and the last place at which that changed something."""
     first = len(row)
     last = -1
@@ -63,7 +63,7 @@ def _paint_row(row, begin, basin, table, direction, offsets, marks, foot_label):
 
 
 @kernel(parallel=True)
-def paint_rows(rows, direction, basin, offsets, marks, lowest_mark, foot_label, labels):  # type: ignore[no-untyped-def]
+def paint_rows(rows, direction, basin, offsets, marks, lowest_mark, foot_label, labels):
     """Label all voxels; for each chunk of rows the lowest and highest (z, y, x) at which that changed something."""
     nz, ny, nx = labels.shape
     low = np.empty((len(rows) - 1, 3), np.int64)

@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.watershed.descent import side_offsets
+from heartcase.schemas.arrays import Float32, Int32, Int64
 
 __all__ = ["divide_flat", "flat_minima"]
-
-Float32 = npt.NDArray[np.float32]
-Int32 = npt.NDArray[np.int32]
-Int64 = npt.NDArray[np.int64]
 
 
 def flat_minima(height: Float32, root: Int64, key: Int64, first: Int32, second: Int32) -> Int32:
@@ -41,7 +37,7 @@ def flat_minima(height: Float32, root: Int64, key: Int64, first: Int32, second: 
 
 
 @kernel
-def divide_flat(bits, basin, flat, shape, offsets, voxels, marks, unmarked):  # type: ignore[no-untyped-def]
+def divide_flat(bits, basin, flat, shape, offsets, voxels, marks, unmarked):
     """Divide a flat minimum among its marked voxels, in place: each voxel goes to the marked one with fewest steps.
 
     Parameters
@@ -89,7 +85,7 @@ def divide_flat(bits, basin, flat, shape, offsets, voxels, marks, unmarked):  # 
 
 
 @copied
-def _find(leader, b):  # type: ignore[no-untyped-def]
+def _find(leader, b):
     while leader[b] != b:
         leader[b] = leader[leader[b]]
         b = leader[b]
@@ -97,7 +93,7 @@ def _find(leader, b):  # type: ignore[no-untyped-def]
 
 
 @kernel(parallel=True)
-def _has_flat_bottom(bits, shape, offsets, root):  # type: ignore[no-untyped-def]
+def _has_flat_bottom(bits, shape, offsets, root):
     """Basins whose lowest voxel has a neighbour as high."""
     has_flat = np.empty(len(root), np.bool_)
     for b in numba.prange(len(root)):
@@ -106,7 +102,7 @@ def _has_flat_bottom(bits, shape, offsets, root):  # type: ignore[no-untyped-def
 
 
 @kernel
-def _flat_minima(bits, shape, offsets, root, key, first, second):  # type: ignore[no-untyped-def]
+def _flat_minima(bits, shape, offsets, root, key, first, second):
     count = len(root)
     flat = np.full(count, -1, np.int32)
     has_flat = _has_flat_bottom(bits, shape, offsets, root)
@@ -140,7 +136,7 @@ def _flat_minima(bits, shape, offsets, root, key, first, second):  # type: ignor
 
 
 @copied
-def _has_equal_neighbour(bits, shape, offsets, v):  # type: ignore[no-untyped-def]
+def _has_equal_neighbour(bits, shape, offsets, v):
     nz, ny, nx = shape
     i = v % nx
     j = v // nx % ny

@@ -6,13 +6,13 @@ from collections.abc import Callable, Collection
 
 import cc3d
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.pipeline.data import Markers, Scan, Segmentation
 from heartcase.pipeline.warnings import anatomy
 from heartcase.pipeline.watershed.forest import solve_forest
 from heartcase.pipeline.watershed.tree import BasinTree
 from heartcase.pipeline.watershed.tree_cache import scan_tree
+from heartcase.schemas.arrays import Bool, Float32, Int64, Integer, UInt8
 from heartcase.schemas.errors import MarkerError, Problem, StageError
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND, LabelTable
@@ -20,8 +20,6 @@ from heartcase.schemas.recipe.settings import SegmentSettings, ThresholdRange
 
 __all__ = ["keep_large_pieces", "segment_by_threshold", "segment_scan", "segmentation_warnings"]
 
-Float32 = npt.NDArray[np.float32]
-UInt8 = npt.NDArray[np.uint8]
 
 TISSUE_CONNECTIVITY = 26
 BLOOD_CONNECTIVITY = 6
@@ -119,7 +117,7 @@ def keep_large_pieces(
     table: LabelTable,
     *,
     smallest_piece_ml: float,
-    keep: npt.NDArray[np.bool_] | None = None,
+    keep: Bool | None = None,
 ) -> UInt8:
     """Turn the small pieces of each label into background.
 
@@ -250,9 +248,7 @@ def _groups(table: LabelTable) -> tuple[tuple[int, tuple[int, ...]], ...]:
     return (TISSUE_CONNECTIVITY, table.tissue_values), (BLOOD_CONNECTIVITY, table.blood_values)
 
 
-def _pieces(
-    labels: UInt8, values: tuple[int, ...], connectivity: int
-) -> tuple[npt.NDArray[np.integer], npt.NDArray[np.int64]]:
+def _pieces(labels: UInt8, values: tuple[int, ...], connectivity: int) -> tuple[Integer, Int64]:
     """Number of the piece of each voxel of these labels (0 elsewhere), and the voxel count of each number."""
     wanted = np.isin(np.arange(256), values)
     masked = np.where(wanted[labels], labels, np.uint8(0))

@@ -14,17 +14,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.watershed.descent import side_offsets
 from heartcase.pipeline.watershed.forest import Forest
 from heartcase.pipeline.watershed.marks import UNMARKED, mark_below
+from heartcase.schemas.arrays import Bool, Int32, Int64
 
 __all__ = ["NO_PIECE", "ForestPieces", "forest_pieces"]
 
-Int32 = npt.NDArray[np.int32]
-Int64 = npt.NDArray[np.int64]
 
 NO_PIECE = -1
 
@@ -49,7 +47,7 @@ class ForestPieces:
     flipped_count: Int64
     """Voxels that a marker in the piece takes: those of its feet and of all pieces that hang on it; 0 for level 0."""
 
-    def hanging_on(self, piece: int) -> npt.NDArray[np.bool_]:
+    def hanging_on(self, piece: int) -> Bool:
         """Which pieces a marker in a piece takes, itself included, bool, shape (pieces,)."""
         taken = np.zeros(len(self.level), np.bool_)
         _find_hanging(self.parent, piece, taken)
@@ -87,7 +85,7 @@ def forest_pieces(forest: Forest) -> ForestPieces:
 
 
 @kernel
-def _find_parents(hung, higher, lower, landscape, marks, lowest_mark, piece, parent):  # type: ignore[no-untyped-def]
+def _find_parents(hung, higher, lower, landscape, marks, lowest_mark, piece, parent):
     direction, basin, offsets = landscape
     for n in range(len(hung)):
         v = lower[n] if piece[basin[higher[n]]] == hung[n] else higher[n]
@@ -97,7 +95,7 @@ def _find_parents(hung, higher, lower, landscape, marks, lowest_mark, piece, par
 
 
 @kernel
-def _count_voxels(landscape, marks, lowest_mark, piece, count):  # type: ignore[no-untyped-def]
+def _count_voxels(landscape, marks, lowest_mark, piece, count):
     direction, basin, offsets = landscape
     for v in range(len(basin)):
         b = basin[v]
@@ -106,14 +104,14 @@ def _count_voxels(landscape, marks, lowest_mark, piece, count):  # type: ignore[
 
 
 @kernel
-def _add_to_parents(parent, level, count):  # type: ignore[no-untyped-def]
+def _add_to_parents(parent, level, count):
     for n in range(len(parent) - 1, -1, -1):
         if parent[n] >= 0 and level[parent[n]] != 0:
             count[parent[n]] += count[n]
 
 
 @kernel
-def _find_hanging(parent, piece, taken):  # type: ignore[no-untyped-def]
+def _find_hanging(parent, piece, taken):
     taken[piece] = True
     for n in range(piece + 1, len(parent)):
         taken[n] = parent[n] >= 0 and taken[parent[n]]

@@ -12,7 +12,6 @@ from functools import cached_property
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel
@@ -26,14 +25,11 @@ from heartcase.pipeline.watershed.descent import (
     steepest_descent,
 )
 from heartcase.pipeline.watershed.plateaus import flat_minima
+from heartcase.schemas.arrays import Float32, Int32, Int64, UInt8
 from heartcase.schemas.errors import StageError
 
 __all__ = ["MOST_VOXELS", "BasinTree", "build_basin_tree", "restored_tree"]
 
-Float32 = npt.NDArray[np.float32]
-Int32 = npt.NDArray[np.int32]
-Int64 = npt.NDArray[np.int64]
-UInt8 = npt.NDArray[np.uint8]
 
 MOST_VOXELS = 1 << 29
 """Voxels of the largest volume: a face's key holds the index of its higher voxel in 29 bits."""
@@ -179,7 +175,7 @@ def joining_faces(height: Float32, basin: Int32, root: Int64) -> tuple[Int64, In
 
 
 @kernel(parallel=True)
-def _lowest_bits(bits):  # type: ignore[no-untyped-def]
+def _lowest_bits(bits):
     """Lowest value of the heights' bits, or -2 where one is infinite or NaN; -1 - or less - where one is negative."""
     lowest = np.int32(0)
     for n in numba.prange(len(bits)):
@@ -191,7 +187,7 @@ def _lowest_bits(bits):  # type: ignore[no-untyped-def]
 
 
 @copied
-def _find_in_rows(bits, basin, ranks, low, high, ny, nx, last, offsets, at, key, pair):  # type: ignore[no-untyped-def]
+def _find_in_rows(bits, basin, ranks, low, high, ny, nx, last, offsets, at, key, pair):
     """Faces between basins in the rows ``low`` to ``high`` - 1, all but a few of those that are not the lowest.
 
     Most of the faces between two basins follow closely on each other, so a small table of where the faces of a pair
@@ -231,7 +227,7 @@ def _find_in_rows(bits, basin, ranks, low, high, ny, nx, last, offsets, at, key,
 
 
 @kernel(inline="always")
-def _note(one, a, b, noted, at, key, pair):  # type: ignore[no-untyped-def]
+def _note(one, a, b, noted, at, key, pair):
     """Put a face between ``a`` and ``b`` down in the list that ends at ``at``, or in the place of a higher one."""
     both = (np.int64(min(a, b)) << 32) | np.int64(max(a, b))
     slot = (both * HASH >> 40) & (NOTED - 1)
@@ -245,7 +241,7 @@ def _note(one, a, b, noted, at, key, pair):  # type: ignore[no-untyped-def]
 
 
 @copied
-def _lowest_of_each(low, high, key, pair, best):  # type: ignore[no-untyped-def]
+def _lowest_of_each(low, high, key, pair, best):
     for e in range(low, high):
         a = pair[e] >> 32
         b = pair[e] & 0x7FFFFFFF
@@ -254,7 +250,7 @@ def _lowest_of_each(low, high, key, pair, best):  # type: ignore[no-untyped-def]
 
 
 @kernel(parallel=True)
-def _find_candidates(bits, basin, ranks, chunks, offsets, start, stop, key, pair, best):  # type: ignore[no-untyped-def]
+def _find_candidates(bits, basin, ranks, chunks, offsets, start, stop, key, pair, best):
     nz, ny, nx = bits.shape
     last = (nz - 1) * ny
     flat_bits, flat_basin = bits.ravel(), basin.ravel()
@@ -266,7 +262,7 @@ def _find_candidates(bits, basin, ranks, chunks, offsets, start, stop, key, pair
 
 
 @kernel(parallel=True)
-def _lowest_faces(best, basin, ranks, offsets, component):  # type: ignore[no-untyped-def]
+def _lowest_faces(best, basin, ranks, offsets, component):
     """The lowest face of each component, of those that the threads found, and the component beyond it."""
     count = best.shape[1]
     lowest = np.empty(count, np.int64)
@@ -285,7 +281,7 @@ def _lowest_faces(best, basin, ranks, offsets, component):  # type: ignore[no-un
 
 
 @kernel
-def _merge(lowest, parent, tree, found):  # type: ignore[no-untyped-def]
+def _merge(lowest, parent, tree, found):
     """Join each component with the one beyond its lowest face; the new number of each component, and how many."""
     count = len(lowest)
     for c in range(count):
@@ -314,7 +310,7 @@ def _merge(lowest, parent, tree, found):  # type: ignore[no-untyped-def]
 
 
 @copied
-def _contract_chunk(low, high, key, pair, mapping):  # type: ignore[no-untyped-def]
+def _contract_chunk(low, high, key, pair, mapping):
     noted = np.full(NOTED, len(pair) - 1, np.int64)
     at = low
     for e in range(low, high):
@@ -327,7 +323,7 @@ def _contract_chunk(low, high, key, pair, mapping):  # type: ignore[no-untyped-d
 
 
 @kernel(parallel=True)
-def _contract(start, stop, key, pair, mapping, best):  # type: ignore[no-untyped-def]
+def _contract(start, stop, key, pair, mapping, best):
     """Number the components anew in the list of faces, drop those inside one, and find each one's lowest."""
     for c in numba.prange(len(stop)):
         stop[c] = _contract_chunk(start[c], stop[c], key, pair, mapping)
@@ -335,7 +331,7 @@ def _contract(start, stop, key, pair, mapping, best):  # type: ignore[no-untyped
 
 
 @kernel(parallel=True)
-def _lower_by_rank(key, ranks, offsets):  # type: ignore[no-untyped-def]
+def _lower_by_rank(key, ranks, offsets):
     lower = np.empty(len(key), np.int32)
     for e in numba.prange(len(key)):
         v = (key[e] >> 3) & (MOST_VOXELS - 1)
@@ -344,7 +340,7 @@ def _lower_by_rank(key, ranks, offsets):  # type: ignore[no-untyped-def]
 
 
 @kernel(parallel=True)
-def _lower_ends(key, height, offsets):  # type: ignore[no-untyped-def]
+def _lower_ends(key, height, offsets):
     """The same where the ranks are not at hand."""
     lower = np.empty(len(key), np.int32)
     for e in numba.prange(len(key)):
@@ -354,7 +350,7 @@ def _lower_ends(key, height, offsets):  # type: ignore[no-untyped-def]
 
 
 @kernel(parallel=True)
-def _owners(basin, higher, lower):  # type: ignore[no-untyped-def]
+def _owners(basin, higher, lower):
     first = np.empty(len(higher), np.int32)
     second = np.empty(len(higher), np.int32)
     for e in numba.prange(len(higher)):
@@ -364,7 +360,7 @@ def _owners(basin, higher, lower):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _neighbours(count, first, second):  # type: ignore[no-untyped-def]
+def _neighbours(count, first, second):
     start = np.zeros(count + 1, np.int64)
     for e in range(len(first)):
         start[first[e] + 1] += 1
@@ -381,7 +377,7 @@ def _neighbours(count, first, second):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _voxel_lists(basin, count):  # type: ignore[no-untyped-def]
+def _voxel_lists(basin, count):
     start = np.zeros(count + 1, np.int64)
     for v in range(len(basin)):
         start[basin[v] + 1] += 1

@@ -5,13 +5,11 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 
-import numpy as np
-import numpy.typing as npt
-
 from heartcase.pipeline.artifacts.cache import Cache, stage_key
 from heartcase.pipeline.data import Scan
 from heartcase.pipeline.image.landscape import landscape
 from heartcase.pipeline.watershed.tree import BasinTree, build_basin_tree, restored_tree
+from heartcase.schemas.arrays import Int64, UInt8
 
 __all__ = ["TREE_VERSION", "KeptTree", "scan_tree"]
 
@@ -23,9 +21,9 @@ TREE_VERSION = 3
 class KeptTree:
     """What is kept: the rest follows from it and the scan, quicker than it is read."""
 
-    direction: npt.NDArray[np.uint8]
+    direction: UInt8
     """Direction of steepest descent of each voxel, uint8, shape [z, y, x]."""
-    key: npt.NDArray[np.int64]
+    key: Int64
     """Keys of the joining faces, ascending, int64."""
 
 

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from safetensors import SafetensorError, safe_open
 
+from heartcase.schemas.arrays import Float64, Int64
 from heartcase.schemas.bundle.coordinates import Coordinates
 from heartcase.schemas.bundle.format import FORMAT_VERSION, VERSION_WITHOUT_SEPTA, CaseManifest, FileRole
 from heartcase.schemas.bundle.manifest import stated
@@ -108,7 +109,7 @@ def labels_problems(manifest: CaseManifest, file: Path) -> Iterable[Problem]:
     yield from _voxel_problems(manifest, file, len(text) + 2, fields, size)
 
 
-def _vector(text: str) -> npt.NDArray[np.float64]:
+def _vector(text: str) -> Float64:
     found = re.fullmatch(r"\(([^()]*)\)", text)
     values = np.array([float(part) for part in found[1].split(",")] if found else [])
     if values.shape != (3,) or not np.isfinite(values).all():
@@ -231,11 +232,11 @@ def _by_kind(surface: Arrays) -> list[npt.NDArray[Any]]:
     return [surface["triangles"][group == one] for one in np.unique(group)]
 
 
-def _ordered(triangles: npt.NDArray[Any]) -> npt.NDArray[np.int64]:
+def _ordered(triangles: npt.NDArray[Any]) -> Int64:
     """The same triangles, each turned to begin with its lowest number, in ascending order."""
     rows = triangles.astype(np.int64)
     first = rows.argmin(axis=1)
-    turned: npt.NDArray[np.int64] = np.take_along_axis(rows, (first[:, None] + np.arange(3)) % 3, axis=1)
+    turned: Int64 = np.take_along_axis(rows, (first[:, None] + np.arange(3)) % 3, axis=1)
     return turned[np.lexsort(turned.T[::-1])]
 
 

@@ -9,6 +9,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.schemas.arrays import Float32, Int32, Int64
+
 __all__ = [
     "CELL_DIAGONALS",
     "CELL_EDGES",
@@ -19,8 +21,6 @@ __all__ = [
     "lattice_keys",
 ]
 
-Float32 = npt.NDArray[np.float32]
-Int32 = npt.NDArray[np.int32]
 
 CORNER_OFFSETS: Int32 = np.array([[c & 1, c >> 1 & 1, c >> 2 & 1] for c in range(8)], dtype=np.int32)
 """Offset (i, j, k) of each corner of a cell, shape (8, 3)."""
@@ -38,14 +38,14 @@ axes [edges], shape (9,)."""
 _OFFSET = 1 << 20
 
 
-def lattice_keys(indices: npt.ArrayLike) -> npt.NDArray[np.int64]:
+def lattice_keys(indices: npt.ArrayLike) -> Int64:
     """One integer per index (i, j, k), ascending in the lattice's order; shape (..., 3) to (...)."""
     ijk = np.asarray(indices, dtype=np.int64) + _OFFSET
-    keys: npt.NDArray[np.int64] = (ijk[..., 2] << 42) | (ijk[..., 1] << 21) | ijk[..., 0]
+    keys: Int64 = (ijk[..., 2] << 42) | (ijk[..., 1] << 21) | ijk[..., 0]
     return keys
 
 
-def distinct_keys(keys: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+def distinct_keys(keys: Int64) -> Int64:
     """Each key once, ascending, as ``numpy.unique`` says, whose hash table is slower than sorting where many differ."""
     ascending = np.sort(keys, axis=None)
     is_first = np.ones(len(ascending), np.bool_)

@@ -7,11 +7,10 @@ from enum import IntEnum
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.schemas.arrays import UInt8
 from heartcase.schemas.labels import BACKGROUND, LabelTable, Role
 
 __all__ = ["SurfaceKind", "group_labels", "plain_kinds"]
-
-UInt8 = npt.NDArray[np.uint8]
 
 
 class SurfaceKind(IntEnum):

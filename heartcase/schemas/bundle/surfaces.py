@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-import numpy.typing as npt
 
+from heartcase.schemas.arrays import Float64, Int32, Int64
 from heartcase.schemas.bundle.format import CaseManifest, FileRole
 from heartcase.schemas.bundle.lattice import cell_nodes
 from heartcase.schemas.bundle.manifest import stated
@@ -18,7 +18,6 @@ from heartcase.schemas.labels import LabelTable
 
 __all__ = ["mapping_problems", "picking_problems", "rest_basis", "surface_problems"]
 
-Float64 = npt.NDArray[np.float64]
 
 REST_TOLERANCE_MM = 1e-2
 """How far the mapping may put a vertex from where the surface has it, at rest."""
@@ -73,7 +72,7 @@ def _kind_problems(manifest: CaseManifest, surface: Arrays) -> Iterable[Problem]
         yield Problem("surface.triangle_kind", "does not fit the labels on both sides of the triangles")
 
 
-def _is_closed(triangles: npt.NDArray[np.int32]) -> bool:
+def _is_closed(triangles: Int32) -> bool:
     """Whether every edge is passed as often one way as the other."""
     first, second = triangles.astype(np.int64).ravel(), np.roll(triangles, -1, axis=1).astype(np.int64).ravel()
     count = int(triangles.max()) + 1
@@ -162,7 +161,7 @@ def _nearest_problems(manifest: CaseManifest, parts: Parts, positions: Float64) 
         yield Problem("mapping.nearest_node", "some are far from their vertex, and other nodes are nearer")
 
 
-def _boundary_nodes(grid: Arrays) -> npt.NDArray[np.int64] | None:
+def _boundary_nodes(grid: Arrays) -> Int64 | None:
     """Numbers of the nodes that fewer than eight cells share, ascending; None where the grid is not sound."""
     if "cells" not in grid or "nodes" not in grid:
         return None

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.schemas.arrays import Float64
 from heartcase.schemas.bundle.coordinates import Coordinates
 from heartcase.schemas.bundle.format import CaseManifest, FileRole
 from heartcase.schemas.bundle.lattice import cell_nodes, lattice_keys
@@ -62,7 +63,7 @@ def figure_problems(manifest: CaseManifest) -> Iterable[Problem]:
         yield Problem("coordinates.frames", f"must be {', '.join(ours)}, each once")
 
 
-def _direction(manifest: CaseManifest, name: str) -> npt.NDArray[np.float64] | None:
+def _direction(manifest: CaseManifest, name: str) -> Float64 | None:
     rows = stated(manifest, f"{name}.direction")
     return None if rows is None else np.array(rows)
 

@@ -17,8 +17,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from heartcase.schemas.arrays import Float, Float64
 from heartcase.simulator.dynamics.measures import elastic_energy_of
 from heartcase.simulator.forces.reference import elastic_forces
 from heartcase.simulator.lattice.model import LatticeModel
@@ -26,7 +26,6 @@ from heartcase.simulator.lattice.state import State
 
 __all__ = ["Energy", "Verlet", "energy", "runge_kutta_step", "staggered", "verlet_step"]
 
-Float64 = npt.NDArray[np.float64]
 
 WAY_LIMIT = 0.5
 """Most that a free node moves along an axis in one step [cells]."""
@@ -161,8 +160,8 @@ def energy(
     verlet: Verlet,
     state: State,
     *,
-    force: npt.NDArray[np.floating],
-    inverse_mass: npt.NDArray[np.floating],
+    force: Float,
+    inverse_mass: Float,
 ) -> Energy:
     """Energies at the time of the displacement; the velocity is the mean of those half a step before and after.
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.schemas.arrays import Float32, Integer
 from heartcase.schemas.errors import Problem, SimulationError
 from heartcase.simulator.dynamics.step_size import default_step, explicit_rate_limit
 from heartcase.simulator.lattice.explicit import ExplicitSprings
@@ -17,7 +18,7 @@ __all__ = ["join"]
 
 def join(
     model: LatticeModel,
-    displacement: npt.NDArray[np.float32],
+    displacement: Float32,
     nodes: npt.ArrayLike,
     stiffness_n_m: npt.ArrayLike,
     rest_length_mm: npt.ArrayLike | None,
@@ -91,7 +92,7 @@ def _fits(values: npt.ArrayLike, count: int) -> bool:
     return np.shape(values) in ((), (1,), (count,))
 
 
-def _problems(model: LatticeModel, pairs: npt.NDArray[np.integer]) -> list[Problem]:
+def _problems(model: LatticeModel, pairs: Integer) -> list[Problem]:
     is_whole = np.issubdtype(pairs.dtype, np.integer)
     if not is_whole or not ((pairs >= 0) & (pairs < model.node_count)).all():
         return [Problem("nodes", f"every node must be a whole number from 0 to {model.node_count - 1}")]

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.kernel import kernel
+from heartcase.schemas.arrays import Bool, Float, Int8, Int32
 from heartcase.schemas.bundle.lattice import CORNER_OFFSETS
 from heartcase.simulator.forces.cell_forces import CORNER_FLOOR, cell_energies
 from heartcase.simulator.lattice.model import DIRECTIONS, LatticeModel
 
 __all__ = ["elastic_energy_of", "inverted_cells"]
 
-Float = npt.NDArray[np.floating]
 
 _LENGTHS = np.linalg.norm(DIRECTIONS, axis=1)
 _CORNERS = CORNER_OFFSETS.astype(np.float64)
@@ -32,7 +31,7 @@ def elastic_energy_of(model: LatticeModel, displacement: Float) -> float:
     return float(lattice + explicit + cell_energies(model, moved, cells).sum())
 
 
-def inverted_cells(model: LatticeModel, displacement: Float) -> npt.NDArray[np.bool_]:
+def inverted_cells(model: LatticeModel, displacement: Float) -> Bool:
     """Cells that are turned inside out at one of their corners, shape (cell_count,).
 
     The volume spanned by the three edges at a corner is one at rest; not above zero means that the corner has been
@@ -44,9 +43,7 @@ def inverted_cells(model: LatticeModel, displacement: Float) -> npt.NDArray[np.b
 
 
 @kernel
-def _spring_energy(
-    nodes: npt.NDArray[np.int32], direction: npt.NDArray[np.int8], weight: Float, displacement: Float
-) -> float:
+def _spring_energy(nodes: Int32, direction: Int8, weight: Float, displacement: Float) -> float:
     total = 0.0
     for spring in range(len(nodes)):
         lower, higher = nodes[spring, 0], nodes[spring, 1]
@@ -62,9 +59,7 @@ def _spring_energy(
 
 
 @kernel
-def _mark_flat(
-    cell_corners: npt.NDArray[np.int32], displacement: Float, volume_most: float, flat: npt.NDArray[np.bool_]
-) -> None:
+def _mark_flat(cell_corners: Int32, displacement: Float, volume_most: float, flat: Bool) -> None:
     """Mark the cells that have a corner of at most a volume."""
     edges = np.empty((3, 3))
     # Edges that differ by at most this from rest in each component span a volume of at least (1 - 3 x this)^3.

@@ -12,19 +12,15 @@ from dataclasses import dataclass
 from math import ceil, log, sqrt
 
 import numpy as np
-import numpy.typing as npt
 from numba import prange
 
 from heartcase.compiling.kernel import kernel
+from heartcase.schemas.arrays import Float64, Int8, Int32, Int64
 from heartcase.simulator.forces.cell_stiffness import CellStiffness
 from heartcase.simulator.lattice.model import DIRECTIONS, LatticeModel
 
 __all__ = ["Spectrum", "largest_eigenvalue"]
 
-Float64 = npt.NDArray[np.float64]
-Int8 = npt.NDArray[np.int8]
-Int32 = npt.NDArray[np.int32]
-Int64 = npt.NDArray[np.int64]
 
 SHORTFALL = 0.02
 """Most that the Ritz value falls short of the largest eigenvalue, as a part of it: 1% of the time step."""

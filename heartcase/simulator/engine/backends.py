@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Literal, Protocol, get_args
 
 import numpy as np
-import numpy.typing as npt
 
+from heartcase.schemas.arrays import Float32, Intp
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.dynamics.integrate import Verlet, verlet_step
 from heartcase.simulator.engine.shared.contact import NO_PROBES, keep_outside
@@ -17,7 +17,6 @@ from heartcase.simulator.lattice.state import State
 __all__ = ["Backend", "Engine", "ReferenceEngine", "make_engine"]
 
 Backend = Literal["cpu", "cuda", "reference"]
-Float32 = npt.NDArray[np.float32]
 
 
 class Engine(Protocol):
@@ -36,7 +35,7 @@ class Engine(Protocol):
     def read(self) -> State:
         """A copy of the state."""
 
-    def prescribe(self, nodes: npt.NDArray[np.intp], displacement: Float32, velocity: Float32) -> None:
+    def prescribe(self, nodes: Intp, displacement: Float32, velocity: Float32) -> None:
         """Set where nodes are and how they move on, whatever pulls at them, shape (len(nodes), 3) each."""
 
     def set_inverse_mass(self, inverse_mass: Float32) -> None:
@@ -48,7 +47,7 @@ class Engine(Protocol):
     def set_springs(self, model: LatticeModel) -> None:
         """Go on with the springs, also the explicit ones, of another model of the same nodes and law."""
 
-    def forces(self, nodes: npt.NDArray[np.intp] | None = None) -> Float32:
+    def forces(self, nodes: Intp | None = None) -> Float32:
         """Spring forces now, shape (node_count, 3), or on some nodes, shape (len(nodes), 3)."""
 
 
@@ -93,7 +92,7 @@ class ReferenceEngine:
         """A copy of the state, rounded to float32."""
         return State(self.displacement.astype(np.float32), self.velocity.astype(np.float32), self.step_count)
 
-    def prescribe(self, nodes: npt.NDArray[np.intp], displacement: Float32, velocity: Float32) -> None:
+    def prescribe(self, nodes: Intp, displacement: Float32, velocity: Float32) -> None:
         """Set where nodes are and how they move on."""
         self.displacement[nodes] = displacement
         self.velocity[nodes] = velocity
@@ -116,7 +115,7 @@ class ReferenceEngine:
         """Go on with the springs, also the explicit ones, of another model of the same nodes."""
         self.model = model
 
-    def forces(self, nodes: npt.NDArray[np.intp] | None = None) -> Float32:
+    def forces(self, nodes: Intp | None = None) -> Float32:
         """Spring forces now, on some nodes or all."""
         force = elastic_forces(self.model, self.displacement).astype(np.float32)
         return force if nodes is None else force[nodes]

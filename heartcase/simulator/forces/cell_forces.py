@@ -36,6 +36,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.schemas.arrays import Bool, Float64, Intp
 from heartcase.schemas.bundle.lattice import CORNER_OFFSETS
 from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.lattice.model import LatticeModel
@@ -57,7 +58,6 @@ __all__ = [
     "tissue_spread",
 ]
 
-Float64 = npt.NDArray[np.float64]
 
 CORNER_FLOOR = 0.3
 """J_0: volume of a corner from which on it pushes back; one at rest [cells]."""
@@ -140,9 +140,7 @@ def stretching(law: ForceLaw, F: Float64) -> tuple[Float64, Float64]:
     return energy, mu * F + (modulus * d - mu)[:, None, None] * _d_slope(F, cofactors, D, d)
 
 
-def cell_energies(
-    model: LatticeModel, displacement: npt.ArrayLike, cells: npt.NDArray[np.bool_] | None = None
-) -> Float64:
+def cell_energies(model: LatticeModel, displacement: npt.ArrayLike, cells: Bool | None = None) -> Float64:
     """Energy in each cell beyond that of its springs [grid units], shape (cell_count,); displacements in cells.
 
     Only in the cells of a mask, shape (cell_count,), where one is given: then as many values as it has cells.
@@ -178,7 +176,7 @@ def tissue_spread(moments: Float64) -> Float64:
     return spread
 
 
-def _energies_and_forces(model: LatticeModel, u: Float64, cells: npt.NDArray[np.intp]) -> tuple[Float64, Float64]:
+def _energies_and_forces(model: LatticeModel, u: Float64, cells: Intp) -> tuple[Float64, Float64]:
     """Energy of some cells, shape (count,), and force on their corners, shape (count, 8, 3)."""
     energy, force = np.zeros(len(u)), np.zeros_like(u)
     terms = []

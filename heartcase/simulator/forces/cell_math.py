@@ -81,15 +81,15 @@ def make_cell_math(compiled: Callable[[Any], Any], positive_part: Callable[[Any]
     floor, stiffness = np.float32(CORNER_FLOOR), np.float32(CORNER_STIFFNESS / 8.0)
 
     @compiled
-    def dot(a, b):  # type: ignore[no-untyped-def]
+    def dot(a, b):
         return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
     @compiled
-    def cross(a, b):  # type: ignore[no-untyped-def]
+    def cross(a, b):
         return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
     @compiled
-    def modes(u, axis):  # type: ignore[no-untyped-def]
+    def modes(u, axis):
         """Columns of G, then q_1 to q_4, one component of each."""
         s0, d0 = u[0][axis] + u[1][axis], u[1][axis] - u[0][axis]
         s1, d1 = u[2][axis] + u[3][axis], u[3][axis] - u[2][axis]
@@ -108,7 +108,7 @@ def make_cell_math(compiled: Callable[[Any], Any], positive_part: Callable[[Any]
         )
 
     @compiled
-    def at_corners(x, y, z, yz, xz, xy, xyz):  # type: ignore[no-untyped-def]
+    def at_corners(x, y, z, yz, xz, xy, xyz):
         """One component at the eight corners, of the forces on the modes: the transpose of :func:`modes`."""
         x, y, z, yz, xz, xy = x * quarter, y * quarter, z * quarter, yz * half, xz * half, xy * half
         above, below = z + yz, z - yz
@@ -128,7 +128,7 @@ def make_cell_math(compiled: Callable[[Any], Any], positive_part: Callable[[Any]
         )
 
     @compiled
-    def added_up(start, v1, w1, v2, w2, v3, w3):  # type: ignore[no-untyped-def]
+    def added_up(start, v1, w1, v2, w2, v3, w3):
         """A vector and three more with their weights, added up."""
         return (
             start[0] + v1[0] * w1 + v2[0] * w2 + v3[0] * w3,
@@ -137,20 +137,20 @@ def make_cell_math(compiled: Callable[[Any], Any], positive_part: Callable[[Any]
         )
 
     @compiled
-    def added(start, v, w):  # type: ignore[no-untyped-def]
+    def added(start, v, w):
         return start[0] + v[0] * w, start[1] + v[1] * w, start[2] + v[2] * w
 
     @compiled
-    def minus(v, w):  # type: ignore[no-untyped-def]
+    def minus(v, w):
         return v[0] - w[0], v[1] - w[1], v[2] - w[2]
 
     @compiled
-    def cofactor_columns(h):  # type: ignore[no-untyped-def]
+    def cofactor_columns(h):
         """Columns of the cofactors of a matrix of columns."""
         return cross(h[1], h[2]), cross(h[2], h[0]), cross(h[0], h[1])
 
     @compiled
-    def change_of_volume(h, cofactors):  # type: ignore[no-untyped-def]
+    def change_of_volume(h, cofactors):
         """Trace of H, D - 1, 1 / D and d."""
         trace = h[0][0] + h[1][1] + h[2][2]
         stretch = trace * two + dot(h[0], h[0]) + dot(h[1], h[1]) + dot(h[2], h[2])
@@ -160,7 +160,7 @@ def make_cell_math(compiled: Callable[[Any], Any], positive_part: Callable[[Any]
         return trace, beyond, inverse, swelling * inverse
 
     @compiled
-    def stress(h, cofactors, c0, c1, c2):  # type: ignore[no-untyped-def]
+    def stress(h, cofactors, c0, c1, c2):
         """Columns of c0 I + c1 H + c2 (H^T - cof H)."""
         x, y, z = h
         cx, cy, cz = cofactors
@@ -171,12 +171,12 @@ def make_cell_math(compiled: Callable[[Any], Any], positive_part: Callable[[Any]
         )
 
     @compiled
-    def pulled_back(h, q):  # type: ignore[no-untyped-def]
+    def pulled_back(h, q):
         """F^T q."""
         return q[0] + dot(h[0], q), q[1] + dot(h[1], q), q[2] + dot(h[2], q)
 
     @compiled
-    def pushed_forward(h, e):  # type: ignore[no-untyped-def]
+    def pushed_forward(h, e):
         """F e."""
         return (
             e[0] + h[0][0] * e[0] + h[1][0] * e[1] + h[2][0] * e[2],
@@ -185,7 +185,7 @@ def make_cell_math(compiled: Callable[[Any], Any], positive_part: Callable[[Any]
         )
 
     @compiled
-    def volume_term(u, scale, modulus):  # type: ignore[no-untyped-def]
+    def volume_term(u, scale, modulus):
         mx, my, mz = modes(u, 0), modes(u, 1), modes(u, 2)
         h = ((mx[0], my[0], mz[0]), (mx[1], my[1], mz[1]), (mx[2], my[2], mz[2]))
         cofactors = cofactor_columns(h)
@@ -201,7 +201,7 @@ def make_cell_math(compiled: Callable[[Any], Any], positive_part: Callable[[Any]
         return fx, fy, fz
 
     @compiled
-    def gradient(u, moments):  # type: ignore[no-untyped-def]
+    def gradient(u, moments):
         """Columns of H = F - 1."""
         mx, my, mz = modes(u, 0), modes(u, 1), modes(u, 2)
         m0, m1, m2, myz, mxz, mxy = moments[0], moments[1], moments[2], moments[3], moments[4], moments[5]
@@ -213,7 +213,7 @@ def make_cell_math(compiled: Callable[[Any], Any], positive_part: Callable[[Any]
         )
 
     @compiled
-    def stretched(h, cofactors, trace, beyond, d, s, less, law):  # type: ignore[no-untyped-def]
+    def stretched(h, cofactors, trace, beyond, d, s, less, law):
         """Columns of s times D times what stretching gives, less a multiple of F."""
         mu = law[0]
         b = law[1] * d
@@ -221,13 +221,13 @@ def make_cell_math(compiled: Callable[[Any], Any], positive_part: Callable[[Any]
         return stress(h, cofactors, a + s * (b + (b - mu) * trace), a + s * mu, s * (mu - b))
 
     @compiled
-    def stretching(h, law):  # type: ignore[no-untyped-def]
+    def stretching(h, law):
         cofactors = cofactor_columns(h)
         trace, beyond, inverse, d = change_of_volume(h, cofactors)
         return stretched(h, cofactors, trace, beyond, d, inverse, zero, law)
 
     @compiled
-    def element(u, scale, own, moments, law, shared):  # type: ignore[no-untyped-def]
+    def element(u, scale, own, moments, law, shared):
         mx, my, mz = modes(u, 0), modes(u, 1), modes(u, 2)
         m0, m1, m2, myz, mxz, mxy, sx, sy, sz = moments
         mu, _, plate, ratio, youngs = law
@@ -277,11 +277,11 @@ def make_cell_math(compiled: Callable[[Any], Any], positive_part: Callable[[Any]
         return fx, fy, fz
 
     @compiled
-    def edge(low, high, along):  # type: ignore[no-untyped-def]
+    def edge(low, high, along):
         return along[0] + (high[0] - low[0]), along[1] + (high[1] - low[1]), along[2] + (high[2] - low[2])
 
     @compiled
-    def edges(u):  # type: ignore[no-untyped-def]
+    def edges(u):
         """The four edges along i by (j, k) of their corners, those along j by (i, k), along k by (i, j)."""
         i, j, k = (one, zero, zero), (zero, one, zero), (zero, zero, one)
         return (
@@ -291,11 +291,11 @@ def make_cell_math(compiled: Callable[[Any], Any], positive_part: Callable[[Any]
         )
 
     @compiled
-    def plus(a, b):  # type: ignore[no-untyped-def]
+    def plus(a, b):
         return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
     @compiled
-    def farther(along, slope, outward, v, w):  # type: ignore[no-untyped-def]
+    def farther(along, slope, outward, v, w):
         return (
             along * slope[0] + outward * (v[0] + w[0]),
             along * slope[1] + outward * (v[1] + w[1]),
@@ -303,7 +303,7 @@ def make_cell_math(compiled: Callable[[Any], Any], positive_part: Callable[[Any]
         )
 
     @compiled
-    def push(a, b, c, scale):  # type: ignore[no-untyped-def]
+    def push(a, b, c, scale):
         """Forces on the far ends of the three edges of a corner."""
         bc, ca, ab = cross(b, c), cross(c, a), cross(a, b)
         own = (bc[0] + ca[0] + ab[0], bc[1] + ca[1] + ab[1], bc[2] + ca[2] + ab[2])
@@ -319,7 +319,7 @@ def make_cell_math(compiled: Callable[[Any], Any], positive_part: Callable[[Any]
         )
 
     @compiled
-    def ends(n, i0, i1, i2, i3, j0, j1, j2, j3, k0, k1, k2, k3):  # type: ignore[no-untyped-def]
+    def ends(n, i0, i1, i2, i3, j0, j1, j2, j3, k0, k1, k2, k3):
         """One component at the eight corners, of forces on the far ends of the edges."""
         return (
             -(i0[n] + j0[n] + k0[n]),
@@ -333,7 +333,7 @@ def make_cell_math(compiled: Callable[[Any], Any], positive_part: Callable[[Any]
         )
 
     @compiled
-    def corner_guard(u, scale):  # type: ignore[no-untyped-def]
+    def corner_guard(u, scale):
         along_i, along_j, along_k = edges(u)
         s = scale * stiffness
         p0 = push(along_i[0], along_j[0], along_k[0], s)
@@ -353,11 +353,11 @@ def make_cell_math(compiled: Callable[[Any], Any], positive_part: Callable[[Any]
         return fx, fy, fz
 
     @compiled
-    def lack(a, b, c, volume):  # type: ignore[no-untyped-def]
+    def lack(a, b, c, volume):
         return positive_part(volume - dot(a, cross(b, c)))
 
     @compiled
-    def corner_lack(u, volume):  # type: ignore[no-untyped-def]
+    def corner_lack(u, volume):
         along_i, along_j, along_k = edges(u)
         return (
             lack(along_i[0], along_j[0], along_k[0], volume)

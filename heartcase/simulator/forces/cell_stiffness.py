@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from numba import prange
 
 from heartcase.compiling.kernel import kernel
+from heartcase.schemas.arrays import Float64, Int32, Int64
 from heartcase.simulator.forces.cell_forces import MODES, mean_slopes, tissue_spread
 from heartcase.simulator.lattice.model import LatticeModel
 
 __all__ = ["CellStiffness"]
-
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
-Int64 = npt.NDArray[np.int64]
 
 
 class CellStiffness:

@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.schemas.arrays import Float64
 from heartcase.simulator.forces.cell_forces import cell_energies, cell_forces
 from heartcase.simulator.lattice.model import LatticeModel
 
 __all__ = ["elastic_energy", "elastic_forces", "spring_forces"]
-
-Float64 = npt.NDArray[np.float64]
 
 
 def elastic_forces(model: LatticeModel, displacement: npt.ArrayLike) -> Float64:

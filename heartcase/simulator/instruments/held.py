@@ -13,14 +13,13 @@ from math import sqrt
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.schemas.arrays import Bool, Float32, Float64, Intp
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.engine.shared.contact import probe_row
 from heartcase.simulator.lattice.model import LatticeModel
 
 __all__ = ["Grab", "Pose", "Probe", "nodes_in_reach"]
 
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
 
 DETOUR_MAX = sqrt(1.5)
 """Longest way along lattice springs over the straight way, in an uncut lattice."""
@@ -44,7 +43,7 @@ class Pose:
 class Grab:
     """Nodes that a hand holds, and where it leads them."""
 
-    nodes: npt.NDArray[np.intp]
+    nodes: Intp
     """Nodes held, ascending, shape (count,)."""
     closed_at: Float32
     """Their displacements when the hand closed [cells, grid axes], shape (count, 3)."""
@@ -81,16 +80,14 @@ class Probe:
         """The probe on its way to the target, as the kernels read it."""
         return probe_row(self.centre, (self.target - self.centre) / step_count, self.semi_axes, self.turn)
 
-    def touched(self, model: LatticeModel, displacement: Float32) -> npt.NDArray[np.intp]:
+    def touched(self, model: LatticeModel, displacement: Float32) -> Intp:
         """Free nodes on its surface or in it now."""
         from_centre = (model.node_index + displacement - self.centre) @ self.turn / self.semi_axes
         is_touched = np.linalg.norm(from_centre, axis=1) <= 1.0 + TOUCH
         return np.flatnonzero(is_touched & ~model.node_is_fixed)
 
 
-def nodes_in_reach(
-    model: LatticeModel, displacement: Float32, center_mm: npt.ArrayLike, radius_mm: float
-) -> npt.NDArray[np.intp]:
+def nodes_in_reach(model: LatticeModel, displacement: Float32, center_mm: npt.ArrayLike, radius_mm: float) -> Intp:
     """Nodes in a sphere that can be reached along springs inside it, from the one nearest its centre.
 
     The way along the springs may not be longer than it is in uncut tissue, so that a grab never bridges an incision.
@@ -136,9 +133,7 @@ def nodes_in_reach(
     return held
 
 
-def _along_springs(
-    model: LatticeModel, inside: npt.NDArray[np.bool_], *, start: int, reach: float
-) -> npt.NDArray[np.intp]:
+def _along_springs(model: LatticeModel, inside: Bool, *, start: int, reach: float) -> Intp:
     """Nodes inside whose shortest way along springs inside, by rest length, is at most ``reach`` [cells]."""
     springs = np.flatnonzero(inside[model.spring_nodes].all(axis=1))
     beside: dict[int, list[tuple[int, float]]] = {}

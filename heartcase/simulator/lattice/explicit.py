@@ -10,11 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["ExplicitSprings", "SpringsByNode"]
+from heartcase.schemas.arrays import Bool, Float32, Float64, Int32
 
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
+__all__ = ["ExplicitSprings", "SpringsByNode"]
 
 
 @dataclass(frozen=True)
@@ -46,7 +44,7 @@ class ExplicitSprings:
             np.concatenate([self.rest_length, more.rest_length]),
         )
 
-    def without(self, removed: npt.NDArray[np.bool_]) -> ExplicitSprings:
+    def without(self, removed: Bool) -> ExplicitSprings:
         """All but some, shape (explicit_count,)."""
         return ExplicitSprings(self.nodes[~removed], self.stiffness[~removed], self.rest_length[~removed])
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.schemas.arrays import Bool, Float, Float32, Float64, Int8, Int32, Int64
 from heartcase.schemas.bundle.lattice import (
     CELL_DIAGONALS,
     CELL_EDGES,
@@ -30,10 +31,6 @@ from heartcase.simulator.lattice.strain_sharing import corner_shares
 
 __all__ = ["DIRECTIONS", "GridUnits", "LatticeModel", "make_model"]
 
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
-Int64 = npt.NDArray[np.int64]
 
 STIFFNESS_PER_MODULUS = 0.4
 """k / (E h) of the isotropic 18-neighbour lattice."""
@@ -98,17 +95,17 @@ class LatticeModel:
     cell_shares: Float32
     """Part of each cell's tissue that is strained by the mean around each corner [1], shape (cell_count, 8); zeros
     where the law does not share strain (:mod:`heartcase.simulator.lattice.strain_sharing`)."""
-    cell_is_whole: npt.NDArray[np.bool_]
+    cell_is_whole: Bool
     """Whether no spring of the cell was cut, shape (cell_count,). What a cut left is springs alone."""
     node_index: Int32
     """Corner (i, j, k) of each node: its rest position [cells], by k, j, i, shape (node_count, 3)."""
     node_mass: Float32
     """Mass [full cells], shape (node_count,)."""
-    node_is_fixed: npt.NDArray[np.bool_]
+    node_is_fixed: Bool
     """Whether a node is held for good, shape (node_count,)."""
     spring_nodes: Int32
     """Lower and higher node of each spring, shape (spring_count, 2)."""
-    spring_direction: npt.NDArray[np.int8]
+    spring_direction: Int8
     """Number of each spring's direction in DIRECTIONS: its vector at rest [cells], shape (spring_count,)."""
     spring_weight: Float32
     """Stiffness [k], above zero, shape (spring_count,)."""
@@ -220,7 +217,7 @@ class LatticeModel:
         vectors: Float64 = np.asarray(vectors_mm, dtype=float) @ self.geometry.direction_matrix / self.cell_mm
         return vectors
 
-    def to_mm(self, vectors: npt.NDArray[np.floating]) -> Float64:
+    def to_mm(self, vectors: Float) -> Float64:
         """Turn displacements in grid units and axes, shape (..., 3), into LPS mm."""
         world: Float64 = vectors @ (self.geometry.direction_matrix.T * self.cell_mm)
         return world
@@ -381,7 +378,7 @@ def _plain_geometry(cells: Int32, cell_mm: float) -> Geometry:
     return Geometry.of(shape=tuple(size[::-1]), origin_mm=(cell_mm / 2,) * 3, spacing_mm=(cell_mm,) * 3)
 
 
-def _fixed_nodes(fixed: npt.ArrayLike, node_count: int) -> npt.NDArray[np.bool_]:
+def _fixed_nodes(fixed: npt.ArrayLike, node_count: int) -> Bool:
     flags = np.asarray(fixed).astype(bool)
     if flags.ndim and flags.shape != (node_count,):
         raise SimulationError(f"fixed has {flags.size} values for {node_count} nodes: give one for each", place="fixed")

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from heartcase.schemas.arrays import Float32
 from heartcase.simulator.lattice.model import LatticeModel
 
 __all__ = ["Snapshot", "State"]
@@ -20,9 +20,9 @@ class State:
     of mass drifts by 0.006 cells in a million steps where positions drift by hundreds.
     """
 
-    displacement: npt.NDArray[np.float32]
+    displacement: Float32
     """Way from the rest position [cells], shape (node_count, 3)."""
-    velocity: npt.NDArray[np.float32]
+    velocity: Float32
     """Velocity HALF A STEP BEFORE the displacement's time [cells per unit of time], shape (node_count, 3)."""
     step_count: int = 0
     """Steps taken since the start."""

@@ -25,14 +25,11 @@ import numpy.typing as npt
 from numba import prange
 
 from heartcase.compiling.kernel import kernel
+from heartcase.schemas.arrays import Float32, Float64, Int32, Int64
 from heartcase.schemas.bundle.lattice import CORNER_OFFSETS, lattice_keys
 
 __all__ = ["corner_shares"]
 
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
-Int64 = npt.NDArray[np.int64]
 
 _KERNEL: Float64 = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16.0
 """Weights of the cells around, along each axis: those up to two away."""

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from heartcase.schemas.arrays import Bool, Float, Float32, Float64, Int32, UInt8
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.surface.kernels import EVERYTHING, deform_vertices, move_at_rest, node_normals, place_nodes
@@ -30,10 +30,6 @@ __all__ = [
     "make_surface",
 ]
 
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
-UInt8 = npt.NDArray[np.uint8]
 
 Curvature = Literal["flagged", "all", "none"]
 
@@ -362,9 +358,7 @@ def triangle_basis(edges: Float64) -> Float64:
     return np.stack([T, N, np.cross(N, T)], axis=-2)
 
 
-def interpolated_basis(
-    edges: Float64, weights: npt.NDArray[np.floating], normals: npt.NDArray[np.floating]
-) -> tuple[Float64, npt.NDArray[np.bool_]]:
+def interpolated_basis(edges: Float64, weights: Float, normals: Float) -> tuple[Float64, Bool]:
     """Eq. 9.8, normalised.
 
     Parameters

@@ -8,8 +8,8 @@ all these changed, the vertex of the last frame is that of this one.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from heartcase.schemas.arrays import Float32, Int32
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.surface.deform import (
     DeformedSurface,
@@ -23,7 +23,6 @@ from heartcase.simulator.surface.kernels import mark_moved, node_normals
 
 __all__ = ["SurfaceFollower"]
 
-Float32 = npt.NDArray[np.float32]
 
 SKIPPING_SHARE_MAX = 0.5
 """Share of moved nodes from which on all is worked out: on more than one thread that is as quick."""
@@ -110,5 +109,5 @@ class SurfaceFollower:
         return frame
 
 
-def _bits(displacement: Float32) -> npt.NDArray[np.int32]:
+def _bits(displacement: Float32) -> Int32:
     return displacement.view(np.int32).ravel()

@@ -40,18 +40,18 @@ def make_vertex_math(compiled: Callable[[Any], Any]) -> tuple[Any, Any, Any, Any
     """
 
     @compiled
-    def cross(a, b):  # type: ignore[no-untyped-def]
+    def cross(a, b):
         return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
     @compiled
-    def unit(a):  # type: ignore[no-untyped-def]
+    def unit(a):
         """Of length one; zero stays zero."""
         squared = a[0] * a[0] + a[1] * a[1] + a[2] * a[2]
         scale = _ONE / np.float32(sqrt(squared)) if squared > _ZERO else _ZERO
         return a[0] * scale, a[1] * scale, a[2] * scale
 
     @compiled
-    def edge(edges, displacement, vertex, number, start, end):  # type: ignore[no-untyped-def]
+    def edge(edges, displacement, vertex, number, start, end):
         return (
             edges[vertex, number, 0] + (displacement[end, 0] - displacement[start, 0]),
             edges[vertex, number, 1] + (displacement[end, 1] - displacement[start, 1]),
@@ -59,7 +59,7 @@ def make_vertex_math(compiled: Callable[[Any], Any]) -> tuple[Any, Any, Any, Any
         )
 
     @compiled
-    def spring_direction(spring, node, other, offset, displacement):  # type: ignore[no-untyped-def]
+    def spring_direction(spring, node, other, offset, displacement):
         return unit(
             (
                 offset[spring, 0] + (displacement[node, 0] - displacement[other, 0]),
@@ -69,13 +69,13 @@ def make_vertex_math(compiled: Callable[[Any], Any]) -> tuple[Any, Any, Any, Any
         )
 
     @compiled
-    def normal_of_sum(x, y, z):  # type: ignore[no-untyped-def]
+    def normal_of_sum(x, y, z):
         if x * x + y * y + z * z < SUM_MIN * SUM_MIN:
             x, y, z = _ZERO, _ZERO, _ZERO
         return unit((x, y, z))
 
     @compiled
-    def along(components, row, T, N, B):  # type: ignore[no-untyped-def]
+    def along(components, row, T, N, B):
         t, n, b = components[row, 0], components[row, 1], components[row, 2]
         return (
             t * T[0] + n * N[0] + b * B[0],
@@ -84,9 +84,7 @@ def make_vertex_math(compiled: Callable[[Any], Any]) -> tuple[Any, Any, Any, Any
         )
 
     @compiled
-    def vertex_frame(  # type: ignore[no-untyped-def]
-        v, triangle_nodes, weights, edges, curvature, offset, normal_number, node_normal, displacement
-    ):
+    def vertex_frame(v, triangle_nodes, weights, edges, curvature, offset, normal_number, node_normal, displacement):
         p1, p2, p3 = triangle_nodes[v, 0], triangle_nodes[v, 1], triangle_nodes[v, 2]
         w1, w2, w3 = weights[v, 0], weights[v, 1], weights[v, 2]
         T = unit(edge(edges, displacement, v, 0, p1, p2))
@@ -134,7 +132,7 @@ def make_surface_math(compiled: Callable[[Any], Any]) -> tuple[Any, Any]:
     spring_direction, normal_of_sum, vertex_frame, along = make_vertex_math(compiled)
 
     @compiled
-    def node_normal(number, nodes, first, neighbours, offset, displacement):  # type: ignore[no-untyped-def]
+    def node_normal(number, nodes, first, neighbours, offset, displacement):
         node = nodes[number]
         x, y, z = _ZERO, _ZERO, _ZERO
         for spring in range(first[number], first[number + 1]):
@@ -143,7 +141,7 @@ def make_surface_math(compiled: Callable[[Any], Any]) -> tuple[Any, Any]:
         return normal_of_sum(x, y, z)
 
     @compiled
-    def deform_vertex(  # type: ignore[no-untyped-def]
+    def deform_vertex(
         v,
         triangle_nodes,
         weights,

@@ -6,19 +6,15 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from numba import get_num_threads
 
 from heartcase.compiling.kernel import kernel
+from heartcase.schemas.arrays import Float32, Float64, Int32, UInt8
 from heartcase.simulator.engine.cpu.barrier import Crew, Meeting
 from heartcase.simulator.surface.formulas import make_vertex_math
 
 __all__ = ["EVERYTHING", "deform_vertices", "mark_moved", "move_at_rest", "node_normals", "place_nodes"]
 
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
-UInt8 = npt.NDArray[np.uint8]
 
 EVERYTHING: UInt8 = np.zeros(0, np.uint8)
 """Marks nothing: all is worked out."""
@@ -37,7 +33,7 @@ _spring_direction, _normal_of_sum, _vertex_frame, _along = make_vertex_math(_inl
 
 
 @_inlined
-def _turned(vector, axes):  # type: ignore[no-untyped-def]
+def _turned(vector, axes):
     x, y, z = vector
     return (
         x * axes[0, 0] + y * axes[1, 0] + z * axes[2, 0],
@@ -47,7 +43,7 @@ def _turned(vector, axes):  # type: ignore[no-untyped-def]
 
 
 @kernel(**_OPTIONS)
-def _normals_between(start, end, springs, displacement, marks, normals):  # type: ignore[no-untyped-def]
+def _normals_between(start, end, springs, displacement, marks, normals):
     # Tuples are taken apart here: inside the loop their arrays would be counted again for every node.
     nodes, first, neighbours, offset = springs
     is_marked = len(marks) > 0
@@ -69,9 +65,7 @@ def _normals_between(start, end, springs, displacement, marks, normals):  # type
 
 
 @kernel(**_OPTIONS)
-def _deform_between(  # type: ignore[no-untyped-def]
-    start, end, hung, drawn, axes, node_normal, displacement, marks, vertices_mm, normals, tangents
-):
+def _deform_between(start, end, hung, drawn, axes, node_normal, displacement, marks, vertices_mm, normals, tangents):
     triangle_nodes, weights, edges, curvature, offset, normal, normal_number, rest_mm, rest_turn = hung
     first, render_vertices, tangent = drawn
     to_mm, direction = axes
@@ -97,9 +91,7 @@ def _deform_between(  # type: ignore[no-untyped-def]
 
 
 @kernel(**_OPTIONS)
-def _place_between(  # type: ignore[no-untyped-def]
-    start, end, nodes, rest_mm, axes, node_normal, displacement, marks, vertices_mm, normals
-):
+def _place_between(start, end, nodes, rest_mm, axes, node_normal, displacement, marks, vertices_mm, normals):
     to_mm, direction = axes
     is_marked = len(marks) > 0
     for v in range(start, end):
@@ -212,9 +204,7 @@ def place_nodes(
 
 
 @kernel(**_OPTIONS)
-def move_at_rest(  # type: ignore[no-untyped-def]
-    triangle_nodes, weights, edges, curvature, offset, normal_number, node_normal, displacement, moved
-):
+def move_at_rest(triangle_nodes, weights, edges, curvature, offset, normal_number, node_normal, displacement, moved):
     """Write the turned offset at rest [cells], with the bits that a vertex at rest finds; shape (vertex_count, 3)."""
     for v in range(len(weights)):
         x, y, z = _vertex_frame(
@@ -224,7 +214,7 @@ def move_at_rest(  # type: ignore[no-untyped-def]
 
 
 @kernel(**_OPTIONS)
-def mark_moved(now, before, marks):  # type: ignore[no-untyped-def]
+def mark_moved(now, before, marks):
     """Mark the nodes of which a bit changed, take over their displacement, and count them.
 
     Parameters

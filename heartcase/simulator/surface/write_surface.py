@@ -6,16 +6,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from heartcase.schemas.arrays import Float32, Int32, UInt8
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.files import atomic_write
 
 __all__ = ["SURFACE_FORMATS", "write_surface"]
-
-Float32 = npt.NDArray[np.float32]
-Int32 = npt.NDArray[np.int32]
-UInt8 = npt.NDArray[np.uint8]
 
 
 def _ply(vertices: Float32, normals: Float32, triangles: Int32, colours: UInt8, comment: str) -> bytes:

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from heartcase.pipeline.mesh.texture.packing import _skyline
-
-Float64 = npt.NDArray[np.float64]
-Int64 = npt.NDArray[np.int64]
+from heartcase.schemas.arrays import Float64, Int64
 
 
 def _packed_by_texels(boxes: Int64, size: int) -> tuple[bool, Float64]:

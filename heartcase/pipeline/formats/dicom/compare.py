@@ -11,19 +11,17 @@ from collections import defaultdict
 from collections.abc import Hashable, Sequence
 
 import numpy as np
-import numpy.typing as npt
 from scipy import ndimage
 
 from heartcase.pipeline.formats.dicom.phases import StackGroup
 from heartcase.pipeline.formats.dicom.pixels import fill_padding, read_pixels
 from heartcase.pipeline.formats.dicom.stack import Stack, find_stack
 from heartcase.pipeline.formats.volumes.raw_volume import geometry_from_affine
+from heartcase.schemas.arrays import Bool, Float, Float32, Float64
 from heartcase.schemas.errors import ScanError
 
 __all__ = ["edge_strength", "measured_words", "noise_level"]
 
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
 
 SLICES = 3
 """How many slices in the middle of a stack are read."""
@@ -113,12 +111,12 @@ def noise_level(values: Float32, *, pixel_mm: float, is_ct: bool) -> float:
     return float(edges[peak] + edges[peak + 1]) / 2.0
 
 
-def edge_strength(values: Float32, is_edge: npt.NDArray[np.bool_]) -> float:
+def edge_strength(values: Float32, is_edge: Bool) -> float:
     """Mean gradient at the pixels that are edges, in units of the values per pixel."""
     return float(_gradient(values)[is_edge].mean())
 
 
-def _gradient(values: npt.NDArray[np.floating]) -> Float64:
+def _gradient(values: Float) -> Float64:
     along_rows, along_columns = np.gradient(values.astype(np.float64), axis=(1, 2))
     gradient: Float64 = np.hypot(along_rows, along_columns)
     return gradient

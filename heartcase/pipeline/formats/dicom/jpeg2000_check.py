@@ -13,8 +13,9 @@ import io
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 import PIL.Image
+
+from heartcase.schemas.arrays import Integer
 
 __all__ = ["is_contradictory"]
 
@@ -70,7 +71,7 @@ class _Coded:
     """Whether a packet before held a part of it."""
 
 
-def is_contradictory(frame: bytes, decoded: npt.NDArray[np.integer]) -> bool:
+def is_contradictory(frame: bytes, decoded: Integer) -> bool:
     """Whether a lossless frame cannot be what an encoder made of its decoded values.
 
     Parameters
@@ -103,7 +104,7 @@ def is_contradictory(frame: bytes, decoded: npt.NDArray[np.integer]) -> bool:
     )
 
 
-def _encoded(style: _Style, decoded: npt.NDArray[np.integer]) -> bytes:
+def _encoded(style: _Style, decoded: Integer) -> bytes:
     """The values as the encoder inside Pillow codes them, in code blocks and precincts of the same size."""
     # an encoder subtracts half of the range from values without a sign: of other depth, other values have that image
     middle = 0 if style.is_signed else 1 << (style.depth - 1)

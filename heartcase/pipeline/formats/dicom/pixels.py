@@ -26,12 +26,11 @@ from heartcase.pipeline.formats.dicom.jpeg2000_check import is_contradictory
 from heartcase.pipeline.formats.dicom.stack import Slice
 from heartcase.pipeline.formats.dicom.tags import numbers_of, quiet_pydicom, read_data_set
 from heartcase.pipeline.formats.volumes.quiet_itk import quiet_itk
+from heartcase.schemas.arrays import Bool, Float32, Float64
 from heartcase.schemas.errors import ScanError
 
 __all__ = ["fill_padding", "read_pixels"]
 
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
 
 DAMAGED = "the file is cut short or damaged: copy it from the scanner or archive again"
 CONTRADICTORY = (
@@ -258,7 +257,7 @@ def _values(dataset: Any, stored: npt.NDArray[Any], image: Slice) -> Float64:
     return values
 
 
-def _padding(dataset: Any, stored: npt.NDArray[Any]) -> npt.NDArray[np.bool_] | None:
+def _padding(dataset: Any, stored: npt.NDArray[Any]) -> Bool | None:
     """Pixels with the padding value that hang together with the edge of the image (PS3.3 C.7.5.1.1.2)."""
     first = numbers_of(dataset, "PixelPaddingValue", 1)
     if first is None or stored.dtype.kind == "f":

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.pipeline.formats.dicom.archive import SourceFile
 from heartcase.pipeline.formats.volumes.agreement import AGREEMENT_MM, EXACT_MM, even_line
+from heartcase.schemas.arrays import Bool, Float64, Int64
 from heartcase.schemas.errors import ScanError
 
 __all__ = ["COSINE_TOLERANCE", "SPACING_TOLERANCE", "Slice", "Stack", "find_stack", "places_of", "stack_problem"]
@@ -36,7 +36,6 @@ NOT_AT_RIGHT_ANGLES = "the directions in the headers are not at right angles: ex
 NAMED_GAPS = 5
 """How many gaps an error names."""
 
-Float64 = npt.NDArray[np.float64]
 Rescale = Literal["stated", "unstated", "unreadable", "table"]
 
 
@@ -115,7 +114,7 @@ def stack_problem(slices: Sequence[Slice]) -> str | None:
     return None
 
 
-def places_of(slices: Sequence[Slice]) -> npt.NDArray[np.int64]:
+def places_of(slices: Sequence[Slice]) -> Int64:
     """Number of the slice position of each image, from 0 up along the normal, shape (n,).
 
     All images must have a position and one orientation.
@@ -257,9 +256,9 @@ def _axes(slices: Sequence[Slice]) -> tuple[Float64, Float64, Float64]:
     return straight_row, straight_column, np.cross(straight_row, straight_column)
 
 
-def _same_place(gaps: Float64) -> npt.NDArray[np.bool_]:
+def _same_place(gaps: Float64) -> Bool:
     """Which gaps between sorted positions are none."""
-    same: npt.NDArray[np.bool_] = gaps <= max(min(SAME_PLACE_MM, 0.1 * gaps.max(initial=0.0)), 1e-6)
+    same: Bool = gaps <= max(min(SAME_PLACE_MM, 0.1 * gaps.max(initial=0.0)), 1e-6)
     return same
 
 

@@ -5,20 +5,18 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.pipeline.formats.dicom.stack import Stack
+from heartcase.schemas.arrays import Float32, Float64, Int64
 
 __all__ = ["straight_shape", "straightened", "with_missing"]
 
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
 
 WHOLE = 1e-6
 """Part of a pixel that counts as none: rounded digits in headers."""
 
 
-def _shifts(stack: Stack) -> tuple[Float64, npt.NDArray[np.int64]]:
+def _shifts(stack: Stack) -> tuple[Float64, Int64]:
     """How far each slice lies from the first in pixels, shape (n, 2), and the lowest and highest, rounded outwards.
 
     Both are (along columns, along rows), as the axes of an array.

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pydicom
 from pydicom.pixels import iter_pixels
 from pydicom.sr.coding import Code
@@ -31,6 +30,7 @@ from heartcase.pipeline.formats.labels.segments import (
 )
 from heartcase.pipeline.formats.volumes.agreement import AGREEMENT_MM, even_line
 from heartcase.pipeline.formats.volumes.raw_volume import check_size, geometry_from_affine
+from heartcase.schemas.arrays import Float64, Int64, UInt8, UInt16
 from heartcase.schemas.errors import HeartcaseError, MarkerError
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.terms import TERMS
@@ -48,8 +48,6 @@ SAME_PLACE_PART = 0.01
 SLICE_TOLERANCE = 0.1
 """How far a plane may lie from a slice of the scan, in slice spacings: a scan's own slices are evened out when read."""
 FRAME_LIMIT = 100_000
-
-Float64 = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -73,9 +71,9 @@ class _Packed:
 
     place: int
     """Its place in the stacking."""
-    bits: npt.NDArray[np.uint8]
+    bits: UInt8
 
-    def unpacked(self, shape: tuple[int, ...]) -> npt.NDArray[np.uint16]:
+    def unpacked(self, shape: tuple[int, ...]) -> UInt16:
         """Its place where it is, 0 elsewhere."""
         inside = np.unpackbits(self.bits, count=int(np.prod(shape))).reshape(shape)
         return inside.astype(np.uint16) * np.uint16(self.place)
@@ -227,9 +225,7 @@ def _frames(dataset: Any, is_map: bool) -> list[_Frame]:
     return frames
 
 
-def _lattice(
-    frames: list[_Frame], scan: Geometry | None, *, rows: int, columns: int
-) -> tuple[Geometry, npt.NDArray[np.int64]]:
+def _lattice(frames: list[_Frame], scan: Geometry | None, *, rows: int, columns: int) -> tuple[Geometry, Int64]:
     """The lattice that all frames lie on, and the slice of each."""
     first = frames[0]
     alike = all(
@@ -259,9 +255,7 @@ def _lattice(
     return geometry_from_affine(affine, (int(places.max()) + 1, rows, columns)), places
 
 
-def _planes(
-    along: Float64, normal: Float64, frame: _Frame, scan: Geometry | None
-) -> tuple[float, float, npt.NDArray[np.int64]]:
+def _planes(along: Float64, normal: Float64, frame: _Frame, scan: Geometry | None) -> tuple[float, float, Int64]:
     """Place of the first plane along the normal, distance between planes, and number of each frame's plane from 0."""
     stated = frame.between
     if stated is not None and not stated > 0.0:
@@ -316,7 +310,7 @@ def _is_even(planes: Float64, spacing: float, *, is_whole: bool = False) -> bool
     return distance <= tolerance and abs(fitted - spacing) * places[-1] <= 2.0 * tolerance
 
 
-def _stored(dataset: Any, count: int) -> Iterator[npt.NDArray[np.uint16]]:
+def _stored(dataset: Any, count: int) -> Iterator[UInt16]:
     """Each frame: 0 and 1 for binary and fractional ones, segment numbers in a label map."""
     kind = str(dataset.SegmentationType).upper()
     full = int(dataset.get("MaximumFractionalValue", 1) or 1)
@@ -330,7 +324,7 @@ def _stored(dataset: Any, count: int) -> Iterator[npt.NDArray[np.uint16]]:
         raise MarkerError(DAMAGED)
 
 
-def _unpacked(dataset: Any, count: int) -> Iterator[npt.NDArray[np.uint8]]:
+def _unpacked(dataset: Any, count: int) -> Iterator[UInt8]:
     """Frames of one bit per pixel, the lowest bit first, one frame right after the other (PS3.5 8.1.1)."""
     rows, columns = int(dataset.Rows), int(dataset.Columns)
     packed = np.frombuffer(dataset.PixelData, np.uint8)

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.pipeline.formats.volumes.raw_volume import placed, require_file
+from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import MarkerError, ScanError
 
 __all__ = ["MarkupList", "read_point_lists"]
@@ -38,7 +38,7 @@ class MarkupList:
     """Label of each point: to be compared with label names, never to be shown."""
     numbers: tuple[int, ...]
     """Place of each point in its list, from 1: how messages call it."""
-    points_mm: npt.NDArray[np.float64]
+    points_mm: Float64
     """Points, LPS mm, shape (point_count, 3)."""
 
 

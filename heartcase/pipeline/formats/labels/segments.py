@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 from itertools import combinations
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.pipeline.data import Segmentation
+from heartcase.schemas.arrays import UInt8, UInt16
 from heartcase.schemas.errors import MarkerError
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND, Label
@@ -33,8 +33,6 @@ __all__ = [
     "segments_of",
     "stacking_of",
 ]
-
-UInt16 = npt.NDArray[np.uint16]
 
 
 @dataclass(frozen=True)
@@ -65,7 +63,7 @@ class Overlap:
 class LabelVolume:
     """A label volume as its file holds it; overlapping segments are resolved."""
 
-    values: npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
+    values: UInt8 | UInt16
     """Values, uint8 or uint16, shape ``geometry.shape``; 0 where nothing is labelled."""
     geometry: Geometry
     """Where the voxel centres lie: the file's own grid."""
@@ -136,7 +134,7 @@ def stacking_of(
     return Stacking(tuple(one.number for one in taken), place)
 
 
-def count_overlaps(layers: Sequence[npt.NDArray[np.uint16]]) -> Counter[tuple[int, int]]:
+def count_overlaps(layers: Sequence[UInt16]) -> Counter[tuple[int, int]]:
     """How many voxels lie in two segments each.
 
     Parameters
@@ -299,7 +297,7 @@ def segment_table(segmentation: Segmentation, *, offset: tuple[int, int, int] = 
     return pairs
 
 
-def _extent(labels: npt.NDArray[np.uint8], value: int) -> str:
+def _extent(labels: UInt8, value: int) -> str:
     inside = labels == value
     if not inside.any():
         return "0 -1 0 -1 0 -1"

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.formats.labels.segments import (
@@ -25,6 +24,7 @@ from heartcase.pipeline.formats.labels.segments import (
     stacking_of,
 )
 from heartcase.pipeline.formats.volumes.raw_volume import check_size, require_file
+from heartcase.schemas.arrays import Bool, Float64, Int16, Int64, UInt8
 from heartcase.schemas.errors import HeartcaseError, MarkerError, Problem
 from heartcase.schemas.geometry import Geometry
 
@@ -39,9 +39,6 @@ RAY_LIMIT = 2**26
 SIZE_LIMIT = 2**30
 PART_LIMIT = 250
 SYSTEM = re.compile(rb"(?i)\b(?:SPACE|COORDSYS|COORDINATE[ _]?SYSTEM)\s*[=:]\s*([LR][AP][SI])\b")
-
-Float64 = npt.NDArray[np.float64]
-Int64 = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -104,7 +101,7 @@ def read_parts(
     stacking = stacking_of(infos.values(), left_out, rank)
     top = np.zeros(geometry.shape, np.uint16)
     is_shared = np.zeros(geometry.shape, bool)
-    packed: dict[int, npt.NDArray[np.uint8]] = {}
+    packed: dict[int, UInt8] = {}
     problems, silent = [], []
     for number, file in enumerate(files, start=1):
         try:
@@ -164,7 +161,7 @@ def _check_side(vertices_mm: Float64, geometry: Geometry) -> None:
         )
 
 
-def inside_of_mesh(vertices_mm: Float64, triangles: Int64, geometry: Geometry) -> npt.NDArray[np.bool_]:
+def inside_of_mesh(vertices_mm: Float64, triangles: Int64, geometry: Geometry) -> Bool:
     """Which voxel centres lie inside a closed surface.
 
     Parameters
@@ -196,7 +193,7 @@ def inside_of_mesh(vertices_mm: Float64, triangles: Int64, geometry: Geometry) -
         )
     crossings = np.zeros((*geometry.shape[:2], geometry.size[0] + 1), np.int16)
     _count_crossings(vertices, np.asarray(triangles, np.int64), crossings)
-    inside: npt.NDArray[np.bool_] = np.cumsum(crossings[..., :-1], axis=2) != 0
+    inside: Bool = np.cumsum(crossings[..., :-1], axis=2) != 0
     return inside
 
 
@@ -225,7 +222,7 @@ def _side(ay: int, az: int, by: int, bz: int, py: int, pz: int) -> int:
 
 
 @kernel
-def _count_crossings(vertices: Int64, triangles: Int64, crossings: npt.NDArray[np.int16]) -> None:
+def _count_crossings(vertices: Int64, triangles: Int64, crossings: Int16) -> None:
     nk, nj, ni = crossings.shape[0], crossings.shape[1], crossings.shape[2] - 1
     for t in range(len(triangles)):
         a, b, c = triangles[t]

@@ -12,7 +12,6 @@ import io
 import uuid
 
 import numpy as np
-import numpy.typing as npt
 from pydicom.dataset import Dataset, FileDataset, FileMetaDataset
 from pydicom.sequence import Sequence as Items
 from pydicom.tag import Tag
@@ -22,6 +21,7 @@ from pydicom.valuerep import format_number_as_ds
 from heartcase import __version__
 from heartcase.pipeline.data import Segmentation
 from heartcase.pipeline.formats.dicom.source import SourceImage, SourceSeries
+from heartcase.schemas.arrays import UInt8
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.labels import BACKGROUND, Label
 
@@ -82,7 +82,7 @@ def _uid(content: bytes, what: str) -> str:
     return f"2.25.{uuid.UUID(bytes=digest[:16], version=5).int}"
 
 
-def _frames_shown(labels: npt.NDArray[np.uint8], wanted: list[Label]) -> list[tuple[int, int]]:
+def _frames_shown(labels: UInt8, wanted: list[Label]) -> list[tuple[int, int]]:
     """Segment number and slice of each frame.
 
     Slices without the label are left out, but for the first and the last slice of the volume, which come with the

@@ -12,7 +12,8 @@ from collections.abc import Sequence
 from itertools import pairwise, product
 
 import numpy as np
-import numpy.typing as npt
+
+from heartcase.schemas.arrays import Float64, Int64
 
 __all__ = ["AGREEMENT_MM", "corner_distance_mm", "corners_of", "even_line", "right_angled"]
 
@@ -20,8 +21,6 @@ AGREEMENT_MM = 0.1
 """How far a corner of the volume, or a slice, may lie from where another reading of the header has it, mm."""
 EXACT_MM = 0.01
 """Slices within this of the line from the first to the last are taken to lie on it, mm: two written decimals."""
-
-Float64 = npt.NDArray[np.float64]
 
 
 def corners_of(size: Sequence[int]) -> Float64:
@@ -65,7 +64,7 @@ def right_angled(affine: Float64, size: Sequence[int]) -> Float64:
     return found
 
 
-def even_line(along: Float64, places: npt.NDArray[np.int64]) -> tuple[float, float, float]:
+def even_line(along: Float64, places: Int64) -> tuple[float, float, float]:
     """The evenly spaced places that lie nearest to given positions.
 
     That from the first position to the last, where all lie within :data:`EXACT_MM` of it; else the one whose largest
@@ -101,7 +100,7 @@ def even_line(along: Float64, places: npt.NDArray[np.int64]) -> tuple[float, flo
     return best[2], best[1], best[0]
 
 
-def _hull(along: Float64, places: npt.NDArray[np.int64], sign: float) -> list[int]:
+def _hull(along: Float64, places: Int64, sign: float) -> list[int]:
     """Indices of the points of the upper (1) or lower (-1) convex hull, by Andrew's monotone chain."""
     hull: list[int] = []
     for index in range(len(along)):

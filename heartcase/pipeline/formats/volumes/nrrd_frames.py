@@ -11,10 +11,10 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.pipeline.formats.volumes.frames import FrameChoice, InflatedStream, fully, pick_frame, read_frame
 from heartcase.pipeline.formats.volumes.raw_volume import DAMAGED, RawVolume, check_size, geometry_from_affine
+from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import ScanError
 
 __all__ = ["frame_axis", "read_nrrd_frame"]
@@ -24,7 +24,6 @@ UNIT_MS = {"s": 1000.0, "sec": 1000.0, "second": 1000.0, "seconds": 1000.0, "ms"
 """Units of time -> ms."""
 SIGNS = {"l": 1.0, "r": -1.0, "p": 1.0, "a": -1.0, "s": 1.0, "i": -1.0}
 """Which way an axis of the space runs -> sign in LPS."""
-Float64 = npt.NDArray[np.float64]
 
 
 def frame_axis(fields: dict[str, str], sizes: Sequence[int]) -> int | None:

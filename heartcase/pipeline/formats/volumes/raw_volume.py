@@ -17,6 +17,7 @@ from pydantic import ValidationError
 
 from heartcase.pipeline.formats.volumes.agreement import AGREEMENT_MM, corner_distance_mm, right_angled
 from heartcase.pipeline.formats.volumes.frames import FrameFound
+from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import HeartcaseError, Problem, ScanError
 from heartcase.schemas.geometry import ORIGIN_LIMIT_MM, SPACING_LIMITS_MM, Geometry
 
@@ -180,7 +181,7 @@ def geometry_from_affine(affine: npt.ArrayLike, shape: tuple[int, ...]) -> Geome
         return _geometry(straight, spacing, shape)
 
 
-def _geometry(matrix: npt.NDArray[np.float64], spacing: npt.NDArray[np.float64], shape: tuple[int, ...]) -> Geometry:
+def _geometry(matrix: Float64, spacing: Float64, shape: tuple[int, ...]) -> Geometry:
     return Geometry.of(shape=shape, origin_mm=matrix[:3, 3], spacing_mm=spacing, direction=matrix[:3, :3] / spacing)
 
 

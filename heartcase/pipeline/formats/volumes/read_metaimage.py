@@ -27,6 +27,7 @@ from heartcase.pipeline.formats.volumes.raw_volume import (
     local_data_file,
     require_file,
 )
+from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import ScanError
 
 __all__ = ["metaimage_data_file", "read_metaimage"]
@@ -212,7 +213,7 @@ def _inflated(content: bytes, byte_count: int) -> bytes:
     return found
 
 
-def _affine(fields: dict[str, str], axes: int = 3) -> npt.NDArray[np.float64]:
+def _affine(fields: dict[str, str], axes: int = 3) -> Float64:
     """Map from index to LPS mm; the matrix's rows are the directions of the axes, of which the first three count."""
     spacing = _numbers(fields, SPACING_KEYS, (math.nan,) * axes)[:3]
     origin = _numbers(fields, ("Offset", "Position", "Origin"), (0.0,) * axes)[:3]
@@ -231,7 +232,7 @@ def _affine(fields: dict[str, str], axes: int = 3) -> npt.NDArray[np.float64]:
     return affine
 
 
-def _numbers(fields: dict[str, str], keys: tuple[str, ...], default: tuple[float, ...]) -> npt.NDArray[np.float64]:
+def _numbers(fields: dict[str, str], keys: tuple[str, ...], default: tuple[float, ...]) -> Float64:
     text = next((fields[key] for key in keys if key in fields), None)
     if text is None:
         return np.array(default)

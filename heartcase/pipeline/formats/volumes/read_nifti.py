@@ -16,11 +16,11 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.pipeline.formats.volumes.agreement import AGREEMENT_MM, corner_distance_mm, corners_of
 from heartcase.pipeline.formats.volumes.frames import FrameChoice, fully, pick_frame, read_frame
 from heartcase.pipeline.formats.volumes.raw_volume import RawVolume, check_size, geometry_from_affine, require_file
+from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import ScanError
 from heartcase.schemas.geometry import Geometry
 
@@ -157,7 +157,7 @@ class _Header:
                 )
         return geometry
 
-    def _lattice(self, affine: npt.NDArray[np.float64]) -> Geometry:
+    def _lattice(self, affine: Float64) -> Geometry:
         """Geometry of a map from index to RAS in the header's unit."""
         with np.errstate(over="ignore", invalid="ignore"):
             in_mm = affine * np.array([[UNIT_MM.get(self.units & 7, 1.0)]] * 3 + [[1.0]])
@@ -170,7 +170,7 @@ class _Header:
         return 2.0 * float(np.sqrt(high) - np.sqrt(low))
 
     @np.errstate(over="ignore", invalid="ignore")
-    def _qform(self) -> npt.NDArray[np.float64]:
+    def _qform(self) -> Float64:
         if min(self.pixdim[1:4]) < 0.0:
             raise ScanError("the header gives a voxel size below zero beside its qform: export the file again")
         b, c, d, *offset = (float(value) for value in self.quatern)

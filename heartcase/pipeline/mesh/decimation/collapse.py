@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.calls import called
 from heartcase.compiling.kernel import kernel
@@ -26,6 +25,7 @@ from heartcase.pipeline.mesh.decimation.quadrics import (
     vertices_between,
 )
 from heartcase.pipeline.mesh.triangles.half_edges import opposites_of_some
+from heartcase.schemas.arrays import Bool, Float64, Int32, Int64
 
 __all__ = ["Collapsing", "Joined", "join_ends", "joined", "may_join", "swept"]
 
@@ -50,7 +50,7 @@ MOST_PARTS = 16
 
 
 @kernel
-def _add_normals(position, tail, opposite, start, normal):  # type: ignore[no-untyped-def]
+def _add_normals(position, tail, opposite, start, normal):
     """Add the doubled areas of the triangles around the tail of ``start`` to ``normal``; their least quality."""
     least = 1.0
     g = start
@@ -78,7 +78,7 @@ def _add_normals(position, tail, opposite, start, normal):  # type: ignore[no-un
 
 
 @kernel
-def _keeps_shape(position, tail, opposite, start, gone_a, gone_b, p, around, floor):  # type: ignore[no-untyped-def]
+def _keeps_shape(position, tail, opposite, start, gone_a, gone_b, p, around, floor):
     """Whether moving the tail of ``start`` to ``p`` turns over none of its triangles and makes no needle and no fold.
 
     The normal of a needle or a speck means little: it is held against the mean normal ``around`` instead.
@@ -153,7 +153,7 @@ def _keeps_shape(position, tail, opposite, start, gone_a, gone_b, p, around, flo
 
 
 @kernel
-def _keeps_manifold(tail, opposite, h, mark, epoch):  # type: ignore[no-untyped-def]
+def _keeps_manifold(tail, opposite, h, mark, epoch):
     """Link condition: the ends of ``h`` share just the two corners beside it, and those keep three neighbours."""
     g = h
     while True:
@@ -186,7 +186,7 @@ def _keeps_manifold(tail, opposite, h, mark, epoch):  # type: ignore[no-untyped-
 
 
 @called
-def may_join(position, tail, opposite, h, p, around, mark, epoch):  # type: ignore[no-untyped-def]
+def may_join(position, tail, opposite, h, p, around, mark, epoch):
     """Whether an edge may be collapsed to ``p``; ``around`` and ``mark`` are work space."""
     o = np.int64(opposite[h])
     around[:] = 0.0
@@ -201,7 +201,7 @@ def may_join(position, tail, opposite, h, p, around, mark, epoch):  # type: igno
 
 
 @kernel
-def join_ends(position, tail, opposite, quadric, alive, h, p):  # type: ignore[no-untyped-def]
+def join_ends(position, tail, opposite, quadric, alive, h, p):
     """Collapse an edge into its tail, which goes to ``p``; a half-edge that leaves it."""
     o = opposite[h]
     u = tail[h]
@@ -229,7 +229,7 @@ def join_ends(position, tail, opposite, quadric, alive, h, p):  # type: ignore[n
 
 
 @called
-def _sweep_part(position, tail, opposite, quadric, alive, cost, limit, mark, moved, still, begin, end, most):  # type: ignore[no-untyped-def]
+def _sweep_part(position, tail, opposite, quadric, alive, cost, limit, mark, moved, still, begin, end, most):
     """Collapse edges of the triangles from ``begin`` to ``end`` in their order; returns how many triangles go."""
     p = np.empty(3)
     around = np.empty(5)
@@ -251,7 +251,7 @@ def _sweep_part(position, tail, opposite, quadric, alive, cost, limit, mark, mov
 
 
 @kernel(parallel=True)
-def _sweep(position, tail, opposite, quadric, alive, cost, limit, still, parts, most):  # type: ignore[no-untyped-def]
+def _sweep(position, tail, opposite, quadric, alive, cost, limit, still, parts, most):
     """Collapse edges of at most the cost ``limit``, but none beside a vertex that has moved already.
 
     ``still`` are vertices that stay, ``parts`` the bounds of the parts of the mesh, ``most`` how many triangles each
@@ -272,29 +272,29 @@ def _sweep(position, tail, opposite, quadric, alive, cost, limit, still, parts, 
 class Collapsing:
     """A mesh while its edges are collapsed."""
 
-    position: npt.NDArray[np.float64]
+    position: Float64
     """Vertices, shape (vertex_count, 3), near the origin; those that are gone stay as they were."""
-    tail: npt.NDArray[np.int32]
+    tail: Int32
     """Vertex at which each half-edge starts, shape (3 * triangle_count,)."""
-    opposite: npt.NDArray[np.int32]
+    opposite: Int32
     """Opposite half-edges, same shape."""
-    quadric: npt.NDArray[np.float64]
+    quadric: Float64
     """Of each vertex, shape (vertex_count, 10)."""
-    alive: npt.NDArray[np.bool_]
+    alive: Bool
     """Triangles that are left, shape (triangle_count,)."""
-    source: npt.NDArray[np.int32]
+    source: Int32
     """Number of each triangle in the mesh that it was, same shape."""
-    vertex_source: npt.NDArray[np.int32]
+    vertex_source: Int32
     """Number of each vertex in the mesh that it was, shape (vertex_count,)."""
 
 
 def swept(
-    position: npt.NDArray[np.float64],
-    tail: npt.NDArray[np.int32],
-    opposite: npt.NDArray[np.int32],
-    tags: npt.NDArray[np.int64],
+    position: Float64,
+    tail: Int32,
+    opposite: Int32,
+    tags: Int64,
     wanted: int,
-    care: npt.NDArray[np.float64] | None = None,
+    care: Float64 | None = None,
 ) -> Collapsing:
     """Collapse cheap edges, sweep by sweep, until about twice the wanted triangles are left.
 
@@ -341,11 +341,11 @@ def swept(
 
 
 def _packed(
-    position: npt.NDArray[np.float64],
-    tail: npt.NDArray[np.int32],
-    opposite: npt.NDArray[np.int32],
-    quadric: npt.NDArray[np.float64],
-    alive: npt.NDArray[np.bool_],
+    position: Float64,
+    tail: Int32,
+    opposite: Int32,
+    quadric: Float64,
+    alive: Bool,
 ) -> Collapsing:
     """What is left, in the same order: a tenth of the memory, for a heap that jumps about in it."""
     source = np.flatnonzero(alive)
@@ -364,7 +364,7 @@ def _packed(
     )
 
 
-def _parts_of(alive: npt.NDArray[np.bool_], *, turn: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+def _parts_of(alive: Bool, *, turn: int) -> tuple[Int64, Int64]:
     """Bounds of parts with about as many triangles that are left each, and how many; every other turn half a part on.
 
     The number of parts depends on the mesh alone, so that the result does not depend on the number of threads.
@@ -379,20 +379,20 @@ def _parts_of(alive: npt.NDArray[np.bool_], *, turn: int) -> tuple[npt.NDArray[n
 class Joined(NamedTuple):
     """A mesh after a collapse."""
 
-    vertices: npt.NDArray[np.float64]
+    vertices: Float64
     """Shape (vertex_count, 3), one less."""
-    triangles: npt.NDArray[np.int32]
+    triangles: Int32
     """Shape (triangle_count, 3), two less, in their order."""
-    kept: npt.NDArray[np.bool_]
+    kept: Bool
     """Which triangles of the mesh before are left."""
-    moved: npt.NDArray[np.bool_]
+    moved: Bool
     """Which triangles have the vertex at which the edge's ends met, shape (triangle_count,)."""
 
 
 def joined(
-    vertices: npt.NDArray[np.float64],
-    triangles: npt.NDArray[np.int32],
-    opposite: npt.NDArray[np.int32],
+    vertices: Float64,
+    triangles: Int32,
+    opposite: Int32,
     half_edge: int,
     share: float,
 ) -> Joined | None:

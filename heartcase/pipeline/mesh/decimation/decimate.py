@@ -11,13 +11,13 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.mesh.decimation.collapse import Collapsing, Joined, joined, swept
 from heartcase.pipeline.mesh.decimation.edge_heap import finished
 from heartcase.pipeline.mesh.triangles.half_edges import opposites
 from heartcase.pipeline.mesh.triangles.intersections import self_intersections
+from heartcase.schemas.arrays import Bool, Float, Float64, Int32, Integer
 from heartcase.schemas.bundle.lattice import distinct_keys
 
 __all__ = [
@@ -32,8 +32,6 @@ __all__ = [
     "without_folds",
 ]
 
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
 
 FOLD_COSINE = -0.2
 FOLD_ROUNDS = 16
@@ -66,7 +64,7 @@ class Decimated:
 def decimate(
     vertices: Float64,
     triangles: Int32,
-    tags: npt.NDArray[np.integer],
+    tags: Integer,
     *,
     triangle_count: int,
     opposite: Int32 | None = None,
@@ -108,7 +106,7 @@ def decimate(
 def begun_decimation(
     vertices: Float64,
     triangles: Int32,
-    tags: npt.NDArray[np.integer],
+    tags: Integer,
     triangle_count: int,
     opposite: Int32 | None = None,
     care: Float64 | None = None,
@@ -134,7 +132,7 @@ def _result(mesh: Collapsing, middle: Float64) -> tuple[Float64, Int32, Int32]:
 def decimate_soundly(
     vertices: Float64,
     triangles: Int32,
-    tags: npt.NDArray[np.integer],
+    tags: Integer,
     *,
     triangle_count: int,
     reach_mm: float,
@@ -218,7 +216,7 @@ def without_folds(vertices: Float64, triangles: Int32) -> tuple[Float64, Int32]:
     return was if len(self_intersections(vertices, triangles, among=moved)) else (vertices, triangles)
 
 
-def _with_fewer_folds(vertices: Float64, triangles: Int32, folded: npt.NDArray[np.integer]) -> Joined | None:
+def _with_fewer_folds(vertices: Float64, triangles: Int32, folded: Integer) -> Joined | None:
     """The first collapse of an edge of a folded triangle that leaves fewer folds; None where there is none."""
     opposite = opposites(triangles)
     for share in (0.5, 0.0, 1.0):
@@ -229,7 +227,7 @@ def _with_fewer_folds(vertices: Float64, triangles: Int32, folded: npt.NDArray[n
     return None
 
 
-def folded_triangles(vertices: Float64, triangles: Int32, *, opposite: Int32 | None = None) -> npt.NDArray[np.bool_]:
+def folded_triangles(vertices: Float64, triangles: Int32, *, opposite: Int32 | None = None) -> Bool:
     """Triangles turned over against the mean normal of their three neighbours, by more than about 100 degrees.
 
     No edge of a solid that is sharp by up to 90 degrees, decimated or not, makes a triangle count.
@@ -241,7 +239,7 @@ def folded_triangles(vertices: Float64, triangles: Int32, *, opposite: Int32 | N
 
 
 @kernel(parallel=True)
-def _find_folded(vertices, triangles, opposite, folded):  # type: ignore[no-untyped-def]
+def _find_folded(vertices, triangles, opposite, folded):
     doubled = np.empty((len(triangles), 3))
     for t in numba.prange(len(triangles)):
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
@@ -263,7 +261,7 @@ def _find_folded(vertices, triangles, opposite, folded):  # type: ignore[no-unty
 
 
 @kernel(parallel=True)
-def _within(vertices, middles, reaches):  # type: ignore[no-untyped-def]
+def _within(vertices, middles, reaches):
     """Whether a vertex is within the reach of one of some places, mm, which ascend along z."""
     near = np.zeros(len(vertices), np.bool_)
     most = reaches.max()
@@ -310,7 +308,7 @@ def relax_folds(vertices: Float64, triangles: Int32, *, reach_mm: float) -> tupl
         left = pairs[~changed[pairs].any(axis=1)]
         return np.concatenate([left, self_intersections(vertices, triangles, among=changed)])
 
-    def judged(vertices: Float64) -> npt.NDArray[np.bool_]:
+    def judged(vertices: Float64) -> Bool:
         bad = folded_triangles(vertices, triangles, opposite=opposite)
         if len(pairs):
             bad[crossing(vertices).ravel()] = True
@@ -350,7 +348,7 @@ class MeshDefects(dict[str, int]):
         return not any(self.values())
 
 
-def mesh_defects(vertices: npt.NDArray[np.floating], triangles: Int32) -> MeshDefects:
+def mesh_defects(vertices: Float, triangles: Int32) -> MeshDefects:
     """Count the defects of a mesh.
 
     Parameters

@@ -7,17 +7,17 @@ half-edge.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.mesh.decimation.collapse import Collapsing, join_ends, may_join
 from heartcase.pipeline.mesh.decimation.quadrics import best_place, next_edge
+from heartcase.schemas.arrays import Float64
 
 __all__ = ["finished"]
 
 
-def finished(mesh: Collapsing, wanted: int, care: npt.NDArray[np.float64] | None = None) -> Collapsing:
+def finished(mesh: Collapsing, wanted: int, care: Float64 | None = None) -> Collapsing:
     """Collapse the cheapest edge again and again, until ``wanted`` triangles are left or none may go.
 
     The mesh is not changed, so another count, or more care at some vertices (numbered as they were before the sweeps),
@@ -33,7 +33,7 @@ def finished(mesh: Collapsing, wanted: int, care: npt.NDArray[np.float64] | None
 
 
 @copied
-def _sift_down(cost, edge, born, size, place):  # type: ignore[no-untyped-def]
+def _sift_down(cost, edge, born, size, place):
     c, h, b = cost[place], edge[place], born[place]
     while True:
         child = 2 * place + 1
@@ -50,7 +50,7 @@ def _sift_down(cost, edge, born, size, place):  # type: ignore[no-untyped-def]
 
 
 @copied
-def _sift_up(cost, edge, born, place):  # type: ignore[no-untyped-def]
+def _sift_up(cost, edge, born, place):
     c, h, b = cost[place], edge[place], born[place]
     while place > 0:
         parent = (place - 1) // 2
@@ -62,7 +62,7 @@ def _sift_up(cost, edge, born, place):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _collapse_by_heap(position, tail, opposite, quadric, alive, mark, left, wanted):  # type: ignore[no-untyped-def]
+def _collapse_by_heap(position, tail, opposite, quadric, alive, mark, left, wanted):
     """Collapse the cheapest edge, again and again."""
     changed = np.zeros(len(position), np.int32)
     mark[:] = -1

@@ -22,19 +22,19 @@ SHAPE_WEIGHT = 1e-4
 
 
 @kernel(cached=False, inline="always")
-def next_edge(h):  # type: ignore[no-untyped-def]
+def next_edge(h):
     """The half-edge that follows in the same triangle."""
     return h - 2 if h % 3 == 2 else h + 1
 
 
 @kernel(cached=False, inline="always")
-def previous_edge(h):  # type: ignore[no-untyped-def]
+def previous_edge(h):
     """The half-edge before in the same triangle."""
     return h + 2 if h % 3 == 0 else h - 1
 
 
 @kernel
-def _add_plane(quadric, nx, ny, nz, d, weight):  # type: ignore[no-untyped-def]
+def _add_plane(quadric, nx, ny, nz, d, weight):
     quadric[0] += weight * nx * nx
     quadric[1] += weight * nx * ny
     quadric[2] += weight * nx * nz
@@ -48,7 +48,7 @@ def _add_plane(quadric, nx, ny, nz, d, weight):  # type: ignore[no-untyped-def]
 
 
 @kernel(parallel=True)
-def vertices_between(tail, opposite, alive, parts, widely):  # type: ignore[no-untyped-def]
+def vertices_between(tail, opposite, alive, parts, widely):
     """Vertices with triangles in two parts of a mesh; ``widely``: and all their neighbours.
 
     Collapses of edges between the other vertices, in different parts, read and write nothing of each other: the
@@ -74,7 +74,7 @@ def vertices_between(tail, opposite, alive, parts, widely):  # type: ignore[no-u
 
 
 @called
-def _add_triangle(t, position, tail, opposite, tags, between, wanted, quadric):  # type: ignore[no-untyped-def]
+def _add_triangle(t, position, tail, opposite, tags, between, wanted, quadric):
     """Add a triangle's planes to those of its vertices whose ``between`` is as wanted."""
     a, b, c = tail[3 * t], tail[3 * t + 1], tail[3 * t + 2]
     if between[a] != wanted and between[b] != wanted and between[c] != wanted:
@@ -118,7 +118,7 @@ def _add_triangle(t, position, tail, opposite, tags, between, wanted, quadric): 
 
 
 @kernel(parallel=True)
-def vertex_quadrics(position, tail, opposite, tags, between, parts):  # type: ignore[no-untyped-def]
+def vertex_quadrics(position, tail, opposite, tags, between, parts):
     """Quadric of each vertex: of its triangles' planes, and of planes through the borders between tags.
 
     ``parts`` are bounds among the triangles: of parts that are worked on at the same time. ``between`` are the vertices
@@ -134,7 +134,7 @@ def vertex_quadrics(position, tail, opposite, tags, between, parts):  # type: ig
 
 
 @copied
-def best_place(quadric, position, u, v, out):  # type: ignore[no-untyped-def]
+def best_place(quadric, position, u, v, out):
     """Cost of joining u and v; the best place goes to ``out``."""
     a = quadric[u, 0] + quadric[v, 0]
     b = quadric[u, 1] + quadric[v, 1]
@@ -178,7 +178,7 @@ def best_place(quadric, position, u, v, out):  # type: ignore[no-untyped-def]
 
 
 @kernel(parallel=True)
-def edge_costs(position, tail, opposite, quadric, alive, cost):  # type: ignore[no-untyped-def]
+def edge_costs(position, tail, opposite, quadric, alive, cost):
     """Cost of joining each edge, at the lower of its half-edges; infinite at the other, and where it is gone."""
     for t in numba.prange(len(tail) // 3):
         place = np.empty(3)

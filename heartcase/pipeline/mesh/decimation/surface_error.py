@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.pipeline.mesh.decimation.decimate import Decimated
 from heartcase.pipeline.mesh.triangles.mesh_distance import mesh_distance_mm
 from heartcase.pipeline.mesh.triangles.triangle_grid import TriangleGrid, triangle_grid
+from heartcase.schemas.arrays import Float64, Int32
 
 __all__ = ["ERROR_QUANTILE", "fewest_triangles", "two_sided_distances_mm"]
 
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
 
 ERROR_QUANTILE = 0.99
 """Part of both surfaces that must be within the asked distance of the other one."""

@@ -18,7 +18,8 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
+
+from heartcase.schemas.arrays import Int64
 
 __all__ = ["CubeCases", "cube_cases", "edge_corners"]
 
@@ -29,9 +30,9 @@ Triangle = tuple[int, int, int]
 class CubeCases(NamedTuple):
     """For each of the 256 cases; bit ``n`` of a case says that corner ``n`` is tissue."""
 
-    triangle_count: npt.NDArray[np.int64]
+    triangle_count: Int64
     """Shape (256,)."""
-    edges: npt.NDArray[np.int64]
+    edges: Int64
     """Cube edges that the triangles' corners lie on, counter-clockwise seen from the void, shape (256, most, 3)."""
 
 

@@ -11,21 +11,17 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.calls import called, copied
 from heartcase.compiling.kernel import kernel
 from heartcase.compiling.lent import lend
 from heartcase.pipeline.fields.reader import FieldReader, evaluate_owner, scratch, steps_through
 from heartcase.pipeline.mesh.extraction.cube_cases import cube_cases
+from heartcase.schemas.arrays import Float32, Float64, Int32, UInt8
 from heartcase.schemas.geometry import Geometry
 
 __all__ = ["PaddedField", "padded_field", "triangulated_border"]
 
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
-UInt8 = npt.NDArray[np.uint8]
 
 ROOT_MARGIN = 0.004
 """Part of a lattice edge that vertices keep from its ends."""
@@ -111,7 +107,7 @@ def triangulated_border(reader: FieldReader, lattice: Geometry, field: PaddedFie
 
 
 @copied
-def _owner(layout, tables, start, step, size, k, j, i, spare):  # type: ignore[no-untyped-def]
+def _owner(layout, tables, start, step, size, k, j, i, spare):
     """Tissue field, void label and tissue label at a place of the padded lattice; clamped to the volume's points."""
     x = min(max(i - 1.0, 0.0), size[2] - 3.0)
     y = min(max(j - 1.0, 0.0), size[1] - 3.0)
@@ -120,12 +116,12 @@ def _owner(layout, tables, start, step, size, k, j, i, spare):  # type: ignore[n
 
 
 @copied
-def _is_outside(n, count):  # type: ignore[no-untyped-def]
+def _is_outside(n, count):
     return n == 0 or n == count - 1
 
 
 @copied
-def _fill_far(field, label, k0, k1, j0, j1, i0, i1, value):  # type: ignore[no-untyped-def]
+def _fill_far(field, label, k0, k1, j0, j1, i0, i1, value):
     """One value in a block, but positive, and the outside's, in the layer around the lattice."""
     nz, ny, nx = field.shape
     for k in range(k0, k1):
@@ -139,7 +135,7 @@ def _fill_far(field, label, k0, k1, j0, j1, i0, i1, value):  # type: ignore[no-u
 
 
 @copied
-def _fill_exact(layout, tables, start, step, least, field, label, k0, k1, j0, j1, i0, i1, spare):  # type: ignore[no-untyped-def]
+def _fill_exact(layout, tables, start, step, least, field, label, k0, k1, j0, j1, i0, i1, spare):
     nz, ny, nx = field.shape
     for k in range(k0, k1):
         for j in range(j0, j1):
@@ -154,7 +150,7 @@ def _fill_exact(layout, tables, start, step, least, field, label, k0, k1, j0, j1
 
 
 @called
-def _fill_slab(fields, walls, start, step, reach, least, field, label, slab):  # type: ignore[no-untyped-def]
+def _fill_slab(fields, walls, start, step, reach, least, field, label, slab):
     """Fill one layer of blocks."""
     nz, ny, nx = field.shape
     half = BLOCK // 2
@@ -185,14 +181,14 @@ def _fill_slab(fields, walls, start, step, reach, least, field, label, slab):  #
 
 
 @kernel(parallel=True)
-def _fill_blocks(layout, tables, start, step, reach, least, field, label):  # type: ignore[no-untyped-def]
+def _fill_blocks(layout, tables, start, step, reach, least, field, label):
     fields, walls = lend(layout), lend(tables)
     for slab in numba.prange((len(field) + BLOCK - 1) // BLOCK):
         _fill_slab(fields, walls, start, step, reach, least, field, label, slab)
 
 
 @copied
-def _case(field, k, j, i):  # type: ignore[no-untyped-def]
+def _case(field, k, j, i):
     """Number of a cube's case: which of its corners are tissue."""
     return (
         (field[k, j, i] < 0.0)
@@ -207,7 +203,7 @@ def _case(field, k, j, i):  # type: ignore[no-untyped-def]
 
 
 @called
-def _counts_of_plane(field, triangle_count, k):  # type: ignore[no-untyped-def]
+def _counts_of_plane(field, triangle_count, k):
     """Vertices on the edges that start in a plane of points, and triangles of the cubes above it."""
     nz, ny, nx = field.shape
     vertex_total = 0
@@ -227,7 +223,7 @@ def _counts_of_plane(field, triangle_count, k):  # type: ignore[no-untyped-def]
 
 
 @kernel(parallel=True)
-def _plane_counts(field, triangle_count):  # type: ignore[no-untyped-def]
+def _plane_counts(field, triangle_count):
     """Vertices on the edges that start in each plane of points, and triangles of the cubes above each."""
     vertices = np.zeros(len(field), np.int64)
     triangles = np.zeros(len(field), np.int64)
@@ -237,7 +233,7 @@ def _plane_counts(field, triangle_count):  # type: ignore[no-untyped-def]
 
 
 @copied
-def _root(layout, tables, start, step, size, tolerance, k, j, i, axis, low_value, high_value, spare):  # type: ignore[no-untyped-def]
+def _root(layout, tables, start, step, size, tolerance, k, j, i, axis, low_value, high_value, spare):
     """Part of a lattice edge at which the field is zero (regula falsi, Illinois variant; ends have unlike signs)."""
     low, high = 0.0, 1.0
     f_low, f_high = np.float64(low_value), np.float64(high_value)
@@ -263,7 +259,7 @@ def _root(layout, tables, start, step, size, tolerance, k, j, i, axis, low_value
 
 
 @called
-def _place_vertices_of_plane(fields, walls, start, step, tolerance, field, void, first, index, label, k):  # type: ignore[no-untyped-def]
+def _place_vertices_of_plane(fields, walls, start, step, tolerance, field, void, first, index, label, k):
     """Place the vertices on the edges that start in a plane; ``first`` is the number of the first one."""
     nz, ny, nx = field.shape
     spare = scratch(fields)
@@ -290,14 +286,14 @@ def _place_vertices_of_plane(fields, walls, start, step, tolerance, field, void,
 
 
 @kernel(parallel=True)
-def _place_vertices(layout, tables, start, step, tolerance, field, void, vertex_start, index, label):  # type: ignore[no-untyped-def]
+def _place_vertices(layout, tables, start, step, tolerance, field, void, vertex_start, index, label):
     fields, walls = lend(layout), lend(tables)
     for k in numba.prange(len(field)):
         _place_vertices_of_plane(fields, walls, start, step, tolerance, field, void, vertex_start[k], index, label, k)
 
 
 @copied
-def _number_plane(field, k, first, along_x, along_y, along_z):  # type: ignore[no-untyped-def]
+def _number_plane(field, k, first, along_x, along_y, along_z):
     """Numbers of the vertices on the edges that start in a plane, in the order in which they are placed."""
     nz, ny, nx = field.shape
     n = first
@@ -316,7 +312,7 @@ def _number_plane(field, k, first, along_x, along_y, along_z):  # type: ignore[n
 
 
 @called
-def _fill_triangles_of_plane(field, triangle_count, edges, vertex_start, triangle_start, triangles, k):  # type: ignore[no-untyped-def]
+def _fill_triangles_of_plane(field, triangle_count, edges, vertex_start, triangle_start, triangles, k):
     """Make the triangles of the cubes above a plane."""
     ny, nx = field.shape[1:]
     # which vertex lies on each edge along x, y and z from the points of this plane, and of the next
@@ -342,6 +338,6 @@ def _fill_triangles_of_plane(field, triangle_count, edges, vertex_start, triangl
 
 
 @kernel(parallel=True)
-def _fill_triangles(field, triangle_count, edges, vertex_start, triangle_start, triangles):  # type: ignore[no-untyped-def]
+def _fill_triangles(field, triangle_count, edges, vertex_start, triangle_start, triangles):
     for k in numba.prange(len(field) - 1):
         _fill_triangles_of_plane(field, triangle_count, edges, vertex_start, triangle_start, triangles, k)

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 from scipy.sparse import coo_array
 
 from heartcase.compiling.kernel import kernel
@@ -18,6 +17,7 @@ from heartcase.pipeline.data import Structures
 from heartcase.pipeline.fields.reader import FieldReader
 from heartcase.pipeline.mesh.extraction.cubes import padded_field, triangulated_border
 from heartcase.pipeline.mesh.triangles.half_edges import connected_parts, opposites, opposites_of_some
+from heartcase.schemas.arrays import Bool, Float64, Int32, UInt8
 from heartcase.schemas.errors import StageError
 from heartcase.schemas.geometry import Geometry
 
@@ -31,11 +31,6 @@ __all__ = [
     "smooth_creases",
 ]
 
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
-UInt8 = npt.NDArray[np.uint8]
-Bool = npt.NDArray[np.bool_]
 
 SPACING_PER_LAYER = 0.45
 """Over the thinnest wall: two cells across it, and a bit."""
@@ -158,7 +153,7 @@ def enclosed_volume_mm3(vertices: Float64, triangles: Int32) -> float:
 
 
 @kernel
-def _volumes(vertices, triangles, middle, shell, count):  # type: ignore[no-untyped-def]
+def _volumes(vertices, triangles, middle, shell, count):
     """Signed volume of each shell."""
     six = np.zeros(count)
     x, y, z = middle
@@ -266,7 +261,7 @@ def smooth_creases(mesh: FullMesh, still: Bool, *, opposite: Int32 | None = None
 
 
 @kernel
-def _at_creases(vertices, triangles, opposite, cosine, least):  # type: ignore[no-untyped-def]
+def _at_creases(vertices, triangles, opposite, cosine, least):
     """Vertices at an edge of at least a length whose triangles' normals are further apart than a cosine says."""
     normal = np.empty((len(triangles), 3))
     for t in range(len(triangles)):

@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.calls import called
 from heartcase.compiling.kernel import kernel
@@ -23,11 +22,10 @@ from heartcase.compiling.lent import lend
 from heartcase.pipeline.fields.reader import FieldReader, evaluate_owner, scratch
 from heartcase.pipeline.kernels.parallel import every_other
 from heartcase.pipeline.kernels.vectors import cross, make_unit, put
+from heartcase.schemas.arrays import Bool, Float64
 
 __all__ = ["Rings", "fit_normal", "fitted_normals", "rings_of", "to_index_matrix"]
 
-Bool = npt.NDArray[np.bool_]
-Float64 = npt.NDArray[np.float64]
 
 CHUNK = 256
 STEPPED_SPANS_VOXELS = (3.5, 3.0, 2.5, 2.0, 1.5)
@@ -97,7 +95,7 @@ def fitted_normals(
 
 
 @kernel
-def _value(layout, tables, m, x, y, z, spare):  # type: ignore[no-untyped-def]
+def _value(layout, tables, m, x, y, z, spare):
     """Tissue field at a world point; ``m`` maps world to index."""
     i = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]
     j = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]
@@ -106,7 +104,7 @@ def _value(layout, tables, m, x, y, z, spare):  # type: ignore[no-untyped-def]
 
 
 @called
-def _slope(layout, tables, m, at, first, second, span, spare, rise):  # type: ignore[no-untyped-def]
+def _slope(layout, tables, m, at, first, second, span, spare, rise):
     """Slope along two unit vectors on a ring, and the largest misfit of a rise to it."""
     along_first = 0.0
     along_second = 0.0
@@ -133,7 +131,7 @@ def _slope(layout, tables, m, at, first, second, span, spare, rise):  # type: ig
 
 
 @called
-def fit_normal(layout, tables, m, here, normal, rings, reach, spare, work, there, out):  # type: ignore[no-untyped-def]
+def fit_normal(layout, tables, m, here, normal, rings, reach, spare, work, there, out):
     """Draw a point to the field's root along a rough normal, and fit the normal there; returns whether a ring fits.
 
     ``there`` receives the drawn point, ``out`` the normal; where no ring fits, that of the narrowest.
@@ -170,7 +168,7 @@ def fit_normal(layout, tables, m, here, normal, rings, reach, spare, work, there
 
 
 @kernel(parallel=True)
-def _fit_points(layout, tables, m, points, normals, rings, reach, drawn, fitted, found):  # type: ignore[no-untyped-def]
+def _fit_points(layout, tables, m, points, normals, rings, reach, drawn, fitted, found):
     chunks = (len(points) + CHUNK - 1) // CHUNK
     fields, walls, wide_to_narrow = lend(layout), lend(tables), lend(rings)
     for number in numba.prange(chunks):

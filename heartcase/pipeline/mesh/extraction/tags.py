@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel
@@ -15,15 +14,11 @@ from heartcase.pipeline.data import Structures
 from heartcase.pipeline.fields.reader import FieldReader, evaluate_owner, scratch
 from heartcase.pipeline.mesh.extraction.extract import FullMesh
 from heartcase.pipeline.mesh.triangles.half_edges import connected_parts, opposites
+from heartcase.schemas.arrays import Bool, Float64, Int32, Int64, UInt8
 from heartcase.schemas.geometry import Geometry
 
 __all__ = ["CUT", "TriangleTags", "cut_faces", "tag_keys", "tag_triangles"]
 
-Bool = npt.NDArray[np.bool_]
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
-Int64 = npt.NDArray[np.int64]
-UInt8 = npt.NDArray[np.uint8]
 
 CUT = 256
 """Key of a cut face; other keys are labels."""
@@ -122,7 +117,7 @@ def _planes(structures: Structures) -> Float64:
 
 
 @copied
-def _is_cut(centre, normal, to_lattice, direction, size, planes, near):  # type: ignore[no-untyped-def]
+def _is_cut(centre, normal, to_lattice, direction, size, planes, near):
     """Whether a triangle lies in an outer face of the volume, or in an end marker's disc, and faces outward there."""
     for axis in range(3):
         at = to_lattice[axis, 3]
@@ -148,7 +143,7 @@ def _is_cut(centre, normal, to_lattice, direction, size, planes, near):  # type:
 
 
 @copied
-def _middle(vertices, triangle, centre, normal):  # type: ignore[no-untyped-def]
+def _middle(vertices, triangle, centre, normal):
     """Centre and unit normal of a triangle."""
     a, b, c = vertices[triangle[0]], vertices[triangle[1]], vertices[triangle[2]]
     for k in range(3):
@@ -162,7 +157,7 @@ def _middle(vertices, triangle, centre, normal):  # type: ignore[no-untyped-def]
 
 
 @kernel(parallel=True)
-def _find_cuts(to_lattice, direction, size, planes, near, vertices, triangles, is_cut):  # type: ignore[no-untyped-def]
+def _find_cuts(to_lattice, direction, size, planes, near, vertices, triangles, is_cut):
     for chunk in numba.prange((len(triangles) + CHUNK - 1) // CHUNK):
         centre, normal = np.empty(3), np.empty(3)
         for t in range(chunk * CHUNK, min((chunk + 1) * CHUNK, len(triangles))):
@@ -171,7 +166,7 @@ def _find_cuts(to_lattice, direction, size, planes, near, vertices, triangles, i
 
 
 @kernel(parallel=True)
-def _look(layout, tables, to_index, way, vertices, triangles, void, tissue):  # type: ignore[no-untyped-def]
+def _look(layout, tables, to_index, way, vertices, triangles, void, tissue):
     fields, walls = lend(layout), lend(tables)
     for chunk in numba.prange((len(triangles) + CHUNK - 1) // CHUNK):
         spare = scratch(fields)

@@ -10,16 +10,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.pipeline.mesh.texture.charts import cut_into_charts, project
 from heartcase.pipeline.mesh.texture.packing import GUTTER_TEXELS, pack, turned
+from heartcase.schemas.arrays import Float, Float32, Float64, Int32
 
 __all__ = ["Atlas", "make_atlas", "tangents"]
-
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
 
 
 @dataclass(frozen=True)
@@ -81,7 +77,7 @@ def make_atlas(
     return Atlas(welded, render_triangles, uv, count, float(scale), _used(uv, render_triangles))
 
 
-def tangents(atlas: Atlas, vertices_mm: npt.NDArray[np.floating], normals: npt.NDArray[np.floating]) -> Float32:
+def tangents(atlas: Atlas, vertices_mm: Float, normals: Float) -> Float32:
     """Tangents as glTF 2.0 wants them (section 3.7.2.1): along growing u, at right angles to the normal.
 
     Parameters

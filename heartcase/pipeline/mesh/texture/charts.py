@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import numba
 import numpy as np
-import numpy.typing as npt
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -18,11 +17,10 @@ from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.kernels.vectors import put
 from heartcase.pipeline.mesh.triangles.half_edges import opposites
+from heartcase.schemas.arrays import Float64, Int32
 
 __all__ = ["cut_into_charts", "project"]
 
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
 
 CONE_COSINE = float(np.cos(np.radians(45.0)))
 MERGE_TRIANGLES = 40
@@ -67,7 +65,7 @@ def cut_into_charts(vertices: Float64, triangles: Int32) -> tuple[Int32, Float64
 
 
 @kernel
-def _merge(normal, length, opposite, chart, axes, most, cosine):  # type: ignore[no-untyped-def]
+def _merge(normal, length, opposite, chart, axes, most, cosine):
     """Give charts of at most ``most`` triangles to a neighbour where one cone holds both; returns whether any went.
 
     A chart costs a gutter all around, and most small ones are what growing and taking out overlaps has left over. The
@@ -130,7 +128,7 @@ def _merge(normal, length, opposite, chart, axes, most, cosine):  # type: ignore
 
 
 @copied
-def _one_cone(normal, following, giver, taker, start, cosine, axis):  # type: ignore[no-untyped-def]
+def _one_cone(normal, following, giver, taker, start, cosine, axis):
     """Whether a cone around some axis holds all normals of two lists; the axis is put into ``axis``.
 
     The cone around ``start`` holds those of the taker.
@@ -191,7 +189,7 @@ def _connected(chart: Int32, axes: Float64, opposite: Int32) -> tuple[Int32, Flo
 
 
 @kernel
-def _grow(normal, area, opposite, chart, axes, cosine):  # type: ignore[no-untyped-def]
+def _grow(normal, area, opposite, chart, axes, cosine):
     """Grow charts over all triangles without one; new charts follow those there are. Returns all axes.
 
     A chart grows three times: around its running mean, then twice around the mean that the last time led to.
@@ -266,7 +264,7 @@ def project(points: Float64, axes: Float64, chart: Int32) -> Float64:
 
 
 @kernel(parallel=True)
-def _project(points, right, up, chart, flat):  # type: ignore[no-untyped-def]
+def _project(points, right, up, chart, flat):
     for n in numba.prange(len(points)):
         c = chart[n]
         x, y = 0.0, 0.0
@@ -287,12 +285,12 @@ def _evict(vertices: Float64, triangles: Int32, chart: Int32, axes: Float64, fir
 
 
 @copied
-def _cross_2d(ax, ay, bx, by, cx, cy):  # type: ignore[no-untyped-def]
+def _cross_2d(ax, ay, bx, by, cx, cy):
     return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
 
 
 @copied
-def _triangles_overlap(a, b, slack):  # type: ignore[no-untyped-def]
+def _triangles_overlap(a, b, slack):
     """Whether two triangles share more than ``slack`` of an edge's height (separating axes: their edges)."""
     for first in range(2):
         one = a if first == 0 else b
@@ -314,7 +312,7 @@ def _triangles_overlap(a, b, slack):  # type: ignore[no-untyped-def]
 
 
 @copied
-def _find_overlapping(flat, begin, end, out):  # type: ignore[no-untyped-def]
+def _find_overlapping(flat, begin, end, out):
     """Mark the triangles of one chart that overlap a kept one of lower rank in it, by a hash grid."""
     low_x, low_y, high_x, high_y, reach = np.inf, np.inf, -np.inf, -np.inf, 0.0
     box = np.empty((end - begin, 4))
@@ -376,7 +374,7 @@ def _find_overlapping(flat, begin, end, out):  # type: ignore[no-untyped-def]
 
 
 @kernel(parallel=True)
-def _overlapping(flat, start):  # type: ignore[no-untyped-def]
+def _overlapping(flat, start):
     """Triangles that overlap a kept one of lower rank in the same chart."""
     out = np.zeros(len(flat), np.bool_)
     for c in numba.prange(len(start) - 1):

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.calls import called, copied
 from heartcase.compiling.kernel import kernel
@@ -23,13 +22,10 @@ from heartcase.pipeline.mesh.texture.atlas import Atlas
 from heartcase.pipeline.mesh.triangles.half_edges import opposites
 from heartcase.pipeline.mesh.triangles.mesh_distance import nearest_on_mesh
 from heartcase.pipeline.mesh.triangles.triangle_grid import TriangleGrid
+from heartcase.schemas.arrays import Bool, Float32, Float64, Int32, Int64, UInt8
 
 __all__ = ["bake_normal_map"]
 
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
-UInt8 = npt.NDArray[np.uint8]
 
 CHUNK = 64
 FLAT = (128, 128, 255)
@@ -47,7 +43,7 @@ def bake_normal_map(
     vertices_mm: Float32,
     normals: Float32,
     tangents: Float32,
-    flat_triangles: npt.NDArray[np.bool_],
+    flat_triangles: Bool,
     *,
     size: int,
     reach_mm: float,
@@ -131,9 +127,9 @@ def _fitted_between(
     corners: Int32,
     vertices: Float64,
     normals: Float64,
-    flat: npt.NDArray[np.bool_],
+    flat: Bool,
     reach_mm: float,
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], Float32]:
+) -> tuple[Int64, Int64, Float32]:
     """Parts of each triangle's edge, where its points begin, and the normals at all points."""
     rings, to_index = rings_of(reader), to_index_matrix(reader)
     apart = POINT_RINGS * rings.spans_mm[0]
@@ -186,9 +182,7 @@ def _look_up(
 
 
 @kernel(parallel=True)
-def _look_up_rows(  # type: ignore[no-untyped-def]
-    owner, texel, triangles, corners, vertices, normals, grid, facing, faces, fitted, reach, given
-):
+def _look_up_rows(owner, texel, triangles, corners, vertices, normals, grid, facing, faces, fitted, reach, given):
     boxes = lend(grid)
     for row in numba.prange(owner.shape[0]):
         weights, here, normal, out = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
@@ -211,7 +205,7 @@ def _look_up_rows(  # type: ignore[no-untyped-def]
 
 
 @copied
-def _mix(weights, values, which, out):  # type: ignore[no-untyped-def]
+def _mix(weights, values, which, out):
     """Weighted sum of the three vectors ``values[which]``."""
     a, b, c = which[0], which[1], which[2]
     for axis in range(3):
@@ -219,7 +213,7 @@ def _mix(weights, values, which, out):  # type: ignore[no-untyped-def]
 
 
 @copied
-def _corner_weights(texel, which, x, y, weights):  # type: ignore[no-untyped-def]
+def _corner_weights(texel, which, x, y, weights):
     """Weights of the corners at a point of the picture, clipped to the triangle."""
     ax, ay = texel[which[0], 0], texel[which[0], 1]
     ux, uy = texel[which[1], 0] - ax, texel[which[1], 1] - ay
@@ -239,13 +233,13 @@ def _corner_weights(texel, which, x, y, weights):  # type: ignore[no-untyped-def
 
 
 @kernel(inline="always")
-def _number(i, j, parts):  # type: ignore[no-untyped-def]
+def _number(i, j, parts):
     """Place of a triangle's point, ``i`` steps towards its second corner and ``j`` towards its third."""
     return j * (parts + 1) - (j * (j - 1)) // 2 + i
 
 
 @kernel(inline="always")
-def _place_on_edge(edge, step, parts):  # type: ignore[no-untyped-def]
+def _place_on_edge(edge, step, parts):
     """Place of a triangle's point that is so many steps along an edge; edge 0 goes from corner 0 to corner 1."""
     if edge == 0:
         return _number(step, 0, parts)
@@ -253,14 +247,14 @@ def _place_on_edge(edge, step, parts):  # type: ignore[no-untyped-def]
 
 
 @kernel(inline="always")
-def _giver(t, edge, parts, flat, opposite):  # type: ignore[no-untyped-def]
+def _giver(t, edge, parts, flat, opposite):
     """Half-edge whose triangle fits the points that both have on an edge; -1 where triangle ``t`` does so itself."""
     other = opposite[3 * t + edge]
     return other if other // 3 < t and parts[other // 3] == parts[t] and not flat[other // 3] else -1
 
 
 @called
-def _fit_some_lattices(  # type: ignore[no-untyped-def]
+def _fit_some_lattices(
     fields, walls, m, corners, vertices, normals, flat, opposite, parts, start, rings, reach, known, chunk
 ):
     """Fit those of a chunk of the triangles that no other one gives."""
@@ -292,9 +286,7 @@ def _fit_some_lattices(  # type: ignore[no-untyped-def]
 
 
 @kernel(parallel=True)
-def _fit_lattices(  # type: ignore[no-untyped-def]
-    layout, tables, m, corners, vertices, normals, flat, opposite, parts, start, rings, reach, known
-):
+def _fit_lattices(layout, tables, m, corners, vertices, normals, flat, opposite, parts, start, rings, reach, known):
     """Normals at the points of every triangle that is not flat; on an edge that two share, fitted once."""
     chunks = (len(corners) + CHUNK - 1) // CHUNK
     fields, walls, wide_to_narrow = lend(layout), lend(tables), lend(rings)
@@ -327,7 +319,7 @@ def _fit_lattices(  # type: ignore[no-untyped-def]
 
 
 @kernel(inline="always")
-def _between(known, start, parts, weights, out):  # type: ignore[no-untyped-def]
+def _between(known, start, parts, weights, out):
     """Unit normal between the three points of a triangle around a place given by its corners' weights."""
     x, y = weights[1] * parts, weights[2] * parts
     i, j = min(int(x), parts - 1), min(int(y), parts - 1)
@@ -347,7 +339,7 @@ def _between(known, start, parts, weights, out):  # type: ignore[no-untyped-def]
 
 
 @kernel(parallel=True)
-def _bake_rows(  # type: ignore[no-untyped-def]
+def _bake_rows(
     owner, texel, triangles, corners, vertices, normals, tangents, flat, parts, start, known, given, picture
 ):
     for row in numba.prange(owner.shape[0]):
@@ -399,7 +391,7 @@ def _bake_rows(  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _rasterise(uv, triangles, owner):  # type: ignore[no-untyped-def]
+def _rasterise(uv, triangles, owner):
     """Lowest triangle that holds each texel's centre."""
     size = owner.shape[0]
     for t in range(len(triangles)):
@@ -426,7 +418,7 @@ def _rasterise(uv, triangles, owner):  # type: ignore[no-untyped-def]
 
 
 @kernel(parallel=True)
-def _first_edge(filled):  # type: ignore[no-untyped-def]
+def _first_edge(filled):
     """Unfilled texels beside filled ones, row by row: (row, column), shape (n, 2)."""
     rows, columns = filled.shape
     begin = np.zeros(rows + 1, np.int64)
@@ -447,7 +439,7 @@ def _first_edge(filled):  # type: ignore[no-untyped-def]
 
 
 @copied
-def _is_beside(filled, j, i):  # type: ignore[no-untyped-def]
+def _is_beside(filled, j, i):
     """Whether one of a texel's eight neighbours is filled."""
     rows, columns = filled.shape
     for dj in range(max(j - 1, 0), min(j + 2, rows)):
@@ -458,7 +450,7 @@ def _is_beside(filled, j, i):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _dilate(picture, filled, first_edge, rounds):  # type: ignore[no-untyped-def]
+def _dilate(picture, filled, first_edge, rounds):
     """Continue the filled texels outward, each round by the mean of the filled neighbours."""
     rows, columns = filled.shape
     seen = filled.copy()
@@ -489,7 +481,7 @@ def _dilate(picture, filled, first_edge, rounds):  # type: ignore[no-untyped-def
 
 
 @copied
-def _unfilled_around(filled, seen, j, i, edge, count):  # type: ignore[no-untyped-def]
+def _unfilled_around(filled, seen, j, i, edge, count):
     """List the unfilled neighbours of a texel that are not listed yet."""
     rows, columns = filled.shape
     for dj in range(max(j - 1, 0), min(j + 2, rows)):

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.kernel import kernel
+from heartcase.schemas.arrays import Float64, Int32
 from heartcase.schemas.errors import StageError
 
 __all__ = ["GUTTER_TEXELS", "pack", "turned"]
 
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
 
 GUTTER_TEXELS = 2
 """Texels that are kept free on each side of a chart."""
@@ -71,7 +69,7 @@ def pack(extent_mm: Float64, size: int) -> tuple[Float64, float]:
 
 
 @kernel
-def _skyline(boxes, size):  # type: ignore[no-untyped-def]
+def _skyline(boxes, size):
     """Put boxes one by one where their upper side comes lowest, leftmost on a tie.
 
     The skyline is a list of steps. The leftmost of the lowest places is always at the left end of one: from anywhere

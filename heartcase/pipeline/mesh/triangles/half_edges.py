@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.kernel import kernel
+from heartcase.schemas.arrays import Bool, Int32
 
 __all__ = ["connected_parts", "opposites", "opposites_of_some"]
-
-Int32 = npt.NDArray[np.int32]
 
 
 def opposites(triangles: Int32) -> Int32:
@@ -35,7 +33,7 @@ def opposites(triangles: Int32) -> Int32:
     return opposite
 
 
-def opposites_of_some(opposite: Int32, kept: npt.NDArray[np.bool_]) -> Int32:
+def opposites_of_some(opposite: Int32, kept: Bool) -> Int32:
     """Opposite half-edges where only some triangles are kept, numbered anew in the same order.
 
     Parameters
@@ -53,7 +51,7 @@ def opposites_of_some(opposite: Int32, kept: npt.NDArray[np.bool_]) -> Int32:
 
 
 @kernel(parallel=True)
-def _pair_half_edges(tail, vertex_count, opposite):  # type: ignore[no-untyped-def]
+def _pair_half_edges(tail, vertex_count, opposite):
     """Pair each half-edge with the one that runs the other way; whether each has exactly one."""
     start = np.zeros(vertex_count + 1, np.int32)
     for h in range(len(tail)):
@@ -85,7 +83,7 @@ def _pair_half_edges(tail, vertex_count, opposite):  # type: ignore[no-untyped-d
 
 
 @kernel
-def connected_parts(key, opposite):  # type: ignore[no-untyped-def]
+def connected_parts(key, opposite):
     """Number of the connected part of equal keys that each triangle is in, and how many triangles each part has.
 
     Parts are numbered by their first triangle; triangles are connected over edges. ``key`` is int64, shape

@@ -13,24 +13,21 @@ from __future__ import annotations
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.calls import called, copied
 from heartcase.compiling.kernel import kernel
 from heartcase.compiling.lent import lend
 from heartcase.pipeline.mesh.triangles.triangle_grid import triangle_grid
+from heartcase.schemas.arrays import Bool, Float, Int32
 
 __all__ = ["self_intersections"]
 
-Int32 = npt.NDArray[np.int32]
 
 _ERROR_BOUND = (7.0 + 56.0 * 2.0**-53) * 2.0**-53
 """Of a volume's sign, in units of the sum of its products' sizes: Shewchuk's o3derrboundA."""
 
 
-def self_intersections(
-    vertices: npt.NDArray[np.floating], triangles: Int32, *, among: npt.NDArray[np.bool_] | None = None
-) -> Int32:
+def self_intersections(vertices: Float, triangles: Int32, *, among: Bool | None = None) -> Int32:
     """Find all pairs of triangles that cross.
 
     Parameters
@@ -60,7 +57,7 @@ def self_intersections(
     return pairs
 
 
-def _pairs_among(vertices: npt.NDArray[np.floating], triangles: Int32, among: npt.NDArray[np.bool_]) -> Int32:
+def _pairs_among(vertices: Float, triangles: Int32, among: Bool) -> Int32:
     """Pairs with one of some triangles, which alone are sorted into boxes."""
     which = np.flatnonzero(among)
     grid = triangle_grid(vertices, triangles[which])
@@ -77,7 +74,7 @@ def _pairs_among(vertices: npt.NDArray[np.floating], triangles: Int32, among: np
 
 
 @copied
-def _side(a, b, c, d):  # type: ignore[no-untyped-def]
+def _side(a, b, c, d):
     """Sign of the volume of (a, b, c, d): 1, -1, or 0 where it is not certain."""
     ax, ay, az = a[0] - d[0], a[1] - d[1], a[2] - d[2]
     bx, by, bz = b[0] - d[0], b[1] - d[1], b[2] - d[2]
@@ -92,7 +89,7 @@ def _side(a, b, c, d):  # type: ignore[no-untyped-def]
 
 
 @copied
-def _edge_crosses(p, q, t):  # type: ignore[no-untyped-def]
+def _edge_crosses(p, q, t):
     """Whether the segment from p to q strictly crosses the inside of a triangle."""
     side = _side(t[0], t[1], t[2], p)
     if side == 0 or side != -_side(t[0], t[1], t[2], q):
@@ -102,7 +99,7 @@ def _edge_crosses(p, q, t):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _crosses(a, b):  # type: ignore[no-untyped-def]
+def _crosses(a, b):
     for k in range(3):
         m = (k + 1) % 3
         if _edge_crosses(a[k], a[m], b) or _edge_crosses(b[k], b[m], a):
@@ -111,7 +108,7 @@ def _crosses(a, b):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _are_apart(low, high, t, u):  # type: ignore[no-untyped-def]
+def _are_apart(low, high, t, u):
     """Whether the boxes around two triangles do not meet."""
     return (
         low[t, 0] > high[u, 0]
@@ -124,7 +121,7 @@ def _are_apart(low, high, t, u):  # type: ignore[no-untyped-def]
 
 
 @called
-def _crossed_by(t, grid, low, high, found):  # type: ignore[no-untyped-def]
+def _crossed_by(t, grid, low, high, found):
     """Higher triangles that cross triangle ``t``, into ``found`` as far as it reaches; how many there are."""
     corner, first, last, size = grid.corner, grid.first, grid.last, grid.size
     count = 0
@@ -151,7 +148,7 @@ def _crossed_by(t, grid, low, high, found):  # type: ignore[no-untyped-def]
 
 
 @kernel(parallel=True)
-def _cross_count(grid, low, high):  # type: ignore[no-untyped-def]
+def _cross_count(grid, low, high):
     counts = np.empty(len(low), np.int64)
     boxes = lend(grid)
     for t in numba.prange(len(low)):
@@ -160,7 +157,7 @@ def _cross_count(grid, low, high):  # type: ignore[no-untyped-def]
 
 
 @kernel(parallel=True)
-def _cross_list(grid, low, high, begin, pairs):  # type: ignore[no-untyped-def]
+def _cross_list(grid, low, high, begin, pairs):
     boxes = lend(grid)
     for t in numba.prange(len(low)):
         count = begin[t + 1] - begin[t]
@@ -173,7 +170,7 @@ def _cross_list(grid, low, high, begin, pairs):  # type: ignore[no-untyped-def]
 
 
 @called
-def _crossed_by_some(t, grid, corner, low, high, which, found):  # type: ignore[no-untyped-def]
+def _crossed_by_some(t, grid, corner, low, high, which, found):
     """Triangles of ``which``, those of the grid, that cross triangle ``t``, into ``found``; how many there are."""
     size = grid.size
     begin, end = np.empty(3, np.int64), np.empty(3, np.int64)
@@ -205,7 +202,7 @@ def _crossed_by_some(t, grid, corner, low, high, which, found):  # type: ignore[
 
 
 @kernel(parallel=True)
-def _cross_some_count(grid, corner, low, high, near, which):  # type: ignore[no-untyped-def]
+def _cross_some_count(grid, corner, low, high, near, which):
     counts = np.empty(len(near), np.int64)
     boxes = lend(grid)
     for n in numba.prange(len(near)):
@@ -214,7 +211,7 @@ def _cross_some_count(grid, corner, low, high, near, which):  # type: ignore[no-
 
 
 @kernel(parallel=True)
-def _cross_some_list(grid, corner, low, high, near, which, begin, pairs):  # type: ignore[no-untyped-def]
+def _cross_some_list(grid, corner, low, high, near, which, begin, pairs):
     boxes = lend(grid)
     for n in numba.prange(len(near)):
         count = begin[n + 1] - begin[n]

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.calls import called
 from heartcase.compiling.kernel import kernel
 from heartcase.compiling.lent import lend
 from heartcase.pipeline.kernels.vectors import square_to_triangle
 from heartcase.pipeline.mesh.triangles.triangle_grid import TriangleGrid
+from heartcase.schemas.arrays import Float64
 
 __all__ = ["mesh_distance_mm", "nearest_on_mesh"]
 
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
 
 SLACK = 1.0 + 1e-9
 """Boxes are taken to be nearer by this factor, so that rounding leaves none out."""
@@ -42,13 +40,13 @@ def mesh_distance_mm(points_mm: Float64, mesh: TriangleGrid) -> Float64:
 
 
 @kernel(inline="always")
-def _outside(place, begin, width):  # type: ignore[no-untyped-def]
+def _outside(place, begin, width):
     """How far a place is outside a stretch."""
     return max(begin - place, place - begin - width, 0.0)
 
 
 @called
-def nearest_on_mesh(grid, x, y, z, facing, way, least, farthest):  # type: ignore[no-untyped-def]
+def nearest_on_mesh(grid, x, y, z, facing, way, least, farthest):
     """Nearest triangle to a point: its number, -1 where there is none, the square of the distance, two weights.
 
     ``facing`` are the unit normals of the triangles, and only those are looked at whose cosine with ``way`` is at least
@@ -95,7 +93,7 @@ def nearest_on_mesh(grid, x, y, z, facing, way, least, farthest):  # type: ignor
 
 
 @kernel(parallel=True)
-def _query(points, grid, distance):  # type: ignore[no-untyped-def]
+def _query(points, grid, distance):
     none, boxes = np.empty((0, 3)), lend(grid)
     for p in numba.prange(len(points)):
         found = nearest_on_mesh(boxes, points[p, 0], points[p, 1], points[p, 2], none, points[p], -1.0, np.inf)

@@ -17,13 +17,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import KDTree
 
+from heartcase.schemas.arrays import Float32, Float64, Integer
 from heartcase.schemas.labels import LabelTable
 
 __all__ = ["ThicknessFigures", "thickness_figures", "triangle_normals", "vertex_normals", "wall_thickness_mm"]
 
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
 
 _ROUNDS_MAX = 40
 _DOUBLINGS = 4
@@ -174,7 +172,7 @@ def _weighted_percentiles(values: Float64, weights: Float64, fractions: Sequence
     return [float(v) for v in values[order][np.minimum(at, len(values) - 1)]]
 
 
-def _samples(vertices: Float64, triangles: npt.NDArray[np.integer]) -> tuple[Float64, Float64, Float64]:
+def _samples(vertices: Float64, triangles: Integer) -> tuple[Float64, Float64, Float64]:
     """Centroid, normal and half-size in mm of each triangle; triangles that are large for the mesh count as four."""
     corners = vertices[triangles]
     normal, _ = triangle_normals(vertices, triangles)

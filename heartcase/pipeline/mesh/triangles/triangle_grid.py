@@ -6,15 +6,12 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.kernel import kernel
+from heartcase.schemas.arrays import Float, Float64, Int32, Int64
 
 __all__ = ["TriangleGrid", "triangle_grid"]
 
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
-Int64 = npt.NDArray[np.int64]
 
 _EDGES_PER_BOX = 1.5
 _BOX_COUNT = 8_000_000
@@ -42,7 +39,7 @@ class TriangleGrid(NamedTuple):
     """Triangles of each box, ascending."""
 
 
-def triangle_grid(vertices_mm: npt.NDArray[np.floating], triangles: Int32) -> TriangleGrid:
+def triangle_grid(vertices_mm: Float, triangles: Int32) -> TriangleGrid:
     """Sort the triangles of a mesh into boxes about as large as one and a half of them.
 
     Parameters
@@ -65,7 +62,7 @@ def triangle_grid(vertices_mm: npt.NDArray[np.floating], triangles: Int32) -> Tr
 
 
 @kernel(parallel=True)
-def _take_corners(vertices, triangles, corner):  # type: ignore[no-untyped-def]
+def _take_corners(vertices, triangles, corner):
     """Corners of all triangles; lowest and highest place, and sum of the triangles' widths, of each chunk of them."""
     chunks = (len(triangles) + _CHUNK - 1) // _CHUNK
     low, high, widths = np.full((chunks, 3), np.inf), np.full((chunks, 3), -np.inf), np.zeros(chunks)
@@ -85,7 +82,7 @@ def _take_corners(vertices, triangles, corner):  # type: ignore[no-untyped-def]
 
 
 @kernel(parallel=True)
-def _find_boxes(corner, origin, edge, size, first, last):  # type: ignore[no-untyped-def]
+def _find_boxes(corner, origin, edge, size, first, last):
     for chunk in numba.prange((len(corner) + _CHUNK - 1) // _CHUNK):
         for t in range(chunk * _CHUNK, min((chunk + 1) * _CHUNK, len(corner))):
             for axis in range(3):
@@ -95,7 +92,7 @@ def _find_boxes(corner, origin, edge, size, first, last):  # type: ignore[no-unt
 
 
 @kernel
-def _fill(first, last, size):  # type: ignore[no-untyped-def]
+def _fill(first, last, size):
     start = np.zeros(size[0] * size[1] * size[2] + 1, np.int64)
     for turn in range(2):
         if turn == 1:

@@ -14,17 +14,17 @@ from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
 from heartcase.compiling.emitting import array_data, named_function, nothing
 from heartcase.compiling.kernel import kernel
+from heartcase.schemas.arrays import Int64
 
 __all__ = ["Crew", "Meeting", "meet", "raise_to"]
 
-Meeting = npt.NDArray[np.int64]
+Meeting = Int64
 
 PATIENCE = 30_000
 """Looks at a meeting before a thread gives its turn away, some 0.3 to 1 ms: two threads that the system has put on one
@@ -101,7 +101,7 @@ def _pointer(context: Any, builder: Any, kind: Any, array: Any, place: int) -> A
 
 
 @intrinsic
-def _arrive(typing_context, meeting):  # type: ignore[no-untyped-def]
+def _arrive(typing_context, meeting):
     """Count this thread in; returns how many had arrived before."""
 
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -113,7 +113,7 @@ def _arrive(typing_context, meeting):  # type: ignore[no-untyped-def]
 
 def _make_read(place: int) -> Any:
     @intrinsic
-    def read(typing_context, meeting):  # type: ignore[no-untyped-def]
+    def read(typing_context, meeting):
         def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             where = _pointer(context, builder, signature.args[0], arguments[0], place)
             return builder.load_atomic(where, "acquire", 8)
@@ -127,7 +127,7 @@ _round, _is_abandoned = _make_read(_ROUND), _make_read(_ABANDONED)
 
 
 @intrinsic
-def _begin(typing_context, meeting, number):  # type: ignore[no-untyped-def]
+def _begin(typing_context, meeting, number):
     """Let all threads go on: the counter starts anew, then the next round begins."""
 
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -141,7 +141,7 @@ def _begin(typing_context, meeting, number):  # type: ignore[no-untyped-def]
 
 
 @intrinsic
-def _pause(typing_context):  # type: ignore[no-untyped-def]
+def _pause(typing_context):
     """Let the core rest for a moment, where it can."""
 
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -154,7 +154,7 @@ def _pause(typing_context):  # type: ignore[no-untyped-def]
 
 
 @intrinsic
-def _give_way(typing_context):  # type: ignore[no-untyped-def]
+def _give_way(typing_context):
     """Give the rest of this thread's turn to others that wait for the core."""
 
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -188,7 +188,7 @@ def meet(meeting: Meeting, thread_count: int) -> bool:
 
 
 @intrinsic
-def raise_to(typing_context, array, place, value):  # type: ignore[no-untyped-def]
+def raise_to(typing_context, array, place, value):
     """Set an int8 of an array, shape (n,), to a value at least, whatever other threads do to it; values from 0 up."""
 
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:

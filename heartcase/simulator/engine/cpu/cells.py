@@ -54,7 +54,7 @@ def _make_cell_window(kind: str) -> Any:
     """
 
     @intrinsic
-    def window_forces(typing_context, displacement, numbers, cell_force, law, rows, window):  # type: ignore[no-untyped-def]
+    def window_forces(typing_context, displacement, numbers, cell_force, law, rows, window):
         def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             arrays = zip(signature.args[:5], arguments, strict=False)
             u, n, f, constants, starts = (array_data(context, builder, *pair) for pair in arrays)
@@ -78,9 +78,7 @@ def _make_cell_window(kind: str) -> Any:
 
 
 @intrinsic
-def sharing_element_of_window(  # type: ignore[no-untyped-def]
-    typing_context, displacement, numbers, shares, stress, cell_force, law, rows, window
-):
+def sharing_element_of_window(typing_context, displacement, numbers, shares, stress, cell_force, law, rows, window):
     """Add the forces of one window of elements that share strain; takes the stress of the means around the nodes."""
 
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -98,7 +96,7 @@ def sharing_element_of_window(  # type: ignore[no-untyped-def]
 
 
 @intrinsic
-def gradient_of_window(typing_context, displacement, numbers, gradient, rows, window):  # type: ignore[no-untyped-def]
+def gradient_of_window(typing_context, displacement, numbers, gradient, rows, window):
     """Write the nine numbers of F - 1 of a window of cells."""
 
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -113,7 +111,7 @@ def gradient_of_window(typing_context, displacement, numbers, gradient, rows, wi
 
 
 @intrinsic
-def mean_stress_of_window(typing_context, gradient, shares, stress, law, rows, window):  # type: ignore[no-untyped-def]
+def mean_stress_of_window(typing_context, gradient, shares, stress, law, rows, window):
     """Write the stress, per stiffness, of the mean gradient around a window of nodes."""
 
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -186,7 +184,7 @@ guard_of_window = _make_cell_window("guard")
 
 
 @intrinsic
-def clear_window(typing_context, force, rows, window):  # type: ignore[no-untyped-def]
+def clear_window(typing_context, force, rows, window):
     """Set the forces on a window of nodes to zero."""
 
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -209,7 +207,7 @@ def _spread(corners: tuple[Vector, ...]) -> Lanes:
 
 
 @intrinsic
-def is_flat_window(typing_context, displacement, numbers, rows, window):  # type: ignore[no-untyped-def]
+def is_flat_window(typing_context, displacement, numbers, rows, window):
     """Whether a corner of one of a window's cells has a volume below LOOK_BELOW."""
 
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:

@@ -14,18 +14,16 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from numba import get_num_threads
 
 from heartcase.compiling.kernel import kernel
+from heartcase.schemas.arrays import Int32, Int64
 from heartcase.simulator.engine.cpu.sleep import SleepArrays
 from heartcase.simulator.engine.shared.lanes import LANE_COUNT, ROWS, LaneLayout
 from heartcase.simulator.lattice.model import DIRECTIONS
 
 __all__ = ["KEPT_NODES_MAX", "ChunkArrays", "chunk_arrays", "share_out"]
 
-Int32 = npt.NDArray[np.int32]
-Int64 = npt.NDArray[np.int64]
 
 KEPT_NODES_MAX = 120_000
 """Nodes up to which tensions are kept. On a processor with 32 MB of cache that others use, too, to keep them took 0.63

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 from numba import get_num_threads
 
+from heartcase.schemas.arrays import Float32, Int64, Intp
 from heartcase.simulator.dynamics.integrate import Verlet
 from heartcase.simulator.engine.cpu.autotune import Pace
 from heartcase.simulator.engine.cpu.barrier import Crew, Meeting
@@ -41,7 +41,6 @@ from heartcase.simulator.lattice.state import State
 
 __all__ = ["PARALLEL_WINDOWS_MIN", "CpuEngine"]
 
-Float32 = npt.NDArray[np.float32]
 
 PARALLEL_WINDOWS_MIN = 1024
 """Windows from which on more than one thread pays."""
@@ -109,7 +108,7 @@ class CpuEngine:
         """A copy of the state."""
         return State(self.displacement[self._vectors], self.velocity[self._vectors], self.step_count)
 
-    def prescribe(self, nodes: npt.NDArray[np.intp], displacement: Float32, velocity: Float32) -> None:
+    def prescribe(self, nodes: Intp, displacement: Float32, velocity: Float32) -> None:
         """Set where nodes are and how they move on."""
         self.displacement[self._vectors[nodes]] = displacement
         self.velocity[self._vectors[nodes]] = velocity
@@ -224,7 +223,7 @@ class CpuEngine:
         is_sharing[window[model.shared_stiffness.any(axis=1)]] = 1
         return SharingArrays(self.cells.shares(model), gradient, stress, is_sharing)
 
-    def forces(self, nodes: npt.NDArray[np.intp] | None = None) -> Float32:
+    def forces(self, nodes: Intp | None = None) -> Float32:
         """Spring forces now, on some nodes or all; only the windows that hold them are worked out."""
         rows = self.layout.window_rows if nodes is None else self.layout.windows_of(nodes)
         cells = (self._cell_arrays, self._kinds, self._sharing)
@@ -236,7 +235,7 @@ class CpuEngine:
         return force
 
     @cached_property
-    def _window_lanes(self) -> npt.NDArray[np.int64]:
+    def _window_lanes(self) -> Int64:
         """Lanes of each window, shape (window_count, 8)."""
         return self._rows[:, 4, None] + np.arange(LANE_COUNT)
 

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.kernel import kernel
+from heartcase.schemas.arrays import Float32, Int64
 from heartcase.simulator.engine.shared.contact import make_contact
 from heartcase.simulator.engine.shared.lanes import BANK_LANES, LANE_COUNT
 
 __all__ = ["Constants", "ExplicitArrays", "keep_window_outside", "pull_explicitly"]
 
-Float32 = npt.NDArray[np.float32]
-Int64 = npt.NDArray[np.int64]
 Constants = tuple[np.float32, np.float32, np.float32, np.float32, np.float32, np.float32, np.float32]
 ExplicitArrays = tuple[Int64, Int64, Int64, Float32, Float32]
 Vector = tuple[np.float32, np.float32, np.float32]

@@ -16,9 +16,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.kernel import kernel
+from heartcase.schemas.arrays import Float32, Int8, Int32, Int64
 from heartcase.simulator.engine.cpu.barrier import Meeting, meet
 from heartcase.simulator.engine.cpu.cells import (
     clear_window,
@@ -64,10 +64,6 @@ __all__ = [
     "lane_forces",
 ]
 
-Float32 = npt.NDArray[np.float32]
-Int8 = npt.NDArray[np.int8]
-Int32 = npt.NDArray[np.int32]
-Int64 = npt.NDArray[np.int64]
 CellArrays = tuple[Int64, Float32, Float32, Float32, Int8, Int8, Int64]
 Kinds = tuple[int, bool, bool]
 StateArrays = tuple[Float32, Float32, Float32, Float32, Float32, Float32, Float32, Int64]

@@ -18,9 +18,9 @@ from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.kernel import kernel
+from heartcase.schemas.arrays import Float32, Int8, Int32, Int64
 from heartcase.schemas.bundle.lattice import lattice_keys
 from heartcase.simulator.engine.cpu.barrier import raise_to
 from heartcase.simulator.engine.shared.contact import REACH
@@ -40,10 +40,6 @@ __all__ = [
     "sleep_arrays",
 ]
 
-Float32 = npt.NDArray[np.float32]
-Int8 = npt.NDArray[np.int8]
-Int32 = npt.NDArray[np.int32]
-Int64 = npt.NDArray[np.int64]
 
 CHECK_STEPS = 8
 """Steps between two checks: less than a wave takes through a block; it passes at most a cell in a step."""

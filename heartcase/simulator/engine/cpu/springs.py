@@ -180,7 +180,7 @@ def _behind(offset: Offset) -> Offset:
 
 
 @intrinsic
-def tension_of_window(typing_context, now, window_numbers, tension, rows, window):  # type: ignore[no-untyped-def]
+def tension_of_window(typing_context, now, window_numbers, tension, rows, window):
     """Keep the tensions over the lengths of the springs ahead of a window's lanes."""
 
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -201,7 +201,7 @@ def _make_force(has_cells: bool) -> Any:
     """The intrinsic that writes the forces on one window, with those of the cells where they are given."""
 
     @intrinsic
-    def force_of(typing_context, displacement, weight, cell_force, force, rows, window):  # type: ignore[no-untyped-def]
+    def force_of(typing_context, displacement, weight, cell_force, force, rows, window):
         def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             arrays = zip(signature.args[:5], arguments, strict=False)
             u, w, c, f, starts = (array_data(context, builder, *pair) for pair in arrays)

@@ -190,7 +190,7 @@ def _make_steps(springs: str, has_cells: bool = False, in_stages: bool | None = 
     """
 
     @intrinsic
-    def steps(  # type: ignore[no-untyped-def]
+    def steps(
         typing_context,
         now,
         later,

@@ -217,7 +217,7 @@ _FLUSH = 0x8040
 
 
 @intrinsic
-def flush_subnormals(typing_context):  # type: ignore[no-untyped-def]
+def flush_subnormals(typing_context):
     """Take numbers below 1e-38 for zero in this thread from now on; returns what to restore.
 
     A wave in tissue at rest is of such numbers for a long time, and with them x86 takes three times as long. Other
@@ -238,7 +238,7 @@ def flush_subnormals(typing_context):  # type: ignore[no-untyped-def]
 
 
 @intrinsic
-def restore_subnormals(typing_context, before):  # type: ignore[no-untyped-def]
+def restore_subnormals(typing_context, before):
     """Undo :func:`flush_subnormals`."""
 
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:

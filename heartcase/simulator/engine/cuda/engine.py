@@ -14,8 +14,8 @@ from typing import Any
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
+from heartcase.schemas.arrays import Float32, Intp
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.dynamics.integrate import Verlet
 from heartcase.simulator.engine.cuda.cells import CellsOnDevice, plain_launch
@@ -27,7 +27,6 @@ from heartcase.simulator.lattice.state import State
 
 __all__ = ["CudaEngine", "Launch", "plan_launch"]
 
-Float32 = npt.NDArray[np.float32]
 
 WARP = 32
 """Threads that a multiprocessor runs in step."""
@@ -147,7 +146,7 @@ class CudaEngine:
         gather(self._displacement, first, self._node_lane, self._by_node)
         return self._by_node
 
-    def prescribe(self, nodes: npt.NDArray[np.intp], displacement: Float32, velocity: Float32) -> None:
+    def prescribe(self, nodes: Intp, displacement: Float32, velocity: Float32) -> None:
         """Set where nodes are and how they move on."""
         if not len(nodes):
             return
@@ -214,7 +213,7 @@ class CudaEngine:
             self._cuda.to_device(springs.stiffness),
         )
 
-    def forces(self, nodes: npt.NDArray[np.intp] | None = None) -> Float32:
+    def forces(self, nodes: Intp | None = None) -> Float32:
         """Spring forces now, on some nodes or all."""
         nodes = np.arange(self.model.node_count) if nodes is None else nodes
         if not len(nodes):
@@ -308,7 +307,7 @@ class CudaEngine:
             self._constants = {verlet: self._cuda.to_device(np.array(verlet.numbers, np.float32))}
         return self._constants[verlet]
 
-    def _on_device(self, nodes: npt.NDArray[np.intp]) -> Any:
+    def _on_device(self, nodes: Intp) -> Any:
         """Numbers of nodes on the device, kept for the next time: a hand asks for the same every frame."""
         key = nodes.tobytes()
         if key not in self._nodes_seen:

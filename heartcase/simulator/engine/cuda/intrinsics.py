@@ -23,11 +23,11 @@ def register_limit(count: int) -> dict[str, int]:
 
 if IS_SIMULATED:
 
-    def load_four(array, number):
+    def load_four(array: Any, number: Any) -> Any:
         """The four float32 of vector ``number``."""
         return tuple(array[4 * int(number) : 4 * int(number) + 4])
 
-    def store_four(array, number, x, y, z, w):
+    def store_four(array: Any, number: Any, x: Any, y: Any, z: Any, w: Any) -> None:
         """Write the four float32 of vector ``number``."""
         array[4 * int(number) : 4 * int(number) + 4] = x, y, z, w
 

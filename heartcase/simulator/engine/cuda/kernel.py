@@ -16,6 +16,7 @@ z of the velocity and the inverse mass.
 from __future__ import annotations
 
 from math import sqrt
+from typing import Any
 
 import numpy as np
 from numba import cuda
@@ -241,7 +242,7 @@ def start_meeting(arrivals):
     cuda.cg.this_grid().sync()
 
 
-def _make_advance_resident(has_hands):
+def _make_advance_resident(has_hands: bool) -> Any:
     @cuda.jit(fastmath=True, **register_limit(128))
     def advance_resident(
         displacement,
@@ -339,7 +340,7 @@ def _make_advance_resident(has_hands):
     return advance_resident
 
 
-def _make_advance_streaming(has_hands):
+def _make_advance_streaming(has_hands: bool) -> Any:
     @cuda.jit(fastmath=True, **register_limit(96))
     def advance_streaming(
         displacement,

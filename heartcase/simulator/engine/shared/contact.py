@@ -19,12 +19,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.schemas.arrays import Float32, Float64, Intp
 from heartcase.simulator.lattice.model import DIRECTIONS, LatticeModel
 
 __all__ = ["NO_PROBES", "PROBE_SIZE", "keep_outside", "make_contact", "moved_on", "probe_row"]
 
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
 
 SHARE = 0.1
 """Part of a corner's volume above the floor that one node may take in one step."""
@@ -117,7 +116,7 @@ def keep_outside(
     return later, velocity
 
 
-def _shares(model: LatticeModel, displacement: Float64, nodes: npt.NDArray[np.intp], moved: Float64) -> Float64:
+def _shares(model: LatticeModel, displacement: Float64, nodes: Intp, moved: Float64) -> Float64:
     """Part of some nodes' movements that their corners allow, shape (len(nodes),)."""
     to = np.full((2, 3, model.node_count), -1)
     for axis, direction in enumerate(_AXES):
@@ -159,7 +158,7 @@ def make_contact(compiled: Callable[[Any], Any]) -> tuple[Any, Any]:
     part, floor = np.float32(SHARE), np.float32(FLOOR)
 
     @compiled
-    def pushed_out(rest, u, probe, step_number):  # type: ignore[no-untyped-def]
+    def pushed_out(rest, u, probe, step_number):
         steps = np.float32(step_number + 1)
         dx = rest[0] - (probe[0] + steps * probe[3]) + u[0]
         dy = rest[1] - (probe[1] + steps * probe[4]) + u[1]
@@ -177,7 +176,7 @@ def make_contact(compiled: Callable[[Any], Any]) -> tuple[Any, Any]:
         return (u[0] + outward * dx, u[1] + outward * dy, u[2] + outward * dz), True
 
     @compiled
-    def corner_share(share, m, a, b, c, sign):  # type: ignore[no-untyped-def]
+    def corner_share(share, m, a, b, c, sign):
         bx, by, bz = b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0]
         volume = sign * (a[0] * bx + a[1] * by + a[2] * bz)
         # The three products are b x c + a x (b - c).
@@ -188,7 +187,7 @@ def make_contact(compiled: Callable[[Any], Any]) -> tuple[Any, Any]:
         return min(share, allowed / loss) if loss > allowed else share
 
     @compiled
-    def allowed_share(m, ahead, behind, has_ahead, has_behind):  # type: ignore[no-untyped-def]
+    def allowed_share(m, ahead, behind, has_ahead, has_behind):
         share = one
         if has_ahead[2]:
             if has_ahead[1] and has_ahead[0]:

@@ -15,9 +15,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.kernel import kernel
+from heartcase.schemas.arrays import Float32, Int32, Int64, Intp
 from heartcase.schemas.bundle.lattice import lattice_keys
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.forces.cell_forces import tissue_spread
@@ -48,7 +48,7 @@ CELL_NUMBERS = 10
 SHARE_NUMBERS = 9
 """Numbers of :func:`share_numbers`, and of a gradient or a stress."""
 
-ROWS: npt.NDArray[np.int32] = np.array([(j, k) for k in (-1, 0, 1) for j in (-1, 0, 1)], dtype=np.int32)
+ROWS: Int32 = np.array([(j, k) for k in (-1, 0, 1) for j in (-1, 0, 1)], dtype=np.int32)
 """Offset (j, k) of a window's own row (number 4) and of the eight rows around it, shape (9, 2)."""
 
 BANK_LANES = 8304
@@ -70,11 +70,11 @@ class LaneLayout:
     """Length of an array with one number per lane; in banks the other numbers' places are in between."""
     stride: int
     """Distance from a lane's number to its next in an array with several."""
-    node_lane: npt.NDArray[np.int64]
+    node_lane: Int64
     """Lane of each node, shape (node_count,)."""
-    node_slot: npt.NDArray[np.int64]
+    node_slot: Int64
     """Number of the node's window times 8 plus its place there, shape (node_count,)."""
-    window_rows: npt.NDArray[np.int64]
+    window_rows: Int64
     """Lane at the window's first i in the nine ROWS, for each window, shape (window_count, 9); in an empty block where
     a row has no nodes there."""
 
@@ -87,13 +87,11 @@ class LaneLayout:
         """Length of an array with so many numbers per lane."""
         return self.lane_count + (number_count - 1) * self.stride
 
-    def places(self, lanes: npt.NDArray[np.int64], number_count: int) -> npt.NDArray[np.int64]:
+    def places(self, lanes: Int64, number_count: int) -> Int64:
         """Where such an array has the numbers of some lanes, shape (len(lanes), number_count)."""
         return lanes[:, None] + self.stride * np.arange(number_count)
 
-    def spring_weight(
-        self, model: LatticeModel, spring_weight: npt.NDArray[np.float32] | None = None
-    ) -> npt.NDArray[np.float32]:
+    def spring_weight(self, model: LatticeModel, spring_weight: Float32 | None = None) -> Float32:
         """Stiffness of the spring from each lane along each of the nine DIRECTIONS [k], shape (length(9),).
 
         Another value of each spring of the model, shape (spring_count,), where one is given.
@@ -105,7 +103,7 @@ class LaneLayout:
         )
         return weight
 
-    def uniform_weight(self, model: LatticeModel) -> npt.NDArray[np.float32]:
+    def uniform_weight(self, model: LatticeModel) -> Float32:
         """Stiffness of all springs of a window's nodes, where each has 18 and all are alike, else 0 [k].
 
         Shape (window_count,).
@@ -120,7 +118,7 @@ class LaneLayout:
         low, high = np.minimum.reduceat(lowest, first), np.maximum.reduceat(highest, first)
         return np.where(low == high, low, 0.0).astype(np.float32)
 
-    def windows_of(self, nodes: npt.NDArray[np.intp]) -> npt.NDArray[np.int64]:
+    def windows_of(self, nodes: Intp) -> Int64:
         """Rows of the windows that hold some nodes, shape (count, 9)."""
         return self.window_rows[np.unique(self.node_slot[nodes] // LANE_COUNT)]
 
@@ -183,7 +181,7 @@ def lane_layout(model: LatticeModel, *, in_banks: bool = False) -> LaneLayout:
     )
 
 
-def cell_numbers(model: LatticeModel) -> npt.NDArray[np.float32]:
+def cell_numbers(model: LatticeModel) -> Float32:
     """What the law's kernels read of each cell, shape (10, cell_count), float32.
 
     The covered stiffness [k/h], then for elements the means of x, y, z, yz, xz, xy and variances along x, y, z of the
@@ -199,7 +197,7 @@ def cell_numbers(model: LatticeModel) -> npt.NDArray[np.float32]:
     return numbers
 
 
-def share_numbers(model: LatticeModel) -> npt.NDArray[np.float32]:
+def share_numbers(model: LatticeModel) -> Float32:
     """What of each cell's covered stiffness is strained by the mean around each of its corners, and what by itself.
 
     In k/h, shape (9, cell_count), float32.
@@ -209,7 +207,7 @@ def share_numbers(model: LatticeModel) -> npt.NDArray[np.float32]:
     return np.concatenate([shared.T, own[None]])
 
 
-def inverse_shared(model: LatticeModel) -> npt.NDArray[np.float32]:
+def inverse_shared(model: LatticeModel) -> Float32:
     """Inverse of the stiffness that shares strain around each node [h/k], zero where none does, (node_count,)."""
     shared = np.bincount(model.cell_corners.ravel(), model.shared_stiffness.ravel(), minlength=model.node_count)
     return np.divide(1.0, shared, out=np.zeros_like(shared), where=shared > 0.0).astype(np.float32)
@@ -221,20 +219,20 @@ class CellLayout:
 
     layout: LaneLayout
     """Of the nodes."""
-    cell_lane: npt.NDArray[np.int64]
+    cell_lane: Int64
     """Lane of each cell, shape (cell_count,)."""
-    window_rows: npt.NDArray[np.int64]
+    window_rows: Int64
     """Rows of the windows that hold a cell, shape (count, 9)."""
-    touches: npt.NDArray[np.int64]
+    touches: Int64
     """Windows of nodes that the cells of each of these windows have corners in, then -1, shape (count, 8)."""
 
-    def numbers(self, model: LatticeModel) -> npt.NDArray[np.float32]:
+    def numbers(self, model: LatticeModel) -> Float32:
         """:func:`cell_numbers` by lane, shape (length(10),), float32; zero where there is no cell."""
         numbers = np.zeros(self.layout.length(CELL_NUMBERS), np.float32)
         numbers[self.layout.places(self.cell_lane, CELL_NUMBERS)] = cell_numbers(model).T
         return numbers
 
-    def shares(self, model: LatticeModel) -> npt.NDArray[np.float32]:
+    def shares(self, model: LatticeModel) -> Float32:
         """:func:`share_numbers` by lane, shape (length(9),), float32; zero where there is no cell."""
         shares = np.zeros(self.layout.length(SHARE_NUMBERS), np.float32)
         shares[self.layout.places(self.cell_lane, SHARE_NUMBERS)] = share_numbers(model).T
@@ -255,7 +253,7 @@ def cell_layout(model: LatticeModel, layout: LaneLayout) -> CellLayout:
 
 
 @kernel
-def _run_starts(block_counts: npt.NDArray[np.int64], capacity: int) -> npt.NDArray[np.int64]:
+def _run_starts(block_counts: Int64, capacity: int) -> Int64:
     """First lane of each run: an empty block follows each, and no bank holds more blocks than its capacity."""
     starts = np.empty_like(block_counts)
     bank, block = 0, _HEAD_BLOCKS
@@ -268,7 +266,7 @@ def _run_starts(block_counts: npt.NDArray[np.int64], capacity: int) -> npt.NDArr
 
 
 @kernel
-def _windows(node_lane: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+def _windows(node_lane: Int64) -> tuple[Int64, Int64]:
     """First node of each window, and window of each node: a window begins at the first node that none holds yet."""
     first, window = np.empty_like(node_lane), np.empty_like(node_lane)
     count, end = 0, -1
