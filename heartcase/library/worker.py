@@ -61,7 +61,7 @@ def _built(case: LibraryCase, out: Path, cache: Path | None) -> CaseRecord:
         stamp=case.stamp,
         stage_seconds={stage: round(seconds, 3) for stage, seconds in result.seconds.items()},
         reused=result.reused,
-        warnings=result.warnings,
+        warnings=tuple(warning.text for warning in result.warnings),
         files=files_written(out, [path.relative_to(out).as_posix() for path in written]),
     )
 

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from heartcase.pipeline.warnings import CaseWarning
 from heartcase.schemas.arrays import Float32, Float64, Int32, UInt8
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable
@@ -48,7 +49,7 @@ class Scan:
     """``CT``, ``MR`` or ``unknown``."""
     acquisition: dict[str, Any] = field(default_factory=dict)
     """Physics of the acquisition that may be kept (field strength, tube voltage, ...): plain numbers and words."""
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[CaseWarning, ...] = ()
     """What was done to the scan as it was read, in plain words: slices interpolated, a tilted gantry straightened."""
     whole_sha256: str = ""
     """``values_sha256`` of the scan before its region of interest was cut out; empty where nobody worked it out."""
@@ -73,7 +74,7 @@ class Markers:
     """Label value of each marked voxel, shape ``geometry.shape``; 255 where nothing is marked (0 is background)."""
     geometry: Geometry
     """The scan's geometry."""
-    warnings: tuple[str, ...] = field(default=(), metadata={"is_kept_when_empty": False})
+    warnings: tuple[CaseWarning, ...] = field(default=(), metadata={"is_kept_when_empty": False})
     """What a file marks that may not be meant, in plain words."""
 
     UNMARKED = 255
@@ -89,7 +90,7 @@ class Segmentation:
     """The scan's geometry."""
     table: LabelTable
     """What the values stand for."""
-    warnings: tuple[str, ...] = field(default=(), metadata={"is_kept_when_empty": False})
+    warnings: tuple[CaseWarning, ...] = field(default=(), metadata={"is_kept_when_empty": False})
     """What was left out of a finished segmentation, in plain words."""
 
 
@@ -202,7 +203,7 @@ class Structures:
     """End markers: (point, outward axis, radius) in mm; tissue cells that such a disc cuts are held fixed."""
     reshapings: tuple[Reshaping, ...] = ()
     """Cuts at vessel ends and edits, in order. One that names a label which the table does not have is left out."""
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[CaseWarning, ...] = ()
     """What went amiss, in plain words: structures that the smoothing shrank or lost, vessel ends that stay closed,
     compartments of blood that were joined or split, walls with a gap."""
     thickness_tables: tuple[ThicknessTable, ...] = field(default=(), metadata={"is_kept_when_empty": False})
@@ -297,7 +298,7 @@ class SimulationGrid:
     """Label table."""
     quality: dict[str, Any] = field(default_factory=dict)
     """Figures for the report: counts, volume error, Betti numbers before and after, repairs, thickness in cells."""
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[CaseWarning, ...] = ()
     """What could not be repaired, in plain words with positions in mm."""
 
     def node_positions_mm(self) -> Float64:
@@ -343,7 +344,7 @@ class Surface:
     """Tangent-space normal map, shape (size, size, 3), 8 bit; shape (0, 0, 3) when there is none."""
     quality: dict[str, Any] = field(default_factory=dict)
     """Figures for the report."""
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[CaseWarning, ...] = ()
     """What is wrong with the mesh, in plain words."""
     levels: tuple[Surface, ...] = field(default=(), metadata={"is_kept_when_empty": False, "of_its_own_kind": True})
     """Coarser levels of detail, from fine to coarse; they have no levels of their own."""
@@ -371,7 +372,7 @@ class GridMap:
     """Nearest node of each vertex for the one-to-one mapping of thesis 9.3.2, shape (vertex_count,)."""
     quality: dict[str, Any] = field(default_factory=dict)
     """Figures for the report."""
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[CaseWarning, ...] = ()
     """Vertices that had no face of their own label, and the like."""
     levels: tuple[GridMap, ...] = field(default=(), metadata={"is_kept_when_empty": False, "of_its_own_kind": True})
     """How the surface's coarser levels of detail follow the grid."""

@@ -1,33 +1,39 @@
-"""How much a warning matters: what comes first for the clinician who must trust or reject a case.
+"""Warnings of a case: what is wrong or doubtful, how much it matters, and what it is about.
 
-A warning is a line of text. Where it arises it is marked as one about the anatomy, or as one for information; a plain
-line without a mark is something to look at. The mark travels with the line through the cache and stands in the case,
-so that nothing has to be guessed from its words.
+A warning is a sentence for the clinician who must trust or reject a case, with its severity, and with what a program
+would otherwise have to read out of the sentence: the edit that it is about, the places, the parts of a list. It travels
+with the outputs of the stages through the cache; the manifest of a case has the text and the severity.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
-from typing import Any
+from typing import Any, NamedTuple
 
 from heartcase.schemas.bundle.format import CaseManifest, WarningGrade
 
 __all__ = [
-    "Caution",
-    "CautionGroup",
+    "CaseWarning",
     "Severity",
+    "WarningGroup",
+    "WarningParts",
     "anatomy",
-    "caution_from_json",
-    "caution_to_json",
-    "cautions_of",
     "counted",
     "grouped",
     "note",
-    "severity_of",
+    "of_edit",
+    "warning_from_json",
+    "warning_to_json",
+    "warnings_of",
     "worst_first",
 ]
+
+Point = tuple[float, float, float]
+
+_EDIT = re.compile(r"edits\[(\d+)\]")
 
 
 class Severity(IntEnum):
@@ -46,20 +52,60 @@ class Severity(IntEnum):
         return WarningGrade[self.name]
 
 
-class Caution(str):
-    """A warning's text, with how much it matters."""
+class WarningParts(NamedTuple):
+    """The sentence of a warning taken apart, for a page that shows what it lists as a list."""
 
-    severity: Severity
-
-    def __new__(cls, text: str, severity: Severity = Severity.LOOK) -> Caution:
-        """Mark a line of text."""
-        caution = super().__new__(cls, text)
-        caution.severity = severity
-        return caution
+    lead: str
+    """What stands before the list; the whole sentence where there is none."""
+    listed: tuple[str, ...] = ()
+    """The parts of the list."""
+    rest: str = ""
+    """What stands behind it."""
 
 
 @dataclass(frozen=True)
-class CautionGroup:
+class CaseWarning:
+    """A warning about a case."""
+
+    text: str
+    """What is wrong, where, and what to do: a sentence without a capital at its start."""
+    severity: Severity = Severity.LOOK
+    """How much it matters."""
+    code: str = ""
+    """Name of the kind of warning, such as ``wall-gap``; empty where the kind has none yet."""
+    edit: int | None = None
+    """Number of the edit of the recipe that it is about, from 1; the text begins with ``edits[number]`` then."""
+    places_mm: tuple[Point, ...] = ()
+    """Places that it is about, LPS mm, to 0.1 mm as in the text; empty where the kind does not give them yet."""
+    listed: tuple[str, ...] = ()
+    """What the text lists, separated by ``"; "`` there."""
+    has_stated_severity: bool = field(default=False, compare=False)
+    """Whether stage outputs write the severity even where it is :attr:`Severity.LOOK`, which goes without saying
+    otherwise. The warnings of marker files and strokes do, so their stages' outputs have the same bytes as before."""
+
+    def __post_init__(self) -> None:
+        rounded = (tuple(round(float(value), 1) + 0.0 for value in place) for place in self.places_mm)
+        object.__setattr__(self, "places_mm", tuple(rounded))
+
+    def __str__(self) -> str:
+        return self.text
+
+    @property
+    def sentence(self) -> str:
+        """The text as a sentence of its own: a capital at its start, a full stop at its end."""
+        return _as_sentence(self.text)
+
+    @property
+    def parts(self) -> WarningParts:
+        """The sentence with its list taken apart, where it lists two things or more."""
+        if len(self.listed) < 2:
+            return WarningParts(self.sentence)
+        lead, found, rest = self.sentence.partition("; ".join(self.listed))
+        return WarningParts(lead.rstrip(), self.listed, rest.lstrip(". ")) if found else WarningParts(self.sentence)
+
+
+@dataclass(frozen=True)
+class WarningGroup:
     """Warnings that matter alike, as a report shows them."""
 
     severity: Severity
@@ -68,8 +114,13 @@ class CautionGroup:
     """Heading."""
     advice: str
     """What to do about all of them, one sentence."""
-    lines: tuple[str, ...]
-    """The warnings as sentences, in the order they were given."""
+    warnings: tuple[CaseWarning, ...]
+    """In the order they were given."""
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """The warnings as sentences."""
+        return tuple(warning.sentence for warning in self.warnings)
 
 
 _TITLES = {
@@ -82,55 +133,56 @@ _TITLES = {
 }
 
 
-def anatomy(text: str) -> Caution:
+def anatomy(text: str, *, code: str = "", places_mm: Sequence[Point] = ()) -> CaseWarning:
     """A warning that the model's shape may not be the patient's."""
-    return Caution(text, Severity.ANATOMY)
+    return CaseWarning(text, Severity.ANATOMY, code, places_mm=tuple(places_mm))
 
 
-def note(text: str) -> Caution:
+def note(text: str, *, code: str = "", places_mm: Sequence[Point] = ()) -> CaseWarning:
     """A warning that calls for nothing."""
-    return Caution(text, Severity.NOTE)
+    return CaseWarning(text, Severity.NOTE, code, places_mm=tuple(places_mm))
 
 
-def severity_of(warning: str) -> Severity:
-    """How much a warning matters; a plain line is something to look at."""
-    return warning.severity if isinstance(warning, Caution) else Severity.LOOK
+def of_edit(number: int, text: str, severity: Severity) -> CaseWarning:
+    """A warning about one edit of the recipe, by its number from 1."""
+    return CaseWarning(f"edits[{number}]: {text}", severity, edit=number)
 
 
-def worst_first(*sources: Iterable[str]) -> tuple[Caution, ...]:
+def worst_first(*sources: Iterable[CaseWarning]) -> tuple[CaseWarning, ...]:
     """All warnings once, the worst on top; those that matter alike stay in the order of the sources.
 
     Parameters
     ----------
     sources
-        Warnings of the stages, in the order of the stages. A line that comes twice counts as its worst.
+        Warnings of the stages, in the order of the stages. A text that comes twice counts as its worst.
 
     Returns
     -------
-    tuple of Caution
+    tuple of CaseWarning
         Sorted.
     """
-    found: dict[str, Severity] = {}
-    for warning in (line for source in sources for line in source):
-        text = str(warning)
-        found[text] = min(severity_of(warning), found.get(text, Severity.NOTE))
-    return tuple(Caution(text, severity) for text, severity in sorted(found.items(), key=lambda item: item[1]))
+    found: dict[str, CaseWarning] = {}
+    for warning in (one for source in sources for one in source):
+        known = found.setdefault(warning.text, warning)
+        if warning.severity < known.severity:
+            found[warning.text] = replace(known, severity=warning.severity)
+    return tuple(sorted(found.values(), key=lambda warning: warning.severity))
 
 
-def cautions_of(manifest: CaseManifest) -> tuple[Caution, ...]:
+def warnings_of(manifest: CaseManifest) -> tuple[CaseWarning, ...]:
     """Warnings of a case with how much they matter; in a case that does not say so each is worth a look."""
     grades = manifest.warning_grades or (WarningGrade.LOOK,) * len(manifest.warnings)
-    return tuple(Caution(text, Severity[grade.name]) for text, grade in zip(manifest.warnings, grades, strict=True))
+    return tuple(CaseWarning(text, Severity[grade.name]) for text, grade in zip(manifest.warnings, grades, strict=True))
 
 
-def grouped(warnings: Iterable[str]) -> tuple[CautionGroup, ...]:
+def grouped(warnings: Iterable[CaseWarning]) -> tuple[WarningGroup, ...]:
     """Warnings under the headings of a report, the worst heading first; headings without a warning are left out."""
     every = worst_first(warnings)
     groups = []
     for severity, (title, advice) in _TITLES.items():
-        lines = tuple(_as_sentence(line) for line in every if line.severity is severity)
-        if lines:
-            groups.append(CautionGroup(severity, title, advice, lines))
+        alike = tuple(warning for warning in every if warning.severity is severity)
+        if alike:
+            groups.append(WarningGroup(severity, title, advice, alike))
     return tuple(groups)
 
 
@@ -139,21 +191,51 @@ def counted(number: int, thing: str) -> str:
     return f"{number} {thing}{'' if number == 1 else 's'}"
 
 
-def caution_to_json(warning: str) -> str | dict[str, Any]:
-    """A warning as JSON can hold it: plain text where it has no mark."""
-    text = str(warning)
-    return {"severity": warning.severity.name, "text": text} if isinstance(warning, Caution) else text
+def warning_to_json(warning: CaseWarning) -> str | dict[str, Any]:
+    """A warning as stage outputs hold it: its text alone where that says all, else an object of what it has.
+
+    The number of an edit is not written: the text has it, and :func:`warning_from_json` takes it from there.
+    """
+    more: dict[str, Any] = {"code": warning.code} if warning.code else {}
+    if warning.places_mm:
+        more["places_mm"] = [list(place) for place in warning.places_mm]
+    if warning.listed:
+        more["listed"] = list(warning.listed)
+    if not more and warning.severity is Severity.LOOK and not warning.has_stated_severity:
+        return warning.text
+    return {"severity": warning.severity.name, "text": warning.text, **more}
 
 
-def caution_from_json(value: str | Mapping[str, Any]) -> str:
-    """What :func:`caution_to_json` made, back.
+def warning_from_json(value: str | Mapping[str, Any]) -> CaseWarning:
+    """What :func:`warning_to_json` made, back.
 
     Raises
     ------
-    KeyError, TypeError
-        It is neither a text nor a marked one.
+    KeyError, TypeError, ValueError
+        It is none.
     """
-    return value if isinstance(value, str) else Caution(value["text"], Severity[value["severity"]])
+    if isinstance(value, str):
+        return CaseWarning(value, edit=_edit_of(value))
+    text, severity = value["text"], Severity[value["severity"]]
+    places = []
+    for place in value.get("places_mm", ()):
+        x, y, z = place
+        places.append((x, y, z))
+    return CaseWarning(
+        text,
+        severity,
+        value.get("code", ""),
+        _edit_of(text),
+        tuple(places),
+        tuple(value.get("listed", ())),
+        has_stated_severity=severity is Severity.LOOK,
+    )
+
+
+def _edit_of(text: str) -> int | None:
+    """Number of the edit that a text of a stage's output begins with."""
+    found = _EDIT.match(text)
+    return None if found is None else int(found[1])
 
 
 def _as_sentence(text: str) -> str:

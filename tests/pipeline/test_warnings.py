@@ -13,12 +13,12 @@ import heartcase
 from heartcase.pipeline.artifacts.serialise import artifact_from_bytes, artifact_to_bytes
 from heartcase.pipeline.data import Scan
 from heartcase.pipeline.ends.cut_ends import closed_vessels
-from heartcase.pipeline.warnings import Caution, Severity, anatomy, counted, grouped, note, severity_of, worst_first
+from heartcase.pipeline.warnings import CaseWarning, Severity, anatomy, counted, grouped, note, worst_first
 from heartcase.pipeline.watershed.segment_scan import segmentation_warnings
 from heartcase.schemas.errors import StageError
 from tests.pipeline.report.analytic_heart import make_heart
 
-lines = st.builds(Caution, st.sampled_from("abcdef"), st.sampled_from(Severity))
+lines = st.builds(CaseWarning, st.sampled_from("abcdef"), st.sampled_from(Severity))
 
 
 @settings(deadline=None)
@@ -29,7 +29,7 @@ def test_the_worst_come_first_each_once_with_its_worst_weight(sources):
     assert sorted(map(str, result)) == sorted({str(line) for line in every})
     assert all(a.severity <= b.severity for a, b in itertools.pairwise(result))
     for line in result:
-        assert line.severity == min(severity_of(other) for other in every if other == line)
+        assert line.severity == min(other.severity for other in every if other == line)
     # Those that matter alike keep the order in which they came.
     order = [str(line) for line in every]
     for a, b in itertools.pairwise(result):
@@ -38,17 +38,17 @@ def test_the_worst_come_first_each_once_with_its_worst_weight(sources):
 
 
 def test_a_plain_line_is_something_to_look_at():
-    assert severity_of("x") is Severity.LOOK
+    assert "x".severity is Severity.LOOK
     assert worst_first(["info", note("n"), anatomy("a")]) == ("a", "info", "n")
 
 
 def test_weights_survive_the_cache():
     heart = make_heart(spacing_mm=(8.0, 8.0, 8.0))
-    given_lines = ("plain", anatomy("a wall"), note("a speck"), Caution("look"))
+    given_lines = ("plain", anatomy("a wall"), note("a speck"), CaseWarning("look"))
     scan = Scan(heart.scan.values, heart.scan.geometry, "CT", warnings=given_lines)
     back = artifact_from_bytes(artifact_to_bytes(scan), Scan).warnings
     assert back == given_lines
-    assert [severity_of(line) for line in back] == [severity_of(line) for line in given_lines]
+    assert [line.severity for line in back] == [line.severity for line in given_lines]
     assert artifact_to_bytes(scan) == artifact_to_bytes(Scan(scan.values, scan.geometry, "CT", warnings=back))
 
 

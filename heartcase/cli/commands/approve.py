@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from heartcase.cli.shared.output import echo_json, echo_warnings
-from heartcase.pipeline.warnings import cautions_of, counted
+from heartcase.pipeline.warnings import counted, warnings_of
 from heartcase.schemas.bundle.approval import approval_log, approve_case, bundle_sha256
 from heartcase.schemas.bundle.check import check_bundle
 from heartcase.schemas.bundle.reader import open_bundle
@@ -40,7 +40,7 @@ def command(case: Path, role: str, note: str, withdraw: bool, yes: bool, as_json
         manifest = open_bundle(case).manifest
         click.echo(f"Case       {manifest.name}" + (f" ({manifest.case_id})" if manifest.case_id else ""), err=True)
         click.echo(f"Hash       {seen[:16]}, as on the report", err=True)
-        worst = echo_warnings(cautions_of(manifest), err=True)
+        worst = echo_warnings(warnings_of(manifest), err=True)
         click.echo(manifest.notice, err=True)
         if worst:
             _confirm_anatomy(worst, yes=yes)

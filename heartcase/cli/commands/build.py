@@ -12,7 +12,6 @@ from rich.progress_bar import ProgressBar
 from rich.text import Text
 
 from heartcase.cli.shared.output import echo_json, echo_warnings, working
-from heartcase.pipeline.warnings import severity_of
 from heartcase.schemas.recipe.recipe import load_recipe
 
 __all__ = ["command"]
@@ -147,8 +146,8 @@ def command(
                 "seconds": round(seconds, 2),
                 "stage_seconds": {stage: round(value, 3) for stage, value in result.seconds.items()},
                 "reused": list(result.reused),
-                "warnings": list(result.warnings),
-                "warning_grades": [severity_of(warning).grade for warning in result.warnings],
+                "warnings": [warning.text for warning in result.warnings],
+                "warning_grades": [warning.severity.grade for warning in result.warnings],
                 "simulation": result.manifest.simulation.model_dump(mode="json") if result.manifest else None,
                 "quality": result.manifest.quality if result.manifest else None,
             }

@@ -9,6 +9,7 @@ from pathlib import Path
 import click
 
 from heartcase.cli.shared.output import echo_json, working
+from heartcase.pipeline.warnings import CaseWarning
 from heartcase.schemas.bundle.approval import approval_state
 from heartcase.schemas.bundle.check import check_bundle
 from heartcase.schemas.errors import HeartcaseError, Problem
@@ -37,7 +38,7 @@ def command(ctx: click.Context, path: Path, as_json: bool) -> None:
     if as_json:
         listed = [{"place": problem.place, "message": problem.message} for problem in problems]
         stated = {"approval": approval.as_dict()} if approval else {}
-        told = {"warnings": [str(warning) for warning in found.warnings]} if found.warnings else {}
+        told = {"warnings": [warning.text for warning in found.warnings]} if found.warnings else {}
         echo_json({"valid": not problems, "problems": listed, **told, **stated})
     else:
         for problem in problems:
@@ -56,7 +57,7 @@ class _Findings:
     """What is to be said of a path."""
 
     problems: tuple[Problem, ...] = ()
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[CaseWarning, ...] = ()
 
 
 def _findings(path: Path) -> _Findings:

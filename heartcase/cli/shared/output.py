@@ -19,7 +19,7 @@ from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
-from heartcase.pipeline.warnings import Severity, counted, grouped
+from heartcase.pipeline.warnings import CaseWarning, Severity, counted, grouped
 
 __all__ = [
     "echo_json",
@@ -55,7 +55,7 @@ def echo_json(data: Any) -> None:
     click.echo(json.dumps(json_ready(data), indent=2, ensure_ascii=False, allow_nan=False))
 
 
-def echo_warnings(warnings: Iterable[str], *, err: bool = False) -> int:
+def echo_warnings(warnings: Iterable[CaseWarning], *, err: bool = False) -> int:
     """Print the warnings of a case under the report's headings, the worst first, on standard output or error.
 
     Returns

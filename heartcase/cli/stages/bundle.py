@@ -63,7 +63,7 @@ def command(
     from heartcase.pipeline.bundle.case_id import made_up_case_id
     from heartcase.pipeline.bundle.write_bundle import write_bundle
     from heartcase.pipeline.data import GridMap, Scan, SimulationGrid, Structures, Surface
-    from heartcase.pipeline.warnings import Caution
+    from heartcase.pipeline.warnings import CaseWarning
     from heartcase.schemas.recipe.recipe import Part
 
     work = stage_run(recipe)
@@ -91,7 +91,7 @@ def command(
     told["lock"] = check_lock(work.recipe, work.work.directory, volume)
     if not is_known:
         unknown = "an output of a stage does not say how it came about, so what was told on the way is not known here"
-        told["unknown"] = (*told.get("unknown", ()), Caution(unknown))
+        told["unknown"] = (*told.get("unknown", ()), CaseWarning(unknown))
     assembled = assemble_case(
         work.recipe,
         StageResults(

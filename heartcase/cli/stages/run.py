@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from heartcase.cli.shared.stage_io import load_outputs, settings_of
+from heartcase.pipeline.warnings import CaseWarning
 from heartcase.schemas.errors import Problem, UsageError
 from heartcase.schemas.recipe.recipe import Recipe, load_recipe, plain_recipe
 
@@ -38,7 +39,7 @@ class StageRun:
     """Of the inputs."""
     is_known: bool = True
     """Whether every input said how it came about."""
-    told: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    told: dict[str, tuple[CaseWarning, ...]] = field(default_factory=dict)
     """What this command has to tell, by its source."""
 
     @property
@@ -157,7 +158,7 @@ def merged_history(histories: Mapping[str, History]) -> History:
     from heartcase.pipeline.stages.table import stage_names
 
     records: dict[str, tuple[str, StageRecord]] = {}
-    told: dict[str, tuple[str, ...]] = {}
+    told: dict[str, tuple[CaseWarning, ...]] = {}
     whole = None
     problems = []
     for name, history in histories.items():

@@ -25,7 +25,7 @@ def command(labels: Path, output: Path, recipe: Path | None, sets: tuple[str, ..
     from heartcase.pipeline.markers.load_markers import load_segmentation
     from heartcase.pipeline.stages.stage import have
     from heartcase.pipeline.walls.grow_walls import resolve_walls
-    from heartcase.pipeline.warnings import Caution, worst_first
+    from heartcase.pipeline.warnings import CaseWarning, worst_first
 
     work = stage_run(recipe, sets, stage="walls")
     if labels.suffix == ".safetensors":
@@ -44,7 +44,7 @@ def command(labels: Path, output: Path, recipe: Path | None, sets: tuple[str, ..
         work.told |= told_of_outlines(work.recipe, segmentation, None, None)
         if naming.method != "labels":
             unknown = "the labels came from an image file, which holds nothing of what was told when they were made"
-            work.told["unknown"] = (Caution(unknown),)
+            work.told["unknown"] = (CaseWarning(unknown, has_stated_severity=True),)
     settings = resolve_walls(work.recipe.walls, segmentation.geometry, segmentation.table)
     work.recipe = work.recipe.model_copy(update={"walls": settings})
     work.outputs.segmentation = node_of(segmentation)

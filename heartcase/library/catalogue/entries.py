@@ -12,7 +12,7 @@ from pydantic import TypeAdapter, ValidationError
 from heartcase.pipeline.checks.openings import Verdict
 from heartcase.pipeline.report.build_report import VERDICT_WORDS
 from heartcase.pipeline.report.plain_words import Fact, figure_facts
-from heartcase.pipeline.warnings import CautionGroup, Severity, cautions_of, grouped
+from heartcase.pipeline.warnings import Severity, WarningGroup, grouped, warnings_of
 from heartcase.schemas.about import About
 from heartcase.schemas.base import Name
 from heartcase.schemas.bundle.format import MANIFEST_NAME, CaseManifest, FileRole
@@ -87,9 +87,9 @@ class Entry:
         return self.manifest.landmarks
 
     @property
-    def warnings(self) -> tuple[CautionGroup, ...]:
+    def warnings(self) -> tuple[WarningGroup, ...]:
         """Warnings by how much they matter, the worst first."""
-        return grouped(cautions_of(self.manifest))
+        return grouped(warnings_of(self.manifest))
 
     @property
     def doubtful_count(self) -> int:

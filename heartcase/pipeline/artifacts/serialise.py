@@ -16,13 +16,13 @@ from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import TypeAdapter, ValidationError
+from pydantic import TypeAdapter
 from safetensors import SafetensorError
 from safetensors.numpy import load as load_safetensors
 from safetensors.numpy import save as save_safetensors
 
 from heartcase.pipeline import data as stage_data
-from heartcase.pipeline.warnings import caution_from_json, caution_to_json
+from heartcase.pipeline.warnings import CaseWarning, warning_from_json, warning_to_json
 from heartcase.schemas.bundle.format import StageRecord
 from heartcase.schemas.errors import StageError
 from heartcase.schemas.geometry import Geometry
@@ -56,13 +56,17 @@ class History:
 
     stages: tuple[StageRecord, ...] = ()
     """Records of the stages up to this one, in the order of the stages."""
-    told: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    told: Mapping[str, tuple[CaseWarning, ...]] = field(default_factory=dict)
     """What was told on the way, by what it is about (:data:`heartcase.pipeline.bundle.assembly.SOURCES`)."""
     whole: Geometry | None = None
     """Lattice of the scan before its region of interest was cut out; None where it is not known."""
 
     def after(
-        self, stages: Iterable[StageRecord], told: Mapping[str, tuple[str, ...]], *, whole: Geometry | None = None
+        self,
+        stages: Iterable[StageRecord],
+        told: Mapping[str, tuple[CaseWarning, ...]],
+        *,
+        whole: Geometry | None = None,
     ) -> History:
         """The history with further stages, and what was told of them."""
         return History((*self.stages, *stages), {**self.told, **told}, self.whole if whole is None else whole)
@@ -72,7 +76,7 @@ class History:
         return json.dumps(
             {
                 "stages": [record.model_dump(mode="json") for record in self.stages],
-                "told": {source: [caution_to_json(line) for line in lines] for source, lines in self.told.items()},
+                "told": {source: [warning_to_json(line) for line in lines] for source, lines in self.told.items()},
                 "whole": None if self.whole is None else self.whole.model_dump(mode="json"),
             },
             sort_keys=True,
@@ -91,7 +95,7 @@ class History:
         data = json.loads(text)
         return cls(
             tuple(StageRecord.model_validate(record) for record in data["stages"]),
-            {str(source): tuple(caution_from_json(line) for line in lines) for source, lines in data["told"].items()},
+            {str(source): tuple(warning_from_json(line) for line in lines) for source, lines in data["told"].items()},
             None if data["whole"] is None else TypeAdapter(Geometry).validate_json(json.dumps(data["whole"])),
         )
 
@@ -126,7 +130,7 @@ def _taken_apart(artifact: Any, prefix: str, arrays: dict[str, npt.NDArray[Any]]
         elif item.name in _MODELS:
             rest[item.name] = value.model_dump(mode="json")
         elif item.name == "warnings":
-            rest[item.name] = [caution_to_json(warning) for warning in value]
+            rest[item.name] = [warning_to_json(warning) for warning in value]
         else:
             rest[item.name] = value
     return rest
@@ -150,7 +154,7 @@ def artifact_from_bytes(content: bytes, expected: type[T]) -> T:
         raise StageError(f"holds a {found}, but a {expected.__name__} is needed", place="input")
     try:
         return _put_together(expected, rest, "", arrays)
-    except (KeyError, TypeError, ValidationError):
+    except (KeyError, TypeError, ValueError):
         raise StageError("was written by another version: run the stage again", place="input") from None
 
 
@@ -176,7 +180,7 @@ def _put_together(expected: type[T], rest: dict[str, Any], prefix: str, arrays: 
         elif item.name in _MODELS:
             values[item.name] = TypeAdapter(_MODELS[item.name]).validate_json(json.dumps(rest[item.name]))
         elif item.name == "warnings":
-            values[item.name] = tuple(caution_from_json(warning) for warning in rest[item.name])
+            values[item.name] = tuple(warning_from_json(warning) for warning in rest[item.name])
         else:
             values[item.name] = _as_tuples(rest[item.name]) if item.name != "quality" else rest[item.name]
     return expected(**values)

@@ -9,7 +9,7 @@ from heartcase.pipeline.data import Scan
 from heartcase.pipeline.markers.placeholders import placeholder_problems
 from heartcase.pipeline.stages.markers import stroke_problems
 from heartcase.pipeline.stages.read import whole_scan
-from heartcase.pipeline.warnings import Caution, worst_first
+from heartcase.pipeline.warnings import CaseWarning, worst_first
 from heartcase.schemas.errors import HeartcaseError, Problem
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.recipe.recipe import Recipe
@@ -23,7 +23,7 @@ class InputFindings:
 
     problems: tuple[Problem, ...] = ()
     """Why a build would refuse."""
-    warnings: tuple[Caution, ...] = ()
+    warnings: tuple[CaseWarning, ...] = ()
     """What overlaps, is cut off or was assumed, the worst first."""
 
 
@@ -64,7 +64,7 @@ def _scan(recipe: Recipe, directory: Path) -> tuple[Scan, Scan]:
     return whole, crop_scan(whole, recipe.region)
 
 
-def _told(recipe: Recipe, directory: Path, scan: Scan, whole: Geometry) -> tuple[str, ...]:
+def _told(recipe: Recipe, directory: Path, scan: Scan, whole: Geometry) -> tuple[CaseWarning, ...]:
     """Warnings of the markers or of the finished segmentation.
 
     Raises

@@ -19,7 +19,7 @@ from heartcase.pipeline.formats.volumes.raw_volume import placed
 from heartcase.pipeline.stages.read import region_of_scan
 from heartcase.pipeline.stages.resolve import resolve_recipe
 from heartcase.pipeline.stages.table import stage_versions
-from heartcase.pipeline.warnings import anatomy
+from heartcase.pipeline.warnings import CaseWarning, anatomy
 from heartcase.schemas.errors import HeartcaseError, MarkerError, Problem, RecipeError
 from heartcase.schemas.files import sha256_of_file
 from heartcase.schemas.recipe.lock import RecipeLock, defaulted_settings, settings_of, unset_settings, without_settings
@@ -149,7 +149,7 @@ def stage_changes(versions: dict[str, int]) -> dict[str, tuple[int, int | None]]
     }
 
 
-def check_lock(recipe: Recipe, directory: Path, scan: Scan, *, accept_inputs: bool = False) -> tuple[str, ...]:
+def check_lock(recipe: Recipe, directory: Path, scan: Scan, *, accept_inputs: bool = False) -> tuple[CaseWarning, ...]:
     """Compare a locked recipe with the software, the scan and the files that it is built with.
 
     Parameters
@@ -179,7 +179,7 @@ def check_lock(recipe: Recipe, directory: Path, scan: Scan, *, accept_inputs: bo
     if differing and not accept_inputs:
         remedy = "put back the one it was locked with, lock the recipe again, or build with --accept-inputs"
         raise RecipeError(Problem(problem.place, f"{problem.message}: {remedy}") for problem in differing)
-    warnings: list[str] = []
+    warnings: list[CaseWarning] = []
     changed = {stage: pair for stage, pair in stage_changes(recipe.lock.stages).items() if _is_used(stage, recipe)}
     if changed:
         then = ", ".join(f"{stage} {old}" for stage, (old, _) in changed.items())
@@ -195,7 +195,9 @@ def check_lock(recipe: Recipe, directory: Path, scan: Scan, *, accept_inputs: bo
     values = dict(settings_of(recipe))
     for place in _defaulted(recipe):
         stated = f"the default, {toml_value(values[place])}" if values.get(place) is not None else "the default"
-        warnings.append(f"the lock does not have {place}, which takes {stated}: lock the recipe again to keep it")
+        warnings.append(
+            CaseWarning(f"the lock does not have {place}, which takes {stated}: lock the recipe again to keep it")
+        )
     warnings += [anatomy(f"{problem.place}: {problem.message}") for problem in differing]
     return tuple(warnings)
 

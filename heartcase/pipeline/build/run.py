@@ -19,7 +19,7 @@ from heartcase.pipeline.stages.resolve import resolve_recipe
 from heartcase.pipeline.stages.segment import filtered_tree
 from heartcase.pipeline.stages.stage import Work, have
 from heartcase.pipeline.stages.table import stage_names
-from heartcase.pipeline.warnings import cautions_of
+from heartcase.pipeline.warnings import CaseWarning, warnings_of
 from heartcase.schemas.bundle.approval import bundle_sha256
 from heartcase.schemas.bundle.format import CaseManifest
 from heartcase.schemas.bundle.reader import open_bundle
@@ -49,7 +49,7 @@ class BuildResult:
     """Stages whose output was found in the cache."""
     changed: bool
     """Whether anything in the bundle changed."""
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[CaseWarning, ...] = ()
     """What the user must know."""
 
 
@@ -139,7 +139,7 @@ def _finish(runner: Runner, work: Work, out: Path) -> BuildResult:
     if manifest is not None:
         runner.listener.stage_finished(BUNDLE.name, seconds=0.0, reused=True)
         reused = (*runner.reused, BUNDLE.name)
-        return BuildResult(case, report, manifest, runner.seconds, reused, False, cautions_of(manifest))
+        return BuildResult(case, report, manifest, runner.seconds, reused, False, warnings_of(manifest))
     runner.announce(BUNDLE.name)
     start = time.perf_counter()
     assembled = BUNDLE.compute(work)

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from heartcase.pipeline.bundle.write_bundle import BundleContent, assemble_bundle, resolve_materials
-from heartcase.pipeline.checks.cut_faces import cut_cautions, voxel_cautions
-from heartcase.pipeline.checks.openings import Opening, find_openings, opening_cautions, opening_figures
+from heartcase.pipeline.checks.cut_faces import cut_warnings, voxel_warnings
+from heartcase.pipeline.checks.openings import Opening, find_openings, opening_figures, opening_warnings
 from heartcase.pipeline.data import GridMap, Markers, Scan, Segmentation, SimulationGrid, Structures, Surface
-from heartcase.pipeline.warnings import Caution, worst_first
+from heartcase.pipeline.warnings import CaseWarning, worst_first
 from heartcase.schemas.bundle.format import StageRecord
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.recipe.recipe import Part, Recipe
@@ -61,7 +61,7 @@ class StageResults:
     """Lattice of the whole scan; None where it is not known."""
     stages: Sequence[StageRecord] = ()
     """How the stages came to their outputs."""
-    told: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    told: Mapping[str, Sequence[CaseWarning]] = field(default_factory=dict)
     """Warnings that are not in these outputs, by their source: a part of :data:`SOURCES`."""
 
 
@@ -71,7 +71,7 @@ class AssembledCase:
 
     content: BundleContent
     """What is written."""
-    warnings: tuple[Caution, ...]
+    warnings: tuple[CaseWarning, ...]
     """All of them, the worst first."""
     surface: Surface | None
     """The surface with the rims of the openings marked."""
@@ -92,7 +92,7 @@ def labels_of(structures: Structures) -> Segmentation:
 
 def told_of_outlines(
     recipe: Recipe, segmentation: Segmentation, markers: Markers | None, scan: Scan | None
-) -> dict[str, tuple[str, ...]]:
+) -> dict[str, tuple[CaseWarning, ...]]:
     """What is to be told of a segmentation and of the markers that it was made from.
 
     Parameters
@@ -115,7 +115,9 @@ def told_of_outlines(
     }
 
 
-def told_of_ends(recipe: Recipe, segmentation: Segmentation, structures: Structures) -> dict[str, tuple[str, ...]]:
+def told_of_ends(
+    recipe: Recipe, segmentation: Segmentation, structures: Structures
+) -> dict[str, tuple[CaseWarning, ...]]:
     """What is to be told of vessels that nothing cuts open."""
     from heartcase.pipeline.ends.cut_ends import closed_vessels
 
@@ -149,7 +151,9 @@ def assemble_case(recipe: Recipe, results: StageResults, *, name: str, case_id: 
 
     scan, grid, structures, surface = results.scan, results.grid, results.structures, results.surface
     grid_map, filtered = results.grid_map, results.filtered
-    told: dict[str, Sequence[str]] = {"cut": voxel_cautions(scan.geometry), "scan": scan.warnings} | dict(results.told)
+    told: dict[str, Sequence[CaseWarning]] = {"cut": voxel_warnings(scan.geometry), "scan": scan.warnings} | dict(
+        results.told
+    )
     quality: dict[str, Any] = {}
     volumes_ml: dict[int, float] = {}
     openings: tuple[Opening, ...] = ()
@@ -166,8 +170,8 @@ def assemble_case(recipe: Recipe, results: StageResults, *, name: str, case_id: 
         )
         quality["volumes_ml"] = {structures.table[value].name: round(ml, 3) for value, ml in volumes_ml.items()}
         quality["openings"] = opening_figures(openings)
-        told["cut"] = (*cut_cautions(labels, whole=results.whole, ends=structures.vessel_ends), *told["cut"])
-        told["openings"] = opening_cautions(openings)
+        told["cut"] = (*cut_warnings(labels, whole=results.whole, ends=structures.vessel_ends), *told["cut"])
+        told["openings"] = opening_warnings(openings)
         told["structures"] = with_edit_names(structures.warnings, recipe.edits)
         if surface is not None:
             surface = with_rims(surface, openings, structures.geometry)
@@ -176,7 +180,7 @@ def assemble_case(recipe: Recipe, results: StageResults, *, name: str, case_id: 
             "the structures were not given, so it is not known what the scan's faces cut off, nor what is open to each "
             "other: give the output of 'walls' or 'edit'"
         )
-        told["unknown"] = (*told.get("unknown", ()), Caution(unknown))
+        told["unknown"] = (*told.get("unknown", ()), CaseWarning(unknown))
     shown = (surface, *surface.levels) if surface is not None else ()
     outputs = {"walls": structures, "grid": grid, "surface": surface, "map": grid_map}
     quality |= {stage: output.quality for stage, output in outputs.items() if output is not None and output.quality}

@@ -23,7 +23,7 @@ from heartcase import __version__
 from heartcase.pipeline.bundle.aligned import AlignedFile, aligned_safetensors
 from heartcase.pipeline.data import GridMap, PickingSurface, SimulationGrid, Surface
 from heartcase.pipeline.image.scan_part import ScanPart
-from heartcase.pipeline.warnings import severity_of
+from heartcase.pipeline.warnings import CaseWarning
 from heartcase.schemas.about import About
 from heartcase.schemas.bundle.format import (
     ARRAYS,
@@ -140,7 +140,7 @@ def assemble_bundle(
     modality: str = "unknown",
     acquisition: Mapping[str, Any] | None = None,
     quality: Mapping[str, Any] | None = None,
-    warnings: Sequence[str] = (),
+    warnings: Sequence[CaseWarning] = (),
 ) -> BundleContent:
     """Put a case together in memory.
 
@@ -164,7 +164,7 @@ def assemble_bundle(
     landmarks, about, quality
         As in :class:`CaseManifest`.
     warnings
-        Marked in :mod:`heartcase.pipeline.warnings`, the worst first.
+        The worst first.
 
     Raises
     ------
@@ -233,8 +233,8 @@ def assemble_bundle(
         acquisition=dict(acquisition or {}),
         stages=tuple(stages),
         quality=dict(quality or {}),
-        warnings=tuple(str(warning) for warning in warnings),
-        warning_grades=tuple(severity_of(warning).grade for warning in warnings),
+        warnings=tuple(warning.text for warning in warnings),
+        warning_grades=tuple(warning.severity.grade for warning in warnings),
         files=tuple(entries),
     )
     return BundleContent(manifest, files)

@@ -35,7 +35,7 @@ from heartcase.pipeline.data import SimulationGrid, Structures
 from heartcase.pipeline.fields.reader import FieldReader
 from heartcase.pipeline.kernels.parallel import side_by_side
 from heartcase.pipeline.kernels.topology import betti_numbers, components, distance_in_samples, piece_sizes
-from heartcase.pipeline.warnings import anatomy, counted, note
+from heartcase.pipeline.warnings import CaseWarning, anatomy, counted, note
 from heartcase.schemas.arrays import Bool, Float32, Int32, UInt8
 from heartcase.schemas.bundle.lattice import cell_nodes
 from heartcase.schemas.errors import StageError
@@ -112,9 +112,11 @@ def build_grid(structures: Structures, settings: GridSettings, *, pins: Sequence
     hanging = hanging_cells(tissue, corners, nodes, fixed)
     if hanging:
         warnings.append(
-            f"{counted(len(hanging), 'part')} of the tissue {'hangs' if len(hanging) == 1 else 'hang'} on the rest by "
-            f"an edge or a corner only and can swing freely, at {_places(samples, hanging)}: make the cells smaller, "
-            "or hold the tissue there ([[pins]])"
+            CaseWarning(
+                f"{counted(len(hanging), 'part')} of the tissue {'hangs' if len(hanging) == 1 else 'hang'} on the "
+                f"rest by an edge or a corner only and can swing freely, at {_places(samples, hanging)}: make the "
+                "cells smaller, or hold the tissue there ([[pins]])"
+            )
         )
     fine_ml = _tissue_volume_mm3(samples) * 1e-3
     grid_ml = float(coverage.sum(dtype=np.float64)) * samples.cell_mm**3 * 1e-3
@@ -207,7 +209,7 @@ def _node_count(tissue: Bool) -> int:
 
 def _shape_cells(
     samples: CellSamples, pieces: VoidPieces, settings: GridSettings, table: LabelTable
-) -> tuple[CellState, dict[str, Any], list[str]]:
+) -> tuple[CellState, dict[str, Any], list[CaseWarning]]:
     """Choose the tissue cells, repair them, and compare their topology with the samples'."""
     blood_values = np.isin(np.arange(256), table.blood_values)
     state = CellState(samples.coverage >= settings.coverage_min, pieces.main.copy(), blood_values[pieces.main_label])
@@ -216,7 +218,7 @@ def _shape_cells(
     fine_tissue = samples.tissue
     blood_width = np.where(fine_blood, (2.0 * distance_in_samples(~fine_tissue) - 1.0) / samples.factor, 0.0)
     unrepaired = state.copy()
-    warnings: list[str] = []
+    warnings: list[CaseWarning] = []
     leaks_closed = joined = opened = cells_opened = 0
     hinges = HingeRepairs()
     if settings.repair:
@@ -315,9 +317,11 @@ def _piece_count(mask: Bool, amount: Float32 | None, least: float, connectivity:
     return int((np.bincount(labels.ravel(), amount.ravel(), minlength=count + 1)[1:] >= least).sum())
 
 
-def _topology_warnings(samples: CellSamples, quality: dict[str, Any], changes: dict[str, list[Change]]) -> list[str]:
+def _topology_warnings(
+    samples: CellSamples, quality: dict[str, Any], changes: dict[str, list[Change]]
+) -> list[CaseWarning]:
     """Where the number of pieces larger than a cell differs, and where small gaps and strands differ."""
-    warnings: list[str] = []
+    warnings: list[CaseWarning] = []
     left = dict(changes)
     for name in ("tissue", "blood"):
         pieces = quality[f"{name}_pieces_over_a_cell"]

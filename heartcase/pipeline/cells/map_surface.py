@@ -23,6 +23,7 @@ from heartcase.pipeline.cells.ties import Check, NodeTriangles, TieChooser, clos
 from heartcase.pipeline.data import GridMap, SimulationGrid, Structures, Surface
 from heartcase.pipeline.fields.reader import FieldReader, steps_through
 from heartcase.pipeline.kernels.parallel import side_by_side
+from heartcase.pipeline.warnings import CaseWarning
 from heartcase.schemas.arrays import Bool, Float32, Float64, Int32, Int64, UInt8
 from heartcase.schemas.bundle.lattice import cell_nodes, lattice_keys
 from heartcase.schemas.errors import Problem, StageError
@@ -144,13 +145,15 @@ def _map_level(surface: Surface, grid: SimulationGrid, reader: FieldReader, sett
     flat, curved, aligned = curvature_errors(grid, neighbours, vertices, normals, triangles, weights)
     curvature = ((curved < CURVATURE_GAIN * flat) & (aligned > CURVATURE_ALIGNMENT)).astype(np.uint8)
     far = np.linalg.norm(vertices - reference, axis=1) / grid.geometry.spacing_mm[0]
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[CaseWarning, ...] = ()
     if is_narrow.sum() > OTHER_LABEL_SHARE * len(vertices):
         x, y, z = _densest(vertices[is_narrow], _CLUSTER_CELLS * grid.geometry.spacing_mm[0])
         warnings = (
-            f"{100.0 * is_narrow.mean():.1f}% of the visible surface lies where a cavity or a wall is too narrow for "
-            f"the simulation cells, and moves with what is nearest to it instead (most of it near "
-            f"({x:.1f}, {y:.1f}, {z:.1f}) mm): make the cells smaller if that place matters",
+            CaseWarning(
+                f"{100.0 * is_narrow.mean():.1f}% of the visible surface lies where a cavity or a wall is too narrow "
+                "for the simulation cells, and moves with what is nearest to it instead (most of it near "
+                f"({x:.1f}, {y:.1f}, {z:.1f}) mm): make the cells smaller if that place matters"
+            ),
         )
     return GridMap(
         triangle_nodes=triangles,

@@ -9,7 +9,7 @@ import numpy as np
 from heartcase.pipeline.cells.sampling import CellSamples
 from heartcase.pipeline.data import Structures
 from heartcase.pipeline.kernels.topology import components
-from heartcase.pipeline.warnings import counted
+from heartcase.pipeline.warnings import CaseWarning, counted
 from heartcase.schemas.arrays import Bool, Int32, UInt8
 from heartcase.schemas.errors import Problem, StageError
 from heartcase.schemas.geometry import Geometry
@@ -84,7 +84,7 @@ def fixed_nodes(
     return fixed
 
 
-def floating_pieces(geometry: Geometry, tissue: Bool, corners: Int32, fixed: UInt8) -> list[str]:
+def floating_pieces(geometry: Geometry, tissue: Bool, corners: Int32, fixed: UInt8) -> list[CaseWarning]:
     """A warning for the pieces of tissue that hang on nothing and would fly away."""
     labels, count = components(tissue, 26)
     of_cell = labels[tissue]
@@ -99,9 +99,11 @@ def floating_pieces(geometry: Geometry, tissue: Bool, corners: Int32, fixed: UIn
     cells = counted(int(sizes.sum()), "cell")
     one = len(loose) == 1
     return [
-        f"{counted(len(loose), 'piece')} of tissue ({cells}) {'is' if one else 'are'} attached to nothing that is held "
-        f"still and can drift away; {'it' if one else 'the largest'} is at ({x:.1f}, {y:.1f}, {z:.1f}) mm: hold it "
-        "there ([[pins]]) or remove it"
+        CaseWarning(
+            f"{counted(len(loose), 'piece')} of tissue ({cells}) {'is' if one else 'are'} attached to nothing that is "
+            f"held still and can drift away; {'it' if one else 'the largest'} is at ({x:.1f}, {y:.1f}, {z:.1f}) mm: "
+            "hold it there ([[pins]]) or remove it"
+        )
     ]
 
 

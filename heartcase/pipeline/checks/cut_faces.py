@@ -12,12 +12,12 @@ import cc3d
 import numpy as np
 
 from heartcase.pipeline.data import Segmentation, VesselEnd
-from heartcase.pipeline.warnings import Caution, Severity, anatomy
+from heartcase.pipeline.warnings import CaseWarning, Severity, anatomy
 from heartcase.schemas.arrays import Bool, UInt8
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND, Label, LabelTable, Role
 
-__all__ = ["LENGTHWISE", "LONGEST_VOXEL", "cut_cautions", "face_name", "voxel_cautions"]
+__all__ = ["LENGTHWISE", "LONGEST_VOXEL", "cut_warnings", "face_name", "voxel_warnings"]
 
 LONGEST_VOXEL = 3.0
 """Length of a voxel over its width from which on the shape between slices is not to be relied on."""
@@ -78,7 +78,7 @@ def face_name(geometry: Geometry, axis: int, *, is_last: bool) -> str:
     return f"{'last' if is_last else 'first'} slice (towards {towards})" if axis == 2 else f"face towards {towards}"
 
 
-def voxel_cautions(geometry: Geometry) -> tuple[Caution, ...]:
+def voxel_warnings(geometry: Geometry) -> tuple[CaseWarning, ...]:
     """A warning where the scan's voxels are more than three times as long as wide."""
     shortest, longest = min(geometry.spacing_mm), max(geometry.spacing_mm)
     if longest <= LONGEST_VOXEL * shortest * (1.0 + 1e-6):
@@ -92,9 +92,9 @@ def voxel_cautions(geometry: Geometry) -> tuple[Caution, ...]:
     )
 
 
-def cut_cautions(
+def cut_warnings(
     labels: Segmentation, *, whole: Geometry | None = None, ends: Sequence[VesselEnd] = ()
-) -> tuple[Caution, ...]:
+) -> tuple[CaseWarning, ...]:
     """What the faces of the scan or of the region of interest cut off.
 
     Parameters
@@ -110,20 +110,20 @@ def cut_cautions(
 
     Returns
     -------
-    tuple of Caution
+    tuple of CaseWarning
         For each face one line about chambers and heart muscle (the anatomy may be wrong), one about vessels that are
         cut along their length (to be looked at), and one about vessels that leave through it (for information), each
         with areas.
     """
-    found: list[Caution] = []
+    found: list[CaseWarning] = []
     for face in _FACES:
-        found += _cautions(face, labels, whole, [end for end in ends if end.is_open])
+        found += _warnings_of(face, labels, whole, [end for end in ends if end.is_open])
     return tuple(found)
 
 
-def _cautions(
+def _warnings_of(
     face: _Face, labels: Segmentation, whole: Geometry | None, open_ends: Sequence[VesselEnd]
-) -> Iterator[Caution]:
+) -> Iterator[CaseWarning]:
     layer, geometry = face.layer(labels.labels), labels.geometry
     spacing = face.spacing_mm(geometry)
     counts = np.bincount(layer.ravel(), minlength=256)
@@ -160,9 +160,11 @@ def _cautions(
             f"from the model, its volumes and its pictures: {remedy}"
         )
     if lengthwise:
-        yield Caution(f"{name} cuts along {', '.join(lengthwise)}, not across: look how much of it is missing beyond")
+        yield CaseWarning(
+            f"{name} cuts along {', '.join(lengthwise)}, not across: look how much of it is missing beyond"
+        )
     if open_vessels:
-        yield Caution(f"open where they leave through {name}: {', '.join(open_vessels)}", Severity.NOTE)
+        yield CaseWarning(f"open where they leave through {name}: {', '.join(open_vessels)}", Severity.NOTE)
 
 
 def _area_of_ends(face: _Face, labels: Segmentation, label: Label, ends: Sequence[VesselEnd]) -> float:

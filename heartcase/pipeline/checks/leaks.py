@@ -20,12 +20,12 @@ from heartcase.pipeline.fields.contacts import Contact, Extent, faces_between, w
 from heartcase.pipeline.fields.reader import FieldReader, evaluate_owner, ownership_on_lattice, scratch, steps_through
 from heartcase.pipeline.fields.wall_thickness import thickness_at_points
 from heartcase.pipeline.kernels.parallel import side_by_side
-from heartcase.pipeline.warnings import Caution, anatomy, note
+from heartcase.pipeline.warnings import CaseWarning, anatomy, note
 from heartcase.schemas.arrays import Bool, UInt8
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND, Role
 
-__all__ = ["leak_cautions"]
+__all__ = ["leak_warnings"]
 
 
 FACTOR = 2
@@ -36,11 +36,11 @@ LEAST_GAP_MM2 = 1.0
 """Gaps of a smaller area are where three structures meet, and are not reported."""
 LEAST_CUT_OFF = 8 * FACTOR**3
 """What a septum cuts off a cavity is told from this many fine points on."""
-MOST_CAUTIONS = 5
+MOST_WARNINGS = 5
 """Joins, splits and gaps that are told one by one, the largest; the rest is counted."""
 
 
-def leak_cautions(structures: Structures, labels: UInt8) -> tuple[Caution, ...]:
+def leak_warnings(structures: Structures, labels: UInt8) -> tuple[CaseWarning, ...]:
     """Compare the compartments of blood with those of the segmentation, and look for gaps in the walls.
 
     That grown septa part what was in one piece is meant; that one cuts a cavity by itself in two is told.
@@ -55,7 +55,7 @@ def leak_cautions(structures: Structures, labels: UInt8) -> tuple[Caution, ...]:
 
     Returns
     -------
-    tuple of Caution
+    tuple of CaseWarning
         In plain words, with labels, areas and places in mm: joined compartments, split ones, gaps; each the largest
         first.
     """
@@ -210,15 +210,15 @@ def _at_ends(faces: Contact, structures: Structures) -> Bool:
     return at_end
 
 
-def _listed(cautions: list[Caution]) -> list[Caution]:
-    rest = len(cautions) - MOST_CAUTIONS
+def _listed(warnings: list[CaseWarning]) -> list[CaseWarning]:
+    rest = len(warnings) - MOST_WARNINGS
     if rest <= 0:
-        return cautions
-    more = Caution(f"and {rest} more places like the last, which are smaller", cautions[MOST_CAUTIONS - 1].severity)
-    return [*cautions[:MOST_CAUTIONS], more]
+        return warnings
+    more = CaseWarning(f"and {rest} more places like the last, which are smaller", warnings[MOST_WARNINGS - 1].severity)
+    return [*warnings[:MOST_WARNINGS], more]
 
 
-def _of_joined(structures: Structures, change: Change) -> Caution:
+def _of_joined(structures: Structures, change: Change) -> CaseWarning:
     one, other = (structures.table[value].name for value in change.labels)
     what = f"the blood of {one} and of {other}" if one != other else f"two parts of the blood of {one}"
     return anatomy(
@@ -227,7 +227,7 @@ def _of_joined(structures: Structures, change: Change) -> Caution:
     )
 
 
-def _of_split(structures: Structures, change: Change) -> Caution:
+def _of_split(structures: Structures, change: Change) -> CaseWarning:
     one, other = (structures.table[value].name for value in change.labels)
     what = f"the blood of {one} and of {other}" if one != other else f"the blood of {one}"
     return anatomy(
@@ -236,7 +236,7 @@ def _of_split(structures: Structures, change: Change) -> Caution:
     )
 
 
-def _of_cut(structures: Structures, change: Change) -> Caution:
+def _of_cut(structures: Structures, change: Change) -> CaseWarning:
     name = structures.table[change.labels[0]].name
     return anatomy(
         f"{name}: cut in two by a grown septum {_where(change.extent)}, where it is narrow and lies along another "
@@ -244,7 +244,7 @@ def _of_cut(structures: Structures, change: Change) -> Caution:
     )
 
 
-def _of_gap(structures: Structures, cavity: int, extent: Extent, is_stated: bool) -> Caution:
+def _of_gap(structures: Structures, cavity: int, extent: Extent, is_stated: bool) -> CaseWarning:
     label = structures.table[cavity]
     if is_stated:
         return note(f"{label.name}: open to the outside {_where(extent)}, as its table of thicknesses says")

@@ -21,7 +21,7 @@ from scipy.spatial import cKDTree
 from heartcase.pipeline.data import Segmentation, Structures
 from heartcase.pipeline.fields.contacts import Contact, find_contact
 from heartcase.pipeline.markers.meeting_strokes import meetings_of
-from heartcase.pipeline.warnings import Caution, anatomy, note
+from heartcase.pipeline.warnings import CaseWarning, anatomy, note
 from heartcase.schemas.arrays import Bool, Float64
 from heartcase.schemas.labels import Label, LabelTable
 from heartcase.schemas.landmarks import Landmark
@@ -34,8 +34,8 @@ __all__ = [
     "Opening",
     "Verdict",
     "find_openings",
-    "opening_cautions",
     "opening_figures",
+    "opening_warnings",
     "root_of_surface_m",
     "states_an_opening",
     "verdict_of",
@@ -275,9 +275,9 @@ def find_openings(
     return tuple(sorted(found, key=lambda one: (_WORST_FIRST.index(one.verdict), -one.area_mm2, one.labels)))
 
 
-def opening_cautions(openings: Sequence[Opening]) -> tuple[Caution, ...]:
+def opening_warnings(openings: Sequence[Opening]) -> tuple[CaseWarning, ...]:
     """What the user must know about the openings, in their order."""
-    return tuple(caution for one in openings for caution in _cautions(one))
+    return tuple(warning for one in openings for warning in _warnings_of(one))
 
 
 def opening_figures(openings: Sequence[Opening]) -> list[dict[str, Any]]:
@@ -405,7 +405,7 @@ def _stated_by_pairs(pairs: Sequence[tuple[str, str]], table: LabelTable) -> Ite
         yield _Statement("walls.connected", np.zeros(3), math.inf, values=(low, high))
 
 
-def _cautions(one: Opening) -> Iterator[Caution]:
+def _warnings_of(one: Opening) -> Iterator[CaseWarning]:
     place = f"({', '.join(f'{value:.1f}' for value in one.center_mm)}) mm"
     pieces = f" in {one.patches} patches, the largest" if one.patches > 1 else ""
     where = f"{one.names[0]} and {one.names[1]} are open to each other over {_area(one.area_mm2)}{pieces} near {place}"
@@ -417,12 +417,12 @@ def _cautions(one: Opening) -> Iterator[Caution]:
             "or ring) there whose name says defect, VSD or ASD"
         )
     elif one.verdict is Verdict.OTHER_VENTRICLE:
-        yield Caution(f"{where}: the great artery arises from the other ventricle; is that the malformation?")
+        yield CaseWarning(f"{where}: the great artery arises from the other ventricle; is that the malformation?")
     elif one.verdict is Verdict.UNKNOWN:
-        yield Caution(f"{where}: a name that heartcase does not know, so look whether a wall belongs between them")
+        yield CaseWarning(f"{where}: a name that heartcase does not know, so look whether a wall belongs between them")
     elif one.is_odd_size and one.usual_mm is not None:
         size = "narrow" if one.diameter_mm < one.usual_mm else "wide"
-        yield Caution(
+        yield CaseWarning(
             f"{where}, as a circle of {one.diameter_mm:.0f} mm: very {size} for this valve, where about "
             f"{one.usual_mm:.0f} mm is usual with ventricles of this volume; check that the labels of the two meet at "
             "the valve and that neither has taken a part of the other, or that this is the malformation"
@@ -430,7 +430,7 @@ def _cautions(one: Opening) -> Iterator[Caution]:
     elif one.verdict is Verdict.STATED:
         asked = "" if one.asked_mm2 is None else f", which asks for {_area(one.asked_mm2)}"
         if one.is_too_large:
-            yield Caution(f"{where}, at {one.stated_by}{asked}: the wall around the defect may be missing as well")
+            yield CaseWarning(f"{where}, at {one.stated_by}{asked}: the wall around the defect may be missing as well")
         else:
             yield note(f"{where}, as stated by {one.stated_by}{asked}")
 

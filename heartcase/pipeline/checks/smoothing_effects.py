@@ -10,7 +10,7 @@ import numpy as np
 
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.checks.lumens import narrowest_lumens
-from heartcase.pipeline.warnings import anatomy
+from heartcase.pipeline.warnings import CaseWarning, anatomy
 from heartcase.schemas.arrays import Float32, UInt8
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND, LabelTable
@@ -26,7 +26,7 @@ NARROWED_VOXELS = 0.5
 
 def smoothing_effects(
     labels: UInt8, distances: Mapping[int, Float32], geometry: Geometry, table: LabelTable
-) -> tuple[dict[str, Any], tuple[str, ...]]:
+) -> tuple[dict[str, Any], tuple[CaseWarning, ...]]:
     """Compare the smoothed structures with the labels they were made from.
 
     Parameters
@@ -43,13 +43,13 @@ def smoothing_effects(
     figures : dict
         ``volume_change_percent`` by label name, and ``narrowest_lumens``: label name, place, and diameter in mm as
         segmented and as smoothed.
-    warnings : tuple of str
+    warnings : tuple of CaseWarning
         Structures that shrank or vanished, and narrow places that became narrower by more than half a voxel.
     """
     counts = np.bincount(labels.ravel(), minlength=256)
     width = float(np.mean(geometry.spacing_mm))
     changes: dict[str, float] = {}
-    warnings: list[str] = []
+    warnings: list[CaseWarning] = []
     for value in table.values:
         if counts[value] == 0 or value == BACKGROUND:
             continue
@@ -66,8 +66,10 @@ def smoothing_effects(
         changes[name] = round(100.0 * change, 2) + 0.0
         if change < -LOSS_LIMIT:
             warnings.append(
-                f"{name}: the smoothing takes {-100.0 * change:.0f}% of its volume, as it is small; "
-                "take a smaller walls.smoothing_mm"
+                CaseWarning(
+                    f"{name}: the smoothing takes {-100.0 * change:.0f}% of its volume, as it is small; "
+                    "take a smaller walls.smoothing_mm"
+                )
             )
     lumens = []
     for one in narrowest_lumens(labels, distances, geometry, table):

@@ -8,7 +8,6 @@ follow. Taking an edit out of the recipe, or setting ``enabled = false``, takes 
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
@@ -18,7 +17,7 @@ from heartcase.pipeline.data import Reshaping, Structures
 from heartcase.pipeline.edits.brushes import fill_structure, smooth_structure
 from heartcase.pipeline.edits.components import keep_largest_piece, remove_islands
 from heartcase.pipeline.edits.probes import Found, joins_cavities, look
-from heartcase.pipeline.warnings import Caution, severity_of
+from heartcase.pipeline.warnings import CaseWarning
 from heartcase.schemas.errors import Problem, StageError
 from heartcase.schemas.labels import BACKGROUND, Label, LabelTable, Role
 from heartcase.schemas.recipe.edit_settings import (
@@ -82,9 +81,8 @@ def apply_edits(structures: Structures, edits: Sequence[Edit]) -> Structures:
     for number, edit in enumerate(edits, start=1):
         if not edit.enabled:
             continue
-        place = f"edits[{number}]"
         try:
-            structures = _apply(structures, edit, place)
+            structures = _apply(structures, edit, number)
         except StageError as error:
             problems += [Problem(edit_place(number, edit), problem.message) for problem in error.problems]
     if problems:
@@ -103,7 +101,7 @@ def made_by(edits: Sequence[Edit], table: LabelTable) -> frozenset[int]:
     return frozenset(label.value for label in found if label is not None)
 
 
-def with_edit_names(warnings: Iterable[str], edits: Sequence[Edit]) -> tuple[str, ...]:
+def with_edit_names(warnings: Iterable[CaseWarning], edits: Sequence[Edit]) -> tuple[CaseWarning, ...]:
     """Warnings of :func:`apply_edits` with the names of the edits beside their numbers, for people.
 
     The stage itself knows numbers only, so that a new name for an edit computes nothing anew.
@@ -111,22 +109,22 @@ def with_edit_names(warnings: Iterable[str], edits: Sequence[Edit]) -> tuple[str
     Parameters
     ----------
     warnings
-        Any warnings; those that do not begin with the number of a named edit stay as they are.
+        Any warnings; those that are not about a named edit stay as they are.
     edits
         The recipe's edits.
     """
     return tuple(_with_name(warning, edits) for warning in warnings)
 
 
-def _with_name(warning: str, edits: Sequence[Edit]) -> str:
-    found = re.match(r"edits\[(\d+)\]", warning)
-    number = int(found.group(1)) if found else 0
-    if found is None or not 0 < number <= len(edits) or not edits[number - 1].name:
+def _with_name(warning: CaseWarning, edits: Sequence[Edit]) -> CaseWarning:
+    number = warning.edit
+    if number is None or not 0 < number <= len(edits) or not edits[number - 1].name:
         return warning
-    return Caution(edit_place(number, edits[number - 1]) + warning[found.end() :], severity_of(warning))
+    rest = warning.text.removeprefix(f"edits[{number}]")
+    return replace(warning, text=f"{edit_place(number, edits[number - 1])}{rest}")
 
 
-def _apply(structures: Structures, edit: Edit, place: str) -> Structures:
+def _apply(structures: Structures, edit: Edit, number: int) -> Structures:
     if isinstance(edit, SeptalDefect):
         return _make_defect(structures, edit)
     if isinstance(edit, CloseDefect):
@@ -134,23 +132,23 @@ def _apply(structures: Structures, edit: Edit, place: str) -> Structures:
     if isinstance(edit, Sculpt):
         return _sculpt(structures, edit)
     if isinstance(edit, Smooth):
-        return smooth_structure(structures, edit, _bare(structures, edit.label), place)
+        return smooth_structure(structures, edit, _bare(structures, edit.label), number)
     if isinstance(edit, Fill):
-        return fill_structure(structures, edit, _bare(structures, edit.label), place)
-    return _clean(structures, edit, place)
+        return fill_structure(structures, edit, _bare(structures, edit.label), number)
+    return _clean(structures, edit, number)
 
 
-def _clean(structures: Structures, edit: KeepLargest | RemoveIslands, place: str) -> Structures:
+def _clean(structures: Structures, edit: KeepLargest | RemoveIslands, number: int) -> Structures:
     into = None if edit.into is None else _bare(structures, edit.into)
     if edit.label is None:
         values = sorted(set(structures.distance_mm) - {BACKGROUND})
-        return remove_islands(structures, edit, tuple(structures.table[value] for value in values), into, place)
+        return remove_islands(structures, edit, tuple(structures.table[value] for value in values), into, number)
     label = _bare(structures, edit.label)
     if into is not None and into.value == label.value:
         raise StageError(f"pieces of '{label.name}' cannot become '{into.name}': change into")
     if isinstance(edit, KeepLargest):
-        return keep_largest_piece(structures, label, into, place)
-    return remove_islands(structures, edit, (label,), into, place)
+        return keep_largest_piece(structures, label, into, number)
+    return remove_islands(structures, edit, (label,), into, number)
 
 
 def _make_defect(structures: Structures, edit: SeptalDefect) -> Structures:

@@ -16,7 +16,7 @@ from heartcase.pipeline.data import Reshaping, Structures
 from heartcase.pipeline.edits.borders import Borders, Box
 from heartcase.pipeline.edits.probes import look, overlap
 from heartcase.pipeline.fields.shapes import distance_on_lattice
-from heartcase.pipeline.warnings import anatomy
+from heartcase.pipeline.warnings import Severity, of_edit
 from heartcase.schemas.arrays import Float32, Float64
 from heartcase.schemas.errors import StageError
 from heartcase.schemas.labels import BACKGROUND, Label
@@ -39,7 +39,7 @@ LEAST_DEPTH = 0.5
 """A filling that nowhere moves the border by more than this part of a voxel is none, but the lattice's noise."""
 
 
-def smooth_structure(structures: Structures, edit: Smooth, label: Label, place: str) -> Structures:
+def smooth_structure(structures: Structures, edit: Smooth, label: Label, number: int) -> Structures:
     """Smooth a structure's border within a brush.
 
     The stored field v becomes ``v + w (2 g - g' - v)`` with g its Gaussian blur, g' the blur of g, and w rising from
@@ -67,10 +67,10 @@ def smooth_structure(structures: Structures, edit: Smooth, label: Label, place: 
     flat = 2.0 * once - gaussian_filter(once, steps, mode="nearest", truncate=BLUR_REACH)
     field = np.where(weight > 0.0, own + weight * (flat - own), own).astype(np.float32)
     borders.move(label.value, box, field)
-    return _with_cautions(structures, borders.changed, label, box, place)
+    return _with_warning(structures, borders.changed, label, box, number)
 
 
-def fill_structure(structures: Structures, edit: Fill, label: Label, place: str) -> Structures:
+def fill_structure(structures: Structures, edit: Fill, label: Label, number: int) -> Structures:
     """Fill the holes and notches of a structure within a brush.
 
     What a ball of diameter ``gap_mm`` outside the structure cannot reach becomes the structure's: the morphological
@@ -102,7 +102,7 @@ def fill_structure(structures: Structures, edit: Fill, label: Label, place: str)
             f"there is no hole or notch of '{label.name}' narrower than {2.0 * radius:g} mm in the stroke: move its "
             "points_mm, enlarge gap_mm, or take it out of the recipe"
         )
-    return _with_cautions(structures, borders.changed, label, box, place)
+    return _with_warning(structures, borders.changed, label, box, number)
 
 
 def _brush(structures: Structures, edit: Smooth | Fill, label: Label) -> Reshaping:
@@ -149,7 +149,7 @@ def _far_distance(borders: Borders, field: Float32, box: Box, reach_mm: float) -
     return distance
 
 
-def _with_cautions(before: Structures, after: Structures, label: Label, box: Box, place: str) -> Structures:
+def _with_warning(before: Structures, after: Structures, label: Label, box: Box, number: int) -> Structures:
     """Say where the structure came into more pieces, or was lost."""
     connectivity = 26 if label.role.is_tissue else 6
     counts = [
@@ -157,9 +157,9 @@ def _with_cautions(before: Structures, after: Structures, label: Label, box: Box
         for one in (before, after)
     ]
     if counts[1] == 0 < counts[0]:
-        text = f"{place}: nothing of '{label.name}' is left there; take a smaller sigma_mm"
+        text = f"nothing of '{label.name}' is left there; take a smaller sigma_mm"
     elif counts[1] > counts[0]:
-        text = f"{place}: '{label.name}' is in {counts[1]} pieces there, {counts[0]} before; take a smaller sigma_mm"
+        text = f"'{label.name}' is in {counts[1]} pieces there, {counts[0]} before; take a smaller sigma_mm"
     else:
         return after
-    return replace(after, warnings=(*after.warnings, anatomy(text)))
+    return replace(after, warnings=(*after.warnings, of_edit(number, text, Severity.ANATOMY)))

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from heartcase.pipeline.data import Structures
 from heartcase.pipeline.edits.borders import Borders, distance_beyond_band
-from heartcase.pipeline.warnings import Caution, counted, note
+from heartcase.pipeline.warnings import CaseWarning, Severity, counted, of_edit
 from heartcase.schemas.arrays import Bool, Int64
 from heartcase.schemas.labels import BACKGROUND, Label
 from heartcase.schemas.recipe.edit_settings import RemoveIslands
@@ -23,15 +23,15 @@ from heartcase.schemas.recipe.edit_settings import RemoveIslands
 __all__ = ["keep_largest_piece", "remove_islands"]
 
 
-def keep_largest_piece(structures: Structures, label: Label, into: Label | None, place: str) -> Structures:
+def keep_largest_piece(structures: Structures, label: Label, into: Label | None, number: int) -> Structures:
     """Give all pieces of a structure but the largest (ties: the first in the volume's order) away."""
     borders = Borders(structures)
     gone = _remove_pieces(borders, label, np.inf, into)
-    return _told(borders.changed, {label.name: gone} if gone else {}, f"'{label.name}' is one piece", place)
+    return _told(borders.changed, {label.name: gone} if gone else {}, f"'{label.name}' is one piece", number)
 
 
 def remove_islands(
-    structures: Structures, edit: RemoveIslands, labels: tuple[Label, ...], into: Label | None, place: str
+    structures: Structures, edit: RemoveIslands, labels: tuple[Label, ...], into: Label | None, number: int
 ) -> Structures:
     """Give the pieces below a volume away, label by label; each label's largest piece stays however small it is."""
     borders = Borders(structures)
@@ -43,16 +43,17 @@ def remove_islands(
         gone = _remove_pieces(borders, label, most, into)
         if gone:
             found[label.name] = gone
-    return _told(borders.changed, found, f"no piece is below {edit.smallest_ml:g} ml", place)
+    return _told(borders.changed, found, f"no piece is below {edit.smallest_ml:g} ml", number)
 
 
-def _told(structures: Structures, gone: dict[str, list[int]], nothing: str, place: str) -> Structures:
-    lines: list[Caution] = []
+def _told(structures: Structures, gone: dict[str, list[int]], nothing: str, number: int) -> Structures:
+    lines: list[CaseWarning] = []
     for name, counts in gone.items():
         volume = sum(counts) * structures.geometry.voxel_volume_mm3 / 1000.0
-        lines.append(note(f"{place}: {counted(len(counts), 'piece')} of '{name}' given away, {volume:.2f} ml in all"))
+        text = f"{counted(len(counts), 'piece')} of '{name}' given away, {volume:.2f} ml in all"
+        lines.append(of_edit(number, text, Severity.NOTE))
     if not gone:
-        lines.append(note(f"{place}: {nothing}, so the edit changes nothing"))
+        lines.append(of_edit(number, f"{nothing}, so the edit changes nothing", Severity.NOTE))
     return replace(structures, warnings=(*structures.warnings, *lines))
 
 

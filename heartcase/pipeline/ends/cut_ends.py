@@ -8,7 +8,7 @@ reach; what lies further out loses its label; the exact plane is a reshaping of 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cc3d
 import numba
@@ -20,7 +20,7 @@ from heartcase.pipeline.data import Reshaping, Segmentation, VesselEnd
 from heartcase.pipeline.ends.discs import Disc, Sides, Stumps, disc_of, end_marker, meets, sides_of
 from heartcase.pipeline.ends.find_ends import FoundEnds, find_ends
 from heartcase.pipeline.ends.snap_ends import advice_for, moved_words, snapped_end
-from heartcase.pipeline.warnings import Caution, anatomy, severity_of
+from heartcase.pipeline.warnings import CaseWarning, anatomy
 from heartcase.schemas.arrays import Bool, Float64, UInt8
 from heartcase.schemas.errors import Problem, StageError
 from heartcase.schemas.labels import BACKGROUND, Label, LabelTable, Role
@@ -57,7 +57,7 @@ class EndCuts:
     """The markers that cut, as stated, moved or found."""
     vessel_ends: tuple[VesselEnd, ...]
     """The same with what is known of them; where ends were sought, also those that are open at a face of the volume."""
-    warnings: tuple[str, ...]
+    warnings: tuple[CaseWarning, ...]
     """Markers that do not meet their vessel or were moved, lumens that were continued over a gap, and branches without
     an end."""
 
@@ -125,7 +125,7 @@ class _Work:
         self.cuts: list[Reshaping] = []
         self.met: list[EndMarker] = []
         self.vessel_ends: list[VesselEnd] = []
-        self.warnings: list[str] = []
+        self.warnings: list[CaseWarning] = []
         self._found: dict[int, tuple[VesselEnd, ...]] = {}
 
     def cut_stated(self, place: str, end: EndMarker) -> Problem | None:
@@ -149,7 +149,7 @@ class _Work:
         disc_there = self._disc(moved, label) if moved is not None else None
         sides_there = sides_of(self.segmentation.labels, disc_there) if disc_there is not None else None
         if moved is not None and disc_there is not None and sides_there is not None:
-            self.warnings.append(f"{place} ({label.name}): {moved_words(end, moved)}")
+            self.warnings.append(CaseWarning(f"{place} ({label.name}): {moved_words(end, moved)}"))
             self._cut(f"{place} ({label.name})", moved, label, disc_there, sides_there, "moved")
             return None
         advice = advice_for(self.segmentation, label, end, self._ends_of(label))
@@ -197,8 +197,8 @@ class _Work:
         known: VesselEnd | None = None,
     ) -> None:
         _clear_beyond(self.labels, sides, disc)
-        texts, radius_mm = _continue_lumen(self.labels, disc, self.table.blood_values)
-        self.warnings += [Caution(f"{place}: {text}", severity_of(text)) for text in texts]
+        found, radius_mm = _continue_lumen(self.labels, disc, self.table.blood_values)
+        self.warnings += [replace(one, text=f"{place}: {one.text}") for one in found]
         self.met.append(marker)
         self.cuts.append(_reshaping(disc, marker, self.table))
         axis = tuple(round(float(v), 6) for v in disc.axis)
@@ -247,7 +247,7 @@ def _clear_beyond(labels: UInt8, sides: Sides, disc: Disc) -> None:
     labels[sides.box][beyond] = BACKGROUND
 
 
-def _continue_lumen(labels: UInt8, disc: Disc, blood_values: Sequence[int]) -> tuple[list[str], float]:
+def _continue_lumen(labels: UInt8, disc: Disc, blood_values: Sequence[int]) -> tuple[list[CaseWarning], float]:
     """Continue a lumen through its disc in place; what the user must know, and the radius of the section, mm."""
     near = labels[disc.box]
     lumen = _lumen_before(near, disc)
@@ -271,8 +271,10 @@ def _continue_lumen(labels: UInt8, disc: Disc, blood_values: Sequence[int]) -> t
     gap = -float(disc.along[lumen].max()) - 0.5 * voxel
     if gap > GAP_VOXELS * voxel:
         messages.append(
-            f"the segmented vessel stops {gap:.1f} mm before this end marker and was continued straight to it: "
-            "if that is wrong, move the marker, or add a stroke to the vessel"
+            CaseWarning(
+                f"the segmented vessel stops {gap:.1f} mm before this end marker and was continued straight to it: "
+                "if that is wrong, move the marker, or add a stroke to the vessel"
+            )
         )
     _, opened, _ = _areas((near == disc.value) & disc.cylinder, disc)
     if opened[steps <= 0.0][-1] < OPEN_SHARE * areas[np.searchsorted(steps, last)]:
@@ -391,7 +393,7 @@ def _continued(lumen: Bool, disc: Disc, first: float, last: float) -> Bool:
     return section
 
 
-def closed_vessels(segmentation: Segmentation, ends: Sequence[EndMarker | VesselEnd]) -> tuple[str, ...]:
+def closed_vessels(segmentation: Segmentation, ends: Sequence[EndMarker | VesselEnd]) -> tuple[CaseWarning, ...]:
     """Warn of vessels that nothing cuts open: no end is theirs, and they end inside the volume.
 
     A wall closes such a vessel like a sac, which no vessel of a heart is.

@@ -18,10 +18,10 @@ from heartcase.pipeline.formats.read_scan import LabelVolume, read_labels
 from heartcase.pipeline.formats.volumes.raw_volume import placed
 from heartcase.pipeline.markers.marker_help import AutomaticMarkers, label_cores
 from heartcase.pipeline.markers.naming import Naming, called, label_lookup, left_out, listed, rank_by_label, value_of
-from heartcase.pipeline.markers.overlaps import file_over_file, overlap_cautions
+from heartcase.pipeline.markers.overlaps import file_over_file, overlap_warnings
 from heartcase.pipeline.markers.paint import pull_nearest
 from heartcase.pipeline.markers.strokes import Clipping, paint_strokes, rasterise_strokes, stroke_voxels, without_erased
-from heartcase.pipeline.warnings import Caution, note
+from heartcase.pipeline.warnings import CaseWarning, note
 from heartcase.schemas.arrays import Float64, UInt8, UInt16
 from heartcase.schemas.errors import MarkerError, Problem
 from heartcase.schemas.geometry import Geometry
@@ -105,7 +105,7 @@ class StatedMarkers:
     labels: UInt8
     """Of each voxel, shape [z, y, x]: a label, 255 where nothing is said, or
     :data:`heartcase.pipeline.markers.marker_help.ERASED` where an eraser passed last."""
-    warnings: tuple[str, ...]
+    warnings: tuple[CaseWarning, ...]
     """What a file marks that may not be meant, in plain words."""
 
 
@@ -119,7 +119,7 @@ def stated_markers(
     whole: Geometry | None = None,
 ) -> StatedMarkers:
     """What marker files and strokes say of each voxel; arguments and errors are those of :func:`load_markers`."""
-    warnings: list[str] = []
+    warnings: list[CaseWarning] = []
     labels = np.full(geometry.shape, UNMARKED, dtype=np.uint8)
     problems: list[Problem] = []
     for number, file in enumerate(recipe_markers, start=1):
@@ -147,15 +147,17 @@ def stated_markers(
     return StatedMarkers(labels, tuple(warnings))
 
 
-def _taken_for_background(painted: UInt8, place: str, table: LabelTable) -> list[str]:
+def _taken_for_background(painted: UInt8, place: str, table: LabelTable) -> list[CaseWarning]:
     """A warning where a draft that marks background knows nothing of some structures: it takes them for background."""
     present = set(np.unique(painted).tolist())
     absent = [label.name for label in table if label.value not in present and label.value != BACKGROUND]
     if not absent:
         return []
     return [
-        f"{place} holds no {', '.join(absent)}, and with background = true it marks as background what it holds no "
-        "label for: where this heart has one of these, paint it, also over the middle of it"
+        CaseWarning(
+            f"{place} holds no {', '.join(absent)}, and with background = true it marks as background what it holds no "
+            "label for: where this heart has one of these, paint it, also over the middle of it"
+        )
     ]
 
 
@@ -263,12 +265,12 @@ def load_segmentation(
             place=place,
         )
     labels = np.where(lookup.values == UNMARKED, BACKGROUND, lookup.values).astype(np.uint8)[values]
-    overlaps = overlap_cautions(volume, lookup.values, table, place)
+    overlaps = overlap_warnings(volume, lookup.values, table, place)
     warnings = (*volume.warnings, *overlaps, *_walls_left_out(lookup.walls))
     return Segmentation(labels=labels, geometry=geometry, table=table, warnings=warnings)
 
 
-def _walls_left_out(walls: Sequence[str]) -> tuple[str, ...]:
+def _walls_left_out(walls: Sequence[str]) -> tuple[CaseWarning, ...]:
     if not walls:
         return ()
     which = f"the {walls[0]} is" if len(walls) == 1 else f"{', '.join(walls)} are"
@@ -313,7 +315,7 @@ def resample_labels(volume: LabelVolume, geometry: Geometry) -> UInt8 | UInt16:
 
 def _painted_volume(
     path: Path, file: MarkerFile, table: LabelTable, geometry: Geometry, place: str, whole: Geometry | None
-) -> tuple[UInt8, tuple[Caution, ...]]:
+) -> tuple[UInt8, tuple[CaseWarning, ...]]:
     naming = Naming(file.names, file.convention, file.others, order=file.order)
     volume = read_labels(path, geometry, left_out(naming, table), rank_by_label(naming, table))
     lookup = label_lookup(volume, naming, table).values
@@ -321,14 +323,17 @@ def _painted_volume(
     if not volume.marks_anything:
         raise MarkerError("the file marks nothing: paint in it, or leave it out")
     lost = [value for value in _lost(volume, values) if lookup[value] != UNMARKED]
-    told = list(overlap_cautions(volume, lookup, table, place))
+    told = list(overlap_warnings(volume, lookup, table, place))
     if lost and whole is not None and not whole.matches(geometry):
         in_scan = set(np.unique(resample_labels(volume, whole)).tolist())
         cut_off = [value for value in lost if value in in_scan]
         lost = [value for value in lost if value not in in_scan]
         if cut_off:
             told.append(
-                Caution(f"{place}: {called(volume, cut_off)} lie outside the region of interest and are left out")
+                CaseWarning(
+                    f"{place}: {called(volume, cut_off)} lie outside the region of interest and are left out",
+                    has_stated_severity=True,
+                )
             )
     if lost:
         raise MarkerError(
@@ -353,7 +358,7 @@ def _lost(volume: LabelVolume, values: UInt8 | UInt16) -> list[int]:
 
 def _painted_points(
     path: Path, file: MarkerFile, table: LabelTable, geometry: Geometry, place: str, whole: Geometry | None
-) -> tuple[UInt8, tuple[Caution, ...]]:
+) -> tuple[UInt8, tuple[CaseWarning, ...]]:
     labels = np.full(geometry.shape, UNMARKED, dtype=np.uint8)
     problems: dict[str, None] = {}
     clipping = Clipping(geometry, whole, "mark")
@@ -374,7 +379,7 @@ def _painted_points(
         raise MarkerError(refused)
     if not clipping.count:
         raise MarkerError("the file marks nothing: set points in it, or leave it out")
-    return labels, clipping.cautions(place)
+    return labels, clipping.warnings(place)
 
 
 def _named_polylines(markup: MarkupList) -> list[tuple[str, tuple[str, ...], Float64]]:

@@ -7,15 +7,15 @@ from collections import Counter
 from heartcase.pipeline.data import Markers
 from heartcase.pipeline.formats.labels.segments import LabelVolume
 from heartcase.pipeline.markers.naming import called
-from heartcase.pipeline.warnings import Caution, counted, note
+from heartcase.pipeline.warnings import CaseWarning, counted, note
 from heartcase.schemas.arrays import UInt8
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable
 
-__all__ = ["file_over_file", "overlap_cautions"]
+__all__ = ["file_over_file", "overlap_warnings"]
 
 
-def overlap_cautions(volume: LabelVolume, lookup: UInt8, table: LabelTable, place: str) -> tuple[Caution, ...]:
+def overlap_warnings(volume: LabelVolume, lookup: UInt8, table: LabelTable, place: str) -> tuple[CaseWarning, ...]:
     """Which segments of a file overlap, how far, and which of them has the voxels.
 
     Parameters
@@ -31,29 +31,30 @@ def overlap_cautions(volume: LabelVolume, lookup: UInt8, table: LabelTable, plac
 
     Returns
     -------
-    tuple of Caution
+    tuple of CaseWarning
         One line for each pair of segments that stand for different labels.
     """
-    cautions = []
+    warnings = []
     for one in volume.overlaps:
         under, over = int(lookup[one.under]), int(lookup[one.over])
         if under == over or Markers.UNMARKED in (under, over):
             continue
         lower = f"the {table[under].name} ({called(volume, [one.under])})"
         upper = f"the {table[over].name} ({called(volume, [one.over])})"
-        cautions.append(
-            Caution(
+        warnings.append(
+            CaseWarning(
                 f"{place}: {_amount(one.voxel_count, volume.geometry)} lie in both {lower} and {upper}: the "
                 f"{table[over].name} lies on top and has them; for another one on top name the labels under order, the "
-                "topmost last"
+                "topmost last",
+                has_stated_severity=True,
             )
         )
-    return tuple(cautions)
+    return tuple(warnings)
 
 
 def file_over_file(
     before: UInt8, painted: UInt8, table: LabelTable, geometry: Geometry, place: str
-) -> tuple[Caution, ...]:
+) -> tuple[CaseWarning, ...]:
     """What a marker file paints over that earlier files of the recipe marked otherwise.
 
     Parameters
@@ -71,7 +72,7 @@ def file_over_file(
 
     Returns
     -------
-    tuple of Caution
+    tuple of CaseWarning
         One line for all of it, for information: the order of the files is the recipe's own.
     """
     both = (before != Markers.UNMARKED) & (painted != Markers.UNMARKED) & (before != painted)

@@ -11,7 +11,7 @@ from heartcase.pipeline.data import Markers
 from heartcase.pipeline.markers.marker_help import ERASED
 from heartcase.pipeline.markers.naming import listed, value_of
 from heartcase.pipeline.markers.paint import paint_capsule, paint_passed_voxels
-from heartcase.pipeline.warnings import Caution, counted, note
+from heartcase.pipeline.warnings import CaseWarning, counted, note
 from heartcase.schemas.arrays import Float64, Int64, UInt8
 from heartcase.schemas.errors import MarkerError, Problem
 from heartcase.schemas.geometry import Geometry
@@ -84,7 +84,7 @@ class Clipping:
                 found.append(Problem(where if place else "", f"{called} lies {message}"))
         return found
 
-    def cautions(self, place: str = "") -> tuple[Caution, ...]:
+    def warnings(self, place: str = "") -> tuple[CaseWarning, ...]:
         """One line about what the region of interest cuts off."""
         if not self.left_out and not self.cut:
             return ()
@@ -98,7 +98,7 @@ class Clipping:
             reach = "reaches" if self.cut == 1 else "reach"
             parts.append(f"{self.cut} {reach} out of the region of interest and {_is(self.cut)} cut there")
         words = f"{f'{place}: ' if place else ''}of {counted(self.count, self.thing)} {', '.join(parts)}"
-        return (Caution(words),) if self.left_out else (note(words),)
+        return (CaseWarning(words, has_stated_severity=True),) if self.left_out else (note(words),)
 
 
 def _is(count: int) -> str:
@@ -187,12 +187,12 @@ def polyline_voxels(points_mm: Float64, radius_mm: float, geometry: Geometry) ->
 
 def paint_strokes(
     labels: UInt8, strokes: Sequence[Stroke], table: LabelTable, clipping: Clipping
-) -> tuple[Caution, ...]:
+) -> tuple[CaseWarning, ...]:
     """Paint strokes over what is there, in place; where an eraser passes is ERASED then.
 
     Returns
     -------
-    tuple of Caution
+    tuple of CaseWarning
         What the region of interest cuts off.
 
     Raises
@@ -213,4 +213,4 @@ def paint_strokes(
     problems = [*clipping.problems("strokes"), *problems]
     if problems:
         raise MarkerError(problems)
-    return clipping.cautions()
+    return clipping.warnings()

@@ -39,7 +39,7 @@ from heartcase.pipeline.mesh.texture.atlas import Atlas, make_atlas, tangents
 from heartcase.pipeline.mesh.texture.normal_map import bake_normal_map
 from heartcase.pipeline.mesh.triangles.half_edges import opposites
 from heartcase.pipeline.mesh.triangles.triangle_grid import TriangleGrid, triangle_grid
-from heartcase.pipeline.warnings import note
+from heartcase.pipeline.warnings import CaseWarning, note
 from heartcase.schemas.arrays import Bool, Float32, Float64, Int32, UInt8
 from heartcase.schemas.bundle.surface_kinds import plain_kinds
 from heartcase.schemas.recipe.settings import LEAST_MAP_SIZE, SurfaceSettings
@@ -96,7 +96,7 @@ def build_surface(structures: Structures, settings: SurfaceSettings, *, render: 
     StageError
         There is no tissue.
     """
-    warnings: list[str] = []
+    warnings: list[CaseWarning] = []
     reader = FieldReader.of(structures)
     whole = extract(reader)
     opposite = opposites(whole.triangles)
@@ -110,7 +110,9 @@ def build_surface(structures: Structures, settings: SurfaceSettings, *, render: 
             )
         )
     if full.is_capped:
-        warnings.append("the scan is too large to show its thinnest walls in full detail: make the [region] smaller")
+        warnings.append(
+            CaseWarning("the scan is too large to show its thinnest walls in full detail: make the [region] smaller")
+        )
     is_cut = cut_faces(structures, full.vertices_mm, full.triangles, full.lattice)
     still = np.zeros(len(full.vertices_mm), bool)
     still[full.triangles[is_cut]] = True
@@ -146,9 +148,11 @@ def build_surface(structures: Structures, settings: SurfaceSettings, *, render: 
     warnings += _shape_warnings(quality, settings.triangle_count)
     if settings.error_mm is not None and quality["distance_p99_mm"] > settings.error_mm:
         warnings.append(
-            f"with {quality['triangle_count']} triangles 1% of the visible surface is "
-            f"{quality['distance_p99_mm']:.2g} mm or more off its full resolution, not {settings.error_mm:g} mm: allow "
-            "more with surface.triangle_count"
+            CaseWarning(
+                f"with {quality['triangle_count']} triangles 1% of the visible surface is "
+                f"{quality['distance_p99_mm']:.2g} mm or more off its full resolution, not {settings.error_mm:g} mm: "
+                "allow more with surface.triangle_count"
+            )
         )
     levels, lost = _levels(source, surface, settings, size)
     return replace(surface, warnings=(*warnings, *lost), levels=levels)
@@ -156,10 +160,10 @@ def build_surface(structures: Structures, settings: SurfaceSettings, *, render: 
 
 def _levels(
     source: _Source, finest: Surface, settings: SurfaceSettings, size: int
-) -> tuple[tuple[Surface, ...], tuple[str, ...]]:
+) -> tuple[tuple[Surface, ...], tuple[CaseWarning, ...]]:
     """Coarser levels of detail, each decimated from the one before it, and why one is left out."""
     levels: list[Surface] = []
-    lost: list[str] = []
+    lost: list[CaseWarning] = []
     size = max(size // 2, LEAST_MAP_SIZE) if size else 0
     for count in settings.level_counts:
         last = levels[-1] if levels else finest
@@ -241,14 +245,17 @@ def _finished(source: _Source, coarse: Decimated, settings: SurfaceSettings, siz
     )
 
 
-def _shape_warnings(quality: dict[str, Any], asked: int) -> list[str]:
+def _shape_warnings(quality: dict[str, Any], asked: int) -> list[CaseWarning]:
     """What is wrong with the triangles and can be seen, or matters to who cuts the surface."""
-    warnings: list[str] = []
+    warnings: list[CaseWarning] = []
     count = quality["triangle_count"]
     gaps = quality["open_edge_count"] + quality["non_manifold_edge_count"]
     if gaps:
         warnings.append(
-            f"the visible surface has gaps or overlaps at {gaps} places and may not cut cleanly: ask for more triangles"
+            CaseWarning(
+                f"the visible surface has gaps or overlaps at {gaps} places and may not cut cleanly: ask for more "
+                "triangles"
+            )
         )
     bad = quality["degenerate_triangle_count"] + quality["flipped_triangle_count"]
     if bad > SHOWN_SHARE * count:
@@ -261,8 +268,10 @@ def _shape_warnings(quality: dict[str, Any], asked: int) -> list[str]:
     crossing = quality["self_intersection_count"]
     if crossing:
         warnings.append(
-            f"the visible surface passes through itself at {crossing} pairs of triangles and may not cut or print "
-            "cleanly there: ask for more triangles"
+            CaseWarning(
+                f"the visible surface passes through itself at {crossing} pairs of triangles and may not cut or print "
+                "cleanly there: ask for more triangles"
+            )
         )
     if count > (1.0 + SHOWN_SHARE) * asked:
         warnings.append(

@@ -27,7 +27,7 @@ from heartcase.pipeline.report.plain_words import (
 )
 from heartcase.pipeline.report.report_pictures import Picture, ThicknessRow, slice_parts, surface_parts
 from heartcase.pipeline.stages.table import STAGES
-from heartcase.pipeline.warnings import CautionGroup, grouped
+from heartcase.pipeline.warnings import CaseWarning, WarningGroup, grouped
 from heartcase.schemas.bundle.format import CaseManifest, StageRecord
 from heartcase.schemas.labels import BACKGROUND, LabelTable, Role
 from heartcase.schemas.recipe.recipe import Recipe
@@ -146,7 +146,7 @@ class ReportData:
     """The bundle hash of the case that the page is about; empty where it is not known."""
     notice: str = _NOTICE
     """Shown first."""
-    warnings: Sequence[CautionGroup] = ()
+    warnings: Sequence[WarningGroup] = ()
     """Worst first."""
     key_facts: Sequence[Fact] = ()
     """The handful of figures to look at first."""
@@ -212,7 +212,7 @@ def build_report(
     volumes_ml: Mapping[int, float],
     timings_s: Mapping[str, float],
     stages: Sequence[StageRecord],
-    warnings: Sequence[str],
+    warnings: Sequence[CaseWarning],
     case_id: str | None = None,
     bundle_sha256: str = "",
     openings: Sequence[Opening] = (),
@@ -239,7 +239,7 @@ def build_report(
     stages
         Provenance of the stages, in order.
     warnings
-        In any order; marked in :mod:`heartcase.pipeline.warnings`.
+        In any order.
     case_id
         Made-up identifier of the case.
     bundle_sha256

@@ -60,8 +60,8 @@ def _scan_work(recipe: Recipe, scan: Scan | None) -> Iterator[Fact]:
     if source.modality is not None:
         kind = {"CT": "CT", "MR": "MRI"}[source.modality]
         yield Fact("Kind of scan", f"{kind}, as the recipe says", "Counts only where the file does not say it.")
-    for line in scan.warnings if scan is not None else ():
-        yield Fact("Scan changed before use", str(line))
+    for warning in scan.warnings if scan is not None else ():
+        yield Fact("Scan changed before use", warning.text)
     if recipe.region is not None:
         yield Fact("Region of interest", region_words(recipe), "What lies outside was not used.")
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
 
 from heartcase.pipeline.data import GridMap, Markers, Scan, Segmentation, SimulationGrid, Structures, Surface
+from heartcase.pipeline.warnings import CaseWarning
 from heartcase.schemas.base import Model
 from heartcase.schemas.bundle.format import StageRecord
 from heartcase.schemas.geometry import Geometry
@@ -72,7 +73,7 @@ class Work:
     """For what a stage keeps beside its output; None where nothing is kept."""
     records: list[StageRecord] = field(default_factory=list)
     """How the outputs came about, in the order of the stages."""
-    told: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    told: dict[str, tuple[CaseWarning, ...]] = field(default_factory=dict)
     """Warnings that are in no output, by what they are about (:data:`heartcase.pipeline.bundle.assembly.SOURCES`)."""
 
 

@@ -14,7 +14,7 @@ from typing import cast
 
 import numpy as np
 
-from heartcase.pipeline.checks.leaks import leak_cautions
+from heartcase.pipeline.checks.leaks import leak_warnings
 from heartcase.pipeline.checks.smoothing_effects import smoothing_effects
 from heartcase.pipeline.data import Segmentation, Structures, ThicknessTable
 from heartcase.pipeline.ends.cut_ends import cut_ends
@@ -22,8 +22,14 @@ from heartcase.pipeline.ends.discs import Stumps
 from heartcase.pipeline.fields.distance import default_smoothing_mm, label_distances
 from heartcase.pipeline.fields.reader import FieldReader, ownership_on_lattice
 from heartcase.pipeline.kernels.parallel import side_by_side
-from heartcase.pipeline.walls.septa import OpenPlace, SeptumFigures, septum_cautions, septum_figures, with_septa
-from heartcase.pipeline.warnings import anatomy
+from heartcase.pipeline.walls.septa import (
+    OpenPlace,
+    SeptumFigures,
+    septum_figures,
+    septum_warnings,
+    with_septa,
+)
+from heartcase.pipeline.warnings import CaseWarning, anatomy
 from heartcase.schemas.arrays import UInt8
 from heartcase.schemas.errors import Problem, StageError
 from heartcase.schemas.geometry import Geometry
@@ -116,7 +122,7 @@ def grow_walls(
     if settings.septa == "grown":
         structures, septa = with_septa(structures, _labels_on_lattice(structures), settings, open_places)
     leaks, (figures, warnings) = side_by_side(
-        lambda: leak_cautions(structures, labels), lambda: smoothing_effects(labels, distances, geometry, table)
+        lambda: leak_warnings(structures, labels), lambda: smoothing_effects(labels, distances, geometry, table)
     )
     if septa:
         figures = figures | {"septa": septum_figures(septa, structures.table)}
@@ -127,7 +133,7 @@ def grow_walls(
             *cut.warnings,
             *warnings,
             *_table_warnings(structures),
-            *septum_cautions(septa, structures.table),
+            *septum_warnings(septa, structures.table),
             *leaks,
         ),
     )
@@ -199,14 +205,14 @@ def _check(segmentation: Segmentation, settings: WallsSettings) -> None:
         raise StageError(problems)
 
 
-def _table_warnings(structures: Structures) -> tuple[str, ...]:
+def _table_warnings(structures: Structures) -> tuple[CaseWarning, ...]:
     """Tables of thicknesses that have no effect, or that speak of places elsewhere."""
-    warnings: list[str] = []
+    warnings: list[CaseWarning] = []
     grown = {cavity for cavity, _ in structures.grown_walls.values()}
     for table in structures.thickness_tables:
         name = structures.table[table.cavity].name
         if table.cavity in structures.distance_mm and table.cavity not in grown:
-            warnings.append(f"{name}: its wall is segmented, so its table of thicknesses has no effect")
+            warnings.append(CaseWarning(f"{name}: its wall is segmented, so its table of thicknesses has no effect"))
         index = structures.geometry.world_to_index(np.array(table.points_mm))
         if not ((index > -0.5) & (index < np.array(structures.geometry.size) - 0.5)).all(axis=1).any():
             warnings.append(

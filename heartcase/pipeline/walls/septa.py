@@ -19,7 +19,7 @@ from heartcase.pipeline.checks.openings import POINT_REACH_MM, Verdict, root_of_
 from heartcase.pipeline.data import Reshaping, Segmentation, Septum, Structures
 from heartcase.pipeline.fields.contacts import Contact, Extent, find_contact
 from heartcase.pipeline.markers.meeting_strokes import meetings_of
-from heartcase.pipeline.warnings import Caution
+from heartcase.pipeline.warnings import CaseWarning
 from heartcase.schemas.arrays import Float64, UInt8
 from heartcase.schemas.labels import LabelTable
 from heartcase.schemas.landmarks import Landmark
@@ -31,9 +31,9 @@ __all__ = [
     "SeptumFigures",
     "open_places",
     "pairs_kept_apart",
-    "septum_cautions",
     "septum_figures",
     "septum_thickness_mm",
+    "septum_warnings",
     "with_septa",
 ]
 
@@ -295,7 +295,7 @@ class _Meetings:
         return all(self._area(one, term) < least for term in _OWN[one])
 
 
-def septum_cautions(figures: Sequence[SeptumFigures], table: LabelTable) -> tuple[Caution, ...]:
+def septum_warnings(figures: Sequence[SeptumFigures], table: LabelTable) -> tuple[CaseWarning, ...]:
     """What a person must look at: walls that nobody saw."""
     if not figures:
         return ()
@@ -305,7 +305,7 @@ def septum_cautions(figures: Sequence[SeptumFigures], table: LabelTable) -> tupl
         for one in sorted(figures, key=lambda one: -one.extent.area_mm2)
     )
     return (
-        Caution(
+        CaseWarning(
             f"walls were grown where two outlines touch, not seen, because a heart does not join these: {listed}. If "
             "the patient has an opening there, say so: an edit of kind septal_defect, a landmark (ring or point) whose "
             "name says defect, VSD or ASD, or strokes of the two that run into each other through it; if the two are "

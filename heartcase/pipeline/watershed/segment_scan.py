@@ -8,7 +8,7 @@ import cc3d
 import numpy as np
 
 from heartcase.pipeline.data import Markers, Scan, Segmentation
-from heartcase.pipeline.warnings import anatomy
+from heartcase.pipeline.warnings import CaseWarning, anatomy
 from heartcase.pipeline.watershed.forest import solve_forest
 from heartcase.pipeline.watershed.tree import BasinTree
 from heartcase.pipeline.watershed.tree_cache import scan_tree
@@ -161,7 +161,7 @@ def segmentation_warnings(
     *,
     filtered: Scan | None = None,
     made_later: Collection[int] = (),
-) -> tuple[str, ...]:
+) -> tuple[CaseWarning, ...]:
     """What a reader of the result should know, in plain words.
 
     Parameters
@@ -180,7 +180,7 @@ def segmentation_warnings(
     tuple of str
         One line each: no contrast, no marker, absent or stray pieces of a label with volume and place in mm.
     """
-    warnings: list[str] = []
+    warnings: list[CaseWarning] = []
     if filtered is not None and filtered.values.size and filtered.values.min() == filtered.values.max():
         warnings.append(
             anatomy(
@@ -206,13 +206,13 @@ def segmentation_warnings(
                 text = "is not in the model, as nothing was painted for it: paint it if this heart has one"
             else:
                 text = "is not in the model, as no part of the scan was found to be it: check the slices"
-            warnings.append(f"the {label.name} {text}")
+            warnings.append(CaseWarning(f"the {label.name} {text}"))
     for connectivity, values in _groups(table):
         warnings += _stray_pieces(segmentation, values, connectivity)
     return tuple(warnings)
 
 
-def _stray_pieces(segmentation: Segmentation, values: tuple[int, ...], connectivity: int) -> list[str]:
+def _stray_pieces(segmentation: Segmentation, values: tuple[int, ...], connectivity: int) -> list[CaseWarning]:
     """A warning for each label that is in several pieces."""
     pieces, counts = _pieces(segmentation.labels, values, connectivity)
     total = len(counts) - 1
@@ -221,7 +221,7 @@ def _stray_pieces(segmentation: Segmentation, values: tuple[int, ...], connectiv
     # The first voxel of a piece stands for its label and, unlike a centroid, always lies in it.
     numbers, first = np.unique(pieces, return_index=True)
     owner = segmentation.labels.ravel()[first]
-    warnings: list[str] = []
+    warnings: list[CaseWarning] = []
     for value in values:
         own = [int(n) for n, label in zip(numbers, owner, strict=True) if n and label == value]
         if len(own) < 2:
@@ -237,8 +237,10 @@ def _stray_pieces(segmentation: Segmentation, values: tuple[int, ...], connectiv
         rest = f" and {more} more" if more else ""
         name = segmentation.table[value].name
         warnings.append(
-            f"the {name} is in {len(own)} pieces; beside the largest: {', '.join(stray)}{rest}: look there in the "
-            "slices whether they are real"
+            CaseWarning(
+                f"the {name} is in {len(own)} pieces; beside the largest: {', '.join(stray)}{rest}: look there in the "
+                "slices whether they are real"
+            )
         )
     return warnings
 

@@ -7,9 +7,9 @@ import re
 import numpy as np
 import pytest
 
-from heartcase.pipeline.checks.cut_faces import cut_cautions, face_name, voxel_cautions
+from heartcase.pipeline.checks.cut_faces import cut_warnings, face_name, voxel_warnings
 from heartcase.pipeline.data import Segmentation, VesselEnd
-from heartcase.pipeline.warnings import Severity, severity_of, worst_first
+from heartcase.pipeline.warnings import Severity, worst_first
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import Label, LabelTable, Role, default_label_table
 
@@ -35,7 +35,7 @@ def test_nothing_is_told_of_a_heart_that_lies_inside() -> None:
     whole = segmentation()
     whole.labels[1:-1, 1:-1, 1:-1] = MUSCLE
     whole.labels[5:-5, 5:-5, 5:-5] = LV
-    assert cut_cautions(whole) == ()
+    assert cut_warnings(whole) == ()
 
 
 FACES = [
@@ -56,15 +56,15 @@ def test_a_chamber_and_muscle_at_a_face_are_told_with_its_name_and_their_areas(a
     layer[4:14, 4:14] = MUSCLE
     layer[6:12, 6:12] = LV
     pixel = np.prod([spacing for n, spacing in enumerate(cut.geometry.spacing_mm) if n != axis])
-    (caution,) = cut_cautions(cut, whole=cut.geometry)
-    assert severity_of(caution) is Severity.ANATOMY
-    assert f"the {name} of the scan" in caution
+    (warning,) = cut_warnings(cut, whole=cut.geometry)
+    assert warning.severity is Severity.ANATOMY
+    assert f"the {name} of the scan" in warning
 
     def words(area: float) -> str:
         return f"{area / 100:.1f} cm²" if area >= 100 else f"{area:.0f} mm²"
 
-    assert f"{TABLE[LV].name} ({words(36 * pixel)})" in caution
-    assert f"{TABLE[MUSCLE].name} ({words(64 * pixel)})" in caution
+    assert f"{TABLE[LV].name} ({words(36 * pixel)})" in warning
+    assert f"{TABLE[MUSCLE].name} ({words(64 * pixel)})" in warning
 
 
 def test_a_short_axis_stack_of_25_mm_is_the_first_warning() -> None:
@@ -74,14 +74,14 @@ def test_a_short_axis_stack_of_25_mm_is_the_first_warning() -> None:
     j, i = np.indices((40, 40))
     radius = 1.5 * np.hypot(j - 20, i - 20)
     stack.labels[:] = np.where(radius < 20, LV, np.where(radius < 28, MUSCLE, 0))
-    first, *rest = worst_first(("something else",), cut_cautions(stack, whole=stack.geometry))
+    first, *rest = worst_first(("something else",), cut_warnings(stack, whole=stack.geometry))
     assert first.severity is Severity.ANATOMY
     assert "first slice (towards" in first
     assert "last slice (towards" in rest[0]
     found = re.search(rf"{TABLE[LV].name} \(([\d.]+) cm²\)", first)
     assert found is not None
     assert float(found.group(1)) == pytest.approx(np.pi * 20**2 / 100, rel=0.02)
-    assert any("3.3 times as long as wide" in line for line in voxel_cautions(stack.geometry))
+    assert any("3.3 times as long as wide" in line for line in voxel_warnings(stack.geometry))
 
 
 def test_oblique_faces_are_called_by_where_they_look() -> None:
@@ -103,25 +103,25 @@ def test_the_faces_of_a_region_are_told_from_those_of_its_scan() -> None:
     box = whole.cropped((3, 0, 5), (20, 24, 15))
     labels = np.zeros(box.shape, np.uint8)
     labels[:, 10:14, 10:14] = LV
-    low, high = cut_cautions(Segmentation(labels, box, TABLE), whole=whole)
+    low, high = cut_warnings(Segmentation(labels, box, TABLE), whole=whole)
     assert "the feet face of the region of interest" in low
     assert "enlarge the region" in low
     assert "the head face of the scan" in high
     assert "enlarge the region" not in high
-    assert "the scan or its region of interest" in cut_cautions(Segmentation(labels, box, TABLE))[0]
+    assert "the scan or its region of interest" in cut_warnings(Segmentation(labels, box, TABLE))[0]
 
 
 def test_a_vessel_that_leaves_is_for_information_and_one_cut_along_its_length_to_be_looked_at() -> None:
     cut = segmentation((40, 40, 40), (1.0, 1.0, 1.0))
     k, j, i = np.indices(cut.labels.shape)
     cut.labels[(np.hypot(j - 20, i - 20) < 6) & (k > 20)] = AORTA
-    (leaves,) = cut_cautions(cut, whole=cut.geometry)
-    assert severity_of(leaves) is Severity.NOTE
+    (leaves,) = cut_warnings(cut, whole=cut.geometry)
+    assert leaves.severity is Severity.NOTE
     assert "head face" in leaves
     assert f"aorta ({np.pi * 36 / 100:.1f} cm²)" in leaves
     cut.labels[:] = np.where((np.hypot(j - 20, i + 2) < 6) & (abs(k - 20) < 18), AORTA, 0)
-    (along,) = cut_cautions(cut, whole=cut.geometry)
-    assert severity_of(along) is Severity.LOOK
+    (along,) = cut_warnings(cut, whole=cut.geometry)
+    assert along.severity is Severity.LOOK
     assert "right face" in along
 
 
@@ -132,13 +132,13 @@ def test_the_grown_wall_of_a_chamber_counts_where_the_chamber_ends_before_and_a_
     cut = segmentation()
     cut.labels[-1, 5:10, 5:10] = wall_of_atrium
     cut.labels[0, 5:10, 5:10] = wall_of_aorta
-    (caution,) = cut_cautions(cut, whole=cut.geometry)
-    assert severity_of(caution) is Severity.ANATOMY
-    assert TABLE[wall_of_atrium].name in caution
+    (warning,) = cut_warnings(cut, whole=cut.geometry)
+    assert warning.severity is Severity.ANATOMY
+    assert TABLE[wall_of_atrium].name in warning
     # with the chamber itself at the face its wall is no finding of its own
     cut.labels[-1, 6:9, 6:9] = LA
-    (caution,) = cut_cautions(cut, whole=cut.geometry)
-    assert TABLE[wall_of_atrium].name not in caution
+    (warning,) = cut_warnings(cut, whole=cut.geometry)
+    assert TABLE[wall_of_atrium].name not in warning
 
 
 def test_a_painted_wall_or_a_device_at_a_face_is_no_finding() -> None:
@@ -147,14 +147,14 @@ def test_a_painted_wall_or_a_device_at_a_face_is_no_finding() -> None:
     )
     cut = segmentation(table=table)
     cut.labels[0, :4], cut.labels[0, 8:] = 1, 2
-    assert cut_cautions(cut) == ()
+    assert cut_warnings(cut) == ()
 
 
 @pytest.mark.parametrize(("spacing", "is_told"), [((1, 1, 3), False), ((1, 1, 3.1), True), ((8, 1.4, 1.4), True)])
 def test_voxels_more_than_three_times_as_long_as_wide(spacing, is_told) -> None:
-    cautions = voxel_cautions(Geometry.of(shape=(4, 4, 4), spacing_mm=spacing))
-    assert bool(cautions) is is_told
-    assert all(severity_of(caution) is Severity.ANATOMY for caution in cautions)
+    warnings = voxel_warnings(Geometry.of(shape=(4, 4, 4), spacing_mm=spacing))
+    assert bool(warnings) is is_told
+    assert all(warning.severity is Severity.ANATOMY for warning in warnings)
 
 
 @pytest.mark.parametrize(("axis", "is_last", "name"), FACES)
@@ -169,16 +169,16 @@ def test_a_vein_of_an_atrium_that_is_open_at_a_face_is_a_vessel_and_the_rest_of_
     rows, columns = (n for n in (2, 1, 0) if n != axis)
     index[rows], index[columns] = 4.0, 4.5
     vein = VesselEnd(TABLE["LA"].name, tuple(cut.geometry.index_to_world(index)), (0, 0, 1), 3.0, 3.0, is_open=True)
-    (alone,) = cut_cautions(cut)
-    assert severity_of(alone) is Severity.ANATOMY
+    (alone,) = cut_warnings(cut)
+    assert alone.severity is Severity.ANATOMY
     assert f"morphologically left atrium ({26 * pixel:.0f} mm²)" in alone or 26 * pixel >= 100.0
-    anatomy, note = worst_first(cut_cautions(cut, ends=[vein]))
-    assert severity_of(anatomy) is Severity.ANATOMY
-    assert severity_of(note) is Severity.NOTE
+    anatomy, note = worst_first(cut_warnings(cut, ends=[vein]))
+    assert anatomy.severity is Severity.ANATOMY
+    assert note.severity is Severity.NOTE
     assert f"veins of the morphologically left atrium ({6 * pixel:.0f} mm²)" in note
     rest = 20 * pixel
     assert f"morphologically left atrium ({rest / 100:.1f} cm²)" in anatomy or f"({rest:.0f} mm²)" in anatomy
     # an end that a disc cuts, or one elsewhere, takes nothing off
-    assert cut_cautions(cut, ends=[vein._replace(is_open=False)]) == (alone,)
+    assert cut_warnings(cut, ends=[vein._replace(is_open=False)]) == (alone,)
     index[rows] = 18.0
-    assert cut_cautions(cut, ends=[vein._replace(position_mm=tuple(cut.geometry.index_to_world(index)))]) == (alone,)
+    assert cut_warnings(cut, ends=[vein._replace(position_mm=tuple(cut.geometry.index_to_world(index)))]) == (alone,)

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from heartcase.pipeline.checks.leaks import leak_cautions
+from heartcase.pipeline.checks.leaks import leak_warnings
 from heartcase.pipeline.data import Reshaping, Segmentation
 from heartcase.pipeline.walls.grow_walls import grow_walls
-from heartcase.pipeline.warnings import Severity, severity_of
+from heartcase.pipeline.warnings import Severity
 from heartcase.schemas.labels import Label, LabelTable, Role
 from heartcase.schemas.recipe.settings import EndMarker, WallsSettings, WallThickness
 from tests.pipeline.lattices import lattice, points_of
@@ -27,9 +27,9 @@ def grown(labels, geometry, *, settings=None, **more):
     return grown_by_default(labels, geometry, settings=settings or WallsSettings(septa="as segmented"), **more)
 
 
-def place_and_area(caution):
-    found = re.search(r"over ([\d,.]+) mm².* near \((.+)\) mm", caution)
-    assert found, caution
+def place_and_area(warning):
+    found = re.search(r"over ([\d,.]+) mm².* near \((.+)\) mm", warning)
+    assert found, warning
     return np.array([float(v) for v in found.group(2).split(",")]), float(found.group(1).replace(",", ""))
 
 
@@ -56,10 +56,10 @@ def test_a_canal_that_the_segmentation_does_not_have_is_reported_where_it_is(kin
     geometry, apart = two_chambers(kind)
     _, joined = two_chambers(kind, canal_mm=6.0)
     structures = grown(joined, geometry)
-    (caution,) = leak_cautions(structures, apart.astype(np.uint8))
-    assert caution.startswith("the blood of aorta and of left atrium: apart in the segmentation, but joined")
-    assert severity_of(caution) is Severity.ANATOMY
-    place, area = place_and_area(caution)
+    (warning,) = leak_warnings(structures, apart.astype(np.uint8))
+    assert warning.startswith("the blood of aorta and of left atrium: apart in the segmentation, but joined")
+    assert warning.severity is Severity.ANATOMY
+    place, area = place_and_area(warning)
     assert np.linalg.norm(place[1:] - [5.0, 2.0]) < 3.0
     assert abs(place[0]) < 3.5
     y, z = np.meshgrid(np.arange(-3.0, 13.0, 0.05), np.arange(-6.0, 10.0, 0.05))
@@ -74,9 +74,9 @@ def test_a_canal_that_the_segmentation_does_not_have_is_reported_where_it_is(kin
 def test_a_canal_that_was_closed_is_reported_where_it_was(kind):
     geometry, apart = two_chambers(kind)
     _, joined = two_chambers(kind, canal_mm=6.0)
-    (caution,) = leak_cautions(grown(apart, geometry), joined.astype(np.uint8))
-    assert caution.startswith("the blood of aorta and of left atrium: in one piece in the segmentation, but cut in two")
-    place, area = place_and_area(caution)
+    (warning,) = leak_warnings(grown(apart, geometry), joined.astype(np.uint8))
+    assert warning.startswith("the blood of aorta and of left atrium: in one piece in the segmentation, but cut in two")
+    place, area = place_and_area(warning)
     assert np.linalg.norm(place[1:] - [5.0, 2.0]) < 3.0
     assert abs(place[0]) < 3.5
     assert area == pytest.approx(np.pi * 6.0**2, rel=0.15)
@@ -89,8 +89,8 @@ def test_several_canals_are_told_one_by_one():
     for at in ((6.0, 2.0), (-7.0, -3.0)):
         canal = (np.hypot(y - at[0], z - at[1]) < 3.0) & (np.abs(x) <= 3.0)
         joined[canal] = AORTA
-    (caution,) = leak_cautions(grown(joined, geometry), apart.astype(np.uint8))
-    assert "in 2 patches" in caution
+    (warning,) = leak_warnings(grown(joined, geometry), apart.astype(np.uint8))
+    assert "in 2 patches" in warning
 
 
 @settings(deadline=None, max_examples=15)
@@ -163,10 +163,10 @@ def test_a_hole_in_a_wall_is_reported_with_place_and_area(kind):
     hole = Reshaping(
         "cylinder", (tuple(at - 1.0 * side), tuple(at + 3.0 * side)), 3.0, ("aorta wall",), ("background",)
     )
-    (caution,) = leak_cautions(replace(structures, reshapings=(hole,)), labels.astype(np.uint8))
-    assert severity_of(caution) is Severity.ANATOMY
-    assert caution.startswith("aorta: its wall has a gap")
-    place, area = place_and_area(caution)
+    (warning,) = leak_warnings(replace(structures, reshapings=(hole,)), labels.astype(np.uint8))
+    assert warning.severity is Severity.ANATOMY
+    assert warning.startswith("aorta: its wall has a gap")
+    place, area = place_and_area(warning)
     assert np.linalg.norm(place - at) < 2.0
     half = 0.5 * max(geometry.refined(2).spacing_mm)
     assert curved_patch(3.0 - half) < area < curved_patch(3.0 + half)
@@ -191,12 +191,12 @@ def cap_mm2(hole_mm):
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_hole_in_the_muscle_around_a_cavity_without_a_wall_is_reported_with_place_and_area(kind):
     geometry, labels = in_muscle(kind, hole_mm=6.0)
-    (caution,) = grown(labels, geometry, second_mm=0.0).warnings
-    assert severity_of(caution) is Severity.ANATOMY
-    assert caution.startswith("left atrium: its blood is open to the outside over ")
-    assert "wall_thickness_mm" in caution
-    assert "'ends'" not in caution
-    place, area = place_and_area(caution)
+    (warning,) = grown(labels, geometry, second_mm=0.0).warnings
+    assert warning.severity is Severity.ANATOMY
+    assert warning.startswith("left atrium: its blood is open to the outside over ")
+    assert "wall_thickness_mm" in warning
+    assert "'ends'" not in warning
+    place, area = place_and_area(warning)
     width = max(geometry.spacing_mm)  # the smoothing draws the rim in
     assert np.linalg.norm(place - 12.0 * AXIS) < 2.0
     assert cap_mm2(6.0 - 0.75 * width) < area < cap_mm2(6.0 + 0.5 * width)
@@ -237,10 +237,10 @@ def test_a_vessel_in_muscle_that_an_end_marker_cuts_is_not_open_there(kind):
 def test_a_vessel_of_blood_only_is_told_in_one_line_with_its_area():
     geometry, labels = tube("even")
     along = points_of(geometry) @ AXIS
-    (caution,) = grown(np.where(np.abs(along) < 12.0, labels, 0), geometry, first_mm=0.0).warnings
-    assert caution.startswith("aorta: its blood is open to the outside")
-    assert "'ends'" in caution
-    _, area = place_and_area(caution)
+    (warning,) = grown(np.where(np.abs(along) < 12.0, labels, 0), geometry, first_mm=0.0).warnings
+    assert warning.startswith("aorta: its blood is open to the outside")
+    assert "'ends'" in warning
+    _, area = place_and_area(warning)
     assert area == pytest.approx(2.0 * np.pi * 6.0 * 24.0 + 2.0 * np.pi * 36.0, rel=0.1)
 
 
@@ -252,18 +252,18 @@ def test_a_segmented_wall_with_a_hole_is_told_as_a_wall():
             Label(value=SEPTUM, name="left atrium wall", role=Role.MYOCARDIUM, wall_of=ATRIUM),
         )
     )
-    (caution,) = grow_walls(Segmentation(labels.astype(np.uint8), geometry, table), WallsSettings(), ()).warnings
-    assert caution.startswith("left atrium: its wall has a gap over ")
+    (warning,) = grow_walls(Segmentation(labels.astype(np.uint8), geometry, table), WallsSettings(), ()).warnings
+    assert warning.startswith("left atrium: its wall has a gap over ")
 
 
 def test_where_the_table_says_zero_the_opening_is_noted():
     geometry, labels = tube()
     points = [tuple(s * AXIS) for s in (-12.0, 4.0, 4.5, 12.0)]
     one = WallThickness(label="aorta", kind="centreline", points_mm=points, thickness_mm=[2.0, 2.0, 0.0, 0.0])
-    (caution,) = grown(labels, geometry, settings=WallsSettings(thickness=(one,))).warnings
-    assert severity_of(caution) is Severity.NOTE
-    assert caution.startswith("aorta: open to the outside")
-    _, area = place_and_area(caution)
+    (warning,) = grown(labels, geometry, settings=WallsSettings(thickness=(one,))).warnings
+    assert warning.severity is Severity.NOTE
+    assert warning.startswith("aorta: open to the outside")
+    _, area = place_and_area(warning)
     inside = np.abs(geometry.world_to_index((np.linspace(4.4, 40.0, 2000)[:, None]) * AXIS) / geometry.size - 0.5) < 0.5
     length = inside.all(axis=1).sum() * (35.6 / 2000)
     assert area == pytest.approx(2.0 * np.pi * 6.0 * length, rel=0.15)

@@ -17,8 +17,8 @@ from heartcase.pipeline.checks.openings import (
     POINT_REACH_MM,
     Verdict,
     find_openings,
-    opening_cautions,
     opening_figures,
+    opening_warnings,
     states_an_opening,
 )
 from heartcase.pipeline.data import Scan, Segmentation, Structures
@@ -208,11 +208,11 @@ def test_a_heart_s_valves_and_veins_are_expected_and_nothing_else():
         pair = frozenset(name.removeprefix("morphologically ") for name in (first, second))
         if pair in normal:
             assert one.verdict is Verdict.EXPECTED, pair
-            assert not opening_cautions([one])
+            assert not opening_warnings([one])
         else:
             assert one.verdict is (Verdict.OTHER_VENTRICLE if pair in other else Verdict.UNEXPECTED), pair
-            (caution,) = opening_cautions([one])
-            assert caution.severity is (Severity.LOOK if pair in other else Severity.ANATOMY)
+            (warning,) = opening_warnings([one])
+            assert warning.severity is (Severity.LOOK if pair in other else Severity.ANATOMY)
 
 
 def valve(radius_mm, first="left ventricle", second="left atrium", *, start=0) -> Structures:
@@ -244,9 +244,9 @@ def test_a_valve_that_no_heart_of_this_size_has_is_looked_at(radius, second, wor
     # 13.4 ml go with 0.31 m2, whose root is 0.56: mitral valve 17 mm, aortic valve 11 mm.
     assert one.usual_mm == pytest.approx(17.0 if second == "left atrium" else 11.3, rel=0.1)
     assert (one.verdict, one.is_odd_size, one.is_doubtful) == (Verdict.EXPECTED, bool(word), bool(word))
-    cautions = opening_cautions([one])
-    assert [caution.severity for caution in cautions] == [Severity.LOOK] * bool(word)
-    assert all(f"as a circle of {one.diameter_mm:.0f} mm: very {word} for this valve" in line for line in cautions)
+    warnings = opening_warnings([one])
+    assert [warning.severity for warning in warnings] == [Severity.LOOK] * bool(word)
+    assert all(f"as a circle of {one.diameter_mm:.0f} mm: very {word} for this valve" in line for line in warnings)
 
 
 def test_of_a_valve_s_size_nothing_is_said_where_the_ventricle_is_cut_or_is_none():
@@ -271,7 +271,7 @@ def test_structures_are_known_by_synonym_or_code(first, second, codes, verdict):
     (one,) = find_openings(structures, labels)
     assert one.verdict is verdict
     assert one.is_doubtful == (verdict is not Verdict.EXPECTED)
-    assert [caution.severity for caution in opening_cautions([one])] == {
+    assert [warning.severity for warning in opening_warnings([one])] == {
         Verdict.EXPECTED: [],
         Verdict.UNKNOWN: [Severity.LOOK],
         Verdict.UNEXPECTED: [Severity.ANATOMY],
@@ -280,11 +280,11 @@ def test_structures_are_known_by_synonym_or_code(first, second, codes, verdict):
 
 def test_an_opening_that_nothing_explains_is_the_first_thing_in_the_report():
     (one,) = openings_of(walled())
-    (caution,) = opening_cautions([one])
-    assert caution.startswith("left atrium and right atrium are open to each other over ")
-    assert "paint the wall" in caution
-    assert "septal_defect" in caution
-    assert grouped(["look at something", caution])[0].lines[0][1:] in f"{caution}."
+    (warning,) = opening_warnings([one])
+    assert warning.startswith("left atrium and right atrium are open to each other over ")
+    assert "paint the wall" in warning
+    assert "septal_defect" in warning
+    assert grouped(["look at something", warning])[0].lines[0][1:] in f"{warning}."
 
 
 def ring(name="atrial septal defect", at=(0.0, 0.0, 0.0), radius=6.0):
@@ -300,9 +300,9 @@ def test_a_landmark_at_the_place_states_the_defect():
     ):
         (one,) = openings_of(walled(), landmarks=[landmark])
         assert one.verdict is Verdict.STATED
-        (caution,) = opening_cautions([one])
-        assert caution.severity is Severity.NOTE
-        assert landmark.name in caution
+        (warning,) = opening_warnings([one])
+        assert warning.severity is Severity.NOTE
+        assert landmark.name in warning
 
 
 @pytest.mark.parametrize(
@@ -326,7 +326,7 @@ def test_a_small_defect_does_not_excuse_a_missing_wall():
     assert (rest.verdict, stated.verdict) == (Verdict.UNEXPECTED, Verdict.STATED)
     assert stated.area_mm2 == pytest.approx(np.pi * reach**2, rel=0.15)
     assert rest.area_mm2 == pytest.approx(np.pi * (15.0**2 - reach**2), rel=0.1)
-    assert [caution.severity for caution in opening_cautions([rest, stated])] == [Severity.ANATOMY, Severity.NOTE]
+    assert [warning.severity for warning in opening_warnings([rest, stated])] == [Severity.ANATOMY, Severity.NOTE]
 
 
 def test_the_defect_s_word_reaches_only_its_own_hole():
@@ -346,11 +346,11 @@ def test_an_edit_states_its_own_opening_and_its_area_is_told():
     assert (one.verdict, one.stated_by) == (Verdict.STATED, "edits[1]")
     assert one.asked_mm2 == pytest.approx(np.pi * 4.5**2)
     assert one.area_mm2 == pytest.approx(one.asked_mm2, rel=0.15)
-    (caution,) = opening_cautions([one])
-    assert caution.severity is Severity.NOTE
+    (warning,) = opening_warnings([one])
+    assert warning.severity is Severity.NOTE
     (named,) = openings_of(structures, edits=[canal().model_copy(update={"name": "residual VSD"})])
     assert named.stated_by == 'edits[1] "residual VSD"'
-    assert 'as stated by edits[1] "residual VSD", which asks for' in opening_cautions([named])[0]
+    assert 'as stated by edits[1] "residual VSD", which asks for' in opening_warnings([named])[0]
     (same,) = openings_of(structures)
     assert same.verdict is Verdict.UNEXPECTED
     (off,) = openings_of(structures, edits=[canal().model_copy(update={"enabled": False})])
@@ -377,7 +377,7 @@ def test_an_edit_in_a_wall_that_is_missing_already_is_looked_at():
     found = openings_of(structures, edits=[canal(2.0, (6.0, 0.0, 0.0))])
     assert [one.verdict for one in found] == [Verdict.UNEXPECTED, Verdict.STATED]
     assert found[1].is_doubtful
-    assert [caution.severity for caution in opening_cautions(found)] == [Severity.ANATOMY, Severity.LOOK]
+    assert [warning.severity for warning in opening_warnings(found)] == [Severity.ANATOMY, Severity.LOOK]
 
 
 def test_figures_are_plain_and_the_same_every_time():
@@ -438,7 +438,7 @@ def test_a_sound_heart_has_its_valves_and_veins_open_and_nothing_to_be_wary_of(s
     found = openings_of(heart_structures(HeartPhantom.of_size(size), spacing, oblique=oblique))
     assert {one.names for one in found} == VALVES
     assert all(one.verdict is Verdict.EXPECTED and one.patches == 1 for one in found)
-    assert opening_cautions(found) == ()
+    assert opening_warnings(found) == ()
 
 
 def test_the_pulmonary_valve_of_the_phantom_has_its_true_area():
@@ -462,9 +462,9 @@ def test_atria_that_were_grown_over_their_septum_are_told_worst_of_all():
     assert by_names[SEPTUM].verdict is Verdict.UNEXPECTED
     assert by_names[SEPTUM].area_mm2 > 300.0
     assert by_names["morphologically left atrium", "aorta"].verdict is Verdict.UNEXPECTED
-    cautions = opening_cautions(found)
-    assert {caution.severity for caution in cautions} == {Severity.ANATOMY}
-    assert len(cautions) == sum(one.verdict is Verdict.UNEXPECTED for one in found) >= 2
+    warnings = opening_warnings(found)
+    assert {warning.severity for warning in warnings} == {Severity.ANATOMY}
+    assert len(warnings) == sum(one.verdict is Verdict.UNEXPECTED for one in found) >= 2
 
 
 @pytest.mark.parametrize("kind", ["atrial_defect", "ventricular_defect"])
@@ -475,8 +475,8 @@ def test_a_defect_in_the_scan_is_told_unless_the_recipe_states_it(kind):
     assert one.verdict is Verdict.UNEXPECTED
     assert one.area_mm2 == pytest.approx(np.pi * 25.0, rel=0.25)
     assert np.linalg.norm(np.array(one.center_mm) - defect.position_mm) < 7.0
-    (caution,) = opening_cautions(openings_of(structures))
-    assert caution.severity is Severity.ANATOMY
+    (warning,) = opening_warnings(openings_of(structures))
+    assert warning.severity is Severity.ANATOMY
     landmark = Landmark(
         name="defect",
         kind="ring",
@@ -488,7 +488,7 @@ def test_a_defect_in_the_scan_is_told_unless_the_recipe_states_it(kind):
         openings_of(structures, landmarks=[landmark]),
         openings_of(structures, edits=[defect]),
     ):
-        assert [caution.severity for caution in opening_cautions(stated)] == [Severity.NOTE]
+        assert [warning.severity for warning in opening_warnings(stated)] == [Severity.NOTE]
 
 
 # ---- The whole build

@@ -10,7 +10,7 @@ from heartcase.pipeline.data import Segmentation, Structures
 from heartcase.pipeline.edits.apply_edits import apply_edits, made_by, with_edit_names
 from heartcase.pipeline.fields.reader import ownership_at_points, ownership_on_lattice
 from heartcase.pipeline.walls.grow_walls import grow_walls, structure_volumes_ml
-from heartcase.pipeline.warnings import Severity, note, severity_of
+from heartcase.pipeline.warnings import Severity, note
 from heartcase.schemas.errors import StageError, problems_from_validation
 from heartcase.schemas.labels import Label, LabelTable, Role
 from heartcase.schemas.recipe.edit_settings import CloseDefect, KeepLargest, Sculpt, SeptalDefect
@@ -384,7 +384,7 @@ def test_an_edit_is_told_by_its_name_too_where_it_has_one():
     lines = (note("edits[2]: changes nothing"), "edits[1]: odd", "aorta: edits[2]", "edits[3]: of another recipe")
     told = with_edit_names(lines, edits)
     assert told == ('edits[2] "residual VSD": changes nothing', *lines[1:])
-    assert severity_of(told[0]) is Severity.NOTE
+    assert told[0].severity is Severity.NOTE
 
 
 def test_a_name_changes_nothing_of_the_stage_s_output():

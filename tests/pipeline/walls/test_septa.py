@@ -20,7 +20,7 @@ from heartcase.pipeline.fields.reader import FieldReader, ownership_at_points, o
 from heartcase.pipeline.mesh.build_surface import build_surface
 from heartcase.pipeline.walls.grow_walls import grow_walls
 from heartcase.pipeline.walls.septa import ADULT_MM, open_places, pairs_kept_apart, septum_thickness_mm
-from heartcase.pipeline.warnings import Severity, severity_of
+from heartcase.pipeline.warnings import Severity
 from heartcase.schemas.bundle.surface_kinds import SurfaceKind
 from heartcase.schemas.errors import StageError
 from heartcase.schemas.labels import Label, LabelTable, Role
@@ -307,8 +307,8 @@ def test_what_was_grown_is_told_with_pair_area_thickness_and_place_and_has_a_kin
     assert np.linalg.norm(figure["center_mm"]) < 2.0
     label = structures.table[figure["label"]]
     assert (label.name, label.role, label.septum_of) == ("left atrium-right atrium septum (grown)", Role.WALL, (1, 2))
-    (caution,) = (line for line in structures.warnings if "grown where two outlines touch" in line)
-    assert severity_of(caution) is Severity.LOOK
+    (warning,) = (line for line in structures.warnings if "grown where two outlines touch" in line)
+    assert warning.severity is Severity.LOOK
     surface = build_surface(
         structures, SurfaceSettings(triangle_count=20_000, level_counts=(), normal_map_size=0), render=False
     )
@@ -342,9 +342,9 @@ def test_a_narrow_vessel_along_another_that_a_septum_would_cut_is_told():
     whole = grow_walls(segmentation, thick(0.4, ("aorta", "SVC")), ())
     assert not any("cut in two by a grown septum" in line for line in whole.warnings)
     cut = grow_walls(segmentation, thick(4.0, ("aorta", "SVC")), ())
-    (caution,) = (line for line in cut.warnings if "cut in two by a grown septum" in line)
-    assert caution.startswith("superior vena cava: ")
-    assert severity_of(caution) is Severity.ANATOMY
+    (warning,) = (line for line in cut.warnings if "cut in two by a grown septum" in line)
+    assert warning.startswith("superior vena cava: ")
+    assert warning.severity is Severity.ANATOMY
 
 
 def test_names_that_are_wrong_are_refused_all_at_once():

@@ -18,7 +18,7 @@ from heartcase.pipeline.formats.dicom.phases import PhaseStack, StackGroup
 from heartcase.pipeline.formats.dicom.stack import Stack, find_stack
 from heartcase.pipeline.formats.volumes.nearest_time import listed_times, nearest_time
 from heartcase.pipeline.formats.volumes.raw_volume import geometry_from_affine
-from heartcase.pipeline.warnings import note
+from heartcase.pipeline.warnings import CaseWarning, note
 from heartcase.schemas.errors import Problem, ScanError
 from heartcase.schemas.geometry import Geometry
 
@@ -74,7 +74,7 @@ class Choice(NamedTuple):
     """What its number stands for."""
     stack: PhaseStack
     """Its images."""
-    notes: tuple[str, ...] = ()
+    notes: tuple[CaseWarning, ...] = ()
     """What a reader should know of how it was chosen."""
 
 
@@ -255,7 +255,7 @@ def _candidates(groups: Sequence[StackGroup]) -> list[StackGroup]:
     return [group for group in stacks if group.image_count > small]
 
 
-def _passed_over(groups: Sequence[StackGroup], taken: Sequence[StackGroup]) -> list[str]:
+def _passed_over(groups: Sequence[StackGroup], taken: Sequence[StackGroup]) -> list[CaseWarning]:
     """A note on the other series whose stacks are as small as a localiser's but are not called so."""
     known = {group.series_uid for group in taken}
     scans = [group for group in groups if not group.is_localizer and group.modality not in OTHER_MODALITIES]

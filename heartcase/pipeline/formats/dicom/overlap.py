@@ -15,6 +15,7 @@ import numpy as np
 
 from heartcase.pipeline.formats.dicom.pixels import read_pixels
 from heartcase.pipeline.formats.dicom.stack import Slice, places_of
+from heartcase.pipeline.warnings import CaseWarning
 from heartcase.schemas.errors import ScanError
 
 __all__ = ["Overlap", "one_at_each_place"]
@@ -25,7 +26,7 @@ NAMED = 5
 SETTING = "--overlap earlier or --overlap later, or overlap in the recipe's [scan]"
 
 
-def one_at_each_place(slices: Sequence[Slice], overlap: Overlap | None) -> tuple[tuple[Slice, ...], list[str]]:
+def one_at_each_place(slices: Sequence[Slice], overlap: Overlap | None) -> tuple[tuple[Slice, ...], list[CaseWarning]]:
     """One image of each slice position where some positions hold several.
 
     Parameters
@@ -70,8 +71,10 @@ def one_at_each_place(slices: Sequence[Slice], overlap: Overlap | None) -> tuple
         kept.append((ordered or images)[0 if overlap == "earlier" else -1])
     several = len(doubled) > 1
     return tuple(kept), [
-        f"slice{'s' if several else ''} {_numbers(doubled)} {'are' if several else 'is'} there twice or more, as where "
-        f"two acquisitions meet: of each the {overlap} image was taken"
+        CaseWarning(
+            f"slice{'s' if several else ''} {_numbers(doubled)} {'are' if several else 'is'} there twice or more, as "
+            f"where two acquisitions meet: of each the {overlap} image was taken"
+        )
     ]
 
 

@@ -21,7 +21,7 @@ from heartcase.pipeline.formats.dicom.pixels import fill_padding, read_pixels
 from heartcase.pipeline.formats.dicom.stack import Stack, find_stack
 from heartcase.pipeline.formats.dicom.straighten import straight_shape, straightened, with_missing
 from heartcase.pipeline.formats.volumes.raw_volume import check_size, geometry_from_affine
-from heartcase.pipeline.warnings import anatomy, note
+from heartcase.pipeline.warnings import CaseWarning, anatomy, note
 from heartcase.schemas.errors import ScanError
 
 __all__ = [
@@ -169,9 +169,9 @@ def _acquisition(chosen: PhaseStack) -> dict[str, float]:
     return physics | {name: value for name, value in stated.items() if value is not None}
 
 
-def _warnings(stack: Stack, choice: Choice) -> list[str]:
+def _warnings(stack: Stack, choice: Choice) -> list[CaseWarning]:
     group, chosen, notes = choice
-    warnings: list[str] = list(notes)
+    warnings: list[CaseWarning] = list(notes)
     if stack.missing:
         numbers = ", ".join(str(place + 1) for place in stack.missing)
         spacing = float(np.linalg.norm(stack.affine[:3, 2]))
@@ -193,14 +193,18 @@ def _warnings(stack: Stack, choice: Choice) -> list[str]:
     steps = [abs(time - (chosen.trigger_time_ms or 0.0)) for time in others if time is not None]
     if chosen.trigger_spread_ms > min([TIME_TOLERANCE_MS, *(0.5 * step for step in steps)]):
         warnings.append(
-            f"the trigger times of the slices differ by up to {chosen.trigger_spread_ms:.0f} ms: the heartbeat "
-            "changed during the scan, or they show several phases of it, so the slices may not fit together"
+            CaseWarning(
+                f"the trigger times of the slices differ by up to {chosen.trigger_spread_ms:.0f} ms: the heartbeat "
+                "changed during the scan, or they show several phases of it, so the slices may not fit together"
+            )
         )
     for trait, (words, unit) in ONE_VALUE.items():
         values = [value for image in chosen.slices if isinstance(value := image.traits.get(trait), float)]
         if len(set(values)) > 1:
             warnings.append(
-                f"the {words} of the slices is not one: {min(values):g} to {max(values):g} {unit}, so that their grey "
-                "values may not mean the same"
+                CaseWarning(
+                    f"the {words} of the slices is not one: {min(values):g} to {max(values):g} {unit}, so that their "
+                    "grey values may not mean the same"
+                )
             )
     return [*warnings, note(group.left_out)] if group.left_out else warnings

@@ -15,6 +15,7 @@ from itertools import combinations
 import numpy as np
 
 from heartcase.pipeline.data import Segmentation
+from heartcase.pipeline.warnings import CaseWarning
 from heartcase.schemas.arrays import UInt8, UInt16
 from heartcase.schemas.errors import MarkerError
 from heartcase.schemas.geometry import Geometry
@@ -71,7 +72,7 @@ class LabelVolume:
     """Value -> its segment, where the file lists segments."""
     vanished: tuple[int, ...] = ()
     """Values of segments that mark something, but no voxel here: others cover it, or it lies off the lattice."""
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[CaseWarning, ...] = ()
     """What was assumed in reading it, in plain words."""
     overlaps: tuple[Overlap, ...] = ()
     """Which segments overlap, by ascending values; none of those that are left out."""

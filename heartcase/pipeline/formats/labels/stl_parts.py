@@ -24,6 +24,7 @@ from heartcase.pipeline.formats.labels.segments import (
     stacking_of,
 )
 from heartcase.pipeline.formats.volumes.raw_volume import check_size, require_file
+from heartcase.pipeline.warnings import CaseWarning
 from heartcase.schemas.arrays import Bool, Float64, Int16, Int64, UInt8
 from heartcase.schemas.errors import HeartcaseError, MarkerError, Problem
 from heartcase.schemas.geometry import Geometry
@@ -137,13 +138,15 @@ def read_parts(
     )
 
 
-def _taken_as_lps(silent: list[int]) -> tuple[str, ...]:
+def _taken_as_lps(silent: list[int]) -> tuple[CaseWarning, ...]:
     if not silent:
         return ()
     numbers = ", ".join(map(str, silent))
     return (
-        "LPS was assumed for surfaces of the finished segmentation that say neither LPS nor RAS (by the alphabet: part "
-        f"{numbers}): see in the pictures that they lie on the scan",
+        CaseWarning(
+            "LPS was assumed for surfaces of the finished segmentation that say neither LPS nor RAS (by the alphabet: "
+            f"part {numbers}): see in the pictures that they lie on the scan"
+        ),
     )
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.formats.volumes.nearest_time import listed_times, nearest_time
+from heartcase.pipeline.warnings import CaseWarning
 from heartcase.schemas.errors import ScanError
 
 __all__ = ["FrameChoice", "FrameFound", "InflatedStream", "fully", "pick_frame", "read_frame"]
@@ -39,7 +40,7 @@ class FrameFound:
     """From 0."""
     time_ms: float | None
     """Its time, where the file says it, ms."""
-    notes: tuple[str, ...] = ()
+    notes: tuple[CaseWarning, ...] = ()
     """What a reader should know of how it was chosen."""
 
 
@@ -74,7 +75,7 @@ def pick_frame(count: int, times_ms: Sequence[float] | None, choice: FrameChoice
                 f"the file holds {count} volumes but does not say when each is, with its unit, so that no time can "
                 f"choose: use --frame N, or frame in the recipe's [scan], from 0 to {count - 1}"
             )
-        notes: list[str] = []
+        notes: list[CaseWarning] = []
         time = nearest_time(times, choice.time_ms, "trigger", notes)
         return FrameFound(times.index(time), time, tuple(notes))
     if choice.frame is None:

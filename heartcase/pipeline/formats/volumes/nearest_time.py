@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from heartcase.pipeline.warnings import CaseWarning
 from heartcase.schemas.errors import ScanError
 
 __all__ = ["listed_times", "nearest_time"]
@@ -22,7 +23,7 @@ TIE_MS = 1e-6
 """Times that differ by less are the same: rounded digits."""
 
 
-def nearest_time(times: Sequence[float | None], wanted: float, what: str, notes: list[str]) -> float:
+def nearest_time(times: Sequence[float | None], wanted: float, what: str, notes: list[CaseWarning]) -> float:
     """The time that is meant.
 
     Parameters
@@ -61,14 +62,18 @@ def nearest_time(times: Sequence[float | None], wanted: float, what: str, notes:
         )
     if what == "trigger" and abs(nearest - wanted) > FAR_MS:
         notes.append(
-            f"the given trigger time is {wanted:g} ms, and the nearest one that can be taken, {nearest:g} ms, shows "
-            "the heart at another moment"
+            CaseWarning(
+                f"the given trigger time is {wanted:g} ms, and the nearest one that can be taken, {nearest:g} ms, "
+                "shows the heart at another moment"
+            )
         )
     as_near = [time for time in stated if abs(abs(time - wanted) - abs(nearest - wanted)) <= TIE_MS]
     if len(as_near) > 1:
         notes.append(
-            f"the {what} times {as_near[0]:g} and {as_near[-1]:g} ms are as near to the given {wanted:g} ms: the "
-            "earlier one was taken"
+            CaseWarning(
+                f"the {what} times {as_near[0]:g} and {as_near[-1]:g} ms are as near to the given {wanted:g} ms: the "
+                "earlier one was taken"
+            )
         )
     return as_near[0]
 
