@@ -8,13 +8,13 @@ import sys
 
 import numpy as np
 import pytest
-from heartcase.simulator.engine.cuda import kernel as kernel_cuda
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.dynamics.integrate import Verlet
 from heartcase.simulator.engine.backends import make_engine
+from heartcase.simulator.engine.cuda import kernel as kernel_cuda
 from heartcase.simulator.engine.cuda.engine import CudaEngine, _fitting, plan_launch
 from heartcase.simulator.engine.cuda.intrinsics import IS_SIMULATED
 from heartcase.simulator.engine.shared.contact import NO_PROBES, probe_row
