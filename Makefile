@@ -1,5 +1,6 @@
 # make case   sets up an environment, builds a sample case from a synthetic scan and pulls on it
 # make test   everything that must hold before a change goes in
+# make docs   the documentation as a site: out/site/index.html
 # make bench  run time against error (minutes)
 # make versions  every kernel compiles, and a sample case comes out as on the Python that ran this before
 # make lowest, make newest  the same with the oldest packages that pyproject.toml allows, and with the newest there are
@@ -11,7 +12,7 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 LOCK ?= requirements.lock
 
-.PHONY: case test check plain bench versions lowest newest gpu lock clean
+.PHONY: case test check format lint types imports docs plain bench versions lowest newest gpu lock clean
 
 # Not compiled to byte code: most of what comes is never imported, and the rest is compiled as it is.
 $(VENV)/installed: $(LOCK) pyproject.toml
@@ -30,11 +31,24 @@ test:
 	$(MAKE) --jobs=2 check plain
 	$(BIN)/python -m pytest -n 2 --dist loadfile
 
-check: $(VENV)/installed
+# All that is checked without running the package; .pre-commit-config.yaml runs the same one by one.
+check: format lint types imports docs
+
+format: $(VENV)/installed
 	$(BIN)/ruff format --check .
+
+lint: $(VENV)/installed
 	$(BIN)/ruff check .
+
+types: $(VENV)/installed
 	$(BIN)/mypy
+
+imports: $(VENV)/installed
 	$(BIN)/lint-imports --no-cache
+
+# Needs no network; warnings are errors (mkdocs.yml).
+docs: $(VENV)/installed
+	$(BIN)/python -m mkdocs build
 
 # The simulator alone, in an environment without SimpleITK, VTK or scikit-image, on a case that the other one wrote.
 plain: $(VENV)/installed $(VENV)-plain/installed

@@ -1,3 +1,260 @@
-"""heartcase: from a cardiac MRI or CT to a case bundle and a real-time simulation of it."""
+"""heartcase: from a cardiac MRI or CT to a case bundle and a real-time simulation of it.
+
+The names below are what other programs are meant to use: ``from heartcase import load_case``. Each is loaded at its
+first use, so that ``import heartcase`` loads neither numba nor SimpleITK. ``docs/api.md`` describes them.
+"""
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from heartcase.library.build import Workers, build_cases, connected, default_workers, stale_cases
+    from heartcase.library.catalogue.site import CatalogueResult, write_catalogue
+    from heartcase.library.check import CaseCheck, check_case
+    from heartcase.library.diff import CaseChange, Tolerances, diff_libraries
+    from heartcase.library.plan import CaseRecord, LibraryCase, plan_library
+    from heartcase.library.scans import ensure_scan
+    from heartcase.pipeline.build.input_check import InputFindings, check_inputs
+    from heartcase.pipeline.build.lock import lock_recipe, recipe_text
+    from heartcase.pipeline.build.run import BuildResult, build_case
+    from heartcase.pipeline.build.runner import BuildListener
+    from heartcase.pipeline.build.session_file import RecipeSession, open_session
+    from heartcase.pipeline.data import Markers, Scan, Segmentation
+    from heartcase.pipeline.formats.dicom.choice import SeriesInfo
+    from heartcase.pipeline.formats.labels.segments import LabelVolume
+    from heartcase.pipeline.formats.read_scan import list_series, read_labels, read_scan
+    from heartcase.pipeline.formats.write_images import write_scan, write_segmentation
+    from heartcase.pipeline.image.filter_scan import filter_scan
+    from heartcase.pipeline.markers.session import SegmentationSession
+    from heartcase.pipeline.markers.suggest import StrokePlace, StrokePlaces
+    from heartcase.schemas.bundle.approval import Approval, approval_state, approve_case
+    from heartcase.schemas.bundle.check import check_bundle
+    from heartcase.schemas.bundle.format import CaseManifest, FileRole
+    from heartcase.schemas.bundle.lattice import cell_nodes
+    from heartcase.schemas.bundle.reader import OpenBundle, open_bundle
+    from heartcase.schemas.errors import (
+        BundleError,
+        HeartcaseError,
+        MarkerError,
+        MissingExtraError,
+        Problem,
+        RecipeError,
+        ScanError,
+        ScriptError,
+        SimulationError,
+        StageError,
+        UnsupportedVersionError,
+        UsageError,
+    )
+    from heartcase.schemas.geometry import Geometry
+    from heartcase.schemas.labels import Label, LabelTable, Role, default_label_table
+    from heartcase.schemas.landmarks import Landmark
+    from heartcase.schemas.recipe.recipe import Recipe, load_recipe, parse_recipe
+    from heartcase.schemas.recipe.settings import FilterSettings, SegmentSettings, Stroke
+    from heartcase.schemas.script import SimulationScript
+    from heartcase.simulator.dynamics.integrate import Energy
+    from heartcase.simulator.dynamics.step_size import default_step, step_limit
+    from heartcase.simulator.instruments.held import Grab, Probe
+    from heartcase.simulator.lattice.force_law import ForceLaw
+    from heartcase.simulator.lattice.model import GridUnits, LatticeModel, make_model
+    from heartcase.simulator.lattice.state import Snapshot, State
+    from heartcase.simulator.load import Case, ScanVolume, load_case
+    from heartcase.simulator.script import SessionSummary, default_script, load_script, run_script
+    from heartcase.simulator.simulation import Simulation
+    from heartcase.simulator.surface.deform import (
+        DeformedSurface,
+        PickingModel,
+        SurfaceModel,
+        make_picking,
+        make_surface,
+    )
+    from heartcase.simulator.surface.write_surface import write_surface
+    from heartcase.simulator.watchdog import Watch
 
 __version__ = "0.1.0"
+
+__all__ = [
+    "Approval",
+    "BuildListener",
+    "BuildResult",
+    "BundleError",
+    "Case",
+    "CaseChange",
+    "CaseCheck",
+    "CaseManifest",
+    "CaseRecord",
+    "CatalogueResult",
+    "DeformedSurface",
+    "Energy",
+    "FileRole",
+    "FilterSettings",
+    "ForceLaw",
+    "Geometry",
+    "Grab",
+    "GridUnits",
+    "HeartcaseError",
+    "InputFindings",
+    "Label",
+    "LabelTable",
+    "LabelVolume",
+    "Landmark",
+    "LatticeModel",
+    "LibraryCase",
+    "MarkerError",
+    "Markers",
+    "MissingExtraError",
+    "OpenBundle",
+    "PickingModel",
+    "Probe",
+    "Problem",
+    "Recipe",
+    "RecipeError",
+    "RecipeSession",
+    "Role",
+    "Scan",
+    "ScanError",
+    "ScanVolume",
+    "ScriptError",
+    "SegmentSettings",
+    "Segmentation",
+    "SegmentationSession",
+    "SeriesInfo",
+    "SessionSummary",
+    "Simulation",
+    "SimulationError",
+    "SimulationScript",
+    "Snapshot",
+    "StageError",
+    "State",
+    "Stroke",
+    "StrokePlace",
+    "StrokePlaces",
+    "SurfaceModel",
+    "Tolerances",
+    "UnsupportedVersionError",
+    "UsageError",
+    "Watch",
+    "Workers",
+    "__version__",
+    "approval_state",
+    "approve_case",
+    "build_case",
+    "build_cases",
+    "cell_nodes",
+    "check_bundle",
+    "check_case",
+    "check_inputs",
+    "connected",
+    "default_label_table",
+    "default_script",
+    "default_step",
+    "default_workers",
+    "diff_libraries",
+    "ensure_scan",
+    "filter_scan",
+    "list_series",
+    "load_case",
+    "load_recipe",
+    "load_script",
+    "lock_recipe",
+    "make_model",
+    "make_picking",
+    "make_surface",
+    "open_bundle",
+    "open_session",
+    "parse_recipe",
+    "plan_library",
+    "read_labels",
+    "read_scan",
+    "recipe_text",
+    "run_script",
+    "stale_cases",
+    "step_limit",
+    "write_catalogue",
+    "write_scan",
+    "write_segmentation",
+    "write_surface",
+]
+
+_MODULES = {
+    "heartcase.library.build": ("Workers", "build_cases", "connected", "default_workers", "stale_cases"),
+    "heartcase.library.catalogue.site": ("CatalogueResult", "write_catalogue"),
+    "heartcase.library.check": ("CaseCheck", "check_case"),
+    "heartcase.library.diff": ("CaseChange", "Tolerances", "diff_libraries"),
+    "heartcase.library.plan": ("CaseRecord", "LibraryCase", "plan_library"),
+    "heartcase.library.scans": ("ensure_scan",),
+    "heartcase.pipeline.build.input_check": ("InputFindings", "check_inputs"),
+    "heartcase.pipeline.build.lock": ("lock_recipe", "recipe_text"),
+    "heartcase.pipeline.build.run": ("BuildResult", "build_case"),
+    "heartcase.pipeline.build.runner": ("BuildListener",),
+    "heartcase.pipeline.build.session_file": ("RecipeSession", "open_session"),
+    "heartcase.pipeline.data": ("Markers", "Scan", "Segmentation"),
+    "heartcase.pipeline.formats.dicom.choice": ("SeriesInfo",),
+    "heartcase.pipeline.formats.labels.segments": ("LabelVolume",),
+    "heartcase.pipeline.formats.read_scan": ("list_series", "read_labels", "read_scan"),
+    "heartcase.pipeline.formats.write_images": ("write_scan", "write_segmentation"),
+    "heartcase.pipeline.image.filter_scan": ("filter_scan",),
+    "heartcase.pipeline.markers.session": ("SegmentationSession",),
+    "heartcase.pipeline.markers.suggest": ("StrokePlace", "StrokePlaces"),
+    "heartcase.schemas.bundle.approval": ("Approval", "approval_state", "approve_case"),
+    "heartcase.schemas.bundle.check": ("check_bundle",),
+    "heartcase.schemas.bundle.format": ("CaseManifest", "FileRole"),
+    "heartcase.schemas.bundle.lattice": ("cell_nodes",),
+    "heartcase.schemas.bundle.reader": ("OpenBundle", "open_bundle"),
+    "heartcase.schemas.errors": (
+        "BundleError",
+        "HeartcaseError",
+        "MarkerError",
+        "MissingExtraError",
+        "Problem",
+        "RecipeError",
+        "ScanError",
+        "ScriptError",
+        "SimulationError",
+        "StageError",
+        "UnsupportedVersionError",
+        "UsageError",
+    ),
+    "heartcase.schemas.geometry": ("Geometry",),
+    "heartcase.schemas.labels": ("Label", "LabelTable", "Role", "default_label_table"),
+    "heartcase.schemas.landmarks": ("Landmark",),
+    "heartcase.schemas.recipe.recipe": ("Recipe", "load_recipe", "parse_recipe"),
+    "heartcase.schemas.recipe.settings": ("FilterSettings", "SegmentSettings", "Stroke"),
+    "heartcase.schemas.script": ("SimulationScript",),
+    "heartcase.simulator.dynamics.integrate": ("Energy",),
+    "heartcase.simulator.dynamics.step_size": ("default_step", "step_limit"),
+    "heartcase.simulator.instruments.held": ("Grab", "Probe"),
+    "heartcase.simulator.lattice.force_law": ("ForceLaw",),
+    "heartcase.simulator.lattice.model": ("GridUnits", "LatticeModel", "make_model"),
+    "heartcase.simulator.lattice.state": ("Snapshot", "State"),
+    "heartcase.simulator.load": ("Case", "ScanVolume", "load_case"),
+    "heartcase.simulator.script": ("SessionSummary", "default_script", "load_script", "run_script"),
+    "heartcase.simulator.simulation": ("Simulation",),
+    "heartcase.simulator.surface.deform": (
+        "DeformedSurface",
+        "PickingModel",
+        "SurfaceModel",
+        "make_picking",
+        "make_surface",
+    ),
+    "heartcase.simulator.surface.write_surface": ("write_surface",),
+    "heartcase.simulator.watchdog": ("Watch",),
+}
+"""Module -> the public names that it defines."""
+_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
+
+if not TYPE_CHECKING:  # a type checker would take any name for one that there is
+
+    def __getattr__(name: str) -> object:
+        """The public object of this name, from its module; it is kept for the next time."""
+        if name not in _MODULE_OF:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        from importlib import import_module
+
+        found = getattr(import_module(_MODULE_OF[name]), name)
+        globals()[name] = found
+        return found
+
+
+def __dir__() -> list[str]:
+    """All names, whether they are loaded by now or not."""
+    return sorted({*globals(), *__all__})

@@ -69,6 +69,13 @@ class Workers:
 def default_workers(worker_count: int | None = None, memory_mb: int | None = None) -> Workers:
     """As many workers as there are cores and as memory allows.
 
+    Parameters
+    ----------
+    worker_count
+        How many; worked out when left out.
+    memory_mb
+        Memory of each, 10^6 bytes; an equal part of what there is when left out.
+
     Raises
     ------
     UsageError
@@ -165,7 +172,17 @@ def _any_dashboard_port() -> Iterator[None]:
 
 
 def stale_cases(cases: tuple[LibraryCase, ...], out: Path, *, force: bool = False) -> tuple[LibraryCase, ...]:
-    """The cases that are to be built: those that can be, and are not as they would be built now."""
+    """The cases that are to be built: those that can be, and are not as they would be built now.
+
+    Parameters
+    ----------
+    cases
+        The library's cases.
+    out
+        Folder of the built cases.
+    force
+        Whether cases that are up to date are built as well.
+    """
     return tuple(case for case in cases if not case.problems and (force or not is_up_to_date(case, out)))
 
 
@@ -175,6 +192,17 @@ def build_cases(
     """Build cases on a cluster; their records come as they are done.
 
     Those that a lost scheduler or killed workers kept from being built have a record that says so.
+
+    Parameters
+    ----------
+    cases
+        What to build: see :func:`stale_cases`.
+    client
+        Client of the cluster: see :func:`connected`.
+    out
+        Folder for the cases, reports and records; made when it is not there.
+    cache
+        Folder of the cache; in ``out`` when left out.
     """
     from distributed import as_completed
     from distributed.client import FutureCancelledError

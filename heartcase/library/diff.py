@@ -72,6 +72,13 @@ class CaseChange:
 def diff_libraries(old: Path, new: Path, tolerances: Tolerances | None = None) -> tuple[CaseChange, ...]:
     """Compare the cases of two output folders, by name.
 
+    Parameters
+    ----------
+    old, new
+        Folders of two library builds.
+    tolerances
+        What may change without a word; the defaults when left out.
+
     Raises
     ------
     UsageError

@@ -73,7 +73,15 @@ class CaseRecord:
     """Path below the output folder, size in bytes and time of last change in ns of what was written."""
 
     def timed(self, seconds: float, memory_peak_mb: float | None) -> CaseRecord:
-        """The record with what building it took."""
+        """The record with what building it took.
+
+        Parameters
+        ----------
+        seconds
+            How long it took, s.
+        memory_peak_mb
+            Most memory that the worker held, 10^6 bytes; None where the system does not say.
+        """
         return replace(self, seconds=round(seconds, 2), memory_peak_mb=memory_peak_mb)
 
 

@@ -34,6 +34,13 @@ def ensure_scan(source: ScanSource, directory: Path) -> bool:
 
     Beside the scan lies ``NAME.made.json``, which says what it was made from.
 
+    Parameters
+    ----------
+    source
+        ``[scan]`` of the recipe.
+    directory
+        Where the recipe's relative paths start.
+
     Raises
     ------
     UsageError

@@ -75,7 +75,19 @@ class Geometry(Model):
         spacing_mm: npt.ArrayLike = (1.0, 1.0, 1.0),
         direction: npt.ArrayLike = IDENTITY,
     ) -> Geometry:
-        """Make a geometry from array-likes; ``shape`` is an array's ``[z, y, x]``, direction is 3 x 3 or 9 long."""
+        """Make a geometry from array-likes; ``shape`` is an array's ``[z, y, x]``, direction is 3 x 3 or 9 long.
+
+        Parameters
+        ----------
+        shape
+            Shape ``[z, y, x]`` of the arrays.
+        origin_mm
+            World position of the centre of voxel (0, 0, 0), LPS mm, shape (3,).
+        spacing_mm
+            Distance of voxel centres along i, j, k, mm, shape (3,).
+        direction
+            Columns are the unit vectors of i, j, k in LPS axes, shape (3, 3) or (9,).
+        """
         matrix = np.asarray(direction, dtype=float).reshape(3, 3)
         data: dict[str, Any] = {
             "size": tuple(int(n) for n in reversed(shape)),
@@ -132,7 +144,15 @@ class Geometry(Model):
         return index
 
     def cropped(self, start: tuple[int, int, int], size: tuple[int, int, int]) -> Geometry:
-        """Geometry of the box that starts at index (i, j, k) with this size; may also reach outside."""
+        """Geometry of the box that starts at index (i, j, k) with this size; may also reach outside.
+
+        Parameters
+        ----------
+        start
+            Index (i, j, k) of the box's first voxel.
+        size
+            Voxels along i, j, k.
+        """
         origin = self.index_to_world(start)
         return self.model_copy(update={"size": size, "origin_mm": tuple(float(v) for v in origin)})
 
@@ -160,7 +180,15 @@ class Geometry(Model):
         )
 
     def matches(self, other: Geometry, *, tolerance_mm: float = 1e-3) -> bool:
-        """Whether both describe the same points: same size, and corners within ``tolerance_mm``."""
+        """Whether both describe the same points: same size, and corners within ``tolerance_mm``.
+
+        Parameters
+        ----------
+        other
+            What is compared.
+        tolerance_mm
+            How far apart corners may be, mm.
+        """
         if self.size != other.size:
             return False
         last = np.array(self.size) - 1

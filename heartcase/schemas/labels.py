@@ -284,6 +284,11 @@ class LabelTable(Model):
         """A table with a label for the septum that is grown between two cavities.
 
         It has the role ``wall``, the lowest value that is free, and a name of both cavities' names.
+
+        Parameters
+        ----------
+        first, second
+            Label values of the two cavities, in any order.
         """
         low, high = self[min(first, second)], self[max(first, second)]
         if any(label.septum_of == (low.value, high.value) for label in self.labels):

@@ -163,6 +163,15 @@ def default_script(
 
     It pulls in the first 0.35 of the time, holds until 0.6 and lets go. Without fixed nodes it pulls at the one
     farthest from the middle.
+
+    Parameters
+    ----------
+    model
+        The lattice.
+    surface
+        The visible surface; nodes are looked at where left out.
+    seconds
+        Simulated time, s.
     """
     rest = model.rest_positions_mm()
     middle = rest.mean(axis=0)

@@ -216,6 +216,15 @@ class Simulation:
         Held are those that can be reached along springs inside the ball from the node nearest its centre, so that a
         hand never bridges an incision (thesis 8.7.2). Nodes that another hand holds stay with it.
 
+        Parameters
+        ----------
+        center_mm
+            The ball's centre, LPS mm, shape (3,).
+        radius_mm
+            Its radius, mm; above 0.
+        name
+            Name in messages.
+
         Raises
         ------
         SimulationError
@@ -314,6 +323,13 @@ class Simulation:
 
     def move(self, probe: Probe, center_mm: npt.ArrayLike) -> None:
         """Move a probe's centre, LPS mm; it arrives with the end of the next :meth:`step`, in a straight line.
+
+        Parameters
+        ----------
+        probe
+            The probe.
+        center_mm
+            Where its centre goes, LPS mm, shape (3,).
 
         Raises
         ------

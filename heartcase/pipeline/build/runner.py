@@ -27,10 +27,30 @@ class BuildListener(Protocol):
     """Who wants to know how a build goes on."""
 
     def stage_started(self, stage: str, *, seconds_expected: float, seconds_after: float) -> None:
-        """Note that a stage begins to compute, how long it may take, and how long the stages after it may take."""
+        """Note that a stage begins to compute, how long it may take, and how long the stages after it may take.
+
+        Parameters
+        ----------
+        stage
+            Name of the stage.
+        seconds_expected
+            How long it may take, s.
+        seconds_after
+            How long the stages after it may take, s.
+        """
 
     def stage_finished(self, stage: str, *, seconds: float, reused: bool) -> None:
-        """Note that a stage has its output, computed or found in the cache."""
+        """Note that a stage has its output, computed or found in the cache.
+
+        Parameters
+        ----------
+        stage
+            Name of the stage.
+        seconds
+            How long it took, s.
+        reused
+            Whether its output was in the cache.
+        """
 
 
 class SilentListener:

@@ -98,7 +98,19 @@ class SegmentationSession:
         markers: Markers | AutomaticMarkers | None = None,
         settings: SegmentSettings | None = None,
     ) -> SegmentationSession:
-        """A session on a smoothed scan, without a cache."""
+        """A session on a smoothed scan, without a cache.
+
+        Parameters
+        ----------
+        filtered
+            The smoothed scan: see :func:`heartcase.pipeline.image.filter_scan.filter_scan`.
+        table
+            What may be painted.
+        markers
+            What is marked at the start; nothing when left out.
+        settings
+            Scales of gradient and shape, mm; the defaults when left out.
+        """
         from heartcase.pipeline.watershed.tree_cache import scan_tree
 
         settings = settings or SegmentSettings()
@@ -167,6 +179,13 @@ class SegmentationSession:
 
     def labels_of_slice(self, axis: str, index: int) -> UInt8:
         """Labels of one slice at right angles to the scan's axis ``i``, ``j`` or ``k``: a copy, two-dimensional.
+
+        Parameters
+        ----------
+        axis
+            ``i``, ``j`` or ``k``.
+        index
+            Number of the slice along it, from 0.
 
         Raises
         ------

@@ -137,7 +137,15 @@ class OpenBundle:
         return {name: array for name, (array, _) in loaded.items()}
 
     def inspect_array(self, role: FileRole, name: str) -> tuple[npt.NDArray[Any], list[Problem]]:
-        """Map one array into memory, read-only, and say what is wrong with its values."""
+        """Map one array into memory, read-only, and say what is wrong with its values.
+
+        Parameters
+        ----------
+        role
+            A part stored as safetensors.
+        name
+            One of its arrays.
+        """
         array = map_array(self.path(role), *self.headers[role].arrays[name])
         return array, list(self._value_problems(role, {name: array}))
 

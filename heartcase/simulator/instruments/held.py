@@ -81,7 +81,15 @@ class Probe:
         return probe_row(self.centre, (self.target - self.centre) / step_count, self.semi_axes, self.turn)
 
     def touched(self, model: LatticeModel, displacement: Float32) -> Intp:
-        """Free nodes on its surface or in it now."""
+        """Free nodes on its surface or in it now.
+
+        Parameters
+        ----------
+        model
+            The lattice.
+        displacement
+            Way of each node from its rest position [cells], float32, shape (node_count, 3).
+        """
         from_centre = (model.node_index + displacement - self.centre) @ self.turn / self.semi_axes
         is_touched = np.linalg.norm(from_centre, axis=1) <= 1.0 + TOUCH
         return np.flatnonzero(is_touched & ~model.node_is_fixed)

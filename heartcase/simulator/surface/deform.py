@@ -141,7 +141,7 @@ class DeformedSurface:
     """A surface at one time, LPS mm; not to be changed."""
 
     vertices_mm: Float32
-    """Positions, shape (vertex_count, 3)."""
+    """Positions, LPS mm, shape (vertex_count, 3)."""
     normals: Float32
     """Unit normals, shape (vertex_count, 3)."""
     tangents: Float32 | None = None
@@ -239,7 +239,17 @@ def make_surface(
 
 
 def make_picking(model: LatticeModel, nodes: Int32, triangles: Int32) -> PickingModel:
-    """Prepare the one-to-one surface; ``nodes`` and ``triangles`` as in the bundle."""
+    """Prepare the one-to-one surface; ``nodes`` and ``triangles`` as in the bundle.
+
+    Parameters
+    ----------
+    model
+        The lattice.
+    nodes
+        Node of each vertex, int32, shape (vertex_count,), as in the bundle.
+    triangles
+        Vertices of each triangle, int32, shape (triangle_count, 3), as in the bundle.
+    """
     nodes = np.array(nodes, np.int32)
     return PickingModel(
         nodes=nodes,
