@@ -161,6 +161,50 @@ def test_only_what_stands_below_the_line_is_drawn(tmp_path, monkeypatch):
     assert path.read_text().startswith("# my heart")
 
 
+def test_what_a_person_wrote_below_the_line_is_not_deleted(tmp_path, monkeypatch, capfd):
+    monkeypatch.setattr(draw, "drawn_part", lambda scan: DRAWN.replace("2.0", f"{scan.seed}.0"))
+    path = tmp_path / "r.toml"
+    path.write_text(HEAD)
+    assert draw_recipe(path)
+    drawn = path.read_text()
+    own = drawn.count("\n") + 2
+    mine = f'{drawn}\n[[pins]]\nposition_mm = [0.0, 0.0, 1.0]\nradius_mm = 5.0\n'
+    changed = mine.replace("seed = 5", "seed = 6")
+    for text, words in [
+        (mine, f"lines {own}-{own + 2})"),
+        (changed, f"it is among lines {own - 3}, {own}-{own + 2}"),
+        (drawn.replace("radius_mm = 5.0", "radius_mm = 4.5"), f"line {own - 3})"),
+        (mine.replace("\n", "\r\n"), f"lines {own}-{own + 2})"),
+    ]:
+        for asked in ([], ["--check"]):
+            path.write_bytes(text.encode())
+            assert main(["library", "draw", str(path), *asked]) == 1
+            said = capfd.readouterr()
+            assert words in said.err, said.err
+            assert "above that line" in said.err
+            assert path.read_bytes() == text.encode()
+    # Moved above the line, it stays.
+    pin = mine[len(drawn) :]
+    path.write_text(drawn.replace(DRAWN_BELOW, f"{pin}\n{DRAWN_BELOW}").replace("seed = 5", "seed = 6"))
+    assert draw_recipe(path)
+    assert load_recipe(path).pins[0].radius_mm == 5.0
+
+
+def test_a_drawn_part_without_a_checksum_is_only_drawn_over_where_nothing_is_lost(tmp_path, monkeypatch):
+    monkeypatch.setattr(draw, "drawn_part", lambda scan: DRAWN.replace("2.0", f"{scan.seed}.0"))
+    path = tmp_path / "r.toml"
+    older = f"{HEAD.rstrip()}\n\n{DRAWN_BELOW}\n\n{DRAWN.replace('2.0', '5.0')}"
+    path.write_text(older)
+    assert draw_recipe(path)
+    assert not draw_recipe(path)
+    path.write_text(older.replace("seed = 5", "seed = 6"))
+    with pytest.raises(RecipeError, match="no checksum"):
+        draw_recipe(path)
+    path.write_text(older.replace("seed = 5", "seed = 6").partition(DRAWN_BELOW)[0] + DRAWN_BELOW + "\n")
+    assert draw_recipe(path)
+    assert load_recipe(path).strokes[0].radius_mm == 6.0
+
+
 def test_a_recipe_of_a_real_scan_cannot_be_drawn(tmp_path, capfd):
     path = tmp_path / "r.toml"
     path.write_text(HEAD.partition("[scan.phantom]")[0])

@@ -197,12 +197,16 @@ def _show_scan(facts: dict[str, Any]) -> None:
 def _show_series(facts: dict[str, Any]) -> None:
     rows = [{**row, **{name: _times(row[name]) for name in _TIMES}} for row in facts["series"]]
     columns = [column for column in rows[0] if column not in _TIMES or any(row[column] for row in rows)]
+    columns = [column for column in columns if column not in ("scanner_number", "is_phase")]
     options = ["--series"] * (len(rows) > 1) + [option for name, option in _TIMES.items() if name in columns]
     what = "several series" if len(rows) > 1 else "one series with several stacks"
+    how = " and ".join(options)
+    if any(row["is_phase"] for row in rows):
+        what, how = "cardiac phases that are series of their own", f"{how}, or with --trigger-time MS alone"
     print_table(
         [column.replace("_", " ") for column in columns],
         [[_cell(row[column]) for column in columns] for row in rows],
-        title=f"This folder holds {what}: choose one with {' and '.join(options)}",
+        title=f"This folder holds {what}: choose one with {how}",
     )
 
 

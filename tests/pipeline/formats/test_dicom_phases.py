@@ -278,3 +278,30 @@ def test_a_multi_frame_file_damaged_anywhere_never_crashes(tmp_path: Path, is_co
             outcomes.add("refused")
     assert "refused" in outcomes
     assert (3, 8, 8) in outcomes
+
+
+def test_phases_that_are_series_of_their_own_look_different_in_the_list(tmp_path: Path) -> None:
+    """Rows that differ in number and code alone tell nobody which to take; a trigger time chooses as well."""
+    for number, time in enumerate((50.0, 350.0, 650.0)):
+        write(tmp_path / str(number), phase(number), series=301 + number, TriggerTime=time)
+    listed = list_series(tmp_path)
+    assert [info.trigger_times_ms for info in listed] == [(50.0,), (350.0,), (650.0,)]
+    assert [info.scanner_number for info in listed] == [301, 302, 303]
+    assert all(info.is_phase for info in listed)
+    done = CliRunner().invoke(cli, ["info", str(tmp_path)])
+    assert done.exit_code == 0
+    assert "--series, or with --trigger-time MS alone" in done.output
+    for number, time in enumerate((50, 350, 650)):
+        assert f"trigger time {time} ms, series {301 + number} on the scanner" in done.output
+    with pytest.raises(ScanError, match=r"--series NUMBER or --trigger-time MS, or series or trigger_time_ms in") as told:
+        read_scan(tmp_path)
+    assert "trigger time 350 ms" in str(told.value)
+    np.testing.assert_array_equal(read_scan(tmp_path, trigger_time_ms=350.0).values, phase(1))
+
+
+def test_a_series_number_that_may_be_a_patients_is_not_shown(tmp_path: Path) -> None:
+    for number in range(2):
+        write(tmp_path / str(number), phase(number), series=1 + number, SeriesNumber=19770203 + number)
+    listed = list_series(tmp_path)
+    assert [info.scanner_number for info in listed] == [None, None]
+    assert not any("1977" in info.description or info.is_phase for info in listed)

@@ -6,6 +6,7 @@ A series is named by its number in the list and a hash of its UID: a tag's text,
 from __future__ import annotations
 
 import hashlib
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -60,6 +61,10 @@ class SeriesInfo:
     """Times of the cardiac phases after the R wave, ms, ascending; empty where none is stated."""
     echo_times_ms: tuple[float, ...] = ()
     """Echo times, ms, ascending; empty where none is stated."""
+    scanner_number: int | None = None
+    """Number of its series on the scanner, where it is stated: it orders the list, but chooses nothing."""
+    is_phase: bool = False
+    """Whether it is one cardiac phase of several that are series of their own: a trigger time chooses it too."""
 
     @property
     def has_choice(self) -> bool:
@@ -99,23 +104,49 @@ def listed(groups: Sequence[StackGroup]) -> tuple[SeriesInfo, ...]:
     """What the user may choose from, in order."""
     described = [_described(group) for group in groups]
     measured = measured_words(groups, [description for _, description in described])
+    words = [description + more for (_, description), more in zip(described, measured, strict=True)]
+    repeated = Counter(words)
+    words = [
+        one + _apart_words(group) if repeated[one] > 1 else one for group, one in zip(groups, words, strict=True)
+    ]
+    candidates = _candidates(groups) if groups else []
+    phases = candidates if len(candidates) > 1 and _time_option(candidates) == "--trigger-time" else []
     found = []
     for number, (group, code) in enumerate(zip(groups, _codes(groups), strict=True), start=1):
         triggers, echoes = _times(group.stacks)
-        spacing, description = described[number - 1]
         found.append(
             SeriesInfo(
                 number=number,
                 slice_count=group.image_count,
-                spacing_mm=spacing,
+                spacing_mm=described[number - 1][0],
                 modality=group.modality,
-                description=description + measured[number - 1],
+                description=words[number - 1],
                 uid_code=code,
                 trigger_times_ms=triggers,
                 echo_times_ms=echoes,
+                scanner_number=group.scanner_number,
+                is_phase=any(group is one for one in phases),
             )
         )
     return tuple(found)
+
+
+def _apart_words(group: StackGroup) -> str:
+    """What tells a group from one that is described alike: its time, and its number on the scanner."""
+    triggers, _ = _times(group.stacks)
+    time = f", trigger time {triggers[0]:g} ms" if len(triggers) == 1 else ""
+    return time + (f", series {group.scanner_number} on the scanner" if group.scanner_number is not None else "")
+
+
+def _time_option(groups: Sequence[StackGroup]) -> str:
+    """The option that chooses one of groups which are one stack each, alike in all but a time; empty if none does."""
+    if not _are_phases(groups):
+        return ""
+    triggers = {group.stacks[0].trigger_time_ms for group in groups}
+    echoes = {group.stacks[0].echo_time_ms for group in groups}
+    if None not in triggers and len(triggers) == len(groups):
+        return "--trigger-time"
+    return "--echo-time" if None not in echoes and len(echoes) == len(groups) else ""
 
 
 def _described(group: StackGroup) -> tuple[tuple[float, float, float] | None, str]:
@@ -225,9 +256,10 @@ def choose(
         pool = [(group, group.stacks[0]) for group in candidates]
     elif len(candidates) > 1:
         what = "the folder holds several series" if series is None else "the given --series holds several stacks"
-        raise ScanError(
-            _with_list(f"{what}: choose one with --series NUMBER, or series in the recipe's [scan]", groups)
-        )
+        option = _time_option(candidates)
+        key = {"--trigger-time": "trigger_time_ms", "--echo-time": "echo_time_ms"}.get(option)
+        how = f"--series NUMBER or {option} MS, or series or {key} in" if key else "--series NUMBER, or series in"
+        raise ScanError(_with_list(f"{what}: choose one with {how} the recipe's [scan]", groups))
     else:
         pool = [(candidates[0], stack) for stack in candidates[0].stacks]
     modality = pool[0][0].modality

@@ -97,6 +97,8 @@ HEADER_TAGS = [
     *(keyword for group, keyword, _, _ in PHYSICS.values()),
     *(keyword for places, _, _ in TRAITS.values() for group, keyword in places if not group),
 ]
+SERIES_NUMBER_MAX = 99_999
+"""Largest number of a series that is shown; scanners count far below."""
 VALUES = "PixelValueTransformationSequence"
 FRAME_TYPES = ("MRImageFrameTypeSequence", "CTImageFrameTypeSequence")
 GROUPS = frozenset(
@@ -120,6 +122,8 @@ class ImageSeries:
     """``CT``, ``MR``, another defined term of :data:`OTHER_MODALITIES`, or ``unknown``."""
     slices: tuple[Slice, ...]
     """Its images in any order, each once."""
+    scanner_number: int | None = None
+    """SeriesNumber, as the scanner's own list shows it; None where it is not stated or holds something else."""
 
 
 def is_dicom(path: Path) -> bool:
@@ -209,13 +213,18 @@ def find_series(path: Path) -> tuple[ImageSeries, ...]:
             "the scanner or archive again"
         )
     every = [
-        ImageSeries(uid, _modality(modalities[uid]), _without_copies(slices[uid]))
+        ImageSeries(uid, _modality(modalities[uid]), _without_copies(slices[uid]), _shown_number(numbers[uid][0]))
         for uid in sorted(slices, key=lambda uid: (*numbers[uid], uid))
     ]
     placed = [series for series in every if any(image.position is not None for image in series.slices)]
     if not every:
         raise ScanError("there is no DICOM image here: give the folder that holds the slices, or the scan's image file")
     return tuple(placed or every)
+
+
+def _shown_number(number: float) -> int | None:
+    """A series number that may be shown: a longer one may be anything, such as a patient's number."""
+    return int(number) if 0 <= number <= SERIES_NUMBER_MAX else None
 
 
 def _is_resource_fork(file: SourceFile) -> bool:

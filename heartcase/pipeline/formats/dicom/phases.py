@@ -143,6 +143,8 @@ class StackGroup:
     """What tells it from the other groups of its series: not to be shown; empty where there is one group."""
     left_out: str = ""
     """Which smaller groups of the series are left out when this one is chosen, in words; empty where there is none."""
+    scanner_number: int | None = None
+    """Number of its series on the scanner, where it is known."""
 
     @property
     def image_count(self) -> int:
@@ -204,7 +206,8 @@ def stack_groups(series: ImageSeries) -> tuple[StackGroup, ...]:
             )
             left_out = "; ".join(part for part in (left_out, f"{of_time}positions have no image near to") if part)
         apart = apart if len(groups) > 1 else ""
-        made.append(StackGroup(series.uid, series.modality, stacks, numbered, is_localizer, apart, left_out))
+        number = series.scanner_number
+        made.append(StackGroup(series.uid, series.modality, stacks, numbered, is_localizer, apart, left_out, number))
     return tuple(made)
 
 
