@@ -21,7 +21,7 @@ import numpy as np
 from heartcase.schemas.benchmark import MethodSkipped
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.engine.backends import Backend
-from heartcase.simulator.instruments.held import Grab
+from heartcase.simulator.instruments.grab import Grab
 from heartcase.simulator.load import Case, load_case
 from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.surface.deform import DeformedSurface, deform

@@ -53,7 +53,8 @@ if TYPE_CHECKING:
     from heartcase.schemas.script import SimulationScript
     from heartcase.simulator.dynamics.integrate import Energy
     from heartcase.simulator.dynamics.step_size import default_step, step_limit
-    from heartcase.simulator.instruments.held import Grab, Probe
+    from heartcase.simulator.instruments.grab import Grab
+    from heartcase.simulator.instruments.probe import Probe
     from heartcase.simulator.lattice.force_law import ForceLaw
     from heartcase.simulator.lattice.model import GridUnits, LatticeModel, make_model
     from heartcase.simulator.lattice.state import Snapshot, State
@@ -222,7 +223,8 @@ _MODULES = {
     "heartcase.schemas.script": ("SimulationScript",),
     "heartcase.simulator.dynamics.integrate": ("Energy",),
     "heartcase.simulator.dynamics.step_size": ("default_step", "step_limit"),
-    "heartcase.simulator.instruments.held": ("Grab", "Probe"),
+    "heartcase.simulator.instruments.grab": ("Grab",),
+    "heartcase.simulator.instruments.probe": ("Probe",),
     "heartcase.simulator.lattice.force_law": ("ForceLaw",),
     "heartcase.simulator.lattice.model": ("GridUnits", "LatticeModel", "make_model"),
     "heartcase.simulator.lattice.state": ("Snapshot", "State"),

@@ -18,7 +18,7 @@ from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.migrate import SCRIPT
 from heartcase.schemas.script import GrabAction, SimulationScript, Waypoint
 from heartcase.simulator.dynamics.integrate import Energy
-from heartcase.simulator.instruments.held import Grab
+from heartcase.simulator.instruments.grab import Grab
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.surface.deform import SurfaceModel

@@ -16,7 +16,8 @@ from heartcase.simulator.dynamics.measures import inverted_cells
 from heartcase.simulator.dynamics.step_size import checked_step, own_step_limit
 from heartcase.simulator.engine.backends import Backend, make_engine
 from heartcase.simulator.engine.shared.contact import NO_PROBES, probe_row
-from heartcase.simulator.instruments.held import Grab, Pose, Probe, nodes_in_reach
+from heartcase.simulator.instruments.grab import Grab, Pose, nodes_in_reach
+from heartcase.simulator.instruments.probe import Probe
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.lattice.state import Snapshot, State
 from heartcase.simulator.surface.deform import DeformedSurface, PickingModel, SurfaceModel

@@ -1,8 +1,4 @@
-"""Instruments: grabs and probes.
-
-The grab closes on the nodes in a sphere, leads them, lets go (thesis 8.7.2). The probe pushes aside what it meets
-(thesis 8.7.1; :mod:`heartcase.simulator.engine.shared.contact`).
-"""
+"""The grab: closes on the nodes in a sphere, leads them, lets go (thesis 8.7.2)."""
 
 from __future__ import annotations
 
@@ -15,18 +11,12 @@ import numpy.typing as npt
 
 from heartcase.schemas.arrays import Bool, Float32, Float64, Intp
 from heartcase.schemas.errors import SimulationError
-from heartcase.simulator.engine.shared.contact import probe_row
 from heartcase.simulator.lattice.model import LatticeModel
 
-__all__ = ["Grab", "Pose", "Probe", "nodes_in_reach"]
-
+__all__ = ["Grab", "Pose", "nodes_in_reach"]
 
 DETOUR_MAX = sqrt(1.5)
 """Longest way along lattice springs over the straight way, in an uncut lattice."""
-
-
-TOUCH = 1e-3
-"""Part of its size within which a node counts as touched by a probe: where it was pushed to is rounded."""
 
 
 @dataclass(frozen=True)
@@ -59,40 +49,6 @@ class Grab:
     def displacement_at(self, pose: Pose) -> Float64:
         """Displacements of the nodes at a pose [cells, grid axes], shape (count, 3)."""
         return self.closed_at + (self.arms @ pose.turn.T - self.arms) + pose.offset
-
-
-@dataclass(eq=False)
-class Probe:
-    """An ellipsoid that pushes nodes out of itself."""
-
-    semi_axes: Float64
-    """Semi-axes [cells], shape (3,)."""
-    turn: Float64
-    """Directions of the semi-axes in its columns, grid axes, shape (3, 3)."""
-    centre: Float64
-    """Where it is [cells, grid axes]."""
-    target: Float64
-    """Where it shall be at the end of the next steps [cells, grid axes]."""
-    name: str = "probe"
-    """Name in messages."""
-
-    def row(self, step_count: int) -> Float32:
-        """The probe on its way to the target, as the kernels read it."""
-        return probe_row(self.centre, (self.target - self.centre) / step_count, self.semi_axes, self.turn)
-
-    def touched(self, model: LatticeModel, displacement: Float32) -> Intp:
-        """Free nodes on its surface or in it now.
-
-        Parameters
-        ----------
-        model
-            The lattice.
-        displacement
-            Way of each node from its rest position [cells], float32, shape (node_count, 3).
-        """
-        from_centre = (model.node_index + displacement - self.centre) @ self.turn / self.semi_axes
-        is_touched = np.linalg.norm(from_centre, axis=1) <= 1.0 + TOUCH
-        return np.flatnonzero(is_touched & ~model.node_is_fixed)
 
 
 def nodes_in_reach(model: LatticeModel, displacement: Float32, center_mm: npt.ArrayLike, radius_mm: float) -> Intp:
