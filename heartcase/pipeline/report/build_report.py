@@ -103,7 +103,7 @@ class SeptumRow:
     between: str
     """Names of the two."""
     area_mm2: float
-    """Area of the contact on both sides of which it was grown, mm2."""
+    """Area of the contact on both sides of which it was grown, without stated openings, mm2."""
     thickness_mm: float
     """Thickness, mm."""
     patches: int

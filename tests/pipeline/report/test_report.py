@@ -14,7 +14,7 @@ from heartcase.pipeline.data import GridMap
 from heartcase.pipeline.report.build_report import ReportData, build_report, render_report
 from heartcase.pipeline.report.hand_work import hand_work_facts
 from heartcase.pipeline.report.plain_words import cardiac_phase_words, figure_facts, setting_lines
-from heartcase.pipeline.warnings import anatomy, grouped, note
+from heartcase.pipeline.warnings import CaseWarning, anatomy, grouped, note
 from heartcase.schemas.bundle.format import CaseManifest, StageRecord
 from heartcase.schemas.recipe.recipe import parse_recipe
 from tests.pipeline.report.analytic_heart import make_heart
@@ -99,7 +99,12 @@ def html(heart):
                 output_sha256="ab" * 32,
             )
         ],
-        warnings=[note("a lesser one"), "one to look at", anatomy("the worst <of> all"), note("a lesser one")],
+        warnings=[
+            note("a lesser one"),
+            CaseWarning("one to look at"),
+            anatomy("the worst <of> all"),
+            note("a lesser one"),
+        ],
         case_id="HC-TEST-0001",
     )
 
@@ -251,7 +256,7 @@ def test_same_input_gives_the_same_page(heart):
 
 def test_everything_that_is_given_is_escaped():
     nasty = "<script>alert('x')</script> & \"y\""
-    page = Page(render_report(ReportData(case_name=nasty, warnings=grouped([nasty]))))
+    page = Page(render_report(ReportData(case_name=nasty, warnings=grouped([CaseWarning(nasty)]))))
     assert not page.all("script")
     assert page.text.count(nasty) == 2
 

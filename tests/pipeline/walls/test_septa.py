@@ -121,7 +121,7 @@ def test_no_slit_is_left_where_the_septum_meets_the_grown_walls(kind, wall_mm):
     sides = [set(np.unique(pieces[blood & (inside == value)])) for value in (LEFT, RIGHT)]
     assert not sides[0] & sides[1]
     if wall_mm:
-        assert not any("gap" in str(line) or "open to the outside" in str(line) for line in structures.warnings)
+        assert not any("gap" in line.text or "open to the outside" in line.text for line in structures.warnings)
 
 
 @pytest.mark.parametrize("gap", [0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0])
@@ -307,7 +307,7 @@ def test_what_was_grown_is_told_with_pair_area_thickness_and_place_and_has_a_kin
     assert np.linalg.norm(figure["center_mm"]) < 2.0
     label = structures.table[figure["label"]]
     assert (label.name, label.role, label.septum_of) == ("left atrium-right atrium septum (grown)", Role.WALL, (1, 2))
-    (warning,) = (line for line in structures.warnings if "grown where two outlines touch" in line)
+    (warning,) = (line for line in structures.warnings if "grown where two outlines touch" in line.text)
     assert warning.severity is Severity.LOOK
     surface = build_surface(
         structures, SurfaceSettings(triangle_count=20_000, level_counts=(), normal_map_size=0), render=False
@@ -340,10 +340,10 @@ def test_a_narrow_vessel_along_another_that_a_septum_would_cut_is_told():
     table = table_of("aorta", "superior vena cava")
     segmentation = Segmentation(labels, geometry, table)
     whole = grow_walls(segmentation, thick(0.4, ("aorta", "SVC")), ())
-    assert not any("cut in two by a grown septum" in line for line in whole.warnings)
+    assert not any("cut in two by a grown septum" in line.text for line in whole.warnings)
     cut = grow_walls(segmentation, thick(4.0, ("aorta", "SVC")), ())
-    (warning,) = (line for line in cut.warnings if "cut in two by a grown septum" in line)
-    assert warning.startswith("superior vena cava: ")
+    (warning,) = (line for line in cut.warnings if "cut in two by a grown septum" in line.text)
+    assert warning.text.startswith("superior vena cava: ")
     assert warning.severity is Severity.ANATOMY
 
 
