@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 from heartcase.schemas.bundle.format import CaseManifest, WarningGrade
 
 __all__ = [
+    "LISTED_BETWEEN",
     "CaseWarning",
     "Severity",
     "WarningGroup",
@@ -33,6 +34,8 @@ __all__ = [
 
 Point = tuple[float, float, float]
 
+LISTED_BETWEEN = "; "
+"""What stands in a text between the parts of a list."""
 _EDIT = re.compile(r"edits\[(\d+)\]")
 
 
@@ -78,7 +81,7 @@ class CaseWarning:
     places_mm: tuple[Point, ...] = ()
     """Places that it is about, LPS mm, to 0.1 mm as in the text; empty where the kind does not give them yet."""
     listed: tuple[str, ...] = ()
-    """What the text lists, separated by ``"; "`` there."""
+    """What the text lists, joined by :data:`LISTED_BETWEEN` there."""
     has_stated_severity: bool = field(default=False, compare=False)
     """Whether stage outputs write the severity even where it is :attr:`Severity.LOOK`, which goes without saying
     otherwise. The warnings of marker files and strokes do, so their stages' outputs have the same bytes as before."""
@@ -100,7 +103,7 @@ class CaseWarning:
         """The sentence with its list taken apart, where it lists two things or more."""
         if len(self.listed) < 2:
             return WarningParts(self.sentence)
-        lead, found, rest = self.sentence.partition("; ".join(self.listed))
+        lead, found, rest = self.sentence.partition(LISTED_BETWEEN.join(self.listed))
         return WarningParts(lead.rstrip(), self.listed, rest.lstrip(". ")) if found else WarningParts(self.sentence)
 
 

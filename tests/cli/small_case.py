@@ -8,6 +8,7 @@ import SimpleITK
 from scipy.spatial.transform import Rotation
 
 from heartcase.pipeline.bundle.write_bundle import assemble_bundle, write_bundle
+from heartcase.pipeline.warnings import CaseWarning
 from heartcase.schemas.bundle.format import Material
 from tests.pipeline.report.analytic_heart import AnalyticHeart, make_heart
 
@@ -43,7 +44,7 @@ def write_case(directory: Path, *, with_level: bool = False) -> tuple[Path, Anal
         surface=replace(heart.surface, levels=coarse),
         modality="CT",
         quality={"volumes_ml": {"morphologically left ventricle": 33.0}},
-        warnings=["a warning for the reader"],
+        warnings=[CaseWarning("a warning for the reader")],
     )
     path = directory / "Toy.case"
     write_bundle(path, content)

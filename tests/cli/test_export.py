@@ -240,9 +240,9 @@ def test_exported_labels_corrected_elsewhere_make_a_case_again(case, built, tmp_
     text = RECIPE.replace("finished.seg.nrrd", f"finished{suffix}")
     (tmp_path / "recipe.toml").write_text(text.replace("Jane Doe", str(built / "Jane Doe")))
     result = build_case(load_recipe(tmp_path / "recipe.toml"), directory=tmp_path, out=tmp_path / "out")
-    (note,) = [line for line in result.warnings if "grown again" in line]
+    (note,) = [line for line in result.warnings if "grown again" in line.text]
     assert note.severity is Severity.NOTE
-    assert "the aorta wall is not taken from the finished segmentation" in note
+    assert "the aorta wall is not taken from the finished segmentation" in note.text
     assert any("grown again" in line for line in result.manifest.warnings)
     assert "grown again" in result.report.read_text()
     entry = next(entry for entry in result.manifest.files if entry.role.value == "labels")

@@ -118,7 +118,7 @@ def test_topology_is_kept_or_its_loss_is_placed(seed):
         places = quality["change_places_mm"][name]
         if places:
             x, y, z = places[0]
-            assert any(f"({x:.1f}, {y:.1f}, {z:.1f})" in warning for warning in grid.warnings), heart.words
+            assert any(f"({x:.1f}, {y:.1f}, {z:.1f})" in warning.text for warning in grid.warnings), heart.words
             break
     assert quality["leaks_left"] == 0, heart.words
 

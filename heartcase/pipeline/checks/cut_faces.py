@@ -12,7 +12,7 @@ import cc3d
 import numpy as np
 
 from heartcase.pipeline.data import Segmentation, VesselEnd
-from heartcase.pipeline.warnings import CaseWarning, Severity, anatomy
+from heartcase.pipeline.warnings import CaseWarning, anatomy, note
 from heartcase.schemas.arrays import Bool, UInt8
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND, Label, LabelTable, Role
@@ -87,7 +87,9 @@ def voxel_warnings(geometry: Geometry) -> tuple[CaseWarning, ...]:
         anatomy(
             f"the scan's voxels are {longest / shortest:.1f} times as long as wide ({shortest:.3g} and {longest:.3g} "
             "mm), so the shape between its slices is a guess: walls, openings and vessels that are thinner than "
-            f"{longest:.3g} mm may be lost or made up; take a scan with voxels that are nearly cubes where there is one"
+            f"{longest:.3g} mm may be lost or made up; take a scan with voxels that are nearly cubes where there is "
+            "one",
+            code="long-voxels",
         ),
     )
 
@@ -157,14 +159,16 @@ def _warnings_of(
         )
         yield anatomy(
             f"the heart is cut off at {name}, without an end marker: {', '.join(cut)}. What lies beyond is missing "
-            f"from the model, its volumes and its pictures: {remedy}"
+            f"from the model, its volumes and its pictures: {remedy}",
+            code="heart-cut-off",
         )
     if lengthwise:
         yield CaseWarning(
-            f"{name} cuts along {', '.join(lengthwise)}, not across: look how much of it is missing beyond"
+            f"{name} cuts along {', '.join(lengthwise)}, not across: look how much of it is missing beyond",
+            code="vessel-cut-lengthwise",
         )
     if open_vessels:
-        yield CaseWarning(f"open where they leave through {name}: {', '.join(open_vessels)}", Severity.NOTE)
+        yield note(f"open where they leave through {name}: {', '.join(open_vessels)}", code="vessel-open-at-face")
 
 
 def _area_of_ends(face: _Face, labels: Segmentation, label: Label, ends: Sequence[VesselEnd]) -> float:

@@ -223,7 +223,9 @@ def _of_joined(structures: Structures, change: Change) -> CaseWarning:
     what = f"the blood of {one} and of {other}" if one != other else f"two parts of the blood of {one}"
     return anatomy(
         f"{what}: apart in the segmentation, but joined {_where(change.extent)} where the outlines are smoothed; paint "
-        "a stroke of background, or of the muscle, between them, or take a smaller walls.smoothing_mm"
+        "a stroke of background, or of the muscle, between them, or take a smaller walls.smoothing_mm",
+        code="compartments-joined",
+        places_mm=(change.extent.center_mm,),
     )
 
 
@@ -232,7 +234,9 @@ def _of_split(structures: Structures, change: Change) -> CaseWarning:
     what = f"the blood of {one} and of {other}" if one != other else f"the blood of {one}"
     return anatomy(
         f"{what}: in one piece in the segmentation, but cut in two {_where(change.extent)} where the passage is "
-        "narrow; widen it there with a stroke, or take a smaller walls.smoothing_mm"
+        "narrow; widen it there with a stroke, or take a smaller walls.smoothing_mm",
+        code="compartments-split",
+        places_mm=(change.extent.center_mm,),
     )
 
 
@@ -240,24 +244,31 @@ def _of_cut(structures: Structures, change: Change) -> CaseWarning:
     name = structures.table[change.labels[0]].name
     return anatomy(
         f"{name}: cut in two by a grown septum {_where(change.extent)}, where it is narrow and lies along another "
-        "cavity; give the pair a smaller thickness_mm in [[walls.septum]], or paint the wall between the two"
+        "cavity; give the pair a smaller thickness_mm in [[walls.septum]], or paint the wall between the two",
+        code="cavity-cut-by-septum",
+        places_mm=(change.extent.center_mm,),
     )
 
 
 def _of_gap(structures: Structures, cavity: int, extent: Extent, is_stated: bool) -> CaseWarning:
-    label = structures.table[cavity]
+    label, places = structures.table[cavity], (extent.center_mm,)
     if is_stated:
-        return note(f"{label.name}: open to the outside {_where(extent)}, as its table of thicknesses says")
+        text = f"{label.name}: open to the outside {_where(extent)}, as its table of thicknesses says"
+        return note(text, code="gap-stated", places_mm=places)
     if structures.table.wall_value(cavity) in structures.values:
         return anatomy(
             f"{label.name}: its wall has a gap {_where(extent)}, so it is open to the outside there; if a vessel is "
-            "cut off there, mark it (an entry of 'ends'), else look at the segmentation there"
+            "cut off there, mark it (an entry of 'ends'), else look at the segmentation there",
+            code="wall-gap",
+            places_mm=places,
         )
     cut = "if it is cut off there, mark it (an entry of 'ends'), else " if label.role is Role.VESSEL_LUMEN else ""
     return anatomy(
         f"{label.name}: its blood is open to the outside {_where(extent)}, with neither muscle nor a wall between; "
         f"{cut}paint the muscle that is missing there and background beyond it, or, where the scan does not show so "
-        "thin a wall, give the label a wall_thickness_mm: a wall grows only where no muscle is"
+        "thin a wall, give the label a wall_thickness_mm: a wall grows only where no muscle is",
+        code="open-to-outside",
+        places_mm=places,
     )
 
 

@@ -406,7 +406,7 @@ def _stated_by_pairs(pairs: Sequence[tuple[str, str]], table: LabelTable) -> Ite
 
 
 def _warnings_of(one: Opening) -> Iterator[CaseWarning]:
-    place = f"({', '.join(f'{value:.1f}' for value in one.center_mm)}) mm"
+    place, places = f"({', '.join(f'{value:.1f}' for value in one.center_mm)}) mm", (one.center_mm,)
     pieces = f" in {one.patches} patches, the largest" if one.patches > 1 else ""
     where = f"{one.names[0]} and {one.names[1]} are open to each other over {_area(one.area_mm2)}{pieces} near {place}"
     if one.verdict is Verdict.UNEXPECTED:
@@ -414,25 +414,41 @@ def _warnings_of(one: Opening) -> Iterator[CaseWarning]:
             f"{where}: paint the wall between them (a stroke of background, or of the muscle), or the third cavity "
             "whose blood they were given, if one lies there; or name the two in [[walls.septum]], so that one is "
             "grown; or, if the patient has this opening, say so: an edit of kind septal_defect, or a landmark (point "
-            "or ring) there whose name says defect, VSD or ASD"
+            "or ring) there whose name says defect, VSD or ASD",
+            code="opening-unexpected",
+            places_mm=places,
         )
     elif one.verdict is Verdict.OTHER_VENTRICLE:
-        yield CaseWarning(f"{where}: the great artery arises from the other ventricle; is that the malformation?")
+        yield CaseWarning(
+            f"{where}: the great artery arises from the other ventricle; is that the malformation?",
+            code="opening-other-ventricle",
+            places_mm=places,
+        )
     elif one.verdict is Verdict.UNKNOWN:
-        yield CaseWarning(f"{where}: a name that heartcase does not know, so look whether a wall belongs between them")
+        yield CaseWarning(
+            f"{where}: a name that heartcase does not know, so look whether a wall belongs between them",
+            code="opening-unknown",
+            places_mm=places,
+        )
     elif one.is_odd_size and one.usual_mm is not None:
         size = "narrow" if one.diameter_mm < one.usual_mm else "wide"
         yield CaseWarning(
             f"{where}, as a circle of {one.diameter_mm:.0f} mm: very {size} for this valve, where about "
             f"{one.usual_mm:.0f} mm is usual with ventricles of this volume; check that the labels of the two meet at "
-            "the valve and that neither has taken a part of the other, or that this is the malformation"
+            "the valve and that neither has taken a part of the other, or that this is the malformation",
+            code="valve-size",
+            places_mm=places,
         )
     elif one.verdict is Verdict.STATED:
         asked = "" if one.asked_mm2 is None else f", which asks for {_area(one.asked_mm2)}"
         if one.is_too_large:
-            yield CaseWarning(f"{where}, at {one.stated_by}{asked}: the wall around the defect may be missing as well")
+            yield CaseWarning(
+                f"{where}, at {one.stated_by}{asked}: the wall around the defect may be missing as well",
+                code="opening-too-large",
+                places_mm=places,
+            )
         else:
-            yield note(f"{where}, as stated by {one.stated_by}{asked}")
+            yield note(f"{where}, as stated by {one.stated_by}{asked}", code="opening-stated", places_mm=places)
 
 
 def _area(area_mm2: float) -> str:

@@ -32,7 +32,16 @@ from heartcase.schemas.bundle.format import CaseManifest, StageRecord
 from heartcase.schemas.labels import BACKGROUND, LabelTable, Role
 from heartcase.schemas.recipe.recipe import Recipe
 
-__all__ = ["VERDICT_WORDS", "OpeningRow", "ReportData", "StageRow", "StructureRow", "build_report", "render_report"]
+__all__ = [
+    "VERDICT_WORDS",
+    "OpeningRow",
+    "ReportData",
+    "SeptumRow",
+    "StageRow",
+    "StructureRow",
+    "build_report",
+    "render_report",
+]
 
 _NOTICE: str = CaseManifest.model_fields["notice"].default
 _ROLE_WORDS = {
@@ -103,7 +112,7 @@ class SeptumRow:
     between: str
     """Names of the two."""
     area_mm2: float
-    """Area of the contact on both sides of which it was grown, mm2."""
+    """Area of the contact on both sides of which it was grown, without stated openings, mm2."""
     thickness_mm: float
     """Thickness, mm."""
     patches: int

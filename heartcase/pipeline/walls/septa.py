@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +20,7 @@ from heartcase.pipeline.checks.openings import POINT_REACH_MM, Verdict, root_of_
 from heartcase.pipeline.data import Reshaping, Segmentation, Septum, Structures
 from heartcase.pipeline.fields.contacts import Contact, Extent, find_contact
 from heartcase.pipeline.markers.meeting_strokes import meetings_of
-from heartcase.pipeline.warnings import CaseWarning
+from heartcase.pipeline.warnings import LISTED_BETWEEN, CaseWarning
 from heartcase.schemas.arrays import Float64, UInt8
 from heartcase.schemas.labels import LabelTable
 from heartcase.schemas.landmarks import Landmark
@@ -36,6 +37,7 @@ __all__ = [
     "septum_warnings",
     "with_septa",
 ]
+
 
 Pair = tuple[int, int]
 
@@ -126,6 +128,30 @@ class OpenPlace(NamedTuple):
     values: Pair | None = None
     """The two cavities that it is about; None for any."""
 
+    def is_about(self, pair: Pair) -> bool:
+        """Whether it opens a septum between these two, the lower value first."""
+        return self.values in (None, pair)
+
+    def holds(self, points_mm: Float64, margin_mm: float = 0.0) -> Bool:
+        """Which points, world mm, shape (n, 3), lie in it, or no farther from it than a margin.
+
+        A margin makes a cylinder longer and wider, so its rim has corners.
+        """
+        points, radius = np.array(self.points_mm), self.radius_mm + margin_mm
+        if self.shape == "cylinder":
+            length = float(np.linalg.norm(points[1] - points[0]))
+            away = points_mm - points[0]
+            along = away @ (points[1] - points[0]) / length
+            squares = np.einsum("ij,ij->i", away, away) - along * along
+            within: Bool = (along >= -margin_mm) & (along <= length + margin_mm) & (squares <= radius**2)
+            return within
+        nearest = np.full(len(points_mm), np.inf)
+        for start, end in pairwise(points) if len(points) > 1 else [(points[0], points[0])]:
+            away, line = points_mm - start, end - start
+            share = np.clip(away @ line / max(float(line @ line), np.finfo(float).tiny), 0.0, 1.0)
+            nearest = np.minimum(nearest, np.linalg.norm(away - share[:, None] * line, axis=1))
+        return nearest <= radius
+
 
 @dataclass(frozen=True)
 class SeptumFigures:
@@ -133,7 +159,7 @@ class SeptumFigures:
 
     septum: Septum
     extent: Extent
-    """The contact on both sides of which it was grown, openings included."""
+    """The contact on both sides of which it was grown, without the openings that the recipe states in it."""
 
 
 def open_places(strokes: Sequence[Stroke], landmarks: Sequence[Landmark], table: LabelTable) -> tuple[OpenPlace, ...]:
@@ -169,7 +195,8 @@ def with_septa(
     Returns
     -------
     structures, figures
-        The same structures where nothing touches that is kept apart.
+        The same structures where nothing touches that is kept apart. There are no figures of a septum of which the
+        stated openings leave no more than a rim narrower than a voxel.
     """
     voxels = Segmentation(labels, structures.geometry, structures.table)
     contact = find_contact(structures, voxels)
@@ -187,12 +214,18 @@ def with_septa(
         cuts += [
             Reshaping(one.shape, one.points_mm, one.radius_mm, (label.name,), names)
             for one in places
-            if one.values in (None, (first, second))
+            if one.is_about((first, second))
         ]
     if not septa:
         return structures, ()
     grown = replace(structures, table=table, septa=tuple(septa), reshapings=(*cuts, *structures.reshapings))
-    return grown, tuple(SeptumFigures(one, areas[one.first, one.second]) for one in septa)
+    voxel_mm = structures.geometry.voxel_volume_mm3 ** (1.0 / 3.0)
+    figures = []
+    for one in septa:
+        closed = _closed(contact[(contact.pairs == (one.first, one.second)).all(axis=1)], places, voxel_mm)
+        if closed is not None:
+            figures.append(SeptumFigures(one, closed.extent()))
+    return grown, tuple(figures)
 
 
 def pairs_kept_apart(
@@ -296,20 +329,24 @@ class _Meetings:
 
 
 def septum_warnings(figures: Sequence[SeptumFigures], table: LabelTable) -> tuple[CaseWarning, ...]:
-    """What a person must look at: walls that nobody saw."""
+    """What a person must look at: walls that nobody saw, the largest first."""
     if not figures:
         return ()
-    listed = "; ".join(
+    ordered = sorted(figures, key=lambda one: -one.extent.area_mm2)
+    listed = tuple(
         f"{table[one.septum.first].name} and {table[one.septum.second].name} over {_area_words(one.extent)} "
         f"({one.septum.thickness_mm:g} mm thick)"
-        for one in sorted(figures, key=lambda one: -one.extent.area_mm2)
+        for one in ordered
     )
     return (
         CaseWarning(
-            f"walls were grown where two outlines touch, not seen, because a heart does not join these: {listed}. If "
-            "the patient has an opening there, say so: an edit of kind septal_defect, a landmark (ring or point) whose "
-            "name says defect, VSD or ASD, or strokes of the two that run into each other through it; if the two are "
-            "one, name them in walls.connected"
+            "walls were grown where two outlines touch, not seen, because a heart does not join these: "
+            f"{LISTED_BETWEEN.join(listed)}. If the patient has an opening there, say so: an edit of kind "
+            "septal_defect, a landmark (ring or point) whose name says defect, VSD or ASD, or strokes of the two that "
+            "run into each other through it; if the two are one, name them in walls.connected",
+            code="grown-septum",
+            places_mm=tuple(one.extent.center_mm for one in ordered),
+            listed=listed,
         ),
     )
 
@@ -329,9 +366,22 @@ def septum_figures(figures: Sequence[SeptumFigures], table: LabelTable) -> list[
     ]
 
 
+def _closed(contact: Contact, places: Sequence[OpenPlace], voxel_mm: float) -> Contact | None:
+    """The faces of one pair that no stated opening holds; None where they are its rim, narrower than a voxel."""
+    pair = (int(contact.pairs[0, 0]), int(contact.pairs[0, 1]))
+    points = contact.points_mm
+    is_open, is_rim = np.zeros((2, len(points)), np.bool_)
+    for place in places:
+        if place.is_about(pair):
+            is_open |= place.holds(points)
+            is_rim |= place.holds(points, voxel_mm)
+    return None if is_rim.all() else contact[~is_open]
+
+
 def _area_words(extent: Extent) -> str:
     place = ", ".join(f"{value:.1f}" for value in extent.center_mm)
-    return f"{extent.area_mm2:,.0f} mm² near ({place}) mm"
+    area = f"{extent.area_mm2:,.0f}" if extent.area_mm2 >= 10.0 else f"{extent.area_mm2:.1f}"
+    return f"{area} mm² near ({place}) mm"
 
 
 def _of_landmark(landmark: Landmark) -> OpenPlace:

@@ -5,6 +5,7 @@ import pytest
 
 from heartcase.pipeline.artifacts.serialise import artifact_from_bytes, artifact_to_bytes, load_artifact
 from heartcase.pipeline.data import Scan, SimulationGrid, Structures
+from heartcase.pipeline.warnings import CaseWarning
 from heartcase.schemas.errors import StageError
 from heartcase.schemas.geometry import Geometry
 from tests.factories import TABLE, block_grid, block_surface
@@ -25,7 +26,9 @@ def equal(a, b):
 
 
 def examples():
-    grid = dataclasses.replace(block_grid(), quality={"betti": [1, 0, 0], "x": 0.5}, warnings=("a", "b"))
+    grid = dataclasses.replace(
+        block_grid(), quality={"betti": [1, 0, 0], "x": 0.5}, warnings=(CaseWarning("a"), CaseWarning("b"))
+    )
     surface, grid_map, picking = block_surface(grid)
     geometry = Geometry.of(shape=(2, 3, 4), spacing_mm=(0.1, 0.2, 0.3))
     structures = Structures(

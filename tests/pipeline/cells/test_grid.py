@@ -286,8 +286,8 @@ def test_without_repair_the_same_defect_closes_and_is_reported():
         if blood_pieces(raw) > 1:
             break
     assert blood_pieces(raw) == 2
-    assert any("opening" in warning and "mm" in warning for warning in raw.warnings)
-    assert any(warning.startswith("the blood is in 1 separate piece at") for warning in raw.warnings)
+    assert any("opening" in warning.text and "mm" in warning.text for warning in raw.warnings)
+    assert any(warning.text.startswith("the blood is in 1 separate piece at") for warning in raw.warnings)
     fixed = grid_of(*made)
     assert blood_pieces(fixed) == 1
     assert fixed.quality["repairs"]["opening_cells_removed"] > 0
@@ -324,7 +324,7 @@ def test_a_second_hole_is_opened_too_although_blood_is_connected_already():
             assert "one of its cells (2.5 mm): 1 place, at (" in line
             # The hole between the chambers is gone, so nothing may be said to be as in the scan.
             assert "as in the scan" not in line
-            assert not any("separate piece" in warning for warning in raw.warnings)
+            assert not any("separate piece" in warning.text for warning in raw.warnings)
         grid = grid_of(shapes, lattice(18.0, shift=shift), 2.5)
         assert grid.quality["betti_blood"]["full_resolution"] == [1, 1, 0]
         assert grid.quality["betti_blood"]["grid"] == [1, 1, 0]
@@ -366,7 +366,7 @@ def test_a_membrane_that_no_cell_can_hold_is_closed_by_added_cells():
     grid = build_grid(made, GridSettings(**settings), pins=[PIN])
     assert raw.quality["betti_blood"]["full_resolution"][0] == 2
     assert blood_pieces(raw) == 1
-    assert any("has a hole in the simulation" in warning for warning in raw.warnings)
+    assert any("has a hole in the simulation" in warning.text for warning in raw.warnings)
     assert blood_pieces(grid) == 2
     assert grid.quality["repairs"]["leak_cells_added"] > 0
     assert grid.cell_coverage.min() >= np.float32(0.06)
@@ -395,14 +395,14 @@ def test_blocks_that_touch_by_an_edge_are_joined_and_counted():
     grid = build_grid(structures({WALL: blocks}, geometry), GridSettings(**settings), pins=[pin])
     assert len(raw.cells) == 2 * 4**3
     assert raw.quality["hinges_left"] == 1
-    assert any("swing" in warning for warning in raw.warnings)
+    assert any("swing" in warning.text for warning in raw.warnings)
     assert grid.quality["hinges_left"] == 0
     assert grid.quality["repairs"]["hinge_groups_joined"] == 1
     assert len(grid.cells) == len(raw.cells) + grid.quality["repairs"]["hinge_cells_added"]
     # The cells that joined hold no tissue, so it counts as spread over them.
     assert (grid.cell_coverage < 1.0).sum() == grid.quality["repairs"]["hinge_cells_added"]
     np.testing.assert_array_equal(grid.cell_moments, np.tile(FULL_MOMENTS, (len(grid.cells), 1)))
-    assert not any("swing" in warning for warning in grid.warnings)
+    assert not any("swing" in warning.text for warning in grid.warnings)
     json.dumps(grid.quality)
 
 
@@ -410,7 +410,7 @@ def test_a_piece_that_nothing_holds_is_named():
     shape = union(ball(5.0, (-7.0, 0.0, 0.0)), ball(3.0, (8.0, 0.0, 0.0)))
     pin = Pin(position_mm=(-7.0, 0.0, 0.0), radius_mm=6.0)
     grid = grid_of({WALL: shape}, lattice(13.0), 1.5, pins=[pin])
-    warning = next(warning for warning in grid.warnings if "drift" in warning)
+    warning = next(warning for warning in grid.warnings if "drift" in warning.text)
     place = [float(number) for number in re.search(r"at \((.*)\) mm", warning)[1].split(",")]
     np.testing.assert_allclose(place, (8.0, 0.0, 0.0), atol=0.3)
 

@@ -139,7 +139,8 @@ class Judged:
         found = [place for places in self.grid.quality["change_places_mm"].values() for place in places]
         for warning in self.grid.warnings:
             found += [
-                [float(x) for x in one.split(",")] for one in re.findall(r"\(([-\d.]+, [-\d.]+, [-\d.]+)\)", warning)
+                [float(x) for x in one.split(",")]
+                for one in re.findall(r"\(([-\d.]+, [-\d.]+, [-\d.]+)\)", warning.text)
             ]
         return np.array(found).reshape(-1, 3)
 
@@ -165,7 +166,7 @@ class Judged:
             assert self.before["tissue"][0] == self.after["tissue"][0]
         for name in changed:
             assert self.grid.quality[f"{name}_changes"] > 0
-            assert any("mm" in warning and "simulation" in warning for warning in self.grid.warnings)
+            assert any("mm" in warning.text and "simulation" in warning.text for warning in self.grid.warnings)
         for name, places in self.grid.quality["change_places_mm"].items():
             assert all(self.differs_around(name, place) for place in places)
         if self.before["blood"][0] != self.after["blood"][0]:

@@ -215,7 +215,7 @@ def test_a_label_without_faces_follows_the_cells_around_it_and_says_so():
     mapped = map_surface(strange, grid, made, MapSettings())
     is_lost = surface.vertex_label == LEFT
     assert mapped.quality["inner_face_count"] + mapped.quality["other_label_count"] == is_lost.sum()
-    assert "moves with what is nearest" in mapped.warnings[0]
+    assert "moves with what is nearest" in mapped.warnings[0].text
     nearest = map_surface(surface, grid, made, MapSettings())
     np.testing.assert_array_equal(mapped.triangle_nodes[~is_lost], nearest.triangle_nodes[~is_lost])
     reach = np.linalg.norm(reference(grid.node_positions_mm(), mapped) - surface.vertices_mm, axis=1)

@@ -9,7 +9,7 @@ import pytest
 
 from heartcase.pipeline.checks.cut_faces import cut_warnings, face_name, voxel_warnings
 from heartcase.pipeline.data import Segmentation, VesselEnd
-from heartcase.pipeline.warnings import Severity, worst_first
+from heartcase.pipeline.warnings import CaseWarning, Severity, worst_first
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import Label, LabelTable, Role, default_label_table
 
@@ -58,13 +58,13 @@ def test_a_chamber_and_muscle_at_a_face_are_told_with_its_name_and_their_areas(a
     pixel = np.prod([spacing for n, spacing in enumerate(cut.geometry.spacing_mm) if n != axis])
     (warning,) = cut_warnings(cut, whole=cut.geometry)
     assert warning.severity is Severity.ANATOMY
-    assert f"the {name} of the scan" in warning
+    assert f"the {name} of the scan" in warning.text
 
     def words(area: float) -> str:
         return f"{area / 100:.1f} cm²" if area >= 100 else f"{area:.0f} mm²"
 
-    assert f"{TABLE[LV].name} ({words(36 * pixel)})" in warning
-    assert f"{TABLE[MUSCLE].name} ({words(64 * pixel)})" in warning
+    assert f"{TABLE[LV].name} ({words(36 * pixel)})" in warning.text
+    assert f"{TABLE[MUSCLE].name} ({words(64 * pixel)})" in warning.text
 
 
 def test_a_short_axis_stack_of_25_mm_is_the_first_warning() -> None:
@@ -74,14 +74,14 @@ def test_a_short_axis_stack_of_25_mm_is_the_first_warning() -> None:
     j, i = np.indices((40, 40))
     radius = 1.5 * np.hypot(j - 20, i - 20)
     stack.labels[:] = np.where(radius < 20, LV, np.where(radius < 28, MUSCLE, 0))
-    first, *rest = worst_first(("something else",), cut_warnings(stack, whole=stack.geometry))
+    first, *rest = worst_first((CaseWarning("something else"),), cut_warnings(stack, whole=stack.geometry))
     assert first.severity is Severity.ANATOMY
     assert "first slice (towards" in first
     assert "last slice (towards" in rest[0]
     found = re.search(rf"{TABLE[LV].name} \(([\d.]+) cm²\)", first)
     assert found is not None
     assert float(found.group(1)) == pytest.approx(np.pi * 20**2 / 100, rel=0.02)
-    assert any("3.3 times as long as wide" in line for line in voxel_warnings(stack.geometry))
+    assert any("3.3 times as long as wide" in line.text for line in voxel_warnings(stack.geometry))
 
 
 def test_oblique_faces_are_called_by_where_they_look() -> None:
@@ -134,11 +134,11 @@ def test_the_grown_wall_of_a_chamber_counts_where_the_chamber_ends_before_and_a_
     cut.labels[0, 5:10, 5:10] = wall_of_aorta
     (warning,) = cut_warnings(cut, whole=cut.geometry)
     assert warning.severity is Severity.ANATOMY
-    assert TABLE[wall_of_atrium].name in warning
+    assert TABLE[wall_of_atrium].name in warning.text
     # with the chamber itself at the face its wall is no finding of its own
     cut.labels[-1, 6:9, 6:9] = LA
     (warning,) = cut_warnings(cut, whole=cut.geometry)
-    assert TABLE[wall_of_atrium].name not in warning
+    assert TABLE[wall_of_atrium].name not in warning.text
 
 
 def test_a_painted_wall_or_a_device_at_a_face_is_no_finding() -> None:

@@ -28,9 +28,11 @@ def grown(labels, geometry, *, settings=None, **more):
 
 
 def place_and_area(warning):
-    found = re.search(r"over ([\d,.]+) mm².* near \((.+)\) mm", warning)
-    assert found, warning
-    return np.array([float(v) for v in found.group(2).split(",")]), float(found.group(1).replace(",", ""))
+    found = re.search(r"over ([\d,.]+) mm².* near \((.+)\) mm", warning.text)
+    assert found, warning.text
+    place = tuple(float(v) for v in found.group(2).split(","))
+    assert warning.places_mm == (place,)
+    return np.array(place), float(found.group(1).replace(",", ""))
 
 
 def two_chambers(kind, *, canal_mm=0.0, muscle=True):
@@ -57,7 +59,7 @@ def test_a_canal_that_the_segmentation_does_not_have_is_reported_where_it_is(kin
     _, joined = two_chambers(kind, canal_mm=6.0)
     structures = grown(joined, geometry)
     (warning,) = leak_warnings(structures, apart.astype(np.uint8))
-    assert warning.startswith("the blood of aorta and of left atrium: apart in the segmentation, but joined")
+    assert warning.text.startswith("the blood of aorta and of left atrium: apart in the segmentation, but joined")
     assert warning.severity is Severity.ANATOMY
     place, area = place_and_area(warning)
     assert np.linalg.norm(place[1:] - [5.0, 2.0]) < 3.0
@@ -75,7 +77,9 @@ def test_a_canal_that_was_closed_is_reported_where_it_was(kind):
     geometry, apart = two_chambers(kind)
     _, joined = two_chambers(kind, canal_mm=6.0)
     (warning,) = leak_warnings(grown(apart, geometry), joined.astype(np.uint8))
-    assert warning.startswith("the blood of aorta and of left atrium: in one piece in the segmentation, but cut in two")
+    assert warning.text.startswith(
+        "the blood of aorta and of left atrium: in one piece in the segmentation, but cut in two"
+    )
     place, area = place_and_area(warning)
     assert np.linalg.norm(place[1:] - [5.0, 2.0]) < 3.0
     assert abs(place[0]) < 3.5
@@ -90,7 +94,7 @@ def test_several_canals_are_told_one_by_one():
         canal = (np.hypot(y - at[0], z - at[1]) < 3.0) & (np.abs(x) <= 3.0)
         joined[canal] = AORTA
     (warning,) = leak_warnings(grown(joined, geometry), apart.astype(np.uint8))
-    assert "in 2 patches" in warning
+    assert "in 2 patches" in warning.text
 
 
 @settings(deadline=None, max_examples=15)
@@ -126,7 +130,7 @@ def test_what_the_stage_does_to_any_boxes_it_never_joins_in_silence(boxes, kind,
     held = {n: {m for m in np.unique(after[before == n]) if m and (after[before == n] == m).sum() >= 64} for n in large}
     is_joined = any(held[a] & held[b] for a in large for b in large if a < b)
     is_split = any(len(held[a]) > 1 for a in large)
-    text = " ".join(structures.warnings)
+    text = " ".join(warning.text for warning in structures.warnings)
     assert ("but joined" in text) == is_joined
     assert ("cut in two" in text) == is_split
 
@@ -165,7 +169,7 @@ def test_a_hole_in_a_wall_is_reported_with_place_and_area(kind):
     )
     (warning,) = leak_warnings(replace(structures, reshapings=(hole,)), labels.astype(np.uint8))
     assert warning.severity is Severity.ANATOMY
-    assert warning.startswith("aorta: its wall has a gap")
+    assert warning.text.startswith("aorta: its wall has a gap")
     place, area = place_and_area(warning)
     assert np.linalg.norm(place - at) < 2.0
     half = 0.5 * max(geometry.refined(2).spacing_mm)
@@ -193,9 +197,9 @@ def test_a_hole_in_the_muscle_around_a_cavity_without_a_wall_is_reported_with_pl
     geometry, labels = in_muscle(kind, hole_mm=6.0)
     (warning,) = grown(labels, geometry, second_mm=0.0).warnings
     assert warning.severity is Severity.ANATOMY
-    assert warning.startswith("left atrium: its blood is open to the outside over ")
-    assert "wall_thickness_mm" in warning
-    assert "'ends'" not in warning
+    assert warning.text.startswith("left atrium: its blood is open to the outside over ")
+    assert "wall_thickness_mm" in warning.text
+    assert "'ends'" not in warning.text
     place, area = place_and_area(warning)
     width = max(geometry.spacing_mm)  # the smoothing draws the rim in
     assert np.linalg.norm(place - 12.0 * AXIS) < 2.0
@@ -238,8 +242,8 @@ def test_a_vessel_of_blood_only_is_told_in_one_line_with_its_area():
     geometry, labels = tube("even")
     along = points_of(geometry) @ AXIS
     (warning,) = grown(np.where(np.abs(along) < 12.0, labels, 0), geometry, first_mm=0.0).warnings
-    assert warning.startswith("aorta: its blood is open to the outside")
-    assert "'ends'" in warning
+    assert warning.text.startswith("aorta: its blood is open to the outside")
+    assert "'ends'" in warning.text
     _, area = place_and_area(warning)
     assert area == pytest.approx(2.0 * np.pi * 6.0 * 24.0 + 2.0 * np.pi * 36.0, rel=0.1)
 
@@ -253,7 +257,7 @@ def test_a_segmented_wall_with_a_hole_is_told_as_a_wall():
         )
     )
     (warning,) = grow_walls(Segmentation(labels.astype(np.uint8), geometry, table), WallsSettings(), ()).warnings
-    assert warning.startswith("left atrium: its wall has a gap over ")
+    assert warning.text.startswith("left atrium: its wall has a gap over ")
 
 
 def test_where_the_table_says_zero_the_opening_is_noted():
@@ -262,7 +266,7 @@ def test_where_the_table_says_zero_the_opening_is_noted():
     one = WallThickness(label="aorta", kind="centreline", points_mm=points, thickness_mm=[2.0, 2.0, 0.0, 0.0])
     (warning,) = grown(labels, geometry, settings=WallsSettings(thickness=(one,))).warnings
     assert warning.severity is Severity.NOTE
-    assert warning.startswith("aorta: open to the outside")
+    assert warning.text.startswith("aorta: open to the outside")
     _, area = place_and_area(warning)
     inside = np.abs(geometry.world_to_index((np.linspace(4.4, 40.0, 2000)[:, None]) * AXIS) / geometry.size - 0.5) < 0.5
     length = inside.all(axis=1).sum() * (35.6 / 2000)

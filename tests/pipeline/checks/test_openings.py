@@ -26,7 +26,7 @@ from heartcase.pipeline.edits.apply_edits import apply_edits
 from heartcase.pipeline.fields.reader import ownership_at_points
 from heartcase.pipeline.formats.write_images import write_scan, write_segmentation
 from heartcase.pipeline.walls.grow_walls import grow_walls
-from heartcase.pipeline.warnings import Severity, grouped
+from heartcase.pipeline.warnings import CaseWarning, Severity, grouped
 from heartcase.schemas.labels import Label, LabelTable, Role
 from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.recipe.edit_settings import CloseDefect, SeptalDefect
@@ -246,7 +246,7 @@ def test_a_valve_that_no_heart_of_this_size_has_is_looked_at(radius, second, wor
     assert (one.verdict, one.is_odd_size, one.is_doubtful) == (Verdict.EXPECTED, bool(word), bool(word))
     warnings = opening_warnings([one])
     assert [warning.severity for warning in warnings] == [Severity.LOOK] * bool(word)
-    assert all(f"as a circle of {one.diameter_mm:.0f} mm: very {word} for this valve" in line for line in warnings)
+    assert all(f"as a circle of {one.diameter_mm:.0f} mm: very {word} for this valve" in line.text for line in warnings)
 
 
 def test_of_a_valve_s_size_nothing_is_said_where_the_ventricle_is_cut_or_is_none():
@@ -281,10 +281,10 @@ def test_structures_are_known_by_synonym_or_code(first, second, codes, verdict):
 def test_an_opening_that_nothing_explains_is_the_first_thing_in_the_report():
     (one,) = openings_of(walled())
     (warning,) = opening_warnings([one])
-    assert warning.startswith("left atrium and right atrium are open to each other over ")
-    assert "paint the wall" in warning
-    assert "septal_defect" in warning
-    assert grouped(["look at something", warning])[0].lines[0][1:] in f"{warning}."
+    assert warning.text.startswith("left atrium and right atrium are open to each other over ")
+    assert "paint the wall" in warning.text
+    assert "septal_defect" in warning.text
+    assert grouped([CaseWarning("look at something"), warning])[0].lines[0][1:] in f"{warning.text}."
 
 
 def ring(name="atrial septal defect", at=(0.0, 0.0, 0.0), radius=6.0):
@@ -302,7 +302,7 @@ def test_a_landmark_at_the_place_states_the_defect():
         assert one.verdict is Verdict.STATED
         (warning,) = opening_warnings([one])
         assert warning.severity is Severity.NOTE
-        assert landmark.name in warning
+        assert landmark.name in warning.text
 
 
 @pytest.mark.parametrize(
@@ -538,7 +538,7 @@ def test_the_build_puts_openings_into_the_manifest_the_warnings_and_the_report(t
     (figure,) = plain.manifest.quality["openings"]
     assert figure["verdict"] == "unexpected"
     assert figure["area_mm2"] == pytest.approx(np.pi * 14.0**2, rel=0.1)
-    assert "are open to each other" in plain.warnings[0]
+    assert "are open to each other" in plain.warnings[0].text
     page = plain.report.read_text()
     assert "Openings between chambers and vessels" in page
     assert page.index("The anatomy may be wrong") < page.index("eft atrium and right atrium are open")

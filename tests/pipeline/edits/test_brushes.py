@@ -209,14 +209,14 @@ def test_a_smoothing_that_tears_a_structure_says_so():
     before = structures_of([np.full(geometry.shape, FAR), stick], geometry)
     edit = Smooth(kind="smooth", label="muscle", points_mm=((0.0, 0.0, 0.0),), radius_mm=8.0, sigma_mm=6.0)
     after = apply_edits(before, (edit,))
-    assert [str(warning) for warning in after.warnings] == [
+    assert [warning.text for warning in after.warnings] == [
         "edits[1]: 'muscle' is in 2 pieces there, 1 before; take a smaller sigma_mm"
     ]
     thin = structures_of(
         [np.full(geometry.shape, FAR), np.maximum(plate, np.linalg.norm(points, axis=-1) - 6.0)], geometry
     )
     whole = edit.model_copy(update={"radius_mm": 40.0})
-    assert "nothing of 'muscle' is left there" in apply_edits(thin, (whole,)).warnings[0]
+    assert "nothing of 'muscle' is left there" in apply_edits(thin, (whole,)).warnings[0].text
 
 
 def test_what_cannot_be_brushed_is_refused():

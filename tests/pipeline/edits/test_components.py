@@ -55,7 +55,8 @@ def test_the_largest_piece_is_left_as_if_the_others_had_never_been(kind):
     assert differing(before, clean) > 1000
     assert differing(after, clean) == 0
     line = after.warnings[-1]
-    assert line.startswith("edits[1]: 3 pieces of 'cavity' given away, 0.")
+    assert line.edit == 1
+    assert line.text.startswith("edits[1]: 3 pieces of 'cavity' given away, 0.")
     assert line.severity is Severity.NOTE
     # Within the band the fields are those of the clean scan too; its blur knew nothing of the stray balls.
     for value in (0, 1):
@@ -81,7 +82,7 @@ def test_a_second_time_there_is_nothing_to_do_and_that_is_a_note():
     keep = KeepLargest(kind="keep_largest", label="cavity")
     once = apply_edits(before, (keep,))
     twice = apply_edits(once, (keep, RemoveIslands(kind="remove_islands", smallest_ml=0.5)))
-    assert [str(line) for line in twice.warnings[len(once.warnings) :]] == [
+    assert [line.text for line in twice.warnings[len(once.warnings) :]] == [
         "edits[1]: 'cavity' is one piece, so the edit changes nothing",
         "edits[2]: no piece is below 0.5 ml, so the edit changes nothing",
     ]

@@ -244,10 +244,10 @@ def test_a_marker_away_from_its_vessel_is_a_warning_and_cuts_nothing():
     labels = tube(geometry, radius_mm=4.0, stop_mm=-12.0)
     structures = grown(labels, geometry, marker(position=-20.0 * AXIS), marker(radius_mm=7.0))
     (warning,) = structures.warnings
-    assert warning.startswith("ends[2] (vein): ")
+    assert warning.text.startswith("ends[2] (vein): ")
     distance = float(warning.split(" mm away")[0].split()[-1])
     assert distance == pytest.approx(12.0, abs=1.75)
-    assert "add a stroke" in warning
+    assert "add a stroke" in warning.text
     assert len(structures.reshapings) == len(structures.fixed_planes) == 1
 
 
@@ -256,7 +256,7 @@ def test_a_marker_that_points_into_the_heart_is_told_to_turn():
     labels = tube(geometry, radius_mm=4.0, stop_mm=-3.0)
     structures = grown(labels, geometry, marker(axis=-AXIS))
     (warning,) = structures.warnings
-    assert "turn its axis round" in warning
+    assert "turn its axis round" in warning.text
     assert structures.reshapings == ()
 
 
@@ -265,7 +265,7 @@ def test_a_gap_that_is_closed_is_told():
     end = marker()
     structures = grown(tube(geometry, radius_mm=6.0, stop_mm=-7.0), geometry, end)
     (warning,) = structures.warnings
-    assert "ends[1] (vein): the segmented vessel stops" in warning
+    assert "ends[1] (vein): the segmented vessel stops" in warning.text
     check_open(structures, end, lambda before: 6.0, tolerance=tolerance_for(6.0))
 
 
@@ -275,7 +275,7 @@ def test_a_vessel_closed_by_others_is_told():
     labels = tube(geometry, radius_mm=6.0, stop_mm=-3.0).astype(np.uint8)
     labels[along > -3.0] = 3
     (warning,) = grown(labels, geometry, marker()).warnings
-    assert "other structures close the vessel" in warning
+    assert "other structures close the vessel" in warning.text
 
 
 def test_a_marker_outside_the_volume_is_refused():

@@ -173,7 +173,7 @@ def test_refused_ends_are_all_told_with_the_nearest_lumen_and_numbers_that_do():
     assert cut(STRAIGHT, proposed).warnings == ()
     # off to the side by more than its radius: it stays closed, with the same numbers
     (warning,) = cut(STRAIGHT, marker("superior vena cava", away, axis, 8.0)).warnings
-    assert "stays closed" in warning
+    assert "stays closed" in warning.text
     near = float(re.search(r"nearest lumen is ([\d.]+) mm", warning)[1])
     assert near == pytest.approx(25.0 - RADIUS, abs=1.5)
     assert warning.partition("position_mm = ")[2] == first.partition("position_mm = ")[2]
@@ -182,6 +182,6 @@ def test_refused_ends_are_all_told_with_the_nearest_lumen_and_numbers_that_do():
 def test_a_marker_that_points_into_the_heart_is_not_moved_and_one_that_cuts_the_heart_off_is_told():
     far = marker("superior vena cava", 26.0 * AXIS, tuple(-AXIS), 8.0)
     (warning,) = cut(STRAIGHT, far).warnings
-    assert "turn its axis round" in warning
+    assert "turn its axis round" in warning.text
     found = cut(STRAIGHT, marker("superior vena cava", 15.0 * AXIS, tuple(-AXIS), 10.0))
-    assert any("turn its axis out of the heart" in line for line in found.warnings)
+    assert any("turn its axis out of the heart" in line.text for line in found.warnings)

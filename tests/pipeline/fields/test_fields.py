@@ -10,6 +10,7 @@ import pytest
 from heartcase.pipeline.data import Reshaping
 from heartcase.pipeline.fields.layout import ALL_FIELDS
 from heartcase.pipeline.fields.reader import FieldReader, ownership_at_points, ownership_on_lattice
+from heartcase.pipeline.warnings import CaseWarning
 from heartcase.schemas.labels import Label, LabelTable, Role
 from tests.pipeline.analytic_structures import cylinder, lattice, structures
 from tests.pipeline.random_phantoms import random_heart
@@ -58,7 +59,7 @@ def test_structures_are_laid_out_once():
     assert FieldReader.of(one).layout.stack is FieldReader.of(one).layout.stack
     other = dataclasses.replace(one, reshapings=())
     assert FieldReader.of(other).layout.stack is not FieldReader.of(one).layout.stack
-    alike = dataclasses.replace(one, warnings=("a word",))
+    alike = dataclasses.replace(one, warnings=(CaseWarning("a word"),))
     reader = FieldReader.of(one)
     reader.serves(alike)
     assert FieldReader.of(alike).layout.stack is reader.layout.stack

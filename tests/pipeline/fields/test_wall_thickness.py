@@ -241,7 +241,7 @@ def test_a_table_that_cannot_matter_is_reported():
     labels = (np.linalg.norm(points_of(geometry), axis=-1) < 5.0).astype(int)
     away = WallThickness(label="aorta", kind="positions", points_mm=[(300.0, 0, 0)], thickness_mm=[2.0])
     (warning,) = grown(labels, geometry, settings=WallsSettings(thickness=(away,))).warnings
-    assert "aorta: no point of its table of thicknesses lies in the scan" in warning
+    assert "aorta: no point of its table of thicknesses lies in the scan" in warning.text
     painted = LabelTable(
         labels=(*table_of().labels[1:], Label(value=7, name="sleeve", role=Role.WALL, wall_of=1)),
     )
@@ -250,7 +250,7 @@ def test_a_table_that_cannot_matter_is_reported():
     labels = np.where(ring < 6.0, 1, np.where(ring < 10.0, 7, 0)).astype(np.uint8)
     segmentation = Segmentation(labels, geometry, painted)
     (warning,) = grow_walls(segmentation, WallsSettings(thickness=(tapered(half_mm=5.0),)), ()).warnings
-    assert warning.startswith("aorta: its wall is segmented")
+    assert warning.text.startswith("aorta: its wall is segmented")
 
 
 def test_tables_travel_with_the_structures_and_cost_nothing_where_there_are_none():

@@ -169,7 +169,7 @@ def _row(situation: Situation, outcome: Outcome) -> str:
         return f"| {situation.name} | {f'`{option}`' if option else ''} | refused | {said} |"
     loss = outcome.truth.loss if outcome.truth else 0.0
     values = f"values within {loss:.3g}" if loss else "values exact"
-    said = "; ".join((values, *outcome.scan.warnings))
+    said = "; ".join((values, *(warning.text for warning in outcome.scan.warnings)))
     return f"| {situation.name} | {f'`{option}`' if option else ''} | read | {said} |"
 
 

@@ -84,7 +84,7 @@ def test_a_position_without_an_image_near_the_time_is_told_or_filled(tmp_path: P
         read_scan(tmp_path / "middle", trigger_time_ms=92.6)
     scan = read_scan(tmp_path / "middle", trigger_time_ms=92.6, interpolate_missing=True)
     assert scan.geometry.size[2] == 9
-    assert any("slice 5 was missing" in warning for warning in scan.warnings)
+    assert any("slice 5 was missing" in warning.text for warning in scan.warnings)
     uneven_cine(tmp_path / "end", (2, 20, 20, 20, 20, 20, 20, 20, 20))
     with pytest.raises(ScanError, match="slice 1 "):
         read_scan(tmp_path / "end", trigger_time_ms=92.6, interpolate_missing=True)

@@ -67,7 +67,7 @@ def check_what_was_read(situation: Situation, outcome: Outcome) -> None:
     error = np.abs(values.astype(np.float64) - outcome.truth.values)
     assert np.isfinite(error).mean() > 0.8
     assert np.nanmax(error) <= outcome.truth.loss
-    said = "; ".join(outcome.scan.warnings)
+    said = "; ".join(warning.text for warning in outcome.scan.warnings)
     assert re.search(situation.warns, said) if situation.warns else not said, said
     acquisition = outcome.scan.acquisition
     assert acquisition == acquisition | situation.has_acquisition

@@ -130,8 +130,8 @@ def test_parts_are_named_by_their_files_and_later_ones_win(tmp_path, text):
     warning, overlap = segmentation.warnings
     assert f"{np.count_nonzero(ventricle & atrium)} voxels" in overlap
     assert "Aorta" not in overlap
-    assert "LPS was assumed" in warning
-    assert "part 1)" in warning
+    assert "LPS was assumed" in warning.text
+    assert "part 1)" in warning.text
     with pytest.raises(MarkerError, match="give the scan"):
         load_segmentation(tmp_path, {}, TABLE, None)
 
@@ -207,7 +207,7 @@ def test_a_silent_surface_that_lies_better_as_ras_is_refused(tmp_path, shift):
     assert "jane" not in str(caught.value)
     write(tmp_path / "jane.stl", ball(2.5, *middle))
     (warning,) = read_parts(tmp_path, OFF_CENTRE).warnings
-    assert "neither LPS nor RAS" in warning
+    assert "neither LPS nor RAS" in warning.text
 
 
 def test_a_part_of_which_nothing_is_left_is_refused_unless_it_is_left_out(tmp_path):

@@ -366,7 +366,9 @@ def test_a_draft_that_lacks_structures_says_that_it_takes_them_for_background(tm
     write_labels(tmp_path / "draft.nrrd", draft, GEOMETRY)
     file = MarkerFile(path="draft.nrrd", core_mm=1.0, background=True)
     (warning,) = load_markers((file,), (), TABLE, GEOMETRY, tmp_path).warnings
-    assert warning.startswith(f"markers[1] holds no {absent[0].name}, {absent[1].name}, and with background = true")
+    assert warning.text.startswith(
+        f"markers[1] holds no {absent[0].name}, {absent[1].name}, and with background = true"
+    )
     for n, label in enumerate(absent):
         draft[12:18, 2:30, 3 + 20 * n : 20 + 20 * n] = label.value
     write_labels(tmp_path / "draft.nrrd", draft, GEOMETRY)

@@ -47,9 +47,9 @@ def test_a_cube_in_both_layers_is_told_with_its_size_and_both_names(tmp_path: Pa
     assert (found.labels[shared] == AORTA).all()
     (warning,) = found.warnings
     assert warning.severity is Severity.LOOK
-    assert "64 voxels (0.13 ml)" in warning
-    assert f"both the {TABLE[LA].name} (segment 1 of the file) and the aorta (segment 2 of the file)" in warning
-    assert "the aorta lies on top" in warning
+    assert "64 voxels (0.13 ml)" in warning.text
+    assert f"both the {TABLE[LA].name} (segment 1 of the file) and the aorta (segment 2 of the file)" in warning.text
+    assert "the aorta lies on top" in warning.text
 
 
 @pytest.mark.parametrize(
@@ -60,11 +60,11 @@ def test_the_recipe_chooses_which_lies_on_top(tmp_path: Path, order: tuple[str, 
     shared = two_cubes(tmp_path / "f.seg.nrrd", "left atrium", "aorta")
     found = load_segmentation(tmp_path / "f.seg.nrrd", {}, TABLE, GEOMETRY, order=order)
     assert (found.labels[shared] == winner).all()
-    assert f"the {TABLE[winner].name} lies on top" in found.warnings[0]
+    assert f"the {TABLE[winner].name} lies on top" in found.warnings[0].text
     file = MarkerFile(path="f.seg.nrrd", order=order)
     markers = load_markers((file,), (), TABLE, GEOMETRY, tmp_path)
     assert (markers.labels[shared] == winner).all()
-    assert markers.warnings[0].startswith("markers[1]: 64 voxels")
+    assert markers.warnings[0].text.startswith("markers[1]: 64 voxels")
 
 
 def test_what_is_one_label_or_left_out_overlaps_nothing(tmp_path: Path) -> None:
@@ -82,8 +82,8 @@ def test_parts_that_overlap(tmp_path: Path) -> None:
     found = load_segmentation(tmp_path, {}, TABLE, GEOMETRY)
     # 2 x 4 x 8 mm are in both, a voxel has 2 mm3
     (warning,) = found.warnings
-    assert "32 voxels (0.064 ml)" in warning
-    assert f"the {TABLE[LA].name} lies on top" in warning
+    assert "32 voxels (0.064 ml)" in warning.text
+    assert f"the {TABLE[LA].name} lies on top" in warning.text
     other = load_segmentation(tmp_path, {}, TABLE, GEOMETRY, order=("aorta",))
     changed = found.labels != other.labels
     assert changed.sum() == 32
@@ -157,8 +157,8 @@ def test_a_later_marker_file_paints_over_an_earlier_one_and_says_so(tmp_path: Pa
     files = [MarkerFile(path="a.seg.nrrd"), MarkerFile(path="b.mrk.json", radius_mm=0.0)]
     (warning,) = load_markers(files, (), TABLE, GEOMETRY, tmp_path).warnings
     assert warning.severity is Severity.NOTE
-    assert "markers[2] paints over" in warning
-    assert f"1 voxel (0.002 ml) of the aorta become {TABLE[RA].name}" in warning
+    assert "markers[2] paints over" in warning.text
+    assert f"1 voxel (0.002 ml) of the aorta become {TABLE[RA].name}" in warning.text
     assert load_markers(files[:1], (), TABLE, GEOMETRY, tmp_path).warnings == ()
 
 

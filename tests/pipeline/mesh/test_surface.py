@@ -201,7 +201,7 @@ def test_specks_and_bubbles_are_left_out_and_said():
     said = build_surface(tiny, PLAIN)
     assert said.quality["component_count"] == 1
     assert said.quality["dropped_shell_count"] == 1
-    assert not any("not shown" in line for line in said.warnings)
+    assert not any("not shown" in line.text for line in said.warnings)
     # Seven balls of 4 mm3 each: together more than 20 mm3.
     places = np.array([(x, y, z) for x in (-14, 14) for y in (-14, 14) for z in (-8, 8)][:7], dtype=float)
     many = solid(
@@ -211,7 +211,7 @@ def test_specks_and_bubbles_are_left_out_and_said():
     said = build_surface(many, PLAIN)
     assert said.quality["dropped_shell_count"] == 7
     assert said.quality["dropped_volume_mm3"] > 20.0
-    assert any(line.startswith("7 tiny loose bits") for line in said.warnings)
+    assert any(line.text.startswith("7 tiny loose bits") for line in said.warnings)
 
 
 def test_noise_is_closed_and_manifold_at_every_triangle_count():
@@ -435,4 +435,4 @@ def test_as_few_triangles_as_an_asked_error_takes():
     assert counts[0] < counts[1]
     coarse = build_surface(structures, SurfaceSettings(error_mm=0.001, triangle_count=1000, normal_map_size=0))
     assert len(coarse.triangles) == 1000
-    assert any("surface.triangle_count" in warning for warning in coarse.warnings)
+    assert any("surface.triangle_count" in warning.text for warning in coarse.warnings)

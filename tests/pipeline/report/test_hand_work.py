@@ -7,6 +7,7 @@ import pytest
 
 from heartcase.pipeline.report.hand_work import hand_work_facts
 from heartcase.pipeline.stages.resolve import resolve_recipe
+from heartcase.pipeline.warnings import CaseWarning
 from heartcase.schemas.recipe.recipe import parse_recipe
 from tests.pipeline.report.analytic_heart import make_heart
 
@@ -85,7 +86,7 @@ def scan():
 
 
 def test_everything_that_a_person_did_is_told(scan):
-    mended = replace(scan, warnings=("2 missing slices were filled in from their neighbours",))
+    mended = replace(scan, warnings=(CaseWarning("2 missing slices were filled in from their neighbours"),))
     facts = told(RICH, mended)
     assert facts["Series of the scan"] == "chosen by hand"
     assert facts["Cardiac phase"] == "the one nearest to 640 ms after the R wave was chosen"

@@ -11,10 +11,10 @@ import pytest
 from PIL import Image
 
 from heartcase.pipeline.data import GridMap
-from heartcase.pipeline.report.build_report import ReportData, build_report, render_report
+from heartcase.pipeline.report.build_report import ReportData, SeptumRow, build_report, render_report
 from heartcase.pipeline.report.hand_work import hand_work_facts
 from heartcase.pipeline.report.plain_words import cardiac_phase_words, figure_facts, setting_lines
-from heartcase.pipeline.warnings import anatomy, grouped, note
+from heartcase.pipeline.warnings import CaseWarning, anatomy, grouped, note
 from heartcase.schemas.bundle.format import CaseManifest, StageRecord
 from heartcase.schemas.recipe.recipe import parse_recipe
 from tests.pipeline.report.analytic_heart import make_heart
@@ -99,7 +99,12 @@ def html(heart):
                 output_sha256="ab" * 32,
             )
         ],
-        warnings=[note("a lesser one"), "one to look at", anatomy("the worst <of> all"), note("a lesser one")],
+        warnings=[
+            note("a lesser one"),
+            CaseWarning("one to look at"),
+            anatomy("the worst <of> all"),
+            note("a lesser one"),
+        ],
         case_id="HC-TEST-0001",
     )
 
@@ -164,6 +169,27 @@ def test_notice_stands_first_and_warnings_follow_worst_first(html):
     places = [text.index(words) for words in order]
     assert places == sorted(places)
     assert text.count("A lesser one") == 1
+
+
+def test_what_a_warning_lists_is_a_list_on_the_page_in_its_order():
+    text = "these touch: aorta and <vein>; left and right. Say so"
+    lists = CaseWarning(text, listed=("aorta and <vein>", "left and right"))
+    html = render_report(ReportData(case_name="x", warnings=grouped([lists, CaseWarning("plain; text")])))
+    found = re.search(r"<li>These touch:\s*<ul>(.*?)</ul>\s*Say so\.</li>\s*<li>Plain; text\.</li>", html, re.DOTALL)
+    assert found
+    assert re.findall(r"<li>(.*?)</li>", found[1]) == ["aorta and &lt;vein&gt;", "left and right"]
+    page = Page(html)
+    assert "2 warnings" in page.text
+    assert "; left" not in page.text
+
+
+def test_grown_walls_are_told_apart_from_openings_that_are_stated():
+    septum = SeptumRow("left atrium and right atrium", 120.0, 1.2, 1, "(1.0, 2.0, 3.0) mm")
+    text = re.sub(r"\s+", " ", Page(render_report(ReportData(case_name="x", septa=[septum]))).text)
+    assert "Where the recipe states an opening by a landmark or by strokes, none was grown" in text
+    assert "it is closed in the model" not in text
+    assert "stated openings included" not in text
+    assert "not seen" not in Page(render_report(ReportData(case_name="x"))).text
 
 
 def test_every_structure_is_there_with_its_volume(html, heart):
@@ -251,7 +277,7 @@ def test_same_input_gives_the_same_page(heart):
 
 def test_everything_that_is_given_is_escaped():
     nasty = "<script>alert('x')</script> & \"y\""
-    page = Page(render_report(ReportData(case_name=nasty, warnings=grouped([nasty]))))
+    page = Page(render_report(ReportData(case_name=nasty, warnings=grouped([CaseWarning(nasty)]))))
     assert not page.all("script")
     assert page.text.count(nasty) == 2
 

@@ -13,13 +13,14 @@ from scipy.ndimage import label as pieces_of
 from heartcase.pipeline.artifacts.serialise import artifact_from_bytes, artifact_to_bytes
 from heartcase.pipeline.bundle.assembly import labels_of
 from heartcase.pipeline.checks.openings import Verdict, find_openings
-from heartcase.pipeline.data import Segmentation, Septum, Structures
+from heartcase.pipeline.data import Reshaping, Segmentation, Septum, Structures
 from heartcase.pipeline.edits.apply_edits import apply_edits
 from heartcase.pipeline.fields.layout import ALL_FIELDS
 from heartcase.pipeline.fields.reader import FieldReader, ownership_at_points, ownership_on_lattice
+from heartcase.pipeline.fields.shapes import distance_on_lattice
 from heartcase.pipeline.mesh.build_surface import build_surface
 from heartcase.pipeline.walls.grow_walls import grow_walls
-from heartcase.pipeline.walls.septa import ADULT_MM, open_places, pairs_kept_apart, septum_thickness_mm
+from heartcase.pipeline.walls.septa import ADULT_MM, OpenPlace, open_places, pairs_kept_apart, septum_thickness_mm
 from heartcase.pipeline.warnings import Severity
 from heartcase.schemas.bundle.surface_kinds import SurfaceKind
 from heartcase.schemas.errors import StageError
@@ -121,7 +122,7 @@ def test_no_slit_is_left_where_the_septum_meets_the_grown_walls(kind, wall_mm):
     sides = [set(np.unique(pieces[blood & (inside == value)])) for value in (LEFT, RIGHT)]
     assert not sides[0] & sides[1]
     if wall_mm:
-        assert not any("gap" in str(line) or "open to the outside" in str(line) for line in structures.warnings)
+        assert not any("gap" in line.text or "open to the outside" in line.text for line in structures.warnings)
 
 
 @pytest.mark.parametrize("gap", [0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0])
@@ -200,6 +201,87 @@ def test_a_stated_defect_stays_open_as_wide_as_it_is_stated(radius, how, kind):
     assert one.verdict is Verdict.STATED
     assert one.diameter_mm == pytest.approx(2.0 * radius, abs=0.45)
     assert np.linalg.norm(one.center_mm) < 1.5
+
+
+@pytest.mark.parametrize("how", ["ring", "strokes"])
+def test_a_stated_opening_is_no_part_of_the_wall_that_is_told(how):
+    radius, at = 4.0, tuple(float(v) for v in across(NORMAL, 2.0, 1.0)[1][400])
+    landmarks = (ring(radius, at),) if how == "ring" else ()
+    strokes = two_strokes(radius, at) if how == "strokes" else ()
+    whole, structures = halves(), halves(places=open_places(strokes, landmarks, table_of()))
+    (of_whole,), (figure,) = whole.quality["septa"], structures.quality["septa"]
+    assert of_whole["area_mm2"] - figure["area_mm2"] == pytest.approx(np.pi * radius**2, rel=0.15)
+    # The place is one of a wall, on the side where the most of it is, and not in the hole.
+    (place,) = told_of(structures).places_mm
+    assert place == tuple(figure["center_mm"])
+    assert np.linalg.norm(np.subtract(place, at)) > radius - 0.5
+    owner = owners(structures, np.array(place) + np.linspace(-0.6, 0.6, 61)[:, None] * NORMAL)
+    assert figure["label"] in owner
+    assert set(owners(structures, np.array(at) + np.linspace(-0.6, 0.6, 61)[:, None] * NORMAL)) <= {LEFT, RIGHT}
+    assert f"over {figure['area_mm2']:.0f} mm²" in told_of(structures).text
+
+
+@pytest.mark.parametrize("beyond_mm", [2.0, -0.5])
+def test_nothing_is_told_where_the_stated_opening_is_all_of_the_contact(beyond_mm):
+    """Not of a rim narrower than a voxel either; of a wider one is."""
+    structures = halves(places=open_places((), (ring(RADIUS_MM + beyond_mm),), table_of()))
+    assert len(structures.septa) == 1
+    assert "septa" not in structures.quality
+    assert not any("grown where two outlines touch" in line.text for line in structures.warnings)
+    wider = halves(places=open_places((), (ring(RADIUS_MM - 4.0),), table_of()))
+    rim = np.pi * (RADIUS_MM**2 - (RADIUS_MM - 4.0) ** 2)
+    assert wider.quality["septa"][0]["area_mm2"] == pytest.approx(rim, rel=0.25)
+
+
+def test_an_opening_of_two_other_cavities_takes_nothing_away():
+    place = OpenPlace("strokes", ((0.0, 0.0, 0.0),), 5.0, (RIGHT, VENTRICLE))
+    assert halves(places=(place,)).quality["septa"] == halves().quality["septa"]
+
+
+@pytest.mark.parametrize(
+    ("shape", "points"),
+    [
+        ("strokes", ((1.0, 2.0, -3.0),)),
+        ("strokes", ((1.0, 2.0, -3.0), (6.0, -4.0, 2.0), (6.0, -4.0, 2.0), (-8.0, 1.0, 5.0))),
+        ("cylinder", ((-4.0, 1.0, -3.0), (5.0, 3.0, 6.0))),
+    ],
+)
+def test_what_an_open_place_holds_is_where_its_shape_cuts_the_septum(shape, points):
+    geometry = lattice("oblique", 30.0)
+    distance = distance_on_lattice(Reshaping(shape, points, 3.3, (), ()), geometry)
+    place = OpenPlace(shape, points, 3.3)
+    for margin in (0.0, 1.0) if shape == "strokes" else (0.0,):
+        held = place.holds(points_of(geometry).reshape(-1, 3), margin).reshape(geometry.shape)
+        clear = np.abs(distance - margin) > 1e-9
+        np.testing.assert_array_equal(held[clear], (distance < margin)[clear])
+        assert 20 < held.sum() < held.size / 2
+
+
+def told_of(structures):
+    (warning,) = (line for line in structures.warnings if "grown where two outlines touch" in line.text)
+    return warning
+
+
+def test_several_grown_walls_are_listed_the_largest_first():
+    """A ball in three parts: an eighth, the rest of a half, and the other half."""
+    geometry = lattice("even", 36.0)
+    x, y, z = np.moveaxis(points_of(geometry), -1, 0)
+    labels = np.where(x < 0.0, LEFT, np.where((y < 0.0) & (z < 0.0), VENTRICLE, RIGHT))
+    labels[x**2 + y**2 + z**2 > RADIUS_MM**2] = 0
+    table = table_of("aorta", "superior vena cava", "left atrial appendage")
+    structures = grow_walls(Segmentation(labels.astype(np.uint8), geometry, table), WallsSettings(), ())
+    warning = told_of(structures)
+    assert warning.code == "grown-septum"
+    places = [tuple(one["center_mm"]) for one in structures.quality["septa"]]
+    areas = [one["area_mm2"] for one in structures.quality["septa"]]
+    assert list(warning.places_mm) == places
+    assert len(warning.listed) == len(places) == 3
+    assert areas == sorted(areas, reverse=True)
+    for listed, figure in zip(warning.listed, structures.quality["septa"], strict=True):
+        assert listed.startswith(f"{' and '.join(figure['between'])} over {figure['area_mm2']:.0f} mm² near (")
+    assert warning.parts.listed == warning.listed
+    assert warning.parts.lead.endswith("a heart does not join these:")
+    assert warning.parts.rest.startswith("If the patient has an opening there, say so")
 
 
 def test_strokes_that_do_not_meet_open_nothing():
@@ -307,8 +389,7 @@ def test_what_was_grown_is_told_with_pair_area_thickness_and_place_and_has_a_kin
     assert np.linalg.norm(figure["center_mm"]) < 2.0
     label = structures.table[figure["label"]]
     assert (label.name, label.role, label.septum_of) == ("left atrium-right atrium septum (grown)", Role.WALL, (1, 2))
-    (warning,) = (line for line in structures.warnings if "grown where two outlines touch" in line)
-    assert warning.severity is Severity.LOOK
+    assert told_of(structures).severity is Severity.LOOK
     surface = build_surface(
         structures, SurfaceSettings(triangle_count=20_000, level_counts=(), normal_map_size=0), render=False
     )
@@ -340,10 +421,10 @@ def test_a_narrow_vessel_along_another_that_a_septum_would_cut_is_told():
     table = table_of("aorta", "superior vena cava")
     segmentation = Segmentation(labels, geometry, table)
     whole = grow_walls(segmentation, thick(0.4, ("aorta", "SVC")), ())
-    assert not any("cut in two by a grown septum" in line for line in whole.warnings)
+    assert not any("cut in two by a grown septum" in line.text for line in whole.warnings)
     cut = grow_walls(segmentation, thick(4.0, ("aorta", "SVC")), ())
-    (warning,) = (line for line in cut.warnings if "cut in two by a grown septum" in line)
-    assert warning.startswith("superior vena cava: ")
+    (warning,) = (line for line in cut.warnings if "cut in two by a grown septum" in line.text)
+    assert warning.text.startswith("superior vena cava: ")
     assert warning.severity is Severity.ANATOMY
 
 

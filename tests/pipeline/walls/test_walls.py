@@ -221,7 +221,7 @@ def test_a_structure_that_the_smoothing_eats_is_reported():
         labels[5 : 5 + edge, 5 : 5 + edge, 5 : 5 + edge] = 3
         warnings = grown(labels, geometry, settings=WallsSettings(smoothing_mm=sigma)).warnings
         assert len(warnings) == (1 if message else 0)
-        assert all(warning.startswith(message) for warning in warnings)
+        assert all(warning.text.startswith(message) for warning in warnings)
 
 
 def test_same_structures_with_any_number_of_threads():

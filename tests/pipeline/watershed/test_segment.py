@@ -143,10 +143,10 @@ def test_warnings_name_what_is_absent_and_what_is_in_pieces():
     markers = Markers(labels=labels, geometry=scan.geometry)
     got = segment_scan(scan, markers, SegmentSettings(), TABLE)
     warnings = segmentation_warnings(got, markers, filtered=scan)
-    assert warnings[0].startswith("the scan has the same intensity everywhere")
-    assert warnings[1].startswith("nothing is marked as background")
+    assert warnings[0].text.startswith("the scan has the same intensity everywhere")
+    assert warnings[1].text.startswith("nothing is marked as background")
     (absent,) = warnings[2:]
-    assert absent.startswith("the left ventricular myocardium is not in the model, as nothing was painted for it")
+    assert absent.text.startswith("the left ventricular myocardium is not in the model, as nothing was painted for it")
     by_an_edit = {TABLE["left ventricular myocardium"].value}
     assert segmentation_warnings(got, markers, filtered=scan, made_later=by_an_edit) == warnings[:2]
 
@@ -156,8 +156,10 @@ def test_warnings_name_what_is_absent_and_what_is_in_pieces():
     blood[:2, :2, 47:] = 3
     warnings = segmentation_warnings(Segmentation(labels=blood, geometry=scan.geometry, table=TABLE))
     absent, pieces = warnings
-    assert absent.startswith("the left ventricular myocardium is not in the model, as no part of the scan was found")
-    assert pieces.startswith(
+    assert absent.text.startswith(
+        "the left ventricular myocardium is not in the model, as no part of the scan was found"
+    )
+    assert pieces.text.startswith(
         "the left ventricle is in 6 pieces; beside the largest: 0.012 ml near (47, 0, 0) mm, "
         "0.001 ml near (0, 0, 0) mm, 0.001 ml near (2, 0, 0) mm and 2 more: "
     )
