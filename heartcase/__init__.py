@@ -59,7 +59,7 @@ if TYPE_CHECKING:
     from heartcase.simulator.lattice.model import GridUnits, LatticeModel, make_model
     from heartcase.simulator.lattice.state import Snapshot, State
     from heartcase.simulator.load import Case, ScanVolume, load_case
-    from heartcase.simulator.script import SessionSummary, default_script, load_script, run_script
+    from heartcase.simulator.script import SessionSummary, default_script, load_script, run_script, with_positions
     from heartcase.simulator.simulation import Simulation
     from heartcase.simulator.surface.deform import (
         DeformedSurface,
@@ -170,6 +170,7 @@ __all__ = [
     "run_script",
     "stale_cases",
     "step_limit",
+    "with_positions",
     "write_catalogue",
     "write_scan",
     "write_segmentation",
@@ -229,7 +230,7 @@ _MODULES = {
     "heartcase.simulator.lattice.model": ("GridUnits", "LatticeModel", "make_model"),
     "heartcase.simulator.lattice.state": ("Snapshot", "State"),
     "heartcase.simulator.load": ("Case", "ScanVolume", "load_case"),
-    "heartcase.simulator.script": ("SessionSummary", "default_script", "load_script", "run_script"),
+    "heartcase.simulator.script": ("SessionSummary", "default_script", "load_script", "run_script", "with_positions"),
     "heartcase.simulator.simulation": ("Simulation",),
     "heartcase.simulator.surface.deform": (
         "DeformedSurface",

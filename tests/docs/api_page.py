@@ -56,7 +56,7 @@ SECTIONS = {
     ),
     "Scripted sessions": (
         "What `heartcase simulate` runs; every setting is in `docs/schemas/simulation-script-reference.md`.",
-        "load_script default_script run_script SimulationScript SessionSummary",
+        "load_script default_script with_positions run_script SimulationScript SessionSummary",
     ),
     "Scans and labels": (
         "Images in and out, and what their values stand for.",
@@ -127,7 +127,7 @@ class _Source:
     aliases: dict[str, ast.expr]
     """What stands for a type: its name -> the type."""
     constants: dict[str, ast.expr]
-    """Name -> the number or text that it stands for."""
+    """Name -> the number, text or tuple that it stands for."""
     imported: dict[str, str]
     """Name -> the module of heartcase that it comes from."""
 
@@ -149,8 +149,9 @@ def _source(module: str) -> _Source:
                 found.defined[inner.name] = inner
             elif isinstance(inner, ast.Assign) and isinstance(inner.value, ast.Subscript):
                 found.aliases.update({one.id: inner.value for one in inner.targets if isinstance(one, ast.Name)})
-            elif isinstance(inner, ast.Assign) and isinstance(inner.value, ast.Constant):
-                found.constants.update({one.id: inner.value for one in inner.targets if isinstance(one, ast.Name)})
+            elif isinstance(inner, ast.Assign | ast.AnnAssign) and isinstance(inner.value, ast.Constant | ast.Tuple):
+                targets = inner.targets if isinstance(inner, ast.Assign) else [inner.target]
+                found.constants.update({one.id: inner.value for one in targets if isinstance(one, ast.Name)})
             elif isinstance(inner, ast.ImportFrom) and (inner.module or "").startswith("heartcase."):
                 found.imported.update({alias.name: inner.module or "" for alias in inner.names})
     return found

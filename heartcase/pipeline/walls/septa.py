@@ -21,7 +21,7 @@ from heartcase.pipeline.data import Reshaping, Segmentation, Septum, Structures
 from heartcase.pipeline.fields.contacts import Contact, Extent, find_contact
 from heartcase.pipeline.markers.meeting_strokes import meetings_of
 from heartcase.pipeline.warnings import LISTED_BETWEEN, CaseWarning
-from heartcase.schemas.arrays import Float64, UInt8
+from heartcase.schemas.arrays import Bool, Float64, UInt8
 from heartcase.schemas.labels import LabelTable
 from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.recipe.settings import Stroke, WallsSettings
