@@ -4,7 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from heartcase.pipeline.bundle.write_bundle import BundleContent, assemble_bundle, resolve_materials
+from heartcase.pipeline.bundle.write_bundle import (
+    BundleContent,
+    BundleParts,
+    BundleRecord,
+    BundleSource,
+    assemble_bundle,
+    resolve_materials,
+)
 from heartcase.pipeline.data import GridMap, PickingSurface, SimulationGrid, Surface
 from heartcase.schemas.bundle.format import StageRecord
 from heartcase.schemas.bundle.lattice import FULL_MOMENTS, cell_nodes
@@ -112,14 +119,8 @@ def block_case(name="block", size=(3, 2, 2), scan=None, **options) -> BundleCont
     grid = block_grid(size, **options)
     surface, grid_map, picking = block_surface(grid)
     return assemble_bundle(
-        name=name,
-        grid=grid,
-        materials=resolve_materials(MaterialsSettings(), TABLE),
-        scan_geometry=grid.geometry,
-        scan_sha256="0" * 64,
-        stages=(StageRecord(stage="grid", version=1, settings={}, output_sha256="1" * 64),),
-        surface=surface,
-        grid_map=grid_map,
-        picking=picking,
-        scan=scan,
+        BundleParts(grid=grid, surface=surface, grid_map=grid_map, picking=picking, scan=scan),
+        resolve_materials(MaterialsSettings(), TABLE),
+        BundleSource(geometry=grid.geometry, sha256="0" * 64),
+        BundleRecord(name=name, stages=(StageRecord(stage="grid", version=1, settings={}, output_sha256="1" * 64),)),
     )

@@ -53,23 +53,18 @@ _ROOMS = {"bench": "bench", "library": "library"} | dict.fromkeys(
 INTERNAL_ERROR = 70
 """Exit code of what should not happen (EX_SOFTWARE of sysexits)."""
 
-_EXTRA_OF_MODULE = {"numba_cuda": "cuda", "dask": "library", "distributed": "library"}
+_EXTRA_OF_MODULE = {"numba_cuda": "cuda", "dask": "library", "distributed": "library", "skimage": "bench"}
 _PREPARE_MODULES = [
     "SimpleITK",
     "cc3d",
     "edt",
-    "fast_simplification",
     "jinja2",
     "matplotlib",
     "meshio",
-    "nrrd",
     "PIL",
     "pydicom",
-    "pygltflib",
     "pyvista",
     "scipy",
-    "skimage",
-    "trimesh",
     "vtk",
     "vtkmodules",
     "xatlas",

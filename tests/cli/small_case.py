@@ -7,7 +7,13 @@ import numpy as np
 import SimpleITK
 from scipy.spatial.transform import Rotation
 
-from heartcase.pipeline.bundle.write_bundle import assemble_bundle, write_bundle
+from heartcase.pipeline.bundle.write_bundle import (
+    BundleParts,
+    BundleRecord,
+    BundleSource,
+    assemble_bundle,
+    write_bundle,
+)
 from heartcase.pipeline.warnings import CaseWarning
 from heartcase.schemas.bundle.format import Material
 from tests.pipeline.report.analytic_heart import AnalyticHeart, make_heart
@@ -35,16 +41,14 @@ def write_case(directory: Path, *, with_level: bool = False) -> tuple[Path, Anal
     heart = make_heart(spacing_mm=(3.0, 3.0, 3.0))
     coarse = (make_heart(spacing_mm=(5.0, 5.0, 5.0)).surface,) if with_level else ()
     content = assemble_bundle(
-        name="Toy",
-        grid=heart.grid,
-        materials=[Material(label=v, youngs_modulus_kpa=30, density_kg_m3=1060) for v in heart.table.tissue_values],
-        scan_geometry=heart.scan.geometry,
-        scan_sha256="0" * 64,
-        stages=[],
-        surface=replace(heart.surface, levels=coarse),
-        modality="CT",
-        quality={"volumes_ml": {"morphologically left ventricle": 33.0}},
-        warnings=[CaseWarning("a warning for the reader")],
+        BundleParts(grid=heart.grid, surface=replace(heart.surface, levels=coarse)),
+        [Material(label=v, youngs_modulus_kpa=30, density_kg_m3=1060) for v in heart.table.tissue_values],
+        BundleSource(geometry=heart.scan.geometry, sha256="0" * 64, modality="CT"),
+        BundleRecord(
+            name="Toy",
+            quality={"volumes_ml": {"morphologically left ventricle": 33.0}},
+            warnings=[CaseWarning("a warning for the reader")],
+        ),
     )
     path = directory / "Toy.case"
     write_bundle(path, content)

@@ -10,7 +10,13 @@ from fractions import Fraction
 import numpy as np
 
 from heartcase.pipeline.bundle.glb import glb_bytes
-from heartcase.pipeline.bundle.write_bundle import BundleContent, assemble_bundle
+from heartcase.pipeline.bundle.write_bundle import (
+    BundleContent,
+    BundleParts,
+    BundleRecord,
+    BundleSource,
+    assemble_bundle,
+)
 from heartcase.pipeline.cells.build_grid import FACE_CORNERS
 from heartcase.pipeline.cells.map_surface import map_surface
 from heartcase.pipeline.cells.picking import picking_surface
@@ -184,22 +190,25 @@ def golden_content() -> BundleContent:
     surface = _surface(grid)
     scan = _scan()
     content = assemble_bundle(
-        name=CASE_NAME,
-        case_id=CASE_ID,
-        grid=grid,
-        materials=(
+        BundleParts(
+            grid=grid,
+            surface=surface,
+            grid_map=map_surface(surface, grid, structures_of_cells(grid, inset=0.25), MapSettings()),
+            picking=picking_surface(grid),
+            glbs=[glb_bytes(surface, case_id=CASE_ID)],
+            scan=scan_part(scan),
+        ),
+        (
             Material(label=MUSCLE, youngs_modulus_kpa=30.0, density_kg_m3=1060.0),
             Material(label=WALL, youngs_modulus_kpa=75.0, density_kg_m3=1200.0),
         ),
-        scan_geometry=scan.geometry,
-        scan_sha256=scan.values_sha256,
-        stages=(StageRecord(stage="grid", version=1, settings={}, output_sha256="0" * 64),),
-        surface=surface,
-        grid_map=map_surface(surface, grid, structures_of_cells(grid, inset=0.25), MapSettings()),
-        picking=picking_surface(grid),
-        glbs=[glb_bytes(surface, case_id=CASE_ID)],
-        scan=scan_part(scan),
-        landmarks=_landmarks(grid),
+        BundleSource(geometry=scan.geometry, sha256=scan.values_sha256),
+        BundleRecord(
+            name=CASE_NAME,
+            case_id=CASE_ID,
+            stages=(StageRecord(stage="grid", version=1, settings={}, output_sha256="0" * 64),),
+            landmarks=_landmarks(grid),
+        ),
     )
     manifest = content.manifest.model_copy(update={"software_version": "golden"})
     return BundleContent(manifest, content.files)

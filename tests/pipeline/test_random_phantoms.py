@@ -12,7 +12,14 @@ import pytest
 import trimesh
 
 from heartcase.pipeline.bundle.glb import glb_bytes
-from heartcase.pipeline.bundle.write_bundle import assemble_bundle, resolve_materials, write_bundle
+from heartcase.pipeline.bundle.write_bundle import (
+    BundleParts,
+    BundleRecord,
+    BundleSource,
+    assemble_bundle,
+    resolve_materials,
+    write_bundle,
+)
 from heartcase.pipeline.cells.build_grid import build_grid
 from heartcase.pipeline.cells.map_surface import map_surface
 from heartcase.pipeline.cells.picking import picking_surface, split_faces
@@ -129,16 +136,16 @@ def test_the_case_of_it_is_sound(seed):
     heart, grid, surface, mapped = made(seed)
     geometry = heart.structures.geometry
     content = assemble_bundle(
-        name="random",
-        grid=grid,
-        materials=resolve_materials(MaterialsSettings(), grid.table),
-        scan_geometry=geometry,
-        scan_sha256="0" * 64,
-        stages=(),
-        surface=surface,
-        grid_map=mapped,
-        picking=picking_surface(grid),
-        glbs=[glb_bytes(one) for one in (surface, *surface.levels)],
+        BundleParts(
+            grid=grid,
+            surface=surface,
+            grid_map=mapped,
+            picking=picking_surface(grid),
+            glbs=[glb_bytes(one) for one in (surface, *surface.levels)],
+        ),
+        resolve_materials(MaterialsSettings(), grid.table),
+        BundleSource(geometry=geometry, sha256="0" * 64),
+        BundleRecord(name="random"),
     )
     with tempfile.TemporaryDirectory() as folder:
         write_bundle(Path(folder) / "random.case", content)

@@ -14,7 +14,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from heartcase.pipeline.bundle.glb import glb_bytes
-from heartcase.pipeline.bundle.write_bundle import assemble_bundle, write_bundle
+from heartcase.pipeline.bundle.write_bundle import (
+    BundleParts,
+    BundleRecord,
+    BundleSource,
+    assemble_bundle,
+    write_bundle,
+)
 from heartcase.pipeline.cells.map_surface import map_surface
 from heartcase.pipeline.data import Segmentation
 from heartcase.pipeline.formats.write_images import segmentation_nrrd_bytes
@@ -225,16 +231,16 @@ def test_tangents_are_those_of_the_glb_at_rest(tmp_path: Path) -> None:
         }
     )
     content = assemble_bundle(
-        name="tangents",
-        grid=grid,
-        materials=(Material(label=MYOCARDIUM, youngs_modulus_kpa=30.0, density_kg_m3=1060.0),),
-        scan_geometry=grid.geometry,
-        scan_sha256="0" * 64,
-        stages=(),
-        surface=surface,
-        grid_map=map_surface(surface, grid, structures_of_cells(grid), MapSettings()),
-        picking=picking,
-        glbs=[glb_bytes(surface)],
+        BundleParts(
+            grid=grid,
+            surface=surface,
+            grid_map=map_surface(surface, grid, structures_of_cells(grid), MapSettings()),
+            picking=picking,
+            glbs=[glb_bytes(surface)],
+        ),
+        (Material(label=MYOCARDIUM, youngs_modulus_kpa=30.0, density_kg_m3=1060.0),),
+        BundleSource(geometry=grid.geometry, sha256="0" * 64),
+        BundleRecord(name="tangents"),
     )
     write_bundle(tmp_path / "t.case", content)
     assert said(tmp_path / "t.case") == []

@@ -11,7 +11,14 @@ from hypothesis.extra import numpy as arrays_of
 from safetensors.numpy import load, load_file, save_file
 
 from heartcase.pipeline.bundle.aligned import aligned_safetensors
-from heartcase.pipeline.bundle.write_bundle import assemble_bundle, resolve_materials, write_bundle
+from heartcase.pipeline.bundle.write_bundle import (
+    BundleParts,
+    BundleRecord,
+    BundleSource,
+    assemble_bundle,
+    resolve_materials,
+    write_bundle,
+)
 from heartcase.pipeline.data import Scan
 from heartcase.pipeline.image.scan_part import scan_part
 from heartcase.schemas.bundle.check import check_bundle
@@ -242,12 +249,10 @@ def test_moments_reach_the_simulator_and_a_case_of_version_1_2_has_none(tmp_path
     moments = np.stack([a.mean(axis=0) for a in (x, y, z, x * x, y * y, z * z, y * z, x * z, x * y)], axis=1)
     moments = moments.astype(np.float32)
     content = assemble_bundle(
-        name="moments",
-        grid=dataclasses.replace(grid, cell_moments=moments),
-        materials=resolve_materials(MaterialsSettings(), grid.table),
-        scan_geometry=grid.geometry,
-        scan_sha256="0" * 64,
-        stages=(),
+        BundleParts(grid=dataclasses.replace(grid, cell_moments=moments)),
+        resolve_materials(MaterialsSettings(), grid.table),
+        BundleSource(geometry=grid.geometry, sha256="0" * 64),
+        BundleRecord(name="moments"),
     )
     case = tmp_path / "moments.case"
     write_bundle(case, content)

@@ -86,6 +86,27 @@ def starter_recipe(
     modality: str,
 ) -> str:
     """Text of a commented recipe for a scan with this centre and extent (mm, LPS), read with this choice."""
+    parts = (
+        _scan_part(name, scan_path, choice, center_mm, extent_mm, modality),
+        _marker_part(center_mm, extent_mm),
+        _anatomy_part(center_mm),
+        _wall_part(center_mm),
+        _model_part(center_mm),
+        "# The labels. wall_thickness_mm grows a wall around a cavity whose own wall the scan does not show.\n",
+        _label_lines(default_label_table()),
+    )
+    return "".join(parts)
+
+
+def _scan_part(
+    name: str,
+    scan_path: str,
+    choice: dict[str, Any],
+    center_mm: tuple[float, ...],
+    extent_mm: tuple[float, ...],
+    modality: str,
+) -> str:
+    """What the case is called, what it holds, and which scan it is made from."""
     choice_lines = "".join(f"{key} = {toml_value(value)}\n" for key, value in choice.items())
     modality_line = "" if modality in ("CT", "MR") else '# modality = "MR"   # or "CT": the file does not say it\n'
     return f"""\
@@ -108,6 +129,12 @@ path = {toml_string(scan_path)}   # relative to this file; write folders with /
 # center_mm = {list(center_mm)}
 # size_mm = {[min(v, 150.0) for v in extent_mm]}
 
+"""
+
+
+def _marker_part(center_mm: tuple[float, ...], extent_mm: tuple[float, ...]) -> str:
+    """How the scan is smoothed and segmented, and the markers."""
+    return f"""\
 [filter]
 iterations = 5          # more smooths more
 # conductance = 1.0     # lower keeps weaker edges; left out, it follows from the scan's own noise
@@ -147,6 +174,12 @@ points_mm = [{[round(center_mm[0] - 0.45 * extent_mm[0], 1), *center_mm[1:]]}]  
 # radius_mm = 2.0
 # points_mm = [{list(center_mm)}]
 
+"""
+
+
+def _anatomy_part(center_mm: tuple[float, ...]) -> str:
+    """Ends of vessels, edits and landmarks."""
+    return f"""\
 # NEEDED for every vessel that ends inside the scan: where it is cut open. Without it the vessel becomes a closed sac.
 # The program finds the ends when [walls] below says find_ends = true; look at them in the report. Or let
 #   heartcase suggest THIS_FILE --ends --write
@@ -175,6 +208,12 @@ points_mm = [{[round(center_mm[0] - 0.45 * extent_mm[0], 1), *center_mm[1:]]}]  
 # kind = "point"
 # points_mm = [{list(center_mm)}]
 
+"""
+
+
+def _wall_part(center_mm: tuple[float, ...]) -> str:
+    """Walls that the scan does not show."""
+    return f"""\
 # Where the outlines of two cavities touch that a heart does not join (the atria, an artery and an atrium, ...), a wall
 # is grown between them. A hole that the patient has there must be told: by a landmark named "... defect", by a stroke
 # of each of the two that run into each other in it, or by an edit septal_defect.
@@ -194,6 +233,12 @@ septa = "grown"          # or "as segmented": no such wall
 # points_mm = [{list(center_mm)}, {[*center_mm[:2], round(center_mm[2] + 20.0, 1)]}]
 # thickness_mm = [2.0, 1.5]
 
+"""
+
+
+def _model_part(center_mm: tuple[float, ...]) -> str:
+    """The simulation grid, the surface, the materials and what is held."""
+    return f"""\
 [grid]
 node_count = 30000       # or cell_mm = 2.5
 
@@ -210,5 +255,4 @@ density_kg_m3 = 1060.0
 # position_mm = {list(center_mm)}
 # radius_mm = 10.0
 
-# The labels. wall_thickness_mm grows a wall around a cavity whose own wall the scan does not show.
-{_label_lines(default_label_table())}"""
+"""

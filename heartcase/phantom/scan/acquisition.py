@@ -125,18 +125,14 @@ def acquire_mri(
 
     Parameters
     ----------
-    phantom
-        The heart.
-    geometry
-        Lattice of the scan.
+    phantom, geometry, supersampling
+        As in :func:`noise_free`.
     contrast_to_noise
         (blood - myocardium) / sigma; 14.5 is sigma 40 where blood is 1000. Infinity makes no noise.
     bias
         Largest relative deviation of the receiver's sensitivity in the scan, a quadratic field.
     seed
         Seed of the noise and of the bias field.
-    supersampling
-        Points per voxel and axis where a voxel may hold a border.
     signal
         What :func:`noise_free` gives for the same phantom, lattice and ``MRI_UNITS``, where it is at hand; not changed.
     artefacts
@@ -185,23 +181,17 @@ def acquire_ct(
 
     Parameters
     ----------
-    phantom
-        The heart.
-    geometry
-        Lattice of the scan.
+    phantom, geometry, supersampling, slice_thickness_mm, in_air
+        As in :func:`noise_free`.
     contrast_to_noise
         (blood - myocardium) / sigma without sign; 8 is sigma 30 HU (137 HU in a specimen). Infinity makes no noise.
     seed
         Seed of the noise.
-    supersampling
-        Points per voxel and axis where a voxel may hold a border.
     signal
         What :func:`noise_free` gives for the same phantom, lattice, units (with ``caval_hu`` as an eighth) and slice
         thickness, where it is at hand; not changed.
     units
         Hounsfield units per tissue: ``CT_UNITS``, or ``SPECIMEN_UNITS`` for a plastinated heart.
-    slice_thickness_mm, in_air
-        As in :func:`noise_free`.
     artefacts
         Texture and streaks; None is white noise without streaks.
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from heartcase.pipeline.artifacts.cache import Cache
 from heartcase.pipeline.build.runner import BuildListener, Runner, SilentListener, run_stages
-from heartcase.pipeline.build.session_file import with_tables
+from heartcase.pipeline.build.session_file import write_with_tables
 from heartcase.pipeline.data import Segmentation, VesselEnd
 from heartcase.pipeline.ends.cut_ends import cut_ends
 from heartcase.pipeline.ends.discs import Stumps, end_marker
@@ -15,7 +15,6 @@ from heartcase.pipeline.ends.find_ends import find_ends
 from heartcase.pipeline.stages.resolve import resolve_recipe
 from heartcase.pipeline.stages.stage import Work, have
 from heartcase.schemas.errors import Problem, RecipeError, StageError
-from heartcase.schemas.files import atomic_write
 from heartcase.schemas.labels import LabelTable
 from heartcase.schemas.recipe.recipe import Recipe, parse_recipe, read_recipe_text
 from heartcase.schemas.toml import toml_text
@@ -60,11 +59,8 @@ class ProposedEnds:
         if read_recipe_text(self.path) != self.text:
             raise RecipeError("the recipe was changed by another program meanwhile: try again", place="recipe")
         advice = 'remove ends = "automatic", or write its ends as [[ends]] tables instead of ends = [...]'
-        text = with_tables(self.text, f"\n# Vessel ends that were found.\n{self.toml}", place="ends", advice=advice)
-        try:
-            atomic_write(self.path, text.encode("utf-8"))
-        except OSError as error:
-            raise RecipeError(f"cannot be written: {error.strerror}", place="recipe") from None
+        addition = f"\n# Vessel ends that were found.\n{self.toml}"
+        write_with_tables(self.path, self.text, addition, place="ends", advice=advice)
         return sum(not end.is_open for end in self.ends)
 
 

@@ -158,25 +158,27 @@ def _finish(runner: Runner, work: Work, out: Path) -> BuildResult:
 
 def _report(runner: Runner, work: Work, assembled: AssembledCase) -> str:
     """The page about an assembled case."""
-    from heartcase.pipeline.report.build_report import build_report
+    from heartcase.pipeline.report.build_report import ReportInputs, build_report
 
     outputs = work.outputs
     return build_report(
-        sureness=_sureness(work),
-        recipe=work.recipe,
-        scan=have(outputs.scan).get(),
-        segmentation=have(outputs.segmentation).get(),
-        structures=have(outputs.structures).get(),
-        grid=have(outputs.grid).get(),
-        surface=assembled.surface,
-        grid_map=outputs.grid_map.get() if outputs.grid_map else None,
-        volumes_ml=assembled.volumes_ml,
-        openings=assembled.openings,
-        timings_s=runner.seconds,
-        stages=work.records,
-        warnings=assembled.warnings,
-        case_id=work.recipe.case_id,
-        bundle_sha256=assembled.content.sha256,
+        ReportInputs(
+            sureness=_sureness(work),
+            recipe=work.recipe,
+            scan=have(outputs.scan).get(),
+            segmentation=have(outputs.segmentation).get(),
+            structures=have(outputs.structures).get(),
+            grid=have(outputs.grid).get(),
+            surface=assembled.surface,
+            grid_map=outputs.grid_map.get() if outputs.grid_map else None,
+            volumes_ml=assembled.volumes_ml,
+            openings=assembled.openings,
+            timings_s=runner.seconds,
+            stages=work.records,
+            warnings=assembled.warnings,
+            case_id=work.recipe.case_id,
+            bundle_sha256=assembled.content.sha256,
+        )
     )
 
 

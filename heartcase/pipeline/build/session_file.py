@@ -19,7 +19,7 @@ from heartcase.schemas.recipe.recipe import Recipe, parse_recipe, read_recipe_te
 from heartcase.schemas.recipe.settings import Stroke
 from heartcase.schemas.toml import toml_text
 
-__all__ = ["RecipeSession", "open_session", "with_tables"]
+__all__ = ["RecipeSession", "open_session", "write_with_tables"]
 
 
 @dataclass
@@ -71,11 +71,8 @@ class RecipeSession:
         if path.exists() and path.resolve() not in {self.path.resolve(), *self.copies}:
             raise RecipeError(f"{path.name} is there already and is not replaced: choose another name", place="save_as")
         advice = "write its strokes as [[strokes]] tables instead of strokes = [...]"
-        text = with_tables(self.opened_text, _strokes_text(self.session.strokes), place="strokes", advice=advice)
-        try:
-            atomic_write(path, text.encode("utf-8"))
-        except OSError as error:
-            raise RecipeError(f"cannot be written: {error.strerror}", place="recipe") from None
+        strokes = _strokes_text(self.session.strokes)
+        text = write_with_tables(path, self.opened_text, strokes, place="strokes", advice=advice)
         if path == self.path:
             self.written_text = text
         self.copies.add(path.resolve())
@@ -134,19 +131,24 @@ def open_session(
     return RecipeSession(session, recipe, path, text, text)
 
 
-def with_tables(text: str, addition: str, *, place: str, advice: str) -> str:
-    """A recipe's text with tables added at its end.
+def write_with_tables(path: Path, text: str, addition: str, *, place: str, advice: str) -> str:
+    """Write a recipe's text with tables added at its end, and return it.
 
     Raises
     ------
     RecipeError
-        At ``place``, with the ``advice``: what comes out is no recipe, as where it has the same as one array.
+        At ``place``, with the ``advice``: what comes out is no recipe, as where it has the same as one array. Or the
+        file cannot be written.
     """
     whole = (text if text.endswith("\n") or not addition else f"{text}\n") + addition
     try:
         parse_recipe(whole, needs_markers=False)
     except RecipeError:
         raise RecipeError(f"{place} cannot be added at the end of this recipe: {advice}", place=place) from None
+    try:
+        atomic_write(path, whole.encode("utf-8"))
+    except OSError as error:
+        raise RecipeError(f"cannot be written: {error.strerror}", place="recipe") from None
     return whole
 
 

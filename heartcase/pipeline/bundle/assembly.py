@@ -12,9 +12,21 @@ from typing import Any
 
 import numpy as np
 
-from heartcase.pipeline.bundle.write_bundle import BundleContent, assemble_bundle, resolve_materials
+from heartcase.pipeline.bundle.write_bundle import (
+    BundleContent,
+    BundleParts,
+    BundleRecord,
+    BundleSource,
+    assemble_bundle,
+    resolve_materials,
+)
 from heartcase.pipeline.checks.cut_faces import cut_warnings, voxel_warnings
-from heartcase.pipeline.checks.openings import Opening, find_openings, opening_figures, opening_warnings
+from heartcase.pipeline.checks.openings import (
+    Opening,
+    find_openings,
+    opening_figures,
+    opening_warnings,
+)
 from heartcase.pipeline.data import GridMap, Markers, Scan, Segmentation, SimulationGrid, Structures, Surface
 from heartcase.pipeline.warnings import CaseWarning, worst_first
 from heartcase.schemas.bundle.format import StageRecord
@@ -191,26 +203,29 @@ def assemble_case(recipe: Recipe, results: StageResults, *, name: str, case_id: 
     told["surface"] = surface.warnings if surface is not None else ()
     warnings = worst_first(*(told.get(source, ()) for source in SOURCES))
     content = assemble_bundle(
-        name=name,
-        case_id=case_id,
-        grid=grid,
-        materials=resolve_materials(recipe.materials, grid.table),
-        scan_geometry=scan.geometry,
-        scan_sha256=scan.values_sha256,
-        stages=results.stages,
-        surface=surface,
-        grid_map=grid_map,
-        picking=picking_surface(grid) if Part.PICKING in recipe.parts else None,
-        glbs=[glb_bytes(one, case_id=case_id) for one in shown] if Part.RENDER in recipe.parts else (),
-        labels_nrrd=segmentation_nrrd_bytes(labels, case_id=case_id)
-        if labels and Part.LABELS in recipe.parts
-        else None,
-        scan=scan_part(filtered) if filtered is not None and Part.SCAN in recipe.parts else None,
-        landmarks=recipe.landmarks,
-        about=recipe.about,
-        modality=scan.modality,
-        acquisition=scan.acquisition,
-        quality=quality,
-        warnings=warnings,
+        BundleParts(
+            grid=grid,
+            surface=surface,
+            grid_map=grid_map,
+            picking=picking_surface(grid) if Part.PICKING in recipe.parts else None,
+            glbs=[glb_bytes(one, case_id=case_id) for one in shown] if Part.RENDER in recipe.parts else (),
+            labels_nrrd=segmentation_nrrd_bytes(labels, case_id=case_id)
+            if labels and Part.LABELS in recipe.parts
+            else None,
+            scan=scan_part(filtered) if filtered is not None and Part.SCAN in recipe.parts else None,
+        ),
+        resolve_materials(recipe.materials, grid.table),
+        BundleSource(
+            geometry=scan.geometry, sha256=scan.values_sha256, modality=scan.modality, acquisition=scan.acquisition
+        ),
+        BundleRecord(
+            name=name,
+            case_id=case_id,
+            stages=results.stages,
+            landmarks=recipe.landmarks,
+            about=recipe.about,
+            quality=quality,
+            warnings=warnings,
+        ),
     )
     return AssembledCase(content, warnings, surface, volumes_ml, openings)

@@ -12,7 +12,7 @@ import json
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +49,9 @@ from heartcase.schemas.recipe.settings import MaterialsSettings
 
 __all__ = [
     "BundleContent",
+    "BundleParts",
+    "BundleRecord",
+    "BundleSource",
     "assemble_bundle",
     "check_place",
     "check_replacement",
@@ -100,8 +103,7 @@ def simulation_figures(grid: SimulationGrid, materials: Sequence[Material]) -> S
     """Counts and step sizes of a case.
 
     A cell's largest squared frequency is 20 k/m with k = 0.4 E h and m = density h^3 (both scale with coverage), so
-    it is 8 E / (density h^2); the default step keeps a margin for stretched springs, 24 k/m, and takes 0.8 of it
-    (DESIGN.md, The simulation model).
+    it is 8 E / (density h^2); the default step keeps a margin for stretched springs, 24 k/m, and takes 0.8 of it.
     """
     cell_m = grid.geometry.spacing_mm[0] * 1e-3
     used = set(np.unique(grid.cell_label).tolist())
@@ -120,64 +122,131 @@ def simulation_figures(grid: SimulationGrid, materials: Sequence[Material]) -> S
     )
 
 
+@dataclass(frozen=True)
+class BundleParts:
+    """The parts of a case. Those that are None are left out, and levels of detail beyond the format's."""
+
+    grid: SimulationGrid
+    """The simulation grid, and the table of the labels."""
+    surface: Surface | None = None
+    """The visible surface, with its levels of detail."""
+    grid_map: GridMap | None = None
+    """What ties it to the grid, with the same levels."""
+    picking: PickingSurface | None = None
+    """The surface of the grid itself."""
+    glbs: Sequence[bytes] = ()
+    """Whole GLB files, one for each level of detail, from fine to coarse; none where nobody wants them."""
+    labels_nrrd: bytes | None = None
+    """A whole file of the labels."""
+    scan: ScanPart | None = None
+    """The scan's values."""
+
+
+@dataclass(frozen=True)
+class BundleSource:
+    """The scan that a case was made from, without identity."""
+
+    geometry: Geometry
+    """Where the voxel centres lie."""
+    sha256: str
+    """Of the values, as :attr:`heartcase.pipeline.data.Scan.values_sha256`."""
+    modality: str = "unknown"
+    """``MR``, ``CT`` or ``unknown``."""
+    acquisition: Mapping[str, Any] = field(default_factory=dict)
+    """Physics of the acquisition."""
+
+
+@dataclass(frozen=True)
+class BundleRecord:
+    """What the manifest says of a case beside its parts; as in :class:`CaseManifest`."""
+
+    name: str
+    """Name of the case."""
+    case_id: str | None = None
+    """Made-up identifier of the case."""
+    stages: Sequence[StageRecord] = ()
+    """Provenance, in the order of the stages."""
+    landmarks: Sequence[Landmark] = ()
+    """Named points of the anatomy."""
+    about: About | None = None
+    """Diagnoses, and for whom the case is meant."""
+    quality: Mapping[str, Any] = field(default_factory=dict)
+    """Figures that the stages measured."""
+    warnings: Sequence[CaseWarning] = ()
+    """The worst first."""
+
+
 def assemble_bundle(
-    *,
-    name: str,
-    case_id: str | None = None,
-    grid: SimulationGrid,
-    materials: Sequence[Material],
-    scan_geometry: Geometry,
-    scan_sha256: str,
-    stages: Sequence[StageRecord],
-    surface: Surface | None = None,
-    grid_map: GridMap | None = None,
-    picking: PickingSurface | None = None,
-    glbs: Sequence[bytes] = (),
-    labels_nrrd: bytes | None = None,
-    scan: ScanPart | None = None,
-    landmarks: Sequence[Landmark] = (),
-    about: About | None = None,
-    modality: str = "unknown",
-    acquisition: Mapping[str, Any] | None = None,
-    quality: Mapping[str, Any] | None = None,
-    warnings: Sequence[CaseWarning] = (),
+    parts: BundleParts, materials: Sequence[Material], source: BundleSource, record: BundleRecord
 ) -> BundleContent:
     """Put a case together in memory.
 
     Parameters
     ----------
-    name
-        Name of the case.
-    case_id
-        Made-up identifier of the case.
-    grid, surface, grid_map, picking, labels_nrrd, scan
-        The parts; those that are None are left out, and levels of detail beyond the format's. ``labels_nrrd`` is a
-        whole file.
-    glbs
-        Whole files, one for each level of detail, from fine to coarse; none where nobody wants them.
+    parts
+        What the case holds.
     materials
         Elastic constants of every tissue label.
-    scan_geometry, scan_sha256, modality, acquisition
-        About the scan, without identity.
-    stages
-        Provenance.
-    landmarks, about, quality
-        As in :class:`CaseManifest`.
-    warnings
-        The worst first.
+    source
+        Where it comes from.
+    record
+        What is said of it.
 
     Raises
     ------
     BundleError
         An array has not the type or shape that the format states, or a value is not finite.
     """
+    arrays = _arrays_of(parts, materials)
+    aligned = {role: _checked_file(role, named) for role, named in arrays.items()}
+    contents = {role: file.content for role, file in aligned.items()}
+    contents |= {FileRole.RENDER.at(level): glb for level, glb in enumerate(parts.glbs[: LEVEL_MAX + 1])}
+    if parts.labels_nrrd is not None:
+        contents[FileRole.LABELS] = parts.labels_nrrd
+    files: dict[str, bytes] = {}
+    entries = []
+    for role, content in contents.items():
+        digest = hashlib.sha256(content).hexdigest()
+        file_name = f"{role.value}-{digest[:16]}{_SUFFIX.get(role, '.safetensors')}"
+        files[file_name] = content
+        listed = _listed(role, arrays[role], aligned[role]) if role in aligned else ()
+        entries.append(FileEntry(role=role, name=file_name, size=len(content), sha256=digest, arrays=listed))
+    has_septa = any(label.septum_of is not None for label in parts.grid.table)
+    manifest = CaseManifest(
+        format_version=FORMAT_VERSION if has_septa else VERSION_WITHOUT_SEPTA,
+        name=record.name,
+        case_id=record.case_id,
+        scan_geometry=source.geometry,
+        scan_values=parts.scan.values if parts.scan else None,
+        grid_geometry=parts.grid.geometry,
+        labels=parts.grid.table,
+        materials=tuple(materials),
+        landmarks=tuple(record.landmarks),
+        about=record.about,
+        simulation=simulation_figures(parts.grid, materials),
+        software_version=__version__,
+        scan_sha256=source.sha256,
+        modality=source.modality,
+        acquisition=dict(source.acquisition),
+        stages=tuple(record.stages),
+        quality=dict(record.quality),
+        warnings=tuple(warning.text for warning in record.warnings),
+        warning_grades=tuple(warning.severity.grade for warning in record.warnings),
+        files=tuple(entries),
+    )
+    return BundleContent(manifest, files)
+
+
+def _arrays_of(parts: BundleParts, materials: Sequence[Material]) -> dict[FileRole, dict[str, npt.NDArray[Any]]]:
+    """The arrays of each file that holds some, by the names that the format gives them."""
+    grid, surface, grid_map = parts.grid, parts.surface, parts.grid_map
     constants = {material.label: material for material in materials}
     stiffness = np.zeros(256, np.float32)
     density = np.zeros(256, np.float32)
     for label, material in constants.items():
         stiffness[label] = material.youngs_modulus_kpa
         density[label] = material.density_kg_m3
-    parts: dict[FileRole, dict[str, npt.NDArray[Any]]] = {
+    arrays: dict[FileRole, dict[str, npt.NDArray[Any]]] = {
         FileRole.GRID: {
             "cells": grid.cells,
             "cell_coverage": grid.cell_coverage,
@@ -192,52 +261,18 @@ def assemble_bundle(
     for level, one in enumerate((surface, *surface.levels)[: LEVEL_MAX + 1] if surface else ()):
         names = ("normals", "triangles", "triangle_label", "triangle_tissue", "triangle_is_cut", "triangle_kind")
         part = {item: getattr(one, item) for item in (*names, "vertex_label", "render_to_welded")}
-        parts[FileRole.SURFACE.at(level)] = part | {"vertices": one.vertices_mm}
+        arrays[FileRole.SURFACE.at(level)] = part | {"vertices": one.vertices_mm}
     for level, tie in enumerate((grid_map, *grid_map.levels)[: LEVEL_MAX + 1] if grid_map else ()):
         names = ("triangle_nodes", "weights", "normal", "curvature", "tangent", "nearest_node")
         part = {item: getattr(tie, item) for item in names}
-        parts[FileRole.MAPPING.at(level)] = part | {"offset": tie.offset_mm}
-    if picking is not None:
-        parts[FileRole.PICKING] = {item: getattr(picking, item) for item in ("nodes", "triangles", "triangle_label")}
-    if scan is not None:
-        parts[FileRole.SCAN] = {"intensity": scan.intensity}
-    aligned = {role: _checked_file(role, arrays) for role, arrays in parts.items()}
-    contents = {role: file.content for role, file in aligned.items()}
-    contents |= {FileRole.RENDER.at(level): glb for level, glb in enumerate(glbs[: LEVEL_MAX + 1])}
-    if labels_nrrd is not None:
-        contents[FileRole.LABELS] = labels_nrrd
-    files: dict[str, bytes] = {}
-    entries = []
-    for role, content in contents.items():
-        digest = hashlib.sha256(content).hexdigest()
-        file_name = f"{role.value}-{digest[:16]}{_SUFFIX.get(role, '.safetensors')}"
-        files[file_name] = content
-        listed = _listed(role, parts[role], aligned[role]) if role in aligned else ()
-        entries.append(FileEntry(role=role, name=file_name, size=len(content), sha256=digest, arrays=listed))
-    has_septa = any(label.septum_of is not None for label in grid.table)
-    manifest = CaseManifest(
-        format_version=FORMAT_VERSION if has_septa else VERSION_WITHOUT_SEPTA,
-        name=name,
-        case_id=case_id,
-        scan_geometry=scan_geometry,
-        scan_values=scan.values if scan else None,
-        grid_geometry=grid.geometry,
-        labels=grid.table,
-        materials=tuple(materials),
-        landmarks=tuple(landmarks),
-        about=about,
-        simulation=simulation_figures(grid, materials),
-        software_version=__version__,
-        scan_sha256=scan_sha256,
-        modality=modality,
-        acquisition=dict(acquisition or {}),
-        stages=tuple(stages),
-        quality=dict(quality or {}),
-        warnings=tuple(warning.text for warning in warnings),
-        warning_grades=tuple(warning.severity.grade for warning in warnings),
-        files=tuple(entries),
-    )
-    return BundleContent(manifest, files)
+        arrays[FileRole.MAPPING.at(level)] = part | {"offset": tie.offset_mm}
+    if parts.picking is not None:
+        arrays[FileRole.PICKING] = {
+            item: getattr(parts.picking, item) for item in ("nodes", "triangles", "triangle_label")
+        }
+    if parts.scan is not None:
+        arrays[FileRole.SCAN] = {"intensity": parts.scan.intensity}
+    return arrays
 
 
 def _checked_file(role: FileRole, arrays: Mapping[str, npt.NDArray[Any]]) -> AlignedFile:

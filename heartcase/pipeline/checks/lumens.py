@@ -17,6 +17,7 @@ import numpy as np
 from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.kernels.feature_transform import distance_to_marked
+from heartcase.pipeline.kernels.union_find import root_of
 from heartcase.schemas.arrays import Bool, Float32, Float64, Int64, UInt8
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable
@@ -110,14 +111,6 @@ def _box_of(mask: Bool) -> tuple[Int64, Int64]:
     return low, high
 
 
-@copied
-def _root(parent, at):
-    while parent[at] != at:
-        parent[at] = parent[parent[at]]
-        at = parent[at]
-    return at
-
-
 @kernel
 def _saddles(depth, order, spacing, wider, least, count_min):
     """Rows of voxel (k, j, i), depth and way (z, y, x, mm) from one side to the other of each significant saddle."""
@@ -140,7 +133,7 @@ def _saddles(depth, order, spacing, wider, least, count_min):
                     other = (kk * ny + jj) * nx + ii
                     if other == at or parent[other] < 0:
                         continue
-                    root = _root(parent, other)
+                    root = root_of(parent, other)
                     is_new = True
                     for m in range(root_count):
                         is_new = is_new and roots[m] != root
@@ -187,7 +180,7 @@ def _way_between(parent, one, other, k, j, i, shape, spacing, width, way):
                 at = (kk * ny + jj) * nx + ii
                 if parent[at] < 0:
                     continue
-                root = _root(parent, at)
+                root = root_of(parent, at)
                 if root != one and root != other:
                     continue
                 side = 0 if root == one else 1

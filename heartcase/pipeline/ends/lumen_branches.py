@@ -16,6 +16,7 @@ import edt
 import numpy as np
 
 from heartcase.compiling.kernel import kernel
+from heartcase.pipeline.kernels.union_find import root_of
 from heartcase.schemas.arrays import Bool, Float64, Int64
 
 __all__ = ["Branch", "find_branches", "way_within"]
@@ -191,14 +192,6 @@ def find_branches(mask: Bool, spacing_mm: tuple[float, float, float], sources: B
 
 
 @kernel
-def _root(parent, voxel):
-    while parent[voxel] != voxel:
-        parent[voxel] = parent[parent[voxel]]
-        voxel = parent[voxel]
-    return voxel
-
-
-@kernel
 def _merge(order, way, width, around, least_mm, share):
     """Where branches meet: the tips of the one that lives on and of the other, the way there; and the tips at the end.
 
@@ -218,7 +211,7 @@ def _merge(order, way, width, around, least_mm, share):
             beside = voxel + step
             if parent[beside] < 0:
                 continue
-            one, other = _root(parent, voxel), _root(parent, beside)
+            one, other = root_of(parent, voxel), root_of(parent, beside)
             if one == other:
                 continue
             # the higher peak lives on; of two that are as high the one that comes first
@@ -237,7 +230,7 @@ def _merge(order, way, width, around, least_mm, share):
     last = [np.int64(0) for _ in range(0)]
     seen = np.zeros(len(way), np.bool_)
     for n in range(len(order)):
-        root = _root(parent, order[n])
+        root = root_of(parent, order[n])
         if not seen[root]:
             seen[root] = True
             last.append(peak[root])

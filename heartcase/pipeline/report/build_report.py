@@ -36,6 +36,7 @@ __all__ = [
     "VERDICT_WORDS",
     "OpeningRow",
     "ReportData",
+    "ReportInputs",
     "SeptumRow",
     "StageRow",
     "StructureRow",
@@ -195,6 +196,42 @@ class ReportData:
     """Time of all stages, s."""
 
 
+@dataclass(frozen=True)
+class ReportInputs:
+    """What a report is made from."""
+
+    recipe: Recipe
+    """What was asked for."""
+    scan: Scan
+    """The scan as it was read, cropped to the region of interest."""
+    segmentation: Segmentation
+    """The labels before walls were grown; drawn where the fields lie on another lattice than the scan."""
+    structures: Structures
+    """The fields after edits: what is drawn over the scan's slices."""
+    grid: SimulationGrid
+    """The simulation grid."""
+    surface: Surface | None
+    """The visible surface; None where the recipe does not want it."""
+    grid_map: GridMap | None
+    """What ties it to the grid; likewise."""
+    volumes_ml: Mapping[int, float]
+    """Label value -> volume, ml."""
+    timings_s: Mapping[str, float]
+    """Stage -> seconds."""
+    stages: Sequence[StageRecord]
+    """Provenance of the stages, in order."""
+    warnings: Sequence[CaseWarning]
+    """In any order."""
+    case_id: str | None = None
+    """Made-up identifier of the case."""
+    bundle_sha256: str = ""
+    """The bundle hash of the case."""
+    openings: Sequence[Opening] = ()
+    """Where cavities are open to each other, the worst first."""
+    sureness: Sureness | None = None
+    """How sure the segmentation is; None where it was not made by watershed."""
+
+
 def render_report(data: ReportData) -> str:
     """Write the page: a whole HTML document that needs nothing beside it."""
     import jinja2
@@ -209,60 +246,16 @@ def render_report(data: ReportData) -> str:
     return environment.get_template("report.html.j2").render(data=data)
 
 
-def build_report(
-    *,
-    recipe: Recipe,
-    scan: Scan,
-    segmentation: Segmentation,
-    structures: Structures,
-    grid: SimulationGrid,
-    surface: Surface | None,
-    grid_map: GridMap | None,
-    volumes_ml: Mapping[int, float],
-    timings_s: Mapping[str, float],
-    stages: Sequence[StageRecord],
-    warnings: Sequence[CaseWarning],
-    case_id: str | None = None,
-    bundle_sha256: str = "",
-    openings: Sequence[Opening] = (),
-    sureness: Sureness | None = None,
-) -> str:
+def build_report(inputs: ReportInputs) -> str:
     """Draw the pictures of a case and write its report.
-
-    Parameters
-    ----------
-    recipe
-        What was asked for.
-    scan
-        The scan as it was read, cropped to the region of interest.
-    segmentation
-        The labels before walls were grown; drawn where the fields lie on another lattice than the scan.
-    structures
-        The fields after edits: what is drawn over the scan's slices.
-    grid, surface, grid_map
-        Outputs of the stages; the last two None where the recipe does not want them.
-    volumes_ml
-        Label value -> volume, ml.
-    timings_s
-        Stage -> seconds.
-    stages
-        Provenance of the stages, in order.
-    warnings
-        In any order.
-    case_id
-        Made-up identifier of the case.
-    bundle_sha256
-        The bundle hash of the case.
-    openings
-        Where cavities are open to each other, the worst first.
-    sureness
-        How sure the segmentation is; None where it was not made by watershed.
 
     Returns
     -------
     str
         A whole HTML document.
     """
+    recipe, scan, segmentation, structures = inputs.recipe, inputs.scan, inputs.segmentation, inputs.structures
+    grid, surface, grid_map, volumes_ml = inputs.grid, inputs.surface, inputs.grid_map, inputs.volumes_ml
     table = structures.table
     rows = [
         StructureRow(label.name, label.colour, _ROLE_WORDS[label.role], volumes_ml[label.value])
@@ -281,13 +274,13 @@ def build_report(
     return render_report(
         ReportData(
             case_name=recipe.name,
-            case_id=case_id,
-            bundle_sha256=bundle_sha256,
-            warnings=grouped(warnings),
+            case_id=inputs.case_id,
+            bundle_sha256=inputs.bundle_sha256,
+            warnings=grouped(inputs.warnings),
             key_facts=_key_facts(grid, surface, scan, totals),
             scan_facts=_scan_facts(recipe, scan),
             slices=slice_parts(scan, segmentation, structures),
-            confidence=confidence_part(scan, segmentation, sureness) if sureness is not None else None,
+            confidence=confidence_part(scan, segmentation, inputs.sureness) if inputs.sureness is not None else None,
             sides=shown.sides,
             views=shown.views,
             without_short_axis=shown.without_short_axis,
@@ -295,13 +288,13 @@ def build_report(
             thickness_rows=shown.thickness_rows,
             structures=rows,
             totals=list(totals.items()),
-            openings=[_opening_row(one) for one in openings],
+            openings=[_opening_row(one) for one in inputs.openings],
             ends=ends_part(scan, structures),
             septa=[_septum_row(one) for one in structures.quality.get("septa", ())],
             quality={title: facts for title, facts in quality.items() if facts},
             hand_work=hand_work_facts(recipe, scan),
-            stages=_stage_rows(stages, timings_s),
-            total_s=sum(timings_s.values()),
+            stages=_stage_rows(inputs.stages, inputs.timings_s),
+            total_s=sum(inputs.timings_s.values()),
         )
     )
 

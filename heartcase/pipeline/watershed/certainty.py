@@ -26,6 +26,7 @@ import numpy as np
 
 from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel
+from heartcase.pipeline.kernels.union_find import root_of
 from heartcase.pipeline.watershed.descent import row_chunks, side_offsets
 from heartcase.pipeline.watershed.forest import Forest
 from heartcase.pipeline.watershed.marks import UNMARKED, mark_below
@@ -128,14 +129,6 @@ def _find_lowest_rivals(bits, basin, marks, voxels, lowest_mark, lowest_rival):
 
 
 @copied
-def _top(parent, b):
-    while parent[b] != b:
-        parent[b] = parent[parent[b]]
-        b = parent[b]
-    return b
-
-
-@copied
 def _give(foot, height, rivals, following, foot_label, other, rival):
     """Give a height to a ring of feet, and the first label that is not their own."""
     at = foot
@@ -175,7 +168,7 @@ def _find_others(landscape, faces, lowest_mark, lowest_rival, foot_label):
         height = np.int32(key[e] >> 32) if e < len(key) else INFINITE_BITS
         while at < len(order) and bits[mark[order[at]]] <= height:
             v = mark[order[at]]
-            a = _top(parent, owner[order[at]])
+            a = root_of(parent, owner[order[at]])
             at += 1
             if one_label[a] == UNMARKED:
                 one_label[a] = marks[v]
@@ -185,8 +178,8 @@ def _find_others(landscape, faces, lowest_mark, lowest_rival, foot_label):
                 waiting[a] = NOBODY
         if e == len(key):
             break
-        a = _top(parent, first[e])
-        b = _top(parent, second[e])
+        a = root_of(parent, first[e])
+        b = root_of(parent, second[e])
         one = one_label[a] if one_label[a] != UNMARKED else one_label[b]
         two = two_label[a] if two_label[a] != UNMARKED else two_label[b]
         if two == UNMARKED and one_label[b] != UNMARKED and one_label[b] != one:

@@ -137,6 +137,17 @@ def _row_directions(row, zm, ym, yp, zp, out):
         out[last] = _lowest_side(zm[last], ym[last], row[last - 1], row[last], wall, yp[last], zp[last])
 
 
+@kernel(inline="always")
+def _rows_around(height, wall, k, j):
+    """The rows beside a row, at z - 1, y - 1, y + 1 and z + 1: ``wall`` where the volume ends."""
+    nz, ny, _ = height.shape
+    zm = height[k - 1, j] if k > 0 else wall
+    ym = height[k, j - 1] if j > 0 else wall
+    yp = height[k, j + 1] if j < ny - 1 else wall
+    zp = height[k + 1, j] if k < nz - 1 else wall
+    return zm, ym, yp, zp
+
+
 @kernel(parallel=True)
 def _directions(height, direction):
     nz, ny, nx = height.shape
@@ -144,10 +155,7 @@ def _directions(height, direction):
     for line in numba.prange(nz * ny):
         k = line // ny
         j = line - k * ny
-        zm = height[k - 1, j] if k > 0 else wall
-        ym = height[k, j - 1] if j > 0 else wall
-        yp = height[k, j + 1] if j < ny - 1 else wall
-        zp = height[k + 1, j] if k < nz - 1 else wall
+        zm, ym, yp, zp = _rows_around(height, wall, k, j)
         _row_directions(height[k, j], zm, ym, yp, zp, direction[k, j])
 
 
@@ -196,10 +204,7 @@ def _ranks(height, ranks):
     for line in numba.prange(nz * ny):
         k = line // ny
         j = line - k * ny
-        zm = height[k - 1, j] if k > 0 else wall
-        ym = height[k, j - 1] if j > 0 else wall
-        yp = height[k, j + 1] if j < ny - 1 else wall
-        zp = height[k + 1, j] if k < nz - 1 else wall
+        zm, ym, yp, zp = _rows_around(height, wall, k, j)
         _row_ranks(height[k, j], zm, ym, yp, zp, ranks[k, j])
 
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel
+from heartcase.pipeline.kernels.union_find import root_of
 from heartcase.pipeline.watershed.descent import side_offsets
 from heartcase.schemas.arrays import Float32, Int32, Int64
 
@@ -84,14 +85,6 @@ def divide_flat(bits, basin, flat, shape, offsets, voxels, marks, unmarked):
         shore = np.sort(reached[:count])
 
 
-@copied
-def _find(leader, b):
-    while leader[b] != b:
-        leader[b] = leader[leader[b]]
-        b = leader[b]
-    return b
-
-
 @kernel(parallel=True)
 def _has_flat_bottom(bits, shape, offsets, root):
     """Basins whose lowest voxel has a neighbour as high."""
@@ -115,7 +108,7 @@ def _flat_minima(bits, shape, offsets, root, key, first, second):
             continue
         level = key[e] >> 32
         if level == bits[root[a]] and level == bits[root[b]]:
-            leader[max(_find(leader, a), _find(leader, b))] = min(_find(leader, a), _find(leader, b))
+            leader[max(root_of(leader, a), root_of(leader, b))] = min(root_of(leader, a), root_of(leader, b))
     is_minimum = np.ones(count, np.bool_)
     for e in range(len(key)):
         a, b = first[e], second[e]
@@ -124,12 +117,12 @@ def _flat_minima(bits, shape, offsets, root, key, first, second):
         level = key[e] >> 32
         # the lowest way out of a flat that has a lower neighbour is as high as the flat itself
         if level == bits[root[a]] and level > bits[root[b]]:
-            is_minimum[_find(leader, a)] = False
+            is_minimum[root_of(leader, a)] = False
         if level == bits[root[b]] and level > bits[root[a]]:
-            is_minimum[_find(leader, b)] = False
+            is_minimum[root_of(leader, b)] = False
     for b in range(count):
         if has_flat[b]:
-            top = _find(leader, b)
+            top = root_of(leader, b)
             if is_minimum[top]:
                 flat[b] = top
     return flat

@@ -101,12 +101,10 @@ def test_wrong_shapes_and_values_are_refused_before_anything_is_written(tmp_path
     broken = dataclasses.replace(grid, cell_coverage=np.full(len(grid.cells), np.nan, np.float32))
     with pytest.raises(BundleError, match=r"grid\.cell_coverage"):
         bundle.assemble_bundle(
-            name="x",
-            grid=broken,
-            materials=[Material(label=9, youngs_modulus_kpa=1.0, density_kg_m3=1.0)],
-            scan_geometry=grid.geometry,
-            scan_sha256="0" * 64,
-            stages=(),
+            bundle.BundleParts(grid=broken),
+            [Material(label=9, youngs_modulus_kpa=1.0, density_kg_m3=1.0)],
+            bundle.BundleSource(geometry=grid.geometry, sha256="0" * 64),
+            bundle.BundleRecord(name="x"),
         )
 
 

@@ -9,7 +9,7 @@ from PIL import Image
 
 from heartcase.pipeline.markers.confidence import Sureness
 from heartcase.pipeline.markers.suggest import StrokePlace, StrokePlaces
-from heartcase.pipeline.report.build_report import build_report
+from heartcase.pipeline.report.build_report import ReportInputs, build_report
 from heartcase.pipeline.report.confidence_part import confidence_part
 from heartcase.schemas.recipe.recipe import parse_recipe
 from tests.pipeline.report.analytic_heart import make_heart
@@ -83,18 +83,20 @@ def test_far_from_the_heart_nothing_is_coloured(heart):
 
 def page(heart, one):
     return build_report(
-        recipe=parse_recipe(RECIPE),
-        scan=heart.scan,
-        segmentation=heart.segmentation,
-        structures=heart.structures,
-        grid=heart.grid,
-        surface=None,
-        grid_map=grid_map(),
-        volumes_ml={1: 33.25},
-        timings_s={},
-        stages=[],
-        warnings=[],
-        sureness=one,
+        ReportInputs(
+            recipe=parse_recipe(RECIPE),
+            scan=heart.scan,
+            segmentation=heart.segmentation,
+            structures=heart.structures,
+            grid=heart.grid,
+            surface=None,
+            grid_map=grid_map(),
+            volumes_ml={1: 33.25},
+            timings_s={},
+            stages=[],
+            warnings=[],
+            sureness=one,
+        )
     )
 
 

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from heartcase.pipeline.data import GridMap
-from heartcase.pipeline.report.build_report import ReportData, SeptumRow, build_report, render_report
+from heartcase.pipeline.report.build_report import ReportData, ReportInputs, SeptumRow, build_report, render_report
 from heartcase.pipeline.report.hand_work import hand_work_facts
 from heartcase.pipeline.report.plain_words import cardiac_phase_words, figure_facts, setting_lines
 from heartcase.pipeline.warnings import CaseWarning, anatomy, grouped, note
@@ -82,30 +82,32 @@ def heart():
 def html(heart):
     recipe = parse_recipe(RECIPE)
     return build_report(
-        recipe=recipe,
-        scan=heart.scan,
-        segmentation=heart.segmentation,
-        structures=heart.structures,
-        grid=heart.grid,
-        surface=heart.surface,
-        grid_map=grid_map(),
-        volumes_ml={1: 33.25, 5: 11.5, 9: 87.75, 10: 20.0},
-        timings_s={"surface": 6.25, "filter": 0.5},
-        stages=[
-            StageRecord(
-                stage="filter",
-                version=3,
-                settings={"iterations": 5, "file": "private/Qwertz.nii", "note": "C:\\Qwertz\\x"},
-                output_sha256="ab" * 32,
-            )
-        ],
-        warnings=[
-            note("a lesser one"),
-            CaseWarning("one to look at"),
-            anatomy("the worst <of> all"),
-            note("a lesser one"),
-        ],
-        case_id="HC-TEST-0001",
+        ReportInputs(
+            recipe=recipe,
+            scan=heart.scan,
+            segmentation=heart.segmentation,
+            structures=heart.structures,
+            grid=heart.grid,
+            surface=heart.surface,
+            grid_map=grid_map(),
+            volumes_ml={1: 33.25, 5: 11.5, 9: 87.75, 10: 20.0},
+            timings_s={"surface": 6.25, "filter": 0.5},
+            stages=[
+                StageRecord(
+                    stage="filter",
+                    version=3,
+                    settings={"iterations": 5, "file": "private/Qwertz.nii", "note": "C:\\Qwertz\\x"},
+                    output_sha256="ab" * 32,
+                )
+            ],
+            warnings=[
+                note("a lesser one"),
+                CaseWarning("one to look at"),
+                anatomy("the worst <of> all"),
+                note("a lesser one"),
+            ],
+            case_id="HC-TEST-0001",
+        )
     )
 
 
@@ -253,17 +255,19 @@ def test_hand_work_times_and_provenance_are_stated(html):
 def page_of(heart, *, scan=None, surface=None, recipe=RECIPE) -> str:
     """The page of a case about which little is known."""
     return build_report(
-        recipe=parse_recipe(recipe),
-        scan=scan or heart.scan,
-        segmentation=heart.segmentation,
-        structures=heart.structures,
-        grid=heart.grid,
-        surface=surface,
-        grid_map=None,
-        volumes_ml={},
-        timings_s={},
-        stages=[],
-        warnings=[],
+        ReportInputs(
+            recipe=parse_recipe(recipe),
+            scan=scan or heart.scan,
+            segmentation=heart.segmentation,
+            structures=heart.structures,
+            grid=heart.grid,
+            surface=surface,
+            grid_map=None,
+            volumes_ml={},
+            timings_s={},
+            stages=[],
+            warnings=[],
+        )
     )
 
 

@@ -23,22 +23,17 @@ from heartcase.schemas.geometry import ORIGIN_LIMIT_MM, SPACING_LIMITS_MM, Geome
 
 __all__ = [
     "DAMAGED",
-    "HEADER_LIMIT",
     "NOT_ONE_VOLUME",
     "VOXEL_LIMIT",
     "RawVolume",
     "check_size",
     "geometry_from_affine",
-    "integers_of",
-    "local_data_file",
     "placed",
     "require_file",
 ]
 
 E = TypeVar("E", bound=HeartcaseError)
 
-HEADER_LIMIT = 2**22
-"""Longest text header that is read, bytes."""
 DAMAGED = "the file is cut short or damaged: copy or export it again"
 NOT_ONE_VOLUME = "the file is {dimension}-D: export the one volume that is wanted as a 3-D file"
 
@@ -78,40 +73,6 @@ def require_file(path: Path) -> None:
         raise ScanError("this is neither a file nor a folder: give an image file or a DICOM folder")
     if status.st_size == 0:
         raise ScanError("the file is empty: copy or export it again")
-
-
-def local_data_file(path: Path, name: str) -> Path:
-    """The data file that a detached header names, which must be beside it: a header must not reach other files.
-
-    Raises
-    ------
-    ScanError
-        It names several files or one elsewhere, or there is none.
-    """
-    if name.upper().startswith("LIST") or "%" in name:
-        raise ScanError("the slices are in separate files: export the scan as one file")
-    if name != Path(name).name or "\\" in name:
-        raise ScanError("the header names a data file in another folder: put both files into one folder")
-    data = path.parent / name
-    try:
-        require_file(data)
-    except ScanError:
-        raise ScanError("the data file that belongs to this header is missing or empty: put it beside it") from None
-    return data
-
-
-def integers_of(text: str) -> tuple[int, ...]:
-    """Whole numbers of a header's line.
-
-    Raises
-    ------
-    ScanError
-        It holds anything else.
-    """
-    try:
-        return tuple(int(word) for word in text.split())
-    except ValueError:
-        raise ScanError(DAMAGED) from None
 
 
 def check_size(size: Sequence[int], *, components: int = 1) -> None:

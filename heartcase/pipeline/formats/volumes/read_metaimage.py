@@ -18,14 +18,19 @@ import numpy.typing as npt
 from heartcase.pipeline.formats.volumes.frames import FrameChoice, InflatedStream, fully, pick_frame, read_frame
 from heartcase.pipeline.formats.volumes.raw_volume import (
     DAMAGED,
-    HEADER_LIMIT,
     NOT_ONE_VOLUME,
     RawVolume,
     check_size,
     geometry_from_affine,
+)
+from heartcase.pipeline.formats.volumes.text_header import (
+    MILLIMETRES,
+    NO_KNOWN_TYPE,
+    NO_SPACING,
+    NOT_MILLIMETRES,
     integers_of,
     local_data_file,
-    require_file,
+    start_of_file,
 )
 from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import ScanError
@@ -49,7 +54,6 @@ ELEMENT_TYPES = {
 """Type of the values -> NumPy's name without the byte order."""
 SPACING_KEYS = ("ElementSpacing", "ElementSize")
 DIRECTION_KEYS = ("TransformMatrix", "Rotation", "Orientation")
-MILLIMETRES = ("", "?", "mm", "millimeter", "millimeters", "millimetre", "millimetres")
 _NOT_METAIMAGE = "the file is not a MetaImage file, or its start is damaged: export it again"
 
 
@@ -84,7 +88,7 @@ def read_metaimage(path: Path, choice: FrameChoice | None = None) -> RawVolume:
         raise ScanError("a volume with three axes is needed: export the scan as a 3-D file")
     element = ELEMENT_TYPES.get(fields.get("ElementType", "").removesuffix("_ARRAY"))
     if element is None:
-        raise ScanError("the header gives no known type of values: export the file again")
+        raise ScanError(NO_KNOWN_TYPE)
     _check_meaning(fields)
     order = ">" if _is_true(fields, "BinaryDataByteOrderMSB", "ElementByteOrderMSB") else "<"
     dtype = np.dtype(order + element)
@@ -106,23 +110,7 @@ def read_metaimage(path: Path, choice: FrameChoice | None = None) -> RawVolume:
 
 
 def metaimage_data_file(path: Path) -> Path | None:
-    """The file that a MetaImage header takes its values from, whatever the header's own file is called.
-
-    Parameters
-    ----------
-    path
-        .mha or .mhd file.
-
-    Returns
-    -------
-    Path or None
-        None where the values follow the header in its own file.
-
-    Raises
-    ------
-    ScanError
-        It is no MetaImage file, or the data file is not beside it.
-    """
+    """As :func:`heartcase.pipeline.formats.read_scan.detached_data_file`, whatever the header's own file is called."""
     return _data_file(path, _header(path)[0])
 
 
@@ -133,9 +121,7 @@ def _data_file(path: Path, fields: dict[str, str]) -> Path | None:
 
 def _header(path: Path) -> tuple[dict[str, str], int]:
     """Key -> text of the header, and where it ends."""
-    require_file(path)
-    with path.open("rb") as file:
-        start = file.read(HEADER_LIMIT)
+    start = start_of_file(path)
     end = re.search(rb"^\s*ElementDataFile\s*=\s*([^\r\n]*)(\r?\n|$)", start, re.M)
     fields: dict[str, str] = {}
     for line in start[: end.end() if end else 0].decode("utf-8", errors="replace").splitlines():
@@ -152,8 +138,8 @@ def _is_true(fields: dict[str, str], *keys: str) -> bool:
 
 def _check_meaning(fields: dict[str, str]) -> None:
     """Refuse lengths in another unit, and values that are to be scaled."""
-    if fields.get("DistanceUnits", "").lower() not in MILLIMETRES:
-        raise ScanError("the positions are not in millimetres: convert the scan to millimetres and export it again")
+    if fields.get("DistanceUnits", "").lower() not in MILLIMETRES | {"?"}:
+        raise ScanError(NOT_MILLIMETRES)
     for key, neutral in (("Slope", 1.0), ("Offset", 0.0)):
         try:
             is_neutral = float(fields.get(f"ElementToIntensityFunction{key}", neutral)) == neutral
@@ -219,10 +205,7 @@ def _affine(fields: dict[str, str], axes: int = 3) -> Float64:
     origin = _numbers(fields, ("Offset", "Position", "Origin"), (0.0,) * axes)[:3]
     rows = _numbers(fields, DIRECTION_KEYS, tuple(np.eye(axes).ravel().tolist())).reshape(axes, axes)
     if not ((spacing > 0.0) & (spacing < math.inf)).all():
-        raise ScanError(
-            "the header does not give the voxel spacing of every axis as a number above zero: export the file again, "
-            "with its spacing"
-        )
+        raise ScanError(NO_SPACING)
     if rows[:3, 3:].any() or rows[3:, :3].any():
         raise ScanError("the fourth axis has a part in space: export the one volume that is wanted as a 3-D file")
     affine = np.eye(4)

@@ -20,14 +20,20 @@ from heartcase.pipeline.formats.volumes.nrrd_frames import frame_axis, read_nrrd
 from heartcase.pipeline.formats.volumes.quiet_itk import quiet_itk
 from heartcase.pipeline.formats.volumes.raw_volume import (
     DAMAGED,
-    HEADER_LIMIT,
     NOT_ONE_VOLUME,
     RawVolume,
     check_size,
     geometry_from_affine,
+)
+from heartcase.pipeline.formats.volumes.text_header import (
+    HEADER_LIMIT,
+    MILLIMETRES,
+    NO_KNOWN_TYPE,
+    NO_SPACING,
+    NOT_MILLIMETRES,
     integers_of,
     local_data_file,
-    require_file,
+    start_of_file,
 )
 from heartcase.schemas.errors import ScanError
 
@@ -36,8 +42,6 @@ __all__ = ["nrrd_data_file", "read_nrrd"]
 ZLIB_OR_GZIP = 47
 SKIPS = ("byte skip", "byteskip", "line skip", "lineskip")
 SPACE = re.compile(r"(left|right|l|r)-?(anterior|posterior|a|p)-?(superior|inferior|s|i)", re.IGNORECASE)
-
-MILLIMETRES = {"", "mm", "millimeter", "millimeters", "millimetre", "millimetres"}
 
 NRRD_TYPES = {
     **dict.fromkeys(("signed char", "int8", "int8_t"), "i1"),
@@ -94,7 +98,7 @@ def _check_spacing(fields: dict[str, str], axes: list[int]) -> None:
     stated = {units[axis] for axis in axes if axis < len(units)}
     stated |= {word.strip().lower() for word in re.findall(r'"([^"]*)"', fields.get("space units", ""))}
     if stated - MILLIMETRES:
-        raise ScanError("the positions are not in millimetres: convert the scan to millimetres and export it again")
+        raise ScanError(NOT_MILLIMETRES)
     if "space directions" in fields:
         vectors = re.findall(r"\(([^()]*)\)|none", fields["space directions"], re.IGNORECASE)
         spacings = [math.hypot(*_numbers_of(vectors[axis].replace(",", " "))) for axis in axes if axis < len(vectors)]
@@ -102,10 +106,7 @@ def _check_spacing(fields: dict[str, str], axes: list[int]) -> None:
         words = fields.get("spacings", "").split()
         spacings = [_numbers_of(words[axis])[0] for axis in axes if axis < len(words)]
     if len(spacings) < len(axes) or not all(0.0 < spacing < math.inf for spacing in spacings):
-        raise ScanError(
-            "the header does not give the voxel spacing of every axis as a number above zero: export the file again, "
-            "with its spacing"
-        )
+        raise ScanError(NO_SPACING)
 
 
 def _numbers_of(text: str) -> list[float]:
@@ -169,7 +170,7 @@ def _is_orientation_stated(fields: dict[str, str]) -> bool:
 def _element_of(fields: dict[str, str]) -> str:
     element = NRRD_TYPES.get(" ".join(fields.get("type", "").lower().split()))
     if element is None:
-        raise ScanError("the header gives no known type of values: export the file again")
+        raise ScanError(NO_KNOWN_TYPE)
     return element
 
 
@@ -200,23 +201,7 @@ def _read_one_of_several(
 
 
 def nrrd_data_file(path: Path) -> Path | None:
-    """The file that an NRRD header takes its values from, whatever the header's own file is called.
-
-    Parameters
-    ----------
-    path
-        .nrrd, .nhdr or .seg.nrrd file.
-
-    Returns
-    -------
-    Path or None
-        None where the values follow the header in its own file.
-
-    Raises
-    ------
-    ScanError
-        It is no NRRD file, or the data file is not beside it.
-    """
+    """As :func:`heartcase.pipeline.formats.read_scan.detached_data_file`, whatever the header's own file is called."""
     return _data_file(path, _header(path)[0])
 
 
@@ -227,9 +212,7 @@ def _data_file(path: Path, fields: dict[str, str]) -> Path | None:
 
 def _header(path: Path) -> tuple[dict[str, str], dict[str, str], int]:
     """Fields and key-value pairs of the header, and the byte at which values that follow it start."""
-    require_file(path)
-    with path.open("rb") as file:
-        start = file.read(HEADER_LIMIT)
+    start = start_of_file(path)
     if not start.startswith(b"NRRD000"):
         raise ScanError("the file is not an NRRD file, or its start is damaged: export it again")
     end = re.search(rb"\r?\n\r?\n", start)

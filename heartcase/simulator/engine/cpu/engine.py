@@ -10,6 +10,15 @@ from numba import get_num_threads
 
 from heartcase.schemas.arrays import Float32, Int64, Intp
 from heartcase.simulator.dynamics.integrate import Verlet
+from heartcase.simulator.engine.cpu.arrays import (
+    CellArrays,
+    CellWork,
+    InstrumentArrays,
+    NodeArrays,
+    SharingArrays,
+    StepRow,
+    ThreadPlace,
+)
 from heartcase.simulator.engine.cpu.autotune import Pace
 from heartcase.simulator.engine.cpu.barrier import Crew, Meeting
 from heartcase.simulator.engine.cpu.chunks import KEPT_NODES_MAX, chunk_arrays
@@ -19,7 +28,6 @@ from heartcase.simulator.engine.cpu.kernel import (
     NO_CELLS,
     SHARING_ELEMENTS,
     VOLUME_TERM,
-    SharingArrays,
     advance,
     lane_forces,
 )
@@ -148,30 +156,27 @@ class CpuEngine:
         """Take steps with so many threads; the bits are the same with any number."""
 
         def part(thread: int, thread_count: int, meeting: Meeting) -> int:
-            return int(advance(*arguments, thread, thread_count, meeting))
+            return int(advance(*arguments, ThreadPlace(thread, thread_count, meeting)))
 
+        constants = tuple(np.float32(number) for number in verlet.numbers)
+        still = np.array([*verlet.still, ROUNDING * verlet.kick], np.float32)
         arguments = (
-            self._buffers,
-            self.velocity,
-            self.weight,
-            self.window_numbers,
-            self.tension,
-            self.presence,
-            self.inverse_mass,
-            self._rows,
-            self.current,
-            step_count,
-            tuple(np.float32(number) for number in verlet.numbers),
-            self._cell_arrays,
-            self._kinds,
-            self._sharing,
-            self._explicit,
-            self._rest,
-            probes,
-            first_step,
+            NodeArrays(
+                self._buffers,
+                self.velocity,
+                self.weight,
+                self.window_numbers,
+                self.tension,
+                self.presence,
+                self.inverse_mass,
+                self._rows,
+                self._rest,
+            ),
+            CellWork(self._cell_arrays, self._kinds, self._sharing),
+            InstrumentArrays(self._explicit, probes),
+            StepRow(self.current, step_count, first_step, constants, still),
             self._sleep,
             self._chunks,
-            np.array([*verlet.still, ROUNDING * verlet.kick], np.float32),
         )
         self.current = self._crew.run(thread_count, part)
         self.step_count += step_count
@@ -191,7 +196,7 @@ class CpuEngine:
             in_cells = SHARING_ELEMENTS
         self._sharing = self._sharing_arrays(model)
         self._kinds = (in_cells, bool(weight.any()), law.has_corner_guard)
-        self._cell_arrays = (
+        self._cell_arrays = CellArrays(
             self.cells.window_rows,
             self.cells.numbers(model),
             self.cell_force,
@@ -226,8 +231,8 @@ class CpuEngine:
     def forces(self, nodes: Intp | None = None) -> Float32:
         """Spring forces now, on some nodes or all; only the windows that hold them are worked out."""
         rows = self.layout.window_rows if nodes is None else self.layout.windows_of(nodes)
-        cells = (self._cell_arrays, self._kinds, self._sharing)
-        lane_forces(self.displacement, self.weight, self.force, rows, *cells, self._rows, self._sleep, self._chunks)
+        work = CellWork(self._cell_arrays, self._kinds, self._sharing)
+        lane_forces(self.displacement, self.weight, self.force, rows, work, self._rows, self._sleep, self._chunks)
         force = self.force[self._vectors if nodes is None else self._vectors[nodes]]
         if self.model.explicit.count:
             explicit = self.model.explicit.forces(self.model.node_index, self.read().displacement)

@@ -11,7 +11,7 @@ from heartcase.simulator.engine.shared.lanes import BANK_LANES, LANE_COUNT
 
 __all__ = ["Constants", "ExplicitArrays", "keep_window_outside", "pull_explicitly"]
 
-Constants = tuple[np.float32, np.float32, np.float32, np.float32, np.float32, np.float32, np.float32]
+Constants = tuple[np.float32, ...]
 ExplicitArrays = tuple[Int64, Int64, Int64, Float32, Float32]
 Vector = tuple[np.float32, np.float32, np.float32]
 

@@ -13,13 +13,21 @@ kernel_cpu_sleep`), only windows that are awake are worked out.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from heartcase.compiling.kernel import kernel
-from heartcase.schemas.arrays import Float32, Int8, Int32, Int64
-from heartcase.simulator.engine.cpu.barrier import Meeting, meet
+from heartcase.schemas.arrays import Float32, Int32, Int64
+from heartcase.simulator.engine.cpu.arrays import (
+    CellArrays,
+    CellWork,
+    InstrumentArrays,
+    Kinds,
+    NodeArrays,
+    SharingArrays,
+    StepRow,
+    ThreadPlace,
+)
+from heartcase.simulator.engine.cpu.barrier import meet
 from heartcase.simulator.engine.cpu.cells import (
     clear_window,
     element_of_window,
@@ -31,7 +39,7 @@ from heartcase.simulator.engine.cpu.cells import (
     volume_of_window,
 )
 from heartcase.simulator.engine.cpu.chunks import ChunkArrays, share_out
-from heartcase.simulator.engine.cpu.instruments import Constants, ExplicitArrays, keep_window_outside, pull_explicitly
+from heartcase.simulator.engine.cpu.instruments import Constants, keep_window_outside, pull_explicitly
 from heartcase.simulator.engine.cpu.sleep import (
     CHECK_STEPS,
     ROUSE_STEPS,
@@ -59,13 +67,10 @@ __all__ = [
     "NO_CELLS",
     "SHARING_ELEMENTS",
     "VOLUME_TERM",
-    "SharingArrays",
     "advance",
     "lane_forces",
 ]
 
-CellArrays = tuple[Int64, Float32, Float32, Float32, Int8, Int8, Int64]
-Kinds = tuple[int, bool, bool]
 StateArrays = tuple[Float32, Float32, Float32, Float32, Float32, Float32, Float32, Int64]
 
 SHARES = 64
@@ -76,21 +81,6 @@ CHUNKS_PER_ROOM = CELL_NUMBERS // 3
 """Chunks whose forces share an array: it has room for so many numbers a lane."""
 NO_CELLS, VOLUME_TERM, ELEMENTS, SHARING_ELEMENTS = 0, 1, 2, 3
 """What acts in the cells beside springs and the corner guard."""
-
-
-class SharingArrays(NamedTuple):
-    """What elements need that share strain; of length 0 where none do."""
-
-    shares: Float32
-    """Stiffness of each cell that is strained by the mean around each corner, and by itself [k/h]: nine numbers a
-    lane."""
-    gradient: Float32
-    """Room for F - 1 of each cell, nine numbers a lane; then the inverse of the stiffness that shares strain around
-    each node [h/k], zero where there is none."""
-    stress: Float32
-    """Room for the stress of the mean strain around each node, nine numbers a lane."""
-    is_sharing: Int8
-    """Whether a cell of a window shares strain, shape (cell_window_count,)."""
 
 
 @kernel
@@ -122,7 +112,7 @@ def _mark_touched(cells: CellArrays) -> None:
 
 @kernel
 def _has_flat(cells: CellArrays) -> bool:
-    return bool(cells[4].any())
+    return bool(cells.is_flat.any())
 
 
 @kernel
@@ -133,7 +123,7 @@ def _stretch(
     count = sleep.counts[1]
     for window in sleep.awake_cells[thread * count // thread_count : (thread + 1) * count // thread_count]:
         if sharing.is_sharing[window]:
-            gradient_of_window(now, cells[1], sharing.gradient, cells[0], window)
+            gradient_of_window(now, cells.numbers, sharing.gradient, cells.rows, window)
 
 
 @kernel
@@ -143,7 +133,7 @@ def _share_strain(
     """Write the stress of the means around a thread's part of the nodes; all that cells which are awake end at."""
     count = chunks.corner_counts[0]
     for window in chunks.corners[thread * count // thread_count : (thread + 1) * count // thread_count]:
-        mean_stress_of_window(sharing.gradient, sharing.shares, sharing.stress, cells[3], rows, np.int64(window))
+        mean_stress_of_window(sharing.gradient, sharing.shares, sharing.stress, cells.law, rows, np.int64(window))
 
 
 @kernel
@@ -206,8 +196,8 @@ def _step_chunk_with_cells(
 ) -> None:
     """Move the windows of a chunk, by cells and springs."""
     now, later, velocity, weight, window_numbers, tension, inverse_mass, rows = state
-    is_touched = cells[5]
-    force = cells[2][chunk // CHUNKS_PER_ROOM, 3 * BANK_LANES * (chunk % CHUNKS_PER_ROOM) :]
+    is_touched = cells.is_touched
+    force = cells.force[chunk // CHUNKS_PER_ROOM, 3 * BANK_LANES * (chunk % CHUNKS_PER_ROOM) :]
     kind, has_springs, _ = kinds
     awake, before = sleep.awake, chunks.before
     first, end = chunks.ends[chunk], chunks.ends[chunk + 1]
@@ -246,9 +236,7 @@ def lane_forces(
     weight: Float32,
     force: Float32,
     rows: Int64,
-    cells: CellArrays,
-    kinds: Kinds,
-    sharing: SharingArrays,
+    work: CellWork,
     nodes: Int64,
     sleep: SleepArrays,
     chunks: ChunkArrays,
@@ -257,6 +245,7 @@ def lane_forces(
 
     ``rows`` are those of these windows, ``nodes`` those of all.
     """
+    cells, kinds, sharing = work
     kind, _, has_guard = kinds
     if rouse(sleep, True):
         share_out(chunks, sleep)
@@ -266,7 +255,7 @@ def lane_forces(
         if kind == NO_CELLS:
             _mark_touched(cells)
     if kind != NO_CELLS or has_guard:
-        cell_force = cells[2][0]
+        cell_force = cells.force[0]
         for window in range(rows.shape[0]):
             clear_window(cell_force, rows, window)
         if kind == SHARING_ELEMENTS:
@@ -303,30 +292,13 @@ def _check_share(
 
 @kernel
 def advance(
-    displacement: Float32,
-    velocity: Float32,
-    weight: Float32,
-    window_numbers: Float32,
-    tension: Float32,
-    presence: Float32,
-    inverse_mass: Float32,
-    rows: Int64,
-    current: int,
-    step_count: int,
-    constants: Constants,
-    cells: CellArrays,
-    kinds: Kinds,
-    sharing: SharingArrays,
-    explicit: ExplicitArrays,
-    rest: Float32,
-    probes: Float32,
-    first_step: int,
+    nodes: NodeArrays,
+    work: CellWork,
+    instruments: InstrumentArrays,
+    steps: StepRow,
     sleep: SleepArrays,
     chunks: ChunkArrays,
-    still: Float32,
-    thread: int,
-    thread_count: int,
-    meeting: Meeting,
+    place: ThreadPlace,
 ) -> int:
     """Take steps in place, as one of some threads that all call it.
 
@@ -335,66 +307,31 @@ def advance(
 
     Parameters
     ----------
-    displacement
-        Two buffers [cells], six numbers a lane; the steps alternate between them.
-    velocity
-        Half a step before [cells / unit of time], three numbers a lane.
-    weight
-        Spring stiffness by direction [k], nine numbers a lane; read where springs are worked out from both ends.
-    window_numbers
-        The same and then the inverse mass, of each window's lanes by themselves, with one more window of zeros, shape
-        (window_count + 1, 10, 8); read where each spring is worked out once.
-    tension
-        Room for the tensions of the springs over their lengths [k], zeros at first, nine numbers a lane; of length 0
-        where each is to be worked out from both ends.
-    presence
-        Above zero where there is a spring, whether it acts or not, nine numbers a lane.
-    inverse_mass
-        [1 / full cell], 0 where there is no node or its motion is prescribed, shape (lane_count,).
-    rows
-        Lane at each window's first i in its nine rows, shape (window_count, 9); in memory one more row follows, that of
-        a window of empty lanes.
-    current
-        Buffer that holds the displacement now.
-    step_count
-        Steps to take.
-    constants
-        Step, keep, kick, the three components of gravity and the speed limit, grid units.
-    cells
-        Rows of the windows that hold cells, shape (count, 9); numbers of the cells, CELL_NUMBERS a lane; room for their
-        forces on the nodes of each chunk, three numbers a lane, of CHUNKS_PER_ROOM chunks side by side, shape (any,
-        any); constants of the law; whether each window of cells is looked after; whether such cells belong to each
-        window of nodes; windows of nodes that a window of cells belongs to, -1 for none, (count, 8).
-    kinds
-        What acts in the cells, whether springs act, and whether corners are guarded.
-    sharing
-        Of elements that share strain.
-    explicit
-        Lanes with explicit springs, where the springs of each begin (and the last end); lane at the other end, offset
-        to it with rest length [cells], shape (count, 4), and stiffness [k] of each spring.
-    rest
-        Rest positions [cells], three numbers a lane; read where there are probes.
-    probes
-        Probes as of :func:`heartcase.simulator.engine.shared.contact.probe_row`, shape (probe_count, PROBE_SIZE).
-    first_step
-        Steps that were taken before in this row: probes have moved so far, and looks and checks are counted from there.
+    nodes
+        Nodes and their springs.
+    work
+        What is done in the cells.
+    instruments
+        Explicit springs and probes.
+    steps
+        The steps to take.
     sleep
         As of :func:`heartcase.simulator.engine.cpu.sleep.sleep_arrays`.
     chunks
         As of :func:`heartcase.simulator.engine.cpu.chunks.chunk_arrays`.
-    still
-        Speed below which a node is still, change of it in a step [cells / unit of time], and what rounding may add to
-        that per cell of displacement, shape (3,); zeros where no tissue sleeps.
-    thread, thread_count
-        Number of this thread, and how many there are.
-    meeting
-        What they meet with.
+    place
+        Which of the threads this is.
 
     Returns
     -------
     int
         Buffer that holds the displacement at the end.
     """
+    displacement, velocity, weight, window_numbers, tension, presence, inverse_mass, rows, rest = nodes
+    cells, kinds, sharing = work
+    explicit, probes = instruments
+    current, step_count, first_step, constants, still = steps
+    thread, thread_count, meeting = place
     kind, _, has_guard = kinds
     chunk_count = len(chunks.before_counts)
     works_cells = kind != NO_CELLS or _has_flat(cells)
@@ -455,7 +392,7 @@ def advance(
             for share in range(thread, SHARES, thread_count):
                 _check_share(share, later, velocity, inverse_mass, rows, rest, probes, row_step + 1, sleep, still)
             meet(meeting, thread_count)
-            if thread == 0 and settle(later, now, velocity, rows, cells[6], sleep):
+            if thread == 0 and settle(later, now, velocity, rows, cells.touches, sleep):
                 share_out(chunks, sleep)
             meet(meeting, thread_count)
     restore_subnormals(before)
