@@ -80,7 +80,9 @@ def _refuse_lines_of_people(below: str, drawn: str, *, first_line: int) -> None:
     be a person's.
     """
     lines = below.split("\n")
-    sealed = [(number, found[1]) for number, one in enumerate(lines) if (found := _CHECKSUM_LINE.fullmatch(one.rstrip()))]
+    sealed = [
+        (number, found[1]) for number, one in enumerate(lines) if (found := _CHECKSUM_LINE.fullmatch(one.rstrip()))
+    ]
     there = lines
     if sealed:
         there = ["" if number == sealed[0][0] else one for number, one in enumerate(lines)]

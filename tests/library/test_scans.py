@@ -168,7 +168,7 @@ def test_what_a_person_wrote_below_the_line_is_not_deleted(tmp_path, monkeypatch
     assert draw_recipe(path)
     drawn = path.read_text()
     own = drawn.count("\n") + 2
-    mine = f'{drawn}\n[[pins]]\nposition_mm = [0.0, 0.0, 1.0]\nradius_mm = 5.0\n'
+    mine = f"{drawn}\n[[pins]]\nposition_mm = [0.0, 0.0, 1.0]\nradius_mm = 5.0\n"
     changed = mine.replace("seed = 5", "seed = 6")
     for text, words in [
         (mine, f"lines {own}-{own + 2})"),

@@ -293,7 +293,9 @@ def test_phases_that_are_series_of_their_own_look_different_in_the_list(tmp_path
     assert "--series, or with --trigger-time MS alone" in done.output
     for number, time in enumerate((50, 350, 650)):
         assert f"trigger time {time} ms, series {301 + number} on the scanner" in done.output
-    with pytest.raises(ScanError, match=r"--series NUMBER or --trigger-time MS, or series or trigger_time_ms in") as told:
+    with pytest.raises(
+        ScanError, match=r"--series NUMBER or --trigger-time MS, or series or trigger_time_ms in"
+    ) as told:
         read_scan(tmp_path)
     assert "trigger time 350 ms" in str(told.value)
     np.testing.assert_array_equal(read_scan(tmp_path, trigger_time_ms=350.0).values, phase(1))

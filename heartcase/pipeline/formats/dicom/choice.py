@@ -106,9 +106,7 @@ def listed(groups: Sequence[StackGroup]) -> tuple[SeriesInfo, ...]:
     measured = measured_words(groups, [description for _, description in described])
     words = [description + more for (_, description), more in zip(described, measured, strict=True)]
     repeated = Counter(words)
-    words = [
-        one + _apart_words(group) if repeated[one] > 1 else one for group, one in zip(groups, words, strict=True)
-    ]
+    words = [one + _apart_words(group) if repeated[one] > 1 else one for group, one in zip(groups, words, strict=True)]
     candidates = _candidates(groups) if groups else []
     phases = candidates if len(candidates) > 1 and _time_option(candidates) == "--trigger-time" else []
     found = []
