@@ -1,4 +1,4 @@
-"""Ctrl-C while processes start and end: it goes to all of a terminal's processes, and only the main one is to answer."""
+"""Ctrl-C while processes start and end: a terminal sends it to all of them, and only the main one is to answer."""
 
 from __future__ import annotations
 
