@@ -43,7 +43,7 @@ def test_a_new_case_is_a_draft_and_approving_it_says_who_when_and_what(case):
     assert state.state == "approved"
     done = "approved by consultant cardiologist on 2026-03-04"
     unseen = "which cannot show whether later ones, such as a withdrawal, were deleted"
-    assert state.words == f"{done} (1 entry in its log, {unseen}}XX
+    assert state.words == f"{done} (1 entry in its log, {unseen})"
     (line,) = lines(case)
     assert line["time"] == "2026-03-04T05:06:07Z"
     assert line["bundle_sha256"] == bundle_sha256(case)
