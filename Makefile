@@ -12,10 +12,21 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 LOCK ?= requirements.lock
 
-.PHONY: case test check format lint types imports docs plain bench versions lowest newest gpu lock clean
+.PHONY: case test check format lint types imports docs plain bench versions lowest newest gpu lock clean same-python
+
+# An environment keeps the Python that it was made with: it is not used where another one is asked for.
+# No comma may stand in the script: make would end the argument of its $(if) there.
+VERSION_OF = -c 'import sys; print("%d.%d" % sys.version_info[:2])'
+same-python:
+	@$(if $(filter command environment,$(origin PYTHON)),asked=$$($(PYTHON) $(VERSION_OF)) || exit 1; \
+	for venv in $(VENV) $(VENV)-plain $(VENV)-gpu; do \
+	  if [ -x $$venv/bin/python ]; then there=$$($$venv/bin/python $(VERSION_OF)); \
+	    if [ "$$there" != "$$asked" ]; then \
+	      echo "$$venv was made with Python $$there but PYTHON=$(PYTHON) is $$asked: add VENV=$(VENV)-$$asked or make clean first" >&2; \
+	      exit 1; fi; fi; done,true)
 
 # Not compiled to byte code: most of what comes is never imported, and the rest is compiled as it is.
-$(VENV)/installed: $(LOCK) pyproject.toml
+$(VENV)/installed: $(LOCK) pyproject.toml | same-python
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "heartcase needs Python 3.11 or newer: make PYTHON=...")'
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -r $(LOCK)
@@ -56,7 +67,7 @@ plain: $(VENV)/installed $(VENV)-plain/installed
 	$(VENV)-plain/bin/python -c 'import importlib.util as u; found = [m for m in ("SimpleITK", "vtk", "skimage", "scipy") if u.find_spec(m)]; assert not found, found'
 	$(VENV)-plain/bin/heartcase simulate out/block.case --seconds 0.05
 
-$(VENV)-plain/installed: requirements-plain.lock pyproject.toml
+$(VENV)-plain/installed: requirements-plain.lock pyproject.toml | same-python
 	$(PYTHON) -m venv $(VENV)-plain
 	$(VENV)-plain/bin/python -m pip install --quiet --disable-pip-version-check --no-compile -r requirements-plain.lock
 	$(VENV)-plain/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
@@ -98,7 +109,7 @@ gpu: $(if $(filter file,$(origin GPU_PYTHON)),$(VENV)-gpu/installed)
 	  tests/simulator/test_simulation.py tests/simulator/lattice/test_strain_sharing.py tests/stress/test_violence_other_backends.py
 	$(GPU_PYTHON) -m heartcase bench engine-gpu frame-adult-gpu --json $(GPU_OUT)/bench.json
 
-$(VENV)-gpu/installed: $(LOCK) pyproject.toml
+$(VENV)-gpu/installed: $(LOCK) pyproject.toml | same-python
 	$(PYTHON) -m venv $(VENV)-gpu
 	$(VENV)-gpu/bin/python -m pip install --quiet --disable-pip-version-check --no-compile -r $(LOCK)
 	$(VENV)-gpu/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[cuda]'

@@ -13,12 +13,13 @@ import signal
 import time
 import warnings
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from heartcase import __version__
+from heartcase.library.interrupts import held_interrupts, inherited_deafness
 from heartcase.library.plan import CaseRecord, LibraryCase, is_up_to_date, read_record, write_record
 from heartcase.schemas.errors import UsageError
 
@@ -93,8 +94,21 @@ def default_workers(worker_count: int | None = None, memory_mb: int | None = Non
 
 
 @contextlib.contextmanager
-def connected(workers: Workers | None, scheduler: str | None) -> Iterator[Client]:
+def connected(
+    workers: Workers | None, scheduler: str | None, *, say: Callable[[str], None] | None = None
+) -> Iterator[Client]:
     """A client of a cluster on this machine, or of the scheduler at an address; a cluster made here ends with it.
+
+    Ctrl-C while its workers start or end is heard when they have: Dask has no orderly way to stop half a start.
+
+    Parameters
+    ----------
+    workers
+        Workers on this machine; None where there is a scheduler.
+    scheduler
+        Its address.
+    say
+        Told that Ctrl-C was heard and what takes some seconds yet.
 
     Raises
     ------
@@ -103,6 +117,7 @@ def connected(workers: Workers | None, scheduler: str | None) -> Iterator[Client
     """
     import dask
     from distributed import Client, LocalCluster
+    from distributed.utils import LoopRunner
 
     settings = {
         "distributed.scheduler.allowed-failures": _ATTEMPTS - 1,
@@ -126,25 +141,34 @@ def connected(workers: Workers | None, scheduler: str | None) -> Iterator[Client
         assert workers is not None
         threads = str(workers.thread_count)
         names = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "ITK_GLOBAL_DEFAULT_NUMBER_OF_THREADS")
-        with (
-            _any_dashboard_port(),
-            dask.config.set(
-                {
-                    "distributed.nanny.environ": dict.fromkeys(names, threads),
-                    "distributed.nanny.pre-spawn-environ": _ENVIRONMENT,
-                }
-            ),
-            LocalCluster(
-                n_workers=workers.count,
-                threads_per_worker=1,
-                memory_limit=workers.memory_mb * 1_000_000,
-                dashboard_address=":8787" if has_dashboard() else None,
-                silence_logs=50,
-            ) as cluster,
-            Client(cluster, set_as_default=False) as client,
-        ):
-            client.register_plugin(_interrupts_are_ours())
-            yield client
+        environment = {
+            "distributed.nanny.environ": dict.fromkeys(names, threads),
+            "distributed.nanny.pre-spawn-environ": _ENVIRONMENT,
+        }
+        with contextlib.ExitStack() as stack:
+            try:
+                with held_interrupts(say):
+                    stack.enter_context(_any_dashboard_port())
+                    stack.enter_context(dask.config.set(environment))
+                    runner = LoopRunner()
+                    with inherited_deafness():
+                        runner.start()
+                    stack.callback(runner.stop)
+                    cluster = LocalCluster(
+                        n_workers=workers.count,
+                        threads_per_worker=1,
+                        memory_limit=workers.memory_mb * 1_000_000,
+                        dashboard_address=":8787" if has_dashboard() else None,
+                        silence_logs=50,
+                        loop=runner.loop,
+                    )
+                    stack.enter_context(cluster)
+                    client = stack.enter_context(Client(cluster, set_as_default=False))
+                    client.register_plugin(_interrupts_are_ours())
+                yield client
+            finally:
+                with held_interrupts():
+                    stack.close()
 
 
 def _interrupts_are_ours() -> Any:

@@ -104,13 +104,13 @@ def _refuse_lines_of_people(below: str, drawn: str, *, first_line: int) -> None:
     if sealed:
         among = "" if sealed[0][1] == _checksum(drawn) else "it is among "
         message = (
-            f"somebody wrote below the line of what is drawn, and drawing would delete it ({among}{where}): move what is "
-            "yours above that line, and delete the rest below it"
+            f"somebody wrote below the line of what is drawn, and drawing would delete it ({among}{where}): move what "
+            "is yours above that line, and delete the rest below it"
         )
     else:
         message = (
-            f"drawing would delete {where}, and this part has no checksum that says whether they were drawn by an older "
-            "heartcase or written by somebody: move what is yours above the line, and delete the rest below it"
+            f"drawing would delete {where}, and this part has no checksum that says whether they were drawn by an "
+            "older heartcase or written by somebody: move what is yours above the line, and delete the rest below it"
         )
     raise RecipeError(f"{message}; then draw again. Nothing was written", place="recipe")
 

@@ -51,6 +51,17 @@ def test_a_fresh_starter_recipe_is_refused_by_validate_and_build(starter: Path, 
     assert not (starter.parent / "out" / "first.case").exists()
 
 
+def test_the_examples_come_first_and_what_follows_from_them_is_not_said(starter: Path, capsys) -> None:
+    """A fresh starter marks no muscle either, and "nothing is marked as tissue" is not what to mend first."""
+    assert main(["validate", str(starter)]) == 1
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.partition(":")[0] for line in lines[:2]] == ["strokes[1]", "strokes[2]"]
+    assert lines[2:] == ["2 problems found"]
+    change(starter, *MOVED.items(), ('label = "left ventricle"\nradius', 'label = "background"\nradius'))
+    assert main(["validate", str(starter)]) == 1
+    assert "tissue" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(("moved", "left"), [(VENTRICLE, 2), (BACKGROUND, 1)])
 def test_one_that_is_left_is_refused_although_the_other_was_moved(starter: Path, capsys, moved: str, left: int) -> None:
     change(starter, (moved, MOVED[moved]), ("# an example", "#"), ('label = "left ventricle"', 'label = "LA"'))

@@ -10,6 +10,7 @@ from scipy import ndimage
 
 from heartcase.cli.main import cli
 from heartcase.pipeline.build.session_file import open_session
+from heartcase.pipeline.markers.confidence import voxel_confidence
 from heartcase.schemas.recipe.settings import Stroke
 from tests.cli.small_case import SCAN_DIRECTION
 
@@ -63,11 +64,28 @@ def test_people_get_a_table_and_are_told_when_to_stop(recipe):
     done = run("suggest", recipe, "--out", recipe.parent)
     assert done.exit_code == 0
     first = told["places"][0]
-    row = next(line for line in done.stdout.splitlines() if f"{first['position_mm'][0]:.1f}," in line)
-    assert first["label"] in row
-    assert first["rival"] in row
+    lines = done.stdout.splitlines()
+    number = next(n for n, line in enumerate(lines) if f"{first['position_mm'][0]:.1f}," in line)
+    # A long name goes on in the line below.
+    row = " ".join(lines[number : number + 2])
+    for name in (first["label"], first["rival"]):
+        assert all(word in row for word in name.split())
     assert f"{first['change_ml']:.2f}" in row
     assert f"worth {told['rest_ml']:.2f} ml" in done.stdout
+    assert max(map(len, lines)) <= 100
+    assert "certainty" not in done.stdout
+    assert lines[number].split()[-1] == f"{first['confidence']:.2f}"
+    for place in told["places"]:
+        assert place["worth_ml"] == pytest.approx(min(place["change_ml"], 5.0) * (1.0 - place["confidence"]))
+
+
+def test_the_confidence_of_a_place_is_the_one_that_the_report_colours(recipe):
+    opened = open_session(recipe, out=recipe.parent)
+    forest = opened.session._forest
+    confidence = voxel_confidence(forest, opened.session.geometry)
+    for place in opened.session.suggest(count=5).places:
+        i, j, k = np.rint(opened.session.geometry.world_to_index(place.position_mm)).astype(int)
+        assert place.confidence == pytest.approx(confidence[k, j, i], abs=1e-5)
 
 
 def test_the_paint_protocol_names_the_same_places_and_follows_the_strokes(recipe):

@@ -94,6 +94,18 @@ def test_the_ends_are_printed_and_written_below_a_recipe_that_stays(work):
     assert path.read_text() == text
 
 
+@pytest.mark.parametrize("line", ['ends = "automatic"\n', "ends = 'automatic'   # found each time\n"])
+def test_found_ends_take_the_place_of_automatic_ones(work, line):
+    """The older spelling leaves no room for tables: what it asked for is written down, and the line goes."""
+    path = written(work, "automatic.toml", head=line)
+    done = run("suggest", path, "--out", work, "--ends", "--write")
+    assert done.exit_code == 0, done.output
+    assert path.read_text().startswith(HEAD + BODY)
+    recipe = load_recipe(path)
+    check_ends([end.model_dump() for end in recipe.ends])
+    assert not recipe.walls_to_grow.find_ends
+
+
 def test_what_is_wrong_with_the_ends_that_there_are_is_told_beside(work):
     wrong = '\n[[ends]]\nlabel = "aorta"\nposition_mm = [15.0, -6.0, -12.0]\naxis = [0.0, 1.0, 0.0]\nradius_mm = 2.0\n'
     told = json.loads(run("suggest", written(work, "wrong.toml", tail=wrong), "--out", work, "--ends", "--json").stdout)

@@ -154,6 +154,38 @@ def test_workers_leave_interrupts_to_the_main_process():
         assert list(handlers.values()) == [signal.SIG_IGN] * 2
 
 
+@pytest.mark.skipif(os.name != "posix", reason="a terminal's processes get Ctrl-C together on POSIX")
+def test_an_interrupt_while_workers_start_is_one_line_and_leaves_nothing(tmp_path):
+    """A process that is still importing cannot have been told to leave Ctrl-C to the main one."""
+    psutil = pytest.importorskip("psutil")
+    folder = make_library(tmp_path / "recipes", 1)
+    command = [sys.executable, "-m", "heartcase", "library", "build", str(folder), "--out", str(tmp_path / "out")]
+    with subprocess.Popen(
+        [*command, "--workers", "1"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+    ) as process:
+        main_one = psutil.Process(process.pid)
+        starting = []
+        deadline = time.monotonic() + 120.0
+        while not starting and process.poll() is None and time.monotonic() < deadline:
+            starting = [one for one in main_one.children() if "spawn_main" in " ".join(one.cmdline())]
+            time.sleep(0.01)
+        assert starting
+        time.sleep(0.3)
+        started = main_one.children(recursive=True)
+        os.killpg(process.pid, signal.SIGINT)
+        said, _ = process.communicate(timeout=120)
+    assert process.returncode == 130, said
+    assert "Traceback" not in said
+    assert "Error" not in said
+    assert len([line for line in said.splitlines() if line.startswith("heartcase: interrupted")]) == 1
+    psutil.wait_procs(started, timeout=20)
+    assert not [one for one in started if one.is_running() and one.status() != psutil.STATUS_ZOMBIE]
+
+
 @pytest.mark.parametrize("answers", [{"w": "0.0.9"}, {"w": "0.0.9", "v": __version__}, None])
 def test_workers_with_another_heartcase_are_refused(answers):
     class Client:

@@ -9,6 +9,7 @@ import pytest
 
 from heartcase.pipeline.bundle.write_bundle import write_bundle
 from heartcase.schemas.bundle.approval import Approval, approval_log, approval_state, approve_case, bundle_sha256
+from heartcase.schemas.bundle.role_words import looks_like_a_name
 from heartcase.schemas.errors import BundleError, UsageError
 from tests.crash import Crash, crash_after
 from tests.factories import block_case
@@ -41,7 +42,8 @@ def test_a_new_case_is_a_draft_and_approving_it_says_who_when_and_what(case):
     assert state == approval_state(case)
     assert state.state == "approved"
     done = "approved by consultant cardiologist on 2026-03-04"
-    assert state.words == f"{done} (log of 1 line; a withdrawal cut off its end would not show)"
+    unseen = "which cannot show whether later ones, such as a withdrawal, were deleted"
+    assert state.words == f"{done} (1 entry in its log, {unseen})"
     (line,) = lines(case)
     assert line["time"] == "2026-03-04T05:06:07Z"
     assert line["bundle_sha256"] == bundle_sha256(case)
@@ -177,6 +179,27 @@ def test_spaces_around_a_role_are_taken_off(case):
 
 def test_roles_of_other_languages_are_fine(case):
     assert "Oberärztin der Kinderkardiologie" in approve_case(case, role="Oberärztin der Kinderkardiologie").words
+
+
+@pytest.mark.parametrize("role", [
+    "Dr. John Smith", "dr smith", "Prof. Dr. med. Anna Schmidt", "Mrs Jones", "John Smith", "J. Smith", "Smith, John",
+    "Anna von der Heide", "Dr.Smith Jones", "John Dr Smith", "María López-García",
+])  # fmt: skip
+def test_a_name_is_no_role(case, role):
+    with pytest.raises(UsageError, match="looks like a person's name"):
+        approve_case(case, role=role, now=NOW)
+    assert not approval_log(case).exists()
+
+
+@pytest.mark.parametrize("role", [
+    "consultant cardiologist", "Consultant Cardiologist", "PhD student", "MD", "surgeon", "Head of MRI",
+    "Prof. of cardiology",
+    "Professor of Paediatric Cardiology", "Leitender Oberarzt", "Fachärztin Kinderkardiologie", "chirurgien cardiaque",
+    "MRI CT", "Clinical Lead", "Chief Resident", "Doctor", "Attending Physician",
+    "pediatric nurse", "Research Fellow", "radiographer", "Imaging Scientist", "Prof. Cardiology", "Perfusionist",
+])  # fmt: skip
+def test_what_is_no_name_is_a_role(role):
+    assert not looks_like_a_name(role)
 
 
 def _approve_five_times(case, barrier):

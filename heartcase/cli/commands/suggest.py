@@ -27,7 +27,7 @@ __all__ = ["command", "places_json"]
 )
 @click.option("--count", type=click.IntRange(1, 100), default=5, show_default=True, help="Places to name, at most.")
 @click.option("--ends", is_flag=True, help="Find where vessels end instead, and propose the discs that cut them open.")
-@click.option("--write", is_flag=True, help="With --ends: write the discs at the end of RECIPE; the rest of it stays.")
+@click.option("--write", is_flag=True, help="With --ends: write the discs at the end of RECIPE.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 def command(recipe: Path, out: Path, count: int, ends: bool, write: bool, as_json: bool) -> None:
     """Name the places of RECIPE's segmentation where one more stroke is worth most.
@@ -36,6 +36,7 @@ def command(recipe: Path, out: Path, count: int, ends: bool, write: bool, as_jso
     radius given changes exactly the volume given. Where it is right, nothing need be done.
 
     With --ends, name the places where vessels end that no entry of 'ends' cuts, with the lines to put into RECIPE.
+    --write puts them there; the rest of it stays, but for ends = "automatic", which they take the place of.
     """
     if ends:
         _suggest_ends(recipe, out, write=write, as_json=as_json)
@@ -62,17 +63,22 @@ def command(recipe: Path, out: Path, count: int, ends: bool, write: bool, as_jso
             table[place.label].name,
             table[place.rival].name,
             f"{place.change_ml:.2f}",
-            f"{place.certainty:.2f}",
             f"{place.radius_mm:.1f}",
-            f"{place.worth_ml:.2f}",
+            f"{place.confidence:.2f}",
         )
         for place in found.places
     ]
-    right = ("would change, ml", "certainty", "brush below, mm", "worth, ml")
-    print_table(("at (LPS), mm", "is now", "could be", *right), rows, right=right)
+    right = ("changes,\nml", "brush\nbelow, mm", "confidence")
+    # As wide as "morphologically left", so that the table fits where lines have 100 characters.
+    print_table(
+        ("at (LPS), mm", "is now", "could be", *right),
+        rows,
+        right=right,
+        width_max=dict.fromkeys(("is now", "could be"), 20),
+    )
     click.echo(
-        f"The best place after these is worth {found.rest_ml:.2f} ml: when that is less than you care for, and these "
-        "are right, stop."
+        f"The best place after these is worth {found.rest_ml:.2f} ml (what it changes, at most 5 ml, times "
+        "1 - confidence):\nwhen that is less than you care for, and these are right, stop."
     )
 
 
@@ -128,6 +134,7 @@ def places_json(found: StrokePlaces, table: LabelTable) -> dict[str, Any]:
                 "rival": table[place.rival].name,
                 "change_ml": place.change_ml,
                 "certainty": place.certainty,
+                "confidence": place.confidence,
                 "radius_mm": place.radius_mm,
                 "worth_ml": place.worth_ml,
             }

@@ -87,7 +87,7 @@ def build(
             TimeElapsedColumn(),
             TimeRemainingColumn(),
         )
-        with connected(local, scheduler) as client:
+        with connected(local, scheduler, say=say) as client:
             if local is not None:
                 each = f"{local.thread_count} thread{'s' * (local.thread_count > 1)} and {local.memory_mb:,} MB each"
                 say(f"{local.count} worker{'s' * (local.count > 1)}, {each}")

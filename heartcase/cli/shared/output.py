@@ -99,12 +99,25 @@ def print_facts(facts: Mapping[str, object] | Iterable[tuple[str, object]], *, t
 
 
 def print_table(
-    columns: Sequence[str], rows: Iterable[Sequence[object]], *, title: str = "", right: Sequence[str] = ()
+    columns: Sequence[str],
+    rows: Iterable[Sequence[object]],
+    *,
+    title: str = "",
+    right: Sequence[str] = (),
+    width_max: Mapping[str, int] | None = None,
 ) -> None:
-    """Print a table on standard output; the columns named in ``right`` are set to the right."""
+    """Print a table on standard output; the columns named in ``right`` are set to the right.
+
+    What is wider than ``width_max`` (column -> characters) goes on in a line below.
+    """
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1), pad_edge=False)
     for column in columns:
-        table.add_column(column, justify="right" if column in right else "left", overflow="fold")
+        table.add_column(
+            column,
+            justify="right" if column in right else "left",
+            overflow="fold",
+            max_width=(width_max or {}).get(column),
+        )
     for row in rows:
         table.add_row(*(Text(str(cell)) for cell in row))
     _print(title, table)

@@ -40,14 +40,17 @@ def check_inputs(recipe: Recipe, directory: Path) -> InputFindings:
     directory
         Where its relative paths start.
     """
-    problems: list[Problem] = list(stroke_problems(recipe))
+    problems: list[Problem] = []
     whole, cut = None, None
     if (directory / recipe.scan.path).exists():
         try:
             whole, cut = _scan(recipe, directory)
         except HeartcaseError as error:
             problems += error.problems
-    problems += placeholder_problems(recipe, None if whole is None else whole.geometry)
+    examples = placeholder_problems(recipe, None if whole is None else whole.geometry)
+    # Where examples stand for strokes, what the strokes lack follows from that.
+    lacking = () if any(one.place.startswith("strokes") for one in examples) else stroke_problems(recipe)
+    problems = [*examples, *lacking, *problems]
     if cut is None or whole is None or any(not (directory / path).exists() for _, path in recipe.input_files):
         return InputFindings(tuple(problems))
     try:

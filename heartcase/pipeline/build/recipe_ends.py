@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,6 +21,10 @@ from heartcase.schemas.recipe.recipe import Recipe, parse_recipe, read_recipe_te
 from heartcase.schemas.toml import toml_text
 
 __all__ = ["ProposedEnds", "ends_at_locking", "propose_ends"]
+
+
+_FIRST_TABLE = re.compile(r"(.*?)((?:^[ \t]*\[|\Z))(.*)", re.S | re.M)
+_AUTOMATIC_ENDS = re.compile(r"""^[ \t]*ends[ \t]*=[ \t]*(["'])automatic\1[ \t]*(?:\#[^\n]*)?(?:\n|\Z)""", re.M)
 
 
 @dataclass(frozen=True)
@@ -48,20 +53,28 @@ class ProposedEnds:
     def save(self) -> int:
         """Write the discs at the end of the recipe, the rest of which stays to the letter; how many they are.
 
+        Only a line ``ends = "automatic"`` goes, which leaves no room for tables: what it asked for is written down.
+
         Raises
         ------
         RecipeError
-            Another program changed the file meanwhile, its ends are one array or automatic, which cannot be added to,
-            or the file cannot be written.
+            Another program changed the file meanwhile, its ends are one array, which cannot be added to, or the file
+            cannot be written.
         """
         if not self.toml:
             return 0
         if read_recipe_text(self.path) != self.text:
             raise RecipeError("the recipe was changed by another program meanwhile: try again", place="recipe")
-        advice = 'remove ends = "automatic", or write its ends as [[ends]] tables instead of ends = [...]'
+        advice = "write its ends as [[ends]] tables instead of ends = [...]"
         addition = f"\n# Vessel ends that were found.\n{self.toml}"
-        write_with_tables(self.path, self.text, addition, place="ends", advice=advice)
+        write_with_tables(self.path, _without_automatic_ends(self.text), addition, place="ends", advice=advice)
         return sum(not end.is_open for end in self.ends)
+
+
+def _without_automatic_ends(text: str) -> str:
+    """A recipe's text without a line ``ends = "automatic"``, which stands before its first table."""
+    top, header, rest = _FIRST_TABLE.match(text).groups()  # type: ignore[union-attr]
+    return _AUTOMATIC_ENDS.sub("", top, count=1) + header + rest
 
 
 def propose_ends(

@@ -59,7 +59,12 @@ class StrokePlace:
     radius_mm: float
     """Distance to the nearest voxel that would not change: a narrower brush stays inside."""
     worth_ml: float
-    """What a look is worth: ``change_ml``, at most 5 ml, by how likely it seems that the label is wrong."""
+    """What a look is worth: ``change_ml``, at most 5 ml, times 1 - ``confidence``."""
+
+    @property
+    def confidence(self) -> float:
+        """Confidence of the place, 0 to 1, as :mod:`heartcase.pipeline.markers.confidence` has it for the report."""
+        return 1.0 - self.worth_ml / min(self.change_ml, LARGE_ML)
 
 
 @dataclass(frozen=True)

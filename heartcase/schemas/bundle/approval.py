@@ -25,6 +25,7 @@ from heartcase.schemas.base import Model
 from heartcase.schemas.bundle.check import check_bundle
 from heartcase.schemas.bundle.format import MANIFEST_NAME
 from heartcase.schemas.bundle.manifest import FILE_NAME, manifest_bytes, read_manifest
+from heartcase.schemas.bundle.role_words import looks_like_a_name
 from heartcase.schemas.errors import BundleError, UsageError, problems_from_validation
 from heartcase.schemas.files import atomic_write, exclusive, sha256_of_file
 from heartcase.schemas.strict_json import parse_json
@@ -82,10 +83,11 @@ class Approval:
             return f"draft: the approval log cannot be trusted ({self.problems[0]})"
         if entry is None:
             return "draft: nobody has approved this case"
-        lines = f"{self.entry_count} line{'s' * (self.entry_count != 1)}"
-        done = f"{entry.role} on {entry.time[:10]} (log of {lines}"
+        entries = f"{self.entry_count} entr{'y' if self.entry_count == 1 else 'ies'}"
+        done = f"{entry.role} on {entry.time[:10]} ({entries} in its log"
         if self.state == "approved":
-            return f"approved by {done}; a withdrawal cut off its end would not show)"
+            # Each line seals those before it; nothing seals the end.
+            return f"approved by {done}, which cannot show whether later ones, such as a withdrawal, were deleted)"
         if self.state == "changed since approval":
             return f"draft: the case was changed since it was approved by {done})"
         return f"draft: the approval was withdrawn by {done})"
@@ -203,12 +205,18 @@ def approve_case(
     BundleError
         The case is not sound; every problem at once. Only of an approval.
     UsageError
-        The log was tampered with or cannot be written, the role or the note is not plain text, or there is no
-        approval to withdraw.
+        The log was tampered with or cannot be written, the role or the note is not plain text, the role looks like a
+        person's name, or there is no approval to withdraw.
     """
     case, role = Path(case), role.strip()
     if not any(letter.isalpha() for letter in role):
         raise UsageError("say in words what the reviewer is, such as: consultant cardiologist", place="role")
+    if looks_like_a_name(role):
+        raise UsageError(
+            "this looks like a person's name, and the log goes with the case: say what the reviewer is, such as "
+            "consultant cardiologist (in small letters, if it is no name)",
+            place="role",
+        )
     if withdraw:
         read_manifest(case)
     elif problems := check_bundle(case):
