@@ -31,9 +31,17 @@ $(VENV)/installed: $(LOCK) pyproject.toml | same-python
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -r $(LOCK)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
+	touch $(VENV)/prepare-installed $@
+
+# What building a case takes, without what only tests and benchmarks use.
+$(VENV)/prepare-installed: requirements-prepare.lock pyproject.toml | same-python
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "heartcase needs Python 3.11 or newer: make PYTHON=...")'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -r requirements-prepare.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
 	touch $@
 
-case: $(VENV)/installed
+case: $(VENV)/prepare-installed
 	$(BIN)/heartcase build sample_cases/adult_phantom.toml --out out
 	$(BIN)/heartcase simulate out/adult-phantom.case --script sample_cases/pull.toml --picture out/pull.png
 	@echo 'Look at out/adult-phantom.report.html and out/pull.png'
@@ -121,6 +129,7 @@ bench: $(VENV)/installed
 # New pins; needs uv.
 lock:
 	uv pip compile --upgrade pyproject.toml --extra dev --universal --python-version 3.11 --no-annotate --no-header --no-emit-index-url --generate-hashes -o requirements.lock
+	uv pip compile --upgrade pyproject.toml --extra prepare --universal --python-version 3.11 --no-annotate --no-header --no-emit-index-url --generate-hashes -o requirements-prepare.lock
 	uv pip compile --upgrade pyproject.toml --universal --python-version 3.11 --no-annotate --no-header --no-emit-index-url --generate-hashes -o requirements-plain.lock
 	uv pip compile --upgrade pyproject.toml --extra dev --resolution lowest-direct --python-version 3.11 --no-annotate --no-header --no-emit-index-url --generate-hashes -o requirements-lowest.lock
 
