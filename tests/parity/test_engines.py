@@ -141,8 +141,8 @@ def test_large_lattices_take_whichever_way_is_quicker():
     verlet = Verlet(0.3, 0.01)
     for _ in range(3):
         engine.advance(20, verlet)
-        alone.pace.seconds_per_step = [1.0, 2.0]
-        alone.pace.round_count = 3
+        alone.autotuner.seconds_per_step = [1.0, 2.0]
+        alone.autotuner.round_count = 3
         alone.advance(20, verlet)
     assert engine.read().step_count == 60
     assert engine.read().displacement.tobytes() == alone.read().displacement.tobytes()

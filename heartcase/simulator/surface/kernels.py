@@ -10,7 +10,7 @@ from numba import get_num_threads
 
 from heartcase.compiling.kernel import kernel
 from heartcase.schemas.arrays import Float32, Float64, Int32, UInt8
-from heartcase.simulator.engine.cpu.barrier import Crew, Meeting
+from heartcase.simulator.engine.cpu.barrier import Barrier, ThreadTeam
 from heartcase.simulator.surface.formulas import make_vertex_math
 
 __all__ = ["EVERYTHING", "deform_vertices", "mark_moved", "move_at_rest", "node_normals", "place_nodes"]
@@ -24,7 +24,7 @@ TURNED = np.uint8(2)
 """Mark of a node whose approximate normal was written."""
 
 
-_CREW = Crew()
+_TEAM = ThreadTeam()
 """Threads of all surfaces: their parts need not meet."""
 _ZERO = np.float32(0)
 _OPTIONS: dict[str, Any] = {"error_model": "numpy"}
@@ -109,11 +109,11 @@ def _place_between(start, end, nodes, rest_mm, axes, node_normal, displacement, 
 def _run(way: Callable[..., None], row_count: int, arrays: tuple[Any, ...], together: bool) -> None:
     """Work on all rows, on one thread or on all."""
 
-    def part(thread: int, thread_count: int, meeting: Meeting) -> int:
+    def part(thread: int, thread_count: int, barrier: Barrier) -> int:
         way(thread * row_count // thread_count, (thread + 1) * row_count // thread_count, *arrays)
         return 0
 
-    _CREW.run(get_num_threads() if together else 1, part)
+    _TEAM.run(get_num_threads() if together else 1, part)
 
 
 def node_normals(

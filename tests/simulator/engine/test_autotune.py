@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from heartcase.simulator.engine.cpu.autotune import ROUND_STEPS, ROUNDS_BETWEEN_TRIALS, TRIAL_STEPS, TRIALS, Pace
+from heartcase.simulator.engine.cpu.autotune import ROUND_STEPS, ROUNDS_BETWEEN_TRIALS, TRIAL_STEPS, TRIALS, Autotuner
 
 
 class Workshop:
@@ -14,10 +14,10 @@ class Workshop:
         self.seconds_per_step = list(seconds_per_step)
         self.taken = [0] * len(seconds_per_step)
         self.now = 0.0
-        self.pace = Pace(clock=lambda: self.now)
+        self.autotuner = Autotuner(clock=lambda: self.now)
 
     def run(self, step_count: int) -> None:
-        self.pace.run(step_count, tuple(self.way(number) for number in range(len(self.taken))))
+        self.autotuner.run(step_count, tuple(self.way(number) for number in range(len(self.taken))))
 
     def way(self, number: int):
         def take(count: int) -> None:
@@ -39,11 +39,11 @@ def test_quicker_way_takes_nearly_all_steps():
 def test_change_is_noticed():
     shop = Workshop(1.0, 5.0)
     shop.run(100)
-    assert shop.pace.quickest == 0
+    assert shop.autotuner.quickest == 0
     shop.seconds_per_step = [5.0, 1.0]
     for _ in range(ROUNDS_BETWEEN_TRIALS + 1):
         shop.run(100)
-    assert shop.pace.quickest == 1
+    assert shop.autotuner.quickest == 1
 
 
 def test_a_wrong_choice_does_not_last_in_long_rows():
@@ -79,7 +79,7 @@ def test_a_way_is_tried_to_the_end_also_where_the_first_rows_are_short(step_coun
     shop.way = way
     for _ in range(2 * TRIALS):
         shop.run(step_count)
-    assert shop.pace.quickest == 1
+    assert shop.autotuner.quickest == 1
     assert sum(shop.taken) == 2 * TRIALS * step_count
 
 
@@ -99,4 +99,4 @@ def test_a_slow_start_or_trial_is_not_held_against_a_way(disturbed):
 
     shop.way = way
     shop.run(100)
-    assert shop.pace.quickest == 1
+    assert shop.autotuner.quickest == 1

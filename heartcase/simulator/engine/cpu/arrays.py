@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from heartcase.schemas.arrays import Float32, Int8, Int64
-from heartcase.simulator.engine.cpu.barrier import Meeting
+from heartcase.simulator.engine.cpu.barrier import Barrier
 from heartcase.simulator.engine.cpu.instruments import Constants, ExplicitArrays
 
 __all__ = [
@@ -129,5 +129,5 @@ class ThreadPlace(NamedTuple):
     """Its number."""
     thread_count: int
     """How many there are."""
-    meeting: Meeting
-    """What they meet with."""
+    barrier: Barrier
+    """Where threads wait for one another."""

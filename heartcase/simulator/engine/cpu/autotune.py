@@ -1,8 +1,8 @@
 """Autotuning: choosing, while it runs, the quicker of two ways to do the same work.
 
-Threads that meet after every step are quickest on an idle machine and slowest on a busy one, where each meeting waits
-for the other thread's turn. What is quicker is therefore measured as the work goes on. It may be: both ways give the
-same bits.
+Threads that wait for one another after every step are quickest on an idle machine and slowest on a busy one, where
+each waits for the other thread's turn. What is quicker is therefore measured as the work goes on. It may be: both ways
+give the same bits.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from math import inf
 
-__all__ = ["Pace"]
+__all__ = ["Autotuner"]
 
 TRIAL_STEPS = 4
 """Steps of a trial of the way that is not in use."""
@@ -31,7 +31,7 @@ Work = Callable[[int], None]
 
 
 @dataclass
-class Pace:
+class Autotuner:
     """Remembers how long a step takes in each way."""
 
     clock: Callable[[], float] = time.perf_counter

@@ -1,6 +1,6 @@
 """A team of threads that take steps together, and the barrier at which they wait for one another.
 
-A meeting is a counter that the last thread to arrive resets. The others wait for it without rest at first, as steps are
+A barrier is a counter that the last thread to arrive resets. The others wait for it without rest at first, as steps are
 short, and then give their turn to whatever else wants the core: on a busy machine that may be the very thread that they
 wait for.
 """
@@ -22,21 +22,21 @@ from heartcase.compiling.emitting import array_data, named_function, nothing
 from heartcase.compiling.kernel import kernel
 from heartcase.schemas.arrays import Int64
 
-__all__ = ["Crew", "Meeting", "meet", "raise_to"]
+__all__ = ["Barrier", "ThreadTeam", "raise_to", "wait_at"]
 
-Meeting = Int64
+Barrier = Int64
 
 PATIENCE = 30_000
-"""Looks at a meeting before a thread gives its turn away, some 0.3 to 1 ms: two threads that the system has put on one
+"""Looks at a barrier before a thread gives its turn away, some 0.3 to 1 ms: two threads that the system has put on one
 core while another is idle are moved apart only if one of them waits for longer than that."""
 _ARRIVED, _ROUND, _ABANDONED = 0, 16, 32
-"""Places in a meeting's array, on cache lines of their own."""
+"""Places in a barrier's array, on cache lines of their own."""
 _SIZE = 48
 _INT64 = ir.IntType(64)
 _IS_X86 = platform.machine().lower() in ("x86_64", "amd64")
 
 
-class Crew:
+class ThreadTeam:
     """As many threads as there are parts; the caller's own is one of them. The others start when first needed."""
 
     def __init__(self) -> None:
@@ -44,7 +44,7 @@ class Crew:
         self._size = 0
         self._process = 0
 
-    def run(self, thread_count: int, work: Callable[[int, int, Meeting], int]) -> int:
+    def run(self, thread_count: int, work: Callable[[int, int, Barrier], int]) -> int:
         """Do the parts of some work at the same time.
 
         Parameters
@@ -52,24 +52,24 @@ class Crew:
         thread_count
             Threads, 1 for the caller's alone.
         work
-            Called with the thread's number, their count, and what they may :func:`meet` with; where they do, it must be
-            the first that each does. It must let go of Python's lock.
+            Called with the thread's number, their count, and a barrier that they may :func:`wait_at`; where they do, it
+            must be the first that each does. It must let go of Python's lock.
 
         Returns
         -------
         int
             What the caller's own part returned. An interrupt before it began leaves the work undone.
         """
-        meeting = np.zeros(_SIZE, np.int64)
+        barrier = np.zeros(_SIZE, np.int64)
         if thread_count == 1:
-            return work(0, 1, meeting)
+            return work(0, 1, barrier)
 
         def part(number: int) -> int:
             try:
-                return work(number, thread_count, meeting)
+                return work(number, thread_count, barrier)
             except BaseException:
                 # The others must not wait for one that does not come.
-                meeting[_ABANDONED] = 1
+                barrier[_ABANDONED] = 1
                 raise
 
         pool = self._others(thread_count - 1)
@@ -80,7 +80,7 @@ class Crew:
             result = part(0)
         except BaseException:
             # Also where an interrupt came between two lines of this function.
-            meeting[_ABANDONED] = 1
+            barrier[_ABANDONED] = 1
             raise
         finally:
             wait(parts)
@@ -101,24 +101,24 @@ def _pointer(context: Any, builder: Any, kind: Any, array: Any, place: int) -> A
 
 
 @intrinsic
-def _arrive(typing_context, meeting):
+def _arrive(typing_context, barrier):
     """Count this thread in; returns how many had arrived before."""
 
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         place = _pointer(context, builder, signature.args[0], arguments[0], _ARRIVED)
         return builder.atomic_rmw("add", place, ir.Constant(_INT64, 1), "acq_rel")
 
-    return types.int64(meeting), codegen
+    return types.int64(barrier), codegen
 
 
 def _make_read(place: int) -> Any:
     @intrinsic
-    def read(typing_context, meeting):
+    def read(typing_context, barrier):
         def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             where = _pointer(context, builder, signature.args[0], arguments[0], place)
             return builder.load_atomic(where, "acquire", 8)
 
-        return types.int64(meeting), codegen
+        return types.int64(barrier), codegen
 
     return read
 
@@ -127,7 +127,7 @@ _round, _is_abandoned = _make_read(_ROUND), _make_read(_ABANDONED)
 
 
 @intrinsic
-def _begin(typing_context, meeting, number):
+def _begin(typing_context, barrier, number):
     """Let all threads go on: the counter starts anew, then the next round begins."""
 
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -137,7 +137,7 @@ def _begin(typing_context, meeting, number):
         builder.store_atomic(arguments[1], _pointer(context, builder, kind, array, _ROUND), "release", 8)
         return nothing(context)
 
-    return types.void(meeting, types.int64), codegen
+    return types.void(barrier, types.int64), codegen
 
 
 @intrinsic
@@ -167,17 +167,17 @@ def _give_way(typing_context):
 
 
 @kernel
-def meet(meeting: Meeting, thread_count: int) -> bool:
+def wait_at(barrier: Barrier, thread_count: int) -> bool:
     """Wait for all threads; what they wrote before can be read after. False where the work was abandoned."""
     if thread_count == 1:
         return True
-    number = _round(meeting)
-    if _arrive(meeting) + 1 == thread_count:
-        _begin(meeting, number + 1)
+    number = _round(barrier)
+    if _arrive(barrier) + 1 == thread_count:
+        _begin(barrier, number + 1)
         return True
     looks = 0
-    while _round(meeting) == number:
-        if _is_abandoned(meeting):
+    while _round(barrier) == number:
+        if _is_abandoned(barrier):
             return False
         if looks < PATIENCE:
             looks += 1

@@ -19,8 +19,8 @@ from heartcase.simulator.engine.cpu.arrays import (
     StepRow,
     ThreadPlace,
 )
-from heartcase.simulator.engine.cpu.autotune import Pace
-from heartcase.simulator.engine.cpu.barrier import Crew, Meeting
+from heartcase.simulator.engine.cpu.autotune import Autotuner
+from heartcase.simulator.engine.cpu.barrier import Barrier, ThreadTeam
 from heartcase.simulator.engine.cpu.chunks import KEPT_NODES_MAX, chunk_arrays
 from heartcase.simulator.engine.cpu.kernel import (
     CHUNKS_PER_ROOM,
@@ -92,8 +92,8 @@ class CpuEngine:
         self._means = _aligned((0,)), _aligned((0,))
         self.set_springs(model)
         self.set_inverse_mass(model.inverse_mass)
-        self.pace = Pace()
-        self._crew = Crew()
+        self.autotuner = Autotuner()
+        self._team = ThreadTeam()
         self.current = 0
         self.step_count = 0
 
@@ -143,20 +143,20 @@ class CpuEngine:
         if self.layout.window_count < PARALLEL_WINDOWS_MIN or thread_count == 1:
             with_threads(1)(step_count)
         else:
-            self.pace.run(step_count, (with_threads(1), with_threads(thread_count)))
+            self.autotuner.run(step_count, (with_threads(1), with_threads(thread_count)))
 
     @property
     def threads_pay(self) -> bool:
         """Whether more than one thread has been quicker lately: a busy machine has none to spare."""
-        return bool(self.pace.seconds_per_step) and self.pace.quickest == 1
+        return bool(self.autotuner.seconds_per_step) and self.autotuner.quickest == 1
 
     def advance_by(
         self, thread_count: int, step_count: int, verlet: Verlet, probes: Float32, first_step: int = 0
     ) -> None:
         """Take steps with so many threads; the bits are the same with any number."""
 
-        def part(thread: int, thread_count: int, meeting: Meeting) -> int:
-            return int(advance(*arguments, ThreadPlace(thread, thread_count, meeting)))
+        def part(thread: int, thread_count: int, barrier: Barrier) -> int:
+            return int(advance(*arguments, ThreadPlace(thread, thread_count, barrier)))
 
         constants = tuple(np.float32(number) for number in verlet.numbers)
         still = np.array([*verlet.still, ROUNDING * verlet.kick], np.float32)
@@ -178,7 +178,7 @@ class CpuEngine:
             self._sleep,
             self._chunks,
         )
-        self.current = self._crew.run(thread_count, part)
+        self.current = self._team.run(thread_count, part)
         self.step_count += step_count
 
     def set_springs(self, model: LatticeModel) -> None:

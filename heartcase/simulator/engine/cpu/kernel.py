@@ -2,13 +2,13 @@
 
 In a step, each thread first adds up the forces of the cells around its nodes, then nodes add those of their springs and
 move (:mod:`heartcase.simulator.engine.cpu.steps`). Where elements share strain, all threads first write the gradients
-of the cells, meet, write the stress of the means around the nodes, and meet again. A window reads only what was written
-before the threads last met, or by its own thread (:mod:`heartcase.simulator.engine.cpu.chunks`), and writes only its
-own lanes, so that the result does not depend on the number of threads.
+of the cells, wait at the barrier, write the stress of the means around the nodes, and wait again. A window reads only
+what was written before the last barrier, or by its own thread (:mod:`heartcase.simulator.engine.cpu.chunks`), and
+writes only its own lanes, so that the result does not depend on the number of threads.
 
 Corners that are about to turn inside out are looked for in the first step and every LOOK_STEPS from there; in between,
-only the windows that had such corners are looked after. Where tissue may sleep (:mod:`heartcase.simulator.
-kernel_cpu_sleep`), only windows that are awake are worked out.
+only the windows that had such corners are looked after. Where tissue may sleep
+(:mod:`heartcase.simulator.engine.cpu.sleep`), only windows that are awake are worked out.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from heartcase.simulator.engine.cpu.arrays import (
     StepRow,
     ThreadPlace,
 )
-from heartcase.simulator.engine.cpu.barrier import meet
+from heartcase.simulator.engine.cpu.barrier import wait_at
 from heartcase.simulator.engine.cpu.cells import (
     clear_window,
     element_of_window,
@@ -331,12 +331,12 @@ def advance(
     cells, kinds, sharing = work
     explicit, probes = instruments
     current, step_count, first_step, constants, still = steps
-    thread, thread_count, meeting = place
+    thread, thread_count, barrier = place
     kind, _, has_guard = kinds
     chunk_count = len(chunks.before_counts)
     works_cells = kind != NO_CELLS or _has_flat(cells)
     # Nobody changes anything before all are there.
-    if not meet(meeting, thread_count):
+    if not wait_at(barrier, thread_count):
         return current
     before = flush_subnormals()
     for step_number in range(step_count):
@@ -346,39 +346,39 @@ def advance(
         if row_step % ROUSE_STEPS == 0:
             if thread == 0 and rouse(sleep, row_step == 0):
                 share_out(chunks, sleep)
-            meet(meeting, thread_count)
+            wait_at(barrier, thread_count)
         is_checked = still[0] > 0 and row_step % CHECK_STEPS == 0
         if is_checked:
             for share in range(thread, SHARES, thread_count):
                 first, end = _part(share, sleep.counts[0])
                 remember(first, end, rows, velocity, sleep)
-            meet(meeting, thread_count)
+            wait_at(barrier, thread_count)
         if has_guard and row_step % LOOK_STEPS == 0:
             for share in range(thread, SHARES, thread_count):
                 _look_at_share(share, now, cells, sleep)
-            meet(meeting, thread_count)
+            wait_at(barrier, thread_count)
             if kind == NO_CELLS:
                 works_cells = _has_flat(cells)
                 if works_cells:
                     if thread == 0:
                         _mark_touched(cells)
-                    meet(meeting, thread_count)
+                    wait_at(barrier, thread_count)
         if len(explicit[0]):
             if thread == 0:
                 pull_explicitly(now, velocity, inverse_mass, explicit, constants)
-            meet(meeting, thread_count)
+            wait_at(barrier, thread_count)
         if kind == SHARING_ELEMENTS:
             _stretch(thread, thread_count, now, cells, sharing, sleep)
-            meet(meeting, thread_count)
+            wait_at(barrier, thread_count)
             _share_strain(thread, thread_count, rows, cells, sharing, chunks)
-            meet(meeting, thread_count)
+            wait_at(barrier, thread_count)
         state = (now, later, velocity, weight, window_numbers, tension, inverse_mass, rows)
         for chunk in range(thread, chunk_count, thread_count):
             if works_cells:
                 _step_chunk_with_cells(chunk, state, constants, cells, kinds, sharing, chunks, sleep)
             else:
                 _step_chunk(chunk, state, constants, chunks, sleep)
-        meet(meeting, thread_count)
+        wait_at(barrier, thread_count)
         if len(probes):
             step = constants[0]
             for share in range(thread, SHARES, thread_count):
@@ -386,14 +386,14 @@ def advance(
                 for window in sleep.awake[first:end]:
                     row = rows[window]
                     keep_window_outside(now, later, velocity, presence, inverse_mass, rest, row, probes, row_step, step)
-            meet(meeting, thread_count)
+            wait_at(barrier, thread_count)
         current = 1 - current
         if is_checked:
             for share in range(thread, SHARES, thread_count):
                 _check_share(share, later, velocity, inverse_mass, rows, rest, probes, row_step + 1, sleep, still)
-            meet(meeting, thread_count)
+            wait_at(barrier, thread_count)
             if thread == 0 and settle(later, now, velocity, rows, cells.touches, sleep):
                 share_out(chunks, sleep)
-            meet(meeting, thread_count)
+            wait_at(barrier, thread_count)
     restore_subnormals(before)
     return current

@@ -1,9 +1,9 @@
 """The CUDA kernels for what acts in cells: elements, the volume term, corners that push back.
 
-In a step every cell first writes its forces on its corners; all threads meet; then every node gathers those of the
-cells around it, adds its springs and moves; all threads meet again. Each sum is taken in one order, so that the result
-does not depend on how cells and nodes are shared among threads. Where tissue is strained by the mean around nodes, two
-more rounds go before: cells write their gradients, then nodes the stress of the mean of those around.
+In a step every cell first writes its forces on its corners; all threads wait for one another; then every node gathers
+those of the cells around it, adds its springs and moves; all threads wait again. Each sum is taken in one order, so
+that the result does not depend on how cells and nodes are shared among threads. Where tissue is strained by the mean
+around nodes, two more rounds go before: cells write their gradients, then nodes the stress of the mean of those around.
 
 Arrays are ordered by number first, then cell or node, so that neighbouring threads read neighbouring words.
 """
@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numba import cuda
 
-from heartcase.simulator.engine.cuda.intrinsics import load_four, meet, store_four
+from heartcase.simulator.engine.cuda.intrinsics import load_four, store_four, wait_at_grid_barrier
 from heartcase.simulator.engine.cuda.kernel import (
     force_of_springs,
     keep_outside,
@@ -283,17 +283,17 @@ def advance_with_cells(
             for cell in range(cuda.grid(1), cell_count, cuda.gridsize(1)):
                 _stretch_cell(displacement, now, corner_lane, numbers, gradient, _U(cell))
             expected = _U(expected + cuda.gridDim.x)
-            meet(arrivals, expected)
+            wait_at_grid_barrier(arrivals, expected)
             for node in range(cuda.grid(1), node_count, cuda.gridsize(1)):
                 _share_strain(gradient, shares, inverse_shared, stress, law, node_cell, _U(node))
             expected = _U(expected + cuda.gridDim.x)
-            meet(arrivals, expected)
+            wait_at_grid_barrier(arrivals, expected)
         for cell in range(cuda.grid(1), cell_count, cuda.gridsize(1)):
             number = _U(cell)
             kinds = (has_elements, has_guard, has_sharing)
             _work_cell(displacement, now, corner_lane, numbers, sharing, cell_force, law, number, *kinds)
         expected = _U(expected + cuda.gridDim.x)
-        meet(arrivals, expected)
+        wait_at_grid_barrier(arrivals, expected)
         for node in range(cuda.grid(1), node_count, cuda.gridsize(1)):
             row = rows_of(window_rows, node_slot[node])
             lane = row[4]
@@ -314,7 +314,7 @@ def advance_with_cells(
             store_four(displacement, _U(later + lane), u[0], u[1], u[2], _O)
         now, later = later, now
         expected = _U(expected + cuda.gridDim.x)
-        meet(arrivals, expected)
+        wait_at_grid_barrier(arrivals, expected)
 
 
 @cuda.jit

@@ -21,7 +21,7 @@ __all__ = ["LOOK_STEPS", "CellsOnDevice", "plain_launch"]
 LOOK_STEPS = 64
 """Steps between two looks for corners that are about to turn inside out: each makes the host wait for the device."""
 PLAIN_THREADS = 128
-"""Threads of a block in the kernels that do not meet."""
+"""Threads of a block in the kernels without a grid-wide barrier."""
 
 
 def plain_launch(count: int) -> tuple[int, int]:

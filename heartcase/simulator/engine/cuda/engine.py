@@ -33,7 +33,7 @@ WARP = 32
 NODE_SETS_KEPT = 16
 """Sets of nodes whose forces were asked for that stay on the device."""
 STEPS_PER_LAUNCH = 100_000
-"""So that Ctrl-C is heard within seconds, and the count of the meetings stays in its 32 bits."""
+"""So that Ctrl-C is heard within seconds, and the count at the grid-wide barrier stays in its 32 bits."""
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from typing import Any
 from llvmlite import ir
 from numba import config, cuda, types
 
-__all__ = ["IS_SIMULATED", "load_four", "meet", "register_limit", "store_four"]
+__all__ = ["IS_SIMULATED", "load_four", "register_limit", "store_four", "wait_at_grid_barrier"]
 
 IS_SIMULATED = bool(config.ENABLE_CUDASIM)
 """Whether kernels run in numba's simulator instead of on a device."""
@@ -32,7 +32,7 @@ if IS_SIMULATED:
         array[4 * int(number) : 4 * int(number) + 4] = x, y, z, w
 
     @cuda.jit(device=True)
-    def meet(arrivals, expected):
+    def wait_at_grid_barrier(arrivals, expected):
         """Wait for all threads of the grid."""
         cuda.syncthreads()
 
@@ -103,8 +103,8 @@ else:
         return types.uint32(arrivals), codegen
 
     @cuda.jit(device=True)
-    def meet(arrivals, expected):
-        """Wait until ``expected`` blocks of threads were counted: half the time of numba's grid-wide meeting."""
+    def wait_at_grid_barrier(arrivals, expected):
+        """Wait until ``expected`` blocks of threads were counted: half the time of numba's grid-wide barrier."""
         cuda.syncthreads()
         if cuda.threadIdx.x == 0:
             _arrive(arrivals)

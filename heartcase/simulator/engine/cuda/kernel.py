@@ -1,9 +1,9 @@
 """The CUDA kernels: a thread per node, many steps in one launch.
 
 Nodes lie in the lanes of :mod:`heartcase.simulator.engine.shared.lanes`. The force is
-:mod:`heartcase.simulator.engine.cpu.springs`'s, spring for spring in the same order. All threads meet after every step,
-so that one launch takes as many steps as the host wants. A step reads only the displacements of the one before and
-writes only its own nodes: the result does not depend on how the nodes are shared among threads.
+:mod:`heartcase.simulator.engine.cpu.springs`'s, spring for spring in the same order. All threads wait for one another
+after every step, so that one launch takes as many steps as the host wants. A step reads only the displacements of the
+one before and writes only its own nodes: the result does not depend on how the nodes are shared among threads.
 
 Two kernels take the same steps to the same bits. ``advance_resident`` gives each thread one node, whose springs,
 mass and velocity stay in registers from the first step to the last: all that is read in a step are displacements.
@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numba import cuda
 
-from heartcase.simulator.engine.cuda.intrinsics import load_four, meet, register_limit, store_four
+from heartcase.simulator.engine.cuda.intrinsics import load_four, register_limit, store_four, wait_at_grid_barrier
 from heartcase.simulator.engine.shared.contact import make_contact
 from heartcase.simulator.engine.shared.lanes import LANE_COUNT
 
@@ -236,7 +236,7 @@ def keep_outside(displacement, buffer, own, u, v, rest, row, weight, probes, ste
 
 @cuda.jit(device=True)
 def start_meeting(arrivals):
-    """Set the count to zero; numba's own meeting makes it launch the grid only if all of it runs at once."""
+    """Set the count to zero; numba's own barrier makes it launch the grid only if all of it runs at once."""
     if cuda.grid(1) == 0:
         arrivals[0] = 0
     cuda.cg.this_grid().sync()
@@ -287,7 +287,7 @@ def _make_advance_resident(has_hands: bool) -> Any:
         constants
             Step, keep, kick, the three components of gravity and the speed limit, grid units, float32, shape (7,).
         arrivals
-            Room for the meetings' count, uint32, shape (1,).
+            Room for the barrier's count, uint32, shape (1,).
         explicit_first
             Where the explicit springs of each node begin, and the last end, uint32, shape (node_count + 1,).
         explicit_lane, explicit_offset, explicit_stiffness
@@ -333,7 +333,7 @@ def _make_advance_resident(has_hands: bool) -> Any:
                 store_four(displacement, _U(later + lane), u[0], u[1], u[2], _O)
             now, later = later, now
             expected = _U(expected + cuda.gridDim.x)
-            meet(arrivals, expected)
+            wait_at_grid_barrier(arrivals, expected)
         if is_used:
             store_four(velocity, lane, v[0], v[1], v[2], v[3])
 
@@ -405,7 +405,7 @@ def _make_advance_streaming(has_hands: bool) -> Any:
                     store_four(displacement, _U(later + lane), u[0], u[1], u[2], _O)
             now, later = later, now
             expected = _U(expected + cuda.gridDim.x)
-            meet(arrivals, expected)
+            wait_at_grid_barrier(arrivals, expected)
 
     return advance_streaming
 
