@@ -22,7 +22,7 @@ from phantom_inputs import PhantomInputs, bare_truth, code_key, phantom_inputs
 from heartcase.phantom.anatomy.heart import HeartPhantom
 from heartcase.phantom.drawing.strokes import first_strokes, marker_strokes
 from heartcase.phantom.metrics import SurfaceError, closest_distance_mm, dice, label_surface
-from heartcase.pipeline.data import Markers, Scan, Segmentation
+from heartcase.pipeline.data import UNMARKED, Markers, Scan, Segmentation
 from heartcase.pipeline.image.filter_scan import filter_scan
 from heartcase.pipeline.image.gradient import gradient_magnitude
 from heartcase.pipeline.markers.load_markers import load_markers
@@ -161,7 +161,7 @@ METHODS = {"heartcase": heartcase, "skimage": skimage, "growcut": growcut, "rand
 def _seeds(inputs: Inputs) -> Any:
     """Marked voxels as label + 1, the others 0."""
     seeds = inputs.markers.labels.astype(np.int32) + 1
-    seeds[inputs.markers.labels == Markers.UNMARKED] = 0
+    seeds[inputs.markers.labels == UNMARKED] = 0
     return seeds
 
 
@@ -201,7 +201,7 @@ def errors(inputs: Inputs, output: Segmentation) -> dict[str, float]:
         found[f"{title} 95% distance [mm]"] = float(worst([mm(distance[name].percentile_95_mm) for name in names]))
         found[f"{title} mean distance [mm]"] = float(worst([mm(distance[name].mean_mm) for name in names]))
     found |= {f"{name} Dice [1]": overlap[name] for name in names if name != muscle}
-    found["voxels marked [%]"] = 100.0 * float((inputs.markers.labels != Markers.UNMARKED).mean())
+    found["voxels marked [%]"] = 100.0 * float((inputs.markers.labels != UNMARKED).mean())
     return found
 
 

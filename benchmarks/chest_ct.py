@@ -10,7 +10,7 @@ import numpy as np
 from segment import METHODS, Inputs
 
 from heartcase.phantom.metrics import dice
-from heartcase.pipeline.data import Markers, Scan, Segmentation
+from heartcase.pipeline.data import UNMARKED, Scan, Segmentation
 from heartcase.pipeline.formats.read_scan import read_labels, read_scan
 from heartcase.pipeline.image.filter_scan import filter_scan
 from heartcase.pipeline.image.gradient import gradient_magnitude
@@ -45,5 +45,5 @@ def errors(inputs: Inputs, output: Segmentation) -> dict[str, float]:
     artery = output.table["pulmonary artery"].value
     return {
         "pulmonary artery Dice [1]": dice(output.labels, inputs.true_labels, artery),
-        "voxels of the region marked [%]": 100.0 * float((inputs.markers.labels != Markers.UNMARKED).mean()),
+        "voxels of the region marked [%]": 100.0 * float((inputs.markers.labels != UNMARKED).mean()),
     }

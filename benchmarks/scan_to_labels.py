@@ -23,7 +23,7 @@ from skimage.segmentation import watershed
 
 from heartcase.phantom.drawing.strokes import first_strokes, random_strokes
 from heartcase.phantom.metrics import dice
-from heartcase.pipeline.data import Markers, Scan
+from heartcase.pipeline.data import UNMARKED, Scan
 from heartcase.pipeline.formats.read_scan import read_labels, read_scan
 from heartcase.pipeline.image.filter_scan import filter_scan
 from heartcase.pipeline.image.landscape import landscape
@@ -177,7 +177,7 @@ def _peer(inputs: Inputs, kind: str, *, is_blurred: bool) -> tuple[Any, ...]:
     found = []
     for markers in inputs.marker_sets:
         seeds = markers.astype(np.int32) + 1
-        seeds[markers == Markers.UNMARKED] = 0
+        seeds[markers == UNMARKED] = 0
         found.append((watershed(height, seeds) - 1).astype(np.uint8))
     return tuple(found)
 

@@ -12,7 +12,7 @@ from phantom_inputs import phantom_inputs
 from heartcase.phantom.anatomy.truth import Truth
 from heartcase.phantom.metrics import dice, surface_error
 from heartcase.pipeline.bundle.assembly import labels_of
-from heartcase.pipeline.data import Markers, Scan, Segmentation
+from heartcase.pipeline.data import UNMARKED, Markers, Scan, Segmentation
 from heartcase.pipeline.image.filter_scan import filter_scan
 from heartcase.pipeline.image.gradient import gradient_magnitude
 from heartcase.pipeline.walls.grow_walls import grow_walls
@@ -48,7 +48,7 @@ def heartcase(inputs: Inputs) -> Segmentation:
 
 def simpleitk(inputs: Inputs) -> Segmentation:
     painted = inputs.markers.labels.astype(np.int32) + 1
-    painted[painted == Markers.UNMARKED + 1] = 0
+    painted[painted == UNMARKED + 1] = 0
     flooded = sitk.MorphologicalWatershedFromMarkers(
         sitk.GetImageFromArray(inputs.gradient), sitk.GetImageFromArray(painted), markWatershedLine=False
     )
@@ -72,5 +72,5 @@ def errors(inputs: Inputs, output: Segmentation) -> dict[str, float]:
         found[f"{label.name} Dice [1]"] = dice(finished.labels, truth, label.value)
         found[f"{label.name} mean distance [mm]"] = distance.mean_mm
         found[f"{label.name} 95% distance [mm]"] = distance.percentile_95_mm
-    found["voxels marked [%]"] = 100.0 * float((inputs.markers.labels != Markers.UNMARKED).mean())
+    found["voxels marked [%]"] = 100.0 * float((inputs.markers.labels != UNMARKED).mean())
     return found

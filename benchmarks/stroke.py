@@ -14,7 +14,7 @@ import numpy as np
 from phantom_inputs import PhantomInputs, bare_truth, phantom_inputs
 from skimage.segmentation import watershed
 
-from heartcase.pipeline.data import Markers
+from heartcase.pipeline.data import UNMARKED
 from heartcase.pipeline.image.filter_scan import filter_scan
 from heartcase.pipeline.markers.session import SegmentationSession
 from heartcase.pipeline.watershed.forest import solve_forest
@@ -81,7 +81,7 @@ def anew(inputs: Inputs) -> SegmentationSession:
 def skimage(inputs: Inputs) -> SegmentationSession:
     """All markers flooded."""
     markers = inputs.session.markers().labels
-    watershed(inputs.tree.height, np.where(markers == Markers.UNMARKED, 0, markers.astype(np.int32) + 1))
+    watershed(inputs.tree.height, np.where(markers == UNMARKED, 0, markers.astype(np.int32) + 1))
     return inputs.session
 
 

@@ -17,7 +17,7 @@ from phantom_inputs import PhantomInputs, phantom_inputs
 from skimage.segmentation import watershed
 
 from heartcase.phantom.metrics import dice
-from heartcase.pipeline.data import Markers
+from heartcase.pipeline.data import UNMARKED, Markers
 from heartcase.pipeline.image.filter_scan import filter_scan
 from heartcase.pipeline.image.landscape import landscape
 from heartcase.pipeline.watershed.certainty import voxel_certainty
@@ -52,12 +52,12 @@ def prepare(params: dict[str, Any]) -> Inputs:
     )
     markers = source.markers.labels
     if labels == "shuffled":
-        strokes = cc3d.connected_components(np.where(markers == Markers.UNMARKED, 0, markers + np.int32(1)))
+        strokes = cc3d.connected_components(np.where(markers == UNMARKED, 0, markers + np.int32(1)))
         shuffled = np.random.default_rng(1).integers(0, 10, strokes.max() + 1).astype(np.uint8)
-        markers = np.where(strokes > 0, shuffled[strokes], np.uint8(Markers.UNMARKED))
+        markers = np.where(strokes > 0, shuffled[strokes], np.uint8(UNMARKED))
     elif labels == "scattered":
         random = np.random.default_rng(1)
-        markers = np.full(gradient.shape, Markers.UNMARKED, np.uint8)
+        markers = np.full(gradient.shape, UNMARKED, np.uint8)
         markers.flat[random.choice(markers.size, markers.size // 2000, replace=False)] = random.integers(
             0, 10, markers.size // 2000
         )
@@ -73,7 +73,7 @@ def _noise(across: int) -> Inputs:
         noise = random.random((across, across), np.float32)
         before = 0.5 * before + noise + np.roll(noise, 1, 0) + np.roll(noise, 1, 1)
         slice_[:] = before
-    markers = np.full(gradient.shape, Markers.UNMARKED, np.uint8)
+    markers = np.full(gradient.shape, UNMARKED, np.uint8)
     markers.flat[random.choice(markers.size, 20_000, replace=False)] = random.integers(0, 10, 20_000)
     return Inputs(None, gradient, markers)
 
@@ -90,12 +90,12 @@ def heartcase_raw(inputs: Inputs) -> UInt8:
 
 
 def skimage(inputs: Inputs) -> UInt8:
-    seeds = np.where(inputs.markers == Markers.UNMARKED, 0, inputs.markers.astype(np.int32) + 1)
+    seeds = np.where(inputs.markers == UNMARKED, 0, inputs.markers.astype(np.int32) + 1)
     return (watershed(inputs.height, seeds, connectivity=1) - 1).astype(np.uint8)
 
 
 def simpleitk(inputs: Inputs) -> UInt8:
-    seeds = np.where(inputs.markers == Markers.UNMARKED, 0, inputs.markers.astype(np.int32) + 1)
+    seeds = np.where(inputs.markers == UNMARKED, 0, inputs.markers.astype(np.int32) + 1)
     flooded = sitk.MorphologicalWatershedFromMarkers(
         sitk.GetImageFromArray(inputs.height), sitk.GetImageFromArray(seeds), markWatershedLine=False
     )

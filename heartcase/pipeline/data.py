@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,6 +19,7 @@ from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable
 
 __all__ = [
+    "UNMARKED",
     "GridMap",
     "Markers",
     "PickingSurface",
@@ -33,6 +35,8 @@ __all__ = [
 ]
 
 
+UNMARKED = 255
+"""Value of a voxel without marker, and of all that no label reaches."""
 SHAPE_POINTS = {"cylinder": 2, "elliptic": 4, "slit": 4, "strokes": 1}
 """Shape of a reshaping -> least number of its points."""
 
@@ -54,10 +58,11 @@ class Scan:
     whole_sha256: str = ""
     """``values_sha256`` of the scan before its region of interest was cut out; empty where nobody worked it out."""
 
-    @property
+    @cached_property
     def values_sha256(self) -> str:
         """SHA-256 of intensities and geometry, and of nothing that a header says: what a scan is known by for years.
 
+        Worked out once: nobody writes to the values of a scan that was made.
         Over the size (i, j, k; int64), the affine in mm to 1e-6 (float64) and the values (float32), little-endian.
         """
         digest = hashlib.sha256(np.array(self.geometry.size, "<i8").tobytes())
@@ -71,13 +76,11 @@ class Markers:
     """Painted markers on the scan's lattice."""
 
     labels: UInt8
-    """Label value of each marked voxel, shape ``geometry.shape``; 255 where nothing is marked (0 is background)."""
+    """Label value of each marked voxel, shape ``geometry.shape``; UNMARKED where none is (0 is background)."""
     geometry: Geometry
     """The scan's geometry."""
     warnings: tuple[CaseWarning, ...] = field(default=(), metadata={"is_kept_when_empty": False})
     """What a file marks that may not be meant, in plain words."""
-
-    UNMARKED = 255
 
 
 @dataclass(frozen=True)
@@ -216,6 +219,11 @@ class Structures:
     """The vessels' ends: cut by a disc, or, where they were sought, open at a face of the volume."""
     quality: dict[str, Any] = field(default_factory=dict, metadata={"is_kept_when_empty": False})
     """What the smoothing of the outlines did: volumes and narrowest lumens before and after, for the report."""
+
+    @cached_property
+    def worked_out(self) -> dict[str, Any]:
+        """Room for what readers work out of the structures, kept as long as they are; part of no file."""
+        return {}
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "reshapings", tuple(Reshaping(*one) for one in self.reshapings))

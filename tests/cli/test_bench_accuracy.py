@@ -10,7 +10,7 @@ import pytest
 import pyvista
 
 from heartcase.phantom.anatomy.heart import HeartPhantom
-from heartcase.pipeline.data import Markers, Scan, Segmentation
+from heartcase.pipeline.data import UNMARKED, Markers, Scan, Segmentation
 from heartcase.schemas.benchmark import MethodSkipped
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import Label, LabelTable, Role
@@ -57,7 +57,7 @@ def shells(inner: float, outer: float) -> np.ndarray:
 
 
 def inputs_of(accuracy, truth: np.ndarray, *, behind: np.ndarray | None = None):
-    marked = np.full(GEOMETRY.shape, Markers.UNMARKED, np.uint8)
+    marked = np.full(GEOMETRY.shape, UNMARKED, np.uint8)
     marked[14:16, 14:16, 14:16] = 1
     marked[FROM_CENTRE > 13.5] = 0
     marked[(abs(FROM_CENTRE - 8.0) < 0.8) & (INDEX[2] > 14)] = 9
@@ -143,7 +143,7 @@ def test_every_method_finds_the_shells(accuracy, method):
         if method != "growcut" or "heartcase[bench]" not in str(reason):
             raise
         pytest.skip("itk-growcut is not installed")
-    marked = inputs.markers.labels != Markers.UNMARKED
+    marked = inputs.markers.labels != UNMARKED
     np.testing.assert_array_equal(found.labels[marked], inputs.markers.labels[marked])
     assert (found.labels == inputs.true_labels).mean() > 0.93
 
@@ -159,14 +159,14 @@ def test_every_method_finds_the_shells_from_the_scan_for_each_set_of_markers(acc
     noisy = source.filtered.values + np.random.default_rng(2).normal(0.0, 4.0, truth.shape)
     marked = source.markers.labels
     fewer = marked.copy()
-    fewer[INDEX[2] > 20] = Markers.UNMARKED
+    fewer[INDEX[2] > 20] = UNMARKED
     inputs = scan_to_labels.Inputs(
         Scan(noisy.astype(np.float32), GEOMETRY), (marked, fewer), TABLE, truth, np.zeros(truth.shape, bool), (1, 9)
     )
     found = scan_to_labels.METHODS[method](inputs)
     assert len(found) == 2
     for labels, markers in zip(found, inputs.marker_sets, strict=True):
-        np.testing.assert_array_equal(labels[markers != Markers.UNMARKED], markers[markers != Markers.UNMARKED])
+        np.testing.assert_array_equal(labels[markers != UNMARKED], markers[markers != UNMARKED])
     assert (found[0] == truth).mean() > 0.9
     errors = scan_to_labels.errors(inputs, (truth, np.zeros_like(truth)))
     assert errors["all labels Dice [1]"] == errors["left ventricle Dice [1]"] == 0.5

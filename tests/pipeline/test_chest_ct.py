@@ -9,7 +9,7 @@ import pytest
 
 from heartcase.pipeline.bundle.assembly import labels_of
 from heartcase.pipeline.checks.openings import Verdict, find_openings
-from heartcase.pipeline.data import Markers
+from heartcase.pipeline.data import UNMARKED
 from heartcase.pipeline.ends.cut_ends import cut_ends
 from heartcase.pipeline.ends.discs import Stumps
 from heartcase.pipeline.ends.find_ends import find_ends
@@ -53,8 +53,8 @@ def test_the_strokes_are_few_and_thin():
     assert max(Counter(stroke.label for stroke in recipe.strokes).values()) <= 10
     assert max(stroke.radius_mm for stroke in recipe.strokes) <= 2.0
     painted = rasterise_strokes(recipe.strokes, recipe.table, SCAN_GEOMETRY)
-    assert np.mean(painted != Markers.UNMARKED) < 0.01
-    assert set(np.unique(painted)) == {*recipe.table.values, Markers.UNMARKED}
+    assert np.mean(painted != UNMARKED) < 0.01
+    assert set(np.unique(painted)) == {*recipe.table.values, UNMARKED}
     assert recipe.scan.origin
 
 

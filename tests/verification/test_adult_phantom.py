@@ -14,7 +14,7 @@ from heartcase.phantom.drawing.strokes import marker_strokes
 from heartcase.phantom.metrics import SurfaceError, closest_distance_mm, dice, surface_error, wall_thickness_errors
 from heartcase.phantom.scan.acquisition import acquire_mri
 from heartcase.pipeline.bundle.assembly import labels_of
-from heartcase.pipeline.data import Markers, Scan
+from heartcase.pipeline.data import UNMARKED, Scan
 from heartcase.pipeline.image.filter_scan import filter_scan
 from heartcase.pipeline.markers.load_markers import load_markers
 from heartcase.pipeline.mesh.build_surface import build_surface
@@ -80,7 +80,7 @@ def test_the_strokes_are_as_few_and_thin_as_promised(phantom, markers):
     assert max(stroke.radius_mm for stroke in strokes) <= STROKE_RADIUS_MAX_MM
     for name in {stroke.label for stroke in strokes}:
         assert sum(stroke.label == name for stroke in strokes) <= STROKES_PER_LABEL_MAX
-    assert (markers.labels != Markers.UNMARKED).mean() < MARKED_SHARE_MAX
+    assert (markers.labels != UNMARKED).mean() < MARKED_SHARE_MAX
 
 
 def test_blood_pool_and_myocardium_reach_their_dice(phantom, segmentation, truth):

@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
-import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -39,6 +38,7 @@ from heartcase.schemas.bundle.format import (
     SimulationFigures,
     StageRecord,
 )
+from heartcase.schemas.bundle.lattice import step_sizes
 from heartcase.schemas.bundle.reader import read_manifest
 from heartcase.schemas.errors import BundleError
 from heartcase.schemas.files import LOCK_NAME, TEMPORARY_PREFIX, atomic_write, exclusive, remove_leftovers
@@ -100,23 +100,18 @@ def resolve_materials(settings: MaterialsSettings, table: LabelTable) -> tuple[M
 
 
 def simulation_figures(grid: SimulationGrid, materials: Sequence[Material]) -> SimulationFigures:
-    """Counts and step sizes of a case.
-
-    A cell's largest squared frequency is 20 k/m with k = 0.4 E h and m = density h^3 (both scale with coverage), so
-    it is 8 E / (density h^2); the default step keeps a margin for stretched springs, 24 k/m, and takes 0.8 of it.
-    """
-    cell_m = grid.geometry.spacing_mm[0] * 1e-3
+    """Counts and step sizes of a case."""
+    cell_mm = grid.geometry.spacing_mm[0]
     used = set(np.unique(grid.cell_label).tolist())
     ratio = max(m.youngs_modulus_kpa * 1e3 / m.density_kg_m3 for m in materials if m.label in used)
-    stiffness_over_mass = 0.4 * ratio / cell_m**2
-    step_default = 0.8 * 2.0 / math.sqrt(24.0 * stiffness_over_mass)
+    step_default, step_limit = step_sizes(ratio, cell_mm)
     return SimulationFigures(
         node_count=len(grid.nodes),
         cell_count=len(grid.cells),
         fixed_node_count=int(grid.fixed.sum()),
-        cell_mm=grid.geometry.spacing_mm[0],
+        cell_mm=cell_mm,
         step_default_s=step_default,
-        step_limit_s=2.0 / math.sqrt(20.0 * stiffness_over_mass),
+        step_limit_s=step_limit,
         steps_per_second=1.0 / step_default,
         tissue_volume_ml=float(grid.cell_coverage.sum(dtype=np.float64)) * grid.geometry.voxel_volume_mm3 * 1e-3,
     )

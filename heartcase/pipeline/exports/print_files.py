@@ -9,6 +9,7 @@ from xml.sax.saxutils import escape, quoteattr
 import numpy as np
 
 from heartcase.pipeline.exports.models import TaggedMesh
+from heartcase.schemas import ply
 
 __all__ = ["ply_bytes", "three_mf_bytes"]
 
@@ -35,23 +36,8 @@ def ply_bytes(mesh: TaggedMesh, *, case_id: str) -> bytes:
     """
     comments = ["SPACE=LPS", f"patient LPS, mm; case {case_id}"]
     comments += [f"label {label.value} {label.name}" for label in mesh.table]
-    header = "".join(
-        [
-            "ply\nformat binary_little_endian 1.0\n",
-            *(f"comment {line}\n" for line in comments),
-            f"element vertex {len(mesh.vertices_mm)}\n",
-            *(f"property float {name}\n" for name in ("x", "y", "z", "nx", "ny", "nz")),
-            f"element face {len(mesh.triangles)}\nproperty list uchar int vertex_indices\n",
-            *(f"property uchar {name}\n" for name in ("red", "green", "blue", "label", "tissue", "is_cut")),
-            "end_header\n",
-        ]
-    )
-    kinds = [("count", "u1"), ("vertices", "<i4", 3), ("colour", "u1", 3)]
-    face = np.zeros(len(mesh.triangles), np.dtype([*kinds, ("label", "u1"), ("tissue", "u1"), ("is_cut", "u1")]))
-    face["count"], face["vertices"], face["colour"] = 3, mesh.triangles, mesh.colours
-    face["label"], face["tissue"], face["is_cut"] = mesh.triangle_label, mesh.triangle_tissue, mesh.triangle_is_cut
-    vertex = np.hstack([mesh.vertices_mm, mesh.normals]).astype("<f4")
-    return header.encode("ascii") + vertex.tobytes() + face.tobytes()
+    tags = {"label": mesh.triangle_label, "tissue": mesh.triangle_tissue, "is_cut": mesh.triangle_is_cut}
+    return ply.ply_bytes(mesh.vertices_mm, mesh.normals, mesh.triangles, mesh.colours, comments=comments, tags=tags)
 
 
 def three_mf_bytes(mesh: TaggedMesh, *, title: str) -> bytes:

@@ -11,10 +11,8 @@ is continuous and its zero level is where tissue and void are equally near.
 
 from __future__ import annotations
 
-import weakref
 from dataclasses import dataclass
 from threading import Lock
-from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -35,6 +33,7 @@ __all__ = [
     "FieldReader",
     "Ownership",
     "evaluate_owner",
+    "forget_layout",
     "ownership_at_points",
     "ownership_on_lattice",
     "scratch",
@@ -75,40 +74,27 @@ class FieldReader:
 
     @classmethod
     def of(cls, structures: Structures | FieldReader) -> FieldReader:
-        """Reader of some structures; a reader is returned as it is. The last ones stay laid out while they exist."""
+        """Reader of some structures; a reader is returned as it is. Structures stay laid out while they exist."""
         if isinstance(structures, FieldReader):
             return structures
         with _LAYING_OUT:
-            last = _LAST[0] if _LAST else None
-            if last is None or last.structures() is not structures:
-                last = _keep(structures, layout_of(structures), varying_walls(structures))
-        return cls(structures, last.layout, last.tables)
+            if _LAID_OUT not in structures.worked_out:
+                structures.worked_out[_LAID_OUT] = layout_of(structures), varying_walls(structures)
+            layout, tables = structures.worked_out[_LAID_OUT]
+        return cls(structures, layout, tables)
 
     def serves(self, structures: Structures) -> None:
         """Take what is laid out for other structures too: those of the same fields, walls and reshapings."""
-        with _LAYING_OUT:
-            _keep(structures, self.layout, self.tables)
+        structures.worked_out[_LAID_OUT] = self.layout, self.tables
 
 
-class _LaidOut(NamedTuple):
-    """What structures are laid out as; it does not keep them alive."""
-
-    structures: weakref.ref[Structures]
-    layout: FieldLayout
-    tables: ThicknessArrays
-
-
-_LAST: list[_LaidOut] = []
-"""The last structures that were laid out; none where they are gone."""
+_LAID_OUT = "layout and tables"
 _LAYING_OUT = Lock()
 
 
-def _keep(structures: Structures, layout: FieldLayout, tables: ThicknessArrays) -> _LaidOut:
-    def forget(gone: weakref.ref[Structures]) -> None:
-        _LAST[:] = [one for one in _LAST if one.structures is not gone]
-
-    _LAST[:] = [_LaidOut(weakref.ref(structures, forget), layout, tables)]
-    return _LAST[0]
+def forget_layout(structures: Structures) -> None:
+    """Free what structures are laid out as, which takes as much memory as their fields; a reader lays them out anew."""
+    structures.worked_out.pop(_LAID_OUT, None)
 
 
 def ownership_on_lattice(structures: Structures | FieldReader, lattice: Geometry) -> Ownership:

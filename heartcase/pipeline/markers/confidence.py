@@ -17,11 +17,10 @@ from dataclasses import dataclass
 import edt
 import numpy as np
 
-from heartcase.pipeline.data import Markers
+from heartcase.pipeline.data import UNMARKED, Markers
 from heartcase.pipeline.markers.suggest import DISTANCE_POWER, DOUBT_POWER, StrokePlaces, suggest_strokes
 from heartcase.pipeline.watershed.certainty import FootCertainty, foot_certainty, voxel_certainty
 from heartcase.pipeline.watershed.forest import Forest, solve_forest
-from heartcase.pipeline.watershed.marks import UNMARKED
 from heartcase.pipeline.watershed.tree import BasinTree
 from heartcase.schemas.arrays import Float32
 from heartcase.schemas.geometry import Geometry

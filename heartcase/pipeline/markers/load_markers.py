@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from heartcase.pipeline.data import Markers, Scan, Segmentation
+from heartcase.pipeline.data import UNMARKED, Markers, Scan, Segmentation
 from heartcase.pipeline.formats.labels.point_lists import MarkupList, read_point_lists
 from heartcase.pipeline.formats.labels.stl_parts import holds_parts, read_parts
 from heartcase.pipeline.formats.read_scan import LabelVolume, read_labels
@@ -40,7 +40,6 @@ __all__ = [
     "stroke_voxels",
 ]
 
-UNMARKED = Markers.UNMARKED
 POINT_LIST_SUFFIXES = (".mrk.json", ".json")
 
 

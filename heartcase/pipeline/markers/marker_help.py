@@ -16,7 +16,7 @@ import cc3d
 import edt
 import numpy as np
 
-from heartcase.pipeline.data import Markers, Scan
+from heartcase.pipeline.data import UNMARKED, Markers, Scan
 from heartcase.schemas.arrays import Bool, Int64, UInt8
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND
@@ -24,7 +24,6 @@ from heartcase.schemas.labels import BACKGROUND
 __all__ = ["ERASED", "AutomaticMarkers", "label_cores"]
 
 
-UNMARKED = Markers.UNMARKED
 ERASED = 254
 """Of a voxel that an eraser passed last: nothing is marked there, by the program neither. No label has this value."""
 DEEP_PART = 0.75

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from heartcase.pipeline.data import Markers
+from heartcase.pipeline.data import UNMARKED
 from heartcase.pipeline.formats.labels.segments import LabelVolume, SegmentInfo
 from heartcase.schemas.arrays import UInt8
 from heartcase.schemas.errors import MarkerError, Problem
@@ -18,8 +18,6 @@ from heartcase.schemas.labels import Label, LabelTable
 from heartcase.schemas.terms import CONVENTIONS, contradicts, is_of_another_version
 
 __all__ = ["LabelLookup", "Naming", "called", "label_lookup", "left_out", "listed", "rank_by_label", "value_of"]
-
-UNMARKED = Markers.UNMARKED
 
 
 @dataclass(frozen=True)

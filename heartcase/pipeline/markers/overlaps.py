@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 
-from heartcase.pipeline.data import Markers
+from heartcase.pipeline.data import UNMARKED
 from heartcase.pipeline.formats.labels.segments import LabelVolume
 from heartcase.pipeline.markers.naming import called
 from heartcase.pipeline.warnings import CaseWarning, counted, note
@@ -37,7 +37,7 @@ def overlap_warnings(volume: LabelVolume, lookup: UInt8, table: LabelTable, plac
     warnings = []
     for one in volume.overlaps:
         under, over = int(lookup[one.under]), int(lookup[one.over])
-        if under == over or Markers.UNMARKED in (under, over):
+        if under == over or UNMARKED in (under, over):
             continue
         lower = f"the {table[under].name} ({called(volume, [one.under])})"
         upper = f"the {table[over].name} ({called(volume, [one.over])})"
@@ -75,7 +75,7 @@ def file_over_file(
     tuple of CaseWarning
         One line for all of it, for information: the order of the files is the recipe's own.
     """
-    both = (before != Markers.UNMARKED) & (painted != Markers.UNMARKED) & (before != painted)
+    both = (before != UNMARKED) & (painted != UNMARKED) & (before != painted)
     if not both.any():
         return ()
     pairs = Counter(zip(before[both].tolist(), painted[both].tolist(), strict=True))

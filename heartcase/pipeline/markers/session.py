@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from heartcase.pipeline.data import Markers, Scan, Segmentation
+from heartcase.pipeline.data import UNMARKED, Markers, Scan, Segmentation
 from heartcase.pipeline.markers.load_markers import rasterise_strokes, stroke_voxels
 from heartcase.pipeline.markers.marker_help import ERASED, AutomaticMarkers
-from heartcase.pipeline.watershed.forest import UNMARKED, Box, solve_forest
+from heartcase.pipeline.watershed.forest import Box, solve_forest
 from heartcase.pipeline.watershed.tree import BasinTree
 from heartcase.schemas.arrays import Int64, UInt8
 from heartcase.schemas.errors import MarkerError, UsageError

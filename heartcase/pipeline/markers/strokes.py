@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from heartcase.pipeline.data import Markers
+from heartcase.pipeline.data import UNMARKED
 from heartcase.pipeline.markers.marker_help import ERASED
 from heartcase.pipeline.markers.naming import listed, value_of
 from heartcase.pipeline.markers.paint import paint_capsule, paint_passed_voxels
@@ -20,7 +20,6 @@ from heartcase.schemas.recipe.settings import Stroke
 
 __all__ = ["Clipping", "paint_strokes", "polyline_voxels", "rasterise_strokes", "stroke_voxels", "without_erased"]
 
-UNMARKED = Markers.UNMARKED
 MARKS_NAMED = 6
 """How many marks outside the scan a message calls by their place; the rest is counted."""
 

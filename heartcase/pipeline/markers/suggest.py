@@ -19,10 +19,11 @@ import edt
 import numpy as np
 from scipy.spatial import cKDTree
 
+from heartcase.pipeline.data import UNMARKED
 from heartcase.pipeline.watershed.certainty import FootCertainty, foot_certainty
 from heartcase.pipeline.watershed.descent import side_offsets
 from heartcase.pipeline.watershed.forest import Forest
-from heartcase.pipeline.watershed.marks import UNMARKED, mark_below
+from heartcase.pipeline.watershed.marks import mark_below
 from heartcase.pipeline.watershed.subtrees import ForestPieces, forest_pieces
 from heartcase.schemas.arrays import Bool, Float64, Int64
 from heartcase.schemas.geometry import Geometry

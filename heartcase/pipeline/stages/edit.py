@@ -23,8 +23,13 @@ def _settings(work: Work) -> dict[str, Any]:
 
 def _compute(work: Work) -> Structures:
     from heartcase.pipeline.edits.apply_edits import apply_edits
+    from heartcase.pipeline.fields.reader import forget_layout
 
-    return apply_edits(have(work.outputs.grown).get(), work.recipe.edits)
+    grown = have(work.outputs.grown).get()
+    edited = apply_edits(grown, work.recipe.edits)
+    if edited is not grown:
+        forget_layout(grown)  # nothing reads them any more
+    return edited
 
 
 STAGE = Stage(

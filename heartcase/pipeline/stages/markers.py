@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from heartcase.pipeline.data import Markers
+from heartcase.pipeline.data import UNMARKED, Markers
 from heartcase.pipeline.stages.stage import Stage, Work, have, resolved_all
 from heartcase.schemas.errors import MarkerError, Problem
 from heartcase.schemas.geometry import Geometry
@@ -36,7 +36,7 @@ def stroke_problems(recipe: Recipe) -> tuple[Problem, ...]:
     marked = {table[stroke.label].value for stroke in recipe.strokes if stroke.label is not None}
     if automatic:
         marked.add(BACKGROUND)
-    labels = np.array([[[Markers.UNMARKED, *sorted(marked)]]], np.uint8)
+    labels = np.array([[[UNMARKED, *sorted(marked)]]], np.uint8)
     try:
         check_markers(Markers(labels, Geometry.of(shape=labels.shape)), table, automatic=automatic)
     except MarkerError as error:

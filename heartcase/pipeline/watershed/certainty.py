@@ -26,10 +26,11 @@ import numpy as np
 
 from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel
+from heartcase.pipeline.data import UNMARKED
 from heartcase.pipeline.kernels.union_find import root_of
 from heartcase.pipeline.watershed.descent import row_chunks, side_offsets
 from heartcase.pipeline.watershed.forest import Forest
-from heartcase.pipeline.watershed.marks import UNMARKED, mark_below
+from heartcase.pipeline.watershed.marks import mark_below
 from heartcase.schemas.arrays import Float32, UInt8
 
 __all__ = ["FootCertainty", "foot_certainty", "voxel_certainty"]

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from heartcase.compiling.kernel import kernel
+from heartcase.pipeline.data import UNMARKED
 from heartcase.pipeline.watershed.descent import row_chunks, side_offsets
 from heartcase.pipeline.watershed.incremental import mend, unmark
 from heartcase.pipeline.watershed.marks import (
     CONTESTED,
-    UNMARKED,
     find_lowest_marks,
     is_flat_contested,
     mark_below,
@@ -32,7 +32,7 @@ from heartcase.pipeline.watershed.plateaus import divide_flat
 from heartcase.pipeline.watershed.tree import NO_KEY, BasinTree
 from heartcase.schemas.arrays import Int16, Int64, UInt8
 
-__all__ = ["UNMARKED", "Box", "Forest", "solve_forest"]
+__all__ = ["Box", "Forest", "solve_forest"]
 
 Box = tuple[slice, slice, slice]
 

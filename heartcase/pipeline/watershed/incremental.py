@@ -6,8 +6,9 @@ import numpy as np
 
 from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel
+from heartcase.pipeline.data import UNMARKED
 from heartcase.pipeline.watershed.descent import ROOT
-from heartcase.pipeline.watershed.marks import UNMARKED, mark_below, own_key, reach
+from heartcase.pipeline.watershed.marks import mark_below, own_key, reach
 from heartcase.pipeline.watershed.tree import NO_KEY
 
 __all__ = ["mend", "unmark"]

@@ -7,11 +7,11 @@ import numpy as np
 
 from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel
+from heartcase.pipeline.data import UNMARKED
 from heartcase.pipeline.watershed.descent import ROOT
 
 __all__ = [
     "CONTESTED",
-    "UNMARKED",
     "find_lowest_marks",
     "is_flat_contested",
     "mark_below",
@@ -21,8 +21,6 @@ __all__ = [
     "reach",
 ]
 
-UNMARKED = 255
-"""Value of a voxel without marker, and of a foot that no label reaches."""
 CONTESTED = -2
 """Of a flat minimum: several labels mark it."""
 

@@ -7,7 +7,8 @@ import numpy as np
 
 from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel
-from heartcase.pipeline.watershed.marks import UNMARKED, mark_below
+from heartcase.pipeline.data import UNMARKED
+from heartcase.pipeline.watershed.marks import mark_below
 
 __all__ = ["paint_basins", "paint_rows"]
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection
 import cc3d
 import numpy as np
 
-from heartcase.pipeline.data import Markers, Scan, Segmentation
+from heartcase.pipeline.data import UNMARKED, Markers, Scan, Segmentation
 from heartcase.pipeline.warnings import CaseWarning, anatomy
 from heartcase.pipeline.watershed.forest import solve_forest
 from heartcase.pipeline.watershed.tree import BasinTree
@@ -76,7 +76,7 @@ def segment_scan(
     if markers is not None:
         _check_markers(markers, filtered.geometry, table)
     if settings.method == "watershed":
-        if markers is None or not np.any(markers.labels != Markers.UNMARKED):
+        if markers is None or not np.any(markers.labels != UNMARKED):
             raise MarkerError(
                 "no voxel of the scan is marked; paint at least one marker for each structure and one for background",
                 place="markers",
@@ -85,7 +85,7 @@ def segment_scan(
         labels = solve_forest(tree, markers.labels).labels
     else:
         labels = segment_by_threshold(filtered.values, settings.ranges, table)
-        marked = np.zeros(labels.shape, bool) if markers is None else markers.labels != Markers.UNMARKED
+        marked = np.zeros(labels.shape, bool) if markers is None else markers.labels != UNMARKED
         if markers is not None:
             labels[marked] = markers.labels[marked]
         labels = keep_large_pieces(
@@ -262,7 +262,7 @@ def _check_markers(markers: Markers, geometry: Geometry, table: LabelTable) -> N
     """Refuse markers on another lattice or with values that the table does not have."""
     if not markers.geometry.matches(geometry) or markers.labels.shape != geometry.shape:
         raise MarkerError("the markers lie on another lattice than the scan; put them on the scan's", place="markers")
-    present = set(np.unique(markers.labels).tolist()) - {Markers.UNMARKED}
+    present = set(np.unique(markers.labels).tolist()) - {UNMARKED}
     unknown = sorted(present - set(table.values))
     if unknown:
         listed = ", ".join(str(value) for value in unknown)

@@ -16,9 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from heartcase.compiling.kernel import kernel
+from heartcase.pipeline.data import UNMARKED
 from heartcase.pipeline.watershed.descent import side_offsets
 from heartcase.pipeline.watershed.forest import Forest
-from heartcase.pipeline.watershed.marks import UNMARKED, mark_below
+from heartcase.pipeline.watershed.marks import mark_below
 from heartcase.schemas.arrays import Bool, Int32, Int64
 
 __all__ = ["NO_PIECE", "ForestPieces", "forest_pieces"]

@@ -6,6 +6,8 @@ ordered by k, then j, then i. The eight corners of a cell are numbered by their 
 
 from __future__ import annotations
 
+from math import sqrt
+
 import numpy as np
 import numpy.typing as npt
 
@@ -16,9 +18,11 @@ __all__ = [
     "CELL_EDGES",
     "CORNER_OFFSETS",
     "FULL_MOMENTS",
+    "STEP_SAFETY",
     "cell_nodes",
     "distinct_keys",
     "lattice_keys",
+    "step_sizes",
 ]
 
 
@@ -34,6 +38,9 @@ CELL_DIAGONALS: Int32 = np.array([p for p in _PAIRS if (p[0] ^ p[1]).bit_count()
 FULL_MOMENTS: Float32 = np.array([0.0] * 3 + [1 / 12] * 3 + [0.0] * 3, np.float32)
 """Moments of a full cell: means of x, y, z, xx, yy, zz, yz, xz, xy over its tissue, from its centre along the grid's
 axes [edges], shape (9,)."""
+
+STEP_SAFETY = 0.8
+"""Default step over the limit of the stretched lattice."""
 
 _OFFSET = 1 << 20
 
@@ -73,3 +80,20 @@ def cell_nodes(cells: npt.ArrayLike) -> tuple[Int32, Int32]:
     _, first, inverse = np.unique(lattice_keys(corners).ravel(), return_index=True, return_inverse=True)
     nodes = np.ascontiguousarray(corners.reshape(-1, 3)[first])
     return nodes, inverse.reshape(-1, 8).astype(np.int32)
+
+
+def step_sizes(modulus_over_density: float, cell_mm: float) -> tuple[float, float]:
+    """Default step and limit of the step at rest of a lattice of springs, s: docs/bundle.md.
+
+    A cell's largest squared frequency is 20 k/m with k = 0.4 E h and m = density h^3 (both scale with coverage), so
+    it is 8 E / (density h^2); the default step keeps a margin for stretched springs, 24 k/m, and takes 0.8 of it.
+
+    Parameters
+    ----------
+    modulus_over_density
+        Young's modulus over density of the quickest tissue, Pa m3/kg.
+    cell_mm
+        Edge of a cell, mm.
+    """
+    stiffness_over_mass = 0.4 * modulus_over_density / (cell_mm * 1e-3) ** 2
+    return STEP_SAFETY * 2.0 / sqrt(24.0 * stiffness_over_mass), 2.0 / sqrt(20.0 * stiffness_over_mass)

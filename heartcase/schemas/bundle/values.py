@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -12,7 +11,7 @@ import numpy.typing as npt
 from heartcase.schemas.arrays import Float64
 from heartcase.schemas.bundle.coordinates import Coordinates
 from heartcase.schemas.bundle.format import CaseManifest, FileRole
-from heartcase.schemas.bundle.lattice import cell_nodes, lattice_keys
+from heartcase.schemas.bundle.lattice import cell_nodes, lattice_keys, step_sizes
 from heartcase.schemas.bundle.manifest import stated
 from heartcase.schemas.errors import Problem
 from heartcase.schemas.geometry import SPACING_LIMITS_MM, Geometry
@@ -132,9 +131,8 @@ def _size_problems(manifest: CaseManifest, grid: Arrays) -> Iterable[Problem]:
     expected: dict[str, float] = {}
     if {"cell_stiffness", "cell_density"} <= set(grid) and len(grid["cell_stiffness"]):
         modulus_pa, density = (grid[name].astype(np.float64) for name in ("cell_stiffness", "cell_density"))
-        k_over_m = 0.4 * float((modulus_pa * 1e3 / density).max()) / (cell_mm * 1e-3) ** 2
-        expected["step_limit_s"] = 2.0 / math.sqrt(20.0 * k_over_m)
-        expected["step_default_s"] = 0.8 * 2.0 / math.sqrt(24.0 * k_over_m)
+        default, limit = step_sizes(float((modulus_pa * 1e3 / density).max()), cell_mm)
+        expected |= {"step_limit_s": limit, "step_default_s": default}
         expected["steps_per_second"] = 1.0 / expected["step_default_s"]
     if "cell_coverage" in grid:
         expected["tissue_volume_ml"] = float(grid["cell_coverage"].sum(dtype=np.float64)) * cell_mm**3 * 1e-3

@@ -19,15 +19,12 @@ from __future__ import annotations
 
 from math import hypot, inf, sqrt
 
-from heartcase.schemas.bundle.lattice import FULL_MOMENTS
+from heartcase.schemas.bundle.lattice import FULL_MOMENTS, STEP_SAFETY
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.dynamics.spectrum import largest_eigenvalue
 from heartcase.simulator.lattice.model import LatticeModel
 
 __all__ = ["checked_step", "default_step", "explicit_rate_limit", "own_step_limit", "step_limit"]
-
-SAFETY = 0.8
-"""Default step over the limit of the stretched lattice."""
 
 
 def _cell_rate(model: LatticeModel) -> float:
@@ -73,7 +70,7 @@ def own_step_limit(model: LatticeModel) -> float:
 
 def default_step(model: LatticeModel) -> float:
     """Time step that suits tissue however it is deformed, 0.8 x 2 / sqrt(24 k/m) for springs, in s."""
-    return SAFETY * 2.0 / hypot(_stretched_rate(model), _explicit_rate(model))
+    return STEP_SAFETY * 2.0 / hypot(_stretched_rate(model), _explicit_rate(model))
 
 
 def explicit_rate_limit(model: LatticeModel, step_s: float) -> float:

@@ -10,22 +10,13 @@ import numpy as np
 from heartcase.schemas.arrays import Float32, Int32, UInt8
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.files import atomic_write
+from heartcase.schemas.ply import ply_bytes
 
 __all__ = ["SURFACE_FORMATS", "write_surface"]
 
 
 def _ply(vertices: Float32, normals: Float32, triangles: Int32, colours: UInt8, comment: str) -> bytes:
-    header = (
-        f"ply\nformat binary_little_endian 1.0\ncomment {comment}\n"
-        f"element vertex {len(vertices)}\n"
-        + "".join(f"property float {name}\n" for name in ("x", "y", "z", "nx", "ny", "nz"))
-        + f"element face {len(triangles)}\nproperty list uchar int vertex_indices\n"
-        + "".join(f"property uchar {name}\n" for name in ("red", "green", "blue"))
-        + "end_header\n"
-    )
-    face = np.zeros(len(triangles), np.dtype([("count", "u1"), ("vertices", "<i4", 3), ("colour", "u1", 3)]))
-    face["count"], face["vertices"], face["colour"] = 3, triangles, colours
-    return header.encode("ascii") + np.hstack([vertices, normals]).astype("<f4").tobytes() + face.tobytes()
+    return ply_bytes(vertices, normals, triangles, colours, comments=[comment])
 
 
 def _stl(vertices: Float32, normals: Float32, triangles: Int32, colours: UInt8, comment: str) -> bytes:

@@ -143,6 +143,7 @@ def test_what_a_scan_is_known_by_never_changes():
     affine = [0.5, 0, 0, 0, 0, 2, 0, 20.25, 0, 0, 4, -30, 0, 0, 0, 1]
     content = struct.pack("<3q", 3, 2, 1) + struct.pack("<16d", *affine) + struct.pack("<6f", 1, -2, 3.5, 0, 5, 6)
     assert scan.values_sha256 == hashlib.sha256(content).hexdigest()
+    assert scan.values_sha256 is scan.values_sha256, "worked out once"
 
 
 def test_paths_start_at_the_lock(work, tmp_path):

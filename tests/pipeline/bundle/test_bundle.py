@@ -87,7 +87,7 @@ def test_step_sizes_follow_the_lattice_formulas():
     mass = 1060.0 * 3.5e-3**3
     assert figures.step_default_s == pytest.approx(0.8 * 2 / math.sqrt(24 * stiffness / mass), rel=1e-12)
     assert figures.step_limit_s == pytest.approx(2 / math.sqrt(20 * stiffness / mass), rel=1e-12)
-    # DESIGN.md: 0.34 ms at 3.5 mm.
+    # Worked out by hand: 0.34 ms at 3.5 mm.
     assert round(figures.step_default_s * 1e3, 2) == 0.34
     assert figures.tissue_volume_ml == pytest.approx(12 * 3.5**3 / 1000)
 

@@ -9,7 +9,7 @@ import pytest
 
 from heartcase.pipeline.data import Reshaping
 from heartcase.pipeline.fields.layout import ALL_FIELDS
-from heartcase.pipeline.fields.reader import FieldReader, ownership_at_points, ownership_on_lattice
+from heartcase.pipeline.fields.reader import FieldReader, forget_layout, ownership_at_points, ownership_on_lattice
 from heartcase.pipeline.warnings import CaseWarning
 from heartcase.schemas.labels import Label, LabelTable, Role
 from tests.pipeline.analytic_structures import cylinder, lattice, structures
@@ -64,6 +64,12 @@ def test_structures_are_laid_out_once():
     reader.serves(alike)
     assert FieldReader.of(alike).layout.stack is reader.layout.stack
     assert FieldReader.of(alike).structures is alike
+    # Other structures that are read in between change nothing.
+    assert FieldReader.of(one).layout.stack is reader.layout.stack
+    forget_layout(one)
+    again = FieldReader.of(one).layout
+    assert again.stack is not reader.layout.stack
+    np.testing.assert_array_equal(again.stack, reader.layout.stack)
 
 
 def test_structures_that_are_gone_leave_nothing_laid_out():

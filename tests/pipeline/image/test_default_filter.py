@@ -12,7 +12,7 @@ from heartcase.phantom.anatomy.heart import HeartPhantom
 from heartcase.phantom.drawing.strokes import first_strokes
 from heartcase.phantom.metrics import dice
 from heartcase.phantom.scan.acquisition import CT_UNITS, acquire_ct, noise_free
-from heartcase.pipeline.data import Markers, Scan
+from heartcase.pipeline.data import UNMARKED, Scan
 from heartcase.pipeline.formats.read_scan import read_labels, read_scan
 from heartcase.pipeline.image.filter_scan import filter_scan
 from heartcase.pipeline.image.region import crop_scan
@@ -35,7 +35,7 @@ def peers(scan, markers):
     image = SimpleITK.GetImageFromArray(scan.values)
     image.SetSpacing(scan.geometry.spacing_mm)
     seeds = markers.labels.astype(np.int32) + 1
-    seeds[markers.labels == Markers.UNMARKED] = 0
+    seeds[markers.labels == UNMARKED] = 0
     for diffuse, conductance in (
         (SimpleITK.GradientAnisotropicDiffusion, 1.0),
         (SimpleITK.CurvatureAnisotropicDiffusion, 3.0),

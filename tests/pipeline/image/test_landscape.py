@@ -3,9 +3,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
+from heartcase.pipeline.data import UNMARKED
 from heartcase.pipeline.image.gradient import gradient_magnitude
 from heartcase.pipeline.image.landscape import landscape
-from heartcase.pipeline.watershed.forest import UNMARKED, solve_forest
+from heartcase.pipeline.watershed.forest import solve_forest
 from heartcase.pipeline.watershed.tree import build_basin_tree
 
 

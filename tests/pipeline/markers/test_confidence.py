@@ -5,12 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from heartcase.pipeline.data import Markers, Scan
+from heartcase.pipeline.data import UNMARKED, Markers, Scan
 from heartcase.pipeline.image.filter_scan import filter_scan
 from heartcase.pipeline.markers.confidence import sureness_of, voxel_confidence
 from heartcase.pipeline.markers.suggest import suggest_strokes
 from heartcase.pipeline.watershed.certainty import foot_certainty, voxel_certainty
-from heartcase.pipeline.watershed.forest import UNMARKED, solve_forest
+from heartcase.pipeline.watershed.forest import solve_forest
 from heartcase.pipeline.watershed.tree import build_basin_tree
 from heartcase.pipeline.watershed.tree_cache import scan_tree
 from heartcase.schemas.geometry import Geometry

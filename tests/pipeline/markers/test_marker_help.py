@@ -18,7 +18,7 @@ from heartcase.pipeline.artifacts.cache import Cache
 from heartcase.pipeline.build.lock import lock_recipe, recipe_text
 from heartcase.pipeline.build.runner import Runner, SilentListener, run_stages
 from heartcase.pipeline.build.session_file import open_session
-from heartcase.pipeline.data import Markers, Scan
+from heartcase.pipeline.data import UNMARKED, Scan
 from heartcase.pipeline.image.filter_scan import filter_scan
 from heartcase.pipeline.markers.load_markers import check_markers, load_markers, rasterise_strokes
 from heartcase.pipeline.markers.marker_help import ERASED, AutomaticMarkers, label_cores
@@ -34,7 +34,6 @@ from heartcase.schemas.recipe.settings import FilterSettings, SegmentSettings, S
 from tests.examples import few_and_many, hold_for
 
 TABLE = default_label_table()
-UNMARKED = Markers.UNMARKED
 SPACING = (0.8, 1.1, 2.3)
 GEOMETRY = Geometry.of(shape=(20, 40, 50), spacing_mm=SPACING)
 

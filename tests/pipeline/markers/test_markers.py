@@ -12,7 +12,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from heartcase.pipeline.artifacts.serialise import artifact_from_bytes, artifact_to_bytes
-from heartcase.pipeline.data import Markers, Scan, Segmentation
+from heartcase.pipeline.data import UNMARKED, Scan, Segmentation
 from heartcase.pipeline.formats.read_scan import LabelVolume, read_labels
 from heartcase.pipeline.formats.write_images import write_scan
 from heartcase.pipeline.markers.load_markers import load_markers, load_segmentation, rasterise_strokes, resample_labels
@@ -25,7 +25,6 @@ from heartcase.schemas.recipe.recipe import MarkerFile
 from heartcase.schemas.recipe.settings import Stroke
 
 TABLE = default_label_table()
-UNMARKED = Markers.UNMARKED
 ANGLE = 0.4
 TURN = np.array([[np.cos(ANGLE), 0, np.sin(ANGLE)], [0, 1, 0], [-np.sin(ANGLE), 0, np.cos(ANGLE)]])
 OBLIQUE = Geometry.of(

@@ -5,9 +5,10 @@ import pytest
 from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
+from heartcase.pipeline.data import UNMARKED
 from heartcase.pipeline.markers.load_markers import stroke_voxels
 from heartcase.pipeline.markers.suggest import LEAST_ML, SURE, suggest_strokes
-from heartcase.pipeline.watershed.forest import UNMARKED, solve_forest
+from heartcase.pipeline.watershed.forest import solve_forest
 from heartcase.pipeline.watershed.tree import build_basin_tree
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.recipe.settings import Stroke

@@ -6,8 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from heartcase.pipeline.data import UNMARKED
 from heartcase.pipeline.watershed.certainty import foot_certainty, voxel_certainty
-from heartcase.pipeline.watershed.forest import UNMARKED, solve_forest
+from heartcase.pipeline.watershed.forest import solve_forest
 from heartcase.pipeline.watershed.tree import build_basin_tree
 from tests.pipeline.watershed.test_forest import landscape, level_counts, painted, shapes
 from tests.pipeline.watershed.textbook import neighbours

@@ -9,8 +9,9 @@ from scipy import ndimage, sparse
 from scipy.sparse.csgraph import minimum_spanning_tree
 from skimage.segmentation import watershed
 
+from heartcase.pipeline.data import UNMARKED
 from heartcase.pipeline.watershed import forest as forest_module
-from heartcase.pipeline.watershed.forest import UNMARKED, solve_forest
+from heartcase.pipeline.watershed.forest import solve_forest
 from heartcase.pipeline.watershed.tree import build_basin_tree
 from tests.pipeline.watershed import textbook
 

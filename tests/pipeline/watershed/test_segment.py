@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from heartcase.pipeline.data import Markers, Scan, Segmentation
+from heartcase.pipeline.data import UNMARKED, Markers, Scan, Segmentation
 from heartcase.pipeline.watershed.segment_scan import keep_large_pieces, segment_scan, segmentation_warnings
 from heartcase.schemas.errors import MarkerError, StageError
 from heartcase.schemas.geometry import Geometry
@@ -24,7 +24,7 @@ def make_scan(values, spacing=SPACING):
 
 
 def no_markers(scan):
-    return np.full(scan.geometry.shape, Markers.UNMARKED, np.uint8)
+    return np.full(scan.geometry.shape, UNMARKED, np.uint8)
 
 
 def shells(shape=(24, 32, 48)):
@@ -68,7 +68,7 @@ def test_a_marked_voxel_keeps_its_label_by_either_method():
     ranges = (ThresholdRange(label="left ventricle", lower=200.0),)
     for settings in (SegmentSettings(), SegmentSettings(method="threshold", ranges=ranges, smallest_piece_ml=0.1)):
         got = segment_scan(scan, markers, settings, TABLE).labels
-        marked = labels != Markers.UNMARKED
+        marked = labels != UNMARKED
         np.testing.assert_array_equal(got[marked], labels[marked])
 
 

@@ -3,7 +3,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from heartcase.pipeline.watershed.forest import UNMARKED, solve_forest
+from heartcase.pipeline.data import UNMARKED
+from heartcase.pipeline.watershed.forest import solve_forest
 from heartcase.pipeline.watershed.subtrees import NO_PIECE, forest_pieces
 from heartcase.pipeline.watershed.tree import build_basin_tree
 from tests.pipeline.watershed.test_forest import landscape, level_counts, painted, shapes

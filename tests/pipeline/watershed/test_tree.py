@@ -9,9 +9,9 @@ from scipy import ndimage, sparse
 from scipy.sparse.csgraph import minimum_spanning_tree
 
 from heartcase.pipeline.artifacts.cache import Cache
-from heartcase.pipeline.data import Scan
+from heartcase.pipeline.data import UNMARKED, Scan
 from heartcase.pipeline.watershed import tree_cache as kept
-from heartcase.pipeline.watershed.forest import UNMARKED, solve_forest
+from heartcase.pipeline.watershed.forest import solve_forest
 from heartcase.pipeline.watershed.tree import build_basin_tree
 from heartcase.pipeline.watershed.tree_cache import scan_tree
 from heartcase.schemas.errors import StageError
