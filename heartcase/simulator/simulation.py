@@ -15,7 +15,7 @@ from heartcase.simulator.dynamics.measures import inverted_cells
 from heartcase.simulator.dynamics.step_size import checked_step, own_step_limit
 from heartcase.simulator.engine.backends import Backend, make_engine
 from heartcase.simulator.engine.shared.contact import NO_PROBES, probe_row
-from heartcase.simulator.instruments.held import Grab, Pose, Probe, nodes_in_reach
+from heartcase.simulator.instruments.held import Grab, Pose, Probe, nodes_in_reach, require_hand
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.lattice.state import Snapshot, State
 from heartcase.simulator.surface.deform import DeformedSurface, PickingModel, SurfaceModel
@@ -253,8 +253,9 @@ class Simulation:
         Raises
         ------
         SimulationError
-            The hand has let go, the offset is not finite, or the turn is no rotation.
+            It is no hand, or one that has let go, the offset is not finite, or the turn is no rotation.
         """
+        require_hand(grab)
         if grab not in self.grabs:
             raise SimulationError("the hand has let go and cannot be led: grab again", place=grab.name)
         if not _is_point(offset_mm):

@@ -75,6 +75,11 @@ def test_one_that_is_left_is_refused_although_the_other_was_moved(starter: Path,
 def test_moved_strokes_are_strokes(starter: Path, capsys) -> None:
     change(starter, *MOVED.items(), ('label = "left ventricle"\nradius', 'label = "aorta"\nradius'))
     assert main(["validate", str(starter)]) == 0
+    first, *others, last = capsys.readouterr().out.splitlines()
+    assert first.startswith("warning: scan.modality: whether it is a CT or an MR is stated neither by")
+    assert (others, last) == ([], "sound")
+    change(starter, ("# modality = ", "modality = "))
+    assert main(["validate", str(starter)]) == 0
     assert capsys.readouterr().out == "sound\n"
 
 

@@ -17,7 +17,7 @@ from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.engine.shared.contact import probe_row
 from heartcase.simulator.lattice.model import LatticeModel
 
-__all__ = ["Grab", "Pose", "Probe", "nodes_in_reach"]
+__all__ = ["Grab", "Pose", "Probe", "nodes_in_reach", "require_hand"]
 
 Float32 = npt.NDArray[np.float32]
 Float64 = npt.NDArray[np.float64]
@@ -86,6 +86,12 @@ class Probe:
         from_centre = (model.node_index + displacement - self.centre) @ self.turn / self.semi_axes
         is_touched = np.linalg.norm(from_centre, axis=1) <= 1.0 + TOUCH
         return np.flatnonzero(is_touched & ~model.node_is_fixed)
+
+
+def require_hand(grab: object) -> None:
+    """SimulationError where something else was given for a hand."""
+    if not isinstance(grab, Grab):
+        raise SimulationError(f"this is no hand but a {type(grab).__name__}: give what grab() returned", place="grab")
 
 
 def nodes_in_reach(
