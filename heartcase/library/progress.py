@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import queue
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -40,6 +40,9 @@ class StageNews:
     """How long the stages after it may take, s."""
 
 
+_FIELDS = frozenset(field.name for field in fields(StageNews))
+
+
 class TellingListener:
     """A listener of a build that logs an event with the scheduler; made in a worker."""
 
@@ -69,8 +72,9 @@ def heard(client: Client) -> Iterator[Callable[[], list[StageNews]]]:
 
     def put(event: tuple[float, Any]) -> None:
         # Of another version of heartcase, on a scheduler that is shared, it may hold anything.
-        with contextlib.suppress(TypeError):
-            arrived.put(StageNews(**event[1]))
+        with contextlib.suppress(TypeError, AttributeError):
+            # Dask adds which worker it was.
+            arrived.put(StageNews(**{key: value for key, value in event[1].items() if key in _FIELDS}))
 
     def news() -> list[StageNews]:
         found = []

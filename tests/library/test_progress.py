@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import time
 
 import pytest
 from rich.console import Console
@@ -11,7 +12,7 @@ from heartcase.cli.library.library import warning_words
 from heartcase.cli.library.progress import LibraryProgress
 from heartcase.library.build import Workers, build_cases, connected
 from heartcase.library.plan import CaseRecord, plan_library, read_record, write_record
-from heartcase.library.progress import MAKING_THE_SCAN, StageNews
+from heartcase.library.progress import MAKING_THE_SCAN, StageNews, TellingListener, heard
 from tests.library.test_build import QUICK, make_library
 
 
@@ -74,3 +75,18 @@ def test_warnings_are_told_by_severity(tmp_path):
     write_record(record, tmp_path)
     assert read_record("a", tmp_path) == record
     assert warning_words(CaseRecord("a", "s", warnings=("w",))) == "1 to look at"
+
+
+def _tell() -> None:
+    TellingListener("a", "s").stage_started("filter", seconds_expected=1.0, seconds_after=2.0)
+
+
+def test_what_a_worker_tells_is_heard():
+    with connected(Workers(1, 1, 3000), None) as client, heard(client) as news:
+        client.submit(_tell).result()
+        found: list[StageNews] = []
+        deadline = time.monotonic() + 30.0
+        while not found and time.monotonic() < deadline:
+            found += news()
+            time.sleep(0.05)
+    assert found == [StageNews("a", "s", "filter", False, seconds_expected=1.0, seconds_after=2.0)]
