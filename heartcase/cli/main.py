@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import click
 
 from heartcase import __version__
+from heartcase.cli.shared.clock import command_starts
 from heartcase.schemas.errors import HeartcaseError, MissingExtraError
 
 __all__ = ["COMMANDS", "cli", "main"]
@@ -108,6 +109,7 @@ def cli() -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code (0 well, 1 a problem, 2 wrong usage, 70 a bug, 130 interrupted)."""
+    command_starts()
     try:
         args = None if arguments is None else list(arguments)
         code = cli.main(args=args, prog_name="heartcase", standalone_mode=False)

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 from heartcase import __version__
 from heartcase.library.interrupts import held_interrupts, inherited_deafness
 from heartcase.library.plan import CaseRecord, LibraryCase, is_up_to_date, read_record, write_record
+from heartcase.library.progress import StageNews, TellingListener, heard
 from heartcase.schemas.errors import UsageError
 
 if TYPE_CHECKING:
@@ -211,9 +212,14 @@ def stale_cases(cases: tuple[LibraryCase, ...], out: Path, *, force: bool = Fals
 
 
 def build_cases(
-    cases: tuple[LibraryCase, ...], client: Client, *, out: Path, cache: Path | None = None
+    cases: tuple[LibraryCase, ...],
+    client: Client,
+    *,
+    out: Path,
+    cache: Path | None = None,
+    hear: Callable[[StageNews], None] | None = None,
 ) -> Iterator[CaseRecord]:
-    """Build cases on a cluster; their records come as they are done.
+    """Build cases on a cluster; their records come as they are done, and ``hear`` is told of their stages.
 
     Those that a lost scheduler or killed workers kept from being built have a record that says so.
 
@@ -237,8 +243,12 @@ def build_cases(
     running: dict[Any, LibraryCase] = {}
     done = as_completed([], loop=client.loop, raise_errors=False)
     looked_s = -_LOOK_EVERY_S
-    with contextlib.suppress(FutureCancelledError):
+    with contextlib.suppress(FutureCancelledError), heard(client) as news:
         while waiting or running:
+            ours = {(case.name, case.stamp) for case in running.values()}
+            for one in news():
+                if hear is not None and (one.case, one.stamp) in ours:
+                    hear(one)
             if waiting and time.monotonic() - looked_s >= _LOOK_EVERY_S:
                 looked_s = time.monotonic()
                 # A case more than there are free threads would stand behind another while a worker becomes idle: the
@@ -294,7 +304,7 @@ def _build_one(case: LibraryCase, out: str, cache: str | None) -> CaseRecord:
     # What a worker needs is imported there: the client runs without the pipeline's libraries.
     from heartcase.library.worker import build_one
 
-    return build_one(case, out, cache)
+    return build_one(case, out, cache, TellingListener(case.name, case.stamp))
 
 
 def _record_of(future: Any, case: LibraryCase, out: Path) -> CaseRecord:

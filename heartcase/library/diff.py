@@ -13,7 +13,7 @@ import numpy as np
 
 from heartcase.schemas.arrays import Float64, Int32
 from heartcase.schemas.bundle.format import CaseManifest, FileRole
-from heartcase.schemas.errors import BundleError, UsageError
+from heartcase.schemas.errors import BundleError, MissingPathError, UsageError
 from heartcase.schemas.files import sha256_of_file
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ def diff_libraries(old: Path, new: Path, tolerances: Tolerances | None = None) -
     """
     for folder, place in ((old, "OLD"), (new, "NEW")):
         if not folder.is_dir():
-            raise UsageError("this is not a folder: give the OUT of a library build", place=place)
+            raise MissingPathError("there is no such folder: give the OUT of a library build", place=place)
     names = sorted({path.name.removesuffix(".case") for folder in (old, new) for path in folder.glob("*.case")})
     if not names:
         raise UsageError("there is no case in either folder: give the OUT of two library builds", place="OLD, NEW")

@@ -21,7 +21,7 @@ from typing import Any
 from heartcase import __version__
 from heartcase.phantom.version import PHANTOM_VERSION
 from heartcase.pipeline.stages.table import stage_versions
-from heartcase.schemas.errors import HeartcaseError, Problem, RecipeError, UsageError
+from heartcase.schemas.errors import HeartcaseError, MissingPathError, Problem, RecipeError, UsageError
 from heartcase.schemas.files import atomic_write
 from heartcase.schemas.recipe.recipe import parse_recipe, read_recipe_text
 
@@ -67,6 +67,8 @@ class CaseRecord:
     """Stages whose output was in the cache."""
     warnings: tuple[str, ...] = ()
     """What the user must know of the case."""
+    warning_severities: tuple[str, ...] = ()
+    """How much each matters: a name of :class:`heartcase.pipeline.warnings.Severity`; empty where it is not known."""
     memory_peak_mb: float | None = None
     """Most memory that the worker held while it built, 10^6 bytes; None where the system does not say."""
     files: tuple[tuple[str, int, int], ...] = ()
@@ -97,7 +99,7 @@ def plan_library(directory: Path) -> tuple[LibraryCase, ...]:
         There is no such folder, or no recipe in it.
     """
     if not directory.is_dir():
-        raise UsageError("this is not a folder: give the one that holds the recipes", place="DIR")
+        raise MissingPathError("there is no such folder: give the one that holds the recipes", place="DIR")
     kept = _known_file(directory)
     known = _read_known(kept)
     sound: Known = {}
@@ -140,7 +142,9 @@ def read_record(name: str, out: Path) -> CaseRecord | None:
             return None
         for field in ("problems", "files"):
             data[field] = tuple(tuple(row) for row in data[field])
-        return CaseRecord(**(data | {"reused": tuple(data["reused"]), "warnings": tuple(data["warnings"])}))
+        for field in ("reused", "warnings", "warning_severities"):
+            data[field] = tuple(data.get(field, ()))
+        return CaseRecord(**data)
     except (OSError, ValueError, TypeError, KeyError, AttributeError):
         return None
 

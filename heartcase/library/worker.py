@@ -10,15 +10,21 @@ import traceback
 from pathlib import Path
 
 from heartcase.library.plan import CaseRecord, LibraryCase, files_written, write_record
+from heartcase.library.progress import MAKING_THE_SCAN
 from heartcase.library.scans import ensure_scan
 from heartcase.pipeline.build.run import build_case
+from heartcase.pipeline.build.runner import BuildListener, SilentListener
+from heartcase.pipeline.stages.table import STAGES
 from heartcase.schemas.errors import HeartcaseError
 from heartcase.schemas.recipe.recipe import load_recipe
 
 __all__ = ["build_one"]
 
+_SCAN_S = 15.0
+"""How long making a scan may take, s: only a guess for the progress."""
 
-def build_one(case: LibraryCase, out: str, cache: str | None) -> CaseRecord:
+
+def build_one(case: LibraryCase, out: str, cache: str | None, listener: BuildListener | None = None) -> CaseRecord:
     """Build a case and write its record.
 
     Parameters
@@ -27,13 +33,15 @@ def build_one(case: LibraryCase, out: str, cache: str | None) -> CaseRecord:
         What to build.
     out, cache
         Folders of the cases and of the cache, as the worker reaches them.
+    listener
+        Told of progress.
     """
     start = time.perf_counter()
     _give_memory_back()
     _forget_memory_peak()
     folder = Path(out)
     try:
-        record = _built(case, folder, Path(cache) if cache else None)
+        record = _built(case, folder, Path(cache) if cache else None, listener or SilentListener())
     except HeartcaseError as error:
         record = CaseRecord(case.name, case.stamp, tuple((one.place, one.message) for one in error.problems))
     except Exception as error:  # one case must not stop the others, whatever it is
@@ -47,12 +55,17 @@ def build_one(case: LibraryCase, out: str, cache: str | None) -> CaseRecord:
     return record
 
 
-def _built(case: LibraryCase, out: Path, cache: Path | None) -> CaseRecord:
+def _built(case: LibraryCase, out: Path, cache: Path | None, listener: BuildListener) -> CaseRecord:
     recipe = load_recipe(case.recipe)
-    ensure_scan(recipe.scan, case.recipe.parent)
+    if recipe.scan.phantom is not None:
+        start = time.perf_counter()
+        after = sum(stage.expected_seconds for stage in STAGES)
+        listener.stage_started(MAKING_THE_SCAN, seconds_expected=_SCAN_S, seconds_after=after)
+        is_new = ensure_scan(recipe.scan, case.recipe.parent)
+        listener.stage_finished(MAKING_THE_SCAN, seconds=time.perf_counter() - start, reused=not is_new)
     # A scan that is made follows its recipe: a case from the scan before is an older one of the same heart.
     replace = recipe.scan.phantom is not None
-    result = build_case(recipe, directory=case.recipe.parent, out=out, cache=cache, replace=replace)
+    result = build_case(recipe, directory=case.recipe.parent, out=out, cache=cache, replace=replace, listener=listener)
     assert result.case is not None
     assert result.report is not None
     written = [*(path for path in sorted(result.case.rglob("*")) if path.is_file()), result.report]
@@ -62,6 +75,7 @@ def _built(case: LibraryCase, out: Path, cache: Path | None) -> CaseRecord:
         stage_seconds={stage: round(seconds, 3) for stage, seconds in result.seconds.items()},
         reused=result.reused,
         warnings=tuple(warning.text for warning in result.warnings),
+        warning_severities=tuple(warning.severity.name for warning in result.warnings),
         files=files_written(out, [path.relative_to(out).as_posix() for path in written]),
     )
 

@@ -4,6 +4,7 @@
 
     HeartcaseError              every error that is not a bug
     ├── UsageError              the command line or a call was given the wrong things
+    │   └── MissingPathError    there is nothing at a path
     ├── ScanError               a scan cannot be read
     ├── MarkerError             markers cannot be read or do not fit the scan
     ├── RecipeError             a recipe is wrong
@@ -33,6 +34,7 @@ __all__ = [
     "HeartcaseError",
     "MarkerError",
     "MissingExtraError",
+    "MissingPathError",
     "ModelProblems",
     "Problem",
     "RecipeError",
@@ -106,6 +108,12 @@ class UsageError(HeartcaseError):
     """The command line or a call was given the wrong things."""
 
     exit_code = 2
+
+
+class MissingPathError(UsageError):
+    """There is nothing at a path: every command ends with the same code then, whatever it wanted there."""
+
+    exit_code = 1
 
 
 class ScanError(HeartcaseError):

@@ -84,10 +84,13 @@ def load_case(
     Raises
     ------
     UsageError
-        A need is unknown, or the case does not have the level.
+        The needs are a text instead of a list of them, a need is unknown, or the case does not have the level.
     BundleError
         The bundle is broken, or was made without a part that is needed.
     """
+    if isinstance(needs, str):
+        # A text is a sequence too: of its letters.
+        raise UsageError(f"needs is a list of what the scene needs: write needs=[{needs!r}]")
     unknown = sorted(set(needs) - set(get_args(Need)))
     if unknown:
         raise UsageError(f"a scene cannot need {', '.join(unknown)}; it can need {', '.join(get_args(Need))}")

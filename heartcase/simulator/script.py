@@ -124,7 +124,10 @@ def parse_script(text: str) -> SimulationScript:
         With every problem that was found.
     """
     try:
-        return SimulationScript.model_validate(SCRIPT.migrated(tomllib.loads(text))[0])
+        data = tomllib.loads(text)
+        if "heartcase_recipe" in data:
+            raise ScriptError("this is a recipe, not a script: sample_cases/pull.toml is a script", place="script")
+        return SimulationScript.model_validate(SCRIPT.migrated(data)[0])
     except tomllib.TOMLDecodeError as error:
         raise ScriptError(f"this is not valid TOML: {error}", place="script") from None
     except ValidationError as error:

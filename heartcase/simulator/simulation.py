@@ -16,7 +16,7 @@ from heartcase.simulator.dynamics.measures import inverted_cells
 from heartcase.simulator.dynamics.step_size import checked_step, own_step_limit
 from heartcase.simulator.engine.backends import Backend, make_engine
 from heartcase.simulator.engine.shared.contact import NO_PROBES, probe_row
-from heartcase.simulator.instruments.grab import Grab, Pose, nodes_in_reach
+from heartcase.simulator.instruments.grab import Grab, Pose, nodes_in_reach, require_grab
 from heartcase.simulator.instruments.probe import Probe
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.lattice.state import Snapshot, State
@@ -262,8 +262,9 @@ class Simulation:
         Raises
         ------
         SimulationError
-            The hand has let go, the offset is not finite, or the turn is no rotation.
+            It is no hand, or one that has let go, the offset is not finite, or the turn is no rotation.
         """
+        require_grab(grab)
         if grab not in self.grabs:
             raise SimulationError("the hand has let go and cannot be led: grab again", place=grab.name)
         if not _is_point(offset_mm):

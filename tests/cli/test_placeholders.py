@@ -56,7 +56,8 @@ def test_the_examples_come_first_and_what_follows_from_them_is_not_said(starter:
     assert main(["validate", str(starter)]) == 1
     lines = capsys.readouterr().out.splitlines()
     assert [line.partition(":")[0] for line in lines[:2]] == ["strokes[1]", "strokes[2]"]
-    assert lines[2:] == ["2 problems found"]
+    assert lines[-1] == "2 problems found"
+    assert all(line.startswith("warning: scan.modality") for line in lines[2:-1])
     change(starter, *MOVED.items(), ('label = "left ventricle"\nradius', 'label = "background"\nradius'))
     assert main(["validate", str(starter)]) == 1
     assert "tissue" in capsys.readouterr().out
@@ -74,6 +75,11 @@ def test_one_that_is_left_is_refused_although_the_other_was_moved(starter: Path,
 
 def test_moved_strokes_are_strokes(starter: Path, capsys) -> None:
     change(starter, *MOVED.items(), ('label = "left ventricle"\nradius', 'label = "aorta"\nradius'))
+    assert main(["validate", str(starter)]) == 0
+    first, *others, last = capsys.readouterr().out.splitlines()
+    assert first.startswith("warning: scan.modality: whether it is a CT or an MR is stated neither by")
+    assert (others, last) == ([], "sound")
+    change(starter, ("# modality = ", "modality = "))
     assert main(["validate", str(starter)]) == 0
     assert capsys.readouterr().out == "sound\n"
 

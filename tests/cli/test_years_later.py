@@ -205,7 +205,7 @@ def test_upgrade_of_scripts_and_of_what_is_neither(tmp_path, capsys, monkeypatch
     for text in ("seconds = [", "nonsense = 1"):
         script.write_text(text)
         assert run("upgrade", script) in (1, 2)
-    assert run("upgrade", tmp_path / "gone") == 2
+    assert run("upgrade", tmp_path / "gone") == 1
     (tmp_path / "scan.nii").write_text("")
     assert run("upgrade", tmp_path / "scan.nii") == 2
     assert "Traceback" not in capsys.readouterr().err

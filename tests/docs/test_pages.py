@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 import shutil
 from pathlib import Path
@@ -68,6 +69,8 @@ def test_examples_run(
 
     def run(arguments: list[str]) -> tuple[int, str]:
         capfd.readouterr()
+        if arguments[0] == "approve":
+            monkeypatch.setattr("sys.stdin", io.StringIO("y\n" * 2))
         code = main(arguments)
         printed = capfd.readouterr()
         return code, printed.out + printed.err
@@ -87,6 +90,13 @@ def test_what_a_page_points_to_is_there(page: Path) -> None:
         assert command in COMMANDS, command
     for target in re.findall(r"\]\(([^)#:]+)\)", text):
         assert (page.parent / target).exists(), target
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_no_example_approves_unasked(page: Path) -> None:
+    """``--yes`` passes over the question about warnings that the anatomy may be wrong."""
+    for line in page.read_text(encoding="utf-8").splitlines():
+        assert not (line.lstrip("$ ").startswith("heartcase approve") and "--yes" in line)
 
 
 def test_the_reference_of_the_recipe_names_every_setting() -> None:

@@ -7,11 +7,12 @@ from pathlib import Path
 
 import click
 from rich.console import Console
-from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskID, TimeElapsedColumn
-from rich.progress_bar import ProgressBar
-from rich.text import Text
+from rich.progress import Progress, TaskID, TimeElapsedColumn
 
+from heartcase.cli.shared.clock import INTERRUPTED, command_seconds
 from heartcase.cli.shared.output import echo_json, echo_warnings, working
+from heartcase.cli.shared.stage_bars import TimedBar, TimeLeft, stage_result
+from heartcase.schemas.errors import UsageError
 from heartcase.schemas.recipe.recipe import load_recipe
 
 __all__ = ["command"]
@@ -24,27 +25,11 @@ def _title(stage: str) -> str:
     return stage_named(stage).title
 
 
-class _TimedBar(BarColumn):
-    """Fills with the time that the stage was expected to take, and waits just short of the end when it takes longer."""
-
-    def render(self, task: Task) -> ProgressBar:
-        total = task.total or 1.0
-        return ProgressBar(total=total, completed=min(task.elapsed or 0.0, 0.97 * total), width=self.bar_width)
-
-
-class _TimeLeft(ProgressColumn):
-    """Time that this stage and those after it may still take."""
-
-    def render(self, task: Task) -> Text:
-        left = max((task.total or 0.0) - (task.elapsed or 0.0), 0.0) + float(task.fields["seconds_after"])
-        return Text(f"about {left:.0f} s left" if left >= 1.0 else "nearly there")
-
-
 class _Bar:
     """Shows on standard error which stage runs, for how long, and how long the build may still take."""
 
     def __init__(self, console: Console) -> None:
-        columns = ("{task.description}", _TimedBar(24), TimeElapsedColumn(), _TimeLeft())
+        columns = ("{task.description}", TimedBar(24), TimeElapsedColumn(), TimeLeft())
         self.progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
         self.console = console
         self.task: TaskID | None = None
@@ -58,7 +43,7 @@ class _Bar:
             self.progress.remove_task(self.task)
             self.task = None
         words = _title(stage)
-        self.console.print(f"  {words:<28} {'unchanged' if reused else f'{seconds:6.1f} s'}", highlight=False)
+        self.console.print(f"  {words:<28} {stage_result(seconds, reused=reused)}", highlight=False)
 
 
 @click.command()
@@ -106,6 +91,8 @@ def command(
     from heartcase.pipeline.bundle.case_id import add_to_key_file, check_key_file
 
     loaded = load_recipe(recipe)
+    if out.exists() and not out.is_dir():
+        raise UsageError("this is a file: give the folder that the case is to go into", place="--out")
     if loaded.scan.phantom is not None:
         from heartcase.library.scans import ensure_scan
 
@@ -119,18 +106,22 @@ def command(
     bar = _Bar(console)
     console.print(f"Building {loaded.name}", highlight=False)
     start = time.perf_counter()
-    with bar.progress:
-        result = build_case(
-            loaded,
-            directory=recipe.parent,
-            out=out,
-            cache=cache,
-            listener=bar,
-            force=force,
-            until=until,
-            accept_inputs=accept_inputs,
-            replace=replace,
-        )
+    try:
+        with bar.progress:
+            result = build_case(
+                loaded,
+                directory=recipe.parent,
+                out=out,
+                cache=cache,
+                listener=bar,
+                force=force,
+                until=until,
+                accept_inputs=accept_inputs,
+                replace=replace,
+            )
+    except KeyboardInterrupt:
+        click.echo(f"heartcase: interrupted; {INTERRUPTED}", err=True)
+        raise click.exceptions.Exit(130) from None
     seconds = time.perf_counter() - start
     if key_file is not None and result.manifest is not None and result.manifest.case_id is not None:
         from heartcase.pipeline.formats.dicom_identity import identity_of
@@ -170,5 +161,9 @@ def command(
         coarser = f"; coarser level{'s' * (len(levels) > 1)} of {' and '.join(levels)}" if levels else ""
         click.echo(f"Surface {surface['triangle_count']:,} triangles{coarser}")
     click.echo(f"Step    {figures.step_default_s * 1e3:.3f} ms ({figures.steps_per_second:,.0f} steps per second)")
-    click.echo(f"Time    {seconds:.1f} s (the report adds up its stages, also those that ran at once or earlier)")
+    computed = sum(value for stage, value in result.seconds.items() if stage not in result.reused)
+    click.echo(
+        f"Time    {command_seconds():.1f} s from start to end of the command; the stages that were computed add up to "
+        f"{computed:.1f} s (in the report {sum(result.seconds.values()):.1f} s, with those from the cache)"
+    )
     click.echo(result.manifest.notice)

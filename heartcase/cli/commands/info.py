@@ -12,7 +12,7 @@ from heartcase.cli.shared.output import echo_json, echo_warnings, file_size, pri
 from heartcase.cli.shared.stage_io import scan_options
 from heartcase.pipeline.warnings import CaseWarning, Severity, counted, warnings_of
 from heartcase.schemas.bundle.format import MANIFEST_NAME
-from heartcase.schemas.errors import UsageError
+from heartcase.schemas.errors import MissingPathError
 from heartcase.schemas.geometry import Geometry
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ def kind_of(path: Path) -> str:
         There is nothing at the path.
     """
     if not path.exists():
-        raise UsageError("there is nothing at this path: check its spelling", place="PATH")
+        raise MissingPathError("there is nothing at this path: check its spelling", place="PATH")
     if path.is_dir() and ((path / MANIFEST_NAME).exists() or path.suffix == ".case"):
         return "case"
     return "recipe" if path.suffix.lower() == ".toml" else "scan"

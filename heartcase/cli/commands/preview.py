@@ -75,7 +75,7 @@ def command(path: Path, output: Path, view: str | None, level: int, as_json: boo
         shown = [view] if view else list((*_SIDES, "cutaway", "front cut") if kind == "case" else _STACKS)
         echo_json({"kind": kind, "views": shown, "width": width, "height": height, "bytes": len(content)})
     else:
-        click.echo(f"wrote a picture of {width} x {height} pixels, {file_size(len(content))}")
+        click.echo(f"wrote {output}: a picture of {width} x {height} pixels, {file_size(len(content))}")
 
 
 def _scan_picture(path: Path, kind: str, view: str | None, choice: dict[str, Any]) -> UInt8:

@@ -13,7 +13,7 @@ from heartcase import __version__
 from heartcase.cli.shared.output import echo_json, working
 from heartcase.schemas.bundle.format import FORMAT_VERSION, VERSION_WITHOUT_SEPTA
 from heartcase.schemas.bundle.reader import read_manifest
-from heartcase.schemas.errors import UsageError
+from heartcase.schemas.errors import MissingPathError, UsageError
 from heartcase.schemas.files import atomic_write
 from heartcase.schemas.migrate import RECIPE, SCRIPT, bundle_changes
 from heartcase.schemas.recipe.recipe import Recipe, load_recipe
@@ -83,7 +83,7 @@ def preview(path: Path) -> Preview:
         It is no recipe, script or case, or of a version that is not known.
     """
     if not path.exists():
-        raise UsageError("there is nothing at this path: check its spelling", place="PATH")
+        raise MissingPathError("there is nothing at this path: check its spelling", place="PATH")
     if path.is_dir():
         return _of_case(path)
     if path.suffix.lower() != ".toml":

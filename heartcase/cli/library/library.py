@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import os
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import click
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from heartcase.cli.library.progress import LibraryProgress
 from heartcase.cli.library.review import check, diff
+from heartcase.cli.shared.clock import INTERRUPTED, command_seconds
 from heartcase.cli.shared.output import echo_json, error_console, print_table, working
-from heartcase.library.plan import CaseRecord, LibraryCase
-from heartcase.pipeline.warnings import counted
+from heartcase.library.plan import CaseRecord, LibraryCase, read_record
+from heartcase.pipeline.warnings import Severity, counted
 from heartcase.schemas.errors import Problem, UsageError
 
 __all__ = ["command"]
@@ -80,30 +83,31 @@ def build(
     planned_s = time.perf_counter() - start
     records: list[CaseRecord] = []
     if stale:
-        columns = (
-            TextColumn("{task.description}"),
-            BarColumn(24),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            TimeRemainingColumn(),
-        )
-        with connected(local, scheduler, say=say) as client:
-            if local is not None:
-                each = f"{local.thread_count} thread{'s' * (local.thread_count > 1)} and {local.memory_mb:,} MB each"
-                say(f"{local.count} worker{'s' * (local.count > 1)}, {each}")
-            if has_dashboard():
-                say(f"dashboard: {client.dashboard_link}")
-            with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-                task = progress.add_task("cases", total=len(stale))
-                for record in build_cases(stale, client, out=out, cache=cache):
-                    records.append(record)
-                    progress.advance(task)
-                    if record.problems:
-                        _say_failed(say, record.name, [Problem(*one) for one in record.problems])
-                    else:
-                        memory = f", {record.memory_peak_mb:,.0f} MB" if record.memory_peak_mb else ""
-                        say(f"  {record.name:<32} {record.seconds:7.1f} s{memory}")
-    _tell(cases, failed, records, planned_s, time.perf_counter() - start, out, as_json=as_json)
+        try:
+            with connected(local, scheduler, say=say) as client:
+                if local is not None:
+                    each = (
+                        f"{local.thread_count} thread{'s' * (local.thread_count > 1)} and {local.memory_mb:,} MB each"
+                    )
+                    say(f"{local.count} worker{'s' * (local.count > 1)}, {each}")
+                if has_dashboard():
+                    say(f"dashboard: {client.dashboard_link}")
+                else:
+                    say("no dashboard: it needs bokeh, which  pip install 'heartcase[library]'  brings")
+                shown = LibraryProgress(console, len(stale), local.count if local else sum(client.nthreads().values()))
+                with shown.progress:
+                    for record in build_cases(stale, client, out=out, cache=cache, hear=shown.hear):
+                        records.append(record)
+                        shown.case_done(record.name, record.seconds)
+                        if record.problems:
+                            _say_failed(say, record.name, [Problem(*one) for one in record.problems])
+                        else:
+                            memory = f", {record.memory_peak_mb:,.0f} MB" if record.memory_peak_mb else ""
+                            say(f"  {record.name:<32} {record.seconds:7.1f} s{memory}")
+        except KeyboardInterrupt:
+            say(f"heartcase: interrupted; {INTERRUPTED}")
+            raise click.exceptions.Exit(130) from None
+    _tell(cases, failed, records, planned_s, command_seconds(), out, as_json=as_json)
     if failed or any(record.problems for record in records):
         raise click.exceptions.Exit(1)
 
@@ -112,6 +116,37 @@ def _say_failed(say: Callable[[str], None], name: str, problems: Iterable[Proble
     say(f"  {name}: failed")
     for problem in problems:
         say(f"    {problem}")
+
+
+_UNCHANGED_SHOWN_MAX = 30
+"""Unchanged cases with warnings that are listed, the worst first."""
+_SHORT = {Severity.ANATOMY: "the anatomy may be wrong", Severity.LOOK: "to look at", Severity.NOTE: "for information"}
+
+
+def warning_words(record: CaseRecord) -> str:
+    """How many warnings of a case there are of which severity, the worst first."""
+    count = _severity_counts(record)
+    return ", ".join(f"{count[one]} {words}" for one, words in _SHORT.items() if count[one])
+
+
+def _severity_counts(record: CaseRecord) -> Counter[Severity]:
+    # A record of before says not how much they matter: then each is worth a look.
+    known = record.warning_severities or (Severity.LOOK.name,) * len(record.warnings)
+    return Counter(Severity[name] for name in known if name in Severity.__members__)
+
+
+def _worst_first(record: CaseRecord) -> tuple[int, int, str]:
+    count = _severity_counts(record)
+    return -count[Severity.ANATOMY], -count[Severity.LOOK], record.name
+
+
+def _computed_s(built: Iterable[CaseRecord]) -> float:
+    return sum(
+        seconds
+        for record in built
+        for stage, seconds in (record.stage_seconds or {}).items()
+        if stage not in record.reused
+    )
 
 
 def _tell(
@@ -125,6 +160,9 @@ def _tell(
     as_json: bool,
 ) -> None:
     built = [record for record in records if not record.problems]
+    looked_at = {record.name for record in records} | {case.name for case in failed}
+    left = [case.name for case in cases if case.name not in looked_at]
+    unchanged = [record for name in left if (record := read_record(name, out)) is not None]
     wrong: dict[str, list[list[str]]] = {}
     for case in failed:
         # Recipes of one name are each listed.
@@ -147,9 +185,13 @@ def _tell(
                         "reused": record.reused,
                         "memory_peak_mb": record.memory_peak_mb,
                         "warning_count": len(record.warnings),
+                        "warning_severities": record.warning_severities,
                     }
                     for record in sorted(built, key=lambda record: record.name)
                 ],
+                "unchanged_warning_counts": {
+                    record.name: len(record.warnings) for record in unchanged if record.warnings
+                },
                 "failed": wrong,
                 "planning_seconds": round(planned_s, 3),
                 "seconds": round(seconds, 2),
@@ -163,16 +205,25 @@ def _tell(
                 f"{record.seconds:.1f}",
                 f"{record.memory_peak_mb:,.0f}" if record.memory_peak_mb else "",
                 ", ".join(stage for stage in record.stage_seconds or {} if stage not in record.reused),
-                len(record.warnings),
+                warning_words(record),
             )
             for record in sorted(built, key=lambda record: record.name)
         ]
         columns = ("case", "s", "peak MB", "stages computed", "warnings")
-        print_table(columns, rows, title="Built", right=("s", "peak MB", "warnings"))
+        print_table(columns, rows, title="Built", right=("s", "peak MB"))
+    warned = sorted((record for record in unchanged if record.warnings), key=_worst_first)
+    if warned:
+        shown = [(record.name, warning_words(record)) for record in warned[:_UNCHANGED_SHOWN_MAX]]
+        print_table(("case", "warnings"), shown, title="Unchanged, with warnings")
+        if len(warned) > len(shown):
+            click.echo(f"... and {counted(len(warned) - len(shown), 'more unchanged case')} with warnings")
+    if warned or any(record.warnings for record in built):
+        click.echo(f"Warnings are told in full in the reports, {out}{os.sep}NAME.report.html")
     rate = f", {len(built) / seconds * 3600:,.0f} cases an hour" if built else ""
     click.echo(
         f"{counted(len(cases), 'recipe')}: {len(built)} built, {failed_count} failed, "
-        f"{len(cases) - len(failed) - len(records)} unchanged, in {seconds:.1f} s{rate}; cases are in {out}"
+        f"{len(cases) - len(failed) - len(records)} unchanged, in {seconds:.1f} s from start to end{rate}; "
+        f"the stages that were computed add up to {_computed_s(built):.1f} s; cases are in {out}"
     )
 
 

@@ -33,7 +33,7 @@ from heartcase.library.catalogue.pictures import case_pictures
 from heartcase.library.catalogue.words import INTERFACE_LANGUAGES
 from heartcase.pipeline.exports.tubes import vessel_tubes
 from heartcase.schemas.bundle.format import MANIFEST_NAME
-from heartcase.schemas.errors import HeartcaseError, Problem, UsageError
+from heartcase.schemas.errors import HeartcaseError, MissingPathError, Problem, UsageError
 from heartcase.schemas.files import exclusive, remove_leftovers
 
 __all__ = ["CatalogueResult", "write_catalogue"]
@@ -95,7 +95,7 @@ def write_catalogue(
     """
     start = time.perf_counter()
     if not cases.is_dir():
-        raise UsageError("this is not a folder: give the OUT of a library build", place="OUT")
+        raise MissingPathError("there is no such folder: give the OUT of a library build", place="OUT")
     folders = {path.name.removesuffix(".case"): path for path in sorted(cases.glob("*.case")) if path.is_dir()}
     if not folders:
         raise UsageError("there is no case in this folder: give the OUT of a library build", place="OUT")

@@ -57,6 +57,12 @@ def check_inputs(recipe: Recipe, directory: Path) -> InputFindings:
         warnings = _told(recipe, directory, cut, whole.geometry)
     except HeartcaseError as error:
         return InputFindings((*problems, *error.problems))
+    if whole.modality not in ("CT", "MR"):
+        message = (
+            'whether it is a CT or an MR is stated neither by the scan nor by the recipe: write modality = "CT" or '
+            '"MR" under [scan]; without that it is treated as an MR'
+        )
+        warnings = (*warnings, CaseWarning(f"scan.modality: {message}"))
     return InputFindings(tuple(problems), worst_first(warnings))
 
 

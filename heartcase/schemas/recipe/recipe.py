@@ -268,9 +268,13 @@ class Recipe(Model):
                 hint = f"did you mean {spelt[near[0]]!r}?" if near else f"the labels are: {listed}"
                 problems.append(Problem(place, f"there is no label {name!r}; {hint}"))
 
+        # One wrong name is one mistake, in however many strokes.
+        strokes_of: dict[str, list[int]] = {}
         for n, stroke in enumerate(self.strokes, start=1):
             if stroke.label is not None:
-                check(f"strokes[{n}]", stroke.label, table)
+                strokes_of.setdefault(stroke.label, []).append(n)
+        for name, numbers in strokes_of.items():
+            check(_stroke_places(numbers), name, table)
         for n, marker in enumerate(self.markers, start=1):
             for name in marker.names.values():
                 check(f"markers[{n}].names", name, table)
@@ -441,6 +445,12 @@ def load_recipe(path: Path | str) -> Recipe:
 
 _SCAN_SUFFIXES = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd", ".dcm", ".ima", ".zip")
 _DICOM_MARK, _DICOM_MARK_AT = b"DICM", 128
+
+
+def _stroke_places(numbers: list[int]) -> str:
+    """Where some strokes are: ``strokes[1]``, ``strokes[1, 2, 5 and 8 more]``."""
+    more = f" and {len(numbers) - 3} more" if len(numbers) > 3 else ""
+    return f"strokes[{', '.join(map(str, numbers[:3]))}{more}]"
 
 
 def read_recipe_text(path: Path | str) -> str:

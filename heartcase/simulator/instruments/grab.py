@@ -13,7 +13,7 @@ from heartcase.schemas.arrays import Bool, Float32, Float64, Intp
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.lattice.model import LatticeModel
 
-__all__ = ["Grab", "Pose", "nodes_in_reach"]
+__all__ = ["Grab", "Pose", "nodes_in_reach", "require_grab"]
 
 DETOUR_MAX = sqrt(1.5)
 """Longest way along lattice springs over the straight way, in an uncut lattice."""
@@ -49,6 +49,12 @@ class Grab:
     def displacement_at(self, pose: Pose) -> Float64:
         """Displacements of the nodes at a pose [cells, grid axes], shape (count, 3)."""
         return self.closed_at + (self.arms @ pose.turn.T - self.arms) + pose.offset
+
+
+def require_grab(grab: object) -> None:
+    """SimulationError where something else was given for a grab."""
+    if not isinstance(grab, Grab):
+        raise SimulationError(f"this is no grab but a {type(grab).__name__}: give what grab() returned", place="grab")
 
 
 def nodes_in_reach(model: LatticeModel, displacement: Float32, center_mm: npt.ArrayLike, radius_mm: float) -> Intp:
