@@ -19,10 +19,10 @@ __all__ = ["command"]
 
 
 def _title(stage: str) -> str:
-    """What a stage does; the pipeline is loaded by then, and not for a page of help."""
-    from heartcase.pipeline.stages.table import stage_named
+    """What a stage or the report does; the pipeline is loaded by then, and not for a page of help."""
+    from heartcase.pipeline.stages.table import step_named
 
-    return stage_named(stage).title
+    return step_named(stage).title
 
 
 class _TimedBar(BarColumn):

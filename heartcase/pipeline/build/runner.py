@@ -27,7 +27,7 @@ class BuildListener(Protocol):
     """Who wants to know how a build goes on."""
 
     def stage_started(self, stage: str, *, seconds_expected: float, seconds_after: float) -> None:
-        """Note that a stage begins to compute, how long it may take, and how long the stages after it may take."""
+        """Note that a stage begins to compute, or the report to be drawn; how long it and what follows may take."""
 
     def stage_finished(self, stage: str, *, seconds: float, reused: bool) -> None:
         """Note that a stage has its output, computed or found in the cache."""
@@ -151,7 +151,7 @@ class Runner:
 
     def announce(self, stage: str) -> None:
         """Tell the listener that a stage begins, with the time it took before, scaled to this scan."""
-        names = table.stage_names()
+        names = [step.name for step in table.steps()]
         after = sum(self._expected(later) for later in names[names.index(stage) + 1 :])
         self.listener.stage_started(stage, seconds_expected=self._expected(stage), seconds_after=after)
 
@@ -163,7 +163,7 @@ class Runner:
             return {}
 
     def _expected(self, stage: str) -> float:
-        rate = self._rates().get(stage, table.stage_named(stage).expected_seconds)
+        rate = self._rates().get(stage, table.step_named(stage).expected_seconds)
         return rate * self.voxel_count / 1e6
 
     def learn(self, stage: str, seconds: float) -> None:
