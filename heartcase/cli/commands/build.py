@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 from rich.console import Console
-from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskID, TimeElapsedColumn
+from rich.progress import BarColumn, ProgressColumn, Task, TaskID, TimeElapsedColumn
+from rich.progress import Progress as RowsOfProgress
 from rich.progress_bar import ProgressBar
 from rich.text import Text
 
 from heartcase.cli.shared.output import echo_json, echo_warnings, working
 from heartcase.pipeline.warnings import severity_of
 from heartcase.schemas.recipe.recipe import load_recipe
+
+if TYPE_CHECKING:
+    from heartcase.compiling.ahead import Progress
 
 __all__ = ["command"]
 
@@ -41,12 +46,31 @@ class _TimeLeft(ProgressColumn):
         return Text(f"about {left:.0f} s left" if left >= 1.0 else "nearly there")
 
 
+class _Compiling:
+    """Shows that kernels are being compiled, which only a first build does, and for how long still."""
+
+    def __init__(self, console: Console, progress: RowsOfProgress) -> None:
+        self.console, self.progress = console, progress
+        self.task: TaskID | None = None
+        self.start = time.perf_counter()
+
+    def __call__(self, state: Progress) -> None:
+        words = f"compiling {state.done} of {state.total}, only in a first build"
+        if self.task is None:
+            self.console.print(f"  compiling {state.total} kernels meanwhile, only in a first build", highlight=False)
+            self.task = self.progress.add_task(words, total=max(state.seconds_left, 0.1), seconds_after=0.0)
+        passed = time.perf_counter() - self.start
+        self.progress.update(self.task, description=words, total=passed + state.seconds_left)
+        if state.done == state.total:
+            self.progress.remove_task(self.task)
+
+
 class _Bar:
     """Shows on standard error which stage runs, for how long, and how long the build may still take."""
 
     def __init__(self, console: Console) -> None:
         columns = ("{task.description}", _TimedBar(24), TimeElapsedColumn(), _TimeLeft())
-        self.progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+        self.progress = RowsOfProgress(*columns, console=console, transient=True, disable=not console.is_terminal)
         self.console = console
         self.task: TaskID | None = None
 
@@ -103,35 +127,38 @@ def command(
     Only what changed is computed again. Interrupt it at any moment: the old case stays whole, and the next run goes
     on where this one stopped.
     """
+    from heartcase.library.scans import ensure_scan, scan_is_made
+    from heartcase.pipeline.build.ahead import kernels_ahead
     from heartcase.pipeline.build.run import build_case
     from heartcase.pipeline.bundle.case_id import add_to_key_file, check_key_file
 
     loaded = load_recipe(recipe)
-    if loaded.scan.phantom is not None:
-        from heartcase.library.scans import ensure_scan
-
-        with working("making the scan"):
-            ensure_scan(loaded.scan, recipe.parent)
-        # A case from the scan that was made before is an older one of the same heart.
-        replace = True
     if key_file is not None:
         check_key_file(key_file, out / f"{loaded.name}.case")
+    makes_scan = not scan_is_made(loaded.scan, recipe.parent)
     console = Console(stderr=True)
     bar = _Bar(console)
-    console.print(f"Building {loaded.name}", highlight=False)
-    start = time.perf_counter()
-    with bar.progress:
-        result = build_case(
-            loaded,
-            directory=recipe.parent,
-            out=out,
-            cache=cache,
-            listener=bar,
-            force=force,
-            until=until,
-            accept_inputs=accept_inputs,
-            replace=replace,
-        )
+    compiling = _Compiling(console, bar.progress)
+    with kernels_ahead(loaded, makes_scan=makes_scan, until=until, told=compiling):
+        if loaded.scan.phantom is not None:
+            with working("making the scan"):
+                ensure_scan(loaded.scan, recipe.parent)
+            # A case from the scan that was made before is an older one of the same heart.
+            replace = True
+        console.print(f"Building {loaded.name}", highlight=False)
+        start = time.perf_counter()
+        with bar.progress:
+            result = build_case(
+                loaded,
+                directory=recipe.parent,
+                out=out,
+                cache=cache,
+                listener=bar,
+                force=force,
+                until=until,
+                accept_inputs=accept_inputs,
+                replace=replace,
+            )
     seconds = time.perf_counter() - start
     if key_file is not None and result.manifest is not None and result.manifest.case_id is not None:
         from heartcase.pipeline.formats.dicom_identity import identity_of
