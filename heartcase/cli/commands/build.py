@@ -20,7 +20,7 @@ from heartcase.schemas.recipe.recipe import load_recipe
 if TYPE_CHECKING:
     from heartcase.compiling.ahead import Progress
 
-__all__ = ["command"]
+__all__ = ["Compiling", "command"]
 
 
 def _title(stage: str) -> str:
@@ -46,8 +46,11 @@ class _TimeLeft(ProgressColumn):
         return Text(f"about {left:.0f} s left" if left >= 1.0 else "nearly there")
 
 
-class _Compiling:
-    """Shows that kernels are being compiled, which only a first build does, and for how long still."""
+class Compiling:
+    """Shows that kernels are being compiled, which only a first build does, and for how long still.
+
+    Told of progress by other threads, one at a time.
+    """
 
     def __init__(self, console: Console, progress: RowsOfProgress) -> None:
         self.console, self.progress = console, progress
@@ -55,6 +58,7 @@ class _Compiling:
         self.start = time.perf_counter()
 
     def __call__(self, state: Progress) -> None:
+        """Show how far it is; the row goes when all is compiled."""
         words = f"compiling {state.done} of {state.total}, only in a first build"
         if self.task is None:
             self.console.print(f"  compiling {state.total} kernels meanwhile, only in a first build", highlight=False)
@@ -138,14 +142,14 @@ def command(
     makes_scan = not scan_is_made(loaded.scan, recipe.parent)
     console = Console(stderr=True)
     bar = _Bar(console)
-    compiling = _Compiling(console, bar.progress)
+    compiling = Compiling(console, bar.progress)
+    console.print(f"Building {loaded.name}", highlight=False)
     with kernels_ahead(loaded, makes_scan=makes_scan, until=until, told=compiling):
         if loaded.scan.phantom is not None:
             with working("making the scan"):
                 ensure_scan(loaded.scan, recipe.parent)
             # A case from the scan that was made before is an older one of the same heart.
             replace = True
-        console.print(f"Building {loaded.name}", highlight=False)
         start = time.perf_counter()
         with bar.progress:
             result = build_case(

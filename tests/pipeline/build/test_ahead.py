@@ -1,6 +1,7 @@
 """The list of kernels that a build compiles ahead is what a build calls: no more, no less."""
 
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -12,14 +13,14 @@ from heartcase.schemas.recipe.recipe import load_recipe
 from tests.pipeline.build.kernels_called import small_recipe
 
 
-def called():
+def called(environment=os.environ):
     """Kernels that a small build calls, with the stage that calls each first, when all of them are in the cache."""
     compiled = []
     while True:
         with tempfile.TemporaryDirectory() as folder:
             output = Path(folder) / "called.json"
             command = [sys.executable, "-m", "tests.pipeline.build.kernels_called", folder, str(output)]
-            subprocess.run(command, check=True)
+            subprocess.run(command, check=True, env=environment)
             found = json.loads(output.read_text())
         compiled.append({key_of(one): one["seconds"] for one in found})
         # What this process had to compile, it had the types of functions in it that Python did not call.
@@ -73,4 +74,6 @@ def test_only_stages_that_a_build_takes_are_compiled_for(tmp_path):
 
 
 if __name__ == "__main__" and sys.argv[1:] == ["--write"]:
-    write(by_stage(called()))
+    # With an empty cache, so that each kernel is compiled, and timed.
+    with tempfile.TemporaryDirectory() as empty:
+        write(by_stage(called(os.environ | {"NUMBA_CACHE_DIR": empty})))
