@@ -5,12 +5,16 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
-from numba.core import types
+from numba.core import types as numba_types
+from numba.core.types import Type
 
 __all__ = ["as_json", "from_json"]
 
+types: Any = numba_types
+"""numba's stubs leave out most of it."""
 
-def as_json(kind: types.Type) -> Any:
+
+def as_json(kind: Type) -> Any:
     """A type as JSON.
 
     Raises
@@ -35,7 +39,7 @@ def as_json(kind: types.Type) -> Any:
     raise ValueError(f"{kind!r} cannot be listed")
 
 
-def from_json(data: Any) -> types.Type:
+def from_json(data: Any) -> Type:
     """The type that :func:`as_json` wrote.
 
     Raises
@@ -44,19 +48,22 @@ def from_json(data: Any) -> types.Type:
         It is none, or names what is not there any more.
     """
     if isinstance(data, str):
-        plain: types.Type = getattr(types, data)
+        plain: Type = getattr(types, data)
         return plain
+    made: Type
     match data:
         case ["array", dtype, ndim, layout, readonly, aligned]:
-            return types.Array(from_json(dtype), ndim, layout, readonly=readonly, aligned=aligned)
+            made = types.Array(from_json(dtype), ndim, layout, readonly=readonly, aligned=aligned)
         case ["named", module, name, members]:
             kinds, owner = [from_json(one) for one in members], getattr(import_module(module), name)
             alike = len(set(kinds)) == 1
-            return types.NamedUniTuple(kinds[0], len(kinds), owner) if alike else types.NamedTuple(kinds, owner)
+            made = types.NamedUniTuple(kinds[0], len(kinds), owner) if alike else types.NamedTuple(kinds, owner)
         case ["tuple", members]:
-            return types.Tuple([from_json(one) for one in members])
+            made = types.Tuple([from_json(one) for one in members])
         case ["default", value]:
-            return types.Omitted(value)
+            made = types.Omitted(value)
         case ["kernel", module, name]:
-            return types.Dispatcher(getattr(import_module(module), name))
-    raise ValueError(f"{data!r} is no type")
+            made = types.Dispatcher(getattr(import_module(module), name))
+        case _:
+            raise ValueError(f"{data!r} is no type")
+    return made
