@@ -28,11 +28,11 @@ class Inputs:
 def prepare(params: dict[str, Any]) -> Inputs:
     force = params.pop("force")
     directory = Path(tempfile.mkdtemp(prefix="heartcase-benchmark-build-"))
-    _write_inputs(params, directory)
+    write_inputs(params, directory)
     return Inputs(directory, force)
 
 
-def _write_inputs(params: dict[str, Any], directory: Path) -> None:
+def write_inputs(params: dict[str, Any], directory: Path) -> None:
     source = phantom_inputs(params)
     directory.mkdir(parents=True, exist_ok=True)
     write_scan(source.scan, directory / "scan.nii.gz")
@@ -44,7 +44,7 @@ def _write_inputs(params: dict[str, Any], directory: Path) -> None:
 
 def build_phantom(params: dict[str, Any], directory: Path) -> Path:
     """Build the phantom's case in a directory, and give its path."""
-    _write_inputs(params, directory)
+    write_inputs(params, directory)
     heartcase(Inputs(directory, force=False))
     return directory / "bench.case"
 

@@ -11,6 +11,7 @@ from typing import Any, overload
 import numba
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
 
+from heartcase.compiling.one_at_a_time import compiled_by_one
 from heartcase.compiling.sources import source_stamp
 
 __all__ = ["KERNELS", "kernel"]
@@ -47,6 +48,8 @@ def kernel(function: Callable[..., Any] | None = None, /, *, cached: bool = True
     dispatcher: Any = numba.njit(**{"nogil": True} | options)(function)
     if cached:
         dispatcher._cache = _KernelCache(function)
+        lock = os.path.join(dispatcher._cache.cache_path, f"{dispatcher._cache._impl.filename_base}.lock")
+        dispatcher.compile = compiled_by_one(dispatcher.compile, dispatcher.overloads.__contains__, lock)
     KERNELS.append(dispatcher)
     return dispatcher
 

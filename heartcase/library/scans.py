@@ -7,7 +7,6 @@ import os
 from pathlib import Path
 from typing import Any
 
-from heartcase.phantom.scan.made_scan import made_scan
 from heartcase.phantom.version import PHANTOM_VERSION
 from heartcase.pipeline.data import Scan
 from heartcase.pipeline.formats.write_images import write_scan
@@ -55,7 +54,10 @@ def ensure_scan(source: ScanSource, directory: Path) -> bool:
             f"a file that was not made for this recipe lies where its scan goes ({path.name}): move it, or change path",
             place="scan.path",
         )
-    scan = made_scan(source.phantom)
+    # Only where a scan is made: the phantom's anatomy takes half a second to load.
+    from heartcase.phantom.scan import made_scan
+
+    scan = made_scan.made_scan(source.phantom)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         remove_leftovers(path.parent)

@@ -46,7 +46,7 @@ def made(monkeypatch):
         values = np.full((3, 4, 5), settings.seed, np.float32)
         return SyntheticScan(values, Geometry.of(shape=values.shape, spacing_mm=(1.0, 1.0, 1.0)), "MR", 10.0, 1.0)
 
-    monkeypatch.setattr(scans, "made_scan", quick)
+    monkeypatch.setattr("heartcase.phantom.scan.made_scan.made_scan", quick)
     return calls
 
 
@@ -272,7 +272,7 @@ def test_a_case_of_a_scan_that_was_made_before_is_replaced(tmp_path, monkeypatch
         values = ball.values + np.float32(settings.seed)
         return SyntheticScan(values, ball.geometry, "MR", 10.0, 1.0)
 
-    monkeypatch.setattr(scans, "made_scan", quick)
+    monkeypatch.setattr("heartcase.phantom.scan.made_scan.made_scan", quick)
     path = write_ball_recipe(tmp_path / "made.nii.gz", tmp_path / "r.toml", parts="parts = []", cell_mm=6.0)
     text = path.read_text()
     ids = []

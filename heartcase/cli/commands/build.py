@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 from rich.console import Console
-from rich.progress import Progress, TaskID, TimeElapsedColumn
+from rich.progress import Progress as RowsOfProgress
+from rich.progress import TaskID, TimeElapsedColumn
 
 from heartcase.cli.shared.clock import INTERRUPTED, command_seconds
 from heartcase.cli.shared.output import echo_json, echo_warnings, working
@@ -15,14 +17,40 @@ from heartcase.cli.shared.stage_bars import TimedBar, TimeLeft, stage_result
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.recipe.recipe import load_recipe
 
-__all__ = ["command"]
+if TYPE_CHECKING:
+    from heartcase.compiling.ahead import Progress
+
+__all__ = ["Compiling", "command"]
 
 
 def _title(stage: str) -> str:
-    """What a stage does; the pipeline is loaded by then, and not for a page of help."""
-    from heartcase.pipeline.stages.table import stage_named
+    """What a stage or the report does; the pipeline is loaded by then, and not for a page of help."""
+    from heartcase.pipeline.stages.table import step_named
 
-    return stage_named(stage).title
+    return step_named(stage).title
+
+
+class Compiling:
+    """Shows that kernels are being compiled, which only a first build does, and for how long still.
+
+    Told of progress by other threads, one at a time.
+    """
+
+    def __init__(self, console: Console, progress: RowsOfProgress) -> None:
+        self.console, self.progress = console, progress
+        self.task: TaskID | None = None
+        self.start = time.perf_counter()
+
+    def __call__(self, state: Progress) -> None:
+        """Show how far it is; the row goes when all is compiled."""
+        words = f"compiling {state.done} of {state.total}, only in a first build"
+        if self.task is None:
+            self.console.print(f"  compiling {state.total} kernels meanwhile, only in a first build", highlight=False)
+            self.task = self.progress.add_task(words, total=max(state.seconds_left, 0.1), seconds_after=0.0)
+        passed = time.perf_counter() - self.start
+        self.progress.update(self.task, description=words, total=passed + state.seconds_left)
+        if state.done == state.total:
+            self.progress.remove_task(self.task)
 
 
 class _Bar:
@@ -30,7 +58,7 @@ class _Bar:
 
     def __init__(self, console: Console) -> None:
         columns = ("{task.description}", TimedBar(24), TimeElapsedColumn(), TimeLeft())
-        self.progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+        self.progress = RowsOfProgress(*columns, console=console, transient=True, disable=not console.is_terminal)
         self.console = console
         self.task: TaskID | None = None
 
@@ -87,38 +115,41 @@ def command(
     Only what changed is computed again. Interrupt it at any moment: the old case stays whole, and the next run goes
     on where this one stopped.
     """
+    from heartcase.library.scans import ensure_scan, scan_is_made
+    from heartcase.pipeline.build.ahead import kernels_ahead
     from heartcase.pipeline.build.run import build_case
     from heartcase.pipeline.bundle.case_id import add_to_key_file, check_key_file
 
     loaded = load_recipe(recipe)
     if out.exists() and not out.is_dir():
         raise UsageError("this is a file: give the folder that the case is to go into", place="--out")
-    if loaded.scan.phantom is not None:
-        from heartcase.library.scans import ensure_scan
-
-        with working("making the scan"):
-            ensure_scan(loaded.scan, recipe.parent)
-        # A case from the scan that was made before is an older one of the same heart.
-        replace = True
     if key_file is not None:
         check_key_file(key_file, out / f"{loaded.name}.case")
+    makes_scan = not scan_is_made(loaded.scan, recipe.parent)
     console = Console(stderr=True)
     bar = _Bar(console)
+    compiling = Compiling(console, bar.progress)
     console.print(f"Building {loaded.name}", highlight=False)
     start = time.perf_counter()
     try:
-        with bar.progress:
-            result = build_case(
-                loaded,
-                directory=recipe.parent,
-                out=out,
-                cache=cache,
-                listener=bar,
-                force=force,
-                until=until,
-                accept_inputs=accept_inputs,
-                replace=replace,
-            )
+        with kernels_ahead(loaded, makes_scan=makes_scan, until=until, told=compiling):
+            if loaded.scan.phantom is not None:
+                with working("making the scan"):
+                    ensure_scan(loaded.scan, recipe.parent)
+                # A case from the scan that was made before is an older one of the same heart.
+                replace = True
+            with bar.progress:
+                result = build_case(
+                    loaded,
+                    directory=recipe.parent,
+                    out=out,
+                    cache=cache,
+                    listener=bar,
+                    force=force,
+                    until=until,
+                    accept_inputs=accept_inputs,
+                    replace=replace,
+                )
     except KeyboardInterrupt:
         click.echo(f"heartcase: interrupted; {INTERRUPTED}", err=True)
         raise click.exceptions.Exit(130) from None

@@ -125,6 +125,6 @@ def _constant(value: float) -> Callable[[], float]:
 def _title(stage: str) -> str:
     if stage == MAKING_THE_SCAN:
         return "making the scan"
-    from heartcase.pipeline.stages.table import stage_named
+    from heartcase.pipeline.stages.table import step_named
 
-    return stage_named(stage).title
+    return step_named(stage).title

@@ -18,7 +18,7 @@ from heartcase.pipeline.stages.bundle import STAGE as BUNDLE
 from heartcase.pipeline.stages.resolve import resolve_recipe
 from heartcase.pipeline.stages.segment import filtered_tree
 from heartcase.pipeline.stages.stage import Work, have
-from heartcase.pipeline.stages.table import stage_names
+from heartcase.pipeline.stages.table import REPORT, stage_names
 from heartcase.pipeline.warnings import CaseWarning, warnings_of
 from heartcase.schemas.bundle.approval import bundle_sha256
 from heartcase.schemas.bundle.format import CaseManifest
@@ -91,7 +91,9 @@ def build_case(
     Raises
     ------
     HeartcaseError
-        A problem with the scan, the markers or a stage; the case that was there before is untouched.
+        A problem with the scan, the markers or a stage; the case that was there before is untouched. A case is
+        written before its report: where the report cannot be drawn, the case is the new one, the report still tells
+        the bundle hash of the old one, and the next build draws it.
     """
     if until is not None and until not in stage_names():
         raise UsageError(f"there is no stage {until!r}; the stages are: {', '.join(stage_names())}", place="until")
@@ -127,7 +129,7 @@ def build_case(
 
 
 def _finish(runner: Runner, work: Work, out: Path) -> BuildResult:
-    """Write the bundle and the report."""
+    """Write the bundle, then the report about it."""
     case, report = out / f"{work.recipe.name}.case", out / f"{work.recipe.name}.report.html"
     key = stage_key(
         stage=BUNDLE.name,
@@ -137,23 +139,32 @@ def _finish(runner: Runner, work: Work, out: Path) -> BuildResult:
     )
     manifest = None if runner.force else _unchanged(case, report, runner.cache, key)
     if manifest is not None:
-        runner.listener.stage_finished(BUNDLE.name, seconds=0.0, reused=True)
+        for step in (BUNDLE, REPORT):
+            runner.listener.stage_finished(step.name, seconds=0.0, reused=True)
         reused = (*runner.reused, BUNDLE.name)
         return BuildResult(case, report, manifest, runner.seconds, reused, False, warnings_of(manifest))
     runner.announce(BUNDLE.name)
     start = time.perf_counter()
     assembled = BUNDLE.compute(work)
     runner.seconds[BUNDLE.name] = time.perf_counter() - start
-    html = _report(runner, work, assembled).encode()
-    # The report is ready before the case is touched: where drawing fails, the old case and its report stay.
     changed = write_bundle(case, assembled.content)
+    _finished(runner, BUNDLE.name, time.perf_counter() - start, reused=not changed)
+    # The case can be used from here on. What is noted last makes the next build draw a report that was not finished.
+    runner.announce(REPORT.name)
+    start = time.perf_counter()
+    html = _report(runner, work, assembled).encode()
     atomic_write(report, html)
     sums = {"bundle_sha256": assembled.content.sha256, "report_sha256": hashlib.sha256(html).hexdigest()}
     runner.cache.note(BUNDLE.name, key, sums)
-    runner.learn(BUNDLE.name, time.perf_counter() - start)
-    runner.listener.stage_finished(BUNDLE.name, seconds=time.perf_counter() - start, reused=not changed)
+    runner.seconds[REPORT.name] = time.perf_counter() - start
+    _finished(runner, REPORT.name, runner.seconds[REPORT.name], reused=False)
     manifest = assembled.content.manifest
     return BuildResult(case, report, manifest, runner.seconds, tuple(runner.reused), changed, assembled.warnings)
+
+
+def _finished(runner: Runner, step: str, seconds: float, *, reused: bool) -> None:
+    runner.learn(step, seconds)
+    runner.listener.stage_finished(step, seconds=seconds, reused=reused)
 
 
 def _report(runner: Runner, work: Work, assembled: AssembledCase) -> str:

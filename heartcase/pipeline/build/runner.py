@@ -27,12 +27,12 @@ class BuildListener(Protocol):
     """Who wants to know how a build goes on."""
 
     def stage_started(self, stage: str, *, seconds_expected: float, seconds_after: float) -> None:
-        """Note that a stage begins to compute, how long it may take, and how long the stages after it may take.
+        """Note that a stage begins to compute, or the report to be drawn.
 
         Parameters
         ----------
         stage
-            Name of the stage.
+            Name of the stage, or "report".
         seconds_expected
             How long it may take, s.
         seconds_after
@@ -171,7 +171,7 @@ class Runner:
 
     def announce(self, stage: str) -> None:
         """Tell the listener that a stage begins, with the time it took before, scaled to this scan."""
-        names = table.stage_names()
+        names = [step.name for step in table.steps()]
         after = sum(self._expected(later) for later in names[names.index(stage) + 1 :])
         self.listener.stage_started(stage, seconds_expected=self._expected(stage), seconds_after=after)
 
@@ -183,7 +183,7 @@ class Runner:
             return {}
 
     def _expected(self, stage: str) -> float:
-        rate = self._rates().get(stage, table.stage_named(stage).expected_seconds)
+        rate = self._rates().get(stage, table.step_named(stage).expected_seconds)
         return rate * self.voxel_count / 1e6
 
     def learn(self, stage: str, seconds: float) -> None:

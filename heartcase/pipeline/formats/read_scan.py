@@ -8,16 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from heartcase.pipeline.data import Scan
 from heartcase.pipeline.formats.dicom.archive import is_archive
-from heartcase.pipeline.formats.dicom.overlap import Overlap
-from heartcase.pipeline.formats.dicom.read import SeriesInfo, describe_volume, is_dicom, read_dicom, series_of
-from heartcase.pipeline.formats.labels.dicom_seg import read_dicom_seg
 from heartcase.pipeline.formats.labels.segments import LabelVolume, SegmentInfo, in_file_order, keep_all, segments_of
 from heartcase.pipeline.formats.volumes.frames import FrameChoice
 from heartcase.pipeline.formats.volumes.raw_volume import RawVolume, check_size, placed, require_file
@@ -28,10 +25,15 @@ from heartcase.schemas.arrays import Float32, UInt16
 from heartcase.schemas.errors import MarkerError, Problem, ScanError
 from heartcase.schemas.geometry import Geometry
 
+if TYPE_CHECKING:
+    from heartcase.pipeline.formats.dicom.overlap import Overlap
+    from heartcase.pipeline.formats.dicom.read import SeriesInfo
+
+# What reads DICOM is imported where it is needed: pydicom takes longer to load than most scans.
+
 __all__ = [
     "READERS",
     "LabelVolume",
-    "SeriesInfo",
     "detached_data_file",
     "is_dicom_source",
     "list_series",
@@ -115,6 +117,8 @@ def read_scan(
                     "a frame number chooses in NIfTI, NRRD and MetaImage files: among DICOM images choose with "
                     "--trigger-time or --series (trigger_time_ms or series in the recipe's [scan])"
                 )
+            from heartcase.pipeline.formats.dicom.read import read_dicom
+
             return read_dicom(
                 path,
                 series=series,
@@ -170,6 +174,8 @@ def list_series(path: Path | str) -> tuple[SeriesInfo, ...]:
     ScanError
         Nothing there can be read as a scan.
     """
+    from heartcase.pipeline.formats.dicom.read import SeriesInfo, describe_volume, series_of
+
     path = Path(path)
     if not is_dicom_source(path):
         scan = read_scan(path)
@@ -225,6 +231,8 @@ def read_labels(
         if is_archive(path):
             raise ScanError("this is a zip archive: unpack it, and give the file of markers or labels")
         if is_dicom_source(path):
+            from heartcase.pipeline.formats.labels.dicom_seg import read_dicom_seg
+
             return read_dicom_seg(path, scan, left_out, rank)
         raw = _read_file(path)
     except ScanError as error:
@@ -241,7 +249,11 @@ def is_dicom_source(path: Path) -> bool:
 
     A file with the ending of another format is that.
     """
-    return path.is_dir() or (_suffix(path) is None and (is_dicom(path) or is_archive(path)))
+    if path.is_dir() or _suffix(path) is not None:
+        return path.is_dir()
+    from heartcase.pipeline.formats.dicom.headers import is_dicom
+
+    return is_dicom(path) or is_archive(path)
 
 
 def detached_data_file(path: Path) -> Path | None:

@@ -13,6 +13,7 @@ from typing import Any
 from heartcase import __version__
 from heartcase.pipeline.checks.openings import Opening, Verdict
 from heartcase.pipeline.data import GridMap, Scan, Segmentation, SimulationGrid, Structures, Surface
+from heartcase.pipeline.kernels.parallel import side_by_side
 from heartcase.pipeline.markers.confidence import Sureness
 from heartcase.pipeline.report.confidence_part import ConfidencePart, confidence_part
 from heartcase.pipeline.report.ends_part import EndsPart, ends_part
@@ -25,7 +26,13 @@ from heartcase.pipeline.report.plain_words import (
     setting_lines,
     smoothing_facts,
 )
-from heartcase.pipeline.report.report_pictures import Picture, ThicknessRow, slice_parts, surface_parts
+from heartcase.pipeline.report.report_pictures import (
+    Picture,
+    ThicknessRow,
+    slice_parts,
+    surface_parts,
+    thickness_spread,
+)
 from heartcase.pipeline.stages.table import STAGES
 from heartcase.pipeline.warnings import CaseWarning, WarningGroup, grouped
 from heartcase.schemas.bundle.format import CaseManifest, StageRecord
@@ -264,7 +271,15 @@ def build_report(inputs: ReportInputs) -> str:
     ]
     totals = _totals(table, volumes_ml)
     septa_mm = {one.value: one.thickness_mm for one in structures.grown_septa}
-    shown = surface_parts(surface, recipe.landmarks, recipe.walls, septa_mm)
+
+    def slices() -> tuple[list[Picture], ConfidencePart | None, EndsPart | None]:
+        sure = confidence_part(scan, segmentation, inputs.sureness) if inputs.sureness is not None else None
+        return slice_parts(scan, segmentation, structures), sure, ends_part(scan, structures)
+
+    # Slices are matplotlib's work, in one thread; the surface is kernels' and compression's, which leave it the other.
+    (slice_rows, confidence, ends), shown = side_by_side(
+        slices, lambda: surface_parts(surface, recipe.landmarks, recipe.walls, septa_mm)
+    )
     quality = {
         "Smoothing of the outlines": smoothing_facts(structures.quality),
         "Simulation grid": figure_facts(grid.quality),
@@ -279,17 +294,17 @@ def build_report(inputs: ReportInputs) -> str:
             warnings=grouped(inputs.warnings),
             key_facts=_key_facts(grid, surface, scan, totals),
             scan_facts=_scan_facts(recipe, scan),
-            slices=slice_parts(scan, segmentation, structures),
-            confidence=confidence_part(scan, segmentation, inputs.sureness) if inputs.sureness is not None else None,
+            slices=slice_rows,
+            confidence=confidence,
             sides=shown.sides,
             views=shown.views,
             without_short_axis=shown.without_short_axis,
-            thickness=shown.thickness,
+            thickness=[*shown.thickness, *thickness_spread(surface, shown)],
             thickness_rows=shown.thickness_rows,
             structures=rows,
             totals=list(totals.items()),
             openings=[_opening_row(one) for one in inputs.openings],
-            ends=ends_part(scan, structures),
+            ends=ends,
             septa=[_septum_row(one) for one in structures.quality.get("septa", ())],
             quality={title: facts for title, facts in quality.items() if facts},
             hand_work=hand_work_facts(recipe, scan),

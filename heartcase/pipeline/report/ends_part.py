@@ -10,6 +10,7 @@ from scipy.ndimage import map_coordinates
 
 from heartcase.pipeline.data import Scan, Structures, VesselEnd
 from heartcase.pipeline.fields.reader import ownership_at_points
+from heartcase.pipeline.report.outlines import draw_outlines
 from heartcase.pipeline.report.pictures import direction_letters
 from heartcase.pipeline.report.plain_words import placed
 from heartcase.pipeline.report.report_pictures import Picture, embedded_picture
@@ -191,7 +192,6 @@ def _outline(axes, structures: Structures, points: Float64, flat: Float64) -> No
     owner = ownership_at_points(structures, points.reshape(-1, 3))
     label = np.where(owner.tissue_mm < 0.0, owner.tissue_label, owner.void_label).reshape(points.shape[:2])
     table: LabelTable = structures.table
-    for one in sorted(table, key=lambda label: label.role.is_blood):
-        inside = label == one.value
-        if one.value != BACKGROUND and inside.any() and not inside.all():
-            axes.contour(flat, flat, inside.astype(float), levels=[0.5], colors=[one.colour], linewidths=1.1)
+    colours = {one.value: one.colour for one in sorted(table, key=lambda one: one.role.is_blood)}
+    colours.pop(BACKGROUND, None)
+    draw_outlines(axes, label, colours, x=flat, y=flat)

@@ -82,13 +82,13 @@ def label_colours(table: LabelTable, values: Collection[int]) -> dict[str, str]:
     return {label.name: label.colour for label in table if label.value in set(values)}
 
 
-def png_bytes(picture: UInt8, *, comment: str = "") -> bytes:
-    """A picture as a PNG file, with a comment in its text field if there is one."""
+def png_bytes(picture: UInt8, *, comment: str = "", level: int = 6) -> bytes:
+    """A picture as a PNG file, with a comment in its text field if there is one; ``level`` of compression, 0 to 9."""
     stream = io.BytesIO()
     told = PngInfo()
     if comment:
         told.add_text("Comment", comment)
-    Image.fromarray(picture).save(stream, format="PNG", pnginfo=told)
+    Image.fromarray(picture).save(stream, format="PNG", pnginfo=told, compress_level=level)
     return stream.getvalue()
 
 

@@ -15,6 +15,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.pipeline.report.outlines import draw_outlines
 from heartcase.pipeline.report.pictures import direction_letters
 from heartcase.schemas.arrays import UInt8
 from heartcase.schemas.geometry import Geometry
@@ -286,10 +287,7 @@ def _outline(axes, labels, wide: float, tall: float, colours: dict[int, str]) ->
     rows, columns = labels.shape
     x = (np.arange(columns + 2) - 0.5) * wide / columns
     y = (np.arange(rows + 2) - 0.5) * tall / rows
-    for value, colour in colours.items():
-        inside = padded == value
-        if inside.any():
-            axes.contour(x, y, inside.astype(float), levels=[0.5], colors=[colour], linewidths=1.1)
+    draw_outlines(axes, padded, colours, x=x, y=y)
 
 
 def _write_directions(axes, view: SliceView) -> None:  # type: ignore[no-untyped-def]

@@ -54,13 +54,13 @@ def _compute(work: Work) -> AssembledCase:
 STAGE = Stage(
     name="bundle",
     version=7,
-    title="writing case and report",
+    title="writing the case",
     deed="write the case",
     subject="",
     output="assembled",
     kind=AssembledCase,
     settings=_settings,
     compute=_compute,
-    expected_seconds=6.0,
+    expected_seconds=2.0,
     is_kept=lambda _: False,
 )

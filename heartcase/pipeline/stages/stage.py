@@ -18,7 +18,7 @@ from heartcase.schemas.recipe.settings import resolved
 if TYPE_CHECKING:
     from heartcase.pipeline.artifacts.cache import Cache
 
-__all__ = ["Node", "Stage", "StageOutputs", "Work", "have", "resolved_all"]
+__all__ = ["Node", "Stage", "StageOutputs", "Step", "Work", "have", "resolved_all"]
 
 T = TypeVar("T")
 
@@ -89,6 +89,17 @@ def resolved_all(models: tuple[Model, ...]) -> list[Any]:
 
 def _always(_: Recipe) -> bool:
     return True
+
+
+@dataclass(frozen=True)
+class Step:
+    """A part of a build that has no output for other stages: what progress knows of it."""
+
+    name: str
+    title: str
+    """What it does, while it does it."""
+    expected_seconds: float
+    """First estimate for a scan of a million voxels, until a build has measured."""
 
 
 @dataclass(frozen=True)

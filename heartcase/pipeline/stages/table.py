@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from heartcase.pipeline.stages import bundle, edit, filter, grid, map, markers, read, segment, surface, walls
-from heartcase.pipeline.stages.stage import Stage
+from heartcase.pipeline.stages.stage import Stage, Step
 
-__all__ = ["STAGES", "stage_named", "stage_names", "stage_versions"]
+__all__ = ["REPORT", "STAGES", "stage_named", "stage_names", "stage_versions", "step_named", "steps"]
 
 STAGES: tuple[Stage[Any], ...] = (
     read.STAGE,
@@ -22,6 +22,9 @@ STAGES: tuple[Stage[Any], ...] = (
     bundle.STAGE,
 )
 """The last one writes the case, and takes all that the others made."""
+
+REPORT = Step("report", "drawing the report", expected_seconds=4.0)
+"""After the case is written."""
 
 
 def stage_names() -> tuple[str, ...]:
@@ -46,3 +49,19 @@ def stage_named(name: str) -> Stage[Any]:
         if stage.name == name:
             return stage
     raise KeyError(name)
+
+
+def steps() -> tuple[Stage[Any] | Step, ...]:
+    """The stages and what follows them, in the order in which a build tells of them."""
+    return (*STAGES, REPORT)
+
+
+def step_named(name: str) -> Stage[Any] | Step:
+    """The stage or step of a name.
+
+    Raises
+    ------
+    KeyError
+        There is none.
+    """
+    return REPORT if name == REPORT.name else stage_named(name)

@@ -1,6 +1,7 @@
 """The whole build on a small scan: what it makes, what it reuses, what a crash leaves."""
 
 import functools
+import hashlib
 import importlib
 import json
 import os
@@ -210,6 +211,7 @@ def test_a_crash_at_any_file_operation_of_a_build_leaves_a_whole_case_and_the_ne
     build(new, tmp_path / "new")
     old_case, new_case = contents(tmp_path / "old" / "ball.case"), contents(tmp_path / "new" / "ball.case")
     assert old_case["case.json"] != new_case["case.json"]
+    new_page = (tmp_path / "new" / "ball.report.html").read_bytes()
     seen = set()
     operations = 0
     while True:
@@ -230,6 +232,8 @@ def test_a_crash_at_any_file_operation_of_a_build_leaves_a_whole_case_and_the_ne
             resumed = build(new, out)
             assert stored <= set(resumed.reused), f"after operation {operations}"
             assert contents(out / "ball.case") == new_case
+            # Whether the crash came before the report, while it was written or after it.
+            assert (out / "ball.report.html").read_bytes() == new_page
             assert not list(out.rglob(".heartcase-tmp-*"))
             operations += stride
             continue
@@ -326,21 +330,54 @@ def test_a_damaged_case_is_mended_by_building_again(tmp_path):
     assert len(page) > 1000
 
 
-def test_the_case_is_untouched_when_its_report_cannot_be_drawn(tmp_path, monkeypatch):
+def test_a_case_whose_report_cannot_be_drawn_is_whole_and_the_next_build_draws_it(tmp_path, monkeypatch):
+    """The case comes first, for whoever waits for it; its report is that of the old case until it is drawn."""
     write_ball_scan(tmp_path / "ball.nii.gz")
     path = write_ball_recipe(tmp_path / "ball.nii.gz", tmp_path / "ball.toml", cell_mm=5.0)
+    case, report = tmp_path / "ball.case", tmp_path / "ball.report.html"
     build_case(load_recipe(path), directory=tmp_path, out=tmp_path)
-    manifest, page = (tmp_path / "ball.case" / "case.json").read_bytes(), (tmp_path / "ball.report.html").read_bytes()
+    old, page = (case / "case.json").read_bytes(), report.read_bytes()
     path.write_text(path.read_text().replace("cell_mm = 5.0", "cell_mm = 6.0"))
 
     def fail(**_):
         raise MemoryError
 
-    monkeypatch.setattr("heartcase.pipeline.report.build_report.build_report", fail)
-    with pytest.raises(MemoryError):
-        build_case(load_recipe(path), directory=tmp_path, out=tmp_path)
-    assert (tmp_path / "ball.case" / "case.json").read_bytes() == manifest
-    assert (tmp_path / "ball.report.html").read_bytes() == page
+    with monkeypatch.context() as patch:
+        patch.setattr("heartcase.pipeline.report.build_report.build_report", fail)
+        with pytest.raises(MemoryError):
+            build_case(load_recipe(path), directory=tmp_path, out=tmp_path)
+    new = (case / "case.json").read_bytes()
+    assert check_bundle(case) == ()
+    assert new != old
+    assert report.read_bytes() == page
+    result = build_case(load_recipe(path), directory=tmp_path, out=tmp_path)
+    assert not result.changed
+    assert "bundle" not in result.reused
+    assert (case / "case.json").read_bytes() == new
+    assert hashlib.sha256(new).hexdigest().encode() in report.read_bytes()
+    assert "bundle" in build_case(load_recipe(path), directory=tmp_path, out=tmp_path).reused
+
+
+def test_the_case_is_told_of_before_its_report_is_drawn(tmp_path, monkeypatch):
+    write_ball_scan(tmp_path / "ball.nii.gz")
+    path = write_ball_recipe(tmp_path / "ball.nii.gz", tmp_path / "ball.toml", cell_mm=5.0)
+    heard = []
+
+    class Ear:
+        def stage_started(self, stage, *, seconds_expected, seconds_after):
+            heard.append((stage, "started", (tmp_path / "ball.case" / "case.json").exists()))
+            assert (seconds_after == 0.0) == (stage == "report")
+
+        def stage_finished(self, stage, *, seconds, reused):
+            heard.append((stage, "finished", (tmp_path / "ball.report.html").exists()))
+
+    build_case(load_recipe(path), directory=tmp_path, out=tmp_path, listener=Ear())
+    assert heard[-4:] == [
+        ("bundle", "started", False),
+        ("bundle", "finished", False),
+        ("report", "started", True),
+        ("report", "finished", True),
+    ]
 
 
 def test_the_same_recipe_gives_the_same_bytes_whatever_was_built_before(tmp_path):

@@ -1,0 +1,73 @@
+"""The kernels that a build will call, compiled ahead in as many processes as there are cores.
+
+``kernels.json`` lists them with the types that they are called with, by the stage that calls them first. A test builds
+a small case and fails where the list and what was called differ; ``python -m tests.pipeline.build.test_ahead --write``
+writes it anew.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from functools import cache
+from pathlib import Path
+
+from heartcase.compiling.ahead import Called, Progress, compiled_ahead, core_count
+from heartcase.pipeline.stages import table
+from heartcase.schemas.recipe.recipe import Recipe
+
+__all__ = ["LIST", "SCAN", "kernels_ahead", "kernels_needed"]
+
+LIST = Path(__file__).with_name("kernels.json")
+SCAN = "scan"
+"""Stands for making the scan of a phantom, which comes before the stages."""
+
+
+def kernels_ahead(
+    recipe: Recipe,
+    *,
+    makes_scan: bool = False,
+    until: str | None = None,
+    processes: int | None = None,
+    told: Callable[[Progress], None] = lambda _: None,
+) -> AbstractContextManager[None]:
+    """Compile what a build calls while the body runs it: see :func:`heartcase.compiling.ahead.compiled_ahead`.
+
+    Parameters
+    ----------
+    recipe
+        What is built.
+    makes_scan
+        Whether the scan of a phantom is made before.
+    until
+        Name of the last stage; all when left out.
+    processes
+        How many processes; as many as there are cores when left out, 0 for none.
+    told
+        Called as kernels are done, from other threads.
+    """
+    wanted = kernels_needed(recipe, makes_scan=makes_scan, until=until)
+    return compiled_ahead(wanted, processes=core_count() if processes is None else processes, told=told)
+
+
+def kernels_needed(recipe: Recipe, *, makes_scan: bool = False, until: str | None = None) -> tuple[Called, ...]:
+    """Kernels of the stages that a build takes, in the order in which they are called first."""
+    stages = [SCAN] if makes_scan else []
+    for step in table.steps():
+        is_taken = step is table.REPORT or (step.is_part(recipe) and step.has_work(recipe))  # type: ignore[union-attr]
+        stages += [step.name] if is_taken else []
+        if step.name == until:
+            break
+    listed = _listed()
+    return tuple(one for stage in stages for one in listed.get(stage, ()))
+
+
+@cache
+def _listed() -> dict[str, tuple[Called, ...]]:
+    """Stage -> its kernels."""
+    data = json.loads(LIST.read_text(encoding="utf-8"))
+    return {
+        stage: tuple(Called(one["module"], one["name"], tuple(one["types"]), one["seconds"]) for one in kernels)
+        for stage, kernels in data.items()
+    }

@@ -1,0 +1,89 @@
+"""Which kernels a small build calls, with which types: ``python -m tests.pipeline.build.kernels_called FOLDER OUTPUT``.
+
+A process of its own builds the adult phantom, coarsely, with the stages one after the other, and writes for each kernel
+that Python called the stage that called it first. What was compiled for it, rather than found in numba's cache, has its
+seconds.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from pathlib import Path
+
+import numba
+from numba.core import event
+
+RECIPE = Path(__file__).parents[3] / "sample_cases" / "adult_phantom.toml"
+
+
+class _Compiled(event.Listener):
+    """Seconds that each kernel took to compile, with what it needs and was not there yet."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[tuple, float] = {}
+        self.started: list[tuple] = []
+
+    def on_start(self, event) -> None:
+        self.started.append((id(event.data["dispatcher"]), tuple(event.data["args"]), time.process_time()))
+
+    def on_end(self, event) -> None:
+        *key, start = self.started.pop()
+        self.seconds[tuple(key)] = time.process_time() - start
+
+
+def small_recipe(folder: Path) -> Path:
+    """The adult phantom at twice the spacing, with its scan made in the folder."""
+    text = RECIPE.read_text().replace("../out/adult_phantom/", "")
+    path = folder / "small.toml"
+    path.write_text(text.replace("spacing_mm = [1.75, 1.75, 1.75]", "spacing_mm = [3.5, 3.5, 3.5]"))
+    return path
+
+
+def main(folder: Path, output: Path) -> None:
+    numba.config.THREADING_LAYER = "workqueue"  # which lets no two stages run at the same time
+    from heartcase.compiling.kernel import KERNELS
+    from heartcase.compiling.signatures import as_json
+    from heartcase.library.scans import ensure_scan
+    from heartcase.pipeline.build.run import build_case
+    from heartcase.schemas.recipe.recipe import load_recipe
+
+    called: dict[tuple, dict] = {}
+    compiled = _Compiled()
+    event.register("numba:compile", compiled)
+
+    def note(stage: str) -> None:
+        for kernel in KERNELS:
+            function = kernel.py_func
+            if kernel.targetoptions.get("no_cpython_wrapper") or not function.__module__.startswith("heartcase."):
+                continue
+            for types in list(kernel.overloads):
+                try:
+                    listed = json.dumps([as_json(one) for one in types])
+                except ValueError:  # of lent tuples and of constants, which only other kernels hand over
+                    continue
+                key = (function.__module__, function.__qualname__, listed)
+                seconds = compiled.seconds.get((id(kernel), types), 0.0)
+                called.setdefault(key, {"stage": stage, "seconds": round(seconds, 2)})
+
+    class Ear:
+        def stage_started(self, stage, *, seconds_expected, seconds_after):
+            pass
+
+        def stage_finished(self, stage, *, seconds, reused):
+            note(stage)
+
+    recipe = load_recipe(small_recipe(folder))
+    ensure_scan(recipe.scan, folder)
+    note("scan")
+    build_case(recipe, directory=folder, out=folder, listener=Ear(), force=True)
+    entries = [
+        {"module": module, "name": name, "types": json.loads(types)} | facts
+        for (module, name, types), facts in called.items()
+    ]
+    output.write_text(json.dumps(entries))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), Path(sys.argv[2]))
