@@ -143,7 +143,7 @@ def stage_outputs(directory: Path) -> Outputs:
     """Run every stage of each recipe; the arrays that each puts out: name of the recipe -> stage -> name -> array."""
     outputs: Outputs = {}
     # The report is no part of a case, and its pictures take most of the time.
-    with patch("heartcase.pipeline.report.build_report.build_report", lambda **_: ""):
+    with patch("heartcase.pipeline.report.build_report.build_report", lambda _: ""):
         for name, write in {"watershed": write_inputs, **SMALL_RECIPES}.items():
             (directory / name).mkdir()
             write(directory / name)
