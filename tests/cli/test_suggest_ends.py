@@ -150,7 +150,7 @@ def test_a_lock_writes_down_the_ends_that_a_build_would_find(work):
 def test_automatic_ends_are_found_in_the_build_and_told_in_the_report(work):
     recipe = load_recipe(written(work, "build.toml", head='ends = "automatic"\n'))
     built = build_case(recipe, directory=work, out=work / "out")
-    assert not [line for line in built.warnings if "closed sac" in line]
+    assert not [line for line in built.warnings if "closed sac" in line.text]
     html = built.report.read_text()
     section = html.partition('<section id="ends">')[2].partition("</section>")[0]
     assert section.count("cut where the program found the end") == 2

@@ -304,9 +304,9 @@ def test_gaps_in_the_muscle_that_are_lost_are_told_in_short_with_what_was_kept()
     lost = grid.quality["tissue_changes"]
     assert lost == 5 - grid.quality["betti_tissue"]["grid"][1] > 3
     (line,) = grid.warnings
-    assert f"one of its cells (2.5 mm): {lost} places, the first at (" in line
-    assert line.count("(") == 4
-    assert "the chambers and the passages between them are as in the scan. Nothing need be done" in line
+    assert f"one of its cells (2.5 mm): {lost} places, the first at (" in line.text
+    assert line.text.count("(") == 4
+    assert "the chambers and the passages between them are as in the scan. Nothing need be done" in line.text
 
 
 def test_a_second_hole_is_opened_too_although_blood_is_connected_already():
@@ -319,11 +319,11 @@ def test_a_second_hole_is_opened_too_although_blood_is_connected_already():
         raw = grid_of(shapes, lattice(18.0, shift=shift), 2.5, repair=False)
         if raw.quality["betti_blood"]["grid"] == [1, 0, 0]:
             closed += 1
-            (line,) = [warning for warning in raw.warnings if "smallest gaps" in warning]
+            (line,) = [warning for warning in raw.warnings if "smallest gaps" in warning.text]
             assert line.severity is Severity.NOTE
-            assert "one of its cells (2.5 mm): 1 place, at (" in line
+            assert "one of its cells (2.5 mm): 1 place, at (" in line.text
             # The hole between the chambers is gone, so nothing may be said to be as in the scan.
-            assert "as in the scan" not in line
+            assert "as in the scan" not in line.text
             assert not any("separate piece" in warning.text for warning in raw.warnings)
         grid = grid_of(shapes, lattice(18.0, shift=shift), 2.5)
         assert grid.quality["betti_blood"]["full_resolution"] == [1, 1, 0]
@@ -411,7 +411,7 @@ def test_a_piece_that_nothing_holds_is_named():
     pin = Pin(position_mm=(-7.0, 0.0, 0.0), radius_mm=6.0)
     grid = grid_of({WALL: shape}, lattice(13.0), 1.5, pins=[pin])
     warning = next(warning for warning in grid.warnings if "drift" in warning.text)
-    place = [float(number) for number in re.search(r"at \((.*)\) mm", warning)[1].split(",")]
+    place = [float(number) for number in re.search(r"at \((.*)\) mm", warning.text)[1].split(",")]
     np.testing.assert_allclose(place, (8.0, 0.0, 0.0), atol=0.3)
 
 

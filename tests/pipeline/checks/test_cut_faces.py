@@ -76,9 +76,9 @@ def test_a_short_axis_stack_of_25_mm_is_the_first_warning() -> None:
     stack.labels[:] = np.where(radius < 20, LV, np.where(radius < 28, MUSCLE, 0))
     first, *rest = worst_first((CaseWarning("something else"),), cut_warnings(stack, whole=stack.geometry))
     assert first.severity is Severity.ANATOMY
-    assert "first slice (towards" in first
-    assert "last slice (towards" in rest[0]
-    found = re.search(rf"{TABLE[LV].name} \(([\d.]+) cm²\)", first)
+    assert "first slice (towards" in first.text
+    assert "last slice (towards" in rest[0].text
+    found = re.search(rf"{TABLE[LV].name} \(([\d.]+) cm²\)", first.text)
     assert found is not None
     assert float(found.group(1)) == pytest.approx(np.pi * 20**2 / 100, rel=0.02)
     assert any("3.3 times as long as wide" in line.text for line in voxel_warnings(stack.geometry))
@@ -104,11 +104,11 @@ def test_the_faces_of_a_region_are_told_from_those_of_its_scan() -> None:
     labels = np.zeros(box.shape, np.uint8)
     labels[:, 10:14, 10:14] = LV
     low, high = cut_warnings(Segmentation(labels, box, TABLE), whole=whole)
-    assert "the feet face of the region of interest" in low
-    assert "enlarge the region" in low
-    assert "the head face of the scan" in high
-    assert "enlarge the region" not in high
-    assert "the scan or its region of interest" in cut_warnings(Segmentation(labels, box, TABLE))[0]
+    assert "the feet face of the region of interest" in low.text
+    assert "enlarge the region" in low.text
+    assert "the head face of the scan" in high.text
+    assert "enlarge the region" not in high.text
+    assert "the scan or its region of interest" in cut_warnings(Segmentation(labels, box, TABLE))[0].text
 
 
 def test_a_vessel_that_leaves_is_for_information_and_one_cut_along_its_length_to_be_looked_at() -> None:
@@ -117,12 +117,12 @@ def test_a_vessel_that_leaves_is_for_information_and_one_cut_along_its_length_to
     cut.labels[(np.hypot(j - 20, i - 20) < 6) & (k > 20)] = AORTA
     (leaves,) = cut_warnings(cut, whole=cut.geometry)
     assert leaves.severity is Severity.NOTE
-    assert "head face" in leaves
-    assert f"aorta ({np.pi * 36 / 100:.1f} cm²)" in leaves
+    assert "head face" in leaves.text
+    assert f"aorta ({np.pi * 36 / 100:.1f} cm²)" in leaves.text
     cut.labels[:] = np.where((np.hypot(j - 20, i + 2) < 6) & (abs(k - 20) < 18), AORTA, 0)
     (along,) = cut_warnings(cut, whole=cut.geometry)
     assert along.severity is Severity.LOOK
-    assert "right face" in along
+    assert "right face" in along.text
 
 
 def test_the_grown_wall_of_a_chamber_counts_where_the_chamber_ends_before_and_a_vessels_wall_never() -> None:
@@ -171,13 +171,13 @@ def test_a_vein_of_an_atrium_that_is_open_at_a_face_is_a_vessel_and_the_rest_of_
     vein = VesselEnd(TABLE["LA"].name, tuple(cut.geometry.index_to_world(index)), (0, 0, 1), 3.0, 3.0, is_open=True)
     (alone,) = cut_warnings(cut)
     assert alone.severity is Severity.ANATOMY
-    assert f"morphologically left atrium ({26 * pixel:.0f} mm²)" in alone or 26 * pixel >= 100.0
+    assert f"morphologically left atrium ({26 * pixel:.0f} mm²)" in alone.text or 26 * pixel >= 100.0
     anatomy, note = worst_first(cut_warnings(cut, ends=[vein]))
     assert anatomy.severity is Severity.ANATOMY
     assert note.severity is Severity.NOTE
-    assert f"veins of the morphologically left atrium ({6 * pixel:.0f} mm²)" in note
+    assert f"veins of the morphologically left atrium ({6 * pixel:.0f} mm²)" in note.text
     rest = 20 * pixel
-    assert f"morphologically left atrium ({rest / 100:.1f} cm²)" in anatomy or f"({rest:.0f} mm²)" in anatomy
+    assert f"morphologically left atrium ({rest / 100:.1f} cm²)" in anatomy.text or f"({rest:.0f} mm²)" in anatomy.text
     # an end that a disc cuts, or one elsewhere, takes nothing off
     assert cut_warnings(cut, ends=[vein._replace(is_open=False)]) == (alone,)
     index[rows] = 18.0

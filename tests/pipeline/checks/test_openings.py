@@ -350,7 +350,7 @@ def test_an_edit_states_its_own_opening_and_its_area_is_told():
     assert warning.severity is Severity.NOTE
     (named,) = openings_of(structures, edits=[canal().model_copy(update={"name": "residual VSD"})])
     assert named.stated_by == 'edits[1] "residual VSD"'
-    assert 'as stated by edits[1] "residual VSD", which asks for' in opening_warnings([named])[0]
+    assert 'as stated by edits[1] "residual VSD", which asks for' in opening_warnings([named])[0].text
     (same,) = openings_of(structures)
     assert same.verdict is Verdict.UNEXPECTED
     (off,) = openings_of(structures, edits=[canal().model_copy(update={"enabled": False})])

@@ -245,7 +245,7 @@ def test_a_marker_away_from_its_vessel_is_a_warning_and_cuts_nothing():
     structures = grown(labels, geometry, marker(position=-20.0 * AXIS), marker(radius_mm=7.0))
     (warning,) = structures.warnings
     assert warning.text.startswith("ends[2] (vein): ")
-    distance = float(warning.split(" mm away")[0].split()[-1])
+    distance = float(warning.text.split(" mm away")[0].split()[-1])
     assert distance == pytest.approx(12.0, abs=1.75)
     assert "add a stroke" in warning.text
     assert len(structures.reshapings) == len(structures.fixed_planes) == 1

@@ -101,8 +101,10 @@ def test_a_marker_off_by_half_its_radius_and_30_degrees_cuts_its_vessel(
     offset = np.array(used.position_mm)
     assert np.linalg.norm(offset - (offset @ AXIS) * AXIS) < 1.2
     (words,) = found.warnings
-    assert words.startswith("ends[1] (superior vena cava): the disc did not cut the vessel through, so it was moved by")
-    assert [float(x) for x in re.findall(r"-?\d+\.?\d*", words.partition("position_mm")[2])] == [
+    assert words.text.startswith(
+        "ends[1] (superior vena cava): the disc did not cut the vessel through, so it was moved by"
+    )
+    assert [float(x) for x in re.findall(r"-?\d+\.?\d*", words.text.partition("position_mm")[2])] == [
         *used.position_mm,
         *used.axis,
         used.radius_mm,
@@ -174,9 +176,9 @@ def test_refused_ends_are_all_told_with_the_nearest_lumen_and_numbers_that_do():
     # off to the side by more than its radius: it stays closed, with the same numbers
     (warning,) = cut(STRAIGHT, marker("superior vena cava", away, axis, 8.0)).warnings
     assert "stays closed" in warning.text
-    near = float(re.search(r"nearest lumen is ([\d.]+) mm", warning)[1])
+    near = float(re.search(r"nearest lumen is ([\d.]+) mm", warning.text)[1])
     assert near == pytest.approx(25.0 - RADIUS, abs=1.5)
-    assert warning.partition("position_mm = ")[2] == first.partition("position_mm = ")[2]
+    assert warning.text.partition("position_mm = ")[2] == first.partition("position_mm = ")[2]
 
 
 def test_a_marker_that_points_into_the_heart_is_not_moved_and_one_that_cuts_the_heart_off_is_told():

@@ -128,8 +128,8 @@ def test_parts_are_named_by_their_files_and_later_ones_win(tmp_path, text):
     np.testing.assert_array_equal(segmentation.labels, expected)
     assert set(np.unique(expected)) == {0, 1, 3, 5}
     warning, overlap = segmentation.warnings
-    assert f"{np.count_nonzero(ventricle & atrium)} voxels" in overlap
-    assert "Aorta" not in overlap
+    assert f"{np.count_nonzero(ventricle & atrium)} voxels" in overlap.text
+    assert "Aorta" not in overlap.text
     assert "LPS was assumed" in warning.text
     assert "part 1)" in warning.text
     with pytest.raises(MarkerError, match="give the scan"):

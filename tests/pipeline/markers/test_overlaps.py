@@ -185,7 +185,7 @@ def test_validate_and_segment_say_it_and_the_output_carries_it_on(tmp_path: Path
     out = tmp_path / "labels.safetensors"
     assert main(["segment", str(tmp_path / "scan.nii.gz"), str(out), "--recipe", str(recipe)]) == 0
     assert "64 voxels" in capsys.readouterr().out
-    assert "64 voxels" in load_artifact(out, Segmentation).warnings[0]
+    assert "64 voxels" in load_artifact(out, Segmentation).warnings[0].text
 
 
 def test_an_order_that_names_no_label_is_refused() -> None:

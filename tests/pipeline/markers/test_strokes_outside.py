@@ -36,7 +36,7 @@ def test_eighty_strokes_outside_the_region_are_one_line_and_change_nothing() -> 
     markers = load_markers((), [*kept, *many_outside()], TABLE, REGION, Path(), whole=WHOLE)
     (warning,) = markers.warnings
     assert warning.severity is Severity.LOOK
-    assert warning == (
+    assert warning.text == (
         "of 82 strokes 80 lie wholly outside the region of interest and are left out, 1 reaches out of the region of "
         "interest and is cut there"
     )
@@ -80,7 +80,7 @@ def test_points_and_segments_of_files_are_cut_as_strokes_are(tmp_path: Path) -> 
         load_markers(files[:1], (), TABLE, REGION, tmp_path, whole=WHOLE).warnings
         + load_markers(files[1:], (), TABLE, REGION, tmp_path, whole=WHOLE).warnings
     )
-    assert of_points == "markers[1]: of 3 marks 2 lie wholly outside the region of interest and are left out"
-    assert "segment 2 of the file lie outside the region" in of_segments
+    assert of_points.text == "markers[1]: of 3 marks 2 lie wholly outside the region of interest and are left out"
+    assert "segment 2 of the file lie outside the region" in of_segments.text
     with pytest.raises(MarkerError, match="segment 2 of the file lie outside the scan"):
         load_markers(files[1:], (), TABLE, REGION, tmp_path)
