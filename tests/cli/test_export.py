@@ -269,7 +269,7 @@ def test_a_corrected_segmentation_reruns_only_what_follows(built):
     recipe = load_recipe(built / "recipe.toml")
     told = Told()
     build_case(recipe, directory=built, out=built / "again", cache=built / ".heartcase-cache", listener=told)
-    assert set(told.computed) == {"read", "segment", "bundle"}
+    assert set(told.computed) == {"read", "segment", "bundle", "report"}
     write_segmentation(painted(radius_mm=8.0), built / "finished.seg.nrrd")
     told = Told()
     try:

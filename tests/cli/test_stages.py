@@ -33,7 +33,8 @@ points_mm = [[10, 0, 0], [24, 0, 0]]
 def work(tmp_path_factory):
     directory = tmp_path_factory.mktemp("stages")
     write_ball_scan(directory / "scan.nii.gz")
-    write_ball_recipe(directory / "scan.nii.gz", directory / "ball.toml")
+    recipe = write_ball_recipe(directory / "scan.nii.gz", directory / "ball.toml")
+    recipe.write_text(recipe.read_text().replace("[scan]\n", '[scan]\nmodality = "MR"\n', 1))
     return directory
 
 
@@ -115,7 +116,7 @@ def test_the_recipe_s_kind_of_scan_decides_on_the_filter(work):
     """A NIfTI does not say what it is."""
     recipe = work / "ct.toml"
     plain = (work / "ball.toml").read_text()
-    recipe.write_text(plain.replace("[scan]\n", '[scan]\nmodality = "CT"\n', 1))
+    recipe.write_text(plain.replace('modality = "MR"', 'modality = "CT"', 1))
     assert 'modality = "CT"' in recipe.read_text()
     found = []
     for name, options in (
@@ -389,7 +390,7 @@ def test_labels_from_an_image_file_say_that_what_was_told_is_not_known(work, tmp
     assert run("segment", work / "scan.nii.gz", tmp_path / "labels.seg.nrrd", "--recipe", recipe) == 0
     assert run("walls", tmp_path / "labels.seg.nrrd", tmp_path / "walls.safetensors", "--recipe", recipe) == 0
     told = load_history(tmp_path / "walls.safetensors").told
-    assert "image file" in told["unknown"][0]
+    assert "image file" in told["unknown"][0].text
 
 
 def test_options_that_choose_a_scan_are_refused_for_the_output_of_a_stage(work, tmp_path, capsys):

@@ -280,7 +280,7 @@ def test_errors_about_a_series(hospital: Path, tmp_path: Path, ear: Ear) -> None
         dataset.PhotometricInterpretation = token(16, upper=True)
         dataset.save_as(path)
     ear.run("info", colour, code=1)
-    ear.run("info", tmp_path / NAME / DATE_FOLDER, code=2)
+    ear.run("info", tmp_path / NAME / DATE_FOLDER, code=1)
 
 
 DATE_FOLDER = f"{NAME} gone"
@@ -372,7 +372,7 @@ def test_a_fault_of_our_own_is_told_without_its_text(tmp_path: Path, ear: Ear, m
 
     monkeypatch.setattr("heartcase.cli.commands.validate.check_bundle", fail)
     said = ear.run("validate", tmp_path / NAME, code=70)
-    assert "KeyError in cli/validate.py" in said
+    assert "KeyError in cli/commands/validate.py" in said
     monkeypatch.setenv("HEARTCASE_DEBUG", "1")
     with pytest.raises(KeyError):
         main(["validate", str(tmp_path)])

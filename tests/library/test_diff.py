@@ -106,7 +106,7 @@ def test_cases_that_are_gone_new_or_damaged_are_listed(builds, tmp_path):
 
 
 def test_folders_without_cases_are_refused(tmp_path):
-    with pytest.raises(UsageError, match="not a folder"):
+    with pytest.raises(UsageError, match="there is no such folder"):
         diff_libraries(tmp_path / "nothing", tmp_path)
     with pytest.raises(UsageError, match="no case"):
         diff_libraries(tmp_path, tmp_path)
