@@ -279,7 +279,7 @@ def test_a_corrected_segmentation_reruns_only_what_follows(built):
     finally:
         write_segmentation(painted(), built / "finished.seg.nrrd")
     assert result.changed
-    assert told.computed == ["read", "segment", "walls", "grid", "bundle"]
+    assert told.computed == ["read", "segment", "walls", "grid", "bundle", "report"]
     assert "filter" in result.reused
     assert "walls" not in result.reused
 
