@@ -23,13 +23,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from heartcase.schemas.files import atomic_write
+
 __all__ = ["Called", "Progress", "compiled_ahead", "core_count", "serve"]
 
 _ROOT = Path(__file__).parents[2]
 _SERVE = "from heartcase.compiling.ahead import serve; serve()"
 _FIRST_SECONDS = 5.0
 """Of the list, after which the pace of this machine is known."""
-_NOTE_PREFIX = "heartcase-compiled-"
+_NOTE_NAME = "heartcase-compiled.txt"
+_NOTED_MOST = 2000
+"""Lines of the note; several versions of Python may share one."""
 
 
 @dataclass(frozen=True)
@@ -69,8 +73,9 @@ def compiled_ahead(
 ) -> Iterator[None]:
     """Compile kernels in other processes while the body runs; they are ended with it, however it ends.
 
-    Where all of them were compiled before, by this code for this processor, no process is started. A process that
-    cannot be started, or fails, is done without: what it would have compiled is compiled when it is called.
+    What was compiled before, from this code for this processor, is noted in the cache and left out; where nothing is
+    left, no process is started. A process that cannot be started, or fails, is done without: what it would have
+    compiled is compiled when it is called.
 
     Parameters
     ----------
@@ -81,27 +86,30 @@ def compiled_ahead(
     told
         Called as kernels are done, from other threads than the caller's.
     """
-    note = _note_of(wanted)
-    if processes < 1 or not wanted or note is None or note.exists() or getattr(sys, "frozen", False):
+    note = None if processes < 1 or not wanted or getattr(sys, "frozen", False) else _note()
+    if note is None:
         yield
         return
-    crew = _Crew(wanted, processes, told)
+    noted = _read(note)
+    left = [(one, line) for one, line in zip(wanted, _lines_of(wanted), strict=True) if line not in noted]
+    if not left:
+        yield
+        return
+    team = _ProcessTeam([one for one, _ in left], processes, told)
     try:
         yield
     finally:
-        crew.end()
-        if crew.all_done:
-            with contextlib.suppress(OSError):
-                note.touch()
+        team.end()
+        _add(note, [line for one, line in left if one in team.done])
 
 
-class _Crew:
+class _ProcessTeam:
     """The processes, and a thread for each that hands it one kernel after the other."""
 
     def __init__(self, wanted: Sequence[Called], processes: int, told: Callable[[Progress], None]) -> None:
         self.waiting = deque(wanted)
         self.total = len(wanted)
-        self.done = 0
+        self.done: list[Called] = []
         self.done_seconds, self.all_seconds = 0.0, sum(one.seconds for one in wanted)
         self.told = told
         self.started = time.monotonic()
@@ -113,10 +121,6 @@ class _Crew:
         told(self._progress())
         for thread in self.threads:
             thread.start()
-
-    @property
-    def all_done(self) -> bool:
-        return self.done == self.total
 
     def end(self) -> None:
         """End all processes, and wait until they are gone."""
@@ -143,7 +147,7 @@ class _Crew:
                 if answer not in ("done", "failed"):
                     break
                 with self.lock:
-                    self.done += answer == "done"
+                    self.done += [one] if answer == "done" else []
                     self.done_seconds += one.seconds
                     # Nobody is told of progress once the caller went on.
                     if not self.is_ended:
@@ -160,7 +164,7 @@ class _Crew:
         pace = 1.0 / self.process_count
         if self.done_seconds > _FIRST_SECONDS:
             pace = (time.monotonic() - self.started) / self.done_seconds
-        return Progress(self.done, self.total, left * pace)
+        return Progress(len(self.done), self.total, left * pace)
 
 
 def _start() -> subprocess.Popen[str]:
@@ -207,24 +211,53 @@ def serve() -> None:
         answers.flush()
 
 
-def _note_of(wanted: Sequence[Called]) -> Path | None:
-    """The file that says that all of these are in the cache; named by code, types, versions and processor."""
+def _note() -> Path | None:
+    """The file in numba's cache that says what is in it."""
+    from heartcase.compiling.kernel import cache_folder
+
+    try:
+        return Path(cache_folder(compiled_ahead)) / _NOTE_NAME
+    except RuntimeError:  # there is no place for a cache
+        return None
+
+
+def _lines_of(wanted: Sequence[Called]) -> list[str]:
+    """What the note says of each kernel: a digest of code, types, versions and processor."""
     import llvmlite.binding
     import numba
 
     from heartcase.compiling.sources import source_stamp
 
-    digest = hashlib.sha256()
-    about = (sys.version, numba.__version__, llvmlite.__version__, llvmlite.binding.get_host_cpu_name())
-    digest.update(repr((about, sorted(llvmlite.binding.get_host_cpu_features().items()))).encode())
-    digest.update(repr(wanted).encode())
+    about = repr(
+        (
+            sys.version,
+            numba.__version__,
+            llvmlite.__version__,
+            llvmlite.binding.get_host_cpu_name(),
+            sorted(llvmlite.binding.get_host_cpu_features().items()),
+        )
+    )
+    stamps = {}
+    for module in {one.module for one in wanted}:
+        with contextlib.suppress(ImportError, OSError):
+            spec = importlib.util.find_spec(module)
+            stamps[module] = source_stamp(spec.origin) if spec is not None and spec.origin is not None else b""
+    return [
+        hashlib.sha256(repr((about, stamps.get(one.module), one.module, one.name, one.types)).encode()).hexdigest()[:16]
+        for one in wanted
+    ]
+
+
+def _read(note: Path) -> list[str]:
     try:
-        for name in sorted({one.module for one in wanted}):
-            spec = importlib.util.find_spec(name)
-            if spec is None or spec.origin is None:
-                return None
-            digest.update(source_stamp(spec.origin))
-        first = getattr(importlib.import_module(wanted[0].module), wanted[0].name) if wanted else None
-        return Path(first._cache.cache_path) / f"{_NOTE_PREFIX}{digest.hexdigest()[:16]}" if first else None
-    except (ImportError, AttributeError, OSError):
-        return None
+        return note.read_text("ascii").split()
+    except (OSError, ValueError):
+        return []
+
+
+def _add(note: Path, lines: Sequence[str]) -> None:
+    """Note what is in the cache now; what another process notes at the same time may be lost, which costs time only."""
+    if lines:
+        with contextlib.suppress(OSError):
+            noted = [one for one in _read(note) if one not in lines] + list(lines)
+            atomic_write(note, "\n".join(noted[-_NOTED_MOST:]).encode())

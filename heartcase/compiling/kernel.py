@@ -14,7 +14,7 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataC
 from heartcase.compiling.one_at_a_time import compiled_by_one
 from heartcase.compiling.sources import source_stamp
 
-__all__ = ["KERNELS", "kernel"]
+__all__ = ["KERNELS", "cache_folder", "kernel"]
 
 KERNELS: list[Any] = []
 """Dispatchers of all kernels of the modules that are loaded, in the order of their definition."""
@@ -52,6 +52,17 @@ def kernel(function: Callable[..., Any] | None = None, /, *, cached: bool = True
         dispatcher.compile = compiled_by_one(dispatcher.compile, dispatcher.overloads.__contains__, lock)
     KERNELS.append(dispatcher)
     return dispatcher
+
+
+def cache_folder(function: Callable[..., Any]) -> str:
+    """Folder of numba's cache for a function's module.
+
+    Raises
+    ------
+    RuntimeError
+        There is no place for a cache.
+    """
+    return str(FunctionCache(function)._cache_path)
 
 
 class _KernelCacheImpl(CompileResultCacheImpl):  # type: ignore[misc]

@@ -151,7 +151,7 @@ def endless(tmp_path, monkeypatch):
         return started[-1]
 
     monkeypatch.setattr(ahead, "_start", start)
-    monkeypatch.setattr(ahead, "_note_of", lambda _: tmp_path / "note")
+    monkeypatch.setattr(ahead, "_note", lambda: tmp_path / "note")
     return started
 
 
@@ -173,7 +173,7 @@ def test_an_interrupted_build_leaves_no_process_behind(tmp_path, monkeypatch):
 
 def test_what_cannot_be_compiled_ahead_is_left_to_its_caller(tmp_path, monkeypatch):
     """A process is started again by the next build, as not everything is in the cache."""
-    monkeypatch.setattr(ahead, "_note_of", lambda _: tmp_path / "note")
+    monkeypatch.setattr(ahead, "_note", lambda: tmp_path / "note")
     heard = []
     with compiled_ahead([Called("heartcase.nowhere", "gone", (), 2.0)], processes=1, told=heard.append):
         end = time.monotonic() + 60
@@ -188,10 +188,31 @@ def test_without_processes_or_with_a_full_cache_none_is_started(tmp_path, monkey
     started = endless(tmp_path, monkeypatch)
     with compiled_ahead([Called("a", "b", (), 1.0)], processes=0):
         pass
-    (tmp_path / "note").touch()
-    with compiled_ahead([Called("a", "b", (), 1.0)], processes=2):
-        time.sleep(0.1)
+    wanted = [Called("a", name, (), 1.0) for name in "bcd"]
+    (tmp_path / "note").write_text("\n".join(ahead._lines_of(wanted)))
+    for some in (wanted, wanted[1:], wanted[::-1]):
+        with compiled_ahead(some, processes=2):
+            time.sleep(0.1)
     assert started == []
+    heard = []
+    with compiled_ahead([*wanted, Called("a", "b", ("int64",), 1.0)], processes=2, told=heard.append):
+        time.sleep(0.1)
+    assert [one.total for one in heard] == [1]
+    assert len(started) == 1
+
+
+def test_what_was_compiled_until_a_build_ended_is_not_asked_for_again(tmp_path, monkeypatch):
+    monkeypatch.setattr(ahead, "_note", lambda: tmp_path / "note")
+    first, other = (Called(one["module"], one["name"], tuple(one["types"]), 1.0) for one in listed()[:2])
+    gone = Called("heartcase.nowhere", "gone", (), 1.0)
+    monkeypatch.setattr(ahead, "_ask", lambda _, one: "failed" if one is gone else "done")
+    for wanted, total in (((first, gone), 2), ((first, other, gone), 2), ((other, first), 0)):
+        heard = []
+        with compiled_ahead(wanted, processes=1, told=heard.append):
+            end = time.monotonic() + 60
+            while heard and len(heard) < 1 + total and time.monotonic() < end:
+                time.sleep(0.01)
+        assert [one.total for one in heard[:1]] == [total][: bool(total)]
 
 
 @pytest.mark.skipif(os.name != "posix", reason="sends SIGKILL")
