@@ -16,6 +16,7 @@ from pathlib import Path
 from heartcase import __version__
 from heartcase.pipeline.data import Scan
 from heartcase.pipeline.formats.volumes.raw_volume import placed
+from heartcase.pipeline.stages import table
 from heartcase.pipeline.stages.read import region_of_scan
 from heartcase.pipeline.stages.resolve import resolve_recipe
 from heartcase.pipeline.stages.table import stage_versions
@@ -165,7 +166,7 @@ def check_lock(recipe: Recipe, directory: Path, scan: Scan, *, accept_inputs: bo
 
     Returns
     -------
-    tuple of str
+    tuple of CaseWarning
         Warnings: stages whose version differs, settings that the lock does not have, and inputs that were accepted.
 
     Raises
@@ -212,11 +213,9 @@ def _but_the_lock(places: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _is_used(stage: str, recipe: Recipe) -> bool:
-    if stage == "markers":
-        return recipe.segment.method == "watershed"
-    if stage == "edit":
-        return any(edit.enabled for edit in recipe.edits)
-    return stage not in ("surface", "map") or Part.SURFACE in recipe.parts
+    """Whether a build of the recipe runs the stage; one that is gone was run."""
+    known = {one.name: one for one in table.STAGES}.get(stage)
+    return known is None or (known.is_part(recipe) and known.has_work(recipe))
 
 
 def _differing_inputs(recipe: Recipe, lock: RecipeLock, directory: Path, scan: Scan) -> Iterator[Problem]:

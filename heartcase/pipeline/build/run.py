@@ -118,7 +118,7 @@ def build_case(
             raise RecipeError(examples)
         work.told["lock"] = check_lock(recipe, directory, scan, accept_inputs=accept_inputs)
         work.recipe = resolve_recipe(recipe, scan)
-        if until is None and not replace:
+        if until in (None, BUNDLE.name) and not replace:
             check_replacement(out / f"{recipe.name}.case", work.recipe.case_id)
 
     run_stages(runner, work, until=until, after=after)

@@ -73,7 +73,7 @@ class RecipeSession:
         advice = "write its strokes as [[strokes]] tables instead of strokes = [...]"
         strokes = _strokes_text(self.session.strokes)
         text = write_with_tables(path, self.opened_text, strokes, place="strokes", advice=advice)
-        if path == self.path:
+        if path.resolve() == self.path.resolve():
             self.written_text = text
         self.copies.add(path.resolve())
         return len(self.session.strokes)

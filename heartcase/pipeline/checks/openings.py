@@ -224,7 +224,7 @@ def find_openings(
     structures
         The final structures, after edits and end cuts.
     labels
-        The label of every voxel of their lattice: :func:`heartcase.pipeline.build.run.labels_of`.
+        The label of every voxel of their lattice: :func:`heartcase.pipeline.bundle.assembly.labels_of`.
     edits
         The recipe's edits: a ``septal_defect`` states the opening at its canal.
     landmarks

@@ -21,7 +21,7 @@ __all__ = ["STAGE"]
 def _settings(work: Work) -> dict[str, Any]:
     return {
         "software": __version__,
-        "lock": list(work.told.get("lock", ())),
+        "lock": [warning.text for warning in work.told.get("lock", ())],
         # The report tells what was done by hand, so all of the recipe counts, but no path of it.
         "recipe": work.recipe.model_dump(
             mode="json",

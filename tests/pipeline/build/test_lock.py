@@ -166,7 +166,7 @@ def test_another_scan_is_refused_unless_it_is_accepted(work, locked):
     with pytest.raises(RecipeError, match=r"scan: its values or its place .* --accept-inputs"):
         check_lock(parse_recipe(locked), work, other)
     (warning,) = check_lock(parse_recipe(locked), work, other, accept_inputs=True)
-    assert "its values or its place are not those" in warning
+    assert "its values or its place are not those" in warning.text
     # What a header says beside geometry and values is no part of it.
     assert check_lock(parse_recipe(locked), work, Scan(scan.values, scan.geometry, "CT", {"a": 1})) == ()
 
@@ -200,7 +200,7 @@ def test_other_markers_are_refused_by_their_number(work, tmp_path):
 def test_a_lock_that_was_edited_is_built_with_a_warning(work, locked, table, change):
     edited = relocked(locked, **{table: lambda settings: settings | change})
     (warning,) = check_lock(edited, work, scan_of(work))
-    assert "the locked recipe was edited after it was locked" in warning
+    assert "the locked recipe was edited after it was locked" in warning.text
     # locking it again makes the edit its own
     again = lock_recipe(edited, directory=work, out=work)
     assert getattr(again, table).model_dump().items() >= change.items()
@@ -221,14 +221,14 @@ def test_other_stage_versions_are_the_first_warning(work, locked, monkeypatch):
     with_versions(monkeypatch, walls=99, markers=98)
     recipe = relocked(locked, surface=lambda table: {k: v for k, v in table.items() if k != "atlas"})
     first, second, third = check_lock(recipe, work, scan_of(work))
-    assert "walls 99" in first
-    assert "markers 98" in first
+    assert "walls 99" in first.text
+    assert "markers 98" in first.text
     # a line that was taken out is an edit as well
-    assert "was edited after it was locked" in second
-    assert 'surface.atlas, which takes the default, "cone"' in third
+    assert "was edited after it was locked" in second.text
+    assert 'surface.atlas, which takes the default, "cone"' in third.text
     assert stage_changes(recipe.lock.stages).keys() == {"walls", "markers"}
     threshold = recipe.model_copy(update={"segment": recipe.segment.model_copy(update={"method": "threshold"})})
-    assert "markers" not in check_lock(threshold, work, scan_of(work))[0]
+    assert "markers" not in check_lock(threshold, work, scan_of(work))[0].text
 
 
 def test_unlocking_gives_the_recipe_back(work, locked, monkeypatch):

@@ -105,7 +105,7 @@ def test_another_segmentation_is_refused(tmp_path, name):
     assert problem.message.startswith("the segmentation is not the one that the recipe was locked with: put back")
     assert "JANE" not in str(error.value)
     (warning,) = check_lock(locked, tmp_path, region_of_scan(locked, tmp_path), accept_inputs=True)
-    assert "segment.file: the segmentation is not the one" in warning
+    assert "segment.file: the segmentation is not the one" in warning.text
     FINISHED[name](path)
     assert (taken(path) == before).all()
     assert list(changed_files(locked, tmp_path)) == []
