@@ -11,7 +11,7 @@ from typing import Any
 from phantom_inputs import phantom_inputs
 
 from heartcase.phantom.drawing.recipe import recipe_text
-from heartcase.pipeline.build.run import BuildResult, build_case
+from heartcase.pipeline.building.run import BuildResult, build_case
 from heartcase.pipeline.formats.write_images import write_scan
 from heartcase.schemas.bundle.check import check_bundle
 from heartcase.schemas.recipe.recipe import load_recipe

@@ -13,11 +13,11 @@ if TYPE_CHECKING:
     from heartcase.library.diff import CaseChange, Tolerances, diff_libraries
     from heartcase.library.plan import CaseRecord, LibraryCase, plan_library
     from heartcase.library.scans import ensure_scan
-    from heartcase.pipeline.build.input_check import InputFindings, check_inputs
-    from heartcase.pipeline.build.lock import lock_recipe, recipe_text
-    from heartcase.pipeline.build.run import BuildResult, build_case
-    from heartcase.pipeline.build.runner import BuildListener
-    from heartcase.pipeline.build.session_file import RecipeSession, open_session
+    from heartcase.pipeline.building.input_check import InputFindings, check_inputs
+    from heartcase.pipeline.building.lock import lock_recipe, recipe_text
+    from heartcase.pipeline.building.run import BuildResult, build_case
+    from heartcase.pipeline.building.runner import BuildListener
+    from heartcase.pipeline.building.session_file import RecipeSession, open_session
     from heartcase.pipeline.data import Markers, Scan, Segmentation
     from heartcase.pipeline.formats.dicom.choice import SeriesInfo
     from heartcase.pipeline.formats.labels.segments import LabelVolume
@@ -184,11 +184,11 @@ _MODULES = {
     "heartcase.library.diff": ("CaseChange", "Tolerances", "diff_libraries"),
     "heartcase.library.plan": ("CaseRecord", "LibraryCase", "plan_library"),
     "heartcase.library.scans": ("ensure_scan",),
-    "heartcase.pipeline.build.input_check": ("InputFindings", "check_inputs"),
-    "heartcase.pipeline.build.lock": ("lock_recipe", "recipe_text"),
-    "heartcase.pipeline.build.run": ("BuildResult", "build_case"),
-    "heartcase.pipeline.build.runner": ("BuildListener",),
-    "heartcase.pipeline.build.session_file": ("RecipeSession", "open_session"),
+    "heartcase.pipeline.building.input_check": ("InputFindings", "check_inputs"),
+    "heartcase.pipeline.building.lock": ("lock_recipe", "recipe_text"),
+    "heartcase.pipeline.building.run": ("BuildResult", "build_case"),
+    "heartcase.pipeline.building.runner": ("BuildListener",),
+    "heartcase.pipeline.building.session_file": ("RecipeSession", "open_session"),
     "heartcase.pipeline.data": ("Markers", "Scan", "Segmentation"),
     "heartcase.pipeline.formats.dicom.choice": ("SeriesInfo",),
     "heartcase.pipeline.formats.labels.segments": ("LabelVolume",),

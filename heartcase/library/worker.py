@@ -12,8 +12,8 @@ from pathlib import Path
 from heartcase.library.plan import CaseRecord, LibraryCase, files_written, write_record
 from heartcase.library.progress import MAKING_THE_SCAN
 from heartcase.library.scans import ensure_scan
-from heartcase.pipeline.build.run import build_case
-from heartcase.pipeline.build.runner import BuildListener, SilentListener
+from heartcase.pipeline.building.run import build_case
+from heartcase.pipeline.building.runner import BuildListener, SilentListener
 from heartcase.pipeline.stages.table import STAGES
 from heartcase.schemas.errors import HeartcaseError
 from heartcase.schemas.recipe.recipe import load_recipe

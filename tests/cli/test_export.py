@@ -16,7 +16,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from heartcase.cli.main import main
-from heartcase.pipeline.build.run import build_case
+from heartcase.pipeline.building.run import build_case
 from heartcase.pipeline.data import Segmentation
 from heartcase.pipeline.exports import models
 from heartcase.pipeline.formats.labels.write_dicom_seg import dicom_seg_bytes

@@ -7,7 +7,7 @@ import pytest
 from click.testing import CliRunner
 
 from heartcase.cli.main import cli
-from heartcase.pipeline.build.session_file import open_session
+from heartcase.pipeline.building.session_file import open_session
 from heartcase.schemas.errors import RecipeError, UsageError
 from heartcase.schemas.recipe.recipe import load_recipe
 from heartcase.schemas.recipe.settings import Stroke

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from heartcase.cli.main import main
-from heartcase.pipeline.build.session_file import open_session
+from heartcase.pipeline.building.session_file import open_session
 from heartcase.pipeline.markers.placeholders import StarterPlaces, example_strokes, placeholder_problems
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.recipe.recipe import Recipe, load_recipe

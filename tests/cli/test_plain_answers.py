@@ -62,7 +62,7 @@ def test_a_build_into_a_file_and_one_that_is_interrupted(tmp_path, monkeypatch, 
     def stop(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("heartcase.pipeline.build.run.build_case", stop)
+    monkeypatch.setattr("heartcase.pipeline.building.run.build_case", stop)
     assert main(["build", str(recipe), "--out", str(tmp_path / "out")]) == 130
     said = capsys.readouterr().err
     assert "the next build goes on from the stages that are finished" in said

@@ -9,7 +9,7 @@ from click.testing import CliRunner
 from scipy import ndimage
 
 from heartcase.cli.main import cli
-from heartcase.pipeline.build.session_file import open_session
+from heartcase.pipeline.building.session_file import open_session
 from heartcase.pipeline.markers.confidence import voxel_confidence
 from heartcase.schemas.recipe.settings import Stroke
 from tests.cli.small_case import SCAN_DIRECTION

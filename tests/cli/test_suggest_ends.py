@@ -8,9 +8,9 @@ import pytest
 from click.testing import CliRunner
 
 from heartcase.cli.main import cli
-from heartcase.pipeline.build.lock import lock_recipe, recipe_text, unlocked_recipe
-from heartcase.pipeline.build.recipe_ends import propose_ends
-from heartcase.pipeline.build.run import build_case
+from heartcase.pipeline.building.lock import lock_recipe, recipe_text, unlocked_recipe
+from heartcase.pipeline.building.recipe_ends import propose_ends
+from heartcase.pipeline.building.run import build_case
 from heartcase.schemas.errors import RecipeError
 from heartcase.schemas.recipe.recipe import load_recipe, parse_recipe
 from tests.pipeline.lattices import lattice

@@ -24,7 +24,7 @@ import heartcase
 from heartcase.cli.main import main
 from heartcase.compiling.kernel import KERNELS
 from heartcase.phantom.anatomy.heart import HeartPhantom
-from heartcase.pipeline.build.session_file import open_session
+from heartcase.pipeline.building.session_file import open_session
 from heartcase.schemas.bundle.manifest import listed_files
 from heartcase.schemas.recipe.settings import Stroke
 from heartcase.simulator.lattice.force_law import ForceLaw
@@ -50,7 +50,7 @@ def out(tmp_path_factory):
     folder = tmp_path_factory.mktemp("out")
     with pytest.MonkeyPatch.context() as patch:
         # What another process compiled is loaded with all that it calls, none of which is then compiled here.
-        patch.setattr("heartcase.pipeline.build.ahead.kernels_ahead", lambda *_, **__: nullcontext())
+        patch.setattr("heartcase.pipeline.building.ahead.kernels_ahead", lambda *_, **__: nullcontext())
         assert main(["build", str(RECIPE), "--out", str(folder)]) == 0
     return folder
 

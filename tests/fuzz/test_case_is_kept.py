@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from heartcase.pipeline.build.run import build_case
+from heartcase.pipeline.building.run import build_case
 from heartcase.schemas.errors import HeartcaseError
 from heartcase.schemas.recipe.recipe import load_recipe
 from tests.ball import write_ball_recipe, write_ball_scan

@@ -26,7 +26,7 @@ from heartcase.library.build import (
     stale_cases,
 )
 from heartcase.library.plan import CaseRecord, LibraryCase, plan_library, read_record
-from heartcase.pipeline.build.run import build_case
+from heartcase.pipeline.building.run import build_case
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.recipe.recipe import load_recipe
 from tests.ball import write_ball_recipe, write_ball_scan

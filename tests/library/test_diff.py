@@ -11,7 +11,7 @@ import trimesh
 
 from heartcase.cli.main import main
 from heartcase.library.diff import Tolerances, diff_libraries, surface_change, warning_changes
-from heartcase.pipeline.build.run import build_case
+from heartcase.pipeline.building.run import build_case
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.recipe.recipe import load_recipe
 from tests.ball import write_ball_recipe, write_ball_scan

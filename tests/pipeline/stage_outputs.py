@@ -17,8 +17,8 @@ from PIL import Image
 from safetensors.numpy import load_file
 
 from heartcase.pipeline.artifacts.cache import Cache
-from heartcase.pipeline.build.run import build_case
-from heartcase.pipeline.build.runner import Runner, SilentListener, run_stages
+from heartcase.pipeline.building.run import build_case
+from heartcase.pipeline.building.runner import Runner, SilentListener, run_stages
 from heartcase.pipeline.data import Scan, Structures
 from heartcase.pipeline.fields.reader import ownership_on_lattice
 from heartcase.pipeline.formats.write_images import write_scan

@@ -10,7 +10,7 @@ import trimesh
 
 from heartcase.cli.main import main
 from heartcase.pipeline.artifacts.cache import Cache
-from heartcase.pipeline.build.runner import Runner, SilentListener, run_stages
+from heartcase.pipeline.building.runner import Runner, SilentListener, run_stages
 from heartcase.pipeline.mesh.decimation.decimate import folded_triangles, mesh_defects
 from heartcase.pipeline.mesh.triangles.intersections import self_intersections
 from heartcase.pipeline.stages.resolve import resolve_recipe

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from heartcase.pipeline.artifacts.cache import Cache
-from heartcase.pipeline.build.runner import Runner, run_stages
+from heartcase.pipeline.building.runner import Runner, run_stages
 from heartcase.pipeline.data import Scan
 from heartcase.pipeline.formats.write_images import write_scan
 from heartcase.pipeline.stages import table

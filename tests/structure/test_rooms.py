@@ -53,7 +53,7 @@ def test_no_two_folders_import_each_other_in_any_number_of_steps():
     order = list(TopologicalSorter(graph).static_order())
     place = {folder.relative_to(PACKAGE).as_posix(): number for number, folder in enumerate(order)}
     assert place["schemas"] < place["pipeline/fields"] < place["pipeline/checks"] < place["pipeline/stages"]
-    assert place["pipeline/stages"] < place["pipeline/build"] < place["cli/commands"]
+    assert place["pipeline/stages"] < place["pipeline/building"] < place["cli/commands"]
 
 
 def test_a_cycle_of_folders_would_be_found():
@@ -77,3 +77,13 @@ def test_every_folder_says_in_a_sentence_what_it_holds():
             text = ast.get_docstring(ast.parse(file.read_text()))
             assert text, name
             assert text.splitlines()[0].endswith((".", "::", "?")), name
+
+
+def test_no_folder_has_a_name_that_tools_pass_over():
+    """pytest collects nothing in a folder called build, and ruff checks nothing there, without a word."""
+    names = {"build", "dist", "env", "venv", "node_modules", "site-packages", "CVS", "_darcs", "__pypackages__"}
+    roots = (PACKAGE, Path(__file__).parents[1], Path(__file__).parents[2] / "benchmarks")
+    found = {file.parent for root in roots for file in root.rglob("*.py")}
+    assert len(found) > 60
+    passed_over = {folder for folder in found if names & {part for part in folder.parts[len(PACKAGE.parent.parts) :]}}
+    assert passed_over == set()

@@ -29,7 +29,7 @@ def command(recipe: Path, out: Path | None, force: bool) -> None:
     The scan and the marker files must be there: settings that depend on them are worked out, and their hashes are
     kept. Build the locked recipe like any other.
     """
-    from heartcase.pipeline.build.lock import lock_recipe, recipe_text
+    from heartcase.pipeline.building.lock import lock_recipe, recipe_text
 
     loaded = load_recipe(recipe)
     out = out or recipe.with_name(f"{recipe.name.removesuffix('.toml').removesuffix('.lock')}{SUFFIX}")

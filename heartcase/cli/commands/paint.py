@@ -20,7 +20,7 @@ from heartcase.schemas.recipe.settings import Stroke
 from heartcase.schemas.strict_json import parse_json
 
 if TYPE_CHECKING:
-    from heartcase.pipeline.build.session_file import RecipeSession
+    from heartcase.pipeline.building.session_file import RecipeSession
     from heartcase.pipeline.watershed.forest import Box
 
 __all__ = ["command"]
@@ -88,7 +88,7 @@ voxel, i fastest. The end of the input ends it too; strokes that were not saved 
 )
 def command(recipe: Path, out: Path) -> None:
     """Paint on a recipe's scan."""
-    from heartcase.pipeline.build.session_file import open_session
+    from heartcase.pipeline.building.session_file import open_session
 
     with working("opening"):
         opened = open_session(recipe, out=out)

@@ -43,7 +43,7 @@ def command(recipe: Path, out: Path, count: int, ends: bool, write: bool, as_jso
         return
     if write:
         raise UsageError("goes with --ends: strokes are for you to paint", place="--write")
-    from heartcase.pipeline.build.session_file import open_session
+    from heartcase.pipeline.building.session_file import open_session
     from heartcase.pipeline.markers.load_markers import check_markers
 
     with working("segmenting"):
@@ -83,7 +83,7 @@ def command(recipe: Path, out: Path, count: int, ends: bool, write: bool, as_jso
 
 
 def _suggest_ends(recipe: Path, out: Path, *, write: bool, as_json: bool) -> None:
-    from heartcase.pipeline.build.recipe_ends import propose_ends
+    from heartcase.pipeline.building.recipe_ends import propose_ends
 
     with working("segmenting, and looking for the ends of vessels"):
         proposed = propose_ends(recipe, out=out)

@@ -120,7 +120,13 @@ def _of_recipe(path: Path, data: dict[str, Any]) -> Preview:
 
 
 def _of_locked(path: Path, recipe: Recipe, words: tuple[str, ...]) -> Preview:
-    from heartcase.pipeline.build.lock import lock_recipe, recipe_text, setting_changes, stage_changes, unlocked_recipe
+    from heartcase.pipeline.building.lock import (
+        lock_recipe,
+        recipe_text,
+        setting_changes,
+        stage_changes,
+        unlocked_recipe,
+    )
 
     assert recipe.lock is not None
     today = unlocked_recipe(recipe)
@@ -142,7 +148,7 @@ def _of_locked(path: Path, recipe: Recipe, words: tuple[str, ...]) -> Preview:
 
 
 def _of_case(path: Path) -> Preview:
-    from heartcase.pipeline.build.lock import stage_changes
+    from heartcase.pipeline.building.lock import stage_changes
 
     manifest = read_manifest(path)
     changes = [

@@ -78,14 +78,14 @@ def _findings(path: Path) -> _Findings:
     problems = (*recipe.missing_files(path.parent), *inputs.problems)
     if recipe.lock is None:
         return _Findings(problems, inputs.warnings)
-    from heartcase.pipeline.build.lock import changed_files
+    from heartcase.pipeline.building.lock import changed_files
 
     return _Findings((*problems, *changed_files(recipe, path.parent)), inputs.warnings)
 
 
 def _input_findings(recipe: Recipe, directory: Path) -> _Findings:
     try:
-        from heartcase.pipeline.build.input_check import check_inputs
+        from heartcase.pipeline.building.input_check import check_inputs
     except ImportError:
         # without the libraries that build, the recipe is still checked for all else
         return _Findings()

@@ -58,7 +58,7 @@ def command(
 
     Warnings, figures and provenance of all stages are those that 'heartcase build' gives: outputs carry them on.
     """
-    from heartcase.pipeline.build.lock import check_lock
+    from heartcase.pipeline.building.lock import check_lock
     from heartcase.pipeline.bundle.assembly import StageResults, assemble_case
     from heartcase.pipeline.bundle.case_id import made_up_case_id
     from heartcase.pipeline.bundle.write_bundle import write_bundle

@@ -58,7 +58,7 @@ class StageRun:
 
     def run(self, stage: str) -> None:
         """Run a stage of the build."""
-        from heartcase.pipeline.build.runner import UncachedRunner
+        from heartcase.pipeline.building.runner import UncachedRunner
         from heartcase.pipeline.stages.table import stage_named
 
         UncachedRunner().run(stage_named(stage), self.work)

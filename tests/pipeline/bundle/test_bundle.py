@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from heartcase.pipeline.build.run import build_case
+from heartcase.pipeline.building.run import build_case
 from heartcase.pipeline.bundle.write_bundle import simulation_figures, write_bundle
 from heartcase.pipeline.formats.read_scan import read_scan
 from heartcase.pipeline.image.filter_scan import filter_scan

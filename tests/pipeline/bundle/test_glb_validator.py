@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from heartcase.pipeline.build.run import build_case
+from heartcase.pipeline.building.run import build_case
 from heartcase.pipeline.bundle.glb import glb_bytes
 from heartcase.pipeline.mesh.build_surface import build_surface
 from heartcase.schemas.recipe.recipe import load_recipe

@@ -11,7 +11,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from heartcase.phantom.anatomy.heart import HeartPhantom
-from heartcase.pipeline.build.run import build_case
+from heartcase.pipeline.building.run import build_case
 from heartcase.pipeline.bundle.assembly import labels_of
 from heartcase.pipeline.checks.openings import (
     POINT_REACH_MM,

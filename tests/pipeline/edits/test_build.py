@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from heartcase.pipeline.build.run import build_case
+from heartcase.pipeline.building.run import build_case
 from heartcase.pipeline.cells.build_grid import build_grid
 from heartcase.pipeline.data import Segmentation
 from heartcase.pipeline.edits.apply_edits import apply_edits

@@ -15,9 +15,9 @@ from heartcase.phantom.drawing.strokes import first_strokes
 from heartcase.phantom.metrics import dice
 from heartcase.phantom.scan.acquisition import CT_UNITS, acquire_ct, acquire_mri, noise_free
 from heartcase.pipeline.artifacts.cache import Cache
-from heartcase.pipeline.build.lock import lock_recipe, recipe_text
-from heartcase.pipeline.build.runner import Runner, SilentListener, run_stages
-from heartcase.pipeline.build.session_file import open_session
+from heartcase.pipeline.building.lock import lock_recipe, recipe_text
+from heartcase.pipeline.building.runner import Runner, SilentListener, run_stages
+from heartcase.pipeline.building.session_file import open_session
 from heartcase.pipeline.data import UNMARKED, Scan
 from heartcase.pipeline.image.filter_scan import filter_scan
 from heartcase.pipeline.markers.load_markers import check_markers, load_markers, rasterise_strokes

@@ -10,7 +10,7 @@ import pytest
 
 from heartcase.cli.main import main
 from heartcase.pipeline.artifacts.serialise import artifact_from_bytes, artifact_to_bytes
-from heartcase.pipeline.build.run import build_case
+from heartcase.pipeline.building.run import build_case
 from heartcase.pipeline.data import Surface
 from heartcase.pipeline.mesh.build_surface import build_surface
 from heartcase.schemas.bundle.check import check_bundle

@@ -1,4 +1,4 @@
-"""Which kernels a small build calls, with which types: ``python -m tests.pipeline.build.kernels_called FOLDER OUTPUT``.
+"""Which kernels a small build calls, and with which types: run as a module, with FOLDER and OUTPUT as arguments.
 
 A process of its own builds the adult phantom, coarsely, with the stages one after the other, and writes for each kernel
 that Python called the stage that called it first. What was compiled for it, rather than found in numba's cache, has its
@@ -46,7 +46,7 @@ def main(folder: Path, output: Path) -> None:
     from heartcase.compiling.kernel import KERNELS
     from heartcase.compiling.signatures import as_json
     from heartcase.library.scans import ensure_scan
-    from heartcase.pipeline.build.run import build_case
+    from heartcase.pipeline.building.run import build_case
     from heartcase.schemas.recipe.recipe import load_recipe
 
     called: dict[tuple, dict] = {}

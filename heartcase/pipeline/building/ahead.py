@@ -1,8 +1,8 @@
 """The kernels that a build will call, compiled ahead in as many processes as there are cores.
 
 ``kernels.json`` lists them with the types that they are called with, by the stage that calls them first. A test builds
-a small case and fails where the list and what was called differ; ``python -m tests.pipeline.build.test_ahead --write``
-writes it anew.
+a small case and fails where the list and what was called differ; ``python -m tests.pipeline.building.test_ahead
+--write`` writes it anew.
 """
 
 from __future__ import annotations

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from heartcase.pipeline.artifacts.cache import Cache, stage_key
-from heartcase.pipeline.build.lock import check_lock
-from heartcase.pipeline.build.runner import BuildListener, Runner, SilentListener, run_stages
+from heartcase.pipeline.building.lock import check_lock
+from heartcase.pipeline.building.runner import BuildListener, Runner, SilentListener, run_stages
 from heartcase.pipeline.bundle.assembly import AssembledCase
 from heartcase.pipeline.bundle.write_bundle import check_place, check_replacement, write_bundle
 from heartcase.pipeline.markers.placeholders import placeholder_problems

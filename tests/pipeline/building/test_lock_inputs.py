@@ -8,7 +8,7 @@ import SimpleITK
 import trimesh
 
 from heartcase.cli.main import main
-from heartcase.pipeline.build.lock import changed_files, check_lock, lock_recipe, recipe_text
+from heartcase.pipeline.building.lock import changed_files, check_lock, lock_recipe, recipe_text
 from heartcase.pipeline.data import Scan
 from heartcase.pipeline.formats.write_images import write_scan
 from heartcase.pipeline.markers.load_markers import load_segmentation
@@ -16,7 +16,7 @@ from heartcase.pipeline.stages.read import region_of_scan
 from heartcase.schemas.errors import MarkerError, RecipeError
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.recipe.recipe import load_recipe, parse_recipe
-from tests.pipeline.build.test_lock import relocked
+from tests.pipeline.building.test_lock import relocked
 
 SMALL = Geometry.of(shape=(8, 9, 10), spacing_mm=(2, 2, 2), origin_mm=(-9, -8, -7))
 SMALL_RECIPE = """

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from heartcase.pipeline.artifacts.cache import Cache
-from heartcase.pipeline.build.runner import BuildListener, Runner, SilentListener
+from heartcase.pipeline.building.runner import BuildListener, Runner, SilentListener
 from heartcase.pipeline.markers.session import SegmentationSession
 from heartcase.pipeline.stages.filter import STAGE as FILTER
 from heartcase.pipeline.stages.read import STAGE as READ

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from heartcase.pipeline.artifacts.cache import Cache
-from heartcase.pipeline.build.runner import BuildListener, Runner, SilentListener, run_stages
-from heartcase.pipeline.build.session_file import write_with_tables
+from heartcase.pipeline.building.runner import BuildListener, Runner, SilentListener, run_stages
+from heartcase.pipeline.building.session_file import write_with_tables
 from heartcase.pipeline.data import Segmentation, VesselEnd
 from heartcase.pipeline.ends.cut_ends import cut_ends
 from heartcase.pipeline.ends.discs import Stumps, end_marker

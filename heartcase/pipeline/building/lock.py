@@ -24,7 +24,7 @@ from heartcase.pipeline.warnings import CaseWarning, anatomy
 from heartcase.schemas.errors import HeartcaseError, MarkerError, Problem, RecipeError
 from heartcase.schemas.files import sha256_of_file
 from heartcase.schemas.recipe.lock import RecipeLock, defaulted_settings, settings_of, unset_settings, without_settings
-from heartcase.schemas.recipe.recipe import Part, Recipe, parse_recipe
+from heartcase.schemas.recipe.recipe import Recipe, parse_recipe
 from heartcase.schemas.recipe.settings import EndMarker
 from heartcase.schemas.toml import toml_text, toml_value
 
@@ -93,7 +93,7 @@ def lock_recipe(recipe: Recipe, *, directory: Path, out: Path) -> Recipe:
 
 def _found_ends(recipe: Recipe, directory: Path) -> tuple[EndMarker, ...]:
     """The vessel ends that a build of the recipe would find."""
-    from heartcase.pipeline.build.recipe_ends import ends_at_locking
+    from heartcase.pipeline.building.recipe_ends import ends_at_locking
     from heartcase.pipeline.ends.discs import end_marker
 
     with tempfile.TemporaryDirectory() as cache:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 
-from heartcase.pipeline.build.lock import (
+from heartcase.pipeline.building.lock import (
     check_lock,
     lock_recipe,
     recipe_text,
@@ -17,7 +17,7 @@ from heartcase.pipeline.build.lock import (
     stage_changes,
     unlocked_recipe,
 )
-from heartcase.pipeline.build.run import build_case
+from heartcase.pipeline.building.run import build_case
 from heartcase.pipeline.data import Scan
 from heartcase.pipeline.stages.read import region_of_scan
 from heartcase.pipeline.stages.resolve import resolve_recipe

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import SimpleITK
 
-from heartcase.pipeline.build.run import build_case
+from heartcase.pipeline.building.run import build_case
 from heartcase.pipeline.stages.table import stage_names
 from heartcase.schemas.bundle.check import check_bundle
 from heartcase.schemas.bundle.format import FileRole
