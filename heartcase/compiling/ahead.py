@@ -28,7 +28,7 @@ from heartcase.schemas.files import atomic_write
 __all__ = ["Called", "Progress", "compiled_ahead", "core_count", "serve"]
 
 _ROOT = Path(__file__).parents[2]
-_SERVE = "from heartcase.compiling.ahead import serve; serve()"
+_SERVE = "import sys; sys.path.append(sys.argv[1]); from heartcase.compiling.ahead import serve; serve()"
 _FIRST_SECONDS = 5.0
 """Of the list, after which the pace of this machine is known."""
 _NOTE_NAME = "heartcase-compiled.txt"
@@ -54,6 +54,8 @@ class Progress:
 
     done: int
     """Kernels that are in the cache."""
+    failed: int
+    """Kernels that could not be compiled ahead."""
     total: int
     """Kernels of the list."""
     seconds_left: float
@@ -97,6 +99,7 @@ def compiled_ahead(
         return
     team = _ProcessTeam([one for one, _ in left], processes, told)
     try:
+        team.begin()
         yield
     finally:
         team.end()
@@ -117,10 +120,16 @@ class _ProcessTeam:
         self.is_ended = False
         self.processes: list[subprocess.Popen[str]] = []
         self.process_count = min(processes, self.total)
-        self.threads = [threading.Thread(target=self._lead, daemon=True) for _ in range(self.process_count)]
-        told(self._progress())
-        for thread in self.threads:
+        self.failed_count = 0
+        self.threads: list[threading.Thread] = []
+
+    def begin(self) -> None:
+        """Start the processes."""
+        self.told(self._progress())
+        for _ in range(self.process_count):
+            thread = threading.Thread(target=self._lead, daemon=True)
             thread.start()
+            self.threads.append(thread)
 
     def end(self) -> None:
         """End all processes, and wait until they are gone."""
@@ -148,6 +157,7 @@ class _ProcessTeam:
                     break
                 with self.lock:
                     self.done += [one] if answer == "done" else []
+                    self.failed_count += answer == "failed"
                     self.done_seconds += one.seconds
                     # Nobody is told of progress once the caller went on.
                     if not self.is_ended:
@@ -164,19 +174,17 @@ class _ProcessTeam:
         pace = 1.0 / self.process_count
         if self.done_seconds > _FIRST_SECONDS:
             pace = (time.monotonic() - self.started) / self.done_seconds
-        return Progress(len(self.done), self.total, left * pace)
+        return Progress(len(self.done), self.failed_count, self.total, left * pace)
 
 
 def _start() -> subprocess.Popen[str]:
-    """A process that compiles what it is told to; it finds this package as this process did, and takes no other's."""
-    path = os.pathsep.join(filter(None, (str(_ROOT), os.environ.get("PYTHONPATH", ""))))
+    """A process that compiles what it is told to; it finds this package also where this process found it."""
     return subprocess.Popen(
-        [sys.executable, "-P", "-c", _SERVE],
+        [sys.executable, "-P", "-c", _SERVE, str(_ROOT)],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         text=True,
-        env=os.environ | {"PYTHONPATH": path},
     )
 
 

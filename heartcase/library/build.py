@@ -8,7 +8,6 @@ where the scheduler is lost, the next build starts from those.
 from __future__ import annotations
 
 import contextlib
-import os
 import signal
 import time
 import warnings
@@ -19,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from heartcase import __version__
+from heartcase.compiling.ahead import core_count
 from heartcase.library.interrupts import held_interrupts, inherited_deafness
 from heartcase.library.plan import CaseRecord, LibraryCase, is_up_to_date, read_record, write_record
 from heartcase.library.progress import StageNews, TellingListener, heard
@@ -87,7 +87,7 @@ def default_workers(worker_count: int | None = None, memory_mb: int | None = Non
         raise UsageError("give at least one worker", place="--workers")
     if memory_mb is not None and memory_mb < 500:
         raise UsageError("a worker needs 500 MB at the very least", place="--memory-mb")
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = core_count()
     there_mb = _memory_mb()
     fitting = max(1, there_mb // (memory_mb or MEMORY_PER_CASE_MB))
     count = worker_count or max(1, min(cores, fitting))
@@ -244,11 +244,15 @@ def build_cases(
     done = as_completed([], loop=client.loop, raise_errors=False)
     looked_s = -_LOOK_EVERY_S
     with contextlib.suppress(FutureCancelledError), heard(client) as news:
-        while waiting or running:
+
+        def tell() -> None:
             ours = {(case.name, case.stamp) for case in running.values()}
             for one in news():
                 if hear is not None and (one.case, one.stamp) in ours:
                     hear(one)
+
+        while waiting or running:
+            tell()
             if waiting and time.monotonic() - looked_s >= _LOOK_EVERY_S:
                 looked_s = time.monotonic()
                 # A case more than there are free threads would stand behind another while a worker becomes idle: the
@@ -262,6 +266,7 @@ def build_cases(
                     done.add(future)
             if done.has_ready():
                 future = next(done)
+                tell()  # what its worker said last
                 yield _record_of(future, running.pop(future), out)
                 looked_s = -_LOOK_EVERY_S
             elif not running and client.status not in ("running", "connecting"):

@@ -14,7 +14,7 @@ from heartcase.library.progress import MAKING_THE_SCAN
 from heartcase.library.scans import ensure_scan
 from heartcase.pipeline.building.run import build_case
 from heartcase.pipeline.building.runner import BuildListener, SilentListener
-from heartcase.pipeline.stages.table import STAGES
+from heartcase.pipeline.stages.table import steps
 from heartcase.schemas.errors import HeartcaseError
 from heartcase.schemas.recipe.recipe import load_recipe
 
@@ -59,7 +59,7 @@ def _built(case: LibraryCase, out: Path, cache: Path | None, listener: BuildList
     recipe = load_recipe(case.recipe)
     if recipe.scan.phantom is not None:
         start = time.perf_counter()
-        after = sum(stage.expected_seconds for stage in STAGES)
+        after = sum(step.expected_seconds for step in steps())
         listener.stage_started(MAKING_THE_SCAN, seconds_expected=_SCAN_S, seconds_after=after)
         is_new = ensure_scan(recipe.scan, case.recipe.parent)
         listener.stage_finished(MAKING_THE_SCAN, seconds=time.perf_counter() - start, reused=not is_new)

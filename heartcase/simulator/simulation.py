@@ -262,7 +262,7 @@ class Simulation:
         Raises
         ------
         SimulationError
-            It is no hand, or one that has let go, the offset is not finite, or the turn is no rotation.
+            It is no grab, or one that has let go, the offset is not finite, or the turn is no rotation.
         """
         require_grab(grab)
         if grab not in self.grabs:

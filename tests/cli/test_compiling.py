@@ -14,11 +14,11 @@ def test_a_line_says_that_kernels_are_compiled_and_a_row_how_far_and_how_long():
     written = io.StringIO()
     rows = Rows(console=Console(file=written))
     compiling = Compiling(Console(file=written), rows)
-    compiling(Progress(0, 120, 60.0))
-    compiling(Progress(30, 120, 45.0))
+    compiling(Progress(0, 0, 120, 60.0))
+    compiling(Progress(30, 1, 120, 45.0))
     assert written.getvalue().count("compiling 120 kernels") == 1
     (row,) = rows.tasks
-    assert "30 of 120" in row.description
+    assert "31 of 120" in row.description
     assert row.total - row.elapsed == pytest.approx(45.0, abs=5.0) if row.elapsed else row.total >= 45.0
-    compiling(Progress(120, 120, 0.0))
+    compiling(Progress(119, 1, 120, 0.0))
     assert rows.tasks == []

@@ -118,6 +118,10 @@ def test_the_painted_strokes_give_the_same_labels_when_the_recipe_is_opened_agai
     opened.session.undo()
     assert opened.save() == 1
     assert len(load_recipe(path).strokes) == 2
+    # its own file by another way is its own file
+    (path.parent / "aside").mkdir()
+    opened.save_as(path.parent / "aside" / ".." / path.name)
+    assert opened.save() == 1
 
 
 def test_a_recipe_without_any_marker_can_be_opened(recipe):

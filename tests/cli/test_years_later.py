@@ -91,6 +91,19 @@ def test_building_with_another_scan_is_refused_and_can_be_accepted(scans, recipe
     assert run("build", locked, "--out", recipe.parent, "--until", "filter", "--accept-inputs") == 0
 
 
+def test_a_case_of_a_locked_recipe_carries_the_warnings_of_its_lock(scans, recipe, capsys):
+    assert run("lock", recipe) == 0
+    locked = recipe.with_name("ball.lock.toml")
+    sha256 = tomllib.loads(locked.read_text())["lock"]["scan_sha256"]
+    locked.write_text(locked.read_text().replace(sha256, "0" * 64))
+    capsys.readouterr()
+    for changed in (True, False):
+        code, said = run_json(capsys, "build", locked, "--out", recipe.parent, "--accept-inputs")
+        assert (code, said["changed"]) == (0, changed)
+        place = next(n for n, line in enumerate(said["warnings"]) if "those that the recipe was locked with" in line)
+        assert said["warning_grades"][place] == "anatomy"
+
+
 def test_the_help_of_build_names_every_stage():
     # It is written out, because finding it out would load the pipeline for a page of help.
     from click.testing import CliRunner

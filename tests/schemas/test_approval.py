@@ -183,7 +183,9 @@ def test_roles_of_other_languages_are_fine(case):
 
 @pytest.mark.parametrize("role", [
     "Dr. John Smith", "dr smith", "Prof. Dr. med. Anna Schmidt", "Mrs Jones", "John Smith", "J. Smith", "Smith, John",
-    "Anna von der Heide", "Dr.Smith Jones", "John Dr Smith", "María López-García",
+    "Anna von der Heide", "Dr.Smith Jones", "John Dr Smith", "María López-García", "Edward Smith", "Dr. Edward Smith",
+    "Howard Stark", "Dr. Howard", "John Headley", "Dr. Engin Yilmaz", "Peter Leitner", "Anatole France",
+    "Łukasz Kowalski",
 ])  # fmt: skip
 def test_a_name_is_no_role(case, role):
     with pytest.raises(UsageError, match="looks like a person's name"):
@@ -197,6 +199,7 @@ def test_a_name_is_no_role(case, role):
     "Professor of Paediatric Cardiology", "Leitender Oberarzt", "Fachärztin Kinderkardiologie", "chirurgien cardiaque",
     "MRI CT", "Clinical Lead", "Chief Resident", "Doctor", "Attending Physician",
     "pediatric nurse", "Research Fellow", "radiographer", "Imaging Scientist", "Prof. Cardiology", "Perfusionist",
+    "Ward Doctor", "Intern", "Test User", "Team Lead", "Kinderkardiologe", "Herzchirurg", "Anatomy Teacher",
 ])  # fmt: skip
 def test_what_is_no_name_is_a_role(role):
     assert not looks_like_a_name(role)

@@ -74,5 +74,10 @@ def test_a_scene_loads_the_simulator_and_not_what_makes_cases():
     assert loaded.isdisjoint({"SimpleITK", "skimage", "vtk", "vtkmodules", "click", "matplotlib", "pydicom"})
 
 
+def test_a_librarys_client_and_a_table_of_stages_load_no_pipeline():
+    loaded = _loaded_by("import heartcase.library.plan, heartcase.pipeline.stages.table")
+    assert loaded.isdisjoint({"numba", "scipy", "cc3d", "SimpleITK", "vtk", "vtkmodules", "matplotlib"})
+
+
 def test_opening_a_bundle_needs_no_compiler():
     assert "numba" not in _loaded_by("from heartcase import check_bundle, load_recipe, open_bundle")

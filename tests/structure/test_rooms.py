@@ -85,5 +85,5 @@ def test_no_folder_has_a_name_that_tools_pass_over():
     roots = (PACKAGE, Path(__file__).parents[1], Path(__file__).parents[2] / "benchmarks")
     found = {file.parent for root in roots for file in root.rglob("*.py")}
     assert len(found) > 60
-    passed_over = {folder for folder in found if names & {part for part in folder.parts[len(PACKAGE.parent.parts) :]}}
+    passed_over = {folder for folder in found if names & set(folder.parts[len(PACKAGE.parent.parts) :])}
     assert passed_over == set()

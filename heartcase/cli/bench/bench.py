@@ -7,7 +7,6 @@ import importlib.util
 import itertools
 import json
 import multiprocessing
-import os
 import platform
 import signal
 import statistics
@@ -25,6 +24,7 @@ import click
 from rich.console import Console
 
 from heartcase import __version__
+from heartcase.compiling.ahead import core_count
 from heartcase.schemas.benchmark import BenchmarkCase, BenchmarkRecord, MethodSkipped, load_cases
 from heartcase.schemas.errors import Problem, UsageError
 from heartcase.schemas.files import atomic_write
@@ -309,5 +309,4 @@ def _machine() -> str:
         lines = info.read_text().splitlines()
         names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
         processor = names[0] if names else processor
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return f"{processor}, {cores} cores, {platform.system()}, Python {platform.python_version()}"
+    return f"{processor}, {core_count()} cores, {platform.system()}, Python {platform.python_version()}"

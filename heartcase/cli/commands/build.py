@@ -31,7 +31,7 @@ def _title(stage: str) -> str:
 
 
 class Compiling:
-    """Shows that kernels are being compiled, which only a first build does, and for how long still.
+    """Shows that kernels are being compiled, which are then kept, and for how long still.
 
     Told of progress by other threads, one at a time.
     """
@@ -43,13 +43,15 @@ class Compiling:
 
     def __call__(self, state: Progress) -> None:
         """Show how far it is; the row goes when all is compiled."""
-        words = f"compiling {state.done} of {state.total}, only in a first build"
+        words = f"compiling {state.done + state.failed} of {state.total}"
         if self.task is None:
-            self.console.print(f"  compiling {state.total} kernels meanwhile, only in a first build", highlight=False)
+            self.console.print(
+                f"  compiling {state.total} kernels meanwhile, which is kept for later builds", highlight=False
+            )
             self.task = self.progress.add_task(words, total=max(state.seconds_left, 0.1), seconds_after=0.0)
         passed = time.perf_counter() - self.start
         self.progress.update(self.task, description=words, total=passed + state.seconds_left)
-        if state.done == state.total:
+        if state.done + state.failed == state.total:
             self.progress.remove_task(self.task)
 
 

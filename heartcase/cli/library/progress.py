@@ -127,4 +127,7 @@ def _title(stage: str) -> str:
         return "making the scan"
     from heartcase.pipeline.stages.table import step_named
 
-    return step_named(stage).title
+    try:
+        return step_named(stage).title
+    except KeyError:  # of another heartcase
+        return stage

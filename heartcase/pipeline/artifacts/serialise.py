@@ -21,31 +21,15 @@ from safetensors import SafetensorError
 from safetensors.numpy import load as load_safetensors
 from safetensors.numpy import save as save_safetensors
 
-from heartcase.pipeline import data as stage_data
 from heartcase.pipeline.warnings import CaseWarning, warning_from_json, warning_to_json
 from heartcase.schemas.bundle.format import StageRecord
 from heartcase.schemas.errors import StageError
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable
 
-__all__ = ["ARTIFACT_TYPES", "History", "artifact_from_bytes", "artifact_to_bytes", "load_artifact", "load_history"]
+__all__ = ["History", "artifact_from_bytes", "artifact_to_bytes", "load_artifact", "load_history"]
 
 T = TypeVar("T")
-
-ARTIFACT_TYPES: dict[str, type] = {
-    cls.__name__: cls
-    for cls in (
-        stage_data.Scan,
-        stage_data.Markers,
-        stage_data.Segmentation,
-        stage_data.Structures,
-        stage_data.SimulationGrid,
-        stage_data.Surface,
-        stage_data.GridMap,
-        stage_data.PickingSurface,
-    )
-}
-"""Class name -> class of everything that a stage puts out."""
 
 _MODELS: dict[str, type] = {"geometry": Geometry, "table": LabelTable}
 

@@ -1,4 +1,4 @@
-"""The kernels that a build will call, compiled ahead in as many processes as there are cores.
+"""The kernels that a build will call, compiled ahead in several processes.
 
 ``kernels.json`` lists them with the types that they are called with, by the stage that calls them first. A test builds
 a small case and fails where the list and what was called differ; ``python -m tests.pipeline.building.test_ahead
@@ -20,6 +20,8 @@ from heartcase.schemas.recipe.recipe import Recipe
 __all__ = ["LIST", "SCAN", "kernels_ahead", "kernels_needed"]
 
 LIST = Path(__file__).with_name("kernels.json")
+PROCESSES_MOST = 8
+"""Each holds numba and the pipeline's libraries; the longest kernels take as long as all others then."""
 SCAN = "scan"
 """Stands for making the scan of a phantom, which comes before the stages."""
 
@@ -43,12 +45,14 @@ def kernels_ahead(
     until
         Name of the last stage; all when left out.
     processes
-        How many processes; as many as there are cores when left out, 0 for none.
+        How many processes; one for each core, at most PROCESSES_MOST, when left out; 0 for none.
     told
         Called as kernels are done, from other threads.
     """
     wanted = kernels_needed(recipe, makes_scan=makes_scan, until=until)
-    return compiled_ahead(wanted, processes=core_count() if processes is None else processes, told=told)
+    return compiled_ahead(
+        wanted, processes=min(core_count(), PROCESSES_MOST) if processes is None else processes, told=told
+    )
 
 
 def kernels_needed(recipe: Recipe, *, makes_scan: bool = False, until: str | None = None) -> tuple[Called, ...]:
@@ -59,6 +63,8 @@ def kernels_needed(recipe: Recipe, *, makes_scan: bool = False, until: str | Non
         stages += [step.name] if is_taken else []
         if step.name == until:
             break
+    if recipe.segment.method != "watershed":
+        stages = [name for name in stages if name != "segment"]  # its kernels are the watershed's
     listed = _listed()
     return tuple(one for stage in stages for one in listed.get(stage, ()))
 

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 from heartcase.pipeline.artifacts.cache import Cache, stage_key
 from heartcase.pipeline.building.lock import check_lock
 from heartcase.pipeline.building.runner import BuildListener, Runner, SilentListener, run_stages
-from heartcase.pipeline.bundle.assembly import AssembledCase
 from heartcase.pipeline.bundle.write_bundle import check_place, check_replacement, write_bundle
 from heartcase.pipeline.markers.placeholders import placeholder_problems
 from heartcase.pipeline.stages.bundle import STAGE as BUNDLE
@@ -28,6 +27,7 @@ from heartcase.schemas.files import atomic_write, remove_leftovers, sha256_of_fi
 from heartcase.schemas.recipe.recipe import Recipe
 
 if TYPE_CHECKING:
+    from heartcase.pipeline.bundle.assembly import AssembledCase
     from heartcase.pipeline.markers.confidence import Sureness
 
 __all__ = ["BuildListener", "BuildResult", "build_case"]
@@ -145,7 +145,7 @@ def _finish(runner: Runner, work: Work, out: Path) -> BuildResult:
         return BuildResult(case, report, manifest, runner.seconds, reused, False, warnings_of(manifest))
     runner.announce(BUNDLE.name)
     start = time.perf_counter()
-    assembled = BUNDLE.compute(work)
+    assembled: AssembledCase = BUNDLE.compute(work)
     runner.seconds[BUNDLE.name] = time.perf_counter() - start
     changed = write_bundle(case, assembled.content)
     _finished(runner, BUNDLE.name, time.perf_counter() - start, reused=not changed)
@@ -204,7 +204,7 @@ def _sureness(work: Work) -> Sureness | None:
 
 def _unchanged(case: Path, report: Path, cache: Cache, key: str) -> CaseManifest | None:
     """The manifest of the case that is there, when it and its report are whole and made from exactly these inputs."""
-    note = cache.noted("bundle", key)
+    note = cache.noted(BUNDLE.name, key)
     try:
         if (
             note is None

@@ -163,7 +163,7 @@ class Runner:
         start = time.perf_counter()
         value = done[0] if done else stage.compute(work)
         node = Node(hashlib.sha256(artifact_to_bytes(value)).hexdigest(), lambda: value, value)
-        self.seconds[stage.name] = time.perf_counter() - start
+        self.seconds[stage.name] = done[1] if done else time.perf_counter() - start
         if isinstance(value, Scan):
             self.voxel_count = value.values.size
         self.listener.stage_finished(stage.name, seconds=self.seconds[stage.name], reused=False)

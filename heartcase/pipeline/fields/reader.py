@@ -41,9 +41,6 @@ __all__ = [
 ]
 
 
-_Layout = FieldLayout
-"""Its former name: numba's caches of earlier versions do not load without it."""
-
 NOWHERE_MM = 1e4
 """Field of a label that only a reshaping makes, before it does."""
 CHUNK = 4096

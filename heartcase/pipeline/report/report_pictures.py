@@ -42,8 +42,6 @@ __all__ = [
 
 
 _LINES = ("-", "--", ":")
-_MOST_IN_THE_PLOT = 9
-"""Curves whose legend still fits beside them; that of more lies outside the axes."""
 _VIEW_COUNT = 4
 _PNG_LEVEL = 4
 """Half the time of level 6 for 4 % more bytes, with the thirteen pictures of the adult phantom's surface."""

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from heartcase import __version__
-from heartcase.pipeline.bundle.assembly import (
-    AssembledCase,
-    StageResults,
-    assemble_case,
-    told_of_ends,
-    told_of_outlines,
-)
 from heartcase.pipeline.stages.stage import Stage, Work, have
 from heartcase.schemas.recipe.recipe import Part
+
+if TYPE_CHECKING:
+    from heartcase.pipeline.bundle.assembly import AssembledCase
 
 __all__ = ["STAGE"]
 
@@ -32,6 +28,8 @@ def _settings(work: Work) -> dict[str, Any]:
 
 
 def _compute(work: Work) -> AssembledCase:
+    from heartcase.pipeline.bundle.assembly import StageResults, assemble_case, told_of_ends, told_of_outlines
+
     recipe, outputs = work.recipe, work.outputs
     scan, structures = have(outputs.scan).get(), have(outputs.structures).get()
     segmentation = have(outputs.segmentation).get()
@@ -51,14 +49,14 @@ def _compute(work: Work) -> AssembledCase:
     return assemble_case(recipe, results, name=recipe.name, case_id=recipe.case_id)
 
 
-STAGE = Stage(
+STAGE: Stage[Any] = Stage(
     name="bundle",
     version=7,
     title="writing the case",
     deed="write the case",
     subject="",
     output="assembled",
-    kind=AssembledCase,
+    kind=object,  # an AssembledCase, which nothing has to tell from others: the cache does not keep it
     settings=_settings,
     compute=_compute,
     expected_seconds=2.0,

@@ -402,8 +402,9 @@ def test_another_case_is_not_replaced_in_silence(tmp_path):
     assert build_case(load_recipe(path), directory=tmp_path, out=tmp_path).manifest.case_id == first.case_id
     scan = SimpleITK.ReadImage(str(tmp_path / "ball.nii.gz"))
     SimpleITK.WriteImage(scan + 1.0, str(tmp_path / "ball.nii.gz"))
-    with pytest.raises(BundleError, match="another case of this name"):
-        build_case(load_recipe(path), directory=tmp_path, out=tmp_path)
+    for until in (None, "bundle"):
+        with pytest.raises(BundleError, match="another case of this name"):
+            build_case(load_recipe(path), directory=tmp_path, out=tmp_path, until=until)
     assert open_bundle(tmp_path / "ball.case").manifest.case_id == first.case_id
     second = build_case(load_recipe(path), directory=tmp_path, out=tmp_path, replace=True).manifest
     assert second.case_id != first.case_id
