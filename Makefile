@@ -5,7 +5,7 @@
 # make versions  every kernel compiles, and a sample case comes out as on the Python that ran this before
 # make lowest, make newest  the same with the oldest packages that pyproject.toml allows, and with the newest there are
 # make gpu    what only an NVIDIA GPU can show: tests and benchmarks of its engine (ten minutes)
-# All need Python 3.11 or newer and make. Another Python: make case PYTHON=python3.12 VENV=.venv-3.12
+# All need Python 3.11, 3.12 or 3.13, and make. Another Python: make case PYTHON=python3.12 VENV=.venv-3.12
 
 PYTHON ?= python3
 VENV ?= .venv

@@ -46,7 +46,7 @@ COMMANDS: dict[str, str] = {
 }
 """Name -> one-line help of each subcommand."""
 
-_ROOMS = {"bench": "bench", "library": "library"} | dict.fromkeys(
+_FOLDERS = {"bench": "bench", "library": "library"} | dict.fromkeys(
     ("filter", "segment", "walls", "edit", "grid", "surface", "map", "bundle"), "stages"
 )
 """Folder of the module of a command's name, where it is not ``commands``."""
@@ -82,7 +82,7 @@ class _LazyGroup(click.Group):
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
         if name not in COMMANDS:
             return None
-        module = importlib.import_module(f"heartcase.cli.{_ROOMS.get(name, 'commands')}.{name}")
+        module = importlib.import_module(f"heartcase.cli.{_FOLDERS.get(name, 'commands')}.{name}")
         command: click.Command = module.command
         return command
 

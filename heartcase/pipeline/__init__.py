@@ -1,1 +1,1 @@
-"""From scan to case: one file per stage, arrays in, dataclass out."""
+"""From scan to case: arrays in, dataclasses out; ``stages`` has the order."""

@@ -15,7 +15,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
-from heartcase.cli.commands.film import Filmer, check_animation_name, check_picture_name, write_animation, write_picture
+from heartcase.cli.shared.film import Filmer, check_animation_name, check_picture_name, write_animation, write_picture
 from heartcase.cli.shared.output import echo_json
 from heartcase.schemas.bundle.approval import approval_state
 from heartcase.schemas.bundle.format import LEVEL_MAX

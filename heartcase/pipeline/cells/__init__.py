@@ -1,1 +1,1 @@
-"""Making the simulation grid: sampling, topology, repairs, supports, curvature."""
+"""The simulation grid and what ties the surface to it: sampling, repairs, supports, curvature, map, picking."""

@@ -1,1 +1,1 @@
-"""One file per format: what reads scans, label volumes and point lists."""
+"""Files read and written: DICOM, image volumes, labels and markers of other programs."""

@@ -1,1 +1,1 @@
-"""Making the surface: extraction, decimation, atlas, normal map, GLB, measures."""
+"""Making the surface: extraction, decimation, texture, and what is measured of triangles."""
