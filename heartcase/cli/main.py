@@ -9,6 +9,7 @@ import re
 import sys
 import traceback
 from collections.abc import Sequence
+from pathlib import Path
 
 import click
 
@@ -157,11 +158,11 @@ def _without_arguments(message: str) -> str:
 
 def _place_of(error: BaseException) -> str:
     """Module and line of heartcase's own code where an error came up."""
-    place = "heartcase"
+    place, package = "heartcase", Path(__file__).parents[1]
     for frame in traceback.extract_tb(error.__traceback__):
-        _, found, inside = frame.filename.replace("\\", "/").rpartition("/heartcase/")
-        if found:
-            place = f"{inside}:{frame.lineno}"
+        # a checkout may be called like the package
+        if Path(frame.filename).is_relative_to(package):
+            place = f"{Path(frame.filename).relative_to(package).as_posix()}:{frame.lineno}"
     return place
 
 
