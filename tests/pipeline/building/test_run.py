@@ -339,7 +339,7 @@ def test_a_case_whose_report_cannot_be_drawn_is_whole_and_the_next_build_draws_i
     old, page = (case / "case.json").read_bytes(), report.read_bytes()
     path.write_text(path.read_text().replace("cell_mm = 5.0", "cell_mm = 6.0"))
 
-    def fail(**_):
+    def fail(_):
         raise MemoryError
 
     with monkeypatch.context() as patch:
