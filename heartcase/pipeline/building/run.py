@@ -14,7 +14,6 @@ from heartcase.pipeline.building.runner import BuildListener, Runner, SilentList
 from heartcase.pipeline.bundle.write_bundle import check_place, check_replacement, write_bundle
 from heartcase.pipeline.markers.placeholders import placeholder_problems
 from heartcase.pipeline.stages.bundle import STAGE as BUNDLE
-from heartcase.pipeline.stages.resolve import resolve_recipe
 from heartcase.pipeline.stages.segment import filtered_tree
 from heartcase.pipeline.stages.stage import Work, have
 from heartcase.pipeline.stages.table import REPORT, stage_names
@@ -117,9 +116,9 @@ def build_case(
         if examples:
             raise RecipeError(examples)
         work.told["lock"] = check_lock(recipe, directory, scan, accept_inputs=accept_inputs)
-        work.recipe = resolve_recipe(recipe, scan)
+        resolved = work.resolve()
         if until in (None, BUNDLE.name) and not replace:
-            check_replacement(out / f"{recipe.name}.case", work.recipe.case_id)
+            check_replacement(out / f"{recipe.name}.case", resolved.case_id)
 
     run_stages(runner, work, until=until, after=after)
     if until not in (None, BUNDLE.name):
@@ -176,6 +175,7 @@ def _report(runner: Runner, work: Work, assembled: AssembledCase) -> str:
         ReportInputs(
             sureness=_sureness(work),
             recipe=work.recipe,
+            rules=work.rules,
             scan=have(outputs.scan).get(),
             segmentation=have(outputs.segmentation).get(),
             structures=have(outputs.structures).get(),
