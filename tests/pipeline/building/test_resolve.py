@@ -130,7 +130,9 @@ def test_a_build_resolves_its_recipe_once():
 
 
 def test_a_band_that_is_too_narrow_for_another_table_is_widened_again():
-    thick = [label.model_copy(update={"wall_thickness_mm": 40.0}) for label in asked().labels if label.wall_thickness_mm]
+    thick = [
+        label.model_copy(update={"wall_thickness_mm": 40.0}) for label in asked().labels if label.wall_thickness_mm
+    ]
     resolved = resolve_recipe(asked(), SCAN)
     wider = SettingRules(SCAN).resolve(resolved.model_copy(update={"labels": tuple(thick)}))
     assert resolved.walls.band_mm < 40.0
