@@ -14,8 +14,7 @@ from heartcase.pipeline.stages.segment import filtered_tree
 from heartcase.pipeline.stages.stage import Work, have
 from heartcase.schemas.errors import RecipeError, UsageError
 from heartcase.schemas.files import atomic_write
-from heartcase.schemas.recipe.recipe import parse_recipe, read_recipe_text
-from heartcase.schemas.recipe.resolved import ResolvedRecipe
+from heartcase.schemas.recipe.recipe import Recipe, parse_recipe, read_recipe_text
 from heartcase.schemas.recipe.settings import Stroke
 from heartcase.schemas.toml import toml_text
 
@@ -28,7 +27,7 @@ class RecipeSession:
 
     session: SegmentationSession
     """What is painted on."""
-    recipe: ResolvedRecipe
+    recipe: Recipe
     """The recipe as it was opened, with everything resolved."""
     path: Path
     """Its file."""

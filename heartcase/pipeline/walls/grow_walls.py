@@ -144,7 +144,7 @@ def resolve_walls(settings: WallsSettings, geometry: Geometry, table: LabelTable
     """Settings with the smoothing and the band that they leave to the scan's lattice and the thickest wall filled in.
 
     A band that is stated is widened to a voxel more than the thickest wall where it is less. Resolved settings come
-    back as they are.
+    back as they are, unless their band is too narrow for this table.
     """
     spacing = np.array(geometry.spacing_mm)
     smoothing = default_smoothing_mm(spacing) if settings.smoothing_mm is None else settings.smoothing_mm

@@ -26,6 +26,7 @@ __all__ = [
 ]
 
 DiffusionMethod: TypeAlias = Literal["curvature_diffusion", "gradient_diffusion"]
+"""Which anisotropic diffusion smooths a scan."""
 
 
 class _Resolved(Model):
@@ -47,41 +48,53 @@ class NoFilter(FilterSettings, _Resolved):
     """The scan is taken as it is, whatever the other settings say."""
 
     method: Literal["none"]
+    """No filter."""
 
 
 class DiffusionFilter(FilterSettings, _Resolved):
     """Anisotropic diffusion."""
 
     method: DiffusionMethod
+    """By curvature or by gradient."""
     conductance: float
+    """Edge threshold in units of the scan's root mean square gradient."""
     time_step: float
+    """Diffusion time step, mm2."""
 
 
 ResolvedFilter: TypeAlias = NoFilter | DiffusionFilter
+"""Smoothing with every setting that its method takes."""
 
 
 class ResolvedWalls(WallsSettings, _Resolved):
     """Distance fields and walls; the band is at least a voxel more than the thickest wall."""
 
     smoothing_mm: float
+    """Standard deviation of the blur that takes the voxel steps off a label's border."""
     band_mm: float
+    """Distance up to which the fields are exact."""
 
 
 class GridByCellSize(GridSettings, _Resolved):
     """Cells of a stated edge."""
 
     cell_mm: float
+    """Edge of a cell."""
     node_count: None = None
+    """Follows from the edge."""
 
 
 class GridByNodeCount(GridSettings, _Resolved):
     """Cells as large as make about so many nodes."""
 
     cell_mm: None = None
+    """Follows from the number of nodes."""
     node_count: int
+    """Number of nodes to aim at."""
 
 
 ResolvedGrid: TypeAlias = GridByCellSize | GridByNodeCount
+"""Cells by the one of the two that is asked for."""
 
 
 class ResolvedRecipe(Recipe):
@@ -91,9 +104,13 @@ class ResolvedRecipe(Recipe):
     """
 
     case_id: CaseId
+    """Made-up identifier that is on every output."""
     filter: ResolvedFilter
+    """Smoothing."""
     walls: ResolvedWalls
+    """Distance fields and walls."""
     grid: ResolvedGrid
+    """Cells."""
 
     @classmethod
     def of_recipe(
