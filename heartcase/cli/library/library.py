@@ -58,6 +58,7 @@ def build(
     Only what changed is built. A case that fails is listed, and does not stop the others; what was interrupted goes on
     from there when the library is built again. Exits with 1 where a case failed.
     """
+    from heartcase.library.ahead import library_kernels_ahead
     from heartcase.library.build import build_cases, connected, default_workers, has_dashboard, stale_cases
     from heartcase.library.plan import plan_library
 
@@ -95,7 +96,9 @@ def build(
                 else:
                     say("no dashboard: it needs bokeh, which  pip install 'heartcase[library]'  brings")
                 shown = LibraryProgress(console, len(stale), local.count if local else sum(client.nthreads().values()))
-                with shown.progress:
+                # Elsewhere, each worker compiles in its own cache what it needs.
+                processes = local.count * local.thread_count if local is not None else 0
+                with shown.progress, library_kernels_ahead(stale, processes=processes, told=shown.compiling()):
                     for record in build_cases(stale, client, out=out, cache=cache, hear=shown.hear):
                         records.append(record)
                         shown.case_done(record.name, record.seconds)
