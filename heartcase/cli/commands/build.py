@@ -143,7 +143,7 @@ def command(
                 "stage_seconds": {stage: round(value, 3) for stage, value in result.seconds.items()},
                 "reused": list(result.reused),
                 "warnings": [warning.text for warning in result.warnings],
-                "warning_grades": [warning.severity.grade for warning in result.warnings],
+                "warning_grades": [warning.grade for warning in result.warnings],
                 "simulation": result.manifest.simulation.model_dump(mode="json") if result.manifest else None,
                 "quality": result.manifest.quality if result.manifest else None,
             }

@@ -91,7 +91,7 @@ def build_case(
         Build a locked recipe although its scan or marker files are not those that it was locked with.
     compile_processes
         Processes that compile kernels ahead, beside this one, where not all of them were compiled on this machine
-        before; as many as there are cores make the first build fastest, and each holds some 100 MB. By default none
+        before; as many as there are cores make the first build fastest, and each holds some 600 MB. By default none
         is started: a program that calls this may not want it.
 
     Raises
