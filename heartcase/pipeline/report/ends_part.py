@@ -153,7 +153,7 @@ def _panels(
     middle, half = np.array(end.position_mm), _MARGIN * end.radius_mm
     samples = pixels // _SAMPLE_PIXELS
     flat = half * ((2.0 * np.arange(samples) + 1.0) / samples - 1.0)
-    at = (np.arange(samples) + 0.5) * (pixels / samples) - 0.5
+    at = ((np.arange(samples) + 0.5) * (pixels / samples) - 0.5).astype(float)
     centre, radius = 0.5 * (pixels - 1), 0.5 * pixels / _MARGIN
     turn = np.radians(np.arange(0.0, 361.0, 4.0))
     circle = centre + radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)

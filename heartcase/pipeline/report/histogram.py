@@ -118,5 +118,4 @@ def _ticks(low: float, high: float) -> Float64:
     rough = (high - low) / _TICKS_MOST
     power = 10.0 ** math.floor(math.log10(rough))
     step = next(part * power for part in (1.0, 2.0, 5.0, 10.0) if part * power >= rough)
-    ticks: Float64 = np.arange(math.ceil(low / step), math.floor(high / step) + 1) * step
-    return ticks
+    return np.arange(math.ceil(low / step), math.floor(high / step) + 1).astype(float) * step

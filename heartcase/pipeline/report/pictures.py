@@ -183,9 +183,8 @@ def cutaway_picture(
     fine = camera.oversampled(_CAP_OVERSAMPLING)
     cap, inside = _cut_face(points, faces, tissue, plane, table, fine)
     picture = draw_mesh(mesh, camera, depth_shading=True).astype(float)
-    share = downsampled(np.where(inside[..., None], np.uint8(255), np.uint8(0)), _CAP_OVERSAMPLING) / 255.0
-    blocks = np.where(inside[..., None], cap, 0).astype(np.float32)
-    mean = blocks.reshape(size[1], _CAP_OVERSAMPLING, size[0], _CAP_OVERSAMPLING, 3).mean(axis=(1, 3))
+    share = downsampled(inside[..., None] * np.uint8(255), _CAP_OVERSAMPLING) / 255.0
+    mean = downsampled(cap * inside[..., None], _CAP_OVERSAMPLING)
     whole = _annotated(np.round(picture * (1.0 - share) + mean).astype(np.uint8), camera)
     return _marked(whole, camera, plane, marks or {})
 

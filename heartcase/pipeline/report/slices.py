@@ -309,7 +309,8 @@ def _enlarged(plane: npt.NDArray[Any], size: tuple[int, int]) -> npt.NDArray[Any
     row, column = (
         ((np.arange(n) + 0.5) * (m / n)).astype(np.int64) for n, m in zip(reversed(size), plane.shape, strict=True)
     )
-    return plane[row[:, None], column]
+    nearest: npt.NDArray[Any] = plane[row[:, None], column]
+    return nearest
 
 
 def _lay_over(panel: UInt8, numbers: npt.NDArray[np.generic], colours: Sequence[str]) -> None:
