@@ -61,7 +61,6 @@ _EXTRA_OF_MODULE = {"numba_cuda": "cuda", "dask": "library", "distributed": "lib
 _PREPARE_MODULES = [
     "SimpleITK",
     "cc3d",
-    "contourpy",
     "edt",
     "jinja2",
     "matplotlib",
