@@ -25,7 +25,7 @@ from typing import Any
 
 from heartcase.schemas.files import atomic_write
 
-__all__ = ["Called", "Progress", "compiled_ahead", "core_count", "loaded_ahead", "serve"]
+__all__ = ["Called", "Progress", "compiled_ahead", "core_count", "serve"]
 
 _ROOT = Path(__file__).parents[2]
 _SERVE = "import sys; sys.path.append(sys.argv[1]); from heartcase.compiling.ahead import serve; serve()"
@@ -104,45 +104,6 @@ def compiled_ahead(
     finally:
         team.end()
         _add(note, [line for one, line in left if one in team.done])
-
-
-@contextlib.contextmanager
-def loaded_ahead(wanted: Sequence[Called]) -> Iterator[None]:
-    """Load kernels from the cache in another thread while the body runs, until it ends.
-
-    A kernel that the body calls before is loaded then. Nothing is done where one of them is yet to be compiled.
-
-    Parameters
-    ----------
-    wanted
-        In the order in which they will be needed. Their modules are imported here and now: two threads that import
-        parts of one library can find them half made.
-    """
-    note = _note() if wanted else None
-    if note is None or not set(_lines_of(wanted)) <= set(_read(note)):
-        yield
-        return
-    for module in dict.fromkeys(one.module for one in wanted):
-        with contextlib.suppress(ImportError):  # who needs it is told
-            importlib.import_module(module)
-    is_ended = threading.Event()
-    thread = threading.Thread(target=_load, args=(wanted, is_ended), daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        is_ended.set()
-        thread.join()
-
-
-def _load(wanted: Sequence[Called], is_ended: threading.Event) -> None:
-    from heartcase.compiling.signatures import from_json
-
-    for one in wanted:
-        if is_ended.is_set():
-            return
-        with contextlib.suppress(Exception):  # of whatever kind: who calls the kernel is told of it
-            getattr(sys.modules[one.module], one.name).compile(tuple(from_json(part) for part in one.types))
 
 
 class _ProcessTeam:

@@ -5,14 +5,13 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 import time
 
 import numpy as np
 import pytest
 
 from heartcase.compiling import ahead
-from heartcase.compiling.ahead import Called, compiled_ahead, loaded_ahead
+from heartcase.compiling.ahead import Called, compiled_ahead
 from heartcase.compiling.kernel import kernel
 from heartcase.compiling.signatures import as_json, from_json
 from tests.compiling import test_calls
@@ -214,57 +213,6 @@ def test_what_was_compiled_until_a_build_ended_is_not_asked_for_again(tmp_path, 
             while heard and len(heard) < 1 + total and time.monotonic() < end:
                 time.sleep(0.01)
         assert [one.total for one in heard[:1]] == [total][: bool(total)]
-
-
-LOADED = """
-import json, sys, time
-from pathlib import Path
-import numpy as np
-from heartcase.compiling import ahead
-from tests.compiling.test_ahead import _tripled
-note = Path(sys.argv[1])
-wanted = [ahead.Called(_tripled.__module__, "_tripled", (one,), 1.0) for one in json.loads(sys.argv[2])]
-ahead._note = lambda: note
-with ahead.loaded_ahead([*wanted[:1], *wanted]):
-    end = time.monotonic() + (60.0 if note.exists() else 0.3)
-    while len(_tripled.overloads) < len(wanted) and time.monotonic() < end:
-        time.sleep(0.01)
-print(len(_tripled.overloads), sum(_tripled.stats.cache_misses.values()))
-for dtype in sys.argv[3:]:
-    assert _tripled(np.arange(10, dtype=dtype)) == 135
-print(sum(_tripled.stats.cache_misses.values()))
-ahead._add(note, ahead._lines_of(wanted))
-"""
-
-
-def test_what_is_compiled_is_loaded_by_another_thread_and_what_is_not_is_left(tmp_path):
-    import numba
-
-    types = [as_json(numba.typeof(np.arange(10, dtype=dtype))) for dtype in DTYPES]
-    printed = []
-    for _ in range(2):
-        done = subprocess.run(
-            [sys.executable, "-c", LOADED, str(tmp_path / "note"), json.dumps(types), *DTYPES],
-            env=environment(tmp_path),
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        assert done.returncode == 0, done.stderr
-        printed.append(done.stdout.split())
-    # loaded, compiled meanwhile, compiled in all
-    assert printed == [["0", "0", "4"], ["4", "0", "0"]]
-
-
-def test_a_kernel_that_cannot_be_loaded_ahead_is_left_to_its_caller(tmp_path, monkeypatch):
-    wanted = [Called("heartcase.nowhere", "gone", (), 1.0), Called("heartcase.compiling.ahead", "gone", (), 1.0)]
-    monkeypatch.setattr(ahead, "_note", lambda: tmp_path / "note")
-    (tmp_path / "note").write_text("\n".join(ahead._lines_of(wanted)))
-    with loaded_ahead(wanted):
-        pass
-    with pytest.raises(KeyboardInterrupt), loaded_ahead(wanted):
-        raise KeyboardInterrupt
-    assert not any(thread.name.startswith("Thread") and thread.is_alive() for thread in threading.enumerate())
 
 
 @pytest.mark.skipif(os.name != "posix", reason="sends SIGKILL")

@@ -9,16 +9,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager
 from functools import cache
 from pathlib import Path
 
-from heartcase.compiling.ahead import Called, Progress, compiled_ahead, core_count, loaded_ahead
-from heartcase.pipeline.kernels.parallel import may_share
+from heartcase.compiling.ahead import Called, Progress, compiled_ahead, core_count
 from heartcase.pipeline.stages import table
 from heartcase.schemas.recipe.recipe import Recipe
 
-__all__ = ["LIST", "SCAN", "kernels_ahead", "kernels_loaded", "kernels_needed"]
+__all__ = ["LIST", "SCAN", "kernels_ahead", "kernels_needed"]
 
 LIST = Path(__file__).with_name("kernels.json")
 PROCESSES_MOST = 8
@@ -56,29 +55,12 @@ def kernels_ahead(
     )
 
 
-def kernels_loaded(recipe: Recipe, *, since: str, until: str | None = None) -> AbstractContextManager[None]:
-    """Load what a build calls while the body runs it, where all is compiled and threads may share the work.
-
-    Parameters
-    ----------
-    recipe
-        What is built.
-    since, until
-        Names of the first stage that is computed, and of the last.
-    """
-    return loaded_ahead(kernels_needed(recipe, since=since, until=until)) if may_share() else nullcontext()
-
-
-def kernels_needed(
-    recipe: Recipe, *, makes_scan: bool = False, since: str | None = None, until: str | None = None
-) -> tuple[Called, ...]:
+def kernels_needed(recipe: Recipe, *, makes_scan: bool = False, until: str | None = None) -> tuple[Called, ...]:
     """Kernels of the stages that a build takes, in the order in which they are called first."""
     stages = [SCAN] if makes_scan else []
     for step in table.steps():
         is_taken = step is table.REPORT or (step.is_part(recipe) and step.has_work(recipe))  # type: ignore[union-attr]
         stages += [step.name] if is_taken else []
-        if step.name == since:
-            stages = [step.name] if is_taken else []
         if step.name == until:
             break
     if recipe.segment.method != "watershed":

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import time
-from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from heartcase.pipeline.artifacts.cache import Cache, stage_key
-from heartcase.pipeline.building.ahead import kernels_loaded
 from heartcase.pipeline.building.lock import check_lock
 from heartcase.pipeline.building.runner import BuildListener, Runner, SilentListener, run_stages
 from heartcase.pipeline.bundle.write_bundle import check_place, check_replacement, write_bundle
@@ -123,13 +121,11 @@ def build_case(
         if until in (None, BUNDLE.name) and not replace:
             check_replacement(out / f"{recipe.name}.case", work.recipe.case_id)
 
-    with ExitStack() as meanwhile:
-        runner.begins = lambda stage: meanwhile.enter_context(kernels_loaded(work.recipe, since=stage, until=until))
-        run_stages(runner, work, until=until, after=after)
-        if until in (None, BUNDLE.name):
-            return _finish(runner, work, out)
-    warnings = work.told["lock"]
-    return BuildResult(None, None, None, runner.seconds, tuple(runner.reused), changed=False, warnings=warnings)
+    run_stages(runner, work, until=until, after=after)
+    if until not in (None, BUNDLE.name):
+        warnings = work.told["lock"]
+        return BuildResult(None, None, None, runner.seconds, tuple(runner.reused), changed=False, warnings=warnings)
+    return _finish(runner, work, out)
 
 
 def _finish(runner: Runner, work: Work, out: Path) -> BuildResult:

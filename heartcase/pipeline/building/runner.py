@@ -74,8 +74,6 @@ class Runner:
     """Of the scan, once it is read: times are expected in proportion."""
     seconds: dict[str, float] = field(default_factory=dict)
     reused: list[str] = field(default_factory=list)
-    begins: Callable[[str], None] | None = None
-    """Told once, of the first stage that is to be computed and kept."""
 
     def run(self, stage: Stage[T], work: Work, *, done: tuple[T, float] | None = None) -> None:
         """Find a stage's output, or compute and keep it; nothing, where the recipe has no work for it.
@@ -119,7 +117,6 @@ class Runner:
             node = work.outputs.of(name)
             if node is not None:
                 node.get()
-        self._begin(stage.name)
         _, done = side_by_side(lambda: self.run(longer, work), lambda: _timed(lambda: stage.compute(work)))
         self.run(stage, work, done=done)
         work.records[-2:] = reversed(work.records[-2:])
@@ -134,7 +131,6 @@ class Runner:
 
         def compute_and_store() -> T:
             self.announce(stage.name)
-            self._begin(stage.name)
             output, seconds = done or _timed(lambda: stage.compute(work))
             start = time.perf_counter()
             self.learn(stage.name, seconds)
@@ -172,11 +168,6 @@ class Runner:
             self.voxel_count = value.values.size
         self.listener.stage_finished(stage.name, seconds=self.seconds[stage.name], reused=False)
         return node
-
-    def _begin(self, stage: str) -> None:
-        if self.begins is not None:
-            begins, self.begins = self.begins, None
-            begins(stage)
 
     def announce(self, stage: str) -> None:
         """Tell the listener that a stage begins, with the time it took before, scaled to this scan."""
