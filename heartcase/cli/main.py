@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import atexit
 import difflib
+import gc
 import importlib
 import os
 import re
@@ -59,7 +61,6 @@ _EXTRA_OF_MODULE = {"numba_cuda": "cuda", "dask": "library", "distributed": "lib
 _PREPARE_MODULES = [
     "SimpleITK",
     "cc3d",
-    "contourpy",
     "edt",
     "jinja2",
     "matplotlib",
@@ -115,6 +116,8 @@ def main(arguments: Sequence[str] | None = None, *, command: click.Command = cli
     ``command`` is another command to run in the same way, and ``name`` what a user types for it.
     """
     command_starts()
+    # What the process holds when it ends is not searched for cycles, which takes half a second after a build.
+    atexit.register(gc.freeze)
     try:
         args = None if arguments is None else list(arguments)
         code = command.main(args=args, prog_name=name, standalone_mode=False)

@@ -28,6 +28,7 @@ from heartcase.pipeline.checks.openings import (
     opening_warnings,
 )
 from heartcase.pipeline.data import GridMap, Markers, Scan, Segmentation, SimulationGrid, Structures, Surface
+from heartcase.pipeline.kernels.parallel import side_by_side
 from heartcase.pipeline.warnings import CaseWarning, worst_first
 from heartcase.schemas.bundle.format import StageRecord
 from heartcase.schemas.geometry import Geometry
@@ -153,7 +154,7 @@ def assemble_case(recipe: Recipe, results: StageResults, *, name: str, case_id: 
     BundleError
         See :func:`heartcase.pipeline.bundle.write_bundle.assemble_bundle`.
     """
-    from heartcase.pipeline.bundle.glb import glb_bytes
+    from heartcase.pipeline.bundle.glb import glb_bytes, normal_map_png
     from heartcase.pipeline.cells.picking import picking_surface
     from heartcase.pipeline.checks.rims import with_rims
     from heartcase.pipeline.edits.apply_edits import with_edit_names
@@ -170,8 +171,14 @@ def assemble_case(recipe: Recipe, results: StageResults, *, name: str, case_id: 
     volumes_ml: dict[int, float] = {}
     openings: tuple[Opening, ...] = ()
     labels: Segmentation | None = None
-    if structures is not None:
-        volumes_ml, labels = structure_volumes_ml(structures), labels_of(structures)
+    rendered = (surface, *surface.levels) if surface is not None and Part.RENDER in recipe.parts else ()
+    # Compressing the normal maps takes one thread, and as long as the kernels that measure take both.
+    found, maps = side_by_side(
+        lambda: None if structures is None else (structure_volumes_ml(structures), labels_of(structures)),
+        lambda: [normal_map_png(one) for one in rendered],
+    )
+    if structures is not None and found is not None:
+        volumes_ml, labels = found
         openings = find_openings(
             structures,
             labels,
@@ -208,7 +215,7 @@ def assemble_case(recipe: Recipe, results: StageResults, *, name: str, case_id: 
             surface=surface,
             grid_map=grid_map,
             picking=picking_surface(grid) if Part.PICKING in recipe.parts else None,
-            glbs=[glb_bytes(one, case_id=case_id) for one in shown] if Part.RENDER in recipe.parts else (),
+            glbs=[glb_bytes(one, case_id=case_id, png=png) for one, png in zip(shown, maps, strict=False)],
             labels_nrrd=segmentation_nrrd_bytes(labels, case_id=case_id)
             if labels and Part.LABELS in recipe.parts
             else None,

@@ -15,7 +15,7 @@ from heartcase.schemas.arrays import Float, Int32
 from heartcase.schemas.bundle.surface_kinds import SurfaceKind, group_labels
 from heartcase.schemas.labels import Label, LabelTable, Role
 
-__all__ = ["LPS_MM_TO_GLTF", "glb_bytes"]
+__all__ = ["LPS_MM_TO_GLTF", "glb_bytes", "normal_map_png"]
 
 LPS_MM_TO_GLTF = np.array(
     [[0.001, 0.0, 0.0, 0.0], [0.0, 0.0, 0.001, 0.0], [0.0, -0.001, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
@@ -36,7 +36,7 @@ ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
 LINEAR, LINEAR_MIPMAP_LINEAR, CLAMP_TO_EDGE = 9729, 9987, 33071
 
 
-def glb_bytes(surface: Surface, *, case_id: str | None = None) -> bytes:
+def glb_bytes(surface: Surface, *, case_id: str | None = None, png: bytes | None = None) -> bytes:
     """Write a surface as GLB.
 
     One mesh under a root node that turns patient millimetres into metres with Y up. One primitive for each kind of
@@ -49,6 +49,8 @@ def glb_bytes(surface: Surface, *, case_id: str | None = None) -> bytes:
         The surface; GLB vertices are its render vertices in their order.
     case_id
         Made-up identifier of the case, written to ``asset.extras.case_id``.
+    png
+        The surface's :func:`normal_map_png` where it is made already.
 
     Returns
     -------
@@ -98,7 +100,8 @@ def glb_bytes(surface: Surface, *, case_id: str | None = None) -> bytes:
             {"attributes": attributes, "indices": writer.index_array(triangles), "material": len(materials) - 1}
         )
     if has_map:
-        document["images"] = [{"name": "normal map", "mimeType": "image/png", "bufferView": writer.view(_png(surface))}]
+        view = writer.view(normal_map_png(surface) if png is None else png)
+        document["images"] = [{"name": "normal map", "mimeType": "image/png", "bufferView": view}]
     document |= {
         "asset": {"version": "2.0", "generator": "heartcase"} | ({"extras": {"case_id": case_id}} if case_id else {}),
         "scene": 0,
@@ -179,7 +182,10 @@ def _linear(colour: str) -> list[float]:
     return [round(c, 6) for c in linear] + [1.0]
 
 
-def _png(surface: Surface) -> bytes:
+def normal_map_png(surface: Surface) -> bytes:
+    """The normal map as a PNG file; empty where there is none."""
+    if surface.normal_map.size == 0:
+        return b""
     stream = io.BytesIO()
     Image.fromarray(surface.normal_map).save(stream, format="PNG", compress_level=6)
     return stream.getvalue()

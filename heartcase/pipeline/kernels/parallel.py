@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
@@ -11,7 +12,7 @@ import numpy as np
 
 from heartcase.compiling.kernel import kernel
 
-__all__ = ["every_other", "may_share", "side_by_side"]
+__all__ = ["all_side_by_side", "every_other", "may_share", "side_by_side"]
 
 A = TypeVar("A")
 B = TypeVar("B")
@@ -54,6 +55,43 @@ def side_by_side(first: Callable[[], A], second: Callable[[], B]) -> tuple[A, B]
         other = pool.submit(with_threads)
         one = first()
     return one, other.result()
+
+
+def all_side_by_side(tasks: Sequence[Callable[[], A]]) -> list[A]:
+    """Do several pieces of work, two at a time as by :func:`side_by_side`, each begun in the order given.
+
+    Returns
+    -------
+    list
+        Their results, in the same order.
+
+    Raises
+    ------
+    Exception
+        What one raised; by then no other one runs any more.
+    """
+    waiting = deque(enumerate(tasks))
+    results: dict[int, A] = {}
+
+    def work() -> None:
+        while (one := _next_of(waiting)) is not None:
+            number, task = one
+            try:
+                results[number] = task()
+            except BaseException:
+                waiting.clear()
+                raise
+
+    side_by_side(work, work)
+    return [results[number] for number in range(len(tasks))]
+
+
+def _next_of(waiting: deque[A]) -> A | None:
+    """Taken from the front, by one thread only; None where nothing is left."""
+    try:
+        return waiting.popleft()
+    except IndexError:
+        return None
 
 
 def may_share() -> bool:

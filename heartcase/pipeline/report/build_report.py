@@ -279,7 +279,6 @@ def build_report(inputs: ReportInputs) -> str:
         sure = confidence_part(scan, segmentation, inputs.sureness) if inputs.sureness is not None else None
         return slice_parts(scan, segmentation, structures), sure, ends_part(scan, structures)
 
-    # Slices are matplotlib's work, in one thread; the surface is kernels' and compression's, which leave it the other.
     (slice_rows, confidence, ends), shown = side_by_side(
         slices, lambda: surface_parts(surface, recipe.landmarks, recipe.walls, septa_mm)
     )

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from PIL import Image, ImageDraw
 from scipy.ndimage import map_coordinates
 
 from heartcase.pipeline.data import Scan, Structures, VesselEnd
 from heartcase.pipeline.fields.reader import ownership_at_points
-from heartcase.pipeline.report.outlines import draw_outlines
+from heartcase.pipeline.report.montage import INK, font_of_size
+from heartcase.pipeline.report.outlines import draw_lines, draw_outlines
 from heartcase.pipeline.report.pictures import direction_letters
 from heartcase.pipeline.report.plain_words import placed
 from heartcase.pipeline.report.report_pictures import Picture, embedded_picture
-from heartcase.pipeline.report.slices import display_window
-from heartcase.schemas.arrays import Float64
+from heartcase.pipeline.report.slices import MARKS, display_window, grey_panel
+from heartcase.schemas.arrays import Float64, UInt8
 from heartcase.schemas.labels import BACKGROUND, LabelTable
 
 __all__ = ["EndRow", "EndsPart", "ends_part"]
@@ -27,13 +29,16 @@ _WORDS = {
     "found": "cut where the program found the end",
 }
 _OPEN_WORDS = "open at the face of the scan or region: nothing is cut"
-_INCH_PIXELS = 140
-_PANEL_PIXELS = 200
+_PANEL_PIXELS, _FILLED = 200, 0.98
+_CAPTION, _WRITING = 30, 16
+_OUTSIDE = "#d9dee4"
+"""Colour of what is beyond the scan."""
 _PER_ROW = 8
 _MARGIN = 1.8
 """Half the edge of a panel, in radii of the disc."""
-_SAMPLES = 96
-"""Points along the edge of a panel."""
+_SAMPLE_PIXELS = 2
+"""The scan and the model are read at every second pixel each way."""
+_MARK_PIXELS = 3.1
 _BEFORE_MM = 1.0
 """How far before the disc the scan is shown across the vessel: at the disc itself the model ends."""
 
@@ -115,47 +120,20 @@ def ends_part(scan: Scan, structures: Structures) -> EndsPart | None:
 def _picture(
     scan: Scan, structures: Structures, ends: Sequence[tuple[int, VesselEnd]], window: tuple[float, float]
 ) -> Picture:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-    from matplotlib.patches import Circle
-
-    caption = 30
-    width, height = _PER_ROW * _PANEL_PIXELS, _PANEL_PIXELS + caption
-    figure = Figure(figsize=(width / _INCH_PIXELS, height / _INCH_PIXELS), dpi=_INCH_PIXELS, facecolor="white")
-    canvas = FigureCanvasAgg(figure)
+    side_pixels = round(_FILLED * _PANEL_PIXELS)
+    gap = (_PANEL_PIXELS - side_pixels) // 2
+    sheet = np.full((_CAPTION + side_pixels, 2 * len(ends) * _PANEL_PIXELS, 3), 255, np.uint8)
+    for column, (_, end) in enumerate(ends):
+        for part, panel in enumerate(_panels(scan, structures, end, window, side_pixels)):
+            left = (2 * column + part) * _PANEL_PIXELS + gap
+            sheet[_CAPTION:, left : left + side_pixels] = panel
+    image = Image.fromarray(sheet)
+    draw = ImageDraw.Draw(image)
     for column, (number, end) in enumerate(ends):
-        axis = np.array(end.axis) / np.linalg.norm(end.axis)
-        side, up = _sides(axis)
-        middle, half = np.array(end.position_mm), _MARGIN * end.radius_mm
-        for part, (origin, right, top) in enumerate(
-            ((middle, axis, up), (middle - _BEFORE_MM * axis, side, up)),
-        ):
-            left = (2 * column + part + 0.01) / _PER_ROW
-            axes = figure.add_axes((left, 0.0, 0.98 / _PER_ROW, _PANEL_PIXELS / height), facecolor="#d9dee4")
-            axes.set_axis_off()
-            flat = np.linspace(-half, half, _SAMPLES)
-            points = origin + flat[None, :, None] * right + flat[:, None, None] * top
-            extent = (-half, half, -half, half)
-            grey = _sampled(scan, points)
-            axes.imshow(grey, cmap="gray", vmin=window[0], vmax=window[1], extent=extent, origin="lower")
-            _outline(axes, structures, points, flat)
-            if part == 0:
-                axes.plot([0.0, 0.0], [-end.radius_mm, end.radius_mm], color="#ffe9a8", linewidth=1.6)
-            else:
-                axes.add_patch(Circle((0.0, 0.0), end.radius_mm, fill=False, color="#ffe9a8", linewidth=1.6))
-            axes.set_xlim(-half, half)
-            axes.set_ylim(-half, half)
-        figure.text(
-            (2 * column + 1) / _PER_ROW,
-            1.0 - 0.8 * caption / height,
-            f"{number}: {_short(end.label)}, {2.0 * half:.0f} mm wide",
-            fontsize=8,
-            ha="center",
-            color="#282c34",
-        )
-    canvas.draw()  # type: ignore[no-untyped-call]
-    pixels = np.array(canvas.buffer_rgba())[..., :3].copy()  # type: ignore[no-untyped-call]
-    pixels = pixels[:, : int(2 * len(ends) * width / _PER_ROW)]
+        words = f"{number}: {_short(end.label)}, {2.0 * _MARGIN * end.radius_mm:.0f} mm wide"
+        place = (2 * column + 1) * _PANEL_PIXELS, _CAPTION - 9
+        draw.text(place, words, fill=INK, font=font_of_size(_WRITING), anchor="ms")
+    pixels = np.array(image)
     numbers = ", ".join(str(number) for number, _ in ends)
     return embedded_picture(
         f"Ends {numbers}: the scan along each vessel, and across it right before the cut",
@@ -164,6 +142,30 @@ def _picture(
         pixels,
         lossy=True,
     )
+
+
+def _panels(
+    scan: Scan, structures: Structures, end: VesselEnd, window: tuple[float, float], pixels: int
+) -> Iterator[UInt8]:
+    """The scan with outlines along the vessel at its disc, and across it."""
+    axis = np.array(end.axis) / np.linalg.norm(end.axis)
+    side, up = _sides(axis)
+    middle, half = np.array(end.position_mm), _MARGIN * end.radius_mm
+    samples = pixels // _SAMPLE_PIXELS
+    flat = half * ((2.0 * np.arange(samples) + 1.0) / samples - 1.0)
+    at = ((np.arange(samples) + 0.5) * (pixels / samples) - 0.5).astype(float)
+    centre, radius = 0.5 * (pixels - 1), 0.5 * pixels / _MARGIN
+    turn = np.radians(np.arange(0.0, 361.0, 4.0))
+    circle = centre + radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    for origin, right, line in (
+        (middle, axis, np.array([[centre, centre - radius], [centre, centre + radius]])),
+        (middle - _BEFORE_MM * axis, side, circle),
+    ):
+        points = origin + flat[None, :, None] * right - flat[:, None, None] * up
+        panel = grey_panel(_sampled(scan, points), window, (pixels, pixels), outside=_OUTSIDE)
+        _outline(panel, structures, points, at)
+        draw_lines(panel, np.concatenate([line[:-1], line[1:]], axis=1), MARKS, width=_MARK_PIXELS)
+        yield panel
 
 
 def _short(name: str) -> str:
@@ -187,11 +189,11 @@ def _sampled(scan: Scan, points: Float64) -> Float64:
     return np.asarray(value, dtype=float)
 
 
-def _outline(axes, structures: Structures, points: Float64, flat: Float64) -> None:  # type: ignore[no-untyped-def]
+def _outline(panel: UInt8, structures: Structures, points: Float64, at: Float64) -> None:
     """Draw the border of each structure, blood on top."""
     owner = ownership_at_points(structures, points.reshape(-1, 3))
     label = np.where(owner.tissue_mm < 0.0, owner.tissue_label, owner.void_label).reshape(points.shape[:2])
     table: LabelTable = structures.table
     colours = {one.value: one.colour for one in sorted(table, key=lambda one: one.role.is_blood)}
     colours.pop(BACKGROUND, None)
-    draw_outlines(axes, label, colours, x=flat, y=flat)
+    draw_outlines(panel, label, colours, x=at, y=at)

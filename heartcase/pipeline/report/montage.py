@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import io
 from collections.abc import Collection, Mapping, Sequence
 from functools import cache
@@ -93,8 +94,13 @@ def png_bytes(picture: UInt8, *, comment: str = "", level: int = 6) -> bytes:
 
 
 @cache
-def font_of_size(size: int) -> ImageFont.FreeTypeFont:
-    """The sans-serif font that pictures are written in, at a height in pixels."""
-    import matplotlib
+def font_of_size(size: int, *, bold: bool = False) -> ImageFont.FreeTypeFont:
+    """The sans-serif font that pictures are written in, at a height in pixels.
 
-    return ImageFont.truetype(str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"), size)
+    It is matplotlib's, whose files are looked for without importing it, which takes longer than a page of pictures.
+    """
+    found = importlib.util.find_spec("matplotlib")
+    if found is None or found.origin is None:
+        raise ModuleNotFoundError("no module named 'matplotlib'", name="matplotlib")
+    fonts = Path(found.origin).parent / "mpl-data" / "fonts" / "ttf"
+    return ImageFont.truetype(str(fonts / f"DejaVuSans{'-Bold' if bold else ''}.ttf"), size)

@@ -28,6 +28,7 @@ _KEY_LIGHT = np.array((-0.45, 0.55, 0.70)) / np.linalg.norm((-0.45, 0.55, 0.70))
 _KEY, _FILL, _AMBIENT = 0.55, 0.40, 0.28
 _SHINE, _SHINE_POWER = 0.12, 24.0
 _OVERSAMPLING = 2
+_SLACK = 1e-9
 _SHADE_MM, _SHADE_PER_MM, _SHADE_DARKEST, _SHADE_STEP = 3.0, 0.07, 0.6, 4
 
 
@@ -148,13 +149,23 @@ def draw_mesh(
 
 def downsampled(picture: UInt8, factor: int) -> UInt8:
     """Mean of each block of ``factor`` x ``factor`` pixels."""
+    means: UInt8 = _means(np.ascontiguousarray(picture), factor)
+    return means
+
+
+@kernel
+def _means(picture, factor):
     height, width, channels = picture.shape
-    total = np.zeros((height // factor, width // factor, channels), np.uint32)
-    for row in range(factor):
-        for column in range(factor):
-            total += picture[row::factor, column::factor]
-    mean: UInt8 = np.round(total.astype(np.float32) / np.float32(factor * factor)).astype(np.uint8)
-    return mean
+    means = np.empty((height // factor, width // factor, channels), np.uint8)
+    for row in range(height // factor):
+        for column in range(width // factor):
+            for channel in range(channels):
+                total = 0
+                for down in range(factor):
+                    for across in range(factor):
+                        total += picture[row * factor + down, column * factor + across, channel]
+                means[row, column, channel] = np.uint8(np.rint(total / (factor * factor)))
+    return means
 
 
 def _draw_with_vtk(mesh: Mesh, camera: Camera) -> UInt8:
@@ -208,7 +219,7 @@ def _draw_in_software(mesh: Mesh, camera: Camera, depth_shading: bool) -> UInt8:
     width, height = camera.size
     picture = np.full((height, width, 3), 255, np.uint8)
     depth = np.full((height, width), -np.inf)
-    owner = np.zeros((height, width), np.int64)
+    owner = np.zeros((height, width), np.int32)
     points, triangles = camera.project(mesh.points_mm), np.ascontiguousarray(mesh.triangles, dtype=np.int64)
     _rasterise(points, triangles, depth, owner)
     _light_up(
@@ -272,21 +283,42 @@ def _rasterise(points, triangles, depth, owner):
     for t in range(len(triangles)):
         a, b, c = triangles[t]
         ax, ay, bx, by, cx, cy = points[a, 0], points[a, 1], points[b, 0], points[b, 1], points[c, 0], points[c, 1]
-        if (bx - ax) * (cy - ay) - (cx - ax) * (by - ay) == 0.0:
+        area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
+        if area == 0.0:
             continue
+        az, bz, cz = points[a, 2], points[b, 2], points[c, 2]
         first_row = max(0, int(np.ceil(min(ay, by, cy))))
         last_row = min(height - 1, int(np.floor(max(ay, by, cy))))
         first_column = max(0, int(np.ceil(min(ax, bx, cx))))
         last_column = min(width - 1, int(np.floor(max(ax, bx, cx))))
+        # The weights of the corners, which are linear in column and row.
+        a_column, b_column = (by - cy) / area, (cy - ay) / area
+        a_row, b_row = (cx - bx) / area, (ax - cx) / area
+        z_column = a_column * (az - cz) + b_column * (bz - cz)
         for row in range(first_row, last_row + 1):
-            for column in range(first_column, last_column + 1):
-                wa, wb, wc = _weights(points, triangles[t], column, row)
-                if wa < 0.0 or wb < 0.0 or wc < 0.0:
-                    continue
-                z = wa * points[a, 2] + wb * points[b, 2] + wc * points[c, 2]
-                if z > depth[row, column]:
-                    depth[row, column] = z
-                    owner[row, column] = t
+            wa = a_column * (first_column - cx) + a_row * (row - cy)
+            wb = b_column * (first_column - cx) + b_row * (row - cy)
+            z = cz + wa * (az - cz) + wb * (bz - cz)
+            for step in range(last_column - first_column + 1):
+                # A pixel on the side of two triangles is given to both rather than to none.
+                if (
+                    wa + step * a_column >= -_SLACK
+                    and wb + step * b_column >= -_SLACK
+                    and 1.0 - wa - wb - step * (a_column + b_column) >= -_SLACK
+                ):
+                    here = z + step * z_column
+                    if here > depth[row, first_column + step]:
+                        depth[row, first_column + step] = here
+                        owner[row, first_column + step] = t
+
+
+@kernel(inline="always")
+def _shine(cosine):
+    """A positive cosine to the power of 24."""
+    third = cosine * cosine * cosine
+    sixth = third * third
+    twelfth = sixth * sixth
+    return twelfth * twelfth
 
 
 @kernel
@@ -311,11 +343,7 @@ def _light_up(points, normals, triangles, colours, colours_of_points, key_light,
             key = max(0.0, nx * key_light[0] + ny * key_light[1] + nz * key_light[2])
             reflected = max(0.0, 2.0 * key * nz - key_light[2])
             light = _AMBIENT + _KEY * key + _FILL * nz
-            shine = (
-                255.0
-                * _SHINE
-                * (_KEY * reflected**_SHINE_POWER + _FILL * max(0.0, 2.0 * nz * nz - 1.0) ** _SHINE_POWER)
-            )
+            shine = 255.0 * _SHINE * (_KEY * _shine(reflected) + _FILL * _shine(max(0.0, 2.0 * nz * nz - 1.0)))
             for channel in range(3):
                 if colours_of_points:
                     base = wa * colours[a, channel] + wb * colours[b, channel] + wc * colours[c, channel]

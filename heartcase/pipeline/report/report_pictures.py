@@ -4,21 +4,25 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from PIL import Image
 
 from heartcase.pipeline.data import Scan, Segmentation, Structures, Surface
 from heartcase.pipeline.fields.reader import ownership_on_lattice
+from heartcase.pipeline.kernels.parallel import all_side_by_side
 from heartcase.pipeline.mesh.triangles.thickness import (
     ThicknessFigures,
     thickness_figures,
     triangle_normals,
     wall_thickness_mm,
 )
+from heartcase.pipeline.report.histogram import Curve, histogram_picture
 from heartcase.pipeline.report.montage import png_bytes
 from heartcase.pipeline.report.pictures import View, coronal_plane, cutaway_picture, surface_picture
 from heartcase.pipeline.report.plain_words import cardiac_phase_words
@@ -41,7 +45,6 @@ __all__ = [
 ]
 
 
-_LINES = ("-", "--", ":")
 _VIEW_COUNT = 4
 _PNG_LEVEL = 4
 """Half the time of level 6 for 4 % more bytes, with the thirteen pictures of the adult phantom's surface."""
@@ -149,12 +152,14 @@ def surface_parts(
         "table": table,
         "normals": surface.normals,
     }
-    sides = [
-        embedded_picture(title, f"The surface of the heart from the {view} side.", surface_picture(**mesh, view=view))
-        for view, title in _SIDES.items()
+    # Each is drawn by one thread, and the thickness takes longest.
+    tasks: list[Callable[[], Any]] = [
+        lambda: wall_thickness_mm(points, faces, normals=surface.normals, triangle_is_cut=surface.triangle_is_cut),
+        *(partial(_side, mesh, view, title) for view, title in _SIDES.items()),
+        *_views(mesh, places_of(landmarks)),
     ]
-    views = _views(mesh, places_of(landmarks))
-    thick = wall_thickness_mm(points, faces, normals=surface.normals, triangle_is_cut=surface.triangle_is_cut)
+    thick, *drawn = all_side_by_side(tasks)
+    sides, views = drawn[: len(_SIDES)], drawn[len(_SIDES) :]
     figures = thickness_figures(thick, points, faces, tissue, table, triangle_is_cut=surface.triangle_is_cut)
     known = thick[np.isfinite(thick)]
     colouring: dict[str, Any] = {
@@ -163,14 +168,7 @@ def surface_parts(
         "scalar_title": "thickness (mm)",
     }
     both: tuple[View, ...] = ("anterior", "posterior")
-    maps = [
-        embedded_picture(
-            _SIDES[view],
-            f"The surface from the {view} side, coloured by the thickness of the tissue in mm.",
-            surface_picture(**mesh, **colouring, view=view),
-        )
-        for view in both
-    ]
+    maps = all_side_by_side([partial(_map, {**mesh, **colouring}, view) for view in both])
     varying = {label.value for one in (walls.thickness if walls else ()) if (label := table.find(one.label))}
     wanted = {one.label: _wanted_mm(table, one.label, varying) for one in figures} | dict(septa_mm or {})
     rows = [ThicknessRow(one, table[one.label].colour, wanted[one.label]) for one in figures]
@@ -178,10 +176,7 @@ def surface_parts(
 
 
 def thickness_spread(surface: Surface | None, shown: SurfaceParts) -> list[Picture]:
-    """The histogram of the thickness; none without a surface.
-
-    Apart from :func:`surface_parts`, which is drawn beside other work: matplotlib may be used in one thread only.
-    """
+    """The histogram of the thickness; none without a surface."""
     if surface is None or shown.thickness_mm is None:
         return []
     figures = [row.figures for row in shown.thickness_rows]
@@ -194,33 +189,53 @@ def thickness_spread(surface: Surface | None, shown: SurfaceParts) -> list[Pictu
     ]
 
 
-def _views(mesh: dict[str, Any], places: Mapping[str, Place]) -> list[Picture]:
-    """The surgeon's view, the four-chamber and the short-axis cut, and a cut from the front."""
+def _side(mesh: dict[str, Any], view: View, title: str) -> Picture:
+    return embedded_picture(
+        title, f"The surface of the heart from the {view} side.", surface_picture(**mesh, view=view)
+    )
+
+
+def _map(mesh: dict[str, Any], view: View) -> Picture:
+    return embedded_picture(
+        _SIDES[view],
+        f"The surface from the {view} side, coloured by the thickness of the tissue in mm.",
+        surface_picture(**mesh, view=view),
+    )
+
+
+def _views(mesh: dict[str, Any], places: Mapping[str, Place]) -> list[Callable[[], Picture]]:
+    """Draw the surgeon's view, the four-chamber and the short-axis cut, and a cut from the front."""
     shape = {name: mesh[name] for name in ("vertices_mm", "triangles", "triangle_label", "table")}
     marks = {place.name: place.position_mm for place in places.values()}
-    surgeon = embedded_picture(
-        "Surgeon's view",
-        "The closed heart as a surgeon sees it who stands at the patient's right side: the head is on the left.",
-        surface_picture(**mesh, view="surgeon"),
-        note="The patient lies on the back; the surgeon stands at the patient's right and looks down, 30 degrees from "
-        "straight above. Head on the left, feet on the right, the patient's right side below.",
-    )
     front = coronal_plane(mesh["vertices_mm"], mesh["triangles"])
     cuts = (
         ("Four-chamber cut, seen from the feet", four_chamber_view(places, **shape)),
         ("Short-axis cut, seen from the apex", short_axis_view(places, **shape)),
         ("Cut from the front", CutView(front, np.array([0.0, 0.0, 1.0]), "Plane through the middle of the heart.")),
     )
-    return [surgeon] + [
-        embedded_picture(
-            title,
-            f"The heart cut open, with the inner sides of the chambers and vessels, and the cut walls. {view.source}",
-            cutaway_picture(**mesh, plane=view.plane, up=view.up, marks=marks),
-            note=view.source,
-        )
-        for title, view in cuts
-        if view is not None
+    return [
+        partial(_surgeons_view, mesh),
+        *(partial(_cut, mesh, view, title, marks) for title, view in cuts if view is not None),
     ]
+
+
+def _surgeons_view(mesh: dict[str, Any]) -> Picture:
+    return embedded_picture(
+        "Surgeon's view",
+        "The closed heart as a surgeon sees it who stands at the patient's right side: the head is on the left.",
+        surface_picture(**mesh, view="surgeon"),
+        note="The patient lies on the back; the surgeon stands at the patient's right and looks down, 30 degrees from "
+        "straight above. Head on the left, feet on the right, the patient's right side below.",
+    )
+
+
+def _cut(mesh: dict[str, Any], view: CutView, title: str, marks: Mapping[str, npt.ArrayLike]) -> Picture:
+    return embedded_picture(
+        title,
+        f"The heart cut open, with the inner sides of the chambers and vessels, and the cut walls. {view.source}",
+        cutaway_picture(**mesh, plane=view.plane, up=view.up, marks=marks),
+        note=view.source,
+    )
 
 
 def _wanted_mm(table: LabelTable, tissue: int, varying: Collection[int]) -> float | None:
@@ -231,30 +246,16 @@ def _wanted_mm(table: LabelTable, tissue: int, varying: Collection[int]) -> floa
 
 def _histogram(thickness: Float32, surface: Surface, figures: Sequence[ThicknessFigures]) -> UInt8:
     """Curves of the surface's area by thickness, one per tissue."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(8.0, 3.4), dpi=100, facecolor="white", layout="constrained")
-    canvas = FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
     _, area = triangle_normals(surface.vertices_mm, surface.triangles)
     value = thickness[surface.triangles].mean(axis=1)
     highest = max((one.p95_mm for one in figures), default=1.0) * 1.4
     edges = np.linspace(0.0, highest, 61)
-    for n, one in enumerate(figures):
+    curves = []
+    for one in figures:
         member = (surface.triangle_tissue == one.label) & np.isfinite(value) & (surface.triangle_is_cut == 0)
-        counts, _ = np.histogram(value[member], bins=edges, weights=area[member] / 100.0)
-        axes.stairs(
-            counts, edges, color=surface.table[one.label].colour, linewidth=1.8, linestyle=_LINES[n % 3], label=one.name
-        )
-    axes.set_xlabel("thickness (mm)")
-    axes.set_ylabel("area of the surface (cm²)")
-    axes.set_xlim(0.0, highest)
-    axes.spines[["top", "right"]].set_visible(False)
-    if figures:
-        axes.legend(frameon=False, fontsize=8, loc="upper right")
-    canvas.draw()  # type: ignore[no-untyped-call]
-    return np.array(canvas.buffer_rgba())[..., :3].copy()  # type: ignore[no-untyped-call]
+        heights, _ = np.histogram(value[member], bins=edges, weights=area[member] / 100.0)
+        curves.append(Curve(one.name, surface.table[one.label].colour, heights))
+    return histogram_picture(curves, edges, across="thickness (mm)", up="area of the surface (cm²)")
 
 
 def embedded_picture(title: str, alt: str, pixels: UInt8, *, lossy: bool = False, note: str = "") -> Picture:

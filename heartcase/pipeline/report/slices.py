@@ -14,14 +14,26 @@ from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
+from PIL import Image, ImageDraw
 
-from heartcase.pipeline.report.outlines import draw_outlines
+from heartcase.pipeline.report.montage import INK, font_of_size
+from heartcase.pipeline.report.outlines import draw_outlines, rgb
 from heartcase.pipeline.report.pictures import direction_letters
 from heartcase.schemas.arrays import UInt8
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND, LabelTable
 
-__all__ = ["STACKS", "SliceView", "Stack", "display_window", "slice_pictures", "slice_position", "slice_view"]
+__all__ = [
+    "MARKS",
+    "STACKS",
+    "SliceView",
+    "Stack",
+    "display_window",
+    "grey_panel",
+    "slice_pictures",
+    "slice_position",
+    "slice_view",
+]
 
 Stack = Literal["axial", "coronal", "sagittal"]
 
@@ -35,7 +47,15 @@ _STACKS: dict[Stack, tuple[int, tuple[float, float, float], tuple[float, float, 
 STACKS: tuple[Stack, ...] = ("axial", "coronal", "sagittal")
 """All stacks, in the order of a report."""
 
-_INCH_PIXELS = 140
+MARKS = "#ffe9a8"
+"""Colour of marks and letters over a scan."""
+
+_CAPTION, _BELOW = 39, 31
+"""Heights above and below a row, pixels."""
+_WRITING = 17
+"""Size of the letters, pixels."""
+_FILLED, _TALLEST = 0.98, 1.6
+"""Part of its cell that a slice fills across, and its largest height as a multiple of the cell's width."""
 _CT_LOWEST_HU = -250.0
 _MARGIN_MM = 12.0
 _OVERLAY_ALPHA = 0.65
@@ -68,7 +88,7 @@ class SliceView:
 
     def take(self, values: npt.NDArray[np.generic], number: int) -> npt.NDArray[np.generic]:
         """One slice of an array ``[z, y, x]``, turned for display: rows go down, columns go right."""
-        plane = np.take(values.transpose(2, 1, 0), number, axis=self.through)
+        plane = np.moveaxis(values.transpose(2, 1, 0), self.through, 0)[number]
         rest = [axis for axis in range(3) if axis != self.through]
         if rest.index(self.down) == 1:
             plane = plane.T
@@ -220,115 +240,111 @@ def _row(
     footnote: str,
     overlay: _Overlay | None,
 ) -> UInt8:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     view = slice_view(geometry, stack)
     crop = tuple(slice(low, high) for low, high in reversed(box))
     sizes = [high - low for low, high in box]
     span_mm = [n * spacing for n, spacing in zip(sizes, geometry.spacing_mm, strict=True)]
     wide, tall = span_mm[view.across], span_mm[view.down]
-    cell = width / count / _INCH_PIXELS
-    caption, below = 0.28, 0.22 if footnote else 0.0
-    height = min(cell * tall / wide, 1.6 * cell)
-    whole = height + caption + below
-    figure = Figure(figsize=(width / _INCH_PIXELS, whole), dpi=_INCH_PIXELS, facecolor="white")
-    figure.text(0.005, 0.04 / whole, footnote, fontsize=9, color="#282c34", va="bottom")
-    canvas = FigureCanvasAgg(figure)
+    cell = width / count
+    height = round(cell * min(tall / wide, _TALLEST))
+    across = max(1, round(min(_FILLED * cell, height * wide / tall)))
+    size = across, max(1, min(height, round(across * tall / wide)))
     numbers = [int((n + 0.5) * sizes[view.through] / count) for n in range(count)]
-    extent = (0.0, wide, tall, 0.0)
+    sheet = np.full((_CAPTION + height + (_BELOW if footnote else 0), width, 3), 255, np.uint8)
+    corners = []
     for place, number in enumerate(numbers):
-        axes = figure.add_axes(((place + 0.01) / count, below / whole, 0.98 / count, height / whole), facecolor="black")
-        shown = box[view.through][0] + number
-        grey = view.take(scan[crop], number)
-        axes.imshow(grey, cmap="gray", vmin=window[0], vmax=window[1], extent=extent, interpolation="bilinear")
+        panel = grey_panel(view.take(scan[crop], number), window, size)
         if overlay is not None:
-            _lay_over(axes, view.take(overlay.numbers[crop], number), overlay.colours, extent)
+            _lay_over(panel, view.take(overlay.numbers[crop], number), overlay.colours)
         if labels is not None:
-            _outline(axes, view.take(labels[crop], number), wide, tall, colours)
-        axes.set_xlim(0.0, wide)
-        axes.set_ylim(tall, 0.0)
-        axes.set_axis_off()
-        _write_directions(axes, view)
-        _draw_scale(axes, wide, tall)
-        # A title of the axes would have all ticks made and measured first, which nobody sees.
-        figure.text(
-            (place + 0.5) / count,
-            (below + height + 3.0 / 72.0) / whole,
-            f"{stack} {shown + 1} of {geometry.size[view.through]}, at {slice_position(geometry, stack, shown)}",
-            fontsize=9,
-            ha="center",
-            va="baseline",
-            color="#282c34",
-        )
-    canvas.draw()  # type: ignore[no-untyped-call]
-    return np.array(canvas.buffer_rgba())[..., :3].copy()  # type: ignore[no-untyped-call]
+            _outline(panel, view.take(labels[crop], number), colours)
+        left = min(round((place + 0.5) * cell - 0.5 * size[0]), width - size[0])
+        top = _CAPTION + (height - size[1]) // 2
+        sheet[top : top + size[1], left : left + size[0]] = panel
+        corners.append((left, top))
+    image = Image.fromarray(sheet)
+    draw = ImageDraw.Draw(image)
+    font = font_of_size(_WRITING)
+    for place, number in enumerate(numbers):
+        shown = box[view.through][0] + number
+        _write_directions(draw, corners[place], size, view)
+        _draw_scale(draw, corners[place], size, wide)
+        words = f"{stack} {shown + 1} of {geometry.size[view.through]}, at {slice_position(geometry, stack, shown)}"
+        draw.text(((place + 0.5) * cell, _CAPTION - 6), words, fill=INK, font=font, anchor="ms")
+    if footnote:
+        draw.text((0.005 * width, sheet.shape[0] - 4), footnote, fill=INK, font=font, anchor="ld")
+    return np.array(image)
 
 
-def _lay_over(axes, numbers, colours: Sequence[str], extent) -> None:  # type: ignore[no-untyped-def]
-    from matplotlib.colors import ListedColormap
+def grey_panel(
+    values: npt.NDArray[np.generic], window: tuple[float, float], size: tuple[int, int], *, outside: str = ""
+) -> UInt8:
+    """Values as greys, between them linearly, shape (height, width, 3).
 
-    shown = np.ma.masked_equal(numbers, 0)
-    cmap = ListedColormap(list(colours))
-    axes.imshow(
-        shown,
-        cmap=cmap,
-        vmin=0.5,
-        vmax=len(colours) + 0.5,
-        extent=extent,
-        alpha=_OVERLAY_ALPHA,
-        interpolation="nearest",
+    Parameters
+    ----------
+    values
+        Shape (row_count, column_count).
+    window
+        Values that show black and white.
+    size
+        Width and height, pixels.
+    outside
+        Colour of values that are NaN, ``#rrggbb``; there must be none when left out.
+    """
+    plane = np.ascontiguousarray(values, dtype=np.float32)
+    absent = np.isnan(plane) if outside else None
+    if absent is not None:
+        plane = np.where(absent, np.float32(window[0]), plane)
+    shown = np.asarray(Image.fromarray(plane).resize(size, Image.Resampling.BILINEAR))
+    grey = np.rint(np.clip((shown - window[0]) * (255.0 / (window[1] - window[0])), 0.0, 255.0)).astype(np.uint8)
+    panel: UInt8 = np.repeat(grey[..., None], 3, axis=2)
+    if absent is not None:
+        panel[_enlarged(absent, size)] = rgb(outside)
+    return panel
+
+
+def _enlarged(plane: npt.NDArray[Any], size: tuple[int, int]) -> npt.NDArray[Any]:
+    """The nearest value at each pixel."""
+    row, column = (
+        ((np.arange(n) + 0.5) * (m / n)).astype(np.int64) for n, m in zip(reversed(size), plane.shape, strict=True)
     )
+    nearest: npt.NDArray[Any] = plane[row[:, None], column]
+    return nearest
 
 
-def _outline(axes, labels, wide: float, tall: float, colours: dict[int, str]) -> None:  # type: ignore[no-untyped-def]
+def _lay_over(panel: UInt8, numbers: npt.NDArray[np.generic], colours: Sequence[str]) -> None:
+    shown = _enlarged(numbers, (panel.shape[1], panel.shape[0]))
+    coloured = shown != 0
+    over = np.array([rgb(colour) for colour in colours], float)[shown[coloured] - 1]
+    panel[coloured] = np.rint(panel[coloured] * (1.0 - _OVERLAY_ALPHA) + over * _OVERLAY_ALPHA)
+
+
+def _outline(panel: UInt8, labels: npt.NDArray[Any], colours: dict[int, str]) -> None:
     """Draw the border of each label half way between the voxels' centres; the last colour is on top."""
-    padded = np.pad(labels, 1)
-    rows, columns = labels.shape
-    x = (np.arange(columns + 2) - 0.5) * wide / columns
-    y = (np.arange(rows + 2) - 0.5) * tall / rows
-    draw_outlines(axes, padded, colours, x=x, y=y)
+    y, x = ((np.arange(m + 2) - 0.5) * (n / m) - 0.5 for n, m in zip(panel.shape, labels.shape, strict=False))
+    draw_outlines(panel, np.pad(labels, 1), colours, x=x, y=y)
 
 
-def _write_directions(axes, view: SliceView) -> None:  # type: ignore[no-untyped-def]
-    for side, x, y, across, along in (
-        ("left", 0.012, 0.5, "left", "center"),
-        ("right", 0.988, 0.5, "right", "center"),
-        ("top", 0.5, 0.985, "center", "top"),
-        ("bottom", 0.5, 0.015, "center", "bottom"),
+def _write_directions(
+    draw: ImageDraw.ImageDraw, corner: tuple[int, int], size: tuple[int, int], view: SliceView
+) -> None:
+    font = font_of_size(_WRITING, bold=True)
+    for side, x, y, anchor in (
+        ("left", 0.012, 0.5, "lm"),
+        ("right", 0.988, 0.5, "rm"),
+        ("top", 0.5, 0.015, "mt"),
+        ("bottom", 0.5, 0.985, "mb"),
     ):
-        axes.text(
-            x,
-            y,
-            view.letters[side],
-            transform=axes.transAxes,
-            ha=across,
-            va=along,
-            fontsize=9,
-            color="#ffe9a8",
-            fontweight="bold",
-            path_effects=_dark_rim(),
-        )
+        place = corner[0] + x * size[0], corner[1] + y * size[1]
+        draw.text(place, view.letters[side], fill=MARKS, font=font, anchor=anchor, stroke_width=2, stroke_fill="black")
 
 
-def _draw_scale(axes, wide: float, tall: float) -> None:  # type: ignore[no-untyped-def]
+def _draw_scale(draw: ImageDraw.ImageDraw, corner: tuple[int, int], size: tuple[int, int], wide: float) -> None:
     length = max((mm for mm in (1, 2, 5, 10, 20, 50, 100, 200) if mm <= 0.25 * wide), default=1)
-    left, bottom = 0.03 * wide, tall - 0.03 * wide
-    axes.plot([left, left + length], [bottom, bottom], color="#ffe9a8", linewidth=2, solid_capstyle="butt")
-    axes.text(
-        left,
-        bottom - 0.015 * wide,
-        f"{length} mm",
-        color="#ffe9a8",
-        fontsize=8,
-        ha="left",
-        va="bottom",
-        path_effects=_dark_rim(),
-    )
-
-
-def _dark_rim() -> list[Any]:
-    """Keep light writing readable over bright tissue."""
-    from matplotlib.patheffects import withStroke
-
-    return [withStroke(linewidth=2, foreground="black")]
+    inset = round(0.03 * size[0])
+    left, bottom = corner[0] + inset, corner[1] + size[1] - inset
+    draw.rectangle((left, bottom - 2, left + round(length * size[0] / wide) - 1, bottom + 1), fill=MARKS)
+    font = font_of_size(_WRITING - 2)
+    place = left, bottom - 2 - 0.015 * size[0]
+    draw.text(place, f"{length} mm", fill=MARKS, font=font, anchor="ld", stroke_width=2, stroke_fill="black")

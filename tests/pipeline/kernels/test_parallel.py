@@ -1,11 +1,12 @@
 """Two pieces of work at the same time."""
 
 import threading
+import time
 
 import numba
 import pytest
 
-from heartcase.pipeline.kernels.parallel import every_other, may_share, side_by_side
+from heartcase.pipeline.kernels.parallel import all_side_by_side, every_other, may_share, side_by_side
 
 
 @pytest.fixture
@@ -59,6 +60,41 @@ def test_an_error_of_either_comes_out_when_both_have_ended(two_threads, which):
     with pytest.raises(ValueError, match="no"):
         side_by_side(*((wrong, fine) if which == 0 else (fine, wrong)))
     assert ended == [1]
+
+
+def test_several_pieces_are_done_two_at_a_time_and_come_back_in_order(two_threads):
+    meeting = threading.Barrier(2, timeout=20.0)
+
+    def met(number):
+        meeting.wait()
+        return number, threading.get_ident()
+
+    found = all_side_by_side([lambda number=number: met(number) for number in range(6)])
+    assert [number for number, _ in found] == list(range(6))
+    assert len({thread for _, thread in found}) == 2
+    assert all_side_by_side([]) == []
+
+
+def test_with_one_thread_several_pieces_come_one_after_the_other():
+    before = numba.get_num_threads()
+    numba.set_num_threads(1)
+    try:
+        done = []
+        assert all_side_by_side([lambda n=n: done.append(n) or n for n in range(5)]) == [0, 1, 2, 3, 4]
+        assert done == [0, 1, 2, 3, 4]
+    finally:
+        numba.set_num_threads(before)
+
+
+def test_after_an_error_no_further_piece_is_begun(two_threads):
+    begun = []
+
+    def wrong():
+        raise IndexError("no")
+
+    with pytest.raises(IndexError, match="no"):
+        all_side_by_side([wrong, lambda: time.sleep(0.3), *[lambda: begun.append(1)] * 50])
+    assert len(begun) <= 1
 
 
 def test_every_chunk_is_taken_once_and_the_even_ones_first():

@@ -9,6 +9,7 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from matplotlib import colormaps
 from scipy.ndimage import gaussian_filter
 
 from heartcase.pipeline.mesh.triangles.thickness import vertex_normals
@@ -17,6 +18,7 @@ from heartcase.pipeline.report.cut import clipped, crossings, filled
 from heartcase.pipeline.report.montage import label_colours, legend_picture, montage, stacked
 from heartcase.pipeline.report.pictures import (
     VIEWS,
+    _value_colours,
     cutaway_picture,
     direction_letters,
     four_chamber_plane,
@@ -203,6 +205,14 @@ def test_default_cut_without_chambers_is_nearly_coronal():
     point, normal = four_chamber_plane(vertices, triangles, np.zeros(len(triangles), int), TABLE)
     assert np.allclose(point, (10.0, 0.0, 0.0), atol=1e-6)
     assert normal[1] == pytest.approx(-np.cos(np.radians(20.0)))
+
+
+def test_colours_of_values_are_those_of_viridis():
+    values = np.linspace(3.0, 7.0, 1001)
+    wanted = colormaps["viridis"](np.linspace(0.0, 1.0, 1001))[:, :3] * 255.0
+    assert np.abs(_value_colours(values, 3.0, 7.0) - wanted).max() <= 3.1
+    beyond = _value_colours(np.array([-50.0, 2.0, 8.0, 90.0]), 3.0, 7.0)
+    assert np.array_equal(beyond, _value_colours(np.array([3.0, 3.0, 7.0, 7.0]), 3.0, 7.0))
 
 
 def test_values_are_shown_by_the_colour_bar_and_missing_ones_grey():

@@ -194,7 +194,8 @@ def _shrink(
 
     Balls that touch the same point are nested, so growing from a small one finds the first that is stopped.
     """
-    tree = KDTree(sample)
+    # Built in half the time that a balanced tree takes; queries find the same.
+    tree = KDTree(sample, balanced_tree=False, compact_nodes=False)
     found = np.full(len(point), np.nan)
     free = np.arange(len(point))
     start = largest / 2**_DOUBLINGS
