@@ -67,10 +67,15 @@ def part(model: LatticeModel, sheets: Sequence[Sheet], tissue: TissueSamples) ->
     """
     if not model.cell_is_whole.all():
         raise SimulationError("springs of this lattice were removed: cut it by sheets only", place="cut")
-    triangles = np.concatenate([np.zeros((0, 3, 3), np.int64), *(sheet.triangles for sheet in sheets)])
-    links = (crossed_links(triangles, 0), crossed_links(triangles, 1), crossed_links(triangles, 2))
-    pieces = find_pieces(model, tissue, links)
-    return _parted(model, pieces)
+    nothing = np.zeros((0, 3, 3), np.int64)
+    links, beyond = (
+        (crossed_links(triangles, 0), crossed_links(triangles, 1), crossed_links(triangles, 2))
+        for triangles in (
+            np.concatenate([nothing, *(sheet.triangles for sheet in sheets)]),
+            np.concatenate([nothing, *(sheet.beyond for sheet in sheets)]),
+        )
+    )
+    return _parted(model, find_pieces(model, tissue, links, beyond))
 
 
 def _parted(model: LatticeModel, pieces: Pieces) -> PartedLattice:

@@ -8,7 +8,7 @@ and Muecke, ACM Trans. Graph. 9, 1990): every link is crossed or not, and a clos
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +20,8 @@ from heartcase.simulator.cutting.crossings import QUANTA, count_crossings, list_
 
 __all__ = ["Sheet", "crossed_links"]
 
+_BEYOND = 2.0
+"""How far a sheet is continued [cells]: through any cell that it ends in."""
 _LONGEST = 128
 """Extent of a triangle along any axis [cells], so that products of three differences fit into 64 bits."""
 
@@ -30,6 +32,8 @@ class Sheet:
 
     triangles: Int64
     """Corners in QUANTA to a cell, in the frame of the nodes (x, y, z along i, j, k), shape (triangle_count, 3, 3)."""
+    beyond: Int64 = field(default_factory=lambda: np.zeros((0, 3, 3), np.int64))
+    """The sheet's continuation beyond its edges, which tells where the cut goes in cells that it ends in, the same."""
 
     @classmethod
     def swept(cls, poses: npt.ArrayLike) -> Sheet:
@@ -51,8 +55,14 @@ class Sheet:
             raise SimulationError(
                 "a blade needs two points or more in two poses or more, shape (poses, points, 3)", place="blade"
             )
-        a, b, c, d = points[:-1, :-1], points[:-1, 1:], points[1:, :-1], points[1:, 1:]
-        return cls.of_triangles(np.concatenate([np.stack(t, axis=2).reshape(-1, 3, 3) for t in ((a, b, c), (c, b, d))]))
+        sheet = cls.of_triangles(_triangles(points))
+        longer = np.concatenate([_continued(points[:2], 0)[:1], points, _continued(points[-2:], 0)[1:]])
+        ahead = np.concatenate(
+            [_continued(longer[:, :2], 1)[:, :1], longer, _continued(longer[:, -2:], 1)[:, 1:]], axis=1
+        )
+        strips = (ahead[:2], ahead[-2:], ahead[:, :2], ahead[:, -2:])
+        beyond = [cls.of_triangles(_triangles(strip)).triangles for strip in strips]
+        return replace(sheet, beyond=np.concatenate(beyond))
 
     @classmethod
     def of_triangles(cls, triangles: npt.ArrayLike) -> Sheet:
@@ -83,6 +93,21 @@ def crossed_links(triangles: Int64, axis: int) -> Int64:
     room = np.empty((count_crossings(triangles, axis), 3), np.int64)
     list_crossings(triangles, axis, room)
     return np.sort(lattice_keys(room))
+
+
+def _triangles(points: Float64) -> Float64:
+    """Two triangles for each four points that are neighbours, shape (count, 3, 3)."""
+    a, b, c, d = points[:-1, :-1], points[:-1, 1:], points[1:, :-1], points[1:, 1:]
+    return np.concatenate([np.stack(t, axis=2).reshape(-1, 3, 3) for t in ((a, b, c), (c, b, d))])
+
+
+def _continued(pair: Float64, axis: int) -> Float64:
+    """Two rows of points, moved apart along the lines through both by _BEYOND."""
+    first, second = np.moveaxis(pair, axis, 0)
+    way = second - first
+    length = np.linalg.norm(way, axis=-1, keepdims=True)
+    step = np.divide(way, length, out=np.zeros_like(way), where=length > 0) * _BEYOND
+    return np.stack([first - step, second + step], axis=axis)
 
 
 def _quartered(corners: Float64) -> Float64:

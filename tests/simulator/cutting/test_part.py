@@ -88,7 +88,7 @@ def parts_of_samples(model: LatticeModel, triangles) -> dict[tuple, set]:
 def test_nodes_are_copied_as_the_samples_around_them_hang_together(blade, seed):
     """Against a search over all samples around each node, in full cells of which each touches others by its faces."""
     model = block((2, 2, 2) if seed % 2 else (3, 2, 1), seed=seed)
-    sheets = [Sheet.swept(poses) for poses in blade]
+    sheets = [Sheet(Sheet.swept(poses).triangles) for poses in blade]
     parted = part(model, sheets, FULL)
     triangles = np.concatenate([sheet.triangles for sheet in sheets])
     wanted = parts_of_samples(model, triangles)
@@ -234,6 +234,43 @@ def test_a_sheet_that_ends_inside_opens_up_to_its_end():
     assert sorted(set(copied[:, 2].tolist())) == [3, 4]
     assert sorted(set(copied[:, 0].tolist())) == [3, 4]
     assert len(copied) == 2 * 2 * 3
+    assert parted.model.cell_count == model.cell_count + 4
+
+
+@pytest.mark.parametrize(("place", "pieces"), [(3.3, 3), (3.0, 2)])
+def test_tissue_beside_the_end_of_a_sheet_joins_both_sides(place, pieces):
+    """A sheet that ends at a quarter of a cell, in it or on its face: the other three quarters are the stem."""
+    model = make_model(np.stack(np.meshgrid([2, 3], [0], [0, 1, 2], indexing="ij"), -1).reshape(-1, 3))
+    cut = part(model, [Sheet.swept([[(place, -1, 1.75), (place, 2, 1.75)], [(place, -1, 4), (place, 2, 4)]])], FULL)
+    middle = np.flatnonzero((cut.model.cells[:, 2] == 1) & (cut.model.cells[:, 0] == 3))
+    assert len(middle) == pieces
+    assert cut.model.cell_coverage[middle].sum() == pytest.approx(1.0, rel=1e-6)
+    stem = middle[np.argmax(cut.model.cell_coverage[middle])]
+    assert cut.model.cell_coverage[stem] == pytest.approx(0.75, abs=0.13)
+    assert cut.model.cell_moments[stem, 2] < 0
+    others = np.setdiff1d(middle, stem)
+    above = {
+        tuple(cut.model.cell_corners[cell, 4:].tolist())
+        for cell in (*others, *np.flatnonzero((cut.model.cells == (2, 0, 1)).all(axis=1)))
+    }
+    joined = set(cut.model.cell_corners[stem, 4:].tolist())
+    assert all(joined & set(corners) for corners in above)
+    assert len({tuple(corners) for corners in above}) == len(above)
+
+
+def test_a_sheet_that_ends_alone_in_a_cell_parts_nothing_before_it_has_a_side():
+    """A cut deepens without a jump: coverage of what it joins goes down with it."""
+    model = block((4, 2, 4))
+    stems = []
+    for depth in np.linspace(2.97, 2.03, 9):
+        cut = part(model, [Sheet.swept([[(1.4, -1, depth), (1.4, 3, depth)], [(1.4, -1, 5), (1.4, 3, 5)]])], FULL).model
+        middle = np.flatnonzero((cut.cells == (1, 0, 2)).all(axis=1))
+        whole = model.cell_coverage[(model.cells == (1, 0, 2)).all(axis=1)][0]
+        left = cut.cell_coverage[middle][-1] / whole if len(middle) == 3 else 1.0 if len(middle) == 1 else 0.0
+        stems.append(left)
+    assert stems == sorted(stems, reverse=True)
+    assert np.ptp(stems) > 0.7
+    assert np.abs(np.diff(stems)).max() < 0.3
 
 
 def test_moments_of_pieces_are_those_of_the_parts_of_a_box():
