@@ -103,7 +103,7 @@ newest:
 	$(MAKE) versions VENV=$(VENV)-newest OTHER_PACKAGES=1
 
 # An environment that has numba-cuda and pytest already: make gpu GPU_PYTHON=python3. A machine without the pipeline takes
-# lattices (python benchmarks/lattices.py out/lattices) and a case that another one made.
+# lattices (python -m benchmarks.lattices out/lattices) and a case that another one made.
 GPU_PYTHON ?= $(VENV)-gpu/bin/python
 GPU_OUT ?= out/gpu
 GPU_JOBS ?= 6
@@ -115,7 +115,7 @@ gpu: $(if $(filter file,$(origin GPU_PYTHON)),$(VENV)-gpu/installed)
 	$(GPU_PYTHON) -m tests.parity.gpu
 	$(GPU_PYTHON) -m pytest -n $(GPU_JOBS) -p no:cacheprovider --durations 10 -k 'cuda or gpu' tests/parity tests/simulator/instruments/test_hands.py \
 	  tests/simulator/test_simulation.py tests/simulator/lattice/test_strain_sharing.py tests/stress/test_violence_other_backends.py
-	$(GPU_PYTHON) -m heartcase bench engine-gpu frame-adult-gpu --json $(GPU_OUT)/bench.json
+	$(GPU_PYTHON) -m benchmarks engine-gpu frame-adult-gpu --json $(GPU_OUT)/bench.json
 
 $(VENV)-gpu/installed: $(LOCK) pyproject.toml | same-python
 	$(PYTHON) -m venv $(VENV)-gpu
@@ -124,7 +124,7 @@ $(VENV)-gpu/installed: $(LOCK) pyproject.toml | same-python
 	touch $@
 
 bench: $(VENV)/installed
-	$(BIN)/heartcase bench --json out/bench.json
+	$(BIN)/python -m benchmarks --json out/bench.json
 
 # New pins; needs uv.
 lock:

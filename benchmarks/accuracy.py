@@ -17,8 +17,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from phantom_inputs import PhantomInputs, bare_truth, code_key, phantom_inputs
 
+from benchmarks.phantom_inputs import PhantomInputs, bare_truth, code_key, phantom_inputs
+from benchmarks.runner.cases import MethodSkipped
 from heartcase.phantom.anatomy.heart import HeartPhantom
 from heartcase.phantom.drawing.strokes import first_strokes, marker_strokes
 from heartcase.phantom.metrics import SurfaceError, closest_distance_mm, dice, label_surface
@@ -27,7 +28,6 @@ from heartcase.pipeline.image.filter_scan import filter_scan
 from heartcase.pipeline.image.gradient import gradient_magnitude
 from heartcase.pipeline.markers.load_markers import load_markers
 from heartcase.pipeline.watershed.segment_scan import segment_scan
-from heartcase.schemas.benchmark import MethodSkipped
 from heartcase.schemas.files import atomic_write
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable

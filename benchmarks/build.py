@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from phantom_inputs import phantom_inputs
-
+from benchmarks.phantom_inputs import phantom_inputs
 from heartcase.phantom.drawing.recipe import recipe_text
 from heartcase.pipeline.building.run import BuildResult, build_case
 from heartcase.pipeline.formats.write_images import write_scan

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from build import build_phantom
-
+from benchmarks.build import build_phantom
 from heartcase.simulator.load import Case, load_case
 
 

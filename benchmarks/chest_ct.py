@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from segment import METHODS, Inputs
 
+from benchmarks.segment import METHODS, Inputs
 from heartcase.phantom.metrics import dice
 from heartcase.pipeline.data import UNMARKED, Scan, Segmentation
 from heartcase.pipeline.formats.read_scan import read_labels, read_scan

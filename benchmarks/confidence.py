@@ -7,9 +7,9 @@ pairs of a wrong and a right voxel in which the wrong one is less confident: 50%
 from __future__ import annotations
 
 import numpy as np
-from accuracy import Inputs, prepare
 from scipy.stats import rankdata
 
+from benchmarks.accuracy import Inputs, prepare
 from heartcase.pipeline.markers.confidence import Sureness, sureness_of
 from heartcase.pipeline.watershed.certainty import voxel_certainty
 from heartcase.pipeline.watershed.forest import solve_forest

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from phantom_inputs import PhantomInputs, bare_truth, phantom_inputs
 from scipy import ndimage
 
+from benchmarks.phantom_inputs import PhantomInputs, bare_truth, phantom_inputs
 from heartcase.phantom.drawing.strokes import marker_strokes
 from heartcase.phantom.metrics import dice
 from heartcase.pipeline.data import Scan

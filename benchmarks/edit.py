@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from phantom_inputs import PhantomInputs, bare_truth, phantom_inputs
 
+from benchmarks.phantom_inputs import PhantomInputs, bare_truth, phantom_inputs
 from heartcase.phantom.anatomy.heart import HeartPhantom
 from heartcase.pipeline.data import Segmentation, Structures
 from heartcase.pipeline.edits.apply_edits import apply_edits

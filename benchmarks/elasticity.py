@@ -16,7 +16,7 @@ from math import sqrt
 from pathlib import Path
 from typing import Any
 
-from elasticity_scenes import (
+from benchmarks.elasticity_scenes import (
     BAR_LENGTH,
     CANTILEVER_LENGTH,
     CANTILEVER_LOAD,
@@ -27,7 +27,7 @@ from elasticity_scenes import (
     solve_lattice,
     timoshenko_deflection,
 )
-from elasticity_shells import (
+from benchmarks.elasticity_shells import (
     VENTRICLE_INNER,
     VENTRICLE_OUTER,
     solve_tube,
@@ -36,10 +36,9 @@ from elasticity_shells import (
     tube_truth,
     ventricle,
 )
-from elasticity_strips import Strip
-from statics import NoEquilibriumError
-
-from heartcase.schemas.benchmark import MethodSkipped
+from benchmarks.elasticity_strips import Strip
+from benchmarks.runner.cases import MethodSkipped
+from benchmarks.statics import NoEquilibriumError
 from heartcase.simulator.dynamics.integrate import Verlet
 from heartcase.simulator.dynamics.step_size import SAFETY
 from heartcase.simulator.engine.backends import make_engine
@@ -114,7 +113,7 @@ def trilinear(inputs: Inputs) -> Measured:
     if inputs.is_large or inputs.scene in ("tube", "strip", "ventricle"):
         raise MethodSkipped("it is for boxes in small strain")
     try:
-        from elasticity_peer import solve_trilinear
+        from benchmarks.elasticity_peer import solve_trilinear
     except ImportError:
         raise MethodSkipped("it needs scikit-fem: pip install heartcase[dev]") from None
     one = scene(inputs.scene, is_large=False)
@@ -239,7 +238,7 @@ def _kept(inputs: Inputs) -> Truths:
 
 def _made_truths(inputs: Inputs) -> Truths:
     try:
-        import elasticity_truth as truth
+        from benchmarks import elasticity_truth as truth
     except ImportError:
         raise MethodSkipped("it needs scikit-fem: pip install heartcase[dev]") from None
     if inputs.scene == "ventricle":

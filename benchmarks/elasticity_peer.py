@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.sparse as sp
-from elasticity_scenes import Field, Scene
 from skfem import Basis, ElementHex1, ElementVector, FacetBasis, LinearForm, MeshHex
 from skfem.models.elasticity import linear_elasticity
-from statics import solve_linear
 
+from benchmarks.elasticity_scenes import Field, Scene
+from benchmarks.statics import solve_linear
 from heartcase.simulator.lattice.force_law import ForceLaw
 
 

@@ -9,8 +9,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from statics import Held, equilibrium
 
+from benchmarks.statics import Held, equilibrium
 from heartcase.schemas.arrays import Bool, Float64
 from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.lattice.model import LatticeModel, make_model

@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from elasticity_voxels import located, voxelised
-from statics import solve_linear, stiffness
 
+from benchmarks.elasticity_voxels import located, voxelised
+from benchmarks.statics import solve_linear, stiffness
 from heartcase.schemas.arrays import Bool, Float64
 from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.lattice.model import LatticeModel

@@ -13,11 +13,11 @@ from itertools import pairwise
 
 import numpy as np
 import scipy.sparse as sp
-from elasticity_scenes import Field, Scene, scene
 from skfem import Basis, ElementHex2, ElementVector, FacetBasis, LinearForm, MeshHex, MeshHex2
 from skfem.models.elasticity import linear_elasticity
-from statics import Held, solve_linear, solve_newton
 
+from benchmarks.elasticity_scenes import Field, Scene, scene
+from benchmarks.statics import Held, solve_linear, solve_newton
 from heartcase.schemas.arrays import Bool, Float64
 from heartcase.simulator.lattice.force_law import ForceLaw
 

@@ -12,10 +12,10 @@ from typing import Any
 
 import edt
 import numpy as np
-from phantom_inputs import phantom_inputs
 from scipy.ndimage import convolve
 from skimage.morphology import skeletonize
 
+from benchmarks.phantom_inputs import phantom_inputs
 from heartcase.phantom.anatomy.heart import HeartPhantom
 from heartcase.pipeline.data import Segmentation
 from heartcase.pipeline.ends.discs import Stumps

@@ -10,10 +10,10 @@ from typing import Any, Protocol
 import numba
 import numpy as np
 import numpy.typing as npt
-from lattices import heart_lattice
 
+from benchmarks.lattices import heart_lattice
+from benchmarks.runner.cases import MethodSkipped
 from heartcase.schemas.arrays import Float, Float32, Float64
-from heartcase.schemas.benchmark import MethodSkipped
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.dynamics.integrate import Verlet, verlet_step
 from heartcase.simulator.dynamics.step_size import default_step
@@ -81,7 +81,7 @@ def heartcase_cuda(inputs: Inputs) -> Lattice:
 def textbook_cuda(inputs: Inputs) -> Lattice:
     """The textbook's loop on a GPU: float32, one launch per step."""
     _ours(inputs, "cuda")
-    from engine_cuda_textbook import CudaTextbook
+    from benchmarks.engine_cuda_textbook import CudaTextbook
 
     return _advanced(inputs, lambda: CudaTextbook(*inputs.neighbours, inputs.model.inverse_mass, inputs.verlet))
 
@@ -93,7 +93,7 @@ def textbook(inputs: Inputs) -> Lattice:
 def taichi(inputs: Inputs) -> Lattice:
     """The textbook's loop in Taichi: float32, all cores."""
     try:
-        from engine_taichi import TaichiLattice
+        from benchmarks.engine_taichi import TaichiLattice
     except ImportError:
         raise MethodSkipped("it needs taichi: pip install heartcase[bench]") from None
     return _advanced(inputs, lambda: TaichiLattice(*inputs.neighbours, inputs.model.inverse_mass, inputs.verlet))
@@ -102,7 +102,7 @@ def taichi(inputs: Inputs) -> Lattice:
 def warp(inputs: Inputs) -> Lattice:
     """The textbook's loop in NVIDIA Warp: float32, one core, for Warp uses no more of a CPU."""
     try:
-        from engine_warp import WarpLattice
+        from benchmarks.engine_warp import WarpLattice
     except ImportError:
         raise MethodSkipped("it needs warp-lang: pip install heartcase[bench]") from None
     return _advanced(inputs, lambda: WarpLattice(*inputs.neighbours, inputs.model.inverse_mass, inputs.verlet))
@@ -110,7 +110,7 @@ def warp(inputs: Inputs) -> Lattice:
 
 def cpp(inputs: Inputs) -> Lattice:
     """Our layout in C++ with vector intrinsics: what the machine can do."""
-    from engine_cpp import CppLattice
+    from benchmarks.engine_cpp import CppLattice
 
     return _advanced(inputs, lambda: CppLattice(inputs.model, inputs.model.inverse_mass, inputs.verlet))
 

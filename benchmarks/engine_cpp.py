@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from benchmarks.runner.cases import MethodSkipped
 from heartcase.schemas.arrays import Float32
-from heartcase.schemas.benchmark import MethodSkipped
 from heartcase.simulator.dynamics.integrate import Verlet
 from heartcase.simulator.engine.shared.lanes import lane_layout
 from heartcase.simulator.lattice.model import LatticeModel

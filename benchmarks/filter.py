@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 import SimpleITK as sitk
-from phantom_inputs import PhantomInputs, phantom_inputs
 
+from benchmarks.phantom_inputs import PhantomInputs, phantom_inputs
 from heartcase.pipeline.data import Scan
 from heartcase.pipeline.image.filter_scan import filter_scan, resolve_filter
 from heartcase.schemas.recipe.settings import FilterSettings

@@ -16,8 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from build import write_inputs
-
+from benchmarks.build import write_inputs
 from heartcase.schemas.bundle.check import check_bundle
 
 

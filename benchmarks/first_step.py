@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from build import build_phantom
 from safetensors.numpy import load_file
 
+from benchmarks.build import build_phantom
 from heartcase.schemas.arrays import Float32
 from heartcase.simulator.dynamics.integrate import verlet_step
 from heartcase.simulator.lattice.state import State

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from heartcase.schemas.benchmark import MethodSkipped
+from benchmarks.runner.cases import MethodSkipped
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.engine.backends import Backend
 from heartcase.simulator.instruments.grab import Grab
@@ -70,7 +70,7 @@ def prepare(params: dict[str, Any]) -> Inputs:
 
 def _built(params: dict[str, Any]) -> Path:
     try:
-        from build import build_phantom
+        from benchmarks.build import build_phantom
     except ImportError:
         raise MethodSkipped("it needs heartcase[prepare], or a case in HEARTCASE_CASE") from None
     return build_phantom(params, Path(tempfile.gettempdir()) / "heartcase-benchmark-case")

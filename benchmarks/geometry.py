@@ -7,9 +7,9 @@ from typing import Any
 
 import fast_simplification
 import numpy as np
-from phantom_inputs import PhantomInputs, bare_truth, phantom_inputs
 from skimage.measure import marching_cubes
 
+from benchmarks.phantom_inputs import PhantomInputs, bare_truth, phantom_inputs
 from heartcase.phantom.metrics import SurfaceError, closest_distance_mm
 from heartcase.pipeline.cells.build_grid import build_grid
 from heartcase.pipeline.cells.map_surface import map_surface

@@ -15,10 +15,11 @@ from typing import Any, Literal
 
 import edt
 import numpy as np
-from phantom_inputs import PhantomInputs, bare_truth, phantom_inputs
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from benchmarks.phantom_inputs import PhantomInputs, bare_truth, phantom_inputs
+from benchmarks.runner.cases import MethodSkipped
 from heartcase.phantom.metrics import closest_distance_mm
 from heartcase.pipeline.cells.build_grid import build_grid
 from heartcase.pipeline.cells.map_surface import map_surface
@@ -30,7 +31,6 @@ from heartcase.pipeline.mesh.texture.atlas import Atlas, tangents
 from heartcase.pipeline.mesh.triangles.intersections import self_intersections
 from heartcase.pipeline.walls.grow_walls import grow_walls
 from heartcase.schemas.arrays import Float32, Float64
-from heartcase.schemas.benchmark import MethodSkipped
 from heartcase.schemas.recipe.settings import EndMarker, GridSettings, MapSettings, SurfaceSettings, WallsSettings
 
 TRIANGLE_COUNT = 80_000

@@ -9,9 +9,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from chest_ct import RECIPE
-from geometry_chain import METHODS, Inputs, Shown, soundness
 
+from benchmarks.chest_ct import RECIPE
+from benchmarks.geometry_chain import METHODS, Inputs, Shown, soundness
 from heartcase.phantom.metrics import closest_distance_mm
 from heartcase.pipeline.formats.read_scan import read_scan
 from heartcase.pipeline.image.filter_scan import filter_scan

@@ -2,7 +2,7 @@
 
 They come from the phantom, through the pipeline. A GPU machine need not have the pipeline: write them on one that has,
 
-    python benchmarks/lattices.py out/lattices
+    python -m benchmarks.lattices out/lattices
 
 and name that folder in ``HEARTCASE_LATTICES`` on the other.
 """
@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from heartcase.schemas.benchmark import MethodSkipped
+from benchmarks.runner.cases import MethodSkipped
 from heartcase.simulator.lattice.model import LatticeModel, make_model
 
 NODE_COUNTS = (10_000, 20_000, 30_000, 60_000, 100_000, 250_000)
@@ -47,12 +47,11 @@ def _stored(node_count: int) -> dict[str, Any] | None:
 
 def _made(node_count: int) -> dict[str, Any]:
     try:
-        from geometry import prepare as prepare_geometry
-
+        from benchmarks.geometry import prepare as prepare_geometry
         from heartcase.pipeline.cells.build_grid import build_grid
         from heartcase.schemas.recipe.settings import GridSettings
     except ImportError:
-        raise MethodSkipped("it needs heartcase[prepare], or HEARTCASE_LATTICES (benchmarks/lattices.py)") from None
+        raise MethodSkipped("it needs heartcase[prepare], or HEARTCASE_LATTICES (see benchmarks.lattices)") from None
     structures = prepare_geometry(SCAN | {"stage": "grid"}).structures
     grid = build_grid(structures, GridSettings(node_count=node_count))
     return {

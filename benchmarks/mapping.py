@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from geometry import prepare as prepare_geometry
 from scipy.spatial import cKDTree
 
+from benchmarks.geometry import prepare as prepare_geometry
 from heartcase.pipeline.cells.map_surface import map_surface
 from heartcase.pipeline.data import GridMap, SimulationGrid, Surface
 from heartcase.schemas.arrays import Float32, Float64, Int32

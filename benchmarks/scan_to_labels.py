@@ -17,10 +17,11 @@ from typing import Any
 
 import numpy as np
 import SimpleITK as sitk
-from accuracy import behind_ends
-from phantom_inputs import bare_truth, phantom_inputs
 from skimage.segmentation import watershed
 
+from benchmarks.accuracy import behind_ends
+from benchmarks.phantom_inputs import bare_truth, phantom_inputs
+from benchmarks.runner.cases import MethodSkipped
 from heartcase.phantom.drawing.strokes import first_strokes, random_strokes
 from heartcase.phantom.metrics import dice
 from heartcase.pipeline.data import UNMARKED, Scan
@@ -31,7 +32,6 @@ from heartcase.pipeline.image.region import crop_scan
 from heartcase.pipeline.markers.load_markers import load_markers
 from heartcase.pipeline.watershed.forest import solve_forest
 from heartcase.pipeline.watershed.tree import build_basin_tree
-from heartcase.schemas.benchmark import MethodSkipped
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable
 from heartcase.schemas.recipe.recipe import load_recipe

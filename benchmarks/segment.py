@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import SimpleITK as sitk
-from phantom_inputs import phantom_inputs
 
+from benchmarks.phantom_inputs import phantom_inputs
 from heartcase.phantom.anatomy.truth import Truth
 from heartcase.phantom.metrics import dice, surface_error
 from heartcase.pipeline.bundle.assembly import labels_of

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from frame import FRAME_S, PULL_MM
-from frame import prepare as prepare_frame
 
+from benchmarks.frame import FRAME_S, PULL_MM
+from benchmarks.frame import prepare as prepare_frame
 from heartcase.simulator.load import Case
 from heartcase.simulator.simulation import Simulation
 

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from phantom_inputs import PhantomInputs, bare_truth, phantom_inputs
 from skimage.segmentation import watershed
 
+from benchmarks.phantom_inputs import PhantomInputs, bare_truth, phantom_inputs
 from heartcase.pipeline.data import UNMARKED
 from heartcase.pipeline.image.filter_scan import filter_scan
 from heartcase.pipeline.markers.session import SegmentationSession

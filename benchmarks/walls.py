@@ -12,11 +12,11 @@ from typing import Any
 
 import edt
 import numpy as np
-from phantom_inputs import PhantomInputs, bare_truth, phantom_inputs
 from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 from skimage.measure import marching_cubes
 
+from benchmarks.phantom_inputs import PhantomInputs, bare_truth, phantom_inputs
 from heartcase.phantom.metrics import SurfaceError, closest_distance_mm, wall_thickness_errors
 from heartcase.pipeline.data import Segmentation, Structures
 from heartcase.pipeline.image.filter_scan import filter_scan

@@ -13,9 +13,9 @@ from typing import Any
 import cc3d
 import numpy as np
 import SimpleITK as sitk
-from phantom_inputs import PhantomInputs, phantom_inputs
 from skimage.segmentation import watershed
 
+from benchmarks.phantom_inputs import PhantomInputs, phantom_inputs
 from heartcase.phantom.metrics import dice
 from heartcase.pipeline.data import UNMARKED, Markers
 from heartcase.pipeline.image.filter_scan import filter_scan

@@ -47,7 +47,7 @@ COMMANDS: dict[str, str] = {
 }
 """Name -> one-line help of each subcommand."""
 
-_FOLDERS = {"bench": "bench", "library": "library"} | dict.fromkeys(
+_FOLDERS = {"library": "library"} | dict.fromkeys(
     ("filter", "segment", "walls", "edit", "grid", "surface", "map", "bundle"), "stages"
 )
 """Folder of the module of a command's name, where it is not ``commands``."""
@@ -109,12 +109,15 @@ def cli() -> None:
     """From a cardiac MRI or CT to a case bundle and a simulation of it. Not a medical device."""
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit code (0 well, 1 a problem, 2 wrong usage, 70 a bug, 130 interrupted)."""
+def main(arguments: Sequence[str] | None = None, *, command: click.Command = cli, name: str = "heartcase") -> int:
+    """Run the command line; returns the exit code (0 well, 1 a problem, 2 wrong usage, 70 a bug, 130 interrupted).
+
+    ``command`` is another command to run in the same way, and ``name`` what a user types for it.
+    """
     command_starts()
     try:
         args = None if arguments is None else list(arguments)
-        code = cli.main(args=args, prog_name="heartcase", standalone_mode=False)
+        code = command.main(args=args, prog_name=name, standalone_mode=False)
     except click.exceptions.Abort:
         click.echo("heartcase: interrupted; nothing half-written was left", err=True)
         return 130

@@ -13,8 +13,10 @@ import importlib
 import importlib.util
 import json
 import os
+import shutil
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections import deque
@@ -28,7 +30,7 @@ from heartcase.schemas.files import atomic_write
 __all__ = ["Called", "Progress", "compiled_ahead", "core_count", "serve"]
 
 _ROOT = Path(__file__).parents[2]
-_SERVE = "import sys; sys.path.append(sys.argv[1]); from heartcase.compiling.ahead import serve; serve()"
+_SERVE = "import sys; sys.path.append(sys.argv[1]); from heartcase.compiling.ahead import serve; serve(sys.argv[2])"
 _FIRST_SECONDS = 5.0
 """Of the list, after which the pace of this machine is known."""
 _NOTE_NAME = "heartcase-compiled.txt"
@@ -97,20 +99,41 @@ def compiled_ahead(
     if not left:
         yield
         return
-    team = _ProcessTeam([one for one, _ in left], processes, told)
+    with _temporary_folder(note.parent) as unfinished:
+        team = _ProcessTeam([one for one, _ in left], processes, told, unfinished)
+        try:
+            team.begin()
+            yield
+        finally:
+            team.end()
+            _add(note, [line for one, line in left if one in team.done])
+
+
+@contextlib.contextmanager
+def _temporary_folder(cache: Path) -> Iterator[str]:
+    """A folder in numba's cache for files that are being written; what killed processes left there goes with it.
+
+    Empty where none can be made: then there is no place for a cache either.
+    """
     try:
-        team.begin()
-        yield
+        folder = tempfile.mkdtemp(prefix="heartcase-unfinished-", dir=cache)
+    except OSError:
+        folder = ""
+    try:
+        yield folder
     finally:
-        team.end()
-        _add(note, [line for one, line in left if one in team.done])
+        if folder:
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 class _ProcessTeam:
     """The processes, and a thread for each that hands it one kernel after the other."""
 
-    def __init__(self, wanted: Sequence[Called], processes: int, told: Callable[[Progress], None]) -> None:
+    def __init__(
+        self, wanted: Sequence[Called], processes: int, told: Callable[[Progress], None], unfinished: str
+    ) -> None:
         self.waiting = deque(wanted)
+        self.unfinished = unfinished
         self.total = len(wanted)
         self.done: list[Called] = []
         self.done_seconds, self.all_seconds = 0.0, sum(one.seconds for one in wanted)
@@ -146,7 +169,7 @@ class _ProcessTeam:
             if self.is_ended:
                 return
             try:
-                process = _start()
+                process = _start(self.unfinished)
             except OSError:
                 return
             self.processes.append(process)
@@ -177,10 +200,13 @@ class _ProcessTeam:
         return Progress(len(self.done), self.failed_count, self.total, left * pace)
 
 
-def _start() -> subprocess.Popen[str]:
-    """A process that compiles what it is told to; it finds this package also where this process found it."""
+def _start(unfinished: str) -> subprocess.Popen[str]:
+    """A process that compiles what it is told to; it finds this package also where this process found it.
+
+    Files that it has not written to their end yet lie in the folder ``unfinished``.
+    """
     return subprocess.Popen(
-        [sys.executable, "-P", "-c", _SERVE, str(_ROOT)],
+        [sys.executable, "-P", "-c", _SERVE, str(_ROOT), unfinished],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
@@ -201,9 +227,18 @@ def _ask(process: subprocess.Popen[str], one: Called) -> str:
         return ""
 
 
-def serve() -> None:
-    """Compile the kernels that are named on standard input, one a line, until it is closed; answer each with a line."""
+def serve(unfinished: str) -> None:
+    """Compile the kernels that are named on standard input, one a line, until it is closed; answer each with a line.
+
+    Parameters
+    ----------
+    unfinished
+        Folder for what is being written to the cache; beside what it will be where this is empty.
+    """
+    from heartcase.compiling.kernel import write_unfinished_to
     from heartcase.compiling.signatures import from_json
+
+    write_unfinished_to(unfinished)
 
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
@@ -217,6 +252,9 @@ def serve() -> None:
             answer = "failed"
         answers.write(f"{answer}\n")
         answers.flush()
+    # Who started this was killed, and the last of its processes tidies up.
+    with contextlib.suppress(OSError):
+        os.rmdir(unfinished)
 
 
 def _note() -> Path | None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import inspect
 import os
 import pickle
-from collections.abc import Callable
-from typing import Any, overload
+import uuid
+from collections.abc import Callable, Iterator
+from typing import IO, Any, overload
 
 import numba
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
@@ -14,10 +16,12 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataC
 from heartcase.compiling.one_at_a_time import compiled_by_one
 from heartcase.compiling.sources import source_stamp
 
-__all__ = ["KERNELS", "cache_folder", "kernel"]
+__all__ = ["KERNELS", "cache_folder", "kernel", "write_unfinished_to"]
 
 KERNELS: list[Any] = []
 """Dispatchers of all kernels of the modules that are loaded, in the order of their definition."""
+_unfinished = ""
+"""Folder for files of the cache that are being written; empty for the folder in which they will be."""
 
 
 @overload
@@ -66,6 +70,20 @@ def cache_folder(function: Callable[..., Any]) -> str:
     return str(FunctionCache(function)._cache_path)
 
 
+def write_unfinished_to(folder: str) -> None:
+    """Have this process write files of the cache in a folder, from which they are moved when they are whole.
+
+    So what a process leaves that is killed can be told from what others are writing.
+
+    Parameters
+    ----------
+    folder
+        On the same file system as the cache, otherwise it is not used; empty for where numba writes them.
+    """
+    global _unfinished
+    _unfinished = folder
+
+
 class _KernelCacheImpl(CompileResultCacheImpl):  # type: ignore[misc]
     def rebuild(self, target_context: Any, payload: Any) -> Any:
         """Load a function, so that what is compiled with it knows what has to be bound for it.
@@ -104,6 +122,17 @@ class _StampedIndex(IndexDataCacheFile):  # type: ignore[misc]
             pickle.dump(self._source_stamp, file)
             file.write(self._dump(overloads))
 
+    @contextlib.contextmanager
+    def _open_for_write(self, path: str) -> Iterator[IO[bytes]]:
+        if not (_unfinished and _is_same_system(_unfinished, os.path.dirname(path))):
+            with super()._open_for_write(path) as file:
+                yield file
+            return
+        temporary = os.path.join(_unfinished, uuid.uuid4().hex)
+        with open(temporary, "wb") as file:
+            yield file
+        os.replace(temporary, path)
+
     def _load_data(self, name: str) -> Any:
         try:
             return super()._load_data(name)
@@ -111,6 +140,13 @@ class _StampedIndex(IndexDataCacheFile):  # type: ignore[misc]
             raise
         except Exception:
             raise OSError(f"{name} is damaged") from None  # which numba takes as absent
+
+
+def _is_same_system(one: str, other: str) -> bool:
+    try:
+        return os.stat(one).st_dev == os.stat(other).st_dev
+    except OSError:
+        return False
 
 
 class _KernelCache(FunctionCache):  # type: ignore[misc]

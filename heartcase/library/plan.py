@@ -21,6 +21,7 @@ from typing import Any
 from heartcase import __version__
 from heartcase.phantom.version import PHANTOM_VERSION
 from heartcase.pipeline.stages.table import stage_versions
+from heartcase.schemas.bundle.format import WarningGrade
 from heartcase.schemas.errors import HeartcaseError, MissingPathError, Problem, RecipeError, UsageError
 from heartcase.schemas.files import atomic_write
 from heartcase.schemas.recipe.recipe import parse_recipe, read_recipe_text
@@ -29,7 +30,7 @@ __all__ = ["CaseRecord", "LibraryCase", "files_written", "is_up_to_date", "plan_
 
 RECORDS = ".heartcase-library"
 """Folder of the records, beside the cases."""
-RECORD_VERSION = 1
+RECORD_VERSION = 2
 Known = dict[str, list[str]]
 """Hash of a recipe's text -> name of its case, then the files that it reads."""
 _HEADERS = (".mhd", ".nhdr", ".hdr", ".img")
@@ -67,8 +68,8 @@ class CaseRecord:
     """Stages whose output was in the cache."""
     warnings: tuple[str, ...] = ()
     """What the user must know of the case."""
-    warning_severities: tuple[str, ...] = ()
-    """How much each matters: a name of :class:`heartcase.pipeline.warnings.Severity`; empty where it is not known."""
+    warning_grades: tuple[WarningGrade, ...] = ()
+    """How much each matters: ``anatomy``, ``look`` or ``note``, as in the manifest; empty where it is not known."""
     memory_peak_mb: float | None = None
     """Most memory that the worker held while it built, 10^6 bytes; None where the system does not say."""
     files: tuple[tuple[str, int, int], ...] = ()
@@ -142,8 +143,9 @@ def read_record(name: str, out: Path) -> CaseRecord | None:
             return None
         for field in ("problems", "files"):
             data[field] = tuple(tuple(row) for row in data[field])
-        for field in ("reused", "warnings", "warning_severities"):
+        for field in ("reused", "warnings"):
             data[field] = tuple(data.get(field, ()))
+        data["warning_grades"] = tuple(WarningGrade(one) for one in data.get("warning_grades", ()))
         return CaseRecord(**data)
     except (OSError, ValueError, TypeError, KeyError, AttributeError):
         return None

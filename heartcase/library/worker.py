@@ -75,7 +75,7 @@ def _built(case: LibraryCase, out: Path, cache: Path | None, listener: BuildList
         stage_seconds={stage: round(seconds, 3) for stage, seconds in result.seconds.items()},
         reused=result.reused,
         warnings=tuple(warning.text for warning in result.warnings),
-        warning_severities=tuple(warning.severity.name for warning in result.warnings),
+        warning_grades=tuple(warning.grade for warning in result.warnings),
         files=files_written(out, [path.relative_to(out).as_posix() for path in written]),
     )
 

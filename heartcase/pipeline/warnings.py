@@ -1,8 +1,8 @@
 """Warnings of a case: what is wrong or doubtful, how much it matters, and what it is about.
 
-A warning is a sentence for the clinician who must trust or reject a case, with its severity, and with what a program
+A warning is a sentence for the clinician who must trust or reject a case, with its grade, and with what a program
 would otherwise have to read out of the sentence: the edit that it is about, the places, the parts of a list. It travels
-with the outputs of the stages through the cache; the manifest of a case has the text and the severity.
+with the outputs of the stages through the cache; the manifest of a case has the text and the grade.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from enum import IntEnum
 from typing import Any, NamedTuple
 
 from heartcase.schemas.bundle.format import CaseManifest, WarningGrade
@@ -18,7 +17,7 @@ from heartcase.schemas.bundle.format import CaseManifest, WarningGrade
 __all__ = [
     "LISTED_BETWEEN",
     "CaseWarning",
-    "Severity",
+    "WarningGrade",
     "WarningGroup",
     "WarningParts",
     "anatomy",
@@ -39,22 +38,6 @@ LISTED_BETWEEN = "; "
 _EDIT = re.compile(r"edits\[(\d+)\]")
 
 
-class Severity(IntEnum):
-    """How much a warning matters, the worst first."""
-
-    ANATOMY = 0
-    """The model may differ from the patient's heart in shape: an opening, a wall, a vessel, a whole structure."""
-    LOOK = 1
-    """Something that may be right or wrong, and that a look at the slices decides."""
-    NOTE = 2
-    """Nothing need be done unless it disturbs."""
-
-    @property
-    def grade(self) -> WarningGrade:
-        """What the manifest of a case calls it."""
-        return WarningGrade[self.name]
-
-
 class WarningParts(NamedTuple):
     """The sentence of a warning taken apart, for a page that shows what it lists as a list."""
 
@@ -72,7 +55,7 @@ class CaseWarning:
 
     text: str
     """What is wrong, where, and what to do: a sentence without a capital at its start."""
-    severity: Severity = Severity.LOOK
+    grade: WarningGrade = WarningGrade.LOOK
     """How much it matters."""
     code: str = ""
     """Name of the kind of warning, such as ``wall-gap``; empty where the kind has none yet."""
@@ -82,8 +65,8 @@ class CaseWarning:
     """Places that it is about, LPS mm, to 0.1 mm as in the text; empty where the kind does not give them yet."""
     listed: tuple[str, ...] = ()
     """What the text lists, joined by :data:`LISTED_BETWEEN` there."""
-    has_stated_severity: bool = field(default=False, compare=False)
-    """Whether stage outputs write the severity even where it is :attr:`Severity.LOOK`, which goes without saying
+    has_stated_grade: bool = field(default=False, compare=False)
+    """Whether stage outputs write the grade even where it is :attr:`WarningGrade.LOOK`, which goes without saying
     otherwise. The warnings of marker files and strokes do, so their stages' outputs have the same bytes as before."""
 
     def __post_init__(self) -> None:
@@ -111,7 +94,7 @@ class CaseWarning:
 class WarningGroup:
     """Warnings that matter alike, as a report shows them."""
 
-    severity: Severity
+    grade: WarningGrade
     """How much they matter."""
     title: str
     """Heading."""
@@ -127,28 +110,28 @@ class WarningGroup:
 
 
 _TITLES = {
-    Severity.ANATOMY: (
+    WarningGrade.ANATOMY: (
         "The anatomy may be wrong",
         "Do not rely on these places before you have mended or checked them.",
     ),
-    Severity.LOOK: ("Look at this", "Compare these places with the slices before you approve the case."),
-    Severity.NOTE: ("For your information", "Nothing need be done unless it disturbs."),
+    WarningGrade.LOOK: ("Look at this", "Compare these places with the slices before you approve the case."),
+    WarningGrade.NOTE: ("For your information", "Nothing need be done unless it disturbs."),
 }
 
 
 def anatomy(text: str, *, code: str = "", places_mm: Sequence[Point] = ()) -> CaseWarning:
     """A warning that the model's shape may not be the patient's."""
-    return CaseWarning(text, Severity.ANATOMY, code, places_mm=tuple(places_mm))
+    return CaseWarning(text, WarningGrade.ANATOMY, code, places_mm=tuple(places_mm))
 
 
 def note(text: str, *, code: str = "", places_mm: Sequence[Point] = ()) -> CaseWarning:
     """A warning that calls for nothing."""
-    return CaseWarning(text, Severity.NOTE, code, places_mm=tuple(places_mm))
+    return CaseWarning(text, WarningGrade.NOTE, code, places_mm=tuple(places_mm))
 
 
-def of_edit(number: int, text: str, severity: Severity) -> CaseWarning:
+def of_edit(number: int, text: str, grade: WarningGrade) -> CaseWarning:
     """A warning about one edit of the recipe, by its number from 1."""
-    return CaseWarning(f"edits[{number}]: {text}", severity, edit=number)
+    return CaseWarning(f"edits[{number}]: {text}", grade, edit=number)
 
 
 def worst_first(*sources: Iterable[CaseWarning]) -> tuple[CaseWarning, ...]:
@@ -167,25 +150,25 @@ def worst_first(*sources: Iterable[CaseWarning]) -> tuple[CaseWarning, ...]:
     found: dict[str, CaseWarning] = {}
     for warning in (one for source in sources for one in source):
         known = found.setdefault(warning.text, warning)
-        if warning.severity < known.severity:
-            found[warning.text] = replace(known, severity=warning.severity)
-    return tuple(sorted(found.values(), key=lambda warning: warning.severity))
+        if warning.grade.rank < known.grade.rank:
+            found[warning.text] = replace(known, grade=warning.grade)
+    return tuple(sorted(found.values(), key=lambda warning: warning.grade.rank))
 
 
 def warnings_of(manifest: CaseManifest) -> tuple[CaseWarning, ...]:
     """Warnings of a case with how much they matter; in a case that does not say so each is worth a look."""
     grades = manifest.warning_grades or (WarningGrade.LOOK,) * len(manifest.warnings)
-    return tuple(CaseWarning(text, Severity[grade.name]) for text, grade in zip(manifest.warnings, grades, strict=True))
+    return tuple(CaseWarning(text, grade) for text, grade in zip(manifest.warnings, grades, strict=True))
 
 
 def grouped(warnings: Iterable[CaseWarning]) -> tuple[WarningGroup, ...]:
     """Warnings under the headings of a report, the worst heading first; headings without a warning are left out."""
     every = worst_first(warnings)
     groups = []
-    for severity, (title, advice) in _TITLES.items():
-        alike = tuple(warning for warning in every if warning.severity is severity)
+    for grade, (title, advice) in _TITLES.items():
+        alike = tuple(warning for warning in every if warning.grade is grade)
         if alike:
-            groups.append(WarningGroup(severity, title, advice, alike))
+            groups.append(WarningGroup(grade, title, advice, alike))
     return tuple(groups)
 
 
@@ -197,6 +180,7 @@ def counted(number: int, thing: str) -> str:
 def warning_to_json(warning: CaseWarning) -> str | dict[str, Any]:
     """A warning as stage outputs hold it: its text alone where that says all, else an object of what it has.
 
+    The grade is ``severity`` there, in capitals, as it was called once: the bytes of stage outputs stay the same.
     The number of an edit is not written: the text has it, and :func:`warning_from_json` takes it from there.
     """
     more: dict[str, Any] = {"code": warning.code} if warning.code else {}
@@ -204,9 +188,9 @@ def warning_to_json(warning: CaseWarning) -> str | dict[str, Any]:
         more["places_mm"] = [list(place) for place in warning.places_mm]
     if warning.listed:
         more["listed"] = list(warning.listed)
-    if not more and warning.severity is Severity.LOOK and not warning.has_stated_severity:
+    if not more and warning.grade is WarningGrade.LOOK and not warning.has_stated_grade:
         return warning.text
-    return {"severity": warning.severity.name, "text": warning.text, **more}
+    return {"severity": warning.grade.name, "text": warning.text, **more}
 
 
 def warning_from_json(value: str | Mapping[str, Any]) -> CaseWarning:
@@ -219,19 +203,19 @@ def warning_from_json(value: str | Mapping[str, Any]) -> CaseWarning:
     """
     if isinstance(value, str):
         return CaseWarning(value, edit=_edit_of(value))
-    text, severity = value["text"], Severity[value["severity"]]
+    text, grade = value["text"], WarningGrade[value["severity"]]
     places = []
     for place in value.get("places_mm", ()):
         x, y, z = place
         places.append((x, y, z))
     return CaseWarning(
         text,
-        severity,
+        grade,
         value.get("code", ""),
         _edit_of(text),
         tuple(places),
         tuple(value.get("listed", ())),
-        has_stated_severity=severity is Severity.LOOK,
+        has_stated_grade=grade is WarningGrade.LOOK,
     )
 
 

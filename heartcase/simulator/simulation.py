@@ -9,15 +9,16 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.schemas.arrays import Float64
-from heartcase.schemas.errors import Problem, SimulationError
+from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.dynamics.integrate import Energy, Verlet, energy
 from heartcase.simulator.dynamics.joining import join
 from heartcase.simulator.dynamics.measures import inverted_cells
 from heartcase.simulator.dynamics.step_size import checked_step, own_step_limit
 from heartcase.simulator.engine.backends import Backend, make_engine
 from heartcase.simulator.engine.shared.contact import NO_PROBES, probe_row
-from heartcase.simulator.instruments.grab import Grab, Pose, nodes_in_reach, require_grab
-from heartcase.simulator.instruments.probe import Probe
+from heartcase.simulator.instruments.grab import Grab, close_grab, pose_of, require_grab
+from heartcase.simulator.instruments.placing import is_point, point_in_lattice
+from heartcase.simulator.instruments.probe import Probe, make_probe
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.lattice.state import Snapshot, State
 from heartcase.simulator.surface.deform import DeformedSurface, PickingModel, SurfaceModel
@@ -31,8 +32,6 @@ SLEEP_MM = 0.05
 """Movement that may be left out where nothing else is said, mm."""
 SLEEP_HZ = 5.0
 """Slowest swing of tissue that sleeping shall not be seen in, Hz."""
-PROBE_MIN = 0.5
-"""Smallest semi-axis of a probe [cells]."""
 
 
 class Simulation:
@@ -231,18 +230,7 @@ class Simulation:
         SimulationError
             There is no tissue to hold, the place is not a finite point, or the radius is not above 0.
         """
-        if not (_is_point(center_mm) and np.isfinite(radius_mm)):
-            raise SimulationError("the centre and the radius must be finite numbers, three and one", place=name)
-        if radius_mm <= 0:
-            raise SimulationError(f"the radius must be above 0 mm (found {radius_mm:g})", place=name)
-        nodes = nodes_in_reach(self.model, self.state.displacement, center_mm, radius_mm)
-        for other in self.grabs:
-            nodes = np.setdiff1d(nodes, other.nodes, assume_unique=True)
-        if not len(nodes):
-            raise SimulationError("another hand holds all the tissue in the grab: grab elsewhere", place=name)
-        closed_at = self.state.displacement[nodes]
-        arms = self.model.node_index[nodes] + closed_at - self._to_lattice(center_mm)
-        grab = Grab(nodes=nodes, closed_at=closed_at, arms=arms, name=name)
+        grab = close_grab(self.model, self.state.displacement, center_mm, radius_mm, others=self.grabs, name=name)
         self.grabs.append(grab)
         self._hold()
         return grab
@@ -267,9 +255,7 @@ class Simulation:
         require_grab(grab)
         if grab not in self.grabs:
             raise SimulationError("the hand has let go and cannot be led: grab again", place=grab.name)
-        if not _is_point(offset_mm):
-            raise SimulationError("the offset must be three finite numbers", place=grab.name)
-        grab.target = Pose(self.model.to_grid(offset_mm), self._turn_in_grid(turn, grab.name))
+        grab.target = pose_of(self.model, offset_mm, turn, grab.name)
 
     def release(self, grab: Grab) -> None:
         """Let go: the nodes move on with the hand's velocity. A hand that has let go already stays so."""
@@ -305,21 +291,7 @@ class Simulation:
         SimulationError
             A number is not finite, a semi-axis too small, or the turn no rotation.
         """
-        semi_axes = np.full(3, np.nan)
-        if np.shape(semi_axes_mm) in ((), (3,)):
-            semi_axes = np.broadcast_to(np.asarray(semi_axes_mm, dtype=float), 3) / self.model.cell_mm
-        problems = []
-        if not _is_point(center_mm):
-            problems.append(Problem(name, "the centre must be three finite numbers"))
-        if not (np.isfinite(semi_axes) & (semi_axes >= PROBE_MIN)).all():
-            least = PROBE_MIN * self.model.cell_mm
-            problems.append(Problem(name, f"give a radius or three semi-axes of at least half a cell, {least:.3g} mm"))
-        if problems:
-            raise SimulationError(problems)
-        direction = self.model.geometry.direction_matrix
-        axes = direction.T @ np.eye(3) if turn is None else self._turn_in_grid(turn, name) @ direction.T
-        centre = self._to_lattice(center_mm)
-        probe = Probe(semi_axes=semi_axes, turn=axes, centre=centre, target=centre, name=name)
+        probe = make_probe(self.model, center_mm, semi_axes_mm, turn=turn, name=name)
         self.probes.append(probe)
         return probe
 
@@ -340,9 +312,9 @@ class Simulation:
         """
         if probe not in self.probes:
             raise SimulationError("the probe was withdrawn and cannot be moved: bring in another", place=probe.name)
-        if not _is_point(center_mm):
+        if not is_point(center_mm):
             raise SimulationError("the centre must be three finite numbers", place=probe.name)
-        probe.target = self._to_lattice(center_mm)
+        probe.target = point_in_lattice(self.model, center_mm)
 
     def withdraw(self, probe: Probe) -> None:
         """Take a probe away. One that was withdrawn already stays so."""
@@ -472,20 +444,6 @@ class Simulation:
     def _place(self, grab: Grab, displacement: Float64, velocity: Float64) -> None:
         self._engine.prescribe(grab.nodes, displacement.astype(np.float32), velocity.astype(np.float32))
 
-    def _to_lattice(self, point_mm: npt.ArrayLike) -> Float64:
-        """A point, LPS mm, in the coordinates of the nodes [cells]."""
-        return np.asarray(self.model.geometry.world_to_index(point_mm), dtype=float) + 0.5
-
-    def _turn_in_grid(self, turn: npt.ArrayLike | None, name: str) -> Float64:
-        """A rotation in LPS axes, in grid axes."""
-        rotation = np.eye(3) if turn is None else np.asarray(turn, dtype=float)
-        is_rotation = rotation.shape == (3, 3) and np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6)
-        if not is_rotation or np.linalg.det(rotation) < 0:
-            raise SimulationError("the turn must be a rotation matrix, shape (3, 3)", place=name)
-        direction = self.model.geometry.direction_matrix
-        turned: Float64 = direction.T @ rotation @ direction
-        return turned
-
     def _set_model(self, model: LatticeModel) -> None:
         self.model = model
         self._engine.set_springs(model)
@@ -521,7 +479,3 @@ class Simulation:
             "smaller step. The state before was restored",
             place="simulation",
         )
-
-
-def _is_point(values: npt.ArrayLike) -> bool:
-    return np.shape(values) == (3,) and bool(np.isfinite(np.asarray(values, dtype=float)).all())

@@ -6,7 +6,7 @@ import pytest
 from rich.console import Console
 from rich.progress import Progress as Rows
 
-from heartcase.cli.commands.build import Compiling
+from heartcase.cli.shared.compiling import Compiling
 from heartcase.compiling.ahead import Progress
 
 

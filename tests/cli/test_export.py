@@ -22,7 +22,7 @@ from heartcase.pipeline.exports import models
 from heartcase.pipeline.formats.labels.write_dicom_seg import dicom_seg_bytes
 from heartcase.pipeline.formats.write_images import write_segmentation
 from heartcase.pipeline.markers.load_markers import load_segmentation
-from heartcase.pipeline.warnings import Severity
+from heartcase.pipeline.warnings import WarningGrade
 from heartcase.schemas.bundle.format import FileRole
 from heartcase.schemas.bundle.reader import open_bundle, read_manifest
 from heartcase.schemas.geometry import Geometry
@@ -241,7 +241,7 @@ def test_exported_labels_corrected_elsewhere_make_a_case_again(case, built, tmp_
     (tmp_path / "recipe.toml").write_text(text.replace("Jane Doe", str(built / "Jane Doe")))
     result = build_case(load_recipe(tmp_path / "recipe.toml"), directory=tmp_path, out=tmp_path / "out")
     (note,) = [line for line in result.warnings if "grown again" in line.text]
-    assert note.severity is Severity.NOTE
+    assert note.grade is WarningGrade.NOTE
     assert "the aorta wall is not taken from the finished segmentation" in note.text
     assert any("grown again" in line for line in result.manifest.warnings)
     assert "grown again" in result.report.read_text()

@@ -139,7 +139,7 @@ def endless(tmp_path, monkeypatch):
     """Processes that never answer."""
     started = []
 
-    def start():
+    def start(unfinished):
         started.append(
             subprocess.Popen(
                 [sys.executable, "-c", "import time; time.sleep(600)"],
@@ -216,15 +216,17 @@ def test_what_was_compiled_until_a_build_ended_is_not_asked_for_again(tmp_path, 
 
 
 @pytest.mark.skipif(os.name != "posix", reason="sends SIGKILL")
-def test_a_killed_build_leaves_no_process_behind():
+def test_a_killed_build_leaves_no_process_behind(tmp_path):
+    unfinished = tmp_path / "unfinished"
+    unfinished.mkdir()
     code = """
-import time
+import sys, time
 from heartcase.compiling import ahead
-process = ahead._start()
+process = ahead._start(sys.argv[1])
 print(process.pid, flush=True)
 time.sleep(600)
 """
-    parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    parent = subprocess.Popen([sys.executable, "-c", code, str(unfinished)], stdout=subprocess.PIPE, text=True)
     child = int(parent.stdout.readline())
     parent.send_signal(signal.SIGKILL)
     parent.communicate()
@@ -232,6 +234,62 @@ time.sleep(600)
     while _lives(child) and time.monotonic() < end:
         time.sleep(0.05)
     assert not _lives(child)
+    assert not unfinished.exists()
+
+
+SLOWLY = """
+import sys, time
+from heartcase.compiling import ahead
+from heartcase.compiling.kernel import _StampedIndex
+dump = _StampedIndex._dump
+def slowly(self, what):
+    if sys.argv[2]:
+        with self._open_for_write(self._index_path) as file:
+            file.write(b"half")
+            file.flush()
+            print("writing", file=sys.stderr, flush=True)
+            time.sleep(600)
+    return dump(self, what)
+_StampedIndex._dump = slowly
+ahead.serve(sys.argv[2])
+"""
+
+
+def test_what_a_killed_process_was_writing_goes_and_what_others_write_stays(tmp_path, monkeypatch):
+    """The cache is shared: only a file of the process that was ended may be removed."""
+    cache = tmp_path / "cache"
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(cache))
+    writing = []
+
+    def start(unfinished):
+        process = subprocess.Popen(
+            [sys.executable, "-c", SLOWLY, "", unfinished],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            env=environment(cache),
+            text=True,
+        )
+        writing.append(process)
+        return process
+
+    cache.mkdir()
+    monkeypatch.setattr(ahead, "_start", start)
+    monkeypatch.setattr(ahead, "_note", lambda: cache / "note")
+    one = listed()[3]
+    other = cache / "of-another.nbc.tmp.0123456789abcdef"
+    other.write_bytes(b"another process writes this")
+    with compiled_ahead([Called(one["module"], one["name"], tuple(one["types"]), 1.0)], processes=1):
+        end = time.monotonic() + 60
+        while not writing and time.monotonic() < end:
+            time.sleep(0.01)
+        assert writing[0].stderr.readline() == "writing\n"
+        (half,) = (path for path in cache.rglob("*") if path.is_file() and path.read_bytes() == b"half")
+        assert half.parent != other.parent
+    writing[0].stderr.close()
+    left = [path for path in cache.rglob("*") if path.is_file() and path.suffix != ".lock"]
+    assert left == [other]
+    assert not list(cache.glob("heartcase-unfinished-*"))
 
 
 def _lives(process):

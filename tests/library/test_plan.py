@@ -116,7 +116,7 @@ def test_a_case_is_up_to_date_as_long_as_its_files_are_as_they_were_written(libr
     assert not is_up_to_date(case, out)
 
 
-@pytest.mark.parametrize("text", ["", "[]", "{}", '{"record_version": 1}', '{"record_version": 99}', "\0"])
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"record_version": 2}', '{"record_version": 99}', "\0"])
 def test_a_damaged_record_is_none(tmp_path, text):
     write_record(CaseRecord("one", "0" * 64), tmp_path)
     path = next(tmp_path.rglob("one.json"))

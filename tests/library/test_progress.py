@@ -13,6 +13,7 @@ from heartcase.cli.library.progress import LibraryProgress
 from heartcase.library.build import Workers, build_cases, connected
 from heartcase.library.plan import CaseRecord, plan_library, read_record, write_record
 from heartcase.library.progress import MAKING_THE_SCAN, StageNews, TellingListener, heard
+from heartcase.schemas.bundle.format import WarningGrade
 from tests.library.test_build import QUICK, make_library
 
 
@@ -66,11 +67,12 @@ def test_workers_tell_of_their_stages(tmp_path):
     assert finished[:4] == list(record.stage_seconds)[:4]
     assert {news.case for news in heard} == {"ball-0"}
     assert any(not news.is_finished and news.seconds_expected > 0.0 for news in heard)
-    assert len(record.warning_severities) == len(record.warnings)
+    assert len(record.warning_grades) == len(record.warnings)
 
 
-def test_warnings_are_told_by_severity(tmp_path):
-    record = CaseRecord("a", "s", warnings=("w", "x", "y"), warning_severities=("ANATOMY", "NOTE", "NOTE"))
+def test_warnings_are_told_by_grade(tmp_path):
+    grades = (WarningGrade.ANATOMY, WarningGrade.NOTE, WarningGrade.NOTE)
+    record = CaseRecord("a", "s", warnings=("w", "x", "y"), warning_grades=grades)
     assert warning_words(record) == "1 the anatomy may be wrong, 2 for information"
     write_record(record, tmp_path)
     assert read_record("a", tmp_path) == record

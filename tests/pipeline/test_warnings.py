@@ -17,7 +17,7 @@ from heartcase.pipeline.data import Scan
 from heartcase.pipeline.ends.cut_ends import closed_vessels
 from heartcase.pipeline.warnings import (
     CaseWarning,
-    Severity,
+    WarningGrade,
     WarningParts,
     anatomy,
     counted,
@@ -32,17 +32,17 @@ from heartcase.pipeline.watershed.segment_scan import segmentation_warnings
 from heartcase.schemas.errors import StageError
 from tests.pipeline.report.analytic_heart import make_heart
 
-warnings = st.builds(CaseWarning, st.sampled_from("abcdef"), st.sampled_from(Severity))
+warnings = st.builds(CaseWarning, st.sampled_from("abcdef"), st.sampled_from(WarningGrade))
 coordinates = st.floats(-500.0, 500.0).map(lambda value: round(value, 1))
 any_warnings = st.builds(
     CaseWarning,
     st.sampled_from(("a wall", "aorta: edits[2] is near", 'with "quotes" and mm²')),
-    st.sampled_from(Severity),
+    st.sampled_from(WarningGrade),
     st.sampled_from(("", "wall-gap")),
     places_mm=st.lists(st.tuples(coordinates, coordinates, coordinates), max_size=2).map(tuple),
     listed=st.lists(st.sampled_from(("one", "other")), max_size=3).map(tuple),
-    has_stated_severity=st.booleans(),
-) | st.builds(of_edit, st.integers(1, 40), st.sampled_from(("odd", "edits[3]: no")), st.sampled_from(Severity))
+    has_stated_grade=st.booleans(),
+) | st.builds(of_edit, st.integers(1, 40), st.sampled_from(("odd", "edits[3]: no")), st.sampled_from(WarningGrade))
 
 
 def scan_with(*told):
@@ -52,29 +52,29 @@ def scan_with(*told):
 
 @settings(deadline=None)
 @given(st.lists(st.lists(warnings, max_size=6), max_size=4))
-def test_the_worst_come_first_each_once_with_its_worst_severity(sources):
+def test_the_worst_come_first_each_once_with_its_worst_grade(sources):
     result = worst_first(*sources)
     every = [warning for source in sources for warning in source]
     texts = [warning.text for warning in every]
     assert sorted(warning.text for warning in result) == sorted(set(texts))
-    assert all(a.severity <= b.severity for a, b in itertools.pairwise(result))
+    assert all(a.grade.rank <= b.grade.rank for a, b in itertools.pairwise(result))
     for warning in result:
-        assert warning.severity == min(other.severity for other in every if other.text == warning.text)
+        assert warning.grade.rank == min(other.grade.rank for other in every if other.text == warning.text)
     # Those that matter alike keep the order in which they came.
     for a, b in itertools.pairwise(result):
-        if a.severity == b.severity:
+        if a.grade == b.grade:
             assert texts.index(a.text) < texts.index(b.text)
 
 
 def test_what_a_warning_is_about_stays_with_it_when_it_is_sorted():
     place = (1.0, 2.0, 3.0)
-    first, second = anatomy("a gap", code="wall-gap", places_mm=[place]), of_edit(3, "odd", Severity.NOTE)
-    worse = of_edit(3, "odd", Severity.LOOK)
+    first, second = anatomy("a gap", code="wall-gap", places_mm=[place]), of_edit(3, "odd", WarningGrade.NOTE)
+    worse = of_edit(3, "odd", WarningGrade.LOOK)
     assert worst_first([second], [first], [worse]) == (first, worse)
 
 
 def test_a_warning_is_something_to_look_at_where_nothing_else_is_said():
-    assert CaseWarning("x").severity is Severity.LOOK
+    assert CaseWarning("x").grade is WarningGrade.LOOK
     assert [str(one) for one in worst_first([CaseWarning("info"), note("n"), anatomy("a")])] == ["a", "info", "n"]
 
 
@@ -96,12 +96,12 @@ def test_a_warning_is_written_and_read_back_whole(warning):
 def test_what_stages_wrote_before_is_written_alike():
     """The JSON of stage outputs of known versions: changing it would change hashes of outputs that stay the same."""
     assert warning_to_json(CaseWarning("plain")) == "plain"
-    assert warning_to_json(CaseWarning("look", has_stated_severity=True)) == {"severity": "LOOK", "text": "look"}
+    assert warning_to_json(CaseWarning("look", has_stated_grade=True)) == {"severity": "LOOK", "text": "look"}
     assert warning_to_json(anatomy("a wall")) == {"severity": "ANATOMY", "text": "a wall"}
     assert warning_to_json(note("a speck")) == {"severity": "NOTE", "text": "a speck"}
     edited = {"severity": "NOTE", "text": "edits[3]: 'cavity' is one piece"}
-    assert warning_to_json(of_edit(3, "'cavity' is one piece", Severity.NOTE)) == edited
-    assert warning_to_json(of_edit(1, "odd", Severity.LOOK)) == "edits[1]: odd"
+    assert warning_to_json(of_edit(3, "'cavity' is one piece", WarningGrade.NOTE)) == edited
+    assert warning_to_json(of_edit(1, "odd", WarningGrade.LOOK)) == "edits[1]: odd"
 
 
 def test_the_number_of_an_edit_is_found_again_in_what_was_written():
@@ -116,7 +116,7 @@ def test_warnings_survive_the_cache_and_the_history():
         CaseWarning("plain"),
         anatomy("a wall", code="wall-gap", places_mm=((1.04, -0.01, 3.0),)),
         note("a speck"),
-        of_edit(2, "odd", Severity.NOTE),
+        of_edit(2, "odd", WarningGrade.NOTE),
     )
     scan = scan_with(*told)
     back = artifact_from_bytes(artifact_to_bytes(scan), Scan).warnings
@@ -176,9 +176,9 @@ def test_an_aorta_without_an_end_outranks_a_loose_piece():
     segmentation = type(heart.segmentation)(labels, heart.segmentation.geometry, heart.table)
     found = worst_first(segmentation_warnings(segmentation), closed_vessels(segmentation, ()))
     assert "the aorta ends in a closed sac" in found[0].text
-    assert found[0].severity is Severity.ANATOMY
+    assert found[0].grade is WarningGrade.ANATOMY
     pieces = next(warning for warning in found if "pieces" in warning.text)
-    assert pieces.severity is Severity.LOOK
+    assert pieces.grade is WarningGrade.LOOK
     assert np.prod(heart.segmentation.geometry.spacing_mm) == pytest.approx(64.0)
     assert "0.064 ml near (-62, -62, -62) mm" in pieces.text
 

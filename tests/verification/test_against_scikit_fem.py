@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import functools
 import importlib
-import sys
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -18,7 +16,6 @@ from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.lattice.model import make_model
 from tests.simulator.lattices import block_cells
 
-BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 NAMES = ("statics", "elasticity_scenes", "elasticity_voxels", "elasticity_shells", "elasticity_strips")
 THICKNESS_MM = 10.0
 
@@ -26,17 +23,13 @@ THICKNESS_MM = 10.0
 @pytest.fixture(scope="module")
 def lab():
     """The benchmark's modules that need no scikit-fem."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(BENCHMARKS))
-        yield SimpleNamespace(**{name: importlib.import_module(name) for name in NAMES})
-    for name in (*NAMES, "elasticity_truth"):
-        sys.modules.pop(name, None)
+    return SimpleNamespace(**{name: importlib.import_module(f"benchmarks.{name}") for name in NAMES})
 
 
 @pytest.fixture(scope="module")
 def truth(lab):
     pytest.importorskip("skfem")
-    return importlib.import_module("elasticity_truth")
+    return importlib.import_module("benchmarks.elasticity_truth")
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 from rich.console import Console
@@ -12,15 +11,13 @@ from rich.progress import Progress as RowsOfProgress
 from rich.progress import TaskID, TimeElapsedColumn
 
 from heartcase.cli.shared.clock import INTERRUPTED, command_seconds
+from heartcase.cli.shared.compiling import Compiling
 from heartcase.cli.shared.output import echo_json, echo_warnings, working
 from heartcase.cli.shared.stage_bars import TimedBar, TimeLeft, stage_result
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.recipe.recipe import load_recipe
 
-if TYPE_CHECKING:
-    from heartcase.compiling.ahead import Progress
-
-__all__ = ["Compiling", "command"]
+__all__ = ["command"]
 
 
 def _title(stage: str) -> str:
@@ -28,31 +25,6 @@ def _title(stage: str) -> str:
     from heartcase.pipeline.stages.table import step_named
 
     return step_named(stage).title
-
-
-class Compiling:
-    """Shows that kernels are being compiled, which are then kept, and for how long still.
-
-    Told of progress by other threads, one at a time.
-    """
-
-    def __init__(self, console: Console, progress: RowsOfProgress) -> None:
-        self.console, self.progress = console, progress
-        self.task: TaskID | None = None
-        self.start = time.perf_counter()
-
-    def __call__(self, state: Progress) -> None:
-        """Show how far it is; the row goes when all is compiled."""
-        words = f"compiling {state.done + state.failed} of {state.total}"
-        if self.task is None:
-            self.console.print(
-                f"  compiling {state.total} kernels meanwhile, which is kept for later builds", highlight=False
-            )
-            self.task = self.progress.add_task(words, total=max(state.seconds_left, 0.1), seconds_after=0.0)
-        passed = time.perf_counter() - self.start
-        self.progress.update(self.task, description=words, total=passed + state.seconds_left)
-        if state.done + state.failed == state.total:
-            self.progress.remove_task(self.task)
 
 
 class _Bar:
@@ -171,7 +143,7 @@ def command(
                 "stage_seconds": {stage: round(value, 3) for stage, value in result.seconds.items()},
                 "reused": list(result.reused),
                 "warnings": [warning.text for warning in result.warnings],
-                "warning_grades": [warning.severity.grade for warning in result.warnings],
+                "warning_grades": [warning.grade for warning in result.warnings],
                 "simulation": result.manifest.simulation.model_dump(mode="json") if result.manifest else None,
                 "quality": result.manifest.quality if result.manifest else None,
             }

@@ -10,7 +10,7 @@ import numpy as np
 
 from heartcase.cli.shared.output import echo_json, echo_warnings, file_size, print_facts, print_table, working
 from heartcase.cli.shared.stage_io import scan_options
-from heartcase.pipeline.warnings import CaseWarning, Severity, counted, warnings_of
+from heartcase.pipeline.warnings import CaseWarning, counted, warnings_of
 from heartcase.schemas.bundle.format import MANIFEST_NAME
 from heartcase.schemas.errors import MissingPathError
 from heartcase.schemas.geometry import Geometry
@@ -132,7 +132,7 @@ def case_facts(path: Path) -> dict[str, Any]:
         "simulation": manifest.simulation,
         "landmarks": [landmark.name for landmark in manifest.landmarks],
         "warnings": list(manifest.warnings),
-        "warning_grades": [warning.severity.grade for warning in warnings_of(manifest)],
+        "warning_grades": [warning.grade for warning in warnings_of(manifest)],
         "files": [{"role": file.role.value, "name": file.name, "bytes": file.size} for file in manifest.files],
         "total_bytes": sum(file.size for file in manifest.files),
     }
@@ -259,7 +259,7 @@ def _show_case(facts: dict[str, Any]) -> None:
     ]
     print_facts(rows, title=f"Case {facts['name']}")
     pairs = zip(facts["warnings"], facts["warning_grades"], strict=True)
-    echo_warnings(CaseWarning(warning, Severity[grade.name]) for warning, grade in pairs)
+    echo_warnings(CaseWarning(warning, grade) for warning, grade in pairs)
     volumes = [
         (label["value"], label["name"], label["role"].replace("_", " "), _volume(label["volume_ml"]))
         for label in facts["labels"]

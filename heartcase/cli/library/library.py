@@ -15,7 +15,7 @@ from heartcase.cli.library.review import check, diff
 from heartcase.cli.shared.clock import INTERRUPTED, command_seconds
 from heartcase.cli.shared.output import echo_json, error_console, print_table, working
 from heartcase.library.plan import CaseRecord, LibraryCase, read_record
-from heartcase.pipeline.warnings import Severity, counted
+from heartcase.pipeline.warnings import WarningGrade, counted
 from heartcase.schemas.errors import Problem, UsageError
 
 __all__ = ["command"]
@@ -58,6 +58,7 @@ def build(
     Only what changed is built. A case that fails is listed, and does not stop the others; what was interrupted goes on
     from there when the library is built again. Exits with 1 where a case failed.
     """
+    from heartcase.library.ahead import library_kernels_ahead
     from heartcase.library.build import build_cases, connected, default_workers, has_dashboard, stale_cases
     from heartcase.library.plan import plan_library
 
@@ -95,7 +96,9 @@ def build(
                 else:
                     say("no dashboard: it needs bokeh, which  pip install 'heartcase[library]'  brings")
                 shown = LibraryProgress(console, len(stale), local.count if local else sum(client.nthreads().values()))
-                with shown.progress:
+                # Elsewhere, each worker compiles in its own cache what it needs.
+                processes = local.count * local.thread_count if local is not None else 0
+                with shown.progress, library_kernels_ahead(stale, processes=processes, told=shown.compiling()):
                     for record in build_cases(stale, client, out=out, cache=cache, hear=shown.hear):
                         records.append(record)
                         shown.case_done(record.name, record.seconds)
@@ -120,24 +123,27 @@ def _say_failed(say: Callable[[str], None], name: str, problems: Iterable[Proble
 
 _UNCHANGED_SHOWN_MAX = 30
 """Unchanged cases with warnings that are listed, the worst first."""
-_SHORT = {Severity.ANATOMY: "the anatomy may be wrong", Severity.LOOK: "to look at", Severity.NOTE: "for information"}
+_SHORT = {
+    WarningGrade.ANATOMY: "the anatomy may be wrong",
+    WarningGrade.LOOK: "to look at",
+    WarningGrade.NOTE: "for information",
+}
 
 
 def warning_words(record: CaseRecord) -> str:
-    """How many warnings of a case there are of which severity, the worst first."""
-    count = _severity_counts(record)
+    """How many warnings of a case there are of which grade, the worst first."""
+    count = _grade_counts(record)
     return ", ".join(f"{count[one]} {words}" for one, words in _SHORT.items() if count[one])
 
 
-def _severity_counts(record: CaseRecord) -> Counter[Severity]:
+def _grade_counts(record: CaseRecord) -> Counter[WarningGrade]:
     # A record of before says not how much they matter: then each is worth a look.
-    known = record.warning_severities or (Severity.LOOK.name,) * len(record.warnings)
-    return Counter(Severity[name] for name in known if name in Severity.__members__)
+    return Counter(record.warning_grades or (WarningGrade.LOOK,) * len(record.warnings))
 
 
 def _worst_first(record: CaseRecord) -> tuple[int, int, str]:
-    count = _severity_counts(record)
-    return -count[Severity.ANATOMY], -count[Severity.LOOK], record.name
+    count = _grade_counts(record)
+    return -count[WarningGrade.ANATOMY], -count[WarningGrade.LOOK], record.name
 
 
 def _computed_s(built: Iterable[CaseRecord]) -> float:
@@ -185,7 +191,7 @@ def _tell(
                         "reused": record.reused,
                         "memory_peak_mb": record.memory_peak_mb,
                         "warning_count": len(record.warnings),
-                        "warning_severities": record.warning_severities,
+                        "warning_grades": record.warning_grades,
                     }
                     for record in sorted(built, key=lambda record: record.name)
                 ],

@@ -11,6 +11,7 @@ from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskID, Tex
 from rich.progress_bar import ProgressBar
 from rich.text import Text
 
+from heartcase.cli.shared.compiling import Compiling
 from heartcase.cli.shared.stage_bars import TimedBar, stage_result, time_left
 from heartcase.library.progress import MAKING_THE_SCAN, StageNews
 
@@ -91,6 +92,14 @@ class LibraryProgress:
             words, total=max(news.seconds_expected, 0.1), is_all=False, ends_s=_constant(ends_s)
         )
         self.running[news.case] = _Running(task, now if before is None else before.began_s, ends_s)
+
+    def compiling(self) -> Compiling:
+        """What shows that kernels are compiled meanwhile."""
+        return Compiling(
+            self.console,
+            self.progress,
+            lambda seconds_left: {"is_all": False, "ends_s": _constant(time.monotonic() + seconds_left)},
+        )
 
     def case_done(self, name: str, seconds: float) -> None:
         """Show that a case is done, or failed."""

@@ -19,7 +19,7 @@ from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
-from heartcase.pipeline.warnings import CaseWarning, Severity, counted, grouped
+from heartcase.pipeline.warnings import CaseWarning, WarningGrade, counted, grouped
 
 __all__ = [
     "echo_json",
@@ -68,7 +68,7 @@ def echo_warnings(warnings: Iterable[CaseWarning], *, err: bool = False) -> int:
         click.echo(f"{group.title} ({counted(len(group.lines), 'warning')})", err=err)
         for line in group.lines:
             click.echo(f"  - {line}", err=err)
-        worst += len(group.lines) * (group.severity is Severity.ANATOMY)
+        worst += len(group.lines) * (group.grade is WarningGrade.ANATOMY)
     return worst
 
 

@@ -60,9 +60,9 @@ def command(
     """
     from heartcase.pipeline.building.lock import check_lock
     from heartcase.pipeline.bundle.assembly import StageResults, assemble_case
-    from heartcase.pipeline.bundle.case_id import made_up_case_id
     from heartcase.pipeline.bundle.write_bundle import write_bundle
     from heartcase.pipeline.data import GridMap, Scan, SimulationGrid, Structures, Surface
+    from heartcase.pipeline.stages.resolve import case_id_of
     from heartcase.pipeline.warnings import CaseWarning
     from heartcase.schemas.recipe.recipe import Part
 
@@ -106,7 +106,7 @@ def command(
             told=told,
         ),
         name=name,
-        case_id=work.recipe.case_id or made_up_case_id(name, volume.whole_sha256 or volume.values_sha256),
+        case_id=case_id_of(work.recipe, volume, name=name),
     )
     write_bundle(output, assembled.content)
     echo_warnings(assembled.warnings)

@@ -44,7 +44,7 @@ def command(labels: Path, output: Path, recipe: Path | None, sets: tuple[str, ..
         work.told |= told_of_outlines(work.recipe, segmentation, None, None)
         if naming.method != "labels":
             unknown = "the labels came from an image file, which holds nothing of what was told when they were made"
-            work.told["unknown"] = (CaseWarning(unknown, has_stated_severity=True),)
+            work.told["unknown"] = (CaseWarning(unknown, has_stated_grade=True),)
     settings = resolve_walls(work.recipe.walls, segmentation.geometry, segmentation.table)
     work.recipe = work.recipe.model_copy(update={"walls": settings})
     work.outputs.segmentation = node_of(segmentation)

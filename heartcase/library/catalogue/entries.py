@@ -12,7 +12,7 @@ from pydantic import TypeAdapter, ValidationError
 from heartcase.pipeline.checks.openings import Verdict
 from heartcase.pipeline.report.build_report import VERDICT_WORDS
 from heartcase.pipeline.report.plain_words import Fact, figure_facts
-from heartcase.pipeline.warnings import Severity, WarningGroup, grouped, warnings_of
+from heartcase.pipeline.warnings import WarningGrade, WarningGroup, grouped, warnings_of
 from heartcase.schemas.about import About
 from heartcase.schemas.base import Name
 from heartcase.schemas.bundle.format import MANIFEST_NAME, CaseManifest, FileRole
@@ -94,7 +94,7 @@ class Entry:
     @property
     def doubtful_count(self) -> int:
         """Number of warnings that are more than information."""
-        return sum(len(group.lines) for group in self.warnings if group.severity is not Severity.NOTE)
+        return sum(len(group.lines) for group in self.warnings if group.grade is not WarningGrade.NOTE)
 
     @property
     def surface_p99_mm(self) -> float | None:

@@ -90,7 +90,7 @@ def case_page(
         bloods=[kind.value for kind in Oxygen if any(group["blood"] == kind.value for group in groups)],
         oxygen_colours={kind.value: colour for kind, colour in OXYGEN_COLOURS.items()},
         landmarks=entry.landmarks,
-        warnings=[(group.severity.grade.value, group.lines) for group in entry.warnings],
+        warnings=[(group.grade.value, group.lines) for group in entry.warnings],
         facts=entry.facts,
         openings=entry.openings,
         volumes=entry.volumes_ml,

@@ -8,7 +8,7 @@ a small case and fails where the list and what was called differ; ``python -m te
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import AbstractContextManager
 from functools import cache
 from pathlib import Path
@@ -17,7 +17,7 @@ from heartcase.compiling.ahead import Called, Progress, compiled_ahead, core_cou
 from heartcase.pipeline.stages import table
 from heartcase.schemas.recipe.recipe import Recipe
 
-__all__ = ["LIST", "SCAN", "kernels_ahead", "kernels_needed"]
+__all__ = ["LIST", "PROCESSES_MOST", "SCAN", "kernels_ahead", "kernels_needed", "kernels_of", "stages_taken"]
 
 LIST = Path(__file__).with_name("kernels.json")
 PROCESSES_MOST = 8
@@ -57,6 +57,11 @@ def kernels_ahead(
 
 def kernels_needed(recipe: Recipe, *, makes_scan: bool = False, until: str | None = None) -> tuple[Called, ...]:
     """Kernels of the stages that a build takes, in the order in which they are called first."""
+    return kernels_of(stages_taken(recipe, makes_scan=makes_scan, until=until))
+
+
+def stages_taken(recipe: Recipe, *, makes_scan: bool = False, until: str | None = None) -> frozenset[str]:
+    """Stages whose listed kernels a build calls, SCAN among them where the scan is made."""
     stages = [SCAN] if makes_scan else []
     for step in table.steps():
         is_taken = step is table.REPORT or (step.is_part(recipe) and step.has_work(recipe))  # type: ignore[union-attr]
@@ -65,8 +70,12 @@ def kernels_needed(recipe: Recipe, *, makes_scan: bool = False, until: str | Non
             break
     if recipe.segment.method != "watershed":
         stages = [name for name in stages if name != "segment"]  # its kernels are the watershed's
-    listed = _listed()
-    return tuple(one for stage in stages for one in listed.get(stage, ()))
+    return frozenset(stages)
+
+
+def kernels_of(stages: Collection[str]) -> tuple[Called, ...]:
+    """Listed kernels of these stages, in the order in which they are called first."""
+    return tuple(one for stage, kernels in _listed().items() if stage in stages for one in kernels)
 
 
 @cache

@@ -84,9 +84,9 @@ def _told(recipe: Recipe, directory: Path, scan: Scan, whole: Geometry) -> tuple
     from heartcase.pipeline.markers.load_markers import check_markers, load_markers, load_segmentation
 
     segment = recipe.segment
-    if segment.method == "labels" and segment.file is not None:
+    if segment.finished_file is not None:
         return load_segmentation(
-            directory / segment.file,
+            directory / segment.finished_file,
             segment.names,
             recipe.table,
             scan.geometry,

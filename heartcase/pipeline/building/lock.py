@@ -83,7 +83,7 @@ def lock_recipe(recipe: Recipe, *, directory: Path, out: Path) -> Recipe:
         defaulted=defaulted,
         unset=_but_the_lock(unset_settings(resolved)),
     )
-    locked = resolved.model_copy(update={"lock": lock})
+    locked: Recipe = resolved.model_copy(update={"lock": lock})
     if directory.resolve() != out.resolve():
         locked = _with_paths_from(locked, directory, out)
     locked = parse_recipe(recipe_text(locked))
@@ -275,8 +275,8 @@ def _settings_sha256(recipe: Recipe) -> str:
 
 def _segmentation_file(recipe: Recipe, directory: Path) -> Path | None:
     """The finished segmentation, where the recipe takes one."""
-    is_read = recipe.segment.method == "labels" and recipe.segment.file is not None
-    return directory / str(recipe.segment.file) if is_read else None
+    file = recipe.segment.finished_file
+    return None if file is None else directory / file
 
 
 def _input_sha256(place: str, path: Path) -> str:

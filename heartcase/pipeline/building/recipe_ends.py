@@ -13,11 +13,11 @@ from heartcase.pipeline.data import Segmentation, VesselEnd
 from heartcase.pipeline.ends.cut_ends import cut_ends
 from heartcase.pipeline.ends.discs import Stumps, end_marker
 from heartcase.pipeline.ends.find_ends import find_ends
-from heartcase.pipeline.stages.resolve import resolve_recipe
 from heartcase.pipeline.stages.stage import Work, have
 from heartcase.schemas.errors import Problem, RecipeError, StageError
 from heartcase.schemas.labels import LabelTable
 from heartcase.schemas.recipe.recipe import Recipe, parse_recipe, read_recipe_text
+from heartcase.schemas.recipe.resolved import ResolvedRecipe
 from heartcase.schemas.toml import toml_text
 
 __all__ = ["ProposedEnds", "ends_at_locking", "propose_ends"]
@@ -136,18 +136,18 @@ def ends_at_locking(recipe: Recipe, directory: Path, cache: Path) -> tuple[Vesse
 
 def _segmented(
     recipe: Recipe, directory: Path, cache: Cache, listener: BuildListener | None
-) -> tuple[Segmentation, Recipe]:
+) -> tuple[Segmentation, ResolvedRecipe]:
     """The segmentation of a build, and the recipe with everything resolved."""
     runner, work = Runner(cache, listener or SilentListener(), force=False), Work(recipe, directory, cache=cache)
 
     def after(stage: str) -> None:
         if stage == "read":
-            work.recipe = resolve_recipe(recipe, have(work.outputs.scan).get())
+            work.resolve()
 
     run_stages(runner, work, until="segment", after=after)
-    return have(work.outputs.segmentation).get(), work.recipe
+    return have(work.outputs.segmentation).get(), work.resolve()
 
 
-def _stumps(segmentation: Segmentation, resolved: Recipe) -> tuple[LabelTable, Stumps]:
+def _stumps(segmentation: Segmentation, resolved: ResolvedRecipe) -> tuple[LabelTable, Stumps]:
     table = segmentation.table.with_walls()
     return table, Stumps.of(resolved.walls, table, segmentation.geometry.spacing_mm)

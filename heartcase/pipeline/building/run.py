@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from heartcase.pipeline.artifacts.cache import Cache, stage_key
+from heartcase.pipeline.building.ahead import kernels_ahead
 from heartcase.pipeline.building.lock import check_lock
 from heartcase.pipeline.building.runner import BuildListener, Runner, SilentListener, run_stages
 from heartcase.pipeline.bundle.write_bundle import check_place, check_replacement, write_bundle
 from heartcase.pipeline.markers.placeholders import placeholder_problems
 from heartcase.pipeline.stages.bundle import STAGE as BUNDLE
-from heartcase.pipeline.stages.resolve import resolve_recipe
 from heartcase.pipeline.stages.segment import filtered_tree
 from heartcase.pipeline.stages.stage import Work, have
 from heartcase.pipeline.stages.table import REPORT, stage_names
@@ -64,6 +64,7 @@ def build_case(
     until: str | None = None,
     accept_inputs: bool = False,
     replace: bool = False,
+    compile_processes: int = 0,
 ) -> BuildResult:
     """Build a case.
 
@@ -87,6 +88,10 @@ def build_case(
         Replace a case of this name although it was made from another scan.
     accept_inputs
         Build a locked recipe although its scan or marker files are not those that it was locked with.
+    compile_processes
+        Processes that compile kernels ahead, beside this one, where not all of them were compiled on this machine
+        before; as many as there are cores make the first build fastest, and each holds some 600 MB. By default none
+        is started: a program that calls this may not want it.
 
     Raises
     ------
@@ -117,15 +122,16 @@ def build_case(
         if examples:
             raise RecipeError(examples)
         work.told["lock"] = check_lock(recipe, directory, scan, accept_inputs=accept_inputs)
-        work.recipe = resolve_recipe(recipe, scan)
+        resolved = work.resolve()
         if until in (None, BUNDLE.name) and not replace:
-            check_replacement(out / f"{recipe.name}.case", work.recipe.case_id)
+            check_replacement(out / f"{recipe.name}.case", resolved.case_id)
 
-    run_stages(runner, work, until=until, after=after)
-    if until not in (None, BUNDLE.name):
-        warnings = work.told["lock"]
-        return BuildResult(None, None, None, runner.seconds, tuple(runner.reused), changed=False, warnings=warnings)
-    return _finish(runner, work, out)
+    with kernels_ahead(recipe, until=until, processes=compile_processes):
+        run_stages(runner, work, until=until, after=after)
+        if until not in (None, BUNDLE.name):
+            warnings = work.told["lock"]
+            return BuildResult(None, None, None, runner.seconds, tuple(runner.reused), changed=False, warnings=warnings)
+        return _finish(runner, work, out)
 
 
 def _finish(runner: Runner, work: Work, out: Path) -> BuildResult:
@@ -176,6 +182,7 @@ def _report(runner: Runner, work: Work, assembled: AssembledCase) -> str:
         ReportInputs(
             sureness=_sureness(work),
             recipe=work.recipe,
+            rules=work.rules,
             scan=have(outputs.scan).get(),
             segmentation=have(outputs.segmentation).get(),
             structures=have(outputs.structures).get(),

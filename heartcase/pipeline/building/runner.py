@@ -7,7 +7,7 @@ import json
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Protocol, TypeVar, cast
+from typing import Any, Protocol, TypeVar
 
 from heartcase.pipeline.artifacts.cache import Cache, stage_key
 from heartcase.pipeline.artifacts.serialise import artifact_to_bytes
@@ -63,20 +63,19 @@ class SilentListener:
         """Do nothing."""
 
 
-@dataclass
-class Runner:
-    """Runs stages through the cache and remembers how."""
+@dataclass(kw_only=True)
+class UncachedRunner:
+    """Computes every stage and keeps nothing: for a single stage, whose output the user names a file for."""
 
-    cache: Cache
-    listener: BuildListener
-    force: bool
     voxel_count: int = 1_000_000
     """Of the scan, once it is read: times are expected in proportion."""
     seconds: dict[str, float] = field(default_factory=dict)
+    """Name of each stage that has its output -> how long that took, s."""
     reused: list[str] = field(default_factory=list)
+    """Names of those whose output was found."""
 
     def run(self, stage: Stage[T], work: Work, *, done: tuple[T, float] | None = None) -> None:
-        """Find a stage's output, or compute and keep it; nothing, where the recipe has no work for it.
+        """Get a stage's output; nothing, where the recipe has no work for it.
 
         Parameters
         ----------
@@ -93,13 +92,47 @@ class Runner:
             return
         settings = stage.settings(work)
         if stage.is_kept(work.recipe):
-            node = self._found_or_computed(stage, work, settings, done)
+            node = self._kept(stage, work, settings, done)
         else:
             node = self._computed(stage, work, done)
         setattr(work.outputs, stage.output, node)
         work.records.append(
             StageRecord(stage=stage.name, version=stage.version, settings=settings, output_sha256=node.sha256)
         )
+
+    def _kept(self, stage: Stage[T], work: Work, settings: dict[str, Any], done: tuple[T, float] | None) -> Node[T]:
+        """The output of a stage that a cache keeps, where there is one."""
+        return self._computed(stage, work, done)
+
+    def _computed(self, stage: Stage[T], work: Work, done: tuple[T, float] | None = None) -> Node[T]:
+        """The output of a stage that the cache does not keep."""
+        self.announce(stage.name)
+        start = time.perf_counter()
+        value = done[0] if done else stage.compute(work)
+        node = Node(hashlib.sha256(artifact_to_bytes(value)).hexdigest(), lambda: value, value)
+        self.seconds[stage.name] = done[1] if done else time.perf_counter() - start
+        if isinstance(value, Scan):
+            self.voxel_count = value.values.size
+        self.tell_finished(stage.name, self.seconds[stage.name], reused=False)
+        return node
+
+    def announce(self, stage: str) -> None:
+        """Tell that a stage begins: here nobody."""
+
+    def tell_finished(self, stage: str, seconds: float, *, reused: bool) -> None:
+        """Tell that a stage has its output: here nobody."""
+
+
+@dataclass
+class Runner(UncachedRunner):
+    """Finds the outputs of stages in a cache, or computes and keeps them; tells a listener, and remembers the times."""
+
+    cache: Cache
+    """Keeps outputs, and how long stages took."""
+    listener: BuildListener
+    """Told of each stage."""
+    force: bool
+    """Compute every stage, whatever the cache holds."""
 
     def run_both(self, stage: Stage[Any], longer: Stage[Any], work: Work) -> None:
         """Run two stages of which neither needs the other, and compute both at the same time where both must be.
@@ -121,9 +154,7 @@ class Runner:
         self.run(stage, work, done=done)
         work.records[-2:] = reversed(work.records[-2:])
 
-    def _found_or_computed(
-        self, stage: Stage[T], work: Work, settings: dict[str, Any], done: tuple[T, float] | None
-    ) -> Node[T]:
+    def _kept(self, stage: Stage[T], work: Work, settings: dict[str, Any], done: tuple[T, float] | None) -> Node[T]:
         """The output from the cache, or computed and kept there."""
         key = _key_of(stage, work, settings)
         entry = None if self.force else self.cache.find(stage.name, key)
@@ -137,7 +168,7 @@ class Runner:
             stored = self.cache.store(stage.name, key, output, seconds=seconds + time.perf_counter() - start)
             node.sha256 = stored.output_sha256
             self.seconds[stage.name] = stored.seconds
-            self.listener.stage_finished(stage.name, seconds=stored.seconds, reused=False)
+            self.tell_finished(stage.name, stored.seconds, reused=False)
             return output
 
         def fetch() -> T:
@@ -154,19 +185,7 @@ class Runner:
             node.sha256 = entry.output_sha256
             self.seconds[stage.name] = entry.seconds
             self.reused.append(stage.name)
-            self.listener.stage_finished(stage.name, seconds=entry.seconds, reused=True)
-        return node
-
-    def _computed(self, stage: Stage[T], work: Work, done: tuple[T, float] | None = None) -> Node[T]:
-        """The output of a stage that the cache does not keep."""
-        self.announce(stage.name)
-        start = time.perf_counter()
-        value = done[0] if done else stage.compute(work)
-        node = Node(hashlib.sha256(artifact_to_bytes(value)).hexdigest(), lambda: value, value)
-        self.seconds[stage.name] = done[1] if done else time.perf_counter() - start
-        if isinstance(value, Scan):
-            self.voxel_count = value.values.size
-        self.listener.stage_finished(stage.name, seconds=self.seconds[stage.name], reused=False)
+            self.tell_finished(stage.name, entry.seconds, reused=True)
         return node
 
     def announce(self, stage: str) -> None:
@@ -174,6 +193,10 @@ class Runner:
         names = [step.name for step in table.steps()]
         after = sum(self._expected(later) for later in names[names.index(stage) + 1 :])
         self.listener.stage_started(stage, seconds_expected=self._expected(stage), seconds_after=after)
+
+    def tell_finished(self, stage: str, seconds: float, *, reused: bool) -> None:
+        """Tell the listener that a stage has its output."""
+        self.listener.stage_finished(stage, seconds=seconds, reused=reused)
 
     def _rates(self) -> dict[str, float]:
         try:
@@ -190,24 +213,6 @@ class Runner:
         """Remember how long a stage took, per million voxels."""
         rates = self._rates() | {stage: round(seconds * 1e6 / max(self.voxel_count, 1), 3)}
         atomic_write(self.cache.directory / "rates.json", json.dumps(rates, sort_keys=True).encode())
-
-
-class UncachedRunner(Runner):
-    """Computes every stage and keeps nothing: for a single stage, whose output the user names a file for."""
-
-    def __init__(self) -> None:
-        super().__init__(cast("Cache", None), SilentListener(), force=True)
-
-    def _found_or_computed(
-        self, stage: Stage[T], work: Work, settings: dict[str, Any], done: tuple[T, float] | None
-    ) -> Node[T]:
-        return self._computed(stage, work, done)
-
-    def announce(self, stage: str) -> None:
-        """Tell nobody."""
-
-    def learn(self, stage: str, seconds: float) -> None:
-        """Remember nothing."""
 
 
 def run_stages(

@@ -10,7 +10,6 @@ from heartcase.pipeline.building.runner import BuildListener, Runner, SilentList
 from heartcase.pipeline.markers.session import SegmentationSession
 from heartcase.pipeline.stages.filter import STAGE as FILTER
 from heartcase.pipeline.stages.read import STAGE as READ
-from heartcase.pipeline.stages.resolve import resolve_recipe
 from heartcase.pipeline.stages.segment import filtered_tree
 from heartcase.pipeline.stages.stage import Work, have
 from heartcase.schemas.errors import RecipeError, UsageError
@@ -103,15 +102,15 @@ def open_session(
         A problem with the recipe, the scan or the markers; or the recipe's method is not the watershed.
     """
     text = read_recipe_text(path)
-    recipe = parse_recipe(text, needs_markers=False)
-    if recipe.segment.method != "watershed":
+    asked = parse_recipe(text, needs_markers=False)
+    if asked.segment.method != "watershed":
         raise UsageError(
-            f"the recipe's segment.method is {recipe.segment.method!r}: only the watershed is painted", place="segment"
+            f"the recipe's segment.method is {asked.segment.method!r}: only the watershed is painted", place="segment"
         )
     store = Cache(cache or out / ".heartcase-cache")
-    runner, work = Runner(store, listener or SilentListener(), force=False), Work(recipe, path.parent, cache=store)
+    runner, work = Runner(store, listener or SilentListener(), force=False), Work(asked, path.parent, cache=store)
     runner.run(READ, work)
-    recipe = work.recipe = resolve_recipe(recipe, have(work.outputs.scan).get())
+    recipe = work.resolve()
     runner.run(FILTER, work)
     filtered, nodes = have(work.outputs.filtered), work.outputs
     from heartcase.pipeline.markers.load_markers import load_markers, stated_markers

@@ -226,7 +226,7 @@ def assemble_bundle(
         stages=tuple(record.stages),
         quality=dict(record.quality),
         warnings=tuple(warning.text for warning in record.warnings),
-        warning_grades=tuple(warning.severity.grade for warning in record.warnings),
+        warning_grades=tuple(warning.grade for warning in record.warnings),
         files=tuple(entries),
     )
     return BundleContent(manifest, files)

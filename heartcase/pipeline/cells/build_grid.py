@@ -9,7 +9,7 @@ are compared with the full resolution.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, cast
+from typing import Any
 
 import numba
 import numpy as np
@@ -40,6 +40,7 @@ from heartcase.schemas.arrays import Bool, Float32, Int32, UInt8
 from heartcase.schemas.bundle.lattice import cell_nodes
 from heartcase.schemas.errors import StageError
 from heartcase.schemas.labels import LabelTable
+from heartcase.schemas.recipe.resolved import GridByCellSize, GridByNodeCount, ResolvedGrid
 from heartcase.schemas.recipe.settings import GridSettings, Pin
 
 __all__ = ["DEFAULT_NODE_COUNT", "FACE_CORNERS", "build_grid", "resolve_grid"]
@@ -91,10 +92,11 @@ def build_grid(structures: Structures, settings: GridSettings, *, pins: Sequence
             place="grid",
         )
     reader = FieldReader.of(structures)
-    if settings.cell_mm is not None:
-        samples = _sample(reader, settings.cell_mm)
+    chosen = resolve_grid(settings)
+    if isinstance(chosen, GridByCellSize):
+        samples = _sample(reader, chosen.cell_mm)
     else:
-        samples = _samples_for_count(reader, settings)
+        samples = _samples_for_count(reader, chosen)
     if not (samples.coverage >= settings.coverage_min).any():
         raise StageError("no cell holds enough tissue: make the cells smaller, or check the walls", place="grid")
     pieces = void_pieces(samples)
@@ -151,11 +153,16 @@ def build_grid(structures: Structures, settings: GridSettings, *, pins: Sequence
     )
 
 
-def resolve_grid(settings: GridSettings) -> GridSettings:
-    """Settings with the node count filled in where they ask for neither a cell edge nor a node count."""
-    if settings.cell_mm is not None or settings.node_count is not None:
+def resolve_grid(settings: GridSettings) -> ResolvedGrid:
+    """Settings with the node count filled in where they ask for neither a cell edge nor a node count.
+
+    Resolved settings come back as they are.
+    """
+    if isinstance(settings, GridByCellSize | GridByNodeCount):
         return settings
-    return settings.model_copy(update={"node_count": DEFAULT_NODE_COUNT})
+    if settings.cell_mm is not None:
+        return GridByCellSize.of(settings)
+    return GridByNodeCount.of(settings, node_count=settings.node_count or DEFAULT_NODE_COUNT)
 
 
 def _sample(reader: FieldReader, cell_mm: float, factor: int | None = None) -> CellSamples:
@@ -169,9 +176,9 @@ def _sample(reader: FieldReader, cell_mm: float, factor: int | None = None) -> C
     return sample_cells(reader, lattice, factor)
 
 
-def _samples_for_count(reader: FieldReader, settings: GridSettings) -> CellSamples:
+def _samples_for_count(reader: FieldReader, settings: GridByNodeCount) -> CellSamples:
     """Solve for the cell edge with the fewest samples per cell, then correct it with as many as the grid takes."""
-    wanted = cast(int, resolve_grid(settings).node_count)
+    wanted = settings.node_count
     volume = reader.structures.geometry
     region_mm3 = volume.voxel_volume_mm3 * float(np.prod(volume.size))
     cell_mm = (region_mm3 / (4.0 * wanted)) ** (1 / 3)

@@ -214,7 +214,7 @@ def _listed(warnings: list[CaseWarning]) -> list[CaseWarning]:
     rest = len(warnings) - MOST_WARNINGS
     if rest <= 0:
         return warnings
-    more = CaseWarning(f"and {rest} more places like the last, which are smaller", warnings[MOST_WARNINGS - 1].severity)
+    more = CaseWarning(f"and {rest} more places like the last, which are smaller", warnings[MOST_WARNINGS - 1].grade)
     return [*warnings[:MOST_WARNINGS], more]
 
 

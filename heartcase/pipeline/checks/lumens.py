@@ -85,7 +85,7 @@ def narrowest_lumens(
     spacing = np.array(geometry.spacing_mm, np.float64)[::-1]
     part = np.ascontiguousarray(blood[inner])
     depth = np.empty(part.shape, np.float32)
-    distance_to_marked(~part, spacing, depth)
+    distance_to_marked(~part, np.ascontiguousarray(spacing), depth)
     order = np.argsort(-depth.ravel(), kind="stable")[: int(part.sum())]
     voxel = float(spacing.mean())
     found = _saddles(depth, order, spacing, WIDER, LEAST_DEPTH_VOXELS * voxel, LEAST_VOXELS)

@@ -16,7 +16,7 @@ from heartcase.pipeline.data import Reshaping, Structures
 from heartcase.pipeline.edits.borders import Borders, Box
 from heartcase.pipeline.edits.probes import look, overlap
 from heartcase.pipeline.fields.shapes import distance_on_lattice
-from heartcase.pipeline.warnings import Severity, of_edit
+from heartcase.pipeline.warnings import WarningGrade, of_edit
 from heartcase.schemas.arrays import Float32, Float64
 from heartcase.schemas.errors import StageError
 from heartcase.schemas.labels import BACKGROUND, Label
@@ -162,4 +162,4 @@ def _with_warning(before: Structures, after: Structures, label: Label, box: Box,
         text = f"'{label.name}' is in {counts[1]} pieces there, {counts[0]} before; take a smaller sigma_mm"
     else:
         return after
-    return replace(after, warnings=(*after.warnings, of_edit(number, text, Severity.ANATOMY)))
+    return replace(after, warnings=(*after.warnings, of_edit(number, text, WarningGrade.ANATOMY)))

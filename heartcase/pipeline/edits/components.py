@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from heartcase.pipeline.data import Structures
 from heartcase.pipeline.edits.borders import Borders, distance_beyond_band
-from heartcase.pipeline.warnings import CaseWarning, Severity, counted, of_edit
+from heartcase.pipeline.warnings import CaseWarning, WarningGrade, counted, of_edit
 from heartcase.schemas.arrays import Bool, Int64
 from heartcase.schemas.labels import BACKGROUND, Label
 from heartcase.schemas.recipe.edit_settings import RemoveIslands
@@ -51,9 +51,9 @@ def _told(structures: Structures, gone: dict[str, list[int]], nothing: str, numb
     for name, counts in gone.items():
         volume = sum(counts) * structures.geometry.voxel_volume_mm3 / 1000.0
         text = f"{counted(len(counts), 'piece')} of '{name}' given away, {volume:.2f} ml in all"
-        lines.append(of_edit(number, text, Severity.NOTE))
+        lines.append(of_edit(number, text, WarningGrade.NOTE))
     if not gone:
-        lines.append(of_edit(number, f"{nothing}, so the edit changes nothing", Severity.NOTE))
+        lines.append(of_edit(number, f"{nothing}, so the edit changes nothing", WarningGrade.NOTE))
     return replace(structures, warnings=(*structures.warnings, *lines))
 
 

@@ -13,7 +13,8 @@ from heartcase.pipeline.data import Segmentation, VesselEnd
 from heartcase.schemas.arrays import Bool, Float64, Int64, UInt8, UInt32
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import Label, LabelTable
-from heartcase.schemas.recipe.settings import EndMarker, WallsSettings
+from heartcase.schemas.recipe.resolved import ResolvedWalls
+from heartcase.schemas.recipe.settings import EndMarker
 
 __all__ = [
     "Disc",
@@ -48,10 +49,9 @@ class Stumps:
     """Label value -> greatest thickness of its wall, where it is not the table's."""
 
     @classmethod
-    def of(cls, settings: WallsSettings, table: LabelTable, spacing_mm: tuple[float, float, float]) -> Stumps:
-        """Stumps for the walls of some settings, which are resolved, on a lattice."""
-        smoothing_mm = settings.smoothing_mm or 0.0
-        clearance_mm = settings.thickest_mm(table) + 3.0 * smoothing_mm + 2.0 * max(spacing_mm)
+    def of(cls, settings: ResolvedWalls, table: LabelTable, spacing_mm: tuple[float, float, float]) -> Stumps:
+        """Stumps for the walls of some settings on a lattice."""
+        clearance_mm = settings.thickest_mm(table) + 3.0 * settings.smoothing_mm + 2.0 * max(spacing_mm)
         return cls(clearance_mm, {table[one.label].value: max(one.thickness_mm) for one in settings.thickness})
 
     def wall_mm(self, label: Label) -> float:

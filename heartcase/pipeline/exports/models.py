@@ -136,8 +136,6 @@ def solid_model(labels: Segmentation, *, smoothing_mm: float | None = None) -> T
         raise StageError("the case's labels hold no blood, so there is nothing to cast", place="labels")
     geometry = labels.geometry
     settings = resolve_walls(WallsSettings(smoothing_mm=smoothing_mm), geometry, table)
-    assert settings.smoothing_mm is not None
-    assert settings.band_mm is not None
     distances = label_distances(
         bare,
         geometry.spacing_mm,

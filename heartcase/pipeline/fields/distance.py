@@ -369,7 +369,7 @@ def _completed(lead: Float32, inside: Bool, box: Box, spacing: Float64, band_mm:
 def _distance_to(marked: Bool, spacing: Float64) -> Float32:
     """Distance of each voxel to the nearest marked one, mm."""
     distance = np.empty(marked.shape, np.float32)
-    distance_to_marked(marked, spacing, distance)
+    distance_to_marked(marked, np.ascontiguousarray(spacing), distance)
     return distance
 
 

@@ -13,15 +13,16 @@ Two schemes, in mm, with c = exp(-|grad u|^2 / (2 K^2)):
 
 K is ``conductance`` times the root mean square gradient of the scan, taken anew before each step, so a setting serves
 every scanner's intensities. Where the recipe leaves it out it follows from the scan's own noise: see
-:func:`default_conductance`.
+:meth:`FilterRules.conductance`.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
+from dataclasses import dataclass
 from decimal import ROUND_DOWN, Context
-from typing import Literal
+from functools import cached_property
 
 import numpy as np
 
@@ -30,11 +31,10 @@ from heartcase.pipeline.image.diffusion import diffuse, mean_square_gradient
 from heartcase.pipeline.image.noise import estimate_noise
 from heartcase.schemas.errors import StageError
 from heartcase.schemas.geometry import Geometry
+from heartcase.schemas.recipe.resolved import DiffusionFilter, DiffusionMethod, NoFilter, ResolvedFilter
 from heartcase.schemas.recipe.settings import FilterSettings
 
-Method = Literal["curvature_diffusion", "gradient_diffusion"]
-
-__all__ = ["default_conductance", "filter_scan", "resolve_filter", "time_step_limit"]
+__all__ = ["FilterRules", "default_conductance", "filter_scan", "resolve_filter", "time_step_limit"]
 
 NOISE_GRADIENTS = {"gradient_diffusion": 2.0, "curvature_diffusion": 3.0}
 """K of the default conductance, by method, in units of the root mean square gradient that the scan's noise makes.
@@ -68,38 +68,104 @@ def filter_scan(scan: Scan, settings: FilterSettings) -> Scan:
     StageError
         The scan holds values that are not finite, or the time step is beyond the stability limit.
     """
-    if settings.method == "none":
+    chosen = resolve_filter(settings, scan)
+    if isinstance(chosen, NoFilter):
         return scan
     _check_values(scan)
-    method = settings.method or _usual_method(scan)
-    limit = time_step_limit(scan.geometry, method)
-    settings = resolve_filter(settings, scan)
-    time_step, conductance = settings.time_step or limit, settings.conductance or 1.0
-    if time_step > limit * (1.0 + TIME_STEP_TOLERANCE):
+    limit = time_step_limit(scan.geometry, chosen.method)
+    if chosen.time_step > limit * (1.0 + TIME_STEP_TOLERANCE):
         shown = Context(prec=4, rounding=ROUND_DOWN).create_decimal_from_float(limit)
         raise StageError(
-            f"{time_step:g} is beyond the stability limit of this scan's spacing, {shown:f} mm2; "
+            f"{chosen.time_step:g} is beyond the stability limit of this scan's spacing, {shown:f} mm2; "
             "give at most that, or leave it out",
             place="filter.time_step",
         )
     values = diffuse(
         scan.values,
         scan.geometry.spacing_mm,
-        iterations=settings.iterations,
-        conductance=conductance,
-        time_step=time_step,
-        by_curvature=method == "curvature_diffusion",
+        iterations=chosen.iterations,
+        conductance=chosen.conductance,
+        time_step=chosen.time_step,
+        by_curvature=chosen.method == "curvature_diffusion",
     )
     return dataclasses.replace(scan, values=values)
 
 
-def resolve_filter(settings: FilterSettings, scan: Scan) -> FilterSettings:
-    """Settings with what they leave to the scan filled in: method, time step and conductance.
+@dataclass(frozen=True)
+class FilterRules:
+    """What the filter takes for a scan where the settings leave it open; what it needs of the scan is found once."""
+
+    scan: Scan
+    """The scan that is filtered."""
+
+    def resolve(self, settings: FilterSettings) -> ResolvedFilter:
+        """Settings with what they leave to the scan filled in: method, time step and conductance.
+
+        Raises
+        ------
+        StageError
+            The conductance is left out, and the scan holds values that are not finite.
+        """
+        if isinstance(settings, NoFilter | DiffusionFilter):
+            return settings
+        if settings.method == "none":
+            return NoFilter.of(settings)
+        method = settings.method or self.method
+        return DiffusionFilter.of(
+            settings,
+            method=method,
+            time_step=self.time_step(method) if settings.time_step is None else settings.time_step,
+            conductance=self.conductance(method) if settings.conductance is None else settings.conductance,
+        )
+
+    @property
+    def method(self) -> DiffusionMethod:
+        """By curvature for a CT, by gradient for others."""
+        return "curvature_diffusion" if self.scan.modality == "CT" else "gradient_diffusion"
+
+    def time_step(self, method: DiffusionMethod) -> float:
+        """The stability limit, mm2; for a single voxel, which nothing flows into, any number does."""
+        limit = time_step_limit(self.scan.geometry, method)
+        return limit if math.isfinite(limit) else 1.0
+
+    def conductance(self, method: DiffusionMethod) -> float:
+        """Conductance at which noise is smoothed and edges stay: K is NOISE_GRADIENTS times the gradient of the noise.
+
+        Between 0.001, where there is no noise and nothing changes, and 100; to four digits, so that another processor's
+        rounding does not show in a locked recipe.
+
+        Raises
+        ------
+        StageError
+            The scan holds values that are not finite.
+        """
+        of_noise, of_scan = self._gradients
+        if not of_scan > 0.0:
+            return 1.0
+        lower, upper = CONDUCTANCE_RANGE
+        return float(f"{min(max(NOISE_GRADIENTS[method] * of_noise / of_scan, lower), upper):.4g}")
+
+    @cached_property
+    def _gradients(self) -> tuple[float, float]:
+        """Root mean square gradients per mm: that which the noise makes, and the scan's."""
+        scan = self.scan
+        _check_values(scan)
+        geometry = scan.geometry
+        extent = float(scan.values.max()) - float(scan.values.min())
+        total = mean_square_gradient(scan.values, geometry.spacing_mm, extent) if extent > 0.0 else 0.0
+        if not total > 0.0:
+            return 0.0, 0.0
+        squares = (0.5 / h**2 for h, n in zip(geometry.spacing_mm, geometry.size, strict=True) if n > 1)
+        return estimate_noise(scan.values).difference_sigma * math.sqrt(sum(squares)), math.sqrt(total)
+
+
+def resolve_filter(settings: FilterSettings, scan: Scan) -> ResolvedFilter:
+    """Settings with what they leave to the scan filled in; resolved ones come back as they are.
 
     Parameters
     ----------
     settings
-        Any; settings that state all come back as they are.
+        Any.
     scan
         The scan that is filtered.
 
@@ -108,43 +174,12 @@ def resolve_filter(settings: FilterSettings, scan: Scan) -> FilterSettings:
     StageError
         The conductance is left out, and the scan holds values that are not finite.
     """
-    if settings.method == "none":
-        return settings
-    method = settings.method or _usual_method(scan)
-    found: dict[str, float | str] = {"method": method}
-    limit = time_step_limit(scan.geometry, method)
-    if settings.time_step is None and math.isfinite(limit):
-        found["time_step"] = limit
-    if settings.conductance is None:
-        found["conductance"] = default_conductance(scan, method)
-    return settings.model_copy(update=found)
+    return FilterRules(scan).resolve(settings)
 
 
-def default_conductance(scan: Scan, method: Method = "gradient_diffusion") -> float:
-    """Conductance at which noise is smoothed and edges stay: K is NOISE_GRADIENTS times the gradient of the noise.
-
-    Between 0.001, where there is no noise and nothing changes, and 100; to four digits, so that another processor's
-    rounding does not show in a locked recipe.
-
-    Raises
-    ------
-    StageError
-        The scan holds values that are not finite.
-    """
-    _check_values(scan)
-    geometry = scan.geometry
-    extent = float(scan.values.max()) - float(scan.values.min())
-    total = mean_square_gradient(scan.values, geometry.spacing_mm, extent) if extent > 0.0 else 0.0
-    if not total > 0.0:
-        return 1.0
-    of_unit_noise = math.sqrt(sum(0.5 / h**2 for h, n in zip(geometry.spacing_mm, geometry.size, strict=True) if n > 1))
-    gradient = estimate_noise(scan.values).difference_sigma * of_unit_noise
-    lower, upper = CONDUCTANCE_RANGE
-    return float(f"{min(max(NOISE_GRADIENTS[method] * gradient / math.sqrt(total), lower), upper):.4g}")
-
-
-def _usual_method(scan: Scan) -> Method:
-    return "curvature_diffusion" if scan.modality == "CT" else "gradient_diffusion"
+def default_conductance(scan: Scan, method: DiffusionMethod = "gradient_diffusion") -> float:
+    """Conductance for a scan where none is stated: :meth:`FilterRules.conductance`."""
+    return FilterRules(scan).conductance(method)
 
 
 def _check_values(scan: Scan) -> None:
@@ -157,7 +192,7 @@ def _check_values(scan: Scan) -> None:
     )
 
 
-def time_step_limit(geometry: Geometry, method: Method = "gradient_diffusion") -> float:
+def time_step_limit(geometry: Geometry, method: DiffusionMethod = "gradient_diffusion") -> float:
     """Longest stable diffusion step, mm2, over the axes that have more than one voxel.
 
     By gradient it is 1 / (4 sum 1/h^2). Up to there every spatial frequency is damped by a factor between 0 and 1 (the

@@ -331,7 +331,7 @@ def _painted_volume(
             told.append(
                 CaseWarning(
                     f"{place}: {called(volume, cut_off)} lie outside the region of interest and are left out",
-                    has_stated_severity=True,
+                    has_stated_grade=True,
                 )
             )
     if lost:

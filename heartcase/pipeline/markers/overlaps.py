@@ -46,7 +46,7 @@ def overlap_warnings(volume: LabelVolume, lookup: UInt8, table: LabelTable, plac
                 f"{place}: {_amount(one.voxel_count, volume.geometry)} lie in both {lower} and {upper}: the "
                 f"{table[over].name} lies on top and has them; for another one on top name the labels under order, the "
                 "topmost last",
-                has_stated_severity=True,
+                has_stated_grade=True,
             )
         )
     return tuple(warnings)

@@ -97,7 +97,7 @@ class Clipping:
             reach = "reaches" if self.cut == 1 else "reach"
             parts.append(f"{self.cut} {reach} out of the region of interest and {_is(self.cut)} cut there")
         words = f"{f'{place}: ' if place else ''}of {counted(self.count, self.thing)} {', '.join(parts)}"
-        return (CaseWarning(words, has_stated_severity=True),) if self.left_out else (note(words),)
+        return (CaseWarning(words, has_stated_grade=True),) if self.left_out else (note(words),)
 
 
 def _is(count: int) -> str:

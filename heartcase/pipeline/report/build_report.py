@@ -33,6 +33,7 @@ from heartcase.pipeline.report.report_pictures import (
     surface_parts,
     thickness_spread,
 )
+from heartcase.pipeline.stages.resolve import SettingRules
 from heartcase.pipeline.stages.table import STAGES
 from heartcase.pipeline.warnings import CaseWarning, WarningGroup, grouped
 from heartcase.schemas.bundle.format import CaseManifest, StageRecord
@@ -237,6 +238,8 @@ class ReportInputs:
     """Where cavities are open to each other, the worst first."""
     sureness: Sureness | None = None
     """How sure the segmentation is; None where it was not made by watershed."""
+    rules: SettingRules | None = None
+    """What the settings are where a recipe leaves them to this scan; found anew when left out."""
 
 
 def render_report(data: ReportData) -> str:
@@ -307,7 +310,7 @@ def build_report(inputs: ReportInputs) -> str:
             ends=ends,
             septa=[_septum_row(one) for one in structures.quality.get("septa", ())],
             quality={title: facts for title, facts in quality.items() if facts},
-            hand_work=hand_work_facts(recipe, scan),
+            hand_work=hand_work_facts(recipe, scan, rules=inputs.rules),
             stages=_stage_rows(inputs.stages, inputs.timings_s),
             total_s=sum(inputs.timings_s.values()),
         )

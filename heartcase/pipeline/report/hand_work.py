@@ -9,7 +9,7 @@ from typing import Any
 
 from heartcase.pipeline.data import Scan
 from heartcase.pipeline.report.plain_words import Fact, placed, setting_lines
-from heartcase.pipeline.stages.resolve import resolve_recipe
+from heartcase.pipeline.stages.resolve import SettingRules
 from heartcase.pipeline.stages.table import STAGES
 from heartcase.pipeline.warnings import counted
 from heartcase.schemas.labels import Label, LabelTable, default_label_table
@@ -21,7 +21,7 @@ __all__ = ["hand_work_facts", "region_words"]
 _TOLD_APART = {"method", "ranges", "file", "names", "automatic", "connected", "septum", "find_ends"}
 
 
-def hand_work_facts(recipe: Recipe, scan: Scan | None = None) -> list[Fact]:
+def hand_work_facts(recipe: Recipe, scan: Scan | None = None, *, rules: SettingRules | None = None) -> list[Fact]:
     """What a person did for this case.
 
     Parameters
@@ -31,6 +31,8 @@ def hand_work_facts(recipe: Recipe, scan: Scan | None = None) -> list[Fact]:
     scan
         The scan as it was read: what was mended in it is told, and a setting is told where it differs from what the
         program would have chosen for this scan.
+    rules
+        Those of the scan, where a build has them already.
 
     Returns
     -------
@@ -38,7 +40,12 @@ def hand_work_facts(recipe: Recipe, scan: Scan | None = None) -> list[Fact]:
         In the order of the work: the scan and its region, what was painted or taken over, edits, vessel ends, what is
         held, landmarks; then wall thicknesses, materials and settings that differ from the usual ones.
     """
-    return [*_scan_work(recipe, scan), *_painted(recipe), *_shaped(recipe), *_settings(recipe, scan)]
+    return [
+        *_scan_work(recipe, scan),
+        *_painted(recipe),
+        *_shaped(recipe),
+        *_settings(recipe, rules or (SettingRules(scan) if scan is not None else None)),
+    ]
 
 
 def region_words(recipe: Recipe) -> str:
@@ -135,15 +142,14 @@ def _subjects() -> dict[str, str]:
     return {stage.name: stage.subject for stage in STAGES if stage.subject}
 
 
-def _untouched(recipe: Recipe, scan: Scan | None) -> Recipe:
+def _untouched(recipe: Recipe, rules: SettingRules | None) -> Recipe:
     """The recipe as if nobody had set anything, with what the program chooses for this scan."""
-    plain = recipe.model_copy(update={stage: type(getattr(recipe, stage))() for stage in _subjects()})
-    if scan is None:
-        return plain
-    return resolve_recipe(plain, scan)
+    usual = {stage: Recipe.model_fields[stage].get_default() for stage in _subjects()}
+    plain = Recipe.model_construct(**dict(recipe) | usual)
+    return plain if rules is None else rules.resolve(plain)
 
 
-def _settings(recipe: Recipe, scan: Scan | None) -> Iterator[Fact]:
+def _settings(recipe: Recipe, rules: SettingRules | None) -> Iterator[Fact]:
     usual = default_label_table()
     varying = {recipe.table.find(one.label): one.thickness_mm for one in recipe.walls.thickness}
     for label in recipe.table:
@@ -171,7 +177,7 @@ def _settings(recipe: Recipe, scan: Scan | None) -> Iterator[Fact]:
                 f"Stiffness and density; usual: {default.youngs_modulus_kpa:g} kPa, {default.density_kg_m3:g} kg/m³."
             )
             yield Fact(f"Material: {name}", value, meaning)
-    untouched = _untouched(recipe, scan)
+    untouched = _untouched(recipe, rules)
     for stage, words in _subjects().items():
         chosen = getattr(recipe, stage)
         for field in type(chosen).model_fields:

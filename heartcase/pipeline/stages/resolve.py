@@ -2,14 +2,50 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
 from heartcase.pipeline.bundle.case_id import made_up_case_id
 from heartcase.pipeline.data import Scan
 from heartcase.schemas.recipe.recipe import Recipe
+from heartcase.schemas.recipe.resolved import ResolvedRecipe
 
-__all__ = ["resolve_recipe"]
+if TYPE_CHECKING:
+    from heartcase.pipeline.image.filter_scan import FilterRules
+
+__all__ = ["SettingRules", "case_id_of", "resolve_recipe"]
 
 
-def resolve_recipe(recipe: Recipe, scan: Scan) -> Recipe:
+@dataclass(frozen=True)
+class SettingRules:
+    """What a recipe's settings are where it leaves them to a scan; what they need of the scan is found once."""
+
+    scan: Scan
+    """The scan's region of interest: see :func:`heartcase.pipeline.stages.read.region_of_scan`."""
+
+    @cached_property
+    def filter(self) -> FilterRules:
+        """Those of the filter, the only ones that look at every voxel."""
+        from heartcase.pipeline.image.filter_scan import FilterRules
+
+        return FilterRules(self.scan)
+
+    def resolve(self, recipe: Recipe) -> ResolvedRecipe:
+        """The recipe with every setting filled in that a rule finds; what is resolved stays as it is."""
+        from heartcase.pipeline.cells.build_grid import resolve_grid
+        from heartcase.pipeline.walls.grow_walls import resolve_walls
+
+        return ResolvedRecipe.of_recipe(
+            recipe,
+            case_id=case_id_of(recipe, self.scan),
+            filter=self.filter.resolve(recipe.filter),
+            walls=resolve_walls(recipe.walls, self.scan.geometry, recipe.table),
+            grid=resolve_grid(recipe.grid),
+        )
+
+
+def resolve_recipe(recipe: Recipe, scan: Scan) -> ResolvedRecipe:
     """The recipe with every setting filled in that a rule finds from the scan or from other settings.
 
     Parameters
@@ -19,16 +55,10 @@ def resolve_recipe(recipe: Recipe, scan: Scan) -> Recipe:
     scan
         The scan's region of interest: see :func:`heartcase.pipeline.stages.read.region_of_scan`.
     """
-    from heartcase.pipeline.cells.build_grid import resolve_grid
-    from heartcase.pipeline.image.filter_scan import resolve_filter
-    from heartcase.pipeline.walls.grow_walls import resolve_walls
+    return SettingRules(scan).resolve(recipe)
 
-    return recipe.model_copy(
-        update={
-            "case_id": recipe.case_id or made_up_case_id(recipe.name, scan.whole_sha256 or scan.values_sha256),
-            "labels": recipe.table.labels,
-            "filter": resolve_filter(recipe.filter, scan),
-            "walls": resolve_walls(recipe.walls, scan.geometry, recipe.table),
-            "grid": resolve_grid(recipe.grid),
-        }
-    )
+
+def case_id_of(recipe: Recipe, scan: Scan, *, name: str | None = None) -> str:
+    """The identifier that a recipe states, or the one made up from the scan and a name, the recipe's if left out."""
+    scan_sha256 = scan.whole_sha256 or scan.values_sha256
+    return recipe.case_id or made_up_case_id(recipe.name if name is None else name, scan_sha256)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 from heartcase.pipeline.data import Segmentation
 from heartcase.pipeline.stages.stage import Stage, Work, have, resolved_all
@@ -31,7 +31,7 @@ def filtered_tree(work: Work) -> BasinTree:
 
 def _is_made(recipe: Recipe) -> bool:
     """Whether heartcase makes the segmentation, and not a file brings it."""
-    return recipe.segment.method != "labels"
+    return recipe.segment.finished_file is None
 
 
 def _settings(work: Work) -> dict[str, Any]:
@@ -47,7 +47,8 @@ def _compute(work: Work) -> Segmentation:
     from heartcase.pipeline.watershed.segment_scan import segment_scan
 
     recipe, outputs = work.recipe, work.outputs
-    if _is_made(recipe):
+    file = recipe.segment.finished_file
+    if file is None:
         return segment_scan(
             have(outputs.filtered).get(),
             outputs.markers.get() if outputs.markers else None,
@@ -56,7 +57,7 @@ def _compute(work: Work) -> Segmentation:
             make_tree=lambda: filtered_tree(work),
         )
     return load_segmentation(
-        work.directory / cast(str, recipe.segment.file),
+        work.directory / file,
         recipe.segment.names,
         recipe.table,
         have(outputs.scan).get().geometry,

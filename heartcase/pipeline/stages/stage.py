@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from heartcase.pipeline.data import GridMap, Markers, Scan, Segmentation, SimulationGrid, Structures, Surface
+from heartcase.pipeline.stages.resolve import SettingRules
 from heartcase.pipeline.warnings import CaseWarning
 from heartcase.schemas.base import Model
 from heartcase.schemas.bundle.format import StageRecord
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.recipe.recipe import Recipe
+from heartcase.schemas.recipe.resolved import ResolvedRecipe
 from heartcase.schemas.recipe.settings import resolved
 
 if TYPE_CHECKING:
@@ -56,7 +59,8 @@ class StageOutputs:
 
     def of(self, name: str) -> Node[Any] | None:
         """The output of this name; None where no stage has made it."""
-        return cast("Node[Any] | None", getattr(self, name, None))
+        node: Node[Any] | None = getattr(self, name, None)
+        return node
 
 
 @dataclass
@@ -64,7 +68,7 @@ class Work:
     """What the stages of one build work with."""
 
     recipe: Recipe
-    """What is built; once the scan is read, with every setting stated."""
+    """What is built; once it is resolved, with every setting stated."""
     directory: Path
     """Where the recipe's relative paths start."""
     outputs: StageOutputs = field(default_factory=StageOutputs)
@@ -76,10 +80,30 @@ class Work:
     told: dict[str, tuple[CaseWarning, ...]] = field(default_factory=dict)
     """Warnings that are in no output, by what they are about (:data:`heartcase.pipeline.bundle.assembly.SOURCES`)."""
 
+    @cached_property
+    def rules(self) -> SettingRules:
+        """What the settings are where the recipe leaves them to the scan, which is read."""
+        return SettingRules(have(self.outputs.scan).get())
+
+    def resolve(self) -> ResolvedRecipe:
+        """State every setting of the recipe, once for all stages after the first; again it changes nothing."""
+        if isinstance(self.recipe, ResolvedRecipe):
+            return self.recipe
+        stated = self.recipe = self.rules.resolve(self.recipe)
+        return stated
+
 
 def have(node: Node[T] | None) -> Node[T]:
-    """An output that the order of the stages puts there."""
-    return cast("Node[T]", node)
+    """An output that the order of the stages puts there.
+
+    Raises
+    ------
+    LookupError
+        It does not: a stage was run before one that it needs.
+    """
+    if node is None:
+        raise LookupError("a stage needs the output of one that has not run: run the stages in their order")
+    return node
 
 
 def resolved_all(models: tuple[Model, ...]) -> list[Any]:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import cast
 
 import numpy as np
 
@@ -34,6 +33,7 @@ from heartcase.schemas.arrays import UInt8
 from heartcase.schemas.errors import Problem, StageError
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND, LabelTable
+from heartcase.schemas.recipe.resolved import ResolvedWalls
 from heartcase.schemas.recipe.settings import EndMarker, WallsSettings
 
 __all__ = ["grow_walls", "resolve_walls", "structure_volumes_ml"]
@@ -84,16 +84,15 @@ def grow_walls(
     _check(segmentation, settings)
     table = segmentation.table.with_walls()
     spacing = np.array(geometry.spacing_mm)
-    settings = resolve_walls(settings, geometry, table)
-    smoothing, band = cast(float, settings.smoothing_mm), cast(float, settings.band_mm)
-    stumps = Stumps.of(settings, table, geometry.spacing_mm)
-    cut = cut_ends(segmentation, table, ends, stumps, find=settings.find_ends)
+    chosen = resolve_walls(settings, geometry, table)
+    stumps = Stumps.of(chosen, table, geometry.spacing_mm)
+    cut = cut_ends(segmentation, table, ends, stumps, find=chosen.find_ends)
     labels = cut.labels
     distances = label_distances(
         labels,
         geometry.spacing_mm,
-        smoothing_mm=smoothing,
-        band_mm=band,
+        smoothing_mm=chosen.smoothing_mm,
+        band_mm=chosen.band_mm,
         blood_values=table.blood_values,
         tissue_values=table.tissue_values,
     )
@@ -105,7 +104,7 @@ def grow_walls(
         distance_mm=dict(sorted(distances.items())),
         geometry=geometry,
         table=table,
-        band_mm=float(band),
+        band_mm=chosen.band_mm,
         fixed_planes=tuple(
             (end.position_mm, (float(axis[0]), float(axis[1]), float(axis[2])), end.radius_mm)
             for end, axis in zip(cut.ends, axes, strict=True)
@@ -114,13 +113,13 @@ def grow_walls(
         vessel_ends=cut.vessel_ends,
         thickness_tables=tuple(
             ThicknessTable(table[one.label].value, one.kind, one.points_mm, one.thickness_mm)
-            for one in settings.thickness
+            for one in chosen.thickness
         ),
         has_voxel_steps=True,
     )
     septa: tuple[SeptumFigures, ...] = ()
-    if settings.septa == "grown":
-        structures, septa = with_septa(structures, _labels_on_lattice(structures), settings, open_places)
+    if chosen.septa == "grown":
+        structures, septa = with_septa(structures, _labels_on_lattice(structures), chosen, open_places)
     leaks, (figures, warnings) = side_by_side(
         lambda: leak_warnings(structures, labels), lambda: smoothing_effects(labels, distances, geometry, table)
     )
@@ -141,17 +140,20 @@ def grow_walls(
     return grown
 
 
-def resolve_walls(settings: WallsSettings, geometry: Geometry, table: LabelTable) -> WallsSettings:
+def resolve_walls(settings: WallsSettings, geometry: Geometry, table: LabelTable) -> ResolvedWalls:
     """Settings with the smoothing and the band that they leave to the scan's lattice and the thickest wall filled in.
 
-    A band that is stated is widened to a voxel more than the thickest wall where it is less.
+    A band that is stated is widened to a voxel more than the thickest wall where it is less. Resolved settings come
+    back as they are, unless their band is too narrow for this table.
     """
     spacing = np.array(geometry.spacing_mm)
     smoothing = default_smoothing_mm(spacing) if settings.smoothing_mm is None else settings.smoothing_mm
     thickest = settings.thickest_mm(table)
     band = settings.band_mm or thickest + BAND_VOXELS * float(spacing.mean())
     band = max(band, thickest + float(spacing.max()))
-    return settings.model_copy(update={"smoothing_mm": smoothing, "band_mm": band})
+    if isinstance(settings, ResolvedWalls) and settings.band_mm == band:
+        return settings
+    return ResolvedWalls.of(settings, smoothing_mm=smoothing, band_mm=band)
 
 
 def structure_volumes_ml(structures: Structures) -> dict[int, float]:

@@ -266,6 +266,11 @@ class WarningGrade(StrEnum):
     NOTE = "note"
     """For information: nothing need be done."""
 
+    @property
+    def rank(self) -> int:
+        """Place from the worst, which is 0."""
+        return list(WarningGrade).index(self)
+
 
 class StageRecord(Model):
     """How a stage came to its output."""

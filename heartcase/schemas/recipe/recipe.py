@@ -207,8 +207,8 @@ class Recipe(Model):
         """Place in the recipe and path of each file or folder that it reads; not of a scan that is made."""
         named = [("scan.path", self.scan.path)] if self.scan.phantom is None else []
         named += [(f"markers[{n}].path", marker.path) for n, marker in enumerate(self.markers, start=1)]
-        if self.segment.method == "labels" and self.segment.file is not None:
-            named.append(("segment.file", self.segment.file))
+        if self.segment.finished_file is not None:
+            named.append(("segment.file", self.segment.finished_file))
         return tuple(named)
 
     def missing_files(self, directory: Path) -> tuple[Problem, ...]:

@@ -114,6 +114,11 @@ class SegmentSettings(Model):
     """Labels: where segments or parts of the file overlap, label names from the lowest to the topmost. Those that are
     not named lie below, in the file's order, the later one over the earlier."""
 
+    @property
+    def finished_file(self) -> str | None:
+        """Path of the segmentation that is taken as it is; None where one is made."""
+        return self.file if self.method == "labels" else None
+
     @model_validator(mode="after")
     def _method_has_its_input(self) -> SegmentSettings:
         if self.method == "threshold" and not self.ranges:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import sqrt
 
@@ -11,9 +12,10 @@ import numpy.typing as npt
 
 from heartcase.schemas.arrays import Bool, Float32, Float64, Intp
 from heartcase.schemas.errors import SimulationError
+from heartcase.simulator.instruments.placing import is_point, point_in_lattice, turn_in_grid
 from heartcase.simulator.lattice.model import LatticeModel
 
-__all__ = ["Grab", "Pose", "nodes_in_reach", "require_grab"]
+__all__ = ["Grab", "Pose", "close_grab", "nodes_in_reach", "pose_of", "require_grab"]
 
 DETOUR_MAX = sqrt(1.5)
 """Longest way along lattice springs over the straight way, in an uncut lattice."""
@@ -57,6 +59,64 @@ def require_grab(grab: object) -> None:
         raise SimulationError(f"this is no grab but a {type(grab).__name__}: give what grab() returned", place="grab")
 
 
+def close_grab(
+    model: LatticeModel,
+    displacement: Float32,
+    center_mm: npt.ArrayLike,
+    radius_mm: float,
+    *,
+    others: Sequence[Grab] = (),
+    name: str = "grab",
+) -> Grab:
+    """A hand that closes on the nodes in reach of a sphere; nodes that another hand holds stay with it.
+
+    Parameters
+    ----------
+    model
+        The lattice, without the springs that were cut.
+    displacement
+        Displacement of the nodes [cells, grid axes], shape (node_count, 3).
+    center_mm
+        Centre of the sphere, LPS mm, shape (3,).
+    radius_mm
+        Its radius, mm; above 0.
+    others
+        Hands that hold already.
+    name
+        Name in messages.
+
+    Raises
+    ------
+    SimulationError
+        There is no tissue to hold, the place is not a finite point, or the radius is not above 0.
+    """
+    if not (is_point(center_mm) and np.isfinite(radius_mm)):
+        raise SimulationError("the centre and the radius must be finite numbers, three and one", place=name)
+    if radius_mm <= 0:
+        raise SimulationError(f"the radius must be above 0 mm (found {radius_mm:g})", place=name)
+    nodes = nodes_in_reach(model, displacement, center_mm, radius_mm)
+    for other in others:
+        nodes = np.setdiff1d(nodes, other.nodes, assume_unique=True)
+    if not len(nodes):
+        raise SimulationError("another hand holds all the tissue in the grab: grab elsewhere", place=name)
+    closed_at = displacement[nodes]
+    arms = model.node_index[nodes] + closed_at - point_in_lattice(model, center_mm)
+    return Grab(nodes=nodes, closed_at=closed_at, arms=arms, name=name)
+
+
+def pose_of(model: LatticeModel, offset_mm: npt.ArrayLike, turn: npt.ArrayLike | None, name: str) -> Pose:
+    """A pose of the hand of this name, from its offset, LPS mm, and its turn, LPS axes.
+
+    Raises
+    ------
+    SimulationError
+        The offset is not finite, or the turn is no rotation.
+    """
+    if not is_point(offset_mm):
+        raise SimulationError("the offset must be three finite numbers", place=name)
+    return Pose(model.to_grid(offset_mm), turn_in_grid(model, turn, name))
+
+
 def nodes_in_reach(model: LatticeModel, displacement: Float32, center_mm: npt.ArrayLike, radius_mm: float) -> Intp:
     """Nodes in a sphere that can be reached along springs inside it, from the one nearest its centre.
 
@@ -84,7 +144,7 @@ def nodes_in_reach(model: LatticeModel, displacement: Float32, center_mm: npt.Ar
     SimulationError
         There is no tissue in the sphere, or only fixed nodes.
     """
-    center = np.asarray(model.geometry.world_to_index(center_mm)) + 0.5
+    center = point_in_lattice(model, center_mm)
     radius = radius_mm / model.cell_mm
     distance = np.linalg.norm(model.node_index + displacement - center, axis=1)
     nearest = int(distance.argmin())

@@ -132,8 +132,12 @@ def test_any_recipe_resolves_to_a_fixed_point(recipe):
     geometry = Geometry.of(shape=(4, 3, 2), spacing_mm=(0.7, 1.1, 3.0))
     scan = Scan(np.zeros(geometry.shape, np.float32), geometry, "CT")
     resolved = resolve_recipe(recipe, scan)
-    assert resolve_recipe(resolved, scan) == resolved
-    assert parse_recipe(recipe_text(resolved)) == resolved
+    again = resolve_recipe(resolved, scan)
+    assert again == resolved
+    assert again.filter is resolved.filter
+    assert again.walls is resolved.walls
+    assert again.grid is resolved.grid
+    assert parse_recipe(recipe_text(resolved)).model_dump() == resolved.model_dump()
 
 
 def test_what_a_scan_is_known_by_never_changes():

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from heartcase.pipeline.cells.build_grid import _find_ridges, _labels_of_cells, build_grid
 from heartcase.pipeline.data import Structures
 from heartcase.pipeline.kernels.topology import distance_in_samples
-from heartcase.pipeline.warnings import Severity
+from heartcase.pipeline.warnings import WarningGrade
 from heartcase.schemas.bundle.lattice import CORNER_OFFSETS, FULL_MOMENTS, cell_nodes
 from heartcase.schemas.errors import StageError
 from heartcase.schemas.labels import Label, LabelTable, Role
@@ -320,7 +320,7 @@ def test_a_second_hole_is_opened_too_although_blood_is_connected_already():
         if raw.quality["betti_blood"]["grid"] == [1, 0, 0]:
             closed += 1
             (line,) = [warning for warning in raw.warnings if "smallest gaps" in warning.text]
-            assert line.severity is Severity.NOTE
+            assert line.grade is WarningGrade.NOTE
             assert "one of its cells (2.5 mm): 1 place, at (" in line.text
             # The hole between the chambers is gone, so nothing may be said to be as in the scan.
             assert "as in the scan" not in line.text

@@ -9,7 +9,7 @@ import pytest
 
 from heartcase.pipeline.checks.cut_faces import cut_warnings, face_name, voxel_warnings
 from heartcase.pipeline.data import Segmentation, VesselEnd
-from heartcase.pipeline.warnings import CaseWarning, Severity, worst_first
+from heartcase.pipeline.warnings import CaseWarning, WarningGrade, worst_first
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import Label, LabelTable, Role, default_label_table
 
@@ -57,7 +57,7 @@ def test_a_chamber_and_muscle_at_a_face_are_told_with_its_name_and_their_areas(a
     layer[6:12, 6:12] = LV
     pixel = np.prod([spacing for n, spacing in enumerate(cut.geometry.spacing_mm) if n != axis])
     (warning,) = cut_warnings(cut, whole=cut.geometry)
-    assert warning.severity is Severity.ANATOMY
+    assert warning.grade is WarningGrade.ANATOMY
     assert f"the {name} of the scan" in warning.text
 
     def words(area: float) -> str:
@@ -75,7 +75,7 @@ def test_a_short_axis_stack_of_25_mm_is_the_first_warning() -> None:
     radius = 1.5 * np.hypot(j - 20, i - 20)
     stack.labels[:] = np.where(radius < 20, LV, np.where(radius < 28, MUSCLE, 0))
     first, *rest = worst_first((CaseWarning("something else"),), cut_warnings(stack, whole=stack.geometry))
-    assert first.severity is Severity.ANATOMY
+    assert first.grade is WarningGrade.ANATOMY
     assert "first slice (towards" in first.text
     assert "last slice (towards" in rest[0].text
     found = re.search(rf"{TABLE[LV].name} \(([\d.]+) cm²\)", first.text)
@@ -116,12 +116,12 @@ def test_a_vessel_that_leaves_is_for_information_and_one_cut_along_its_length_to
     k, j, i = np.indices(cut.labels.shape)
     cut.labels[(np.hypot(j - 20, i - 20) < 6) & (k > 20)] = AORTA
     (leaves,) = cut_warnings(cut, whole=cut.geometry)
-    assert leaves.severity is Severity.NOTE
+    assert leaves.grade is WarningGrade.NOTE
     assert "head face" in leaves.text
     assert f"aorta ({np.pi * 36 / 100:.1f} cm²)" in leaves.text
     cut.labels[:] = np.where((np.hypot(j - 20, i + 2) < 6) & (abs(k - 20) < 18), AORTA, 0)
     (along,) = cut_warnings(cut, whole=cut.geometry)
-    assert along.severity is Severity.LOOK
+    assert along.grade is WarningGrade.LOOK
     assert "right face" in along.text
 
 
@@ -133,7 +133,7 @@ def test_the_grown_wall_of_a_chamber_counts_where_the_chamber_ends_before_and_a_
     cut.labels[-1, 5:10, 5:10] = wall_of_atrium
     cut.labels[0, 5:10, 5:10] = wall_of_aorta
     (warning,) = cut_warnings(cut, whole=cut.geometry)
-    assert warning.severity is Severity.ANATOMY
+    assert warning.grade is WarningGrade.ANATOMY
     assert TABLE[wall_of_atrium].name in warning.text
     # with the chamber itself at the face its wall is no finding of its own
     cut.labels[-1, 6:9, 6:9] = LA
@@ -154,7 +154,7 @@ def test_a_painted_wall_or_a_device_at_a_face_is_no_finding() -> None:
 def test_voxels_more_than_three_times_as_long_as_wide(spacing, is_told) -> None:
     warnings = voxel_warnings(Geometry.of(shape=(4, 4, 4), spacing_mm=spacing))
     assert bool(warnings) is is_told
-    assert all(warning.severity is Severity.ANATOMY for warning in warnings)
+    assert all(warning.grade is WarningGrade.ANATOMY for warning in warnings)
 
 
 @pytest.mark.parametrize(("axis", "is_last", "name"), FACES)
@@ -170,11 +170,11 @@ def test_a_vein_of_an_atrium_that_is_open_at_a_face_is_a_vessel_and_the_rest_of_
     index[rows], index[columns] = 4.0, 4.5
     vein = VesselEnd(TABLE["LA"].name, tuple(cut.geometry.index_to_world(index)), (0, 0, 1), 3.0, 3.0, is_open=True)
     (alone,) = cut_warnings(cut)
-    assert alone.severity is Severity.ANATOMY
+    assert alone.grade is WarningGrade.ANATOMY
     assert f"morphologically left atrium ({26 * pixel:.0f} mm²)" in alone.text or 26 * pixel >= 100.0
     anatomy, note = worst_first(cut_warnings(cut, ends=[vein]))
-    assert anatomy.severity is Severity.ANATOMY
-    assert note.severity is Severity.NOTE
+    assert anatomy.grade is WarningGrade.ANATOMY
+    assert note.grade is WarningGrade.NOTE
     assert f"veins of the morphologically left atrium ({6 * pixel:.0f} mm²)" in note.text
     rest = 20 * pixel
     assert f"morphologically left atrium ({rest / 100:.1f} cm²)" in anatomy.text or f"({rest:.0f} mm²)" in anatomy.text

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from heartcase.pipeline.checks.leaks import leak_warnings
 from heartcase.pipeline.data import Reshaping, Segmentation
 from heartcase.pipeline.walls.grow_walls import grow_walls
-from heartcase.pipeline.warnings import Severity
+from heartcase.pipeline.warnings import WarningGrade
 from heartcase.schemas.labels import Label, LabelTable, Role
 from heartcase.schemas.recipe.settings import EndMarker, WallsSettings, WallThickness
 from tests.pipeline.lattices import lattice, points_of
@@ -60,7 +60,7 @@ def test_a_canal_that_the_segmentation_does_not_have_is_reported_where_it_is(kin
     structures = grown(joined, geometry)
     (warning,) = leak_warnings(structures, apart.astype(np.uint8))
     assert warning.text.startswith("the blood of aorta and of left atrium: apart in the segmentation, but joined")
-    assert warning.severity is Severity.ANATOMY
+    assert warning.grade is WarningGrade.ANATOMY
     place, area = place_and_area(warning)
     assert np.linalg.norm(place[1:] - [5.0, 2.0]) < 3.0
     assert abs(place[0]) < 3.5
@@ -168,7 +168,7 @@ def test_a_hole_in_a_wall_is_reported_with_place_and_area(kind):
         "cylinder", (tuple(at - 1.0 * side), tuple(at + 3.0 * side)), 3.0, ("aorta wall",), ("background",)
     )
     (warning,) = leak_warnings(replace(structures, reshapings=(hole,)), labels.astype(np.uint8))
-    assert warning.severity is Severity.ANATOMY
+    assert warning.grade is WarningGrade.ANATOMY
     assert warning.text.startswith("aorta: its wall has a gap")
     place, area = place_and_area(warning)
     assert np.linalg.norm(place - at) < 2.0
@@ -196,7 +196,7 @@ def cap_mm2(hole_mm):
 def test_a_hole_in_the_muscle_around_a_cavity_without_a_wall_is_reported_with_place_and_area(kind):
     geometry, labels = in_muscle(kind, hole_mm=6.0)
     (warning,) = grown(labels, geometry, second_mm=0.0).warnings
-    assert warning.severity is Severity.ANATOMY
+    assert warning.grade is WarningGrade.ANATOMY
     assert warning.text.startswith("left atrium: its blood is open to the outside over ")
     assert "wall_thickness_mm" in warning.text
     assert "'ends'" not in warning.text
@@ -265,7 +265,7 @@ def test_where_the_table_says_zero_the_opening_is_noted():
     points = [tuple(s * AXIS) for s in (-12.0, 4.0, 4.5, 12.0)]
     one = WallThickness(label="aorta", kind="centreline", points_mm=points, thickness_mm=[2.0, 2.0, 0.0, 0.0])
     (warning,) = grown(labels, geometry, settings=WallsSettings(thickness=(one,))).warnings
-    assert warning.severity is Severity.NOTE
+    assert warning.grade is WarningGrade.NOTE
     assert warning.text.startswith("aorta: open to the outside")
     _, area = place_and_area(warning)
     inside = np.abs(geometry.world_to_index((np.linspace(4.4, 40.0, 2000)[:, None]) * AXIS) / geometry.size - 0.5) < 0.5

@@ -26,7 +26,7 @@ from heartcase.pipeline.edits.apply_edits import apply_edits
 from heartcase.pipeline.fields.reader import ownership_at_points
 from heartcase.pipeline.formats.write_images import write_scan, write_segmentation
 from heartcase.pipeline.walls.grow_walls import grow_walls
-from heartcase.pipeline.warnings import CaseWarning, Severity, grouped
+from heartcase.pipeline.warnings import CaseWarning, WarningGrade, grouped
 from heartcase.schemas.labels import Label, LabelTable, Role
 from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.recipe.edit_settings import CloseDefect, SeptalDefect
@@ -212,7 +212,7 @@ def test_a_heart_s_valves_and_veins_are_expected_and_nothing_else():
         else:
             assert one.verdict is (Verdict.OTHER_VENTRICLE if pair in other else Verdict.UNEXPECTED), pair
             (warning,) = opening_warnings([one])
-            assert warning.severity is (Severity.LOOK if pair in other else Severity.ANATOMY)
+            assert warning.grade is (WarningGrade.LOOK if pair in other else WarningGrade.ANATOMY)
 
 
 def valve(radius_mm, first="left ventricle", second="left atrium", *, start=0) -> Structures:
@@ -245,7 +245,7 @@ def test_a_valve_that_no_heart_of_this_size_has_is_looked_at(radius, second, wor
     assert one.usual_mm == pytest.approx(17.0 if second == "left atrium" else 11.3, rel=0.1)
     assert (one.verdict, one.is_odd_size, one.is_doubtful) == (Verdict.EXPECTED, bool(word), bool(word))
     warnings = opening_warnings([one])
-    assert [warning.severity for warning in warnings] == [Severity.LOOK] * bool(word)
+    assert [warning.grade for warning in warnings] == [WarningGrade.LOOK] * bool(word)
     assert all(f"as a circle of {one.diameter_mm:.0f} mm: very {word} for this valve" in line.text for line in warnings)
 
 
@@ -271,10 +271,10 @@ def test_structures_are_known_by_synonym_or_code(first, second, codes, verdict):
     (one,) = find_openings(structures, labels)
     assert one.verdict is verdict
     assert one.is_doubtful == (verdict is not Verdict.EXPECTED)
-    assert [warning.severity for warning in opening_warnings([one])] == {
+    assert [warning.grade for warning in opening_warnings([one])] == {
         Verdict.EXPECTED: [],
-        Verdict.UNKNOWN: [Severity.LOOK],
-        Verdict.UNEXPECTED: [Severity.ANATOMY],
+        Verdict.UNKNOWN: [WarningGrade.LOOK],
+        Verdict.UNEXPECTED: [WarningGrade.ANATOMY],
     }[verdict]
 
 
@@ -301,7 +301,7 @@ def test_a_landmark_at_the_place_states_the_defect():
         (one,) = openings_of(walled(), landmarks=[landmark])
         assert one.verdict is Verdict.STATED
         (warning,) = opening_warnings([one])
-        assert warning.severity is Severity.NOTE
+        assert warning.grade is WarningGrade.NOTE
         assert landmark.name in warning.text
 
 
@@ -326,7 +326,7 @@ def test_a_small_defect_does_not_excuse_a_missing_wall():
     assert (rest.verdict, stated.verdict) == (Verdict.UNEXPECTED, Verdict.STATED)
     assert stated.area_mm2 == pytest.approx(np.pi * reach**2, rel=0.15)
     assert rest.area_mm2 == pytest.approx(np.pi * (15.0**2 - reach**2), rel=0.1)
-    assert [warning.severity for warning in opening_warnings([rest, stated])] == [Severity.ANATOMY, Severity.NOTE]
+    assert [warning.grade for warning in opening_warnings([rest, stated])] == [WarningGrade.ANATOMY, WarningGrade.NOTE]
 
 
 def test_the_defect_s_word_reaches_only_its_own_hole():
@@ -347,7 +347,7 @@ def test_an_edit_states_its_own_opening_and_its_area_is_told():
     assert one.asked_mm2 == pytest.approx(np.pi * 4.5**2)
     assert one.area_mm2 == pytest.approx(one.asked_mm2, rel=0.15)
     (warning,) = opening_warnings([one])
-    assert warning.severity is Severity.NOTE
+    assert warning.grade is WarningGrade.NOTE
     (named,) = openings_of(structures, edits=[canal().model_copy(update={"name": "residual VSD"})])
     assert named.stated_by == 'edits[1] "residual VSD"'
     assert 'as stated by edits[1] "residual VSD", which asks for' in opening_warnings([named])[0].text
@@ -377,7 +377,7 @@ def test_an_edit_in_a_wall_that_is_missing_already_is_looked_at():
     found = openings_of(structures, edits=[canal(2.0, (6.0, 0.0, 0.0))])
     assert [one.verdict for one in found] == [Verdict.UNEXPECTED, Verdict.STATED]
     assert found[1].is_doubtful
-    assert [warning.severity for warning in opening_warnings(found)] == [Severity.ANATOMY, Severity.LOOK]
+    assert [warning.grade for warning in opening_warnings(found)] == [WarningGrade.ANATOMY, WarningGrade.LOOK]
 
 
 def test_figures_are_plain_and_the_same_every_time():
@@ -463,7 +463,7 @@ def test_atria_that_were_grown_over_their_septum_are_told_worst_of_all():
     assert by_names[SEPTUM].area_mm2 > 300.0
     assert by_names["morphologically left atrium", "aorta"].verdict is Verdict.UNEXPECTED
     warnings = opening_warnings(found)
-    assert {warning.severity for warning in warnings} == {Severity.ANATOMY}
+    assert {warning.grade for warning in warnings} == {WarningGrade.ANATOMY}
     assert len(warnings) == sum(one.verdict is Verdict.UNEXPECTED for one in found) >= 2
 
 
@@ -476,7 +476,7 @@ def test_a_defect_in_the_scan_is_told_unless_the_recipe_states_it(kind):
     assert one.area_mm2 == pytest.approx(np.pi * 25.0, rel=0.25)
     assert np.linalg.norm(np.array(one.center_mm) - defect.position_mm) < 7.0
     (warning,) = opening_warnings(openings_of(structures))
-    assert warning.severity is Severity.ANATOMY
+    assert warning.grade is WarningGrade.ANATOMY
     landmark = Landmark(
         name="defect",
         kind="ring",
@@ -488,7 +488,7 @@ def test_a_defect_in_the_scan_is_told_unless_the_recipe_states_it(kind):
         openings_of(structures, landmarks=[landmark]),
         openings_of(structures, edits=[defect]),
     ):
-        assert [warning.severity for warning in opening_warnings(stated)] == [Severity.NOTE]
+        assert [warning.grade for warning in opening_warnings(stated)] == [WarningGrade.NOTE]
 
 
 # ---- The whole build

@@ -11,7 +11,7 @@ from heartcase.pipeline.edits.apply_edits import apply_edits
 from heartcase.pipeline.edits.borders import Borders
 from heartcase.pipeline.fields.reader import ownership_on_lattice
 from heartcase.pipeline.walls.grow_walls import grow_walls, structure_volumes_ml
-from heartcase.pipeline.warnings import Severity
+from heartcase.pipeline.warnings import WarningGrade
 from heartcase.schemas.errors import StageError
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import Label, LabelTable, Role
@@ -57,7 +57,7 @@ def test_the_largest_piece_is_left_as_if_the_others_had_never_been(kind):
     line = after.warnings[-1]
     assert line.edit == 1
     assert line.text.startswith("edits[1]: 3 pieces of 'cavity' given away, 0.")
-    assert line.severity is Severity.NOTE
+    assert line.grade is WarningGrade.NOTE
     # Within the band the fields are those of the clean scan too; its blur knew nothing of the stray balls.
     for value in (0, 1):
         near = np.abs(clean.distance_mm[value]) < 0.5 * clean.band_mm

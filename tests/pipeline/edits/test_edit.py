@@ -10,7 +10,7 @@ from heartcase.pipeline.data import Segmentation, Structures
 from heartcase.pipeline.edits.apply_edits import apply_edits, made_by, with_edit_names
 from heartcase.pipeline.fields.reader import ownership_at_points, ownership_on_lattice
 from heartcase.pipeline.walls.grow_walls import grow_walls, structure_volumes_ml
-from heartcase.pipeline.warnings import CaseWarning, Severity, of_edit
+from heartcase.pipeline.warnings import CaseWarning, WarningGrade, of_edit
 from heartcase.schemas.errors import StageError, problems_from_validation
 from heartcase.schemas.labels import Label, LabelTable, Role
 from heartcase.schemas.recipe.edit_settings import CloseDefect, KeepLargest, Sculpt, SeptalDefect
@@ -382,13 +382,13 @@ def test_an_edit_is_told_by_its_name_too_where_it_has_one():
         apply_edits(two_cavities(), edits)
     assert [problem.place for problem in error.value.problems] == ["edits[1]", 'edits[2] "residual VSD"']
     lines = (
-        of_edit(2, "changes nothing", Severity.NOTE),
-        of_edit(1, "odd", Severity.LOOK),
+        of_edit(2, "changes nothing", WarningGrade.NOTE),
+        of_edit(1, "odd", WarningGrade.LOOK),
         CaseWarning("aorta: edits[2]"),
-        of_edit(3, "of another recipe", Severity.LOOK),
+        of_edit(3, "of another recipe", WarningGrade.LOOK),
     )
     told = with_edit_names(lines, edits)
-    assert told == (CaseWarning('edits[2] "residual VSD": changes nothing', Severity.NOTE, edit=2), *lines[1:])
+    assert told == (CaseWarning('edits[2] "residual VSD": changes nothing', WarningGrade.NOTE, edit=2), *lines[1:])
 
 
 def test_a_name_changes_nothing_of_the_stage_s_output():

@@ -17,7 +17,7 @@ from heartcase.pipeline.formats.read_scan import LabelVolume, read_labels
 from heartcase.pipeline.formats.write_images import write_scan
 from heartcase.pipeline.markers.load_markers import load_markers, load_segmentation, rasterise_strokes, resample_labels
 from heartcase.pipeline.markers.paint import paint_passed_voxels
-from heartcase.pipeline.warnings import Severity
+from heartcase.pipeline.warnings import WarningGrade
 from heartcase.schemas.errors import MarkerError
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable, default_label_table
@@ -501,7 +501,7 @@ def test_walls_that_are_grown_again_are_left_out_and_said(tmp_path: Path) -> Non
     found = load_segmentation(tmp_path / "s.seg.nrrd", {"Jane wall": "SVC wall"}, TABLE, PLAIN)
     np.testing.assert_array_equal(found.labels, np.where(values == 1, 5, 0))
     (warning,) = found.warnings
-    assert warning.severity is Severity.NOTE
+    assert warning.grade is WarningGrade.NOTE
     for name in ("morphologically right ventricle wall", "aorta wall", "superior vena cava wall"):
         assert name in warning.text
     assert "Jane" not in warning.text

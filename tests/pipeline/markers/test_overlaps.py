@@ -16,7 +16,7 @@ from heartcase.pipeline.data import Scan, Segmentation
 from heartcase.pipeline.formats.labels.segments import SegmentInfo, count_overlaps, segments_of, stacking_of
 from heartcase.pipeline.formats.write_images import write_scan
 from heartcase.pipeline.markers.load_markers import load_markers, load_segmentation
-from heartcase.pipeline.warnings import Severity
+from heartcase.pipeline.warnings import WarningGrade
 from heartcase.schemas.errors import RecipeError
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import default_label_table
@@ -46,7 +46,7 @@ def test_a_cube_in_both_layers_is_told_with_its_size_and_both_names(tmp_path: Pa
     found = load_segmentation(tmp_path / "f.seg.nrrd", {}, TABLE, GEOMETRY)
     assert (found.labels[shared] == AORTA).all()
     (warning,) = found.warnings
-    assert warning.severity is Severity.LOOK
+    assert warning.grade is WarningGrade.LOOK
     assert "64 voxels (0.13 ml)" in warning.text
     assert f"both the {TABLE[LA].name} (segment 1 of the file) and the aorta (segment 2 of the file)" in warning.text
     assert "the aorta lies on top" in warning.text
@@ -156,7 +156,7 @@ def test_a_later_marker_file_paints_over_an_earlier_one_and_says_so(tmp_path: Pa
     mrk(tmp_path / "b.mrk.json", points("Fiducial", "LPS", [at], ["right atrium"]))
     files = [MarkerFile(path="a.seg.nrrd"), MarkerFile(path="b.mrk.json", radius_mm=0.0)]
     (warning,) = load_markers(files, (), TABLE, GEOMETRY, tmp_path).warnings
-    assert warning.severity is Severity.NOTE
+    assert warning.grade is WarningGrade.NOTE
     assert "markers[2] paints over" in warning.text
     assert f"1 voxel (0.002 ml) of the aorta become {TABLE[RA].name}" in warning.text
     assert load_markers(files[:1], (), TABLE, GEOMETRY, tmp_path).warnings == ()

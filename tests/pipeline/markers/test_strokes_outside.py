@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from heartcase.pipeline.markers.load_markers import load_markers, rasterise_strokes
-from heartcase.pipeline.warnings import Severity
+from heartcase.pipeline.warnings import WarningGrade
 from heartcase.schemas.errors import MarkerError
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import default_label_table
@@ -35,7 +35,7 @@ def test_eighty_strokes_outside_the_region_are_one_line_and_change_nothing() -> 
     kept = [dab((15, 14, 12)), dab((10, 14, 12), "background", 4.0)]
     markers = load_markers((), [*kept, *many_outside()], TABLE, REGION, Path(), whole=WHOLE)
     (warning,) = markers.warnings
-    assert warning.severity is Severity.LOOK
+    assert warning.grade is WarningGrade.LOOK
     assert warning.text == (
         "of 82 strokes 80 lie wholly outside the region of interest and are left out, 1 reaches out of the region of "
         "interest and is cut there"
@@ -48,7 +48,7 @@ def test_eighty_strokes_outside_the_region_are_one_line_and_change_nothing() -> 
 
 def test_strokes_that_only_reach_out_are_for_information() -> None:
     (warning,) = load_markers((), [dab((10, 14, 12), radius_mm=4.0)], TABLE, REGION, Path(), whole=WHOLE).warnings
-    assert warning.severity is Severity.NOTE
+    assert warning.grade is WarningGrade.NOTE
     assert load_markers((), [dab((15, 14, 12))], TABLE, REGION, Path(), whole=WHOLE).warnings == ()
     # without a region what reaches out of the scan is cut as ever
     assert load_markers((), [dab((0, 14, 12), radius_mm=4.0)], TABLE, WHOLE, Path(), whole=WHOLE).warnings == ()

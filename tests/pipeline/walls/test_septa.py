@@ -21,7 +21,7 @@ from heartcase.pipeline.fields.shapes import distance_on_lattice
 from heartcase.pipeline.mesh.build_surface import build_surface
 from heartcase.pipeline.walls.grow_walls import grow_walls
 from heartcase.pipeline.walls.septa import ADULT_MM, OpenPlace, open_places, pairs_kept_apart, septum_thickness_mm
-from heartcase.pipeline.warnings import Severity
+from heartcase.pipeline.warnings import WarningGrade
 from heartcase.schemas.bundle.surface_kinds import SurfaceKind
 from heartcase.schemas.errors import StageError
 from heartcase.schemas.labels import Label, LabelTable, Role
@@ -389,7 +389,7 @@ def test_what_was_grown_is_told_with_pair_area_thickness_and_place_and_has_a_kin
     assert np.linalg.norm(figure["center_mm"]) < 2.0
     label = structures.table[figure["label"]]
     assert (label.name, label.role, label.septum_of) == ("left atrium-right atrium septum (grown)", Role.WALL, (1, 2))
-    assert told_of(structures).severity is Severity.LOOK
+    assert told_of(structures).grade is WarningGrade.LOOK
     surface = build_surface(
         structures, SurfaceSettings(triangle_count=20_000, level_counts=(), normal_map_size=0), render=False
     )
@@ -425,7 +425,7 @@ def test_a_narrow_vessel_along_another_that_a_septum_would_cut_is_told():
     cut = grow_walls(segmentation, thick(4.0, ("aorta", "SVC")), ())
     (warning,) = (line for line in cut.warnings if "cut in two by a grown septum" in line.text)
     assert warning.text.startswith("superior vena cava: ")
-    assert warning.severity is Severity.ANATOMY
+    assert warning.grade is WarningGrade.ANATOMY
 
 
 def test_names_that_are_wrong_are_refused_all_at_once():

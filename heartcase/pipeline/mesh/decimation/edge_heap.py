@@ -81,15 +81,15 @@ def _collapse_by_heap(position, tail, opposite, quadric, alive, mark, left, want
             if left == left_at_fill:
                 break
             left_at_fill = left
-            for h in range(len(tail)):
-                if alive[h // 3] and h < opposite[h]:
-                    cost[size] = best_place(quadric, position, tail[h], tail[next_edge(h)], p)
-                    edge[size] = h
+            for half_edge in range(len(tail)):
+                if alive[half_edge // 3] and half_edge < opposite[half_edge]:
+                    cost[size] = best_place(quadric, position, tail[half_edge], tail[next_edge(half_edge)], p)
+                    edge[size] = half_edge
                     born[size] = clock
                     size += 1
             for place in range(size // 2 - 1, -1, -1):
                 _sift_down(cost, edge, born, size, place)
-        h = int(edge[0])
+        h = np.int64(edge[0])
         birth = born[0]
         size -= 1
         cost[0], edge[0], born[0] = cost[size], edge[size], born[size]

@@ -1,4 +1,4 @@
-"""The page of ``heartcase bench``: machine, tables, where a peer is better, pictures."""
+"""The page of a run: machine, tables, where a peer is better, pictures."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import statistics
 from collections.abc import Sequence
 from pathlib import Path
 
-from heartcase.cli.bench.plots import THING, as_error, drawn_errors, grouped, write_plots
-from heartcase.schemas.benchmark import BenchmarkRecord
+from benchmarks.runner.cases import BenchmarkRecord
+from benchmarks.runner.plots import THING, as_error, drawn_errors, grouped, write_plots
 from heartcase.schemas.files import atomic_write
 
 __all__ = ["write_report"]

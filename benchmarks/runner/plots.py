@@ -1,4 +1,4 @@
-"""What ``heartcase bench`` measured as pictures: time against error, and error against the parameter of a sweep."""
+"""What was measured as pictures: time against error, and error against the parameter of a sweep."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
-from heartcase.schemas.benchmark import BenchmarkRecord
+from benchmarks.runner.cases import BenchmarkRecord
 from heartcase.schemas.files import atomic_write
 
 __all__ = ["THING", "as_error", "drawn_errors", "grouped", "write_plots"]

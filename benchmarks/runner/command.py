@@ -1,4 +1,4 @@
-"""``heartcase bench``: run time against error, ours beside its peers in one run."""
+"""``python -m benchmarks``: run time against error, ours beside its peers in one run."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from types import ModuleType
 import click
 from rich.console import Console
 
+from benchmarks.runner.cases import BenchmarkCase, BenchmarkRecord, MethodSkipped, load_cases
 from heartcase import __version__
 from heartcase.compiling.ahead import core_count
-from heartcase.schemas.benchmark import BenchmarkCase, BenchmarkRecord, MethodSkipped, load_cases
 from heartcase.schemas.errors import Problem, UsageError
 from heartcase.schemas.files import atomic_write
 
@@ -45,7 +45,7 @@ class _Outcome:
     """Case, method and reason of what was left out."""
 
 
-@click.command()
+@click.command(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 @click.argument("names", nargs=-1)
 @click.option("--list", "only_list", is_flag=True, help="List the cases and their methods.")
 @click.option(
@@ -67,8 +67,9 @@ class _Outcome:
     "--dir",
     "directory",
     type=click.Path(path_type=Path, readable=False),
-    default=Path("benchmarks"),
-    help="benchmarks/",
+    default=Path(__file__).parents[1],
+    show_default="that of the repository",
+    help="Folder with a cases.toml and the modules that it names.",
 )
 def command(
     names: tuple[str, ...],
@@ -86,14 +87,14 @@ def command(
     """
     cases = [case for case in load_cases(directory) if not names or case.name.startswith(names)]
     if not cases:
-        raise UsageError(f"no case starts with {' or '.join(names)}; see 'heartcase bench --list'", place="NAMES")
+        raise UsageError(f"no case starts with {' or '.join(names)}; see --list", place="NAMES")
     if only_list:
         for line in _listing(cases):
             click.echo(line)
         return
     if plot_directory is not None or report_directory is not None:
         # Without its library the command must fail before the long run, not after it.
-        importlib.import_module("heartcase.cli.bench.report")
+        importlib.import_module("benchmarks.runner.report")
     _check_outputs(json_file, plot_directory, report_directory)
     outcome = _Outcome()
     try:
@@ -150,12 +151,12 @@ def _write(
         json_file.parent.mkdir(parents=True, exist_ok=True)
         atomic_write(json_file, (json.dumps(data, indent=1) + "\n").encode())
     if plot_directory is not None:
-        from heartcase.cli.bench.plots import write_plots
+        from benchmarks.runner.plots import write_plots
 
         for path in write_plots(records, plot_directory):
             click.echo(path.name)
     if report_directory is not None:
-        from heartcase.cli.bench.report import write_report
+        from benchmarks.runner.report import write_report
 
         click.echo(write_report(records, outcome.skipped, report_directory).name)
 
@@ -232,18 +233,18 @@ def _runs_end_with_us() -> Iterator[None]:
 
 
 def _load_module(directory: Path, name: str) -> ModuleType:
-    loaded = sys.modules.get(f"heartcase_benchmark_{name}")
-    path = directory / f"{name}.py"
+    """A module of the folder, as part of this package: its neighbours import it by the same name."""
+    full_name, path = f"benchmarks.{name}", directory.resolve() / f"{name}.py"
+    loaded = sys.modules.get(full_name)
     if loaded is not None and loaded.__file__ == str(path):
         return loaded
     if not path.is_file():
         raise UsageError(f"there is no module {name}.py in the benchmark directory", place="cases.toml")
-    sys.path.insert(0, str(directory.resolve()))
-    spec = importlib.util.spec_from_file_location(f"heartcase_benchmark_{name}", path)
+    spec = importlib.util.spec_from_file_location(full_name, path)
     if spec is None or spec.loader is None:
         raise UsageError(f"the module {name}.py cannot be loaded", place="cases.toml")
     module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
+    sys.modules[full_name] = module
     spec.loader.exec_module(module)
     return module
 

@@ -103,9 +103,7 @@ def load_cases(directory: Path) -> tuple[BenchmarkCase, ...]:
     try:
         data = tomllib.loads((directory / "cases.toml").read_text(encoding="utf-8"))
     except OSError:
-        raise UsageError(
-            "there is no cases.toml: run it in heartcase's repository, or name the directory with --dir", place="--dir"
-        ) from None
+        raise UsageError("there is no cases.toml in the folder", place="--dir") from None
     except tomllib.TOMLDecodeError as error:
         raise UsageError(f"is not valid TOML: {error}", place="cases.toml") from None
     try:

@@ -1,0 +1,39 @@
+"""Where an instrument is, from what a program says in LPS mm to the lattice's own axes and cells."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from heartcase.schemas.arrays import Float64
+from heartcase.schemas.errors import SimulationError
+from heartcase.simulator.lattice.model import LatticeModel
+
+__all__ = ["is_point", "point_in_lattice", "turn_in_grid"]
+
+
+def is_point(values: npt.ArrayLike) -> bool:
+    """Whether these are three finite numbers."""
+    return np.shape(values) == (3,) and bool(np.isfinite(np.asarray(values, dtype=float)).all())
+
+
+def point_in_lattice(model: LatticeModel, point_mm: npt.ArrayLike) -> Float64:
+    """A point, LPS mm, in the coordinates of the nodes [cells], shape (3,)."""
+    return np.asarray(model.geometry.world_to_index(point_mm), dtype=float) + 0.5
+
+
+def turn_in_grid(model: LatticeModel, turn: npt.ArrayLike | None, name: str) -> Float64:
+    """A rotation in LPS axes, in grid axes, shape (3, 3); none where it is left out.
+
+    Raises
+    ------
+    SimulationError
+        It is no rotation; the message is about the instrument of this name.
+    """
+    rotation = np.eye(3) if turn is None else np.asarray(turn, dtype=float)
+    is_rotation = rotation.shape == (3, 3) and np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6)
+    if not is_rotation or np.linalg.det(rotation) < 0:
+        raise SimulationError("the turn must be a rotation matrix, shape (3, 3)", place=name)
+    direction = model.geometry.direction_matrix
+    turned: Float64 = direction.T @ rotation @ direction
+    return turned
