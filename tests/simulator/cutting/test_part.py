@@ -298,7 +298,9 @@ def test_tissue_that_never_touched_is_parted_by_a_sheet_between_alone():
         return part(model, [Sheet.swept([[(x, -1, -1), (x, 2, -1)], [(x, -1, top), (x, 2, top)]])], walls).model
 
     assert cut(0.5).cell_count == 2
-    assert cut(0.5, top=0.5).cell_count == 1
+    half = cut(0.5, top=0.5)
+    np.testing.assert_allclose(sorted(half.cell_coverage), [0.125, 0.125, 0.25])
+    assert cut(0.5, top=-0.5).cell_count == 1
     assert cut(0.9).cell_count == 2
     np.testing.assert_allclose(sorted(cut(0.5).cell_coverage), [0.25, 0.25])
 
