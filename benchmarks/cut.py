@@ -62,13 +62,14 @@ def lattice(cells: int, law: ForceLaw, place: float, depth: float) -> LatticeMod
 
 def crossed_springs(model: LatticeModel, cells: int, place: float, depth: float) -> Bool:
     """Springs that the blade's sheet crosses, or that begin on it and go on; shape (spring_count,)."""
-    low, high = np.moveaxis(model.node_index[model.spring_nodes].astype(float), 1, 0)
+    ends = model.node_index[model.spring_nodes].astype(float)
+    ends = np.take_along_axis(ends, np.argsort(ends[:, :, :1], axis=1), axis=1)
+    low, high = np.moveaxis(ends, 1, 0)
     x = PLACE * cells + place
     along = high[:, 0] - low[:, 0]
-    way = np.divide(x - low[:, 0], along, out=np.full(len(along), -1.0), where=along != 0)
-    goes_on = (way >= 0) & (way < 1) if place == 0 else (way > 0) & (way < 1)
-    goes_on &= np.maximum(low[:, 0], high[:, 0]) > x
-    crossed: Bool = goes_on & (low[:, 2] + way * (high[:, 2] - low[:, 2]) > LEFT * cells - depth)
+    way = np.divide(x - low[:, 0], along, out=np.full(len(along), -1.0), where=along > 0)
+    is_high = low[:, 2] + way * (high[:, 2] - low[:, 2]) > LEFT * cells - depth
+    crossed: Bool = (way >= 0) & (way < 1) & is_high
     return crossed
 
 
