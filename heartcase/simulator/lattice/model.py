@@ -29,7 +29,7 @@ from heartcase.simulator.lattice.explicit import ExplicitSprings
 from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.lattice.strain_sharing import corner_shares
 
-__all__ = ["DIRECTIONS", "GridUnits", "LatticeModel", "make_model"]
+__all__ = ["CELL_SPRINGS", "DIRECTIONS", "GridUnits", "LatticeModel", "make_model"]
 
 
 STIFFNESS_PER_MODULUS = 0.4
@@ -43,6 +43,9 @@ DIRECTIONS: Int32 = np.unique(_CELL_SPRING_OFFSET[:, ::-1], axis=0)[:, ::-1].cop
 """The nine directions (i, j, k) of a spring from its lower to its higher node, shape (9, 3)."""
 
 _CELL_SPRING_DIRECTION = np.array([np.flatnonzero((o == DIRECTIONS).all(axis=1))[0] for o in _CELL_SPRING_OFFSET])
+
+CELL_SPRINGS = (_CELL_SPRINGS, _CELL_SPRING_SHARE, _CELL_SPRING_DIRECTION)
+"""Lower and higher corner of a cell's 24 springs, shape (24, 2), their share of its stiffness, and their direction."""
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,118 @@
+"""Which links between samples triangles cross, in whole numbers: kernels.
+
+A sample that lies on a triangle counts as moved by less than any number, first along y, then z, then x
+(:mod:`heartcase.simulator.cutting.sheet`).
+"""
+
+from __future__ import annotations
+
+from heartcase.compiling.kernel import kernel
+
+__all__ = ["QUANTA", "SAMPLES", "count_crossings", "list_crossings"]
+
+SAMPLES = 8
+"""Samples along each edge of a cell."""
+QUANTA = 4096
+"""Whole numbers along each edge of a cell."""
+_PITCH = QUANTA // SAMPLES
+_FIRST = _PITCH // 2
+
+
+@kernel(cached=False)
+def _sign(value, then, last):
+    """Sign of the first number that is not zero."""
+    chosen = value if value != 0 else then if then != 0 else last
+    return 1 if chosen > 0 else -1 if chosen < 0 else 0
+
+
+@kernel(cached=False)
+def _side(p, q, b, c, at_b, at_c):
+    """Side of the line through p and q on which a moved sample lies, seen along the third axis."""
+    along_b, along_c = q[b] - p[b], q[c] - p[c]
+    area = along_b * (at_c - p[c]) - along_c * (at_b - p[b])
+    # Of the two axes, y moves most, then z.
+    if b == 1 or (b == 2 and c == 0):
+        return _sign(area, -along_c, along_b)
+    return _sign(area, along_b, -along_c)
+
+
+@kernel(cached=False)
+def _normal(triangle, axis):
+    """Component of the normal along an axis."""
+    b, c = (axis + 1) % 3, (axis + 2) % 3
+    p, q, r = triangle[0], triangle[1], triangle[2]
+    return (q[b] - p[b]) * (r[c] - p[c]) - (q[c] - p[c]) * (r[b] - p[b])
+
+
+@kernel(cached=False)
+def _first_line(low):
+    return -((_FIRST - low) // _PITCH)
+
+
+@kernel(cached=False)
+def _last_line(high):
+    return (high - _FIRST) // _PITCH
+
+
+@kernel(cached=False)
+def _meets(triangle, b, c, facing, at_b, at_c):
+    """Whether the line of samples at (b, c) goes through a triangle that faces it."""
+    p, q, r = triangle[0], triangle[1], triangle[2]
+    if _side(p, q, b, c, at_b, at_c) != facing or _side(q, r, b, c, at_b, at_c) != facing:
+        return False
+    return _side(r, p, b, c, at_b, at_c) == facing
+
+
+@kernel(cached=False)
+def _link(triangle, axis, at_b, at_c):
+    """Number along the axis of the last sample of a line before a triangle that the line goes through."""
+    b, c = (axis + 1) % 3, (axis + 2) % 3
+    p = triangle[0]
+    n_a, n_b, n_c = _normal(triangle, axis), _normal(triangle, b), _normal(triangle, c)
+    if n_a < 0:
+        n_a, n_b, n_c = -n_a, -n_b, -n_c
+    start, rest = (p[axis] - _FIRST) // _PITCH, (p[axis] - _FIRST) % _PITCH
+    way = rest * n_a - n_b * (at_b - p[b]) - n_c * (at_c - p[c])
+    number = start + way // (_PITCH * n_a)
+    if way % (_PITCH * n_a) == 0:
+        normal = (n_a, n_b, n_c)
+        n_y, n_z, n_x = normal[(1 - axis) % 3], normal[(2 - axis) % 3], normal[(3 - axis) % 3]
+        if _sign(n_y, n_z, n_x) > 0:
+            number -= 1
+    return number
+
+
+@kernel
+def count_crossings(triangles, axis):
+    """How often triangles, shape (count, 3, 3), cross lines of samples along an axis."""
+    b, c = (axis + 1) % 3, (axis + 2) % 3
+    count = 0
+    for number in range(len(triangles)):
+        triangle = triangles[number]
+        facing = _sign(_normal(triangle, axis), 0, 0)
+        if facing == 0:
+            continue
+        for line_b in range(_first_line(triangle[:, b].min()), _last_line(triangle[:, b].max()) + 1):
+            for line_c in range(_first_line(triangle[:, c].min()), _last_line(triangle[:, c].max()) + 1):
+                if _meets(triangle, b, c, facing, _FIRST + _PITCH * line_b, _FIRST + _PITCH * line_c):
+                    count += 1
+    return count
+
+
+@kernel
+def list_crossings(triangles, axis, links):
+    """Write the lower sample (i, j, k) of each link that is crossed, shape (count_crossings, 3)."""
+    b, c = (axis + 1) % 3, (axis + 2) % 3
+    count = 0
+    for number in range(len(triangles)):
+        triangle = triangles[number]
+        facing = _sign(_normal(triangle, axis), 0, 0)
+        if facing == 0:
+            continue
+        for line_b in range(_first_line(triangle[:, b].min()), _last_line(triangle[:, b].max()) + 1):
+            for line_c in range(_first_line(triangle[:, c].min()), _last_line(triangle[:, c].max()) + 1):
+                at_b, at_c = _FIRST + _PITCH * line_b, _FIRST + _PITCH * line_c
+                if _meets(triangle, b, c, facing, at_b, at_c):
+                    links[count, axis] = _link(triangle, axis, at_b, at_c)
+                    links[count, b], links[count, c] = line_b, line_c
+                    count += 1

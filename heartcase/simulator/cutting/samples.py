@@ -1,0 +1,77 @@
+"""Samples of the tissue at rest: which of a cell's SAMPLES^3 points lie in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from heartcase.schemas.arrays import Bool, Float64, Int32, Int64
+from heartcase.schemas.bundle.lattice import lattice_keys
+from heartcase.simulator.cutting.crossings import QUANTA, SAMPLES
+from heartcase.simulator.cutting.sheet import crossed_links
+
+__all__ = ["SAMPLE_PLACES", "TissueSamples", "samples_of"]
+
+_INDICES: Int64 = np.stack(np.meshgrid(*[np.arange(SAMPLES)] * 3, indexing="ij"), axis=-1)[..., ::-1].reshape(-1, 3)
+"""Index (i, j, k) of each sample in its cell, by k, j, i, shape (SAMPLES^3, 3)."""
+SAMPLE_PLACES: Float64 = (_INDICES + 0.5) / SAMPLES - 0.5
+"""Where the samples of a cell lie, from its centre [edges], by k, j, i, shape (SAMPLES^3, 3)."""
+
+
+@dataclass(frozen=True)
+class TissueSamples:
+    """The tissue by the closed surface around it; all of space where there is none."""
+
+    entries: Int64 | None
+    """Links along x that the surface crosses, as :func:`heartcase.simulator.cutting.sheet.crossed_links` gives them."""
+
+    @classmethod
+    def everywhere(cls) -> TissueSamples:
+        """Tissue that fills its cells."""
+        return cls(None)
+
+    @classmethod
+    def inside(cls, vertices: npt.ArrayLike, triangles: npt.ArrayLike) -> TissueSamples:
+        """Tissue inside a closed surface at rest.
+
+        Parameters
+        ----------
+        vertices
+            In the frame of the nodes [cells], shape (vertex_count, 3).
+        triangles
+            Vertex numbers, shape (triangle_count, 3); each edge in two triangles.
+        """
+        corners = np.round(np.asarray(vertices, dtype=np.float64) * QUANTA).astype(np.int64)
+        return cls(crossed_links(corners[np.asarray(triangles)], axis=0))
+
+    def of_cells(self, cells: Int32, moments: npt.ArrayLike) -> Bool:
+        """Which samples of some cells are tissue, shape (count, SAMPLES^3); in each cell one at least.
+
+        Parameters
+        ----------
+        cells
+            Index (i, j, k) of each, shape (count, 3).
+        moments
+            Of the tissue in each, as of :class:`heartcase.simulator.lattice.model.LatticeModel`, shape (count, 9).
+        """
+        if self.entries is None:
+            return np.ones((len(cells), SAMPLES**3), np.bool_)
+        samples = samples_of(cells)
+        # A sample is inside where the surface was crossed an odd number of times on its row before it.
+        keys = lattice_keys(samples)
+        row_start = lattice_keys(
+            np.concatenate([np.full((*samples.shape[:2], 1), -(1 << 20)), samples[..., 1:]], axis=2)
+        )
+        before = np.searchsorted(self.entries, keys) - np.searchsorted(self.entries, row_start)
+        is_tissue: Bool = before % 2 == 1
+        empty = np.flatnonzero(~is_tissue.any(axis=1))
+        away = SAMPLE_PLACES - np.asarray(moments, dtype=np.float64)[empty, None, :3]
+        is_tissue[empty, (away**2).sum(axis=2).argmin(axis=1)] = True
+        return is_tissue
+
+
+def samples_of(cells: npt.ArrayLike) -> Int64:
+    """Index (i, j, k) of the samples of some cells, shape (count, SAMPLES^3, 3)."""
+    return SAMPLES * np.asarray(cells, dtype=np.int64)[:, None, :] + _INDICES

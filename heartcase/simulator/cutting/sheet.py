@@ -1,0 +1,116 @@
+"""The sheet that a blade sweeps, at rest: triangles with whole-number corners, so that no question about it is open.
+
+A cut is decided in rest space. There the tissue is sampled at SAMPLES points along each edge of a cell, and what the
+sheet does is one list for each axis: the links between two neighbouring samples that it crosses. A sample that lies on
+the sheet counts as moved by less than any number, first along y, then z, then x (simulation of simplicity: Edelsbrunner
+and Muecke, ACM Trans. Graph. 9, 1990): every link is crossed or not, and a closed sheet parts inside from outside.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from heartcase.schemas.arrays import Float64, Int64
+from heartcase.schemas.bundle.lattice import lattice_keys
+from heartcase.schemas.errors import Problem, SimulationError
+from heartcase.simulator.cutting.crossings import QUANTA, count_crossings, list_crossings
+
+__all__ = ["Sheet", "crossed_links"]
+
+_BEYOND = 2.0
+"""How far a sheet is continued [cells]: through any cell that it ends in."""
+_LONGEST = 128
+"""Extent of a triangle along any axis [cells], so that products of three differences fit into 64 bits."""
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """Triangles of a swept blade at rest."""
+
+    triangles: Int64
+    """Corners in QUANTA to a cell, in the frame of the nodes (x, y, z along i, j, k), shape (triangle_count, 3, 3)."""
+    beyond: Int64 = field(default_factory=lambda: np.zeros((0, 3, 3), np.int64))
+    """The sheet's continuation beyond its edges, which tells where the cut goes in cells that it ends in, the same."""
+
+    @classmethod
+    def swept(cls, poses: npt.ArrayLike) -> Sheet:
+        """What a polyline sweeps from pose to pose.
+
+        Parameters
+        ----------
+        poses
+            Points of the blade at each pose, at rest, in the frame of the nodes [cells], shape (pose_count,
+            point_count, 3), at least two of each. For a line drawn on tissue: the line, and the line at its depth.
+
+        Raises
+        ------
+        SimulationError
+            Too few poses or points, numbers that are not finite, or a sheet that reaches too far.
+        """
+        points = np.asarray(poses, dtype=np.float64)
+        if points.ndim != 3 or points.shape[2] != 3 or min(points.shape[:2]) < 2:
+            raise SimulationError(
+                "a blade needs two points or more in two poses or more, shape (poses, points, 3)", place="blade"
+            )
+        sheet = cls.of_triangles(_triangles(points))
+        longer = np.concatenate([_continued(points[:2], 0)[:1], points, _continued(points[-2:], 0)[1:]])
+        ahead = np.concatenate(
+            [_continued(longer[:, :2], 1)[:, :1], longer, _continued(longer[:, -2:], 1)[:, 1:]], axis=1
+        )
+        strips = (ahead[:2], ahead[-2:], ahead[:, :2], ahead[:, -2:])
+        beyond = [cls.of_triangles(_triangles(strip)).triangles for strip in strips]
+        return replace(sheet, beyond=np.concatenate(beyond))
+
+    @classmethod
+    def of_triangles(cls, triangles: npt.ArrayLike) -> Sheet:
+        """Any triangles, in the frame of the nodes [cells], shape (triangle_count, 3, 3).
+
+        Raises
+        ------
+        SimulationError
+            Numbers that are not finite, or a triangle that reaches too far.
+        """
+        corners = np.asarray(triangles, dtype=np.float64).reshape(-1, 3, 3)
+        if not (np.isfinite(corners).all() and (np.abs(corners) < 2.0**16).all()):
+            raise SimulationError([Problem("blade", "every point must be three finite numbers within the lattice")])
+        while len(corners) and np.ptp(corners, axis=1).max() > _LONGEST:
+            corners = _quartered(corners)
+        return cls(np.round(corners * QUANTA).astype(np.int64))
+
+
+def crossed_links(triangles: Int64, axis: int) -> Int64:
+    """Links between samples along an axis that triangles cross, as often as they do, ascending.
+
+    Returns
+    -------
+    ndarray
+        The key (:func:`heartcase.schemas.bundle.lattice.lattice_keys`) of each link's lower sample. Sample (i, j, k)
+        lies (i + 1/2) / SAMPLES cells along x, and so on. int64, shape (count,).
+    """
+    room = np.empty((count_crossings(triangles, axis), 3), np.int64)
+    list_crossings(triangles, axis, room)
+    return np.sort(lattice_keys(room))
+
+
+def _triangles(points: Float64) -> Float64:
+    """Two triangles for each four points that are neighbours, shape (count, 3, 3)."""
+    a, b, c, d = points[:-1, :-1], points[:-1, 1:], points[1:, :-1], points[1:, 1:]
+    return np.concatenate([np.stack(t, axis=2).reshape(-1, 3, 3) for t in ((a, b, c), (c, b, d))])
+
+
+def _continued(pair: Float64, axis: int) -> Float64:
+    """Two rows of points, moved apart along the lines through both by _BEYOND."""
+    first, second = np.moveaxis(pair, axis, 0)
+    way = second - first
+    length = np.linalg.norm(way, axis=-1, keepdims=True)
+    step = np.divide(way, length, out=np.zeros_like(way), where=length > 0) * _BEYOND
+    return np.stack([first - step, second + step], axis=axis)
+
+
+def _quartered(corners: Float64) -> Float64:
+    a, b, c = np.moveaxis(corners, 1, 0)
+    ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+    return np.concatenate([np.stack(t, axis=1) for t in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])
