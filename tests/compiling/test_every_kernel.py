@@ -27,6 +27,9 @@ from heartcase.phantom.anatomy.heart import HeartPhantom
 from heartcase.pipeline.building.session_file import open_session
 from heartcase.schemas.bundle.manifest import listed_files
 from heartcase.schemas.recipe.settings import Stroke
+from heartcase.simulator.cutting.part import part
+from heartcase.simulator.cutting.samples import TissueSamples
+from heartcase.simulator.cutting.sheet import Sheet
 from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.load import load_case
 from heartcase.simulator.simulation import Simulation
@@ -117,6 +120,15 @@ def test_springs_go_and_come(case):
     simulation.add_springs([[0, case.model.node_count - 1]], 0.1)
     simulation.step(5)
     assert np.isfinite(simulation.positions_mm()).all()
+
+
+def test_a_cut_parts_the_lattice(case):
+    model = case.model
+    tissue = TissueSamples.inside(model.geometry.world_to_index(case.surface.rest_mm) + 0.5, case.surface.triangles)
+    x, y, z = model.node_index.mean(axis=0)
+    blade = [[(x - 60, y, z - 60), (x + 60, y, z - 60)], [(x - 60, y, z + 60), (x + 60, y, z + 60)]]
+    parted = part(model.with_law(LAWS["element"]), [Sheet.swept(blade)], tissue)
+    assert parted.model.node_count > model.node_count
 
 
 def test_the_others_found_the_same(found):

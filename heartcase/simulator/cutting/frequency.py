@@ -1,8 +1,8 @@
 """Elements of pieces that are no quicker than the time step allows.
 
-A lone spring cell has the same highest frequency whatever its coverage. An element has more where its tissue fills one
-end of its cell, as pieces do: up to four times the omega^2. A piece with more than QUICKER times that of a whole cell is
-taken for tissue that reaches further into its cell; uniform strain stays exact, and its mass is what it was.
+A lone spring cell has the same highest frequency whatever its coverage. An element has more where its tissue fills
+one end of its cell, as pieces do: up to four times the omega^2. A piece with more than QUICKER times that of a whole
+cell is taken for tissue that reaches further into its cell; uniform strain stays exact, and its mass is what it was.
 """
 
 from __future__ import annotations
@@ -20,8 +20,9 @@ from heartcase.simulator.lattice.model import make_model
 __all__ = ["QUICKER", "bounded_moments", "lone_cell_eigenvalues"]
 
 QUICKER = 1.5
-"""Largest omega^2 of a piece over the bound of a lone cell; half a cell has 1.19. With 1.25 a bar that is cut half through
-is up to 8% stiffer, with more than 1.5 no softer."""
+"""Largest omega^2 of a piece over the bound of a lone cell; half a cell has 1.19.
+
+With 1.25 a bar that is cut half through is up to 8% stiffer, with more than 1.5 no softer."""
 _STEP = 1e-5
 """Step of the differences [cells]."""
 _PARTS = 8
