@@ -16,9 +16,9 @@ import numpy as np
 from benchmarks.runner.cases import MethodSkipped
 from benchmarks.statics import Held, solve_linear, stiffness
 from heartcase.schemas.arrays import Bool, Float64
-from heartcase.simulator.cutting.part import part
-from heartcase.simulator.cutting.samples import TissueSamples
-from heartcase.simulator.cutting.sheet import Sheet
+from heartcase.simulator.cutting.blade_sheet import Sheet
+from heartcase.simulator.cutting.parted_lattice import part
+from heartcase.simulator.cutting.tissue_samples import TissueSamples
 from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.lattice.model import LatticeModel, make_model
 

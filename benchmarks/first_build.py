@@ -57,7 +57,7 @@ def prepare(params: dict[str, Any]) -> Inputs:
 
 
 _AHEAD = ""
-_NOT_AHEAD = "import heartcase.pipeline.building.ahead as ahead; ahead.core_count = lambda: 0;"
+_NOT_AHEAD = "import heartcase.pipeline.building.kernels_ahead as ahead; ahead.core_count = lambda: 0;"
 _COMMAND = "import sys; from heartcase.cli.main import main; sys.exit(main(sys.argv[1:]))"
 
 

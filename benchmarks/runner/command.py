@@ -25,7 +25,7 @@ from rich.console import Console
 
 from benchmarks.runner.cases import BenchmarkCase, BenchmarkRecord, MethodSkipped, load_cases
 from heartcase import __version__
-from heartcase.compiling.ahead import core_count
+from heartcase.compiling.compile_ahead import core_count
 from heartcase.schemas.errors import Problem, UsageError
 from heartcase.schemas.files import atomic_write
 

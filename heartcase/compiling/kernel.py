@@ -13,7 +13,7 @@ from typing import IO, Any, overload
 import numba
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
 
-from heartcase.compiling.one_at_a_time import compiled_by_one
+from heartcase.compiling.compile_lock import compiled_by_one
 from heartcase.compiling.sources import source_stamp
 
 __all__ = ["KERNELS", "cache_folder", "kernel", "write_unfinished_to"]

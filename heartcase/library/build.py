@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from heartcase import __version__
-from heartcase.compiling.ahead import core_count
+from heartcase.compiling.compile_ahead import core_count
 from heartcase.library.interrupts import held_interrupts, inherited_deafness
 from heartcase.library.plan import CaseRecord, LibraryCase, is_up_to_date, read_record, write_record
 from heartcase.library.progress import StageNews, TellingListener, heard

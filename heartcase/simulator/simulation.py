@@ -114,7 +114,7 @@ class Simulation:
         self._picker = None if picking is None else SurfaceFollower(model, picking, skips_unmoved=skips_unmoved)
         self._surface_on_device: Callable[[], DeformedSurface] | None = None
         if surface is not None and is_on_device:
-            from heartcase.simulator.surface.device import deform_on_device
+            from heartcase.simulator.surface.cuda_surface import deform_on_device
 
             self._surface_on_device = deform_on_device(model, surface, self._engine)
 

@@ -7,7 +7,7 @@ from rich.console import Console
 from rich.progress import Progress as Rows
 
 from heartcase.cli.shared.compiling import Compiling
-from heartcase.compiling.ahead import Progress
+from heartcase.compiling.compile_ahead import Progress
 
 
 def test_a_line_says_that_kernels_are_compiled_and_a_row_how_far_and_how_long():

@@ -11,7 +11,7 @@ import pytest
 
 from heartcase.compiling.calls import called, copied
 from heartcase.compiling.kernel import kernel
-from heartcase.compiling.lent import lend
+from heartcase.compiling.tuple_addresses import lend
 
 
 class Inner(NamedTuple):

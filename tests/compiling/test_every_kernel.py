@@ -27,9 +27,9 @@ from heartcase.phantom.anatomy.heart import HeartPhantom
 from heartcase.pipeline.building.session_file import open_session
 from heartcase.schemas.bundle.manifest import listed_files
 from heartcase.schemas.recipe.settings import Stroke
-from heartcase.simulator.cutting.part import part
-from heartcase.simulator.cutting.samples import TissueSamples
-from heartcase.simulator.cutting.sheet import Sheet
+from heartcase.simulator.cutting.blade_sheet import Sheet
+from heartcase.simulator.cutting.parted_lattice import part
+from heartcase.simulator.cutting.tissue_samples import TissueSamples
 from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.load import load_case
 from heartcase.simulator.simulation import Simulation
@@ -53,7 +53,7 @@ def out(tmp_path_factory):
     folder = tmp_path_factory.mktemp("out")
     with pytest.MonkeyPatch.context() as patch:
         # What another process compiled is loaded with all that it calls, none of which is then compiled here.
-        patch.setattr("heartcase.pipeline.building.ahead.kernels_ahead", lambda *_, **__: nullcontext())
+        patch.setattr("heartcase.pipeline.building.kernels_ahead.kernels_ahead", lambda *_, **__: nullcontext())
         assert main(["build", str(RECIPE), "--out", str(folder)]) == 0
     return folder
 

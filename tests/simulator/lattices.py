@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from heartcase.schemas.bundle.lattice import cell_nodes
 from heartcase.schemas.geometry import Geometry
 from heartcase.simulator.engine.shared.contact import probe_row
-from heartcase.simulator.lattice.explicit import ExplicitSprings
+from heartcase.simulator.lattice.explicit_springs import ExplicitSprings
 from heartcase.simulator.lattice.model import LatticeModel, make_model
 
 EPS = float(np.finfo(np.float32).eps)

@@ -28,6 +28,9 @@ def libraries() -> set[str]:
                 found |= {alias.name.split(".")[0] for alias in node.names}
             elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
                 found.add(node.module.split(".")[0])
+            elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("find_spec"):
+                # Files of a library are used without importing it.
+                found |= {each.value for each in node.args if isinstance(each, ast.Constant)}
     of = packages_distributions()
     return {
         plain(of.get(name, [name])[0]) for name in found - set(sys.stdlib_module_names) - {"heartcase", "benchmarks"}

@@ -90,7 +90,7 @@ def command(
     on where this one stopped.
     """
     from heartcase.library.scans import ensure_scan, scan_is_made
-    from heartcase.pipeline.building.ahead import kernels_ahead
+    from heartcase.pipeline.building.kernels_ahead import kernels_ahead
     from heartcase.pipeline.building.run import build_case
     from heartcase.pipeline.bundle.case_id import add_to_key_file, check_key_file
 

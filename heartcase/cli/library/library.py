@@ -58,8 +58,8 @@ def build(
     Only what changed is built. A case that fails is listed, and does not stop the others; what was interrupted goes on
     from there when the library is built again. Exits with 1 where a case failed.
     """
-    from heartcase.library.ahead import library_kernels_ahead
     from heartcase.library.build import build_cases, connected, default_workers, has_dashboard, stale_cases
+    from heartcase.library.kernels_ahead import library_kernels_ahead
     from heartcase.library.plan import plan_library
 
     if scheduler is not None and (workers is not None or memory_mb is not None):

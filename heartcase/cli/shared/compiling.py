@@ -11,7 +11,7 @@ from rich.progress import Progress as RowsOfProgress
 from rich.progress import TaskID
 
 if TYPE_CHECKING:
-    from heartcase.compiling.ahead import Progress
+    from heartcase.compiling.compile_ahead import Progress
 
 __all__ = ["Compiling"]
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from heartcase.pipeline.artifacts.cache import Cache, stage_key
-from heartcase.pipeline.building.ahead import kernels_ahead
+from heartcase.pipeline.building.kernels_ahead import kernels_ahead
 from heartcase.pipeline.building.lock import check_lock
 from heartcase.pipeline.building.runner import BuildListener, Runner, SilentListener, run_stages
 from heartcase.pipeline.bundle.write_bundle import check_place, check_replacement, write_bundle

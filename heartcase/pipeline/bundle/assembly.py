@@ -20,13 +20,13 @@ from heartcase.pipeline.bundle.write_bundle import (
     assemble_bundle,
     resolve_materials,
 )
-from heartcase.pipeline.checks.cut_faces import cut_warnings, voxel_warnings
 from heartcase.pipeline.checks.openings import (
     Opening,
     find_openings,
     opening_figures,
     opening_warnings,
 )
+from heartcase.pipeline.checks.scan_border import cut_warnings, voxel_warnings
 from heartcase.pipeline.data import GridMap, Markers, Scan, Segmentation, SimulationGrid, Structures, Surface
 from heartcase.pipeline.kernels.parallel import side_by_side
 from heartcase.pipeline.warnings import CaseWarning, worst_first

@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 
 from heartcase.compiling.calls import called, copied
 from heartcase.compiling.kernel import kernel
-from heartcase.compiling.lent import lend
+from heartcase.compiling.tuple_addresses import lend
 from heartcase.pipeline.cells.ways import (
     FieldsInCells,
     fields_in_cells,

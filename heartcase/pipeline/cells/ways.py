@@ -67,7 +67,7 @@ class CellLattice(NamedTuple):
 
 
 class FieldsInCells(NamedTuple):
-    """Fields as the kernels read them at places in cells, lent (:func:`~heartcase.compiling.lent.lend`)."""
+    """Fields as the kernels read them at places in cells, lent (:func:`~heartcase.compiling.tuple_addresses.lend`)."""
 
     layout: FieldLayout
     tables: ThicknessArrays

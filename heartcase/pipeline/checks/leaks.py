@@ -13,7 +13,7 @@ import numba
 import numpy as np
 
 from heartcase.compiling.kernel import kernel
-from heartcase.compiling.lent import lend
+from heartcase.compiling.tuple_addresses import lend
 from heartcase.pipeline.data import Structures
 from heartcase.pipeline.fields.compartments import Change, compartment_changes
 from heartcase.pipeline.fields.contacts import Contact, Extent, faces_between, without_tissue

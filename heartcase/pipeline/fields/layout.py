@@ -14,7 +14,7 @@ import numpy as np
 
 from heartcase.compiling.calls import called, copied
 from heartcase.compiling.kernel import kernel
-from heartcase.compiling.lent import lend
+from heartcase.compiling.tuple_addresses import lend
 from heartcase.pipeline.data import Structures
 from heartcase.pipeline.fields.shapes import SHAPE_KINDS
 from heartcase.pipeline.fields.wall_thickness import ThicknessArrays, thickness_arrays

@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from heartcase.compiling.calls import called, copied
 from heartcase.compiling.kernel import kernel
-from heartcase.compiling.lent import lend
+from heartcase.compiling.tuple_addresses import lend
 from heartcase.pipeline.data import Structures
 from heartcase.pipeline.fields.layout import ALL_FIELDS, BLOCK, FieldLayout, layout_of, varying_walls
 from heartcase.pipeline.fields.shapes import shape_distance

@@ -34,7 +34,7 @@ from heartcase.pipeline.mesh.extraction.extract import (
     smooth_creases,
 )
 from heartcase.pipeline.mesh.extraction.field_normals import fitted_normals
-from heartcase.pipeline.mesh.extraction.tags import TriangleTags, cut_faces, tag_keys, tag_triangles
+from heartcase.pipeline.mesh.extraction.triangle_tags import TriangleTags, cut_faces, tag_keys, tag_triangles
 from heartcase.pipeline.mesh.texture.atlas import Atlas, make_atlas, tangents
 from heartcase.pipeline.mesh.texture.normal_map import bake_normal_map
 from heartcase.pipeline.mesh.triangles.half_edges import opposites

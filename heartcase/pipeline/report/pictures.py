@@ -17,7 +17,7 @@ from PIL import Image, ImageDraw
 from scipy.spatial import KDTree
 
 from heartcase.pipeline.mesh.triangles.thickness import vertex_normals
-from heartcase.pipeline.report.cut import Plane, clipped, crossings, filled
+from heartcase.pipeline.report.cutaway import Plane, clipped, crossings, filled
 from heartcase.pipeline.report.montage import INK, font_of_size
 from heartcase.pipeline.report.outlines import rgb
 from heartcase.pipeline.report.render import Camera, Mesh, camera_for, downsampled, draw_mesh

@@ -1,7 +1,7 @@
 """Which links between samples triangles cross, in whole numbers: kernels.
 
 A sample that lies on a triangle counts as moved by less than any number, first along y, then z, then x
-(:mod:`heartcase.simulator.cutting.sheet`).
+(:mod:`heartcase.simulator.cutting.blade_sheet`).
 """
 
 from __future__ import annotations

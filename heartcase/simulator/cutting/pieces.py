@@ -33,7 +33,7 @@ from heartcase.simulator.cutting.piece_kernels import (
     number_copies,
     piece_sizes,
 )
-from heartcase.simulator.cutting.samples import SAMPLE_PLACES, TissueSamples
+from heartcase.simulator.cutting.tissue_samples import SAMPLE_PLACES, TissueSamples
 from heartcase.simulator.lattice.model import LatticeModel
 
 __all__ = ["Pieces", "find_pieces"]
@@ -75,7 +75,8 @@ def find_pieces(model: LatticeModel, tissue: TissueSamples, links: Links, beyond
     tissue
         Its samples.
     links
-        Links along x, y and z that are crossed, ascending (:func:`heartcase.simulator.cutting.sheet.crossed_links`).
+        Links along x, y and z that are crossed, ascending
+        (:func:`heartcase.simulator.cutting.blade_sheet.crossed_links`).
     beyond
         Links that the sheets' continuations cross.
     """

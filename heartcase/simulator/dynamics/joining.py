@@ -10,7 +10,7 @@ import numpy.typing as npt
 from heartcase.schemas.arrays import Float32, Integer
 from heartcase.schemas.errors import Problem, SimulationError
 from heartcase.simulator.dynamics.step_size import default_step, explicit_rate_limit
-from heartcase.simulator.lattice.explicit import ExplicitSprings
+from heartcase.simulator.lattice.explicit_springs import ExplicitSprings
 from heartcase.simulator.lattice.model import LatticeModel
 
 __all__ = ["join"]

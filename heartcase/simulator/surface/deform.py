@@ -17,7 +17,7 @@ import numpy as np
 from heartcase.schemas.arrays import Bool, Float, Float32, Float64, Int32, UInt8
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.lattice.model import LatticeModel
-from heartcase.simulator.surface.kernels import EVERYTHING, deform_vertices, move_at_rest, node_normals, place_nodes
+from heartcase.simulator.surface.cpu_kernels import EVERYTHING, deform_vertices, move_at_rest, node_normals, place_nodes
 
 __all__ = [
     "Curvature",
@@ -312,7 +312,7 @@ def write_vertices(
     frame
         Written.
     marks, together
-        As of :func:`heartcase.simulator.surface.kernels.deform_vertices`.
+        As of :func:`heartcase.simulator.surface.cpu_kernels.deform_vertices`.
     """
     direction = np.ascontiguousarray(model.geometry.direction_matrix.T, np.float64)
     if isinstance(surface, PickingModel):

@@ -11,6 +11,7 @@ import numpy as np
 
 from heartcase.schemas.arrays import Float32, Int32
 from heartcase.simulator.lattice.model import LatticeModel
+from heartcase.simulator.surface.cpu_kernels import mark_moved, node_normals
 from heartcase.simulator.surface.deform import (
     DeformedSurface,
     PickingModel,
@@ -19,7 +20,6 @@ from heartcase.simulator.surface.deform import (
     empty_normals,
     write_vertices,
 )
-from heartcase.simulator.surface.kernels import mark_moved, node_normals
 
 __all__ = ["SurfaceFollower"]
 

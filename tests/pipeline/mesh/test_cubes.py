@@ -15,9 +15,9 @@ from heartcase.pipeline.data import Segmentation
 from heartcase.pipeline.edits.apply_edits import apply_edits
 from heartcase.pipeline.fields.reader import FieldReader, ownership_at_points, ownership_on_lattice
 from heartcase.pipeline.mesh.decimation.decimate import mesh_defects
-from heartcase.pipeline.mesh.extraction.cube_cases import cube_cases, edge_corners
-from heartcase.pipeline.mesh.extraction.cubes import ROOT_MARGIN, padded_field, triangulated_border
 from heartcase.pipeline.mesh.extraction.extract import extraction_lattice, shell_volumes
+from heartcase.pipeline.mesh.extraction.marching_cubes import ROOT_MARGIN, padded_field, triangulated_border
+from heartcase.pipeline.mesh.extraction.marching_cubes_cases import cube_cases, edge_corners
 from heartcase.pipeline.walls.grow_walls import grow_walls
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import Label, LabelTable, Role

@@ -14,7 +14,7 @@ from scipy.ndimage import gaussian_filter
 
 from heartcase.pipeline.mesh.triangles.thickness import vertex_normals
 from heartcase.pipeline.report import render
-from heartcase.pipeline.report.cut import clipped, crossings, filled
+from heartcase.pipeline.report.cutaway import clipped, crossings, filled
 from heartcase.pipeline.report.montage import label_colours, legend_picture, montage, stacked
 from heartcase.pipeline.report.pictures import (
     VIEWS,

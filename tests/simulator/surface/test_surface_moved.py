@@ -10,9 +10,9 @@ from numba import get_num_threads, set_num_threads
 
 from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.surface import followers as surface_moved
+from heartcase.simulator.surface.cpu_kernels import EVERYTHING, MOVED, node_normals
 from heartcase.simulator.surface.deform import deform, deform_picking, empty_frame, make_picking, write_vertices
 from heartcase.simulator.surface.followers import SurfaceFollower
-from heartcase.simulator.surface.kernels import EVERYTHING, MOVED, node_normals
 from tests.simulator.lattices import block, oblique_geometry, random_field
 from tests.simulator.surface.test_surface import boundary_triangles, hung_surface
 

@@ -15,7 +15,7 @@ from scipy.sparse import coo_array
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.data import Structures
 from heartcase.pipeline.fields.reader import FieldReader
-from heartcase.pipeline.mesh.extraction.cubes import padded_field, triangulated_border
+from heartcase.pipeline.mesh.extraction.marching_cubes import padded_field, triangulated_border
 from heartcase.pipeline.mesh.triangles.half_edges import connected_parts, opposites, opposites_of_some
 from heartcase.schemas.arrays import Bool, Float64, Int32, UInt8
 from heartcase.schemas.errors import StageError
@@ -104,8 +104,8 @@ def extraction_lattice(structures: Structures, *, point_cap: int = POINT_CAP) ->
 def extract(structures: Structures | FieldReader, *, point_cap: int = POINT_CAP) -> FullMesh:
     """Extract the closed border of the tissue.
 
-    Marching cubes with the cases of :mod:`heartcase.pipeline.mesh.extraction.cube_cases`, so that the mesh is closed
-    and manifold; vertices slide along their lattice edges to the root of the tissue field.
+    Marching cubes with the cases of :mod:`heartcase.pipeline.mesh.extraction.marching_cubes_cases`, so that
+    the mesh is closed and manifold; vertices slide along their lattice edges to the root of the tissue field.
 
     Parameters
     ----------

@@ -18,7 +18,7 @@ import numpy as np
 
 from heartcase.compiling.calls import called
 from heartcase.compiling.kernel import kernel
-from heartcase.compiling.lent import lend
+from heartcase.compiling.tuple_addresses import lend
 from heartcase.pipeline.fields.reader import FieldReader, evaluate_owner, scratch
 from heartcase.pipeline.kernels.parallel import every_other
 from heartcase.pipeline.kernels.vectors import cross, make_unit, put

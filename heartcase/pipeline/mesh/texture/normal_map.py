@@ -13,7 +13,7 @@ import numpy as np
 
 from heartcase.compiling.calls import called, copied
 from heartcase.compiling.kernel import kernel
-from heartcase.compiling.lent import lend
+from heartcase.compiling.tuple_addresses import lend
 from heartcase.pipeline.fields.reader import FieldReader, scratch
 from heartcase.pipeline.kernels.parallel import every_other, side_by_side
 from heartcase.pipeline.kernels.vectors import cross, dot, make_unit, put

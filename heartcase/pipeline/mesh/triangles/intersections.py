@@ -16,7 +16,7 @@ import numpy as np
 
 from heartcase.compiling.calls import called, copied
 from heartcase.compiling.kernel import kernel
-from heartcase.compiling.lent import lend
+from heartcase.compiling.tuple_addresses import lend
 from heartcase.pipeline.mesh.triangles.triangle_grid import triangle_grid
 from heartcase.schemas.arrays import Bool, Float, Int32
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from heartcase.compiling.calls import called
 from heartcase.compiling.kernel import kernel
-from heartcase.compiling.lent import lend
+from heartcase.compiling.tuple_addresses import lend
 from heartcase.pipeline.kernels.vectors import square_to_triangle
 from heartcase.pipeline.mesh.triangles.triangle_grid import TriangleGrid
 from heartcase.schemas.arrays import Float64

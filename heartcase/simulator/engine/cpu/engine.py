@@ -43,7 +43,7 @@ from heartcase.simulator.engine.shared.lanes import (
     inverse_shared,
     lane_layout,
 )
-from heartcase.simulator.lattice.explicit import SpringsByNode
+from heartcase.simulator.lattice.explicit_springs import SpringsByNode
 from heartcase.simulator.lattice.model import DIRECTIONS, LatticeModel
 from heartcase.simulator.lattice.state import State
 

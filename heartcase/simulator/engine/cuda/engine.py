@@ -21,7 +21,7 @@ from heartcase.simulator.dynamics.integrate import Verlet
 from heartcase.simulator.engine.cuda.cells import CellsOnDevice, plain_launch
 from heartcase.simulator.engine.shared.contact import NO_PROBES, moved_on
 from heartcase.simulator.engine.shared.lanes import lane_layout
-from heartcase.simulator.lattice.explicit import SpringsByNode
+from heartcase.simulator.lattice.explicit_springs import SpringsByNode
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.lattice.state import State
 

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from heartcase.pipeline.checks.cut_faces import cut_warnings, face_name, voxel_warnings
+from heartcase.pipeline.checks.scan_border import cut_warnings, face_name, voxel_warnings
 from heartcase.pipeline.data import Segmentation, VesselEnd
 from heartcase.pipeline.warnings import CaseWarning, WarningGrade, worst_first
 from heartcase.schemas.geometry import Geometry

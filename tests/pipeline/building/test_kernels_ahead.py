@@ -7,7 +7,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from heartcase.pipeline.building.ahead import LIST, SCAN, kernels_needed
+from heartcase.pipeline.building.kernels_ahead import LIST, SCAN, kernels_needed
 from heartcase.pipeline.stages.table import steps
 from heartcase.schemas.recipe.recipe import load_recipe
 from tests.pipeline.building.kernels_called import small_recipe
@@ -55,7 +55,7 @@ def by_stage(found):
 def test_a_build_calls_what_is_listed_and_nothing_else():
     listed = {stage: {key_of(one) for one in kernels} for stage, kernels in json.loads(LIST.read_text()).items()}
     found = {stage: {key_of(one) for one in kernels} for stage, kernels in by_stage(called()).items()}
-    advice = "run python -m tests.pipeline.building.test_ahead --write"
+    advice = "run python -m tests.pipeline.building.test_kernels_ahead --write"
     for stage in found:
         assert found[stage] - listed[stage] == set(), f"called by {stage} and not listed: {advice}"
         assert listed[stage] - found[stage] == set(), f"listed and not called by {stage}: {advice}"

@@ -1,7 +1,7 @@
 """The kernels that a build will call, compiled ahead in several processes.
 
 ``kernels.json`` lists them with the types that they are called with, by the stage that calls them first. A test builds
-a small case and fails where the list and what was called differ; ``python -m tests.pipeline.building.test_ahead
+a small case and fails where the list and what was called differ; ``python -m tests.pipeline.building.test_kernels_ahead
 --write`` writes it anew.
 """
 
@@ -13,7 +13,7 @@ from contextlib import AbstractContextManager
 from functools import cache
 from pathlib import Path
 
-from heartcase.compiling.ahead import Called, Progress, compiled_ahead, core_count
+from heartcase.compiling.compile_ahead import Called, Progress, compiled_ahead, core_count
 from heartcase.pipeline.stages import table
 from heartcase.schemas.recipe.recipe import Recipe
 
@@ -34,7 +34,7 @@ def kernels_ahead(
     processes: int | None = None,
     told: Callable[[Progress], None] = lambda _: None,
 ) -> AbstractContextManager[None]:
-    """Compile what a build calls while the body runs it: see :func:`heartcase.compiling.ahead.compiled_ahead`.
+    """Compile what a build calls while the body runs it: see :func:`heartcase.compiling.compile_ahead.compiled_ahead`.
 
     Parameters
     ----------

@@ -6,10 +6,10 @@ import contextlib
 from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
 
-from heartcase.compiling.ahead import Progress, compiled_ahead
+from heartcase.compiling.compile_ahead import Progress, compiled_ahead
 from heartcase.library.plan import LibraryCase
 from heartcase.library.scans import scan_is_made
-from heartcase.pipeline.building.ahead import PROCESSES_MOST, SCAN, kernels_of, stages_taken
+from heartcase.pipeline.building.kernels_ahead import PROCESSES_MOST, SCAN, kernels_of, stages_taken
 from heartcase.pipeline.stages.table import steps
 from heartcase.schemas.errors import HeartcaseError
 from heartcase.schemas.recipe.recipe import load_recipe
@@ -23,7 +23,7 @@ def library_kernels_ahead(
     """Compile what building these cases calls while the body builds them.
 
     Workers wait for a kernel that is being compiled, and take it from numba's cache: see
-    :func:`heartcase.compiling.ahead.compiled_ahead`.
+    :func:`heartcase.compiling.compile_ahead.compiled_ahead`.
 
     Parameters
     ----------

@@ -15,11 +15,11 @@ import numpy as np
 
 from heartcase.schemas.arrays import Float32, Float64, Int8, Int32, Int64
 from heartcase.schemas.errors import SimulationError
+from heartcase.simulator.cutting.blade_sheet import Sheet, crossed_links
 from heartcase.simulator.cutting.crossings import SAMPLES
-from heartcase.simulator.cutting.frequency import bounded_moments
+from heartcase.simulator.cutting.piece_frequency import bounded_moments
 from heartcase.simulator.cutting.pieces import Pieces, find_pieces
-from heartcase.simulator.cutting.samples import SAMPLE_PLACES, TissueSamples
-from heartcase.simulator.cutting.sheet import Sheet, crossed_links
+from heartcase.simulator.cutting.tissue_samples import SAMPLE_PLACES, TissueSamples
 from heartcase.simulator.lattice.model import CELL_SPRINGS, LatticeModel
 from heartcase.simulator.lattice.state import State
 

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from heartcase.schemas.bundle.lattice import lattice_keys
 from heartcase.schemas.errors import SimulationError
+from heartcase.simulator.cutting.blade_sheet import Sheet, crossed_links
 from heartcase.simulator.cutting.crossings import QUANTA, SAMPLES
-from heartcase.simulator.cutting.sheet import Sheet, crossed_links
 
 PITCH = QUANTA // SAMPLES
 SMALL = Fraction(1, 1 << 40)

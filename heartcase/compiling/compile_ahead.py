@@ -1,7 +1,7 @@
 """Kernels compiled ahead, in other processes, while this one already works: numba's cache is what they share.
 
 A list says which kernels, for which types. Each process is given the next of them. This process waits for one that it
-needs and that is being compiled (:mod:`heartcase.compiling.one_at_a_time`), and compiles one itself that it needs and
+needs and that is being compiled (:mod:`heartcase.compiling.compile_lock`), and compiles one itself that it needs and
 that is yet to be begun. So nothing is compiled twice.
 """
 
@@ -30,7 +30,9 @@ from heartcase.schemas.files import atomic_write
 __all__ = ["Called", "Progress", "compiled_ahead", "core_count", "serve"]
 
 _ROOT = Path(__file__).parents[2]
-_SERVE = "import sys; sys.path.append(sys.argv[1]); from heartcase.compiling.ahead import serve; serve(sys.argv[2])"
+_SERVE = (
+    "import sys; sys.path.append(sys.argv[1]); from heartcase.compiling.compile_ahead import serve; serve(sys.argv[2])"
+)
 _FIRST_SECONDS = 5.0
 """Of the list, after which the pace of this machine is known."""
 _NOTE_NAME = "heartcase-compiled.txt"

@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 
 from heartcase.schemas.bundle.lattice import lattice_keys
 from heartcase.schemas.errors import SimulationError
+from heartcase.simulator.cutting.blade_sheet import Sheet, crossed_links
 from heartcase.simulator.cutting.crossings import SAMPLES
-from heartcase.simulator.cutting.frequency import QUICKER
-from heartcase.simulator.cutting.part import part
+from heartcase.simulator.cutting.parted_lattice import part
+from heartcase.simulator.cutting.piece_frequency import QUICKER
 from heartcase.simulator.cutting.pieces import find_pieces
-from heartcase.simulator.cutting.samples import TissueSamples, samples_of
-from heartcase.simulator.cutting.sheet import Sheet, crossed_links
+from heartcase.simulator.cutting.tissue_samples import TissueSamples, samples_of
 from heartcase.simulator.dynamics.spectrum import largest_eigenvalue
 from heartcase.simulator.forces.reference import elastic_energy, elastic_forces
 from heartcase.simulator.lattice.force_law import ForceLaw

@@ -10,8 +10,8 @@ import time
 import numpy as np
 import pytest
 
-from heartcase.compiling import ahead
-from heartcase.compiling.ahead import Called, compiled_ahead
+from heartcase.compiling import compile_ahead
+from heartcase.compiling.compile_ahead import Called, compiled_ahead
 from heartcase.compiling.kernel import kernel
 from heartcase.compiling.signatures import as_json, from_json
 from tests.compiling import test_calls
@@ -37,7 +37,7 @@ def slowly(self):
     time.sleep(0.2)
     return found
 _StampedIndex._load_index = slowly
-from tests.compiling.test_ahead import _tripled
+from tests.compiling.test_compile_ahead import _tripled
 print("ready", flush=True)
 sys.stdin.readline()
 print(_tripled(np.arange(10, dtype=sys.argv[1])))
@@ -69,7 +69,7 @@ def test_processes_that_compile_one_kernel_for_different_types_leave_each_its_ow
         assert float(racer.communicate(timeout=120)[0]) == 135.0
         assert racer.returncode == 0
     code = (
-        "import sys, numpy as np; from tests.compiling.test_ahead import _tripled as f;"
+        "import sys, numpy as np; from tests.compiling.test_compile_ahead import _tripled as f;"
         "print(*[float(f(np.arange(10, dtype=one))) for one in sys.argv[1:]], sum(f.stats.cache_misses.values()))"
     )
     found = subprocess.run(
@@ -82,7 +82,7 @@ def test_processes_that_compile_one_kernel_for_different_types_leave_each_its_ow
 AHEAD = """
 import json, sys
 import numpy as np
-from heartcase.compiling.ahead import Called, compiled_ahead
+from heartcase.compiling.compile_ahead import Called, compiled_ahead
 from tests.compiling import test_calls as t
 wanted = [Called(one["module"], one["name"], tuple(one["types"]), 1.0) for one in json.loads(sys.argv[1])]
 heard = []
@@ -150,8 +150,8 @@ def endless(tmp_path, monkeypatch):
         )
         return started[-1]
 
-    monkeypatch.setattr(ahead, "_start", start)
-    monkeypatch.setattr(ahead, "_note", lambda: tmp_path / "note")
+    monkeypatch.setattr(compile_ahead, "_start", start)
+    monkeypatch.setattr(compile_ahead, "_note", lambda: tmp_path / "note")
     return started
 
 
@@ -173,7 +173,7 @@ def test_an_interrupted_build_leaves_no_process_behind(tmp_path, monkeypatch):
 
 def test_what_cannot_be_compiled_ahead_is_left_to_its_caller(tmp_path, monkeypatch):
     """A process is started again by the next build, as not everything is in the cache."""
-    monkeypatch.setattr(ahead, "_note", lambda: tmp_path / "note")
+    monkeypatch.setattr(compile_ahead, "_note", lambda: tmp_path / "note")
     heard = []
     with compiled_ahead([Called("heartcase.nowhere", "gone", (), 2.0)], processes=1, told=heard.append):
         end = time.monotonic() + 60
@@ -189,7 +189,7 @@ def test_without_processes_or_with_a_full_cache_none_is_started(tmp_path, monkey
     with compiled_ahead([Called("a", "b", (), 1.0)], processes=0):
         pass
     wanted = [Called("a", name, (), 1.0) for name in "bcd"]
-    (tmp_path / "note").write_text("\n".join(ahead._lines_of(wanted)))
+    (tmp_path / "note").write_text("\n".join(compile_ahead._lines_of(wanted)))
     for some in (wanted, wanted[1:], wanted[::-1]):
         with compiled_ahead(some, processes=2):
             time.sleep(0.1)
@@ -202,10 +202,10 @@ def test_without_processes_or_with_a_full_cache_none_is_started(tmp_path, monkey
 
 
 def test_what_was_compiled_until_a_build_ended_is_not_asked_for_again(tmp_path, monkeypatch):
-    monkeypatch.setattr(ahead, "_note", lambda: tmp_path / "note")
+    monkeypatch.setattr(compile_ahead, "_note", lambda: tmp_path / "note")
     first, other = (Called(one["module"], one["name"], tuple(one["types"]), 1.0) for one in listed()[:2])
     gone = Called("heartcase.nowhere", "gone", (), 1.0)
-    monkeypatch.setattr(ahead, "_ask", lambda _, one: "failed" if one is gone else "done")
+    monkeypatch.setattr(compile_ahead, "_ask", lambda _, one: "failed" if one is gone else "done")
     for wanted, total in (((first, gone), 2), ((first, other, gone), 2), ((other, first), 0)):
         heard = []
         with compiled_ahead(wanted, processes=1, told=heard.append):
@@ -221,8 +221,8 @@ def test_a_killed_build_leaves_no_process_behind(tmp_path):
     unfinished.mkdir()
     code = """
 import sys, time
-from heartcase.compiling import ahead
-process = ahead._start(sys.argv[1])
+from heartcase.compiling import compile_ahead
+process = compile_ahead._start(sys.argv[1])
 print(process.pid, flush=True)
 time.sleep(600)
 """
@@ -239,7 +239,7 @@ time.sleep(600)
 
 SLOWLY = """
 import sys, time
-from heartcase.compiling import ahead
+from heartcase.compiling import compile_ahead
 from heartcase.compiling.kernel import _StampedIndex
 dump = _StampedIndex._dump
 def slowly(self, what):
@@ -251,7 +251,7 @@ def slowly(self, what):
             time.sleep(600)
     return dump(self, what)
 _StampedIndex._dump = slowly
-ahead.serve(sys.argv[2])
+compile_ahead.serve(sys.argv[2])
 """
 
 
@@ -274,8 +274,8 @@ def test_what_a_killed_process_was_writing_goes_and_what_others_write_stays(tmp_
         return process
 
     cache.mkdir()
-    monkeypatch.setattr(ahead, "_start", start)
-    monkeypatch.setattr(ahead, "_note", lambda: cache / "note")
+    monkeypatch.setattr(compile_ahead, "_start", start)
+    monkeypatch.setattr(compile_ahead, "_note", lambda: cache / "note")
     one = listed()[3]
     other = cache / "of-another.nbc.tmp.0123456789abcdef"
     other.write_bytes(b"another process writes this")

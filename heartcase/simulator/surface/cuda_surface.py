@@ -12,8 +12,8 @@ from heartcase.simulator.engine.backends import Engine
 from heartcase.simulator.engine.cuda.cells import plain_launch
 from heartcase.simulator.engine.cuda.engine import CudaEngine
 from heartcase.simulator.lattice.model import LatticeModel
+from heartcase.simulator.surface.cuda_kernels import deform_vertices, node_normals, turn_tangents
 from heartcase.simulator.surface.deform import DeformedSurface, SurfaceModel
-from heartcase.simulator.surface.device_kernels import deform_vertices, node_normals, turn_tangents
 
 __all__ = ["SurfaceOnDevice", "deform_on_device"]
 

@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from heartcase.schemas.arrays import Bool, Float64, Int32, Int64
 from heartcase.schemas.bundle.lattice import lattice_keys
+from heartcase.simulator.cutting.blade_sheet import crossed_links
 from heartcase.simulator.cutting.crossings import QUANTA, SAMPLES
-from heartcase.simulator.cutting.sheet import crossed_links
 
 __all__ = ["SAMPLE_PLACES", "TissueSamples", "samples_of"]
 
@@ -25,7 +25,7 @@ class TissueSamples:
     """The tissue by the closed surface around it; all of space where there is none."""
 
     entries: Int64 | None
-    """Links along x that the surface crosses, as :func:`heartcase.simulator.cutting.sheet.crossed_links` gives them."""
+    """Links along x that the surface crosses (:func:`heartcase.simulator.cutting.blade_sheet.crossed_links`)."""
 
     @classmethod
     def everywhere(cls) -> TissueSamples:

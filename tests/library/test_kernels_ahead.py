@@ -7,13 +7,14 @@ import contextlib
 import pytest
 
 from heartcase.cli.main import main
-from heartcase.compiling.ahead import Progress
-from heartcase.library import ahead, build
-from heartcase.library.ahead import library_kernels_ahead
+from heartcase.compiling.compile_ahead import Progress
+from heartcase.library import build
+from heartcase.library import kernels_ahead as module
 from heartcase.library.build import Workers
+from heartcase.library.kernels_ahead import library_kernels_ahead
 from heartcase.library.plan import LibraryCase
 from heartcase.pipeline.building import run
-from heartcase.pipeline.building.ahead import kernels_needed
+from heartcase.pipeline.building.kernels_ahead import kernels_needed
 from heartcase.schemas.recipe.recipe import load_recipe
 from tests.ball import write_ball_recipe, write_ball_scan
 from tests.pipeline.building.kernels_called import small_recipe
@@ -28,7 +29,7 @@ def asked(monkeypatch):
         calls.append(([(one.module, one.name, str(one.types)) for one in wanted], processes))
         return contextlib.nullcontext()
 
-    monkeypatch.setattr(ahead, "compiled_ahead", compiled_ahead)
+    monkeypatch.setattr(module, "compiled_ahead", compiled_ahead)
     return calls
 
 
@@ -93,7 +94,7 @@ def test_there_are_as_many_processes_as_the_workers_have_threads_and_none_where_
         assert len(seen) == 1
         return iter(())
 
-    monkeypatch.setattr(ahead, "library_kernels_ahead", kernels_ahead)
+    monkeypatch.setattr(module, "library_kernels_ahead", kernels_ahead)
     monkeypatch.setattr(build, "connected", lambda *_, **__: contextlib.nullcontext(Client()))
     monkeypatch.setattr(build, "build_cases", builds)
     monkeypatch.setattr(build, "default_workers", lambda *_: Workers(3, 2, 1000))
