@@ -53,7 +53,7 @@ def compiled_by_one(
 
 @contextmanager
 def _no_collection() -> Iterator[None]:
-    """Python's collector of cycles held back: an eighth of the time of compiling went there."""
+    """Python's collector of cycles held back: it looks at all that numba holds, again and again."""
     was_enabled = gc.isenabled()
     gc.disable()
     try:

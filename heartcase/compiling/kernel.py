@@ -49,7 +49,7 @@ def kernel(function: Callable[..., Any] | None = None, /, *, cached: bool = True
     """
     if function is None:
         return lambda given: kernel(given, cached=cached, **options)
-    # Nobody calls a kernel by address from C, and the wrapper for it takes a twentieth of the time of compiling.
+    # Nobody calls a kernel by its address: the wrapper for that need not be compiled.
     dispatcher: Any = numba.njit(**{"nogil": True, "no_cfunc_wrapper": True} | options)(function)
     if cached:
         dispatcher._cache = _KernelCache(function)

@@ -16,9 +16,12 @@ import numpy.typing as npt
 from heartcase.schemas.arrays import Float64, Int64
 from heartcase.schemas.bundle.lattice import lattice_keys
 from heartcase.schemas.errors import Problem, SimulationError
-from heartcase.simulator.cutting.crossings import QUANTA, count_crossings, list_crossings
+from heartcase.simulator.cutting.crossings import QUANTA, SAMPLES, cross
 
-__all__ = ["Sheet", "crossed_links"]
+__all__ = ["Links", "Sheet", "crossed_links", "key_indices", "touched_places"]
+
+Links = tuple[Int64, Int64, Int64]
+"""Keys of links along x, y and z."""
 
 _BEYOND = 2.0
 """How far a sheet is continued [cells]: through any cell that it ends in."""
@@ -34,6 +37,16 @@ class Sheet:
     """Corners in QUANTA to a cell, in the frame of the nodes (x, y, z along i, j, k), shape (triangle_count, 3, 3)."""
     beyond: Int64 = field(default_factory=lambda: np.zeros((0, 3, 3), np.int64))
     """The sheet's continuation beyond its edges, which tells where the cut goes in cells that it ends in, the same."""
+
+    def links(self) -> Links:
+        """Links along x, y and z that the sheet crosses, ascending."""
+        return _crossed(self.triangles)
+
+    def links_beyond(self) -> Links:
+        """Links that its continuation crosses in the cells that the sheet itself comes to, ascending."""
+        touched = touched_places(self.links())
+        x, y, z = (keys[np.isin(lattice_keys(key_indices(keys) // SAMPLES), touched)] for keys in _crossed(self.beyond))
+        return x, y, z
 
     @classmethod
     def swept(cls, poses: npt.ArrayLike) -> Sheet:
@@ -90,9 +103,28 @@ def crossed_links(triangles: Int64, axis: int) -> Int64:
         The key (:func:`heartcase.schemas.bundle.lattice.lattice_keys`) of each link's lower sample. Sample (i, j, k)
         lies (i + 1/2) / SAMPLES cells along x, and so on. int64, shape (count,).
     """
-    room = np.empty((count_crossings(triangles, axis), 3), np.int64)
-    list_crossings(triangles, axis, room)
-    return np.sort(lattice_keys(room))
+    links = np.empty((cross(triangles, axis, np.empty((0, 3), np.int64)), 3), np.int64)
+    cross(triangles, axis, links)
+    return np.sort(lattice_keys(links))
+
+
+def _crossed(triangles: Int64) -> Links:
+    return crossed_links(triangles, 0), crossed_links(triangles, 1), crossed_links(triangles, 2)
+
+
+def key_indices(keys: Int64) -> Int64:
+    """Index (i, j, k) of each key, shape (count, 3)."""
+    mask = (1 << 21) - 1
+    return np.stack([keys & mask, keys >> 21 & mask, keys >> 42 & mask], axis=-1) - (1 << 20)
+
+
+def touched_places(links: Links) -> Int64:
+    """Keys of the cells' places that a crossed link begins or ends in, ascending."""
+    ends = []
+    for axis, keys in enumerate(links):
+        lower = key_indices(keys)
+        ends += [lower, lower + np.eye(3, dtype=np.int64)[axis]]
+    return np.unique(lattice_keys(np.concatenate(ends) // SAMPLES))
 
 
 def _triangles(points: Float64) -> Float64:

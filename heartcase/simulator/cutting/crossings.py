@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from heartcase.compiling.kernel import kernel
 
-__all__ = ["QUANTA", "SAMPLES", "count_crossings", "list_crossings"]
+__all__ = ["QUANTA", "SAMPLES", "cross"]
 
 SAMPLES = 8
 """Samples along each edge of a cell."""
@@ -83,25 +83,11 @@ def _link(triangle, axis, at_b, at_c):
 
 
 @kernel
-def count_crossings(triangles, axis):
-    """How often triangles, shape (count, 3, 3), cross lines of samples along an axis."""
-    b, c = (axis + 1) % 3, (axis + 2) % 3
-    count = 0
-    for number in range(len(triangles)):
-        triangle = triangles[number]
-        facing = _sign(_normal(triangle, axis), 0, 0)
-        if facing == 0:
-            continue
-        for line_b in range(_first_line(triangle[:, b].min()), _last_line(triangle[:, b].max()) + 1):
-            for line_c in range(_first_line(triangle[:, c].min()), _last_line(triangle[:, c].max()) + 1):
-                if _meets(triangle, b, c, facing, _FIRST + _PITCH * line_b, _FIRST + _PITCH * line_c):
-                    count += 1
-    return count
+def cross(triangles, axis, links):
+    """Count how often triangles, shape (count, 3, 3), cross lines of samples along an axis.
 
-
-@kernel
-def list_crossings(triangles, axis, links):
-    """Write the lower sample (i, j, k) of each link that is crossed, shape (count_crossings, 3)."""
+    The lower sample (i, j, k) of each link that is crossed is written as long as there is room, shape (any, 3).
+    """
     b, c = (axis + 1) % 3, (axis + 2) % 3
     count = 0
     for number in range(len(triangles)):
@@ -112,7 +98,10 @@ def list_crossings(triangles, axis, links):
         for line_b in range(_first_line(triangle[:, b].min()), _last_line(triangle[:, b].max()) + 1):
             for line_c in range(_first_line(triangle[:, c].min()), _last_line(triangle[:, c].max()) + 1):
                 at_b, at_c = _FIRST + _PITCH * line_b, _FIRST + _PITCH * line_c
-                if _meets(triangle, b, c, facing, at_b, at_c):
+                if not _meets(triangle, b, c, facing, at_b, at_c):
+                    continue
+                if count < len(links):
                     links[count, axis] = _link(triangle, axis, at_b, at_c)
                     links[count, b], links[count, c] = line_b, line_c
-                    count += 1
+                count += 1
+    return count

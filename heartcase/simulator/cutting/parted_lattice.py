@@ -15,7 +15,7 @@ import numpy as np
 
 from heartcase.schemas.arrays import Float32, Float64, Int8, Int32, Int64
 from heartcase.schemas.errors import SimulationError
-from heartcase.simulator.cutting.blade_sheet import Sheet, crossed_links
+from heartcase.simulator.cutting.blade_sheet import Links, Sheet
 from heartcase.simulator.cutting.crossings import SAMPLES
 from heartcase.simulator.cutting.piece_frequency import bounded_moments
 from heartcase.simulator.cutting.pieces import Pieces, find_pieces
@@ -67,15 +67,17 @@ def part(model: LatticeModel, sheets: Sequence[Sheet], tissue: TissueSamples) ->
     """
     if not model.cell_is_whole.all():
         raise SimulationError("springs of this lattice were removed: cut it by sheets only", place="cut")
-    nothing = np.zeros((0, 3, 3), np.int64)
     links, beyond = (
-        (crossed_links(triangles, 0), crossed_links(triangles, 1), crossed_links(triangles, 2))
-        for triangles in (
-            np.concatenate([nothing, *(sheet.triangles for sheet in sheets)]),
-            np.concatenate([nothing, *(sheet.beyond for sheet in sheets)]),
-        )
+        _together([sheet.links() for sheet in sheets]),
+        _together([sheet.links_beyond() for sheet in sheets]),
     )
     return _parted(model, find_pieces(model, tissue, links, beyond))
+
+
+def _together(links: Sequence[Links]) -> Links:
+    nothing = np.zeros(0, np.int64)
+    x, y, z = (np.unique(np.concatenate([nothing, *(each[axis] for each in links)])) for axis in range(3))
+    return x, y, z
 
 
 def _parted(model: LatticeModel, pieces: Pieces) -> PartedLattice:

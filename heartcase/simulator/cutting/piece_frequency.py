@@ -22,7 +22,7 @@ __all__ = ["QUICKER", "bounded_moments", "lone_cell_eigenvalues"]
 QUICKER = 1.5
 """Largest omega^2 of a piece over the bound of a lone cell; half a cell has 1.19.
 
-With 1.25 a bar that is cut half through is up to 8% stiffer, with more than 1.5 no softer."""
+With 1.25 a bar of six cells that is cut half through is up to 9% stiffer, with more than 1.5 at most 0.5% softer."""
 _STEP = 1e-5
 """Step of the differences [cells]."""
 _PARTS = 8

@@ -22,6 +22,7 @@ import numpy as np
 
 from heartcase.schemas.arrays import Bool, Float64, Int32, Int64
 from heartcase.schemas.bundle.lattice import CORNER_OFFSETS, lattice_keys
+from heartcase.simulator.cutting.blade_sheet import Links, key_indices, touched_places
 from heartcase.simulator.cutting.crossings import SAMPLES
 from heartcase.simulator.cutting.piece_kernels import (
     SAMPLE_COUNT,
@@ -41,9 +42,7 @@ __all__ = ["Pieces", "find_pieces"]
 _STRIDES = np.array([1, SAMPLES, SAMPLES**2])
 _LINK_PLACES: Float64 = SAMPLE_PLACES + np.eye(3)[:, None] / 2 / SAMPLES
 """Middles of the links from each sample of a cell along each axis, from its centre, shape (3, SAMPLES^3, 3)."""
-Links = tuple[Int64, Int64, Int64]
 _NO_LINKS: Links = (np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0, np.int64))
-_SHIFT = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -78,7 +77,7 @@ def find_pieces(model: LatticeModel, tissue: TissueSamples, links: Links, beyond
         Links along x, y and z that are crossed, ascending
         (:func:`heartcase.simulator.cutting.blade_sheet.crossed_links`).
     beyond
-        Links that the sheets' continuations cross.
+        Links that their continuations cross in the cells that each sheet comes to.
     """
     block, is_beyond = _block(model, tissue, links, beyond)
     is_cut = block.is_crossed.copy()
@@ -106,16 +105,13 @@ def _block(model: LatticeModel, tissue: TissueSamples, links: Links, beyond: Lin
     cell_keys = lattice_keys(model.cells)
     by_key = np.argsort(cell_keys, kind="stable")
     cell_keys = cell_keys[by_key]
-    lower = [_unpacked(np.unique(keys)) for keys in links]
-    places = np.concatenate([np.concatenate([one, one + np.eye(3, dtype=np.int64)[a]]) for a, one in enumerate(lower)])
-    places //= SAMPLES
-    touched = np.unique(lattice_keys(places))
+    touched = touched_places(links)
     # Places without tissue count only beside tissue.
     around = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    near = np.unique(lattice_keys(_unpacked(touched)[:, None] + around))
+    near = np.unique(lattice_keys(key_indices(touched)[:, None] + around))
     near = near[np.isin(near, cell_keys)]
-    keys = np.unique(lattice_keys(_unpacked(near)[:, None] + around)) if len(near) else near
-    keys = np.intersect1d(keys, np.unique(lattice_keys(_unpacked(touched)[:, None] + around)))
+    keys = np.unique(lattice_keys(key_indices(near)[:, None] + around)) if len(near) else near
+    keys = np.intersect1d(keys, np.unique(lattice_keys(key_indices(touched)[:, None] + around)))
     found = np.minimum(np.searchsorted(cell_keys, keys), len(cell_keys) - 1)
     cell = np.where(cell_keys[found] == keys, by_key[found], -1)
 
@@ -127,7 +123,7 @@ def _block(model: LatticeModel, tissue: TissueSamples, links: Links, beyond: Lin
     for axis in range(3):
         # Between two cells it counts where the sheet has come to.
         on_face = np.arange(SAMPLE_COUNT) // _STRIDES[axis] % SAMPLES == SAMPLES - 1
-        next_keys = lattice_keys(_unpacked(keys) + np.eye(3, dtype=np.int64)[axis])
+        next_keys = lattice_keys(key_indices(keys) + np.eye(3, dtype=np.int64)[axis])
         is_kept = block.is_crossed[:, axis, on_face].any(axis=1) & np.isin(next_keys, touched)
         is_beyond[np.ix_(~is_kept, np.array([axis]), on_face)] = False
     return block, is_beyond
@@ -137,7 +133,7 @@ def _marked(keys: Int64, links: Links) -> Bool:
     """Links from each sample of some places that are listed, shape (count, 3, SAMPLES^3)."""
     marks = np.zeros((len(keys), 3, SAMPLE_COUNT), np.bool_)
     for axis, listed in enumerate(links if len(keys) else ()):
-        samples = _unpacked(np.unique(listed))
+        samples = key_indices(np.unique(listed))
         place_keys = lattice_keys(samples // SAMPLES)
         place = np.minimum(np.searchsorted(keys, place_keys), len(keys) - 1)
         kept = keys[place] == place_keys
@@ -161,7 +157,7 @@ def _with_stems(block: Block, labels: Labels, is_cut: Bool, is_beyond: Bool, cop
         rows[place] = _with_stem(labels, place, at_cut, _places_of(is_beyond[place]), rows[place], None)
     # Where a sheet ends on the face between two cells, tissue of the further one holds on to the nearer.
     for axis in range(3):
-        next_keys = lattice_keys(_unpacked(block.keys) + np.eye(3, dtype=np.int64)[axis])
+        next_keys = lattice_keys(key_indices(block.keys) + np.eye(3, dtype=np.int64)[axis])
         for place in map(int, np.flatnonzero(is_beyond[:, axis, on_face[axis]].any(axis=1) & was_whole)):
             there = int(np.searchsorted(block.keys, next_keys[place]))
             if labels.piece_count[there] != 1:
@@ -218,12 +214,6 @@ def _renumbered(corners: Int64, copies: Int64) -> Int64:
     return without_gaps
 
 
-def _unpacked(keys: Int64) -> Int64:
-    """Index (i, j, k) of each key, shape (count, 3)."""
-    mask = (1 << 21) - 1
-    return np.stack([keys & mask, keys >> 21 & mask, keys >> 42 & mask], axis=-1) - _SHIFT
-
-
 def _shared_nodes(block: Block, labels: Labels) -> Int64:
     """Copy of its node at each corner of each piece, shape (piece_count, 8)."""
     first_piece = np.cumsum(labels.piece_count) - labels.piece_count
@@ -231,7 +221,7 @@ def _shared_nodes(block: Block, labels: Labels) -> Int64:
     uses = np.arange(8 * labels.piece_count.sum())
     uses_before = np.arange(8 * len(block.keys))
     uses_space = np.arange(8 * labels.space_count.sum())
-    indices = _unpacked(block.keys)
+    indices = key_indices(block.keys)
     for axis in range(3):
         next_keys = lattice_keys(indices + np.eye(3, dtype=np.int64)[axis])
         found = np.minimum(np.searchsorted(block.keys, next_keys), len(block.keys) - 1)

@@ -307,6 +307,18 @@ def test_tissue_that_never_touched_is_parted_by_a_sheet_between_alone():
     np.testing.assert_allclose(sorted(cut(0.5).cell_coverage), [0.25, 0.25])
 
 
+def test_a_sheet_is_continued_in_its_own_cells_alone():
+    """Two cuts: the continuation of the first reaches a cell that only the second comes to."""
+    model = block((5, 2, 4))
+    first = Sheet.swept([[(2.4, -1, 5), (2.4, 3, 5)], [(2.4, -1, 3.2), (2.4, 3, 3.2)]])
+    second = Sheet.swept([[(-1, -1, 1.6), (-1, 3, 1.6)], [(6, -1, 1.6), (6, 3, 1.6)]])
+    cut = part(model, [first, second], FULL).model
+    of_place = (cut.cells == (2, 0, 1)).all(axis=1)
+    assert of_place.sum() == 2
+    np.testing.assert_array_equal(np.unique(cut.node_index[cut.cell_corners[of_place]][:, :, 0]), [2, 3])
+    assert ((cut.cells == (2, 0, 3)).all(axis=1)).sum() == 3
+
+
 def test_a_lattice_whose_springs_were_removed_is_refused():
     model = block((3, 2, 2))
     removed = np.zeros(model.spring_count, bool)
