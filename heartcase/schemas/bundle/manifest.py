@@ -198,7 +198,7 @@ def manifest_bytes(directory: Path) -> bytes:
     """
     file = directory / MANIFEST_NAME
     if not directory.exists():
-        raise BundleError("there is nothing at this path", place="case")
+        raise BundleError("there is nothing at this path: check its spelling", place="case")
     if file.is_symlink():
         raise BundleError("is a link and not a file: the case is damaged, build it again", place=MANIFEST_NAME)
     if not file.is_file():
