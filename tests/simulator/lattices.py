@@ -9,6 +9,9 @@ from hypothesis import strategies as st
 
 from heartcase.schemas.bundle.lattice import cell_nodes
 from heartcase.schemas.geometry import Geometry
+from heartcase.simulator.cutting.blade_sheet import Sheet
+from heartcase.simulator.cutting.parted_lattice import part
+from heartcase.simulator.cutting.tissue_samples import TissueSamples
 from heartcase.simulator.engine.shared.contact import probe_row
 from heartcase.simulator.lattice.explicit_springs import ExplicitSprings
 from heartcase.simulator.lattice.model import LatticeModel, make_model
@@ -53,6 +56,21 @@ def random_models(draw, *, fixed: bool = True, materials: bool = True, size_max=
         fixed=(rng.random(node_count) < 0.1) if fixed else False,
         cell_mm=draw(st.floats(0.5, 5.0)),
     )
+
+
+@st.composite
+def cut_models(draw, *, size_max=(20, 5, 4), law=None) -> LatticeModel:
+    """Lattices of which sheets at random have parted some cells."""
+    model = draw(random_models(materials=False, size_max=size_max))
+    model = model if law is None else model.with_law(law)
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    sheets = []
+    for _ in range(draw(st.integers(1, 4))):
+        middle = model.node_index[rng.integers(model.node_count)] + rng.uniform(-0.5, 0.5, 3)
+        along, across = rng.uniform(-6, 6, (2, 3)) * rng.choice([0.3, 1.0, 2.0])
+        corners = middle + np.array([[-along - across, along - across], [across - along, along + across]])
+        sheets.append(Sheet.swept(corners))
+    return part(model, sheets, TissueSamples.everywhere()).model
 
 
 def random_field(model: LatticeModel, seed: int, scale: float) -> np.ndarray:

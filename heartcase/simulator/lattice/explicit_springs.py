@@ -81,31 +81,61 @@ class ExplicitSprings:
 
 @dataclass(frozen=True)
 class SpringsByNode:
-    """Explicit springs by node, as the kernels read them."""
+    """Springs by node, as the kernels read them.
+
+    With o the vector to the other end before any movement and d the one after, D = d - o, a spring of rest length L
+    pulls with k e d / (|d|^2 + L |d|), where e = (o + d) . D + c and c = |o|^2 - L^2: one that is at rest does not pull.
+    """
 
     first: Int32
     """Where the springs of each node begin, and the last end, shape (node_count + 1,)."""
     other: Int32
-    """Node at the other end, shape (2 * explicit_count,)."""
+    """Node at the other end, shape (2 * count,)."""
     offset: Float32
-    """Vector to the other end before any movement, and rest length [cells], shape (2 * explicit_count, 4)."""
+    """o, and L [cells], shape (2 * count, 4)."""
+    excess: Float32
+    """c [cells squared], shape (2 * count,)."""
     stiffness: Float32
-    """Stiffness [k], shape (2 * explicit_count,)."""
+    """k, shape (2 * count,)."""
 
     @classmethod
-    def of(cls, springs: ExplicitSprings, node_index: Int32) -> SpringsByNode:
-        """Sort springs by node; each is there twice."""
-        here = np.concatenate([springs.nodes[:, 0], springs.nodes[:, 1]])
-        there = np.concatenate([springs.nodes[:, 1], springs.nodes[:, 0]])
+    def of(
+        cls, springs: ExplicitSprings, node_index: Int32, more: tuple[Int32, Float32, Float64] | None = None
+    ) -> SpringsByNode:
+        """Sort explicit springs by node; each is there twice.
+
+        More springs can be given: their nodes, shape (count, 2), stiffness [k] and rest length [cells], (count,).
+        """
+        nodes, stiffness, rest_length = springs.nodes, springs.stiffness, springs.rest_length.astype(np.float64)
+        if more is not None:
+            nodes = np.concatenate([nodes, more[0]])
+            stiffness = np.concatenate([stiffness, more[1]])
+            rest_length = np.concatenate([rest_length, more[2]])
+        here, there = np.concatenate([nodes, nodes[:, ::-1]]).T
         order = np.argsort(here, kind="stable")
-        here, there = here[order], there[order]
+        here, there, length = here[order], there[order], np.tile(rest_length, 2)[order]
+        way = (node_index[there] - node_index[here]).astype(np.float64)
+        excess = (way**2).sum(axis=1) - length**2
         count = np.bincount(here, minlength=len(node_index))
-        offset = np.empty((len(here), 4), np.float32)
-        offset[:, :3] = node_index[there] - node_index[here]
-        offset[:, 3] = np.tile(springs.rest_length, 2)[order]
         return cls(
             first=np.concatenate([[0], np.cumsum(count)]).astype(np.int32),
             other=there.astype(np.int32),
-            offset=offset,
-            stiffness=np.tile(springs.stiffness, 2)[order],
+            offset=np.column_stack([way, length]).astype(np.float32),
+            # What rounding leaves of zero is none.
+            excess=np.where(np.abs(excess) < 1e-12 * length**2, 0.0, excess).astype(np.float32),
+            stiffness=np.tile(stiffness, 2)[order].astype(np.float32),
         )
+
+    def forces(self, displacement: npt.ArrayLike) -> Float64:
+        """Force on every node [grid units], shape (node_count, 3), float64; displacements in cells."""
+        u = np.asarray(displacement, dtype=np.float64)
+        here = np.repeat(np.arange(len(u)), np.diff(self.first))
+        way, rest_length = self.offset[:, :3].astype(np.float64), self.offset[:, 3].astype(np.float64)
+        moved = u[self.other] - u[here]
+        d = way + moved
+        length = np.linalg.norm(d, axis=1)
+        e = ((way + d) * moved).sum(axis=1) + self.excess
+        pull = np.divide(self.stiffness * e, length * (length + rest_length), out=np.zeros_like(e), where=length > 0)
+        force = np.zeros_like(u)
+        np.add.at(force, here, pull[:, None] * d)
+        return force

@@ -11,6 +11,7 @@ from heartcase.simulator.engine.cpu.instruments import Constants, ExplicitArrays
 __all__ = [
     "CellArrays",
     "CellWork",
+    "GhostArrays",
     "InstrumentArrays",
     "Kinds",
     "NodeArrays",
@@ -84,6 +85,29 @@ class SharingArrays(NamedTuple):
     """Whether a cell of a window shares strain, shape (cell_window_count,)."""
 
 
+class GhostArrays(NamedTuple):
+    """Ghosts of the corners of irregular cells; of length 0 where there are none."""
+
+    first_window: int
+    """First window of cells that holds them."""
+    lane: Int64
+    """Lane of each ghost, GHOST_CELLS cells to a window, shape (irregular_count * 8,)."""
+    of_lane: Int64
+    """Lane of its node, the same."""
+    node_first: Int64
+    """Where the nodes of each window of nodes begin that have ghosts, and the last end, shape (window_count + 1,)."""
+    node_lane: Int64
+    """Their lanes, shape (ghosted_count,)."""
+    ghost_first: Int64
+    """Where their ghosts begin, and the last end, shape (ghosted_count + 1,)."""
+    ghost_number: Int64
+    """Numbers of their ghosts, shape (irregular_count * 8,)."""
+    cell_first: Int64
+    """Where their cells begin, and the last end, shape (ghosted_count + 1,)."""
+    cell_place: Int64
+    """Lane of each of their cells, and number of the corner that the node is, shape (any, 2)."""
+
+
 class CellWork(NamedTuple):
     """What is done in the cells."""
 
@@ -93,14 +117,16 @@ class CellWork(NamedTuple):
     """What acts."""
     sharing: SharingArrays
     """Of elements that share strain."""
+    ghosts: GhostArrays
+    """Of irregular cells."""
 
 
 class InstrumentArrays(NamedTuple):
     """What instruments do to the tissue."""
 
     explicit: ExplicitArrays
-    """Lanes with explicit springs, where the springs of each begin (and the last end); lane at the other end, offset
-    to it with rest length [cells], shape (count, 4), and stiffness [k] of each spring."""
+    """Lanes with explicit springs, their windows, where the springs of each begin (and the last end); lane at the other
+    end, offset, excess and stiffness of each spring (:class:`heartcase.simulator.lattice.explicit_springs.SpringsByNode`)."""
     probes: Float32
     """As of :func:`heartcase.simulator.engine.shared.contact.probe_row`, shape (probe_count, PROBE_SIZE)."""
 

@@ -28,8 +28,10 @@ __all__ = [
     "gradient_of_window",
     "guard_of_window",
     "is_flat_window",
+    "mean_of_window",
     "mean_stress_of_window",
     "sharing_element_of_window",
+    "stress_of_window",
     "volume_of_window",
 ]
 
@@ -118,14 +120,46 @@ def mean_stress_of_window(typing_context, gradient, shares, stress, law, rows, w
         arrays = zip(signature.args[:5], arguments, strict=False)
         g, w, p, constants, starts = (array_data(context, builder, *pair) for pair in arrays)
         here = Window(builder, starts, arguments[5])
-        # A node is the corner of the cell behind it by that corner's offset.
-        behind = [(-i, -j, -k) for i, j, k in _CORNERS]
-        inverse = here.load(g, _INVERSE_NUMBER)
-        mean = [total * inverse for total in _sum(here, w, g, [(c, at, at) for c, at in enumerate(behind)])]
-        _store(here, p, _math.stretching(_columns(mean), _law(builder, constants)))
+        _store(here, p, _math.stretching(_columns(_mean(here, g, w)), _law(builder, constants)))
         return nothing(context)
 
     return types.void(gradient, shares, stress, law, rows, types.int64), codegen
+
+
+@intrinsic
+def mean_of_window(typing_context, gradient, shares, mean, rows, window):
+    """Write the mean gradient around a window of nodes."""
+
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        arrays = zip(signature.args[:4], arguments, strict=False)
+        g, w, p, starts = (array_data(context, builder, *pair) for pair in arrays)
+        here = Window(builder, starts, arguments[4])
+        _store(here, p, _columns(_mean(here, g, w)))
+        return nothing(context)
+
+    return types.void(gradient, shares, mean, rows, types.int64), codegen
+
+
+@intrinsic
+def stress_of_window(typing_context, stress, law, rows, window):
+    """Write the stress, per stiffness, of the mean gradients around a window of nodes in their place."""
+
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        arrays = zip(signature.args[:3], arguments, strict=False)
+        p, constants, starts = (array_data(context, builder, *pair) for pair in arrays)
+        here = Window(builder, starts, arguments[3])
+        mean = [here.load(p, number) for number in range(9)]
+        _store(here, p, _math.stretching(_columns(mean), _law(builder, constants)))
+        return nothing(context)
+
+    return types.void(stress, law, rows, types.int64), codegen
+
+
+def _mean(here: Window, gradient: Any, shares: Any) -> list[Lanes]:
+    # A node is the corner of the cell behind it by that corner's offset.
+    behind = [(-i, -j, -k) for i, j, k in _CORNERS]
+    inverse = here.load(gradient, _INVERSE_NUMBER)
+    return [total * inverse for total in _sum(here, shares, gradient, [(c, at, at) for c, at in enumerate(behind)])]
 
 
 def _sum(

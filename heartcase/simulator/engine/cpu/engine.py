@@ -22,6 +22,7 @@ from heartcase.simulator.engine.cpu.arrays import (
 from heartcase.simulator.engine.cpu.autotune import Autotuner
 from heartcase.simulator.engine.cpu.barrier import Barrier, ThreadTeam
 from heartcase.simulator.engine.cpu.chunks import KEPT_NODES_MAX, chunk_arrays
+from heartcase.simulator.engine.cpu.ghosts import ghost_arrays
 from heartcase.simulator.engine.cpu.kernel import (
     CHUNKS_PER_ROOM,
     ELEMENTS,
@@ -43,7 +44,6 @@ from heartcase.simulator.engine.shared.lanes import (
     inverse_shared,
     lane_layout,
 )
-from heartcase.simulator.lattice.explicit_springs import SpringsByNode
 from heartcase.simulator.lattice.model import DIRECTIONS, LatticeModel
 from heartcase.simulator.lattice.state import State
 
@@ -79,6 +79,7 @@ class CpuEngine:
             (layout.window_count + 1 if self._keeps_tensions else 0, WINDOW_NUMBERS, LANE_COUNT)
         )
         self.cells = cell_layout(model, layout)
+        self._ghosts = ghost_arrays(model, self.cells)
         self.is_flat = np.zeros(len(self.cells.window_rows), np.int8)
         self.is_touched = np.zeros(layout.window_count, np.int8)
         before = room[6 * layout.stride :]
@@ -172,7 +173,7 @@ class CpuEngine:
                 self._rows,
                 self._rest,
             ),
-            CellWork(self._cell_arrays, self._kinds, self._sharing),
+            CellWork(self._cell_arrays, self._kinds, self._sharing, self._ghosts),
             InstrumentArrays(self._explicit, probes),
             StepRow(self.current, step_count, first_step, constants, still),
             self._sleep,
@@ -205,11 +206,20 @@ class CpuEngine:
             self.is_touched,
             self.cells.touches,
         )
-        springs = SpringsByNode.of(model.explicit, model.node_index)
+        springs = self.layout.springs_apart(model)
         nodes = np.flatnonzero(np.diff(springs.first))
         first = np.append(springs.first[nodes], len(springs.other)).astype(np.int64)
-        lanes = self.layout.node_lane
-        self._explicit = (lanes[nodes], first, lanes[springs.other], springs.offset, springs.stiffness)
+        lanes, windows = self.layout.node_lane, self.layout.node_slot // LANE_COUNT
+        self._explicit = (
+            lanes[nodes],
+            windows[nodes],
+            first,
+            lanes[springs.other],
+            springs.offset,
+            springs.excess,
+            springs.stiffness,
+        )
+        self._springs_apart = springs
         self.model = model
 
     def _sharing_arrays(self, model: LatticeModel) -> SharingArrays:
@@ -231,12 +241,12 @@ class CpuEngine:
     def forces(self, nodes: Intp | None = None) -> Float32:
         """Spring forces now, on some nodes or all; only the windows that hold them are worked out."""
         rows = self.layout.window_rows if nodes is None else self.layout.windows_of(nodes)
-        work = CellWork(self._cell_arrays, self._kinds, self._sharing)
+        work = CellWork(self._cell_arrays, self._kinds, self._sharing, self._ghosts)
         lane_forces(self.displacement, self.weight, self.force, rows, work, self._rows, self._sleep, self._chunks)
         force = self.force[self._vectors if nodes is None else self._vectors[nodes]]
-        if self.model.explicit.count:
-            explicit = self.model.explicit.forces(self.model.node_index, self.read().displacement)
-            force += explicit if nodes is None else explicit[nodes]
+        if len(self._springs_apart.other):
+            apart = self._springs_apart.forces(self.read().displacement)
+            force += apart if nodes is None else apart[nodes]
         return force
 
     @cached_property

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from heartcase.compiling.kernel import kernel
-from heartcase.schemas.arrays import Float32, Int64
+from heartcase.schemas.arrays import Float32, Int8, Int64
 from heartcase.simulator.engine.shared.contact import make_contact
 from heartcase.simulator.engine.shared.lanes import BANK_LANES, LANE_COUNT
 
 __all__ = ["Constants", "ExplicitArrays", "keep_window_outside", "pull_explicitly"]
 
 Constants = tuple[np.float32, ...]
-ExplicitArrays = tuple[Int64, Int64, Int64, Float32, Float32]
+ExplicitArrays = tuple[Int64, Int64, Int64, Int64, Float32, Float32, Float32]
 Vector = tuple[np.float32, np.float32, np.float32]
 
 
@@ -29,24 +29,28 @@ def _apart(array: Float32, lane: int, own: Vector) -> Vector:
 
 @kernel
 def pull_explicitly(
-    now: Float32, velocity: Float32, inverse_mass: Float32, explicit: ExplicitArrays, constants: Constants
+    now: Float32, velocity: Float32, inverse_mass: Float32, explicit: ExplicitArrays, constants: Constants, sleep: Int8
 ) -> None:
     """Give the velocities before a step what the explicit springs will add to them in it.
 
-    The step keeps a part of the velocity, so they are given the more.
+    The step keeps a part of the velocity, so they are given the more. Windows that ``sleep`` are not moved.
     """
-    lanes, first, other, offset, stiffness = explicit
+    lanes, windows, first, other, offset, excess, stiffness = explicit
     for number in range(len(lanes)):
+        if sleep[windows[number]]:
+            continue
         lane = lanes[number]
         own = _vector(now, lane)
         x, y, z = np.float32(0), np.float32(0), np.float32(0)
         for spring in range(first[number], first[number + 1]):
             there = other[spring]
-            way = _apart(now, there, own)
-            dx, dy, dz = offset[spring, 0] + way[0], offset[spring, 1] + way[1], offset[spring, 2] + way[2]
-            length = np.sqrt(dx * dx + dy * dy + dz * dz)
-            if length > 0:
-                pull = stiffness[spring] * (length - offset[spring, 3]) / length
+            wx, wy, wz = _apart(now, there, own)
+            ox, oy, oz = offset[spring, 0], offset[spring, 1], offset[spring, 2]
+            dx, dy, dz = ox + wx, oy + wy, oz + wz
+            square = dx * dx + dy * dy + dz * dz
+            if square > 0:
+                e = (ox + dx) * wx + (oy + dy) * wy + (oz + dz) * wz + excess[spring]
+                pull = stiffness[spring] * e / (square + offset[spring, 3] * np.sqrt(square))
                 x, y, z = x + pull * dx, y + pull * dy, z + pull * dz
         scale = constants[2] / constants[1] * inverse_mass[lane]
         for axis, force in enumerate((x, y, z)):

@@ -20,6 +20,7 @@ from heartcase.schemas.arrays import Float32, Int32, Int64
 from heartcase.simulator.engine.cpu.arrays import (
     CellArrays,
     CellWork,
+    GhostArrays,
     InstrumentArrays,
     Kinds,
     NodeArrays,
@@ -34,11 +35,20 @@ from heartcase.simulator.engine.cpu.cells import (
     gradient_of_window,
     guard_of_window,
     is_flat_window,
+    mean_of_window,
     mean_stress_of_window,
     sharing_element_of_window,
+    stress_of_window,
     volume_of_window,
 )
 from heartcase.simulator.engine.cpu.chunks import ChunkArrays, share_out
+from heartcase.simulator.engine.cpu.ghosts import (
+    add_ghost_forces,
+    clear_ghost_forces,
+    follow_nodes,
+    mean_around_ghosts,
+    share_with_ghosts,
+)
 from heartcase.simulator.engine.cpu.instruments import Constants, keep_window_outside, pull_explicitly
 from heartcase.simulator.engine.cpu.sleep import (
     CHECK_STEPS,
@@ -127,23 +137,30 @@ def _stretch(
 
 
 @kernel
-def _share_strain(
-    thread: int, thread_count: int, rows: Int64, cells: CellArrays, sharing: SharingArrays, chunks: ChunkArrays
-) -> None:
+def _share_strain(thread: int, thread_count: int, rows: Int64, work: CellWork, chunks: ChunkArrays) -> None:
     """Write the stress of the means around a thread's part of the nodes; all that cells which are awake end at."""
+    cells, _, sharing, ghosts = work
     count = chunks.corner_counts[0]
     for window in chunks.corners[thread * count // thread_count : (thread + 1) * count // thread_count]:
-        mean_stress_of_window(sharing.gradient, sharing.shares, sharing.stress, cells.law, rows, np.int64(window))
+        place = np.int64(window)
+        if ghosts.node_first[place] == ghosts.node_first[place + 1]:
+            mean_stress_of_window(sharing.gradient, sharing.shares, sharing.stress, cells.law, rows, place)
+        else:
+            mean_of_window(sharing.gradient, sharing.shares, sharing.stress, rows, place)
+            mean_around_ghosts(place, sharing, ghosts)
+            stress_of_window(sharing.stress, cells.law, rows, place)
+            share_with_ghosts(place, sharing, ghosts)
 
 
 @kernel
-def _add_cells(
-    windows: Int64 | Int32, kind: int, now: Float32, force: Float32, cells: CellArrays, sharing: SharingArrays
-) -> None:
+def _add_cells(windows: Int64 | Int32, now: Float32, force: Float32, work: CellWork) -> None:
     """Add the forces of some windows of cells to those on the nodes."""
+    cells, (kind, _, _), sharing, ghosts = work
     rows, numbers, _, law, is_flat, _, _ = cells
     for place in range(len(windows)):
         window = np.int64(windows[place])
+        if window >= ghosts.first_window:
+            clear_ghost_forces(force, window, ghosts)
         if kind == SHARING_ELEMENTS and sharing.is_sharing[window]:
             sharing_element_of_window(now, numbers, sharing.shares, sharing.stress, force, law, rows, window)
         elif kind >= ELEMENTS:
@@ -152,6 +169,8 @@ def _add_cells(
             volume_of_window(now, numbers, force, law, rows, window)
         if is_flat[window]:
             guard_of_window(now, numbers, force, law, rows, window)
+        if window >= ghosts.first_window:
+            add_ghost_forces(force, window, ghosts)
 
 
 @kernel
@@ -188,23 +207,21 @@ def _step_chunk_with_cells(
     chunk: int,
     state: StateArrays,
     constants: Constants,
-    cells: CellArrays,
-    kinds: Kinds,
-    sharing: SharingArrays,
+    work: CellWork,
     chunks: ChunkArrays,
     sleep: SleepArrays,
 ) -> None:
     """Move the windows of a chunk, by cells and springs."""
+    cells, (kind, has_springs, _), _, _ = work
     now, later, velocity, weight, window_numbers, tension, inverse_mass, rows = state
     is_touched = cells.is_touched
     force = cells.force[chunk // CHUNKS_PER_ROOM, 3 * BANK_LANES * (chunk % CHUNKS_PER_ROOM) :]
-    kind, has_springs, _ = kinds
     awake, before = sleep.awake, chunks.before
     first, end = chunks.ends[chunk], chunks.ends[chunk + 1]
     for window in awake[first:end]:
         if kind != NO_CELLS or is_touched[window]:
             clear_window(force, rows, window)
-    _add_cells(chunks.cells[chunk, : chunks.cell_counts[chunk]], kind, now, force, cells, sharing)
+    _add_cells(chunks.cells[chunk, : chunks.cell_counts[chunk]], now, force, work)
     if has_springs:
         for number in range(chunks.before_counts[chunk]):
             tension_of_window(now, window_numbers, tension, rows, np.int64(before[chunk, number]))
@@ -245,10 +262,10 @@ def lane_forces(
 
     ``rows`` are those of these windows, ``nodes`` those of all.
     """
-    cells, kinds, sharing = work
-    kind, _, has_guard = kinds
+    cells, (kind, _, has_guard), sharing, ghosts = work
     if rouse(sleep, True):
         share_out(chunks, sleep)
+    follow_nodes(displacement, ghosts)
     if has_guard:
         for share in range(SHARES):
             _look_at_share(share, displacement, cells, sleep)
@@ -260,8 +277,8 @@ def lane_forces(
             clear_window(cell_force, rows, window)
         if kind == SHARING_ELEMENTS:
             _stretch(0, 1, displacement, cells, sharing, sleep)
-            _share_strain(0, 1, nodes, cells, sharing, chunks)
-        _add_cells(sleep.awake_cells, kind, displacement, cell_force, cells, sharing)
+            _share_strain(0, 1, nodes, work, chunks)
+        _add_cells(sleep.awake_cells, displacement, cell_force, work)
         for window in range(rows.shape[0]):
             force_of_window_with_cells(displacement, weight, cell_force, force, rows, window)
     else:
@@ -328,11 +345,10 @@ def advance(
         Buffer that holds the displacement at the end.
     """
     displacement, velocity, weight, window_numbers, tension, presence, inverse_mass, rows, rest = nodes
-    cells, kinds, sharing = work
+    cells, (kind, _, has_guard), sharing, ghosts = work
     explicit, probes = instruments
     current, step_count, first_step, constants, still = steps
     thread, thread_count, barrier = place
-    kind, _, has_guard = kinds
     chunk_count = len(chunks.before_counts)
     works_cells = kind != NO_CELLS or _has_flat(cells)
     # Nobody changes anything before all are there.
@@ -353,6 +369,11 @@ def advance(
                 first, end = _part(share, sleep.counts[0])
                 remember(first, end, rows, velocity, sleep)
             wait_at(barrier, thread_count)
+        if len(explicit[0]) or len(ghosts.lane):
+            if thread == 0:
+                follow_nodes(now, ghosts)
+                pull_explicitly(now, velocity, inverse_mass, explicit, constants, sleep.is_asleep)
+            wait_at(barrier, thread_count)
         if has_guard and row_step % LOOK_STEPS == 0:
             for share in range(thread, SHARES, thread_count):
                 _look_at_share(share, now, cells, sleep)
@@ -363,19 +384,15 @@ def advance(
                     if thread == 0:
                         _mark_touched(cells)
                     wait_at(barrier, thread_count)
-        if len(explicit[0]):
-            if thread == 0:
-                pull_explicitly(now, velocity, inverse_mass, explicit, constants)
-            wait_at(barrier, thread_count)
         if kind == SHARING_ELEMENTS:
             _stretch(thread, thread_count, now, cells, sharing, sleep)
             wait_at(barrier, thread_count)
-            _share_strain(thread, thread_count, rows, cells, sharing, chunks)
+            _share_strain(thread, thread_count, rows, work, chunks)
             wait_at(barrier, thread_count)
         state = (now, later, velocity, weight, window_numbers, tension, inverse_mass, rows)
         for chunk in range(thread, chunk_count, thread_count):
             if works_cells:
-                _step_chunk_with_cells(chunk, state, constants, cells, kinds, sharing, chunks, sleep)
+                _step_chunk_with_cells(chunk, state, constants, work, chunks, sleep)
             else:
                 _step_chunk(chunk, state, constants, chunks, sleep)
         wait_at(barrier, thread_count)

@@ -81,10 +81,11 @@ class SleepArrays(NamedTuple):
 
 def sleep_arrays(model: LatticeModel, layout: LaneLayout, cell_window_count: int, before: Float32) -> SleepArrays:
     """The windows of a layout in their blocks; all are awake at first. Room for velocities is given."""
-    window = layout.node_slot // LANE_COUNT
+    by_lane = np.argsort(layout.node_lane)
+    window = layout.node_slot[by_lane] // LANE_COUNT
     first = np.flatnonzero(np.diff(window, prepend=-1))
     last = np.append(first[1:], len(window)) - 1
-    index = model.node_index[np.stack([first, last], axis=1)] // _BLOCK
+    index = model.node_index[by_lane[np.stack([first, last], axis=1)]] // _BLOCK
     keys = lattice_keys(index.reshape(-1, 3))
     used, which = np.unique(keys, return_index=True)
     blocks = index.reshape(-1, 3)[which]

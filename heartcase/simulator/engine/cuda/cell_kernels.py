@@ -149,6 +149,11 @@ def _share_strain(gradient, shares, inverse_shared, stress, law, node_cell, node
         cell = node_cell[_U(corner * node_count + node)]
         if cell != _NO_CELL:
             total = _add_nine(total, gradient, cell, count, shares[_U(corner * count + cell)])
+    for slot in range(8, node_cell.shape[0] // node_count):
+        use = node_cell[_U(slot * node_count + node)]
+        if use != _NO_CELL:
+            cell = _U(use // 8)
+            total = _add_nine(total, gradient, cell, count, shares[_U(use % 8 * count + cell)])
     inverse = inverse_shared[node]
     x, y, z = total
     mean = (
@@ -191,17 +196,26 @@ def _work_cell(
 
 
 @cuda.jit(device=True)
+def _add_cell(f, cell_force, corner, cell, cell_count):
+    place = _U(3 * corner * cell_count + cell)
+    return (
+        f[0] + cell_force[place],
+        f[1] + cell_force[_U(place + cell_count)],
+        f[2] + cell_force[_U(place + 2 * cell_count)],
+    )
+
+
+@cuda.jit(device=True)
 def _add_cells(f, cell_force, node_cell, node, node_count, cell_count):
     """The force so far plus those of the cells around a node."""
     for corner in range(8):
         cell = node_cell[_U(corner * node_count + node)]
         if cell != _NO_CELL:
-            place = _U(3 * corner * cell_count + cell)
-            f = (
-                f[0] + cell_force[place],
-                f[1] + cell_force[_U(place + cell_count)],
-                f[2] + cell_force[_U(place + 2 * cell_count)],
-            )
+            f = _add_cell(f, cell_force, corner, cell, cell_count)
+    for slot in range(8, node_cell.shape[0] // node_count):
+        use = node_cell[_U(slot * node_count + node)]
+        if use != _NO_CELL:
+            f = _add_cell(f, cell_force, use % 8, use // 8, cell_count)
     return f
 
 
@@ -254,7 +268,8 @@ def advance_with_cells(
     law
         Constants of the law, float32, shape (5,): the element's, or the volume term's modulus.
     node_cell
-        Cell that has a node for its corner, corner by corner, or NO_CELL, uint32, shape (8 * node_count,).
+        Cell that has a node for its corner, corner by corner, then further ones as eight times the cell and the corner,
+        or NO_CELL, uint32, shape (any * node_count,); at least eight rows.
     corner_node
         Node of each cell's corners, corner by corner, uint32, shape (8 * cell_count,).
     shares
@@ -360,13 +375,12 @@ def work_cells(
 
 
 @cuda.jit
-def add_cell_forces(cell_force, node_cell, cell_count, nodes, force):
+def add_cell_forces(cell_force, node_cell, node_count, cell_count, nodes, force):
     """Add the forces of the cells around some nodes to those that are there, shape (at least len(nodes), 3)."""
     number = cuda.grid(1)
     if number < nodes.shape[0]:
         f = (force[number, 0], force[number, 1], force[number, 2])
-        node_count = _U(node_cell.shape[0] // 8)
-        f = _add_cells(f, cell_force, node_cell, nodes[number], node_count, _U(cell_count))
+        f = _add_cells(f, cell_force, node_cell, nodes[number], _U(node_count), _U(cell_count))
         force[number, 0], force[number, 1], force[number, 2] = f[0], f[1], f[2]
 
 

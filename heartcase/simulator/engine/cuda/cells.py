@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from heartcase.schemas.arrays import UInt32
 from heartcase.simulator.engine.shared.lanes import (
     SHARE_NUMBERS,
     LaneLayout,
@@ -39,12 +40,10 @@ class CellsOnDevice:
         self._cuda = cuda
         self._layout = layout
         self._count = model.cell_count
+        self._node_count = model.node_count
         corners = model.cell_corners.T
         self._corner_lane = cuda.to_device(layout.node_lane[corners].astype(np.uint32).ravel())
-        node_cell = np.full((8, model.node_count), kernel_cuda_cells.NO_CELL, np.uint32)
-        for corner in range(8):
-            node_cell[corner, corners[corner]] = np.arange(self._count)
-        self._node_cell = cuda.to_device(node_cell.ravel())
+        self._node_cell = cuda.to_device(_cells_of_nodes(model, kernel_cuda_cells.NO_CELL).ravel())
         self._corner_node = cuda.to_device(corners.astype(np.uint32).ravel())
         self._force = cuda.to_device(np.zeros(24 * self._count, np.float32))
         self._gradient = self._stress = cuda.to_device(np.zeros(1, np.float32))
@@ -116,4 +115,22 @@ class CellsOnDevice:
         work = self.kernels.work_cells[plain_launch(self._count)]
         work(displacement, first, self._corner_lane, self._numbers, self._force, self._law, *self._sharing)
         add = self.kernels.add_cell_forces[plain_launch(len(nodes))]
-        add(self._force, self._node_cell, self._count, nodes, force)
+        add(self._force, self._node_cell, self._node_count, self._count, nodes, force)
+
+
+def _cells_of_nodes(model: LatticeModel, no_cell: int) -> UInt32:
+    """Cell that has each node for its corner, corner by corner, then further ones: eight times the cell and the corner.
+
+    A node of a lattice that was cut may be the same corner of several cells. Shape (8 or more, node_count).
+    """
+    nodes = model.cell_corners.astype(np.int64)
+    cells, corners = np.indices(nodes.shape)
+    order = np.lexsort((cells.ravel(), corners.ravel(), nodes.ravel()))
+    node, corner, cell = nodes.ravel()[order], corners.ravel()[order], cells.ravel()[order]
+    is_first = np.diff(8 * node + corner, prepend=-1) != 0
+    more = np.flatnonzero(~is_first)
+    place = np.arange(len(more)) - np.searchsorted(node[more], node[more])
+    table = np.full((8 + int(place.max(initial=-1)) + 1, model.node_count), no_cell, np.uint32)
+    table[corner[is_first], node[is_first]] = cell[is_first]
+    table[8 + place, node[more]] = 8 * cell[more] + corner[more]
+    return table

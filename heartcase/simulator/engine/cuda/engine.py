@@ -21,7 +21,6 @@ from heartcase.simulator.dynamics.integrate import Verlet
 from heartcase.simulator.engine.cuda.cells import CellsOnDevice, plain_launch
 from heartcase.simulator.engine.shared.contact import NO_PROBES, moved_on
 from heartcase.simulator.engine.shared.lanes import lane_layout
-from heartcase.simulator.lattice.explicit_springs import SpringsByNode
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.lattice.state import State
 
@@ -204,13 +203,13 @@ class CudaEngine:
         self._spring_weight = self._cuda.to_device(weight)
         self._cells.set_model(model)
         self._uniform_weight = self._cuda.to_device(self._layout.uniform_weight(model))
-        springs = SpringsByNode.of(model.explicit, model.node_index)
-        self._explicit_count = model.explicit.count
+        springs = self._layout.springs_apart(model)
+        self._explicit_count = len(springs.other)
         self._explicit = (
             self._cuda.to_device(springs.first.astype(np.uint32)),
             self._cuda.to_device(self._layout.node_lane[springs.other].astype(np.uint32)),
             self._cuda.to_device(springs.offset.ravel()),
-            self._cuda.to_device(springs.stiffness),
+            self._cuda.to_device(np.column_stack([springs.stiffness, springs.excess]).ravel()),
         )
 
     def forces(self, nodes: Intp | None = None) -> Float32:

@@ -182,10 +182,13 @@ def pull_explicitly(f, displacement, buffer, own, begin, end, explicit_lane, exp
     for spring in range(begin, end):
         other = load_four(displacement, _U(buffer + explicit_lane[spring]))
         offset = load_four(explicit_offset, _U(spring))
-        dx, dy, dz = offset[0] + (other[0] - own[0]), offset[1] + (other[1] - own[1]), offset[2] + (other[2] - own[2])
-        length = sqrt(dx * dx + dy * dy + dz * dz)
-        if length > _O:
-            pull = explicit_stiffness[spring] * (length - offset[3]) / length
+        wx, wy, wz = other[0] - own[0], other[1] - own[1], other[2] - own[2]
+        dx, dy, dz = offset[0] + wx, offset[1] + wy, offset[2] + wz
+        square = dx * dx + dy * dy + dz * dz
+        if square > _O:
+            e = (offset[0] + dx) * wx + (offset[1] + dy) * wy + (offset[2] + dz) * wz
+            e = e + explicit_stiffness[_U(2 * spring + 1)]
+            pull = explicit_stiffness[_U(2 * spring)] * e / (square + offset[3] * sqrt(square))
             f = (f[0] + pull * dx, f[1] + pull * dy, f[2] + pull * dz)
     return f
 
@@ -291,8 +294,9 @@ def _make_advance_resident(has_hands: bool) -> Any:
         explicit_first
             Where the explicit springs of each node begin, and the last end, uint32, shape (node_count + 1,).
         explicit_lane, explicit_offset, explicit_stiffness
-            Lane at the other end, uint32, shape (count,); offset to it with rest length [cells], float32, shape
-            (4 * count,); stiffness [k], float32, shape (count,).
+            Lane at the other end, uint32, shape (count,); offset to it with rest length, float32, shape (4 * count,);
+            stiffness and excess by twos, float32, shape (2 * count,)
+            (:class:`heartcase.simulator.lattice.explicit_springs.SpringsByNode`).
         rest
             Rest positions, i, j, k and one unused, float32, shape (4 * node_count,); read where there are probes.
         probes

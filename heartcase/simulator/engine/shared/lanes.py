@@ -6,27 +6,40 @@ on, so that few of them are empty. A neighbour along (i, j, k) of a window's nod
 where the window's i begins in the row (j, k). Lanes without a node have no mass and no springs: they cost time but
 change nothing.
 
+A lattice that was cut has copies of nodes (:mod:`heartcase.simulator.engine.shared.node_copies`). Of cells whose
+corners do not lie at these distances, the corners have ghosts: lanes of their own, GHOST_CELLS cells to a window, which
+repeat what their nodes do.
+
 An array with several numbers a lane, such as the components of a vector, has them at a fixed distance, the stride. The
 CPU's lanes lie in banks, so that the stride is the same for every lattice: a constant of the compiled kernel.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from heartcase.compiling.kernel import kernel
-from heartcase.schemas.arrays import Float32, Int32, Int64, Intp
-from heartcase.schemas.bundle.lattice import lattice_keys
+from heartcase.schemas.arrays import Bool, Float32, Int32, Int64, Intp
+from heartcase.schemas.bundle.lattice import CORNER_OFFSETS, distinct_keys, lattice_keys
 from heartcase.schemas.errors import SimulationError
+from heartcase.simulator.engine.shared.node_copies import (
+    copied_rows,
+    irregular_cells,
+    irregular_springs,
+    vote_for_rows,
+)
 from heartcase.simulator.forces.cell_forces import tissue_spread
+from heartcase.simulator.lattice.explicit_springs import SpringsByNode
 from heartcase.simulator.lattice.model import DIRECTIONS, LatticeModel
 
 __all__ = [
     "BANK_LANES",
     "CELL_NUMBERS",
     "EMPTY_START",
+    "GHOST_CELLS",
     "LANE_COUNT",
     "ROWS",
     "SHARE_NUMBERS",
@@ -58,6 +71,10 @@ other out of a cache's sets."""
 _BANK_NUMBERS = CELL_NUMBERS
 """Most numbers of a lane: so many strips of BANK_LANES float32 follow each other before the next bank begins."""
 _HEAD_BLOCKS = 3
+GHOST_CELLS = 4
+"""Irregular cells whose ghosts share a window: a cell takes two lanes in each of four rows."""
+_GHOST_ROWS = (4, 5, 7, 8)
+"""Numbers in ROWS of the rows that a cell has corners in."""
 EMPTY_START = LANE_COUNT
 """First lane of a block that never holds a node."""
 
@@ -77,6 +94,12 @@ class LaneLayout:
     window_rows: Int64
     """Lane at the window's first i in the nine ROWS, for each window, shape (window_count, 9); in an empty block where
     a row has no nodes there."""
+    is_near_copies: Bool
+    """Whether a node's window lies in or beside a row with copies, shape (node_count,)."""
+    irregular_cells: Int64
+    """Cells whose corners have ghosts, ascending, shape (irregular_count,)."""
+    ghost_start: Int64
+    """First lane of the ghosts of each window of GHOST_CELLS of them: four blocks that follow each other, (any,)."""
 
     @property
     def window_count(self) -> int:
@@ -91,16 +114,44 @@ class LaneLayout:
         """Where such an array has the numbers of some lanes, shape (len(lanes), number_count)."""
         return lanes[:, None] + self.stride * np.arange(number_count)
 
+    @cached_property
+    def node_at(self) -> Int32:
+        """Node in each lane, -1 where there is none, shape (lane_count,)."""
+        nodes = np.full(self.lane_count, -1, np.int32)
+        nodes[self.node_lane] = np.arange(len(self.node_lane))
+        return nodes
+
+    def neighbour_lanes(self, nodes: Int64, offset: Int32) -> Int64:
+        """Lanes in which the kernels look for the neighbours of some nodes at an offset (i, j, k), shape (count,)."""
+        i, j, k = offset.tolist()
+        slot = self.node_slot[nodes]
+        lanes: Int64 = self.window_rows[slot // LANE_COUNT, (j + 1) + 3 * (k + 1)] + slot % LANE_COUNT + i
+        return lanes
+
+    def irregular_springs(self, model: LatticeModel) -> Bool:
+        """Springs of a model of these nodes whose ends do not lie at fixed distances, shape (spring_count,)."""
+        if not self.is_near_copies.any():
+            return np.zeros(model.spring_count, np.bool_)
+        return irregular_springs(model, self)
+
+    def springs_apart(self, model: LatticeModel) -> SpringsByNode:
+        """Explicit springs and those of the lattice that are irregular, by node."""
+        irregular = np.flatnonzero(self.irregular_springs(model))
+        weight = model.acting_weight[irregular]
+        irregular, weight = irregular[weight > 0], weight[weight > 0]
+        more = (model.spring_nodes[irregular], weight, model.spring_length[irregular])
+        return SpringsByNode.of(model.explicit, model.node_index, more)
+
     def spring_weight(self, model: LatticeModel, spring_weight: Float32 | None = None) -> Float32:
         """Stiffness of the spring from each lane along each of the nine DIRECTIONS [k], shape (length(9),).
 
-        Another value of each spring of the model, shape (spring_count,), where one is given.
+        Another value of each spring of the model, shape (spring_count,), where one is given. Zero for irregular ones.
         """
         weight = np.zeros(self.length(len(DIRECTIONS)), np.float32)
         values = model.spring_weight if spring_weight is None else spring_weight
-        weight[self.stride * model.spring_direction.astype(np.int64) + self.node_lane[model.spring_nodes[:, 0]]] = (
-            values
-        )
+        regular = ~self.irregular_springs(model)
+        lower = self.node_lane[model.spring_nodes[regular, 0]]
+        weight[self.stride * model.spring_direction[regular].astype(np.int64) + lower] = values[regular]
         return weight
 
     def uniform_weight(self, model: LatticeModel) -> Float32:
@@ -108,14 +159,16 @@ class LaneLayout:
 
         Shape (window_count,).
         """
-        ends = model.spring_nodes.ravel()
-        both = np.repeat(model.spring_weight, 2)
+        regular = ~self.irregular_springs(model)
+        ends = model.spring_nodes[regular].ravel()
+        both = np.repeat(model.spring_weight[regular], 2)
         lowest = np.where(np.bincount(ends, minlength=model.node_count) == 2 * len(DIRECTIONS), np.inf, 0.0)
         highest = np.zeros(model.node_count)
         np.minimum.at(lowest, ends, both)
         np.maximum.at(highest, ends, both)
-        first = np.flatnonzero(np.diff(self.node_slot // LANE_COUNT, prepend=-1))
-        low, high = np.minimum.reduceat(lowest, first), np.maximum.reduceat(highest, first)
+        by_lane = np.argsort(self.node_lane)
+        first = np.flatnonzero(np.diff(self.node_slot[by_lane] // LANE_COUNT, prepend=-1))
+        low, high = np.minimum.reduceat(lowest[by_lane], first), np.maximum.reduceat(highest[by_lane], first)
         return np.where(low == high, low, 0.0).astype(np.float32)
 
     def windows_of(self, nodes: Intp) -> Int64:
@@ -131,20 +184,24 @@ def lane_layout(model: LatticeModel, *, in_banks: bool = False) -> LaneLayout:
     SimulationError
         A row of nodes along i does not fit into a bank.
     """
-    blocks = model.node_index.copy()
-    blocks[:, 0] //= LANE_COUNT
-    keys = lattice_keys(blocks)
-    first = np.flatnonzero(np.diff(keys, prepend=keys[0] - 1))
-    used = keys[first]
+    rows = copied_rows(model)
+    layer = np.zeros(model.node_count, np.int64) if rows is None else rows.layer
+    i, j, k = model.node_index.astype(np.int64).T
+    block = i // LANE_COUNT
+    first_block = int(block.min())
+    layer_blocks = int(np.ptp(block)) + 2
+
+    def keys_of(block: Int64, layer: Int64, j: Int64, k: Int64) -> Int64:
+        return lattice_keys(np.stack([block - first_block + layer * layer_blocks, j, k], axis=-1))
+
+    keys = keys_of(block, layer, j, k)
     # A spring over a block's end is found through the block at the same i in the other's row: store that too.
-    over = model.spring_nodes[np.diff(blocks[:, 0][model.spring_nodes], axis=1)[:, 0] != 0]
-    lower, higher = blocks[over[:, 0]], blocks[over[:, 1]]
-    beside_lower = np.column_stack([higher[:, 0], lower[:, 1:]])
-    beside_higher = np.column_stack([lower[:, 0], higher[:, 1:]])
-    stored = np.unique(np.concatenate([used, lattice_keys(beside_lower), lattice_keys(beside_higher)]))
+    over = model.spring_nodes[np.diff(block[model.spring_nodes], axis=1)[:, 0] != 0]
+    beside = [keys_of(block[there], layer[here], j[here], k[here]) for here, there in (over.T, over.T[::-1])]
+    stored = distinct_keys(np.concatenate([keys, *beside]))
     run = np.cumsum(np.diff(stored, prepend=stored[0] - 2) != 1) - 1
     block_counts = np.bincount(run)
-    capacity = BANK_LANES // LANE_COUNT if in_banks else _HEAD_BLOCKS + len(stored) + len(block_counts)
+    capacity = BANK_LANES // LANE_COUNT if in_banks else _HEAD_BLOCKS + len(stored) + 2 * len(block_counts)
     longest = int(block_counts.max())
     if longest + 1 > capacity - _HEAD_BLOCKS:
         raise SimulationError(
@@ -154,31 +211,48 @@ def lane_layout(model: LatticeModel, *, in_banks: bool = False) -> LaneLayout:
     run_start = _run_starts(block_counts, capacity)
     before = np.cumsum(block_counts) - block_counts
     start = run_start[run] + LANE_COUNT * (np.arange(len(stored)) - before[run])
-    lane_count = int(start[-1]) + 2 * LANE_COUNT
 
-    node_lane = start[np.searchsorted(stored, keys)] + model.node_index[:, 0] % LANE_COUNT
-    first, window = _windows(node_lane)
-    corner = model.node_index[first]
-    rows = np.repeat(corner[:, None, :], len(ROWS), axis=1)
-    rows[:, :, 1:] += ROWS
-    place = rows[:, :, 0] % LANE_COUNT
-    rows[:, :, 0] //= LANE_COUNT
-    window_rows = np.full(rows.shape[:2], EMPTY_START)
+    node_lane = start[np.searchsorted(stored, keys)] + i % LANE_COUNT
+    by_lane = np.argsort(node_lane) if rows is not None else np.arange(model.node_count)
+    first, window_by_lane = _windows(node_lane[by_lane])
+    first = by_lane[first]
+    window = np.empty_like(window_by_lane)
+    window[by_lane] = window_by_lane
+    window_rows = np.full((len(first), len(ROWS)), EMPTY_START)
+    rows_j, rows_k = j[first, None] + ROWS[:, 0], k[first, None] + ROWS[:, 1]
     # The next block, then the window's own: where it is there, so are the lanes of the other, empty or not.
     for ahead in (1, 0):
-        row_keys = lattice_keys(rows + np.array([ahead, 0, 0]))
+        row_keys = keys_of(np.broadcast_to(block[first, None] + ahead, rows_j.shape), np.int64(0), rows_j, rows_k)
         nearest = np.minimum(np.searchsorted(stored, row_keys), len(stored) - 1)
         is_there = stored[nearest] == row_keys
+        place = np.broadcast_to(i[first, None] % LANE_COUNT, is_there.shape)
         window_rows[is_there] = (start[nearest] + place - ahead * LANE_COUNT)[is_there]
+    window_rows[:, 4] = node_lane[first]
 
-    node_slot = LANE_COUNT * window + node_lane - node_lane[first][window]
-    return LaneLayout(
-        lane_count=lane_count,
-        stride=BANK_LANES if in_banks else lane_count,
+    layout = LaneLayout(
+        lane_count=int(start[-1]) + 2 * LANE_COUNT,
+        stride=0,
         node_lane=node_lane,
-        node_slot=node_slot,
+        node_slot=LANE_COUNT * window + node_lane - node_lane[first][window],
         window_rows=window_rows,
+        is_near_copies=np.zeros(model.node_count, np.bool_),
+        irregular_cells=np.zeros(0, np.int64),
+        ghost_start=np.zeros(0, np.int64),
     )
+    if rows is not None:
+        row_keys = lattice_keys(np.stack([np.zeros_like(rows_j), rows_j, rows_k], axis=-1))
+        is_near = np.isin(row_keys, rows.row_keys).any(axis=1)
+        near = np.flatnonzero(is_near)
+        window_rows[near] = np.where(np.arange(len(ROWS)) == 4, window_rows[near], EMPTY_START)
+        vote_for_rows(model, node_lane, layout.node_slot, near, window_rows, layout.lane_count)
+        layout = replace(layout, is_near_copies=is_near[window])
+        irregular = irregular_cells(model, layout)
+        ghost_blocks = np.full(-(-len(irregular) // GHOST_CELLS), len(_GHOST_ROWS))
+        ghost_start = _run_starts(np.concatenate([block_counts, ghost_blocks]), capacity)[len(block_counts) :]
+        if len(irregular):
+            last = int(ghost_start[-1]) + LANE_COUNT * (len(_GHOST_ROWS) + 1)
+            layout = replace(layout, lane_count=last, irregular_cells=irregular, ghost_start=ghost_start)
+    return replace(layout, stride=BANK_LANES if in_banks else layout.lane_count)
 
 
 def cell_numbers(model: LatticeModel) -> Float32:
@@ -215,16 +289,23 @@ def inverse_shared(model: LatticeModel) -> Float32:
 
 @dataclass(frozen=True)
 class CellLayout:
-    """Where the cells are: each in the lane of its lowest corner."""
+    """Where the cells are: each in the lane of its lowest corner, or of that corner's ghost."""
 
     layout: LaneLayout
     """Of the nodes."""
     cell_lane: Int64
     """Lane of each cell, shape (cell_count,)."""
     window_rows: Int64
-    """Rows of the windows that hold a cell, shape (count, 9)."""
+    """Rows of the windows that hold a cell, shape (count, 9); last those of ghosts."""
     touches: Int64
-    """Windows of nodes that the cells of each of these windows have corners in, then -1, shape (count, 8)."""
+    """Windows of nodes that the cells of each of these windows have corners in, then -1, shape (count, 8 or more)."""
+    ghost_lane: Int64
+    """Lane of the ghost at each corner of the irregular cells, shape (irregular_count, 8)."""
+
+    @property
+    def ghost_window(self) -> int:
+        """First window that holds ghosts."""
+        return len(self.window_rows) - len(self.layout.ghost_start)
 
     def numbers(self, model: LatticeModel) -> Float32:
         """:func:`cell_numbers` by lane, shape (length(10),), float32; zero where there is no cell."""
@@ -241,15 +322,27 @@ class CellLayout:
 
 def cell_layout(model: LatticeModel, layout: LaneLayout) -> CellLayout:
     """Lay out the cells of a lattice in the lanes of its nodes."""
+    irregular = layout.irregular_cells
+    regular = np.delete(np.arange(model.cell_count), irregular)
     windows = layout.node_slot[model.cell_corners] // LANE_COUNT
-    held, window_of_cell = np.unique(windows[:, 0], return_inverse=True)
+    held, number = np.unique(windows[regular, 0], return_inverse=True)
+    window_of_cell = np.empty(model.cell_count, np.int64)
+    window_of_cell[regular] = number
+    place = np.arange(len(irregular))
+    window_of_cell[irregular] = len(held) + place // GHOST_CELLS
+    cell_lane = layout.node_lane[model.cell_corners[:, 0]]
+    cell_lane[irregular] = layout.ghost_start[place // GHOST_CELLS] + 2 * (place % GHOST_CELLS)
+    offset = CORNER_OFFSETS.astype(np.int64)
+    ghost_lane = cell_lane[irregular, None] + offset[:, 0] + LANE_COUNT * (offset[:, 1] + 2 * offset[:, 2])
+    ghost_rows = np.full((len(layout.ghost_start), len(ROWS)), EMPTY_START)
+    ghost_rows[:, _GHOST_ROWS] = layout.ghost_start[:, None] + LANE_COUNT * np.arange(len(_GHOST_ROWS))
+
     pairs = np.unique(np.stack([np.repeat(window_of_cell, 8), windows.ravel()], axis=1), axis=0)
     place = np.arange(len(pairs)) - np.searchsorted(pairs[:, 0], pairs[:, 0])
-    touches = np.full((len(held), 8), -1, np.int64)
+    touches = np.full((len(held) + len(ghost_rows), max(8, int(place.max()) + 1)), -1, np.int64)
     touches[pairs[:, 0], place] = pairs[:, 1]
-    lane = layout.node_lane[model.cell_corners[:, 0]]
-    rows = np.ascontiguousarray(layout.window_rows[held])
-    return CellLayout(layout=layout, cell_lane=lane, window_rows=rows, touches=touches)
+    rows = np.concatenate([layout.window_rows[held], ghost_rows])
+    return CellLayout(layout=layout, cell_lane=cell_lane, window_rows=rows, touches=touches, ghost_lane=ghost_lane)
 
 
 @kernel

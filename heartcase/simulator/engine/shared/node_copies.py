@@ -1,0 +1,230 @@
+"""Lanes for a lattice that was cut: several nodes in one place, and what does not lie at a fixed distance.
+
+A row of nodes along i that has copies is taken apart into paths, along which each node follows the one before it; each
+path is a run of lanes of its own, a layer of the row. A window of nodes finds the rows around it where most of its
+nodes' neighbours lie: near a cut, some of its lanes belong to one side and some to the other. Springs and cells whose
+ends lie elsewhere are irregular: springs become explicit ones, and cells get ghosts of their corners' nodes
+(:mod:`heartcase.simulator.engine.shared.lanes`). They are few, however many springs a cut has parted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from heartcase.compiling.kernel import kernel
+from heartcase.schemas.arrays import Bool, Int32, Int64
+from heartcase.schemas.bundle.lattice import CORNER_OFFSETS, lattice_keys
+from heartcase.simulator.lattice.model import DIRECTIONS, LatticeModel
+
+__all__ = ["CopiedRows", "Lookup", "copied_rows", "irregular_cells", "irregular_springs", "vote_for_rows"]
+
+_CANDIDATES = 64
+"""Different places of a neighbouring row that the nodes of a window can vote for."""
+
+
+class Lookup(Protocol):
+    """Where the kernels look for a node's neighbours."""
+
+    @property
+    def node_lane(self) -> Int64:
+        """Lane of each node, shape (node_count,)."""
+
+    @property
+    def is_near_copies(self) -> Bool:
+        """Whether a node's window lies in or beside a row with copies, shape (node_count,)."""
+
+    @property
+    def node_at(self) -> Int32:
+        """Node in each lane, -1 where there is none, shape (lane_count,)."""
+
+    def neighbour_lanes(self, nodes: Int64, offset: Int32) -> Int64:
+        """Lanes in which the kernels look for the neighbours of some nodes, shape (count,)."""
+
+
+@dataclass(frozen=True)
+class CopiedRows:
+    """Rows along i in which a node has copies."""
+
+    row_keys: Int64
+    """Key of each, that of place (0, j, k), ascending, shape (row_count,)."""
+    layer: Int64
+    """Layer of its row that each node lies in, 0 in all other rows, shape (node_count,)."""
+
+
+def copied_rows(model: LatticeModel) -> CopiedRows | None:
+    """The rows of a lattice that have copies, in layers; None where no node has any."""
+    keys = lattice_keys(model.node_index)
+    if (np.diff(keys) > 0).all():
+        return None
+    places = model.node_index.copy()
+    places[:, 0] = 0
+    rows = lattice_keys(places)
+    order = np.argsort(keys, kind="stable")
+    twins = order[1:][np.diff(keys[order]) == 0]
+    row_keys = np.unique(rows[twins])
+    is_copied = np.isin(rows, row_keys)
+    layer = np.zeros(model.node_count, np.int64)
+    after, before = _paths(model, is_copied)
+    starts = np.flatnonzero(is_copied & (before < 0))
+    starts = starts[np.lexsort((starts, keys[starts]))]
+    # The paths of a row are numbered by where they begin.
+    by_row = np.argsort(rows[starts], kind="stable")
+    starts = starts[by_row]
+    first = np.flatnonzero(np.diff(rows[starts], prepend=-1))
+    number = np.arange(len(starts)) - np.repeat(first, np.diff(np.append(first, len(starts))))
+    _walk(starts, number, after, layer)
+    return CopiedRows(row_keys, layer)
+
+
+def _paths(model: LatticeModel, is_copied: Bool) -> tuple[Int64, Int64]:
+    """Node after and before each node on its path, -1 for none; nodes that share most cells follow each other."""
+    corners = model.cell_corners[is_copied[model.cell_corners].any(axis=1)].astype(np.int64)
+    links = corners.reshape(-1, 4, 2).reshape(-1, 2)
+    links = links[is_copied[links[:, 0]]]
+    pairs, count = np.unique(links[:, 0] * model.node_count + links[:, 1], return_counts=True)
+    pairs = pairs[np.lexsort((pairs, -count))]
+    after, before = np.full(model.node_count, -1, np.int64), np.full(model.node_count, -1, np.int64)
+    _match(pairs // model.node_count, pairs % model.node_count, after, before)
+    return after, before
+
+
+@kernel
+def _match(lower, higher, after, before):
+    """Let nodes follow each other along some links, the first first."""
+    for link in range(len(lower)):
+        if after[lower[link]] < 0 and before[higher[link]] < 0:
+            after[lower[link]] = higher[link]
+            before[higher[link]] = lower[link]
+
+
+@kernel
+def _walk(starts, number, after, layer):
+    """Give the nodes of each path its number."""
+    for path in range(len(starts)):
+        node = starts[path]
+        while node >= 0:
+            layer[node] = number[path]
+            node = after[node]
+
+
+def vote_for_rows(
+    model: LatticeModel, node_lane: Int64, node_slot: Int64, windows: Int64, window_rows: Int64, lane_count: int
+) -> None:
+    """Write the rows of some windows of 8 lanes: where most neighbours of their nodes lie.
+
+    Parameters
+    ----------
+    model
+        The lattice.
+    node_lane
+        Lane of each node, shape (node_count,).
+    node_slot
+        Number of its window times 8 plus its place there, shape (node_count,).
+    windows
+        Windows to find rows for, shape (count,).
+    window_rows
+        Rows of all windows, shape (window_count, 9); numbers (j + 1) + 3 (k + 1) for the rows around.
+    """
+    window_count = len(window_rows)
+    is_asked = np.zeros(window_count, np.bool_)
+    is_asked[windows] = True
+    asks = is_asked[node_slot // 8]
+    corners = model.cell_corners[asks[model.cell_corners].any(axis=1)]
+    _vote(corners, model.node_index, node_lane, node_slot, asks, windows, window_rows, window_count, lane_count)
+
+
+@kernel
+def _vote(corners, node_index, node_lane, node_slot, asks, windows, window_rows, window_count, lane_count):
+    number = np.full(window_count, -1, np.int64)
+    for place in range(len(windows)):
+        number[windows[place]] = place
+    lanes = np.full((len(windows), 9, _CANDIDATES), -1, np.int64)
+    votes = np.zeros((len(windows), 9, _CANDIDATES), np.int64)
+    for cell in range(len(corners)):
+        for a in range(8):
+            node = corners[cell, a]
+            if not asks[node]:
+                continue
+            window = number[node_slot[node] // 8]
+            for b in range(8):
+                other = corners[cell, b]
+                i = node_index[other, 0] - node_index[node, 0]
+                row = node_index[other, 1] - node_index[node, 1] + 1
+                row += 3 * (node_index[other, 2] - node_index[node, 2] + 1)
+                if row == 4:
+                    continue
+                lane = node_lane[other] - i - node_slot[node] % 8
+                if lane < 8 or lane > lane_count - 16:
+                    continue
+                for candidate in range(_CANDIDATES):
+                    if lanes[window, row, candidate] < 0:
+                        lanes[window, row, candidate] = lane
+                    if lanes[window, row, candidate] == lane:
+                        votes[window, row, candidate] += 1
+                        break
+    for place in range(len(windows)):
+        for row in range(9):
+            best = 0
+            for candidate in range(_CANDIDATES):
+                lane, count = lanes[place, row, candidate], votes[place, row, candidate]
+                if lane < 0:
+                    break
+                if count > best or (count == best and lane < window_rows[windows[place], row]):
+                    best = count
+                    window_rows[windows[place], row] = lane
+
+
+def irregular_springs(model: LatticeModel, lookup: Lookup) -> Bool:
+    """Springs that the kernels do not find at both ends, or that they would take for another node's, (spring_count,)."""
+    irregular = np.zeros(model.spring_count, np.bool_)
+    ends = model.spring_nodes.astype(np.int64)
+    is_near = lookup.is_near_copies
+    near = np.flatnonzero(is_near[ends].any(axis=1))
+    nodes = np.flatnonzero(is_near)
+    for number, offset in enumerate(DIRECTIONS):
+        springs = near[model.spring_direction[near] == number]
+        lower, higher = ends[springs].T
+        fits = lookup.neighbour_lanes(lower, offset) == lookup.node_lane[higher]
+        fits &= lookup.neighbour_lanes(higher, -offset) == lookup.node_lane[lower]
+        irregular[springs[~fits]] = True
+        spring_of = np.full(model.node_count, -1)
+        kept = np.flatnonzero((model.spring_direction == number) & ~irregular)
+        spring_of[ends[kept, 0]] = kept
+        found = spring_of[lookup.node_at[lookup.neighbour_lanes(nodes, -offset)]]
+        found[lookup.node_at[lookup.neighbour_lanes(nodes, -offset)] < 0] = -1
+        is_wrong = (found >= 0) & (ends[found, 1] != nodes)
+        irregular[found[is_wrong]] = True
+    return irregular
+
+
+def irregular_cells(model: LatticeModel, lookup: Lookup) -> Int64:
+    """Cells whose corners the kernels do not find, or that they would take for another node's, ascending."""
+    is_near = lookup.is_near_copies
+    corners = model.cell_corners.astype(np.int64)
+    near = np.flatnonzero(is_near[corners].any(axis=1))
+    if not len(near):
+        return near
+    irregular = np.zeros(model.cell_count, np.bool_)
+    lowest = corners[near, 0]
+    for number, offset in enumerate(CORNER_OFFSETS):
+        there = corners[near, number]
+        fits = lookup.neighbour_lanes(lowest, offset) == lookup.node_lane[there]
+        fits &= lookup.neighbour_lanes(there, -offset) == lookup.node_lane[lowest]
+        irregular[near[~fits]] = True
+    # Of cells with one lowest node, the first keeps its lane.
+    kept = near[~irregular[near]]
+    _, first = np.unique(corners[kept, 0], return_index=True)
+    irregular[np.delete(kept, first)] = True
+    cell_of = np.full(model.node_count, -1)
+    kept = np.flatnonzero(~irregular)
+    cell_of[corners[kept, 0]] = kept
+    nodes = np.flatnonzero(is_near)
+    for number, offset in enumerate(CORNER_OFFSETS):
+        behind = lookup.node_at[lookup.neighbour_lanes(nodes, -offset)]
+        found = np.where(behind >= 0, cell_of[behind], -1)
+        is_wrong = (found >= 0) & (corners[found, number] != nodes)
+        irregular[found[is_wrong]] = True
+    return np.flatnonzero(irregular)
