@@ -25,12 +25,14 @@ from heartcase.simulator.lattice.state import State
 from heartcase.simulator.simulation import Simulation
 from tests.parity.test_engines import check_explicit_springs, check_probes, stretch_at_nodes, unguarded
 from tests.parity.test_force_laws import force_scale, with_law
-from tests.simulator.lattices import EPS, block, random_field, random_models, random_probes, tied
+from tests.simulator.lattices import EPS, block, cut_models, random_field, random_models, random_probes, tied
 
 SEEDS = st.integers(0, 2**32 - 1)
 EXAMPLES = 12 if IS_SIMULATED else 60
 STEPS = 3 if IS_SIMULATED else 100
-models = random_models(size_max=(11, 3, 3)) if IS_SIMULATED else random_models()
+SIZE_MAX = (11, 3, 3) if IS_SIMULATED else (20, 5, 4)
+uncut_models = random_models(size_max=SIZE_MAX)
+models = st.one_of(uncut_models, cut_models(size_max=SIZE_MAX))
 patient = settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 
@@ -118,7 +120,7 @@ def test_explicit_springs_agree(model, seed, resident):
 
 
 @patient
-@given(models, SEEDS, st.booleans())
+@given(uncut_models, SEEDS, st.booleans())
 def test_probes_push_alike(model, seed, resident):
     model = unguarded(model)
     check_probes(model, seed, [CudaEngine(model, resident=resident), make_engine(model, "reference")], min(STEPS, 30))
