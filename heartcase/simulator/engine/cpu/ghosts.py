@@ -56,9 +56,10 @@ def ghost_arrays(model: LatticeModel, cells: CellLayout) -> GhostArrays:
 
 
 @kernel
-def follow_nodes(displacement: Float32, ghosts: GhostArrays) -> None:
-    """Write the displacements of all ghosts."""
-    for ghost in range(len(ghosts.lane)):
+def follow_nodes(thread: int, thread_count: int, displacement: Float32, ghosts: GhostArrays) -> None:
+    """Write the displacements of a thread's part of the ghosts."""
+    count = len(ghosts.lane)
+    for ghost in range(thread * count // thread_count, (thread + 1) * count // thread_count):
         for axis in range(3):
             displacement[axis * BANK_LANES + ghosts.lane[ghost]] = displacement[
                 axis * BANK_LANES + ghosts.of_lane[ghost]

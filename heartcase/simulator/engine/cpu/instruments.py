@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from heartcase.compiling.kernel import kernel
-from heartcase.schemas.arrays import Float32, Int8, Int64
+from heartcase.schemas.arrays import Float32, Int64
+from heartcase.simulator.engine.cpu.chunks import ChunkArrays
 from heartcase.simulator.engine.shared.contact import make_contact
 from heartcase.simulator.engine.shared.lanes import BANK_LANES, LANE_COUNT
 
@@ -29,15 +30,21 @@ def _apart(array: Float32, lane: int, own: Vector) -> Vector:
 
 @kernel
 def pull_explicitly(
-    now: Float32, velocity: Float32, inverse_mass: Float32, explicit: ExplicitArrays, constants: Constants, sleep: Int8
+    chunk: int,
+    now: Float32,
+    velocity: Float32,
+    inverse_mass: Float32,
+    explicit: ExplicitArrays,
+    constants: Constants,
+    chunks: ChunkArrays,
 ) -> None:
-    """Give the velocities before a step what the explicit springs will add to them in it.
+    """Give a chunk's velocities before a step what the explicit springs will add to them in it.
 
-    The step keeps a part of the velocity, so they are given the more. Windows that ``sleep`` are not moved.
+    The step keeps a part of the velocity, so they are given the more.
     """
     lanes, windows, first, other, offset, excess, stiffness = explicit
     for number in range(len(lanes)):
-        if sleep[windows[number]]:
+        if chunks.chunk_of[windows[number]] != chunk:
             continue
         lane = lanes[number]
         own = _vector(now, lane)

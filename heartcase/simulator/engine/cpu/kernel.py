@@ -265,7 +265,7 @@ def lane_forces(
     cells, (kind, _, has_guard), sharing, ghosts = work
     if rouse(sleep, True):
         share_out(chunks, sleep)
-    follow_nodes(displacement, ghosts)
+    follow_nodes(0, 1, displacement, ghosts)
     if has_guard:
         for share in range(SHARES):
             _look_at_share(share, displacement, cells, sleep)
@@ -369,12 +369,11 @@ def advance(
                 first, end = _part(share, sleep.counts[0])
                 remember(first, end, rows, velocity, sleep)
             wait_at(barrier, thread_count)
-        if len(explicit[0]) or len(ghosts.lane):
-            if thread == 0:
-                follow_nodes(now, ghosts)
-                pull_explicitly(now, velocity, inverse_mass, explicit, constants, sleep.is_asleep)
+        is_looked_at = has_guard and row_step % LOOK_STEPS == 0
+        if len(ghosts.lane) and (works_cells or is_looked_at):
+            follow_nodes(thread, thread_count, now, ghosts)
             wait_at(barrier, thread_count)
-        if has_guard and row_step % LOOK_STEPS == 0:
+        if is_looked_at:
             for share in range(thread, SHARES, thread_count):
                 _look_at_share(share, now, cells, sleep)
             wait_at(barrier, thread_count)
@@ -391,6 +390,7 @@ def advance(
             wait_at(barrier, thread_count)
         state = (now, later, velocity, weight, window_numbers, tension, inverse_mass, rows)
         for chunk in range(thread, chunk_count, thread_count):
+            pull_explicitly(chunk, now, velocity, inverse_mass, explicit, constants, chunks)
             if works_cells:
                 _step_chunk_with_cells(chunk, state, constants, work, chunks, sleep)
             else:

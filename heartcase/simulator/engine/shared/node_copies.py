@@ -1,7 +1,7 @@
 """Lanes for a lattice that was cut: several nodes in one place, and what does not lie at a fixed distance.
 
-A row of nodes along i that has copies is taken apart into paths, along which each node follows the one before it; each
-path is a run of lanes of its own, a layer of the row. A window of nodes finds the rows around it where most of its
+A row of nodes along i that has copies is taken apart into paths, along which each node follows the one before it. Paths
+that do not overlap and have neighbours in common share a run of lanes, a layer of the row. A window of nodes finds the rows around it where most of its
 nodes' neighbours lie: near a cut, some of its lanes belong to one side and some to the other. Springs and cells whose
 ends lie elsewhere are irregular: springs become explicit ones, and cells get ghosts of their corners' nodes
 (:mod:`heartcase.simulator.engine.shared.lanes`). They are few, however many springs a cut has parted.
@@ -21,6 +21,8 @@ from heartcase.simulator.lattice.model import DIRECTIONS, LatticeModel
 
 __all__ = ["CopiedRows", "Lookup", "copied_rows", "irregular_cells", "irregular_springs", "vote_for_rows"]
 
+_BESIDE = np.array([(a, b) for a in range(8) for b in range(a + 1, 8) if (a ^ b) & 1 == 0])
+"""Corners of a cell in different rows at one i, shape (12, 2)."""
 _CANDIDATES = 64
 """Different places of a neighbouring row that the nodes of a window can vote for."""
 
@@ -66,17 +68,20 @@ def copied_rows(model: LatticeModel) -> CopiedRows | None:
     twins = order[1:][np.diff(keys[order]) == 0]
     row_keys = np.unique(rows[twins])
     is_copied = np.isin(rows, row_keys)
-    layer = np.zeros(model.node_count, np.int64)
     after, before = _paths(model, is_copied)
     starts = np.flatnonzero(is_copied & (before < 0))
-    starts = starts[np.lexsort((starts, keys[starts]))]
-    # The paths of a row are numbered by where they begin.
-    by_row = np.argsort(rows[starts], kind="stable")
-    starts = starts[by_row]
-    first = np.flatnonzero(np.diff(rows[starts], prepend=-1))
-    number = np.arange(len(starts)) - np.repeat(first, np.diff(np.append(first, len(starts))))
-    _walk(starts, number, after, layer)
-    return CopiedRows(row_keys, layer)
+    path = np.full(model.node_count, -1, np.int64)
+    _walk(starts, after, path)
+    group = _grouped(model, path, rows)
+    # The layers of a row are numbered by their first paths.
+    order = np.lexsort((keys[starts], rows[starts]))
+    _, first = np.unique(group[order], return_index=True)
+    leading = order[np.sort(first)]
+    row_of = rows[starts[leading]]
+    number = np.arange(len(leading)) - np.searchsorted(row_of, row_of)
+    layer_of_group = np.zeros(len(starts), np.int64)
+    layer_of_group[group[leading]] = number
+    return CopiedRows(row_keys, np.where(is_copied, layer_of_group[group[path]], 0))
 
 
 def _paths(model: LatticeModel, is_copied: Bool) -> tuple[Int64, Int64]:
@@ -101,13 +106,94 @@ def _match(lower, higher, after, before):
 
 
 @kernel
-def _walk(starts, number, after, layer):
+def _walk(starts, after, path):
     """Give the nodes of each path its number."""
-    for path in range(len(starts)):
-        node = starts[path]
+    for number in range(len(starts)):
+        node = starts[number]
         while node >= 0:
-            layer[node] = number[path]
+            path[node] = number
             node = after[node]
+
+
+def _grouped(model: LatticeModel, path: Int64, rows: Int64) -> Int64:
+    """Number of the run that each path lies in: that of its first path, shape (path_count,).
+
+    Those that have most neighbours in common come together first, so that a window finds all of its neighbours at one
+    distance.
+    """
+    path_count = int(path.max()) + 1
+    # A row without copies counts as one path.
+    _, row = np.unique(rows, return_inverse=True)
+    element = np.where(path >= 0, path, path_count + row)
+    corners = model.cell_corners[(path[model.cell_corners] >= 0).any(axis=1)]
+    a, b = _BESIDE.T
+    pairs = np.stack([element[corners[:, a]].ravel(), element[corners[:, b]].ravel()], axis=1)
+    pairs = np.concatenate([pairs, pairs[:, ::-1]])
+    pairs = pairs[pairs[:, 1] < path_count]
+    keys, weight = np.unique(pairs[:, 0] * path_count + pairs[:, 1], return_counts=True)
+    middle, side = keys // path_count, keys % path_count
+    # Sides of one middle that lie in one row follow each other.
+    row_of_path = np.zeros(path_count, np.int64)
+    row_of_path[path[path >= 0]] = row[path >= 0]
+    order = np.lexsort((side, row_of_path[side], middle))
+    middle, side, weight = middle[order], side[order], weight[order]
+    couples = np.empty((_couple(middle, side, weight, row_of_path, np.empty((0, 3), np.int64)), 3), np.int64)
+    _couple(middle, side, weight, row_of_path, couples)
+    i = model.node_index[:, 0].astype(np.int64)
+    low, high = np.full(path_count, np.iinfo(np.int64).max), np.full(path_count, np.iinfo(np.int64).min)
+    np.minimum.at(low, path[path >= 0], i[path >= 0])
+    np.maximum.at(high, path[path >= 0], i[path >= 0])
+    one, other, common = couples.T
+    gap = np.maximum(low[one], low[other]) - np.minimum(high[one], high[other])
+    couples = couples[np.lexsort((other, one, -common, gap))]
+    couples = couples[np.sort(gap) <= 8]
+    group = np.arange(path_count)
+    _group(couples, low, high, group)
+    return group
+
+
+@kernel
+def _couple(middle, side, weight, row_of_path, couples):
+    """Count the pairs of sides in one row with one middle, and write them with their lesser weight, as there is room."""
+    count = 0
+    for first in range(len(middle)):
+        for second in range(first + 1, len(middle)):
+            if middle[second] != middle[first] or row_of_path[side[second]] != row_of_path[side[first]]:
+                break
+            if count < len(couples):
+                couples[count, 0], couples[count, 1] = side[first], side[second]
+                couples[count, 2] = min(weight[first], weight[second])
+            count += 1
+    return count
+
+
+@kernel
+def _group(couples, low, high, group):
+    """Bring paths together, couple by couple, where none of their groups' paths overlap."""
+    following = np.full(len(low), -1, np.int64)
+    for number in range(len(couples)):
+        one, other = group[couples[number, 0]], group[couples[number, 1]]
+        if one == other:
+            continue
+        one, other = min(one, other), max(one, other)
+        overlaps = False
+        last = one
+        here = one
+        while here >= 0:
+            there = other
+            while there >= 0:
+                if low[here] <= high[there] and low[there] <= high[here]:
+                    overlaps = True
+                there = following[there]
+            last = here
+            here = following[here]
+        if overlaps:
+            continue
+        following[last] = other
+        here = other
+        while here >= 0:
+            group[here] = one
+            here = following[here]
 
 
 def vote_for_rows(
