@@ -102,10 +102,8 @@ class GhostArrays(NamedTuple):
     """Where their ghosts begin, and the last end, shape (ghosted_count + 1,)."""
     ghost_number: Int64
     """Numbers of their ghosts, shape (irregular_count * 8,)."""
-    cell_first: Int64
-    """Where their cells begin, and the last end, shape (ghosted_count + 1,)."""
-    cell_place: Int64
-    """Lane of each of their cells, and number of the corner that the node is, shape (any, 2)."""
+    cell_lane: Int64
+    """Lane of each ghost's cell, by the cell and then the corner, shape (irregular_count * 8,)."""
 
 
 class CellWork(NamedTuple):

@@ -1,7 +1,7 @@
 """Ghosts in the CPU kernel: the corners of irregular cells, in lanes of their own.
 
 A ghost goes where its node goes, and what acts on it acts on its node. So the cells of their windows are worked out as
-all others are. What differs is the mean strain around a node: it is taken over all its cells, wherever they lie.
+all others are. What differs is the mean strain around a node that has ghosts: their cells are added to it one by one.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from heartcase.simulator.lattice.model import LatticeModel
 
 __all__ = [
     "add_ghost_forces",
+    "add_ghosts_to_mean",
     "clear_ghost_forces",
     "follow_nodes",
     "ghost_arrays",
-    "mean_around_ghosts",
     "share_with_ghosts",
 ]
 
@@ -36,11 +36,6 @@ def ghost_arrays(model: LatticeModel, cells: CellLayout) -> GhostArrays:
     place = np.full(model.node_count, -1)
     place[ghosted] = np.arange(len(ghosted))
     by_node = np.argsort(place[nodes], kind="stable")
-    used = np.flatnonzero((place[model.cell_corners] >= 0).any(axis=1)) if len(ghosted) else np.zeros(0, np.int64)
-    corners = place[model.cell_corners[used]].ravel()
-    cell, corner = np.repeat(used, 8), np.tile(np.arange(8), len(used))
-    is_ghosted = corners >= 0
-    by_place = np.flatnonzero(is_ghosted)[np.argsort(corners[is_ghosted], kind="stable")]
     count = len(ghosted)
     return GhostArrays(
         first_window=cells.ghost_window,
@@ -50,8 +45,7 @@ def ghost_arrays(model: LatticeModel, cells: CellLayout) -> GhostArrays:
         node_lane=layout.node_lane[ghosted],
         ghost_first=np.searchsorted(place[nodes][by_node], np.arange(count + 1)),
         ghost_number=by_node,
-        cell_first=np.searchsorted(corners[by_place], np.arange(count + 1)),
-        cell_place=np.stack([cells.cell_lane[cell[by_place]], corner[by_place]], axis=1),
+        cell_lane=np.repeat(cells.cell_lane[layout.irregular_cells], 8),
     )
 
 
@@ -85,18 +79,19 @@ def add_ghost_forces(force: Float32, window: int, ghosts: GhostArrays) -> None:
 
 
 @kernel
-def mean_around_ghosts(window: int, sharing: SharingArrays, ghosts: GhostArrays) -> None:
-    """Write the mean gradient around the nodes of a window that have ghosts, where their stress will be."""
+def add_ghosts_to_mean(window: int, sharing: SharingArrays, ghosts: GhostArrays) -> None:
+    """Add the gradients of irregular cells to the means around a window's nodes, which lie where their stress will."""
     gradient, shares, mean = sharing.gradient, sharing.shares, sharing.stress
     for node in range(ghosts.node_first[window], ghosts.node_first[window + 1]):
         lane = ghosts.node_lane[node]
         inverse = gradient[SHARE_NUMBERS * BANK_LANES + lane]
-        for number in range(SHARE_NUMBERS):
-            total = np.float32(0)
-            for place in range(ghosts.cell_first[node], ghosts.cell_first[node + 1]):
-                cell, corner = ghosts.cell_place[place]
-                total += shares[corner * BANK_LANES + cell] * gradient[number * BANK_LANES + cell]
-            mean[number * BANK_LANES + lane] = total * inverse
+        for place in range(ghosts.ghost_first[node], ghosts.ghost_first[node + 1]):
+            ghost = ghosts.ghost_number[place]
+            cell = ghosts.cell_lane[ghost]
+            share = inverse * shares[ghost % 8 * BANK_LANES + cell]
+            if share > 0:
+                for number in range(SHARE_NUMBERS):
+                    mean[number * BANK_LANES + lane] += share * gradient[number * BANK_LANES + cell]
 
 
 @kernel

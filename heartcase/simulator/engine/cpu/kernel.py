@@ -44,9 +44,9 @@ from heartcase.simulator.engine.cpu.cells import (
 from heartcase.simulator.engine.cpu.chunks import ChunkArrays, share_out
 from heartcase.simulator.engine.cpu.ghosts import (
     add_ghost_forces,
+    add_ghosts_to_mean,
     clear_ghost_forces,
     follow_nodes,
-    mean_around_ghosts,
     share_with_ghosts,
 )
 from heartcase.simulator.engine.cpu.instruments import Constants, keep_window_outside, pull_explicitly
@@ -147,7 +147,7 @@ def _share_strain(thread: int, thread_count: int, rows: Int64, work: CellWork, c
             mean_stress_of_window(sharing.gradient, sharing.shares, sharing.stress, cells.law, rows, place)
         else:
             mean_of_window(sharing.gradient, sharing.shares, sharing.stress, rows, place)
-            mean_around_ghosts(place, sharing, ghosts)
+            add_ghosts_to_mean(place, sharing, ghosts)
             stress_of_window(sharing.stress, cells.law, rows, place)
             share_with_ghosts(place, sharing, ghosts)
 
