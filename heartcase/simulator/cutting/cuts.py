@@ -1,0 +1,79 @@
+"""All that was cut of a lattice: the uncut lattice, the sheets, and what they leave."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from heartcase.schemas.arrays import Int32, Int64
+from heartcase.simulator.cutting.blade_sheet import Sheet
+from heartcase.simulator.cutting.descent import nodes_before, nodes_now
+from heartcase.simulator.cutting.parted_lattice import PartedLattice, part
+from heartcase.simulator.cutting.tissue_samples import TissueSamples
+from heartcase.simulator.lattice.explicit_springs import ExplicitSprings
+from heartcase.simulator.lattice.model import LatticeModel
+from heartcase.simulator.lattice.state import State
+
+__all__ = ["Cuts", "Step"]
+
+
+@dataclass(frozen=True)
+class Step:
+    """From one lattice to the next, which was cut further."""
+
+    node_before: Int32
+    """Node of the lattice before that each node lies and goes with, shape (node_count,)."""
+    node_now: Int64
+    """Of the nodes that come from each node before, the heaviest, shape (node_count before,)."""
+
+    def carried(self, state: State) -> State:
+        """A state of the lattice before: copies lie, and go, where their node does."""
+        origin = self.node_before
+        return State(state.displacement[origin], state.velocity[origin], state.step_count)
+
+    def joined(self, springs: ExplicitSprings) -> ExplicitSprings:
+        """Explicit springs of the lattice before, which hold on to the heaviest copies of their nodes."""
+        return replace(springs, nodes=self.node_now[springs.nodes].astype(np.int32))
+
+    def held(self, nodes: Int64) -> tuple[Int64, Int64]:
+        """Nodes that come from some nodes before, ascending, and the place of that node among those given."""
+        number = np.full(len(self.node_now), -1)
+        number[nodes] = np.arange(len(nodes))
+        place = number[self.node_before]
+        held = np.flatnonzero(place >= 0)
+        return held, place[held]
+
+
+@dataclass(frozen=True)
+class Cuts:
+    """What was cut, all of it: the same sheets, in any order, give the same lattice."""
+
+    uncut: LatticeModel
+    """The lattice before any cut, without explicit springs."""
+    tissue: TissueSamples
+    """Samples of its tissue."""
+    sheets: tuple[Sheet, ...] = ()
+    """What blades swept, at rest."""
+    parted: PartedLattice | None = None
+    """What they leave; None where there are none."""
+
+    @property
+    def model(self) -> LatticeModel:
+        """The lattice that is left, without explicit springs."""
+        return self.uncut if self.parted is None else self.parted.model
+
+    def with_sheet(self, sheet: Sheet) -> tuple[Cuts, Step]:
+        """One more sheet, and how nodes go over.
+
+        Raises
+        ------
+        SimulationError
+            Springs of the lattice were removed.
+        """
+        sheets = (*self.sheets, sheet)
+        parted = part(self.uncut, sheets, self.tissue)
+        before = nodes_before(self.uncut, self.parted, parted)
+        step = Step(before, nodes_now(self.uncut, self.parted, parted, before))
+        return replace(self, sheets=sheets, parted=parted), step
+

@@ -1,0 +1,86 @@
+"""From one cut to the next: which node each node of a lattice comes from that was cut further."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from heartcase.schemas.arrays import Bool, Int32, Int64
+from heartcase.simulator.cutting.parted_lattice import PartedLattice
+from heartcase.simulator.cutting.piece_kernels import SAMPLE_COUNT
+from heartcase.simulator.lattice.model import LatticeModel
+
+__all__ = ["nodes_before", "nodes_now"]
+
+
+def nodes_before(uncut: LatticeModel, before: PartedLattice | None, now: PartedLattice) -> Int32:
+    """Node of the lattice before that each node now lies and goes with, shape (node_count,).
+
+    Of the copies that its node had, it is the one to which most of its tissue hung.
+
+    Parameters
+    ----------
+    uncut
+        The lattice before any cut.
+    before
+        What was made of it before; None where nothing had been cut.
+    now
+        What is made of it now.
+    """
+    if before is None:
+        return now.node_origin
+    result = now.node_origin.copy()
+    was_copied = np.zeros(uncut.node_count, np.bool_)
+    was_copied[before.node_origin[uncut.node_count :]] = True
+    new, old, size = _overlaps(uncut, before, now, was_copied)
+    new_node, old_node = now.model.cell_corners[new].ravel(), before.model.cell_corners[old].ravel()
+    asks = was_copied[now.node_origin[new_node]]
+    pairs = new_node[asks].astype(np.int64) * before.model.node_count + old_node[asks]
+    keys, number = np.unique(pairs, return_inverse=True)
+    votes = np.bincount(number, np.repeat(size, 8)[asks])
+    node, choice = keys // before.model.node_count, keys % before.model.node_count
+    order = np.lexsort((choice, -votes, node))
+    first = order[np.diff(node[order], prepend=-1) != 0]
+    result[node[first]] = choice[first]
+    return result
+
+
+def nodes_now(uncut: LatticeModel, before: PartedLattice | None, now: PartedLattice, node_before: Int32) -> Int64:
+    """The heaviest of the nodes now that come from each node before, shape (node count before,).
+
+    Where none does, the heaviest of the copies that its node has now.
+    """
+    origin = np.arange(uncut.node_count) if before is None else before.node_origin
+    lightest_first = np.argsort(now.model.node_mass, kind="stable")
+    heaviest = np.zeros(uncut.node_count, np.int64)
+    heaviest[now.node_origin[lightest_first]] = lightest_first
+    result: Int64 = heaviest[origin]
+    result[node_before[lightest_first]] = lightest_first
+    return result
+
+
+def _overlaps(
+    uncut: LatticeModel, before: PartedLattice, now: PartedLattice, was_copied: Bool
+) -> tuple[Int64, Int64, Int64]:
+    """Pairs of a cell now and a cell before in one place, and how many samples they have in common."""
+    cells = np.flatnonzero(was_copied[uncut.cell_corners].any(axis=1))
+    new, old = _cell_of_samples(uncut, now, cells), _cell_of_samples(uncut, before, cells)
+    both = (new >= 0) & (old >= 0)
+    keys, size = np.unique(new[both] * before.model.cell_count + old[both], return_counts=True)
+    return keys // before.model.cell_count, keys % before.model.cell_count, size
+
+
+def _cell_of_samples(uncut: LatticeModel, parted: PartedLattice, cells: Int64) -> Int64:
+    """Cell of a lattice that each sample of some uncut cells lies in, -1 where there is no tissue, (count, SAMPLES^3).
+
+    All samples of cells that no sheet came near count as tissue.
+    """
+    pieces = parted.pieces
+    result = np.repeat(cells[:, None], SAMPLE_COUNT, axis=1)
+    place = np.minimum(np.searchsorted(pieces.cells, cells), len(pieces.cells) - 1)
+    known = np.flatnonzero(pieces.cells[place] == cells) if len(pieces.cells) else np.zeros(0, np.int64)
+    row = place[known]
+    samples = pieces.samples[row].astype(np.int64)
+    # The first piece has the number of its cell; those of further pieces follow all uncut cells.
+    further = uncut.cell_count + (pieces.first[row] - row)[:, None] + samples - 1
+    result[known] = np.where(samples > 0, further, np.where(samples == 0, cells[known, None], -1))
+    return result
