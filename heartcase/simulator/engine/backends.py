@@ -84,10 +84,9 @@ class ReferenceEngine:
 
     def load(self, state: State) -> None:
         """Start from this state."""
-        displacement, velocity = state.displacement, state.velocity
+        self.displacement, self.velocity = state.displacement.astype(np.float64), state.velocity.astype(np.float64)
         if isinstance(state, PreciseState):
-            displacement, velocity = state.precise_displacement, state.precise_velocity
-        self.displacement, self.velocity = displacement.astype(np.float64), velocity.astype(np.float64)
+            self.displacement, self.velocity = state.precise_displacement.copy(), state.precise_velocity.copy()
         self.step_count = state.step_count
 
     def read(self) -> State:
