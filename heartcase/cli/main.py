@@ -35,6 +35,8 @@ COMMANDS: dict[str, str] = {
     "preview": "Make a picture of a scan or a case.",
     "export": "Write a case's labels, models to print and meshes.",
     "simulate": "Run a scripted session on a case.",
+    "record": "Record a scripted session on a case.",
+    "replay": "Repeat a recording, and go on from any moment of it.",
     "bench": "Measure run time against error.",
     "phantom": "Make a synthetic scan of a heart, with its truth.",
     "filter": "Stage: smooth a scan, keeping edges.",

@@ -46,7 +46,7 @@ class Deviation:
     step: int
     """Step of the recorded state."""
     distance_mm: float
-    """Furthest that a node is from where it was, mm; infinite where the lattices differ."""
+    """Furthest that a node is from where it was, mm."""
 
 
 class StoredStates(Protocol):
@@ -314,9 +314,8 @@ class OperatingSession:
 
     def forget_ahead(self) -> None:
         """Drop what is known from here on: what giving a command does."""
-        del self.entries[self.position :]
-        self._snapshots.forget_after(self.position)
-        self._stored_end = min(self._stored_end, self.position)
+        if self.position < len(self.entries):
+            self._drop_ahead(self.step_count)
 
     def load_history(self, entries: Iterable[Entry], stored: StoredStates) -> None:
         """Take over what a recording holds as what is known; the session stays at its start.
@@ -353,12 +352,18 @@ class OperatingSession:
 
     def _append(self, step: int, command: Done) -> None:
         """Put what was done into the history."""
-        part, self._on_the_way = self._on_the_way, None
         if self.position < len(self.entries):
-            self.forget_ahead()
+            self._drop_ahead(step)
+        self._write(Entry(step=step, command=command))
+
+    def _drop_ahead(self, step: int) -> None:
+        """Drop what is known from here on; where this is between the ends of a row, the row ends here, at this step."""
+        part, self._on_the_way = self._on_the_way, None
+        del self.entries[self.position :]
+        self._snapshots.forget_after(self.position)
+        self._stored_end = min(self._stored_end, self.position)
         if part is not None:
             self._write(Entry(step=step - part.steps, command=part))
-        self._write(Entry(step=step, command=command))
 
     def _write(self, entry: Entry) -> None:
         self.entries.append(entry)

@@ -14,7 +14,7 @@ from heartcase.simulator.session.stored import RecordedStates, lattice_sha256
 from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.surface.deform import PickingModel, SurfaceModel
 
-__all__ = ["load_session"]
+__all__ = ["load_session", "refuse_deviation"]
 
 
 def load_session(
@@ -93,3 +93,16 @@ def _law_of(recording: Recording) -> ForceLaw:
         return ForceLaw(**settings)
     except TypeError:
         raise RecordingError("the force law has settings that this heartcase does not know", place="law") from None
+
+
+def refuse_deviation(session: OperatingSession) -> None:
+    """RecordingError where a session that repeats a recording did not come to the same bytes."""
+    if not session.deviations:
+        return
+    first = session.deviations[0]
+    most = max(deviation.distance_mm for deviation in session.deviations)
+    raise RecordingError(
+        f"the replay is not what was recorded: from step {first.step} on it differs, by up to {first.distance_mm:.3g} "
+        f"mm there and {most:.3g} mm in all; another heartcase or another kind of processor recorded it",
+        place="replay",
+    )

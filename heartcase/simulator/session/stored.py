@@ -111,21 +111,24 @@ class RecordedStates:
         return snapshot_from(self._recording.state_bytes(position), self._model_at(position))
 
     def deviation(self, position: int, simulation: Simulation) -> Deviation | None:
-        """How the simulation, being there, differs from what was stored; None where it does not, or nothing was."""
+        """How the simulation, being there, differs from what was stored; None where it does not, or nothing was.
+
+        Raises
+        ------
+        RecordingError
+            The file of the state is damaged, or of another lattice.
+        """
         if position not in self._recording.states:
             return None
-        step = self._recording.states[position].step
-        arrays, now = load(self._recording.state_bytes(position)), simulation.state
-        then = arrays.get("displacement", np.zeros((0, 3), np.float32))
-        if then.shape != now.displacement.shape:
-            return Deviation(step, float("inf"))
-        same = [np.array_equal(arrays[name], getattr(now, name)) for name in ("displacement", "velocity")]
-        if isinstance(now, PreciseState) and _PRECISE[0] in arrays:
-            same += [np.array_equal(arrays[name], getattr(now, name)) for name in _PRECISE]
+        then = snapshot_from(self._recording.state_bytes(position), simulation.model).state
+        now = simulation.state
+        same = [np.array_equal(getattr(then, name), getattr(now, name)) for name in ("displacement", "velocity")]
+        if isinstance(now, PreciseState) and isinstance(then, PreciseState):
+            same += [np.array_equal(getattr(then, name), getattr(now, name)) for name in _PRECISE]
         if all(same):
             return None
-        apart = np.linalg.norm(now.displacement.astype(float) - then, axis=1).max()
-        return Deviation(step, float(apart) * simulation.model.cell_mm)
+        apart = np.linalg.norm(now.displacement.astype(float) - then.displacement, axis=1).max()
+        return Deviation(self._recording.states[position].step, float(apart) * simulation.model.cell_mm)
 
     def _model_at(self, position: int) -> LatticeModel:
         """The lattice where so many entries are done."""
