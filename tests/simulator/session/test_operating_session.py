@@ -58,7 +58,7 @@ def test_going_back_and_on_again_gives_the_same_bytes(backend, data):
         if isinstance(command, NAVIGATION):
             assert fingerprint(session.simulation) == known[session.position]
         else:
-            known = {at: found for at, found in known.items() if at < session.position}
+            known = {at: found for at, found in known.items() if at <= place}
             known[session.position] = fingerprint(session.simulation)
     session.forget_ahead()
     end = fingerprint(session.simulation)
