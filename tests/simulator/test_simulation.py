@@ -219,6 +219,8 @@ def test_a_snapshot_brings_back_instruments_as_they_were(backend):
     for _ in range(2):
         simulation.step(20)
         ends.append((simulation.state.displacement.tobytes(), simulation.state.velocity.tobytes()))
+        simulation.lead(hand, (0.0, 0.0, 0.0))
+        simulation.move(probe, (10.0, 5.0, 12.0))
         simulation.release(hand)
         simulation.withdraw(probe)
         other = simulation.grab((11.0, 4.0, 8.0), 3.0, name="other")

@@ -123,12 +123,13 @@ def simulation_of(case: Case, script: SimulationScript, *, backend: Backend, sle
 @contextmanager
 def session_bar(words: str, seconds: float) -> Iterator[Callable[[float], None]]:
     """A progress bar in simulated time, shown once it is worth showing; what it gives is told the time in s."""
+    console = Console(stderr=True)
     progress = Progress(
         TextColumn(words),
         BarColumn(),
         TextColumn("{task.completed:.2f} of {task.total:.2f} s"),
         TimeRemainingColumn(),
-        console=Console(stderr=True),
+        console=console,
         transient=True,
     )
     task = progress.add_task("", total=seconds)
@@ -136,10 +137,11 @@ def session_bar(words: str, seconds: float) -> Iterator[Callable[[float], None]]
 
     def update(time_s: float) -> None:
         progress.update(task, completed=time_s)
-        if time.perf_counter() - started > QUIET_SECONDS:
+        if console.is_terminal and time.perf_counter() - started > QUIET_SECONDS:
             progress.start()
 
     try:
         yield update
     finally:
-        progress.stop()
+        if progress.live.is_started:
+            progress.stop()

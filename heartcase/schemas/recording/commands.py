@@ -47,7 +47,7 @@ _Node = Annotated[int, Field(ge=0)]
 
 
 class CloseGrab(Model):
-    """Close a hand on the tissue in a ball (:meth:`heartcase.simulator.simulation.Simulation.grab`)."""
+    """Close a hand on the tissue in a ball; it holds what can be reached along springs inside."""
 
     kind: Literal["close_grab"] = "close_grab"
     """Which command."""
@@ -117,7 +117,7 @@ class WithdrawProbe(Model):
 
 
 class AddSprings(Model):
-    """Join nodes by explicit springs (:meth:`heartcase.simulator.simulation.Simulation.add_springs`)."""
+    """Join nodes by explicit springs."""
 
     kind: Literal["add_springs"] = "add_springs"
     """Which command."""

@@ -33,7 +33,7 @@ from tests.simulator.lattices import block
 CELL_MM = 2.0
 SIZE = (6, 4, 4)
 QUARTER = ((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
-NAMES = st.sampled_from(["left", "right", "tip"])
+NAMES = st.sampled_from(["left", "tip"])
 
 
 def block_model(law: str = "springs", size=SIZE):
@@ -89,8 +89,9 @@ def points(low: float = -2.0, high: float = 14.0):
 def commands(node_count: int = 7 * 5 * 5):
     """Commands that may be done, or refused."""
     node = st.integers(0, node_count)
+    inside = st.tuples(st.sampled_from([2.0, 6.0, 10.0]), st.sampled_from([2.0, 6.0]), st.sampled_from([5.0, 8.0]))
     motion = st.one_of(
-        st.builds(LeadGrab, name=NAMES, offset_mm=points(-2.0, 2.0), turn=st.sampled_from([None, QUARTER])),
+        st.builds(LeadGrab, name=st.just("left"), offset_mm=points(-2.0, 2.0), turn=st.sampled_from([None, QUARTER])),
         st.builds(MoveProbe, name=NAMES, center_mm=points(0.0, 12.0)),
         st.builds(Advance, steps=st.integers(1, 30)),
         st.builds(Advance, steps=st.integers(1, 30)),
@@ -99,9 +100,10 @@ def commands(node_count: int = 7 * 5 * 5):
         st.just(Halt()),
     )
     acts = st.one_of(
-        st.builds(CloseGrab, name=NAMES, center_mm=points(), radius_mm=st.floats(1.0, 4.0)),
+        st.builds(CloseGrab, name=NAMES, center_mm=inside, radius_mm=st.floats(1.5, 4.0)),
+        st.builds(CloseGrab, name=st.just("left"), center_mm=inside | points(), radius_mm=st.floats(1.5, 4.0)),
         st.builds(OpenGrab, name=NAMES),
-        st.builds(BringProbe, name=NAMES, center_mm=points(), semi_axes_mm=st.just((1.5, 2.0, 1.5))),
+        st.builds(BringProbe, name=st.just("tip"), center_mm=points(), semi_axes_mm=st.just((1.5, 2.0, 1.5))),
         st.builds(WithdrawProbe, name=NAMES),
         st.builds(
             AddSprings,
