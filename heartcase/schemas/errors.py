@@ -12,6 +12,7 @@
     ├── BundleError             a case bundle is broken, or cannot be written
     ├── ScriptError             a simulation script is wrong
     ├── SimulationError         the simulation was asked for, or came to, something impossible
+    ├── RecordingError          a recording is broken, of another case, or does not repeat what it recorded
     ├── MissingExtraError       an optional part of heartcase is not installed
     └── UnsupportedVersionError a library is of a version that was not tested
 
@@ -38,6 +39,7 @@ __all__ = [
     "ModelProblems",
     "Problem",
     "RecipeError",
+    "RecordingError",
     "ScanError",
     "ScriptError",
     "SimulationError",
@@ -142,6 +144,10 @@ class ScriptError(HeartcaseError):
 
 class SimulationError(HeartcaseError):
     """The simulation was asked for, or came to, something impossible."""
+
+
+class RecordingError(HeartcaseError):
+    """A recording is broken, of another case, or does not repeat what it recorded; or a command is none."""
 
 
 class MissingExtraError(HeartcaseError):

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +18,12 @@ from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import Problem, ScriptError, SimulationError, problems_from_validation
 from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.migrate import SCRIPT
+from heartcase.schemas.recording.commands import Advance, CloseGrab, LeadGrab, OpenGrab
 from heartcase.schemas.script import GrabAction, SimulationScript, Waypoint
 from heartcase.simulator.dynamics.integrate import Energy
 from heartcase.simulator.instruments.grab import Grab
 from heartcase.simulator.lattice.model import LatticeModel
+from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.surface.deform import SurfaceModel
 
@@ -198,7 +202,7 @@ def default_script(
 
 
 def run_script(
-    simulation: Simulation,
+    simulation: Simulation | OperatingSession,
     script: SimulationScript,
     *,
     on_frame: Callable[[Simulation, float], None] | None = None,
@@ -208,19 +212,24 @@ def run_script(
     Parameters
     ----------
     simulation
-        Made with the script's step, damping and gravity.
+        Made with the script's step, damping and gravity; or the session that operates on it, whose history then holds
+        what the script did. Instruments that are in the tissue already stay where they are.
     script
-        Its actions have positions (see :func:`with_positions`). A hand goes in straight lines from where it closes
+        Its actions have positions (see :func:`with_positions`). A hand goes in straight lines from where it closed
         through the waypoints.
     on_frame
-        Called after every frame, and before the first, with the simulation and the simulated time in s. What it takes
-        is not counted as the session's wall time.
+        Called after every frame, and before the first, with the simulation and the simulated time since then in s. What
+        it takes is not counted as the session's wall time.
 
     Raises
     ------
     SimulationError
         A grab finds no tissue, or the simulation broke down.
     """
+    if isinstance(simulation, OperatingSession):
+        session, simulation = simulation, simulation.simulation
+    else:
+        session = OperatingSession(simulation, snapshot_every_s=inf)
     step_s = simulation.step_s
     step_total = max(1, round(script.seconds / step_s))
     if step_total > STEP_COUNT_MAX:
@@ -234,9 +243,7 @@ def run_script(
     timelines = [_timeline(action, step_s, step_total) for action in script.actions]
     stops = sorted(frames | {stop for timeline in timelines for stop in _stops(timeline, step_total)})
 
-    hands: dict[int, Grab] = {}
-    peak = dict.fromkeys((action.name for action in script.actions), 0.0)
-    held = dict.fromkeys(peak, 0)
+    hands = _Hands(session, timelines)
     furthest, inverted = 0.0, 0
     times, energies = [0.0], [simulation.energy()]
     wall = 0.0
@@ -246,15 +253,12 @@ def run_script(
     now = 0
     for stop in stops:
         started = time.perf_counter()
-        _change_hands(simulation, timelines, hands, held, now)
-        for number, grab in hands.items():
-            simulation.lead(grab, timelines[number].offset_at(stop))
-        simulation.step(stop - now)
+        hands.change(now)
+        hands.lead(stop)
+        session.do(Advance(steps=stop - now))
         now = stop
         if stop in frames:
-            for number, grab in hands.items():
-                name = timelines[number].action.name
-                peak[name] = max(peak[name], float(np.linalg.norm(simulation.force_on(grab))))
+            hands.feel()
             if simulation.surface is not None:
                 simulation.surface_now()
         wall += time.perf_counter() - started
@@ -281,11 +285,64 @@ def run_script(
         displacement_end_mm=_furthest(simulation),
         inverted_cell_count_max=inverted,
         inverted_cell_count_end=simulation.inverted_cell_count(),
-        peak_force_n=peak,
-        held_node_count=held,
+        peak_force_n=hands.peak_force_n,
+        held_node_count=hands.held_node_count,
         frame_time_s=tuple(times),
         frame_energy=tuple(energies),
     )
+
+
+class _Hands:
+    """The hands of a script: what they are told, and what they felt."""
+
+    def __init__(self, session: OperatingSession, timelines: list[_Timeline]) -> None:
+        self.session = session
+        self.timelines = timelines
+        self.names: dict[int, str] = {}
+        """Number of each action whose hand is closed -> the hand's own name in the session."""
+        self.peak_force_n = dict.fromkeys((timeline.action.name for timeline in timelines), 0.0)
+        self.held_node_count = dict.fromkeys(self.peak_force_n, 0)
+        self._offset: dict[int, tuple[float, ...]] = {}
+
+    def change(self, now: int) -> None:
+        """Let go and close what is due at this step; first let go, so that one hand can take over from another."""
+        for number, timeline in enumerate(self.timelines):
+            if number in self.names and now >= timeline.end:
+                self.session.do(OpenGrab(name=self.names.pop(number)))
+        for number, timeline in enumerate(self.timelines):
+            if now == timeline.start and now < timeline.end:
+                action = timeline.action
+                if action.position_mm is None:
+                    raise SimulationError(f"the landmark {action.landmark!r} has no position yet", place=action.name)
+                name = self._free_name(action.name)
+                self.session.do(CloseGrab(name=name, center_mm=action.position_mm, radius_mm=action.radius_mm))
+                self.names[number] = name
+                self._offset[number] = (0.0, 0.0, 0.0)
+                self.held_node_count[action.name] += len(self._grab(number).nodes)
+
+    def lead(self, stop: int) -> None:
+        """Lead each hand to where it shall be at a step; one that is led there already is left alone."""
+        for number, name in self.names.items():
+            x, y, z = self.timelines[number].offset_at(stop).tolist()
+            if (x, y, z) != self._offset[number]:
+                self.session.do(LeadGrab(name=name, offset_mm=(x, y, z)))
+                self._offset[number] = (x, y, z)
+
+    def feel(self) -> None:
+        """Keep the highest force on each."""
+        for number in self.names:
+            name = self.timelines[number].action.name
+            force = float(np.linalg.norm(self.session.simulation.force_on(self._grab(number))))
+            self.peak_force_n[name] = max(self.peak_force_n[name], force)
+
+    def _grab(self, number: int) -> Grab:
+        return next(grab for grab in self.session.simulation.grabs if grab.name == self.names[number])
+
+    def _free_name(self, name: str) -> str:
+        """The name, or with a number where another hand of it is in the tissue."""
+        taken = {instrument.name for instrument in self.session.simulation.instruments}
+        candidates = (name if count == 1 else f"{name[:56]} {count}" for count in itertools.count(1))
+        return next(candidate for candidate in candidates if candidate not in taken)
 
 
 def _timeline(action: GrabAction, step_s: float, step_total: int) -> _Timeline:
@@ -303,22 +360,6 @@ def _timeline(action: GrabAction, step_s: float, step_total: int) -> _Timeline:
 def _stops(timeline: _Timeline, step_total: int) -> Iterator[int]:
     """Steps at which a hand closes, turns or lets go."""
     yield from (stop for stop in (*timeline.steps, timeline.end) if 0 < stop < step_total)
-
-
-def _change_hands(
-    simulation: Simulation, timelines: list[_Timeline], hands: dict[int, Grab], held: dict[str, int], now: int
-) -> None:
-    """Let go and close what is due at this step; first let go, so that one hand can take over from another."""
-    for number, timeline in enumerate(timelines):
-        if number in hands and now >= timeline.end:
-            simulation.release(hands.pop(number))
-    for number, timeline in enumerate(timelines):
-        if now == timeline.start and now < timeline.end:
-            action = timeline.action
-            if action.position_mm is None:
-                raise SimulationError(f"the landmark {action.landmark!r} has no position yet", place=action.name)
-            hands[number] = simulation.grab(action.position_mm, action.radius_mm, name=action.name)
-            held[action.name] += len(hands[number].nodes)
 
 
 def _furthest(simulation: Simulation) -> float:

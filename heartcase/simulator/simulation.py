@@ -19,8 +19,10 @@ from heartcase.simulator.engine.shared.contact import NO_PROBES, probe_row
 from heartcase.simulator.instruments.grab import Grab, close_grab, pose_of, require_grab
 from heartcase.simulator.instruments.placing import is_point, point_in_lattice
 from heartcase.simulator.instruments.probe import Probe, make_probe
+from heartcase.simulator.instruments.wrench import Wrench, wrench_on
 from heartcase.simulator.lattice.model import LatticeModel
-from heartcase.simulator.lattice.state import Snapshot, State
+from heartcase.simulator.lattice.state import State
+from heartcase.simulator.snapshot import Snapshot
 from heartcase.simulator.surface.deform import DeformedSurface, PickingModel, SurfaceModel
 from heartcase.simulator.surface.followers import SurfaceFollower
 from heartcase.simulator.watchdog import Watch, find_runaway, find_trouble, watch
@@ -91,6 +93,10 @@ class Simulation:
             raise SimulationError(message, place="damping_per_s")
         if not 0.0 <= sleep_mm < np.inf:
             raise SimulationError(f"a movement of {sleep_mm} mm cannot be left out: give 0 or more", place="sleep_mm")
+        self.damping_per_s = float(damping_per_s)
+        self.gravity_m_s2 = (float(gravity_m_s2[0]), float(gravity_m_s2[1]), float(gravity_m_s2[2]))
+        self.backend = backend
+        self.sleep_mm = float(sleep_mm)
         self.grabs: list[Grab] = []
         self.probes: list[Probe] = []
         units = model.units
@@ -126,6 +132,11 @@ class Simulation:
         return self._state
 
     @property
+    def instruments(self) -> tuple[Grab | Probe, ...]:
+        """Hands that hold, then probes."""
+        return (*self.grabs, *self.probes)
+
+    @property
     def step_count(self) -> int:
         """Steps taken."""
         return self._engine.step_count
@@ -154,13 +165,17 @@ class Simulation:
             self._surface_on_device()
 
     def snapshot(self) -> Snapshot:
-        """What :meth:`restore` goes back to: the state, and what was cut and joined by now. It copies nothing twice."""
-        return Snapshot(self.model, self.state)
+        """What :meth:`restore` goes back to: the state, what was cut and joined by now, and the instruments.
+
+        It copies nothing twice.
+        """
+        return Snapshot.of(self.model, self.state, self.instruments)
 
     def restore(self, point: State | Snapshot) -> None:
-        """Go back, or on, to a snapshot, or to a state alone: then springs stay as they are now.
+        """Go back, or on, to a snapshot: what follows gives the same bytes as it gave then.
 
-        Hands that hold now let go, and probes are withdrawn.
+        Instruments of that moment hold what they held, where they were, and go on to where they were led; others let
+        go and are withdrawn. To a state alone: springs stay as they are now, and all instruments let go.
 
         Raises
         ------
@@ -168,16 +183,19 @@ class Simulation:
             The snapshot, or the state, is of another lattice, or its springs are too stiff for the step. Nothing has
             changed.
         """
-        model, state = (point.model, point.state) if isinstance(point, Snapshot) else (self.model, point)
+        if not isinstance(point, Snapshot):
+            point = Snapshot(self.model, point)
+        model, state = point.model, point.state
         if len(state.displacement) != self.model.node_count or not model.is_of_lattice(self.model):
             raise SimulationError("this is of another lattice: restore what this simulation gave", place="restore")
         if model is not self.model:
             checked_step(model, self.step_s)
             self._set_model(model)
-        self.grabs.clear()
-        self.probes.clear()
+        instruments = [kept.put_back() for kept in point.instruments]
+        self.grabs = [instrument for instrument in instruments if isinstance(instrument, Grab)]
+        self.probes = [instrument for instrument in instruments if isinstance(instrument, Probe)]
         self._engine.load(state)
-        self._engine.set_inverse_mass(self._inverse_mass)
+        self._hold()
         self._state = None
 
     def step(self, step_count: int = 1) -> None:
@@ -379,15 +397,13 @@ class Simulation:
 
         What a user feels: a hand that pulls to the left is pulled to the right. Zero once it has let go.
         """
-        if hand not in (*self.grabs, *self.probes):
-            return np.zeros(3)
-        nodes = hand.nodes if isinstance(hand, Grab) else hand.touched(self.model, self.state.displacement)
-        if isinstance(hand, Probe):
-            for grab in self.grabs:
-                nodes = np.setdiff1d(nodes, grab.nodes, assume_unique=True)
-        pull = self._engine.forces(nodes).sum(axis=0, dtype=np.float64)
-        force: Float64 = pull @ self.model.geometry.direction_matrix.T * self.model.units.force_n
-        return force
+        return self.wrench_on(hand).force_n
+
+    def wrench_on(self, hand: Grab | Probe) -> Wrench:
+        """Force and torque that the tissue exerts on a hand now, about its centre; zero once it has let go."""
+        if hand not in self.instruments:
+            return Wrench(np.zeros(3), np.zeros(3))
+        return wrench_on(self.model, self.state.displacement, hand, self.grabs, self._engine.forces)
 
     def energy(self) -> Energy:
         """Kinetic and elastic energy now, J."""
@@ -472,7 +488,7 @@ class Simulation:
             grab.target = grab.pose
         for probe in self.probes:
             probe.target = probe.centre
-        holders = " and ".join([grab.name for grab in self.grabs] + [probe.name for probe in self.probes])
+        holders = " and ".join(instrument.name for instrument in self.instruments)
         raise SimulationError(
             f"the simulation broke down between {self.time_s:.4f} s and {ended_s:.4f} s: {trouble}"
             f"{f' with {holders} in the tissue' if holders else ''}; pull more slowly or less far, or give a "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from hashlib import sha256
@@ -130,6 +131,14 @@ MIN_THICKNESS_MM = 1.0
 """Two lines of the usual 0.4 mm nozzle and a margin; a wall that nothing supports asks as much of resin and powder."""
 
 
+RECORDED_FORMATS = (".glb", ".gif", ".mp4")
+"""What a recording can be shown as."""
+FRAMES_PER_SECOND = 15.0
+"""Frames in a second of a recording's simulated time."""
+ERROR_MM = 0.05
+"""How far a vertex of a GLB in motion may be off."""
+
+
 @dataclass(frozen=True)
 class _Made:
     """A file that is ready to be written."""
@@ -186,7 +195,19 @@ def _for_meshio(export: _Export, model: str, suffix: str) -> _Made:
     return _Made(surface_bytes(mesh, suffix), f"the surface of {_called(model)}", warnings=mesh.warnings)
 
 
-def _suffix_of(name: str) -> str:
+def _recorded(
+    case: Path, recording: Path, suffix: str, level: int, rate: float | None, error_mm: float | None
+) -> _Made:
+    """A recording in motion."""
+    from heartcase.cli.shared.recorded_film import animation_of
+
+    rate = FRAMES_PER_SECOND if rate is None else rate
+    error_mm = ERROR_MM if error_mm is None else error_mm
+    made = animation_of(recording, case, suffix, level=level, frames_per_second=rate, error_mm=error_mm)
+    return _Made(made.content, made.what, made.facts)
+
+
+def _suffix_of(name: str, recording: Path | None) -> str:
     """The ending of a file name that says its format.
 
     Raises
@@ -195,6 +216,8 @@ def _suffix_of(name: str) -> str:
         It says none.
     """
     endings = [*WRITERS, *dict.fromkeys(ending for held in MODELS.values() for ending in held)]
+    if recording is not None:
+        endings = [*RECORDED_FORMATS]
     for ending in endings:
         if name.lower().endswith(ending):
             return ending
@@ -223,6 +246,22 @@ def _problems(
         problems.append(Problem("--model", f"{suffix} holds {holds}; {model} is written as {', '.join(MODELS[model])}"))
     if min_thickness_mm is not None and suffix not in _PRINTED:
         problems.append(Problem("--min-thickness-mm", f"serves only for {', '.join(_PRINTED)}: leave it out"))
+    return problems
+
+
+def _motion_problems(
+    suffix: str, model: str | None, recording: Path | None, rate: float | None, error_mm: float | None
+) -> list[Problem]:
+    """Options that do not go with showing a recording."""
+    problems = []
+    if recording is not None and model is not None:
+        problems.append(Problem("--model", "a recording shows the hollow model: leave it out"))
+    if recording is None and rate is not None:
+        problems.append(Problem("--frames-per-second", "serves only with --recording: leave it out"))
+    if error_mm is not None and (recording is None or suffix != ".glb"):
+        problems.append(Problem("--error-mm", "serves only with --recording and .glb: leave it out"))
+    if any(number is not None and math.isnan(number) for number in (rate, error_mm)):
+        problems.append(Problem("--frames-per-second, --error-mm", "must be numbers"))
     return problems
 
 
@@ -268,6 +307,22 @@ def _problems(
     "--series",
     help="Which series of --scan, where the same scan is there twice: by its number or code in 'heartcase info'.",
 )
+@click.option(
+    "--recording",
+    type=click.Path(path_type=Path, readable=False),
+    help="A recording of CASE to show in motion, as .glb, .gif or .mp4.",
+)
+@click.option(
+    "--frames-per-second",
+    type=click.FloatRange(0.1, 120.0),
+    help=f"With --recording: frames in a second of simulated time; {FRAMES_PER_SECOND:g} when left out.",
+)
+@click.option(
+    "--error-mm",
+    type=click.FloatRange(1e-4, 10.0),
+    help=f"With --recording and .glb: how far a vertex may be off in a frame, mm; {ERROR_MM:g} when left out. "
+    "The less, the larger the file.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object about the file.")
 @working("exporting")
 def command(
@@ -278,9 +333,12 @@ def command(
     level: int,
     scan: Path | None,
     series: str | None,
+    recording: Path | None,
+    frames_per_second: float | None,
+    error_mm: float | None,
     as_json: bool,
 ) -> None:
-    """Write the labels of CASE, a model to print, or a mesh, for another program.
+    """Write the labels of CASE, a model to print, a mesh, or a recording in motion, for another program.
 
     The ending of the file says what is written; positions are patient LPS in mm. A model that is not closed is refused;
     all else that may disturb its print is a warning.
@@ -290,14 +348,17 @@ def command(
     """
     from heartcase.schemas.bundle.reader import open_bundle
 
-    suffix = _suffix_of(output.name)
-    problems = _problems(suffix, model, scan, series, min_thickness_mm, level)
+    suffix = _suffix_of(output.name, recording)
+    problems = _motion_problems(suffix, model, recording, frames_per_second, error_mm)
+    problems += _problems(suffix, model, scan, series, min_thickness_mm, 0 if recording else level)
     if problems:
         raise UsageError(problems)
     export = _Export(case, open_bundle(case), scan, series, level)
     if level:
         export.bundle.surface_role(level, place="--level")
-    if suffix in WRITERS:
+    if recording is not None:
+        made = _recorded(case, recording, suffix, level, frames_per_second, error_mm)
+    elif suffix in WRITERS:
         made = _Made(WRITERS[suffix](export), "the labels")
     else:
         model = model or next(name for name, endings in MODELS.items() if suffix in endings)

@@ -1,4 +1,4 @@
-"""``heartcase schema``: the JSON Schemas of recipe, label table, landmark, manifest and script."""
+"""``heartcase schema``: the JSON Schemas of recipe, label table, landmark, manifest, script and recording."""
 
 from __future__ import annotations
 

@@ -2,68 +2,44 @@
 
 from __future__ import annotations
 
-import math
-import time
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
-from dataclasses import replace
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import get_args
 
 import click
 import numpy as np
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
 from heartcase.cli.shared.film import Filmer, check_animation_name, check_picture_name, write_animation, write_picture
 from heartcase.cli.shared.output import echo_json
+from heartcase.cli.shared.sessions import (
+    check_numbers,
+    completed_script,
+    require_folder,
+    session_bar,
+    session_options,
+    simulation_of,
+    with_law,
+)
 from heartcase.schemas.bundle.approval import approval_state
 from heartcase.schemas.bundle.format import LEVEL_MAX
 from heartcase.schemas.errors import UsageError
-from heartcase.schemas.script import SimulationScript
 from heartcase.simulator.engine.backends import Backend
-from heartcase.simulator.lattice.force_law import RATIO_MAX, RATIO_MIN, ForceLaw, LawName
+from heartcase.simulator.lattice.force_law import LawName
 from heartcase.simulator.load import Case, load_case
-from heartcase.simulator.script import SessionSummary, default_script, load_script, run_script, with_positions
-from heartcase.simulator.simulation import SLEEP_MM, Simulation
+from heartcase.simulator.script import SessionSummary, load_script, run_script
+from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.surface.deform import DeformedSurface
 from heartcase.simulator.surface.write_surface import SURFACE_FORMATS, write_surface
 
 __all__ = ["command"]
 
-DEFAULT_SECONDS = 2.0
 FILM_FRAMES_PER_SECOND = 15.0
 """An animation takes up no more than this."""
-QUIET_SECONDS = 1.0
-"""The progress bar shows after this long."""
-
 _OUT = click.Path(path_type=Path, dir_okay=False, readable=False)
-_SECONDS = click.FloatRange(min=0.0, max=3600.0, min_open=True)
-_STEP = click.FloatRange(min=0.0, max=1.0, min_open=True)
 
 
 @click.command()
 @click.argument("case", type=click.Path(path_type=Path, readable=False))
-@click.option(
-    "--script", "script_path", type=click.Path(path_type=Path, readable=False), help="What the hands do (TOML)."
-)
-@click.option("--seconds", type=_SECONDS, help="Simulated time; the script's, or 2 without a script.")
-@click.option("--step", "step_s", type=_STEP, help="Time step in s; the case's default when left out.")
-@click.option("--backend", type=click.Choice(get_args(Backend)), default="cpu", help="Which kernel steps.")
-@click.option("--law", type=click.Choice(get_args(LawName)), default="springs", help="What resists deformation.")
-@click.option(
-    "--poissons-ratio",
-    type=click.FloatRange(RATIO_MIN, RATIO_MAX),
-    default=RATIO_MIN,
-    help="How little volume changes; the closer to 1/2, the more steps.",
-)
-@click.option(
-    "--sleep-mm",
-    type=click.FloatRange(0.0, 10.0),
-    default=SLEEP_MM,
-    show_default=True,
-    help="Movement in mm below which tissue rests and is not worked out (CPU); 0 works out all.",
-)
+@session_options
 @click.option(
     "--level", type=click.IntRange(0, LEVEL_MAX), default=0, help="Level of detail of the surface; 0 is the finest."
 )
@@ -90,29 +66,19 @@ def command(
 
     Without --script a hand pulls the tissue that is farthest from the fixed nodes outward by 10 mm, and lets go.
     """
-    if any(number is not None and math.isnan(number) for number in (seconds, step_s, poissons_ratio, sleep_mm)):
-        raise UsageError("must be numbers", place="--seconds, --step, --poissons-ratio, --sleep-mm")
+    check_numbers(seconds=seconds, step_s=step_s, poissons_ratio=poissons_ratio, sleep_mm=sleep_mm)
     _check_names(surface_out, animation, picture)
     script = load_script(script_path) if script_path is not None else None
     curvature = script.curvature if script else "flagged"
     loaded = load_case(case, needs=("surface", "colours"), curvature=curvature, level=level)
-    loaded = replace(loaded, model=loaded.model.with_law(ForceLaw(law, poissons_ratio)))
-    script = _completed(script, loaded, seconds, step_s)
-    simulation = Simulation(
-        loaded.model,
-        surface=loaded.surface,
-        step_s=script.step_s,
-        damping_per_s=script.damping_per_s,
-        gravity_m_s2=script.gravity_m_s2,
-        backend=backend,
-        sleep_mm=sleep_mm,
-    )
+    loaded = with_law(loaded, law, poissons_ratio)
+    script = completed_script(script, loaded, seconds, step_s)
+    simulation = simulation_of(loaded, script, backend=backend, sleep_mm=sleep_mm)
     case_id, approval = loaded.manifest.case_id, approval_state(case)
     film_every = max(1, round(script.frames_per_second / FILM_FRAMES_PER_SECOND)) if animation is not None else 0
-    with ExitStack() as stack:
-        camera = _filmer(loaded) if animation is not None or picture is not None else None
-        audience = _Audience(camera, film_every=film_every, wants_picture=picture is not None, case_id=case_id)
-        stack.enter_context(audience.bar(script.seconds))
+    camera = _filmer(loaded) if animation is not None or picture is not None else None
+    with session_bar("simulating", script.seconds) as tell:
+        audience = _Audience(camera, tell, film_every=film_every, wants_picture=picture is not None, case_id=case_id)
         summary = run_script(simulation, script, on_frame=audience.watch)
         shot = audience.furthest_picture()
     comment = f"heartcase {case_id}" if case_id else "heartcase"
@@ -146,8 +112,17 @@ def command(
 class _Audience:
     """What looks on while the session runs: the progress bar, the film, the picture of the furthest deformation."""
 
-    def __init__(self, camera: Filmer | None, *, film_every: int, wants_picture: bool, case_id: str | None) -> None:
+    def __init__(
+        self,
+        camera: Filmer | None,
+        tell: Callable[[float], None],
+        *,
+        film_every: int,
+        wants_picture: bool,
+        case_id: str | None,
+    ) -> None:
         self.camera = camera
+        self.tell = tell
         self.title = f"{case_id} " if case_id else ""
         self.film_every = film_every
         self.wants_picture = wants_picture
@@ -156,32 +131,10 @@ class _Audience:
         self.furthest_surface: DeformedSurface | None = None
         self.furthest_time_s = 0.0
         self.rest_surface: DeformedSurface | None = None
-        self.started = time.perf_counter()
-        self.progress = Progress(
-            TextColumn("simulating"),
-            BarColumn(),
-            TextColumn("{task.completed:.2f} of {task.total:.2f} s"),
-            TimeRemainingColumn(),
-            console=Console(stderr=True),
-            transient=True,
-        )
-        self.task: TaskID | None = None
-
-    @contextmanager
-    def bar(self, seconds: float) -> Iterator[None]:
-        """Show the progress, once it is worth showing, until the end of the block."""
-        self.task = self.progress.add_task("", total=seconds)
-        try:
-            yield
-        finally:
-            self.progress.stop()
 
     def watch(self, simulation: Simulation, time_s: float) -> None:
         """Look at a frame."""
-        if self.task is not None:
-            self.progress.update(self.task, completed=time_s)
-        if time.perf_counter() - self.started > QUIET_SECONDS:
-            self.progress.start()
+        self.tell(time_s)
         if self.camera is not None:
             if self.film_every and self.frame_number % self.film_every == 0:
                 self.camera.film(simulation.surface_now())
@@ -216,19 +169,8 @@ def _check_names(surface: Path | None, animation: Path | None, picture: Path | N
     if picture is not None:
         check_picture_name(picture)
     for path in (surface, animation, picture):
-        if path is not None and not path.absolute().parent.is_dir():
-            raise UsageError(f"the folder of {path.name} does not exist: make it first")
-
-
-def _completed(
-    script: SimulationScript | None, case: Case, seconds: float | None, step_s: float | None
-) -> SimulationScript:
-    """The script, or the default pull, with its landmarks found and what the command line changes."""
-    if script is None:
-        script = default_script(case.model, case.surface, seconds=seconds or DEFAULT_SECONDS)
-    script = with_positions(script, case.manifest.landmarks)
-    changes = {"seconds": seconds, "step_s": step_s}
-    return script.model_copy(update={key: value for key, value in changes.items() if value is not None})
+        if path is not None:
+            require_folder(path)
 
 
 def _filmer(case: Case) -> Filmer:

@@ -1,4 +1,4 @@
-"""``heartcase validate``: every problem of a case, a recipe or a simulation script."""
+"""``heartcase validate``: every problem of a case, a recipe, a simulation script or a recording."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from heartcase.schemas.bundle.approval import approval_state
 from heartcase.schemas.bundle.check import check_bundle
 from heartcase.schemas.errors import HeartcaseError, Problem
 from heartcase.schemas.recipe.recipe import Recipe, load_recipe
+from heartcase.schemas.recording.reader import check_recording, is_recording
 from heartcase.schemas.script import SimulationScript
 
 __all__ = ["command"]
@@ -25,16 +26,17 @@ __all__ = ["command"]
 @click.pass_context
 @working("checking")
 def command(ctx: click.Context, path: Path, as_json: bool) -> None:
-    """Check PATH, a case directory, a recipe (.toml) or a simulation script (.toml), and list every problem.
+    """Check PATH, a case directory, a recipe (.toml), a simulation script (.toml) or a recording; list every problem.
 
     Of a case the hash of every file and every value is checked; of a recipe also that the files it names are there and
     can be read, that its markers lie on the scan and mark background and tissue, and that none of its strokes is still
     the example of a starter recipe. What overlaps or is cut off is told as a warning.
+    Of a recording every line of its log and the hash of every state is checked.
     Exit code 0: sound; 1: problems were found.
     """
     found = _findings(path)
     problems = found.problems
-    approval = approval_state(path) if path.is_dir() else None
+    approval = approval_state(path) if path.is_dir() and not is_recording(path) else None
     if as_json:
         listed = [{"place": problem.place, "message": problem.message} for problem in problems]
         stated = {"approval": approval.as_dict()} if approval else {}
@@ -63,6 +65,8 @@ class _Findings:
 def _findings(path: Path) -> _Findings:
     if path.suffix == ".toml" and not path.exists():
         return _Findings((Problem("PATH", "there is nothing at this path: check its spelling"),))
+    if is_recording(path):
+        return _Findings(tuple(check_recording(path)))
     if path.suffix != ".toml" or not path.is_file():
         return _Findings(check_bundle(path))
     try:

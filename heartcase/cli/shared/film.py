@@ -16,6 +16,7 @@ from heartcase.simulator.surface.deform import DeformedSurface
 __all__ = [
     "ANIMATION_FORMATS",
     "Filmer",
+    "animation_bytes",
     "check_animation_name",
     "check_picture_name",
     "write_animation",
@@ -118,8 +119,12 @@ def write_animation(path: Path | str, frames: list[UInt8], *, frames_per_second:
     """
     path = Path(path)
     check_animation_name(path)
-    write = _gif if path.suffix.lower() == ".gif" else _mp4
-    atomic_write(path, write(frames, frames_per_second, comment))
+    atomic_write(path, animation_bytes(path.suffix.lower(), frames, frames_per_second, comment))
+
+
+def animation_bytes(suffix: str, frames: list[UInt8], frames_per_second: float, comment: str = "") -> bytes:
+    """The file of an animation, ``.gif`` or ``.mp4``; see :func:`write_animation`."""
+    return (_gif if suffix == ".gif" else _mp4)(frames, frames_per_second, comment)
 
 
 def check_animation_name(path: Path) -> None:

@@ -15,7 +15,7 @@ from heartcase.schemas.arrays import Float, Int32
 from heartcase.schemas.bundle.surface_kinds import SurfaceKind, group_labels
 from heartcase.schemas.labels import Label, LabelTable, Role
 
-__all__ = ["LPS_MM_TO_GLTF", "glb_bytes", "normal_map_png"]
+__all__ = ["LPS_MM_TO_GLTF", "ROUGHNESS", "GlbWriter", "glb_bytes", "linear_colour", "normal_map_png"]
 
 LPS_MM_TO_GLTF = np.array(
     [[0.001, 0.0, 0.0, 0.0], [0.0, 0.0, 0.001, 0.0], [0.0, -0.001, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
@@ -57,7 +57,7 @@ def glb_bytes(surface: Surface, *, case_id: str | None = None, png: bytes | None
     bytes
         The file.
     """
-    writer = _Writer()
+    writer = GlbWriter()
     has_map = surface.normal_map.size > 0
     welded = surface.render_to_welded
     position = surface.vertices_mm[welded].astype("<f4")
@@ -89,7 +89,7 @@ def glb_bytes(surface: Surface, *, case_id: str | None = None, png: bytes | None
             {
                 "name": name,
                 "pbrMetallicRoughness": {
-                    "baseColorFactor": _linear(colour),
+                    "baseColorFactor": linear_colour(colour),
                     "metallicFactor": 0.0,
                     "roughnessFactor": ROUGHNESS,
                 },
@@ -113,8 +113,8 @@ def glb_bytes(surface: Surface, *, case_id: str | None = None, png: bytes | None
     return writer.finish(document)
 
 
-class _Writer:
-    """Collects arrays into one binary chunk, each at a multiple of four bytes."""
+class GlbWriter:
+    """Collects arrays into one binary chunk, each at a multiple of four bytes, and puts the file together."""
 
     def __init__(self) -> None:
         self.data = bytearray()
@@ -122,6 +122,7 @@ class _Writer:
         self.accessors: list[dict[str, Any]] = []
 
     def view(self, data: bytes, target: int | None = None) -> int:
+        """Number of the view of some bytes."""
         self.data += b"\0" * (-len(self.data) % 4)
         view: dict[str, Any] = {"buffer": 0, "byteOffset": len(self.data), "byteLength": len(data)}
         if target is not None:
@@ -131,18 +132,35 @@ class _Writer:
         return len(self.views) - 1
 
     def vertex_array(self, array: Float, kind: str, **more: Any) -> int:
+        """Number of the accessor of a float32 array with a row for each vertex."""
         view = self.view(array.tobytes(), ARRAY_BUFFER)
         self.accessors.append({"bufferView": view, "componentType": FLOAT, "count": len(array), "type": kind, **more})
         return len(self.accessors) - 1
 
     def index_array(self, triangles: Int32) -> int:
+        """Number of the accessor of triangles."""
         view = self.view(triangles.astype("<u4").tobytes(), ELEMENT_ARRAY_BUFFER)
         self.accessors.append(
             {"bufferView": view, "componentType": UINT32, "count": int(triangles.size), "type": "SCALAR"}
         )
         return len(self.accessors) - 1
 
+    def vector_array(self, array: Float) -> int:
+        """Number of the accessor of float32 vectors that are no vertices, shape (count, 3): places of an animation."""
+        view = self.view(array.astype("<f4").tobytes())
+        self.accessors.append({"bufferView": view, "componentType": FLOAT, "count": len(array), "type": "VEC3"})
+        return len(self.accessors) - 1
+
+    def number_array(self, array: Float, **more: Any) -> int:
+        """Number of the accessor of float32 numbers that are no vertices: times and weights of an animation."""
+        view = self.view(array.astype("<f4").tobytes())
+        self.accessors.append(
+            {"bufferView": view, "componentType": FLOAT, "count": int(array.size), "type": "SCALAR", **more}
+        )
+        return len(self.accessors) - 1
+
     def finish(self, document: dict[str, Any]) -> bytes:
+        """The file, of a document without its arrays."""
         self.data += b"\0" * (-len(self.data) % 4)
         document |= {
             "buffers": [{"byteLength": len(self.data)}],
@@ -175,7 +193,7 @@ def _look(table: LabelTable, kind: SurfaceKind, label: int) -> tuple[str, str]:
     return "epicardium", tissue[0].colour if tissue else TISSUE_COLOUR
 
 
-def _linear(colour: str) -> list[float]:
+def linear_colour(colour: str) -> list[float]:
     """An sRGB colour as linear red, green, blue, alpha (IEC 61966-2-1)."""
     channels = [int(colour[k : k + 2], 16) / 255.0 for k in (1, 3, 5)]
     linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in channels]

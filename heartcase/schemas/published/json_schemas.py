@@ -10,6 +10,8 @@ from heartcase.schemas.labels import LabelTable
 from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.published.reference import reference_page
 from heartcase.schemas.recipe.recipe import Recipe
+from heartcase.schemas.recording.commands import Entry
+from heartcase.schemas.recording.header import RecordingHeader
 from heartcase.schemas.script import SimulationScript
 
 __all__ = ["SCHEMAS", "schema_files"]
@@ -20,6 +22,8 @@ SCHEMAS: dict[str, type[Model]] = {
     "landmark": Landmark,
     "case-manifest": CaseManifest,
     "simulation-script": SimulationScript,
+    "recording-header": RecordingHeader,
+    "session-entry": Entry,
 }
 """Name -> model of every format."""
 

@@ -12,7 +12,7 @@ from heartcase.simulator.dynamics.integrate import Verlet, verlet_step
 from heartcase.simulator.engine.shared.contact import NO_PROBES, keep_outside
 from heartcase.simulator.forces.reference import elastic_forces
 from heartcase.simulator.lattice.model import LatticeModel
-from heartcase.simulator.lattice.state import State
+from heartcase.simulator.lattice.state import PreciseState, State
 
 __all__ = ["Backend", "Engine", "ReferenceEngine", "make_engine"]
 
@@ -84,13 +84,14 @@ class ReferenceEngine:
 
     def load(self, state: State) -> None:
         """Start from this state."""
-        self.displacement = state.displacement.astype(np.float64)
-        self.velocity = state.velocity.astype(np.float64)
+        self.displacement, self.velocity = state.displacement.astype(np.float64), state.velocity.astype(np.float64)
+        if isinstance(state, PreciseState):
+            self.displacement, self.velocity = state.precise_displacement.copy(), state.precise_velocity.copy()
         self.step_count = state.step_count
 
     def read(self) -> State:
-        """A copy of the state, rounded to float32."""
-        return State(self.displacement.astype(np.float32), self.velocity.astype(np.float32), self.step_count)
+        """A copy of the state, rounded to float32, and as it is."""
+        return PreciseState.of(self.displacement, self.velocity, self.step_count)
 
     def prescribe(self, nodes: Intp, displacement: Float32, velocity: Float32) -> None:
         """Set where nodes are and how they move on."""

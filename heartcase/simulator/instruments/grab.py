@@ -48,6 +48,11 @@ class Grab:
     target: Pose = field(default_factory=Pose)
     """Where it shall be at the end of the next steps."""
 
+    def centre_at(self, pose: Pose, model: LatticeModel) -> Float64:
+        """Where the hand's centre is at a pose [cells, grid axes], shape (3,)."""
+        closed: Float64 = model.node_index[self.nodes[0]] + self.closed_at[0].astype(float) - self.arms[0]
+        return closed + pose.offset
+
     def displacement_at(self, pose: Pose) -> Float64:
         """Displacements of the nodes at a pose [cells, grid axes], shape (count, 3)."""
         return self.closed_at + (self.arms @ pose.turn.T - self.arms) + pose.offset

@@ -1,15 +1,14 @@
-"""The state of a moving lattice: displacement and velocity; with the lattice of the moment, a snapshot."""
+"""The state of a moving lattice: displacement and velocity."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from heartcase.schemas.arrays import Float32
-from heartcase.simulator.lattice.model import LatticeModel
+from heartcase.schemas.arrays import Float32, Float64
 
-__all__ = ["Snapshot", "State"]
+__all__ = ["PreciseState", "State"]
 
 
 @dataclass(frozen=True)
@@ -34,10 +33,21 @@ class State:
 
 
 @dataclass(frozen=True)
-class Snapshot:
-    """A moment: what :meth:`heartcase.simulator.simulation.Simulation.restore` needs to go back to it."""
+class PreciseState(State):
+    """A state of an engine that reckons in float64, with all of its digits: going on from it repeats the same bytes."""
 
-    model: LatticeModel
-    """The lattice with its springs of that moment."""
-    state: State
-    """Where its nodes were and how they moved."""
+    precise_displacement: Float64 = field(kw_only=True)
+    """The displacement before it was rounded [cells], shape (node_count, 3)."""
+    precise_velocity: Float64 = field(kw_only=True)
+    """The velocity before it was rounded [cells per unit of time], shape (node_count, 3)."""
+
+    @classmethod
+    def of(cls, displacement: Float64, velocity: Float64, step_count: int) -> PreciseState:
+        """From the numbers of the engine, which it may go on to change."""
+        return cls(
+            displacement.astype(np.float32),
+            velocity.astype(np.float32),
+            step_count,
+            precise_displacement=displacement.copy(),
+            precise_velocity=velocity.copy(),
+        )

@@ -1,0 +1,132 @@
+"""An animation of a recording: it is repeated, checked, and its surface shown at so many frames a second."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from heartcase.cli.shared.film import Filmer, animation_bytes, check_animation_name
+from heartcase.schemas.errors import UsageError
+from heartcase.schemas.recording.reader import open_recording
+from heartcase.simulator.load import Case, load_case
+from heartcase.simulator.session.operating_session import OperatingSession
+from heartcase.simulator.session.replay import load_session, refuse_deviation
+from heartcase.simulator.surface.deform import DeformedSurface
+
+__all__ = ["FRAMES_MAX", "Animation", "animation_of"]
+
+FRAMES_MAX = 3000
+"""Frames of one animation."""
+
+
+@dataclass(frozen=True)
+class Animation:
+    """A file that is ready to be written."""
+
+    content: bytes
+    what: str
+    """What it holds, in words."""
+    facts: dict[str, object]
+    """What --json adds."""
+
+
+def animation_of(
+    recording: Path, case: Path, suffix: str, *, level: int, frames_per_second: float, error_mm: float
+) -> Animation:
+    """The file of a recording in motion.
+
+    Parameters
+    ----------
+    recording, case
+        The recording, and the case that was recorded.
+    suffix
+        ``.glb``, ``.gif`` or ``.mp4``.
+    level
+        Level of detail of the surface.
+    frames_per_second
+        Frames in a second of simulated time.
+    error_mm
+        How far a vertex of a GLB may be off in a frame, mm.
+
+    Raises
+    ------
+    HeartcaseError
+        The recording is not whole, of another case, or does not come to what was recorded; it is too long; or what
+        writes the format is not installed.
+    """
+    if suffix != ".glb":
+        check_animation_name(Path(f"animation{suffix}"))
+    opened = open_recording(recording)
+    count = round(opened.seconds * frames_per_second) + 1
+    if count > FRAMES_MAX:
+        raise UsageError(f"{count:,} frames are more than {FRAMES_MAX:,}: give fewer", place="--frames-per-second")
+    loaded = load_case(case, needs=("surface", "colours"), level=level)
+    session = load_session(opened, loaded.model, surface=loaded.surface)
+    if suffix == ".glb":
+        return _glb(session, loaded, frames_per_second, error_mm)
+    return _film(session, loaded, suffix, frames_per_second)
+
+
+def _film(session: OperatingSession, case: Case, suffix: str, frames_per_second: float) -> Animation:
+    assert case.surface is not None
+    assert case.triangle_colours is not None
+    camera = Filmer(case.surface.rest_mm, case.surface.triangles, case.triangle_colours)
+    for _, surface in _frames(session, frames_per_second):
+        camera.film(surface)
+    comment = f"heartcase {case.manifest.case_id}" if case.manifest.case_id else "heartcase"
+    content = animation_bytes(suffix, camera.frames, frames_per_second, comment)
+    facts: dict[str, object] = {"frame_count": len(camera.frames), "frames_per_second": frames_per_second}
+    return Animation(content, f"{len(camera.frames)} frames", facts)
+
+
+def _glb(session: OperatingSession, case: Case, frames_per_second: float, error_mm: float) -> Animation:
+    from heartcase.pipeline.exports.animation import MovingSurface, animation_glb_bytes
+
+    assert case.surface is not None
+    assert case.triangle_colours is not None
+    times: list[float] = []
+    frames: list[DeformedSurface] = []
+    for time_s, surface in _frames(session, frames_per_second):
+        times.append(time_s)
+        frames.append(surface)
+    moving = MovingSurface(
+        time_s=np.array(times),
+        vertices_mm=np.stack([frame.vertices_mm for frame in frames]),
+        normals=np.stack([frame.normals for frame in frames]),
+        triangles=case.surface.triangles,
+        colours=case.triangle_colours,
+    )
+    content, error = animation_glb_bytes([moving], tolerance_mm=error_mm, case_id=case.manifest.case_id)
+    facts: dict[str, Any] = {"frame_count": len(frames), "frames_per_second": frames_per_second, "error_mm": error}
+    return Animation(content, f"{len(frames)} frames, at most {error:.2g} mm off,", facts)
+
+
+def _frames(session: OperatingSession, frames_per_second: float) -> Iterator[tuple[float, DeformedSurface]]:
+    """Time since the start and surface of each frame; at the end, the session is checked against what was recorded."""
+    step_s, start = session.simulation.step_s, session.start_step
+    yield 0.0, session.simulation.surface_now()
+    for step in _frame_steps(session, frames_per_second):
+        for _ in session.play(step):
+            pass
+        yield (step - start) * step_s, session.simulation.surface_now()
+    for _ in session.play():
+        pass
+    refuse_deviation(session)
+
+
+def _frame_steps(session: OperatingSession, frames_per_second: float) -> list[int]:
+    """Steps of the frames after the first; the end of a row of steps where one is near, which then is taken once."""
+    start, end = session.start_step, session.end_step
+    every = 1.0 / (frames_per_second * session.simulation.step_s)
+    ends = np.unique([start, *(entry.end_step for entry in session.entries), end])
+    wanted = np.unique([*np.round(np.arange(start + every, end, every)).astype(int), end])
+    place = np.searchsorted(ends, wanted)
+    near = np.stack([ends[np.maximum(place - 1, 0)], ends[np.minimum(place, len(ends) - 1)]])
+    nearest = near[np.abs(near - wanted).argmin(axis=0), np.arange(len(wanted))]
+    steps = np.where(np.abs(nearest - wanted) <= every / 4, nearest, wanted)
+    found: list[int] = [int(step) for step in np.unique(steps) if step > start]
+    return found

@@ -1,0 +1,147 @@
+"""What commands that run a session share: their options, the script they run, the bar that shows how far it is."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, TypeVar, get_args
+
+import click
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from heartcase.schemas.errors import UsageError
+from heartcase.schemas.script import SimulationScript
+from heartcase.simulator.engine.backends import Backend
+from heartcase.simulator.lattice.force_law import RATIO_MAX, RATIO_MIN, ForceLaw, LawName
+from heartcase.simulator.load import Case
+from heartcase.simulator.script import default_script, with_positions
+from heartcase.simulator.simulation import SLEEP_MM, Simulation
+
+__all__ = [
+    "check_numbers",
+    "completed_script",
+    "require_folder",
+    "session_bar",
+    "session_options",
+    "simulation_of",
+    "with_law",
+]
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+DEFAULT_SECONDS = 2.0
+QUIET_SECONDS = 1.0
+"""The progress bar shows after this long."""
+
+_OPTIONS = (
+    click.option(
+        "--script", "script_path", type=click.Path(path_type=Path, readable=False), help="What the hands do (TOML)."
+    ),
+    click.option(
+        "--seconds",
+        type=click.FloatRange(min=0.0, max=3600.0, min_open=True),
+        help="Simulated time; the script's, or 2 without a script.",
+    ),
+    click.option(
+        "--step",
+        "step_s",
+        type=click.FloatRange(min=0.0, max=1.0, min_open=True),
+        help="Time step in s; the case's default when left out.",
+    ),
+    click.option("--backend", type=click.Choice(get_args(Backend)), default="cpu", help="Which kernel steps."),
+    click.option("--law", type=click.Choice(get_args(LawName)), default="springs", help="What resists deformation."),
+    click.option(
+        "--poissons-ratio",
+        type=click.FloatRange(RATIO_MIN, RATIO_MAX),
+        default=RATIO_MIN,
+        help="How little volume changes; the closer to 1/2, the more steps.",
+    ),
+    click.option(
+        "--sleep-mm",
+        type=click.FloatRange(0.0, 10.0),
+        default=SLEEP_MM,
+        show_default=True,
+        help="Movement in mm below which tissue rests and is not worked out (CPU); 0 works out all.",
+    ),
+)
+
+
+def session_options(function: F) -> F:
+    """Add the options of a command that runs a script on a case."""
+    for option in reversed(_OPTIONS):
+        function = option(function)
+    return function
+
+
+def check_numbers(**numbers: float | None) -> None:
+    """UsageError where an option is not a number, which click takes for one; by the names of the arguments."""
+    if any(number is not None and math.isnan(number) for number in numbers.values()):
+        names = ", ".join(f"--{name.removesuffix('_s').replace('_', '-')}" for name in numbers)
+        raise UsageError("must be numbers", place=names)
+
+
+def require_folder(path: Path) -> None:
+    """UsageError where the folder of a file that shall be written does not exist."""
+    if not path.absolute().parent.is_dir():
+        raise UsageError(f"the folder of {path.name} does not exist: make it first")
+
+
+def with_law(case: Case, law: LawName, poissons_ratio: float) -> Case:
+    """The case under a force law."""
+    return replace(case, model=case.model.with_law(ForceLaw(law, poissons_ratio)))
+
+
+def completed_script(
+    script: SimulationScript | None, case: Case, seconds: float | None, step_s: float | None
+) -> SimulationScript:
+    """The script, or the default pull, with its landmarks found and what the command line changes."""
+    if script is None:
+        script = default_script(case.model, case.surface, seconds=seconds or DEFAULT_SECONDS)
+    script = with_positions(script, case.manifest.landmarks)
+    changes = {"seconds": seconds, "step_s": step_s}
+    return script.model_copy(update={key: value for key, value in changes.items() if value is not None})
+
+
+def simulation_of(case: Case, script: SimulationScript, *, backend: Backend, sleep_mm: float) -> Simulation:
+    """A simulation of a case, set as a script says."""
+    return Simulation(
+        case.model,
+        surface=case.surface,
+        step_s=script.step_s,
+        damping_per_s=script.damping_per_s,
+        gravity_m_s2=script.gravity_m_s2,
+        backend=backend,
+        sleep_mm=sleep_mm,
+    )
+
+
+@contextmanager
+def session_bar(words: str, seconds: float) -> Iterator[Callable[[float], None]]:
+    """A progress bar in simulated time, shown once it is worth showing; what it gives is told the time in s."""
+    console = Console(stderr=True)
+    progress = Progress(
+        TextColumn(words),
+        BarColumn(),
+        TextColumn("{task.completed:.2f} of {task.total:.2f} s"),
+        TimeRemainingColumn(),
+        console=console,
+        transient=True,
+    )
+    task = progress.add_task("", total=seconds)
+    started = time.perf_counter()
+
+    def update(time_s: float) -> None:
+        progress.update(task, completed=time_s)
+        if console.is_terminal and time.perf_counter() - started > QUIET_SECONDS:
+            progress.start()
+
+    try:
+        yield update
+    finally:
+        if progress.live.is_started:
+            progress.stop()

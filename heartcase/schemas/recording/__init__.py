@@ -1,0 +1,1 @@
+"""What a recording of an operating session may say: commands, header, log."""

@@ -1,0 +1,154 @@
+"""What each command does to a simulation, and to the lattice alone.
+
+A command that is refused changes nothing: each of these either does the whole of it or raises.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from heartcase.schemas.arrays import Float64
+from heartcase.schemas.errors import SimulationError
+from heartcase.schemas.recording.commands import (
+    AddSprings,
+    Advance,
+    BringProbe,
+    CloseGrab,
+    Done,
+    Halt,
+    LeadGrab,
+    Mark,
+    MoveProbe,
+    OpenGrab,
+    RemoveSprings,
+    WithdrawProbe,
+)
+from heartcase.simulator.dynamics.joining import join
+from heartcase.simulator.instruments.grab import Grab, Pose
+from heartcase.simulator.instruments.probe import Probe
+from heartcase.simulator.lattice.model import LatticeModel
+from heartcase.simulator.simulation import Simulation
+
+__all__ = ["changed_model", "instrument_named", "perform", "resolved"]
+
+
+def resolved(simulation: Simulation, command: Done) -> Done:
+    """The command with all stated that it would take from this moment: what then stands in a history.
+
+    So the lattice of any moment follows from the commands before it, without the motion between them.
+    """
+    if isinstance(command, AddSprings) and command.rest_length_mm is None:
+        model = simulation.model
+        if max(map(max, command.nodes)) < model.node_count:
+            ends = (model.node_index + simulation.state.displacement.astype(float))[np.array(command.nodes)]
+            length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) * model.cell_mm
+            return command.model_copy(update={"rest_length_mm": tuple(length.tolist())})
+    return command
+
+
+def perform(simulation: Simulation, command: Done) -> None:
+    """Do what a command says.
+
+    Raises
+    ------
+    SimulationError
+        It cannot be done, and nothing has changed; or of steps, the simulation broke down: the state before them was
+        restored, and instruments stay where they were.
+    """
+    match command:
+        case CloseGrab():
+            _refuse_known(simulation, command.name)
+            simulation.grab(command.center_mm, command.radius_mm, name=command.name)
+        case LeadGrab():
+            simulation.lead(_grab(simulation, command.name), command.offset_mm, command.turn)
+        case OpenGrab():
+            simulation.release(_grab(simulation, command.name))
+        case BringProbe():
+            _refuse_known(simulation, command.name)
+            simulation.probe(command.center_mm, command.semi_axes_mm, turn=command.turn, name=command.name)
+        case MoveProbe():
+            simulation.move(_probe(simulation, command.name), command.center_mm)
+        case WithdrawProbe():
+            simulation.withdraw(_probe(simulation, command.name))
+        case AddSprings():
+            simulation.add_springs(command.nodes, command.stiffness_n_m, command.rest_length_mm)
+        case RemoveSprings():
+            simulation.remove_explicit_springs(_chosen(simulation.model, command))
+        case Advance():
+            _go_part_of_the_way(simulation, command.steps / (command.of or command.steps))
+            simulation.step(command.steps)
+        case Halt():
+            _go_part_of_the_way(simulation, 0.0)
+        case Mark():
+            pass
+
+
+def changed_model(model: LatticeModel, command: Done, *, step_s: float) -> LatticeModel:
+    """The lattice after a command as :func:`resolved` gave it; the same one where the command leaves it alone.
+
+    Raises
+    ------
+    SimulationError
+        It cannot be done with this lattice.
+    """
+    if isinstance(command, AddSprings):
+        still = np.zeros((model.node_count, 3), np.float32)
+        lengths = command.rest_length_mm
+        return join(model, still, command.nodes, command.stiffness_n_m, lengths, step_s=step_s)
+    if isinstance(command, RemoveSprings):
+        return replace(model, explicit=model.explicit.without(_chosen(model, command)))
+    return model
+
+
+def instrument_named(simulation: Simulation, name: str) -> Grab | Probe | None:
+    """The instrument of this name that is in the tissue."""
+    return next((one for one in simulation.instruments if one.name == name), None)
+
+
+def _grab(simulation: Simulation, name: str) -> Grab:
+    found = next((grab for grab in simulation.grabs if grab.name == name), None)
+    if found is None:
+        raise SimulationError("no hand of this name holds tissue: close it first", place=name)
+    return found
+
+
+def _probe(simulation: Simulation, name: str) -> Probe:
+    found = next((probe for probe in simulation.probes if probe.name == name), None)
+    if found is None:
+        raise SimulationError("there is no probe of this name: bring it in first", place=name)
+    return found
+
+
+def _refuse_known(simulation: Simulation, name: str) -> None:
+    if instrument_named(simulation, name) is not None:
+        raise SimulationError("an instrument of this name is in the tissue: take another name", place=name)
+
+
+def _chosen(model: LatticeModel, command: RemoveSprings) -> np.ndarray:
+    """True for each explicit spring that a command names."""
+    count = model.explicit.count
+    if max(command.numbers) >= count:
+        raise SimulationError(f"there are {count} explicit springs, from 0: name one of them", place="numbers")
+    is_chosen = np.zeros(count, dtype=bool)
+    is_chosen[list(command.numbers)] = True
+    return is_chosen
+
+
+def _go_part_of_the_way(simulation: Simulation, share: float) -> None:
+    """Lead each instrument so far towards where it is led.
+
+    The nodes of a hand go in straight lines, and are there in the same way with a turn that is no rotation.
+    """
+    if share == 1.0:
+        return
+
+    def between(start: Float64, end: Float64) -> Float64:
+        return start + share * (end - start)
+
+    for grab in simulation.grabs:
+        pose, target = grab.pose, grab.target
+        grab.target = Pose(between(pose.offset, target.offset), between(pose.turn, target.turn))
+    for probe in simulation.probes:
+        probe.target = between(probe.centre, probe.target)

@@ -1,0 +1,203 @@
+"""Recording a session while it runs: what is done is on disk at once, so that a killed program leaves what it had."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+from dataclasses import asdict
+from hashlib import sha256
+from pathlib import Path
+from types import TracebackType
+from typing import BinaryIO
+
+from heartcase import __version__
+from heartcase.schemas.bundle.format import CaseManifest
+from heartcase.schemas.errors import RecordingError
+from heartcase.schemas.files import atomic_write
+from heartcase.schemas.recording.commands import Entry
+from heartcase.schemas.recording.header import (
+    HEADER_NAME,
+    LOG_NAME,
+    RecordingEnd,
+    RecordingHeader,
+    RecordingParent,
+    header_bytes,
+    header_hash,
+)
+from heartcase.schemas.recording.log import GoToLine, Line, StateLine, sealed
+from heartcase.simulator.session.operating_session import OperatingSession
+from heartcase.simulator.session.stored import lattice_sha256, snapshot_bytes
+from heartcase.simulator.simulation import Simulation
+from heartcase.simulator.snapshot import Snapshot
+
+__all__ = ["STATE_EVERY_S", "Recorder"]
+
+STATE_EVERY_S = 1.0
+"""Simulated time between stored states, s."""
+
+
+class Recorder:
+    """Writes a session into a folder, from its start on, until it is finished.
+
+    ::
+
+        with Recorder(session, "pull.recording", case=case.manifest):
+            session.do(CloseGrab(name="lift", center_mm=(12.0, -80.0, 40.0)))
+            session.advance(100)
+
+    Every command is on disk when it is done. Leaving the block finishes the recording, also where an error ends it.
+
+    Parameters
+    ----------
+    session
+        The session; what it did before is written first.
+    path
+        The folder, ``NAME.recording``; nothing may be there yet.
+    case
+        What the case says of itself, for its name and identifier.
+    state_every_s
+        Simulated time between stored states, s: what a replay is compared with, and may begin from.
+    parent
+        Where the session took over from another recording: what its ``branch_at`` gives.
+
+    Raises
+    ------
+    RecordingError
+        There is something at the path, its folder does not exist, or the session began with a lattice that was cut or
+        joined.
+    """
+
+    def __init__(
+        self,
+        session: OperatingSession,
+        path: Path | str,
+        *,
+        case: CaseManifest | None = None,
+        state_every_s: float = STATE_EVERY_S,
+        parent: RecordingParent | None = None,
+    ) -> None:
+        if session.log is not None:
+            raise RecordingError("the session is being recorded already", place="recording")
+        start = session.start
+        if start.model.explicit.count or not start.model.cell_is_whole.all():
+            raise RecordingError("the session began with a lattice that was cut or joined: record from before that")
+        self.path = Path(path)
+        self._session = session
+        self._state_steps = max(1.0, state_every_s / session.simulation.step_s)
+        self._state_step = start.state.step_count
+        self._state_count = self._line_count = 0
+        self._header = _header(session.simulation, start, case, parent)
+        self._link = header_hash(self._header)
+        self._make_folder()
+        self._log: BinaryIO | None = (self.path / LOG_NAME).open("xb")
+        self._write_past()
+        session.log = self
+
+    def append(self, entry: Entry) -> None:
+        """Write down what was done."""
+        self._write(entry)
+
+    def go_to(self, position: int) -> None:
+        """Write down that the session went back, or on."""
+        self._write(GoToLine(to=position))
+        self._state_step = self._session.step_count
+
+    def keep(self, position: int, simulation: Simulation) -> None:
+        """Store the state where it is time."""
+        if simulation.step_count - self._state_step >= self._state_steps:
+            self._store(simulation.snapshot())
+
+    def finish(self) -> None:
+        """Store the last state, and seal the recording; a second time does nothing."""
+        if self._log is None:
+            return
+        session = self._session
+        if self._state_step != session.step_count and not session.is_on_the_way:
+            self._store(session.simulation.snapshot())
+        self._close()
+        end = RecordingEnd(line_count=self._line_count, log_hash=self._link, step=self._session.step_count)
+        atomic_write(self.path / HEADER_NAME, header_bytes(self._header.model_copy(update={"end": end})))
+
+    def discard(self) -> None:
+        """Stop, and leave nothing behind."""
+        self._close()
+        with contextlib.suppress(OSError):
+            shutil.rmtree(self.path)
+
+    def __enter__(self) -> Recorder:
+        """The recorder itself, which is at work already."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Finish."""
+        self.finish()
+
+    def _make_folder(self) -> None:
+        try:
+            self.path.mkdir()
+        except FileExistsError:
+            raise RecordingError("there is something at this path already: take another name", place="out") from None
+        except FileNotFoundError:
+            raise RecordingError("the folder of this path does not exist: make it first", place="out") from None
+        atomic_write(self.path / HEADER_NAME, header_bytes(self._header))
+
+    def _write_past(self) -> None:
+        """What the session did before it was recorded, with some of its snapshots."""
+        session = self._session
+        self._store(session.start)
+        kept = session.snapshot_positions()
+        for number, entry in enumerate(session.entries, start=1):
+            self._write(entry)
+            if number in kept and entry.end_step - self._state_step >= self._state_steps:
+                self._store(session.snapshot_at(number))
+        if session.position < len(session.entries):
+            self._write(GoToLine(to=session.position))
+
+    def _store(self, snapshot: Snapshot) -> None:
+        content = snapshot_bytes(snapshot)
+        name = f"state-{self._state_count:06d}.safetensors"
+        atomic_write(self.path / name, content)
+        step = snapshot.state.step_count
+        self._write(StateLine(step=step, file=name, size=len(content), sha256=sha256(content).hexdigest()))
+        self._state_count += 1
+        self._state_step = step
+
+    def _write(self, line: Line) -> None:
+        if self._log is None:
+            return
+        content, self._link = sealed(line, self._link)
+        self._log.write(content)
+        self._log.flush()
+        self._line_count += 1
+
+    def _close(self) -> None:
+        self._session.log = None
+        if self._log is not None:
+            with contextlib.suppress(OSError):
+                os.fsync(self._log.fileno())
+            self._log.close()
+            self._log = None
+
+
+def _header(
+    simulation: Simulation, start: Snapshot, case: CaseManifest | None, parent: RecordingParent | None
+) -> RecordingHeader:
+    return RecordingHeader(
+        software_version=__version__,
+        case_name=None if case is None else case.name,
+        case_id=None if case is None else case.case_id,
+        lattice_sha256=lattice_sha256(start.model),
+        node_count=start.model.node_count,
+        cell_mm=start.model.cell_mm,
+        law=asdict(start.model.law),
+        step_s=simulation.step_s,
+        damping_per_s=simulation.damping_per_s,
+        gravity_m_s2=simulation.gravity_m_s2,
+        backend=simulation.backend,
+        sleep_mm=simulation.sleep_mm,
+        start_step=start.state.step_count,
+        parent=parent,
+    )

@@ -1,0 +1,51 @@
+"""A moment of a simulation: the lattice, its state, and the instruments in it."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from heartcase.simulator.instruments.grab import Grab
+from heartcase.simulator.instruments.probe import Probe
+from heartcase.simulator.lattice.model import LatticeModel
+from heartcase.simulator.lattice.state import State
+
+__all__ = ["KeptInstrument", "Snapshot"]
+
+
+@dataclass(frozen=True)
+class KeptInstrument:
+    """An instrument, and how it was at a moment."""
+
+    instrument: Grab | Probe
+    """The one that programs hold on to."""
+    then: Grab | Probe
+    """What it held and where it was: a copy."""
+
+    @classmethod
+    def of(cls, instrument: Grab | Probe) -> KeptInstrument:
+        """An instrument as it is now."""
+        return cls(instrument, copy.copy(instrument))
+
+    def put_back(self) -> Grab | Probe:
+        """Make the instrument what it was; returns it."""
+        vars(self.instrument).update(vars(self.then))
+        return self.instrument
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """A moment: what :meth:`heartcase.simulator.simulation.Simulation.restore` needs to go back to it."""
+
+    model: LatticeModel
+    """The lattice with its springs of that moment."""
+    state: State
+    """Where its nodes were and how they moved."""
+    instruments: tuple[KeptInstrument, ...] = ()
+    """Hands and probes of that moment: what they held, where they were and where they were led."""
+
+    @classmethod
+    def of(cls, model: LatticeModel, state: State, instruments: Iterable[Grab | Probe]) -> Snapshot:
+        """The moment now."""
+        return cls(model, state, tuple(KeptInstrument.of(instrument) for instrument in instruments))

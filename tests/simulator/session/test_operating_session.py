@@ -1,0 +1,272 @@
+"""Commands in, frames out: what is refused changes nothing, and going back and on again gives the same bytes."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from heartcase.schemas.errors import RecordingError, SimulationError
+from heartcase.schemas.recording.commands import (
+    Advance,
+    CloseGrab,
+    GoTo,
+    LeadGrab,
+    Mark,
+    MoveProbe,
+    OpenGrab,
+    Redo,
+    RemoveSprings,
+    Rewind,
+    Undo,
+    parse_command,
+)
+from heartcase.simulator.lattice.state import State
+from heartcase.simulator.session.operating_session import OperatingSession
+from heartcase.simulator.session.snapshots import Snapshots
+from heartcase.simulator.snapshot import Snapshot
+from tests.simulator.session.sessions import block_simulation, commands, fingerprint, operate
+
+NAVIGATION = (Undo, Redo, Rewind, GoTo)
+
+
+@pytest.mark.parametrize("backend", ["cpu", "reference"])
+@settings(max_examples=80, deadline=None)
+@given(data=st.data())
+def test_going_back_and_on_again_gives_the_same_bytes(backend, data):
+    """The oracle is what the session came to when it was at a place of its history for the first time."""
+    sequence = data.draw(st.lists(commands(), min_size=4, max_size=25 if backend == "cpu" else 8))
+    law = data.draw(st.sampled_from(["springs", "element"]))
+    sleep_mm = data.draw(st.sampled_from([0.0, 0.2]))
+    every_s = data.draw(st.sampled_from([0.0, 0.01, float("inf")]))
+    session = OperatingSession(block_simulation(law, backend=backend, sleep_mm=sleep_mm), snapshot_every_s=every_s)
+    known = {0: fingerprint(session.simulation)}
+    for command in sequence:
+        before, place, was_on_the_way = fingerprint(session.simulation), session.position, session.is_on_the_way
+        try:
+            session.do(command)
+        except SimulationError:
+            if not isinstance(command, Advance):
+                assert fingerprint(session.simulation) == before
+                assert session.position == place
+                continue
+        if session.is_on_the_way:
+            continue
+        if isinstance(command, NAVIGATION):
+            assert fingerprint(session.simulation) == known[session.position]
+        else:
+            # Where it was left between the ends of a row, the row ends there.
+            known = {at: found for at, found in known.items() if at <= place} | {place + was_on_the_way: before}
+            known[session.position] = fingerprint(session.simulation)
+    place, end = session.position, fingerprint(session.simulation)
+    session.forget_ahead()
+    known = {at: found for at, found in known.items() if at <= place} | {session.position: end}
+    for step in {entry.end_step for entry in session.entries}:
+        session.go_to(step)
+        assert fingerprint(session.simulation) == known[session.position]
+    session.go_to(session.start_step)
+    for _ in session.play():
+        assert fingerprint(session.simulation) == known[session.position]
+    assert fingerprint(session.simulation) == end
+
+
+@pytest.mark.parametrize("number", range(6))
+def test_undo_of_every_act_gives_the_bytes_before_it_and_redo_those_after(number):
+    session = OperatingSession(block_simulation("element", sleep_mm=0.1))
+    before, do = [], session._do_now
+
+    def noting(command):
+        if command.kind in (
+            "close_grab",
+            "open_grab",
+            "bring_probe",
+            "withdraw_probe",
+            "add_springs",
+            "remove_springs",
+        ):
+            before.append((command.kind, fingerprint(session.simulation)))
+        do(command)
+
+    session._do_now = noting
+    operate(session)
+    end = fingerprint(session.simulation)
+    assert len(before) == 6
+    for _ in range(number + 1):
+        session.do(Undo())
+    assert fingerprint(session.simulation) == before[-1 - number][1]
+    for _ in range(number + 1):
+        session.do(Redo())
+    assert fingerprint(session.simulation) == end
+    with pytest.raises(SimulationError, match="nothing to do again"):
+        session.do(Redo())
+
+
+def test_undo_takes_back_what_was_done_and_not_what_was_led():
+    session = OperatingSession(block_simulation())
+    with pytest.raises(SimulationError, match="nothing to take back"):
+        session.do(Undo())
+    session.do(CloseGrab(name="a", center_mm=(2, 4, 8), radius_mm=3))
+    session.advance(10)
+    session.do(LeadGrab(name="a", offset_mm=(0, 0, 1)))
+    session.advance(10)
+    session.do(Undo())
+    assert session.step_count == 0
+    assert session.simulation.instruments == ()
+    assert session.end_step == 20
+
+
+def test_rewound_and_taken_over():
+    session = OperatingSession(block_simulation(sleep_mm=0.05), snapshot_every_s=0.005)
+    operate(session)
+    abandoned = fingerprint(session.simulation)
+    session.do(Rewind(seconds=137 * session.simulation.step_s))
+    assert session.step_count == 163
+    assert session.is_on_the_way
+    # The hand is where a straight line has it: 58 of the 75 steps of its row are done.
+    assert [name for name, _ in session.marks] == ["joined"]
+    there = fingerprint(session.simulation)
+    session.go_to(session.end_step)
+    assert fingerprint(session.simulation) == abandoned
+    session.go_to(163)
+    assert fingerprint(session.simulation) == there
+    session.do(LeadGrab(name="left", offset_mm=(1, 0, 0)))
+    session.advance(50)
+    assert session.end_step == session.step_count == 213
+    other = fingerprint(session.simulation)
+    session.go_to(0)
+    for _ in session.play():
+        pass
+    assert fingerprint(session.simulation) == other
+    assert session.entries[-3].command == Advance(steps=58, of=75)
+
+
+def test_instruments_that_are_left_on_the_way_are_where_a_straight_line_has_them():
+    session = OperatingSession(block_simulation())
+    session.do(CloseGrab(name="a", center_mm=(2, 4, 8), radius_mm=3))
+    session.do(LeadGrab(name="a", offset_mm=(0, 0, 1), turn=((0, -1, 0), (1, 0, 0), (0, 0, 1))))
+    session.advance(40)
+    (hand,) = session.simulation.grabs
+    end = hand.displacement_at(hand.pose)
+    session.go_to(10)
+    (hand,) = session.simulation.grabs
+    start = hand.closed_at
+    np.testing.assert_allclose(hand.displacement_at(hand.pose), start + 0.25 * (end - start), atol=1e-6)
+    now = session.simulation.state.displacement[hand.nodes]
+    np.testing.assert_allclose(now, start + 0.25 * (end - start), atol=1e-6)
+    np.testing.assert_allclose(session.frame().instruments["a"].center_mm, (2, 4, 8.25), atol=1e-6)
+
+
+def test_frames_tell_what_was_refused_and_that_the_lattice_changed():
+    session = OperatingSession(block_simulation())
+    before = fingerprint(session.simulation)
+    frame = session.take(
+        [
+            OpenGrab(name="nobody"),
+            CloseGrab(name="a", center_mm=(200, 4, 8), radius_mm=3),
+            RemoveSprings(numbers=(0,)),
+            MoveProbe(name="tip", center_mm=(1, 2, 3)),
+        ]
+    )
+    assert [refusal.command.kind for refusal in frame.refused] == [
+        "open_grab", "close_grab", "remove_springs", "move_probe",
+    ]  # fmt: skip
+    assert all(refusal.problems and refusal.problems[0].message for refusal in frame.refused)
+    assert fingerprint(session.simulation) == before
+    assert session.entries == []
+    frame = session.take([parse_command({"kind": "add_springs", "nodes": [[3, 90]], "stiffness_n_m": 0.5})], 10)
+    assert frame.refused == ()
+    (change,) = frame.topology
+    assert (change.kind, change.explicit_count) == ("add_springs", 1)
+    assert session.take([Undo()]).topology[0].kind == "history"
+    assert session.take([]).topology == ()
+    with pytest.raises(SimulationError, match="no surface"):
+        session.frame(surface=True)
+
+
+def test_a_frame_shows_instruments_and_what_they_feel():
+    session = OperatingSession(block_simulation())
+    session.do(CloseGrab(name="a", center_mm=(2, 4, 8), radius_mm=3))
+    session.do(LeadGrab(name="a", offset_mm=(0, 0.5, 1)))
+    frame = session.advance(80)
+    hand = frame.instruments["a"]
+    np.testing.assert_allclose(hand.center_mm, (2, 4.5, 9))
+    np.testing.assert_array_equal(hand.turn, np.eye(3))
+    np.testing.assert_array_equal(hand.force_n, session.simulation.force_on(session.simulation.grabs[0]))
+    assert hand.force_n[2] < 0
+    assert np.abs(hand.torque_n_mm).max() > 0
+    assert frame.step == 80
+    assert frame.time_s == pytest.approx(80 * session.simulation.step_s)
+    np.testing.assert_array_equal(frame.displacement_mm, session.simulation.displacement_mm())
+
+
+def test_a_breakdown_is_told_and_the_state_before_stays():
+    session = OperatingSession(block_simulation(damping_per_s=0.0))
+    session.do(CloseGrab(name="a", center_mm=(2, 4, 8), radius_mm=3))
+    session.advance(20)
+    before = session.simulation.state
+    session.do(LeadGrab(name="a", offset_mm=(1e30, 1e30, 1e30)))
+    frame = session.take([], 5)
+    assert "broke down" in frame.breakdown
+    assert frame.step == 20
+    assert frame.state.displacement.tobytes() == before.displacement.tobytes()
+    # The hand stays where it was, also when all of it is done again.
+    session.advance(15)
+    end = fingerprint(session.simulation)
+    session.go_to(0)
+    for _ in session.play():
+        pass
+    assert fingerprint(session.simulation) == end
+    assert session.step_count == 35
+    session.do(LeadGrab(name="a", offset_mm=(1e30, 1e30, 1e30)))
+    with pytest.raises(SimulationError, match="broke down"):
+        session.advance(5)
+
+
+def test_marks_name_moments():
+    session = OperatingSession(block_simulation())
+    session.advance(7)
+    session.do(Mark(name="open"))
+    session.advance(5)
+    session.do(Mark(name="closed"))
+    assert session.marks == (("open", 7), ("closed", 12))
+    session.go_to(7)
+    assert session.marks == (("open", 7),)
+    with pytest.raises(SimulationError, match="step 13 is not known: there are 0 to 12"):
+        session.go_to(13)
+
+
+def test_snapshots_thin_out_and_bound_what_going_back_costs():
+    kept = Snapshots(10.0)
+    model = block_simulation().model
+    state = State.at_rest(model.node_count)
+    count = 40_000
+    for position in range(count + 1):
+        if position % 10 == 0:
+            kept.add(position, Snapshot(model, State(state.displacement, state.velocity, position)))
+        if position in (1000, 10_000, count):
+            steps = sorted(kept.positions)
+            assert steps[0] == 0
+            assert steps[-1] == position
+            gaps = [(later - earlier, position - later) for earlier, later in pairwise(steps)]
+            assert all(gap <= max(20.0, 0.15 * age + 20.0) for gap, age in gaps)
+            # Eight for each e-fold of age over the finest gap, and those of the finest.
+            assert len(kept) < 2 * (8 * np.log(position / 10) + 10)
+
+
+def test_commands_are_plain_data_and_say_what_is_wrong_with_them():
+    command = parse_command({"kind": "close_grab", "name": "a", "center_mm": [1, 2, 3]})
+    assert command == CloseGrab(name="a", center_mm=(1, 2, 3))
+    assert parse_command(command.model_dump(mode="json")) == command
+    for wrong, told in (
+        ({"kind": "cut_off"}, "must be"),
+        ({"name": "a"}, "missing"),
+        ({"kind": "close_grab", "name": "a", "center_mm": [1, 2, float("nan")]}, "finite"),
+        ({"kind": "advance", "steps": 0}, "at least 1"),
+        ({"kind": "advance", "steps": 5, "of": 4}, "fewer"),
+        ([1, 2], "table"),
+    ):
+        with pytest.raises(RecordingError, match=told):
+            parse_command(wrong)

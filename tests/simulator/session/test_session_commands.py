@@ -1,0 +1,231 @@
+"""``heartcase record``, ``replay`` and ``export --recording``: what they write, print and refuse."""
+
+from __future__ import annotations
+
+import io
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pygltflib
+import pytest
+from PIL import Image
+
+from heartcase.cli.commands import record, replay
+from heartcase.cli.main import main
+from heartcase.schemas.errors import SimulationError
+from heartcase.schemas.recording.reader import open_recording
+from heartcase.simulator.load import load_case
+from heartcase.simulator.script import load_script, run_script
+from heartcase.simulator.session.replay import load_session
+from heartcase.simulator.simulation import Simulation
+
+SCRIPT = """
+seconds = 0.2
+damping_per_s = 40
+
+[[actions]]
+name = "lift"
+position_mm = [20.5, -14.0, 40.5]
+radius_mm = 5.0
+release_s = 0.15
+path = [{ time_s = 0.1, offset_mm = [0, 1.0, 2.0] }]
+"""
+MORE = """
+seconds = 0.05
+[[actions]]
+name = "lift"
+position_mm = [28.0, -14.0, 40.5]
+radius_mm = 5.0
+path = [{ time_s = 0.05, offset_mm = [0, 0, 1.0] }]
+"""
+
+
+@pytest.fixture
+def script(tmp_path: Path) -> Path:
+    (tmp_path / "pull.toml").write_text(SCRIPT)
+    (tmp_path / "more.toml").write_text(MORE)
+    return tmp_path / "pull.toml"
+
+
+@pytest.fixture
+def recorded(case_path: Path, script: Path, capsys: pytest.CaptureFixture[str]) -> Path:
+    path = script.parent / "pull.recording"
+    arguments = ["--script", str(script), "--out", str(path), "--state-every", "0.05"]
+    assert main(["record", str(case_path), *arguments]) == 0
+    assert capsys.readouterr().out.startswith("recorded 0.200 s, ")
+    return path
+
+
+def test_what_is_recorded_is_what_the_script_does(case_path, script, recorded):
+    """The end of the recording is the end of the same script without one."""
+    case = load_case(case_path)
+    alone = Simulation(case.model, surface=case.surface, damping_per_s=40)
+    run_script(alone, load_script(script))
+    session = load_session(open_recording(recorded), case.model)
+    for _ in session.play():
+        pass
+    assert session.deviations == []
+    for name in ("displacement", "velocity"):
+        assert getattr(session.simulation.state, name).tobytes() == getattr(alone.state, name).tobytes()
+    header = open_recording(recorded).header
+    assert (header.case_name, header.damping_per_s) == (case.manifest.name, 40.0)
+    assert len(open_recording(recorded).states) >= 4
+
+
+def test_replay_prints_what_it_checked(case_path, recorded, capsys):
+    assert main(["replay", str(recorded), "--case", str(case_path)]) == 0
+    printed = capsys.readouterr().out
+    assert "Replayed   0.200 of 0.200 s" in printed
+    count = len(open_recording(recorded).states)
+    assert f"Checked    {count} stored states: the same bytes" in printed
+    assert main(["replay", str(recorded), "--case", str(case_path), "--to", "0.1", "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["seconds"] == pytest.approx(0.1, abs=1e-3)
+    assert (said["deviation_mm"], said["is_whole"], said["branch"]) == (0.0, True, None)
+
+
+@pytest.mark.parametrize("lets_go", [False, True])
+def test_taken_over_by_a_script(case_path, recorded, capsys, lets_go):
+    other = recorded.with_name("other.recording")
+    more = ["--take-over", str(recorded.with_name("more.toml")), "--out", str(other)]
+    arguments = ["replay", str(recorded), "--case", str(case_path), "--to", "0.0712", *more]
+    assert main([*arguments, *(["--let-go"] if lets_go else [])]) == 0
+    assert "0.050 s more in other.recording" in capsys.readouterr().out
+    found, parent = open_recording(other), open_recording(recorded)
+    step = round(0.0712 / parent.header.step_s)
+    assert (found.header.parent.log_hash, found.header.parent.step) == (parent.log_hash, step)
+    assert found.seconds == pytest.approx(0.1212, abs=1e-3)
+    opened = [entry.command.name for entry in found.entries if entry.command.kind == "open_grab"]
+    closed = [entry.command.name for entry in found.entries if entry.command.kind == "close_grab"]
+    assert opened == (["lift"] if lets_go else [])
+    assert closed == (["lift", "lift"] if lets_go else ["lift", "lift 2"])
+    assert main(["replay", str(other), "--case", str(case_path)]) == 0
+    assert "the same bytes" in capsys.readouterr().out
+    assert main(["validate", str(other)]) == 0
+
+
+def test_each_refusal_is_a_line(case_path, recorded, script, tmp_path, capsys):
+    other = tmp_path / "more.toml"
+    own = tmp_path / "own.toml"
+    own.write_text("damping_per_s = 3.0\n" + MORE)
+    replay = ["replay", str(recorded), "--case", str(case_path)]
+    out = ["--out", str(tmp_path / "x.recording")]
+    damaged = tmp_path / "damaged.recording"
+    shutil.copytree(recorded, damaged)
+    (damaged / "log.jsonl").write_bytes((recorded / "log.jsonl").read_bytes()[:-300])
+    cases = [
+        ([*replay, "--to", "9"], "--to: the recording lasts 0.200 s"),
+        ([*replay, "--to", "nan"], "--to: must be numbers"),
+        ([*replay, "--take-over", str(other)], "--out: is missing"),
+        ([*replay, *out], "--out: nothing is recorded without --take-over"),
+        ([*replay, "--let-go"], "--let-go: serves only with --take-over"),
+        ([*replay, "--take-over", str(own), *out], "leave damping_per_s out of the script"),
+        ([*replay, "--take-over", str(other), "--out", str(recorded)], "something at this path already"),
+        (["replay", str(damaged), "--case", str(case_path)], "log.jsonl: the recording was cut short"),
+        (["replay", str(tmp_path), "--case", str(case_path)], "this is not a recording"),
+        (["replay", str(recorded), "--case", str(tmp_path)], "this is not a case"),
+        (["record", str(case_path), "--out", str(recorded)], "something at this path already"),
+        (["record", str(case_path), "--out", str(tmp_path / "no" / "x.recording")], "make it first"),
+        (["record", str(case_path), "--state-every", "nan", *out], "must be numbers"),
+        (["export", str(case_path), "--recording", str(recorded), "-o", str(tmp_path / "x.stl")], ".glb, .gif, .mp4"),
+        (["export", str(case_path), "--recording", str(damaged), "-o", str(tmp_path / "x.glb")], "was cut short"),
+        (["export", str(case_path), "--error-mm", "1", "-o", str(tmp_path / "x.stl")], "--error-mm: serves only"),
+        (["export", str(case_path), "--frames-per-second", "9", "-o", str(tmp_path / "x.stl")], "serves only with"),
+        (
+            ["export", str(case_path), "--recording", str(recorded), "--model", "solid", "-o", str(tmp_path / "x.glb")],
+            "--model: a recording shows the hollow model",
+        ),
+    ]
+    before = sorted(path.name for path in tmp_path.iterdir())
+    for arguments, told in cases:
+        capsys.readouterr()
+        assert main(arguments) in (1, 2), arguments
+        printed = capsys.readouterr()
+        assert told in printed.err, (arguments, printed.err)
+        assert printed.out == ""
+        assert "Traceback" not in printed.err
+    assert sorted(path.name for path in tmp_path.iterdir()) == before
+    assert main(["replay", str(damaged), "--case", str(case_path), "--partial"]) == 0
+    assert "cut short or damaged: this is what is whole of it" in capsys.readouterr().out
+    assert main(["validate", str(damaged)]) == 1
+    assert "cut short" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, SimulationError("the simulation broke down")])
+@pytest.mark.parametrize("takes_over", [False, True])
+def test_an_interrupted_recording_leaves_nothing(case_path, recorded, script, capsys, monkeypatch, error, takes_over):
+    out = script.parent / "x.recording"
+
+    def interrupted(*_, **__):
+        assert (out / "log.jsonl").is_file()
+        raise error
+
+    monkeypatch.setattr(replay if takes_over else record, "run_script", interrupted)
+    arguments = ["record", str(case_path), "--script", str(script)]
+    if takes_over:
+        more = ["--take-over", str(script.with_name("more.toml"))]
+        arguments = ["replay", str(recorded), "--case", str(case_path), *more]
+    code = main([*arguments, "--out", str(out)])
+    told = capsys.readouterr().err
+    assert not out.exists()
+    assert (code, "nothing half-written" in told) == ((130, True) if error is KeyboardInterrupt else (1, False))
+    assert len([line for line in told.splitlines() if line]) == 1
+
+
+def shapes_at(content: bytes, frame: int) -> tuple[float, np.ndarray]:
+    """Time and vertices of a frame of a GLB, mm, LPS, as a reader that is not ours takes them from the file."""
+    file = pygltflib.GLTF2.load_from_bytes(content)
+    blob = file.binary_blob()
+
+    def array(number: int) -> np.ndarray:
+        accessor = file.accessors[number]
+        view = file.bufferViews[accessor.bufferView]
+        width = {"SCALAR": 1, "VEC3": 3}[accessor.type]
+        start = view.byteOffset + (accessor.byteOffset or 0)
+        return np.frombuffer(blob, "<f4", accessor.count * width, start).reshape(-1, width)
+
+    (animation,) = file.animations
+    (channel,) = animation.channels
+    sampler = animation.samplers[channel.sampler]
+    assert channel.target.path == "weights"
+    mesh = file.meshes[file.nodes[channel.target.node].mesh]
+    primitive = mesh.primitives[0]
+    weights = array(sampler.output).reshape(-1, len(primitive.targets))
+    points = array(primitive.attributes.POSITION).astype(float)
+    for weight, target in zip(weights[frame], primitive.targets, strict=True):
+        points = points + weight * array(target["POSITION"])
+    return float(array(sampler.input)[frame, 0]), points
+
+
+def test_a_glb_moves_as_the_surface_did(case_path, recorded, capsys):
+    out = recorded.with_suffix(".glb")
+    arguments = ["export", str(case_path), "--recording", str(recorded), "-o", str(out), "--json"]
+    assert main([*arguments, "--frames-per-second", "30", "--error-mm", "0.01"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["frame_count"] == 7
+    assert said["error_mm"] <= 0.01
+    case = load_case(case_path)
+    session = load_session(open_recording(recorded), case.model, surface=case.surface)
+    furthest = 0.0
+    for frame in range(7):
+        time_s, points = shapes_at(out.read_bytes(), frame)
+        session.go_to(round(time_s / session.simulation.step_s))
+        expected = session.simulation.surface_now().vertices_mm
+        assert np.linalg.norm(points - expected, axis=1).max() <= 0.0101
+        furthest = max(furthest, float(np.linalg.norm(points - case.surface.rest_mm, axis=1).max()))
+    assert time_s == pytest.approx(0.2, abs=1e-3)
+    assert furthest > 1.5
+
+
+def test_a_gif_has_its_frames(case_path, recorded):
+    out = recorded.with_suffix(".gif")
+    assert main(["export", str(case_path), "--recording", str(recorded), "-o", str(out)]) == 0
+    picture = Image.open(io.BytesIO(out.read_bytes()))
+    assert picture.n_frames == 4
+    frames = []
+    for number in (0, 2):
+        picture.seek(number)
+        frames.append(np.asarray(picture.convert("RGB")).astype(int))
+    assert np.abs(frames[1] - frames[0]).max() > 30
