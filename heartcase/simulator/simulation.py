@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +10,10 @@ import numpy.typing as npt
 
 from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import SimulationError
+from heartcase.simulator.cutting.blade_sheet import Sheet, blade_points
+from heartcase.simulator.cutting.cuts import Cuts
+from heartcase.simulator.cutting.rest_space import places_at_rest, refined
+from heartcase.simulator.cutting.tissue_samples import TissueSamples
 from heartcase.simulator.dynamics.integrate import Energy, Verlet, energy
 from heartcase.simulator.dynamics.joining import join
 from heartcase.simulator.dynamics.measures import inverted_cells
@@ -20,11 +24,12 @@ from heartcase.simulator.instruments.grab import Grab, close_grab, pose_of, requ
 from heartcase.simulator.instruments.placing import is_point, point_in_lattice
 from heartcase.simulator.instruments.probe import Probe, make_probe
 from heartcase.simulator.instruments.wrench import Wrench, wrench_on
+from heartcase.simulator.lattice.explicit_springs import ExplicitSprings
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.lattice.state import State
 from heartcase.simulator.snapshot import Snapshot
 from heartcase.simulator.surface.deform import DeformedSurface, PickingModel, SurfaceModel
-from heartcase.simulator.surface.followers import SurfaceFollower
+from heartcase.simulator.surface.shown_surfaces import ShownSurfaces
 from heartcase.simulator.watchdog import Watch, find_runaway, find_trouble, watch
 
 __all__ = ["SLEEP_MM", "Simulation"]
@@ -110,19 +115,12 @@ class Simulation:
             gravity=(float(gravity[0]), float(gravity[1]), float(gravity[2])),
             still=(still, still * rate * step),
         )
+        self._cuts: Cuts | None = None
         self._inverse_mass = model.inverse_mass
         self._engine = make_engine(model, backend)
         self._state: State | None = None
-        is_on_device = backend == "cuda"
-        self._follower = (
-            None if surface is None or is_on_device else SurfaceFollower(model, surface, skips_unmoved=skips_unmoved)
-        )
-        self._picker = None if picking is None else SurfaceFollower(model, picking, skips_unmoved=skips_unmoved)
-        self._surface_on_device: Callable[[], DeformedSurface] | None = None
-        if surface is not None and is_on_device:
-            from heartcase.simulator.surface.cuda_surface import deform_on_device
-
-            self._surface_on_device = deform_on_device(model, surface, self._engine)
+        self._skips_unmoved = skips_unmoved
+        self._surfaces = self._make_surfaces()
 
     @property
     def state(self) -> State:
@@ -158,18 +156,14 @@ class Simulation:
         self._engine.forces()
         self._engine.load(self.state)
         find_trouble(self.state)
-        for follower in (self._follower, self._picker):
-            if follower is not None:
-                follower.prepare()
-        if self._surface_on_device is not None:
-            self._surface_on_device()
+        self._surfaces.prepare()
 
     def snapshot(self) -> Snapshot:
         """What :meth:`restore` goes back to: the state, what was cut and joined by now, and the instruments.
 
         It copies nothing twice.
         """
-        return Snapshot.of(self.model, self.state, self.instruments)
+        return Snapshot.of(self.model, self.state, self.instruments, self._cuts)
 
     def restore(self, point: State | Snapshot) -> None:
         """Go back, or on, to a snapshot: what follows gives the same bytes as it gave then.
@@ -184,13 +178,14 @@ class Simulation:
             changed.
         """
         if not isinstance(point, Snapshot):
-            point = Snapshot(self.model, point)
+            point = Snapshot(self.model, point, cuts=self._cuts)
         model, state = point.model, point.state
-        if len(state.displacement) != self.model.node_count or not model.is_of_lattice(self.model):
+        if len(state.displacement) != model.node_count or not _uncut(model, point.cuts).is_of_lattice(self._uncut):
             raise SimulationError("this is of another lattice: restore what this simulation gave", place="restore")
         if model is not self.model:
-            checked_step(model, self.step_s)
-            self._set_model(model)
+            # What was cut is no quicker than the lattice was.
+            checked_step(replace(_uncut(model, point.cuts), explicit=model.explicit), self.step_s)
+            self._set_model(model, point.cuts)
         instruments = [kept.put_back() for kept in point.instruments]
         self.grabs = [instrument for instrument in instruments if isinstance(instrument, Grab)]
         self.probes = [instrument for instrument in instruments if isinstance(instrument, Probe)]
@@ -339,8 +334,46 @@ class Simulation:
         if probe in self.probes:
             self.probes.remove(probe)
 
+    def cut(self, poses_mm: npt.ArrayLike, *, at_rest: bool = False, name: str = "blade") -> None:
+        """Cut along what a blade sweeps from pose to pose; nothing moves in this moment.
+
+        The tissue is parted along the sheet itself, wherever in cells that lies: each piece of a cell becomes a cell of
+        its own, with its share of coverage and mass (:mod:`heartcase.simulator.cutting`). Hands hold all copies of the
+        nodes that they held.
+
+        Parameters
+        ----------
+        poses_mm
+            Points of the blade's edge at each pose, LPS mm, shape (pose_count, point_count, 3), at least two of each.
+            For a line drawn on tissue: the line, and the line at its depth.
+        at_rest
+            Whether they are places of the tissue at rest; else they are places now.
+        name
+            Name in messages.
+
+        Raises
+        ------
+        SimulationError
+            Too few poses or points, numbers that are not finite, a blade that reaches too far, or springs were removed
+            one by one: what they held together is not known.
+        """
+        if not self.model.cell_is_whole.all():
+            raise SimulationError("springs of this lattice were removed: cut it by blades only", place=name)
+        points = blade_points(self.model, poses_mm, name)
+        if not at_rest:
+            points = places_at_rest(self.model, self.state.displacement, refined(points))
+        cuts, step = (self._cuts or self._nothing_cut()).with_sheet(Sheet.swept(points))
+        state = step.carried(self.state)
+        self._set_model(replace(cuts.model, explicit=step.joined(self.model.explicit)), cuts)
+        for grab in self.grabs:
+            grab.nodes, place = step.held(grab.nodes)
+            grab.closed_at, grab.arms = grab.closed_at[place], grab.arms[place]
+        self._engine.load(state)
+        self._hold()
+        self._state = None
+
     def remove_springs(self, removed: npt.ArrayLike) -> None:
-        """Take springs of the lattice away: what a cut does.
+        """Take springs of the lattice away: the plain way to cut, in whole cells.
 
         Hands hold on to what they held before, and the surface is not split.
 
@@ -355,7 +388,7 @@ class Simulation:
             It has not one value for each spring.
         """
         self._check_mask(removed, self.model.spring_count)
-        self._set_model(self.model.without_springs(removed))
+        self._set_model(self.model.without_springs(removed), self._cuts)
 
     def add_springs(
         self, nodes: npt.ArrayLike, stiffness_n_m: npt.ArrayLike, rest_length_mm: npt.ArrayLike | None = None
@@ -378,7 +411,7 @@ class Simulation:
             for the time step.
         """
         joined = join(self.model, self.state.displacement, nodes, stiffness_n_m, rest_length_mm, step_s=self.step_s)
-        self._set_model(joined)
+        self._set_model(joined, self._cuts)
 
     def remove_explicit_springs(self, removed: npt.ArrayLike) -> None:
         """Take explicit springs away; True for each of ``model.explicit``, shape (count,).
@@ -390,7 +423,7 @@ class Simulation:
         """
         self._check_mask(removed, self.model.explicit.count)
         kept = self.model.explicit.without(np.asarray(removed, dtype=bool))
-        self._set_model(replace(self.model, explicit=kept))
+        self._set_model(replace(self.model, explicit=kept), self._cuts)
 
     def force_on(self, hand: Grab | Probe) -> Float64:
         """Force that the tissue exerts on a hand now, N, LPS axes, shape (3,): of the springs on what it holds.
@@ -439,11 +472,7 @@ class Simulation:
         SimulationError
             The simulation was made without one.
         """
-        if self._surface_on_device is not None:
-            return self._surface_on_device()
-        if self._follower is None:
-            raise SimulationError("this simulation has no surface: load the case with needs=('surface',)")
-        return self._follower.now(self.state.displacement, together=self._engine.threads_pay)
+        return self._surfaces.surface_now(self.state)
 
     def picking_now(self) -> DeformedSurface:
         """The one-to-one surface now; its arrays are not to be changed, and do not change when the simulation goes on.
@@ -453,16 +482,43 @@ class Simulation:
         SimulationError
             The simulation was made without one.
         """
-        if self._picker is None:
-            raise SimulationError("this simulation has no picking surface: load the case with needs=('picking',)")
-        return self._picker.now(self.state.displacement, together=self._engine.threads_pay)
+        return self._surfaces.picking_now(self.state)
 
     def _place(self, grab: Grab, displacement: Float64, velocity: Float64) -> None:
         self._engine.prescribe(grab.nodes, displacement.astype(np.float32), velocity.astype(np.float32))
 
-    def _set_model(self, model: LatticeModel) -> None:
-        self.model = model
-        self._engine.set_springs(model)
+    def _nothing_cut(self) -> Cuts:
+        uncut = replace(self.model, explicit=ExplicitSprings.none())
+        if self.surface is None:
+            return Cuts(uncut, TissueSamples.everywhere())
+        vertices = uncut.geometry.world_to_index(self.surface.rest_mm) + 0.5
+        return Cuts(uncut, TissueSamples.inside(vertices, self.surface.triangles))
+
+    @property
+    def _uncut(self) -> LatticeModel:
+        return _uncut(self.model, self._cuts)
+
+    def _set_model(self, model: LatticeModel, cuts: Cuts | None) -> None:
+        """Go on with another model; where it was cut otherwise, the engine starts from rest and without hands."""
+        was_cut, self.model, self._cuts = self._cuts, model, cuts
+        if cuts is was_cut:
+            self._engine.set_springs(model)
+            return
+        step_count = self._engine.step_count
+        self._inverse_mass = model.inverse_mass
+        self._engine = make_engine(model, self.backend)
+        self._engine.step_count = step_count
+        self._surfaces = self._make_surfaces()
+
+    def _make_surfaces(self) -> ShownSurfaces:
+        return ShownSurfaces(
+            self.model,
+            self._engine,
+            self.backend,
+            surface=self.surface,
+            picking=self.picking,
+            skips_unmoved=self._skips_unmoved,
+        )
 
     @staticmethod
     def _check_mask(removed: npt.ArrayLike, count: int) -> None:
@@ -495,3 +551,8 @@ class Simulation:
             "smaller step. The state before was restored",
             place="simulation",
         )
+
+
+def _uncut(model: LatticeModel, cuts: Cuts | None) -> LatticeModel:
+    """The lattice before all cuts."""
+    return model if cuts is None else cuts.uncut

@@ -6,6 +6,7 @@ import copy
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from heartcase.simulator.cutting.cuts import Cuts
 from heartcase.simulator.instruments.grab import Grab
 from heartcase.simulator.instruments.probe import Probe
 from heartcase.simulator.lattice.model import LatticeModel
@@ -44,8 +45,12 @@ class Snapshot:
     """Where its nodes were and how they moved."""
     instruments: tuple[KeptInstrument, ...] = ()
     """Hands and probes of that moment: what they held, where they were and where they were led."""
+    cuts: Cuts | None = None
+    """What had been cut; None for nothing."""
 
     @classmethod
-    def of(cls, model: LatticeModel, state: State, instruments: Iterable[Grab | Probe]) -> Snapshot:
+    def of(
+        cls, model: LatticeModel, state: State, instruments: Iterable[Grab | Probe], cuts: Cuts | None = None
+    ) -> Snapshot:
         """The moment now."""
-        return cls(model, state, tuple(KeptInstrument.of(instrument) for instrument in instruments))
+        return cls(model, state, tuple(KeptInstrument.of(instrument) for instrument in instruments), cuts)

@@ -41,7 +41,9 @@ def cut_block(size, law=None, *, seed=0, sheet_count=4, **options) -> LatticeMod
     for _ in range(sheet_count):
         middle = np.array(size) * rng.uniform(0.2, 0.8, 3)
         along, across = rng.normal(size=(2, 3)) * np.array(size) / 3
-        sheets.append(Sheet.swept([[middle - along - across, middle + along], [middle - along, middle + along + across]]))
+        sheets.append(
+            Sheet.swept([[middle - along - across, middle + along], [middle - along, middle + along + across]])
+        )
     return part(model, sheets, TissueSamples.everywhere()).model
 
 
@@ -188,7 +190,9 @@ def test_few_springs_are_irregular_where_a_plane_cuts_a_block(seed):
     across = np.cross(normal, along)
     along, across = (20 * v / np.linalg.norm(v) for v in (along, across))
     middle = np.array([12.0, 8.0, 8.0])
-    sheet = Sheet.swept([[middle - along - across, middle + along - across], [middle - along + across, middle + along + across]])
+    sheet = Sheet.swept(
+        [[middle - along - across, middle + along - across], [middle - along + across, middle + along + across]]
+    )
     model = part(uncut, [sheet], TissueSamples.everywhere()).model
     layout = lane_layout(model)
     added = model.spring_count - uncut.spring_count

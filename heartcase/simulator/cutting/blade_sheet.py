@@ -17,14 +17,17 @@ from heartcase.schemas.arrays import Float64, Int64
 from heartcase.schemas.bundle.lattice import lattice_keys
 from heartcase.schemas.errors import Problem, SimulationError
 from heartcase.simulator.cutting.crossings import QUANTA, SAMPLES, cross
+from heartcase.simulator.lattice.model import LatticeModel
 
-__all__ = ["Links", "Sheet", "crossed_links", "key_indices", "touched_places"]
+__all__ = ["Links", "Sheet", "blade_points", "crossed_links", "key_indices", "touched_places"]
 
 Links = tuple[Int64, Int64, Int64]
 """Keys of links along x, y and z."""
 
 _BEYOND = 2.0
 """How far a sheet is continued [cells]: through any cell that it ends in."""
+_FURTHEST = 2.0**16
+"""How far from the origin a point may lie [cells]."""
 _LONGEST = 128
 """Extent of a triangle along any axis [cells], so that products of three differences fit into 64 bits."""
 
@@ -63,11 +66,7 @@ class Sheet:
         SimulationError
             Too few poses or points, numbers that are not finite, or a sheet that reaches too far.
         """
-        points = np.asarray(poses, dtype=np.float64)
-        if points.ndim != 3 or points.shape[2] != 3 or min(points.shape[:2]) < 2:
-            raise SimulationError(
-                "a blade needs two points or more in two poses or more, shape (poses, points, 3)", place="blade"
-            )
+        points = _checked_poses(poses, "blade")
         sheet = cls.of_triangles(_triangles(points))
         longer = np.concatenate([_continued(points[:2], 0)[:1], points, _continued(points[-2:], 0)[1:]])
         ahead = np.concatenate(
@@ -87,7 +86,7 @@ class Sheet:
             Numbers that are not finite, or a triangle that reaches too far.
         """
         corners = np.asarray(triangles, dtype=np.float64).reshape(-1, 3, 3)
-        if not (np.isfinite(corners).all() and (np.abs(corners) < 2.0**16).all()):
+        if not (np.isfinite(corners).all() and (np.abs(corners) < _FURTHEST).all()):
             raise SimulationError([Problem("blade", "every point must be three finite numbers within the lattice")])
         while len(corners) and np.ptp(corners, axis=1).max() > _LONGEST:
             corners = _quartered(corners)
@@ -125,6 +124,34 @@ def touched_places(links: Links) -> Int64:
         lower = key_indices(keys)
         ends += [lower, lower + np.eye(3, dtype=np.int64)[axis]]
     return np.unique(lattice_keys(np.concatenate(ends) // SAMPLES))
+
+
+def blade_points(model: LatticeModel, poses_mm: npt.ArrayLike, name: str = "blade") -> Float64:
+    """Points of a blade at each pose, LPS mm, in the frame of the nodes [cells], (pose_count, point_count, 3).
+
+    Raises
+    ------
+    SimulationError
+        Too few poses or points, numbers that are not finite, or a blade that reaches too far.
+    """
+    poses = _checked_poses(poses_mm, name)
+    points: Float64 = np.asarray(model.geometry.world_to_index(poses.reshape(-1, 3))).reshape(poses.shape) + 0.5
+    if not (np.abs(points) < _FURTHEST).all():
+        raise SimulationError("every point must lie within the lattice or near it", place=name)
+    return points
+
+
+def _checked_poses(poses: npt.ArrayLike, name: str) -> Float64:
+    problem = "a blade needs two points or more in two poses or more, shape (poses, points, 3)"
+    try:
+        points = np.asarray(poses, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise SimulationError(problem, place=name) from None
+    if points.ndim != 3 or points.shape[2] != 3 or min(points.shape[:2]) < 2:
+        raise SimulationError(problem, place=name)
+    if not np.isfinite(points).all():
+        raise SimulationError("every point of a blade must be three finite numbers", place=name)
+    return points
 
 
 def _triangles(points: Float64) -> Float64:

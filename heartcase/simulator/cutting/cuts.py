@@ -76,4 +76,3 @@ class Cuts:
         before = nodes_before(self.uncut, self.parted, parted)
         step = Step(before, nodes_now(self.uncut, self.parted, parted, before))
         return replace(self, sheets=sheets, parted=parted), step
-

@@ -1,4 +1,4 @@
-"""Where a place in deformed tissue lies when the tissue is at rest: a blade cuts what it meets, wherever that came from.
+"""Where a place in deformed tissue lies at rest: a blade cuts what it meets, wherever that came from.
 
 In a cell the place follows from its trilinear displacements (Newton's method). Beside the tissue the nearest cell's
 mean deformation is continued.
@@ -9,36 +9,32 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.compiling.kernel import kernel
 from heartcase.schemas.arrays import Float32, Float64
 from heartcase.schemas.bundle.lattice import CORNER_OFFSETS
+from heartcase.simulator.cutting.rest_space_kernels import follow_back
 from heartcase.simulator.lattice.model import LatticeModel
 
-__all__ = ["at_rest", "refined"]
+__all__ = ["places_at_rest", "refined"]
 
-_CANDIDATES = 8
-"""Cells nearest to a place in which it is looked for."""
-_ROUNDS = 6
-"""Of Newton's method."""
 _SPACING = 0.5
 """Distance between the places of a blade that are followed back to rest [cells]."""
 
 
-def refined(points: Float64) -> Float64:
-    """Points of a blade from pose to pose, close enough to follow how tissue is deformed, (poses, points, 3) likewise."""
+def refined(poses: Float64) -> Float64:
+    """A blade in poses and points so near to each other that they follow how tissue is deformed, (any, any, 3)."""
     for axis in (0, 1):
-        points = np.moveaxis(points, axis, 0)
-        rows = [points[:1]]
-        for first, second in zip(points[:-1], points[1:], strict=True):
-            longest = float(np.linalg.norm(second - first, axis=-1).max())
-            count = max(1, int(np.ceil(longest / _SPACING)))
-            rows += [first + (second - first) * ((number + 1) / count) for number in range(count)]
-            rows = [row.reshape(-1, *points.shape[1:]) for row in rows]
-        points = np.moveaxis(np.concatenate(rows), 0, axis)
-    return points
+        rows = np.moveaxis(poses, axis, 0)
+        longest = np.linalg.norm(np.diff(rows, axis=0), axis=-1).max(axis=1)
+        counts = np.maximum(np.ceil(longest / _SPACING), 1).astype(np.int64)
+        whole = np.concatenate([[0], np.cumsum(counts)])
+        at = np.interp(np.arange(whole[-1] + 1), whole, np.arange(len(rows)))
+        before = np.minimum(at.astype(np.int64), len(rows) - 2)
+        part = (at - before)[:, None, None]
+        poses = np.moveaxis(rows[before] + part * (rows[before + 1] - rows[before]), 0, axis)
+    return poses
 
 
-def at_rest(model: LatticeModel, displacement: Float32, points: npt.ArrayLike) -> Float64:
+def places_at_rest(model: LatticeModel, displacement: Float32, points: npt.ArrayLike) -> Float64:
     """Places at rest of some places now [cells, frame of the nodes], shape (..., 3).
 
     Parameters
@@ -55,99 +51,7 @@ def at_rest(model: LatticeModel, displacement: Float32, points: npt.ArrayLike) -
         return places.copy()
     result = np.empty((places.size // 3, 3))
     corners = (CORNER_OFFSETS - 0.5).astype(np.float64)
-    _follow_back(
+    follow_back(
         places.reshape(-1, 3), model.cells.astype(np.float64) + 0.5, model.cell_corners, displacement, corners, result
     )
     return result.reshape(places.shape)
-
-
-@kernel
-def _follow_back(points, centres, cell_corners, displacement, corners, result):
-    cell_count = len(centres)
-    now = np.empty((cell_count, 3))
-    for cell in range(cell_count):
-        for axis in range(3):
-            total = 0.0
-            for corner in range(8):
-                total += displacement[cell_corners[cell, corner], axis]
-            now[cell, axis] = centres[cell, axis] + total / 8.0
-    nearest, away = np.empty(_CANDIDATES, np.int64), np.empty(_CANDIDATES)
-    local, best = np.empty(3), np.empty(3)
-    for point in range(len(points)):
-        away[:] = np.inf
-        nearest[:] = -1
-        for cell in range(cell_count):
-            x, y, z = points[point, 0] - now[cell, 0], points[point, 1] - now[cell, 1], points[point, 2] - now[cell, 2]
-            square = x * x + y * y + z * z
-            if square < away[_CANDIDATES - 1]:
-                place = _CANDIDATES - 1
-                while place > 0 and away[place - 1] > square:
-                    away[place], nearest[place] = away[place - 1], nearest[place - 1]
-                    place -= 1
-                away[place], nearest[place] = square, cell
-        least = np.inf
-        for candidate in range(_CANDIDATES):
-            cell = nearest[candidate]
-            if cell < 0:
-                break
-            size = _local_place(points[point], centres[cell], cell_corners[cell], displacement, corners, local)
-            if size < least:
-                least = size
-                best[:] = centres[cell] + local
-            if least <= 0.5:
-                break
-        result[point] = best if least < np.inf else points[point]
-
-
-@kernel(cached=False)
-def _local_place(point, centre, nodes, displacement, corners, local):
-    """Place in a cell from its centre at rest, and the largest of its components: inside up to one half."""
-    local[:] = 0.0
-    matrix, mean = np.empty((3, 3)), np.empty((3, 3))
-    gap = np.empty(3)
-    for number in range(_ROUNDS):
-        for axis in range(3):
-            gap[axis] = centre[axis] + local[axis] - point[axis]
-            for along in range(3):
-                matrix[axis, along] = 1.0 if axis == along else 0.0
-        for corner in range(8):
-            fx, fy, fz = (0.5 + 2.0 * corners[corner, 0] * local[0], 0.5 + 2.0 * corners[corner, 1] * local[1],
-                          0.5 + 2.0 * corners[corner, 2] * local[2])
-            sx, sy, sz = 2.0 * corners[corner, 0], 2.0 * corners[corner, 1], 2.0 * corners[corner, 2]
-            for axis in range(3):
-                u = displacement[nodes[corner], axis]
-                gap[axis] += fx * fy * fz * u
-                matrix[axis, 0] += sx * fy * fz * u
-                matrix[axis, 1] += fx * sy * fz * u
-                matrix[axis, 2] += fx * fy * sz * u
-        if number == 0:
-            mean[:] = matrix
-        if not _solve(matrix, gap, local):
-            return np.inf
-        if max(abs(local[0]), abs(local[1]), abs(local[2])) > 1.0:
-            # Beside the cell its displacements are no guide: its mean deformation is.
-            local[:] = 0.0
-            for axis in range(3):
-                gap[axis] = centre[axis] - point[axis]
-                for corner in range(8):
-                    gap[axis] += displacement[nodes[corner], axis] / 8.0
-            if not _solve(mean, gap, local):
-                return np.inf
-            break
-    return max(abs(local[0]), abs(local[1]), abs(local[2]))
-
-
-@kernel(cached=False)
-def _solve(matrix, gap, local):
-    """Take the solution of three equations from a place; whether there is one."""
-    a, b, c = matrix[0], matrix[1], matrix[2]
-    x0, x1, x2 = b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0]
-    determinant = a[0] * x0 + a[1] * x1 + a[2] * x2
-    if abs(determinant) < 1e-9:
-        return False
-    y0, y1, y2 = c[1] * a[2] - c[2] * a[1], c[2] * a[0] - c[0] * a[2], c[0] * a[1] - c[1] * a[0]
-    z0, z1, z2 = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-    local[0] -= (x0 * gap[0] + y0 * gap[1] + z0 * gap[2]) / determinant
-    local[1] -= (x1 * gap[0] + y1 * gap[1] + z1 * gap[2]) / determinant
-    local[2] -= (x2 * gap[0] + y2 * gap[1] + z2 * gap[2]) / determinant
-    return True

@@ -84,7 +84,7 @@ class SpringsByNode:
     """Springs by node, as the kernels read them.
 
     With o the vector to the other end before any movement and d the one after, D = d - o, a spring of rest length L
-    pulls with k e d / (|d|^2 + L |d|), where e = (o + d) . D + c and c = |o|^2 - L^2: one that is at rest does not pull.
+    pulls with k e d / (|d|^2 + L |d|), where e = (o + d) . D + c and c = |o|^2 - L^2: at rest it does not pull at all.
     """
 
     first: Int32

@@ -124,7 +124,8 @@ class InstrumentArrays(NamedTuple):
 
     explicit: ExplicitArrays
     """Lanes with explicit springs, their windows, where the springs of each begin (and the last end); lane at the other
-    end, offset, excess and stiffness of each spring (:class:`heartcase.simulator.lattice.explicit_springs.SpringsByNode`)."""
+    end, offset, excess and stiffness of each, as of
+    :class:`heartcase.simulator.lattice.explicit_springs.SpringsByNode`."""
     probes: Float32
     """As of :func:`heartcase.simulator.engine.shared.contact.probe_row`, shape (probe_count, PROBE_SIZE)."""
 

@@ -20,9 +20,7 @@ from heartcase.schemas.arrays import Float32, Int32, Int64
 from heartcase.simulator.engine.cpu.arrays import (
     CellArrays,
     CellWork,
-    GhostArrays,
     InstrumentArrays,
-    Kinds,
     NodeArrays,
     SharingArrays,
     StepRow,

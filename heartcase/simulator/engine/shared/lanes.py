@@ -222,7 +222,9 @@ def lane_layout(model: LatticeModel, *, in_banks: bool = False) -> LaneLayout:
     rows_j, rows_k = j[first, None] + ROWS[:, 0], k[first, None] + ROWS[:, 1]
     # The next block, then the window's own: where it is there, so are the lanes of the other, empty or not.
     for ahead in (1, 0):
-        row_keys = keys_of(np.broadcast_to(block[first, None] + ahead, rows_j.shape), np.int64(0), rows_j, rows_k)
+        row_keys = keys_of(
+            np.broadcast_to(block[first, None] + ahead, rows_j.shape), np.zeros_like(rows_j), rows_j, rows_k
+        )
         nearest = np.minimum(np.searchsorted(stored, row_keys), len(stored) - 1)
         is_there = stored[nearest] == row_keys
         place = np.broadcast_to(i[first, None] % LANE_COUNT, is_there.shape)
@@ -241,7 +243,7 @@ def lane_layout(model: LatticeModel, *, in_banks: bool = False) -> LaneLayout:
     )
     if rows is not None:
         row_keys = lattice_keys(np.stack([np.zeros_like(rows_j), rows_j, rows_k], axis=-1))
-        is_near = np.isin(row_keys, rows.row_keys).any(axis=1)
+        is_near = np.asarray(np.isin(row_keys, rows.row_keys).any(axis=1))
         near = np.flatnonzero(is_near)
         window_rows[near] = np.where(np.arange(len(ROWS)) == 4, window_rows[near], EMPTY_START)
         vote_for_rows(model, node_lane, layout.node_slot, near, window_rows, layout.lane_count)

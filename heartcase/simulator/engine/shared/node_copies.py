@@ -1,10 +1,10 @@
 """Lanes for a lattice that was cut: several nodes in one place, and what does not lie at a fixed distance.
 
 A row of nodes along i that has copies is taken apart into paths, along which each node follows the one before it. Paths
-that do not overlap and have neighbours in common share a run of lanes, a layer of the row. A window of nodes finds the rows around it where most of its
-nodes' neighbours lie: near a cut, some of its lanes belong to one side and some to the other. Springs and cells whose
-ends lie elsewhere are irregular: springs become explicit ones, and cells get ghosts of their corners' nodes
-(:mod:`heartcase.simulator.engine.shared.lanes`). They are few, however many springs a cut has parted.
+that do not overlap and have neighbours in common share a run of lanes, a layer of the row. A window of nodes finds the
+rows around it where most of its nodes' neighbours lie: near a cut, some of its lanes belong to one side and some to the
+other. Springs and cells whose ends lie elsewhere are irregular: springs become explicit ones, and cells get ghosts of
+their corners' nodes (:mod:`heartcase.simulator.engine.shared.lanes`). They are few beside what a large cut parts.
 """
 
 from __future__ import annotations
@@ -14,17 +14,15 @@ from typing import Protocol
 
 import numpy as np
 
-from heartcase.compiling.kernel import kernel
 from heartcase.schemas.arrays import Bool, Int32, Int64
 from heartcase.schemas.bundle.lattice import CORNER_OFFSETS, lattice_keys
+from heartcase.simulator.engine.shared.node_copy_kernels import couple, group_paths, match, vote, walk
 from heartcase.simulator.lattice.model import DIRECTIONS, LatticeModel
 
 __all__ = ["CopiedRows", "Lookup", "copied_rows", "irregular_cells", "irregular_springs", "vote_for_rows"]
 
 _BESIDE = np.array([(a, b) for a in range(8) for b in range(a + 1, 8) if (a ^ b) & 1 == 0])
 """Corners of a cell in different rows at one i, shape (12, 2)."""
-_CANDIDATES = 64
-"""Different places of a neighbouring row that the nodes of a window can vote for."""
 
 
 class Lookup(Protocol):
@@ -71,7 +69,7 @@ def copied_rows(model: LatticeModel) -> CopiedRows | None:
     after, before = _paths(model, is_copied)
     starts = np.flatnonzero(is_copied & (before < 0))
     path = np.full(model.node_count, -1, np.int64)
-    _walk(starts, after, path)
+    walk(starts, after, path)
     group = _grouped(model, path, rows)
     # The layers of a row are numbered by their first paths.
     order = np.lexsort((keys[starts], rows[starts]))
@@ -92,27 +90,8 @@ def _paths(model: LatticeModel, is_copied: Bool) -> tuple[Int64, Int64]:
     pairs, count = np.unique(links[:, 0] * model.node_count + links[:, 1], return_counts=True)
     pairs = pairs[np.lexsort((pairs, -count))]
     after, before = np.full(model.node_count, -1, np.int64), np.full(model.node_count, -1, np.int64)
-    _match(pairs // model.node_count, pairs % model.node_count, after, before)
+    match(pairs // model.node_count, pairs % model.node_count, after, before)
     return after, before
-
-
-@kernel
-def _match(lower, higher, after, before):
-    """Let nodes follow each other along some links, the first first."""
-    for link in range(len(lower)):
-        if after[lower[link]] < 0 and before[higher[link]] < 0:
-            after[lower[link]] = higher[link]
-            before[higher[link]] = lower[link]
-
-
-@kernel
-def _walk(starts, after, path):
-    """Give the nodes of each path its number."""
-    for number in range(len(starts)):
-        node = starts[number]
-        while node >= 0:
-            path[node] = number
-            node = after[node]
 
 
 def _grouped(model: LatticeModel, path: Int64, rows: Int64) -> Int64:
@@ -137,8 +116,8 @@ def _grouped(model: LatticeModel, path: Int64, rows: Int64) -> Int64:
     row_of_path[path[path >= 0]] = row[path >= 0]
     order = np.lexsort((side, row_of_path[side], middle))
     middle, side, weight = middle[order], side[order], weight[order]
-    couples = np.empty((_couple(middle, side, weight, row_of_path, np.empty((0, 3), np.int64)), 3), np.int64)
-    _couple(middle, side, weight, row_of_path, couples)
+    couples = np.empty((couple(middle, side, weight, row_of_path, np.empty((0, 3), np.int64)), 3), np.int64)
+    couple(middle, side, weight, row_of_path, couples)
     i = model.node_index[:, 0].astype(np.int64)
     low, high = np.full(path_count, np.iinfo(np.int64).max), np.full(path_count, np.iinfo(np.int64).min)
     np.minimum.at(low, path[path >= 0], i[path >= 0])
@@ -148,52 +127,8 @@ def _grouped(model: LatticeModel, path: Int64, rows: Int64) -> Int64:
     couples = couples[np.lexsort((other, one, -common, gap))]
     couples = couples[np.sort(gap) <= 8]
     group = np.arange(path_count)
-    _group(couples, low, high, group)
+    group_paths(couples, low, high, group)
     return group
-
-
-@kernel
-def _couple(middle, side, weight, row_of_path, couples):
-    """Count the pairs of sides in one row with one middle, and write them with their lesser weight, as there is room."""
-    count = 0
-    for first in range(len(middle)):
-        for second in range(first + 1, len(middle)):
-            if middle[second] != middle[first] or row_of_path[side[second]] != row_of_path[side[first]]:
-                break
-            if count < len(couples):
-                couples[count, 0], couples[count, 1] = side[first], side[second]
-                couples[count, 2] = min(weight[first], weight[second])
-            count += 1
-    return count
-
-
-@kernel
-def _group(couples, low, high, group):
-    """Bring paths together, couple by couple, where none of their groups' paths overlap."""
-    following = np.full(len(low), -1, np.int64)
-    for number in range(len(couples)):
-        one, other = group[couples[number, 0]], group[couples[number, 1]]
-        if one == other:
-            continue
-        one, other = min(one, other), max(one, other)
-        overlaps = False
-        last = one
-        here = one
-        while here >= 0:
-            there = other
-            while there >= 0:
-                if low[here] <= high[there] and low[there] <= high[here]:
-                    overlaps = True
-                there = following[there]
-            last = here
-            here = following[here]
-        if overlaps:
-            continue
-        following[last] = other
-        here = other
-        while here >= 0:
-            group[here] = one
-            here = following[here]
 
 
 def vote_for_rows(
@@ -219,52 +154,11 @@ def vote_for_rows(
     is_asked[windows] = True
     asks = is_asked[node_slot // 8]
     corners = model.cell_corners[asks[model.cell_corners].any(axis=1)]
-    _vote(corners, model.node_index, node_lane, node_slot, asks, windows, window_rows, window_count, lane_count)
-
-
-@kernel
-def _vote(corners, node_index, node_lane, node_slot, asks, windows, window_rows, window_count, lane_count):
-    number = np.full(window_count, -1, np.int64)
-    for place in range(len(windows)):
-        number[windows[place]] = place
-    lanes = np.full((len(windows), 9, _CANDIDATES), -1, np.int64)
-    votes = np.zeros((len(windows), 9, _CANDIDATES), np.int64)
-    for cell in range(len(corners)):
-        for a in range(8):
-            node = corners[cell, a]
-            if not asks[node]:
-                continue
-            window = number[node_slot[node] // 8]
-            for b in range(8):
-                other = corners[cell, b]
-                i = node_index[other, 0] - node_index[node, 0]
-                row = node_index[other, 1] - node_index[node, 1] + 1
-                row += 3 * (node_index[other, 2] - node_index[node, 2] + 1)
-                if row == 4:
-                    continue
-                lane = node_lane[other] - i - node_slot[node] % 8
-                if lane < 8 or lane > lane_count - 16:
-                    continue
-                for candidate in range(_CANDIDATES):
-                    if lanes[window, row, candidate] < 0:
-                        lanes[window, row, candidate] = lane
-                    if lanes[window, row, candidate] == lane:
-                        votes[window, row, candidate] += 1
-                        break
-    for place in range(len(windows)):
-        for row in range(9):
-            best = 0
-            for candidate in range(_CANDIDATES):
-                lane, count = lanes[place, row, candidate], votes[place, row, candidate]
-                if lane < 0:
-                    break
-                if count > best or (count == best and lane < window_rows[windows[place], row]):
-                    best = count
-                    window_rows[windows[place], row] = lane
+    vote(corners, model.node_index, node_lane, node_slot, asks, windows, window_rows, window_count, lane_count)
 
 
 def irregular_springs(model: LatticeModel, lookup: Lookup) -> Bool:
-    """Springs that the kernels do not find at both ends, or that they would take for another node's, (spring_count,)."""
+    """Springs that kernels do not find at both ends, or would take for another node's, shape (spring_count,)."""
     irregular = np.zeros(model.spring_count, np.bool_)
     ends = model.spring_nodes.astype(np.int64)
     is_near = lookup.is_near_copies

@@ -1,0 +1,110 @@
+"""Places of deformed tissue at rest: kernels of :mod:`heartcase.simulator.cutting.rest_space`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from heartcase.compiling.kernel import kernel
+
+__all__ = ["follow_back"]
+
+_CANDIDATES = 8
+"""Cells nearest to a place in which it is looked for."""
+_ROUNDS = 6
+"""Of Newton's method."""
+
+
+@kernel(cached=False)
+def _solve(matrix, gap, local):
+    """Take the solution of three equations from a place; whether there is one."""
+    a, b, c = matrix[0], matrix[1], matrix[2]
+    x0, x1, x2 = b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0]
+    determinant = a[0] * x0 + a[1] * x1 + a[2] * x2
+    if abs(determinant) < 1e-9:
+        return False
+    y0, y1, y2 = c[1] * a[2] - c[2] * a[1], c[2] * a[0] - c[0] * a[2], c[0] * a[1] - c[1] * a[0]
+    z0, z1, z2 = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+    local[0] -= (x0 * gap[0] + y0 * gap[1] + z0 * gap[2]) / determinant
+    local[1] -= (x1 * gap[0] + y1 * gap[1] + z1 * gap[2]) / determinant
+    local[2] -= (x2 * gap[0] + y2 * gap[1] + z2 * gap[2]) / determinant
+    return True
+
+
+@kernel(cached=False)
+def _local_place(point, centre, nodes, displacement, corners, local):
+    """Place in a cell from its centre at rest, and the largest of its components: inside up to one half."""
+    local[:] = 0.0
+    matrix, mean = np.empty((3, 3)), np.empty((3, 3))
+    gap = np.empty(3)
+    for number in range(_ROUNDS):
+        for axis in range(3):
+            gap[axis] = centre[axis] + local[axis] - point[axis]
+            for along in range(3):
+                matrix[axis, along] = 1.0 if axis == along else 0.0
+        for corner in range(8):
+            fx, fy, fz = (
+                0.5 + 2.0 * corners[corner, 0] * local[0],
+                0.5 + 2.0 * corners[corner, 1] * local[1],
+                0.5 + 2.0 * corners[corner, 2] * local[2],
+            )
+            sx, sy, sz = 2.0 * corners[corner, 0], 2.0 * corners[corner, 1], 2.0 * corners[corner, 2]
+            for axis in range(3):
+                u = displacement[nodes[corner], axis]
+                gap[axis] += fx * fy * fz * u
+                matrix[axis, 0] += sx * fy * fz * u
+                matrix[axis, 1] += fx * sy * fz * u
+                matrix[axis, 2] += fx * fy * sz * u
+        if number == 0:
+            mean[:] = matrix
+        if not _solve(matrix, gap, local):
+            return np.inf
+        if max(abs(local[0]), abs(local[1]), abs(local[2])) > 1.0:
+            # Beside the cell its displacements are no guide: its mean deformation is.
+            local[:] = 0.0
+            for axis in range(3):
+                gap[axis] = centre[axis] - point[axis]
+                for corner in range(8):
+                    gap[axis] += displacement[nodes[corner], axis] / 8.0
+            if not _solve(mean, gap, local):
+                return np.inf
+            break
+    return max(abs(local[0]), abs(local[1]), abs(local[2]))
+
+
+@kernel
+def follow_back(points, centres, cell_corners, displacement, corners, result):
+    """Write the place at rest of each point, from the cells around it, whose centres at rest are given."""
+    cell_count = len(centres)
+    now = np.empty((cell_count, 3))
+    for cell in range(cell_count):
+        for axis in range(3):
+            total = 0.0
+            for corner in range(8):
+                total += displacement[cell_corners[cell, corner], axis]
+            now[cell, axis] = centres[cell, axis] + total / 8.0
+    nearest, away = np.empty(_CANDIDATES, np.int64), np.empty(_CANDIDATES)
+    local, best = np.empty(3), np.empty(3)
+    for point in range(len(points)):
+        away[:] = np.inf
+        nearest[:] = -1
+        for cell in range(cell_count):
+            x, y, z = points[point, 0] - now[cell, 0], points[point, 1] - now[cell, 1], points[point, 2] - now[cell, 2]
+            square = x * x + y * y + z * z
+            if square < away[_CANDIDATES - 1]:
+                place = _CANDIDATES - 1
+                while place > 0 and away[place - 1] > square:
+                    away[place], nearest[place] = away[place - 1], nearest[place - 1]
+                    place -= 1
+                away[place], nearest[place] = square, cell
+        least = np.inf
+        for candidate in range(_CANDIDATES):
+            cell = nearest[candidate]
+            if cell < 0:
+                break
+            size = _local_place(points[point], centres[cell], cell_corners[cell], displacement, corners, local)
+            if size < least:
+                least = size
+                best[:] = centres[cell] + local
+            if least <= 0.5:
+                break
+        result[point] = best if least < np.inf else points[point]

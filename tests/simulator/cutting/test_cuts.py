@@ -1,0 +1,217 @@
+"""Cutting while tissue moves: nothing jumps, hands hold on, and going back gives the same bytes."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from heartcase.schemas.errors import SimulationError
+from heartcase.simulator.cutting.blade_sheet import Sheet
+from heartcase.simulator.cutting.cuts import Cuts
+from heartcase.simulator.cutting.rest_space import places_at_rest, refined
+from heartcase.simulator.cutting.tissue_samples import TissueSamples
+from heartcase.simulator.lattice.force_law import ForceLaw
+from heartcase.simulator.lattice.state import State
+from heartcase.simulator.simulation import Simulation
+from tests.simulator.lattices import block, oblique_geometry, random_field
+
+LAWS = [ForceLaw(), ForceLaw("springs", 0.45), ForceLaw("element", 0.45)]
+FULL = TissueSamples.everywhere()
+
+
+def sheet_through(model, rng) -> Sheet:
+    middle = model.node_index.mean(axis=0) + rng.uniform(-1, 1, 3)
+    along, across = rng.normal(size=(2, 3)) * 4
+    return Sheet.swept([[middle - along - across, middle + along - across], [middle - along + across, middle + along]])
+
+
+def blade_mm(model, points):
+    """Points in the frame of the nodes [cells], LPS mm."""
+    return model.geometry.index_to_world(np.asarray(points, dtype=float) - 0.5)
+
+
+def across_bar(model, place=4.3, depth=2.6):
+    """A blade across a bar along i, from above down to a depth below its top."""
+    top = model.node_index[:, 2].max() + 1.0
+    low = top - 1.0 - depth
+    points = [[[place, -1.0, top], [place, -1.0, low]], [[place, 9.0, top], [place, 9.0, low]]]
+    return blade_mm(model, points)
+
+
+def moving_bar(backend, law=None, **options):
+    model = block(9, 4, 4, law=law, geometry=oblique_geometry((4, 4, 9)), fix_base=False)
+    model.node_is_fixed[model.node_index[:, 0] == 0] = True
+    simulation = Simulation(model, backend=backend, sleep_mm=0, **options)
+    tip = model.rest_positions_mm()[model.node_index[:, 0] == 9].mean(axis=0)
+    hand = simulation.grab(tip, 2.0 * model.cell_mm)
+    simulation.lead(hand, 0.6 * model.cell_mm * np.array([0.3, 0.4, 0.8]))
+    simulation.step(60)
+    return simulation, hand
+
+
+@pytest.mark.parametrize("backend", ["cpu", "reference"])
+@pytest.mark.parametrize("law", LAWS)
+def test_nothing_moves_when_tissue_is_cut(backend, law):
+    simulation, hand = moving_bar(backend, law)
+    model, state = simulation.model, simulation.state
+    before, force = simulation.energy(), simulation.force_on(hand)
+    momentum = (model.node_mass[:, None] * state.velocity.astype(float)).sum(axis=0)
+    simulation.cut(across_bar(model))
+    cut = simulation.model
+    assert cut.node_count > model.node_count
+    assert simulation.step_count == 60
+    np.testing.assert_array_equal(simulation.state.displacement[: model.node_count], state.displacement)
+    np.testing.assert_allclose(simulation.energy().elastic_j, before.elastic_j, rtol=0.02 if law.is_element else 1e-5)
+    now = (cut.node_mass[:, None] * simulation.state.velocity.astype(float)).sum(axis=0)
+    np.testing.assert_allclose(now, momentum, atol=1e-6 * np.abs(momentum).max())
+    np.testing.assert_allclose(cut.node_mass.sum(dtype=float), model.node_mass.sum(dtype=float), rtol=1e-6)
+    np.testing.assert_allclose(simulation.force_on(hand), force, rtol=2e-2, atol=1e-6)
+    simulation.step(60)
+    assert np.isfinite(simulation.positions_mm()).all()
+    # The lips part.
+    copies = np.flatnonzero(np.bincount(np.unique(cut.node_index, axis=0, return_inverse=True)[1].ravel()) > 1)
+    assert len(copies)
+    assert np.ptp(simulation.state.displacement, axis=0).max() > 0.1
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_steps_after_a_cut_agree_with_the_reference(law):
+    ends = []
+    for backend in ("cpu", "reference"):
+        simulation, _ = moving_bar(backend, law)
+        simulation.cut(across_bar(simulation.model))
+        simulation.step(50)
+        simulation.cut(across_bar(simulation.model, 6.2, 1.4))
+        simulation.step(50)
+        ends.append(simulation.positions_mm())
+    np.testing.assert_allclose(ends[0], ends[1], atol=2e-3)
+
+
+def test_a_hand_holds_all_copies_of_what_it_held():
+    simulation, hand = moving_bar("cpu")
+    held = simulation.model.node_index[hand.nodes]
+    simulation.cut(across_bar(simulation.model, 8.5, 5.0))
+    assert len(hand.nodes) > len(held)
+    np.testing.assert_array_equal(np.unique(simulation.model.node_index[hand.nodes], axis=0), np.unique(held, axis=0))
+    simulation.lead(hand, (2.0, 0.0, 0.0))
+    simulation.step(10)
+    moved = simulation.state.displacement[hand.nodes] - hand.displacement_at(hand.pose)
+    np.testing.assert_allclose(moved, 0, atol=1e-5)
+
+
+def test_going_back_before_a_cut_and_on_again_gives_the_same_bytes():
+    simulation, hand = moving_bar("cpu")
+    start = simulation.snapshot()
+    ends = []
+    for _ in range(2):
+        simulation.cut(across_bar(simulation.model))
+        between = simulation.snapshot()
+        simulation.step(30)
+        ends.append((simulation.state.displacement.tobytes(), simulation.force_on(hand).tobytes()))
+        simulation.restore(between)
+        simulation.step(30)
+        ends.append((simulation.state.displacement.tobytes(), simulation.force_on(hand).tobytes()))
+        simulation.restore(start)
+        assert simulation.model is start.model
+    assert ends[0] == ends[1] == ends[2] == ends[3]
+    simulation.step(30)
+    uncut = simulation.state.displacement.tobytes()
+    simulation.restore(start)
+    simulation.step(30)
+    assert simulation.state.displacement.tobytes() == uncut
+
+
+def test_explicit_springs_hold_on():
+    simulation, _ = moving_bar("cpu")
+    ends = np.flatnonzero((simulation.model.node_index == (4, 2, 4)).all(axis=1))[0], 7
+    simulation.add_springs([ends], 0.05)
+    simulation.cut(across_bar(simulation.model))
+    spring = simulation.model.explicit.nodes[0]
+    np.testing.assert_array_equal(simulation.model.node_index[spring], simulation.model.node_index[list(ends)])
+    simulation.step(5)
+
+
+def test_what_cannot_be_cut_is_refused_and_changes_nothing():
+    simulation, _ = moving_bar("cpu")
+    model = simulation.model
+    for poses in ([[1, 2, 3]], [[[0, 0, 0]], [[1, 1, 1]]], np.full((2, 2, 3), np.nan), np.full((2, 2, 3), 1e9), "ab"):
+        with pytest.raises(SimulationError, match="blade"):
+            simulation.cut(poses)
+        assert simulation.model is model
+    simulation.remove_springs(np.arange(model.spring_count) == 0)
+    with pytest.raises(SimulationError, match="springs of this lattice were removed"):
+        simulation.cut(across_bar(model))
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.2, 1.0]))
+def test_a_blade_cuts_what_it_meets(seed, size):
+    """Places of deformed tissue, worked out from places at rest, are followed back to these."""
+    rng = np.random.default_rng(seed)
+    model = block(6, 5, 4)
+    stretch = np.eye(3) + size * rng.uniform(-0.3, 0.3, (3, 3))
+    shift = size * rng.uniform(-5, 5, 3)
+    displacement = (model.node_index @ (stretch - np.eye(3)).T + shift).astype(np.float32)
+    places = rng.uniform(-2, 8, (40, 3))
+    found = places_at_rest(model, displacement, places @ stretch.T + shift)
+    np.testing.assert_allclose(found, places, atol=1e-4)
+    # In a cell that is warped, what its trilinear displacements say.
+    displacement += random_field(model, seed % 1000, 0.1 * size)
+    inside = rng.uniform(0, 1, (60, 3))
+    cells = rng.integers(model.cell_count, size=60)
+    corner = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), axis=-1).reshape(-1, 3)[:, ::-1]
+    weight = np.where(corner[None] == 1, inside[:, None], 1 - inside[:, None]).prod(axis=2)
+    at = model.cells[cells] + inside
+    now = at + np.einsum("nc,nci->ni", weight, displacement[model.cell_corners[cells]].astype(float))
+    np.testing.assert_allclose(places_at_rest(model, displacement, now), at, atol=1e-4)
+
+
+def test_a_blade_is_refined_along_both_of_its_ways():
+    poses = np.array([[[0.0, 0, 0], [3, 0, 0], [3, 1, 0]], [[0, 0, 2], [3, 0, 2], [3, 1, 2.2]]])
+    finer = refined(poses)
+    assert np.linalg.norm(np.diff(finer, axis=0), axis=2).max() <= 0.5 + 1e-9
+    assert np.linalg.norm(np.diff(finer, axis=1), axis=2).max() <= 0.5 + 1e-9
+    for corner in poses.reshape(-1, 3):
+        assert np.linalg.norm(finer - corner, axis=2).min() < 1e-12
+
+
+def samples_of_nodes(uncut, parted):
+    """All samples, as (uncut cell, number), of the pieces that each node is a corner of."""
+    pieces, samples = parted.pieces, defaultdict(set)
+    row = {int(cell): number for number, cell in enumerate(pieces.cells)}
+    rank = defaultdict(int)
+    for cell, (origin, corners) in enumerate(zip(parted.cell_origin, parted.model.cell_corners, strict=True)):
+        number = rank[origin]
+        rank[origin] += 1
+        whole = range(512) if int(origin) not in row else np.flatnonzero(pieces.samples[row[int(origin)]] == number)
+        for node in corners:
+            samples[int(node)].update((int(origin), int(sample)) for sample in whole)
+        assert cell >= 0
+    return samples
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_a_node_goes_over_to_where_most_of_its_tissue_hung(seed):
+    rng = np.random.default_rng(seed)
+    model = block(4, 3, 3)
+    first, _ = Cuts(model, FULL).with_sheet(sheet_through(model, rng))
+    second, step = first.with_sheet(sheet_through(model, rng))
+    before, now = samples_of_nodes(model, first.parted), samples_of_nodes(model, second.parted)
+    copies = defaultdict(list)
+    for node, origin in enumerate(first.parted.node_origin):
+        copies[int(origin)].append(node)
+    for node, origin in enumerate(second.parted.node_origin):
+        common = {old: len(before[old] & now[node]) for old in copies[int(origin)]}
+        chosen = int(step.node_before[node])
+        assert chosen in common
+        assert common[chosen] == max(common.values())
+    assert (second.parted.node_origin[step.node_now] == first.parted.node_origin).all()
+    state = State(random_field(first.model, seed % 97, 0.1), random_field(first.model, seed % 89, 0.1), 5)
+    carried = step.carried(state)
+    assert carried.step_count == 5
+    np.testing.assert_array_equal(carried.displacement, state.displacement[step.node_before])
