@@ -170,15 +170,27 @@ def _springs(
     They are those of the uncut lattice, shared out among their copies.
     """
     pairs, share, direction = CELL_SPRINGS
-    ends = corners[:, pairs].astype(np.int64)
     node_count = len(node_origin)
-    keys = (ends[..., 0] * 9 + direction) * node_count + ends[..., 1]
-    used, number = np.unique(keys.ravel(), return_inverse=True)
-    weight = np.bincount(number.ravel(), (stiffness[:, None] * share).ravel())
-    nodes = np.stack([used // (9 * node_count), used % node_count], axis=1)
-    directions = used // node_count % 9
+    # Where no node has a copy all stays as it was.
+    has_copies = np.zeros(model.node_count, np.bool_)
+    has_copies[node_origin[model.node_count :]] = True
+    near = has_copies[node_origin[corners]].any(axis=1)
+    ends = corners[near][:, pairs].astype(np.int64)
+    keys = ((ends[..., 0] * 9 + direction) * node_count + ends[..., 1]).ravel()
+    shares = (stiffness[near, None] * share).ravel()
+    is_shared = has_copies[node_origin[ends]].any(axis=2).ravel()
+    used, number = np.unique(keys[is_shared], return_inverse=True)
+    weight = np.bincount(number.ravel(), shares[is_shared])
     uncut = model.spring_nodes[:, 0].astype(np.int64) * 9 + model.spring_direction
-    origin = np.searchsorted(uncut, node_origin[nodes[:, 0]] * 9 + directions)
+    origin = np.searchsorted(uncut, node_origin[used // (9 * node_count)] * 9 + used // node_count % 9)
     whole = np.bincount(origin, weight)[origin]
-    shared = (model.spring_weight[origin] * (weight / whole)).astype(np.float32)
-    return nodes.astype(np.int32), directions.astype(np.int8), shared
+    shared = model.spring_weight[origin] * (weight / whole)
+
+    kept = ~has_copies[model.spring_nodes].any(axis=1)
+    kept_keys = uncut[kept] * node_count + model.spring_nodes[kept, 1]
+    keys = np.concatenate([kept_keys, used])
+    order = np.argsort(keys, kind="stable")
+    keys = keys[order]
+    nodes = np.stack([keys // (9 * node_count), keys % node_count], axis=1)
+    weights = np.concatenate([model.spring_weight[kept], shared.astype(np.float32)])[order]
+    return nodes.astype(np.int32), (keys // node_count % 9).astype(np.int8), weights

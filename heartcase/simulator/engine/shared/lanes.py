@@ -132,7 +132,14 @@ class LaneLayout:
         """Springs of a model of these nodes whose ends do not lie at fixed distances, shape (spring_count,)."""
         if not self.is_near_copies.any():
             return np.zeros(model.spring_count, np.bool_)
-        return irregular_springs(model, self)
+        if not self._known or self._known[0] is not model.spring_nodes:
+            self._known[:] = model.spring_nodes, irregular_springs(model, self)
+        return self._known[1]
+
+    @cached_property
+    def _known(self) -> list[Int32 | Bool]:
+        """Springs of the model that was asked for last, and which of them are irregular."""
+        return []
 
     def springs_apart(self, model: LatticeModel) -> SpringsByNode:
         """Explicit springs and those of the lattice that are irregular, by node."""
@@ -339,10 +346,11 @@ def cell_layout(model: LatticeModel, layout: LaneLayout) -> CellLayout:
     ghost_rows = np.full((len(layout.ghost_start), len(ROWS)), EMPTY_START)
     ghost_rows[:, _GHOST_ROWS] = layout.ghost_start[:, None] + LANE_COUNT * np.arange(len(_GHOST_ROWS))
 
-    pairs = np.unique(np.stack([np.repeat(window_of_cell, 8), windows.ravel()], axis=1), axis=0)
-    place = np.arange(len(pairs)) - np.searchsorted(pairs[:, 0], pairs[:, 0])
+    pairs = distinct_keys((window_of_cell[:, None] * layout.window_count + windows).ravel())
+    here, there = pairs // layout.window_count, pairs % layout.window_count
+    place = np.arange(len(pairs)) - np.searchsorted(here, here)
     touches = np.full((len(held) + len(ghost_rows), max(8, int(place.max()) + 1)), -1, np.int64)
-    touches[pairs[:, 0], place] = pairs[:, 1]
+    touches[here, place] = there
     rows = np.concatenate([layout.window_rows[held], ghost_rows])
     return CellLayout(layout=layout, cell_lane=cell_lane, window_rows=rows, touches=touches, ghost_lane=ghost_lane)
 
