@@ -132,12 +132,12 @@ class LaneLayout:
         """Springs of a model of these nodes whose ends do not lie at fixed distances, shape (spring_count,)."""
         if not self.is_near_copies.any():
             return np.zeros(model.spring_count, np.bool_)
-        if not self._known or self._known[0] is not model.spring_nodes:
-            self._known[:] = model.spring_nodes, irregular_springs(model, self)
-        return self._known[1]
+        if not self._known or self._known[0][0] is not model.spring_nodes:
+            self._known[:] = [(model.spring_nodes, irregular_springs(model, self))]
+        return self._known[0][1]
 
     @cached_property
-    def _known(self) -> list[Int32 | Bool]:
+    def _known(self) -> list[tuple[Int32, Bool]]:
         """Springs of the model that was asked for last, and which of them are irregular."""
         return []
 
