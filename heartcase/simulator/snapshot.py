@@ -47,5 +47,5 @@ class Snapshot:
 
     @classmethod
     def of(cls, model: LatticeModel, state: State, instruments: Iterable[Grab | Probe]) -> Snapshot:
-        """The moment now."""
+        """The moment now: ``model`` and ``state`` of a simulation, and the ``instruments`` in it."""
         return cls(model, state, tuple(KeptInstrument.of(instrument) for instrument in instruments))

@@ -35,10 +35,10 @@ from heartcase.schemas.recording.commands import CloseGrab, LeadGrab, Mark
 from heartcase.schemas.recording.reader import check_recording, open_recording
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.load import load_case
-from heartcase.simulator.script import load_script
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.recorder import Recorder
 from heartcase.simulator.session.replay import load_session
+from heartcase.simulator.session.script import load_script
 from heartcase.simulator.simulation import Simulation
 from tests.factories import block_case
 from tests.pipeline.formats.dicom_series import AXIAL, write_enhanced, write_series

@@ -104,7 +104,7 @@ class Recorder:
         self._state_step = self._session.step_count
 
     def keep(self, position: int, simulation: Simulation) -> None:
-        """Store the state where it is time."""
+        """Store the state of the ``simulation``, where so many entries (``position``) are done, if it is time."""
         if simulation.step_count - self._state_step >= self._state_steps:
             self._store(simulation.snapshot())
 
