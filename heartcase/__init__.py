@@ -81,11 +81,17 @@ if TYPE_CHECKING:
     from heartcase.simulator.lattice.model import GridUnits, LatticeModel, make_model
     from heartcase.simulator.lattice.state import State
     from heartcase.simulator.load import Case, ScanVolume, load_case
-    from heartcase.simulator.script import SessionSummary, default_script, load_script, run_script, with_positions
     from heartcase.simulator.session.frame import Frame, InstrumentFrame, Refusal, TopologyChange
     from heartcase.simulator.session.operating_session import Deviation, OperatingSession
     from heartcase.simulator.session.recorder import Recorder
     from heartcase.simulator.session.replay import load_session
+    from heartcase.simulator.session.script import (
+        SessionSummary,
+        default_script,
+        load_script,
+        run_script,
+        with_positions,
+    )
     from heartcase.simulator.simulation import Simulation
     from heartcase.simulator.snapshot import Snapshot
     from heartcase.simulator.surface.deform import (
@@ -309,7 +315,13 @@ _MODULES = {
     "heartcase.simulator.lattice.model": ("GridUnits", "LatticeModel", "make_model"),
     "heartcase.simulator.lattice.state": ("State",),
     "heartcase.simulator.load": ("Case", "ScanVolume", "load_case"),
-    "heartcase.simulator.script": ("SessionSummary", "default_script", "load_script", "run_script", "with_positions"),
+    "heartcase.simulator.session.script": (
+        "SessionSummary",
+        "default_script",
+        "load_script",
+        "run_script",
+        "with_positions",
+    ),
     "heartcase.simulator.session.frame": ("Frame", "InstrumentFrame", "Refusal", "TopologyChange"),
     "heartcase.simulator.session.operating_session": ("Deviation", "OperatingSession"),
     "heartcase.simulator.session.recorder": ("Recorder",),

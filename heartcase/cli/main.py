@@ -51,8 +51,10 @@ COMMANDS: dict[str, str] = {
 }
 """Name -> one-line help of each subcommand."""
 
-_FOLDERS = {"library": "library"} | dict.fromkeys(
-    ("filter", "segment", "walls", "edit", "grid", "surface", "map", "bundle"), "stages"
+_FOLDERS = (
+    {"library": "library"}
+    | dict.fromkeys(("simulate", "record", "replay"), "sessions")
+    | dict.fromkeys(("filter", "segment", "walls", "edit", "grid", "surface", "map", "bundle"), "stages")
 )
 """Folder of the module of a command's name, where it is not ``commands``."""
 

@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import SimulationError
-from heartcase.simulator.cutting.blade_sheet import Sheet, blade_points
-from heartcase.simulator.cutting.cuts import Cuts
+from heartcase.simulator.cutting.blade_sheet import blade_points
+from heartcase.simulator.cutting.cuts import Cuts, cut_further
 from heartcase.simulator.cutting.rest_space import places_at_rest, refined
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
 from heartcase.simulator.dynamics.integrate import Energy, Verlet, energy
@@ -357,14 +357,12 @@ class Simulation:
             Too few poses or points, numbers that are not finite, a blade that reaches too far, or springs were removed
             one by one: what they held together is not known.
         """
-        if not self.model.cell_is_whole.all():
-            raise SimulationError("springs of this lattice were removed: cut it by blades only", place=name)
         points = blade_points(self.model, poses_mm, name)
         if not at_rest:
             points = places_at_rest(self.model, self.state.displacement, refined(points))
-        cuts, step = (self._cuts or self._nothing_cut()).with_sheet(Sheet.swept(points))
+        model, cuts, step = cut_further(self.model, self._cuts or self.nothing_cut(), points)
         state = step.carried(self.state)
-        self._set_model(replace(cuts.model, explicit=step.joined(self.model.explicit)), cuts)
+        self._set_model(model, cuts)
         for grab in self.grabs:
             grab.nodes, place = step.held(grab.nodes)
             grab.closed_at, grab.arms = grab.closed_at[place], grab.arms[place]
@@ -487,7 +485,11 @@ class Simulation:
     def _place(self, grab: Grab, displacement: Float64, velocity: Float64) -> None:
         self._engine.prescribe(grab.nodes, displacement.astype(np.float32), velocity.astype(np.float32))
 
-    def _nothing_cut(self) -> Cuts:
+    def nothing_cut(self) -> Cuts:
+        """What a first cut begins with: the lattice before it, and its tissue inside the visible surface at rest.
+
+        Where there is no surface, tissue fills its cells.
+        """
         uncut = replace(self.model, explicit=ExplicitSprings.none())
         if self.surface is None:
             return Cuts(uncut, TissueSamples.everywhere())

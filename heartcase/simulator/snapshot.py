@@ -52,5 +52,5 @@ class Snapshot:
     def of(
         cls, model: LatticeModel, state: State, instruments: Iterable[Grab | Probe], cuts: Cuts | None = None
     ) -> Snapshot:
-        """The moment now."""
+        """The moment now: ``model``, ``state`` and ``cuts`` of a simulation, and the ``instruments`` in it."""
         return cls(model, state, tuple(KeptInstrument.of(instrument) for instrument in instruments), cuts)

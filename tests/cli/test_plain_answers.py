@@ -9,7 +9,7 @@ from heartcase.schemas.errors import RecipeError, ScriptError, SimulationError, 
 from heartcase.schemas.recipe.recipe import parse_recipe
 from heartcase.simulator.instruments.grab import require_grab
 from heartcase.simulator.load import load_case
-from heartcase.simulator.script import parse_script
+from heartcase.simulator.session.script import parse_script
 from tests.ball import write_ball_recipe, write_ball_scan
 
 HEAD = 'heartcase_recipe = 1\nname = "a"\n[scan]\npath = "s.nii.gz"\n'

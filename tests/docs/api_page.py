@@ -47,7 +47,17 @@ SECTIONS = {
     ),
     "Simulate": (
         "A case in motion: grab, push, cut, join, feel the force, show the surface.",
-        "Simulation Grab Probe State Snapshot Energy Watch DeformedSurface write_surface",
+        "Simulation Grab Probe Wrench State Snapshot Energy Watch DeformedSurface write_surface",
+    ),
+    "Operate and record": (
+        "A simulation with a history: commands in, frames out, recorded and repeated (`docs/operating.md`).",
+        "OperatingSession Frame InstrumentFrame TopologyChange Refusal Recorder open_recording Recording "
+        "check_recording load_session Deviation",
+    ),
+    "Commands of a session": (
+        "What is asked of an operating session: plain data that JSON holds.",
+        "CloseGrab LeadGrab OpenGrab BringProbe MoveProbe WithdrawProbe AddSprings RemoveSprings Mark Halt Advance "
+        "Undo Redo Rewind GoTo Entry parse_command",
     ),
     "Lattices and surfaces of one's own": (
         "What a simulation is made of, for whoever does not take it from a case.",
@@ -80,7 +90,7 @@ SECTIONS = {
     "Errors": (
         "All are a `HeartcaseError`.",
         "HeartcaseError Problem UsageError ScanError MarkerError RecipeError StageError BundleError ScriptError "
-        "SimulationError MissingExtraError UnsupportedVersionError",
+        "RecordingError SimulationError MissingExtraError UnsupportedVersionError",
     ),
 }
 """Title of a part of the page -> what it is for, and its names in the order in which they are shown."""

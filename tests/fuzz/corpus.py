@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import nibabel
@@ -29,8 +31,15 @@ from heartcase.schemas.bundle.reader import open_bundle
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import default_label_table
 from heartcase.schemas.recipe.recipe import load_recipe
+from heartcase.schemas.recording.commands import CloseGrab, LeadGrab, Mark
+from heartcase.schemas.recording.reader import check_recording, open_recording
+from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.load import load_case
-from heartcase.simulator.script import load_script
+from heartcase.simulator.session.operating_session import OperatingSession
+from heartcase.simulator.session.recorder import Recorder
+from heartcase.simulator.session.replay import load_session
+from heartcase.simulator.session.script import load_script
+from heartcase.simulator.simulation import Simulation
 from tests.factories import block_case
 from tests.pipeline.formats.dicom_series import AXIAL, write_enhanced, write_series
 
@@ -187,6 +196,37 @@ def _case(folder: Path) -> Path:
     return path
 
 
+def _recording(folder: Path) -> Path:
+    session = OperatingSession(Simulation(block_model()))
+    path = folder / "pull.recording"
+    with Recorder(session, path, state_every_s=0.005):
+        session.do(CloseGrab(name="hand", center_mm=(20.0, -14.0, 40.0), radius_mm=5.0))
+        for number in range(3):
+            session.do(LeadGrab(name="hand", offset_mm=(0.0, 0.0, 1.0 + number)))
+            session.advance(20)
+        session.undo()
+        session.do(Mark(name="again"))
+        session.advance(5)
+    return path
+
+
+def _read_recording(path: Path) -> None:
+    check_recording(path)
+    session = load_session(open_recording(path, partial=True), block_model())
+    if session.end_step < 1000:
+        for _ in session.play():
+            pass
+    open_recording(path)
+
+
+@cache
+def block_model() -> LatticeModel:
+    """The lattice of the block that recordings are of."""
+    with TemporaryDirectory() as folder:
+        write_bundle(Path(folder) / "block.case", block_case(size=(6, 4, 4)))
+        return load_case(Path(folder) / "block.case", needs=("grid",)).model
+
+
 def _artifact(folder: Path) -> Path:
     path = folder / "scan.safetensors"
     path.write_bytes(artifact_to_bytes(Scan(_values(), GEOMETRY)))
@@ -230,6 +270,7 @@ KINDS: dict[str, tuple[Callable[[Path], Path], Callable[[Path], Any]]] = {
     "recipe": (_recipe, load_recipe),
     "script": (_script, load_script),
     "bundle": (_case, _read_case),
+    "recording": (_recording, _read_recording),
     "approvals": (_approvals, _read_approvals),
 }
 """Name -> what writes a sound file or folder of the kind, and what reads it."""

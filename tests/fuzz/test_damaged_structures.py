@@ -22,7 +22,7 @@ from heartcase.schemas.bundle.format import MANIFEST_NAME
 from heartcase.schemas.errors import HeartcaseError, Problem
 from heartcase.schemas.recipe.recipe import load_recipe
 from heartcase.simulator.load import load_case
-from heartcase.simulator.script import load_script
+from heartcase.simulator.session.script import load_script
 from tests.factories import block_case
 
 ROOT = Path(__file__).parents[2]

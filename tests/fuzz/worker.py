@@ -79,7 +79,7 @@ def _damaged(source: Path, folder: Path, rng: np.random.Generator) -> Path:
     wanted = len(files) if rng.random() < 0.1 else 1
     # The manifest or header decides most, so it is hit more often.
     chosen = [files[n] for n in rng.permutation(len(files))[:wanted]]
-    headers = [path for path in files if path.name in ("case.json", source.name)]
+    headers = [path for path in files if path.name in ("case.json", "recording.json", source.name)]
     if headers and rng.random() < 0.5:
         chosen = headers
     for path in chosen:

@@ -14,7 +14,7 @@ from heartcase.schemas.migrate import (
     bundle_changes,
 )
 from heartcase.schemas.recipe.recipe import RECIPE_VERSION, parse_recipe
-from heartcase.simulator.script import parse_script
+from heartcase.simulator.session.script import parse_script
 
 RECIPE_TEXT = """
 name = "a"

@@ -89,7 +89,7 @@ for module in pkgutil.walk_packages(heartcase.simulator.__path__, "heartcase.sim
     __import__(module.name)
 from heartcase.simulator.load import load_case
 from heartcase.simulator.simulation import Simulation
-from heartcase.simulator.script import default_script, run_script
+from heartcase.simulator.session.script import default_script, run_script
 case = load_case({path!r}, needs=("surface", "tangents", "colours", "picking"))
 simulation = Simulation(case.model, surface=case.surface, picking=case.picking)
 summary = run_script(simulation, default_script(case.model, case.surface, seconds=0.02))

@@ -100,7 +100,7 @@ def _toml(path: Path) -> dict[str, Any]:
 
 
 def _of_script(path: Path, data: dict[str, Any]) -> Preview:
-    from heartcase.simulator.script import load_script
+    from heartcase.simulator.session.script import load_script
 
     migrated, words = SCRIPT.migrated(data)
     load_script(path)

@@ -71,7 +71,7 @@ def _findings(path: Path) -> _Findings:
         return _Findings(check_bundle(path))
     try:
         if _is_script(path):
-            from heartcase.simulator.script import load_script
+            from heartcase.simulator.session.script import load_script
 
             load_script(path)
             return _Findings()

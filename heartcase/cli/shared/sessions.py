@@ -19,7 +19,7 @@ from heartcase.schemas.script import SimulationScript
 from heartcase.simulator.engine.backends import Backend
 from heartcase.simulator.lattice.force_law import RATIO_MAX, RATIO_MIN, ForceLaw, LawName
 from heartcase.simulator.load import Case
-from heartcase.simulator.script import default_script, with_positions
+from heartcase.simulator.session.script import default_script, with_positions
 from heartcase.simulator.simulation import SLEEP_MM, Simulation
 
 __all__ = [

@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from heartcase.schemas.arrays import Int32, Int64
+from heartcase.schemas.arrays import Float64, Int32, Int64
+from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.cutting.blade_sheet import Sheet
 from heartcase.simulator.cutting.descent import nodes_before, nodes_now
 from heartcase.simulator.cutting.parted_lattice import PartedLattice, part
@@ -15,7 +16,7 @@ from heartcase.simulator.lattice.explicit_springs import ExplicitSprings
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.lattice.state import State
 
-__all__ = ["Cuts", "Step"]
+__all__ = ["Cuts", "Step", "cut_further"]
 
 
 @dataclass(frozen=True)
@@ -29,8 +30,7 @@ class Step:
 
     def carried(self, state: State) -> State:
         """A state of the lattice before: copies lie, and go, where their node does."""
-        origin = self.node_before
-        return State(state.displacement[origin], state.velocity[origin], state.step_count)
+        return state.of_nodes(self.node_before)
 
     def joined(self, springs: ExplicitSprings) -> ExplicitSprings:
         """Explicit springs of the lattice before, which hold on to the heaviest copies of their nodes."""
@@ -76,3 +76,26 @@ class Cuts:
         before = nodes_before(self.uncut, self.parted, parted)
         step = Step(before, nodes_now(self.uncut, self.parted, parted, before))
         return replace(self, sheets=sheets, parted=parted), step
+
+
+def cut_further(model: LatticeModel, cuts: Cuts, points: Float64) -> tuple[LatticeModel, Cuts, Step]:
+    """A lattice after one more cut, all that was cut, and how nodes go over.
+
+    Parameters
+    ----------
+    model
+        The lattice now, with explicit springs.
+    cuts
+        What was cut of it.
+    points
+        Points of the blade at each pose, at rest, in the frame of the nodes [cells], (pose_count, point_count, 3).
+
+    Raises
+    ------
+    SimulationError
+        Springs of the lattice were removed one by one.
+    """
+    if not model.cell_is_whole.all():
+        raise SimulationError("springs of this lattice were removed: cut it by blades only", place="blade")
+    cuts, step = cuts.with_sheet(Sheet.swept(points))
+    return replace(cuts.model, explicit=step.joined(model.explicit)), cuts, step

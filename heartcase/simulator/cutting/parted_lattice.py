@@ -44,8 +44,7 @@ class PartedLattice:
 
     def carried(self, state: State) -> State:
         """A state of the uncut lattice: copies lie, and go, where their node does."""
-        origin = self.node_origin
-        return State(state.displacement[origin], state.velocity[origin], state.step_count)
+        return state.of_nodes(self.node_origin)
 
 
 def part(model: LatticeModel, sheets: Sequence[Sheet], tissue: TissueSamples) -> PartedLattice:

@@ -49,7 +49,7 @@ class Grab:
     """Where it shall be at the end of the next steps."""
 
     def centre_at(self, pose: Pose, model: LatticeModel) -> Float64:
-        """Where the hand's centre is at a pose [cells, grid axes], shape (3,)."""
+        """Where the hand's centre is at a pose, in the lattice ``model`` [cells, grid axes], shape (3,)."""
         closed: Float64 = model.node_index[self.nodes[0]] + self.closed_at[0].astype(float) - self.arms[0]
         return closed + pose.offset
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from heartcase.schemas.arrays import Float32, Float64
+from heartcase.schemas.arrays import Float32, Float64, Int32
 
 __all__ = ["PreciseState", "State"]
 
@@ -31,6 +31,10 @@ class State:
         """Nothing displaced, nothing moving."""
         return cls(np.zeros((node_count, 3), np.float32), np.zeros((node_count, 3), np.float32))
 
+    def of_nodes(self, nodes: Int32) -> State:
+        """The state of a lattice whose nodes lie, and go, where some nodes of this one do, shape (count,)."""
+        return State(self.displacement[nodes], self.velocity[nodes], self.step_count)
+
 
 @dataclass(frozen=True)
 class PreciseState(State):
@@ -51,3 +55,7 @@ class PreciseState(State):
             precise_displacement=displacement.copy(),
             precise_velocity=velocity.copy(),
         )
+
+    def of_nodes(self, nodes: Int32) -> State:
+        """The same of some nodes."""
+        return PreciseState.of(self.precise_displacement[nodes], self.precise_velocity[nodes], self.step_count)

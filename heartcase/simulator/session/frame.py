@@ -50,7 +50,7 @@ class TopologyChange:
 
     @classmethod
     def to(cls, model: LatticeModel, kind: str) -> TopologyChange:
-        """The change that led to this lattice."""
+        """The change of a ``kind`` that led to ``model``."""
         return cls(kind, model.node_count, model.spring_count, model.explicit.count)
 
 

@@ -81,6 +81,9 @@ class OperatingSession:
     Clients give commands with :meth:`do`, which refuses by raising, or :meth:`take`, which tells what was refused in
     the frame. Giving one after going back drops what had come after.
 
+    ``entries`` are all that is known, ``position`` is how many of them are done, ``simulation`` is where that led, and
+    ``deviations`` are where a session that repeats a recording did not come to what was stored.
+
     Parameters
     ----------
     simulation
@@ -203,7 +206,7 @@ class OperatingSession:
         return self.frame(surface=surface, breakdown=breakdown)
 
     def frame(self, *, surface: bool = False, breakdown: str | None = None) -> Frame:
-        """What there is to show now; ``breakdown`` is passed on."""
+        """What there is to show now, with the visible ``surface`` where asked for; ``breakdown`` is passed on."""
         simulation = self.simulation
         changes, refused = tuple(self._changes), tuple(self._refused)
         self._changes.clear()
@@ -319,6 +322,13 @@ class OperatingSession:
 
     def load_history(self, entries: Iterable[Entry], stored: StoredStates) -> None:
         """Take over what a recording holds as what is known; the session stays at its start.
+
+        Parameters
+        ----------
+        entries
+            What was done.
+        stored
+            States on the way, to begin from and to compare with.
 
         Raises
         ------

@@ -87,6 +87,7 @@ class Recorder:
         self._state_steps = max(1.0, state_every_s / session.simulation.step_s)
         self._state_step = start.state.step_count
         self._state_count = self._line_count = 0
+        self._is_stored = False
         self._header = _header(session.simulation, start, case, parent)
         self._link = header_hash(self._header)
         self._make_folder()
@@ -97,14 +98,16 @@ class Recorder:
     def append(self, entry: Entry) -> None:
         """Write down what was done."""
         self._write(entry)
+        self._is_stored = False
 
     def go_to(self, position: int) -> None:
         """Write down that the session went back, or on."""
         self._write(GoToLine(to=position))
         self._state_step = self._session.step_count
+        self._is_stored = False
 
     def keep(self, position: int, simulation: Simulation) -> None:
-        """Store the state where it is time."""
+        """Store the state of the ``simulation``, where so many entries (``position``) are done, if it is time."""
         if simulation.step_count - self._state_step >= self._state_steps:
             self._store(simulation.snapshot())
 
@@ -113,7 +116,7 @@ class Recorder:
         if self._log is None:
             return
         session = self._session
-        if self._state_step != session.step_count and not session.is_on_the_way:
+        if not (self._is_stored or session.is_on_the_way):
             self._store(session.simulation.snapshot())
         self._close()
         end = RecordingEnd(line_count=self._line_count, log_hash=self._link, step=self._session.step_count)
@@ -150,11 +153,11 @@ class Recorder:
         self._store(session.start)
         kept = session.snapshot_positions()
         for number, entry in enumerate(session.entries, start=1):
-            self._write(entry)
+            self.append(entry)
             if number in kept and entry.end_step - self._state_step >= self._state_steps:
                 self._store(session.snapshot_at(number))
         if session.position < len(session.entries):
-            self._write(GoToLine(to=session.position))
+            self.go_to(session.position)
 
     def _store(self, snapshot: Snapshot) -> None:
         content = snapshot_bytes(snapshot)
@@ -163,7 +166,7 @@ class Recorder:
         step = snapshot.state.step_count
         self._write(StateLine(step=step, file=name, size=len(content), sha256=sha256(content).hexdigest()))
         self._state_count += 1
-        self._state_step = step
+        self._state_step, self._is_stored = step, True
 
     def _write(self, line: Line) -> None:
         if self._log is None:

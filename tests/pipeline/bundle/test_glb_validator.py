@@ -15,6 +15,7 @@ import pytest
 
 from heartcase.pipeline.building.run import build_case
 from heartcase.pipeline.bundle.glb import glb_bytes
+from heartcase.pipeline.exports.animation import MovingSurface, animation_glb_bytes
 from heartcase.pipeline.mesh.build_surface import build_surface
 from heartcase.schemas.recipe.recipe import load_recipe
 from heartcase.schemas.recipe.settings import SurfaceSettings
@@ -86,6 +87,33 @@ def test_with_and_without_a_map_and_of_cases(judge, surfaces, built):
         assert report["info"]["hasTextures"] == (attributes == 4)
         assert report["info"]["drawCallCount"] == primitives
     assert reports[0]["info"]["totalTriangleCount"] == len(surfaces[True].triangles)
+
+
+def moving(frame_count=6, *, start_s=0.0, scale=2.0):
+    """A tetrahedron that is stretched and turned."""
+    rest = np.array([[0, 0, 0], [10, 0, 0], [0, 10, 0], [0, 0, 10]], np.float32)
+    triangles = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]], np.int32)
+    rng = np.random.default_rng(1)
+    vertices = np.stack(
+        [rest + number * scale * rng.random((4, 3)).astype(np.float32) for number in range(frame_count)]
+    )
+    normals = vertices - vertices.mean(axis=1, keepdims=True)
+    normals /= np.linalg.norm(normals, axis=2, keepdims=True)
+    colours = np.array([[200, 10, 10], [200, 10, 10], [10, 10, 200], [10, 10, 200]], np.uint8)
+    return MovingSurface(start_s + 0.1 * np.arange(frame_count), vertices, normals, triangles, colours)
+
+
+def test_surfaces_in_motion(judge):
+    """One that moves, one that rests, one of a single frame, and one that gives way to two others, as after cuts."""
+    after_cuts = [moving(3), moving(4, start_s=0.3), moving(1, start_s=0.7)]
+    files = [[moving()], [moving(scale=0.0)], [moving(1)], after_cuts]
+    reports = judge([animation_glb_bytes(file, tolerance_mm=1e-3, case_id="HC-0001")[0] for file in files])
+    for report, animations, calls in zip(reports, (1, 0, 0, 1), (2, 2, 2, 6), strict=True):
+        assert report["issues"]["messages"] == []
+        assert report["issues"]["numErrors"] == report["issues"]["numWarnings"] == 0
+        assert report["info"]["animationCount"] == animations
+        assert report["info"]["hasMorphTargets"] == (animations == 1)
+        assert report["info"]["drawCallCount"] == calls
 
 
 def test_the_validator_sees_what_is_wrong(judge, surfaces):

@@ -12,13 +12,13 @@ import pygltflib
 import pytest
 from PIL import Image
 
-from heartcase.cli.commands import record, replay
 from heartcase.cli.main import main
+from heartcase.cli.sessions import record, replay
 from heartcase.schemas.errors import SimulationError
 from heartcase.schemas.recording.reader import open_recording
 from heartcase.simulator.load import load_case
-from heartcase.simulator.script import load_script, run_script
 from heartcase.simulator.session.replay import load_session
+from heartcase.simulator.session.script import load_script, run_script
 from heartcase.simulator.simulation import Simulation
 
 SCRIPT = """

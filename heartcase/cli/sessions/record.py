@@ -20,9 +20,9 @@ from heartcase.schemas.recording.reader import open_recording
 from heartcase.simulator.engine.backends import Backend
 from heartcase.simulator.lattice.force_law import LawName
 from heartcase.simulator.load import load_case
-from heartcase.simulator.script import load_script, run_script
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.recorder import STATE_EVERY_S, Recorder
+from heartcase.simulator.session.script import load_script, run_script
 
 __all__ = ["command"]
 

@@ -13,7 +13,7 @@ from heartcase.schemas.errors import ScriptError, UsageError
 from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.script import GrabAction, SimulationScript, Waypoint
 from heartcase.simulator.load import load_case
-from heartcase.simulator.script import default_script, load_script, parse_script, run_script, with_positions
+from heartcase.simulator.session.script import default_script, load_script, parse_script, run_script, with_positions
 from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.surface.write_surface import write_surface
 

@@ -18,10 +18,10 @@ from heartcase.schemas.script import SimulationScript
 from heartcase.simulator.engine.backends import Backend
 from heartcase.simulator.instruments.grab import Grab
 from heartcase.simulator.load import Case, load_case
-from heartcase.simulator.script import load_script, run_script, with_positions
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.recorder import Recorder
 from heartcase.simulator.session.replay import load_session, refuse_deviation
+from heartcase.simulator.session.script import load_script, run_script, with_positions
 
 __all__ = ["command"]
 

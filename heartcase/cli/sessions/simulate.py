@@ -25,7 +25,7 @@ from heartcase.schemas.errors import UsageError
 from heartcase.simulator.engine.backends import Backend
 from heartcase.simulator.lattice.force_law import LawName
 from heartcase.simulator.load import Case, load_case
-from heartcase.simulator.script import SessionSummary, load_script, run_script
+from heartcase.simulator.session.script import SessionSummary, load_script, run_script
 from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.surface.deform import DeformedSurface
 from heartcase.simulator.surface.write_surface import SURFACE_FORMATS, write_surface

@@ -1,0 +1,1 @@
+"""Commands that run a simulation: scripted, recorded, repeated."""
