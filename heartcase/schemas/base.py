@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler
 from pydantic_core import CoreSchema
 
-__all__ = ["CaseId", "Colour", "Model", "Name", "PointMm", "PositiveMm", "Vector3"]
+__all__ = ["BladePoses", "CaseId", "Colour", "Model", "Name", "PointMm", "PositiveMm", "Vector3"]
 
 
 def _make_booleans_strict(node: Any) -> None:
@@ -43,6 +43,12 @@ Vector3 = tuple[float, float, float]
 
 PointMm = Annotated[Vector3, Field(description="Point in patient LPS space: x, y, z in mm.")]
 """A point (x, y, z) in patient LPS space, in mm."""
+
+BladePoses = Annotated[
+    tuple[Annotated[tuple[PointMm, ...], Field(min_length=2, max_length=4096)], ...],
+    Field(min_length=2, max_length=4096, description="Points of a blade's edge at each of its poses."),
+]
+"""Points (x, y, z) of a blade at each pose, patient LPS space, mm."""
 
 PositiveMm = Annotated[float, Field(gt=0.0, le=1000.0)]
 """A length in mm, above zero."""

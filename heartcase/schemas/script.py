@@ -6,10 +6,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from heartcase.schemas.base import Model, Name, PointMm, PositiveMm
+from heartcase.schemas.base import BladePoses, Model, Name, PointMm, PositiveMm
 from heartcase.schemas.migrate import SCRIPT
 
-__all__ = ["GrabAction", "SimulationScript", "Waypoint"]
+__all__ = ["CutAction", "GrabAction", "SimulationScript", "Waypoint"]
 
 
 _Offset = Annotated[float, Field(ge=-10_000.0, le=10_000.0)]
@@ -63,6 +63,26 @@ class GrabAction(Model):
         return self
 
 
+class CutAction(Model):
+    """Cut along what a blade sweeps from pose to pose."""
+
+    name: Name = "blade"
+    """Name in messages."""
+    time_s: Annotated[float, Field(ge=0.0)] = 0.0
+    """When, s; all of it in one moment."""
+    poses_mm: BladePoses
+    """Points of the blade's edge at each pose, as many in each. For a line drawn on tissue: the line, and the line at
+    its depth."""
+    at_rest: bool = False
+    """Whether they are places of the tissue at rest; else they are places at that time."""
+
+    @model_validator(mode="after")
+    def _check(self) -> CutAction:
+        if len({len(pose) for pose in self.poses_mm}) > 1:
+            raise ValueError("every pose of a blade needs as many points as the others")
+        return self
+
+
 class SimulationScript(Model):
     """A scripted session."""
 
@@ -82,3 +102,5 @@ class SimulationScript(Model):
     """Where the surface follows the interpolated basis: per-vertex flag, everywhere, nowhere."""
     actions: tuple[GrabAction, ...] = ()
     """What the instruments do."""
+    cuts: tuple[CutAction, ...] = ()
+    """What blades cut; those of one moment in this order, before hands let go or close."""

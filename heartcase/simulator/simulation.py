@@ -357,9 +357,8 @@ class Simulation:
             Too few poses or points, numbers that are not finite, a blade that reaches too far, or springs were removed
             one by one: what they held together is not known.
         """
-        points = blade_points(self.model, poses_mm, name)
-        if not at_rest:
-            points = places_at_rest(self.model, self.state.displacement, refined(points))
+        rest_mm = poses_mm if at_rest else self.rest_poses_mm(poses_mm, name=name)
+        points = blade_points(self.model, rest_mm, name)
         model, cuts, step = cut_further(self.model, self._cuts or self.nothing_cut(), points)
         state = step.carried(self.state)
         self._set_model(model, cuts)
@@ -369,6 +368,24 @@ class Simulation:
         self._engine.load(state)
         self._hold()
         self._state = None
+
+    def rest_poses_mm(self, poses_mm: npt.ArrayLike, *, name: str = "blade") -> Float64:
+        """Where a blade that is swept now meets the tissue at rest: more poses and points, LPS mm, (any, any, 3).
+
+        Parameters
+        ----------
+        poses_mm, name
+            As of :meth:`cut`.
+
+        Raises
+        ------
+        SimulationError
+            As of :meth:`cut`.
+        """
+        points = refined(blade_points(self.model, poses_mm, name))
+        rest = places_at_rest(self.model, self.state.displacement, points)
+        rest_mm: Float64 = self.model.geometry.index_to_world(rest - 0.5)
+        return rest_mm
 
     def remove_springs(self, removed: npt.ArrayLike) -> None:
         """Take springs of the lattice away: the plain way to cut, in whole cells.
@@ -490,6 +507,8 @@ class Simulation:
 
         Where there is no surface, tissue fills its cells.
         """
+        if self._cuts is not None:
+            return Cuts(self._cuts.uncut, self._cuts.tissue)
         uncut = replace(self.model, explicit=ExplicitSprings.none())
         if self.surface is None:
             return Cuts(uncut, TissueSamples.everywhere())

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, TypeAdapter, ValidationError, model_validator
 
-from heartcase.schemas.base import Model, Name, PointMm, PositiveMm
+from heartcase.schemas.base import BladePoses, Model, Name, PointMm, PositiveMm
 from heartcase.schemas.errors import RecordingError, problems_from_validation
 
 __all__ = [
@@ -20,6 +20,7 @@ __all__ = [
     "BringProbe",
     "CloseGrab",
     "Command",
+    "Cut",
     "Entry",
     "GoTo",
     "Halt",
@@ -138,6 +139,25 @@ class RemoveSprings(Model):
     """Their places among the explicit springs that there are, from 0."""
 
 
+class Cut(Model):
+    """Cut along what a blade sweeps from pose to pose."""
+
+    kind: Literal["cut"] = "cut"
+    """Which command."""
+    name: Name = "blade"
+    """Name of the blade, in messages."""
+    poses_mm: BladePoses
+    """Points of the blade's edge at each pose; as many in each."""
+    at_rest: bool = False
+    """Whether they are places of the tissue at rest; else they are places now. What is recorded is at rest."""
+
+    @model_validator(mode="after")
+    def _is_even(self) -> Cut:
+        if len({len(pose) for pose in self.poses_mm}) > 1:
+            raise ValueError("every pose of a blade needs as many points as the others")
+        return self
+
+
 class Halt(Model):
     """All instruments stay where they are, wherever they were led. What a session does by itself when it broke down."""
 
@@ -203,7 +223,7 @@ class GoTo(Model):
     """The step, as frames count it."""
 
 
-Act = CloseGrab | OpenGrab | BringProbe | WithdrawProbe | AddSprings | RemoveSprings
+Act = CloseGrab | OpenGrab | BringProbe | WithdrawProbe | AddSprings | RemoveSprings | Cut
 """What :class:`Undo` takes back."""
 Motion = LeadGrab | MoveProbe | Halt | Mark | Advance
 Done = Act | Motion

@@ -77,6 +77,8 @@ class RecordingHeader(Model):
     """Made-up identifier of the case."""
     lattice_sha256: Hash
     """Hash of the lattice: a recording goes with the case that has the same."""
+    tissue_sha256: Hash | None = None
+    """Hash of the tissue that blades cut: where in its cells it lies. None where it fills its cells."""
     node_count: Annotated[int, Field(ge=1)]
     """Nodes at the start."""
     cell_mm: _Positive

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from hashlib import sha256
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +28,11 @@ class TissueSamples:
 
     entries: Int64 | None
     """Links along x that the surface crosses (:func:`heartcase.simulator.cutting.blade_sheet.crossed_links`)."""
+
+    @cached_property
+    def sha256(self) -> str | None:
+        """Hash of the samples; None where tissue fills its cells."""
+        return None if self.entries is None else sha256(np.ascontiguousarray(self.entries).tobytes()).hexdigest()
 
     @classmethod
     def everywhere(cls) -> TissueSamples:

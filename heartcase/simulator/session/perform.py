@@ -16,6 +16,7 @@ from heartcase.schemas.recording.commands import (
     Advance,
     BringProbe,
     CloseGrab,
+    Cut,
     Done,
     Halt,
     LeadGrab,
@@ -25,13 +26,15 @@ from heartcase.schemas.recording.commands import (
     RemoveSprings,
     WithdrawProbe,
 )
+from heartcase.simulator.cutting.blade_sheet import blade_points
+from heartcase.simulator.cutting.cuts import Cuts, cut_further
 from heartcase.simulator.dynamics.joining import join
 from heartcase.simulator.instruments.grab import Grab, Pose
 from heartcase.simulator.instruments.probe import Probe
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.simulation import Simulation
 
-__all__ = ["changed_model", "instrument_named", "perform", "resolved"]
+__all__ = ["changed_lattice", "instrument_named", "perform", "resolved"]
 
 
 def resolved(simulation: Simulation, command: Done) -> Done:
@@ -45,6 +48,9 @@ def resolved(simulation: Simulation, command: Done) -> Done:
             ends = (model.node_index + simulation.state.displacement.astype(float))[np.array(command.nodes)]
             length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) * model.cell_mm
             return command.model_copy(update={"rest_length_mm": tuple(length.tolist())})
+    if isinstance(command, Cut) and not command.at_rest:
+        poses = simulation.rest_poses_mm(command.poses_mm, name=command.name)
+        return command.model_copy(update={"poses_mm": _as_tuples(poses), "at_rest": True})
     return command
 
 
@@ -76,6 +82,8 @@ def perform(simulation: Simulation, command: Done) -> None:
             simulation.add_springs(command.nodes, command.stiffness_n_m, command.rest_length_mm)
         case RemoveSprings():
             simulation.remove_explicit_springs(_chosen(simulation.model, command))
+        case Cut():
+            simulation.cut(command.poses_mm, at_rest=command.at_rest, name=command.name)
         case Advance():
             _go_part_of_the_way(simulation, command.steps / (command.of or command.steps))
             simulation.step(command.steps)
@@ -85,14 +93,23 @@ def perform(simulation: Simulation, command: Done) -> None:
             pass
 
 
-def changed_model(model: LatticeModel, command: Done, *, step_s: float) -> LatticeModel:
-    """The lattice after a command as :func:`resolved` gave it; the same one where the command leaves it alone.
+def changed_lattice(model: LatticeModel, cuts: Cuts, command: Done, *, step_s: float) -> tuple[LatticeModel, Cuts]:
+    """The lattice, and what was cut of it, after a command as :func:`resolved` gave it.
+
+    The same one where the command leaves it alone.
 
     Raises
     ------
     SimulationError
         It cannot be done with this lattice.
     """
+    if isinstance(command, Cut):
+        cut, cuts, _ = cut_further(model, cuts, blade_points(model, command.poses_mm, command.name))
+        return cut, cuts
+    return _joined(model, command, step_s=step_s), cuts
+
+
+def _joined(model: LatticeModel, command: Done, *, step_s: float) -> LatticeModel:
     if isinstance(command, AddSprings):
         still = np.zeros((model.node_count, 3), np.float32)
         lengths = command.rest_length_mm
@@ -152,3 +169,7 @@ def _go_part_of_the_way(simulation: Simulation, share: float) -> None:
         grab.target = Pose(between(pose.offset, target.offset), between(pose.turn, target.turn))
     for probe in simulation.probes:
         probe.target = between(probe.centre, probe.target)
+
+
+def _as_tuples(poses: Float64) -> tuple[tuple[tuple[float, float, float], ...], ...]:
+    return tuple(tuple((x, y, z) for x, y, z in pose) for pose in poses.tolist())

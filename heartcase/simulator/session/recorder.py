@@ -80,7 +80,7 @@ class Recorder:
         if session.log is not None:
             raise RecordingError("the session is being recorded already", place="recording")
         start = session.start
-        if start.model.explicit.count or not start.model.cell_is_whole.all():
+        if start.model.explicit.count or not start.model.cell_is_whole.all() or start.cuts is not None:
             raise RecordingError("the session began with a lattice that was cut or joined: record from before that")
         self.path = Path(path)
         self._session = session
@@ -193,6 +193,7 @@ def _header(
         case_name=None if case is None else case.name,
         case_id=None if case is None else case.case_id,
         lattice_sha256=lattice_sha256(start.model),
+        tissue_sha256=simulation.nothing_cut().tissue.sha256,
         node_count=start.model.node_count,
         cell_mm=start.model.cell_mm,
         law=asdict(start.model.law),

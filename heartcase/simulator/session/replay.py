@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, cast, get_args
 
 from heartcase.schemas.errors import Problem, RecordingError
+from heartcase.schemas.recording.commands import Cut
 from heartcase.schemas.recording.reader import Recording
 from heartcase.simulator.engine.backends import Backend
 from heartcase.simulator.lattice.force_law import ForceLaw
@@ -77,7 +78,13 @@ def load_session(
         backend=cast("Backend", chosen),
         sleep_mm=header.sleep_mm,
     )
-    states = RecordedStates(recording, simulation.model, step_s=header.step_s)
+    nothing_cut = simulation.nothing_cut()
+    if nothing_cut.tissue.sha256 != header.tissue_sha256 and any(
+        isinstance(entry.command, Cut) for entry in recording.entries
+    ):
+        message = "this recording cuts the tissue inside a surface, and another one was given, or none: load the case "
+        raise RecordingError(message + "with needs=('grid', 'surface') at the level that was recorded", place="surface")
+    states = RecordedStates(recording, simulation.model, nothing_cut, step_s=header.step_s)
     simulation.restore(states.snapshot(0))
     if simulation.step_count != header.start_step:
         raise RecordingError("its first state is of another step: the recording is damaged", place="recording")

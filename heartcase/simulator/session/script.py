@@ -18,7 +18,7 @@ from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import Problem, ScriptError, SimulationError, problems_from_validation
 from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.migrate import SCRIPT
-from heartcase.schemas.recording.commands import Advance, CloseGrab, LeadGrab, OpenGrab
+from heartcase.schemas.recording.commands import Advance, CloseGrab, Cut, LeadGrab, OpenGrab
 from heartcase.schemas.script import GrabAction, SimulationScript, Waypoint
 from heartcase.simulator.dynamics.integrate import Energy
 from heartcase.simulator.instruments.grab import Grab
@@ -241,7 +241,12 @@ def run_script(
     frame_count = max(1, round(script.seconds * script.frames_per_second))
     frames = {round(number * step_total / frame_count) for number in range(1, frame_count + 1)}
     timelines = [_timeline(action, step_s, step_total) for action in script.actions]
-    stops = sorted(frames | {stop for timeline in timelines for stop in _stops(timeline, step_total)})
+    cuts = [(round(cut.time_s / step_s), cut) for cut in script.cuts]
+    stops = sorted(
+        frames
+        | {stop for timeline in timelines for stop in _stops(timeline, step_total)}
+        | {step for step, _ in cuts if 0 < step < step_total}
+    )
 
     hands = _Hands(session, timelines)
     furthest, inverted = 0.0, 0
@@ -253,6 +258,9 @@ def run_script(
     now = 0
     for stop in stops:
         started = time.perf_counter()
+        for step, cut in cuts:
+            if step == now:
+                session.do(Cut(name=cut.name, poses_mm=cut.poses_mm, at_rest=cut.at_rest))
         hands.change(now)
         hands.lead(stop)
         session.do(Advance(steps=stop - now))

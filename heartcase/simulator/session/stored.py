@@ -17,12 +17,13 @@ from safetensors.numpy import load, save
 from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import RecordingError, SimulationError
 from heartcase.schemas.recording.reader import Recording
+from heartcase.simulator.cutting.cuts import Cuts
 from heartcase.simulator.instruments.grab import Grab, Pose
 from heartcase.simulator.instruments.probe import Probe
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.lattice.state import PreciseState, State
 from heartcase.simulator.session.operating_session import Deviation
-from heartcase.simulator.session.perform import changed_model
+from heartcase.simulator.session.perform import changed_lattice
 from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.snapshot import KeptInstrument, Snapshot
 
@@ -67,8 +68,8 @@ def snapshot_bytes(snapshot: Snapshot) -> bytes:
     return content
 
 
-def snapshot_from(content: bytes, model: LatticeModel) -> Snapshot:
-    """The moment that a file holds, of the lattice of that moment.
+def snapshot_from(content: bytes, model: LatticeModel, cuts: Cuts | None = None) -> Snapshot:
+    """The moment that a file holds, of the lattice of that moment, of which some was cut.
 
     Raises
     ------
@@ -84,16 +85,16 @@ def snapshot_from(content: bytes, model: LatticeModel) -> Snapshot:
         )
     except (SafetensorError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         raise RecordingError("a stored state does not fit the lattice or is damaged", place="state") from None
-    return Snapshot(model, state, tuple(KeptInstrument.of(instrument) for instrument in instruments))
+    return Snapshot(model, state, tuple(KeptInstrument.of(instrument) for instrument in instruments), cuts)
 
 
 class RecordedStates:
     """The states of a recording, for the session that repeats it."""
 
-    def __init__(self, recording: Recording, model: LatticeModel, *, step_s: float) -> None:
+    def __init__(self, recording: Recording, model: LatticeModel, nothing_cut: Cuts, *, step_s: float) -> None:
         self._recording = recording
         self._step_s = step_s
-        self._models = [(0, model)]
+        self._lattices = [(0, model, nothing_cut)]
         self._looked_at = 0
 
     def last_before(self, position: int) -> int | None:
@@ -108,7 +109,8 @@ class RecordedStates:
         RecordingError
             Its file is damaged, or does not fit.
         """
-        return snapshot_from(self._recording.state_bytes(position), self._model_at(position))
+        model, cuts = self._lattice_at(position)
+        return snapshot_from(self._recording.state_bytes(position), model, cuts if cuts.sheets else None)
 
     def deviation(self, position: int, simulation: Simulation) -> Deviation | None:
         """How the simulation, being there, differs from what was stored; None where it does not, or nothing was.
@@ -130,19 +132,20 @@ class RecordedStates:
         apart = np.linalg.norm(now.displacement.astype(float) - then.displacement, axis=1).max()
         return Deviation(self._recording.states[position].step, float(apart) * simulation.model.cell_mm)
 
-    def _model_at(self, position: int) -> LatticeModel:
-        """The lattice where so many entries are done."""
+    def _lattice_at(self, position: int) -> tuple[LatticeModel, Cuts]:
+        """The lattice where so many entries are done, and what was cut of it."""
         for number in range(self._looked_at, position):
-            model = self._models[-1][1]
+            _, model, cuts = self._lattices[-1]
+            command = self._recording.entries[number].command
             try:
-                changed = changed_model(model, self._recording.entries[number].command, step_s=self._step_s)
+                changed, cuts = changed_lattice(model, cuts, command, step_s=self._step_s)
             except SimulationError as error:
                 message = f"what entry {number + 1} joins or cuts cannot be: {error.problems[0].message}"
                 raise RecordingError(message, place="log") from None
             if changed is not model:
-                self._models.append((number + 1, changed))
+                self._lattices.append((number + 1, changed, cuts))
         self._looked_at = max(self._looked_at, position)
-        return next(model for first, model in reversed(self._models) if first <= position)
+        return next((model, cuts) for first, model, cuts in reversed(self._lattices) if first <= position)
 
 
 def _grab_arrays(grab: Grab) -> Arrays:
