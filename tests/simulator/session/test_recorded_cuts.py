@@ -140,5 +140,5 @@ def test_commands_that_are_no_cut_are_refused():
         [[[0, 0], [1, 1]]] * 2,
         [[[0, 0, 0]] * 2, [[0, 0, 0]] * 3],
     ):
-        with pytest.raises(RecordingError, match="poses"):
+        with pytest.raises(RecordingError, match="pose"):
             parse_command({"kind": "cut", "poses_mm": poses})
