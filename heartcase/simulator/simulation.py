@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.schemas.arrays import Float64
+from heartcase.schemas.arrays import Float64, Intp
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.dynamics.integrate import Energy, Verlet, energy
 from heartcase.simulator.dynamics.joining import join
@@ -385,7 +385,23 @@ class Simulation:
         if isinstance(hand, Probe):
             for grab in self.grabs:
                 nodes = np.setdiff1d(nodes, grab.nodes, assume_unique=True)
-        pull = self._engine.forces(nodes).sum(axis=0, dtype=np.float64)
+        force: Float64 = self.forces_at(nodes).sum(axis=0)
+        return force
+
+    def forces_at(self, nodes: Intp) -> Float64:
+        """Forces of springs and cells on some nodes now, N, LPS axes.
+
+        Parameters
+        ----------
+        nodes
+            Node numbers, shape (count,).
+
+        Returns
+        -------
+        ndarray
+            Shape (count, 3).
+        """
+        pull = self._engine.forces(nodes).astype(np.float64)
         force: Float64 = pull @ self.model.geometry.direction_matrix.T * self.model.units.force_n
         return force
 
