@@ -2,9 +2,9 @@
 
 A force that comes late gives out energy on a closed path, as does one that is held between two updates. So the loop
 keeps account at the hand itself, in what was really put out (passivity observer: Hannaford and Ryu, IEEE Transactions
-on Robotics and Automation 18, 2002), and lets no more power out than the account has, over a short time: the part of the force
-along the motion is cut where it would. What was still given out by mistake, as the motion of the next update is only
-guessed, a limited damping takes back.
+on Robotics and Automation 18, 2002). It lets no more power out than the account has over a short time: the part of the
+force along the motion is cut where it would. The motion of the next update is only guessed; what was given out by
+mistake, a limited damping takes back.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The simulation's side of the servo loop: leads instruments by re-aligned poses, hands over the forces of each state."""
+"""The simulation's side of the servo loop: leads instruments by re-aligned poses, hands over their forces."""
 
 from __future__ import annotations
 
