@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable
-from itertools import pairwise
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from heartcase.simulator.haptics.settings import ServoSettings
 __all__ = ["FeltInstrument", "TissueSide"]
 
 _KEPT_STATES = 16
-"""Last states from which the tissue's stiffness is taken."""
+"""Last changes of state from which the tissue's stiffness is taken."""
 
 
 class FeltInstrument:
@@ -38,22 +37,21 @@ class FeltInstrument:
 
     def __init__(self, instrument: LedInstrument, channel: Channel, settings: ServoSettings) -> None:
         self.instrument, self.channel, self._settings = instrument, channel, settings
-        self._states: deque[tuple[ToolPose, Float64]] = deque(maxlen=_KEPT_STATES)
+        self._before: tuple[ToolPose, Float64] | None = None
+        self._changes: deque[tuple[Float64, Float64]] = deque(maxlen=_KEPT_STATES)
         self._stiffness: Float64 = np.zeros(2)
 
-    def hand_over(self, pose: ToolPose, finished_s: float) -> TissueSample:
-        """Hand the tissue's load at the present state to the loop."""
-        self._states.append((pose, self.instrument.load(pose)))
-        states = list(self._states)
-        if len(states) > 1:
-            pairs = list(pairwise(states))
-            gaps = np.stack([one[0].gap_to(other[0]) for one, other in pairs])
-            loads = np.stack([other[1] - one[1] for one, other in pairs])
+    def hand_over(self, pose: ToolPose, finished_s: float) -> None:
+        """Hand the tissue's load at the present state to the loop, and then see what it says of stiffness."""
+        load = self.instrument.load(pose)
+        self.channel.publish_tissue(TissueSample(finished_s, pose, load, self._stiffness))
+        if self._before is not None:
+            before, load_before = self._before
+            self._changes.append((before.gap_to(pose), load - load_before))
+            gaps, loads = (np.stack(column) for column in zip(*self._changes, strict=True))
             seen = stiffness_seen(gaps, loads, self._settings.lever_mm)
             self._stiffness = self._stiffness if seen is None else seen
-        sample = TissueSample(finished_s, pose, states[-1][1], self._stiffness)
-        self.channel.publish_tissue(sample)
-        return sample
+        self._before = pose, load
 
 
 class TissueSide:

@@ -90,14 +90,14 @@ def test_a_session_in_made_up_time_pulls_the_tissue_and_feels_it():
     state = first_state(0.0, DeviceReading(closed_at))
     for tick in range(1500):
         clock[0] = 1e-3 * (tick + 1)
-        if tick % 12 == 0:
-            side.segment(3, lambda: simulation.step(steps))
+        if tick % 8 == 0:
+            side.segment(2, lambda: simulation.step(steps))
         way = np.array([0.0, 2.0 * min(clock[0] / 0.5, 1.0), 0.0])
         reading = DeviceReading(ToolPose(closed_at.position_mm + way, closed_at.turn))
         number, tissue = channel.tissue()
         state = servo_update(state, clock[0], reading, tissue, SETTINGS)
         channel.publish_tool(state, (True,), number)
-    assert number == 3 * 124  # before the first segment nothing is known of the tool
+    assert number == 2 * 187  # before the first segment nothing is known of the tool
     felt = channel.felt()
     assert felt.buttons == 1
     assert felt.sample_number == number
