@@ -53,6 +53,14 @@ if TYPE_CHECKING:
     from heartcase.schemas.script import SimulationScript
     from heartcase.simulator.dynamics.integrate import Energy
     from heartcase.simulator.dynamics.step_size import default_step, step_limit
+    from heartcase.simulator.haptics.channel import Channel, Felt
+    from heartcase.simulator.haptics.device import DeviceReading, DeviceSpec, device_names
+    from heartcase.simulator.haptics.led import LedGrab, LedProbe
+    from heartcase.simulator.haptics.mouse_device import MouseFeed, PointerPlane
+    from heartcase.simulator.haptics.poses import ToolPose
+    from heartcase.simulator.haptics.servo import HapticServo
+    from heartcase.simulator.haptics.settings import ServoSettings
+    from heartcase.simulator.haptics.tissue_side import FeltInstrument, TissueSide
     from heartcase.simulator.instruments.grab import Grab
     from heartcase.simulator.instruments.probe import Probe
     from heartcase.simulator.lattice.force_law import ForceLaw
@@ -84,14 +92,20 @@ __all__ = [
     "CaseManifest",
     "CaseRecord",
     "CatalogueResult",
+    "Channel",
     "DeformedSurface",
+    "DeviceReading",
+    "DeviceSpec",
     "Energy",
+    "Felt",
+    "FeltInstrument",
     "FileRole",
     "FilterSettings",
     "ForceLaw",
     "Geometry",
     "Grab",
     "GridUnits",
+    "HapticServo",
     "HeartcaseError",
     "InputFindings",
     "Label",
@@ -99,12 +113,16 @@ __all__ = [
     "LabelVolume",
     "Landmark",
     "LatticeModel",
+    "LedGrab",
+    "LedProbe",
     "LibraryCase",
     "MarkerError",
     "Markers",
     "MissingExtraError",
+    "MouseFeed",
     "OpenBundle",
     "PickingModel",
+    "PointerPlane",
     "Probe",
     "Problem",
     "Recipe",
@@ -119,6 +137,7 @@ __all__ = [
     "Segmentation",
     "SegmentationSession",
     "SeriesInfo",
+    "ServoSettings",
     "SessionSummary",
     "Simulation",
     "SimulationError",
@@ -130,7 +149,9 @@ __all__ = [
     "StrokePlace",
     "StrokePlaces",
     "SurfaceModel",
+    "TissueSide",
     "Tolerances",
+    "ToolPose",
     "UnsupportedVersionError",
     "UsageError",
     "Watch",
@@ -149,6 +170,7 @@ __all__ = [
     "default_script",
     "default_step",
     "default_workers",
+    "device_names",
     "diff_libraries",
     "ensure_scan",
     "filter_scan",
@@ -224,6 +246,14 @@ _MODULES = {
     "heartcase.schemas.script": ("SimulationScript",),
     "heartcase.simulator.dynamics.integrate": ("Energy",),
     "heartcase.simulator.dynamics.step_size": ("default_step", "step_limit"),
+    "heartcase.simulator.haptics.channel": ("Channel", "Felt"),
+    "heartcase.simulator.haptics.device": ("DeviceReading", "DeviceSpec", "device_names"),
+    "heartcase.simulator.haptics.led": ("LedGrab", "LedProbe"),
+    "heartcase.simulator.haptics.mouse_device": ("MouseFeed", "PointerPlane"),
+    "heartcase.simulator.haptics.poses": ("ToolPose",),
+    "heartcase.simulator.haptics.servo": ("HapticServo",),
+    "heartcase.simulator.haptics.settings": ("ServoSettings",),
+    "heartcase.simulator.haptics.tissue_side": ("FeltInstrument", "TissueSide"),
     "heartcase.simulator.instruments.grab": ("Grab",),
     "heartcase.simulator.instruments.probe": ("Probe",),
     "heartcase.simulator.lattice.force_law": ("ForceLaw",),

@@ -49,6 +49,11 @@ SECTIONS = {
         "A case in motion: grab, push, cut, join, feel the force, show the surface.",
         "Simulation Grab Probe State Snapshot Energy Watch DeformedSurface write_surface",
     ),
+    "Feel it": (
+        "Force and torque on a hand at 1 kHz (`docs/haptics.md`).",
+        "HapticServo DeviceSpec device_names DeviceReading ServoSettings TissueSide FeltInstrument LedGrab LedProbe "
+        "ToolPose Channel Felt MouseFeed PointerPlane",
+    ),
     "Lattices and surfaces of one's own": (
         "What a simulation is made of, for whoever does not take it from a case.",
         "make_model LatticeModel GridUnits ForceLaw cell_nodes default_step step_limit make_surface SurfaceModel "

@@ -79,7 +79,17 @@ class Channel:
         return (0, None) if found is None else (found[0], TissueSample.of_row(found[1]))
 
     def publish_tool(self, state: ServoState, buttons: tuple[bool, ...], sample_number: int) -> None:
-        """Hand what the loop did to the simulation."""
+        """Hand what the loop did to the simulation.
+
+        Parameters
+        ----------
+        state
+            The loop after its update.
+        buttons
+            Which of the device's buttons are down.
+        sample_number
+            Number of the state of the tissue that the force came from; 0 before the first.
+        """
         row = np.empty(_TOOL_WIDTH)
         row[0] = state.time_s
         row[1:4] = state.tool.pose.position_mm

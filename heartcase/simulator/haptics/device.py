@@ -16,7 +16,7 @@ from heartcase.simulator.haptics.poses import ToolPose
 
 __all__ = ["DEVICE_GROUP", "DeviceReading", "DeviceSpec", "HapticDevice", "device_names", "open_device"]
 
-DEVICE_GROUP = "heartcase.haptic_devices"
+DEVICE_GROUP = "heartcase_haptic_devices"
 """Entry points of other packages: name -> ``module:class``, with the extra of that package that it needs."""
 
 _OWN = {

@@ -50,7 +50,15 @@ class PointerPlane:
         return np.stack([self.across, self.down, np.cross(self.across, self.down)], axis=1).astype(float)
 
     def point_mm(self, x: float, y: float, depth_mm: float) -> Float64:
-        """The place of a pointer, LPS mm, shape (3,); ``depth_mm`` behind the plane."""
+        """The place of a pointer, LPS mm, shape (3,).
+
+        Parameters
+        ----------
+        x, y
+            Place on the window, pixels.
+        depth_mm
+            How far behind the plane, mm.
+        """
         pixels = np.array([x * self.mm_per_pixel, y * self.mm_per_pixel, depth_mm])
         place: Float64 = np.asarray(self.origin_mm, dtype=float) + self.turn() @ pixels
         return place
@@ -64,7 +72,17 @@ class MouseFeed:
         self._ring = Ring(self.memory, _ROWS, _WIDTH)
 
     def pointer(self, x: float, y: float, *, depth_mm: float = 0.0, is_down: bool = False) -> None:
-        """The pointer is here now, in pixels; the wheel moves the tool away from the plane, mm."""
+        """Say where the pointer is now.
+
+        Parameters
+        ----------
+        x, y
+            Place on the window, pixels.
+        depth_mm
+            How far the wheel has moved the tip behind the plane, mm.
+        is_down
+            Whether the button is down.
+        """
         self._ring.write(np.array([x, y, depth_mm, float(is_down)]))
 
     def latest(self) -> tuple[float, float, float, bool]:

@@ -17,6 +17,7 @@ once, the critically damped tool is stable at any delay where K_t < K + 2 K_l: t
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import cached_property
 from math import acos, pi
 
 import numpy as np
@@ -89,38 +90,38 @@ class ServoSettings:
         """T: time between two updates, s."""
         return 1.0 / self.rate_hz
 
-    @property
+    @cached_property
     def stiffness(self) -> Float64:
         """Stiffness of the coupling: N/mm, N mm/rad, shape (2, 1)."""
         return np.array([[self.stiffness_n_m * 1e-3], [self.turning_stiffness_n_mm]])
 
-    @property
+    @cached_property
     def damping(self) -> Float64:
         """B, critical: N s/mm, N mm s/rad, shape (2, 1)."""
         return self.stiffness * (2.0 / (2.0 * pi * self.bandwidth_hz))
 
-    @property
+    @cached_property
     def mass(self) -> Float64:
         """Mass and inertia of the tool: N s2/mm, N mm s2/rad, shape (2, 1)."""
         return self.stiffness / (2.0 * pi * self.bandwidth_hz) ** 2
 
-    @property
+    @cached_property
     def tissue_stiffness(self) -> Float64:
         """Most of the tissue's stiffness that is reckoned with: N/mm, N mm/rad, shape (2, 1)."""
         most = self.tissue_stiffness_n_m * 1e-3
         return np.array([[most], [most * self.lever_mm**2]])
 
-    @property
+    @cached_property
     def limits(self) -> Float64:
         """Largest force and torque: N, N mm, shape (2, 1)."""
         return np.array([[self.force_limit_n], [self.torque_limit_n_mm]])
 
-    @property
+    @cached_property
     def slew(self) -> Float64:
         """Fastest change of force and torque: N/s, N mm/s, shape (2, 1)."""
         return self.slew_n_s * self.levers
 
-    @property
+    @cached_property
     def levers(self) -> Float64:
         """What a force of 1 N, and a torque that a hand feels as much, are: N, N mm, shape (2, 1)."""
         return np.array([[1.0], [self.lever_mm]])

@@ -42,7 +42,15 @@ class FeltInstrument:
         self._stiffness: Float64 = np.zeros(2)
 
     def hand_over(self, pose: ToolPose, finished_s: float) -> None:
-        """Hand the tissue's load at the present state to the loop, and then see what it says of stiffness."""
+        """Hand the tissue's load at the present state to the loop, and then see what it says of stiffness.
+
+        Parameters
+        ----------
+        pose
+            Where the tool was led to in it.
+        finished_s
+            When the state was there, by the clock of the loop, s.
+        """
         load = self.instrument.load(pose)
         self.channel.publish_tissue(TissueSample(finished_s, pose, load, self._stiffness))
         if self._before is not None:
