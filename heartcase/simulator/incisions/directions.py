@@ -10,7 +10,7 @@ import numpy.typing as npt
 from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import SimulationError
 
-__all__ = ["cone_directions", "cone_solid_angle_sr", "divided", "fan"]
+__all__ = ["cone_directions", "cone_solid_angle_sr", "divided", "fan", "patches", "points_in"]
 
 _GOLDEN = pi * (3.0 - sqrt(5.0))
 
@@ -96,8 +96,51 @@ def divided(curve_mm: npt.ArrayLike, spacing_mm: float, *, is_closed: bool) -> t
     return starts[of] + part[:, None] * (ends - starts)[of], lengths[of] / pieces[of]
 
 
-def fan(rim_mm: npt.ArrayLike) -> Float64:
-    """Triangles between a closed curve and its middle, mm, shape (count, 3, 3): what fills an opening."""
+def fan(rim_mm: Float64) -> Float64:
+    """Triangles between a closed curve and the mean of its points, mm, shape (count, 3, 3)."""
+    return np.stack([np.broadcast_to(rim_mm.mean(axis=0), rim_mm.shape), rim_mm, np.roll(rim_mm, -1, axis=0)], axis=1)
+
+
+def patches(rim_mm: npt.ArrayLike, spacing_mm: float) -> Float64:
+    """Small triangles between a closed curve and its middle, mm, shape (count, 3, 3): what fills an opening.
+
+    Parameters
+    ----------
+    rim_mm
+        The curve, mm, shape (point_count, 3); seen from its middle, it does not go back.
+    spacing_mm
+        About the longest way across a triangle, mm, above 0.
+    """
+    around, middle = _around(np.asarray(rim_mm, dtype=float).reshape(-1, 3), spacing_mm)
+    ring_count = max(int(np.ceil(np.linalg.norm(around - middle, axis=1).max() / spacing_mm)), 1)
+    part = np.arange(ring_count + 1)[:, None, None] / ring_count
+    points = middle + part * (around - middle)
+    after = np.roll(points, -1, axis=1)
+    outer = np.stack([points[:-1], points[1:], after[1:]], axis=2)
+    # The second half of each piece; the innermost ring has none, as it comes to a point.
+    inner = np.stack([points[1:-1], after[2:], after[1:-1]], axis=2)
+    return np.concatenate([outer.reshape(-1, 3, 3), inner.reshape(-1, 3, 3)])
+
+
+def points_in(rim_mm: npt.ArrayLike, count: int) -> Float64:
+    """Points spread evenly over what a closed curve spans, on a golden spiral, mm, shape (count, 3)."""
     rim = np.asarray(rim_mm, dtype=float).reshape(-1, 3)
-    middle = np.broadcast_to(rim.mean(axis=0), rim.shape)
-    return np.stack([middle, rim, np.roll(rim, -1, axis=0)], axis=1)
+    length = float(np.linalg.norm(rim - np.roll(rim, 1, axis=0), axis=1).sum())
+    around, middle = _around(rim, max(length / 720.0, 1e-9))
+    turns = np.arange(count) * _GOLDEN / (2.0 * pi)
+    edge = around[((turns % 1.0) * len(around)).astype(int)]
+    part = np.sqrt((np.arange(count) + 0.5) / count)
+    spread: Float64 = middle + part[:, None] * (edge - middle)
+    return spread
+
+
+def _around(rim: Float64, spacing_mm: float) -> tuple[Float64, Float64]:
+    """The curve's points with others in between, and its middle by length."""
+    pieces, lengths = divided(rim, spacing_mm, is_closed=True)
+    middle: Float64 = (pieces * lengths[:, None]).sum(axis=0) / lengths.sum()
+    steps = np.roll(rim, -1, axis=0) - rim
+    counts = np.maximum(np.ceil(np.linalg.norm(steps, axis=1) / spacing_mm).astype(int), 1)
+    of = np.repeat(np.arange(len(rim)), counts)
+    number = np.arange(len(of)) - np.repeat(np.cumsum(counts) - counts, counts)
+    around: Float64 = rim[of] + (number / counts[of])[:, None] * steps[of]
+    return around, middle

@@ -16,8 +16,10 @@ from heartcase.compiling.kernel import kernel
 from heartcase.schemas.arrays import Bool, Float64, Int64
 from heartcase.simulator.incisions.triangle_tree import LEAF_TRIANGLES, TriangleTree
 
-__all__ = ["first_free", "nearest_triangles", "touches"]
+__all__ = ["can_stand", "nearest_triangles", "touches"]
 
+_LEANS = 5
+"""Directions between the axis and the middle of an opening that are tried first."""
 _DEEPEST = 64
 """Nodes that wait to be looked at: more than two for each level of any tree that fits in memory."""
 
@@ -45,15 +47,19 @@ def touches(tree: TriangleTree, starts_mm: npt.ArrayLike, ends_mm: npt.ArrayLike
     return touched
 
 
-def first_free(
+def can_stand(
     tree: TriangleTree,
     tips_mm: Float64,
-    directions: Float64,
+    gates_mm: Float64,
+    fan_mm: Float64,
+    axis: Float64,
+    half_angle_deg: float,
     length_mm: float,
     radius_mm: float,
-    opening_mm: Float64,
-) -> Int64:
-    """The first direction in which a shaft can stand with its tip at a place, and goes through an opening.
+) -> Bool:
+    """Whether a shaft can stand through an opening with its tip at a place.
+
+    Tried are directions between the axis and the middle of the opening, then those through points of the opening.
 
     Parameters
     ----------
@@ -61,23 +67,27 @@ def first_free(
         The surface.
     tips_mm
         Tips, mm, shape (tip_count, 3).
-    directions
-        Unit vectors from the tip outward, shape (direction_count, 3).
+    gates_mm
+        Points of the opening, the first its middle, mm, shape (gate_count, 3).
+    fan_mm
+        Triangles that fill the opening, mm, shape (count, 3, 3).
+    axis
+        From the tip outward, in the middle of how the shaft may stand, unit length, shape (3,).
+    half_angle_deg
+        How far it may lean from there, degrees.
     length_mm
         Length of the shaft, mm.
     radius_mm
         Its radius, mm.
-    opening_mm
-        Triangles that fill the opening, mm, shape (count, 3, 3): the shaft's axis must go through one.
 
     Returns
     -------
     ndarray
-        Number of the direction; -1 where there is none, shape (tip_count,).
+        Shape (tip_count,).
     """
-    found = np.full(len(tips_mm), -1, np.int64)
-    arguments = (np.ascontiguousarray(one, dtype=np.float64) for one in (tips_mm, directions, opening_mm))
-    _first_free(*arguments, float(length_mm), float(radius_mm), *tree.arrays, found)
+    found = np.zeros(len(tips_mm), np.bool_)
+    arrays = (np.ascontiguousarray(one, dtype=np.float64) for one in (tips_mm, gates_mm, fan_mm, axis))
+    _can_stand(*arrays, np.radians(half_angle_deg), float(length_mm), float(radius_mm), *tree.arrays, found)
     return found
 
 
@@ -244,21 +254,45 @@ def _touched(starts, ends, radius, corners, boxes, leaf_start, touched):
         touched[number] = _is_touched(p, q, radius, corners, boxes, leaf_start)
 
 
+@kernel(cached=False)
+def _leans_free(p, towards, axis, fan, lean, length, radius, corners, boxes, leaf_start):
+    """Whether a shaft stands free that leans from the axis towards a place, as far as it may or less."""
+    along = _dot(towards, axis)
+    side = _minus(towards, (along * axis[0], along * axis[1], along * axis[2]))
+    size = np.sqrt(_dot(side, side))
+    most = min(np.arctan2(size, along), lean)
+    if size == 0.0:
+        size, most = 1.0, 0.0
+    for number in range(_LEANS):
+        angle = most * (_LEANS - 1 - number) / (_LEANS - 1)
+        q = _along(_along(p, axis, length * np.cos(angle)), side, length * np.sin(angle) / size)
+        passes = False
+        for one in range(len(fan)):
+            if _goes_through(p, q, _corner(fan, one, 0), _corner(fan, one, 1), _corner(fan, one, 2)):
+                passes = True
+                break
+        if passes and not _is_touched(p, q, radius, corners, boxes, leaf_start):
+            return True
+    return False
+
+
 @kernel(parallel=True)
-def _first_free(tips, directions, opening, length, radius, corners, boxes, leaf_start, found):
+def _can_stand(tips, gates, fan, axis, lean, length, radius, corners, boxes, leaf_start, found):
+    least_cosine = np.cos(lean)
+    upward = (axis[0], axis[1], axis[2])
     for tip in prange(len(tips)):
         p = (tips[tip, 0], tips[tip, 1], tips[tip, 2])
-        for number in range(len(directions)):
-            d = (directions[number, 0], directions[number, 1], directions[number, 2])
-            q = _along(p, d, length)
-            passes = False
-            for one in range(len(opening)):
-                a, b, c = _corner(opening, one, 0), _corner(opening, one, 1), _corner(opening, one, 2)
-                if _goes_through(p, q, a, b, c):
-                    passes = True
-                    break
-            if passes and not _is_touched(p, q, radius, corners, boxes, leaf_start):
-                found[tip] = number
+        middle = (gates[0, 0] - p[0], gates[0, 1] - p[1], gates[0, 2] - p[2])
+        if _leans_free(p, middle, upward, fan, lean, length, radius, corners, boxes, leaf_start):
+            found[tip] = True
+            continue
+        for gate in range(len(gates)):
+            way = (gates[gate, 0] - p[0], gates[gate, 1] - p[1], gates[gate, 2] - p[2])
+            size = np.sqrt(_dot(way, way))
+            if size > length or size == 0.0 or _dot(way, upward) < least_cosine * size:
+                continue
+            if not _is_touched(p, _along(p, way, length / size), radius, corners, boxes, leaf_start):
+                found[tip] = True
                 break
 
 

@@ -1,4 +1,4 @@
-"""How far tissue is stretched, and what stress that takes: per cell, at its worst place, and as colours of a surface."""
+"""How far tissue is stretched and what stress that takes: per cell, at its worst place, as colours of a surface."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def cell_strain(model: LatticeModel, displacement: npt.ArrayLike) -> Strain:
         Displacement of the nodes [cells], shape (node_count, 3).
     """
     F = cell_gradients(model, np.asarray(displacement, dtype=float)[model.cell_corners])
-    values = np.linalg.svd(F, compute_uv=False)
+    values: Float64 = np.linalg.svd(F, compute_uv=False).astype(np.float64)
     J = np.linalg.det(F)
     values[:, 2] *= np.where(J < 0.0, -1.0, 1.0)
     P = _first_stress(model.law, F)
@@ -160,7 +160,8 @@ def vertex_colours(values: Float64, lowest: float, highest: float) -> UInt8:
         raise SimulationError("the highest value must be above the lowest", place="highest")
     place = np.clip((values - lowest) / (highest - lowest), 0.0, 1.0) * (len(_COLOURS) - 1)
     channels = [np.interp(place, np.arange(len(_COLOURS)), _COLOURS[:, channel]) for channel in range(3)]
-    return np.rint(np.stack(channels, axis=1)).astype(np.uint8)
+    colours: UInt8 = np.rint(np.stack(channels, axis=1)).astype(np.uint8)
+    return colours
 
 
 def _first_stress(law: ForceLaw, F: Float64) -> Float64:

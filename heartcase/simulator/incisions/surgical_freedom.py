@@ -17,8 +17,8 @@ import numpy.typing as npt
 
 from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import Problem, SimulationError
-from heartcase.simulator.incisions.directions import cone_directions, cone_solid_angle_sr, fan
-from heartcase.simulator.incisions.segments import first_free, touches
+from heartcase.simulator.incisions.directions import cone_directions, cone_solid_angle_sr, fan, points_in
+from heartcase.simulator.incisions.segments import can_stand, touches
 from heartcase.simulator.incisions.triangle_tree import TriangleTree
 
 __all__ = ["Reach", "Shaft", "freedom_at_target_mm3", "reach"]
@@ -43,12 +43,14 @@ class Shaft:
     radius_mm: float = 1.5
     """Radius of the shaft, mm: no tissue may be nearer to its axis."""
     direction_count: int = 400
-    """Directions that are tried."""
+    """Directions that are tried with the tip on a target."""
 
     def __post_init__(self) -> None:
         problems = []
         if not 0.0 < self.length_mm < np.inf:
             problems.append(Problem("length_mm", "must be above 0 mm"))
+        if not (np.isfinite(self.axis).all() and np.any(self.axis)):
+            problems.append(Problem("axis", "give three finite numbers that are not all zero"))
         if not 0.0 <= self.radius_mm < np.inf:
             problems.append(Problem("radius_mm", "must be 0 mm or more"))
         if problems:
@@ -94,7 +96,13 @@ def freedom_at_target_mm3(tree: TriangleTree, target_mm: npt.ArrayLike, shaft: S
 
 
 def reach(
-    tree: TriangleTree, opening_mm: npt.ArrayLike, shaft: Shaft, *, depth_mm: float, spacing_mm: float = 1.0
+    tree: TriangleTree,
+    opening_mm: npt.ArrayLike,
+    shaft: Shaft,
+    *,
+    depth_mm: float,
+    spacing_mm: float = 1.0,
+    gate_count: int = 300,
 ) -> Reach:
     """Where the tip can be with the shaft through an opening.
 
@@ -110,6 +118,8 @@ def reach(
         How far from the middle of the opening tips are looked for, mm.
     spacing_mm
         Edge of the cubes that are looked at, mm: the volume is a sum of them.
+    gate_count
+        Points of the opening through which the shaft is tried.
 
     Raises
     ------
@@ -132,9 +142,10 @@ def reach(
     steps = (np.arange(-count, count) + 0.5) * spacing_mm
     grid = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
     # Within the depth, and on the side of the opening to which the shaft points.
-    inward = -np.asarray(shaft.axis, dtype=float)
+    inward = -np.asarray(shaft.axis, dtype=float) / np.linalg.norm(shaft.axis)
     grid = grid[(np.linalg.norm(grid, axis=1) <= depth_mm) & (grid @ inward > 0.0)]
     tips = middle + grid
-    found = first_free(tree, tips, shaft.directions(), shaft.length_mm, shaft.radius_mm, fan(rim))
-    tips = tips[found >= 0]
+    gates = np.concatenate([middle[None], points_in(rim, gate_count)])
+    how = (-inward, shaft.half_angle_deg, shaft.length_mm, shaft.radius_mm)
+    tips = tips[can_stand(tree, tips, gates, fan(rim), *how)]
     return Reach(len(tips) * spacing_mm**3, tips, spacing_mm)

@@ -1,4 +1,4 @@
-"""Boxes around the triangles of a surface, in a tree: what a segment or a shaft touches is found without looking at all.
+"""Boxes around the triangles of a surface, in a tree: what a shaft touches is found without looking at all of them.
 
 The triangles are sorted along a curve through space (Morton, 1966), four to a leaf, and the tree over the leaves is a
 full binary one: node n has the children 2 n + 1 and 2 n + 2. It is made anew for each shape of a surface.
@@ -28,7 +28,7 @@ class TriangleTree:
     corners_mm: Float64
     """Corners of the triangles in the order of the leaves, mm, shape (triangle_count, 3, 3)."""
     boxes: Float64
-    """Lowest and highest point of each node's triangles, mm, shape (node_count, 2, 3); infinite where there are none."""
+    """Lowest and highest point of each node's triangles, mm, shape (node_count, 2, 3); infinite where it has none."""
     leaf_start: int
     """Number of the first leaf."""
 

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from heartcase.schemas.arrays import Bool, Float64
 from heartcase.schemas.errors import SimulationError
-from heartcase.simulator.incisions.directions import cone_directions, cone_solid_angle_sr, divided, fan
+from heartcase.simulator.incisions.directions import cone_directions, cone_solid_angle_sr, divided, patches
 from heartcase.simulator.incisions.segments import touches
 from heartcase.simulator.incisions.triangle_tree import TriangleTree
 
@@ -86,9 +86,9 @@ def visibility(tree: TriangleTree, rim_mm: npt.ArrayLike, view: View) -> Visibil
     seen = _seen(tree, eyes, pieces, view.stop_short_mm)
     share = seen @ lengths / lengths.sum()
     best = int(np.argmax(share))
-    patches = _divided_fan(rim, view.spacing_mm)
-    is_patch_seen = _seen(tree, eyes[best : best + 1], patches.mean(axis=1), view.stop_short_mm)[0]
-    angles = np.abs(solid_angle_sr(patches, eyes[best]))
+    filling = patches(rim, view.spacing_mm)
+    is_patch_seen = _seen(tree, eyes[best : best + 1], filling.mean(axis=1), view.stop_short_mm)[0]
+    angles = np.abs(solid_angle_sr(filling, eyes[best]))
     is_middle_seen = _seen(tree, eyes, middle[None], view.stop_short_mm)[:, 0]
     return Visibility(
         rim_seen=float(lengths[seen.any(axis=0)].sum() / lengths.sum()),
@@ -122,16 +122,3 @@ def _seen(tree: TriangleTree, eyes: Float64, points: Float64, stop_short_mm: flo
     way = ends - starts
     ends = ends - way * np.minimum(stop_short_mm / np.linalg.norm(way, axis=1), 1.0)[:, None]
     return ~touches(tree, starts, ends).reshape(len(eyes), len(points))
-
-
-def _divided_fan(rim: Float64, spacing_mm: float) -> Float64:
-    """The defect's fan in small triangles, each at most about as long as the rim's pieces, shape (count, 3, 3)."""
-    triangles = fan(rim)
-    size = np.linalg.norm(triangles - np.roll(triangles, 1, axis=1), axis=2).max()
-    while size > spacing_mm and len(triangles) < 200_000:
-        a, b, c = np.moveaxis(triangles, 1, 0)
-        ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
-        parts = ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))
-        triangles = np.concatenate([np.stack(part, axis=1) for part in parts])
-        size /= 2
-    return triangles
