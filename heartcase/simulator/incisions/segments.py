@@ -255,6 +255,14 @@ def _touched(starts, ends, radius, corners, boxes, leaf_start, touched):
 
 
 @kernel(cached=False)
+def _is_free(p, q, radius, corners, boxes, leaf_start):
+    # Most shafts that touch do so with their axis, which is quicker to see.
+    if _is_touched(p, q, 0.0, corners, boxes, leaf_start):
+        return False
+    return radius == 0.0 or not _is_touched(p, q, radius, corners, boxes, leaf_start)
+
+
+@kernel(cached=False)
 def _leans_free(p, towards, axis, fan, lean, length, radius, corners, boxes, leaf_start):
     """Whether a shaft stands free that leans from the axis towards a place, as far as it may or less."""
     along = _dot(towards, axis)
@@ -271,7 +279,7 @@ def _leans_free(p, towards, axis, fan, lean, length, radius, corners, boxes, lea
             if _goes_through(p, q, _corner(fan, one, 0), _corner(fan, one, 1), _corner(fan, one, 2)):
                 passes = True
                 break
-        if passes and not _is_touched(p, q, radius, corners, boxes, leaf_start):
+        if passes and _is_free(p, q, radius, corners, boxes, leaf_start):
             return True
     return False
 
@@ -282,6 +290,9 @@ def _can_stand(tips, gates, fan, axis, lean, length, radius, corners, boxes, lea
     upward = (axis[0], axis[1], axis[2])
     for tip in prange(len(tips)):
         p = (tips[tip, 0], tips[tip, 1], tips[tip, 2])
+        # A tip that is itself in touch with tissue is no place to be, whichever way the shaft stands.
+        if _is_touched(p, _along(p, upward, 1e-9), radius, corners, boxes, leaf_start):
+            continue
         middle = (gates[0, 0] - p[0], gates[0, 1] - p[1], gates[0, 2] - p[2])
         if _leans_free(p, middle, upward, fan, lean, length, radius, corners, boxes, leaf_start):
             found[tip] = True
@@ -291,7 +302,7 @@ def _can_stand(tips, gates, fan, axis, lean, length, radius, corners, boxes, lea
             size = np.sqrt(_dot(way, way))
             if size > length or size == 0.0 or _dot(way, upward) < least_cosine * size:
                 continue
-            if not _is_touched(p, _along(p, way, length / size), radius, corners, boxes, leaf_start):
+            if _is_free(p, _along(p, way, length / size), radius, corners, boxes, leaf_start):
                 found[tip] = True
                 break
 

@@ -102,7 +102,7 @@ def reach(
     *,
     depth_mm: float,
     spacing_mm: float = 1.0,
-    gate_count: int = 300,
+    gate_count: int = 150,
 ) -> Reach:
     """Where the tip can be with the shaft through an opening.
 
