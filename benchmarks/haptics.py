@@ -56,7 +56,7 @@ class Output:
     """What was kept of a run."""
 
     log: Float64
-    """Time, number of the tissue's state, its time, shape (count, 3)."""
+    """Time, number of the tissue's state, its time, part of the force that was put out, shape (count, 4)."""
     energy_mj: float
     """What the hand has put in less what it got back, mJ."""
     simulated_s: float
@@ -170,6 +170,7 @@ def errors(inputs: Inputs, output: Output) -> dict[str, float]:
         "state to force, median [ms]": found.latency_ms[0],
         "state to force, 99.9% [ms]": found.latency_ms[1],
         "state to force, longest [ms]": found.latency_ms[2],
+        "updates with all of the force [1]": float((output.log[:, 3] >= 1.0).mean()),
         "energy that the hand got [mJ]": -output.energy_mj,
         "simulated over passed time [1]": output.simulated_s / (inputs.seconds + LEAD_S),
         "surfaces a second [1/s]": output.surface_count / (inputs.seconds + LEAD_S),

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from heartcase.schemas.arrays import Float64
-from heartcase.schemas.errors import MissingExtraError, UsageError
+from heartcase.schemas.errors import UsageError
 from heartcase.simulator.haptics.poses import ToolPose
 
 __all__ = ["DEVICE_GROUP", "DeviceReading", "DeviceSpec", "HapticDevice", "device_names", "open_device"]
@@ -74,24 +74,22 @@ def open_device(spec: DeviceSpec) -> HapticDevice:
     Raises
     ------
     UsageError
-        There is no device of this name.
-    MissingExtraError
-        Its module needs a package that is not installed.
+        There is no device of this name, or it is another package's, and needs a library that is not installed.
     """
-    target = _OWN.get(spec.name)
-    extra = ""
-    if target is None:
-        points = [point for point in entry_points(group=DEVICE_GROUP) if point.name == spec.name]
-        if not points:
-            known = ", ".join(device_names())
-            raise UsageError(f"there is no haptic device {spec.name!r}: choose from {known}", place="device")
-        target, extra = f"{points[0].module}:{points[0].attr}", ",".join(points[0].extras)
-    module, _, name = target.partition(":")
+    if spec.name in _OWN:
+        module, _, name = _OWN[spec.name].partition(":")
+        own: HapticDevice = getattr(import_module(module), name)(**spec.options)
+        return own
+    point = next((point for point in entry_points(group=DEVICE_GROUP) if point.name == spec.name), None)
+    if point is None:
+        known = ", ".join(device_names())
+        raise UsageError(f"there is no haptic device {spec.name!r}: choose from {known}", place="device")
     try:
-        found = getattr(import_module(module), name)
+        found = point.load()
     except ModuleNotFoundError:
-        if extra:
-            raise MissingExtraError(f"The haptic device {spec.name}", extra) from None
-        raise
+        package = point.dist.name if point.dist is not None else "its package"
+        extras = f"[{','.join(point.extras)}]" if point.extras else ""
+        message = f"the haptic device {spec.name} needs a library that is not installed: install {package}{extras}"
+        raise UsageError(message, place="device") from None
     opened: HapticDevice = found(**spec.options)
     return opened

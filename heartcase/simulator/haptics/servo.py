@@ -27,8 +27,8 @@ from heartcase.simulator.haptics.settings import ServoSettings
 
 __all__ = ["LOG_WIDTH", "HapticServo", "run_loop"]
 
-LOG_WIDTH = 3
-"""Numbers of an update in a log: time, number of the tissue's state, time of that state."""
+LOG_WIDTH = 4
+"""Numbers of an update in a log: time, number of the tissue's state, time of that state, part that was put out."""
 _SPIN_S = 1.5e-4
 """The last part of a wait is spent looking at the clock: a sleep ends late by about this, s."""
 _START_S = 60.0
@@ -101,10 +101,10 @@ class HapticServo:
         said = ""
         with contextlib.suppress(EOFError, OSError):
             said = self._told.recv() if self._told.poll() else ""
-        raise SimulationError(f"the haptic loop has ended: {said or 'it was killed'}; start it again", place="haptics")
+        raise SimulationError(f"the haptic loop has ended: {said or 'it was killed'}; make another", place="haptics")
 
     def log(self) -> Float64:
-        """Time, number of the tissue's state and its time for the updates that were kept, shape (count, 3)."""
+        """Time, number of the tissue's state, its time, and part that was put out, of the updates kept; (count, 4)."""
         rows: Float64 = np.frombuffer(self._log, dtype=np.float64).reshape(-1, LOG_WIDTH)
         return rows[rows[:, 0] > 0.0].copy()
 
@@ -137,7 +137,7 @@ def run_loop(
     is_ended
         Asked once an update.
     log
-        Where times of the first device's updates go, shape (count, 3).
+        Where times of the first device's updates go, shape (count, 4).
     """
     began_s = time.perf_counter()
     try:
@@ -154,7 +154,8 @@ def run_loop(
                 device.write(state.load[0], state.load[1])
                 if log is not None and place == 0 and number < len(log):
                     written_s = time.perf_counter()
-                    log[number] = written_s, sample_number, tissue.finished_s if tissue is not None else 0.0
+                    finished_s = tissue.finished_s if tissue is not None else 0.0
+                    log[number] = written_s, sample_number, finished_s, state.part
                 channel.publish_tool(state, reading.buttons, sample_number)
                 states[place] = state
             number += 1

@@ -9,7 +9,7 @@ from importlib.metadata import EntryPoint
 import numpy as np
 import pytest
 
-from heartcase.schemas.errors import MissingExtraError, UsageError
+from heartcase.schemas.errors import UsageError
 from heartcase.simulator.haptics import device as devices
 from heartcase.simulator.haptics.device import DeviceSpec, device_names, open_device
 from heartcase.simulator.haptics.hand_over import Ring, shared_memory
@@ -39,7 +39,7 @@ def test_devices_of_other_packages_are_imported_only_when_asked_for(monkeypatch,
     assert {"arm", "stylus"} <= set(device_names())
     assert "other_driver" not in sys.modules
     assert open_device(DeviceSpec("stylus", {"port": 3})).port == 3
-    with pytest.raises(MissingExtraError, match="arm"):
+    with pytest.raises(UsageError, match=r"install its package\[arm\]"):
         open_device(DeviceSpec("arm"))
 
 

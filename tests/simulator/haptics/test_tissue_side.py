@@ -114,8 +114,9 @@ def test_the_loop_runs_beside_the_simulation_and_ends_when_told():
     ends = closed_at.position_mm + np.array([[0, 0, 0], [0, 2.0, 0]])
     rotation = [[0.2, 0.1, -0.4]] * 2
     device = DeviceSpec("trajectory", {"times_s": [0.0, 0.2], "positions_mm": ends, "rotations_rad": rotation})
-    with HapticServo([device], SETTINGS, log_count=5000) as servo:
-        (channel,) = servo.channels
+    second = DeviceSpec("trajectory", {"times_s": [0.0], "positions_mm": [[7.0, 8.0, 9.0]]})
+    with HapticServo([device, second], SETTINGS, log_count=5000) as servo:
+        channel, other = servo.channels
         side = TissueSide()
         side.felt.append(FeltInstrument(led, channel, SETTINGS))
         limit = time.monotonic() + 60.0
@@ -129,6 +130,8 @@ def test_the_loop_runs_beside_the_simulation_and_ends_when_told():
         while channel.felt().part > 0.0 and time.monotonic() < limit:
             time.sleep(0.005)
         np.testing.assert_array_equal(channel.felt().force_n, 0.0)
+        np.testing.assert_array_equal(other.felt().pose.position_mm, [7.0, 8.0, 9.0])
+        np.testing.assert_array_equal(other.felt().force_n, 0.0)
     log = servo.log()
     assert (np.diff(log[:, 0]) > 0.0).all()
     assert log[-1, 1] >= number
