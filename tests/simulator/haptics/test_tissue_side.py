@@ -18,6 +18,7 @@ from heartcase.simulator.haptics.servo import HapticServo, run_loop
 from heartcase.simulator.haptics.settings import ServoSettings
 from heartcase.simulator.haptics.tissue_side import FeltInstrument, TissueSide
 from heartcase.simulator.simulation import Simulation
+from tests.simulator.haptics.late_tissue import closed_path
 from tests.simulator.lattices import block, oblique_geometry
 
 SETTINGS = ServoSettings()
@@ -107,6 +108,40 @@ def test_a_session_in_made_up_time_pulls_the_tissue_and_feels_it():
     np.testing.assert_allclose(felt.force_n, load[0], rtol=0.02, atol=1e-3)
     gap = state.tool.pose.gap_to(reading.pose)
     np.testing.assert_allclose(felt.force_n, -0.4 * gap[0], rtol=1e-3, atol=1e-4)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_closed_path_through_moving_tissue_gives_out_no_energy(seed):
+    """Steps of a lattice that come late and unevenly, with its own swings; the hand goes round and comes back."""
+    simulation, closed_at, led = held_block("cpu")
+    rng, channel, clock = np.random.default_rng(seed), Channel(), [0.0]
+    side = TissueSide(clock=lambda: clock[0])
+    side.felt.append(FeltInstrument(led, channel, SETTINGS))
+    steps = round(0.004 / simulation.step_s)
+    path = closed_path(seed, seconds=1.0, mm=2.0, rad=0.1)
+
+    def hand_at(time_s: float) -> ToolPose:
+        now = path(time_s)
+        return closed_at.moved_by(np.stack([now[:3], now[3:]]))
+
+    state = first_state(0.0, DeviceReading(closed_at))
+    given_mj, force_most, next_s = 0.0, 0.0, 0.0
+    while clock[0] < 1.05:
+        step_s = float(rng.choice([0.001, 0.001, 0.0012, 0.002]))
+        clock[0] += step_s
+        if clock[0] >= next_s:
+            side.segment(2, lambda: simulation.step(steps))
+            next_s = clock[0] + rng.uniform(0.004, 0.03)
+        hand = hand_at(clock[0])
+        moved = state.hand.gap_to(hand)
+        given_mj += float(np.vdot(state.load, moved))
+        number, tissue = channel.tissue()
+        state = servo_update(state, clock[0], DeviceReading(hand, moved / step_s), tissue, SETTINGS)
+        channel.publish_tool(state, (), number)
+        force_most = max(force_most, float(np.linalg.norm(state.load[0])))
+    assert given_mj <= 1e-6
+    assert state.energy_mj == pytest.approx(-given_mj)
+    assert force_most > 0.05
 
 
 def test_the_loop_runs_beside_the_simulation_and_ends_when_told():
