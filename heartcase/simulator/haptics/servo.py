@@ -29,8 +29,8 @@ __all__ = ["LOG_WIDTH", "HapticServo", "run_loop"]
 
 LOG_WIDTH = 4
 """Numbers of an update in a log: time, number of the tissue's state, time of that state, part that was put out."""
-_SPIN_S = 1.5e-4
-"""The last part of a wait is spent looking at the clock: a sleep ends late by about this, s."""
+_SPIN_S, _SPIN_HURRIED_S = 1.5e-4, 5e-5
+"""The last part of a wait is spent looking at the clock: a sleep ends late by about this, s; less with a priority."""
 _START_S = 60.0
 """Longest time for the process to start, s."""
 
@@ -123,6 +123,8 @@ def run_loop(
     settings: ServoSettings,
     is_ended: Callable[[], bool],
     log: Float64 | None = None,
+    *,
+    spin_s: float = _SPIN_S,
 ) -> None:
     """Read, reckon and write until it is ended; then all force is taken away, whatever happened.
 
@@ -138,6 +140,8 @@ def run_loop(
         Asked once an update.
     log
         Where times of the first device's updates go, shape (count, 4).
+    spin_s
+        The last part of each wait, which is spent looking at the clock, s.
     """
     began_s = time.perf_counter()
     try:
@@ -145,7 +149,7 @@ def run_loop(
         states = [first_state(began_s, reading) for reading in readings]
         due_s, number = began_s, 0
         while not is_ended():
-            due_s = _wait_until(due_s + settings.period_s, settings.period_s)
+            due_s = _wait_until(due_s + settings.period_s, settings.period_s, spin_s)
             for place, (device, channel) in enumerate(zip(devices, channels, strict=True)):
                 now_s = time.perf_counter()
                 reading = device.read(now_s - began_s)
@@ -165,11 +169,11 @@ def run_loop(
             device.close()
 
 
-def _wait_until(due_s: float, period_s: float) -> float:
+def _wait_until(due_s: float, period_s: float, spin_s: float) -> float:
     """Wait; when the next update is due from now on: one that was missed by a whole period is left out."""
     now_s = time.perf_counter()
-    if due_s - now_s > _SPIN_S:
-        time.sleep(due_s - now_s - _SPIN_S)
+    if due_s - now_s > spin_s:
+        time.sleep(due_s - now_s - spin_s)
     while (now_s := time.perf_counter()) < due_s:
         pass
     return due_s if now_s < due_s + period_s else now_s
@@ -195,7 +199,7 @@ def _serve(
         tells.send(str(error))
         return
     tells.send("")
-    _hurry()
+    spin_s = _SPIN_HURRIED_S if _hurry() else _SPIN_S
     parent = multiprocessing.parent_process()
     parent_number = parent.pid if parent is not None else None
 
@@ -205,16 +209,20 @@ def _serve(
 
     rows = np.frombuffer(log, dtype=np.float64).reshape(-1, LOG_WIDTH)
     try:
-        run_loop(opened, [Channel(memory) for memory in memories], settings, is_ended, rows)
+        run_loop(opened, [Channel(memory) for memory in memories], settings, is_ended, rows, spin_s=spin_s)
     except Exception as error:
         # A device's own text may say anything: its kind must do.
         tells.send(f"a device failed with {type(error).__name__}")
 
 
-def _hurry() -> None:
-    """Be woken before others where the system allows it, and never stop to look for garbage: there is next to none."""
+def _hurry() -> bool:
+    """Never stop to look for garbage, of which there is next to none; whether the system wakes us before others."""
     gc.collect()
     gc.disable()
-    if hasattr(os, "sched_setscheduler"):
-        with contextlib.suppress(OSError):
-            os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(os.sched_get_priority_min(os.SCHED_RR)))
+    if not hasattr(os, "sched_setscheduler"):
+        return False
+    try:
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(os.sched_get_priority_min(os.SCHED_RR)))
+    except OSError:
+        return False
+    return True

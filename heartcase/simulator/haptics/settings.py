@@ -59,7 +59,7 @@ class ServoSettings:
     """Fastest change of the force while the tissue moves, N/s."""
     lever_mm: float = 30.0
     """Length of a hand's lever: what makes rotations and torques comparable with ways and forces, mm."""
-    full_for_s: float = 0.010
+    full_for_s: float = 0.012
     """Age of the tissue's state up to which the force is whole, s."""
     none_from_s: float = 0.018
     """Age of the tissue's state from which there is no force, s; with one more update at most 20 ms."""
