@@ -67,7 +67,6 @@ def advance_tool(
     tissue: TissueSample | None,
     settings: ServoSettings,
     *,
-    part: float = 1.0,
     seconds: float | None = None,
 ) -> tuple[Tool, Float64]:
     """The tool one update later, and what the coupling does to the hand.
@@ -84,8 +83,6 @@ def advance_tool(
         The newest state of the tissue; None while there is none: the tool then follows the hand.
     settings
         The coupling.
-    part
-        Part of the tissue's force that acts [1]: less than one while the simulation stalls.
     seconds
         Time since the last update, s; the settings' period when left out.
 
@@ -101,9 +98,9 @@ def advance_tool(
     gap = tool.pose.gap_to(hand)
     pull = stiffness * gap + damping * hand_motion
     yields: Float64 = np.zeros((2, 1))
-    if tissue is not None and part > 0.0:
-        yields = part * np.clip(tissue.stiffness[:, None], 0.0, settings.tissue_stiffness)
-        pull = pull + part * tissue.load - yields * tissue.pose.gap_to(tool.pose)
+    if tissue is not None:
+        yields = np.clip(tissue.stiffness[:, None], 0.0, settings.tissue_stiffness)
+        pull = pull + tissue.load - yields * tissue.pose.gap_to(tool.pose)
     held = mass + dt * damping + dt * dt * (stiffness + yields)
     motion = (mass * tool.motion + dt * pull) / held
     load = -(stiffness * (gap - dt * motion) + damping * (hand_motion - motion))

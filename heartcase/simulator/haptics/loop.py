@@ -71,7 +71,9 @@ def servo_update(
     age_s = None if tissue is None else time_s - tissue.finished_s
     part = part_at_age(state.part, age_s, seconds, settings)
     dt = min(max(seconds, 0.1 * settings.period_s), _SECONDS_MOST)
-    tool, pull = advance_tool(state.tool, hand, reading.motion, tissue, settings, part=part, seconds=dt)
+    # A state that is too old to be felt does not hold the tool either: it comes back to the hand.
+    felt = tissue if part > 0.0 else None
+    tool, pull = advance_tool(state.tool, hand, reading.motion, felt, settings, seconds=dt)
     wanted = limited(within_credit(pull, moved / dt, energy_mj, settings), settings)
     within = followed(state.within, wanted, seconds, settings)
     return ServoState(time_s, hand, tool, within, part * within, part, energy_mj)

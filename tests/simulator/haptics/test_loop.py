@@ -128,8 +128,9 @@ def test_the_force_is_gone_20_ms_after_the_last_state_and_comes_back_without_a_j
     fade_n_s = 2.0 / (SETTINGS.none_from_s - SETTINGS.full_for_s)
     assert np.abs(np.diff(forces)).max() <= (SETTINGS.slew_n_s + fade_n_s) * 1e-3
     back = forces[times > 1.0]
-    # The part acts on the tissue's pull and on what is put out: it rises as a square.
-    assert np.diff(back).max() <= 2.0 * 2.0 / SETTINGS.rise_s * 1e-3 * 1.05
+    # 2% of the force in an update at most: the part rises, and meanwhile the tissue takes hold of the tool again.
+    assert np.diff(back).max() <= 0.02 * 2.0
+    assert back[0] <= 2.0 / SETTINGS.rise_s * 1e-3
     np.testing.assert_allclose(back[-1], 2.0, rtol=1e-3)
 
 
