@@ -74,6 +74,14 @@ if TYPE_CHECKING:
     from heartcase.schemas.script import SimulationScript
     from heartcase.simulator.dynamics.integrate import Energy
     from heartcase.simulator.dynamics.step_size import default_step, step_limit
+    from heartcase.simulator.haptics.channel import Channel, Felt
+    from heartcase.simulator.haptics.device import DeviceReading, DeviceSpec, device_names
+    from heartcase.simulator.haptics.led import LedGrab, LedProbe
+    from heartcase.simulator.haptics.mouse_device import MouseFeed, PointerPlane
+    from heartcase.simulator.haptics.poses import ToolPose
+    from heartcase.simulator.haptics.servo import HapticServo
+    from heartcase.simulator.haptics.settings import ServoSettings
+    from heartcase.simulator.haptics.tissue_side import FeltInstrument, TissueSide
     from heartcase.simulator.instruments.grab import Grab
     from heartcase.simulator.instruments.probe import Probe
     from heartcase.simulator.instruments.wrench import Wrench
@@ -120,11 +128,16 @@ __all__ = [
     "CaseManifest",
     "CaseRecord",
     "CatalogueResult",
+    "Channel",
     "CloseGrab",
     "DeformedSurface",
     "Deviation",
+    "DeviceReading",
+    "DeviceSpec",
     "Energy",
     "Entry",
+    "Felt",
+    "FeltInstrument",
     "FileRole",
     "FilterSettings",
     "ForceLaw",
@@ -134,6 +147,7 @@ __all__ = [
     "Grab",
     "GridUnits",
     "Halt",
+    "HapticServo",
     "HeartcaseError",
     "InputFindings",
     "InstrumentFrame",
@@ -143,16 +157,20 @@ __all__ = [
     "Landmark",
     "LatticeModel",
     "LeadGrab",
+    "LedGrab",
+    "LedProbe",
     "LibraryCase",
     "Mark",
     "MarkerError",
     "Markers",
     "MissingExtraError",
+    "MouseFeed",
     "MoveProbe",
     "OpenBundle",
     "OpenGrab",
     "OperatingSession",
     "PickingModel",
+    "PointerPlane",
     "Probe",
     "Problem",
     "Recipe",
@@ -174,6 +192,7 @@ __all__ = [
     "Segmentation",
     "SegmentationSession",
     "SeriesInfo",
+    "ServoSettings",
     "SessionSummary",
     "Simulation",
     "SimulationError",
@@ -185,7 +204,9 @@ __all__ = [
     "StrokePlace",
     "StrokePlaces",
     "SurfaceModel",
+    "TissueSide",
     "Tolerances",
+    "ToolPose",
     "TopologyChange",
     "Undo",
     "UnsupportedVersionError",
@@ -209,6 +230,7 @@ __all__ = [
     "default_script",
     "default_step",
     "default_workers",
+    "device_names",
     "diff_libraries",
     "ensure_scan",
     "filter_scan",
@@ -308,6 +330,14 @@ _MODULES = {
     "heartcase.schemas.script": ("SimulationScript",),
     "heartcase.simulator.dynamics.integrate": ("Energy",),
     "heartcase.simulator.dynamics.step_size": ("default_step", "step_limit"),
+    "heartcase.simulator.haptics.channel": ("Channel", "Felt"),
+    "heartcase.simulator.haptics.device": ("DeviceReading", "DeviceSpec", "device_names"),
+    "heartcase.simulator.haptics.led": ("LedGrab", "LedProbe"),
+    "heartcase.simulator.haptics.mouse_device": ("MouseFeed", "PointerPlane"),
+    "heartcase.simulator.haptics.poses": ("ToolPose",),
+    "heartcase.simulator.haptics.servo": ("HapticServo",),
+    "heartcase.simulator.haptics.settings": ("ServoSettings",),
+    "heartcase.simulator.haptics.tissue_side": ("FeltInstrument", "TissueSide"),
     "heartcase.simulator.instruments.grab": ("Grab",),
     "heartcase.simulator.instruments.probe": ("Probe",),
     "heartcase.simulator.instruments.wrench": ("Wrench",),

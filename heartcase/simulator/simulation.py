@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.schemas.arrays import Float64
+from heartcase.schemas.arrays import Float64, Intp
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.cutting.blade_sheet import blade_points
 from heartcase.simulator.cutting.cuts import Cuts, cut_further
@@ -452,6 +452,23 @@ class Simulation:
         if hand not in self.instruments:
             return Wrench(np.zeros(3), np.zeros(3))
         return wrench_on(self.model, self.state.displacement, hand, self.grabs, self._engine.forces)
+
+    def forces_at(self, nodes: Intp) -> Float64:
+        """Forces of springs and cells on some nodes now, N, LPS axes.
+
+        Parameters
+        ----------
+        nodes
+            Node numbers, shape (count,).
+
+        Returns
+        -------
+        ndarray
+            Shape (count, 3).
+        """
+        pull = self._engine.forces(nodes).astype(np.float64)
+        force: Float64 = pull @ self.model.geometry.direction_matrix.T * self.model.units.force_n
+        return force
 
     def energy(self) -> Energy:
         """Kinetic and elastic energy now, J."""

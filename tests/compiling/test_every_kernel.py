@@ -30,6 +30,10 @@ from heartcase.schemas.recipe.settings import Stroke
 from heartcase.simulator.cutting.blade_sheet import Sheet
 from heartcase.simulator.cutting.parted_lattice import part
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
+from heartcase.simulator.incisions.nearness import to_structure
+from heartcase.simulator.incisions.surgical_freedom import Shaft, reach
+from heartcase.simulator.incisions.triangle_tree import triangle_tree
+from heartcase.simulator.incisions.visibility import View, visibility
 from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.load import load_case
 from heartcase.simulator.simulation import Simulation
@@ -129,6 +133,16 @@ def test_a_cut_parts_the_lattice(case):
     blade = [[(x - 60, y, z - 60), (x + 60, y, z - 60)], [(x - 60, y, z + 60), (x + 60, y, z + 60)]]
     parted = part(model.with_law(LAWS["element"]), [Sheet.swept(blade)], tissue)
     assert parted.model.node_count > model.node_count
+
+
+def test_an_incision_is_measured(case):
+    rest, triangles = case.surface.rest_mm, case.surface.triangles
+    tree = triangle_tree(rest, triangles)
+    middle = rest.mean(axis=0)
+    rim = middle + 5.0 * np.array([[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]])
+    assert 0.0 <= visibility(tree, rim, View((0.0, 0.0, 1.0), eye_count=4)).rim_seen <= 1.0
+    reach(tree, rim, Shaft((0.0, 0.0, 1.0)), depth_mm=4.0, spacing_mm=2.0)
+    assert to_structure(rim, rest, triangles, np.ones(len(triangles), bool), name="tissue").distance_mm >= 0.0
 
 
 def test_the_others_found_the_same(found):

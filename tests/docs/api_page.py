@@ -59,6 +59,11 @@ SECTIONS = {
         "CloseGrab LeadGrab OpenGrab BringProbe MoveProbe WithdrawProbe AddSprings RemoveSprings Mark Halt Advance "
         "Undo Redo Rewind GoTo Entry parse_command",
     ),
+    "Feel it": (
+        "Force and torque on a hand at 1 kHz (`docs/haptics.md`).",
+        "HapticServo DeviceSpec device_names DeviceReading ServoSettings TissueSide FeltInstrument LedGrab LedProbe "
+        "ToolPose Channel Felt MouseFeed PointerPlane",
+    ),
     "Lattices and surfaces of one's own": (
         "What a simulation is made of, for whoever does not take it from a case.",
         "make_model LatticeModel GridUnits ForceLaw cell_nodes default_step step_limit make_surface SurfaceModel "

@@ -50,12 +50,14 @@ __all__ = [
     "WARP_STIFFNESS",
     "cell_energies",
     "cell_forces",
+    "cell_gradients",
     "forces_at_corners",
     "mean_gradients",
     "mean_slopes",
     "own_forces_at_corners",
     "stretching",
     "tissue_spread",
+    "volume_stress",
 ]
 
 
@@ -130,6 +132,26 @@ def mean_gradients(model: LatticeModel, u: Float64) -> tuple[Float64, Float64]:
     mean[is_shared] /= stiffness[is_shared, None, None]
     mean[~is_shared] = np.eye(3)
     return mean, stiffness
+
+
+def cell_gradients(model: LatticeModel, u: Float64) -> Float64:
+    """Mean deformation gradient of each cell's tissue; for springs, of the cell, shape (cell_count, 3, 3).
+
+    Parameters
+    ----------
+    model
+        The lattice.
+    u
+        Displacements of all cells' corners [cells], shape (cell_count, 8, 3).
+    """
+    slopes = mean_slopes(model.cell_moments.astype(np.float64)) if model.law.is_element else np.zeros((len(u), 4, 3))
+    return _gradients(np.einsum("mc,nci->nmi", MODES, u), slopes)
+
+
+def volume_stress(law: ForceLaw, F: Float64) -> Float64:
+    """Derivative by F of what the volume term of springs stores per covered stiffness, shape (count, 3, 3)."""
+    cofactors, _, D, d = _invariants(F)
+    return (law.volume_modulus * d)[:, None, None] * _d_slope(F, cofactors, D, d)
 
 
 def stretching(law: ForceLaw, F: Float64) -> tuple[Float64, Float64]:
@@ -228,12 +250,10 @@ def _d_slope(F: Float64, cofactors: Float64, D: Float64, d: Float64) -> Float64:
 
 
 def _volume_term(model: LatticeModel, u: Float64) -> tuple[Float64, Float64]:
-    q = np.einsum("mc,nci->nmi", MODES, u)
-    F = _gradients(q, np.zeros((len(u), 4, 3)))
-    cofactors, _, D, d = _invariants(F)
-    modulus = model.law.volume_modulus
-    P = (modulus * d)[:, None, None] * _d_slope(F, cofactors, D, d)
-    return 0.5 * modulus * d**2, -np.einsum("mc,nim->nci", MODES[:3], P)
+    F = _gradients(np.einsum("mc,nci->nmi", MODES, u), np.zeros((len(u), 4, 3)))
+    d = _invariants(F)[3]
+    P = volume_stress(model.law, F)
+    return 0.5 * model.law.volume_modulus * d**2, -np.einsum("mc,nim->nci", MODES[:3], P)
 
 
 def _element(law: ForceLaw, u: Float64, moments: Float64, own: Float64) -> tuple[Float64, Float64]:

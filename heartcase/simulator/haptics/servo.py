@@ -1,0 +1,228 @@
+"""The servo loop beside the simulation: a process of its own, 1,000 updates a second.
+
+A process, not a thread: kernels run without the interpreter's lock, but NumPy and Python between them hold it for
+longer than an update may wait (``python -m benchmarks haptics`` measures both).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import multiprocessing
+import os
+import signal
+import time
+from collections.abc import Callable, Sequence
+from multiprocessing.connection import Connection
+from typing import Any
+
+import numpy as np
+
+from heartcase.schemas.arrays import Float64
+from heartcase.schemas.errors import HeartcaseError, SimulationError
+from heartcase.simulator.haptics.channel import Channel
+from heartcase.simulator.haptics.device import DeviceSpec, HapticDevice, open_device
+from heartcase.simulator.haptics.loop import first_state, servo_update
+from heartcase.simulator.haptics.settings import ServoSettings
+
+__all__ = ["LOG_WIDTH", "HapticServo", "run_loop"]
+
+LOG_WIDTH = 4
+"""Numbers of an update in a log: time, number of the tissue's state, time of that state, part that was put out."""
+_SPIN_S, _SPIN_HURRIED_S = 1.5e-4, 5e-5
+"""The last part of a wait is spent looking at the clock: a sleep ends late by about this, s; less with a priority."""
+_START_S = 60.0
+"""Longest time for the process to start, s."""
+
+
+class HapticServo:
+    """The loop in a process of its own; as a context it starts, and ends with all force taken away.
+
+    A program that starts one must guard its own start with ``if __name__ == "__main__":``, as for any process.
+
+    Parameters
+    ----------
+    devices
+        One for each hand.
+    settings
+        Coupling, limits, fade; the defaults when left out.
+    log_count
+        Updates of the first device of which times are kept, for measurements.
+    """
+
+    def __init__(
+        self, devices: Sequence[DeviceSpec], settings: ServoSettings | None = None, *, log_count: int = 0
+    ) -> None:
+        self.devices = tuple(devices)
+        self.settings = settings or ServoSettings()
+        self.channels = tuple(Channel() for _ in self.devices)
+        context = multiprocessing.get_context("spawn")
+        self._log = context.RawArray("d", LOG_WIDTH * log_count)
+        self._stop = context.RawValue("b", 0)
+        self._told, self._tells = context.Pipe(duplex=False)
+        memories = tuple(channel.memories for channel in self.channels)
+        arguments = (self.devices, memories, self.settings, self._stop, self._tells, self._log)
+        self._process = context.Process(target=_serve, args=arguments, daemon=True, name="heartcase-haptics")
+
+    def __enter__(self) -> HapticServo:
+        """Start, and wait until the devices are open.
+
+        Raises
+        ------
+        SimulationError
+            A device cannot be opened, or the process does not start.
+        """
+        self._process.start()
+        self._tells.close()
+        is_told = self._told.poll(_START_S)
+        try:
+            said = self._told.recv() if is_told else "it did not start within a minute"
+        except EOFError:
+            said = "it ended before it had begun"
+        if said:
+            self._end()
+            raise SimulationError(f"the haptic loop cannot run: {said}", place="haptics")
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End the loop."""
+        self._end()
+
+    def check(self) -> None:
+        """Complain if the loop has ended by itself.
+
+        Raises
+        ------
+        SimulationError
+            It has; all force was taken away.
+        """
+        if self._process.is_alive():
+            return
+        said = ""
+        with contextlib.suppress(EOFError, OSError):
+            said = self._told.recv() if self._told.poll() else ""
+        raise SimulationError(f"the haptic loop has ended: {said or 'it was killed'}; make another", place="haptics")
+
+    def log(self) -> Float64:
+        """Time, number of the tissue's state, its time, and part that was put out, of the updates kept; (count, 4)."""
+        rows: Float64 = np.frombuffer(self._log, dtype=np.float64).reshape(-1, LOG_WIDTH)
+        return rows[rows[:, 0] > 0.0].copy()
+
+    def _end(self) -> None:
+        self._stop.value = 1
+        self._process.join(2.0)
+        if self._process.is_alive():
+            self._process.terminate()
+            self._process.join()
+        self._told.close()
+
+
+def run_loop(
+    devices: Sequence[HapticDevice],
+    channels: Sequence[Channel],
+    settings: ServoSettings,
+    is_ended: Callable[[], bool],
+    log: Float64 | None = None,
+    *,
+    spin_s: float = _SPIN_S,
+) -> None:
+    """Read, reckon and write until it is ended; then all force is taken away, whatever happened.
+
+    Parameters
+    ----------
+    devices
+        One for each hand, open.
+    channels
+        One for each device.
+    settings
+        Coupling, limits, fade.
+    is_ended
+        Asked once an update.
+    log
+        Where times of the first device's updates go, shape (count, 4).
+    spin_s
+        The last part of each wait, which is spent looking at the clock, s.
+    """
+    began_s = time.perf_counter()
+    try:
+        readings = [device.read(0.0) for device in devices]
+        states = [first_state(began_s, reading) for reading in readings]
+        due_s, number = began_s, 0
+        while not is_ended():
+            due_s = _wait_until(due_s + settings.period_s, settings.period_s, spin_s)
+            for place, (device, channel) in enumerate(zip(devices, channels, strict=True)):
+                now_s = time.perf_counter()
+                reading = device.read(now_s - began_s)
+                sample_number, tissue = channel.tissue()
+                state = servo_update(states[place], now_s, reading, tissue, settings)
+                device.write(state.load[0], state.load[1])
+                if log is not None and place == 0 and number < len(log):
+                    written_s = time.perf_counter()
+                    finished_s = tissue.finished_s if tissue is not None else 0.0
+                    log[number] = written_s, sample_number, finished_s, state.part
+                channel.publish_tool(state, reading.buttons, sample_number)
+                states[place] = state
+            number += 1
+    finally:
+        for device in devices:
+            device.write(np.zeros(3), np.zeros(3))
+            device.close()
+
+
+def _wait_until(due_s: float, period_s: float, spin_s: float) -> float:
+    """Wait; when the next update is due from now on: one that was missed by a whole period is left out."""
+    now_s = time.perf_counter()
+    if due_s - now_s > spin_s:
+        time.sleep(due_s - now_s - spin_s)
+    while (now_s := time.perf_counter()) < due_s:
+        pass
+    return due_s if now_s < due_s + period_s else now_s
+
+
+def _serve(
+    devices: tuple[DeviceSpec, ...],
+    memories: tuple[tuple[Any, Any], ...],
+    settings: ServoSettings,
+    stop: Any,
+    tells: Connection,
+    log: Any,
+) -> None:
+    """The process: open, say so, run; say what went wrong."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    opened: list[HapticDevice] = []
+    try:
+        for spec in devices:
+            opened.append(open_device(spec))
+    except HeartcaseError as error:
+        for device in opened:
+            device.close()
+        tells.send(str(error))
+        return
+    tells.send("")
+    spin_s = _SPIN_HURRIED_S if _hurry() else _SPIN_S
+    parent = multiprocessing.parent_process()
+    parent_number = parent.pid if parent is not None else None
+
+    def is_ended() -> bool:
+        # Without its parent nobody could end it.
+        return bool(stop.value) or os.getppid() != parent_number
+
+    rows = np.frombuffer(log, dtype=np.float64).reshape(-1, LOG_WIDTH)
+    try:
+        run_loop(opened, [Channel(memory) for memory in memories], settings, is_ended, rows, spin_s=spin_s)
+    except Exception as error:
+        # A device's own text may say anything: its kind must do.
+        tells.send(f"a device failed with {type(error).__name__}")
+
+
+def _hurry() -> bool:
+    """Never stop to look for garbage, of which there is next to none; whether the system wakes us before others."""
+    gc.collect()
+    gc.disable()
+    if not hasattr(os, "sched_setscheduler"):
+        return False
+    try:
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(os.sched_get_priority_min(os.SCHED_RR)))
+    except OSError:
+        return False
+    return True

@@ -1,0 +1,129 @@
+"""All figures of one incision, from the tissue and its surface as they are now."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from heartcase.schemas.arrays import Float, Float64, Int32
+from heartcase.schemas.landmarks import Landmark
+from heartcase.simulator.incisions.directions import divided
+from heartcase.simulator.incisions.figures import IncisionFigures
+from heartcase.simulator.incisions.nearness import carried, to_vessels
+from heartcase.simulator.incisions.stitches import beside_measured
+from heartcase.simulator.incisions.strain import Peak, cell_strain, peak
+from heartcase.simulator.incisions.surgical_freedom import Shaft, freedom_at_target_mm3, reach
+from heartcase.simulator.incisions.triangle_tree import triangle_tree
+from heartcase.simulator.incisions.visibility import View, visibility
+from heartcase.simulator.lattice.model import LatticeModel
+
+__all__ = ["IncisionPlan", "Scene", "measured"]
+
+
+@dataclass(frozen=True)
+class IncisionPlan:
+    """One way to a defect."""
+
+    name: str
+    """Its name."""
+    curve_mm: Float64
+    """The incision along the surface at rest, an open curve, LPS mm, shape (count, 3)."""
+    rim_mm: Float64
+    """The defect's rim at rest, a closed curve, LPS mm, shape (count, 3)."""
+    view: View
+    """From where the surgeon looks."""
+    shaft: Shaft
+    """The instrument."""
+    depth_mm: float = 60.0
+    """How far behind the opening places are counted that the tip comes to, mm."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """The heart as it is held open."""
+
+    model: LatticeModel
+    """The lattice, cut."""
+    displacement: Float
+    """Displacement of its nodes [cells], shape (node_count, 3)."""
+    rest_mm: Float
+    """Vertices of its surface at rest, those of the lips too, LPS mm, shape (vertex_count, 3)."""
+    now_mm: Float
+    """The same vertices now, LPS mm, shape (vertex_count, 3)."""
+    triangles: Int32
+    """Vertex numbers, shape (triangle_count, 3)."""
+    landmarks: Sequence[Landmark] = ()
+    """The case's landmarks: the vessels among them are kept clear of."""
+    opening_mm: Float64 | None = None
+    """The lips as they are held now, one closed curve, LPS mm, shape (count, 3); without it no reach is worked out."""
+
+
+def measured(
+    plan: IncisionPlan,
+    scene: Scene,
+    *,
+    retraction_n: float | None = None,
+    stitch_forces_n: Sequence[float] = (),
+    spacing_mm: float = 2.0,
+) -> IncisionFigures:
+    """The figures of an incision.
+
+    Parameters
+    ----------
+    plan
+        The incision and the defect, at rest: both are carried with the tissue.
+    scene
+        The heart as it is held open.
+    retraction_n
+        Largest force with which it is held, N; the instruments know it.
+    stitch_forces_n
+        Force in each stitch, N, where it is closed again.
+    spacing_mm
+        Edge of the cubes in which places of the tip are counted, mm.
+
+    Raises
+    ------
+    SimulationError
+        A curve is none, or a number is out of range.
+    """
+    tree = triangle_tree(scene.now_mm, scene.triangles)
+    rim, curve = (carried(points, scene.rest_mm, scene.now_mm) for points in (plan.rim_mm, plan.curve_mm))
+    seen = visibility(tree, rim, plan.view)
+    freedom = freedom_at_target_mm3(tree, rim.mean(axis=0), plan.shaft, tip_free_mm=plan.shaft.radius_mm)
+    reached = None
+    if scene.opening_mm is not None:
+        reached = reach(tree, scene.opening_mm, plan.shaft, depth_mm=plan.depth_mm, spacing_mm=spacing_mm).volume_mm3
+    strain = cell_strain(scene.model, scene.displacement)
+    stretch, stress = (
+        peak(scene.model, scene.displacement, values[:, 0], strain.is_known)
+        for values in (strain.stretches, strain.stress_kpa)
+    )
+    vessels = to_vessels(curve, scene.landmarks, scene.rest_mm, scene.now_mm)
+    return IncisionFigures(
+        name=plan.name,
+        rim_seen=seen.rim_seen,
+        rim_seen_best=seen.rim_seen_best,
+        solid_angle_sr=seen.solid_angle_sr,
+        freedom_mm3=freedom,
+        reach_mm3=reached,
+        retraction_n=retraction_n,
+        stretch=stretch.value,
+        stretch_place_mm=_place(stretch),
+        stress_kpa=stress.value,
+        stress_place_mm=_place(stress),
+        nearest_mm={one.name: one.distance_mm for one in vessels},
+        length_mm=_length_mm(plan.curve_mm),
+        stitches=beside_measured(tuple(stitch_forces_n)),
+    )
+
+
+def _length_mm(curve_mm: npt.ArrayLike) -> float:
+    return float(divided(np.asarray(curve_mm, dtype=float), 1.0, is_closed=False)[1].sum())
+
+
+def _place(found: Peak) -> tuple[float, float, float]:
+    x, y, z = found.place_mm.tolist()
+    return x, y, z

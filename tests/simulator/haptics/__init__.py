@@ -1,0 +1,1 @@
+"""The servo loop and its devices."""

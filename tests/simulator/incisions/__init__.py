@@ -1,0 +1,1 @@
+"""What an incision is worth, against scenes whose answer is a formula."""
