@@ -56,7 +56,7 @@ SECTIONS = {
     ),
     "Commands of a session": (
         "What is asked of an operating session: plain data that JSON holds.",
-        "CloseGrab LeadGrab OpenGrab BringProbe MoveProbe WithdrawProbe AddSprings RemoveSprings Mark Halt Advance "
+        "CloseGrab LeadGrab OpenGrab BringProbe MoveProbe WithdrawProbe AddSprings RemoveSprings Cut Mark Halt Advance "
         "Undo Redo Rewind GoTo Entry parse_command",
     ),
     "Feel it": (
