@@ -96,7 +96,7 @@ class Channel:
         row[4:13] = state.tool.pose.turn.ravel()
         row[13:19] = state.load.ravel()
         row[19] = sum(1 << number for number, is_down in enumerate(buttons) if is_down)
-        row[20:] = state.part, state.energy_mj, sample_number
+        row[20:] = state.part, state.account.energy_mj, sample_number
         self._tool.write(row)
 
     def felt(self) -> Felt | None:

@@ -4,38 +4,59 @@ A force that comes late gives out energy on a closed path, as does one that is h
 keeps account at the hand itself, in what was really put out (passivity observer: Hannaford and Ryu, IEEE Transactions
 on Robotics and Automation 18, 2002). It lets no more power out than the account has over a short time: the part of the
 force along the motion is cut where it would. The motion of the next update is only guessed; what was given out by
-mistake, a limited damping takes back.
+mistake, a limited damping takes back, and as a hand may rest before it has, a thousandth of what it puts in is kept.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from heartcase.schemas.arrays import Float64
 from heartcase.simulator.haptics.settings import ServoSettings
 
-__all__ = ["credit", "within_credit"]
+__all__ = ["Account", "within_credit"]
 
+_KEPT = 1e-3
 _STILL = 1e-9
 """Speed below which nothing is given out [mm/s]."""
 
 
-def credit(energy_mj: float, load: Float64, moved: Float64) -> float:
-    """The account after an update: what the hand has put in less what it got back, mJ.
+@dataclass(frozen=True)
+class Account:
+    """What a hand has put in and got back."""
 
-    Parameters
-    ----------
-    energy_mj
-        The account before, mJ.
-    load
-        What was put out since: force on the hand, N, and torque, N mm, shape (2, 3).
-    moved
-        What the hand did since: way, mm, and rotation vector, rad, shape (2, 3).
-    """
-    return energy_mj - float(np.vdot(load, moved))
+    put_in_mj: float = 0.0
+    """Work of the hand against what was put out, mJ."""
+    got_back_mj: float = 0.0
+    """Work that was done on the hand, mJ."""
+
+    @property
+    def energy_mj(self) -> float:
+        """What the hand has put in less what it got back, mJ."""
+        return self.put_in_mj - self.got_back_mj
+
+    @property
+    def credit_mj(self) -> float:
+        """What may still be given back, mJ: a thousandth of what was put in is kept, for what is given by mistake."""
+        return (1.0 - _KEPT) * self.put_in_mj - self.got_back_mj
+
+    def after(self, load: Float64, moved: Float64) -> Account:
+        """The account after an update.
+
+        Parameters
+        ----------
+        load
+            What was put out since: force on the hand, N, and torque, N mm, shape (2, 3).
+        moved
+            What the hand did since: way, mm, and rotation vector, rad, shape (2, 3).
+        """
+        work = float(np.vdot(load, moved))
+        return Account(self.put_in_mj + max(-work, 0.0), self.got_back_mj + max(work, 0.0))
 
 
-def within_credit(load: Float64, motion: Float64, energy_mj: float, settings: ServoSettings) -> Float64:
+def within_credit(load: Float64, motion: Float64, credit_mj: float, settings: ServoSettings) -> Float64:
     """The load that the account allows.
 
     Parameters
@@ -44,8 +65,8 @@ def within_credit(load: Float64, motion: Float64, energy_mj: float, settings: Se
         Wanted: N, N mm, shape (2, 3).
     motion
         Motion of the hand: mm/s, rad/s, shape (2, 3).
-    energy_mj
-        The account, mJ.
+    credit_mj
+        What may be given back, mJ.
     settings
         How fast the account may be emptied, and what pays it back.
 
@@ -60,9 +81,9 @@ def within_credit(load: Float64, motion: Float64, energy_mj: float, settings: Se
     if square < _STILL**2:
         return load
     power = float(np.vdot(load, motion))
-    surplus = power - max(energy_mj, 0.0) / settings.spending_s
+    surplus = power - max(credit_mj, 0.0) / settings.spending_s
     taken = max(surplus, 0.0) / square
-    if energy_mj < 0.0:
-        owed = -energy_mj / (square * settings.period_s)
+    if credit_mj < 0.0:
+        owed = -credit_mj / (square * settings.period_s)
         taken += min(settings.payback_n_s_m * 1e-3, owed)
     return load - taken * speed * lever

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from heartcase.schemas.arrays import Float64
 from heartcase.simulator.haptics.coupling import TissueSample, Tool, advance_tool
 from heartcase.simulator.haptics.device import DeviceReading
-from heartcase.simulator.haptics.energy import credit, within_credit
+from heartcase.simulator.haptics.energy import Account, within_credit
 from heartcase.simulator.haptics.limits import followed, limited, part_at_age
 from heartcase.simulator.haptics.poses import ToolPose
 from heartcase.simulator.haptics.settings import ServoSettings
@@ -36,8 +36,8 @@ class ServoState:
     """What is put out: force on the hand, N, and torque, N mm, LPS axes, shape (2, 3)."""
     part: float = 0.0
     """Part of the force that is put out: less than one where the tissue's state is old [1]."""
-    energy_mj: float = 0.0
-    """What the hand has put in less what it got back, mJ."""
+    account: Account = field(default_factory=Account)
+    """What the hand has put in and got back."""
 
 
 def first_state(time_s: float, reading: DeviceReading) -> ServoState:
@@ -67,13 +67,13 @@ def servo_update(
     seconds = max(time_s - state.time_s, 0.0)
     hand = reading.pose
     moved = state.hand.gap_to(hand)
-    energy_mj = credit(state.energy_mj, state.load, moved)
+    account = state.account.after(state.load, moved)
     age_s = None if tissue is None else time_s - tissue.finished_s
     part = part_at_age(state.part, age_s, seconds, settings)
     dt = min(max(seconds, 0.1 * settings.period_s), _SECONDS_MOST)
     # A state that is too old to be felt does not hold the tool either: it comes back to the hand.
     felt = tissue if part > 0.0 else None
     tool, pull = advance_tool(state.tool, hand, reading.motion, felt, settings, seconds=dt)
-    wanted = limited(within_credit(pull, moved / dt, energy_mj, settings), settings)
+    wanted = limited(within_credit(pull, moved / dt, account.credit_mj, settings), settings)
     within = followed(state.within, wanted, seconds, settings)
-    return ServoState(time_s, hand, tool, within, part * within, part, energy_mj)
+    return ServoState(time_s, hand, tool, within, part * within, part, account)

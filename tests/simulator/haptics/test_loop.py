@@ -16,8 +16,8 @@ from heartcase.simulator.haptics.settings import STALL_S, ServoSettings
 from tests.simulator.haptics.late_tissue import closed_path, run, spring, wall
 
 SETTINGS = ServoSettings()
-NOTHING_MJ = 1e-6
-"""What the last updates may give out before the hand rests, as its motion is guessed: a nanojoule, mJ."""
+NOTHING_MJ = 1e-12
+"""Rounding of sums, mJ."""
 
 
 def sample_at(time_s: float, force_n) -> TissueSample:
