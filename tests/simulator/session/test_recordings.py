@@ -203,6 +203,22 @@ def test_what_was_taken_back_is_not_repeated(tmp_path):
     assert replayed(tmp_path / "one.recording").step_count == 20
 
 
+def test_states_of_a_history_that_was_given_up_are_no_part_of_the_recording(tmp_path):
+    session = OperatingSession(block_simulation())
+    step_s = session.simulation.step_s
+    with Recorder(session, tmp_path / "one.recording", state_every_s=15 * step_s):
+        for _ in range(5):
+            session.advance(20)
+        session.go_to(0)
+        session.do(CloseGrab(name="a", center_mm=(2, 4, 8), radius_mm=3))
+        session.do(LeadGrab(name="a", offset_mm=(0, 0, 2)))
+        for _ in range(6):
+            session.advance(8)
+    found = open_recording(tmp_path / "one.recording")
+    assert {position: state.step for position, state in found.states.items()} == {0: 0, 4: 16, 6: 32, 8: 48}
+    assert replayed(tmp_path / "one.recording").deviations == []
+
+
 def test_a_deviation_is_told_with_step_and_distance(recording):
     """A state that says something else, sealed as it should be: what another machine would have recorded."""
     from safetensors.numpy import load, save
