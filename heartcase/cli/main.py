@@ -25,7 +25,7 @@ COMMANDS: dict[str, str] = {
     "new": "Write a commented starter recipe for a scan.",
     "build": "Build a case from a recipe.",
     "library": "Build many cases from a folder of recipes.",
-    "info": "Say what a scan, a recipe's scan or a case is.",
+    "info": "Say what a scan, a recipe's scan, a case or a recording is.",
     "validate": "Check a case, a recipe, a script or a recording, and list every problem.",
     "paint": "Paint markers on a recipe's scan, for a viewer to drive.",
     "suggest": "Name the places where one more stroke is worth most.",

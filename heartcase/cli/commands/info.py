@@ -1,7 +1,8 @@
-"""``heartcase info``: say what a scan, a recipe or a case is."""
+"""``heartcase info``: say what a scan, a recipe, a case or a recording is."""
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,18 +15,19 @@ from heartcase.pipeline.warnings import CaseWarning, counted, warnings_of
 from heartcase.schemas.bundle.format import MANIFEST_NAME
 from heartcase.schemas.errors import MissingPathError
 from heartcase.schemas.geometry import Geometry
+from heartcase.schemas.recording.reader import is_recording, open_recording
 
 if TYPE_CHECKING:
     from heartcase.pipeline.data import Scan
     from heartcase.schemas.recipe.recipe import Recipe
 
-__all__ = ["case_facts", "command", "direction_words", "kind_of", "recipe_facts", "scan_facts"]
+__all__ = ["case_facts", "command", "direction_words", "kind_of", "recipe_facts", "recording_facts", "scan_facts"]
 
 _WORDS = (("right", "left"), ("front", "back"), ("feet", "head"))
 
 
 def kind_of(path: Path) -> str:
-    """Whether a path is a ``case``, a ``recipe`` or (anything else that exists) a ``scan``.
+    """Whether a path is a ``case``, a ``recipe``, a ``recording`` or (anything else that exists) a ``scan``.
 
     Raises
     ------
@@ -36,6 +38,8 @@ def kind_of(path: Path) -> str:
         raise MissingPathError("there is nothing at this path: check its spelling", place="PATH")
     if path.is_dir() and ((path / MANIFEST_NAME).exists() or path.suffix == ".case"):
         return "case"
+    if is_recording(path):
+        return "recording"
     return "recipe" if path.suffix.lower() == ".toml" else "scan"
 
 
@@ -45,10 +49,12 @@ def kind_of(path: Path) -> str:
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 @working("reading")
 def command(path: Path, as_json: bool, choice: dict[str, Any]) -> None:
-    """Say what PATH is: a scan (file, or folder of DICOM files), a recipe (.toml) or a case (.case)."""
+    """Say what PATH is: a scan (file, or folder of DICOM files), a recipe (.toml), a case or a recording."""
     kind = kind_of(path)
     if kind == "case":
         facts = case_facts(path)
+    elif kind == "recording":
+        facts = recording_facts(path)
     elif kind == "recipe":
         from heartcase.schemas.recipe.recipe import load_recipe
 
@@ -59,6 +65,31 @@ def command(path: Path, as_json: bool, choice: dict[str, Any]) -> None:
         echo_json(facts)
     else:
         _SHOW[facts["kind"]](facts)
+
+
+def recording_facts(path: Path) -> dict[str, Any]:
+    """What was recorded, and how; of a recording that was cut short, what is whole of it."""
+    recording = open_recording(path, partial=True)
+    header = recording.header
+    return {
+        "kind": "recording",
+        "is_whole": recording.is_whole,
+        "case": header.case_name,
+        "case_id": header.case_id,
+        "seconds": recording.seconds,
+        "step_count": recording.end_step - recording.start_step,
+        "step_s": header.step_s,
+        "node_count": header.node_count,
+        "law": dict(header.law),
+        "backend": header.backend,
+        "command_counts": dict(Counter(entry.command.kind for entry in recording.entries[: recording.position])),
+        "state_count": len(recording.states),
+        "marks": [{"name": name, "step": step} for name, step in recording.marks],
+        "parent": None if header.parent is None else header.parent.model_dump(),
+        "log_hash": recording.log_hash,
+        "software_version": header.software_version,
+        "format_version": header.format_version,
+    }
 
 
 def scan_facts(scan: Scan) -> dict[str, Any]:
@@ -275,4 +306,29 @@ def _volume(volume_ml: Any) -> str:
     return f"{volume_ml:.1f}" if isinstance(volume_ml, int | float) else "-"
 
 
-_SHOW = {"scan": _show_scan, "series": _show_series, "recipe": _show_recipe, "case": _show_case}
+def _show_recording(facts: dict[str, Any]) -> None:
+    counts, parent = facts["command_counts"], facts["parent"]
+    rows: list[tuple[str, object]] = [
+        ("Case", (facts["case"] or "without a name") + (f" ({facts['case_id']})" if facts["case_id"] else "")),
+        ("Made by", f"heartcase {facts['software_version']}, format {facts['format_version']}"),
+        ("Time", f"{facts['seconds']:.3f} s, {facts['step_count']:,} steps of {1e3 * facts['step_s']:.4f} ms"),
+        ("Simulated", f"{facts['node_count']:,} nodes, law {facts['law'].get('name')}, on {facts['backend']}"),
+        ("Commands", ", ".join(f"{count:,} {kind.replace('_', ' ')}" for kind, count in counts.items()) or "none"),
+        ("States", f"{facts['state_count']:,}"),
+        *((f"Mark at step {mark['step']:,}", mark["name"]) for mark in facts["marks"]),
+    ]
+    if parent is not None:
+        rows.append(("Branch", f"from step {parent['step']:,} of the recording {parent['log_hash'][:12]}"))
+    rows.append(("Hash", facts["log_hash"][:12]))
+    if not facts["is_whole"]:
+        rows.append(("Warning", "it was cut short or damaged: this is what is whole of it"))
+    print_facts(rows, title="Recording")
+
+
+_SHOW = {
+    "scan": _show_scan,
+    "series": _show_series,
+    "recipe": _show_recipe,
+    "case": _show_case,
+    "recording": _show_recording,
+}

@@ -56,6 +56,8 @@ def command(path: Path, output: Path, view: str | None, level: int, as_json: boo
     if output.suffix.lower() != ".png":
         raise UsageError("the picture must end in .png", place="--out")
     kind = kind_of(path)
+    if kind == "recording":
+        raise UsageError("a recording is shown in motion: take 'heartcase export CASE --recording'", place="PATH")
     if view is not None and (view in _STACKS) == (kind == "case"):
         choices = ", ".join(_VIEWS if kind == "case" else _STACKS)
         raise UsageError(f"{view!r} is no view of a {kind}: choose {choices}", place="--view")

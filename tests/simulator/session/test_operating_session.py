@@ -143,6 +143,25 @@ def test_rewound_and_taken_over():
     assert session.entries[-3].command == Advance(steps=58, of=75)
 
 
+def test_snapshots_of_a_history_that_was_given_up_are_not_gone_back_to():
+    """The second history has the same number of entries in fewer steps: its snapshots lie at other places."""
+    simulation = block_simulation()
+    session = OperatingSession(simulation, snapshot_every_s=20.5 * simulation.step_s)
+    session.do(CloseGrab(name="left", center_mm=(2, 4, 8), radius_mm=3))
+    session.do(LeadGrab(name="left", offset_mm=(0, 0, 1)))
+    for _ in range(6):
+        session.advance(21)
+    session.go_to(0)
+    session.do(LeadGrab(name="left", offset_mm=(1, 0, 0)))
+    ends = {}
+    for _ in range(6):
+        session.advance(7)
+        ends[session.step_count] = fingerprint(simulation)
+    for step in (42, 7, 28, 14, 35, 21):
+        session.go_to(step)
+        assert fingerprint(simulation) == ends[step]
+
+
 def test_instruments_that_are_left_on_the_way_are_where_a_straight_line_has_them():
     session = OperatingSession(block_simulation())
     session.do(CloseGrab(name="a", center_mm=(2, 4, 8), radius_mm=3))

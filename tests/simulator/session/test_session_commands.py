@@ -106,6 +106,19 @@ def test_taken_over_by_a_script(case_path, recorded, capsys, lets_go):
     assert main(["validate", str(other)]) == 0
 
 
+def test_info_says_what_was_recorded(case_path, recorded, capsys):
+    assert main(["info", str(recorded), "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    found = open_recording(recorded)
+    assert (said["kind"], said["is_whole"], said["log_hash"]) == ("recording", True, found.log_hash)
+    assert said["command_counts"]["close_grab"] == 1
+    assert said["case"] == load_case(case_path).manifest.name
+    log = recorded / "log.jsonl"
+    log.write_bytes(log.read_bytes()[:-10])
+    assert main(["info", str(recorded)]) == 0
+    assert "cut short or damaged" in capsys.readouterr().out
+
+
 def test_each_refusal_is_a_line(case_path, recorded, script, tmp_path, capsys):
     other = tmp_path / "more.toml"
     own = tmp_path / "own.toml"
@@ -131,6 +144,7 @@ def test_each_refusal_is_a_line(case_path, recorded, script, tmp_path, capsys):
         (["record", str(case_path), "--state-every", "nan", *out], "must be numbers"),
         (["export", str(case_path), "--recording", str(recorded), "-o", str(tmp_path / "x.stl")], ".glb, .gif, .mp4"),
         (["export", str(case_path), "--recording", str(damaged), "-o", str(tmp_path / "x.glb")], "was cut short"),
+        (["preview", str(recorded), "--out", str(tmp_path / "x.png")], "a recording is shown in motion"),
         (["export", str(case_path), "--error-mm", "1", "-o", str(tmp_path / "x.stl")], "--error-mm: serves only"),
         (["export", str(case_path), "--frames-per-second", "9", "-o", str(tmp_path / "x.stl")], "serves only with"),
         (
