@@ -6,8 +6,9 @@ of the cells, wait at the barrier, write the stress of the means around the node
 what was written before the last barrier, or by its own thread (:mod:`heartcase.simulator.engine.cpu.chunks`), and
 writes only its own lanes, so that the result does not depend on the number of threads.
 
-Corners that are about to turn inside out are looked for in the first step and every LOOK_STEPS from there; in between,
-only the windows that had such corners are looked after. Where tissue may sleep
+Where springs act alone, corners that are about to turn inside out are looked for in the first step and every LOOK_STEPS
+from there; in between, only the windows that had such corners are looked after. Where cells are worked out, each looks
+after its own in every step. Where tissue may sleep
 (:mod:`heartcase.simulator.engine.cpu.sleep`), only windows that are awake are worked out.
 """
 
@@ -138,19 +139,24 @@ def _share_strain(
 
 @kernel
 def _add_cells(
-    windows: Int64 | Int32, kind: int, now: Float32, force: Float32, cells: CellArrays, sharing: SharingArrays
+    windows: Int64 | Int32, kinds: Kinds, now: Float32, force: Float32, cells: CellArrays, sharing: SharingArrays
 ) -> None:
     """Add the forces of some windows of cells to those on the nodes."""
     rows, numbers, _, law, is_flat, _, _ = cells
+    kind, _, has_guard = kinds
     for place in range(len(windows)):
         window = np.int64(windows[place])
         if kind == SHARING_ELEMENTS and sharing.is_sharing[window]:
-            sharing_element_of_window(now, numbers, sharing.shares, sharing.stress, force, law, rows, window)
+            needs_guard = sharing_element_of_window(
+                now, numbers, sharing.shares, sharing.stress, force, law, rows, window
+            )
         elif kind >= ELEMENTS:
-            element_of_window(now, numbers, force, law, rows, window)
+            needs_guard = element_of_window(now, numbers, force, law, rows, window)
         elif kind == VOLUME_TERM:
-            volume_of_window(now, numbers, force, law, rows, window)
-        if is_flat[window]:
+            needs_guard = volume_of_window(now, numbers, force, law, rows, window)
+        else:
+            needs_guard = is_flat[window] > 0
+        if needs_guard and has_guard:
             guard_of_window(now, numbers, force, law, rows, window)
 
 
@@ -204,7 +210,7 @@ def _step_chunk_with_cells(
     for window in awake[first:end]:
         if kind != NO_CELLS or is_touched[window]:
             clear_window(force, rows, window)
-    _add_cells(chunks.cells[chunk, : chunks.cell_counts[chunk]], kind, now, force, cells, sharing)
+    _add_cells(chunks.cells[chunk, : chunks.cell_counts[chunk]], kinds, now, force, cells, sharing)
     if has_springs:
         for number in range(chunks.before_counts[chunk]):
             tension_of_window(now, window_numbers, tension, rows, np.int64(before[chunk, number]))
@@ -249,11 +255,10 @@ def lane_forces(
     kind, _, has_guard = kinds
     if rouse(sleep, True):
         share_out(chunks, sleep)
-    if has_guard:
+    if has_guard and kind == NO_CELLS:
         for share in range(SHARES):
             _look_at_share(share, displacement, cells, sleep)
-        if kind == NO_CELLS:
-            _mark_touched(cells)
+        _mark_touched(cells)
     if kind != NO_CELLS or has_guard:
         cell_force = cells.force[0]
         for window in range(rows.shape[0]):
@@ -261,7 +266,7 @@ def lane_forces(
         if kind == SHARING_ELEMENTS:
             _stretch(0, 1, displacement, cells, sharing, sleep)
             _share_strain(0, 1, nodes, cells, sharing, chunks)
-        _add_cells(sleep.awake_cells, kind, displacement, cell_force, cells, sharing)
+        _add_cells(sleep.awake_cells, kinds, displacement, cell_force, cells, sharing)
         for window in range(rows.shape[0]):
             force_of_window_with_cells(displacement, weight, cell_force, force, rows, window)
     else:
@@ -353,16 +358,15 @@ def advance(
                 first, end = _part(share, sleep.counts[0])
                 remember(first, end, rows, velocity, sleep)
             wait_at(barrier, thread_count)
-        if has_guard and row_step % LOOK_STEPS == 0:
+        if has_guard and kind == NO_CELLS and row_step % LOOK_STEPS == 0:
             for share in range(thread, SHARES, thread_count):
                 _look_at_share(share, now, cells, sleep)
             wait_at(barrier, thread_count)
-            if kind == NO_CELLS:
-                works_cells = _has_flat(cells)
-                if works_cells:
-                    if thread == 0:
-                        _mark_touched(cells)
-                    wait_at(barrier, thread_count)
+            works_cells = _has_flat(cells)
+            if works_cells:
+                if thread == 0:
+                    _mark_touched(cells)
+                wait_at(barrier, thread_count)
         if len(explicit[0]):
             if thread == 0:
                 pull_explicitly(now, velocity, inverse_mass, explicit, constants)

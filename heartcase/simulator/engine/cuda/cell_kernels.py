@@ -23,7 +23,6 @@ from heartcase.simulator.engine.cuda.kernel import (
     start_meeting,
     weights_of,
 )
-from heartcase.simulator.forces.cell_forces import CORNER_FLOOR
 from heartcase.simulator.forces.cell_math import NOTHING_SHARED, make_cell_math
 
 __all__ = [
@@ -44,7 +43,6 @@ NO_CELL = 0xFFFFFFFF
 
 _U = np.uint32
 _O = np.float32(0.0)
-_FLOOR = np.float32(CORNER_FLOOR)
 _NO_CELL = _U(NO_CELL)
 _NOTHING = NOTHING_SHARED
 
@@ -183,8 +181,8 @@ def _work_cell(
     _store(cell_force, 0, cell, count, fx, False)
     _store(cell_force, 1, cell, count, fy, False)
     _store(cell_force, 2, cell, count, fz, False)
-    if has_guard and _corner_lack(u, _FLOOR) > _O:
-        fx, fy, fz = _corner_guard(u, numbers[_U(count + cell)])
+    if has_guard and _corner_lack(u, law[5]) > _O:
+        fx, fy, fz = _corner_guard(u, numbers[_U(10 * count + cell)], law[5])
         _store(cell_force, 0, cell, count, fx, True)
         _store(cell_force, 1, cell, count, fy, True)
         _store(cell_force, 2, cell, count, fz, True)
@@ -247,12 +245,12 @@ def advance_with_cells(
     corner_lane
         Lane of each cell's corners, corner by corner, uint32, shape (8 * cell_count,).
     numbers
-        Numbers of the cells (:func:`heartcase.simulator.engine.shared.lanes.cell_numbers`), float32, shape (10 *
+        Numbers of the cells (:func:`heartcase.simulator.engine.shared.lanes.cell_numbers`), float32, shape (11 *
         cell_count,).
     cell_force
         Room for the forces on the corners, float32, shape (24 * cell_count,).
     law
-        Constants of the law, float32, shape (5,): the element's, or the volume term's modulus.
+        Constants of the law, float32, shape (6,): the element's, or the volume term's modulus; last the corners' floor.
     node_cell
         Cell that has a node for its corner, corner by corner, or NO_CELL, uint32, shape (8 * node_count,).
     corner_node

@@ -13,7 +13,7 @@ from heartcase.simulator.engine.shared.lanes import (
     inverse_shared,
     share_numbers,
 )
-from heartcase.simulator.forces.cell_forces import LOOK_BELOW
+from heartcase.simulator.lattice.force_law import LOOK_BELOW
 from heartcase.simulator.lattice.model import LatticeModel
 
 __all__ = ["LOOK_STEPS", "CellsOnDevice", "plain_launch"]
@@ -64,7 +64,7 @@ class CellsOnDevice:
             self._gradient, self._stress = room
         self._shares = self._cuda.to_device(share_numbers(model).ravel())
         self._inverse_shared = self._cuda.to_device(inverse_shared(model))
-        self._law = self._cuda.to_device(np.resize(law.constants, 5).astype(np.float32))
+        self._law = self._cuda.to_device(np.array(law.constants, np.float32))
         self._presence = self._cuda.to_device(self._layout.spring_weight(model, model.spring_weight))
 
     @property
