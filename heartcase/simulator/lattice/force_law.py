@@ -33,7 +33,7 @@ LOOK_BELOW = 0.6
 _YOUNGS_MODULUS = 2.5
 _SPRINGS_FLOOR, _SPRINGS_CORNER = 0.3, 3.0
 """Springs' corners: the least stiffness that drives a cell that is inside out back through being flat."""
-_ELEMENTS_CORNER = 1.0 / 8.0
+_ELEMENTS_CORNER = 0.11
 """Elements' corners: stiffness over the bound at rest; more takes omega^2 beyond 3.1 times that bound."""
 _SPRINGS_STRETCHED, _CELLS_STRETCHED = 1.2, 1.6
 """What a default step is made for over the bound at rest: springs alone, and where cells resist by themselves."""

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from heartcase.schemas.arrays import Float32, Int8, Int64
+from heartcase.schemas.arrays import Float32, Float64, Int8, Int64
 from heartcase.simulator.engine.cpu.barrier import Barrier
 from heartcase.simulator.engine.cpu.instruments import Constants, ExplicitArrays
+from heartcase.simulator.engine.cpu.turning import TurnArrays
 
 __all__ = [
     "CellArrays",
@@ -38,8 +39,6 @@ class NodeArrays(NamedTuple):
     tension: Float32
     """Room for the tensions of the springs over their lengths [k], zeros at first, nine numbers a lane; of length 0
     where each is to be worked out from both ends."""
-    presence: Float32
-    """Above zero where there is a spring, whether it acts or not, nine numbers a lane."""
     inverse_mass: Float32
     """[1 / full cell], 0 where there is no node or its motion is prescribed, shape (lane_count,)."""
     rows: Int64
@@ -103,6 +102,10 @@ class InstrumentArrays(NamedTuple):
     to it with rest length [cells], shape (count, 4), and stiffness [k] of each spring."""
     probes: Float32
     """As of :func:`heartcase.simulator.engine.shared.contact.probe_row`, shape (probe_count, PROBE_SIZE)."""
+    turn: TurnArrays
+    """Room for what keeps corners from turning."""
+    given: Float64
+    """What each probe gave, momentum and its moment, is added to this in shares, shape (SHARES, probe_count, 6)."""
 
 
 class StepRow(NamedTuple):

@@ -40,7 +40,7 @@ from heartcase.simulator.engine.cpu.cells import (
     volume_of_window,
 )
 from heartcase.simulator.engine.cpu.chunks import ChunkArrays, share_out
-from heartcase.simulator.engine.cpu.instruments import Constants, keep_window_outside, pull_explicitly
+from heartcase.simulator.engine.cpu.instruments import Constants, pull_explicitly
 from heartcase.simulator.engine.cpu.sleep import (
     CHECK_STEPS,
     ROUSE_STEPS,
@@ -59,6 +59,7 @@ from heartcase.simulator.engine.cpu.steps import (
     step_of_windows_with_cells_alone,
     step_of_windows_with_cells_from_both_ends,
 )
+from heartcase.simulator.engine.cpu.turning import push_out, shorten, watch_cells
 from heartcase.simulator.engine.cpu.vector_ir import flush_subnormals, restore_subnormals
 from heartcase.simulator.engine.shared.lanes import BANK_LANES, CELL_NUMBERS
 
@@ -66,6 +67,7 @@ __all__ = [
     "CHUNKS_PER_ROOM",
     "ELEMENTS",
     "NO_CELLS",
+    "SHARES",
     "SHARING_ELEMENTS",
     "VOLUME_TERM",
     "advance",
@@ -156,6 +158,7 @@ def _add_cells(
             needs_guard = volume_of_window(now, numbers, force, law, rows, window)
         else:
             needs_guard = is_flat[window] > 0
+        is_flat[window] = needs_guard
         if needs_guard and has_guard:
             guard_of_window(now, numbers, force, law, rows, window)
 
@@ -296,6 +299,55 @@ def _check_share(
 
 
 @kernel
+def _keep_from_turning(
+    now: Float32,
+    later: Float32,
+    nodes: NodeArrays,
+    work: CellWork,
+    instruments: InstrumentArrays,
+    step_number: int,
+    step: np.float32,
+    sleep: SleepArrays,
+    place: ThreadPlace,
+) -> None:
+    """Push nodes out of the probes after a step, and keep corners from turning."""
+    cells, kinds, _ = work
+    _, probes, turn, given = instruments
+    velocity, inverse_mass, rest, rows = nodes.velocity, nodes.inverse_mass, nodes.rest, nodes.rows
+    thread, thread_count, barrier = place
+    has_guard = kinds[2]
+    if len(probes):
+        for share in range(thread, SHARES, thread_count):
+            first, end = _part(share, len(rows))
+            window_state = (first, end, now, later, velocity, inverse_mass, rest, rows, sleep.is_asleep)
+            push_out(*window_state, probes, step_number, step, turn, given[share])
+        wait_at(barrier, thread_count)
+    for share in range(thread, SHARES, thread_count):
+        first, end = _part(share, len(cells.rows))
+        watch_cells(
+            first,
+            end,
+            now,
+            later,
+            inverse_mass,
+            cells.rows,
+            cells.numbers,
+            cells.touches,
+            cells.is_flat,
+            has_guard,
+            cells.law[5],
+            len(probes) > 0,
+            turn,
+        )
+    wait_at(barrier, thread_count)
+    for share in range(thread, SHARES, thread_count):
+        first, end = _part(share, len(rows))
+        window_nodes = (first, end, now, later, velocity, inverse_mass, rest, rows)
+        shorten(*window_nodes, probes, step_number, turn, given[share])
+    wait_at(barrier, thread_count)
+
+
+@kernel
 def advance(
     nodes: NodeArrays,
     work: CellWork,
@@ -332,9 +384,9 @@ def advance(
     int
         Buffer that holds the displacement at the end.
     """
-    displacement, velocity, weight, window_numbers, tension, presence, inverse_mass, rows, rest = nodes
+    displacement, velocity, weight, window_numbers, tension, inverse_mass, rows, rest = nodes
     cells, kinds, sharing = work
-    explicit, probes = instruments
+    explicit, probes, _, _ = instruments
     current, step_count, first_step, constants, still = steps
     thread, thread_count, barrier = place
     kind, _, has_guard = kinds
@@ -383,14 +435,8 @@ def advance(
             else:
                 _step_chunk(chunk, state, constants, chunks, sleep)
         wait_at(barrier, thread_count)
-        if len(probes):
-            step = constants[0]
-            for share in range(thread, SHARES, thread_count):
-                first, end = _part(share, sleep.counts[0])
-                for window in sleep.awake[first:end]:
-                    row = rows[window]
-                    keep_window_outside(now, later, velocity, presence, inverse_mass, rest, row, probes, row_step, step)
-            wait_at(barrier, thread_count)
+        if len(probes) > 0 or (has_guard and _has_flat(cells)):
+            _keep_from_turning(now, later, nodes, work, instruments, row_step, constants[0], sleep, place)
         current = 1 - current
         if is_checked:
             for share in range(thread, SHARES, thread_count):
