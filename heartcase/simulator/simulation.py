@@ -200,6 +200,8 @@ class Simulation:
             self._place(grab, start, velocities[-1])
         rows = [probe.row(step_count) for probe in self.probes]
         self._engine.advance(step_count, self.verlet, np.stack(rows) if rows else NO_PROBES)
+        for probe, impulse in zip(self.probes, self._engine.probe_impulse if rows else (), strict=True):
+            probe.wrench = -impulse / (step_count * self.verlet.step)
         for grab, velocity in zip(self.grabs, velocities, strict=True):
             self._place(grab, grab.displacement_at(grab.target), velocity)
         self._state = None
@@ -270,9 +272,12 @@ class Simulation:
         semi_axes_mm: npt.ArrayLike,
         *,
         turn: npt.ArrayLike | None = None,
+        axis_mm: npt.ArrayLike | None = None,
         name: str = "probe",
     ) -> Probe:
         """Bring in a probe: it pushes nodes out of itself wherever it is moved (thesis 8.7.1).
+
+        At up to a cell a step no cell is turned inside out by it, and tissue that it runs over goes ahead of it.
 
         Parameters
         ----------
@@ -283,15 +288,18 @@ class Simulation:
             through between the nodes.
         turn
             Directions of the semi-axes in its columns, LPS axes, shape (3, 3); those of LPS when left out.
+        axis_mm
+            Vector from one end to the other of the line that a ball is swept along, LPS mm, shape (3,): a capsule.
         name
             Name in messages.
 
         Raises
         ------
         SimulationError
-            A number is not finite, a semi-axis too small, or the turn no rotation.
+            A number is not finite, a semi-axis too small, the turn no rotation, or what is swept along a line is no
+            ball.
         """
-        probe = make_probe(self.model, center_mm, semi_axes_mm, turn=turn, name=name)
+        probe = make_probe(self.model, center_mm, semi_axes_mm, turn=turn, axis_mm=axis_mm, name=name)
         self.probes.append(probe)
         return probe
 
@@ -375,19 +383,29 @@ class Simulation:
         self._set_model(replace(self.model, explicit=kept))
 
     def force_on(self, hand: Grab | Probe) -> Float64:
-        """Force that the tissue exerts on a hand now, N, LPS axes, shape (3,): of the springs on what it holds.
+        """Force that the tissue exerts on a hand, N, LPS axes, shape (3,).
 
-        What a user feels: a hand that pulls to the left is pulled to the right. Zero once it has let go.
+        What a user feels: a hand that pulls to the left is pulled to the right. On a grab: of springs and cells on what
+        it holds, now. On a probe: the opposite of the momentum that it gave the nodes in the last :meth:`step`, over
+        the time that it took; zero where it touched nothing. Zero once a hand has let go.
         """
-        if hand not in (*self.grabs, *self.probes):
-            return np.zeros(3)
-        nodes = hand.nodes if isinstance(hand, Grab) else hand.touched(self.model, self.state.displacement)
-        if isinstance(hand, Probe):
-            for grab in self.grabs:
-                nodes = np.setdiff1d(nodes, grab.nodes, assume_unique=True)
-        pull = self._engine.forces(nodes).sum(axis=0, dtype=np.float64)
-        force: Float64 = pull @ self.model.geometry.direction_matrix.T * self.model.units.force_n
+        force: Float64 = self._wrench(hand)[:3] @ self.model.geometry.direction_matrix.T * self.model.units.force_n
         return force
+
+    def torque_on(self, hand: Grab | Probe) -> Float64:
+        """Torque about a hand's centre that the tissue exerts on it, N mm, LPS axes, shape (3,).
+
+        Of the forces of :meth:`force_on`.
+        """
+        unit = self.model.units.force_n * self.model.cell_mm
+        torque: Float64 = self._wrench(hand)[3:] @ self.model.geometry.direction_matrix.T * unit
+        return torque
+
+    def _wrench(self, hand: Grab | Probe) -> Float64:
+        """Force on a hand and torque about its centre [grid units and axes], shape (6,)."""
+        if hand not in (*self.grabs, *self.probes):
+            return np.zeros(6)
+        return hand.wrench if isinstance(hand, Probe) else hand.wrench(self._engine.forces(hand.nodes))
 
     def energy(self) -> Energy:
         """Kinetic and elastic energy now, J."""
@@ -472,6 +490,7 @@ class Simulation:
             grab.target = grab.pose
         for probe in self.probes:
             probe.target = probe.centre
+            probe.wrench = np.zeros(6)
         holders = " and ".join([grab.name for grab in self.grabs] + [probe.name for probe in self.probes])
         raise SimulationError(
             f"the simulation broke down between {self.time_s:.4f} s and {ended_s:.4f} s: {trouble}"

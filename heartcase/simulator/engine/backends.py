@@ -24,9 +24,13 @@ class Engine(Protocol):
 
     step_count: int
     """Steps taken."""
-    probe_impulse: Float64
-    """What each probe gave the nodes in the last row of steps: momentum and its moment about the probe's centre, grid
-    units, shape (probe_count, 6)."""
+
+    @property
+    def probe_impulse(self) -> Float64:
+        """What each probe gave the nodes in the last row of steps: momentum and its moment about the probe's centre.
+
+        In grid units, shape (probe_count, 6).
+        """
 
     @property
     def threads_pay(self) -> bool:

@@ -16,13 +16,13 @@ from numba import cuda
 from heartcase.simulator.engine.cuda.intrinsics import load_four, store_four, wait_at_grid_barrier
 from heartcase.simulator.engine.cuda.kernel import (
     force_of_springs,
-    keep_outside,
     next_velocity,
     pull_explicitly,
     rows_of,
     start_meeting,
     weights_of,
 )
+from heartcase.simulator.engine.cuda.turn_kernels import push_out, shorten, watch_cell
 from heartcase.simulator.forces.cell_math import NOTHING_SHARED, make_cell_math
 
 __all__ = [
@@ -161,7 +161,7 @@ def _share_strain(gradient, shares, inverse_shared, stress, law, node_cell, node
 def _work_cell(
     displacement, buffer, corner_lane, numbers, sharing, cell_force, law, cell, has_elements, has_guard, has_sharing
 ):
-    """Write the forces of one cell on its corners."""
+    """Write the forces of one cell on its corners; whether one of these is below the floor."""
     count = _U(corner_lane.shape[0] // 8)
     u = _corners(displacement, buffer, corner_lane, cell, count)
     scale = numbers[cell]
@@ -186,6 +186,8 @@ def _work_cell(
         _store(cell_force, 0, cell, count, fx, True)
         _store(cell_force, 1, cell, count, fy, True)
         _store(cell_force, 2, cell, count, fz, True)
+        return scale > _O
+    return False
 
 
 @cuda.jit(device=True)
@@ -208,7 +210,6 @@ def advance_with_cells(
     displacement,
     velocity,
     spring_weight,
-    presence,
     window_rows,
     node_slot,
     lane_count,
@@ -235,13 +236,12 @@ def advance_with_cells(
     explicit_stiffness,
     rest,
     probes,
+    turn,
 ):
     """Take steps in place; see :mod:`heartcase.simulator.engine.cuda.kernel` for what is not said here.
 
     Parameters
     ----------
-    presence
-        Above zero where there is a spring, whether it acts or not, float32, shape (9 * lane_count,).
     corner_lane
         Lane of each cell's corners, corner by corner, uint32, shape (8 * cell_count,).
     numbers
@@ -266,7 +266,14 @@ def advance_with_cells(
     has_elements, has_guard, has_sharing
         Whether cells are elements, whether their corners push back, and whether elements share strain.
     step_count
-        Steps to take; times four times the number of blocks of threads at most 2**32 - 1.
+        Steps to take; times six times the number of blocks of threads at most 2**32 - 1.
+    rest
+        Rest positions, i, j, k and one unused, float32, shape (4 * node_count,); read where there are probes.
+    probes
+        Probes as of :func:`heartcase.simulator.engine.shared.contact.probe_row`, float32, shape (probe_count,
+        PROBE_SIZE).
+    turn
+        As of :mod:`heartcase.simulator.engine.cuda.turn_kernels`.
     """
     start_meeting(arrivals)
     step, keep, kick, limit = constants[0], constants[1], constants[2], constants[6]
@@ -289,9 +296,13 @@ def advance_with_cells(
         for cell in range(cuda.grid(1), cell_count, cuda.gridsize(1)):
             number = _U(cell)
             kinds = (has_elements, has_guard, has_sharing)
-            _work_cell(displacement, now, corner_lane, numbers, sharing, cell_force, law, number, *kinds)
+            if _work_cell(displacement, now, corner_lane, numbers, sharing, cell_force, law, number, *kinds):
+                turn[3][step_number % 2] = 1
         expected = _U(expected + cuda.gridDim.x)
         wait_at_grid_barrier(arrivals, expected)
+        watches = probes.shape[0] > 0 or turn[3][step_number % 2] > 0
+        if cuda.grid(1) == 0:
+            turn[3][1 - step_number % 2] = 0
         for node in range(cuda.grid(1), node_count, cuda.gridsize(1)):
             row = rows_of(window_rows, node_slot[node])
             lane = row[4]
@@ -306,10 +317,24 @@ def advance_with_cells(
             u = (own[0] + step * v[0], own[1] + step * v[1], own[2] + step * v[2], _O)
             if probes.shape[0] > 0:
                 place = load_four(rest, _U(node))
-                beside = weights_of(presence, count, row)
-                u, v = keep_outside(displacement, now, own, u, v, place, row, beside, probes, step_number, step)
+                u, v = push_out(own, u, v, place, probes, step_number, step, turn, node, node_count)
+            elif watches:
+                turn[0][node] = 0
             store_four(velocity, lane, v[0], v[1], v[2], v[3])
             store_four(displacement, _U(later + lane), u[0], u[1], u[2], _O)
+        if watches:
+            expected = _U(expected + cuda.gridDim.x)
+            wait_at_grid_barrier(arrivals, expected)
+            volume_most = law[5] if has_guard else _O
+            for cell in range(cuda.grid(1), cell_count, cuda.gridsize(1)):
+                where = (displacement, now, later, velocity, corner_lane, corner_node)
+                watch_cell(*where, numbers[_U(cell)], volume_most, turn, _U(cell))
+            expected = _U(expected + cuda.gridDim.x)
+            wait_at_grid_barrier(arrivals, expected)
+            for node in range(cuda.grid(1), node_count, cuda.gridsize(1)):
+                lane = rows_of(window_rows, node_slot[node])[4]
+                where = (displacement, now, later, velocity, lane, rest)
+                shorten(*where, probes, step_number, turn, node_cell, _U(node), _NO_CELL)
         now, later = later, now
         expected = _U(expected + cuda.gridDim.x)
         wait_at_grid_barrier(arrivals, expected)
