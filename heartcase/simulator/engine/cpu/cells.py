@@ -54,7 +54,7 @@ def _make_cell_window(kind: str) -> Any:
     """The intrinsic that adds the forces of one window of cells: ``element``, ``volume`` or ``guard``.
 
     It takes displacement, numbers of the cells, forces on the nodes, law, rows and window, and says whether a corner
-    is below the floor.
+    is below LOOK_BELOW.
     """
 
     @intrinsic
@@ -64,7 +64,7 @@ def _make_cell_window(kind: str) -> Any:
             u, n, f, constants, starts = (array_data(context, builder, *pair) for pair in arrays)
             here = Window(builder, starts, arguments[5])
             corners = tuple(here.load_vector(u, offset) for offset in _CORNERS)
-            scale, floor = here.load(n, 0), _constant(builder, constants, _FLOOR_NUMBER)
+            scale = here.load(n, 0)
             if kind == "element":
                 forces = _math.element(
                     corners, scale, scale, _moments(here, n), _law(builder, constants), NOTHING_SHARED
@@ -72,9 +72,10 @@ def _make_cell_window(kind: str) -> Any:
             elif kind == "volume":
                 forces = _math.volume_term(corners, scale, _constant(builder, constants, 0))
             else:
+                floor = _constant(builder, constants, _FLOOR_NUMBER)
                 forces = _math.corner_guard(corners, here.load(n, CELL_NUMBERS - 1), floor)
             _add_forces(here, f, forces)
-            return nothing(context) if kind == "guard" else _has_flat_corner(here, corners, scale, floor)
+            return nothing(context) if kind == "guard" else _has_flat_corner(here, corners, scale)
 
         result = types.void if kind == "guard" else types.boolean
         return result(displacement, numbers, cell_force, law, rows, types.int64), codegen
@@ -86,7 +87,7 @@ def _make_cell_window(kind: str) -> Any:
 def sharing_element_of_window(typing_context, displacement, numbers, shares, stress, cell_force, law, rows, window):
     """Add the forces of one window of elements that share strain; takes the stress of the means around the nodes.
 
-    Says whether a corner is below the floor.
+    Says whether a corner is below LOOK_BELOW.
     """
 
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -98,7 +99,7 @@ def sharing_element_of_window(typing_context, displacement, numbers, shares, str
         scale, own = here.load(n, 0), here.load(w, _OWN_NUMBER)
         forces = _math.element(corners, scale, own, _moments(here, n), _law(builder, constants), _columns(shared))
         _add_forces(here, f, forces)
-        return _has_flat_corner(here, corners, scale, _constant(builder, constants, _FLOOR_NUMBER))
+        return _has_flat_corner(here, corners, scale)
 
     return types.boolean(displacement, numbers, shares, stress, cell_force, law, rows, types.int64), codegen
 
@@ -214,15 +215,15 @@ def _spread(corners: tuple[Vector, ...]) -> Lanes:
     return reduce(Lanes.greater, spreads)
 
 
-def _has_flat_corner(here: Window, corners: tuple[Vector, ...], scale: Lanes, volume: Any) -> Any:
-    """Whether a corner of a window's cells has less than a volume, of at most LOOK_BELOW."""
+def _has_flat_corner(here: Window, corners: tuple[Vector, ...], scale: Lanes) -> Any:
+    """Whether a corner of a window's cells has a volume below LOOK_BELOW."""
     builder = here.builder
     # Lanes without a cell have no stiffness, wherever the nodes around them are.
     spread = _spread(corners).where_positive(scale, Lanes.filled(builder, 0.0))
     result = room(builder, ir.IntType(1))
     builder.store(ir.Constant(ir.IntType(1), 0), result)
     with builder.if_then((spread - CALM).is_any_positive()):
-        lack = _math.corner_lack(corners, volume) * scale
+        lack = _math.corner_lack(corners, np.float32(LOOK_BELOW)) * scale
         builder.store(lack.is_any_positive(), result)
     return builder.load(result)
 
@@ -236,6 +237,6 @@ def is_flat_window(typing_context, displacement, numbers, rows, window):
         u, n, starts = (array_data(context, builder, *pair) for pair in arrays)
         here = Window(builder, starts, arguments[3])
         corners = tuple(here.load_vector(u, offset) for offset in _CORNERS)
-        return _has_flat_corner(here, corners, here.load(n, 0), np.float32(LOOK_BELOW))
+        return _has_flat_corner(here, corners, here.load(n, 0))
 
     return types.boolean(displacement, numbers, rows, types.int64), codegen

@@ -335,7 +335,6 @@ def _keep_from_turning(
             cells.touches,
             cells.is_flat,
             has_guard,
-            cells.law[5],
             len(probes) > 0,
             turn,
         )
@@ -345,6 +344,8 @@ def _keep_from_turning(
         window_nodes = (first, end, now, later, velocity, inverse_mass, rest, rows)
         shorten(*window_nodes, probes, step_number, turn, given[share])
     wait_at(barrier, thread_count)
+    if thread == 0:
+        turn.harm[0] = 0
 
 
 @kernel

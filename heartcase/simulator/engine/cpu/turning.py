@@ -1,7 +1,7 @@
 """Probes push nodes out, and movements are shortened that would turn a corner: the CPU kernel's last part of a step.
 
 Three rounds with a barrier after each. Nodes inside a probe are pushed out of it; cells near a probe, and those that
-have a corner below the law's floor, write what their corners allow; nodes take the least of the cells around them. See
+have a corner below LOOK_BELOW, write what their corners allow; nodes take the least of the cells around them. See
 :mod:`heartcase.simulator.engine.shared.contact` and :mod:`heartcase.simulator.engine.shared.turning`. What probes give is
 added up in as many sums as there are shares of windows, whatever the number of threads.
 """
@@ -14,9 +14,11 @@ import numpy as np
 
 from heartcase.compiling.kernel import kernel
 from heartcase.schemas.arrays import Float32, Float64, Int8, Int64
+from heartcase.simulator.engine.cpu.barrier import raise_to
 from heartcase.simulator.engine.shared.contact import make_contact
 from heartcase.simulator.engine.shared.lanes import BANK_LANES, LANE_COUNT, LaneLayout
 from heartcase.simulator.engine.shared.turning import CORNER_NODES, make_turn_math
+from heartcase.simulator.lattice.force_law import LOOK_BELOW
 
 __all__ = ["TurnArrays", "push_out", "shorten", "turn_arrays", "watch_cells"]
 
@@ -30,7 +32,7 @@ _NODES = np.array(CORNER_NODES)
 
 
 class TurnArrays(NamedTuple):
-    """Room for what the rounds of a step tell one another; nothing in it lasts beyond a step."""
+    """Room for what the rounds of a step tell one another; what is near is of the last step that had probes."""
 
     near: Int8
     """Number of the last probe near each lane's node, from one on, shape (lane_count,)."""
@@ -44,6 +46,8 @@ class TurnArrays(NamedTuple):
     """Whether each window of nodes belongs to such a cell, shape (window_count,)."""
     allowed: Float32
     """What such a cell allows its corners' nodes, eight numbers a lane."""
+    harm: Int8
+    """Whether a corner near a probe would come to harm in this step, shape (1,)."""
 
 
 def turn_arrays(layout: LaneLayout, cell_window_count: int) -> TurnArrays:
@@ -56,11 +60,12 @@ def turn_arrays(layout: LaneLayout, cell_window_count: int) -> TurnArrays:
         lanes.copy(),
         windows.copy(),
         np.ones(layout.length(8), np.float32),
+        np.zeros(1, np.int8),
     )
 
 
 _pushed_out = make_contact(kernel(cached=False))
-_charges, _limit, _budget = make_turn_math(kernel(cached=False))
+_charges, _limit, _budget, _harms = make_turn_math(kernel(cached=False))
 
 
 @kernel(cached=False)
@@ -112,11 +117,11 @@ def push_out(
     """Push the nodes of some windows out of the probes; mark what is near. Impulses are added to ``given``."""
     for window in range(first, end):
         turn.is_near[window] = 0
+        start = rows[window, 4]
+        turn.near[start : start + LANE_COUNT] = 0
         if is_asleep[window]:
             continue
-        start = rows[window, 4]
         for lane in range(start, start + LANE_COUNT):
-            turn.near[lane] = 0
             mass_inverse = inverse_mass[lane]
             if mass_inverse <= 0:
                 continue
@@ -148,6 +153,7 @@ def _watch_cell(
     later: Float32,
     inverse_mass: Float32,
     volume_most: np.float32,
+    has_probes: bool,
     turn: TurnArrays,
     position: Float32,
     moved: Float32,
@@ -161,7 +167,8 @@ def _watch_cell(
         lane = row[_CORNER_ROWS[2 * k + j]] + place + i
         lanes[corner] = lane
         free[corner] = inverse_mass[lane] > 0
-        near = max(near, turn.near[lane])
+        if has_probes:
+            near = max(near, turn.near[lane])
         for axis in range(3):
             before = now[axis * BANK_LANES + lane]
             position[corner, axis] = before
@@ -178,8 +185,11 @@ def _watch_cell(
         a, b, c = _edge(position, n0, n1), _edge(position, n0, n2), _edge(position, n0, n3)
         m0, m1, m2, m3 = _row(moved, n0), _row(moved, n1), _row(moved, n2), _row(moved, n3)
         volume, c0, c1, c2, c3 = _charges(a, b, c, m0, m1, m2, m3)
-        if near == 0 and volume >= volume_most:
+        harms = _harms(volume, a, b, c, m0, m1, m2, m3)
+        if near == 0 and (volume >= volume_most or not harms):
             continue
+        if near > 0 and harms:
+            raise_to(turn.harm, 0, np.int8(1))
         is_watched = True
         each = _budget(volume, c0, c1, c2, c3, free[n0], free[n1], free[n2], free[n3])
         charges = (c0, c1, c2, c3)
@@ -217,7 +227,6 @@ def watch_cells(
     touches: Int64,
     is_flat: Int8,
     has_guard: bool,
-    volume_most: np.float32,
     has_probes: bool,
     turn: TurnArrays,
 ) -> None:
@@ -238,8 +247,10 @@ def watch_cells(
             turn.watched[lane] = 0
             # Without stiffness there is no cell, or one that was cut.
             if is_due and numbers[lane] > 0:
-                most = volume_most if has_guard else np.float32(0)
-                does = _watch_cell(rows[window], place, now, later, inverse_mass, most, turn, position, moved)
+                most = np.float32(LOOK_BELOW) if has_guard else np.float32(0)
+                does = _watch_cell(
+                    rows[window], place, now, later, inverse_mass, most, has_probes, turn, position, moved
+                )
                 is_watched = is_watched or does
         turn.is_watched[window] = is_watched
         if is_watched:
@@ -277,7 +288,8 @@ def shorten(
             part, owner = np.float32(1), 0
             for corner in range(8):
                 cell = row[_CELL_ROWS[corner >> 1]] + place - (corner & 1)
-                if turn.watched[cell] and turn.allowed[corner * BANK_LANES + cell] < part:
+                counts = turn.watched[cell] == 1 or (turn.watched[cell] > 1 and turn.harm[0] > 0)
+                if counts and turn.allowed[corner * BANK_LANES + cell] < part:
                     part, owner = turn.allowed[corner * BANK_LANES + cell], turn.watched[cell] - 1
             if part >= 1:
                 continue

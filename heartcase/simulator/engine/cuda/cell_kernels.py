@@ -24,6 +24,7 @@ from heartcase.simulator.engine.cuda.kernel import (
 )
 from heartcase.simulator.engine.cuda.turn_kernels import push_out, shorten, watch_cell
 from heartcase.simulator.forces.cell_math import NOTHING_SHARED, make_cell_math
+from heartcase.simulator.lattice.force_law import LOOK_BELOW
 
 __all__ = [
     "CELL_THREADS",
@@ -43,6 +44,7 @@ NO_CELL = 0xFFFFFFFF
 
 _U = np.uint32
 _O = np.float32(0.0)
+_LOOK = np.float32(LOOK_BELOW)
 _NO_CELL = _U(NO_CELL)
 _NOTHING = NOTHING_SHARED
 
@@ -161,7 +163,7 @@ def _share_strain(gradient, shares, inverse_shared, stress, law, node_cell, node
 def _work_cell(
     displacement, buffer, corner_lane, numbers, sharing, cell_force, law, cell, has_elements, has_guard, has_sharing
 ):
-    """Write the forces of one cell on its corners; whether one of these is below the floor."""
+    """Write the forces of one cell on its corners; whether one of these is below LOOK_BELOW."""
     count = _U(corner_lane.shape[0] // 8)
     u = _corners(displacement, buffer, corner_lane, cell, count)
     scale = numbers[cell]
@@ -181,7 +183,7 @@ def _work_cell(
     _store(cell_force, 0, cell, count, fx, False)
     _store(cell_force, 1, cell, count, fy, False)
     _store(cell_force, 2, cell, count, fz, False)
-    if has_guard and _corner_lack(u, law[5]) > _O:
+    if has_guard and _corner_lack(u, _LOOK) > _O:
         fx, fy, fz = _corner_guard(u, numbers[_U(10 * count + cell)], law[5])
         _store(cell_force, 0, cell, count, fx, True)
         _store(cell_force, 1, cell, count, fy, True)
@@ -275,6 +277,9 @@ def advance_with_cells(
     turn
         As of :mod:`heartcase.simulator.engine.cuda.turn_kernels`.
     """
+    if cuda.grid(1) == 0:
+        for flag in range(4):
+            turn[3][flag] = 0
     start_meeting(arrivals)
     step, keep, kick, limit = constants[0], constants[1], constants[2], constants[6]
     gravity = (constants[3], constants[4], constants[5])
@@ -303,6 +308,7 @@ def advance_with_cells(
         watches = probes.shape[0] > 0 or turn[3][step_number % 2] > 0
         if cuda.grid(1) == 0:
             turn[3][1 - step_number % 2] = 0
+            turn[3][3 - step_number % 2] = 0
         for node in range(cuda.grid(1), node_count, cuda.gridsize(1)):
             row = rows_of(window_rows, node_slot[node])
             lane = row[4]
@@ -325,10 +331,10 @@ def advance_with_cells(
         if watches:
             expected = _U(expected + cuda.gridDim.x)
             wait_at_grid_barrier(arrivals, expected)
-            volume_most = law[5] if has_guard else _O
+            volume_most = _LOOK if has_guard else _O
             for cell in range(cuda.grid(1), cell_count, cuda.gridsize(1)):
                 where = (displacement, now, later, velocity, corner_lane, corner_node)
-                watch_cell(*where, numbers[_U(cell)], volume_most, turn, _U(cell))
+                watch_cell(*where, numbers[_U(cell)], volume_most, turn, step_number, _U(cell))
             expected = _U(expected + cuda.gridDim.x)
             wait_at_grid_barrier(arrivals, expected)
             for node in range(cuda.grid(1), node_count, cuda.gridsize(1)):

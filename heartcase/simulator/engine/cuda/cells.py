@@ -53,7 +53,7 @@ class CellsOnDevice:
         self._is_flat = cuda.mapped_array(1, np.uint32)
         self._node_count = model.node_count
         counts = (model.node_count, self._count)
-        near, watched, flags = (cuda.to_device(np.zeros(count, np.int32)) for count in (*counts, 2))
+        near, watched, flags = (cuda.to_device(np.zeros(count, np.int32)) for count in (*counts, 4))
         self._turn = near, watched, cuda.to_device(np.ones(8 * self._count, np.float32)), flags
         self._given = cuda.to_device(np.zeros(0, np.float32))
         self.set_model(model)

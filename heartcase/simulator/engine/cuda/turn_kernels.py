@@ -5,7 +5,8 @@ after each round. What probes give is added up node by node, so that the sums do
 
 ``turn`` is (number of the last probe near each node, from one on, and one for a cell that is looked after plus the
 number of the probe near it, int32, (node_count,) and (cell_count,); what cells allow their corners' nodes, float32,
-(8 * cell_count,); whether any cell is to be looked after in an even and an odd step, int32, (2,); momentum and its moment
+(8 * cell_count,); whether any cell is to be looked after in an even and an odd step, and whether a corner near a probe
+would come to harm in them, int32, (4,); momentum and its moment
 about its centre that each probe gave each node, float32, (probe_count * 6 * node_count,)).
 """
 
@@ -25,7 +26,7 @@ _O, _ONE = np.float32(0.0), np.float32(1.0)
 
 _pushed_out = make_contact(cuda.jit(device=True))
 _math = make_turn_math(cuda.jit(device=True))
-_charges, _limit, _budget = _math.charges, _math.limit, _math.budget
+_charges, _limit, _budget, _harms = _math.charges, _math.limit, _math.budget, _math.harms
 
 
 @cuda.jit(device=True)
@@ -75,9 +76,9 @@ def _less(a, b):
 
 
 @cuda.jit(device=True)
-def watch_cell(displacement, now, later, velocity, corner_lane, corner_node, scale, volume_most, turn, cell):
+def watch_cell(displacement, now, later, velocity, corner_lane, corner_node, scale, volume_most, turn, step_number, cell):
     """Write what a cell allows its corners' nodes, where it is to be looked after."""
-    near, watched, allowed, _, _ = turn
+    near, watched, allowed, flags, _ = turn
     count = _U(watched.shape[0])
     owner = 0
     watched[cell] = 0
@@ -98,9 +99,13 @@ def watch_cell(displacement, now, later, velocity, corner_lane, corner_node, sca
         m1 = _less(_position(displacement, later, corner_lane, n1, cell, count), p1)
         m2 = _less(_position(displacement, later, corner_lane, n2, cell, count), p2)
         m3 = _less(_position(displacement, later, corner_lane, n3, cell, count), p3)
-        volume, c0, c1, c2, c3 = _charges(_less(p1, p0), _less(p2, p0), _less(p3, p0), m0, m1, m2, m3)
-        if owner == 0 and volume >= volume_most:
+        a, b, c = _less(p1, p0), _less(p2, p0), _less(p3, p0)
+        volume, c0, c1, c2, c3 = _charges(a, b, c, m0, m1, m2, m3)
+        harms = _harms(volume, a, b, c, m0, m1, m2, m3)
+        if owner == 0 and (volume >= volume_most or not harms):
             continue
+        if owner > 0 and harms:
+            flags[2 + step_number % 2] = 1
         watched[cell] = 1 + owner
         free0 = load_four(velocity, corner_lane[_U(n0 * count + cell)])[3] > _O
         free1 = load_four(velocity, corner_lane[_U(n1 * count + cell)])[3] > _O
@@ -116,7 +121,8 @@ def watch_cell(displacement, now, later, velocity, corner_lane, corner_node, sca
 @cuda.jit(device=True)
 def shorten(displacement, now, later, velocity, lane, rest, probes, step_number, turn, node_cell, node, no_cell):
     """Let a node go as far as the cells around it allow."""
-    near, watched, allowed, _, given = turn
+    near, watched, allowed, flags, given = turn
+    harm = flags[2 + step_number % 2] > 0
     node_count, cell_count = _U(near.shape[0]), _U(watched.shape[0])
     v = load_four(velocity, lane)
     if v[3] <= _O:
@@ -124,7 +130,9 @@ def shorten(displacement, now, later, velocity, lane, rest, probes, step_number,
     part, owner = _ONE, 0
     for corner in range(8):
         cell = node_cell[_U(corner * node_count + node)]
-        if cell != no_cell and watched[cell] > 0 and allowed[_U(corner * cell_count + cell)] < part:
+        if cell == no_cell or watched[cell] == 0 or (watched[cell] > 1 and not harm):
+            continue
+        if allowed[_U(corner * cell_count + cell)] < part:
             part, owner = allowed[_U(corner * cell_count + cell)], watched[cell] - 1
     if part >= _ONE:
         return

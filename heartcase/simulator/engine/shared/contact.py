@@ -22,6 +22,7 @@ import numpy.typing as npt
 from heartcase.schemas.arrays import Float32, Float64, Intp
 from heartcase.simulator.dynamics.measures import mark_flat
 from heartcase.simulator.engine.shared.turning import allowed_parts
+from heartcase.simulator.lattice.force_law import LOOK_BELOW
 from heartcase.simulator.lattice.model import LatticeModel
 
 __all__ = ["FAR", "NEAR", "NO_PROBES", "PROBE_SIZE", "PUSHED", "keep_outside", "make_contact", "moved_on", "probe_row"]
@@ -90,8 +91,7 @@ def keep_outside(
     model
         The lattice.
     probes
-        Probes, shape (probe_count, PROBE_SIZE); where there are none, only corners below the law's floor are looked
-        after.
+        Probes, shape (probe_count, PROBE_SIZE); where there are none, only corners below LOOK_BELOW are looked after.
     step_number
         Steps that this row of steps has taken before.
     step
@@ -188,9 +188,9 @@ def _parts(
     model: LatticeModel, near: Intp, inverse_mass: Float64, displacement: Float64, later: Float64
 ) -> tuple[Float64, Intp]:
     """Parts of their movements that nodes may take, and the probe to whose account that goes, from one on."""
-    law, corners = model.law, model.cell_corners
+    corners = model.cell_corners
     owner_of_cell = near[corners].max(axis=1)
-    volume_most = law.corner_floor if law.has_corner_guard else 0.0
+    volume_most = LOOK_BELOW if model.law.has_corner_guard else 0.0
     part, owner = np.ones(model.node_count), np.zeros(model.node_count, dtype=np.intp)
     is_due = owner_of_cell > 0
     if volume_most:
@@ -202,7 +202,10 @@ def _parts(
         return part, owner
     at = corners[cells]
     is_free = (inverse_mass > 0)[at]
-    allowed = allowed_parts(displacement[at], (later - displacement)[at], is_free, owner_of_cell[cells] > 0, volume_most)
+    is_near = owner_of_cell[cells] > 0
+    allowed, harm = allowed_parts(displacement[at], (later - displacement)[at], is_free, is_near, volume_most)
+    if not harm:
+        allowed[is_near] = 1.0
     # The cell that allows least has the probe; of equal ones that around the lowest corner.
     for corner in range(8):
         less = allowed[:, corner] < part[at[:, corner]]

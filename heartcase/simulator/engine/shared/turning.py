@@ -9,8 +9,14 @@ exactly. As s_i s_j <= (s_i + s_j) / 2, and likewise for three, the loss is at m
 of the negative L_i, of half the negative Q_ij and of a third of the negative C_ijk has to do with node i. Each of the n
 free nodes with a c_i takes at most 1 / n of SHARE of what the corner has above FLOOR, whatever the others do; each node
 takes the least that its corners allow. So no corner loses more than SHARE of its volume in a step, and none of a volume
-above zero is turned. Nodes that are led move as they are led: what they take is counted first. Where they turn a corner
-by themselves, and where one is inside out already, nothing is held back.
+above zero is turned.
+
+That also holds back what would not turn a corner if all went together: the more, the flatter it is. So nothing is held
+back near the probes in a step in which all movements in full would do no corner there harm (:func:`_harms`); then, too,
+none is turned. Away from probes only the corners are looked after that would come to harm themselves.
+
+Nodes that are led move as they are led: what they take is counted first. Where they turn a corner by themselves, and
+where one is inside out already, nothing is held back.
 """
 
 from __future__ import annotations
@@ -30,6 +36,8 @@ SHARE = 0.5
 """Part of a corner's volume above the floor that may be lost in one step."""
 FLOOR = 0.01
 """Volume of a corner from which on no movement takes any more [cells]."""
+FLAT, SAFE = 0.02, 0.3
+"""Volume below which it is harm to a corner to lose any more, and above which none comes to harm [cells]."""
 TINY = 1e-5
 """Loss up to which a node is not charged: four of them are far below the floor [cells]."""
 
@@ -47,6 +55,7 @@ class TurnMath(NamedTuple):
     charges: Any
     limit: Any
     budget: Any
+    harms: Any
 
 
 def make_turn_math(compiled: Callable[[Any], Any]) -> TurnMath:
@@ -66,9 +75,12 @@ def make_turn_math(compiled: Callable[[Any], Any]) -> TurnMath:
         nothing is held back.
     limit
         ``(budget, charge, is_free)`` to the part of its movement that a node may take.
+    harms
+        ``(volume, a, b, c, m0, m1, m2, m3)``: whether all movements in full would do the corner harm.
     """
     zero, one, half, third = np.float32(0.0), np.float32(1.0), np.float32(0.5), np.float32(1.0 / 3.0)
     part, floor, tiny = np.float32(SHARE), np.float32(FLOOR), np.float32(TINY)
+    flat, kept, safe = np.float32(FLAT), np.float32(1.0 - SHARE), np.float32(SAFE)
 
     @compiled
     def dot(a, b):
@@ -135,12 +147,22 @@ def make_turn_math(compiled: Callable[[Any], Any]) -> TurnMath:
             return one
         return budget / charge
 
-    return TurnMath(charges, limit, budget)
+    @compiled
+    def harms(volume, a, b, c, m0, m1, m2, m3):
+        later_a = (a[0] + (m1[0] - m0[0]), a[1] + (m1[1] - m0[1]), a[2] + (m1[2] - m0[2]))
+        later_b = (b[0] + (m2[0] - m0[0]), b[1] + (m2[1] - m0[1]), b[2] + (m2[2] - m0[2]))
+        later_c = (c[0] + (m3[0] - m0[0]), c[1] + (m3[1] - m0[1]), c[2] + (m3[2] - m0[2]))
+        after = dot(later_a, cross(later_b, later_c))
+        if volume <= zero or after >= volume:
+            return False
+        return after < flat or (after < kept * volume and after < safe)
+
+    return TurnMath(charges, limit, budget, harms)
 
 
 def allowed_parts(
     u: Float64, moved: Float64, is_free: Bool, is_near: Bool, volume_most: float
-) -> Float64:
+) -> tuple[Float64, bool]:
     """The reference: parts of their movements that some cells allow their corners' nodes.
 
     What each choice of nodes adds to a corner's change of volume follows from its volumes with all smaller choices moved
@@ -157,14 +179,17 @@ def allowed_parts(
     is_near
         Whether a cell's corners are looked after whatever their volume, shape (count,).
     volume_most
-        Volume below which those of the other cells are [cells].
+        Volume below which those of the other cells are, where they would come to harm [cells].
 
     Returns
     -------
-    ndarray
-        Parts from 0 to 1, shape (count, 8).
+    parts
+        From 0 to 1, shape (count, 8).
+    harm
+        Whether a corner of a cell that is near would come to harm; else what those allow does not count.
     """
     position = u + CORNER_OFFSETS
+    harm = False
     part = np.ones(u.shape[:2])
     for nodes in CORNER_NODES:
         at, way, free = position[:, nodes], moved[:, nodes], is_free[:, nodes].T
@@ -179,12 +204,21 @@ def allowed_parts(
         start = volume[0, 0, 0, 0]
         counts = ((charge > TINY) & free).sum(axis=0)
         left = start - (charge * ~free).sum(axis=0)
-        is_limited = (is_near | (start < volume_most)) & (left > 0.0)
+        harmed = _harms(start, volume[1, 1, 1, 1])
+        harm |= bool((harmed & is_near).any())
+        is_limited = (is_near | ((start < volume_most) & harmed)) & (left > 0.0)
         each = SHARE * np.maximum(left - FLOOR, 0.0) / np.maximum(counts, 1)
         for node, own, own_free in zip(nodes, charge, free, strict=True):
             acts = is_limited & own_free & (own > TINY) & (own > each)
             part[acts, node] = np.minimum(part[acts, node], each[acts] / own[acts])
-    return part
+    return part, harm
+
+
+def _harms(before: Float64, after: Float64) -> Bool:
+    """Whether corners come to harm that have one volume before a step and another after it, shape (count,)."""
+    is_near_turning = (after < FLAT) | ((after < (1.0 - SHARE) * before) & (after < SAFE))
+    harmed: Bool = (before > 0.0) & (after < before) & is_near_turning
+    return harmed
 
 
 def _volume(nodes: Float64) -> Float64:
