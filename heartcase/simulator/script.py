@@ -16,9 +16,10 @@ from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import Problem, ScriptError, SimulationError, problems_from_validation
 from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.migrate import SCRIPT
-from heartcase.schemas.script import GrabAction, SimulationScript, Waypoint
+from heartcase.schemas.script import GrabAction, ProbeAction, SimulationScript, Waypoint
 from heartcase.simulator.dynamics.integrate import Energy
 from heartcase.simulator.instruments.grab import Grab
+from heartcase.simulator.instruments.probe import Probe
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.surface.deform import SurfaceModel
@@ -69,7 +70,7 @@ class SessionSummary:
     inverted_cell_count_end: int
     """Cells that are turned inside out at the end."""
     peak_force_n: dict[str, float]
-    """Action -> highest force on the hand in any frame, N."""
+    """Action or probe -> highest force on the hand in any frame, N."""
     held_node_count: dict[str, int]
     """Action -> nodes that it held."""
     frame_time_s: tuple[float, ...]
@@ -84,9 +85,9 @@ class SessionSummary:
 
 @dataclass(frozen=True)
 class _Timeline:
-    """A grab in steps instead of seconds."""
+    """A grab or a probe in steps instead of seconds."""
 
-    action: GrabAction
+    action: GrabAction | ProbeAction
     start: int
     end: int
     """Step at which it lets go; past the last step when it holds to the end."""
@@ -144,19 +145,21 @@ def with_positions(script: SimulationScript, landmarks: tuple[Landmark, ...]) ->
     """
     places = {mark.name.lower(): np.mean(mark.points_mm, axis=0).tolist() for mark in landmarks}
     known = ", ".join(mark.name for mark in landmarks) or "none"
-    problems, actions = [], []
-    for number, action in enumerate(script.actions, start=1):
-        if action.landmark is None:
-            actions.append(action)
-        elif action.landmark.lower() in places:
-            place = tuple(places[action.landmark.lower()])
-            actions.append(action.model_copy(update={"position_mm": place, "landmark": None}))
-        else:
-            message = f"the case has no landmark {action.landmark!r}; it has: {known}"
-            problems.append(Problem(f"actions[{number}].landmark", message))
+    problems = []
+    placed: dict[str, list[GrabAction | ProbeAction]] = {"actions": [], "probes": []}
+    for key, actions in (("actions", script.actions), ("probes", script.probes)):
+        for number, action in enumerate(actions, start=1):
+            if action.landmark is None:
+                placed[key].append(action)
+            elif action.landmark.lower() in places:
+                place = tuple(places[action.landmark.lower()])
+                placed[key].append(action.model_copy(update={"position_mm": place, "landmark": None}))
+            else:
+                message = f"the case has no landmark {action.landmark!r}; it has: {known}"
+                problems.append(Problem(f"{key}[{number}].landmark", message))
     if problems:
         raise ScriptError(problems)
-    return script.model_copy(update={"actions": tuple(actions)})
+    return script.model_copy(update={key: tuple(actions) for key, actions in placed.items()})
 
 
 def default_script(
@@ -231,12 +234,13 @@ def run_script(
         )
     frame_count = max(1, round(script.seconds * script.frames_per_second))
     frames = {round(number * step_total / frame_count) for number in range(1, frame_count + 1)}
-    timelines = [_timeline(action, step_s, step_total) for action in script.actions]
+    actions: list[GrabAction | ProbeAction] = [*script.actions, *script.probes]
+    timelines = [_timeline(action, step_s, step_total) for action in actions]
     stops = sorted(frames | {stop for timeline in timelines for stop in _stops(timeline, step_total)})
 
-    hands: dict[int, Grab] = {}
-    peak = dict.fromkeys((action.name for action in script.actions), 0.0)
-    held = dict.fromkeys(peak, 0)
+    hands: dict[int, Grab | Probe] = {}
+    peak = dict.fromkeys((action.name for action in actions), 0.0)
+    held = dict.fromkeys((action.name for action in script.actions), 0)
     furthest, inverted = 0.0, 0
     times, energies = [0.0], [simulation.energy()]
     wall = 0.0
@@ -247,14 +251,14 @@ def run_script(
     for stop in stops:
         started = time.perf_counter()
         _change_hands(simulation, timelines, hands, held, now)
-        for number, grab in hands.items():
-            simulation.lead(grab, timelines[number].offset_at(stop))
+        for number, hand in hands.items():
+            _lead(simulation, hand, timelines[number], stop)
         simulation.step(stop - now)
         now = stop
         if stop in frames:
-            for number, grab in hands.items():
+            for number, hand in hands.items():
                 name = timelines[number].action.name
-                peak[name] = max(peak[name], float(np.linalg.norm(simulation.force_on(grab))))
+                peak[name] = max(peak[name], float(np.linalg.norm(simulation.force_on(hand))))
             if simulation.surface is not None:
                 simulation.surface_now()
         wall += time.perf_counter() - started
@@ -288,7 +292,7 @@ def run_script(
     )
 
 
-def _timeline(action: GrabAction, step_s: float, step_total: int) -> _Timeline:
+def _timeline(action: GrabAction | ProbeAction, step_s: float, step_total: int) -> _Timeline:
     """Seconds to steps; two moments never share a step, so that no hand jumps."""
     steps, offsets = [round(action.start_s / step_s)], [(0.0, 0.0, 0.0)]
     for waypoint in action.path:
@@ -306,19 +310,34 @@ def _stops(timeline: _Timeline, step_total: int) -> Iterator[int]:
 
 
 def _change_hands(
-    simulation: Simulation, timelines: list[_Timeline], hands: dict[int, Grab], held: dict[str, int], now: int
+    simulation: Simulation, timelines: list[_Timeline], hands: dict[int, Grab | Probe], held: dict[str, int], now: int
 ) -> None:
     """Let go and close what is due at this step; first let go, so that one hand can take over from another."""
     for number, timeline in enumerate(timelines):
         if number in hands and now >= timeline.end:
-            simulation.release(hands.pop(number))
+            hand = hands.pop(number)
+            simulation.release(hand) if isinstance(hand, Grab) else simulation.withdraw(hand)
     for number, timeline in enumerate(timelines):
         if now == timeline.start and now < timeline.end:
             action = timeline.action
             if action.position_mm is None:
                 raise SimulationError(f"the landmark {action.landmark!r} has no position yet", place=action.name)
-            hands[number] = simulation.grab(action.position_mm, action.radius_mm, name=action.name)
-            held[action.name] += len(hands[number].nodes)
+            if isinstance(action, ProbeAction):
+                shape = {"axis_mm": action.axis_mm, "name": action.name}
+                hands[number] = simulation.probe(action.position_mm, action.semi_axes_mm, **shape)
+                continue
+            grab = simulation.grab(action.position_mm, action.radius_mm, name=action.name)
+            hands[number] = grab
+            held[action.name] += len(grab.nodes)
+
+
+def _lead(simulation: Simulation, hand: Grab | Probe, timeline: _Timeline, step: int) -> None:
+    """Lead a hand to where it is to be at a step."""
+    offset = timeline.offset_at(step)
+    if isinstance(hand, Grab):
+        simulation.lead(hand, offset)
+    else:
+        simulation.move(hand, np.add(timeline.action.position_mm, offset))
 
 
 def _furthest(simulation: Simulation) -> float:

@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 
 from heartcase.compiling.kernel import kernel
-from heartcase.schemas.arrays import Float32, Int32, Int64
+from heartcase.schemas.arrays import Float32, Int8, Int32, Int64
 from heartcase.simulator.engine.cpu.arrays import (
     CellArrays,
     CellWork,
@@ -28,7 +28,7 @@ from heartcase.simulator.engine.cpu.arrays import (
     StepRow,
     ThreadPlace,
 )
-from heartcase.simulator.engine.cpu.barrier import wait_at
+from heartcase.simulator.engine.cpu.barrier import raise_to, wait_at
 from heartcase.simulator.engine.cpu.cells import (
     clear_window,
     element_of_window,
@@ -43,6 +43,7 @@ from heartcase.simulator.engine.cpu.chunks import ChunkArrays, share_out
 from heartcase.simulator.engine.cpu.instruments import Constants, pull_explicitly
 from heartcase.simulator.engine.cpu.sleep import (
     CHECK_STEPS,
+    PULLED,
     ROUSE_STEPS,
     SleepArrays,
     check,
@@ -289,13 +290,18 @@ def _check_share(
     step_number: int,
     sleep: SleepArrays,
     still: Float32,
+    is_near: Int8,
 ) -> None:
-    """Look for what moves, or soon will, in a share of the windows of nodes."""
+    """Look for what moves, or soon will, in a share of the windows of nodes; what a probe pushes does not rest."""
     first, end = _part(share, sleep.counts[0])
     check(first, end, rows, displacement, velocity, inverse_mass, still, sleep)
     if len(probes):
         first, end = _part(share, len(rows))
         feel_probes(first, end, rows, displacement, rest, probes, step_number, sleep)
+        for window in range(first, end):
+            if is_near[window] > 1:
+                for block in sleep.blocks_of_window[window]:
+                    raise_to(sleep.is_moving, block, PULLED)
 
 
 @kernel
@@ -387,7 +393,7 @@ def advance(
     """
     displacement, velocity, weight, window_numbers, tension, inverse_mass, rows, rest = nodes
     cells, kinds, sharing = work
-    explicit, probes, _, _ = instruments
+    explicit, probes, turn, _ = instruments
     current, step_count, first_step, constants, still = steps
     thread, thread_count, barrier = place
     kind, _, has_guard = kinds
@@ -441,7 +447,7 @@ def advance(
         current = 1 - current
         if is_checked:
             for share in range(thread, SHARES, thread_count):
-                _check_share(share, later, velocity, inverse_mass, rows, rest, probes, row_step + 1, sleep, still)
+                _check_share(share, later, velocity, inverse_mass, rows, rest, probes, row_step + 1, sleep, still, turn.is_near)
             wait_at(barrier, thread_count)
             if thread == 0 and settle(later, now, velocity, rows, cells.touches, sleep):
                 share_out(chunks, sleep)

@@ -37,7 +37,7 @@ class TurnArrays(NamedTuple):
     near: Int8
     """Number of the last probe near each lane's node, from one on, shape (lane_count,)."""
     is_near: Int8
-    """Whether each window of nodes has one near, shape (window_count,)."""
+    """One where a window of nodes has one near, two where it is pushed, shape (window_count,)."""
     is_watched: Int8
     """Whether each window of cells was looked after, shape (cell_window_count,)."""
     watched: Int8
@@ -131,7 +131,7 @@ def push_out(
                 if contact == 0:
                     continue
                 turn.near[lane] = number + 1
-                turn.is_near[window] = 1
+                turn.is_near[window] = max(turn.is_near[window], np.int8(contact))
                 if contact == 1:
                     continue
                 gained = np.empty(3, np.float64)
