@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from heartcase.schemas.base import BladePoses, Model, Name, PointMm, PositiveMm
 from heartcase.schemas.migrate import SCRIPT
 
-__all__ = ["CutAction", "GrabAction", "SimulationScript", "Waypoint"]
+__all__ = ["CutAction", "GrabAction", "ProbeAction", "SimulationScript", "Waypoint"]
 
 
 _Offset = Annotated[float, Field(ge=-10_000.0, le=10_000.0)]
@@ -17,12 +17,12 @@ _Acceleration = Annotated[float, Field(ge=-10_000.0, le=10_000.0)]
 
 
 class Waypoint(Model):
-    """Where a grab's centre is at a time; between waypoints it moves in a straight line."""
+    """Where an instrument's centre is at a time; between waypoints it moves in a straight line."""
 
     time_s: Annotated[float, Field(ge=0.0)]
     """Time since the script's start, s."""
     offset_mm: tuple[_Offset, _Offset, _Offset]
-    """Displacement from where the grab closed, LPS mm."""
+    """Displacement from where it closed, or came in, LPS mm."""
 
 
 class GrabAction(Model):
@@ -48,18 +48,7 @@ class GrabAction(Model):
 
     @model_validator(mode="after")
     def _check(self) -> GrabAction:
-        problems = []
-        if (self.position_mm is None) == (self.landmark is None):
-            problems.append("give either position_mm or landmark")
-        if self.release_s is not None and self.release_s <= self.start_s:
-            problems.append("release_s must come after start_s")
-        times = [waypoint.time_s for waypoint in self.path]
-        if times != sorted(times) or len(set(times)) != len(times):
-            problems.append("the waypoints' times must ascend")
-        if times and times[0] < self.start_s:
-            problems.append("the first waypoint comes before start_s")
-        if problems:
-            raise ValueError("; ".join(problems))
+        _raise(_problems(self))
         return self
 
 
@@ -83,6 +72,55 @@ class CutAction(Model):
         return self
 
 
+class ProbeAction(Model):
+    """Bring in a probe, move it through waypoints, withdraw it (thesis 8.7.1)."""
+
+    name: Name = "probe"
+    """Name in the summary."""
+    position_mm: PointMm | None = None
+    """Where its centre comes in, LPS mm: outside the tissue, or what is there has to give way at once."""
+    landmark: Name | None = None
+    """Name of a landmark of the case to come in at, instead of ``position_mm``."""
+    semi_axes_mm: tuple[PositiveMm, PositiveMm, PositiveMm] = (6.0, 6.0, 6.0)
+    """Semi-axes of an ellipsoid along the LPS axes; all alike for a ball."""
+    axis_mm: PointMm | None = None
+    """Vector from end to end of the line that the ball is swept along, LPS mm: a capsule."""
+    start_s: Annotated[float, Field(ge=0.0)] = 0.0
+    """When it comes in, s."""
+    release_s: Annotated[float, Field(gt=0.0)] | None = None
+    """When it is withdrawn, s; it stays to the end when left out."""
+    path: Annotated[tuple[Waypoint, ...], Field(min_length=1)]
+    """Waypoints by ascending time, as a grab's."""
+
+    @model_validator(mode="after")
+    def _check(self) -> ProbeAction:
+        problems = _problems(self)
+        if self.axis_mm is not None and len(set(self.semi_axes_mm)) > 1:
+            problems.append("only a ball is swept along axis_mm: give three semi-axes that are alike")
+        _raise(problems)
+        return self
+
+
+def _problems(action: GrabAction | ProbeAction) -> list[str]:
+    """What is wrong with an action's place and times."""
+    problems = []
+    if (action.position_mm is None) == (action.landmark is None):
+        problems.append("give either position_mm or landmark")
+    if action.release_s is not None and action.release_s <= action.start_s:
+        problems.append("release_s must come after start_s")
+    times = [waypoint.time_s for waypoint in action.path]
+    if times != sorted(times) or len(set(times)) != len(times):
+        problems.append("the waypoints' times must ascend")
+    if times and times[0] < action.start_s:
+        problems.append("the first waypoint comes before start_s")
+    return problems
+
+
+def _raise(problems: list[str]) -> None:
+    if problems:
+        raise ValueError("; ".join(problems))
+
+
 class SimulationScript(Model):
     """A scripted session."""
 
@@ -104,3 +142,5 @@ class SimulationScript(Model):
     """What the instruments do."""
     cuts: tuple[CutAction, ...] = ()
     """What blades cut; those of one moment in this order, before hands let go or close."""
+    probes: tuple[ProbeAction, ...] = ()
+    """Probes that are led through the tissue."""

@@ -213,6 +213,8 @@ class Simulation:
             self._place(grab, start, velocities[-1])
         rows = [probe.row(step_count) for probe in self.probes]
         self._engine.advance(step_count, self.verlet, np.stack(rows) if rows else NO_PROBES)
+        for probe, impulse in zip(self.probes, self._engine.probe_impulse if rows else (), strict=True):
+            probe.wrench = -impulse / (step_count * self.verlet.step)
         for grab, velocity in zip(self.grabs, velocities, strict=True):
             self._place(grab, grab.displacement_at(grab.target), velocity)
         self._state = None
@@ -283,9 +285,12 @@ class Simulation:
         semi_axes_mm: npt.ArrayLike,
         *,
         turn: npt.ArrayLike | None = None,
+        axis_mm: npt.ArrayLike | None = None,
         name: str = "probe",
     ) -> Probe:
         """Bring in a probe: it pushes nodes out of itself wherever it is moved (thesis 8.7.1).
+
+        At up to a cell a step no cell is turned inside out by it, and tissue that it runs over goes ahead of it.
 
         Parameters
         ----------
@@ -296,15 +301,18 @@ class Simulation:
             through between the nodes.
         turn
             Directions of the semi-axes in its columns, LPS axes, shape (3, 3); those of LPS when left out.
+        axis_mm
+            Vector from one end to the other of the line that a ball is swept along, LPS mm, shape (3,): a capsule.
         name
             Name in messages.
 
         Raises
         ------
         SimulationError
-            A number is not finite, a semi-axis too small, or the turn no rotation.
+            A number is not finite, a semi-axis too small, the turn no rotation, or what is swept along a line is no
+            ball.
         """
-        probe = make_probe(self.model, center_mm, semi_axes_mm, turn=turn, name=name)
+        probe = make_probe(self.model, center_mm, semi_axes_mm, turn=turn, axis_mm=axis_mm, name=name)
         self.probes.append(probe)
         return probe
 
@@ -441,17 +449,19 @@ class Simulation:
         self._set_model(replace(self.model, explicit=kept), self._cuts)
 
     def force_on(self, hand: Grab | Probe) -> Float64:
-        """Force that the tissue exerts on a hand now, N, LPS axes, shape (3,): of the springs on what it holds.
+        """Force that the tissue exerts on a hand, N, LPS axes, shape (3,).
 
-        What a user feels: a hand that pulls to the left is pulled to the right. Zero once it has let go.
+        What a user feels: a hand that pulls to the left is pulled to the right. On a grab: of springs and cells on what
+        it holds, now. On a probe: the opposite of the momentum that it gave the nodes in the last :meth:`step`, over
+        the time that it took; zero where it touched nothing. Zero once a hand has let go.
         """
         return self.wrench_on(hand).force_n
 
     def wrench_on(self, hand: Grab | Probe) -> Wrench:
-        """Force and torque that the tissue exerts on a hand now, about its centre; zero once it has let go."""
+        """Force and torque about a hand's centre that the tissue exerts on it: that of :meth:`force_on`, and its torque."""
         if hand not in self.instruments:
             return Wrench(np.zeros(3), np.zeros(3))
-        return wrench_on(self.model, self.state.displacement, hand, self.grabs, self._engine.forces)
+        return wrench_on(self.model, hand, self._engine.forces)
 
     def forces_at(self, nodes: Intp) -> Float64:
         """Forces of springs and cells on some nodes now, N, LPS axes.
@@ -582,6 +592,7 @@ class Simulation:
             grab.target = grab.pose
         for probe in self.probes:
             probe.target = probe.centre
+            probe.wrench = np.zeros(6)
         holders = " and ".join(instrument.name for instrument in self.instruments)
         raise SimulationError(
             f"the simulation broke down between {self.time_s:.4f} s and {ended_s:.4f} s: {trouble}"

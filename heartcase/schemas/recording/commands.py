@@ -95,6 +95,8 @@ class BringProbe(Model):
     """Semi-axes of the ellipsoid, mm."""
     turn: Turn | None = None
     """Directions of the semi-axes in its columns; those of LPS when left out."""
+    axis_mm: PointMm | None = None
+    """Vector from end to end of the line that a ball is swept along, LPS mm: a capsule."""
 
 
 class MoveProbe(Model):

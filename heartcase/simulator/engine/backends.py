@@ -6,7 +6,7 @@ from typing import Literal, Protocol, get_args
 
 import numpy as np
 
-from heartcase.schemas.arrays import Float32, Intp
+from heartcase.schemas.arrays import Float32, Float64, Intp
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.dynamics.integrate import Verlet, verlet_step
 from heartcase.simulator.engine.shared.contact import NO_PROBES, keep_outside
@@ -24,6 +24,13 @@ class Engine(Protocol):
 
     step_count: int
     """Steps taken."""
+
+    @property
+    def probe_impulse(self) -> Float64:
+        """What each probe gave the nodes in the last row of steps: momentum and its moment about the probe's centre.
+
+        In grid units, shape (probe_count, 6).
+        """
 
     @property
     def threads_pay(self) -> bool:
@@ -80,6 +87,7 @@ class ReferenceEngine:
     def __init__(self, model: LatticeModel) -> None:
         self.model = model
         self.inverse_mass = model.inverse_mass.astype(np.float64)
+        self.probe_impulse: Float64 = np.zeros((0, 6))
         self.load(State.at_rest(model.node_count))
 
     def load(self, state: State) -> None:
@@ -104,11 +112,12 @@ class ReferenceEngine:
 
     def advance(self, step_count: int, verlet: Verlet, probes: Float32 = NO_PROBES) -> None:
         """Take steps."""
+        self.probe_impulse = np.zeros((len(probes), 6))
         for step_number in range(step_count):
             later, velocity = verlet_step(self.model, verlet, self.displacement, self.velocity, self.inverse_mass)
-            if len(probes):
-                how = (self.model, probes, step_number, verlet.step, self.inverse_mass)
-                later, velocity = keep_outside(*how, self.displacement, later, velocity)
+            how = (self.model, probes, step_number, verlet.step, self.inverse_mass)
+            later, velocity, impulse = keep_outside(*how, self.displacement, later, velocity)
+            self.probe_impulse += impulse
             self.displacement, self.velocity = later, velocity
         self.step_count += step_count
 

@@ -42,8 +42,6 @@ from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.lattice.model import LatticeModel
 
 __all__ = [
-    "CORNER_FLOOR",
-    "CORNER_STIFFNESS",
     "EDGE_SQUARES",
     "MODES",
     "WARP_FREE",
@@ -61,12 +59,6 @@ __all__ = [
 ]
 
 
-CORNER_FLOOR = 0.3
-"""J_0: volume of a corner from which on it pushes back; one at rest [cells]."""
-LOOK_BELOW = 0.6
-"""Volume of a corner below which kernels look after its cell until their next look [cells]."""
-CORNER_STIFFNESS = 3.0
-"""k_c [k/h]: the least that drives a cell of springs that is inside out back through being flat."""
 WARP_FREE = 0.5
 """Q_0: what cells may warp freely; along one axis this bends them to a radius of one edge."""
 WARP_STIFFNESS = 2.0
@@ -209,7 +201,7 @@ def _energies_and_forces(model: LatticeModel, u: Float64, cells: Intp) -> tuple[
     elif model.law.has_volume_term:
         terms.append((model.cell_force_scale[cells], *_volume_term(model, u)))
     if model.law.has_corner_guard:
-        terms.append((model.corner_guard_scale[cells], *_corner_guard(u)))
+        terms.append((model.corner_guard_scale[cells], *_corner_guard(u, model.law.corner_floor)))
     for scale, term_energy, term_force in terms:
         energy += scale * term_energy
         force += scale[:, None, None] * term_force
@@ -296,7 +288,8 @@ def _linear_stress(a: Float64, spread: Float64, plate: float, ratio: float, mu: 
     return e
 
 
-def _corner_guard(u: Float64) -> tuple[Float64, Float64]:
+def _corner_guard(u: Float64, floor: float) -> tuple[Float64, Float64]:
+    """Energy and forces of the corners for a stiffness k_c of one."""
     position = np.swapaxes(u + CORNER_OFFSETS, 0, 1)
     others = np.array([[corner ^ (1 << axis) for axis in range(3)] for corner in range(8)])
     signs = -_SIGNS[:, :, None, None]
@@ -307,8 +300,8 @@ def _corner_guard(u: Float64) -> tuple[Float64, Float64]:
     J = (a * slopes[0]).sum(axis=2)
     normal = slopes[0] + slopes[1] + slopes[2]
     D = 0.5 + 0.25 * sum((n * n).sum(axis=2) for n in (*slopes, normal))
-    lack = np.maximum(CORNER_FLOOR - J, 0.0)
-    push = CORNER_STIFFNESS / 8.0 * lack / D
+    lack = np.maximum(floor - J, 0.0)
+    push = 0.125 * lack / D
     turned = [slope + normal for slope in slopes]
     pulls = []
     for axis in range(3):
@@ -318,7 +311,7 @@ def _corner_guard(u: Float64) -> tuple[Float64, Float64]:
         pulls.append(signs[:, axis] * along)
     energy, force = np.zeros(len(u)), np.zeros_like(u)
     for corner in range(8):
-        energy += CORNER_STIFFNESS / 16.0 * lack[corner] ** 2 / D[corner]
+        energy += 0.0625 * lack[corner] ** 2 / D[corner]
         for axis in range(3):
             force[:, others[corner, axis]] += pulls[axis][corner]
             force[:, corner] -= pulls[axis][corner]

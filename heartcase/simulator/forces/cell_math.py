@@ -17,8 +17,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from heartcase.simulator.forces.cell_forces import (
-    CORNER_FLOOR,
-    CORNER_STIFFNESS,
     EDGE_SQUARES,
     WARP_FREE,
     WARP_STIFFNESS,
@@ -68,7 +66,7 @@ def make_cell_math(compiled: Callable[[Any], Any], positive_part: Callable[[Any]
     volume_term
         ``(u, scale, modulus)`` to the forces.
     corner_guard
-        ``(u, scale)`` to the forces.
+        ``(u, scale, floor)`` to the forces.
     corner_lack
         ``(u, volume)``: by how much the flattest corners are below a volume, summed up; zero where none is.
 
@@ -78,7 +76,7 @@ def make_cell_math(compiled: Callable[[Any], Any], positive_part: Callable[[Any]
     zero, third, sixth = np.float32(0.0), np.float32(1.0 / 3.0), np.float32(1.0 / 6.0)
     square, far_square = np.float32(EDGE_SQUARES[0]), np.float32(EDGE_SQUARES[3])
     warp_free, warp_stiffness = np.float32(WARP_FREE), np.float32(2.0 * WARP_STIFFNESS)
-    floor, stiffness = np.float32(CORNER_FLOOR), np.float32(CORNER_STIFFNESS / 8.0)
+    eighth = np.float32(0.125)
 
     @compiled
     def dot(a, b):
@@ -303,7 +301,7 @@ def make_cell_math(compiled: Callable[[Any], Any], positive_part: Callable[[Any]
         )
 
     @compiled
-    def push(a, b, c, scale):
+    def push(a, b, c, scale, floor):
         """Forces on the far ends of the three edges of a corner."""
         bc, ca, ab = cross(b, c), cross(c, a), cross(a, b)
         own = (bc[0] + ca[0] + ab[0], bc[1] + ca[1] + ab[1], bc[2] + ca[2] + ab[2])
@@ -333,17 +331,17 @@ def make_cell_math(compiled: Callable[[Any], Any], positive_part: Callable[[Any]
         )
 
     @compiled
-    def corner_guard(u, scale):
+    def corner_guard(u, scale, floor):
         along_i, along_j, along_k = edges(u)
-        s = scale * stiffness
-        p0 = push(along_i[0], along_j[0], along_k[0], s)
-        p1 = push(along_i[0], along_j[1], along_k[1], s)
-        p2 = push(along_i[1], along_j[0], along_k[2], s)
-        p3 = push(along_i[1], along_j[1], along_k[3], s)
-        p4 = push(along_i[2], along_j[2], along_k[0], s)
-        p5 = push(along_i[2], along_j[3], along_k[1], s)
-        p6 = push(along_i[3], along_j[2], along_k[2], s)
-        p7 = push(along_i[3], along_j[3], along_k[3], s)
+        s = scale * eighth
+        p0 = push(along_i[0], along_j[0], along_k[0], s, floor)
+        p1 = push(along_i[0], along_j[1], along_k[1], s, floor)
+        p2 = push(along_i[1], along_j[0], along_k[2], s, floor)
+        p3 = push(along_i[1], along_j[1], along_k[3], s, floor)
+        p4 = push(along_i[2], along_j[2], along_k[0], s, floor)
+        p5 = push(along_i[2], along_j[3], along_k[1], s, floor)
+        p6 = push(along_i[3], along_j[2], along_k[2], s, floor)
+        p7 = push(along_i[3], along_j[3], along_k[3], s, floor)
         i0, i1, i2, i3 = plus(p0[0], p1[0]), plus(p2[0], p3[0]), plus(p4[0], p5[0]), plus(p6[0], p7[0])
         j0, j1, j2, j3 = plus(p0[1], p2[1]), plus(p1[1], p3[1]), plus(p4[1], p6[1]), plus(p5[1], p7[1])
         k0, k1, k2, k3 = plus(p0[2], p4[2]), plus(p1[2], p5[2]), plus(p2[2], p6[2]), plus(p3[2], p7[2])

@@ -10,7 +10,7 @@ from math import sqrt
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.schemas.arrays import Bool, Float32, Float64, Intp
+from heartcase.schemas.arrays import Bool, Float, Float32, Float64, Intp
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.instruments.placing import is_point, point_in_lattice, turn_in_grid
 from heartcase.simulator.lattice.model import LatticeModel
@@ -56,6 +56,11 @@ class Grab:
     def displacement_at(self, pose: Pose) -> Float64:
         """Displacements of the nodes at a pose [cells, grid axes], shape (count, 3)."""
         return self.closed_at + (self.arms @ pose.turn.T - self.arms) + pose.offset
+
+    def wrench(self, pull: Float) -> Float64:
+        """Sum of the forces on its nodes, shape (count, 3), and of their moments about its centre now, shape (6,)."""
+        arms = self.arms @ self.pose.turn.T
+        return np.concatenate([pull.sum(axis=0, dtype=np.float64), np.cross(arms, pull).sum(axis=0)])
 
 
 def require_grab(grab: object) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -23,7 +23,7 @@ TOUCH = 1e-3
 
 @dataclass(eq=False)
 class Probe:
-    """An ellipsoid that pushes nodes out of itself."""
+    """An ellipsoid, or a ball swept along a line, that pushes nodes out of itself."""
 
     semi_axes: Float64
     """Semi-axes [cells], shape (3,)."""
@@ -35,10 +35,16 @@ class Probe:
     """Where it shall be at the end of the next steps [cells, grid axes]."""
     name: str = "probe"
     """Name in messages."""
+    half_axis: Float64 = field(default_factory=lambda: np.zeros(3))
+    """From its centre to an end of the line that a capsule's ball is swept along [cells, grid axes], shape (3,)."""
+    wrench: Float64 = field(default_factory=lambda: np.zeros(6))
+    """Mean force of the tissue on it in the last row of steps, and torque about its centre [grid units], shape (6,)."""
 
     def row(self, step_count: int) -> Float32:
         """The probe on its way to the target, as the kernels read it."""
-        return probe_row(self.centre, (self.target - self.centre) / step_count, self.semi_axes, self.turn)
+        return probe_row(
+            self.centre, (self.target - self.centre) / step_count, self.semi_axes, self.turn, self.half_axis
+        )
 
     def touched(self, model: LatticeModel, displacement: Float32) -> Intp:
         """Free nodes on its surface or in it now.
@@ -50,8 +56,11 @@ class Probe:
         displacement
             Way of each node from its rest position [cells], float32, shape (node_count, 3).
         """
-        from_centre = (model.node_index + displacement - self.centre) @ self.turn / self.semi_axes
-        is_touched = np.linalg.norm(from_centre, axis=1) <= 1.0 + TOUCH
+        way = model.node_index + displacement - self.centre
+        if self.half_axis.any():
+            along = way @ self.half_axis / (self.half_axis @ self.half_axis)
+            way = way - np.clip(along, -1.0, 1.0)[:, None] * self.half_axis
+        is_touched = np.linalg.norm(way @ self.turn / self.semi_axes, axis=1) <= 1.0 + TOUCH
         return np.flatnonzero(is_touched & ~model.node_is_fixed)
 
 
@@ -61,6 +70,7 @@ def make_probe(
     semi_axes_mm: npt.ArrayLike,
     *,
     turn: npt.ArrayLike | None = None,
+    axis_mm: npt.ArrayLike | None = None,
     name: str = "probe",
 ) -> Probe:
     """A probe at a place of the lattice.
@@ -75,13 +85,15 @@ def make_probe(
         Semi-axes of the ellipsoid, mm, shape (3,), or the radius of a ball; at least half a cell.
     turn
         Directions of the semi-axes in its columns, LPS axes, shape (3, 3); those of LPS when left out.
+    axis_mm
+        Vector from one end to the other of the line that a ball is swept along, LPS mm, shape (3,): a capsule.
     name
         Name in messages.
 
     Raises
     ------
     SimulationError
-        A number is not finite, a semi-axis too small, or the turn no rotation.
+        A number is not finite, a semi-axis too small, the turn no rotation, or what is swept along a line is no ball.
     """
     semi_axes = np.full(3, np.nan)
     if np.shape(semi_axes_mm) in ((), (3,)):
@@ -92,9 +104,14 @@ def make_probe(
     if not (np.isfinite(semi_axes) & (semi_axes >= PROBE_MIN)).all():
         least = PROBE_MIN * model.cell_mm
         problems.append(Problem(name, f"give a radius or three semi-axes of at least half a cell, {least:.3g} mm"))
+    if axis_mm is not None and not is_point(axis_mm):
+        problems.append(Problem(name, "the axis must be three finite numbers"))
+    if axis_mm is not None and len(set(semi_axes)) > 1:
+        problems.append(Problem(name, "only a ball is swept along an axis: give one radius"))
     if problems:
         raise SimulationError(problems)
+    half_axis = np.zeros(3) if axis_mm is None else 0.5 * model.to_grid(axis_mm)
     direction = model.geometry.direction_matrix
     axes = direction.T @ np.eye(3) if turn is None else turn_in_grid(model, turn, name) @ direction.T
     centre = point_in_lattice(model, center_mm)
-    return Probe(semi_axes=semi_axes, turn=axes, centre=centre, target=centre, name=name)
+    return Probe(semi_axes=semi_axes, turn=axes, centre=centre, target=centre, name=name, half_axis=half_axis)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-
-import numpy as np
 
 from heartcase.schemas.arrays import Float32, Float64, Intp
 from heartcase.simulator.instruments.grab import Grab
@@ -25,35 +23,18 @@ class Wrench:
     """Torque about the instrument's centre, N mm, shape (3,)."""
 
 
-def wrench_on(
-    model: LatticeModel,
-    displacement: Float32,
-    instrument: Grab | Probe,
-    grabs: Sequence[Grab],
-    forces: Callable[[Intp], Float32],
-) -> Wrench:
-    """Force and torque of the springs on what an instrument holds or touches.
+def wrench_on(model: LatticeModel, instrument: Grab | Probe, forces: Callable[[Intp], Float32]) -> Wrench:
+    """Force and torque of springs and cells on what a hand holds, or of what a probe gave in the last steps.
 
     Parameters
     ----------
     model
         The lattice.
-    displacement
-        Displacement of all nodes [cells], shape (node_count, 3).
     instrument
         The instrument.
-    grabs
-        All hands that hold: what they hold, no probe touches.
     forces
         Force on some nodes [grid units], shape (count, 3).
     """
-    if isinstance(instrument, Grab):
-        nodes, centre = instrument.nodes, instrument.centre_at(instrument.pose, model)
-    else:
-        nodes, centre = instrument.touched(model, displacement), instrument.centre
-        for grab in grabs:
-            nodes = np.setdiff1d(nodes, grab.nodes, assume_unique=True)
-    force = forces(nodes).astype(float)
-    arms = model.node_index[nodes] + displacement[nodes].astype(float) - centre
+    in_grid = instrument.wrench(forces(instrument.nodes)) if isinstance(instrument, Grab) else instrument.wrench
     to_world = model.geometry.direction_matrix.T * model.units.force_n
-    return Wrench(force.sum(axis=0) @ to_world, np.cross(arms, force).sum(axis=0) @ to_world * model.cell_mm)
+    return Wrench(in_grid[:3] @ to_world, in_grid[3:] @ to_world * model.cell_mm)

@@ -20,7 +20,7 @@ from typing import Literal, get_args
 
 from heartcase.schemas.errors import Problem, SimulationError
 
-__all__ = ["RATIO_MAX", "RATIO_MIN", "ForceLaw", "LawName"]
+__all__ = ["LOOK_BELOW", "RATIO_MAX", "RATIO_MIN", "ForceLaw", "LawName"]
 
 LawName = Literal["springs", "element"]
 
@@ -28,7 +28,13 @@ RATIO_MIN = 0.25
 """Poisson's ratio of the springs alone."""
 RATIO_MAX = 0.49
 """Poisson's ratio up to which a step is not too short to be of use."""
+LOOK_BELOW = 0.6
+"""Volume of a corner from which on nothing is done for it, in any law [cells]; one at rest."""
 _YOUNGS_MODULUS = 2.5
+_SPRINGS_FLOOR, _SPRINGS_CORNER = 0.3, 3.0
+"""Springs' corners: the least stiffness that drives a cell that is inside out back through being flat."""
+_ELEMENTS_CORNER = 0.11
+"""Elements' corners: stiffness over the bound at rest; more takes omega^2 beyond 3.1 times that bound."""
 _SPRINGS_STRETCHED, _CELLS_STRETCHED = 1.2, 1.6
 """What a default step is made for over the bound at rest: springs alone, and where cells resist by themselves."""
 
@@ -48,7 +54,7 @@ class ForceLaw:
     poissons_ratio: float = RATIO_MIN
     """Poisson's ratio [1], 0.25 to 0.49. The closer to 1/2, the shorter the step."""
     guards_corners: bool = True
-    """Whether corners of cells that are about to turn inside out push back; elements do so by themselves."""
+    """Whether corners of cells that are about to turn inside out push back."""
     shares_strain: bool = True
     """Whether elements of thin walls askew to the grid are strained in part by the mean around their corners
     (:mod:`heartcase.simulator.lattice.strain_sharing`); without, they bend too stiffly, and a step takes less time."""
@@ -106,8 +112,21 @@ class ForceLaw:
 
     @property
     def has_corner_guard(self) -> bool:
-        """Whether corners push back: elements do so without."""
-        return self.guards_corners and not self.is_element
+        """Whether corners push back."""
+        return self.guards_corners
+
+    @property
+    def corner_floor(self) -> float:
+        """J_0: volume of a corner from which on it pushes back [cells].
+
+        An element resists being flat no more than being stretched, so its corners begin as early as they may.
+        """
+        return LOOK_BELOW if self.is_element else _SPRINGS_FLOOR
+
+    @property
+    def corner_stiffness(self) -> float:
+        """k_c: how strongly a corner pushes back [k/h]."""
+        return _ELEMENTS_CORNER * self.rest_bound if self.is_element else _SPRINGS_CORNER
 
     @property
     def has_shared_strain(self) -> bool:
@@ -116,11 +135,16 @@ class ForceLaw:
 
     @property
     def constants(self) -> tuple[float, ...]:
-        """What the kernels read: the volume term's modulus, or mu, lambda + mu / 3, E / (1 - ratio^2), ratio and E."""
+        """What the kernels read, six numbers.
+
+        The volume term's modulus and zeros, or mu, lambda + mu / 3, E / (1 - ratio^2), ratio and E; last the corners'
+        floor.
+        """
         if not self.is_element:
-            return (self.volume_modulus,)
+            return (self.volume_modulus, 0.0, 0.0, 0.0, 0.0, self.corner_floor)
         bulk = self.lame_modulus + self.shear_modulus / 3.0
-        return (self.shear_modulus, bulk, self.plate_modulus, self.poissons_ratio, self.youngs_modulus)
+        moduli = (self.shear_modulus, bulk, self.plate_modulus, self.poissons_ratio, self.youngs_modulus)
+        return (*moduli, self.corner_floor)
 
     @property
     def rest_bound(self) -> float:

@@ -172,7 +172,7 @@ class LatticeModel:
     def corner_guard_scale(self) -> Float32:
         """Stiffness with which corners of each cell push back [k/h], shape (cell_count,); zero in cells that were cut.
 
-        The cell's covered stiffness, or where that is more the least of the means over the cells around each of its
+        The law's, times the cell's covered stiffness, or where that is more the least of the means over the cells around each of its
         free corners: slivers are turned back against their neighbours' springs, and as the corners' masses are such
         means too, none is the quicker for it.
         """
@@ -183,7 +183,7 @@ class LatticeModel:
         mean[self.node_is_fixed] = np.inf
         least = mean[self.cell_corners].min(axis=1)
         scale = np.where(np.isfinite(least), np.maximum(own, least), own)
-        return np.where(self.cell_is_whole, scale, 0.0).astype(np.float32)
+        return np.where(self.cell_is_whole, self.law.corner_stiffness * scale, 0.0).astype(np.float32)
 
     @property
     def spring_offset(self) -> Int32:

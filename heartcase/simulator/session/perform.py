@@ -73,7 +73,8 @@ def perform(simulation: Simulation, command: Done) -> None:
             simulation.release(_grab(simulation, command.name))
         case BringProbe():
             _refuse_known(simulation, command.name)
-            simulation.probe(command.center_mm, command.semi_axes_mm, turn=command.turn, name=command.name)
+            shape = (command.center_mm, command.semi_axes_mm)
+            simulation.probe(*shape, turn=command.turn, axis_mm=command.axis_mm, name=command.name)
         case MoveProbe():
             simulation.move(_probe(simulation, command.name), command.center_mm)
         case WithdrawProbe():

@@ -18,10 +18,20 @@ from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import Problem, ScriptError, SimulationError, problems_from_validation
 from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.migrate import SCRIPT
-from heartcase.schemas.recording.commands import Advance, CloseGrab, Cut, LeadGrab, OpenGrab
-from heartcase.schemas.script import GrabAction, SimulationScript, Waypoint
+from heartcase.schemas.recording.commands import (
+    Advance,
+    BringProbe,
+    CloseGrab,
+    Cut,
+    LeadGrab,
+    MoveProbe,
+    OpenGrab,
+    WithdrawProbe,
+)
+from heartcase.schemas.script import GrabAction, ProbeAction, SimulationScript, Waypoint
 from heartcase.simulator.dynamics.integrate import Energy
 from heartcase.simulator.instruments.grab import Grab
+from heartcase.simulator.instruments.probe import Probe
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.simulation import Simulation
@@ -73,7 +83,7 @@ class SessionSummary:
     inverted_cell_count_end: int
     """Cells that are turned inside out at the end."""
     peak_force_n: dict[str, float]
-    """Action -> highest force on the hand in any frame, N."""
+    """Action or probe -> highest force on the hand in any frame, N."""
     held_node_count: dict[str, int]
     """Action -> nodes that it held."""
     frame_time_s: tuple[float, ...]
@@ -88,9 +98,9 @@ class SessionSummary:
 
 @dataclass(frozen=True)
 class _Timeline:
-    """A grab in steps instead of seconds."""
+    """A grab or a probe in steps instead of seconds."""
 
-    action: GrabAction
+    action: GrabAction | ProbeAction
     start: int
     end: int
     """Step at which it lets go; past the last step when it holds to the end."""
@@ -148,19 +158,21 @@ def with_positions(script: SimulationScript, landmarks: tuple[Landmark, ...]) ->
     """
     places = {mark.name.lower(): np.mean(mark.points_mm, axis=0).tolist() for mark in landmarks}
     known = ", ".join(mark.name for mark in landmarks) or "none"
-    problems, actions = [], []
-    for number, action in enumerate(script.actions, start=1):
-        if action.landmark is None:
-            actions.append(action)
-        elif action.landmark.lower() in places:
-            place = tuple(places[action.landmark.lower()])
-            actions.append(action.model_copy(update={"position_mm": place, "landmark": None}))
-        else:
-            message = f"the case has no landmark {action.landmark!r}; it has: {known}"
-            problems.append(Problem(f"actions[{number}].landmark", message))
+    problems = []
+    placed: dict[str, list[GrabAction | ProbeAction]] = {"actions": [], "probes": []}
+    for key, actions in (("actions", script.actions), ("probes", script.probes)):
+        for number, action in enumerate(actions, start=1):
+            if action.landmark is None:
+                placed[key].append(action)
+            elif action.landmark.lower() in places:
+                place = tuple(places[action.landmark.lower()])
+                placed[key].append(action.model_copy(update={"position_mm": place, "landmark": None}))
+            else:
+                message = f"the case has no landmark {action.landmark!r}; it has: {known}"
+                problems.append(Problem(f"{key}[{number}].landmark", message))
     if problems:
         raise ScriptError(problems)
-    return script.model_copy(update={"actions": tuple(actions)})
+    return script.model_copy(update={key: tuple(actions) for key, actions in placed.items()})
 
 
 def default_script(
@@ -240,7 +252,8 @@ def run_script(
         )
     frame_count = max(1, round(script.seconds * script.frames_per_second))
     frames = {round(number * step_total / frame_count) for number in range(1, frame_count + 1)}
-    timelines = [_timeline(action, step_s, step_total) for action in script.actions]
+    actions: list[GrabAction | ProbeAction] = [*script.actions, *script.probes]
+    timelines = [_timeline(action, step_s, step_total) for action in actions]
     cuts = [(round(cut.time_s / step_s), cut) for cut in script.cuts]
     stops = sorted(
         frames
@@ -301,59 +314,76 @@ def run_script(
 
 
 class _Hands:
-    """The hands of a script: what they are told, and what they felt."""
+    """The hands and probes of a script: what they are told, and what they felt."""
 
     def __init__(self, session: OperatingSession, timelines: list[_Timeline]) -> None:
         self.session = session
         self.timelines = timelines
         self.names: dict[int, str] = {}
-        """Number of each action whose hand is closed -> the hand's own name in the session."""
+        """Number of each action whose instrument is in the tissue -> its own name in the session."""
         self.peak_force_n = dict.fromkeys((timeline.action.name for timeline in timelines), 0.0)
-        self.held_node_count = dict.fromkeys(self.peak_force_n, 0)
+        grabs = (timeline.action.name for timeline in timelines if isinstance(timeline.action, GrabAction))
+        self.held_node_count = dict.fromkeys(grabs, 0)
         self._offset: dict[int, tuple[float, ...]] = {}
 
     def change(self, now: int) -> None:
         """Let go and close what is due at this step; first let go, so that one hand can take over from another."""
         for number, timeline in enumerate(self.timelines):
             if number in self.names and now >= timeline.end:
-                self.session.do(OpenGrab(name=self.names.pop(number)))
+                name = self.names.pop(number)
+                is_grab = isinstance(timeline.action, GrabAction)
+                self.session.do(OpenGrab(name=name) if is_grab else WithdrawProbe(name=name))
         for number, timeline in enumerate(self.timelines):
             if now == timeline.start and now < timeline.end:
-                action = timeline.action
-                if action.position_mm is None:
-                    raise SimulationError(f"the landmark {action.landmark!r} has no position yet", place=action.name)
-                name = self._free_name(action.name)
-                self.session.do(CloseGrab(name=name, center_mm=action.position_mm, radius_mm=action.radius_mm))
-                self.names[number] = name
-                self._offset[number] = (0.0, 0.0, 0.0)
-                self.held_node_count[action.name] += len(self._grab(number).nodes)
+                self._bring_in(number, timeline.action)
+
+    def _bring_in(self, number: int, action: GrabAction | ProbeAction) -> None:
+        if action.position_mm is None:
+            raise SimulationError(f"the landmark {action.landmark!r} has no position yet", place=action.name)
+        name = self._free_name(action.name)
+        if isinstance(action, GrabAction):
+            self.session.do(CloseGrab(name=name, center_mm=action.position_mm, radius_mm=action.radius_mm))
+        else:
+            shape = {"semi_axes_mm": action.semi_axes_mm, "axis_mm": action.axis_mm}
+            self.session.do(BringProbe(name=name, center_mm=action.position_mm, **shape))
+        self.names[number] = name
+        self._offset[number] = (0.0, 0.0, 0.0)
+        instrument = self._instrument(number)
+        if isinstance(instrument, Grab):
+            self.held_node_count[action.name] += len(instrument.nodes)
 
     def lead(self, stop: int) -> None:
-        """Lead each hand to where it shall be at a step; one that is led there already is left alone."""
+        """Lead each to where it shall be at a step; one that is led there already is left alone."""
         for number, name in self.names.items():
-            x, y, z = self.timelines[number].offset_at(stop).tolist()
-            if (x, y, z) != self._offset[number]:
+            timeline = self.timelines[number]
+            x, y, z = timeline.offset_at(stop).tolist()
+            if (x, y, z) == self._offset[number]:
+                continue
+            self._offset[number] = (x, y, z)
+            if isinstance(timeline.action, GrabAction):
                 self.session.do(LeadGrab(name=name, offset_mm=(x, y, z)))
-                self._offset[number] = (x, y, z)
+            elif timeline.action.position_mm is not None:
+                at_x, at_y, at_z = timeline.action.position_mm
+                self.session.do(MoveProbe(name=name, center_mm=(at_x + x, at_y + y, at_z + z)))
 
     def feel(self) -> None:
         """Keep the highest force on each."""
         for number in self.names:
             name = self.timelines[number].action.name
-            force = float(np.linalg.norm(self.session.simulation.force_on(self._grab(number))))
+            force = float(np.linalg.norm(self.session.simulation.force_on(self._instrument(number))))
             self.peak_force_n[name] = max(self.peak_force_n[name], force)
 
-    def _grab(self, number: int) -> Grab:
-        return next(grab for grab in self.session.simulation.grabs if grab.name == self.names[number])
+    def _instrument(self, number: int) -> Grab | Probe:
+        return next(one for one in self.session.simulation.instruments if one.name == self.names[number])
 
     def _free_name(self, name: str) -> str:
-        """The name, or with a number where another hand of it is in the tissue."""
+        """The name, or with a number where another instrument of it is in the tissue."""
         taken = {instrument.name for instrument in self.session.simulation.instruments}
         candidates = (name if count == 1 else f"{name[:56]} {count}" for count in itertools.count(1))
         return next(candidate for candidate in candidates if candidate not in taken)
 
 
-def _timeline(action: GrabAction, step_s: float, step_total: int) -> _Timeline:
+def _timeline(action: GrabAction | ProbeAction, step_s: float, step_total: int) -> _Timeline:
     """Seconds to steps; two moments never share a step, so that no hand jumps."""
     steps, offsets = [round(action.start_s / step_s)], [(0.0, 0.0, 0.0)]
     for waypoint in action.path:

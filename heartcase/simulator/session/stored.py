@@ -159,7 +159,8 @@ def _grab_arrays(grab: Grab) -> Arrays:
 
 
 def _probe_arrays(probe: Probe) -> Arrays:
-    return {"shape": np.vstack([probe.semi_axes, probe.turn, probe.centre, probe.target]).astype(float)}
+    rows = [probe.semi_axes, probe.turn, probe.centre, probe.target, probe.half_axis, probe.wrench.reshape(2, 3)]
+    return {"shape": np.vstack(rows).astype(float)}
 
 
 def _metadata(content: bytes) -> dict[str, str]:
@@ -191,8 +192,10 @@ def _instrument(arrays: Arrays, number: int, said: dict[str, str], node_count: i
         return _taken(arrays, f"instrument_{number}_{name}", dtype, *shape)
 
     if said["kind"] == "probe":
-        rows: Float64 = of("shape", np.float64, 6, 3)
-        return Probe(rows[0], rows[1:4], rows[4], rows[5], name=str(said["name"]))
+        rows: Float64 = of("shape", np.float64, 9, 3)
+        probe = Probe(rows[0], rows[1:4], rows[4], rows[5], name=str(said["name"]), half_axis=rows[6])
+        probe.wrench = rows[7:].ravel()
+        return probe
     count = len(arrays[f"instrument_{number}_nodes"])
     nodes = of("nodes", np.int64, count).astype(np.intp)
     if not count or nodes.min() < 0 or nodes.max() >= node_count:

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.dynamics.step_size import default_step, own_step_limit, step_limit
-from heartcase.simulator.engine.shared import contact
 from heartcase.simulator.simulation import Simulation
 from tests.simulator.lattices import EPS, block, oblique_geometry, random_models
 
@@ -63,12 +62,11 @@ def zigzag(model, seed, *, speed, backend="cpu"):
     return worst
 
 
-def test_movements_near_a_probe_are_kept_from_turning_cells_inside_out(monkeypatch):
-    """At a tenth of a cell per step (some 1 m/s) through 196 cells on a fixed base; without that, several turn."""
+def test_movements_near_a_probe_are_kept_from_turning_cells_inside_out():
+    """Through 196 cells on a fixed base."""
     model = block(7, 7, 4, fix_base=True)
-    assert [zigzag(model, seed, speed=0.1) for seed in range(8)] == [0] * 8
-    monkeypatch.setattr(contact, "SHARE", 1e9)
-    assert zigzag(model, 0, speed=0.1, backend="reference") > 3
+    for speed in (0.05, 0.1, 1.0):
+        assert [zigzag(model, seed, speed=speed) for seed in range(8)] == [0] * 8
 
 
 @settings(max_examples=20, deadline=None)
@@ -212,12 +210,12 @@ def test_what_a_hand_holds_does_not_press_on_a_probe():
     hand = simulation.grab((7.0, 7.0, 14.0), 4.0)
     simulation.lead(hand, (0.0, 0.0, 2.0))
     simulation.step(20)
-    probe = simulation.probe((7.0, 7.0, 15.5), 3.0)
-    assert np.isin(probe.touched(model, simulation.state.displacement), hand.nodes).any()
+    top = hand.nodes[simulation.positions_mm()[hand.nodes, 2].argmax()]
+    probe = simulation.probe(simulation.positions_mm()[top] + (0.0, 0.0, 1.0), 1.75)
+    assert probe.touched(model, simulation.state.displacement).tolist() == [top]
+    simulation.step(20)
     assert np.linalg.norm(simulation.force_on(hand)) > 0
-    alone = np.setdiff1d(probe.touched(model, simulation.state.displacement), hand.nodes)
-    expected = simulation._engine.forces(alone).sum(axis=0) * model.units.force_n
-    np.testing.assert_allclose(simulation.force_on(probe), expected, atol=1e-9)
+    assert not simulation.force_on(probe).any()
 
 
 def test_wrong_shapes_are_said_in_words():

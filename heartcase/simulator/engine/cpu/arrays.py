@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from heartcase.schemas.arrays import Float32, Int8, Int64
+from heartcase.schemas.arrays import Float32, Float64, Int8, Int64
 from heartcase.simulator.engine.cpu.barrier import Barrier
+from heartcase.simulator.engine.cpu.ghosts import GhostArrays
 from heartcase.simulator.engine.cpu.instruments import Constants, ExplicitArrays
+from heartcase.simulator.engine.cpu.turning import TurnArrays
 
 __all__ = [
     "CellArrays",
     "CellWork",
-    "GhostArrays",
     "InstrumentArrays",
     "Kinds",
     "NodeArrays",
@@ -39,8 +40,6 @@ class NodeArrays(NamedTuple):
     tension: Float32
     """Room for the tensions of the springs over their lengths [k], zeros at first, nine numbers a lane; of length 0
     where each is to be worked out from both ends."""
-    presence: Float32
-    """Above zero where there is a spring, whether it acts or not, nine numbers a lane."""
     inverse_mass: Float32
     """[1 / full cell], 0 where there is no node or its motion is prescribed, shape (lane_count,)."""
     rows: Int64
@@ -85,27 +84,6 @@ class SharingArrays(NamedTuple):
     """Whether a cell of a window shares strain, shape (cell_window_count,)."""
 
 
-class GhostArrays(NamedTuple):
-    """Ghosts of the corners of irregular cells; of length 0 where there are none."""
-
-    first_window: int
-    """First window of cells that holds them."""
-    lane: Int64
-    """Lane of each ghost, GHOST_CELLS cells to a window, shape (irregular_count * 8,)."""
-    of_lane: Int64
-    """Lane of its node, the same."""
-    node_first: Int64
-    """Where the nodes of each window of nodes begin that have ghosts, and the last end, shape (window_count + 1,)."""
-    node_lane: Int64
-    """Their lanes, shape (ghosted_count,)."""
-    ghost_first: Int64
-    """Where their ghosts begin, and the last end, shape (ghosted_count + 1,)."""
-    ghost_number: Int64
-    """Numbers of their ghosts, shape (irregular_count * 8,)."""
-    cell_lane: Int64
-    """Lane of each ghost's cell, by the cell and then the corner, shape (irregular_count * 8,)."""
-
-
 class CellWork(NamedTuple):
     """What is done in the cells."""
 
@@ -128,6 +106,10 @@ class InstrumentArrays(NamedTuple):
     :class:`heartcase.simulator.lattice.explicit_springs.SpringsByNode`."""
     probes: Float32
     """As of :func:`heartcase.simulator.engine.shared.contact.probe_row`, shape (probe_count, PROBE_SIZE)."""
+    turn: TurnArrays
+    """Room for what keeps corners from turning."""
+    given: Float64
+    """What each probe gave, momentum and its moment, is added to this in shares, shape (SHARES, probe_count, 6)."""
 
 
 class StepRow(NamedTuple):

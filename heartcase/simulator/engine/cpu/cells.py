@@ -18,8 +18,8 @@ from heartcase.compiling.emitting import array_data, nothing, room
 from heartcase.schemas.bundle.lattice import CORNER_OFFSETS
 from heartcase.simulator.engine.cpu.vector_ir import Lanes, Vector, Window
 from heartcase.simulator.engine.shared.lanes import CELL_NUMBERS, LANE_COUNT
-from heartcase.simulator.forces.cell_forces import LOOK_BELOW
 from heartcase.simulator.forces.cell_math import NOTHING_SHARED, make_cell_math
+from heartcase.simulator.lattice.force_law import LOOK_BELOW
 
 __all__ = [
     "CALM",
@@ -46,13 +46,17 @@ _OWN_NUMBER = len(_CORNERS)
 _INVERSE_NUMBER = 9
 """Place after a lane's gradient of the inverse of what shares strain around its node."""
 
+_FLOOR_NUMBER = 5
+"""Place of the corners' floor in the law's constants."""
+
 _math = make_cell_math(lambda function: function, Lanes.positive_part)
 
 
 def _make_cell_window(kind: str) -> Any:
     """The intrinsic that adds the forces of one window of cells: ``element``, ``volume`` or ``guard``.
 
-    It takes displacement, numbers of the cells, forces on the nodes, law, rows and window.
+    It takes displacement, numbers of the cells, forces on the nodes, law, rows and window, and says whether a corner
+    is below LOOK_BELOW.
     """
 
     @intrinsic
@@ -70,18 +74,23 @@ def _make_cell_window(kind: str) -> Any:
             elif kind == "volume":
                 forces = _math.volume_term(corners, scale, _constant(builder, constants, 0))
             else:
-                forces = _math.corner_guard(corners, here.load(n, 1))
+                floor = _constant(builder, constants, _FLOOR_NUMBER)
+                forces = _math.corner_guard(corners, here.load(n, CELL_NUMBERS - 1), floor)
             _add_forces(here, f, forces)
-            return nothing(context)
+            return nothing(context) if kind == "guard" else _has_flat_corner(here, corners, scale)
 
-        return types.void(displacement, numbers, cell_force, law, rows, types.int64), codegen
+        result = types.void if kind == "guard" else types.boolean
+        return result(displacement, numbers, cell_force, law, rows, types.int64), codegen
 
     return window_forces
 
 
 @intrinsic
 def sharing_element_of_window(typing_context, displacement, numbers, shares, stress, cell_force, law, rows, window):
-    """Add the forces of one window of elements that share strain; takes the stress of the means around the nodes."""
+    """Add the forces of one window of elements that share strain; takes the stress of the means around the nodes.
+
+    Says whether a corner is below LOOK_BELOW.
+    """
 
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         arrays = zip(signature.args[:7], arguments, strict=False)
@@ -92,9 +101,9 @@ def sharing_element_of_window(typing_context, displacement, numbers, shares, str
         scale, own = here.load(n, 0), here.load(w, _OWN_NUMBER)
         forces = _math.element(corners, scale, own, _moments(here, n), _law(builder, constants), _columns(shared))
         _add_forces(here, f, forces)
-        return nothing(context)
+        return _has_flat_corner(here, corners, scale)
 
-    return types.void(displacement, numbers, shares, stress, cell_force, law, rows, types.int64), codegen
+    return types.boolean(displacement, numbers, shares, stress, cell_force, law, rows, types.int64), codegen
 
 
 @intrinsic
@@ -185,7 +194,7 @@ def _store(here: Window, array: Any, columns: tuple[Vector, ...]) -> None:
 
 
 def _moments(here: Window, numbers: Any) -> tuple[Lanes, ...]:
-    return tuple(here.load(numbers, number) for number in range(1, CELL_NUMBERS))
+    return tuple(here.load(numbers, number) for number in range(1, CELL_NUMBERS - 1))
 
 
 def _law(builder: Any, constants: Any) -> tuple[Lanes, ...]:
@@ -240,6 +249,19 @@ def _spread(corners: tuple[Vector, ...]) -> Lanes:
     return reduce(Lanes.greater, spreads)
 
 
+def _has_flat_corner(here: Window, corners: tuple[Vector, ...], scale: Lanes) -> Any:
+    """Whether a corner of a window's cells has a volume below LOOK_BELOW."""
+    builder = here.builder
+    # Lanes without a cell have no stiffness, wherever the nodes around them are.
+    spread = _spread(corners).where_positive(scale, Lanes.filled(builder, 0.0))
+    result = room(builder, ir.IntType(1))
+    builder.store(ir.Constant(ir.IntType(1), 0), result)
+    with builder.if_then((spread - CALM).is_any_positive()):
+        lack = _math.corner_lack(corners, np.float32(LOOK_BELOW)) * scale
+        builder.store(lack.is_any_positive(), result)
+    return builder.load(result)
+
+
 @intrinsic
 def is_flat_window(typing_context, displacement, numbers, rows, window):
     """Whether a corner of one of a window's cells has a volume below LOOK_BELOW."""
@@ -249,15 +271,6 @@ def is_flat_window(typing_context, displacement, numbers, rows, window):
         u, n, starts = (array_data(context, builder, *pair) for pair in arrays)
         here = Window(builder, starts, arguments[3])
         corners = tuple(here.load_vector(u, offset) for offset in _CORNERS)
-        # Lanes without a cell have no stiffness, wherever the nodes around them are.
-        scale = here.load(n, 0)
-        zero = Lanes.filled(builder, 0.0)
-        spread = _spread(corners).where_positive(scale, zero)
-        result = room(builder, ir.IntType(1))
-        builder.store(ir.Constant(ir.IntType(1), 0), result)
-        with builder.if_then((spread - CALM).is_any_positive()):
-            lack = _math.corner_lack(corners, np.float32(LOOK_BELOW)) * scale
-            builder.store(lack.is_any_positive(), result)
-        return builder.load(result)
+        return _has_flat_corner(here, corners, here.load(n, 0))
 
     return types.boolean(displacement, numbers, rows, types.int64), codegen

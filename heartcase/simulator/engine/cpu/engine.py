@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numba import get_num_threads
 
-from heartcase.schemas.arrays import Float32, Int64, Intp
+from heartcase.schemas.arrays import Float32, Float64, Int64, Intp
 from heartcase.simulator.dynamics.integrate import Verlet
 from heartcase.simulator.engine.cpu.arrays import (
     CellArrays,
@@ -27,6 +27,7 @@ from heartcase.simulator.engine.cpu.kernel import (
     CHUNKS_PER_ROOM,
     ELEMENTS,
     NO_CELLS,
+    SHARES,
     SHARING_ELEMENTS,
     VOLUME_TERM,
     advance,
@@ -34,6 +35,7 @@ from heartcase.simulator.engine.cpu.kernel import (
 )
 from heartcase.simulator.engine.cpu.sleep import ROUNDING, sleep_arrays
 from heartcase.simulator.engine.cpu.springs import WINDOW_NUMBERS
+from heartcase.simulator.engine.cpu.turning import turn_arrays
 from heartcase.simulator.engine.shared.contact import NO_PROBES
 from heartcase.simulator.engine.shared.lanes import (
     EMPTY_START,
@@ -73,7 +75,7 @@ class CpuEngine:
         self.force = room[: layout.length(3)]
         self._rest = room[3 * layout.stride :][: layout.length(3)]
         self._rest[self._vectors] = model.node_index
-        self.weight = self.presence = _aligned((layout.length(len(DIRECTIONS)),))
+        self.weight = _aligned((layout.length(len(DIRECTIONS)),))
         self.tension = _aligned((layout.length(len(DIRECTIONS)) if self._keeps_tensions else 0,))
         self.window_numbers = _aligned(
             (layout.window_count + 1 if self._keeps_tensions else 0, WINDOW_NUMBERS, LANE_COUNT)
@@ -82,6 +84,8 @@ class CpuEngine:
         self._ghosts = ghost_arrays(model, self.cells)
         self.is_flat = np.zeros(len(self.cells.window_rows), np.int8)
         self.is_touched = np.zeros(layout.window_count, np.int8)
+        self._turn = turn_arrays(layout, len(self.cells.window_rows))
+        self.probe_impulse: Float64 = np.zeros((0, 6))
         before = room[6 * layout.stride :]
         self._sleep = sleep_arrays(model, layout, len(self.cells.window_rows), before)
         layer_count = int(np.ptp(model.node_index[:, 2])) + 1
@@ -125,6 +129,7 @@ class CpuEngine:
     def set_inverse_mass(self, inverse_mass: Float32) -> None:
         """Inverse masses; nodes at zero keep their velocity."""
         self.inverse_mass[self.layout.node_lane] = inverse_mass
+        self.inverse_mass[self._ghosts.lane] = self.inverse_mass[self._ghosts.of_lane]
         if self._keeps_tensions:
             self.window_numbers[:-1, -1] = self.inverse_mass[self._window_lanes]
 
@@ -159,6 +164,9 @@ class CpuEngine:
         def part(thread: int, thread_count: int, barrier: Barrier) -> int:
             return int(advance(*arguments, ThreadPlace(thread, thread_count, barrier)))
 
+        if first_step == 0:
+            self.probe_impulse = np.zeros((len(probes), 6))
+        given = np.zeros((SHARES, len(probes), 6))
         constants = tuple(np.float32(number) for number in verlet.numbers)
         still = np.array([*verlet.still, ROUNDING * verlet.kick], np.float32)
         arguments = (
@@ -168,18 +176,18 @@ class CpuEngine:
                 self.weight,
                 self.window_numbers,
                 self.tension,
-                self.presence,
                 self.inverse_mass,
                 self._rows,
                 self._rest,
             ),
             CellWork(self._cell_arrays, self._kinds, self._sharing, self._ghosts),
-            InstrumentArrays(self._explicit, probes),
+            InstrumentArrays(self._explicit, probes, self._turn, given),
             StepRow(self.current, step_count, first_step, constants, still),
             self._sleep,
             self._chunks,
         )
         self.current = self._team.run(thread_count, part)
+        self.probe_impulse += given.sum(axis=0)
         self.step_count += step_count
 
     def set_springs(self, model: LatticeModel) -> None:
@@ -190,8 +198,6 @@ class CpuEngine:
         if self._keeps_tensions:
             for direction in range(len(DIRECTIONS)):
                 self.window_numbers[:-1, direction] = self.weight[direction * self.layout.stride + self._window_lanes]
-        if law.is_element:
-            self.presence = self.layout.spring_weight(model, model.spring_weight)
         in_cells = ELEMENTS if law.is_element else VOLUME_TERM if law.has_volume_term else NO_CELLS
         if model.shares_strain:
             in_cells = SHARING_ELEMENTS

@@ -6,22 +6,47 @@ all others are. What differs is the mean strain around a node that has ghosts: t
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from heartcase.compiling.kernel import kernel
-from heartcase.schemas.arrays import Float32
-from heartcase.simulator.engine.cpu.arrays import GhostArrays, SharingArrays
+from heartcase.schemas.arrays import Float32, Int8, Int64
 from heartcase.simulator.engine.shared.lanes import BANK_LANES, GHOST_CELLS, LANE_COUNT, SHARE_NUMBERS, CellLayout
 from heartcase.simulator.lattice.model import LatticeModel
 
 __all__ = [
+    "GhostArrays",
     "add_ghost_forces",
     "add_ghosts_to_mean",
     "clear_ghost_forces",
+    "follow_movements",
     "follow_nodes",
     "ghost_arrays",
     "share_with_ghosts",
 ]
+
+
+class GhostArrays(NamedTuple):
+    """Ghosts of the corners of irregular cells; of length 0 where there are none."""
+
+    first_window: int
+    """First window of cells that holds them."""
+    lane: Int64
+    """Lane of each ghost, GHOST_CELLS cells to a window, shape (irregular_count * 8,)."""
+    of_lane: Int64
+    """Lane of its node, the same."""
+    node_first: Int64
+    """Where the nodes of each window of nodes begin that have ghosts, and the last end, shape (window_count + 1,)."""
+    node_lane: Int64
+    """Their lanes, shape (ghosted_count,)."""
+    ghost_first: Int64
+    """Where their ghosts begin, and the last end, shape (ghosted_count + 1,)."""
+    ghost_number: Int64
+    """Numbers of their ghosts, shape (irregular_count * 8,)."""
+    cell_lane: Int64
+    """Lane of each ghost's cell, by the cell and then the corner, shape (irregular_count * 8,)."""
+
 
 _GHOSTS = 8 * GHOST_CELLS
 """Ghosts of a window."""
@@ -79,9 +104,8 @@ def add_ghost_forces(force: Float32, window: int, ghosts: GhostArrays) -> None:
 
 
 @kernel
-def add_ghosts_to_mean(window: int, sharing: SharingArrays, ghosts: GhostArrays) -> None:
+def add_ghosts_to_mean(window: int, gradient: Float32, shares: Float32, mean: Float32, ghosts: GhostArrays) -> None:
     """Add the gradients of irregular cells to the means around a window's nodes, which lie where their stress will."""
-    gradient, shares, mean = sharing.gradient, sharing.shares, sharing.stress
     for node in range(ghosts.node_first[window], ghosts.node_first[window + 1]):
         lane = ghosts.node_lane[node]
         inverse = gradient[SHARE_NUMBERS * BANK_LANES + lane]
@@ -95,11 +119,19 @@ def add_ghosts_to_mean(window: int, sharing: SharingArrays, ghosts: GhostArrays)
 
 
 @kernel
-def share_with_ghosts(window: int, sharing: SharingArrays, ghosts: GhostArrays) -> None:
+def share_with_ghosts(window: int, stress: Float32, ghosts: GhostArrays) -> None:
     """Write the stress of the mean strain around the ghosts of a window's nodes: that around the nodes."""
-    stress = sharing.stress
     for node in range(ghosts.node_first[window], ghosts.node_first[window + 1]):
         for place in range(ghosts.ghost_first[node], ghosts.ghost_first[node + 1]):
             ghost = ghosts.lane[ghosts.ghost_number[place]]
             for number in range(SHARE_NUMBERS):
                 stress[number * BANK_LANES + ghost] = stress[number * BANK_LANES + ghosts.node_lane[node]]
+
+
+@kernel
+def follow_movements(thread: int, thread_count: int, later: Float32, near: Int8, ghosts: GhostArrays) -> None:
+    """Write where a thread's part of the ghosts are after a step, and which probes are near their nodes."""
+    follow_nodes(thread, thread_count, later, ghosts)
+    count = len(ghosts.lane)
+    for ghost in range(thread * count // thread_count, (thread + 1) * count // thread_count):
+        near[ghosts.lane[ghost]] = near[ghosts.of_lane[ghost]]

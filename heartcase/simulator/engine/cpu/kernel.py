@@ -6,8 +6,9 @@ of the cells, wait at the barrier, write the stress of the means around the node
 what was written before the last barrier, or by its own thread (:mod:`heartcase.simulator.engine.cpu.chunks`), and
 writes only its own lanes, so that the result does not depend on the number of threads.
 
-Corners that are about to turn inside out are looked for in the first step and every LOOK_STEPS from there; in between,
-only the windows that had such corners are looked after. Where tissue may sleep
+Where springs act alone, corners that are about to turn inside out are looked for in the first step and every LOOK_STEPS
+from there; in between, only the windows that had such corners are looked after. Where cells are worked out, each looks
+after its own in every step. Where tissue may sleep
 (:mod:`heartcase.simulator.engine.cpu.sleep`), only windows that are awake are worked out.
 """
 
@@ -16,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 
 from heartcase.compiling.kernel import kernel
-from heartcase.schemas.arrays import Float32, Int32, Int64
+from heartcase.schemas.arrays import Float32, Int8, Int32, Int64
 from heartcase.simulator.engine.cpu.arrays import (
     CellArrays,
     CellWork,
@@ -26,7 +27,7 @@ from heartcase.simulator.engine.cpu.arrays import (
     StepRow,
     ThreadPlace,
 )
-from heartcase.simulator.engine.cpu.barrier import wait_at
+from heartcase.simulator.engine.cpu.barrier import raise_to, wait_at
 from heartcase.simulator.engine.cpu.cells import (
     clear_window,
     element_of_window,
@@ -44,12 +45,14 @@ from heartcase.simulator.engine.cpu.ghosts import (
     add_ghost_forces,
     add_ghosts_to_mean,
     clear_ghost_forces,
+    follow_movements,
     follow_nodes,
     share_with_ghosts,
 )
-from heartcase.simulator.engine.cpu.instruments import Constants, keep_window_outside, pull_explicitly
+from heartcase.simulator.engine.cpu.instruments import Constants, pull_explicitly
 from heartcase.simulator.engine.cpu.sleep import (
     CHECK_STEPS,
+    PULLED,
     ROUSE_STEPS,
     SleepArrays,
     check,
@@ -66,6 +69,7 @@ from heartcase.simulator.engine.cpu.steps import (
     step_of_windows_with_cells_alone,
     step_of_windows_with_cells_from_both_ends,
 )
+from heartcase.simulator.engine.cpu.turning import push_out, shorten, watch_cells
 from heartcase.simulator.engine.cpu.vector_ir import flush_subnormals, restore_subnormals
 from heartcase.simulator.engine.shared.lanes import BANK_LANES, CELL_NUMBERS
 
@@ -73,6 +77,7 @@ __all__ = [
     "CHUNKS_PER_ROOM",
     "ELEMENTS",
     "NO_CELLS",
+    "SHARES",
     "SHARING_ELEMENTS",
     "VOLUME_TERM",
     "advance",
@@ -145,27 +150,32 @@ def _share_strain(thread: int, thread_count: int, rows: Int64, work: CellWork, c
             mean_stress_of_window(sharing.gradient, sharing.shares, sharing.stress, cells.law, rows, place)
         else:
             mean_of_window(sharing.gradient, sharing.shares, sharing.stress, rows, place)
-            add_ghosts_to_mean(place, sharing, ghosts)
+            add_ghosts_to_mean(place, sharing.gradient, sharing.shares, sharing.stress, ghosts)
             stress_of_window(sharing.stress, cells.law, rows, place)
-            share_with_ghosts(place, sharing, ghosts)
+            share_with_ghosts(place, sharing.stress, ghosts)
 
 
 @kernel
 def _add_cells(windows: Int64 | Int32, now: Float32, force: Float32, work: CellWork) -> None:
     """Add the forces of some windows of cells to those on the nodes."""
-    cells, (kind, _, _), sharing, ghosts = work
+    cells, (kind, _, has_guard), sharing, ghosts = work
     rows, numbers, _, law, is_flat, _, _ = cells
     for place in range(len(windows)):
         window = np.int64(windows[place])
         if window >= ghosts.first_window:
             clear_ghost_forces(force, window, ghosts)
         if kind == SHARING_ELEMENTS and sharing.is_sharing[window]:
-            sharing_element_of_window(now, numbers, sharing.shares, sharing.stress, force, law, rows, window)
+            needs_guard = sharing_element_of_window(
+                now, numbers, sharing.shares, sharing.stress, force, law, rows, window
+            )
         elif kind >= ELEMENTS:
-            element_of_window(now, numbers, force, law, rows, window)
+            needs_guard = element_of_window(now, numbers, force, law, rows, window)
         elif kind == VOLUME_TERM:
-            volume_of_window(now, numbers, force, law, rows, window)
-        if is_flat[window]:
+            needs_guard = volume_of_window(now, numbers, force, law, rows, window)
+        else:
+            needs_guard = is_flat[window] > 0
+        is_flat[window] = needs_guard
+        if needs_guard and has_guard:
             guard_of_window(now, numbers, force, law, rows, window)
         if window >= ghosts.first_window:
             add_ghost_forces(force, window, ghosts)
@@ -264,11 +274,10 @@ def lane_forces(
     if rouse(sleep, True):
         share_out(chunks, sleep)
     follow_nodes(0, 1, displacement, ghosts)
-    if has_guard:
+    if has_guard and kind == NO_CELLS:
         for share in range(SHARES):
             _look_at_share(share, displacement, cells, sleep)
-        if kind == NO_CELLS:
-            _mark_touched(cells)
+        _mark_touched(cells)
     if kind != NO_CELLS or has_guard:
         cell_force = cells.force[0]
         for window in range(rows.shape[0]):
@@ -296,13 +305,72 @@ def _check_share(
     step_number: int,
     sleep: SleepArrays,
     still: Float32,
+    is_near: Int8,
 ) -> None:
-    """Look for what moves, or soon will, in a share of the windows of nodes."""
+    """Look for what moves, or soon will, in a share of the windows of nodes; what a probe pushes does not rest."""
     first, end = _part(share, sleep.counts[0])
     check(first, end, rows, displacement, velocity, inverse_mass, still, sleep)
     if len(probes):
         first, end = _part(share, len(rows))
         feel_probes(first, end, rows, displacement, rest, probes, step_number, sleep)
+        for window in range(first, end):
+            if is_near[window] > 1:
+                for block in sleep.blocks_of_window[window]:
+                    raise_to(sleep.is_moving, block, PULLED)
+
+
+@kernel
+def _keep_from_turning(
+    now: Float32,
+    later: Float32,
+    nodes: NodeArrays,
+    work: CellWork,
+    instruments: InstrumentArrays,
+    step_number: int,
+    step: np.float32,
+    sleep: SleepArrays,
+    place: ThreadPlace,
+) -> None:
+    """Push nodes out of the probes after a step, and keep corners from turning."""
+    cells, kinds, _, ghosts = work
+    _, probes, turn, given = instruments
+    velocity, inverse_mass, rest, rows = nodes.velocity, nodes.inverse_mass, nodes.rest, nodes.rows
+    thread, thread_count, barrier = place
+    has_guard = kinds[2]
+    if len(probes):
+        for share in range(thread, SHARES, thread_count):
+            first, end = _part(share, len(rows))
+            window_state = (first, end, now, later, velocity, inverse_mass, rest, rows, sleep.is_asleep)
+            push_out(*window_state, probes, step_number, step, turn, given[share])
+        wait_at(barrier, thread_count)
+    if len(ghosts.lane):
+        follow_nodes(thread, thread_count, now, ghosts)
+        follow_movements(thread, thread_count, later, turn.near, ghosts)
+        wait_at(barrier, thread_count)
+    for share in range(thread, SHARES, thread_count):
+        first, end = _part(share, len(cells.rows))
+        watch_cells(
+            first,
+            end,
+            now,
+            later,
+            inverse_mass,
+            cells.rows,
+            cells.numbers,
+            cells.touches,
+            cells.is_flat,
+            has_guard,
+            len(probes) > 0,
+            turn,
+        )
+    wait_at(barrier, thread_count)
+    for share in range(thread, SHARES, thread_count):
+        first, end = _part(share, len(rows))
+        window_nodes = (first, end, now, later, velocity, inverse_mass, rest, rows)
+        shorten(*window_nodes, probes, step_number, turn, given[share], ghosts)
+    wait_at(barrier, thread_count)
+    if thread == 0:
+        turn.harm[0] = 0
 
 
 @kernel
@@ -342,9 +410,9 @@ def advance(
     int
         Buffer that holds the displacement at the end.
     """
-    displacement, velocity, weight, window_numbers, tension, presence, inverse_mass, rows, rest = nodes
+    displacement, velocity, weight, window_numbers, tension, inverse_mass, rows, rest = nodes
     cells, (kind, _, has_guard), sharing, ghosts = work
-    explicit, probes = instruments
+    explicit, probes, turn, _ = instruments
     current, step_count, first_step, constants, still = steps
     thread, thread_count, barrier = place
     chunk_count = len(chunks.before_counts)
@@ -367,7 +435,7 @@ def advance(
                 first, end = _part(share, sleep.counts[0])
                 remember(first, end, rows, velocity, sleep)
             wait_at(barrier, thread_count)
-        is_looked_at = has_guard and row_step % LOOK_STEPS == 0
+        is_looked_at = has_guard and kind == NO_CELLS and row_step % LOOK_STEPS == 0
         if len(ghosts.lane) and (works_cells or is_looked_at):
             follow_nodes(thread, thread_count, now, ghosts)
             wait_at(barrier, thread_count)
@@ -375,12 +443,11 @@ def advance(
             for share in range(thread, SHARES, thread_count):
                 _look_at_share(share, now, cells, sleep)
             wait_at(barrier, thread_count)
-            if kind == NO_CELLS:
-                works_cells = _has_flat(cells)
-                if works_cells:
-                    if thread == 0:
-                        _mark_touched(cells)
-                    wait_at(barrier, thread_count)
+            works_cells = _has_flat(cells)
+            if works_cells:
+                if thread == 0:
+                    _mark_touched(cells)
+                wait_at(barrier, thread_count)
         if kind == SHARING_ELEMENTS:
             _stretch(thread, thread_count, now, cells, sharing, sleep)
             wait_at(barrier, thread_count)
@@ -394,18 +461,14 @@ def advance(
             else:
                 _step_chunk(chunk, state, constants, chunks, sleep)
         wait_at(barrier, thread_count)
-        if len(probes):
-            step = constants[0]
-            for share in range(thread, SHARES, thread_count):
-                first, end = _part(share, sleep.counts[0])
-                for window in sleep.awake[first:end]:
-                    row = rows[window]
-                    keep_window_outside(now, later, velocity, presence, inverse_mass, rest, row, probes, row_step, step)
-            wait_at(barrier, thread_count)
+        if len(probes) > 0 or (has_guard and _has_flat(cells)):
+            _keep_from_turning(now, later, nodes, work, instruments, row_step, constants[0], sleep, place)
         current = 1 - current
         if is_checked:
             for share in range(thread, SHARES, thread_count):
-                _check_share(share, later, velocity, inverse_mass, rows, rest, probes, row_step + 1, sleep, still)
+                _check_share(
+                    share, later, velocity, inverse_mass, rows, rest, probes, row_step + 1, sleep, still, turn.is_near
+                )
             wait_at(barrier, thread_count)
             if thread == 0 and settle(later, now, velocity, rows, cells.touches, sleep):
                 share_out(chunks, sleep)

@@ -16,15 +16,15 @@ from numba import cuda
 from heartcase.simulator.engine.cuda.intrinsics import load_four, store_four, wait_at_grid_barrier
 from heartcase.simulator.engine.cuda.kernel import (
     force_of_springs,
-    keep_outside,
     next_velocity,
     pull_explicitly,
     rows_of,
     start_meeting,
     weights_of,
 )
-from heartcase.simulator.forces.cell_forces import CORNER_FLOOR
+from heartcase.simulator.engine.cuda.turn_kernels import push_out, shorten, watch_cell
 from heartcase.simulator.forces.cell_math import NOTHING_SHARED, make_cell_math
+from heartcase.simulator.lattice.force_law import LOOK_BELOW
 
 __all__ = [
     "CELL_THREADS",
@@ -44,7 +44,7 @@ NO_CELL = 0xFFFFFFFF
 
 _U = np.uint32
 _O = np.float32(0.0)
-_FLOOR = np.float32(CORNER_FLOOR)
+_LOOK = np.float32(LOOK_BELOW)
 _NO_CELL = _U(NO_CELL)
 _NOTHING = NOTHING_SHARED
 
@@ -168,7 +168,7 @@ def _share_strain(gradient, shares, inverse_shared, stress, law, node_cell, node
 def _work_cell(
     displacement, buffer, corner_lane, numbers, sharing, cell_force, law, cell, has_elements, has_guard, has_sharing
 ):
-    """Write the forces of one cell on its corners."""
+    """Write the forces of one cell on its corners; whether one of these is below LOOK_BELOW."""
     count = _U(corner_lane.shape[0] // 8)
     u = _corners(displacement, buffer, corner_lane, cell, count)
     scale = numbers[cell]
@@ -188,11 +188,13 @@ def _work_cell(
     _store(cell_force, 0, cell, count, fx, False)
     _store(cell_force, 1, cell, count, fy, False)
     _store(cell_force, 2, cell, count, fz, False)
-    if has_guard and _corner_lack(u, _FLOOR) > _O:
-        fx, fy, fz = _corner_guard(u, numbers[_U(count + cell)])
+    if has_guard and _corner_lack(u, _LOOK) > _O:
+        fx, fy, fz = _corner_guard(u, numbers[_U(10 * count + cell)], law[5])
         _store(cell_force, 0, cell, count, fx, True)
         _store(cell_force, 1, cell, count, fy, True)
         _store(cell_force, 2, cell, count, fz, True)
+        return scale > _O
+    return False
 
 
 @cuda.jit(device=True)
@@ -224,7 +226,6 @@ def advance_with_cells(
     displacement,
     velocity,
     spring_weight,
-    presence,
     window_rows,
     node_slot,
     lane_count,
@@ -251,22 +252,21 @@ def advance_with_cells(
     explicit_stiffness,
     rest,
     probes,
+    turn,
 ):
     """Take steps in place; see :mod:`heartcase.simulator.engine.cuda.kernel` for what is not said here.
 
     Parameters
     ----------
-    presence
-        Above zero where there is a spring, whether it acts or not, float32, shape (9 * lane_count,).
     corner_lane
         Lane of each cell's corners, corner by corner, uint32, shape (8 * cell_count,).
     numbers
-        Numbers of the cells (:func:`heartcase.simulator.engine.shared.lanes.cell_numbers`), float32, shape (10 *
+        Numbers of the cells (:func:`heartcase.simulator.engine.shared.lanes.cell_numbers`), float32, shape (11 *
         cell_count,).
     cell_force
         Room for the forces on the corners, float32, shape (24 * cell_count,).
     law
-        Constants of the law, float32, shape (5,): the element's, or the volume term's modulus.
+        Constants of the law, float32, shape (6,): the element's, or the volume term's modulus; last the corners' floor.
     node_cell
         Cell that has a node for its corner, corner by corner, then further ones as eight times the cell and the corner,
         or NO_CELL, uint32, shape (any * node_count,); at least eight rows.
@@ -283,8 +283,18 @@ def advance_with_cells(
     has_elements, has_guard, has_sharing
         Whether cells are elements, whether their corners push back, and whether elements share strain.
     step_count
-        Steps to take; times four times the number of blocks of threads at most 2**32 - 1.
+        Steps to take; times six times the number of blocks of threads at most 2**32 - 1.
+    rest
+        Rest positions, i, j, k and one unused, float32, shape (4 * node_count,); read where there are probes.
+    probes
+        Probes as of :func:`heartcase.simulator.engine.shared.contact.probe_row`, float32, shape (probe_count,
+        PROBE_SIZE).
+    turn
+        As of :mod:`heartcase.simulator.engine.cuda.turn_kernels`.
     """
+    if cuda.grid(1) == 0:
+        for flag in range(4):
+            turn[3][flag] = 0
     start_meeting(arrivals)
     step, keep, kick, limit = constants[0], constants[1], constants[2], constants[6]
     gravity = (constants[3], constants[4], constants[5])
@@ -306,9 +316,14 @@ def advance_with_cells(
         for cell in range(cuda.grid(1), cell_count, cuda.gridsize(1)):
             number = _U(cell)
             kinds = (has_elements, has_guard, has_sharing)
-            _work_cell(displacement, now, corner_lane, numbers, sharing, cell_force, law, number, *kinds)
+            if _work_cell(displacement, now, corner_lane, numbers, sharing, cell_force, law, number, *kinds):
+                turn[3][step_number % 2] = 1
         expected = _U(expected + cuda.gridDim.x)
         wait_at_grid_barrier(arrivals, expected)
+        watches = probes.shape[0] > 0 or turn[3][step_number % 2] > 0
+        if cuda.grid(1) == 0:
+            turn[3][1 - step_number % 2] = 0
+            turn[3][3 - step_number % 2] = 0
         for node in range(cuda.grid(1), node_count, cuda.gridsize(1)):
             row = rows_of(window_rows, node_slot[node])
             lane = row[4]
@@ -323,10 +338,24 @@ def advance_with_cells(
             u = (own[0] + step * v[0], own[1] + step * v[1], own[2] + step * v[2], _O)
             if probes.shape[0] > 0:
                 place = load_four(rest, _U(node))
-                beside = weights_of(presence, count, row)
-                u, v = keep_outside(displacement, now, own, u, v, place, row, beside, probes, step_number, step)
+                u, v = push_out(own, u, v, place, probes, step_number, step, turn, node, node_count)
+            elif watches:
+                turn[0][node] = 0
             store_four(velocity, lane, v[0], v[1], v[2], v[3])
             store_four(displacement, _U(later + lane), u[0], u[1], u[2], _O)
+        if watches:
+            expected = _U(expected + cuda.gridDim.x)
+            wait_at_grid_barrier(arrivals, expected)
+            volume_most = _LOOK if has_guard else _O
+            for cell in range(cuda.grid(1), cell_count, cuda.gridsize(1)):
+                where = (displacement, now, later, velocity, corner_lane, corner_node)
+                watch_cell(*where, numbers[_U(cell)], volume_most, turn, step_number, _U(cell))
+            expected = _U(expected + cuda.gridDim.x)
+            wait_at_grid_barrier(arrivals, expected)
+            for node in range(cuda.grid(1), node_count, cuda.gridsize(1)):
+                lane = rows_of(window_rows, node_slot[node])[4]
+                where = (displacement, now, later, velocity, lane, rest)
+                shorten(*where, probes, step_number, turn, node_cell, _U(node), _NO_CELL)
         now, later = later, now
         expected = _U(expected + cuda.gridDim.x)
         wait_at_grid_barrier(arrivals, expected)

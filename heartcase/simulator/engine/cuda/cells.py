@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from heartcase.schemas.arrays import UInt32
+from heartcase.schemas.arrays import Float64, UInt32
 from heartcase.simulator.engine.shared.lanes import (
     SHARE_NUMBERS,
     LaneLayout,
@@ -14,7 +14,7 @@ from heartcase.simulator.engine.shared.lanes import (
     inverse_shared,
     share_numbers,
 )
-from heartcase.simulator.forces.cell_forces import LOOK_BELOW
+from heartcase.simulator.lattice.force_law import LOOK_BELOW
 from heartcase.simulator.lattice.model import LatticeModel
 
 __all__ = ["LOOK_STEPS", "CellsOnDevice", "plain_launch"]
@@ -35,8 +35,9 @@ class CellsOnDevice:
 
     def __init__(self, cuda: Any, model: LatticeModel, layout: LaneLayout) -> None:
         from heartcase.simulator.engine.cuda import cell_kernels as kernel_cuda_cells
+        from heartcase.simulator.engine.cuda import turn_kernels
 
-        self.kernels = kernel_cuda_cells
+        self.kernels, self._turn_kernels = kernel_cuda_cells, turn_kernels
         self._cuda = cuda
         self._layout = layout
         self._count = model.cell_count
@@ -48,6 +49,11 @@ class CellsOnDevice:
         self._force = cuda.to_device(np.zeros(24 * self._count, np.float32))
         self._gradient = self._stress = cuda.to_device(np.zeros(1, np.float32))
         self._is_flat = cuda.mapped_array(1, np.uint32)
+        self._node_count = model.node_count
+        counts = (model.node_count, self._count)
+        near, watched, flags = (cuda.to_device(np.zeros(count, np.int32)) for count in (*counts, 4))
+        self._turn = near, watched, cuda.to_device(np.ones(8 * self._count, np.float32)), flags
+        self._given = cuda.to_device(np.zeros(0, np.float32))
         self.set_model(model)
 
     def set_model(self, model: LatticeModel) -> None:
@@ -63,8 +69,7 @@ class CellsOnDevice:
             self._gradient, self._stress = room
         self._shares = self._cuda.to_device(share_numbers(model).ravel())
         self._inverse_shared = self._cuda.to_device(inverse_shared(model))
-        self._law = self._cuda.to_device(np.resize(law.constants, 5).astype(np.float32))
-        self._presence = self._cuda.to_device(self._layout.spring_weight(model, model.spring_weight))
+        self._law = self._cuda.to_device(np.array(law.constants, np.float32))
 
     @property
     def steps_most(self) -> int | None:
@@ -97,10 +102,24 @@ class CellsOnDevice:
         arrays = (self._corner_node, self._shares, self._inverse_shared, self._gradient, self._stress)
         return (*arrays, self._has_elements, self._has_guard, self._has_sharing)
 
+    def turn(self, probe_count: int) -> tuple[Any, ...]:
+        """Room for what keeps corners from turning; what the probes gave is in the last, zero at first."""
+        if len(self._given) != 6 * probe_count * self._node_count:
+            self._given = self._cuda.to_device(np.zeros(6 * probe_count * self._node_count, np.float32))
+        return (*self._turn, self._given)
+
+    def clear_given(self, probe_count: int) -> None:
+        """Forget what the probes gave."""
+        given = self.turn(probe_count)[-1]
+        if probe_count:
+            self._turn_kernels.clear_given[plain_launch(len(given))](given)
+
     @property
-    def presence(self) -> Any:
-        """Above zero where there is a spring, by direction and lane."""
-        return self._presence
+    def probe_impulse(self) -> Float64:
+        """What each probe gave, shape (probe_count, 6)."""
+        given = self._given.copy_to_host().reshape(-1, 6, self._node_count)
+        total: Float64 = given.sum(axis=2, dtype=np.float64)
+        return total
 
     def add_forces(self, displacement: Any, first: int, nodes: Any, force: Any) -> None:
         """Add the forces of the cells to those on some nodes, shape (at least len(nodes), 3)."""

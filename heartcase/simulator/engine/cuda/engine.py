@@ -15,7 +15,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from heartcase.schemas.arrays import Float32, Intp
+from heartcase.schemas.arrays import Float32, Float64, Intp
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.dynamics.integrate import Verlet
 from heartcase.simulator.engine.cuda.cells import CellsOnDevice, plain_launch
@@ -179,16 +179,17 @@ class CudaEngine:
         """Take steps. They are under way when this returns; whatever reads the state waits for them."""
         constants = self._constants_of(verlet)
         left = step_count
-        if not step_count and self._cells.may_act:
+        self._cells.clear_given(len(probes))
+        if not step_count and (self._cells.may_act or len(probes)):
             # compile it before it is needed in the middle of a scene
             self._advance_with_cells(0, constants, probes)
         while True:
             acts = self._cells.act(self._displacement, self._current * self._lane_count)
             count = min(left, self._cells.steps_most or STEPS_PER_LAUNCH)
-            if acts:
+            if acts or len(probes):
                 self._advance_with_cells(count, constants, probes)
             else:
-                self._advance(count, constants, probes)
+                self._advance(count, constants)
             self._current = (self._current + count) % 2
             self.step_count += count
             probes = moved_on(probes, count)
@@ -196,6 +197,11 @@ class CudaEngine:
             if not left:
                 return
             self._cuda.synchronize()
+
+    @property
+    def probe_impulse(self) -> Float64:
+        """What each probe gave the nodes in the last row of steps, shape (probe_count, 6); waits for it."""
+        return self._cells.probe_impulse
 
     def set_springs(self, model: LatticeModel) -> None:
         """Go on with the springs of another model of the same nodes."""
@@ -233,24 +239,24 @@ class CudaEngine:
         self._cuda.synchronize()
         return np.array(self._shown.displacement[: len(nodes)])
 
-    def _advance(self, step_count: int, constants: Any, probes: Float32 = NO_PROBES) -> None:
-        has_hands = self._explicit_count > 0 or len(probes) > 0
+    def _advance(self, step_count: int, constants: Any) -> None:
+        has_hands = self._explicit_count > 0
         if has_hands not in self._plans:
             self._plans[has_hands] = self._plan(has_hands, constants)
         launch, is_resident = self._plans[has_hands]
-        self._start(launch, step_count, constants, probes, has_hands=has_hands, is_resident=is_resident)
+        self._start(launch, step_count, constants, has_hands=has_hands, is_resident=is_resident)
 
     def _advance_with_cells(self, step_count: int, constants: Any, probes: Float32) -> None:
         kernel = self._cells.kernels.advance_with_cells
         rest = self._rest if len(probes) else self._nothing
         hands = (*self._explicit, rest, self._on_device_probes(probes) if len(probes) else self._no_probes)
+        turn = self._cells.turn(len(probes))
 
         def start(count: int, threads: tuple[int, int]) -> None:
             kernel[threads](
                 self._displacement,
                 self._velocity,
                 self._spring_weight,
-                self._cells.presence,
                 self._window_rows,
                 self._node_slot,
                 self._lane_count,
@@ -260,6 +266,7 @@ class CudaEngine:
                 constants,
                 self._arrivals,
                 *hands,
+                turn,
             )
 
         if self._plan_with_cells is None:
@@ -269,14 +276,11 @@ class CudaEngine:
             self._plan_with_cells = min(blocks, -(-self.model.node_count // threads)), threads
         start(step_count, self._plan_with_cells)
 
-    def _start(
-        self, launch: Launch, step_count: int, constants: Any, probes: Float32, *, has_hands: bool, is_resident: bool
-    ) -> None:
+    def _start(self, launch: Launch, step_count: int, constants: Any, *, has_hands: bool, is_resident: bool) -> None:
         state = (self._displacement, self._velocity, self._spring_weight)
         where = (self._window_rows, self._node_slot, self._lane_count)
         what = (self._current, step_count, constants, self._arrivals)
-        rest = self._rest if len(probes) else self._nothing
-        hands = (*self._explicit, rest, self._on_device_probes(probes) if len(probes) else self._no_probes)
+        hands = self._explicit
         threads = (launch.block_count, launch.thread_count)
         if is_resident:
             self._kernels.advance_resident[has_hands][threads](*state, *where, *what, *hands)
@@ -292,7 +296,7 @@ class CudaEngine:
             if self._resident not in (None, is_resident):
                 continue
             one = Launch(1, WARP, 1, WARP)
-            self._start(one, 0, constants, NO_PROBES, has_hands=has_hands, is_resident=is_resident)
+            self._start(one, 0, constants, has_hands=has_hands, is_resident=is_resident)
             most = kernels.RESIDENT_THREADS if is_resident else kernels.STREAMING_THREADS
             overloads = family[has_hands].overloads
             overload = next(iter(overloads.values()), None) or overloads[()]

@@ -22,7 +22,6 @@ import numpy as np
 from numba import cuda
 
 from heartcase.simulator.engine.cuda.intrinsics import load_four, register_limit, store_four, wait_at_grid_barrier
-from heartcase.simulator.engine.shared.contact import make_contact
 from heartcase.simulator.engine.shared.lanes import LANE_COUNT
 
 __all__ = [
@@ -32,7 +31,6 @@ __all__ = [
     "advance_streaming",
     "force_of_springs",
     "gather_nodes",
-    "keep_outside",
     "next_velocity",
     "node_forces",
     "pull_explicitly",
@@ -193,50 +191,6 @@ def pull_explicitly(f, displacement, buffer, own, begin, end, explicit_lane, exp
     return f
 
 
-_pushed_out, _allowed_share = make_contact(cuda.jit(device=True))
-
-
-@cuda.jit(device=True)
-def _way_to(displacement, place, own, offset):
-    """Vector from a node to the one at a lane."""
-    other = load_four(displacement, _U(place))
-    return other[0] - own[0] + offset[0], other[1] - own[1] + offset[1], other[2] - own[2] + offset[2]
-
-
-@cuda.jit(device=True)
-def keep_outside(displacement, buffer, own, u, v, rest, row, weight, probes, step_number, step):
-    """Displacement and velocity of a node after a step; see :mod:`heartcase.simulator.engine.shared.contact`."""
-    if v[3] <= _O:
-        return u, v
-    new = (u[0], u[1], u[2])
-    is_near, is_inside = False, False
-    for probe in range(probes.shape[0]):
-        pushed, is_in_reach = _pushed_out(rest, new, probes[probe], step_number)
-        is_near = is_near or is_in_reach
-        is_inside = is_inside or pushed[0] != new[0] or pushed[1] != new[1] or pushed[2] != new[2]
-        new = pushed
-    if not is_near:
-        return u, v
-    m = (new[0] - own[0], new[1] - own[1], new[2] - own[2])
-    ahead = (
-        _way_to(displacement, buffer + row[4] + 1, own, (_P, _O, _O)),
-        _way_to(displacement, buffer + row[5], own, (_O, _P, _O)),
-        _way_to(displacement, buffer + row[7], own, (_O, _O, _P)),
-    )
-    behind = (
-        _way_to(displacement, buffer + row[4] - 1, own, (_M, _O, _O)),
-        _way_to(displacement, buffer + row[3], own, (_O, _M, _O)),
-        _way_to(displacement, buffer + row[1], own, (_O, _O, _M)),
-    )
-    has_ahead = (weight[0] > _O, weight[4] > _O, weight[12] > _O)
-    has_behind = (weight[1] > _O, weight[5] > _O, weight[13] > _O)
-    share = _allowed_share(m, ahead, behind, has_ahead, has_behind)
-    if share >= _P and not is_inside:
-        return u, v
-    x, y, z = share * m[0], share * m[1], share * m[2]
-    return (own[0] + x, own[1] + y, own[2] + z, _O), (x / step, y / step, z / step, v[3])
-
-
 @cuda.jit(device=True)
 def start_meeting(arrivals):
     """Set the count to zero; numba's own barrier makes it launch the grid only if all of it runs at once."""
@@ -262,8 +216,6 @@ def _make_advance_resident(has_hands: bool) -> Any:
         explicit_lane,
         explicit_offset,
         explicit_stiffness,
-        rest,
-        probes,
     ):
         """Take steps in place, with a thread for every node.
 
@@ -297,11 +249,6 @@ def _make_advance_resident(has_hands: bool) -> Any:
             Lane at the other end, uint32, shape (count,); offset to it with rest length, float32, shape (4 * count,);
             stiffness and excess by twos, float32, shape (2 * count,)
             (:class:`heartcase.simulator.lattice.explicit_springs.SpringsByNode`).
-        rest
-            Rest positions, i, j, k and one unused, float32, shape (4 * node_count,); read where there are probes.
-        probes
-            Probes as of :func:`heartcase.simulator.engine.shared.contact.probe_row`, float32, shape (probe_count,
-            PROBE_SIZE).
         """
         start_meeting(arrivals)
         number = cuda.grid(1)
@@ -330,10 +277,7 @@ def _make_advance_resident(has_hands: bool) -> Any:
                         f, displacement, now, u, begin, end, explicit_lane, explicit_offset, explicit_stiffness
                     )
                 v = next_velocity(v, f, keep, kick, gravity, limit)
-                own, u = u, (u[0] + step * v[0], u[1] + step * v[1], u[2] + step * v[2], _O)
-                if has_hands and probes.shape[0] > 0:
-                    place = load_four(rest, _U(number))
-                    u, v = keep_outside(displacement, now, own, u, v, place, row, weight, probes, step_number, step)
+                u = (u[0] + step * v[0], u[1] + step * v[1], u[2] + step * v[2], _O)
                 store_four(displacement, _U(later + lane), u[0], u[1], u[2], _O)
             now, later = later, now
             expected = _U(expected + cuda.gridDim.x)
@@ -364,8 +308,6 @@ def _make_advance_streaming(has_hands: bool) -> Any:
         explicit_lane,
         explicit_offset,
         explicit_stiffness,
-        rest,
-        probes,
     ):
         """``advance_resident`` for any number of nodes.
 
@@ -402,9 +344,6 @@ def _make_advance_streaming(has_hands: bool) -> Any:
                         )
                     v = next_velocity(load_four(velocity, lane), f, keep, kick, gravity, limit)
                     u = (own[0] + step * v[0], own[1] + step * v[1], own[2] + step * v[2], _O)
-                    if has_hands and probes.shape[0] > 0:
-                        place = load_four(rest, _U(number))
-                        u, v = keep_outside(displacement, now, own, u, v, place, row, weight, probes, step_number, step)
                     store_four(velocity, lane, v[0], v[1], v[2], v[3])
                     store_four(displacement, _U(later + lane), u[0], u[1], u[2], _O)
             now, later = later, now
@@ -415,7 +354,7 @@ def _make_advance_streaming(has_hands: bool) -> Any:
 
 
 advance_resident = {has_hands: _make_advance_resident(has_hands) for has_hands in (False, True)}
-"""The kernel without and with what explicit springs and probes take: registers, hence time, where there are none."""
+"""The kernel without and with what explicit springs take: registers, hence time, where there are none."""
 advance_streaming = {has_hands: _make_advance_streaming(has_hands) for has_hands in (False, True)}
 """Likewise."""
 

@@ -1,13 +1,13 @@
 """Contact with probes: nodes are pushed out of them, only so far that no cell turns inside out.
 
-After a step, a free node inside a probe's ellipsoid is moved to its surface, away from its centre (thesis 8.7.1). Near
-a probe, a node's movement of the step is then shortened so that it takes at most a tenth of what each corner that it
-spans with its neighbours along the axes has above a tenth of a cell. The neighbours are held by corners of their own,
-which is why some cells still turn inside out where a probe presses tissue against what is fixed, but few. The velocity
-becomes what was really moved.
+A probe is an ellipsoid, or a ball swept along a line: a capsule. After a step, a free node inside it is moved to its
+surface, away from its axis (thesis 8.7.1). That is continuous in time: a node that was on another side of the probe
+before the step, in the probe's own frame, has been run over in it, however far it has come; it is put where the probe
+met it, and so goes ahead of it. Then movements in the cells near a probe are shortened so that no corner is turned
+(:mod:`heartcase.simulator.engine.shared.turning`). The velocity becomes what was really moved.
 
-A corner has the volume s (a . b x c), with a, b, c the vectors to the three neighbours and s the sign of its octant; a
-movement m of the node takes s m . (a x b + b x c + c x a) from it, exactly.
+What that changes of a node's momentum is what the probe gave it. The force on the probe is the opposite of all it gave
+in a row of steps, over the time that they took; its torque is about the probe's centre in each step.
 """
 
 from __future__ import annotations
@@ -20,28 +20,37 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.schemas.arrays import Float32, Float64, Intp
-from heartcase.simulator.lattice.model import DIRECTIONS, LatticeModel
+from heartcase.simulator.dynamics.measures import mark_flat
+from heartcase.simulator.engine.shared.turning import allowed_parts
+from heartcase.simulator.lattice.force_law import LOOK_BELOW
+from heartcase.simulator.lattice.model import LatticeModel
 
-__all__ = ["NO_PROBES", "PROBE_SIZE", "keep_outside", "make_contact", "moved_on", "probe_row"]
+__all__ = ["FAR", "NEAR", "NO_PROBES", "PROBE_SIZE", "PUSHED", "keep_outside", "make_contact", "moved_on", "probe_row"]
 
 
-SHARE = 0.1
-"""Part of a corner's volume above the floor that one node may take in one step."""
-FLOOR = 0.1
-"""Volume of a corner from which on no movement near a probe takes any more [cells]."""
 REACH = 2.0
-"""Distance from a probe's surface, on the way to its centre, within which movements are shortened [cells]."""
+"""Distance from a probe's surface, on the way to its axis, within which cells are looked after [cells]."""
+FAR, NEAR, PUSHED = 0, 1, 2
+"""What a node has to do with a probe in a step."""
+SAME_SIDE = 0.5
+"""Cosine between a node's directions from the probe's axis before and after a step, from which on it has slid along the
+surface and was not run over; in the frame in which an ellipsoid is a ball."""
+_MARCHES, _MET = 24, 1e-4
 
-PROBE_SIZE = 17
-"""Numbers of a probe: centre, its movement in a step, shape (row by row), reach, square of the radius around it all."""
+PROBE_SIZE = 20
+"""Numbers of a probe: centre, its movement in a step, shape (row by row), reach, square of the radius around it all, half
+of the axis of a capsule."""
 NO_PROBES: Float32 = np.zeros((0, PROBE_SIZE), np.float32)
 """No probes, as an engine wants them."""
 
-_AXES = tuple(int(np.flatnonzero((axis == DIRECTIONS).all(axis=1))[0]) for axis in np.eye(3, dtype=int))
-"""Numbers of the directions along i, j and k."""
 
-
-def probe_row(centre: npt.ArrayLike, movement: npt.ArrayLike, semi_axes: npt.ArrayLike, turn: npt.ArrayLike) -> Float32:
+def probe_row(
+    centre: npt.ArrayLike,
+    movement: npt.ArrayLike,
+    semi_axes: npt.ArrayLike,
+    turn: npt.ArrayLike,
+    half_axis: npt.ArrayLike = (0.0, 0.0, 0.0),
+) -> Float32:
     """A probe as the kernels read it, float32, shape (PROBE_SIZE,).
 
     Parameters
@@ -54,11 +63,15 @@ def probe_row(centre: npt.ArrayLike, movement: npt.ArrayLike, semi_axes: npt.Arr
         Semi-axes of the ellipsoid [cells], above zero, shape (3,).
     turn
         Directions of the semi-axes in its columns, a rotation, shape (3, 3).
+    half_axis
+        From the centre to an end of the line that the shape is swept along [cells, grid axes], shape (3,); only for a
+        ball, which then is a capsule.
     """
     axes, rotation = np.asarray(semi_axes, dtype=float), np.asarray(turn, dtype=float)
     shape = rotation @ np.diag(1.0 / axes) @ rotation.T
-    around = (axes.max() + REACH) ** 2
-    return np.concatenate([np.ravel(centre), np.ravel(movement), shape.ravel(), [REACH, around]]).astype(np.float32)
+    around = (axes.max() + float(np.linalg.norm(half_axis)) + REACH) ** 2
+    row = [np.ravel(centre), np.ravel(movement), shape.ravel(), [REACH, around], np.ravel(half_axis)]
+    return np.concatenate(row).astype(np.float32)
 
 
 def keep_outside(
@@ -70,7 +83,7 @@ def keep_outside(
     displacement: Float64,
     later: Float64,
     velocity: Float64,
-) -> tuple[Float64, Float64]:
+) -> tuple[Float64, Float64, Float64]:
     """The reference: displacements and velocities after a step, with the probes where they are by then.
 
     Parameters
@@ -78,7 +91,7 @@ def keep_outside(
     model
         The lattice.
     probes
-        Probes, shape (probe_count, PROBE_SIZE).
+        Probes, shape (probe_count, PROBE_SIZE); where there are none, only corners below LOOK_BELOW are looked after.
     step_number
         Steps that this row of steps has taken before.
     step
@@ -93,53 +106,116 @@ def keep_outside(
     Returns
     -------
     later, velocity
-        The same where no probe is near.
+        The same where nothing was done.
+    impulse
+        What each probe gave to the nodes: momentum, and its moment about the probe's centre [grid units], shape
+        (probe_count, 6).
     """
-    position = model.node_index + later
-    is_near = np.zeros(model.node_count, dtype=bool)
-    is_free = inverse_mass > 0
-    for row in probes.astype(np.float64):
-        centre, shape, reach = row[:3] + (step_number + 1) * row[3:6], row[6:15].reshape(3, 3), row[15]
-        way = np.linalg.norm(position - centre, axis=1)
-        distance = np.linalg.norm((position - centre) @ shape.T, axis=1)
-        is_near |= is_free & (way * (distance - 1.0) < reach * distance)
-        is_near |= is_free & (distance < 1.0)
-        inside = is_free & (distance < 1.0) & (distance > 0.0)
-        position[inside] = centre + (position[inside] - centre) / distance[inside, None]
-    near = np.flatnonzero(is_near)
-    moved = position[near] - model.node_index[near] - displacement[near]
-    moved *= _shares(model, displacement, near, moved)[:, None]
     later, velocity = later.copy(), velocity.copy()
-    changed = np.abs(displacement[near] + moved - later[near]).max(axis=1, initial=0.0) > 0
-    later[near[changed]] = displacement[near[changed]] + moved[changed]
-    velocity[near[changed]] = moved[changed] / step
-    return later, velocity
+    near = np.zeros(model.node_count, dtype=np.intp)
+    impulse = np.zeros((len(probes), 6))
+    free = np.flatnonzero(inverse_mass > 0)
+    for number, row in enumerate(probes.astype(np.float64)):
+        centre = row[:3] + (step_number + 1) * row[3:6]
+        before = model.node_index[free] + displacement[free] - (centre - row[3:6])
+        after = model.node_index[free] + later[free] - centre
+        target, contact = _pushed(row, before, after)
+        near[free[contact > FAR]] = number + 1
+        pushed = contact == PUSHED
+        nodes = free[pushed]
+        later[nodes] += target[pushed] - after[pushed]
+        new = (later[nodes] - displacement[nodes]) / step
+        _give(impulse[number], (new - velocity[nodes]) / inverse_mass[nodes, None], before[pushed] - row[3:6])
+        velocity[nodes] = new
+    part, owner = _parts(model, near, inverse_mass, displacement, later)
+    held = np.flatnonzero(part < 1.0)
+    lost = (part[held, None] - 1.0) * velocity[held] / inverse_mass[held, None]
+    for number, row in enumerate(probes.astype(np.float64)):
+        own = owner[held] == number + 1
+        centre = row[:3] + (step_number + 1) * row[3:6]
+        _give(impulse[number], lost[own], (model.node_index + displacement)[held[own]] - centre)
+    later[held] = displacement[held] + part[held, None] * (later[held] - displacement[held])
+    velocity[held] *= part[held, None]
+    return later, velocity, impulse
 
 
-def _shares(model: LatticeModel, displacement: Float64, nodes: Intp, moved: Float64) -> Float64:
-    """Part of some nodes' movements that their corners allow, shape (len(nodes),)."""
-    to = np.full((2, 3, model.node_count), -1)
-    for axis, direction in enumerate(_AXES):
-        lower, higher = model.spring_nodes[model.spring_direction == direction].T
-        to[0, axis, lower], to[1, axis, higher] = higher, lower
-    share = np.ones(len(nodes))
-    for octant in range(8):
-        sides = [octant >> axis & 1 for axis in range(3)]
-        others = np.stack([to[side, axis, nodes] for axis, side in enumerate(sides)], axis=1)
-        whole = np.flatnonzero((others >= 0).all(axis=1))
-        there = (model.node_index + displacement)[others[whole]]
-        a, b, c = np.moveaxis(there - (model.node_index + displacement)[nodes[whole]][:, None], 1, 0)
-        sign = (-1.0) ** sum(sides)
-        volume = sign * np.einsum("nx,nx->n", a, np.cross(b, c))
-        loss = sign * np.einsum("nx,nx->n", moved[whole], np.cross(a, b) + np.cross(b, c) + np.cross(c, a))
-        allowed = SHARE * np.maximum(volume - FLOOR, 0.0)
-        limits = np.divide(allowed, loss, out=np.ones(len(whole)), where=loss > allowed)
-        share[whole] = np.minimum(share[whole], limits)
-    return share
+def _give(total: Float64, impulse: Float64, arm: Float64) -> None:
+    """Add impulses, shape (count, 3), and their moments."""
+    total[:3] += impulse.sum(axis=0)
+    total[3:] += np.cross(arm, impulse).sum(axis=0)
 
 
-def make_contact(compiled: Callable[[Any], Any]) -> tuple[Any, Any]:
-    """The scalar functions of the kernels, for one target of numba.
+def _from_axis(row: Float64, p: Float64) -> Float64:
+    """Vectors to places, from the nearest places of the axis; both from the centre, shape (count, 3)."""
+    half = row[17:20]
+    if not half.any():
+        return p
+    along: Float64 = p - np.clip(p @ half / (half @ half), -1.0, 1.0)[:, None] * half
+    return along
+
+
+def _pushed(row: Float64, before: Float64, after: Float64) -> tuple[Float64, Intp]:
+    """Where nodes go, from the centre, and what they have to do with the probe, shape (count,)."""
+    shape, reach, around = row[6:15].reshape(3, 3), row[15], row[16]
+    target = after.copy()
+    d0, d1 = _from_axis(row, before), _from_axis(row, after)
+    a0, a1 = d0 @ shape.T, d1 @ shape.T
+    r0, r1 = np.linalg.norm(a0, axis=1), np.linalg.norm(a1, axis=1)
+    is_near = (np.linalg.norm(d1, axis=1) * (r1 - 1.0) < reach * r1) | (r1 == 0.0)
+    is_seen = ((before**2).sum(axis=1) <= around) | ((after**2).sum(axis=1) <= around)
+    is_same_side = ((a0 * a1).sum(axis=1) > SAME_SIDE * r0 * r1) | (r0 == 0.0)
+    slid = is_seen & is_same_side & (r1 < 1.0) & (r1 > 0.0)
+    target[slid] += (1.0 / r1[slid] - 1.0)[:, None] * d1[slid]
+    held = is_seen & ~is_same_side & (r0 < 1.0)
+    target[held] = before[held] + (1.0 / r0[held] - 1.0)[:, None] * d0[held]
+    met = np.zeros(len(after), dtype=bool)
+    for node in np.flatnonzero(is_seen & ~is_same_side & (r0 >= 1.0)):
+        way = after[node] - before[node]
+        length, part = np.linalg.norm(shape @ way), 0.0
+        for _ in range(_MARCHES):
+            place = before[node] + part * way
+            gap = np.linalg.norm(shape @ _from_axis(row, place[None])[0]) - 1.0
+            if gap <= _MET or part >= 1.0:
+                break
+            part += gap / length
+        if part < 1.0:
+            met[node], target[node] = True, place
+    contact = np.where(slid | held | met, PUSHED, np.where(is_seen & is_near, NEAR, FAR))
+    return target, contact
+
+
+def _parts(
+    model: LatticeModel, near: Intp, inverse_mass: Float64, displacement: Float64, later: Float64
+) -> tuple[Float64, Intp]:
+    """Parts of their movements that nodes may take, and the probe to whose account that goes, from one on."""
+    corners = model.cell_corners
+    owner_of_cell = near[corners].max(axis=1)
+    volume_most = LOOK_BELOW if model.law.has_corner_guard else 0.0
+    part, owner = np.ones(model.node_count), np.zeros(model.node_count, dtype=np.intp)
+    is_due = owner_of_cell > 0
+    if volume_most:
+        flat = np.zeros(model.cell_count, dtype=np.bool_)
+        mark_flat(corners, displacement, volume_most, flat)
+        is_due |= flat
+    cells = np.flatnonzero(model.cell_is_whole & is_due)
+    if not len(cells):
+        return part, owner
+    at = corners[cells]
+    is_free = (inverse_mass > 0)[at]
+    is_near = owner_of_cell[cells] > 0
+    allowed, harm = allowed_parts(displacement[at], (later - displacement)[at], is_free, is_near, volume_most)
+    if not harm:
+        allowed[is_near] = 1.0
+    # The cell that allows least has the probe; of equal ones that around the lowest corner.
+    for corner in range(8):
+        less = allowed[:, corner] < part[at[:, corner]]
+        part[at[less, corner]] = allowed[less, corner]
+        owner[at[less, corner]] = owner_of_cell[cells[less]]
+    return part, owner
+
+
+def make_contact(compiled: Callable[[Any], Any]) -> Any:
+    """The scalar function of the kernels, for one target of numba.
 
     Parameters
     ----------
@@ -149,67 +225,80 @@ def make_contact(compiled: Callable[[Any], Any]) -> tuple[Any, Any]:
     Returns
     -------
     pushed_out
-        ``(rest, u, probe, step_number)`` to displacement and whether the probe is near.
-    allowed_share
-        ``(m, ahead, behind, has_ahead, has_behind)``: part of a movement m that the corners allow, with the vectors to
-        the neighbours along and against i, j, k, and whether there are any.
+        ``(rest, own, u, probe, step_number)`` to displacement and FAR, NEAR or PUSHED, with the displacements before
+        and after the step.
     """
     zero, one = np.float32(0.0), np.float32(1.0)
-    part, floor = np.float32(SHARE), np.float32(FLOOR)
+    same_side, met = np.float32(SAME_SIDE), np.float32(_MET)
 
     @compiled
-    def pushed_out(rest, u, probe, step_number):
+    def from_axis(p, probe):
+        hx, hy, hz = probe[17], probe[18], probe[19]
+        squared = hx * hx + hy * hy + hz * hz
+        if squared == zero:
+            return p
+        t = min(max((p[0] * hx + p[1] * hy + p[2] * hz) / squared, -one), one)
+        return (p[0] - t * hx, p[1] - t * hy, p[2] - t * hz)
+
+    @compiled
+    def shaped(d, probe):
+        return (
+            probe[6] * d[0] + probe[7] * d[1] + probe[8] * d[2],
+            probe[9] * d[0] + probe[10] * d[1] + probe[11] * d[2],
+            probe[12] * d[0] + probe[13] * d[1] + probe[14] * d[2],
+        )
+
+    @compiled
+    def size(a):
+        return np.float32(sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2]))
+
+    @compiled
+    def part_until_met(p0, way, probe):
+        """Part of a way from outside until the surface, one where it is not met."""
+        length, part = size(shaped(way, probe)), zero
+        for _ in range(_MARCHES):
+            place = (p0[0] + part * way[0], p0[1] + part * way[1], p0[2] + part * way[2])
+            gap = size(shaped(from_axis(place, probe), probe)) - one
+            if gap <= met or part >= one:
+                break
+            part += gap / length
+        return min(part, one)
+
+    @compiled
+    def pushed_out(rest, own, u, probe, step_number):
         steps = np.float32(step_number + 1)
-        dx = rest[0] - (probe[0] + steps * probe[3]) + u[0]
-        dy = rest[1] - (probe[1] + steps * probe[4]) + u[1]
-        dz = rest[2] - (probe[2] + steps * probe[5]) + u[2]
-        way_squared = dx * dx + dy * dy + dz * dz
-        if way_squared > probe[16]:
-            return u, False
-        x = probe[6] * dx + probe[7] * dy + probe[8] * dz
-        y = probe[9] * dx + probe[10] * dy + probe[11] * dz
-        z = probe[12] * dx + probe[13] * dy + probe[14] * dz
-        distance = np.float32(sqrt(x * x + y * y + z * z))
-        if distance >= one or distance == zero:
-            return u, np.float32(sqrt(way_squared)) * (distance - one) < probe[15] * distance or distance == zero
-        outward = one / distance - one
-        return (u[0] + outward * dx, u[1] + outward * dy, u[2] + outward * dz), True
+        cx, cy, cz = probe[0] + steps * probe[3], probe[1] + steps * probe[4], probe[2] + steps * probe[5]
+        p1 = (rest[0] - cx + u[0], rest[1] - cy + u[1], rest[2] - cz + u[2])
+        p0 = (rest[0] - cx + probe[3] + own[0], rest[1] - cy + probe[4] + own[1], rest[2] - cz + probe[5] + own[2])
+        squared0 = p0[0] * p0[0] + p0[1] * p0[1] + p0[2] * p0[2]
+        squared1 = p1[0] * p1[0] + p1[1] * p1[1] + p1[2] * p1[2]
+        if squared0 > probe[16] and squared1 > probe[16]:
+            return u, 0
+        d0, d1 = from_axis(p0, probe), from_axis(p1, probe)
+        a0, a1 = shaped(d0, probe), shaped(d1, probe)
+        r0, r1 = size(a0), size(a1)
+        contact = 1 if size(d1) * (r1 - one) < probe[15] * r1 or r1 == zero else 0
+        if r0 == zero or a0[0] * a1[0] + a0[1] * a1[1] + a0[2] * a1[2] > same_side * r0 * r1:
+            if r1 >= one or r1 == zero:
+                return u, contact
+            outward = one / r1 - one
+            return (u[0] + outward * d1[0], u[1] + outward * d1[1], u[2] + outward * d1[2]), 2
+        way = (p1[0] - p0[0], p1[1] - p0[1], p1[2] - p0[2])
+        part, outward = zero, zero
+        if r0 < one:
+            outward = one / r0 - one
+        else:
+            part = part_until_met(p0, way, probe)
+            if part >= one:
+                return u, contact
+        back = part - one
+        return (
+            u[0] + back * way[0] + outward * d0[0],
+            u[1] + back * way[1] + outward * d0[1],
+            u[2] + back * way[2] + outward * d0[2],
+        ), 2
 
-    @compiled
-    def corner_share(share, m, a, b, c, sign):
-        bx, by, bz = b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0]
-        volume = sign * (a[0] * bx + a[1] * by + a[2] * bz)
-        # The three products are b x c + a x (b - c).
-        ex, ey, ez = b[0] - c[0], b[1] - c[1], b[2] - c[2]
-        nx, ny, nz = bx + a[1] * ez - a[2] * ey, by + a[2] * ex - a[0] * ez, bz + a[0] * ey - a[1] * ex
-        loss = sign * (m[0] * nx + m[1] * ny + m[2] * nz)
-        allowed = part * max(volume - floor, zero)
-        return min(share, allowed / loss) if loss > allowed else share
-
-    @compiled
-    def allowed_share(m, ahead, behind, has_ahead, has_behind):
-        share = one
-        if has_ahead[2]:
-            if has_ahead[1] and has_ahead[0]:
-                share = corner_share(share, m, ahead[0], ahead[1], ahead[2], one)
-            if has_ahead[1] and has_behind[0]:
-                share = corner_share(share, m, behind[0], ahead[1], ahead[2], -one)
-            if has_behind[1] and has_ahead[0]:
-                share = corner_share(share, m, ahead[0], behind[1], ahead[2], -one)
-            if has_behind[1] and has_behind[0]:
-                share = corner_share(share, m, behind[0], behind[1], ahead[2], one)
-        if has_behind[2]:
-            if has_ahead[1] and has_ahead[0]:
-                share = corner_share(share, m, ahead[0], ahead[1], behind[2], -one)
-            if has_ahead[1] and has_behind[0]:
-                share = corner_share(share, m, behind[0], ahead[1], behind[2], one)
-            if has_behind[1] and has_ahead[0]:
-                share = corner_share(share, m, ahead[0], behind[1], behind[2], one)
-            if has_behind[1] and has_behind[0]:
-                share = corner_share(share, m, behind[0], behind[1], behind[2], -one)
-        return share
-
-    return pushed_out, allowed_share
+    return pushed_out
 
 
 def moved_on(probes: Float32, step_count: int) -> Float32:

@@ -55,7 +55,7 @@ __all__ = [
 LANE_COUNT = 8
 """Lanes of a block and of a window: one AVX register or two of NEON in float32. 16 leave more lanes empty: slower."""
 
-CELL_NUMBERS = 10
+CELL_NUMBERS = 11
 """Numbers that the kernels read of a cell: :func:`cell_numbers`."""
 
 SHARE_NUMBERS = 9
@@ -265,18 +265,17 @@ def lane_layout(model: LatticeModel, *, in_banks: bool = False) -> LaneLayout:
 
 
 def cell_numbers(model: LatticeModel) -> Float32:
-    """What the law's kernels read of each cell, shape (10, cell_count), float32.
+    """What the law's kernels read of each cell, shape (11, cell_count), float32.
 
     The covered stiffness [k/h], then for elements the means of x, y, z, yz, xz, xy and variances along x, y, z of the
-    tissue [edges]; for springs the corner guard's stiffness [k/h] and zeros.
+    tissue [edges], for springs zeros; last the corner guard's stiffness [k/h].
     """
     numbers = np.zeros((CELL_NUMBERS, model.cell_count), np.float32)
     numbers[0] = model.cell_force_scale
     if model.law.is_element:
         moments = model.cell_moments.astype(np.float64)
-        numbers[1:] = np.concatenate([moments[:, :3].T, moments[:, 6:].T, tissue_spread(moments).T])
-    else:
-        numbers[1] = model.corner_guard_scale
+        numbers[1:-1] = np.concatenate([moments[:, :3].T, moments[:, 6:].T, tissue_spread(moments).T])
+    numbers[-1] = model.corner_guard_scale
     return numbers
 
 
@@ -317,7 +316,7 @@ class CellLayout:
         return len(self.window_rows) - len(self.layout.ghost_start)
 
     def numbers(self, model: LatticeModel) -> Float32:
-        """:func:`cell_numbers` by lane, shape (length(10),), float32; zero where there is no cell."""
+        """:func:`cell_numbers` by lane, shape (length(11),), float32; zero where there is no cell."""
         numbers = np.zeros(self.layout.length(CELL_NUMBERS), np.float32)
         numbers[self.layout.places(self.cell_lane, CELL_NUMBERS)] = cell_numbers(model).T
         return numbers
