@@ -147,7 +147,8 @@ def with_positions(script: SimulationScript, landmarks: tuple[Landmark, ...]) ->
     known = ", ".join(mark.name for mark in landmarks) or "none"
     problems = []
     placed: dict[str, list[GrabAction | ProbeAction]] = {"actions": [], "probes": []}
-    for key, actions in (("actions", script.actions), ("probes", script.probes)):
+    listed: dict[str, tuple[GrabAction | ProbeAction, ...]] = {"actions": script.actions, "probes": script.probes}
+    for key, actions in listed.items():
         for number, action in enumerate(actions, start=1):
             if action.landmark is None:
                 placed[key].append(action)
@@ -323,8 +324,8 @@ def _change_hands(
             if action.position_mm is None:
                 raise SimulationError(f"the landmark {action.landmark!r} has no position yet", place=action.name)
             if isinstance(action, ProbeAction):
-                shape = {"axis_mm": action.axis_mm, "name": action.name}
-                hands[number] = simulation.probe(action.position_mm, action.semi_axes_mm, **shape)
+                place, axes = action.position_mm, action.semi_axes_mm
+                hands[number] = simulation.probe(place, axes, axis_mm=action.axis_mm, name=action.name)
                 continue
             grab = simulation.grab(action.position_mm, action.radius_mm, name=action.name)
             hands[number] = grab
@@ -337,7 +338,7 @@ def _lead(simulation: Simulation, hand: Grab | Probe, timeline: _Timeline, step:
     if isinstance(hand, Grab):
         simulation.lead(hand, offset)
     else:
-        simulation.move(hand, np.add(timeline.action.position_mm, offset))
+        simulation.move(hand, np.asarray(timeline.action.position_mm, dtype=float) + offset)
 
 
 def _furthest(simulation: Simulation) -> float:

@@ -42,7 +42,9 @@ class Probe:
 
     def row(self, step_count: int) -> Float32:
         """The probe on its way to the target, as the kernels read it."""
-        return probe_row(self.centre, (self.target - self.centre) / step_count, self.semi_axes, self.turn, self.half_axis)
+        return probe_row(
+            self.centre, (self.target - self.centre) / step_count, self.semi_axes, self.turn, self.half_axis
+        )
 
     def touched(self, model: LatticeModel, displacement: Float32) -> Intp:
         """Free nodes on its surface or in it now.

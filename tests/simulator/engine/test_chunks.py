@@ -23,8 +23,7 @@ from heartcase.simulator.engine.cpu.engine import CpuEngine
 from heartcase.simulator.engine.cpu.steps import STEPS_BY_ORDER
 from heartcase.simulator.engine.shared.contact import NO_PROBES
 from heartcase.simulator.engine.shared.lanes import LANE_COUNT
-from heartcase.simulator.lattice.force_law import LOOK_BELOW
-from heartcase.simulator.lattice.force_law import ForceLaw
+from heartcase.simulator.lattice.force_law import LOOK_BELOW, ForceLaw
 from heartcase.simulator.lattice.state import State
 from tests.simulator.lattices import block, random_field, random_models, random_shares
 

@@ -15,7 +15,11 @@ from heartcase.simulator.simulation import Simulation
 from tests.simulator.instruments.test_hands import zigzag
 from tests.simulator.lattices import block, oblique_geometry
 
-SHAPES = {"ball": ((1.2, 1.2, 1.2), None), "ellipsoid": ((0.8, 2.0, 1.2), None), "capsule": ((1.0,) * 3, (1.0, 3.0, 0.5))}
+SHAPES = {
+    "ball": ((1.2, 1.2, 1.2), None),
+    "ellipsoid": ((0.8, 2.0, 1.2), None),
+    "capsule": ((1.0,) * 3, (1.0, 3.0, 0.5)),
+}
 LAWS = {"springs": ForceLaw(), "springs-0.45": ForceLaw("springs", 0.45), "element": ForceLaw("element")}
 
 
@@ -80,18 +84,18 @@ def test_force_is_nothing_without_contact_and_continuous_while_a_probe_slides(la
     simulation.step(10)
     assert not simulation.force_on(probe).any()
     assert not simulation.torque_on(probe).any()
-    simulation.move(probe, at - [0, 0, 0.6 * h])
+    simulation.move(probe, at - np.array([0.0, 0.0, 0.6 * h]))
     simulation.step(1500)
     simulation.step(1500)
     forces = [simulation.force_on(probe)]
     for number in range(440):
-        simulation.move(probe, at + [0.008 * h * (number + 1), 0, -0.6 * h])
+        simulation.move(probe, at + np.array([0.008 * h * (number + 1), 0.0, -0.6 * h]))
         simulation.step(4)
         forces.append(simulation.force_on(probe))
     size = np.linalg.norm(forces, axis=1)
     assert size.min() > 0.7 * size.max()
     assert np.linalg.norm(np.diff(forces, axis=0), axis=1).max() < 0.1 * size.mean()
-    simulation.move(probe, at + [0, 0, 3 * h])
+    simulation.move(probe, at + np.array([0.0, 0.0, 3 * h]))
     simulation.step(100)
     simulation.step(10)
     assert not simulation.force_on(probe).any()

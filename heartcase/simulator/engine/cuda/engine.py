@@ -277,9 +277,7 @@ class CudaEngine:
             self._plan_with_cells = min(blocks, -(-self.model.node_count // threads)), threads
         start(step_count, self._plan_with_cells)
 
-    def _start(
-        self, launch: Launch, step_count: int, constants: Any, *, has_hands: bool, is_resident: bool
-    ) -> None:
+    def _start(self, launch: Launch, step_count: int, constants: Any, *, has_hands: bool, is_resident: bool) -> None:
         state = (self._displacement, self._velocity, self._spring_weight)
         where = (self._window_rows, self._node_slot, self._lane_count)
         what = (self._current, step_count, constants, self._arrivals)

@@ -76,7 +76,9 @@ def _less(a, b):
 
 
 @cuda.jit(device=True)
-def watch_cell(displacement, now, later, velocity, corner_lane, corner_node, scale, volume_most, turn, step_number, cell):
+def watch_cell(
+    displacement, now, later, velocity, corner_lane, corner_node, scale, volume_most, turn, step_number, cell
+):
     """Write what a cell allows its corners' nodes, where it is to be looked after."""
     near, watched, allowed, flags, _ = turn
     count = _U(watched.shape[0])
@@ -150,9 +152,7 @@ def shorten(displacement, now, later, velocity, lane, rest, probes, step_number,
         lost = (part - _ONE) / v[3]
         place = load_four(rest, _U(node))
         probe = probes[owner - 1]
-        _give(
-            given, owner - 1, node, node_count, probe, step_number, place, own, lost * v[0], lost * v[1], lost * v[2]
-        )
+        _give(given, owner - 1, node, node_count, probe, step_number, place, own, lost * v[0], lost * v[1], lost * v[2])
 
 
 @cuda.jit
