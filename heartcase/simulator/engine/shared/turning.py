@@ -6,8 +6,8 @@ nodes by itself. With movements m_0 (apex) and m_1, m_2, m_3 of which parts s_i 
     sum of s_i L_i  +  sum of s_i s_j Q_ij  +  sum of s_i s_j s_k C_ijk
 
 exactly. As s_i s_j <= (s_i + s_j) / 2, and likewise for three, the loss is at most the sum of s_i c_i, where c_i is
-what of the negative L_i, of half the negative Q_ij and of a third of the negative C_ijk has to do with node i. Each of the n
-free nodes with a c_i takes at most 1 / n of SHARE of what the corner has above FLOOR, whatever the others do; each node
+what of the negative L_i, of half the negative Q_ij and of a third of the negative C_ijk has to do with node i. Each of
+the n free nodes with a c_i takes at most 1 / n of SHARE of what the corner has above FLOOR, whatever the others do; each node
 takes the least that its corners allow. So no corner loses more than SHARE of its volume in a step, and none of a volume
 above zero is turned.
 
