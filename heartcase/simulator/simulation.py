@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.schemas.arrays import Float64, Intp
+from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.cutting.blade_sheet import blade_points
 from heartcase.simulator.cutting.cuts import Cuts, cut_further
@@ -458,27 +458,10 @@ class Simulation:
         return self.wrench_on(hand).force_n
 
     def wrench_on(self, hand: Grab | Probe) -> Wrench:
-        """Force and torque about a hand's centre that the tissue exerts on it: that of :meth:`force_on`, and its torque."""
+        """Force that the tissue exerts on a hand, as of :meth:`force_on`, and its torque about the hand's centre."""
         if hand not in self.instruments:
             return Wrench(np.zeros(3), np.zeros(3))
         return wrench_on(self.model, hand, self._engine.forces)
-
-    def forces_at(self, nodes: Intp) -> Float64:
-        """Forces of springs and cells on some nodes now, N, LPS axes.
-
-        Parameters
-        ----------
-        nodes
-            Node numbers, shape (count,).
-
-        Returns
-        -------
-        ndarray
-            Shape (count, 3).
-        """
-        pull = self._engine.forces(nodes).astype(np.float64)
-        force: Float64 = pull @ self.model.geometry.direction_matrix.T * self.model.units.force_n
-        return force
 
     def energy(self) -> Energy:
         """Kinetic and elastic energy now, J."""

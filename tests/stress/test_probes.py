@@ -11,7 +11,7 @@ from tests.stress.violence import tissue
 
 
 def drive(seed, law, backend="cpu", moves=10):
-    """Lead one or two probes to and fro through tissue; most cells inside out after any move, and how far it was pushed."""
+    """Lead one or two probes to and fro; most cells inside out after any move, and how far tissue was pushed."""
     rng = np.random.default_rng(seed)
     model = tissue(rng, law)
     h = model.cell_mm

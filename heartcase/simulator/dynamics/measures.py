@@ -10,7 +10,7 @@ from heartcase.schemas.bundle.lattice import CORNER_OFFSETS
 from heartcase.simulator.forces.cell_forces import cell_energies
 from heartcase.simulator.lattice.model import DIRECTIONS, LatticeModel
 
-__all__ = ["elastic_energy_of", "inverted_cells", "mark_flat"]
+__all__ = ["elastic_energy_of", "inverted_cells"]
 
 
 _LENGTHS = np.linalg.norm(DIRECTIONS, axis=1)
@@ -27,7 +27,7 @@ def elastic_energy_of(model: LatticeModel, displacement: Float) -> float:
     if not model.law.acts_in_cells:
         cells = np.zeros(model.cell_count, dtype=np.bool_)
         if model.law.has_corner_guard:
-            mark_flat(model.cell_corners, moved, model.law.corner_floor, cells)
+            _mark_flat(model.cell_corners, moved, model.law.corner_floor, cells)
     return float(lattice + explicit + cell_energies(model, moved, cells).sum())
 
 
@@ -38,7 +38,7 @@ def inverted_cells(model: LatticeModel, displacement: Float) -> Bool:
     pushed through the opposite side.
     """
     inverted = np.zeros(model.cell_count, dtype=np.bool_)
-    mark_flat(model.cell_corners, np.asarray(displacement), 0.0, inverted)
+    _mark_flat(model.cell_corners, np.asarray(displacement), 0.0, inverted)
     return inverted
 
 
@@ -59,7 +59,7 @@ def _spring_energy(nodes: Int32, direction: Int8, weight: Float, displacement: F
 
 
 @kernel
-def mark_flat(cell_corners: Int32, displacement: Float, volume_most: float, flat: Bool) -> None:
+def _mark_flat(cell_corners: Int32, displacement: Float, volume_most: float, flat: Bool) -> None:
     """Mark the cells that have a corner of at most a volume."""
     edges = np.empty((3, 3))
     # Edges that differ by at most this from rest in each component span a volume of at least (1 - 3 x this)^3.

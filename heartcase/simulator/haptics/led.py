@@ -6,10 +6,11 @@ from typing import Protocol
 
 import numpy as np
 
-from heartcase.schemas.arrays import Float64, Intp
+from heartcase.schemas.arrays import Float64
 from heartcase.simulator.haptics.poses import ToolPose
 from heartcase.simulator.instruments.grab import Grab
 from heartcase.simulator.instruments.probe import Probe
+from heartcase.simulator.instruments.wrench import Wrench
 from heartcase.simulator.lattice.model import LatticeModel
 
 __all__ = ["LedGrab", "LedInstrument", "LedProbe", "Tissue"]
@@ -26,11 +27,8 @@ class Tissue(Protocol):
     def move(self, probe: Probe, center_mm: Float64) -> None:
         """Move a probe; it arrives with the end of the next steps."""
 
-    def force_on(self, hand: Grab | Probe) -> Float64:
-        """Force of the tissue on an instrument now, N, LPS axes, shape (3,)."""
-
-    def forces_at(self, nodes: Intp) -> Float64:
-        """Forces of the tissue on some nodes now, N, LPS axes, shape (len(nodes), 3)."""
+    def wrench_on(self, hand: Grab | Probe) -> Wrench:
+        """Force of the tissue on an instrument, and its torque about the instrument's centre."""
 
 
 class LedInstrument(Protocol):
@@ -69,16 +67,13 @@ class LedGrab:
         self.tissue.lead(self.grab, center - self.center_mm, turn)
 
     def load(self, pose: ToolPose) -> Float64:
-        """Forces on what it holds, and their moment about the tool."""
-        model, grab = self.tissue.model, self.grab
-        forces = self.tissue.forces_at(grab.nodes)
-        center = self.center_mm + model.to_mm(grab.pose.offset)
-        arms = center - pose.position_mm + model.to_mm(grab.arms @ grab.pose.turn.T)
-        return np.stack([forces.sum(axis=0), np.cross(arms, forces).sum(axis=0)])
+        """Force on what it holds, and its moment about the tool."""
+        center = self.center_mm + self.tissue.model.to_mm(self.grab.pose.offset)
+        return _about(pose, center, self.tissue.wrench_on(self.grab))
 
 
 class LedProbe:
-    """A probe that the tool carries at its tip. Its torque about its own centre is not known yet, and taken as none.
+    """A probe that the tool carries at its tip.
 
     Parameters
     ----------
@@ -96,5 +91,11 @@ class LedProbe:
         self.tissue.move(self.probe, pose.position_mm)
 
     def load(self, pose: ToolPose) -> Float64:
-        """Force on the probe."""
-        return np.stack([self.tissue.force_on(self.probe), np.zeros(3)])
+        """Force on the probe, and its moment about the tool."""
+        center = self.tissue.model.geometry.index_to_world(self.probe.centre[None] - 0.5)[0]
+        return _about(pose, center, self.tissue.wrench_on(self.probe))
+
+
+def _about(pose: ToolPose, center_mm: Float64, wrench: Wrench) -> Float64:
+    """A force, and its torque about a pose's position, where that about a centre is given, shape (2, 3)."""
+    return np.stack([wrench.force_n, wrench.torque_n_mm + np.cross(center_mm - pose.position_mm, wrench.force_n)])

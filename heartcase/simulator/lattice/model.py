@@ -172,9 +172,9 @@ class LatticeModel:
     def corner_guard_scale(self) -> Float32:
         """Stiffness with which corners of each cell push back [k/h], shape (cell_count,); zero in cells that were cut.
 
-        The law's, times the cell's covered stiffness, or where that is more the least of the means over the cells around each of its
-        free corners: slivers are turned back against their neighbours' springs, and as the corners' masses are such
-        means too, none is the quicker for it.
+        The law's, times the cell's covered stiffness, or where that is more the least of the means over the cells
+        around each of its free corners: slivers are turned back against their neighbours' springs, and as the corners'
+        masses are such means too, none is the quicker for it.
         """
         own = self.cell_coverage * self.cell_stiffness
         corners = self.cell_corners.ravel()

@@ -160,7 +160,8 @@ def with_positions(script: SimulationScript, landmarks: tuple[Landmark, ...]) ->
     known = ", ".join(mark.name for mark in landmarks) or "none"
     problems = []
     placed: dict[str, list[GrabAction | ProbeAction]] = {"actions": [], "probes": []}
-    for key, actions in (("actions", script.actions), ("probes", script.probes)):
+    listed: dict[str, tuple[GrabAction | ProbeAction, ...]] = {"actions": script.actions, "probes": script.probes}
+    for key, actions in listed.items():
         for number, action in enumerate(actions, start=1):
             if action.landmark is None:
                 placed[key].append(action)

@@ -48,7 +48,7 @@ def test_what_a_probe_gives_is_what_it_reports(law, shape, backend):
         simulation.move(probe, middle + (5 - 3 * (number + 1) / count) * h * up)
         simulation.step(1)
         force = simulation.force_on(probe) @ frame / units.force_n
-        torque = simulation.torque_on(probe) @ frame / (units.force_n * h)
+        torque = simulation.wrench_on(probe).torque_n_mm @ frame / (units.force_n * h)
         total -= simulation.verlet.step * np.concatenate([force, torque + np.cross(probe.centre, force)])
     assert np.abs(total).max() > 1.0
     np.testing.assert_allclose(momentum(simulation), total, atol=2e-5 * np.abs(total).max())
@@ -65,7 +65,7 @@ def test_what_a_grab_pulls_is_what_the_rest_gains():
     for number in range(60):
         centre = model.node_index[hand.nodes[0]] + hand.closed_at[0] - hand.arms[0] + hand.pose.offset
         force = simulation.force_on(hand) / unit
-        torque = simulation.torque_on(hand) / (unit * model.cell_mm)
+        torque = simulation.wrench_on(hand).torque_n_mm / (unit * model.cell_mm)
         simulation.lead(hand, np.array([-0.1, 0.05, 0.1]) * (number + 1))
         simulation.step(1)
         total -= simulation.verlet.step * np.concatenate([force, torque + np.cross(centre, force)])
@@ -83,19 +83,19 @@ def test_force_is_nothing_without_contact_and_continuous_while_a_probe_slides(la
     probe = simulation.probe(at, 1.5 * h)
     simulation.step(10)
     assert not simulation.force_on(probe).any()
-    assert not simulation.torque_on(probe).any()
-    simulation.move(probe, at - [0, 0, 0.6 * h])
+    assert not simulation.wrench_on(probe).torque_n_mm.any()
+    simulation.move(probe, at - np.array([0.0, 0.0, 0.6 * h]))
     simulation.step(1500)
     simulation.step(1500)
     forces = [simulation.force_on(probe)]
     for number in range(440):
-        simulation.move(probe, at + [0.008 * h * (number + 1), 0, -0.6 * h])
+        simulation.move(probe, at + np.array([0.008 * h * (number + 1), 0.0, -0.6 * h]))
         simulation.step(4)
         forces.append(simulation.force_on(probe))
     size = np.linalg.norm(forces, axis=1)
     assert size.min() > 0.7 * size.max()
     assert np.linalg.norm(np.diff(forces, axis=0), axis=1).max() < 0.1 * size.mean()
-    simulation.move(probe, at + [0, 0, 3 * h])
+    simulation.move(probe, at + np.array([0.0, 0.0, 3 * h]))
     simulation.step(100)
     simulation.step(10)
     assert not simulation.force_on(probe).any()

@@ -336,7 +336,7 @@ def _keep_from_turning(
     _, probes, turn, given = instruments
     velocity, inverse_mass, rest, rows = nodes.velocity, nodes.inverse_mass, nodes.rest, nodes.rows
     thread, thread_count, barrier = place
-    has_guard = kinds[2]
+    looks_after_flat = kinds[2] and kinds[0] != NO_CELLS
     if len(probes):
         for share in range(thread, SHARES, thread_count):
             first, end = _part(share, len(rows))
@@ -359,7 +359,7 @@ def _keep_from_turning(
             cells.numbers,
             cells.touches,
             cells.is_flat,
-            has_guard,
+            looks_after_flat,
             len(probes) > 0,
             turn,
         )
@@ -461,7 +461,7 @@ def advance(
             else:
                 _step_chunk(chunk, state, constants, chunks, sleep)
         wait_at(barrier, thread_count)
-        if len(probes) > 0 or (has_guard and _has_flat(cells)):
+        if len(probes) > 0 or (has_guard and kind != NO_CELLS and _has_flat(cells)):
             _keep_from_turning(now, later, nodes, work, instruments, row_step, constants[0], sleep, place)
         current = 1 - current
         if is_checked:

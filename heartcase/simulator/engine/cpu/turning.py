@@ -2,8 +2,8 @@
 
 Three rounds with a barrier after each. Nodes inside a probe are pushed out of it; cells near a probe, and those that
 have a corner below LOOK_BELOW, write what their corners allow; nodes take the least of the cells around them. See
-:mod:`heartcase.simulator.engine.shared.contact` and :mod:`heartcase.simulator.engine.shared.turning`. What probes give is
-added up in as many sums as there are shares of windows, whatever the number of threads.
+:mod:`heartcase.simulator.engine.shared.contact` and :mod:`heartcase.simulator.engine.shared.turning`. What probes
+give is added up in as many sums as there are shares of windows, whatever the number of threads.
 """
 
 from __future__ import annotations
@@ -178,7 +178,7 @@ def _watch_cell(
         position[corner, 1] += np.float32(j)
         position[corner, 2] += np.float32(k)
     own = row[4] + place
-    is_watched = near > 0
+    is_watched = bool(near > 0)
     for corner in range(8):
         turn.allowed[corner * BANK_LANES + own] = np.float32(1)
     for corner in range(8):
@@ -227,14 +227,14 @@ def watch_cells(
     numbers: Float32,
     touches: Int64,
     is_flat: Int8,
-    has_guard: bool,
+    looks_after_flat: bool,
     has_probes: bool,
     turn: TurnArrays,
 ) -> None:
     """Write what the cells of some windows allow their corners' nodes, where they are to be looked after."""
     position, moved = np.empty((8, 3), np.float32), np.empty((8, 3), np.float32)
     for window in range(first, end):
-        is_due = has_guard and is_flat[window] > 0
+        is_due = looks_after_flat and is_flat[window] > 0
         if has_probes and not is_due:
             for touched in touches[window]:
                 if touched >= 0 and turn.is_near[touched]:
@@ -248,7 +248,7 @@ def watch_cells(
             turn.watched[lane] = 0
             # Without stiffness there is no cell, or one that was cut.
             if is_due and numbers[lane] > 0:
-                most = np.float32(LOOK_BELOW) if has_guard else np.float32(0)
+                most = np.float32(LOOK_BELOW) if looks_after_flat else np.float32(0)
                 does = _watch_cell(
                     rows[window], place, now, later, inverse_mass, most, has_probes, turn, position, moved
                 )
@@ -261,7 +261,7 @@ def watch_cells(
 
 
 @kernel(cached=False)
-def _least(turn: TurnArrays, cell: int, corner: int, part: np.float32, owner: int) -> tuple[np.float32, int]:
+def _least(turn: TurnArrays, cell: int, corner: int, part: np.float32, owner: np.int64) -> tuple[np.float32, np.int64]:
     """What a cell allows the node at its corner, and the number of the probe near it, where that is less."""
     counts = turn.watched[cell] == 1 or (turn.watched[cell] > 1 and turn.harm[0] > 0)
     allowed = turn.allowed[corner * BANK_LANES + cell]

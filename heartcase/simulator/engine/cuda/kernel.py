@@ -269,7 +269,7 @@ def _make_advance_resident(has_hands: bool) -> Any:
         if has_hands and is_used:
             begin, end = explicit_first[number], explicit_first[number + 1]
         expected = _U(0)
-        for step_number in range(step_count):
+        for _ in range(step_count):
             if is_used:
                 f = force_of_springs(displacement, now, u, row, weight)
                 if has_hands and begin < end:

@@ -20,8 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.schemas.arrays import Float32, Float64, Intp
-from heartcase.simulator.dynamics.measures import mark_flat
-from heartcase.simulator.engine.shared.turning import allowed_parts
+from heartcase.simulator.engine.shared.turning import allowed_parts, least_volumes
 from heartcase.simulator.lattice.force_law import LOOK_BELOW
 from heartcase.simulator.lattice.model import LatticeModel
 
@@ -38,8 +37,8 @@ surface and was not run over; in the frame in which an ellipsoid is a ball."""
 _MARCHES, _MET = 24, 1e-4
 
 PROBE_SIZE = 20
-"""Numbers of a probe: centre, its movement in a step, shape (row by row), reach, square of the radius around it all, half
-of the axis of a capsule."""
+"""Numbers of a probe: centre, its movement in a step, shape (row by row), reach, square of the radius around it all,
+half of the axis of a capsule."""
 NO_PROBES: Float32 = np.zeros((0, PROBE_SIZE), np.float32)
 """No probes, as an engine wants them."""
 
@@ -171,10 +170,10 @@ def _pushed(row: Float64, before: Float64, after: Float64) -> tuple[Float64, Int
     met = np.zeros(len(after), dtype=bool)
     for node in np.flatnonzero(is_seen & ~is_same_side & (r0 >= 1.0)):
         way = after[node] - before[node]
-        length, part = np.linalg.norm(shape @ way), 0.0
+        length, part = float(np.linalg.norm(shape @ way)), 0.0
         for _ in range(_MARCHES):
             place = before[node] + part * way
-            gap = np.linalg.norm(shape @ _from_axis(row, place[None])[0]) - 1.0
+            gap = float(np.linalg.norm(shape @ _from_axis(row, place[None])[0])) - 1.0
             if gap <= _MET or part >= 1.0:
                 break
             part += gap / length
@@ -190,13 +189,11 @@ def _parts(
     """Parts of their movements that nodes may take, and the probe to whose account that goes, from one on."""
     corners = model.cell_corners
     owner_of_cell = near[corners].max(axis=1)
-    volume_most = LOOK_BELOW if model.law.has_corner_guard else 0.0
+    volume_most = LOOK_BELOW if model.law.has_corner_guard and model.law.acts_in_cells else 0.0
     part, owner = np.ones(model.node_count), np.zeros(model.node_count, dtype=np.intp)
     is_due = owner_of_cell > 0
     if volume_most:
-        flat = np.zeros(model.cell_count, dtype=np.bool_)
-        mark_flat(corners, displacement, volume_most, flat)
-        is_due |= flat
+        is_due |= least_volumes(displacement[corners]) < volume_most
     cells = np.flatnonzero(model.cell_is_whole & is_due)
     if not len(cells):
         return part, owner

@@ -5,15 +5,16 @@ nodes by itself. With movements m_0 (apex) and m_1, m_2, m_3 of which parts s_i 
 
     sum of s_i L_i  +  sum of s_i s_j Q_ij  +  sum of s_i s_j s_k C_ijk
 
-exactly. As s_i s_j <= (s_i + s_j) / 2, and likewise for three, the loss is at most the sum of s_i c_i, where c_i is what
-of the negative L_i, of half the negative Q_ij and of a third of the negative C_ijk has to do with node i. Each of the n
-free nodes with a c_i takes at most 1 / n of SHARE of what the corner has above FLOOR, whatever the others do; each node
-takes the least that its corners allow. So no corner loses more than SHARE of its volume in a step, and none of a volume
-above zero is turned.
+exactly. As s_i s_j <= (s_i + s_j) / 2, and likewise for three, the loss is at most the sum of s_i c_i, where c_i is
+what of the negative L_i, of half the negative Q_ij and of a third of the negative C_ijk has to do with node i. Each of
+the n free nodes with a c_i takes at most 1 / n of SHARE of what the corner has above FLOOR, whatever the others do;
+each node takes the least that its corners allow. So no corner loses more than SHARE of its volume in a step, and none
+of a volume above zero is turned.
 
 That also holds back what would not turn a corner if all went together: the more, the flatter it is. So nothing is held
 back near the probes in a step in which all movements in full would do no corner there harm (:func:`_harms`); then, too,
-none is turned. Away from probes only the corners are looked after that would come to harm themselves.
+none is turned. Away from probes only the corners are looked after that would come to harm themselves,
+and only where cells are worked out: springs alone keep theirs.
 
 Nodes that are led move as they are led: what they take is counted first. Where they turn a corner by themselves, and
 where one is inside out already, nothing is held back.
@@ -30,7 +31,7 @@ import numpy as np
 from heartcase.schemas.arrays import Bool, Float64
 from heartcase.schemas.bundle.lattice import CORNER_OFFSETS
 
-__all__ = ["CORNER_NODES", "FLOOR", "SHARE", "TINY", "TurnMath", "allowed_parts", "make_turn_math"]
+__all__ = ["CORNER_NODES", "FLOOR", "SHARE", "TINY", "TurnMath", "allowed_parts", "least_volumes", "make_turn_math"]
 
 SHARE = 0.5
 """Part of a corner's volume above the floor that may be lost in one step."""
@@ -163,8 +164,8 @@ def make_turn_math(compiled: Callable[[Any], Any]) -> TurnMath:
 def allowed_parts(u: Float64, moved: Float64, is_free: Bool, is_near: Bool, volume_most: float) -> tuple[Float64, bool]:
     """The reference: parts of their movements that some cells allow their corners' nodes.
 
-    What each choice of nodes adds to a corner's change of volume follows from its volumes with all smaller choices moved
-    (inclusion and exclusion), not from the formulas of the kernels.
+    What each choice of nodes adds to a corner's change of volume follows from its volumes with all smaller choices
+    moved (inclusion and exclusion), not from the formulas of the kernels.
 
     Parameters
     ----------
@@ -210,6 +211,13 @@ def allowed_parts(u: Float64, moved: Float64, is_free: Bool, is_near: Bool, volu
             acts = is_limited & own_free & (own > TINY) & (own > each)
             part[acts, node] = np.minimum(part[acts, node], each[acts] / own[acts])
     return part, harm
+
+
+def least_volumes(u: Float64) -> Float64:
+    """Volume of each cell's flattest corner, from displacements of shape (count, 8, 3); shape (count,)."""
+    position = u + CORNER_OFFSETS
+    least: Float64 = np.min([_volume(position[:, nodes]) for nodes in CORNER_NODES], axis=0)
+    return least
 
 
 def _harms(before: Float64, after: Float64) -> Bool:
