@@ -1,0 +1,124 @@
+"""Edges that have both ends in common with another: each gets a vertex in its middle.
+
+Beside the corner of a sheet that ends inside the tissue, say, two vertices of the incision's tip are joined by an edge
+of one wall and by another of the other wall. The surface is closed all the same; but then an edge would not be known
+by its ends.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from heartcase.schemas.arrays import Bool, Int64
+
+__all__ = ["Corners", "without_double_edges"]
+
+
+class Corners(NamedTuple):
+    """Triangles by their corners."""
+
+    triangles: Int64
+    """Corner numbers, shape (triangle_count, 3)."""
+    kept: Int64
+    """Triangle that each is, or is a part of, shape (triangle_count,)."""
+    vertices: Int64
+    """Vertex of each corner, those that were made at the end, shape (corner_count,)."""
+    middles: Int64
+    """Corners at the ends of the edge that each of the added corners halves, shape (added_count, 2)."""
+    middle_triangles: Int64
+    """One triangle at that edge; one of the surface if there is one, shape (added_count,)."""
+
+
+def without_double_edges(
+    triangles: Int64, vertices: Int64, following: Int64, partner: Int64, is_wall: Bool
+) -> Corners:
+    """Halve edges of triangles that share both their vertices with others.
+
+    Parameters
+    ----------
+    triangles
+        Corner numbers, shape (triangle_count, 3): half-edges, plus their number in the second copy.
+    vertices
+        Vertex of each corner, shape (corner_count,).
+    following, partner
+        The half-edge that follows each in its face, shape (half_count,), and the one, with its copy, that each is glued
+        to, shape (2 half_count,).
+    is_wall
+        Which triangles are walls, shape (triangle_count,).
+    """
+    kept = np.arange(len(triangles))
+    half_count, first_added = len(following), len(vertices)
+    vertex_count = int(vertices.max(initial=-1)) + 1
+    middles: list[tuple[int, int]] = []
+    at: list[int] = []
+    added: list[int] = []
+    while True:
+        starts, ends = triangles, np.roll(triangles, -1, axis=1)
+        # All corners that were added are of vertices of their own, and no edge to them is double.
+        is_plain = (starts < first_added) & (ends < first_added)
+        one, other = (vertices[np.where(is_plain, corner, 0)] for corner in (starts, ends))
+        keys = np.minimum(one, other) << 32 | np.maximum(one, other)
+        rows = np.flatnonzero(is_plain.ravel())
+        keys = keys.ravel()[rows]
+        order = np.argsort(keys, kind="stable")
+        ordered = keys[order]
+        is_double = np.zeros(len(ordered), np.bool_)
+        for step in (1, 2):
+            alike = ordered[2:] == ordered[:-2]
+            is_double[step : len(ordered) - 2 + step] |= alike
+        is_double[: len(ordered) - 2] |= ordered[2:] == ordered[:-2]
+        if not is_double.any():
+            break
+        rows = np.sort(rows[order[is_double]])
+        names = _names(starts.ravel()[rows], ends.ravel()[rows], following, partner, half_count)
+        halved: dict[int, tuple[int, int]] = {}
+        by_name: dict[tuple[int, int], list[int]] = {}
+        for row, name in zip(rows.tolist(), names, strict=True):
+            by_name.setdefault(name, []).append(row)
+        for pair in by_name.values():
+            if any(row // 3 in halved for row in pair):
+                continue
+            of = min(pair, key=lambda row: (is_wall[kept[row // 3]], row))
+            corner = first_added + len(middles)
+            middles.append((int(triangles[of // 3, of % 3]), int(triangles[of // 3, (of + 1) % 3])))
+            at.append(int(kept[of // 3]))
+            added.append(vertex_count + len(added))
+            for row in pair:
+                halved[row // 3] = (row % 3, corner)
+        triangles, kept = _halved(triangles, kept, halved)
+    return Corners(
+        triangles,
+        kept,
+        np.concatenate([vertices, np.array(added, np.int64)]),
+        np.array(middles, np.int64).reshape(-1, 2),
+        np.array(at, np.int64),
+    )
+
+
+def _names(
+    starts: Int64, ends: Int64, following: Int64, partner: Int64, half_count: int
+) -> list[tuple[int, int]]:
+    """The same name for both sides of an edge."""
+    found = []
+    for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
+        copy = half_count * (start // half_count)
+        a, b = start - copy, end - copy
+        if following[a] == b or following[b] == a:
+            half = (a if following[a] == b else b) + copy
+            found.append((-1, min(half, int(partner[half]))))
+        else:
+            found.append((min(start, end), max(start, end)))
+    return found
+
+
+def _halved(triangles: Int64, kept: Int64, halved: dict[int, tuple[int, int]]) -> tuple[Int64, Int64]:
+    triangles = triangles.copy()
+    more = []
+    for triangle, (side, corner) in halved.items():
+        a, b, c = np.roll(triangles[triangle], -side)
+        triangles[triangle] = a, corner, c
+        more.append((corner, b, c))
+    numbers = np.array(list(halved), np.int64)
+    return np.concatenate([triangles, np.array(more, np.int64).reshape(-1, 3)]), np.concatenate([kept, kept[numbers]])
