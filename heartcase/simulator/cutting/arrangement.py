@@ -11,8 +11,10 @@ from typing import NamedTuple
 import numpy as np
 
 from heartcase.schemas.arrays import Bool, Float64, Int64
+from heartcase.simulator.cutting.crossings import QUANTA
+from heartcase.simulator.cutting.exact_ties import is_nearer
 from heartcase.simulator.cutting.facet_graphs import divide_facets
-from heartcase.simulator.cutting.sheet_crossings import SheetArcs, cross_points, cross_sheets
+from heartcase.simulator.cutting.sheet_crossings import Arcs, cross_points, cross_sheets
 from heartcase.simulator.cutting.sheet_mesh import SheetMesh
 from heartcase.simulator.cutting.surface_crossings import cross_surface
 from heartcase.simulator.cutting.uncut_surface import UncutSurface
@@ -22,17 +24,6 @@ __all__ = ["Arcs", "Arrangement", "Faces", "arrange"]
 _SAME = 2.0**36
 """Shares of an edge that are the same when rounded by this are in the order in which a movement puts them."""
 _OF_SHEETS = np.int64(1) << 62
-
-
-class Arcs(NamedTuple):
-    """Pieces of lines along which two facets cross, from node to node."""
-
-    facets: Int64
-    """Both facets, shape (count, 2): of the surface first, or of two of sheets the lower triangle."""
-    nodes: Int64
-    """First and last node, shape (count, 2); they run along the cross product of both facets' normals."""
-    weights: Float64
-    """Barycentric places of both ends in both facets, shape (count, 2, 2, 3): end, facet, corner."""
 
 
 class Faces(NamedTuple):
@@ -101,7 +92,7 @@ def arrange(surface: UncutSurface, mesh: SheetMesh) -> Arrangement:
     pairs, ends, weights = _surface_arcs(surface, mesh)
     crossed = np.unique(pairs[:, 0])
     first_sheet = len(crossed)
-    between = cross_sheets(mesh)
+    between = cross_sheets(surface, mesh)
     facets = np.concatenate(
         [np.stack([np.searchsorted(crossed, pairs[:, 0]), first_sheet + pairs[:, 1]], axis=1), first_sheet + between.pairs]
     )
@@ -117,12 +108,13 @@ def arrange(surface: UncutSurface, mesh: SheetMesh) -> Arrangement:
     facet_edges = np.concatenate([surface.edges[crossed], edge_count + mesh.edges])
     facet_forward = corners < np.roll(corners, -1, axis=1)
     edge_first, edge_nodes, edge_shares = _nodes_on_edges(
-        surface, mesh, crossed, arcs, keys, vertex_count + sheet_count, (corners, facet_edges, facet_forward), len(pairs)
+        surface, mesh, crossed, arcs, keys, (corners, facet_edges, facet_forward)
     )
-    arcs, point_places = cross_points(surface, mesh, crossed, arcs, len(pairs), vertex_count + sheet_count + len(keys))
+    ints = np.concatenate([surface.vertices[surface.triangles[crossed]], mesh.vertices[mesh.triangles]])
+    arcs, point_count = cross_points(ints, corners, arcs, first_sheet, vertex_count + sheet_count + len(keys))
     flat = _flat_corners(surface, mesh, crossed)
     arc_lists, faces = _faces(surface, mesh, crossed, arcs, corners, flat, (edge_first, edge_nodes, edge_shares))
-    node_places = _node_places(surface, mesh, crossed, arcs, len(keys) + point_places)
+    node_places = _node_places(surface, mesh, crossed, arcs, len(keys) + point_count)
     return Arrangement(crossed, corners, facet_edges, facet_forward, arcs, arc_lists, faces, *node_places)
 
 
@@ -140,13 +132,12 @@ def _nodes_on_edges(
     crossed: Int64,
     arcs: Arcs,
     keys: Int64,
-    first_node: int,
     facets: tuple[Int64, Int64, Bool],
-    surface_arc_count: int,
 ) -> tuple[Int64, Int64, Float64]:
     """Nodes on the edges of each facet, in order: where each edge's begin, the nodes, and how far along they are."""
     corners, facet_edges, facet_forward = facets
     edge_count = int(surface.edges.max(initial=-1)) + 1
+    first_node = surface.vertex_count + len(mesh.vertices)
     # One arc that ends in each node, and the facet of the two whose edge the node is on.
     at_end = arcs.nodes.ravel() - first_node
     is_end = at_end >= 0
@@ -169,8 +160,22 @@ def _nodes_on_edges(
     way = (ints[stop] - ints[start]) * np.where(facet_forward[facet, side], 1, -1)[:, None]
     along = np.einsum("nx,nx->n", normals, way.astype(np.float64))
     moved = np.divide(normals, along[:, None], out=np.zeros_like(normals), where=along[:, None] != 0)
-    moved *= np.where(is_on_surface, -1.0, 1.0)[:, None]
+    moved *= np.where(is_on_surface, -1.0, np.where(of_pair, 1.0, 0.0))[:, None]
     order = np.lexsort((moved[:, 0], moved[:, 2], moved[:, 1], np.round(share * _SAME), edge))
+    of_edge, at = edge[order], np.round(share[order] * _SAME)
+    kind = np.where(is_on_surface, 0, np.where(of_pair, 1, 2))[order]
+    is_tie = (np.diff(of_edge) == 0) & (np.diff(at) == 0) & (np.diff(kind) == 0) & (kind[1:] != 1)
+    forward = facet_forward[facet, side]
+    start, stop = np.where(forward, start, stop), np.where(forward, stop, start)
+    for place in np.flatnonzero(is_tie).tolist():
+        # What has come in order so far is gone back through.
+        while place >= 0 and is_tie[place]:
+            ends = np.array([start[order[place]], stop[order[place]]])
+            both = corners[other[order[place : place + 2]]]
+            if is_nearer(ints[ends], ends, ints[both], both, edge_is_of_surface=bool(is_on_surface[order[place]])):
+                break
+            order[place : place + 2] = order[[place + 1, place]]
+            place -= 1
     by_edge = edge[order]
     # Each facet's three edges in turn, against their order where the facet goes backwards.
     starts = np.searchsorted(by_edge, facet_edges.ravel(), side="left")
@@ -199,8 +204,6 @@ def _flat_corners(surface: UncutSurface, mesh: SheetMesh, crossed: Int64) -> Flo
 
 
 def _cells(mesh: SheetMesh) -> Float64:
-    from heartcase.simulator.cutting.crossings import QUANTA
-
     return mesh.vertices / QUANTA
 
 

@@ -49,19 +49,15 @@ def without_double_edges(
         Which triangles are walls, shape (triangle_count,).
     """
     kept = np.arange(len(triangles))
-    half_count, first_added = len(following), len(vertices)
+    first_added, all_vertices = len(vertices), vertices
     vertex_count = int(vertices.max(initial=-1)) + 1
     middles: list[tuple[int, int]] = []
     at: list[int] = []
     added: list[int] = []
     while True:
-        starts, ends = triangles, np.roll(triangles, -1, axis=1)
-        # All corners that were added are of vertices of their own, and no edge to them is double.
-        is_plain = (starts < first_added) & (ends < first_added)
-        one, other = (vertices[np.where(is_plain, corner, 0)] for corner in (starts, ends))
+        starts, ends = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
+        one, other = all_vertices[starts], all_vertices[ends]
         keys = np.minimum(one, other) << 32 | np.maximum(one, other)
-        rows = np.flatnonzero(is_plain.ravel())
-        keys = keys.ravel()[rows]
         order = np.argsort(keys, kind="stable")
         ordered = keys[order]
         is_double = np.zeros(len(ordered), np.bool_)
@@ -71,10 +67,13 @@ def without_double_edges(
         is_double[: len(ordered) - 2] |= ordered[2:] == ordered[:-2]
         if not is_double.any():
             break
-        rows = np.sort(rows[order[is_double]])
-        names = _names(starts.ravel()[rows], ends.ravel()[rows], following, partner, half_count)
+        rows = np.sort(order[is_double])
+        names = [
+            _name(start, end, all_vertices, middles, following, partner)
+            for start, end in zip(starts[rows].tolist(), ends[rows].tolist(), strict=True)
+        ]
         halved: dict[int, tuple[int, int]] = {}
-        by_name: dict[tuple[int, int], list[int]] = {}
+        by_name: dict[tuple[int, ...], list[int]] = {}
         for row, name in zip(rows.tolist(), names, strict=True):
             by_name.setdefault(name, []).append(row)
         for pair in by_name.values():
@@ -88,29 +87,32 @@ def without_double_edges(
             for row in pair:
                 halved[row // 3] = (row % 3, corner)
         triangles, kept = _halved(triangles, kept, halved)
+        all_vertices = np.concatenate([vertices, np.array(added, np.int64)])
     return Corners(
         triangles,
         kept,
-        np.concatenate([vertices, np.array(added, np.int64)]),
+        all_vertices,
         np.array(middles, np.int64).reshape(-1, 2),
         np.array(at, np.int64),
     )
 
 
-def _names(
-    starts: Int64, ends: Int64, following: Int64, partner: Int64, half_count: int
-) -> list[tuple[int, int]]:
+def _name(
+    start: int, end: int, vertices: Int64, middles: list[tuple[int, int]], following: Int64, partner: Int64
+) -> tuple[int, ...]:
     """The same name for both sides of an edge."""
-    found = []
-    for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
-        copy = half_count * (start // half_count)
-        a, b = start - copy, end - copy
-        if following[a] == b or following[b] == a:
-            half = (a if following[a] == b else b) + copy
-            found.append((-1, min(half, int(partner[half]))))
-        else:
-            found.append((min(start, end), max(start, end)))
-    return found
+    first_added, half_count = len(vertices) - len(middles), len(following)
+    low, high = min(start, end), max(start, end)
+    if high >= first_added:
+        # Half of an edge has the same middle on both sides; other edges are within one triangle.
+        is_half = vertices[low] in vertices[list(middles[high - first_added])]
+        return (high, -1, int(vertices[low])) if is_half else (high, low)
+    copy = half_count * (start // half_count)
+    a, b = start - copy, end - copy
+    if following[a] == b or following[b] == a:
+        half = (a if following[a] == b else b) + copy
+        return -1, min(half, int(partner[half]))
+    return low, high
 
 
 def _halved(triangles: Int64, kept: Int64, halved: dict[int, tuple[int, int]]) -> tuple[Int64, Int64]:

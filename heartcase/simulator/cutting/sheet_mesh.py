@@ -9,6 +9,7 @@ import numpy as np
 
 from heartcase.schemas.arrays import Float64, Int64
 from heartcase.simulator.cutting.blade_sheet import Sheet
+from heartcase.simulator.cutting.sheet_sides import order_around
 
 __all__ = ["SheetMesh", "sheet_mesh"]
 
@@ -25,9 +26,9 @@ class SheetMesh:
     """Number of the edge from each corner to the next, shape (triangle_count, 3)."""
     edge_vertices: Int64
     """Lower and higher vertex of each edge, shape (edge_count, 2)."""
-    angles: Float64
-    """Direction in which each triangle lies around the edge that follows a corner, counter-clockwise seen against the
-    way from the edge's lower to its higher vertex, shape (triangle_count, 3)."""
+    ranks: Int64
+    """Place of each triangle in the order around the edge that follows a corner, counter-clockwise seen against the way
+    from the edge's lower to its higher vertex, shape (triangle_count, 3)."""
     flat: Float64
     """Place of each corner on the sheet laid out flat [cells], shape (triangle_count, 3, 2)."""
     sheet: Int64
@@ -53,19 +54,15 @@ def sheet_mesh(sheets: Sequence[Sheet]) -> SheetMesh:
         triangles,
         edges.reshape(-1, 3).astype(np.int64),
         edge_vertices.reshape(-1, 2).astype(np.int64),
-        _angles(vertices.astype(np.float64), triangles, edge_vertices[edges.ravel()].reshape(-1, 3, 2)),
+        _ranks(vertices.astype(np.int64), triangles, edge_vertices.astype(np.int64), edges.ravel()),
         flat[kept],
         sheet[kept].astype(np.int64),
     )
 
 
-def _angles(vertices: Float64, triangles: Int64, of_edges: Int64) -> Float64:
-    start = vertices[of_edges[..., 0]]
-    way = vertices[of_edges[..., 1]] - start
-    third = vertices[np.roll(triangles, -2, axis=1)] - start
-    across = np.zeros_like(way)
-    # A direction across the edge, the same for all of its triangles: away from its least component.
-    np.put_along_axis(across, np.abs(way).argmin(axis=2)[..., None], 1.0, axis=2)
-    one = np.cross(way, across)
-    other = np.cross(way, one) / np.linalg.norm(way, axis=2)[..., None]
-    return np.arctan2(np.einsum("tcx,tcx->tc", third, other), np.einsum("tcx,tcx->tc", third, one))
+def _ranks(vertices: Int64, triangles: Int64, edge_vertices: Int64, edges: Int64) -> Int64:
+    ranks = np.zeros((len(triangles), 3), np.int64)
+    members = np.argsort(edges, kind="stable")
+    first = np.append(0, np.cumsum(np.bincount(edges, minlength=len(edge_vertices)))).astype(np.int64)
+    order_around(vertices, triangles, edge_vertices, first, members, ranks)
+    return ranks

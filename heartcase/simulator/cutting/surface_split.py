@@ -21,6 +21,7 @@ from heartcase.simulator.cutting.blade_sheet import Sheet
 from heartcase.simulator.cutting.crossings import QUANTA
 from heartcase.simulator.cutting.double_edges import Corners, without_double_edges
 from heartcase.simulator.cutting.gluing import glue_around, join_sets
+from heartcase.simulator.cutting.sheet_crossings import barycentric
 from heartcase.simulator.cutting.sheet_mesh import SheetMesh, sheet_mesh
 from heartcase.simulator.cutting.surface_crossings import is_inside
 from heartcase.simulator.cutting.uncut_surface import UncutSurface
@@ -158,7 +159,7 @@ def _glued(mesh: SheetMesh, parts: Arrangement, face_is_wall: Bool) -> tuple[Int
     arc_count = len(parts.arcs.nodes)
     group = np.concatenate([is_loose * arc_count + arc, 2 * arc_count + piece])
     rows = np.concatenate([arc_halves, outline])
-    ranks = np.concatenate([rank, _angles(mesh, parts, outline)])
+    ranks = np.concatenate([rank, _ranks(mesh, parts, outline)])
     runs_back = np.concatenate([arc_backwards, backwards])
     back = np.concatenate([looks_back, of_sheet & backwards])
     ahead = np.concatenate([looks_ahead, of_sheet & ~backwards])
@@ -186,10 +187,11 @@ def _glued(mesh: SheetMesh, parts: Arrangement, face_is_wall: Bool) -> tuple[Int
     return parents, partner
 
 
-def _angles(mesh: SheetMesh, parts: Arrangement, outline: Int64) -> Float64:
+def _ranks(mesh: SheetMesh, parts: Arrangement, outline: Int64) -> Int64:
     """Place of each half-edge of an outline in the order around its edge; 0 for those of the surface."""
     side = -1 - parts.faces.halves[outline, 3] - 3 * len(parts.crossed)
-    return np.where(side >= 0, mesh.angles.ravel()[np.maximum(side, 0)] if len(mesh.angles) else 0.0, 0.0)
+    ranks = np.append(mesh.ranks.ravel(), 0)
+    return ranks[np.where(side >= 0, side, len(ranks) - 1)]
 
 
 def _written(
@@ -283,19 +285,6 @@ def _points(
         np.concatenate([parts.on_surface, on_triangle]),
         np.concatenate([parts.surface_weights, weights]),
     )
-
-
-def barycentric(triangles: Float64, places: Float64) -> Float64:
-    """Barycentric places of points in the planes of triangles, shapes (count, 3, 3) and (count, 3) to (count, 3)."""
-    p, u, v = triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
-    w = places - p
-    uu, uv, vv = (np.einsum("nx,nx->n", a, b) for a, b in ((u, u), (u, v), (v, v)))
-    wu, wv = np.einsum("nx,nx->n", w, u), np.einsum("nx,nx->n", w, v)
-    determinant = uu * vv - uv * uv
-    safe = np.where(determinant > 0, determinant, 1.0)
-    second = np.where(determinant > 0, (vv * wu - uv * wv) / safe, 0.0)
-    third = np.where(determinant > 0, (uu * wv - uv * wu) / safe, 0.0)
-    return np.stack([1.0 - second - third, second, third], axis=1)
 
 
 def _laid_out(mesh: SheetMesh, places: Float64, triangles: Int64) -> Float64:
