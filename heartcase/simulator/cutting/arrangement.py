@@ -98,7 +98,10 @@ def arrange(surface: UncutSurface, mesh: SheetMesh) -> Arrangement:
     )
     keys, number = np.unique(np.concatenate([ends, between.ends]).ravel(), return_inverse=True)
     nodes = vertex_count + sheet_count + number.reshape(-1, 2)
-    arcs = Arcs(facets, nodes, np.concatenate([weights, between.weights]))
+    all_ends = np.concatenate([ends, between.ends])
+    arcs = Arcs(
+        facets, nodes, np.concatenate([weights, between.weights]), _turns(mesh, facets - first_sheet, all_ends)
+    )
     # Ends in a corner that both triangles of sheets have are that corner's node.
     at_corner = between.corners >= 0
     arcs.nodes[len(pairs) :][at_corner] = vertex_count + between.corners[at_corner]
@@ -116,6 +119,27 @@ def arrange(surface: UncutSurface, mesh: SheetMesh) -> Arrangement:
     arc_lists, faces = _faces(surface, mesh, crossed, arcs, corners, flat, (edge_first, edge_nodes, edge_shares))
     node_places = _node_places(surface, mesh, crossed, arcs, len(keys) + point_count)
     return Arrangement(crossed, corners, facet_edges, facet_forward, arcs, arc_lists, faces, *node_places)
+
+
+def _turns(mesh: SheetMesh, triangles: Int64, keys: Int64) -> Float64:
+    """Place of each end of each arc in the order around the sheet's edge that it is on, shape (count, 2)."""
+    of_sheet = keys.ravel() >= _OF_SHEETS
+    between = keys.ravel() < 0
+    edge = np.where(between, -1 - keys.ravel(), keys.ravel() & ~_OF_SHEETS) >> 31
+    turns = np.full(len(edge), np.nan)
+    forward = mesh.triangles < np.roll(mesh.triangles, -1, axis=1)
+    count = np.bincount(mesh.edges.ravel(), minlength=1)
+    for which in (0, 1):
+        rows = np.flatnonzero(between if which == 0 else of_sheet | between)
+        of_row = triangles[rows // 2, which]
+        is_side = mesh.edges[of_row] == edge[rows, None]
+        rows, of_row, is_side = (each[is_side.any(axis=1)] for each in (rows, of_row, is_side))
+        side = is_side.argmax(axis=1)
+        # Seen from before the other facet the edge comes towards one, or goes away.
+        is_towards = (rows % 2 == which) == forward[of_row, side]
+        turn = 2.0 * np.pi * mesh.ranks[of_row, side] / count[edge[rows]]
+        turns[rows] = np.where(is_towards, turn, -turn)
+    return turns.reshape(-1, 2)
 
 
 def _normals(surface: UncutSurface, mesh: SheetMesh, crossed: Int64) -> Float64:
@@ -244,6 +268,7 @@ def _faces(
         arcs.nodes[arc],
         arc_places,
         ways,
+        arcs.turns[arc],
         halves,
         joined,
         triangles,

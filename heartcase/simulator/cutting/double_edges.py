@@ -60,24 +60,19 @@ def without_double_edges(
         keys = np.minimum(one, other) << 32 | np.maximum(one, other)
         order = np.argsort(keys, kind="stable")
         ordered = keys[order]
-        is_double = np.zeros(len(ordered), np.bool_)
-        for step in (1, 2):
-            alike = ordered[2:] == ordered[:-2]
-            is_double[step : len(ordered) - 2 + step] |= alike
-        is_double[: len(ordered) - 2] |= ordered[2:] == ordered[:-2]
-        if not is_double.any():
-            break
-        rows = np.sort(order[is_double])
-        names = [
-            _name(start, end, all_vertices, middles, following, partner)
-            for start, end in zip(starts[rows].tolist(), ends[rows].tolist(), strict=True)
-        ]
-        halved: dict[int, tuple[int, int]] = {}
+        alike = np.flatnonzero(ordered[2:] == ordered[:-2])
+        rows = order[np.unique(alike[:, None] + np.arange(3))]
         by_name: dict[tuple[int, ...], list[int]] = {}
-        for row, name in zip(rows.tolist(), names, strict=True):
-            by_name.setdefault(name, []).append(row)
-        for pair in by_name.values():
-            if any(row // 3 in halved for row in pair):
+        for row, start, end in zip(rows.tolist(), starts[rows].tolist(), ends[rows].tolist(), strict=True):
+            name = _name(start, end, all_vertices, middles, following, partner)
+            by_name.setdefault((int(keys[row]), *name), []).append(row)
+        # One of each kind stays whole: one that the surface around has too, if there is one.
+        edges = sorted(by_name.items(), key=lambda item: (item[0][0], len(item[1]), item[0]))
+        halved: dict[int, tuple[int, int]] = {}
+        before = None
+        for (key, *_), pair in edges:
+            is_first, before = key != before, key
+            if is_first or len(pair) == 1 or any(row // 3 in halved for row in pair):
                 continue
             of = min(pair, key=lambda row: (is_wall[kept[row // 3]], row))
             corner = first_added + len(middles)
@@ -86,6 +81,8 @@ def without_double_edges(
             added.append(vertex_count + len(added))
             for row in pair:
                 halved[row // 3] = (row % 3, corner)
+        if not halved:
+            break
         triangles, kept = _halved(triangles, kept, halved)
         all_vertices = np.concatenate([vertices, np.array(added, np.int64)])
     return Corners(

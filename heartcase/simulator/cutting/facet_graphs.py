@@ -33,7 +33,7 @@ def _turned(angle):
 
 
 @kernel(cached=False)
-def _link_around(node, boundary_count, half_count, origin, angle, following):
+def _link_around(node, boundary_count, half_count, origin, angle, turns, following):
     """Say for each half-edge that comes to a node which one its face goes on with."""
     around = np.empty(half_count, np.int64)
     keys = np.empty(half_count)
@@ -42,7 +42,7 @@ def _link_around(node, boundary_count, half_count, origin, angle, following):
     for half in range(boundary_count, half_count):
         if origin[half] != node:
             continue
-        key = _turned(angle[half] - base)
+        key = _turned(turns[half] - base)
         at = count
         while at > 0 and keys[at - 1] > key:
             keys[at], around[at] = keys[at - 1], around[at - 1]
@@ -221,7 +221,7 @@ def _join_loose(node_count, boundary_count, half_count, origin, target, places, 
 
 @kernel
 def divide_facets(
-    corners, places, edge_first, edge_nodes, edge_shares, arc_first, arc_nodes, arc_places, arc_ways, halves, joined, triangles
+    corners, places, edge_first, edge_nodes, edge_shares, arc_first, arc_nodes, arc_places, arc_ways, arc_turns, halves, joined, triangles
 ):
     """Divide facets into faces, and these into triangles.
 
@@ -236,9 +236,10 @@ def divide_facets(
     edge_first, edge_nodes, edge_shares
         Where the nodes on each edge begin, shape (3 facet_count + 1,); the nodes, in order from corner to corner; how
         far along they lie.
-    arc_first, arc_nodes, arc_places, arc_ways
+    arc_first, arc_nodes, arc_places, arc_ways, arc_turns
         Where the arcs of each facet begin, shape (facet_count + 1,); both nodes of each; their places, shape
-        (arc_count, 2, 2); the direction, in which the arc is straight, shape (arc_count, 2).
+        (arc_count, 2, 2); the direction, in which the arc is straight, shape (arc_count, 2); and the angle in the order
+        around each end, or not a number where the direction's is meant.
     halves
         Node, face, following half-edge and twin's kind of each half-edge, shape (room, 4), written: the last is the
         number of the arc times 2, plus 1 if the half-edge goes backwards; -1 - 3 facet - side for the outline; and
@@ -262,7 +263,8 @@ def divide_facets(
         room = outline + 4 * arc_count
         nodes, at = np.empty(outline + 2 * arc_count, np.int64), np.empty((outline + 2 * arc_count, 2))
         origin, target = np.empty(room, np.int64), np.empty(room, np.int64)
-        angle, following, cycle = np.empty(room), np.empty(room, np.int64), np.empty(room, np.int64)
+        angle, turns = np.empty(room), np.empty(room)
+        following, cycle = np.empty(room, np.int64), np.empty(room, np.int64)
         kind = np.full(room, -1 - 3 * facet_count, np.int64)
         pairs = np.empty((2 * arc_count, 2), np.int64)
 
@@ -295,10 +297,13 @@ def divide_facets(
                 origin[half_count + end], target[half_count + 1 - end] = local, local
             way = atan2(arc_ways[arc, 1], arc_ways[arc, 0])
             angle[half_count], angle[half_count + 1] = way, way + pi
+            one, other = arc_turns[arc, 0], arc_turns[arc, 1]
+            turns[half_count] = way if np.isnan(one) else one
+            turns[half_count + 1] = way + pi if np.isnan(other) else other
             kind[half_count], kind[half_count + 1] = 2 * arc, 2 * arc + 1
             half_count += 2
         for node in range(count):
-            _link_around(node, outline, half_count, origin, angle, following)
+            _link_around(node, outline, half_count, origin, angle, turns, following)
         plain_count = half_count
         half_count = _join_loose(
             count, outline, half_count, origin, target, at, angle, following, cycle, pairs

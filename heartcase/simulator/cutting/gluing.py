@@ -11,7 +11,7 @@ import numpy as np
 
 from heartcase.compiling.kernel import kernel
 
-__all__ = ["glue_around", "join_sets"]
+__all__ = ["glue_around", "join_sets", "number_parts"]
 
 
 @kernel(cached=False)
@@ -75,3 +75,22 @@ def glue_around(first, is_circle, halves, backwards, copies, following, parents,
             else:
                 _join(parents, start_a, end_b)
                 _join(parents, end_a, start_b)
+
+
+@kernel
+def number_parts(triangles, vertex_count):
+    """Number of what each triangle hangs together with, by the first triangle of each, int32, shape (triangle_count,)."""
+    parents = np.arange(vertex_count)
+    for n in range(len(triangles)):
+        _join(parents, triangles[n, 0], triangles[n, 1])
+        _join(parents, triangles[n, 0], triangles[n, 2])
+    numbers = np.full(vertex_count, -1, np.int32)
+    part = np.empty(len(triangles), np.int32)
+    count = 0
+    for n in range(len(triangles)):
+        root = _root(parents, triangles[n, 0])
+        if numbers[root] < 0:
+            numbers[root] = count
+            count += 1
+        part[n] = numbers[root]
+    return part

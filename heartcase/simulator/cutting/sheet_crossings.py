@@ -28,6 +28,9 @@ class Arcs(NamedTuple):
     """First and last node, shape (count, 2); they run along the cross product of both facets' normals."""
     weights: Float64
     """Barycentric places of both ends in both facets, shape (count, 2, 2, 3): end, facet, corner."""
+    turns: Float64
+    """Where an end is on a sheet's edge, the arc's place in the order around it in the other facet, counter-clockwise;
+    else not a number, shape (count, 2)."""
 
 
 class SheetArcs(NamedTuple):
@@ -196,8 +199,13 @@ def _divided(corners: Int64, arcs: Arcs, through: Int64, places: Float64, first_
     is_last = np.append(of_arc[1:] != of_arc[:-1], True)
     next_nodes = np.where(is_last, arcs.nodes[of_arc, 1], np.roll(nodes, -1))
     next_weights = np.where(is_last[:, None, None], arcs.weights[of_arc, 1], np.roll(weights, -1, axis=0))
+    first_turns = np.concatenate([arcs.turns[:, 0], np.full(len(arc), np.nan)])[by_arc]
+    last_turns = np.where(is_last, arcs.turns[of_arc, 1], np.nan)
     return Arcs(
-        arcs.facets[of_arc], np.stack([nodes, next_nodes], axis=1), np.stack([weights, next_weights], axis=1)
+        arcs.facets[of_arc],
+        np.stack([nodes, next_nodes], axis=1),
+        np.stack([weights, next_weights], axis=1),
+        np.stack([first_turns, last_turns], axis=1),
     )
 
 

@@ -10,7 +10,7 @@ Jacobson (ACM Trans. Graph. 35, 2016); here only the order around nodes and edge
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +20,7 @@ from heartcase.simulator.cutting.arrangement import Arrangement, arrange
 from heartcase.simulator.cutting.blade_sheet import Sheet
 from heartcase.simulator.cutting.crossings import QUANTA
 from heartcase.simulator.cutting.double_edges import Corners, without_double_edges
-from heartcase.simulator.cutting.gluing import glue_around, join_sets
+from heartcase.simulator.cutting.gluing import glue_around, join_sets, number_parts
 from heartcase.simulator.cutting.sheet_crossings import barycentric
 from heartcase.simulator.cutting.sheet_mesh import SheetMesh, sheet_mesh
 from heartcase.simulator.cutting.surface_crossings import is_inside
@@ -28,6 +28,8 @@ from heartcase.simulator.cutting.uncut_surface import UncutSurface
 
 __all__ = ["SplitMesh", "split_mesh"]
 
+_NO_THICKNESS = 1e-9
+"""Parts of the surface that are thinner hold no tissue [cells]."""
 _AROUND_ARC = np.array(
     [
         # Of two sheets: the first and the second in turn, all in a circle.
@@ -62,6 +64,8 @@ class SplitMesh:
     """Triangle of the uncut surface on which each vertex of a lip lies, else -1, shape (vertex_count,)."""
     on_weights: Float64
     """Barycentric place there, shape (vertex_count, 3)."""
+    triangle_part: Int32
+    """Number of what each triangle hangs together with, shape (triangle_count,); all that is not cut free has one."""
     flat: Float64
     """Place of each wall's vertex on its sheet laid out flat [cells], else 0, shape (vertex_count, 2)."""
 
@@ -207,15 +211,21 @@ def _written(
     is_wall = np.repeat([False, True], [len(pieces), 2 * len(walls)])
     # Corners at vertices of the uncut surface are these, all others by set.
     nodes = np.concatenate([faces.halves[:, 0]] * 2)
+    named = np.where(nodes < vertex_count, nodes, vertex_count + classes)
+    # A triangle of which two corners are one vertex is left out: its two other edges are one.
+    by_corner = np.concatenate([pieces, walls, walls[:, ::-1] + half_count])
+    has_three = (named[by_corner] != named[np.roll(by_corner, -1, axis=1)]).all(axis=1)
+    by_corner, facets, is_wall = by_corner[has_three], facets[has_three], is_wall[has_three]
+    wall_side = 2 * faces.halves[by_corner[:, 0] % max(half_count, 1), 1] + by_corner[:, 0] // max(half_count, 1)
     corners = without_double_edges(
-        np.concatenate([pieces, walls, walls[:, ::-1] + half_count]),
-        np.where(nodes < vertex_count, nodes, vertex_count + classes),
+        by_corner,
+        named,
         faces.halves[:, 2],
         partner,
         is_wall,
     )
     points = _points(surface, parts, nodes, corners, facets[corners.middle_triangles])
-    facets, is_wall = facets[corners.kept], is_wall[corners.kept]
+    facets, is_wall, wall_side = facets[corners.kept], is_wall[corners.kept], wall_side[corners.kept]
 
     # Surface and wall have a vertex each where they meet.
     vertices = corners.vertices[corners.triangles]
@@ -242,7 +252,7 @@ def _written(
     origin, sheet = np.full(len(facets), -1), np.full(len(facets), -1)
     origin[~is_wall] = parts.crossed[facets[~is_wall]]
     sheet[is_wall] = mesh.sheet[facets[is_wall] - surface_facets]
-    return SplitMesh(
+    split = SplitMesh(
         triangles=np.concatenate([surface.triangles[untouched], triangles]).astype(np.int32),
         triangle_origin=np.concatenate([untouched, origin]).astype(np.int32),
         triangle_sheet=np.concatenate([plain, sheet]).astype(np.int32),
@@ -251,6 +261,38 @@ def _written(
         on_triangle=np.concatenate([np.full(vertex_count, -1), points.on_triangle[point]]).astype(np.int32),
         on_weights=np.concatenate([np.zeros((vertex_count, 3)), points.on_weights[point]]),
         flat=np.concatenate([np.zeros((vertex_count, 2)), flat]),
+        triangle_part=np.zeros(0, np.int32),
+    )
+    return _without_dust(split, np.concatenate([plain, np.where(is_wall, wall_side, -1)]))
+
+
+def _without_dust(split: SplitMesh, wall_side: Int64) -> SplitMesh:
+    """Number what hangs together, and leave out what holds no tissue: what two sheets in one place have between them.
+
+    A cut inside the tissue has no volume either, but both sides of its walls.
+    """
+    triangle_part = number_parts(split.weld[split.triangles], len(split.weld))
+    part_count = int(triangle_part.max(initial=-1)) + 1
+    p, q, r = np.moveaxis(split.places[split.triangles], 1, 0)
+    centre = split.places[split.triangles[:1, 0]]
+    normals = np.cross(q - p, r - p)
+    volumes = np.bincount(triangle_part, np.einsum("tx,tx->t", p - centre, normals), minlength=part_count)
+    areas = np.bincount(triangle_part, np.linalg.norm(normals, axis=1), minlength=part_count)
+    is_dust = np.abs(volumes) <= _NO_THICKNESS * areas
+    walls = np.flatnonzero(wall_side >= 0)
+    sides = np.unique(np.stack([triangle_part[walls], wall_side[walls]], axis=1), axis=0)
+    has_both = (np.diff(sides[:, 0]) == 0) & (np.diff(sides[:, 1] // 2) == 0)
+    is_dust[sides[1:, 0][has_both]] = False
+    if not is_dust.any():
+        return replace(split, triangle_part=triangle_part)
+    kept = ~is_dust[triangle_part]
+    part = (np.cumsum(~is_dust) - 1)[triangle_part[kept]].astype(np.int32)
+    return replace(
+        split,
+        triangles=split.triangles[kept],
+        triangle_origin=split.triangle_origin[kept],
+        triangle_sheet=split.triangle_sheet[kept],
+        triangle_part=part,
     )
 
 
@@ -269,16 +311,20 @@ def _points(
 ) -> _Points:
     """Nodes, and the middles of double edges of some facets."""
     first_node = surface.vertex_count
-    ends = nodes[corners.middles]
+    first_middle = len(nodes)
     all_places = np.concatenate([surface.places, parts.places])
-    places = all_places[ends].mean(axis=1)
+    places = np.zeros((len(corners.middles), 3))
+    for n, (one, other) in enumerate(corners.middles.tolist()):
+        # A middle may be one of an edge to an earlier middle.
+        ends = (all_places[nodes[at]] if at < first_middle else places[at - first_middle] for at in (one, other))
+        places[n] = sum(ends) / 2
     on_surface = facet < len(parts.crossed)
-    on_triangle = np.full(len(ends), -1)
+    on_triangle = np.full(len(places), -1)
     on_triangle[on_surface] = parts.crossed[facet[on_surface]]
-    weights = np.zeros((len(ends), 3))
+    weights = np.zeros((len(places), 3))
     triangles = surface.places[surface.triangles[on_triangle[on_surface]]]
     weights[on_surface] = barycentric(triangles, places[on_surface])
-    number = np.concatenate([nodes - first_node, len(parts.places) + np.arange(len(ends))])
+    number = np.concatenate([nodes - first_node, len(parts.places) + np.arange(len(places))])
     return _Points(
         number,
         np.concatenate([parts.places, places]),
