@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from heartcase.schemas.arrays import Float64, Int64
-from heartcase.simulator.cutting.exact_ties import is_in_all_three
+from heartcase.simulator.cutting.exact_ties import comes_first, is_in_all_three
 from heartcase.simulator.cutting.sheet_mesh import SheetMesh
 from heartcase.simulator.cutting.sheet_sides import cross_triangles
 from heartcase.simulator.cutting.surface_crossings import fill_buckets
@@ -17,6 +17,8 @@ __all__ = ["Arcs", "SheetArcs", "cross_points", "cross_sheets"]
 
 _NOT_ZERO = 1e-5
 """Distance from the edges of a triangle, in whole numbers, from which on a place is on a side of them for sure."""
+_SAME = 1e-9
+"""Share of an arc by which two points on it must be apart for their order to be sure."""
 
 
 class Arcs(NamedTuple):
@@ -72,6 +74,8 @@ class _Points(NamedTuple):
     """Arcs through each, three, shape (count, 3)."""
     places: Float64
     """In QUANTA to a cell, shape (count, 3)."""
+    facets: Int64
+    """The facets, one of the surface first, shape (count, 3)."""
 
 
 def cross_points(corners: Int64, numbers: Int64, arcs: Arcs, surface_facets: int, first_node: int) -> tuple[Arcs, int]:
@@ -101,11 +105,35 @@ def cross_points(corners: Int64, numbers: Int64, arcs: Arcs, surface_facets: int
     on_surface = _candidates(arcs.facets, between, np.arange(first_between), first_of_third=True)
     of_sheets = _candidates(arcs.facets, between, between, first_of_third=False)
     points = [_points(corners, numbers, arcs, triple, surface_facets) for triple in (on_surface, of_sheets)]
-    through = np.concatenate([each.arcs for each in points])
-    places = np.concatenate([each.places for each in points])
-    if not len(through):
+    found = _Points(*(np.concatenate(both) for both in zip(*points, strict=True)))
+    if not len(found.arcs):
         return arcs, 0
-    return _divided(corners, arcs, through, places, first_node), len(through)
+    arc, point = _in_order(corners, numbers, arcs, found, surface_facets)
+    return _divided(corners, arcs, arc, point, found.places, first_node), len(found.arcs)
+
+
+def _in_order(
+    corners: Int64, numbers: Int64, arcs: Arcs, points: _Points, surface_facets: int
+) -> tuple[Int64, Int64]:
+    """Arcs through points and the points on them, arc by arc in order."""
+    arc, point = points.arcs.ravel(), np.repeat(np.arange(len(points.arcs)), 3)
+    start, stop = (_place(corners, arcs.facets[arc, 0], arcs.weights[arc, end, 0]) for end in (0, 1))
+    way = stop - start
+    squared = np.einsum("nx,nx->n", way, way)
+    share = np.einsum("nx,nx->n", points.places[point] - start, way) / np.where(squared > 0, squared, 1.0)
+    order = np.lexsort((point, share, arc))
+    arc, point, share, way = arc[order], point[order], share[order], way[order]
+    is_tie = (np.diff(arc) == 0) & (np.diff(share) < _SAME)
+    for at in np.flatnonzero(is_tie).tolist():
+        here = at
+        while here >= 0 and is_tie[here]:
+            facets = points.facets[point[here : here + 2]]
+            of_surface = (facets[:, 0] < surface_facets).tolist()
+            if comes_first(corners[facets], numbers[facets], of_surface, way[here]):
+                break
+            point[here : here + 2] = point[[here + 1, here]]
+            here -= 1
+    return arc, point
 
 
 def _candidates(facets: Int64, between: Int64, others: Int64, *, first_of_third: bool) -> Int64:
@@ -156,17 +184,12 @@ def _points(corners: Int64, numbers: Int64, arcs: Arcs, triples: Int64, surface_
     is_sure = (np.abs(heights) > _NOT_ZERO / np.maximum(sizes, 1e-300)[:, None, None]).all(axis=(1, 2)) & (scale != 0)
     is_sure |= (heights < -_NOT_ZERO / np.maximum(sizes, 1e-300)[:, None, None]).any(axis=(1, 2)) & (scale != 0)
     inside = is_sure & (heights > 0).all(axis=(1, 2))
+    place += origin[:, 0]
     for row in np.flatnonzero(~is_sure).tolist():
         three = meeting[row]
-        inside[row] = is_in_all_three(corners[three], numbers[three], first_is_surface=bool(three[0] < surface_facets))
-    kept = np.flatnonzero(inside)
-    places = place[kept] + origin[kept, 0]
-    # Where two planes are one, the middle of what the triangles have in common will do.
-    poor = np.flatnonzero(sizes[kept] < _NOT_ZERO)
-    for row in poor.tolist():
-        arc = triples[kept[row], 0]
-        places[row] = (_place(corners, facets[[arc], 0], arcs.weights[[arc], :, 0].mean(axis=1)))[0]
-    return _Points(triples[kept], places)
+        first_is_surface = bool(three[0] < surface_facets)
+        inside[row], place[row] = is_in_all_three(corners[three], numbers[three], first_is_surface=first_is_surface)
+    return _Points(triples[inside], place[inside], meeting[inside])
 
 
 def _place(corners: Int64, facets: Int64, weights: Float64) -> Float64:
@@ -174,16 +197,8 @@ def _place(corners: Int64, facets: Int64, weights: Float64) -> Float64:
     return place
 
 
-def _divided(corners: Int64, arcs: Arcs, through: Int64, places: Float64, first_node: int) -> Arcs:
-    """Arcs from node to node along each."""
-    arc = through.ravel()
-    point = np.repeat(np.arange(len(through)), 3)
-    start, stop = (_place(corners, arcs.facets[arc, 0], arcs.weights[arc, end, 0]) for end in (0, 1))
-    way = stop - start
-    squared = np.einsum("nx,nx->n", way, way)
-    share = np.einsum("nx,nx->n", places[point] - start, way) / np.where(squared > 0, squared, 1.0)
-    order = np.lexsort((point, share, arc))
-    arc, point = arc[order], point[order]
+def _divided(corners: Int64, arcs: Arcs, arc: Int64, point: Int64, places: Float64, first_node: int) -> Arcs:
+    """Arcs from node to node along each, of arcs and points on them in order."""
     facets = arcs.facets[arc]
     inner = np.stack(
         [barycentric(corners[facets[:, each]].astype(np.float64), places[point]) for each in (0, 1)], axis=1

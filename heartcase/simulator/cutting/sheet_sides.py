@@ -75,17 +75,54 @@ def _side(vertices, p, q, r, m):
 
 
 @kernel(cached=False)
-def _shares(vertices, triangle, p, q):
-    """Barycentric place where the line through p and q goes through a triangle."""
+def _heights(vertices, triangle, a, b):
+    """How far two corners lie from a triangle's plane; if both lie in it, how far they are moved from it."""
+    p, q, r = triangle[0], triangle[1], triangle[2]
+    there = volume(vertices[p], vertices[q], vertices[r], vertices[a])
+    beyond = volume(vertices[p], vertices[q], vertices[r], vertices[b])
+    if there != 0 or beyond != 0:
+        return float(there), float(beyond)
+    numbers = np.array([p, q, r, a, b])
+    rows = np.empty((5, 4), np.int64)
+    for n in range(5):
+        for axis in range(3):
+            rows[n, axis] = vertices[numbers[n], axis] - vertices[p, axis]
+        rows[n, 3] = 1
+    for one in np.argsort(numbers):
+        changed = rows.copy()
+        x, y, z = _direction(vertices[numbers[one]])
+        changed[one, 0], changed[one, 1], changed[one, 2], changed[one, 3] = x, y, z, 0
+        there = _determinant(changed[:4]) if one < 4 else 0
+        changed[3] = changed[4] if one == 4 else rows[4]
+        beyond = _determinant(changed[:4]) if one != 3 else 0
+        if there != 0 or beyond != 0:
+            return float(there), float(beyond)
+    return 1.0, -1.0
+
+
+@kernel(cached=False)
+def _shares(vertices, triangle, p, q, share):
+    """Barycentric place where the line from p to q goes through a triangle, at a share of its way."""
     volumes = np.empty(3)
     for n in range(3):
         a, b = vertices[triangle[n]], vertices[triangle[(n + 1) % 3]]
         volumes[(n + 2) % 3] = abs(float(volume(vertices[p], vertices[q], a, b)))
     total = volumes.sum()
-    if total == 0.0:
-        volumes[:] = 1.0 / 3.0
-        return volumes
-    return volumes / total
+    if total != 0.0:
+        return volumes / total
+    place = vertices[p] + share * (vertices[q] - vertices[p])
+    one, other = vertices[triangle[1]] - vertices[triangle[0]], vertices[triangle[2]] - vertices[triangle[0]]
+    way = place - vertices[triangle[0]]
+    aa, ab, bb, wa, wb = 0.0, 0.0, 0.0, 0.0, 0.0
+    for axis in range(3):
+        u, v, w = float(one[axis]), float(other[axis]), way[axis]
+        aa, ab, bb, wa, wb = aa + u * u, ab + u * v, bb + v * v, wa + w * u, wb + w * v
+    determinant = aa * bb - ab * ab
+    volumes[:] = 1.0 / 3.0
+    if determinant > 0.0:
+        volumes[1], volumes[2] = (bb * wa - ab * wb) / determinant, (aa * wb - ab * wa) / determinant
+        volumes[0] = 1.0 - volumes[1] - volumes[2]
+    return volumes
 
 
 @kernel(cached=False)
@@ -106,15 +143,14 @@ def _pierce(vertices, triangles, edges, one, other, ends, weights, corners, coun
         passing = _side(vertices, low, high, p, q)
         if passing != _side(vertices, low, high, q, r) or passing != _side(vertices, low, high, r, p):
             continue
-        there = float(volume(vertices[p], vertices[q], vertices[r], vertices[a]))
-        beyond = float(volume(vertices[p], vertices[q], vertices[r], vertices[b]))
+        there, beyond = _heights(vertices, of_other, a, b)
         share = there / (there - beyond) if there != beyond else 0.5
         starts = side < 0 if first == 0 else side > 0
         row = 0 if starts else 1
         ends[count, row] = -1 - ((np.int64(edges[one, n]) << 31) | np.int64(other))
         weights[count, row, first, :] = 0.0
         weights[count, row, first, n], weights[count, row, first, (n + 1) % 3] = 1.0 - share, share
-        weights[count, row, 1 - first, :] = _shares(vertices, of_other, a, b)
+        weights[count, row, 1 - first, :] = _shares(vertices, of_other, a, b, share)
         corners[count, row] = -1
         found += 1
     return found
