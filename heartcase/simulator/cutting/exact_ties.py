@@ -72,7 +72,6 @@ def is_in_all_three(corners: Int64, numbers: Int64, *, first_is_surface: bool) -
     point, scale = _meeting(triangles)
     if scale == 0:
         return False, [0.0] * 3
-    place = [float(Fraction(at, scale << _BITS)) for at in point]
     for triangle in triangles:
         normal = _normal(triangle)
         for n in range(3):
@@ -80,8 +79,8 @@ def is_in_all_three(corners: Int64, numbers: Int64, *, first_is_surface: bool) -
             inward = _cross(normal, _minus(stop, start))
             way = tuple(at - scale * before for at, before in zip(point, start, strict=True))
             if (_dot(inward, (way[0], way[1], way[2])) > 0) != (scale > 0):
-                return False, place
-    return True, place
+                return False, [0.0] * 3
+    return True, [float(Fraction(at, scale << _BITS)) for at in point]
 
 
 def comes_first(corners: Int64, numbers: Int64, first_is_surface: Sequence[bool], way: Float64) -> bool:

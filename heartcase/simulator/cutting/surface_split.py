@@ -64,6 +64,8 @@ class SplitMesh:
     """Triangle of the uncut surface on which each vertex of a lip lies, else -1, shape (vertex_count,)."""
     on_weights: Float64
     """Barycentric place there, shape (vertex_count, 3)."""
+    uncut_triangles: Int64
+    """Triangles of the uncut surface, shape (uncut_triangle_count, 3)."""
     triangle_part: Int32
     """Number of what each triangle hangs together with, shape (triangle_count,); all that is not cut free has one."""
     flat: Float64
@@ -75,9 +77,8 @@ class SplitMesh:
         return self.triangle_origin < 0
 
 
-def split_mesh(surface: UncutSurface, sheets: Sequence[Sheet]) -> SplitMesh:
+def split_mesh(surface: UncutSurface, mesh: SheetMesh) -> SplitMesh:
     """Split a surface along all sheets at once."""
-    mesh = sheet_mesh(sheets)
     parts = arrange(surface, mesh)
     face_is_wall = _faces_inside(surface, mesh, parts)
     classes, partner = _glued(mesh, parts, face_is_wall)
@@ -261,6 +262,7 @@ def _written(
         on_triangle=np.concatenate([np.full(vertex_count, -1), points.on_triangle[point]]).astype(np.int32),
         on_weights=np.concatenate([np.zeros((vertex_count, 3)), points.on_weights[point]]),
         flat=np.concatenate([np.zeros((vertex_count, 2)), flat]),
+        uncut_triangles=surface.triangles,
         triangle_part=np.zeros(0, np.int32),
     )
     return _without_dust(split, np.concatenate([plain, np.where(is_wall, wall_side, -1)]))

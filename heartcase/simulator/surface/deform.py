@@ -393,6 +393,12 @@ def interpolated_basis(edges: Float64, weights: Float, normals: Float) -> tuple[
     return np.stack([np.cross(B, N), N, B], axis=1), defined
 
 
+def rest_normals(springs: NodeNormals) -> Float32:
+    """Approximate normals of the nodes at rest, shape (normal_count, 3), one row of zeros where there are none."""
+    most = max(springs.nodes.max(initial=-1), springs.neighbours.max(initial=-1))
+    return _normals_now(springs, np.zeros((int(most) + 1, 3), np.float32))
+
+
 def _normals_now(springs: NodeNormals, displacement: Float32) -> Float32:
     normals = empty_normals(springs)
     node_normals(springs.springs, displacement, normals)
