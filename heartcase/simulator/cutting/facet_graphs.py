@@ -13,9 +13,12 @@ from math import atan2, pi
 import numpy as np
 
 from heartcase.compiling.kernel import kernel
-from heartcase.simulator.cutting.polygons import triangulate, turn
+from heartcase.simulator.cutting.polygons import flip, triangulate, turn
 
 __all__ = ["divide_facets"]
+
+_FLIPPED_MAX = 256
+"""Triangles of a face up to which its edges are turned for better ones."""
 
 
 @kernel(cached=False)
@@ -331,7 +334,10 @@ def divide_facets(
                 half = following[half]
                 if half == start:
                     break
-            triangle_total = triangulate(polygon, size, corner_nodes, corner_places, triangles, triangle_total)
+            begin = triangle_total
+            triangle_total = triangulate(polygon, size, corner_nodes, corner_places, triangles, begin)
+            if triangle_total - begin <= _FLIPPED_MAX:
+                flip(triangles, begin, triangle_total, corner_nodes, corner_places)
         triangles[written:triangle_total] += half_total
         half_total += half_count
         face_total += face_count

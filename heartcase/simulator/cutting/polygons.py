@@ -12,7 +12,7 @@ import numpy as np
 
 from heartcase.compiling.kernel import kernel
 
-__all__ = ["triangulate", "turn"]
+__all__ = ["flip", "triangulate", "turn"]
 
 _SEARCHED_MAX = 48
 """Corners up to which the best ear is looked for; of more the first good one is taken."""
@@ -106,3 +106,41 @@ def triangulate(polygon, count, nodes, places, triangles, first):
             polygon[n] = polygon[n + 1]
         count -= 1
     return first
+
+
+@kernel(cached=False)
+def flip(triangles, first, last, nodes, places):
+    """Turn edges between two triangles of a face where that makes the worse of the two better, in some rows.
+
+    Parameters
+    ----------
+    triangles, first, last
+        Three corners in each row; which rows are of the face; changed.
+    nodes, places
+        Node and place of every corner.
+    """
+    for _ in range(4 * (last - first)):
+        is_done = True
+        for one in range(first, last):
+            for side in range(3):
+                a, b, c = triangles[one, side], triangles[one, (side + 1) % 3], triangles[one, (side + 2) % 3]
+                for other in range(one + 1, last):
+                    there = -1
+                    for n in range(3):
+                        if triangles[other, n] == b and triangles[other, (n + 1) % 3] == a:
+                            there = n
+                    if there < 0:
+                        continue
+                    d = triangles[other, (there + 2) % 3]
+                    if nodes[c] == nodes[d] or nodes[a] == nodes[d] or nodes[b] == nodes[d]:
+                        break
+                    now = min(_shape(places[a], places[b], places[c]), _shape(places[b], places[a], places[d]))
+                    turned = min(_shape(places[c], places[a], places[d]), _shape(places[d], places[b], places[c]))
+                    if turned > now + 1e-9 and turned > 0.0:
+                        triangles[one, 0], triangles[one, 1], triangles[one, 2] = c, a, d
+                        triangles[other, 0], triangles[other, 1], triangles[other, 2] = d, b, c
+                        is_done = False
+                        a, b, c = triangles[one, side], triangles[one, (side + 1) % 3], triangles[one, (side + 2) % 3]
+                    break
+        if is_done:
+            return

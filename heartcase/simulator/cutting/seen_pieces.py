@@ -16,6 +16,8 @@ _TRIES = 48
 """Samples of a cell that are looked for, the nearest first."""
 _SAMPLE_COUNT = SAMPLES**3
 _EDGE = 1e-9
+_MOVED = (1e-9, 1e-5, 1e-7)
+"""How far the tissue is moved against the sheets, which decides where it lies on them [cells]."""
 
 
 class PieceCells(NamedTuple):
@@ -70,7 +72,8 @@ def _is_between(start, stop, vertices, triangle):
     ax, ay, az = (q[0] - p[0]) / QUANTA, (q[1] - p[1]) / QUANTA, (q[2] - p[2]) / QUANTA
     bx, by, bz = (r[0] - p[0]) / QUANTA, (r[1] - p[1]) / QUANTA, (r[2] - p[2]) / QUANTA
     nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-    sx, sy, sz = start[0] - p[0] / QUANTA, start[1] - p[1] / QUANTA, start[2] - p[2] / QUANTA
+    sx, sy = start[0] + _MOVED[0] - p[0] / QUANTA, start[1] + _MOVED[1] - p[1] / QUANTA
+    sz = start[2] + _MOVED[2] - p[2] / QUANTA
     height = nx * sx + ny * sy + nz * sz
     beyond = height + nx * wx + ny * wy + nz * wz
     if (height > 0.0) == (beyond > 0.0):

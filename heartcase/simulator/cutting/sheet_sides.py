@@ -167,6 +167,23 @@ def _shared(triangles, one, other):
     return count, here, there
 
 
+@kernel(cached=False)
+def _is_beside(vertices, one, other, shared):
+    """Whether a triangle lies on one side of another's plane, or, sharing a corner, in it."""
+    for first, second in ((one, other), (other, one)):
+        p, q, r = vertices[first[0]], vertices[first[1]], vertices[first[2]]
+        above, below = 0, 0
+        for n in range(3):
+            height = volume(p, q, r, vertices[second[n]])
+            above += height > 0
+            below += height < 0
+        if above + below + shared == 3 and (above == 0 or below == 0):
+            return True
+        if above + below == 0 and shared == 1:
+            return True
+    return False
+
+
 @kernel
 def cross_triangles(vertices, triangles, edges, first, members, lists, pairs, ends, weights, corners):
     """Write the arcs of triangles of sheets as long as there is room; returns how many there are.
@@ -208,7 +225,7 @@ def cross_triangles(vertices, triangles, edges, first, members, lists, pairs, en
                 if not is_here or is_apart:
                     continue
                 shared, here, there = _shared(triangles, one, other)
-                if shared > 1:
+                if shared > 1 or _is_beside(vertices, triangles[one], triangles[other], shared):
                     continue
                 has_room = count < room
                 e, w, c = (ends, weights, corners) if has_room else (spare_ends, spare_weights, spare_corners)

@@ -13,6 +13,7 @@ import numpy as np
 
 from heartcase.schemas.arrays import Bool, Float32, Float64, Int32, Int64
 from heartcase.simulator.cutting.blade_sheet import Sheet
+from heartcase.simulator.cutting.gluing import join_sets
 from heartcase.simulator.cutting.parted_lattice import PartedLattice
 from heartcase.simulator.cutting.sheet_mesh import sheet_mesh
 from heartcase.simulator.cutting.surface_binding import Ties, closest_weights, tie_cells, tie_split
@@ -32,6 +33,9 @@ from heartcase.simulator.surface.deform import (
 )
 
 __all__ = ["CuttableSurface", "SplitSurface", "split_surface"]
+
+_ONE_PLACE = 1e-6
+"""Vertices that are nearer to one another are in one place [cells]."""
 
 
 @dataclass(frozen=True)
@@ -155,23 +159,25 @@ def split_surface(cuttable: CuttableSurface, parted: PartedLattice, sheets: Sequ
 def _directions(cuttable: CuttableSurface, split: SplitMesh) -> tuple[Float64, Float64]:
     """Direction into the tissue at each vertex, and normals of the new vertices; unit vectors, grid axes."""
     old_count, count = len(cuttable.normals), len(split.places)
-    rows = np.flatnonzero((split.triangles >= old_count).any(axis=1))
-    triangles = split.triangles[rows]
-    p, q, r = np.moveaxis(split.places[triangles], 1, 0)
-    facing = np.cross(q - p, r - p)
-    area = np.linalg.norm(facing, axis=1, keepdims=True)
-    facing = np.divide(facing, area, out=np.zeros_like(facing), where=area > 0)
+    rows = np.arange(len(split.triangles) - len(split.facing), len(split.triangles))
+    triangles, facing = split.triangles[rows], split.facing
     # By the angle at the corner: how a side is divided into triangles does not count.
     corners = split.places[triangles]
     ahead, back = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
     angle = np.arctan2(np.linalg.norm(np.cross(ahead, back), axis=2), np.einsum("tcx,tcx->tc", ahead, back))
+    angle += 0.3  # a side that is too thin counts, too
     weighted = facing[:, None, :] * angle[..., None]
 
     def summed(vertices: Int32) -> Float64:
         sums = [np.bincount(vertices.ravel(), weighted[..., axis].ravel(), minlength=count) for axis in range(3)]
         return np.stack(sums, axis=1)
 
-    own, together = summed(triangles), summed(split.weld[triangles])[split.weld]
+    # Vertices in one place that hang together see what all of them see.
+    one, other = split.weld[triangles], split.weld[np.roll(triangles, -1, axis=1)]
+    alike = np.linalg.norm(ahead, axis=2) < _ONE_PLACE
+    places = np.arange(count)
+    join_sets(places, np.stack([one[alike], other[alike]], axis=1).astype(np.int64))
+    own, together = summed(triangles), summed(places[split.weld[triangles]])[places[split.weld]]
     # Where both walls of a cut meet and cancel out, any of them.
     first = np.zeros((count, 3))
     first[triangles[::-1].ravel()] = np.repeat(facing[::-1], 3, axis=0)

@@ -66,6 +66,8 @@ class SplitMesh:
     """Barycentric place there, shape (vertex_count, 3)."""
     uncut_triangles: Int64
     """Triangles of the uncut surface, shape (uncut_triangle_count, 3)."""
+    facing: Float64
+    """Unit normals of the last triangles, those that are not whole ones of the uncut surface, shape (count, 3)."""
     triangle_part: Int32
     """Number of what each triangle hangs together with, shape (triangle_count,); all that is not cut free has one."""
     flat: Float64
@@ -263,9 +265,24 @@ def _written(
         on_weights=np.concatenate([np.zeros((vertex_count, 3)), points.on_weights[point]]),
         flat=np.concatenate([np.zeros((vertex_count, 2)), flat]),
         uncut_triangles=surface.triangles,
+        facing=_facing(surface, mesh, parts, facets, wall_side),
         triangle_part=np.zeros(0, np.int32),
     )
     return _without_dust(split, np.concatenate([plain, np.where(is_wall, wall_side, -1)]))
+
+
+def _facing(
+    surface: UncutSurface, mesh: SheetMesh, parts: Arrangement, facets: Int64, wall_side: Int64
+) -> Float64:
+    """Normals of triangles by their facets: a triangle may be too thin to have one."""
+    corners = np.concatenate([surface.vertices[surface.triangles[parts.crossed]], mesh.vertices[mesh.triangles]])
+    p, q, r = np.moveaxis(corners[facets], 1, 0)
+    normals = np.cross(q - p, r - p).astype(np.float64)
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
+    is_back = (facets >= len(parts.crossed)) & (wall_side % 2 == 1)
+    facing: Float64 = np.where(is_back[:, None], -normals, normals)
+    return facing
 
 
 def _without_dust(split: SplitMesh, wall_side: Int64) -> SplitMesh:
@@ -294,6 +311,7 @@ def _without_dust(split: SplitMesh, wall_side: Int64) -> SplitMesh:
         triangles=split.triangles[kept],
         triangle_origin=split.triangle_origin[kept],
         triangle_sheet=split.triangle_sheet[kept],
+        facing=split.facing[kept[len(kept) - len(split.facing) :]],
         triangle_part=part,
     )
 
