@@ -11,7 +11,7 @@ import numpy as np
 
 from heartcase.compiling.kernel import kernel
 
-__all__ = ["glue_around", "join_sets", "number_parts"]
+__all__ = ["glue_around", "join_sets", "measure_parts", "number_parts"]
 
 
 @kernel(cached=False)
@@ -79,11 +79,11 @@ def glue_around(first, is_circle, halves, backwards, copies, following, parents,
 
 @kernel
 def number_parts(triangles, vertex_count):
-    """Number of what each triangle hangs together with, by the first triangle of each, int32, shape (triangle_count,)."""
+    """Number of what each triangle, or cell, hangs together with, by the first of each, int32, shape (count,)."""
     parents = np.arange(vertex_count)
     for n in range(len(triangles)):
-        _join(parents, triangles[n, 0], triangles[n, 1])
-        _join(parents, triangles[n, 0], triangles[n, 2])
+        for corner in range(1, triangles.shape[1]):
+            _join(parents, triangles[n, 0], triangles[n, corner])
     numbers = np.full(vertex_count, -1, np.int32)
     part = np.empty(len(triangles), np.int32)
     count = 0
@@ -94,3 +94,18 @@ def number_parts(triangles, vertex_count):
             count += 1
         part[n] = numbers[root]
     return part
+
+
+@kernel
+def measure_parts(places, triangles, part, volumes, areas):
+    """Add up six times the volume and twice the area of each part of a surface."""
+    middle = places[triangles[0, 0]]
+    p, q, r = np.empty(3), np.empty(3), np.empty(3)
+    for n in range(len(triangles)):
+        for axis in range(3):
+            p[axis] = places[triangles[n, 0], axis] - middle[axis]
+            q[axis] = places[triangles[n, 1], axis] - middle[axis] - p[axis]
+            r[axis] = places[triangles[n, 2], axis] - middle[axis] - p[axis]
+        x, y, z = q[1] * r[2] - q[2] * r[1], q[2] * r[0] - q[0] * r[2], q[0] * r[1] - q[1] * r[0]
+        volumes[part[n]] += x * p[0] + y * p[1] + z * p[2]
+        areas[part[n]] += np.sqrt(x * x + y * y + z * z)

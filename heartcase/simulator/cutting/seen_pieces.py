@@ -10,7 +10,7 @@ from heartcase.compiling.kernel import kernel
 from heartcase.schemas.arrays import Float64, Int32, Int64
 from heartcase.simulator.cutting.crossings import QUANTA, SAMPLES
 
-__all__ = ["PieceCells", "SheetBuckets", "see_cells"]
+__all__ = ["PieceCells", "SheetBuckets", "nearest_halves", "see_cells"]
 
 _TRIES = 48
 """Samples of a cell that are looked for, the nearest first."""
@@ -144,3 +144,50 @@ def see_cells(points, first, candidates, takes_first, tissue, sheets, seen):
                 if takes_first:
                     break
         seen[n] = best
+
+
+@kernel
+def nearest_halves(points, cells, halves, offsets, chosen):
+    """Write the half of a face of its cell that each point is nearest to.
+
+    Parameters
+    ----------
+    points, cells
+        Points [cells], in the frame of the nodes, and the index (i, j, k) of the cell of each, shape (count, 3).
+    halves, offsets
+        Corners of the halves of a cell's faces, the second at a right angle or the first, shape (half_count, 3), and
+        the offsets of a cell's corners, shape (8, 3).
+    chosen
+        Shape (count,), written.
+    """
+    for n in range(len(points)):
+        nearest = np.inf
+        for half in range(len(halves)):
+            away = _away(points[n], cells[n], offsets, halves[half])
+            if away < nearest - 1e-12:
+                nearest = away
+                chosen[n] = half
+
+
+@kernel(cached=False)
+def _away(point, cell, offsets, half):
+    """Squared distance of a point to a triangle at corners of a cell."""
+    a, b, c = offsets[half[0]], offsets[half[1]], offsets[half[2]]
+    nearest = np.inf
+    uu, vv, uv, wu, wv, ww = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for axis in range(3):
+        u, v = float(b[axis] - a[axis]), float(c[axis] - a[axis])
+        w = point[axis] - cell[axis] - a[axis]
+        uu, vv, uv, wu, wv, ww = uu + u * u, vv + v * v, uv + u * v, wu + w * u, wv + w * v, ww + w * w
+    determinant = uu * vv - uv * uv
+    first, second = (vv * wu - uv * wv) / determinant, (uu * wv - uv * wu) / determinant
+    if first >= 0.0 and second >= 0.0 and first + second <= 1.0:
+        return max(ww - first * wu - second * wv, 0.0)
+    along = min(max(wu / uu, 0.0), 1.0)
+    nearest = min(nearest, ww - 2.0 * along * wu + along * along * uu)
+    along = min(max(wv / vv, 0.0), 1.0)
+    nearest = min(nearest, ww - 2.0 * along * wv + along * along * vv)
+    along = min(max((wv - wu + uu - uv) / (uu + vv - 2.0 * uv), 0.0), 1.0)
+    rest = ww - 2.0 * ((1.0 - along) * wu + along * wv)
+    rest += (1.0 - along) ** 2 * uu + along**2 * vv + 2.0 * along * (1.0 - along) * uv
+    return min(nearest, rest)

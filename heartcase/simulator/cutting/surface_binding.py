@@ -11,12 +11,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from heartcase.schemas.arrays import Bool, Float64, Int32, Int64
 from heartcase.schemas.bundle.lattice import CORNER_OFFSETS, lattice_keys
 from heartcase.simulator.cutting.blade_sheet import key_indices
+from heartcase.simulator.cutting.gluing import number_parts
 from heartcase.simulator.cutting.parted_lattice import PartedLattice
-from heartcase.simulator.cutting.seen_pieces import PieceCells, SheetBuckets, see_cells
+from heartcase.simulator.cutting.seen_pieces import PieceCells, SheetBuckets, nearest_halves, see_cells
 from heartcase.simulator.cutting.sheet_mesh import SheetMesh
 from heartcase.simulator.cutting.surface_crossings import fill_buckets
 from heartcase.simulator.cutting.surface_split import SplitMesh
@@ -26,6 +28,8 @@ __all__ = ["Ties", "closest_weights", "tie_cells", "tie_split"]
 
 _INSIDE = 2.0**-9
 """How far inside the tissue a vertex is asked what it belongs to [cells]."""
+_PLACES = 2.0**22
+"""Vertices whose places are the same when rounded by this are of one lip [1 / cell]."""
 _AROUND: Int64 = np.stack(np.meshgrid(*[[0, -1, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
 _FACE_CORNERS = np.array([(0, 4, 6, 2), (1, 3, 7, 5), (0, 1, 5, 4), (2, 6, 7, 3), (0, 2, 3, 1), (4, 5, 7, 6)])
 """Corners of a cell's faces, counter-clockwise from outside."""
@@ -207,7 +211,7 @@ def tie_split(
     main = np.flatnonzero(split.weld[new] == new) + old_count
     main_cells = sight.own(points[main])
     main_nodes = np.full((len(main), 3), -1, np.int32)
-    place = np.unique(split.places[main], axis=0, return_inverse=True)[1].ravel()
+    place = np.unique(np.round(split.places[main] * _PLACES), axis=0, return_inverse=True)[1].ravel()
     on = split.on_triangle[main]
     by_weight = np.argsort(-split.on_weights[main], axis=1, kind="stable")
     is_open = on >= 0
@@ -225,12 +229,59 @@ def tie_split(
     rows = np.flatnonzero(main_nodes[:, 0] < 0)
     main_nodes[rows] = _half_faces(parted, main_cells[rows], split.places[main[rows]])
     at = np.searchsorted(main, split.weld[new])
-    return Ties(
+    ties = Ties(
         changed,
         lost[is_changed],
         np.concatenate([nodes[is_changed], main_nodes[at]]).astype(np.int32),
         np.concatenate([seen[is_changed], main_cells[at]]).astype(np.int32),
     )
+    return _with_their_parts(parted, split, triangle_nodes, ties)
+
+
+def _with_their_parts(parted: PartedLattice, split: SplitMesh, triangle_nodes: Int32, ties: Ties) -> Ties:
+    """Where a cut sets something free: vertices that follow another part than most of their surface does are tied anew.
+
+    Tissue too thin for a sample of its own is seen nowhere, and what is nearest to it may be beyond a gap.
+    """
+    if split.triangle_part.max(initial=0) == 0:
+        return ties
+    model, old_count, count = parted.model, len(triangle_nodes), len(split.places)
+    of_cell = number_parts(model.cell_corners, model.node_count)
+    if of_cell.max() == 0:
+        return ties
+    of_node = np.zeros(model.node_count, np.int64)
+    of_node[model.cell_corners] = of_cell[:, None]
+    rows = np.concatenate([ties.changed, np.arange(old_count, count)])
+    nodes = np.concatenate([triangle_nodes[:, 0], np.zeros(count - old_count, np.int32)])
+    nodes[rows] = ties.nodes[:, 0]
+    follows = of_node[nodes]
+    surface_part = np.full(count, -1)
+    surface_part[split.triangles] = split.triangle_part[:, None]
+    used = np.flatnonzero(surface_part >= 0)
+    part_count = int(of_cell.max()) + 1
+    votes = np.bincount(surface_part[used] * part_count + follows[used], minlength=part_count)
+    votes = np.append(votes, np.zeros(-len(votes) % part_count, votes.dtype)).reshape(-1, part_count)
+    wanted = np.append(votes.argmax(axis=1), -1)[surface_part]
+    wrong = np.flatnonzero((surface_part >= 0) & (follows != wanted))
+    if not len(wrong):
+        return ties
+    middles = model.cells + 0.5
+    cells = np.empty(len(wrong), np.int64)
+    for part in np.unique(wanted[wrong]).tolist():
+        of_part = np.flatnonzero(of_cell == part)
+        mine = np.flatnonzero(wanted[wrong] == part)
+        cells[mine] = of_part[cKDTree(middles[of_part]).query(split.places[wrong[mine]])[1]]
+    halves = _half_faces(parted, cells, split.places[wrong])
+    at_row = np.full(count, -1)
+    at_row[rows] = np.arange(len(rows))
+    added = wrong[at_row[wrong] < 0]
+    changed = np.sort(np.concatenate([ties.changed, added]))
+    is_anew = np.isin(changed, ties.changed[ties.is_tied_anew]) | np.isin(changed, wrong)
+    all_nodes, all_cells = np.zeros((count, 3), np.int32), np.zeros(count, np.int32)
+    all_nodes[rows], all_cells[rows] = ties.nodes, ties.cells
+    all_nodes[wrong], all_cells[wrong] = halves, cells
+    rows = np.concatenate([changed, np.arange(old_count, count)])
+    return Ties(changed, is_anew, all_nodes[rows], all_cells[rows])
 
 
 def split_corners(split: SplitMesh, triangles: Int32, corners: Int64) -> Int64:
@@ -264,14 +315,7 @@ def _corners_of(parted: PartedLattice, cells: Int64, nodes: Int32) -> Int32:
 
 def _half_faces(parted: PartedLattice, cells: Int64, points: Float64) -> Int32:
     """Nodes of the half of a face of each cell that is nearest to a point, shape (count, 3)."""
-    corners = parted.model.cell_corners[cells]
-    place = parted.model.cells[cells][:, None, :] + CORNER_OFFSETS
-    best, nodes = np.full(len(cells), np.inf), np.zeros((len(cells), 3), np.int32)
-    for half in _HALF_FACES:
-        triangle = place[:, half].astype(np.float64)
-        weights = closest_weights(points, triangle)
-        away = np.linalg.norm(points - np.einsum("nc,ncx->nx", weights, triangle), axis=1)
-        is_nearer = away < best
-        best = np.where(is_nearer, away, best)
-        nodes[is_nearer] = corners[is_nearer][:, half]
+    chosen = np.zeros(len(cells), np.int64)
+    nearest_halves(points, parted.model.cells[cells], _HALF_FACES, CORNER_OFFSETS, chosen)
+    nodes: Int32 = np.take_along_axis(parted.model.cell_corners[cells], _HALF_FACES[chosen], axis=1)
     return nodes

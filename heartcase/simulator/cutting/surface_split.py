@@ -20,7 +20,7 @@ from heartcase.simulator.cutting.arrangement import Arrangement, arrange
 from heartcase.simulator.cutting.blade_sheet import Sheet
 from heartcase.simulator.cutting.crossings import QUANTA
 from heartcase.simulator.cutting.double_edges import Corners, without_double_edges
-from heartcase.simulator.cutting.gluing import glue_around, join_sets, number_parts
+from heartcase.simulator.cutting.gluing import glue_around, join_sets, measure_parts, number_parts
 from heartcase.simulator.cutting.sheet_crossings import barycentric
 from heartcase.simulator.cutting.sheet_mesh import SheetMesh, sheet_mesh
 from heartcase.simulator.cutting.surface_crossings import is_inside
@@ -292,11 +292,10 @@ def _without_dust(split: SplitMesh, wall_side: Int64) -> SplitMesh:
     """
     triangle_part = number_parts(split.weld[split.triangles], len(split.weld))
     part_count = int(triangle_part.max(initial=-1)) + 1
-    p, q, r = np.moveaxis(split.places[split.triangles], 1, 0)
-    centre = split.places[split.triangles[:1, 0]]
-    normals = np.cross(q - p, r - p)
-    volumes = np.bincount(triangle_part, np.einsum("tx,tx->t", p - centre, normals), minlength=part_count)
-    areas = np.bincount(triangle_part, np.linalg.norm(normals, axis=1), minlength=part_count)
+    if part_count == 1:
+        return replace(split, triangle_part=triangle_part)
+    volumes, areas = np.zeros(part_count), np.zeros(part_count)
+    measure_parts(split.places, split.triangles, triangle_part, volumes, areas)
     is_dust = np.abs(volumes) <= _NO_THICKNESS * areas
     walls = np.flatnonzero(wall_side >= 0)
     sides = np.unique(np.stack([triangle_part[walls], wall_side[walls]], axis=1), axis=0)
