@@ -213,13 +213,13 @@ def tie_split(
     main_nodes = np.full((len(main), 3), -1, np.int32)
     place = np.unique(np.round(split.places[main] * _PLACES), axis=0, return_inverse=True)[1].ravel()
     on = split.on_triangle[main]
-    by_weight = np.argsort(-split.on_weights[main], axis=1, kind="stable")
     is_open = on >= 0
+    by_reach = _corners_by_reach(model, split, triangle_nodes, main)
     for rank in range(3):
         rows = np.flatnonzero(is_open)
         if not len(rows):
             break
-        corner = split_corners(split, on[rows], by_weight[rows, rank])
+        corner = split.uncut_triangles[on[rows], by_reach[rows, rank]]
         found = sight.of(points[main[rows]], cells_of_ties[corner], takes_first=False)
         missing = np.bincount(place[rows], found < 0, minlength=int(place.max(initial=-1)) + 1) > 0
         fits = ~missing[place[rows]]
@@ -284,10 +284,17 @@ def _with_their_parts(parted: PartedLattice, split: SplitMesh, triangle_nodes: I
     return Ties(changed, is_anew, all_nodes[rows], all_cells[rows])
 
 
-def split_corners(split: SplitMesh, triangles: Int32, corners: Int64) -> Int64:
-    """Vertices of the uncut surface at corners of its triangles."""
-    vertices: Int64 = split.uncut_triangles[triangles, corners]
-    return vertices
+def _corners_by_reach(model: LatticeModel, split: SplitMesh, triangle_nodes: Int32, vertices: Int64) -> Int64:
+    """Corners of the triangle that each vertex lies on, that first whose three nodes are nearest, shape (count, 3)."""
+    away = np.zeros((len(vertices), 3))
+    corners = split.uncut_triangles[split.on_triangle[vertices]]
+    for corner in range(3):
+        places = model.node_index[triangle_nodes[corners[:, corner]]].astype(np.float64)
+        weights = closest_weights(split.places[vertices], places)
+        away[:, corner] = np.linalg.norm(np.einsum("nc,ncx->nx", weights, places) - split.places[vertices], axis=1)
+    # Both lips of a cut choose alike.
+    order: Int64 = np.argsort(np.round(away * _PLACES), axis=1, kind="stable")
+    return order
 
 
 def _near_sheets(model: LatticeModel, parted: PartedLattice, places: Float64) -> Int64:
