@@ -190,7 +190,10 @@ def _directions(cuttable: CuttableSurface, split: SplitMesh) -> tuple[Float64, F
     of_corners = cuttable.normals[cuttable.mesh.triangles[split.on_triangle[on]]]
     smooth = _unit(np.einsum("nc,ncx->nx", split.on_weights[on], of_corners))
     normals[on] = np.where(np.linalg.norm(smooth, axis=1, keepdims=True) > 0, smooth, normals[on])
-    inward = -_unit(together)
+    outward = _unit(together)
+    for spare in (outward, np.array([0.0, 0.0, 1.0])):
+        normals = np.where(np.linalg.norm(normals, axis=1, keepdims=True) > 0, normals, spare)
+    inward = -outward
     inward[:old_count] = -cuttable.normals
     return inward, normals[old_count:]
 
@@ -323,5 +326,6 @@ def _drawn(before: SurfaceModel, normal: Float32) -> dict[str, Any]:
 
 
 def _unit(vectors: Any) -> Any:
+    vectors = np.asarray(vectors, np.result_type(vectors, np.float32))
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0)

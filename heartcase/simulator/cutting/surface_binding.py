@@ -235,11 +235,14 @@ def tie_split(
         np.concatenate([nodes[is_changed], main_nodes[at]]).astype(np.int32),
         np.concatenate([seen[is_changed], main_cells[at]]).astype(np.int32),
     )
-    return _with_their_parts(parted, split, triangle_nodes, ties)
+    ties = _with_their_parts(parted, split, triangle_nodes, ties)
+    # Tied anew to copies of the nodes that it had, a vertex keeps its place among them.
+    is_same = (parted.node_origin[ties.nodes[: len(ties.changed)]] == triangle_nodes[ties.changed]).all(axis=1)
+    return replace(ties, is_tied_anew=ties.is_tied_anew & ~is_same)
 
 
 def _with_their_parts(parted: PartedLattice, split: SplitMesh, triangle_nodes: Int32, ties: Ties) -> Ties:
-    """Where a cut sets something free: vertices that follow another part than most of their surface does are tied anew.
+    """Where a cut sets something free: vertices that follow what another part of the surface does are tied anew.
 
     Tissue too thin for a sample of its own is seen nowhere, and what is nearest to it may be beyond a gap.
     """
@@ -261,8 +264,10 @@ def _with_their_parts(parted: PartedLattice, split: SplitMesh, triangle_nodes: I
     part_count = int(of_cell.max()) + 1
     votes = np.bincount(surface_part[used] * part_count + follows[used], minlength=part_count)
     votes = np.append(votes, np.zeros(-len(votes) % part_count, votes.dtype)).reshape(-1, part_count)
-    wanted = np.append(votes.argmax(axis=1), -1)[surface_part]
-    wrong = np.flatnonzero((surface_part >= 0) & (follows != wanted))
+    most = votes.argmax(axis=1)
+    wanted = np.append(most, -1)[surface_part]
+    # What no other part of the surface follows is of this one, if only by a bridge that has no sample.
+    wrong = np.flatnonzero((surface_part >= 0) & (follows != wanted) & np.isin(follows, most))
     if not len(wrong):
         return ties
     middles = model.cells + 0.5
