@@ -12,8 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from heartcase.schemas.arrays import Bool, Int64
+from heartcase.simulator.cutting.gluing import join_sets
 
-__all__ = ["Corners", "without_double_edges"]
+__all__ = ["Corners", "separate_fans", "without_double_edges"]
 
 
 class Corners(NamedTuple):
@@ -92,6 +93,35 @@ def without_double_edges(
         np.array(middles, np.int64).reshape(-1, 2),
         np.array(at, np.int64),
     )
+
+
+def separate_fans(vertices: Int64, first_new: int) -> Int64:
+    """Give each circle of triangles around a new vertex a vertex of its own, shape (triangle_count, 3).
+
+    Parameters
+    ----------
+    vertices
+        Of the triangles, shape (triangle_count, 3).
+    first_new
+        Number of the first new vertex.
+    """
+    starts, ends = vertices.ravel(), np.roll(vertices, -1, axis=1).ravel()
+    corner = np.arange(vertices.size)
+    after = np.roll(corner.reshape(-1, 3), -1, axis=1).ravel()
+    order = np.argsort(starts << 32 | ends, kind="stable")
+    keys, wanted = (starts << 32 | ends)[order], ends << 32 | starts
+    at = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+    found = np.flatnonzero(keys[at] == wanted)
+    parents = np.arange(vertices.size)
+    join_sets(parents, np.stack([corner[found], after[order[at[found]]]], axis=1))
+    # The fan with the first corner keeps the vertex's number.
+    fans, first = np.unique(np.stack([starts, parents], axis=1), axis=0, return_index=True)
+    is_more = (np.diff(fans[:, 0], prepend=-1) == 0) & (fans[:, 0] >= first_new)
+    named = fans[:, 0].copy()
+    named[is_more] = starts.max(initial=-1) + 1 + np.arange(is_more.sum())
+    of_fan = np.empty(vertices.size, np.int64)
+    of_fan[parents[first]] = named
+    return of_fan[parents].reshape(-1, 3)
 
 
 def _name(

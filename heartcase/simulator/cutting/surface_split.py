@@ -19,7 +19,7 @@ from heartcase.schemas.arrays import Bool, Float64, Int32, Int64
 from heartcase.simulator.cutting.arrangement import Arrangement, arrange
 from heartcase.simulator.cutting.blade_sheet import Sheet
 from heartcase.simulator.cutting.crossings import QUANTA
-from heartcase.simulator.cutting.double_edges import Corners, without_double_edges
+from heartcase.simulator.cutting.double_edges import Corners, separate_fans, without_double_edges
 from heartcase.simulator.cutting.gluing import glue_around, join_sets, measure_parts, number_parts
 from heartcase.simulator.cutting.sheet_crossings import barycentric
 from heartcase.simulator.cutting.sheet_mesh import SheetMesh, sheet_mesh
@@ -232,6 +232,8 @@ def _written(
 
     # Surface and wall have a vertex each where they meet.
     vertices = corners.vertices[corners.triangles]
+    if not has_three.all():
+        vertices = separate_fans(vertices, vertex_count)
     is_new = vertices >= vertex_count
     key = 2 * vertices + is_wall[:, None]
     used, first, number = np.unique(key[is_new], return_index=True, return_inverse=True)
