@@ -166,10 +166,10 @@ def _refined(points: Float64) -> tuple[Float64, Float64]:
     both = np.concatenate([points, place], axis=-1)
     for axis, way in enumerate(ways):
         counts = np.maximum(np.ceil(np.minimum(way.max(axis=1 - axis), _FAR) / _FINE), 1).astype(int)
-        parts = [
-            np.linspace(*np.take(both, [n, n + 1], axis=axis).swapaxes(0, axis), count, endpoint=False)
-            for n, count in enumerate(counts)
-        ]
+        parts = []
+        for n, count in enumerate(counts.tolist()):
+            start, stop = (np.take(both, [at], axis=axis).swapaxes(0, axis)[0] for at in (n, n + 1))
+            parts.append(np.linspace(start, stop, count, endpoint=False))
         both = np.concatenate([*parts, np.take(both, [-1], axis=axis).swapaxes(0, axis)]).swapaxes(0, axis)
     return both[..., :3], both[..., 3:]
 

@@ -11,13 +11,13 @@ from typing import NamedTuple
 import numpy as np
 
 from heartcase.schemas.arrays import Bool, Float64, Int64
+from heartcase.simulator.arrangement.exact_ties import is_nearer
+from heartcase.simulator.arrangement.facet_graphs import divide_facets
+from heartcase.simulator.arrangement.sheet_crossings import Arcs, cross_points, cross_sheets
+from heartcase.simulator.arrangement.sheet_mesh import SheetMesh
+from heartcase.simulator.arrangement.surface_crossings import cross_surface
+from heartcase.simulator.arrangement.uncut_surface import UncutSurface
 from heartcase.simulator.cutting.crossings import QUANTA
-from heartcase.simulator.cutting.exact_ties import is_nearer
-from heartcase.simulator.cutting.facet_graphs import divide_facets
-from heartcase.simulator.cutting.sheet_crossings import Arcs, cross_points, cross_sheets
-from heartcase.simulator.cutting.sheet_mesh import SheetMesh
-from heartcase.simulator.cutting.surface_crossings import cross_surface
-from heartcase.simulator.cutting.uncut_surface import UncutSurface
 
 __all__ = ["Arcs", "Arrangement", "Faces", "arrange"]
 
@@ -27,7 +27,7 @@ _OF_SHEETS = np.int64(1) << 62
 
 
 class Faces(NamedTuple):
-    """What the arcs leave of the facets; see :func:`heartcase.simulator.cutting.facet_graphs.divide_facets`."""
+    """What the arcs leave of the facets; see :func:`heartcase.simulator.arrangement.facet_graphs.divide_facets`."""
 
     halves: Int64
     """Node, face, following half-edge and kind of each half-edge, shape (half_count, 4)."""
@@ -47,7 +47,7 @@ class Arrangement(NamedTuple):
     corners: Int64
     """Nodes of each facet, shape (facet_count, 3)."""
     facet_edges: Int64
-    """Edge that follows each corner: of the surface, or its edge count and the number of a sheet's, (facet_count, 3)."""
+    """Edge that follows each corner: of the surface, or its edge count and the number of a sheet's."""
     facet_forward: Bool
     """Whether the facet goes along that edge from its lower node, shape (facet_count, 3)."""
     arcs: Arcs
@@ -94,14 +94,15 @@ def arrange(surface: UncutSurface, mesh: SheetMesh) -> Arrangement:
     first_sheet = len(crossed)
     between = cross_sheets(surface, mesh)
     facets = np.concatenate(
-        [np.stack([np.searchsorted(crossed, pairs[:, 0]), first_sheet + pairs[:, 1]], axis=1), first_sheet + between.pairs]
+        [
+            np.stack([np.searchsorted(crossed, pairs[:, 0]), first_sheet + pairs[:, 1]], axis=1),
+            first_sheet + between.pairs,
+        ]
     )
     keys, number = np.unique(np.concatenate([ends, between.ends]).ravel(), return_inverse=True)
     nodes = vertex_count + sheet_count + number.reshape(-1, 2)
     all_ends = np.concatenate([ends, between.ends])
-    arcs = Arcs(
-        facets, nodes, np.concatenate([weights, between.weights]), _turns(mesh, facets - first_sheet, all_ends)
-    )
+    arcs = Arcs(facets, nodes, np.concatenate([weights, between.weights]), _turns(mesh, facets - first_sheet, all_ends))
     # Ends in a corner that both triangles of sheets have are that corner's node.
     at_corner = between.corners >= 0
     arcs.nodes[len(pairs) :][at_corner] = vertex_count + between.corners[at_corner]

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from heartcase.schemas.bundle.surface_kinds import SurfaceKind
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.cutting.blade_sheet import Sheet
-from heartcase.simulator.cutting.free_parts import cut_picking, excise, parts_of_lattice, triangles_of_parts
 from heartcase.simulator.cutting.parted_lattice import part
-from heartcase.simulator.cutting.split_surface import CuttableSurface, split_surface
+from heartcase.simulator.splitting.free_parts import cut_picking, excise, parts_of_lattice, triangles_of_parts
+from heartcase.simulator.splitting.split_surface import CuttableSurface, split_surface
 from heartcase.simulator.surface.deform import deform, deform_picking
-from tests.simulator.cutting.surfaces import block, box, check_closed, hung, plane, sheets, volume
+from tests.simulator.splitting.surfaces import block, box, check_closed, hung, plane, sheets, volume
 
 SHAPE = (4, 3, 3)
 MODEL = block(SHAPE)
@@ -103,7 +103,9 @@ def test_lips_part_as_the_lattice_does(places):
             assert ((mine[:, axis] > place) == (middle[axis] > place)).all()
 
 
-@pytest.mark.parametrize("blades", [[plane(0, 1.3)], [plane(0, 1.0)], [plane(0, 1.5), plane(1, 1.5)], [plane(1, 1.2, high=1.6)]])
+@pytest.mark.parametrize(
+    "blades", [[plane(0, 1.3)], [plane(0, 1.0)], [plane(0, 1.5), plane(1, 1.5)], [plane(1, 1.2, high=1.6)]]
+)
 def test_both_lips_lie_on_the_old_surface_while_the_cut_is_closed(blades):
     parted, found = cut(blades)
     displacement = bent(5, 0.05)
@@ -146,7 +148,7 @@ def test_halves_that_go_apart_take_their_walls_along():
 def test_a_cut_that_goes_on_is_the_cut_made_at_once():
     """Strip by strip: after each, the surface is that of one sheet with the poses so far."""
     poses = [[(1.3 + 0.1 * n, -1, 4 - n), (1.3 + 0.1 * n, 4, 4 - n)] for n in range(4)]
-    parted, at_once = cut([Sheet.swept(poses)])
+    _, at_once = cut([Sheet.swept(poses)])
     strips = [Sheet.swept(poses[n : n + 2]) for n in range(3)]
     in_parts = split_surface(CUTTABLE, part(MODEL, strips, TISSUE), strips)
     np.testing.assert_array_equal(at_once.surface.triangles, in_parts.surface.triangles)

@@ -7,11 +7,11 @@ from typing import NamedTuple
 import numpy as np
 
 from heartcase.schemas.arrays import Float64, Int64
-from heartcase.simulator.cutting.exact_ties import comes_first, is_in_all_three
-from heartcase.simulator.cutting.sheet_mesh import SheetMesh
-from heartcase.simulator.cutting.sheet_sides import cross_triangles
-from heartcase.simulator.cutting.surface_crossings import fill_buckets
-from heartcase.simulator.cutting.uncut_surface import UncutSurface
+from heartcase.simulator.arrangement.exact_ties import comes_first, is_in_all_three
+from heartcase.simulator.arrangement.sheet_mesh import SheetMesh
+from heartcase.simulator.arrangement.sheet_sides import cross_triangles
+from heartcase.simulator.arrangement.surface_crossings import fill_buckets
+from heartcase.simulator.arrangement.uncut_surface import UncutSurface
 
 __all__ = ["Arcs", "SheetArcs", "cross_points", "cross_sheets"]
 
@@ -36,7 +36,7 @@ class Arcs(NamedTuple):
 
 
 class SheetArcs(NamedTuple):
-    """Arcs of two triangles of sheets; see :func:`heartcase.simulator.cutting.sheet_sides.cross_triangles`."""
+    """Arcs of two triangles of sheets; see :func:`heartcase.simulator.arrangement.sheet_sides.cross_triangles`."""
 
     pairs: Int64
     ends: Int64
@@ -112,9 +112,7 @@ def cross_points(corners: Int64, numbers: Int64, arcs: Arcs, surface_facets: int
     return _divided(corners, arcs, arc, point, found.places, first_node), len(found.arcs)
 
 
-def _in_order(
-    corners: Int64, numbers: Int64, arcs: Arcs, points: _Points, surface_facets: int
-) -> tuple[Int64, Int64]:
+def _in_order(corners: Int64, numbers: Int64, arcs: Arcs, points: _Points, surface_facets: int) -> tuple[Int64, Int64]:
     """Arcs through points and the points on them, arc by arc in order."""
     arc, point = points.arcs.ravel(), np.repeat(np.arange(len(points.arcs)), 3)
     start, stop = (_place(corners, arcs.facets[arc, 0], arcs.weights[arc, end, 0]) for end in (0, 1))

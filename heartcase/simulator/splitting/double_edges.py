@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from heartcase.schemas.arrays import Bool, Int64
-from heartcase.simulator.cutting.gluing import join_sets
+from heartcase.simulator.splitting.gluing import join_sets
 
 __all__ = ["Corners", "separate_fans", "without_double_edges"]
 
@@ -32,9 +32,7 @@ class Corners(NamedTuple):
     """One triangle at that edge; one of the surface if there is one, shape (added_count,)."""
 
 
-def without_double_edges(
-    triangles: Int64, vertices: Int64, following: Int64, partner: Int64, is_wall: Bool
-) -> Corners:
+def without_double_edges(triangles: Int64, vertices: Int64, following: Int64, partner: Int64, is_wall: Bool) -> Corners:
     """Halve edges of triangles that share both their vertices with others.
 
     Parameters

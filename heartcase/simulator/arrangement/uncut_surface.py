@@ -9,13 +9,14 @@ import numpy.typing as npt
 
 from heartcase.schemas.arrays import Float64, Int32, Int64
 from heartcase.schemas.errors import SimulationError
+from heartcase.simulator.arrangement.surface_crossings import fill_buckets
 from heartcase.simulator.cutting.crossings import QUANTA
-from heartcase.simulator.cutting.surface_crossings import fill_buckets
 
 __all__ = ["Buckets", "UncutSurface"]
 
 Buckets = tuple[int, Int64, Int64, Int64, Int32]
-"""What :func:`heartcase.simulator.cutting.surface_crossings.fill_buckets` fills: shift, low, size, first, members."""
+"""What :func:`heartcase.simulator.arrangement.surface_crossings.fill_buckets` fills: shift, low, size, first,
+members."""
 
 _SHIFT = QUANTA.bit_length() - 2
 """Buckets have half a cell along each edge."""

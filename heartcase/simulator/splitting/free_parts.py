@@ -9,9 +9,9 @@ import numpy.typing as npt
 
 from heartcase.schemas.arrays import Int32, Int64
 from heartcase.schemas.errors import SimulationError
-from heartcase.simulator.cutting.gluing import number_parts
-from heartcase.simulator.cutting.split_surface import SplitSurface
 from heartcase.simulator.lattice.model import LatticeModel
+from heartcase.simulator.splitting.gluing import number_parts
+from heartcase.simulator.splitting.split_surface import SplitSurface
 from heartcase.simulator.surface.deform import PickingModel, make_picking
 
 __all__ = ["Excision", "cut_picking", "excise", "parts_of_lattice", "triangles_of_parts"]
@@ -39,7 +39,7 @@ def parts_of_lattice(model: LatticeModel) -> Int32:
 
 
 def triangles_of_parts(model: LatticeModel, split: SplitSurface) -> Int32:
-    """Part of the lattice (:func:`parts_of_lattice`) that each triangle of a split surface follows, (triangle_count,)."""
+    """Part of the lattice (:func:`parts_of_lattice`) that each triangle of a split surface follows, int32."""
     of_node = np.zeros(model.node_count, np.int32)
     of_node[model.cell_corners] = parts_of_lattice(model)[:, None]
     found: Int32 = of_node[split.surface.triangle_nodes[split.surface.triangles[:, 0], 0]]
@@ -67,7 +67,7 @@ def excise(model: LatticeModel, removed: npt.ArrayLike) -> Excision:
     if len(model.explicit.nodes):
         raise SimulationError("explicit springs hold this lattice: take them out before an excision", place="excision")
     cells = np.flatnonzero(kept)
-    nodes = np.unique(model.cell_corners[cells])
+    nodes = np.unique(model.cell_corners[cells].astype(np.int64))
     number = np.full(model.node_count, -1, np.int32)
     number[nodes] = np.arange(len(nodes))
     springs = np.flatnonzero(number[model.spring_nodes[:, 0]] >= 0)
@@ -112,5 +112,3 @@ def cut_picking(model: LatticeModel) -> PickingModel:
     halves = np.stack([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]], axis=1).reshape(-1, 3)
     nodes, triangles = np.unique(halves, return_inverse=True)
     return make_picking(model, nodes.astype(np.int32), triangles.reshape(-1, 3).astype(np.int32))
-
-

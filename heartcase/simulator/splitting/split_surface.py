@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 
 from heartcase.schemas.arrays import Bool, Float32, Float64, Int32, Int64
+from heartcase.simulator.arrangement.sheet_mesh import sheet_mesh
+from heartcase.simulator.arrangement.uncut_surface import UncutSurface
 from heartcase.simulator.cutting.blade_sheet import Sheet
-from heartcase.simulator.cutting.gluing import join_sets
 from heartcase.simulator.cutting.parted_lattice import PartedLattice
-from heartcase.simulator.cutting.sheet_mesh import sheet_mesh
-from heartcase.simulator.cutting.surface_binding import Ties, closest_weights, tie_cells, tie_split
-from heartcase.simulator.cutting.surface_split import SplitMesh, split_mesh
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
-from heartcase.simulator.cutting.uncut_surface import UncutSurface
 from heartcase.simulator.lattice.model import LatticeModel
+from heartcase.simulator.splitting.gluing import join_sets
+from heartcase.simulator.splitting.surface_binding import Ties, closest_weights, tie_cells, tie_split
+from heartcase.simulator.splitting.surface_split import SplitMesh, split_mesh
 from heartcase.simulator.surface.cpu_kernels import move_at_rest
 from heartcase.simulator.surface.deform import (
     NodeNormals,
@@ -168,7 +168,7 @@ def _directions(cuttable: CuttableSurface, split: SplitMesh) -> tuple[Float64, F
     angle += 0.3  # a side that is too thin counts, too
     weighted = facing[:, None, :] * angle[..., None]
 
-    def summed(vertices: Int32) -> Float64:
+    def summed(vertices: Any) -> Float64:
         sums = [np.bincount(vertices.ravel(), weighted[..., axis].ravel(), minlength=count) for axis in range(3)]
         return np.stack(sums, axis=1)
 
@@ -277,7 +277,7 @@ def _hung(
 def _node_normals(
     before: SurfaceModel, parted: PartedLattice, arrays: dict[str, Any], ties: Ties
 ) -> tuple[NodeNormals, Int32, Int64]:
-    """Springs for approximate normals, their numbers for each vertex, and bent vertices of which a normal at rest changed."""
+    """Springs for approximate normals, numbers for each vertex, and bent vertices of which a normal at rest changed."""
     pieces = parted.pieces
     is_around = np.zeros(parted.model.node_count, np.bool_)
     is_around[parted.model.cell_corners[np.isin(parted.cell_origin, pieces.cells)].ravel()] = True

@@ -1,4 +1,4 @@
-"""All sheets as one mesh: corners that lie in one place are one vertex, so that a sheet that comes back to itself closes."""
+"""All sheets as one mesh: corners in one place are one vertex, so that a sheet that comes back to itself closes."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from heartcase.schemas.arrays import Float64, Int64
+from heartcase.simulator.arrangement.sheet_sides import order_around
 from heartcase.simulator.cutting.blade_sheet import Sheet
-from heartcase.simulator.cutting.sheet_sides import order_around
 
 __all__ = ["SheetMesh", "sheet_mesh"]
 
@@ -43,9 +43,10 @@ def sheet_mesh(sheets: Sequence[Sheet]) -> SheetMesh:
     vertices, number = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
     triangles = number.reshape(-1, 3)
     ordered = np.sort(triangles, axis=1)
-    has_three = (np.diff(ordered, axis=1) > 0).all(axis=1)
+    has_three = np.asarray((np.diff(ordered, axis=1) > 0).all(axis=1))
     _, once = np.unique(ordered, axis=0, return_index=True)
-    kept = np.sort(once[has_three[once]])
+    # By their vertices, so that it does not matter in which order and in how many parts they were swept.
+    kept = once[has_three[once]]
     triangles = triangles[kept].astype(np.int64)
     pairs = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
     edge_vertices, edges = np.unique(pairs, axis=0, return_inverse=True)

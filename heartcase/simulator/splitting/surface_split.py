@@ -1,6 +1,6 @@
 """Splitting a surface along the sheets themselves: lips, and the walls of the incision between them.
 
-Surface and sheets divide one another into faces (:mod:`heartcase.simulator.cutting.arrangement`). A face of a sheet
+Surface and sheets divide one another into faces (:mod:`heartcase.simulator.arrangement.arrange`). A face of a sheet
 inside the tissue becomes two walls, one for the tissue on each side, and what bounds the same tissue is glued edge by
 edge. So the split surface is closed and manifold whatever the sheets are, both lips are one curve, and where a sheet
 ends inside the tissue its two walls meet. Arrangements of meshes are split likewise by Zhou, Grinspun, Zorin and
@@ -9,22 +9,20 @@ Jacobson (ACM Trans. Graph. 35, 2016); here only the order around nodes and edge
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from heartcase.schemas.arrays import Bool, Float64, Int32, Int64
-from heartcase.simulator.cutting.arrangement import Arrangement, arrange
-from heartcase.simulator.cutting.blade_sheet import Sheet
+from heartcase.simulator.arrangement.arrange import Arrangement, arrange
+from heartcase.simulator.arrangement.sheet_crossings import barycentric
+from heartcase.simulator.arrangement.sheet_mesh import SheetMesh
+from heartcase.simulator.arrangement.surface_crossings import is_inside
+from heartcase.simulator.arrangement.uncut_surface import UncutSurface
 from heartcase.simulator.cutting.crossings import QUANTA
-from heartcase.simulator.cutting.double_edges import Corners, separate_fans, without_double_edges
-from heartcase.simulator.cutting.gluing import glue_around, join_sets, measure_parts, number_parts
-from heartcase.simulator.cutting.sheet_crossings import barycentric
-from heartcase.simulator.cutting.sheet_mesh import SheetMesh, sheet_mesh
-from heartcase.simulator.cutting.surface_crossings import is_inside
-from heartcase.simulator.cutting.uncut_surface import UncutSurface
+from heartcase.simulator.splitting.double_edges import Corners, separate_fans, without_double_edges
+from heartcase.simulator.splitting.gluing import glue_around, join_sets, measure_parts, number_parts
 
 __all__ = ["SplitMesh", "split_mesh"]
 
@@ -39,15 +37,15 @@ _AROUND_ARC = np.array(
     ]
 )
 """Of half-edges along arcs of two sheets or of the surface, in the arc's first or second facet, forwards or backwards:
-rank in the order around the arc, copy that looks back and that looks ahead in it, and whether they are by themselves."""
+rank in the order around the arc, copy that looks back and that looks ahead in it, and whether they are alone."""
 
 
 @dataclass(frozen=True)
 class SplitMesh:
     """A surface that was split.
 
-    Vertices of the uncut surface keep their numbers; those of the lips follow, then those of the walls. At a lip surface
-    and wall have a vertex each, so that the edge is sharp; ``weld`` joins them.
+    Vertices of the uncut surface keep their numbers; those of the lips follow, then those of the walls. At a lip the
+    surface and the wall have a vertex each, so that the edge is sharp; ``weld`` joins them.
     """
 
     triangles: Int32
@@ -273,9 +271,7 @@ def _written(
     return _without_dust(split, np.concatenate([plain, np.where(is_wall, wall_side, -1)]))
 
 
-def _facing(
-    surface: UncutSurface, mesh: SheetMesh, parts: Arrangement, facets: Int64, wall_side: Int64
-) -> Float64:
+def _facing(surface: UncutSurface, mesh: SheetMesh, parts: Arrangement, facets: Int64, wall_side: Int64) -> Float64:
     """Normals of triangles by their facets: a triangle may be too thin to have one."""
     corners = np.concatenate([surface.vertices[surface.triangles[parts.crossed]], mesh.vertices[mesh.triangles]])
     p, q, r = np.moveaxis(corners[facets], 1, 0)
@@ -327,9 +323,7 @@ class _Points(NamedTuple):
     on_weights: Float64
 
 
-def _points(
-    surface: UncutSurface, parts: Arrangement, nodes: Int64, corners: Corners, facet: Int64
-) -> _Points:
+def _points(surface: UncutSurface, parts: Arrangement, nodes: Int64, corners: Corners, facet: Int64) -> _Points:
     """Nodes, and the middles of double edges of some facets."""
     first_node = surface.vertex_count
     first_middle = len(nodes)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from heartcase.compiling.kernel import kernel
-from heartcase.simulator.cutting.exact_sides import line_side, sheet_side, tissue_side, volume
+from heartcase.simulator.arrangement.exact_sides import line_side, sheet_side, tissue_side, volume
 
 __all__ = ["cross_surface", "fill_buckets", "is_inside"]
 

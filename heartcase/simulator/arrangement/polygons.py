@@ -50,9 +50,9 @@ def _is_free(polygon, count, at, nodes, places):
         one, other = polygon[n], polygon[(n + 1) % count]
         p, q = places[one], places[other]
         is_corner = nodes[one] == nodes[before] or nodes[one] == nodes[here] or nodes[one] == nodes[after]
-        if not is_corner and not _same(p, a) and not _same(p, b) and not _same(p, c):
-            if turn(a, b, p) >= 0.0 and turn(b, c, p) >= 0.0 and turn(c, a, p) >= 0.0:
-                return False
+        is_corner = is_corner or _same(p, a) or _same(p, b) or _same(p, c)
+        if not is_corner and turn(a, b, p) >= 0.0 and turn(b, c, p) >= 0.0 and turn(c, a, p) >= 0.0:
+            return False
         touches = nodes[one] == nodes[before] or nodes[one] == nodes[after]
         if touches or nodes[other] == nodes[before] or nodes[other] == nodes[after]:
             continue

@@ -1,4 +1,4 @@
-"""Which piece of a cut lattice a point of the surface belongs to: the nearest tissue that it sees past the sheets: kernels."""
+"""Which piece of a cut lattice a point belongs to: the nearest tissue that it sees past the sheets: kernels."""
 
 from __future__ import annotations
 

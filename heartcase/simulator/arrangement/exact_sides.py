@@ -36,7 +36,7 @@ def _first_sign(x, y, z):
 
 @kernel(cached=False)
 def tissue_side(p, q, r, m):
-    """Side of a sheet's triangle on which a corner of the surface lies: 1 before it, -1 behind, 0 if it is no triangle."""
+    """Side of a sheet's triangle on which a corner of the surface lies: 1 before it, -1 behind, 0 if it has no area."""
     found = volume(p, q, r, m)
     if found != 0:
         return 1 if found > 0 else -1

@@ -1,7 +1,7 @@
 """Where triangles of sheets cross one another, in whole numbers: kernels.
 
 Each corner counts as moved by less than any number along a direction of its own, those of lower number the further. So
-four corners never lie in one plane, and sheets that lie in one another, or meet where their corners are, cross like any.
+four corners never lie in one plane, and sheets that lie in one another, or meet in their corners, cross like any.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from heartcase.compiling.kernel import kernel
-from heartcase.simulator.cutting.exact_sides import volume
+from heartcase.simulator.arrangement.exact_sides import volume
 
 __all__ = ["cross_triangles", "directions_of", "order_around"]
 
@@ -133,7 +133,7 @@ def _pierce(vertices, triangles, edges, one, other, ends, weights, corners, coun
     p, q, r = of_other[0], of_other[1], of_other[2]
     for n in range(3):
         a, b = of_one[n], of_one[(n + 1) % 3]
-        if a == p or a == q or a == r or b == p or b == q or b == r:
+        if a in (p, q, r) or b in (p, q, r):
             continue
         # A line's side is asked for in one way from both triangles that the edge is of.
         low, high = min(a, b), max(a, b)
@@ -191,14 +191,14 @@ def cross_triangles(vertices, triangles, edges, first, members, lists, pairs, en
     Parameters
     ----------
     vertices, triangles, edges
-        Of :class:`heartcase.simulator.cutting.sheet_mesh.SheetMesh`.
+        Of :class:`heartcase.simulator.arrangement.sheet_mesh.SheetMesh`.
     first, members
         Triangles in each bucket.
     lists
         Lowest bucket of each triangle, shape (triangle_count, 3), and sizes, at its end.
     pairs, ends, weights
-        As of :func:`heartcase.simulator.cutting.surface_crossings.cross_surface`; keys of ends are -1 - (edge << 31 |
-        triangle).
+        As of :func:`heartcase.simulator.arrangement.surface_crossings.cross_surface`; keys of ends are
+        -1 - (edge << 31 | triangle).
     corners
         Corner of both triangles in which an arc ends, else -1, shape (room, 2), written.
     """

@@ -11,13 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from heartcase.schemas.errors import SimulationError
+from heartcase.simulator.arrangement.sheet_mesh import sheet_mesh
+from heartcase.simulator.arrangement.surface_crossings import cross_surface
+from heartcase.simulator.arrangement.uncut_surface import UncutSurface
 from heartcase.simulator.cutting.blade_sheet import Sheet
 from heartcase.simulator.cutting.crossings import QUANTA
-from heartcase.simulator.cutting.sheet_mesh import sheet_mesh
-from heartcase.simulator.cutting.surface_crossings import cross_surface
-from heartcase.simulator.cutting.surface_split import split_mesh
-from heartcase.simulator.cutting.uncut_surface import UncutSurface
-from tests.simulator.cutting.surfaces import box, check_closed, part_volumes, plane, sheets, volume
+from heartcase.simulator.splitting.surface_split import split_mesh
+from tests.simulator.splitting.surfaces import box, check_closed, part_volumes, plane, sheets, volume
 
 CUBE = box((3, 3, 3), (3.0, 3.0, 3.0))
 
@@ -104,9 +104,7 @@ def crosses(surface, sheet) -> bool:
     def side(a, b, c, d):
         u, v, w = ([y - x for x, y in zip(a, e, strict=True)] for e in (b, c, d))
         return (
-            u[0] * (v[1] * w[2] - v[2] * w[1])
-            - u[1] * (v[0] * w[2] - v[2] * w[0])
-            + u[2] * (v[0] * w[1] - v[1] * w[0])
+            u[0] * (v[1] * w[2] - v[2] * w[1]) - u[1] * (v[0] * w[2] - v[2] * w[0]) + u[2] * (v[0] * w[1] - v[1] * w[0])
         )
 
     def pierced(triangle, a, b):
@@ -180,7 +178,9 @@ def test_a_sphere_is_cut_as_another_library_clips_it(normal):
     u = np.cross(normal, [0.3, -0.5, 0.8])
     u /= np.linalg.norm(u)
     v = np.cross(normal, u)
-    found = split((places, triangles), [Sheet.swept([[middle + 4 * (a * u + b * v) for a in (-1, 1)] for b in (-1, 1)])])
+    found = split(
+        (places, triangles), [Sheet.swept([[middle + 4 * (a * u + b * v) for a in (-1, 1)] for b in (-1, 1)])]
+    )
     check_closed(found.weld[found.triangles])
     halves = [sphere.clip_closed_surface(normal=way * normal, origin=middle) for way in (-1, 1)]
     wanted = sorted(abs(half.volume) for half in halves)

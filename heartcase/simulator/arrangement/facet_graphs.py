@@ -13,7 +13,7 @@ from math import atan2, pi
 import numpy as np
 
 from heartcase.compiling.kernel import kernel
-from heartcase.simulator.cutting.polygons import flip, triangulate, turn
+from heartcase.simulator.arrangement.polygons import flip, triangulate, turn
 
 __all__ = ["divide_facets"]
 
@@ -224,7 +224,19 @@ def _join_loose(node_count, boundary_count, half_count, origin, target, places, 
 
 @kernel
 def divide_facets(
-    corners, places, edge_first, edge_nodes, edge_shares, arc_first, arc_nodes, arc_places, arc_ways, arc_turns, halves, joined, triangles
+    corners,
+    places,
+    edge_first,
+    edge_nodes,
+    edge_shares,
+    arc_first,
+    arc_nodes,
+    arc_places,
+    arc_ways,
+    arc_turns,
+    halves,
+    joined,
+    triangles,
 ):
     """Divide facets into faces, and these into triangles.
 
@@ -308,9 +320,7 @@ def divide_facets(
         for node in range(count):
             _link_around(node, outline, half_count, origin, angle, turns, following)
         plain_count = half_count
-        half_count = _join_loose(
-            count, outline, half_count, origin, target, at, angle, following, cycle, pairs
-        )
+        half_count = _join_loose(count, outline, half_count, origin, target, at, angle, following, cycle, pairs)
         for n in range(half_count - plain_count):
             joined[joined_total, 0], joined[joined_total, 1] = half_total + pairs[n, 0], half_total + pairs[n, 1]
             joined_total += 1

@@ -15,14 +15,13 @@ from scipy.spatial import cKDTree
 
 from heartcase.schemas.arrays import Bool, Float64, Int32, Int64
 from heartcase.schemas.bundle.lattice import CORNER_OFFSETS, lattice_keys
-from heartcase.simulator.cutting.blade_sheet import key_indices
-from heartcase.simulator.cutting.gluing import number_parts
+from heartcase.simulator.arrangement.sheet_mesh import SheetMesh
+from heartcase.simulator.arrangement.surface_crossings import fill_buckets
 from heartcase.simulator.cutting.parted_lattice import PartedLattice
-from heartcase.simulator.cutting.seen_pieces import PieceCells, SheetBuckets, nearest_halves, see_cells
-from heartcase.simulator.cutting.sheet_mesh import SheetMesh
-from heartcase.simulator.cutting.surface_crossings import fill_buckets
-from heartcase.simulator.cutting.surface_split import SplitMesh
 from heartcase.simulator.lattice.model import LatticeModel
+from heartcase.simulator.splitting.gluing import number_parts
+from heartcase.simulator.splitting.seen_pieces import PieceCells, SheetBuckets, nearest_halves, see_cells
+from heartcase.simulator.splitting.surface_split import SplitMesh
 
 __all__ = ["Ties", "closest_weights", "tie_cells", "tie_split"]
 
@@ -123,7 +122,7 @@ class _Sight:
         is_first[pieces.first] = True
         of_piece = np.repeat(pieces.cells, pieces.counts)
         of_piece[~is_first] = model.cell_count + np.arange((~is_first).sum())
-        middles = model.cells + 0.5 + model.cell_moments[:, :3].astype(np.float64)
+        middles = model.cells.astype(np.float64) + 0.5 + model.cell_moments[:, :3].astype(np.float64)
         self.tissue = PieceCells(model.cells, middles, rows, pieces.samples, pieces.first, of_piece)
         shift = 12
         reached = mesh.vertices[mesh.triangles.ravel()] if len(mesh.triangles) else np.zeros((1, 3), np.int64)

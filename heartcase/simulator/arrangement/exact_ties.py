@@ -1,7 +1,8 @@
 """What is in one place, told apart: the same movements as elsewhere, as numbers that are long enough.
 
 The tissue is moved first along y, then z, then x; after that each corner of a sheet along a direction of its own, those
-of lower number the further, as :mod:`heartcase.simulator.cutting.sheet_sides` has it. For few questions, as it is slow.
+of lower number the further, as :mod:`heartcase.simulator.arrangement.sheet_sides` has it. For few
+questions, as it is slow.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from fractions import Fraction
 import numpy as np
 
 from heartcase.schemas.arrays import Float64, Int64
-from heartcase.simulator.cutting.sheet_sides import directions_of
+from heartcase.simulator.arrangement.sheet_sides import directions_of
 
 __all__ = ["comes_first", "is_in_all_three", "is_nearer"]
 
