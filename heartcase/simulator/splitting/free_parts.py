@@ -99,8 +99,10 @@ def cut_picking(model: LatticeModel) -> PickingModel:
     faces = model.cell_corners[:, _FACES].reshape(-1, 4).astype(np.int64)
     is_far = np.tile(np.array([False, True] * 3), model.cell_count)
     # Faces with the same nodes are seen from both sides by the two cells that they are between.
-    a, b, c = np.sort(faces, axis=1)[:, :3].T
-    _, number = np.unique((a << 42) | (b << 21) | c, return_inverse=True)
+    a, b, c, d = np.sort(faces, axis=1).T
+    _, low = np.unique(a << 31 | b, return_inverse=True)
+    _, high = np.unique(c << 31 | d, return_inverse=True)
+    _, number = np.unique(low * len(faces) + high, return_inverse=True)
     net = np.bincount(number, np.where(is_far, 1, -1)).astype(np.int64)
     sign = np.where(is_far, 1, -1)
     # Of faces of one name as many stay as there are more of one side than of the other.
