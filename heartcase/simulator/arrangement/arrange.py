@@ -102,7 +102,8 @@ def arrange(surface: UncutSurface, mesh: SheetMesh) -> Arrangement:
     keys, number = np.unique(np.concatenate([ends, between.ends]).ravel(), return_inverse=True)
     nodes = vertex_count + sheet_count + number.reshape(-1, 2)
     all_ends = np.concatenate([ends, between.ends])
-    arcs = Arcs(facets, nodes, np.concatenate([weights, between.weights]), _turns(mesh, facets - first_sheet, all_ends))
+    turns, nothing = _turns(mesh, facets - first_sheet, all_ends), np.full(all_ends.shape, np.nan)
+    arcs = Arcs(facets, nodes, np.concatenate([weights, between.weights]), turns, nothing)
     # Ends in a corner that both triangles of sheets have are that corner's node.
     at_corner = between.corners >= 0
     arcs.nodes[len(pairs) :][at_corner] = vertex_count + between.corners[at_corner]
@@ -269,7 +270,7 @@ def _faces(
         arcs.nodes[arc],
         arc_places,
         ways,
-        arcs.turns[arc],
+        np.where((which == 0)[:, None] & ~np.isnan(arcs.own_turns[arc]), arcs.own_turns[arc], arcs.turns[arc]),
         halves,
         joined,
         triangles,

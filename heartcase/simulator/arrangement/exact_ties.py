@@ -59,8 +59,8 @@ def _dot(a: _Vector, b: _Vector) -> int:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def is_in_all_three(corners: Int64, numbers: Int64, *, first_is_surface: bool) -> tuple[bool, list[float]]:
-    """Whether the point in which the planes of three triangles meet lies in all of them, and where it is.
+def is_in_all_three(corners: Int64, numbers: Int64, *, first_is_surface: bool) -> tuple[bool, list[float], int]:
+    """Whether the point in which the planes of three triangles meet lies in all of them, where, and how they turn.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def is_in_all_three(corners: Int64, numbers: Int64, *, first_is_surface: bool) -
     triangles = _moved_triangles(corners, numbers, first_is_surface, numbers)
     point, scale = _meeting(triangles)
     if scale == 0:
-        return False, [0.0] * 3
+        return False, [0.0] * 3, 0
     for triangle in triangles:
         normal = _normal(triangle)
         for n in range(3):
@@ -80,8 +80,8 @@ def is_in_all_three(corners: Int64, numbers: Int64, *, first_is_surface: bool) -
             inward = _cross(normal, _minus(stop, start))
             way = tuple(at - scale * before for at, before in zip(point, start, strict=True))
             if (_dot(inward, (way[0], way[1], way[2])) > 0) != (scale > 0):
-                return False, [0.0] * 3
-    return True, [float(Fraction(at, scale << _BITS)) for at in point]
+                return False, [0.0] * 3, 0
+    return True, [float(Fraction(at, scale << _BITS)) for at in point], 1 if scale > 0 else -1
 
 
 def comes_first(corners: Int64, numbers: Int64, first_is_surface: Sequence[bool], way: Float64) -> bool:

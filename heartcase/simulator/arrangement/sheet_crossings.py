@@ -17,6 +17,8 @@ __all__ = ["Arcs", "SheetArcs", "cross_points", "cross_sheets"]
 
 _NOT_ZERO = 1e-5
 """Distance from the edges of a triangle, in whole numbers, from which on a place is on a side of them for sure."""
+_PARALLEL = 1e-6
+"""Sine of the angle between planes below which they are one."""
 _SAME = 1e-9
 """Share of an arc by which two points on it must be apart for their order to be sure."""
 
@@ -33,6 +35,8 @@ class Arcs(NamedTuple):
     turns: Float64
     """Where an end is on a sheet's edge, the arc's place in the order around it in the other facet, counter-clockwise;
     else not a number, shape (count, 2)."""
+    own_turns: Float64
+    """The same in the first facet alone, at points where two sheets lie in one plane, shape (count, 2)."""
 
 
 class SheetArcs(NamedTuple):
@@ -76,6 +80,9 @@ class _Points(NamedTuple):
     """In QUANTA to a cell, shape (count, 3)."""
     facets: Int64
     """The facets, one of the surface first, shape (count, 3)."""
+    turns: Float64
+    """Where two are in one plane, the angle from the arc of the first to that of the second in the third facet; else
+    not a number, shape (count,)."""
 
 
 def cross_points(corners: Int64, numbers: Int64, arcs: Arcs, surface_facets: int, first_node: int) -> tuple[Arcs, int]:
@@ -109,7 +116,10 @@ def cross_points(corners: Int64, numbers: Int64, arcs: Arcs, surface_facets: int
     if not len(found.arcs):
         return arcs, 0
     arc, point = _in_order(corners, numbers, arcs, found, surface_facets)
-    return _divided(corners, arcs, arc, point, found.places, first_node), len(found.arcs)
+    is_second = found.arcs[point, 2] == arc
+    turn = np.where(is_second, found.turns[point], np.where(np.isnan(found.turns[point]), np.nan, 0.0))
+    turn[found.arcs[point, 0] == arc] = np.nan
+    return _divided(corners, arcs, arc, point, turn, found.places, first_node), len(found.arcs)
 
 
 def _in_order(corners: Int64, numbers: Int64, arcs: Arcs, points: _Points, surface_facets: int) -> tuple[Int64, Int64]:
@@ -183,11 +193,17 @@ def _points(corners: Int64, numbers: Int64, arcs: Arcs, triples: Int64, surface_
     is_sure |= (heights < -_NOT_ZERO / np.maximum(sizes, 1e-300)[:, None, None]).any(axis=(1, 2)) & (scale != 0)
     inside = is_sure & (heights > 0).all(axis=(1, 2))
     place += origin[:, 0]
+    turns = np.full(len(triples), np.nan)
     for row in np.flatnonzero(~is_sure).tolist():
         three = meeting[row]
         first_is_surface = bool(three[0] < surface_facets)
-        inside[row], place[row] = is_in_all_three(corners[three], numbers[three], first_is_surface=first_is_surface)
-    return _Points(triples[inside], place[inside], meeting[inside])
+        inside[row], place[row], way = is_in_all_three(
+            corners[three], numbers[three], first_is_surface=first_is_surface
+        )
+        one, other = normals[row, 1], normals[row, 2]
+        if np.linalg.norm(np.cross(one, other)) <= _PARALLEL * np.linalg.norm(one) * np.linalg.norm(other):
+            turns[row] = way * (_PARALLEL if one @ other > 0 else np.pi - _PARALLEL)
+    return _Points(triples[inside], place[inside], meeting[inside], turns[inside])
 
 
 def _place(corners: Int64, facets: Int64, weights: Float64) -> Float64:
@@ -195,7 +211,9 @@ def _place(corners: Int64, facets: Int64, weights: Float64) -> Float64:
     return place
 
 
-def _divided(corners: Int64, arcs: Arcs, arc: Int64, point: Int64, places: Float64, first_node: int) -> Arcs:
+def _divided(
+    corners: Int64, arcs: Arcs, arc: Int64, point: Int64, turn: Float64, places: Float64, first_node: int
+) -> Arcs:
     """Arcs from node to node along each, of arcs and points on them in order."""
     facets = arcs.facets[arc]
     inner = np.stack(
@@ -214,11 +232,14 @@ def _divided(corners: Int64, arcs: Arcs, arc: Int64, point: Int64, places: Float
     next_weights = np.where(is_last[:, None, None], arcs.weights[of_arc, 1], np.roll(weights, -1, axis=0))
     first_turns = np.concatenate([arcs.turns[:, 0], np.full(len(arc), np.nan)])[by_arc]
     last_turns = np.where(is_last, arcs.turns[of_arc, 1], np.nan)
+    own = np.concatenate([arcs.own_turns[:, 0], turn])[by_arc]
+    last_own = np.where(is_last, arcs.own_turns[of_arc, 1], np.roll(own, -1) + np.pi)
     return Arcs(
         arcs.facets[of_arc],
         np.stack([nodes, next_nodes], axis=1),
         np.stack([weights, next_weights], axis=1),
         np.stack([first_turns, last_turns], axis=1),
+        np.stack([own, last_own], axis=1),
     )
 
 

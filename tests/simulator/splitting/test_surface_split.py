@@ -231,6 +231,16 @@ def test_a_blade_that_goes_back_the_way_it_came_cuts_once():
         assert volumes_of(found) == [13.5, 13.5]
 
 
+@pytest.mark.parametrize("other", [(-1.3, 4.4, -1.1, 4.3), (1, 2, 1, 2), (-1, 4, 1, 2), (-1, 4, 1.3, 5)])
+def test_a_sheet_in_the_plane_of_another_changes_nothing(other):
+    def sheet(low, high, start, stop):
+        return Sheet.swept([[(1.5, low, at), (1.5, high, at)] for at in (start, stop)])
+
+    found = split(box((1, 1, 1), (3.0, 3.0, 3.0)), [sheet(-1, 4, -1, 4), sheet(*other)])
+    check_closed(found.weld[found.triangles])
+    assert volumes_of(found) == pytest.approx([13.5, 13.5], abs=1e-9)
+
+
 def test_lips_are_one_curve_and_walls_are_laid_out_to_scale():
     found = split(CUBE, [Sheet.swept([[(1.3, -1, 1.6), (1.3, 4, 1.6)], [(1.3, -1, 4), (1.3, 4, 4)]])])
     check_split(CUBE, found)
