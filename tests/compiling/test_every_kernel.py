@@ -37,6 +37,7 @@ from heartcase.simulator.incisions.visibility import View, visibility
 from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.load import load_case
 from heartcase.simulator.simulation import Simulation
+from heartcase.simulator.splitting.split_surface import CuttableSurface, split_surface
 
 pytestmark = pytest.mark.versions
 
@@ -133,6 +134,11 @@ def test_a_cut_parts_the_lattice(case):
     blade = [[(x - 60, y, z - 60), (x + 60, y, z - 60)], [(x - 60, y, z + 60), (x + 60, y, z + 60)]]
     parted = part(model.with_law(LAWS["element"]), [Sheet.swept(blade)], tissue)
     assert parted.model.node_count > model.node_count
+    across = [[(x, y - 60, z - 60), (x, y + 60, z - 60)], [(x, y - 60, z + 60), (x, y + 60, z + 60)]]
+    sheets = [Sheet.swept(blade), Sheet.swept(across)]
+    cuttable = CuttableSurface.of(model, case.surface)
+    split = split_surface(cuttable, part(model, sheets, cuttable.samples()), sheets)
+    assert split.triangle_part.max() > 0
 
 
 def test_an_incision_is_measured(case):

@@ -28,6 +28,10 @@ _BEYOND = 2.0
 """How far a sheet is continued [cells]: through any cell that it ends in."""
 _FURTHEST = 2.0**16
 """How far from the origin a point may lie [cells]."""
+_FINE = 0.75
+"""Longest step between points of a swept sheet, along the blade and from pose to pose [cells]; cut faces bend there."""
+_FAR = 256.0
+"""Where a step is longer [cells], it is divided as if it were so long."""
 _LONGEST = 128
 """Extent of a triangle along any axis [cells], so that products of three differences fit into 64 bits."""
 
@@ -40,6 +44,21 @@ class Sheet:
     """Corners in QUANTA to a cell, in the frame of the nodes (x, y, z along i, j, k), shape (triangle_count, 3, 3)."""
     beyond: Int64 = field(default_factory=lambda: np.zeros((0, 3, 3), np.int64))
     """The sheet's continuation beyond its edges, which tells where the cut goes in cells that it ends in, the same."""
+    flat: Float64 | None = None
+    """Place of each corner on the sheet laid out flat [cells], shape (triangle_count, 3, 2), where it was swept."""
+
+    def laid_out(self) -> Float64:
+        """Place of each corner on the sheet laid out flat [cells]: each triangle by itself where it was not swept."""
+        if self.flat is not None:
+            return self.flat
+        p, q, r = np.moveaxis(self.triangles / QUANTA, 1, 0)
+        along = np.linalg.norm(q - p, axis=1)
+        way = np.divide(q - p, along[:, None], out=np.zeros_like(p), where=along[:, None] > 0)
+        share = np.einsum("tx,tx->t", r - p, way)
+        across = np.linalg.norm(r - p - share[:, None] * way, axis=1)
+        nothing = np.zeros_like(along)
+        flat = np.stack([nothing, nothing, along, nothing, share, across], axis=1)
+        return flat.reshape(-1, 3, 2)
 
     def links(self) -> Links:
         """Links along x, y and z that the sheet crosses, ascending."""
@@ -67,7 +86,11 @@ class Sheet:
             Too few poses or points, numbers that are not finite, or a sheet that reaches too far.
         """
         points = _checked_poses(poses, "blade")
-        sheet = cls.of_triangles(_triangles(points))
+        cls.of_triangles(_triangles(points))  # refuses what is not finite
+        fine, places = _refined(points)
+        sheet, flat = cls.of_triangles(_triangles(fine)), _triangles(places)[..., :2]
+        if len(flat) == len(sheet.triangles):
+            sheet = replace(sheet, flat=flat)
         longer = np.concatenate([_continued(points[:2], 0)[:1], points, _continued(points[-2:], 0)[1:]])
         ahead = np.concatenate(
             [_continued(longer[:, :2], 1)[:, :1], longer, _continued(longer[:, -2:], 1)[:, 1:]], axis=1
@@ -158,6 +181,24 @@ def _triangles(points: Float64) -> Float64:
     """Two triangles for each four points that are neighbours, shape (count, 3, 3)."""
     a, b, c, d = points[:-1, :-1], points[:-1, 1:], points[1:, :-1], points[1:, 1:]
     return np.concatenate([np.stack(t, axis=2).reshape(-1, 3, 3) for t in ((a, b, c), (c, b, d))])
+
+
+def _refined(points: Float64) -> tuple[Float64, Float64]:
+    """Points and poses at most _FINE apart, and where they are on the sheet laid out flat (third number 0)."""
+    place = np.zeros_like(points)
+    ways = [np.linalg.norm(np.diff(points, axis=axis), axis=-1) for axis in (0, 1)]
+    # Blade and way are laid out by the means of their lengths: along a ruled sheet neither has one alone.
+    place[..., 0] = np.append(0.0, np.cumsum(ways[0].mean(axis=1)))[:, None]
+    place[..., 1] = np.append(0.0, np.cumsum(ways[1].mean(axis=0)))
+    both = np.concatenate([points, place], axis=-1)
+    for axis, way in enumerate(ways):
+        counts = np.maximum(np.ceil(np.minimum(way.max(axis=1 - axis), _FAR) / _FINE), 1).astype(int)
+        parts = []
+        for n, count in enumerate(counts.tolist()):
+            start, stop = (np.take(both, [at], axis=axis).swapaxes(0, axis)[0] for at in (n, n + 1))
+            parts.append(np.linspace(start, stop, count, endpoint=False))
+        both = np.concatenate([*parts, np.take(both, [-1], axis=axis).swapaxes(0, axis)]).swapaxes(0, axis)
+    return both[..., :3], both[..., 3:]
 
 
 def _continued(pair: Float64, axis: int) -> Float64:

@@ -16,7 +16,7 @@ import numpy as np
 
 from heartcase.schemas.arrays import Bool, Float, Float32, Float64, Int32, UInt8
 from heartcase.schemas.errors import SimulationError
-from heartcase.simulator.lattice.model import LatticeModel
+from heartcase.simulator.lattice.model import DIRECTIONS, LatticeModel
 from heartcase.simulator.surface.cpu_kernels import EVERYTHING, deform_vertices, move_at_rest, node_normals, place_nodes
 
 __all__ = [
@@ -339,8 +339,10 @@ def gather_springs(model: LatticeModel, nodes: Int32) -> NodeNormals:
     """The springs of some nodes, node by node."""
     number = np.full(model.node_count, -1)
     number[nodes] = np.arange(len(nodes))
-    ends = np.concatenate([model.spring_nodes, model.spring_nodes[:, ::-1]])
-    offset = np.concatenate([-model.spring_offset, model.spring_offset])
+    near = np.flatnonzero((number[model.spring_nodes] >= 0).any(axis=1))
+    ends = np.concatenate([model.spring_nodes[near], model.spring_nodes[near, ::-1]])
+    offset = DIRECTIONS[model.spring_direction[near]]
+    offset = np.concatenate([-offset, offset])
     kept = np.flatnonzero(number[ends[:, 0]] >= 0)
     kept = kept[np.argsort(ends[kept, 0].astype(np.int64) * model.node_count + ends[kept, 1])]
     first = np.searchsorted(ends[kept, 0], nodes, side="left")
@@ -391,6 +393,12 @@ def interpolated_basis(edges: Float64, weights: Float, normals: Float) -> tuple[
     defined = (np.linalg.norm(N, axis=1) > BASIS_MIN) & (np.linalg.norm(across, axis=1) > BASIS_MIN)
     N, B = _unit(N), _unit(across)
     return np.stack([np.cross(B, N), N, B], axis=1), defined
+
+
+def rest_normals(springs: NodeNormals) -> Float32:
+    """Approximate normals of the nodes at rest, shape (normal_count, 3), one row of zeros where there are none."""
+    most = max(springs.nodes.max(initial=-1), springs.neighbours.max(initial=-1))
+    return _normals_now(springs, np.zeros((int(most) + 1, 3), np.float32))
 
 
 def _normals_now(springs: NodeNormals, displacement: Float32) -> Float32:

@@ -1,0 +1,111 @@
+"""Which corners of faces are one vertex of the split surface: kernels.
+
+Around each edge of the arrangement its faces stand in a circle, with tissue or void between two that follow one
+another. What bounds the same tissue is glued. So each side of each face is glued to one other along each edge, and what
+comes out is closed, whatever faces there are.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from heartcase.compiling.kernel import kernel
+
+__all__ = ["glue_around", "join_sets", "measure_parts", "number_parts"]
+
+
+@kernel(cached=False)
+def _root(parents, one):
+    while parents[one] != one:
+        parents[one] = parents[parents[one]]
+        one = parents[one]
+    return one
+
+
+@kernel(cached=False)
+def _join(parents, one, other):
+    """The lowest member stands for both."""
+    one, other = _root(parents, one), _root(parents, other)
+    if one < other:
+        parents[other] = one
+    else:
+        parents[one] = other
+
+
+@kernel
+def join_sets(parents, pairs):
+    """Join the sets of pairs of members, and let each member know its set."""
+    for n in range(len(pairs)):
+        _join(parents, pairs[n, 0], pairs[n, 1])
+    for one in range(len(parents)):
+        parents[one] = _root(parents, one)
+
+
+@kernel
+def glue_around(first, is_circle, halves, backwards, copies, following, parents, partner):
+    """Glue what follows one another around each edge.
+
+    Parameters
+    ----------
+    first, is_circle
+        Where the half-edges at each edge begin, shape (edge_count + 1,), and whether the last is followed by the first.
+    halves, backwards, copies
+        Half-edges in their order around the edge; whether each runs against it; and which copy of its face, 0 or 1,
+        looks back and which looks ahead, shape (count, 2).
+    following
+        The half-edge that follows each in its face.
+    parents
+        Sets of corners, shape (2 half_count,): first those of all faces' copy 0, then of copy 1; joined.
+    partner
+        Half-edge, with its copy, that each is glued to, shape (2 half_count,); written.
+    """
+    half_count = len(following)
+    for edge in range(len(first) - 1):
+        count = first[edge + 1] - first[edge]
+        for n in range(count if is_circle[edge] else count - 1):
+            one, other = first[edge] + n, first[edge] + (n + 1) % count
+            a, b = halves[one], halves[other]
+            of_a, of_b = copies[one, 1] * half_count, copies[other, 0] * half_count
+            partner[of_a + a], partner[of_b + b] = of_b + b, of_a + a
+            start_a, end_a = of_a + a, of_a + following[a]
+            start_b, end_b = of_b + b, of_b + following[b]
+            if backwards[one] == backwards[other]:
+                _join(parents, start_a, start_b)
+                _join(parents, end_a, end_b)
+            else:
+                _join(parents, start_a, end_b)
+                _join(parents, end_a, start_b)
+
+
+@kernel
+def number_parts(triangles, vertex_count):
+    """Number of what each triangle, or cell, hangs together with, by the first of each, int32, shape (count,)."""
+    parents = np.arange(vertex_count)
+    for n in range(len(triangles)):
+        for corner in range(1, triangles.shape[1]):
+            _join(parents, triangles[n, 0], triangles[n, corner])
+    numbers = np.full(vertex_count, -1, np.int32)
+    part = np.empty(len(triangles), np.int32)
+    count = 0
+    for n in range(len(triangles)):
+        root = _root(parents, triangles[n, 0])
+        if numbers[root] < 0:
+            numbers[root] = count
+            count += 1
+        part[n] = numbers[root]
+    return part
+
+
+@kernel
+def measure_parts(places, triangles, part, volumes, areas):
+    """Add up six times the volume and twice the area of each part of a surface."""
+    middle = places[triangles[0, 0]]
+    p, q, r = np.empty(3), np.empty(3), np.empty(3)
+    for n in range(len(triangles)):
+        for axis in range(3):
+            p[axis] = places[triangles[n, 0], axis] - middle[axis]
+            q[axis] = places[triangles[n, 1], axis] - middle[axis] - p[axis]
+            r[axis] = places[triangles[n, 2], axis] - middle[axis] - p[axis]
+        x, y, z = q[1] * r[2] - q[2] * r[1], q[2] * r[0] - q[0] * r[2], q[0] * r[1] - q[1] * r[0]
+        volumes[part[n]] += x * p[0] + y * p[1] + z * p[2]
+        areas[part[n]] += np.sqrt(x * x + y * y + z * z)

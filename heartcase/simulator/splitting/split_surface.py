@@ -1,0 +1,331 @@
+"""The visible surface of a cut lattice: split along the sheets, tied to it, with all that the kernels need to move it.
+
+All follows from the uncut surface and the list of sheets: taking the last one back gives the same bytes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from heartcase.schemas.arrays import Bool, Float32, Float64, Int32, Int64
+from heartcase.simulator.arrangement.sheet_mesh import sheet_mesh
+from heartcase.simulator.arrangement.uncut_surface import UncutSurface
+from heartcase.simulator.cutting.blade_sheet import Sheet
+from heartcase.simulator.cutting.parted_lattice import PartedLattice
+from heartcase.simulator.cutting.tissue_samples import TissueSamples
+from heartcase.simulator.lattice.model import LatticeModel
+from heartcase.simulator.splitting.gluing import join_sets
+from heartcase.simulator.splitting.surface_binding import Ties, closest_weights, tie_cells, tie_split
+from heartcase.simulator.splitting.surface_split import SplitMesh, split_mesh
+from heartcase.simulator.surface.cpu_kernels import move_at_rest
+from heartcase.simulator.surface.deform import (
+    NodeNormals,
+    SurfaceModel,
+    deform,
+    gather_springs,
+    interpolated_basis,
+    rest_normals,
+    triangle_basis,
+)
+
+__all__ = ["CuttableSurface", "SplitSurface", "split_surface"]
+
+_ONE_PLACE = 1e-6
+"""Vertices that are nearer to one another are in one place [cells]."""
+
+
+@dataclass(frozen=True)
+class CuttableSurface:
+    """A surface over a lattice, before any cut: what every split of it starts from."""
+
+    model: LatticeModel
+    """The uncut lattice."""
+    surface: SurfaceModel
+    """The uncut surface, with triangles."""
+    mesh: UncutSurface
+    """The same at rest, in the frame of the nodes."""
+    normals: Float64
+    """Unit normals at rest, grid axes, shape (vertex_count, 3)."""
+    cells_of_ties: Int64
+    """Cells that have the three nodes of each vertex, or -1, shape (vertex_count, 2)."""
+
+    @classmethod
+    def of(cls, model: LatticeModel, surface: SurfaceModel) -> CuttableSurface:
+        """Prepare a surface.
+
+        Raises
+        ------
+        SimulationError
+            The surface is not closed.
+        """
+        still = deform(model, surface, np.zeros((model.node_count, 3), np.float32))
+        places = model.geometry.world_to_index(surface.rest_mm.astype(np.float64)) + 0.5
+        normals = still.normals.astype(np.float64) @ model.geometry.direction_matrix
+        mesh = UncutSurface.of(places, surface.triangles)
+        return cls(model, surface, mesh, normals, tie_cells(model, surface.triangle_nodes))
+
+    def samples(self) -> TissueSamples:
+        """Samples of the tissue inside the surface."""
+        return TissueSamples.inside(self.mesh.places, self.mesh.triangles)
+
+
+@dataclass(frozen=True)
+class SplitSurface:
+    """A surface that was split. Vertices of the uncut surface keep their numbers; new ones follow.
+
+    At a lip the surface and the cut face each have a vertex, which move as one, so that the edge between them is sharp.
+    """
+
+    surface: SurfaceModel
+    """It, over the cut lattice."""
+    weld: Int32
+    """Lowest vertex that is one with each, shape (vertex_count,): the surface is closed and manifold over these."""
+    triangle_origin: Int32
+    """Triangle of the uncut surface that each is a part of, or -1 for cut faces, shape (triangle_count,)."""
+    triangle_sheet: Int32
+    """Sheet that made each cut face, or -1, shape (triangle_count,)."""
+    triangle_part: Int32
+    """Number of what each triangle hangs together with, shape (triangle_count,)."""
+    vertex_cells: Int32
+    """Cell of the cut lattice whose corners a vertex follows, where it is new or follows other nodes than before; else
+    -1, shape (vertex_count,)."""
+    on_triangle: Int32
+    """Triangle of the uncut surface on which each new vertex of a lip lies, else -1, shape (vertex_count,)."""
+    on_weights: Float32
+    """Barycentric place there, shape (vertex_count, 3)."""
+    uv_mm: Float32
+    """Texture coordinates of cut faces: places on the sheet laid out flat, mm; else 0, shape (vertex_count, 2)."""
+
+    @property
+    def triangle_is_cut_face(self) -> Bool:
+        """Whether a triangle is a new wall, shape (triangle_count,)."""
+        return self.triangle_origin < 0
+
+    def carried(self, values: Any, cut_face: Any) -> Any:
+        """What the triangles of the uncut surface have, such as label, kind or colour, for those of this one.
+
+        Parameters
+        ----------
+        values
+            One for each triangle of the uncut surface, shape (uncut_triangle_count, ...).
+        cut_face
+            That of cut faces.
+        """
+        values = np.asarray(values)
+        found = values[self.triangle_origin]
+        found[self.triangle_is_cut_face] = np.asarray(cut_face).astype(values.dtype)
+        return found
+
+
+def split_surface(cuttable: CuttableSurface, parted: PartedLattice, sheets: Sequence[Sheet]) -> SplitSurface:
+    """Split a surface along sheets and tie it to the lattice that they cut.
+
+    Parameters
+    ----------
+    cuttable
+        The uncut surface.
+    parted
+        The cut lattice (:func:`heartcase.simulator.cutting.parted_lattice.part` with the same sheets).
+    sheets
+        What the blade swept, at rest.
+    """
+    mesh = sheet_mesh(sheets)
+    split = split_mesh(cuttable.mesh, mesh)
+    inward, normals = _directions(cuttable, split)
+    ties = tie_split(
+        cuttable.model, parted, mesh, split, cuttable.surface.triangle_nodes, cuttable.cells_of_ties, inward
+    )
+    cells = np.full(len(split.places), -1, np.int32)
+    old_count = cuttable.surface.vertex_count
+    cells[ties.changed] = ties.cells[: len(ties.changed)]
+    cells[old_count:] = ties.cells[len(ties.changed) :]
+    return SplitSurface(
+        surface=_hung(cuttable, parted, split, ties, normals),
+        weld=split.weld,
+        triangle_origin=split.triangle_origin,
+        triangle_sheet=split.triangle_sheet,
+        triangle_part=split.triangle_part,
+        vertex_cells=cells,
+        on_triangle=split.on_triangle,
+        on_weights=split.on_weights.astype(np.float32),
+        uv_mm=(split.flat * cuttable.model.cell_mm).astype(np.float32),
+    )
+
+
+def _directions(cuttable: CuttableSurface, split: SplitMesh) -> tuple[Float64, Float64]:
+    """Direction into the tissue at each vertex, and normals of the new vertices; unit vectors, grid axes."""
+    old_count, count = len(cuttable.normals), len(split.places)
+    rows = np.arange(len(split.triangles) - len(split.facing), len(split.triangles))
+    triangles, facing = split.triangles[rows], split.facing
+    # By the angle at the corner: how a side is divided into triangles does not count.
+    corners = split.places[triangles]
+    ahead, back = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
+    angle = np.arctan2(np.linalg.norm(np.cross(ahead, back), axis=2), np.einsum("tcx,tcx->tc", ahead, back))
+    angle += 0.3  # a side that is too thin counts, too
+    weighted = facing[:, None, :] * angle[..., None]
+
+    def summed(vertices: Any) -> Float64:
+        sums = [np.bincount(vertices.ravel(), weighted[..., axis].ravel(), minlength=count) for axis in range(3)]
+        return np.stack(sums, axis=1)
+
+    # Vertices in one place that hang together see what all of them see.
+    one, other = split.weld[triangles], split.weld[np.roll(triangles, -1, axis=1)]
+    alike = np.linalg.norm(ahead, axis=2) < _ONE_PLACE
+    places = np.arange(count)
+    join_sets(places, np.stack([one[alike], other[alike]], axis=1).astype(np.int64))
+    own, together = summed(triangles), summed(places[split.weld[triangles]])[places[split.weld]]
+    # Where both walls of a cut meet and cancel out, any of them.
+    first = np.zeros((count, 3))
+    first[triangles[::-1].ravel()] = np.repeat(facing[::-1], 3, axis=0)
+    normals = _unit(own)
+    normals = np.where(np.linalg.norm(normals, axis=1, keepdims=True) > 0, normals, first)
+    on = np.flatnonzero(split.on_triangle >= 0)
+    is_lip = np.zeros(count, np.bool_)
+    is_lip[triangles[split.triangle_origin[rows] >= 0].ravel()] = True
+    on = on[is_lip[on]]
+    of_corners = cuttable.normals[cuttable.mesh.triangles[split.on_triangle[on]]]
+    smooth = _unit(np.einsum("nc,ncx->nx", split.on_weights[on], of_corners))
+    normals[on] = np.where(np.linalg.norm(smooth, axis=1, keepdims=True) > 0, smooth, normals[on])
+    outward = _unit(together)
+    for spare in (outward, np.array([0.0, 0.0, 1.0])):
+        normals = np.where(np.linalg.norm(normals, axis=1, keepdims=True) > 0, normals, spare)
+    inward = -outward
+    inward[:old_count] = -cuttable.normals
+    return inward, normals[old_count:]
+
+
+def _hung(
+    cuttable: CuttableSurface, parted: PartedLattice, split: SplitMesh, ties: Ties, new_normals: Float64
+) -> SurfaceModel:
+    """The surface with its new vertices, and those that follow other nodes than before."""
+    before, model = cuttable.surface, parted.model
+    old_count, count = before.vertex_count, len(split.places)
+    new = np.arange(old_count, count)
+    rows = np.concatenate([ties.changed, new])
+
+    def grown(values: Any) -> Any:
+        room = np.zeros((count, *values.shape[1:]), values.dtype)
+        room[:old_count] = values
+        return room
+
+    arrays: dict[str, Any] = {
+        name: grown(getattr(before, name))
+        for name in (
+            "rest_mm",
+            "triangle_nodes",
+            "weights",
+            "edges",
+            "curvature",
+            "offset",
+            "normal",
+            "normal_number",
+            "rest_turn",
+        )
+    }
+    arrays["triangle_nodes"][rows] = ties.nodes
+    arrays["rest_mm"][new] = model.geometry.index_to_world(split.places[new] - 0.5).astype(np.float32)
+    normals_of, arrays["normal_number"], is_bent_anew = _node_normals(before, parted, arrays, ties)
+
+    tied_anew = np.concatenate([ties.changed[ties.is_tied_anew], new])
+    arrays["curvature"][tied_anew] = 0
+    arrays["normal_number"][tied_anew] = 0
+    redone = np.concatenate([tied_anew, is_bent_anew])
+    corners = model.node_index[arrays["triangle_nodes"][redone]].astype(np.float64)
+    places = split.places[redone]
+    anew = len(tied_anew)
+    arrays["weights"][tied_anew] = closest_weights(places[:anew], corners[:anew]).astype(np.float32)
+    edges = corners[:, 1:] - corners[:, :1]
+    arrays["edges"][redone] = edges.astype(np.float32)
+    basis = triangle_basis(edges)
+    bent = arrays["curvature"][redone] != 0
+    if bent.any():
+        weights = arrays["weights"][redone[bent]]
+        at_rest = rest_normals(normals_of)[arrays["normal_number"][redone[bent]]]
+        curved, defined = interpolated_basis(edges[bent], weights, at_rest)
+        basis[np.flatnonzero(bent)[defined]] = curved[defined]
+        arrays["curvature"][redone[bent][~defined]] = 0
+    away = places - np.einsum("vi,vix->vx", arrays["weights"][redone].astype(np.float64), corners)
+    facing = np.concatenate([cuttable.normals, new_normals])[redone]
+    arrays["offset"][redone] = np.einsum("vbx,vx->vb", basis, away).astype(np.float32)
+    arrays["normal"][redone] = np.einsum("vbx,vx->vb", basis, facing).astype(np.float32)
+    turn = np.empty((len(redone), 3), np.float32)
+    move_at_rest(
+        np.ascontiguousarray(arrays["triangle_nodes"][redone]),
+        np.ascontiguousarray(arrays["weights"][redone]),
+        np.ascontiguousarray(arrays["edges"][redone]),
+        np.ascontiguousarray(arrays["curvature"][redone]),
+        np.ascontiguousarray(arrays["offset"][redone]),
+        np.ascontiguousarray(arrays["normal_number"][redone]),
+        rest_normals(normals_of),
+        np.zeros((model.node_count, 3), np.float32),
+        turn,
+    )
+    arrays["rest_turn"][redone] = turn
+    return replace(
+        before,
+        triangles=split.triangles,
+        normals_of=normals_of,
+        **arrays,
+        **_drawn(before, arrays["normal"][new]),
+    )
+
+
+def _node_normals(
+    before: SurfaceModel, parted: PartedLattice, arrays: dict[str, Any], ties: Ties
+) -> tuple[NodeNormals, Int32, Int64]:
+    """Springs for approximate normals, numbers for each vertex, and bent vertices of which a normal at rest changed."""
+    pieces = parted.pieces
+    is_around = np.zeros(parted.model.node_count, np.bool_)
+    is_around[parted.model.cell_corners[np.isin(parted.cell_origin, pieces.cells)].ravel()] = True
+    numbers = arrays["normal_number"]
+    kept = np.ones(len(before.weights), np.bool_)
+    kept[ties.changed[ties.is_tied_anew]] = False
+    curved = np.flatnonzero((before.curvature != 0) & kept)
+    touched = curved[is_around[arrays["triangle_nodes"][curved]].any(axis=1)]
+    nothing = np.zeros(0, np.int64)
+    if not len(touched):
+        return before.normals_of, numbers, nothing
+    nodes = arrays["triangle_nodes"][touched]
+    around = np.unique(nodes[is_around[nodes]])
+    added = gather_springs(parted.model, around)
+    old = before.normals_of
+    first = np.concatenate([old.first, old.first[-1] + added.first[1:]]).astype(np.int32)
+    joined = NodeNormals(
+        np.concatenate([old.nodes, added.nodes]),
+        first,
+        np.concatenate([old.neighbours, added.neighbours]),
+        np.concatenate([old.offset, added.offset]),
+    )
+    number = len(old.nodes) + np.searchsorted(around, nodes)
+    numbers[touched] = np.where(is_around[nodes], number, numbers[touched]).astype(np.int32)
+    at_rest = rest_normals(joined)
+    is_same = (at_rest[numbers[touched]] == at_rest[before.normal_number[touched]]).all(axis=(1, 2))
+    return joined, numbers, touched[~is_same]
+
+
+def _drawn(before: SurfaceModel, normal: Float32) -> dict[str, Any]:
+    """Render vertices and their tangents, where they were loaded: one for each new vertex, across its normal."""
+    if not len(before.render_to_welded):
+        return {"render_first": np.zeros(before.vertex_count + len(normal) + 1, np.int32)}
+    across = np.zeros((len(normal), 4), np.float32)
+    across[np.arange(len(normal)), np.abs(normal).argmin(axis=1)] = 1.0
+    along = _unit(across[:, :3] - normal * np.einsum("nx,nx->n", across[:, :3], normal)[:, None])
+    across[:, :3], across[:, 3] = along, 1.0
+    welded = np.concatenate([before.render_to_welded, before.vertex_count + np.arange(len(normal))]).astype(np.int32)
+    counts = np.bincount(welded, minlength=before.vertex_count + len(normal))
+    return {
+        "render_to_welded": welded,
+        "tangent": np.concatenate([before.tangent, across]),
+        "render_first": np.append(0, np.cumsum(counts)).astype(np.int32),
+        "render_vertices": np.argsort(welded, kind="stable").astype(np.int32),
+    }
+
+
+def _unit(vectors: Any) -> Any:
+    vectors = np.asarray(vectors, np.result_type(vectors, np.float32))
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0)

@@ -1,0 +1,332 @@
+"""Tying a split surface to a cut lattice: each vertex to nodes of its own side alone.
+
+A vertex that was there keeps its three nodes: copies of these that the tissue has which the vertex sees past the
+sheets. Where all of that tissue is beyond a sheet it is tied anew. A new vertex of a lip follows the nodes of a corner
+of the triangle that it lies on, if both lips can; else, as all other new ones, a face of its own cell. What a vertex
+belongs to is asked of a point a little inside the tissue behind it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from heartcase.schemas.arrays import Bool, Float64, Int32, Int64
+from heartcase.schemas.bundle.lattice import CORNER_OFFSETS, lattice_keys
+from heartcase.simulator.arrangement.sheet_mesh import SheetMesh
+from heartcase.simulator.arrangement.surface_crossings import fill_buckets
+from heartcase.simulator.cutting.parted_lattice import PartedLattice
+from heartcase.simulator.lattice.model import LatticeModel
+from heartcase.simulator.splitting.gluing import number_parts
+from heartcase.simulator.splitting.seen_pieces import PieceCells, SheetBuckets, nearest_halves, see_cells
+from heartcase.simulator.splitting.surface_split import SplitMesh
+
+__all__ = ["Ties", "closest_weights", "tie_cells", "tie_split"]
+
+_INSIDE = 2.0**-9
+"""How far inside the tissue a vertex is asked what it belongs to [cells]."""
+_PLACES = 2.0**22
+"""Vertices whose places are the same when rounded by this are of one lip [1 / cell]."""
+_AROUND: Int64 = np.stack(np.meshgrid(*[[0, -1, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+_FACE_CORNERS = np.array([(0, 4, 6, 2), (1, 3, 7, 5), (0, 1, 5, 4), (2, 6, 7, 3), (0, 2, 3, 1), (4, 5, 7, 6)])
+"""Corners of a cell's faces, counter-clockwise from outside."""
+_HALF_FACES = np.stack([_FACE_CORNERS[:, [0, 1, 2]], _FACE_CORNERS[:, [0, 2, 3]]], axis=1).reshape(-1, 3)
+
+
+@dataclass(frozen=True)
+class Ties:
+    """Which nodes the vertices of a split surface follow."""
+
+    changed: Int64
+    """Vertices that were there and follow other nodes than before, ascending, shape (changed_count,)."""
+    is_tied_anew: Bool
+    """Which of these do not follow copies of the nodes that they did, shape (changed_count,)."""
+    nodes: Int32
+    """Nodes of the cut lattice of these, and of all new vertices, shape (changed_count + new_count, 3)."""
+    cells: Int32
+    """Cell of the cut lattice whose corners these nodes are, shape (changed_count + new_count,)."""
+
+
+def tie_cells(model: LatticeModel, triangle_nodes: Int32) -> Int64:
+    """Both cells that have three nodes of a face, or -1, shape (count, 2).
+
+    Parameters
+    ----------
+    model
+        The lattice.
+    triangle_nodes
+        Nodes of the triangles, halves of cells' faces, shape (count, 3).
+    """
+    corners = model.node_index[triangle_nodes].astype(np.int64)
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    # Cells behind and before the plane of the three: its axis is the one along which they do not differ.
+    cells = np.stack([high - 1, low], axis=1)
+    return _cells_at(model, cells)
+
+
+def _cells_at(model: LatticeModel, places: Int64) -> Int64:
+    """Cell at each index (i, j, k), or -1."""
+    keys = lattice_keys(model.cells)
+    order = np.argsort(keys, kind="stable") if (np.diff(keys) < 0).any() else np.arange(len(keys))
+    wanted = lattice_keys(places)
+    at = np.minimum(np.searchsorted(keys[order], wanted), len(keys) - 1)
+    found: Int64 = np.where(keys[order][at] == wanted, order[at], -1)
+    return found
+
+
+def closest_weights(points: Float64, corners: Float64) -> Float64:
+    """Barycentric weights of the places in triangles that are closest to points, shape (count, 3).
+
+    Parameters
+    ----------
+    points
+        Shape (count, 3).
+    corners
+        Of the triangles, shape (count, 3, 3).
+    """
+    p, u, v = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    w = points - p
+    uu, uv, vv = (np.einsum("nx,nx->n", a, b) for a, b in ((u, u), (u, v), (v, v)))
+    wu, wv = np.einsum("nx,nx->n", w, u), np.einsum("nx,nx->n", w, v)
+    determinant = uu * vv - uv * uv
+    inner = np.stack([(vv * wu - uv * wv) / determinant, (uu * wv - uv * wu) / determinant], axis=1)
+    # On the three edges, and inside where that is inside: the closest of all.
+    first, second = np.clip(wu / uu, 0, 1), np.clip(wv / vv, 0, 1)
+    along = np.clip((wv - wu + uu - uv) / (uu + vv - 2 * uv), 0, 1)
+    nothing = np.zeros_like(first)
+    places = np.stack(
+        [
+            np.stack([first, nothing], axis=1),
+            np.stack([nothing, second], axis=1),
+            np.stack([1 - along, along], axis=1),
+        ],
+        axis=1,
+    )
+    away = w[:, None] - places[..., :1] * u[:, None] - places[..., 1:] * v[:, None]
+    nearest = np.einsum("ncx,ncx->nc", away, away).argmin(axis=1)
+    is_inside = (inner >= 0).all(axis=1) & (inner.sum(axis=1) <= 1)
+    two = np.where(is_inside[:, None], inner, places[np.arange(len(w)), nearest])
+    return np.concatenate([1.0 - two.sum(axis=1, keepdims=True), two], axis=1)
+
+
+class _Sight:
+    """What points see of a cut lattice."""
+
+    def __init__(self, model: LatticeModel, parted: PartedLattice, mesh: SheetMesh) -> None:
+        pieces = parted.pieces
+        rows = np.full(model.cell_count, -1)
+        rows[pieces.cells] = np.arange(len(pieces.cells))
+        is_first = np.zeros(pieces.counts.sum(), np.bool_)
+        is_first[pieces.first] = True
+        of_piece = np.repeat(pieces.cells, pieces.counts)
+        of_piece[~is_first] = model.cell_count + np.arange((~is_first).sum())
+        middles = model.cells.astype(np.float64) + 0.5 + model.cell_moments[:, :3].astype(np.float64)
+        self.tissue = PieceCells(model.cells, middles, rows, pieces.samples, pieces.first, of_piece)
+        shift = 12
+        reached = mesh.vertices[mesh.triangles.ravel()] if len(mesh.triangles) else np.zeros((1, 3), np.int64)
+        low = np.maximum((reached.min(axis=0)) >> shift, model.cells.min(axis=0) - 3)
+        high = np.minimum((reached.max(axis=0)) >> shift, model.cells.max(axis=0) + 3)
+        size = np.maximum(high - low + 1, 1)
+        first, members = np.zeros(int(size.prod()) + 1, np.int64), np.zeros(0, np.int32)
+        fill_buckets(mesh.vertices, mesh.triangles, shift, low, size, first, members)
+        members = np.empty(first[-1], np.int32)
+        fill_buckets(mesh.vertices, mesh.triangles, shift, low, size, first, members)
+        self.sheets = SheetBuckets(mesh.vertices, mesh.triangles, low, size, first, members)
+        self._model = model
+
+    def of(self, points: Float64, candidates: Int64, *, takes_first: bool) -> Int64:
+        """Cell of the cut lattice that each point sees among candidates, shape (count, any), -1 for none."""
+        is_there = candidates >= 0
+        first = np.append(0, np.cumsum(is_there.sum(axis=1)))
+        seen = np.empty(len(points), np.int64)
+        see_cells(points, first, candidates[is_there], takes_first, self.tissue, self.sheets, seen)
+        return seen
+
+    def own(self, points: Float64) -> Int64:
+        """Cell that each point belongs to: its own, or one around it; the nearest of these if it sees none."""
+        places = np.floor(points).astype(np.int64)
+        around = places[:, None] + _AROUND
+        found = _cells_at(self._model, around)
+        middle = around + 0.5 - points[:, None]
+        order = np.argsort(np.einsum("ncx,ncx->nc", middle, middle), axis=1, kind="stable")
+        found = np.take_along_axis(found, order, axis=1)
+        seen = self.of(points, found, takes_first=True)
+        lost = np.flatnonzero(seen < 0)
+        if len(lost):
+            nearest = np.where((found[lost] >= 0).any(axis=1), (found[lost] >= 0).argmax(axis=1), 0)
+            cell = found[lost, nearest]
+            seen[lost] = np.where(cell >= 0, cell, self._nearest(points[lost]))
+        return seen
+
+    def _nearest(self, points: Float64) -> Int64:
+        away = self.tissue.middles[None] - points[:, None]
+        nearest: Int64 = np.einsum("ncx,ncx->nc", away, away).argmin(axis=1)
+        return nearest
+
+
+def tie_split(
+    model: LatticeModel,
+    parted: PartedLattice,
+    mesh: SheetMesh,
+    split: SplitMesh,
+    triangle_nodes: Int32,
+    cells_of_ties: Int64,
+    inward: Float64,
+) -> Ties:
+    """Find nodes for vertices of a split surface.
+
+    Parameters
+    ----------
+    model, parted
+        The lattice before and after the cut.
+    mesh
+        What cut it.
+    split
+        The surface, split.
+    triangle_nodes, cells_of_ties
+        Nodes that the vertices of the uncut surface follow, shape (vertex_count, 3), and the cells that have these
+        (:func:`tie_cells`).
+    inward
+        Direction into the tissue at each vertex of the split surface, shape (split_vertex_count, 3).
+    """
+    sight = _Sight(model, parted, mesh)
+    old_count, count = len(triangle_nodes), len(split.places)
+    points = split.places + _INSIDE * inward
+
+    near = _near_sheets(model, parted, split.places[:old_count])
+    seen = sight.of(points[near], cells_of_ties[near], takes_first=False)
+    lost = seen < 0
+    nodes = _corners_of(parted, np.where(lost, 0, seen), triangle_nodes[near])
+    own = sight.own(points[near[lost]])
+    seen[lost] = own
+    nodes[lost] = _half_faces(parted, own, split.places[near[lost]])
+    is_changed = lost | (nodes != triangle_nodes[near]).any(axis=1)
+    changed = near[is_changed]
+
+    # New vertices: those that are one, once.
+    new = np.arange(old_count, count)
+    main = np.flatnonzero(split.weld[new] == new) + old_count
+    main_cells = sight.own(points[main])
+    main_nodes = np.full((len(main), 3), -1, np.int32)
+    place = np.unique(np.round(split.places[main] * _PLACES), axis=0, return_inverse=True)[1].ravel()
+    on = split.on_triangle[main]
+    is_open = on >= 0
+    by_reach = _corners_by_reach(model, split, triangle_nodes, main)
+    for rank in range(3):
+        rows = np.flatnonzero(is_open)
+        if not len(rows):
+            break
+        corner = split.uncut_triangles[on[rows], by_reach[rows, rank]]
+        found = sight.of(points[main[rows]], cells_of_ties[corner], takes_first=False)
+        missing = np.bincount(place[rows], found < 0, minlength=int(place.max(initial=-1)) + 1) > 0
+        fits = ~missing[place[rows]]
+        rows, found, corner = rows[fits], found[fits], corner[fits]
+        main_cells[rows], is_open[rows] = found, False
+        main_nodes[rows] = _corners_of(parted, found, triangle_nodes[corner])
+    rows = np.flatnonzero(main_nodes[:, 0] < 0)
+    main_nodes[rows] = _half_faces(parted, main_cells[rows], split.places[main[rows]])
+    at = np.searchsorted(main, split.weld[new])
+    ties = Ties(
+        changed,
+        lost[is_changed],
+        np.concatenate([nodes[is_changed], main_nodes[at]]).astype(np.int32),
+        np.concatenate([seen[is_changed], main_cells[at]]).astype(np.int32),
+    )
+    ties = _with_their_parts(parted, split, triangle_nodes, ties)
+    # Tied anew to copies of the nodes that it had, a vertex keeps its place among them.
+    is_same = (parted.node_origin[ties.nodes[: len(ties.changed)]] == triangle_nodes[ties.changed]).all(axis=1)
+    return replace(ties, is_tied_anew=ties.is_tied_anew & ~is_same)
+
+
+def _with_their_parts(parted: PartedLattice, split: SplitMesh, triangle_nodes: Int32, ties: Ties) -> Ties:
+    """Where a cut sets something free: vertices that follow what another part of the surface does are tied anew.
+
+    Tissue too thin for a sample of its own is seen nowhere, and what is nearest to it may be beyond a gap.
+    """
+    if split.triangle_part.max(initial=0) == 0:
+        return ties
+    model, old_count, count = parted.model, len(triangle_nodes), len(split.places)
+    of_cell = number_parts(model.cell_corners, model.node_count)
+    if of_cell.max() == 0:
+        return ties
+    of_node = np.zeros(model.node_count, np.int64)
+    of_node[model.cell_corners] = of_cell[:, None]
+    rows = np.concatenate([ties.changed, np.arange(old_count, count)])
+    nodes = np.concatenate([triangle_nodes[:, 0], np.zeros(count - old_count, np.int32)])
+    nodes[rows] = ties.nodes[:, 0]
+    follows = of_node[nodes]
+    surface_part = np.full(count, -1)
+    surface_part[split.triangles] = split.triangle_part[:, None]
+    used = np.flatnonzero(surface_part >= 0)
+    part_count = int(of_cell.max()) + 1
+    votes = np.bincount(surface_part[used] * part_count + follows[used], minlength=part_count)
+    votes = np.append(votes, np.zeros(-len(votes) % part_count, votes.dtype)).reshape(-1, part_count)
+    most = votes.argmax(axis=1)
+    wanted = np.append(most, -1)[surface_part]
+    # What no other part of the surface follows is of this one, if only by a bridge that has no sample.
+    wrong = np.flatnonzero((surface_part >= 0) & (follows != wanted) & np.isin(follows, most))
+    if not len(wrong):
+        return ties
+    middles = model.cells + 0.5
+    cells = np.empty(len(wrong), np.int64)
+    for part in np.unique(wanted[wrong]).tolist():
+        of_part = np.flatnonzero(of_cell == part)
+        mine = np.flatnonzero(wanted[wrong] == part)
+        cells[mine] = of_part[cKDTree(middles[of_part]).query(split.places[wrong[mine]])[1]]
+    halves = _half_faces(parted, cells, split.places[wrong])
+    at_row = np.full(count, -1)
+    at_row[rows] = np.arange(len(rows))
+    added = wrong[at_row[wrong] < 0]
+    changed = np.sort(np.concatenate([ties.changed, added]))
+    is_anew = np.isin(changed, ties.changed[ties.is_tied_anew]) | np.isin(changed, wrong)
+    all_nodes, all_cells = np.zeros((count, 3), np.int32), np.zeros(count, np.int32)
+    all_nodes[rows], all_cells[rows] = ties.nodes, ties.cells
+    all_nodes[wrong], all_cells[wrong] = halves, cells
+    rows = np.concatenate([changed, np.arange(old_count, count)])
+    return Ties(changed, is_anew, all_nodes[rows], all_cells[rows])
+
+
+def _corners_by_reach(model: LatticeModel, split: SplitMesh, triangle_nodes: Int32, vertices: Int64) -> Int64:
+    """Corners of the triangle that each vertex lies on, that first whose three nodes are nearest, shape (count, 3)."""
+    away = np.zeros((len(vertices), 3))
+    corners = split.uncut_triangles[split.on_triangle[vertices]]
+    for corner in range(3):
+        places = model.node_index[triangle_nodes[corners[:, corner]]].astype(np.float64)
+        weights = closest_weights(split.places[vertices], places)
+        away[:, corner] = np.linalg.norm(np.einsum("nc,ncx->nx", weights, places) - split.places[vertices], axis=1)
+    # Both lips of a cut choose alike.
+    order: Int64 = np.argsort(np.round(away * _PLACES), axis=1, kind="stable")
+    return order
+
+
+def _near_sheets(model: LatticeModel, parted: PartedLattice, places: Float64) -> Int64:
+    """Vertices within two cells of those that a sheet comes to."""
+    low = model.cells.min(axis=0) - 3
+    size = model.cells.max(axis=0) + 4 - low
+    touched = np.zeros(tuple(size), np.bool_)
+    touched[tuple((model.cells[parted.pieces.cells] - low).T)] = True
+    grown = touched
+    for axis in range(3):
+        moved = [np.roll(grown, step, axis=axis) for step in (-1, 1)]
+        grown = grown | moved[0] | moved[1]
+    index = np.clip(np.floor(places).astype(np.int64) - low, 0, size - 1)
+    return np.flatnonzero(grown[tuple(index.T)])
+
+
+def _corners_of(parted: PartedLattice, cells: Int64, nodes: Int32) -> Int32:
+    """Corners of cells of the cut lattice that are, or are copies of, nodes, shape (count, 3)."""
+    corners = parted.model.cell_corners[cells]
+    origins = parted.node_origin[corners]
+    which = (origins[:, None, :] == nodes[:, :, None]).argmax(axis=2)
+    found: Int32 = np.take_along_axis(corners, which, axis=1)
+    return found
+
+
+def _half_faces(parted: PartedLattice, cells: Int64, points: Float64) -> Int32:
+    """Nodes of the half of a face of each cell that is nearest to a point, shape (count, 3)."""
+    chosen = np.zeros(len(cells), np.int64)
+    nearest_halves(points, parted.model.cells[cells], _HALF_FACES, CORNER_OFFSETS, chosen)
+    nodes: Int32 = np.take_along_axis(parted.model.cell_corners[cells], _HALF_FACES[chosen], axis=1)
+    return nodes

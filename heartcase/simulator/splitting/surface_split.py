@@ -1,0 +1,355 @@
+"""Splitting a surface along the sheets themselves: lips, and the walls of the incision between them.
+
+Surface and sheets divide one another into faces (:mod:`heartcase.simulator.arrangement.arrange`). A face of a sheet
+inside the tissue becomes two walls, one for the tissue on each side, and what bounds the same tissue is glued edge by
+edge. So the split surface is closed and manifold whatever the sheets are, both lips are one curve, and where a sheet
+ends inside the tissue its two walls meet. Arrangements of meshes are split likewise by Zhou, Grinspun, Zorin and
+Jacobson (ACM Trans. Graph. 35, 2016); here only the order around nodes and edges is used, not the faces' geometry.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from heartcase.schemas.arrays import Bool, Float64, Int32, Int64
+from heartcase.simulator.arrangement.arrange import Arrangement, arrange
+from heartcase.simulator.arrangement.sheet_crossings import barycentric
+from heartcase.simulator.arrangement.sheet_mesh import SheetMesh
+from heartcase.simulator.arrangement.surface_crossings import is_inside
+from heartcase.simulator.arrangement.uncut_surface import UncutSurface
+from heartcase.simulator.cutting.crossings import QUANTA
+from heartcase.simulator.splitting.double_edges import Corners, separate_fans, without_double_edges
+from heartcase.simulator.splitting.gluing import glue_around, join_sets, measure_parts, number_parts
+
+__all__ = ["SplitMesh", "split_mesh"]
+
+_NO_THICKNESS = 1e-9
+"""Parts of the surface that are thinner hold no tissue [cells]."""
+_AROUND_ARC = np.array(
+    [
+        # Of two sheets: the first and the second in turn, all in a circle.
+        [[(2, 1, 0, 0), (0, 0, 1, 0)], [(1, 1, 0, 0), (3, 0, 1, 0)]],
+        # Of the surface: the part before the sheet, the wall, the part behind; a wall in the void has itself alone.
+        [[(2, 0, 0, 0), (0, 0, 0, 0)], [(0, 0, 1, 1), (1, 1, 0, 0)]],
+    ]
+)
+"""Of half-edges along arcs of two sheets or of the surface, in the arc's first or second facet, forwards or backwards:
+rank in the order around the arc, copy that looks back and that looks ahead in it, and whether they are alone."""
+
+
+@dataclass(frozen=True)
+class SplitMesh:
+    """A surface that was split.
+
+    Vertices of the uncut surface keep their numbers; those of the lips follow, then those of the walls. At a lip the
+    surface and the wall have a vertex each, so that the edge is sharp; ``weld`` joins them.
+    """
+
+    triangles: Int32
+    """Vertex numbers, counter-clockwise from outside, shape (triangle_count, 3)."""
+    triangle_origin: Int32
+    """Triangle of the uncut surface that each is, or is a part of, or -1 for walls, shape (triangle_count,)."""
+    triangle_sheet: Int32
+    """Sheet that each wall is made by, or -1, shape (triangle_count,)."""
+    places: Float64
+    """Rest places of the vertices, in the frame of the nodes [cells], shape (vertex_count, 3)."""
+    weld: Int32
+    """Lowest vertex that is one with each, shape (vertex_count,)."""
+    on_triangle: Int32
+    """Triangle of the uncut surface on which each vertex of a lip lies, else -1, shape (vertex_count,)."""
+    on_weights: Float64
+    """Barycentric place there, shape (vertex_count, 3)."""
+    uncut_triangles: Int64
+    """Triangles of the uncut surface, shape (uncut_triangle_count, 3)."""
+    facing: Float64
+    """Unit normals of the last triangles, those that are not whole ones of the uncut surface, shape (count, 3)."""
+    triangle_part: Int32
+    """Number of what each triangle hangs together with, shape (triangle_count,); all that is not cut free has one."""
+    flat: Float64
+    """Place of each wall's vertex on its sheet laid out flat [cells], else 0, shape (vertex_count, 2)."""
+
+    @property
+    def triangle_is_wall(self) -> Bool:
+        """Whether a triangle is a cut face, shape (triangle_count,)."""
+        return self.triangle_origin < 0
+
+
+def split_mesh(surface: UncutSurface, mesh: SheetMesh) -> SplitMesh:
+    """Split a surface along all sheets at once."""
+    parts = arrange(surface, mesh)
+    face_is_wall = _faces_inside(surface, mesh, parts)
+    classes, partner = _glued(mesh, parts, face_is_wall)
+    return _written(surface, mesh, parts, face_is_wall, classes, partner)
+
+
+def _half_arcs(parts: Arrangement) -> tuple[Int64, Int64, Int64, Bool]:
+    """Half-edges along arcs; the arc of each, which of its facets, and whether it runs backwards."""
+    kind = parts.faces.halves[:, 3]
+    halves = np.flatnonzero(kind >= 0)
+    entry = parts.arc_lists[kind[halves] // 2]
+    return halves, entry // 2, entry % 2, kind[halves] % 2 == 1
+
+
+def _half_outlines(parts: Arrangement) -> tuple[Int64, Int64, Bool]:
+    """Half-edges along the facets' edges; the piece of an edge that each is, and whether it runs backwards.
+
+    Pieces are numbered edge by edge, as far as there are any.
+    """
+    halves, facet_count = parts.faces.halves, len(parts.corners)
+    rows = np.flatnonzero((halves[:, 3] < 0) & (halves[:, 3] >= -3 * facet_count))
+    side = -1 - halves[rows, 3]
+    first = np.flatnonzero(np.diff(side, prepend=-1) != 0)
+    counts = np.diff(np.append(first, len(rows)))
+    rank = np.arange(len(rows)) - np.repeat(first, counts)
+    is_backwards = ~parts.facet_forward.ravel()[side]
+    rank = np.where(is_backwards, np.repeat(counts, counts) - 1 - rank, rank)
+    edge = parts.facet_edges.ravel()[side]
+    most = int(counts.max(initial=1))
+    return rows, edge * most + rank, is_backwards
+
+
+def _faces_inside(surface: UncutSurface, mesh: SheetMesh, parts: Arrangement) -> Bool:
+    """Which faces of sheets lie in the tissue; faces of the surface do not."""
+    halves, face_facet = parts.faces.halves, parts.faces.facet
+    surface_facets = len(parts.crossed)
+    is_of_sheet = face_facet >= surface_facets
+    arc_halves, arc, which, is_backwards = _half_arcs(parts)
+    is_crossing = parts.arcs.facets[arc, 0] < surface_facets
+    voting = is_crossing & (which == 1)
+    faces = halves[arc_halves[voting], 1]
+    votes = np.bincount(faces, np.where(is_backwards[voting], 1.0, -1.0), minlength=len(face_facet))
+
+    # What hangs together on the sheets without crossing the surface lies on one side of it.
+    outline, piece, _ = _half_outlines(parts)
+    own = is_of_sheet[halves[outline, 1]]
+    keys = np.concatenate([2 * piece[own], 2 * arc[~is_crossing] + 1])
+    members = np.concatenate([halves[outline[own], 1], halves[arc_halves[~is_crossing], 1]])
+    order = np.argsort(keys, kind="stable")
+    keys, members = keys[order], members[order]
+    together = np.flatnonzero(keys[1:] == keys[:-1])
+    parents = np.arange(len(face_facet))
+    join_sets(parents, np.stack([members[together], members[together + 1]], axis=1))
+    of_set = np.bincount(parents, votes, minlength=len(face_facet))[parents]
+    decided = np.where(votes != 0, votes, of_set)
+    is_in = decided > 0
+    has_vote = np.bincount(parents, np.bincount(faces, minlength=len(face_facet)) > 0, minlength=len(face_facet)) > 0
+    for one in np.unique(parents[is_of_sheet & ~has_vote[parents]]):
+        triangle = face_facet[one] - surface_facets
+        point = mesh.vertices[mesh.triangles[triangle, 0]]
+        is_in[parents == one] = is_inside(surface.vertices, surface.triangles, point)
+    inside: Bool = is_in & is_of_sheet
+    return inside
+
+
+def _glued(mesh: SheetMesh, parts: Arrangement, face_is_wall: Bool) -> tuple[Int64, Int64]:
+    """Set of each corner: of copy 0 of the half-edges, then of copy 1; and what each half-edge is glued to.
+
+    Both of shape (2 half_count,).
+    """
+    halves = parts.faces.halves
+    half_count, surface_facets = len(halves), len(parts.crossed)
+    is_of_sheet = parts.faces.facet[halves[:, 1]] >= surface_facets
+    is_there = ~is_of_sheet | face_is_wall[halves[:, 1]]
+    arc_halves, arc, which, arc_backwards = _half_arcs(parts)
+    crosses_surface = parts.arcs.facets[arc, 0] < surface_facets
+    outline, piece, backwards = _half_outlines(parts)
+    of_sheet = is_of_sheet[outline]
+
+    rank, looks_back, looks_ahead, is_loose = _AROUND_ARC[
+        crosses_surface.astype(np.int64), which, arc_backwards.astype(np.int64)
+    ].T
+    arc_count = len(parts.arcs.nodes)
+    group = np.concatenate([is_loose * arc_count + arc, 2 * arc_count + piece])
+    rows = np.concatenate([arc_halves, outline])
+    ranks = np.concatenate([rank, _ranks(mesh, parts, outline)])
+    runs_back = np.concatenate([arc_backwards, backwards])
+    back = np.concatenate([looks_back, of_sheet & backwards])
+    ahead = np.concatenate([looks_ahead, of_sheet & ~backwards])
+    circle = np.concatenate([~crosses_surface | (is_loose == 1), of_sheet])
+    kept = np.flatnonzero(is_there[rows])
+    order = kept[np.lexsort((ranks[kept], group[kept]))]
+    starts = np.flatnonzero(np.diff(group[order], prepend=-1) != 0)
+    parents, partner = np.arange(2 * half_count), np.arange(2 * half_count)
+    joined = parts.faces.joined
+    # The second of each pair is a bridge, and every two bridges are both sides of one.
+    bridges = joined[:, 1].reshape(-1, 2)
+    partner[bridges], partner[bridges + half_count] = bridges[:, ::-1], bridges[:, ::-1] + half_count
+    join_sets(parents, np.concatenate([joined, joined + half_count]))
+    glue_around(
+        np.append(starts, len(order)),
+        circle[order][starts],
+        rows[order],
+        runs_back[order],
+        np.stack([back, ahead], axis=1)[order],
+        halves[:, 2],
+        parents,
+        partner,
+    )
+    join_sets(parents, np.zeros((0, 2), np.int64))
+    return parents, partner
+
+
+def _ranks(mesh: SheetMesh, parts: Arrangement, outline: Int64) -> Int64:
+    """Place of each half-edge of an outline in the order around its edge; 0 for those of the surface."""
+    side = -1 - parts.faces.halves[outline, 3] - 3 * len(parts.crossed)
+    ranks = np.append(mesh.ranks.ravel(), 0)
+    return ranks[np.where(side >= 0, side, len(ranks) - 1)]
+
+
+def _written(
+    surface: UncutSurface, mesh: SheetMesh, parts: Arrangement, face_is_wall: Bool, classes: Int64, partner: Int64
+) -> SplitMesh:
+    faces, vertex_count, surface_facets = parts.faces, surface.vertex_count, len(parts.crossed)
+    half_count = len(faces.halves)
+    of_triangle = faces.halves[faces.triangles[:, 0], 1]
+    facet = faces.facet[of_triangle]
+    is_surface, is_wall = facet < surface_facets, face_is_wall[of_triangle]
+    pieces, walls = faces.triangles[is_surface], faces.triangles[is_wall]
+    facets = np.concatenate([facet[is_surface], facet[is_wall], facet[is_wall]])
+    is_wall = np.repeat([False, True], [len(pieces), 2 * len(walls)])
+    # Corners at vertices of the uncut surface are these, all others by set.
+    nodes = np.concatenate([faces.halves[:, 0]] * 2)
+    named = np.where(nodes < vertex_count, nodes, vertex_count + classes)
+    # A triangle of which two corners are one vertex is left out: its two other edges are one.
+    by_corner = np.concatenate([pieces, walls, walls[:, ::-1] + half_count])
+    has_three = (named[by_corner] != named[np.roll(by_corner, -1, axis=1)]).all(axis=1)
+    by_corner, facets, is_wall = by_corner[has_three], facets[has_three], is_wall[has_three]
+    wall_side = 2 * faces.halves[by_corner[:, 0] % max(half_count, 1), 1] + by_corner[:, 0] // max(half_count, 1)
+    corners = without_double_edges(
+        by_corner,
+        named,
+        faces.halves[:, 2],
+        partner,
+        is_wall,
+    )
+    points = _points(surface, parts, nodes, corners, facets[corners.middle_triangles])
+    facets, is_wall, wall_side = facets[corners.kept], is_wall[corners.kept], wall_side[corners.kept]
+
+    # Surface and wall have a vertex each where they meet.
+    vertices = corners.vertices[corners.triangles]
+    if not has_three.all():
+        vertices = separate_fans(vertices, vertex_count)
+    is_new = vertices >= vertex_count
+    key = 2 * vertices + is_wall[:, None]
+    used, first, number = np.unique(key[is_new], return_index=True, return_inverse=True)
+    main = np.searchsorted(used, used - used % 2)
+    is_twin = used[main] == used - 1 if len(used) else np.zeros(0, np.bool_)
+    # Lips first, then what walls have of their own, then their twins of lips.
+    order = np.lexsort((used, is_twin, used % 2))
+    place = vertex_count + np.argsort(order)
+    triangles = vertices.copy()
+    triangles[is_new] = place[number]
+    weld = np.arange(vertex_count + len(used))
+    weld[place[is_twin]] = place[main[is_twin]]
+
+    rows = np.flatnonzero(is_new.ravel())[first[order]]
+    point, sample = points.number[corners.triangles.ravel()[rows]], rows // 3
+    flat = np.zeros((len(used), 2))
+    on_wall = is_wall[sample]
+    flat[on_wall] = _laid_out(mesh, points.places[point[on_wall]], facets[sample[on_wall]] - surface_facets)
+    untouched = np.delete(np.arange(len(surface.triangles)), parts.crossed)
+    plain = np.full(len(untouched), -1)
+    origin, sheet = np.full(len(facets), -1), np.full(len(facets), -1)
+    origin[~is_wall] = parts.crossed[facets[~is_wall]]
+    sheet[is_wall] = mesh.sheet[facets[is_wall] - surface_facets]
+    split = SplitMesh(
+        triangles=np.concatenate([surface.triangles[untouched], triangles]).astype(np.int32),
+        triangle_origin=np.concatenate([untouched, origin]).astype(np.int32),
+        triangle_sheet=np.concatenate([plain, sheet]).astype(np.int32),
+        places=np.concatenate([surface.places, points.places[point]]),
+        weld=weld.astype(np.int32),
+        on_triangle=np.concatenate([np.full(vertex_count, -1), points.on_triangle[point]]).astype(np.int32),
+        on_weights=np.concatenate([np.zeros((vertex_count, 3)), points.on_weights[point]]),
+        flat=np.concatenate([np.zeros((vertex_count, 2)), flat]),
+        uncut_triangles=surface.triangles,
+        facing=_facing(surface, mesh, parts, facets, wall_side),
+        triangle_part=np.zeros(0, np.int32),
+    )
+    return _without_dust(split, np.concatenate([plain, np.where(is_wall, wall_side, -1)]))
+
+
+def _facing(surface: UncutSurface, mesh: SheetMesh, parts: Arrangement, facets: Int64, wall_side: Int64) -> Float64:
+    """Normals of triangles by their facets: a triangle may be too thin to have one."""
+    corners = np.concatenate([surface.vertices[surface.triangles[parts.crossed]], mesh.vertices[mesh.triangles]])
+    p, q, r = np.moveaxis(corners[facets], 1, 0)
+    normals = np.cross(q - p, r - p).astype(np.float64)
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
+    is_back = (facets >= len(parts.crossed)) & (wall_side % 2 == 1)
+    facing: Float64 = np.where(is_back[:, None], -normals, normals)
+    return facing
+
+
+def _without_dust(split: SplitMesh, wall_side: Int64) -> SplitMesh:
+    """Number what hangs together, and leave out what holds no tissue: what two sheets in one place have between them.
+
+    A cut inside the tissue has no volume either, but both sides of its walls.
+    """
+    triangle_part = number_parts(split.weld[split.triangles], len(split.weld))
+    part_count = int(triangle_part.max(initial=-1)) + 1
+    if part_count == 1:
+        return replace(split, triangle_part=triangle_part)
+    volumes, areas = np.zeros(part_count), np.zeros(part_count)
+    measure_parts(split.places, split.triangles, triangle_part, volumes, areas)
+    is_dust = np.abs(volumes) <= _NO_THICKNESS * areas
+    walls = np.flatnonzero(wall_side >= 0)
+    sides = np.unique(np.stack([triangle_part[walls], wall_side[walls]], axis=1), axis=0)
+    has_both = (np.diff(sides[:, 0]) == 0) & (np.diff(sides[:, 1] // 2) == 0)
+    is_dust[sides[1:, 0][has_both]] = False
+    if not is_dust.any():
+        return replace(split, triangle_part=triangle_part)
+    kept = ~is_dust[triangle_part]
+    part = (np.cumsum(~is_dust) - 1)[triangle_part[kept]].astype(np.int32)
+    return replace(
+        split,
+        triangles=split.triangles[kept],
+        triangle_origin=split.triangle_origin[kept],
+        triangle_sheet=split.triangle_sheet[kept],
+        facing=split.facing[kept[len(kept) - len(split.facing) :]],
+        triangle_part=part,
+    )
+
+
+class _Points(NamedTuple):
+    """Where new vertices may lie."""
+
+    number: Int64
+    """Point of each corner, shape (corner_count,); none for those of the uncut surface."""
+    places: Float64
+    on_triangle: Int64
+    on_weights: Float64
+
+
+def _points(surface: UncutSurface, parts: Arrangement, nodes: Int64, corners: Corners, facet: Int64) -> _Points:
+    """Nodes, and the middles of double edges of some facets."""
+    first_node = surface.vertex_count
+    first_middle = len(nodes)
+    all_places = np.concatenate([surface.places, parts.places])
+    places = np.zeros((len(corners.middles), 3))
+    for n, (one, other) in enumerate(corners.middles.tolist()):
+        # A middle may be one of an edge to an earlier middle.
+        ends = (all_places[nodes[at]] if at < first_middle else places[at - first_middle] for at in (one, other))
+        places[n] = sum(ends) / 2
+    on_surface = facet < len(parts.crossed)
+    on_triangle = np.full(len(places), -1)
+    on_triangle[on_surface] = parts.crossed[facet[on_surface]]
+    weights = np.zeros((len(places), 3))
+    triangles = surface.places[surface.triangles[on_triangle[on_surface]]]
+    weights[on_surface] = barycentric(triangles, places[on_surface])
+    number = np.concatenate([nodes - first_node, len(parts.places) + np.arange(len(places))])
+    return _Points(
+        number,
+        np.concatenate([parts.places, places]),
+        np.concatenate([parts.on_surface, on_triangle]),
+        np.concatenate([parts.surface_weights, weights]),
+    )
+
+
+def _laid_out(mesh: SheetMesh, places: Float64, triangles: Int64) -> Float64:
+    """Places on a sheet laid out flat of points in triangles of it."""
+    shares = barycentric(mesh.vertices[mesh.triangles[triangles]] / QUANTA, places)
+    flat: Float64 = np.einsum("nc,ncx->nx", shares, mesh.flat[triangles])
+    return flat

@@ -1,0 +1,215 @@
+"""A split surface over a cut lattice: every vertex follows nodes of its own side, and nothing moves by the cut."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from heartcase.schemas.bundle.surface_kinds import SurfaceKind
+from heartcase.schemas.errors import SimulationError
+from heartcase.simulator.cutting.blade_sheet import Sheet
+from heartcase.simulator.cutting.parted_lattice import part
+from heartcase.simulator.splitting.free_parts import cut_picking, excise, parts_of_lattice, triangles_of_parts
+from heartcase.simulator.splitting.split_surface import CuttableSurface, split_surface
+from heartcase.simulator.surface.deform import deform, deform_picking
+from tests.simulator.splitting.surfaces import block, box, check_closed, hung, plane, sheets, volume
+
+SHAPE = (3, 3, 2)
+MODEL = block(SHAPE)
+CUTTABLE = CuttableSurface.of(MODEL, hung(MODEL, *box((6, 6, 4), np.array(SHAPE, float))))
+BENT = CuttableSurface.of(MODEL, hung(MODEL, *box((6, 6, 4), np.array(SHAPE, float)), curvature=1))
+TISSUE = CUTTABLE.samples()
+
+
+def cut(blades, cuttable=CUTTABLE):
+    parted = part(MODEL, blades, TISSUE)
+    return parted, split_surface(cuttable, parted, blades)
+
+
+def bent(seed, size=0.1):
+    """A stretch, a shear and a wave."""
+    gradient = np.random.default_rng(seed).normal(0, size, (3, 3))
+    wave = size * np.sin(MODEL.node_index[:, [1, 2, 0]])
+    return (MODEL.node_index @ gradient.T + wave).astype(np.float32)
+
+
+def places_of(cuttable, surface):
+    return cuttable.model.geometry.world_to_index(surface.rest_mm.astype(float)) + 0.5
+
+
+def check_ties(parted, found, cuttable=CUTTABLE):
+    """Nodes are corners of one piece; no part of the surface follows what another does."""
+    model, surface = parted.model, found.surface
+    changed = np.flatnonzero(found.vertex_cells >= 0)
+    corners = model.cell_corners[found.vertex_cells[changed]]
+    nodes = surface.triangle_nodes[changed]
+    assert (corners[:, None, :] == nodes[:, :, None]).any(axis=2).all()
+    kept = np.flatnonzero(found.vertex_cells < 0)
+    np.testing.assert_array_equal(surface.triangle_nodes[kept], cuttable.surface.triangle_nodes[kept])
+    of_node = np.zeros(model.node_count, int)
+    of_node[model.cell_corners] = parts_of_lattice(model)[:, None]
+    used = [np.unique(surface.triangles[found.triangle_part == n]) for n in range(found.triangle_part.max() + 1)]
+    follows = of_node[surface.triangle_nodes]
+    of_parts = [follows[vertices].ravel() for vertices in used]
+    most = [np.bincount(parts).argmax() for parts in of_parts]
+    for parts, own in zip(of_parts, most, strict=True):
+        assert set(parts.tolist()) & set(most) == {own}
+    np.testing.assert_array_equal(surface.triangle_nodes[found.weld], surface.triangle_nodes)
+
+
+@settings(max_examples=25, deadline=None)
+@given(sheets(), st.integers(0, 99), st.booleans())
+def test_vertices_follow_their_own_side_and_nothing_moves_by_a_cut(blades, seed, is_bent):
+    cuttable = BENT if is_bent else CUTTABLE
+    parted, found = cut(blades, cuttable)
+    check_closed(found.weld[found.surface.triangles])
+    check_ties(parted, found, cuttable)
+    still = deform(parted.model, found.surface, np.zeros((parted.model.node_count, 3), np.float32))
+    np.testing.assert_array_equal(still.vertices_mm, found.surface.rest_mm)
+    old_count = cuttable.surface.vertex_count
+    np.testing.assert_array_equal(still.vertices_mm[:old_count], cuttable.surface.rest_mm)
+    displacement = bent(seed)
+    before = deform(MODEL, cuttable.surface, displacement).vertices_mm
+    now = deform(parted.model, found.surface, displacement[parted.node_origin])
+    # Those that their nodes' tissue was cut from follow others.
+    follows = found.surface.triangle_nodes[:old_count]
+    as_before = (parted.node_origin[follows] == cuttable.surface.triangle_nodes).all(axis=1)
+    if not is_bent:
+        np.testing.assert_array_equal(now.vertices_mm[:old_count][as_before], before[as_before])
+    assert np.abs(now.vertices_mm[:old_count][as_before] - before[as_before]).max() < 0.5 * MODEL.cell_mm
+    np.testing.assert_array_equal(now.vertices_mm[found.weld], now.vertices_mm)
+    used = np.unique(found.surface.triangles)
+    np.testing.assert_allclose(np.linalg.norm(now.normals[used], axis=1), 1.0, atol=1e-4)
+
+
+@pytest.mark.parametrize("places", [(1.3,), (1.0,), (2.0,), (1.5,), (1.5, 1.5), (1.3, 1.7, 1.2), (1.0, 2.0, 1.0)])
+def test_lips_part_as_the_lattice_does(places):
+    """In planes through, between and along cells: each part of the surface follows the lattice's part in its place."""
+    parted, found = cut([plane(axis, place) for axis, place in enumerate(places)])
+    check_ties(parted, found)
+    assert found.triangle_part.max() + 1 == 2 ** len(places) == parts_of_lattice(parted.model).max() + 1
+    at = places_of(CUTTABLE, found.surface)
+    cells = parted.model.cells + 0.5 + parted.model.cell_moments[:, :3]
+    of_node = np.zeros(parted.model.node_count, int)
+    of_node[parted.model.cell_corners] = parts_of_lattice(parted.model)[:, None]
+    for number in range(found.triangle_part.max() + 1):
+        triangles = found.surface.triangles[found.triangle_part == number]
+        part_of = of_node[found.surface.triangle_nodes[triangles[0, 0], 0]]
+        middle = at[triangles].mean(axis=(0, 1))
+        mine = cells[parts_of_lattice(parted.model) == part_of]
+        for axis, place in enumerate(places):
+            assert ((mine[:, axis] > place) == (middle[axis] > place)).all()
+
+
+@pytest.mark.parametrize(
+    "blades", [[plane(0, 1.3)], [plane(0, 1.0)], [plane(0, 1.5), plane(1, 1.5)], [plane(1, 1.2, high=1.6)]]
+)
+def test_both_lips_lie_on_the_old_surface_while_the_cut_is_closed(blades):
+    parted, found = cut(blades)
+    displacement = bent(5, 0.05)
+    before = deform(MODEL, CUTTABLE.surface, displacement).vertices_mm
+    now = deform(parted.model, found.surface, displacement[parted.node_origin]).vertices_mm
+    lips = np.flatnonzero(found.on_triangle >= 0)
+    corners = CUTTABLE.surface.triangles[found.on_triangle[lips]]
+    there = np.einsum("nc,ncx->nx", found.on_weights[lips], before[corners])
+    away = np.linalg.norm(now[lips] - there, axis=1)
+    assert np.median(away) < 0.02 * MODEL.cell_mm
+    assert away.max() < 0.1 * MODEL.cell_mm
+    _, place = np.unique(places_of(CUTTABLE, found.surface)[lips].round(5), axis=0, return_inverse=True)
+    for axis in range(3):
+        order = np.lexsort((now[lips, axis], place.ravel()))
+        is_same = np.diff(place.ravel()[order]) == 0
+        np.testing.assert_allclose(np.diff(now[lips, axis][order])[is_same], 0, atol=1e-5)
+
+
+def test_halves_that_go_apart_take_their_walls_along():
+    """Two halves moved rigidly: each is a closed box that moved, with its cut face."""
+    parted, found = cut([plane(0, 1.3)])
+    of_node = np.zeros(parted.model.node_count, int)
+    of_node[parted.model.cell_corners] = parts_of_lattice(parted.model)[:, None]
+    displacement = np.where((of_node == 0)[:, None], [-0.5, 0.1, 0.0], [0.7, 0.0, 0.2]).astype(np.float32)
+    now = deform(parted.model, found.surface, displacement).vertices_mm.astype(float)
+    rest = found.surface.rest_mm.astype(float)
+    for number in (0, 1):
+        triangles = found.surface.triangles[found.triangle_part == number]
+        assert volume(now, triangles) == pytest.approx(volume(rest, triangles), rel=1e-5)
+        moved = now[np.unique(triangles)] - rest[np.unique(triangles)]
+        assert np.ptp(moved, axis=0).max() < 1e-4
+    walls = found.surface.triangles[found.triangle_is_cut_face]
+    normals = deform(parted.model, found.surface, displacement).normals[walls]
+    np.testing.assert_allclose(np.abs(normals[..., 0]), 1.0, atol=1e-5)
+    kinds = found.carried(np.full(len(CUTTABLE.surface.triangles), 3, np.uint8), SurfaceKind.CUT_FACE)
+    assert kinds.dtype == np.uint8
+    np.testing.assert_array_equal(kinds == SurfaceKind.CUT_FACE, found.triangle_is_cut_face)
+
+
+def test_a_cut_that_goes_on_is_the_cut_made_at_once():
+    """Strip by strip: after each, the surface is that of one sheet with the poses so far."""
+    poses = [[(1.3 + 0.1 * n, -1, 4 - n), (1.3 + 0.1 * n, 4, 4 - n)] for n in range(4)]
+    _, at_once = cut([Sheet.swept(poses)])
+    strips = [Sheet.swept(poses[n : n + 2]) for n in range(3)]
+    in_parts = split_surface(CUTTABLE, part(MODEL, strips, TISSUE), strips)
+    np.testing.assert_array_equal(at_once.surface.triangles, in_parts.surface.triangles)
+    np.testing.assert_array_equal(at_once.surface.rest_mm, in_parts.surface.rest_mm)
+    np.testing.assert_array_equal(at_once.triangle_origin, in_parts.triangle_origin)
+
+
+@settings(max_examples=8, deadline=None)
+@given(sheets(), sheets())
+def test_undoing_a_cut_gives_the_same_bytes(blades, more):
+    _, before = cut(blades)
+    cut(blades + more)
+    _, again = cut(list(blades))
+    for name in ("weld", "triangle_origin", "vertex_cells", "uv_mm", "triangle_part"):
+        assert getattr(before, name).tobytes() == getattr(again, name).tobytes(), name
+    for name, values in vars(before.surface).items():
+        if isinstance(values, np.ndarray):
+            assert values.tobytes() == getattr(again.surface, name).tobytes(), name
+
+
+def test_no_cut_leaves_the_surface_as_it_was():
+    _, found = cut([])
+    for name, values in vars(CUTTABLE.surface).items():
+        if isinstance(values, np.ndarray):
+            np.testing.assert_array_equal(getattr(found.surface, name), values, err_msg=name)
+    assert (found.vertex_cells == -1).all()
+
+
+@settings(max_examples=15, deadline=None)
+@given(sheets())
+def test_the_picking_surface_of_a_cut_lattice_is_closed(blades):
+    parted, _ = cut(blades)
+    picking = cut_picking(parted.model)
+    assert len(np.unique(picking.nodes)) == len(picking.nodes)
+    starts, ends = picking.triangles, np.roll(picking.triangles, -1, axis=1)
+    net = np.zeros((len(picking.nodes),) * 2, int)
+    np.add.at(net, (starts.ravel(), ends.ravel()), 1)
+    np.testing.assert_array_equal(net, net.T)
+    assert volume(parted.model.node_index[picking.nodes].astype(float), picking.triangles) >= 18.0 - 1e-9
+    still = deform_picking(parted.model, picking, np.zeros((parted.model.node_count, 3), np.float32))
+    np.testing.assert_allclose(still.vertices_mm, picking.rest_mm, atol=1e-4)
+
+
+def test_an_uncut_lattice_is_picked_at_its_outer_faces():
+    picking = cut_picking(MODEL)
+    assert len(picking.triangles) == 2 * 2 * (3 * 3 + 3 * 2 + 3 * 2)
+    assert volume(MODEL.node_index[picking.nodes].astype(float), picking.triangles) == pytest.approx(18.0)
+
+
+def test_a_part_that_is_cut_free_is_taken_out():
+    parted, found = cut([plane(0, 1.3)])
+    numbers = parts_of_lattice(parted.model)
+    gone = numbers[np.argmax(parted.model.cells[:, 0])]
+    left = excise(parted.model, [gone])
+    assert left.model.cells[:, 0].max() == 1
+    assert left.model.tissue_volume_ml == pytest.approx(1.25 * 6 * (MODEL.cell_mm / 10) ** 3, rel=1e-5)
+    assert left.model.mass_kg == pytest.approx(parted.model.node_mass[left.nodes].sum() * MODEL.units.mass_kg)
+    np.testing.assert_array_equal(left.model.node_index, parted.model.node_index[left.nodes])
+    of_triangle = triangles_of_parts(parted.model, found)
+    kept = found.surface.triangles[of_triangle != gone]
+    check_closed(found.weld[kept])
+    assert set(found.triangle_part[of_triangle == gone]).isdisjoint(found.triangle_part[of_triangle != gone])
+    with pytest.raises(SimulationError, match="every part of the tissue would be removed"):
+        excise(parted.model, np.unique(numbers))
