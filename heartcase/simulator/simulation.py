@@ -10,26 +10,21 @@ import numpy.typing as npt
 
 from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import SimulationError
-from heartcase.simulator.cutting.blade_sheet import blade_points
-from heartcase.simulator.cutting.cuts import Cuts, cut_further
-from heartcase.simulator.cutting.rest_space import places_at_rest, refined
-from heartcase.simulator.cutting.tissue_samples import TissueSamples
+from heartcase.simulator.cutting.cuts import Step
 from heartcase.simulator.dynamics.integrate import Energy, Verlet, energy
-from heartcase.simulator.dynamics.joining import join
 from heartcase.simulator.dynamics.measures import inverted_cells
-from heartcase.simulator.dynamics.step_size import checked_step, own_step_limit
-from heartcase.simulator.engine.backends import Backend, make_engine
+from heartcase.simulator.dynamics.step_size import checked_step
+from heartcase.simulator.engine.backends import Backend
 from heartcase.simulator.engine.shared.contact import NO_PROBES, probe_row
 from heartcase.simulator.instruments.grab import Grab, close_grab, pose_of, require_grab
 from heartcase.simulator.instruments.placing import is_point, point_in_lattice
 from heartcase.simulator.instruments.probe import Probe, make_probe
 from heartcase.simulator.instruments.wrench import Wrench, wrench_on
-from heartcase.simulator.lattice.explicit_springs import ExplicitSprings
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.lattice.state import State
+from heartcase.simulator.moving_tissue import MovingTissue
 from heartcase.simulator.snapshot import Snapshot
-from heartcase.simulator.surface.deform import DeformedSurface, PickingModel, SurfaceModel
-from heartcase.simulator.surface.shown_surfaces import ShownSurfaces
+from heartcase.simulator.surface.deform import PickingModel, SurfaceModel
 from heartcase.simulator.watchdog import Watch, find_runaway, find_trouble, watch
 
 __all__ = ["SLEEP_MM", "Simulation"]
@@ -41,7 +36,7 @@ SLEEP_HZ = 5.0
 """Slowest swing of tissue that sleeping shall not be seen in, Hz."""
 
 
-class Simulation:
+class Simulation(MovingTissue):
     """Tissue in motion.
 
     Lengths are mm in LPS axes, times s, forces N. A frame is: lead the hands with :meth:`lead`, take steps with
@@ -87,10 +82,9 @@ class Simulation:
         sleep_mm: float = SLEEP_MM,
         skips_unmoved: bool = True,
     ) -> None:
-        self.model = model
-        self.surface = surface
-        self.picking = picking
-        self.step_s = checked_step(model, step_s)
+        super().__init__(
+            model, surface=surface, picking=picking, step_s=step_s, backend=backend, skips_unmoved=skips_unmoved
+        )
         if not 0.0 <= damping_per_s * self.step_s < 1.0:
             message = (
                 f"a damping of {damping_per_s:g}/s: give 0 to less than {1.0 / self.step_s:.6g}/s, one over the step"
@@ -100,7 +94,6 @@ class Simulation:
             raise SimulationError(f"a movement of {sleep_mm} mm cannot be left out: give 0 or more", place="sleep_mm")
         self.damping_per_s = float(damping_per_s)
         self.gravity_m_s2 = (float(gravity_m_s2[0]), float(gravity_m_s2[1]), float(gravity_m_s2[2]))
-        self.backend = backend
         self.sleep_mm = float(sleep_mm)
         self.grabs: list[Grab] = []
         self.probes: list[Probe] = []
@@ -115,19 +108,6 @@ class Simulation:
             gravity=(float(gravity[0]), float(gravity[1]), float(gravity[2])),
             still=(still, still * rate * step),
         )
-        self._cuts: Cuts | None = None
-        self._inverse_mass = model.inverse_mass
-        self._engine = make_engine(model, backend)
-        self._state: State | None = None
-        self._skips_unmoved = skips_unmoved
-        self._surfaces = self._make_surfaces()
-
-    @property
-    def state(self) -> State:
-        """The state now, in grid units; not to be changed."""
-        if self._state is None:
-            self._state = self._engine.read()
-        return self._state
 
     @property
     def instruments(self) -> tuple[Grab | Probe, ...]:
@@ -135,19 +115,9 @@ class Simulation:
         return (*self.grabs, *self.probes)
 
     @property
-    def step_count(self) -> int:
-        """Steps taken."""
-        return self._engine.step_count
-
-    @property
     def time_s(self) -> float:
         """Simulated time, s."""
         return self.step_count * self.step_s
-
-    @property
-    def step_limit_s(self) -> float:
-        """Largest step that is stable at rest with the springs that there are now, s."""
-        return own_step_limit(self.model)
 
     def prepare(self) -> None:
         """Compile what will be needed, so that the first frame is as quick as the rest."""
@@ -163,7 +133,7 @@ class Simulation:
 
         It copies nothing twice.
         """
-        return Snapshot.of(self.model, self.state, self.instruments, self._cuts)
+        return Snapshot.of(self.model, self.state, self.instruments, self.cuts)
 
     def restore(self, point: State | Snapshot) -> None:
         """Go back, or on, to a snapshot: what follows gives the same bytes as it gave then.
@@ -178,13 +148,15 @@ class Simulation:
             changed.
         """
         if not isinstance(point, Snapshot):
-            point = Snapshot(self.model, point, cuts=self._cuts)
+            point = Snapshot(self.model, point, cuts=self.cuts)
         model, state = point.model, point.state
-        if len(state.displacement) != model.node_count or not _uncut(model, point.cuts).is_of_lattice(self._uncut):
+        before_cuts = self.uncut(model, point.cuts)
+        is_same = before_cuts.is_of_lattice(self.uncut(self.model, self.cuts))
+        if len(state.displacement) != model.node_count or not is_same:
             raise SimulationError("this is of another lattice: restore what this simulation gave", place="restore")
         if model is not self.model:
             # What was cut is no quicker than the lattice was.
-            checked_step(replace(_uncut(model, point.cuts), explicit=model.explicit), self.step_s)
+            checked_step(replace(before_cuts, explicit=model.explicit), self.step_s)
             self._set_model(model, point.cuts)
         instruments = [kept.put_back() for kept in point.instruments]
         self.grabs = [instrument for instrument in instruments if isinstance(instrument, Grab)]
@@ -342,112 +314,6 @@ class Simulation:
         if probe in self.probes:
             self.probes.remove(probe)
 
-    def cut(self, poses_mm: npt.ArrayLike, *, at_rest: bool = False, name: str = "blade") -> None:
-        """Cut along what a blade sweeps from pose to pose; nothing moves in this moment.
-
-        The tissue is parted along the sheet itself, wherever in cells that lies: each piece of a cell becomes a cell of
-        its own, with its share of coverage and mass (:mod:`heartcase.simulator.cutting`). Hands hold all copies of the
-        nodes that they held.
-
-        Parameters
-        ----------
-        poses_mm
-            Points of the blade's edge at each pose, LPS mm, shape (pose_count, point_count, 3), at least two of each.
-            For a line drawn on tissue: the line, and the line at its depth.
-        at_rest
-            Whether they are places of the tissue at rest; else they are places now.
-        name
-            Name in messages.
-
-        Raises
-        ------
-        SimulationError
-            Too few poses or points, numbers that are not finite, a blade that reaches too far, or springs were removed
-            one by one: what they held together is not known.
-        """
-        rest_mm = poses_mm if at_rest else self.rest_poses_mm(poses_mm, name=name)
-        points = blade_points(self.model, rest_mm, name)
-        model, cuts, step = cut_further(self.model, self._cuts or self.nothing_cut(), points)
-        state = step.carried(self.state)
-        self._set_model(model, cuts)
-        for grab in self.grabs:
-            grab.nodes, place = step.held(grab.nodes)
-            grab.closed_at, grab.arms = grab.closed_at[place], grab.arms[place]
-        self._engine.load(state)
-        self._hold()
-        self._state = None
-
-    def rest_poses_mm(self, poses_mm: npt.ArrayLike, *, name: str = "blade") -> Float64:
-        """Where a blade that is swept now meets the tissue at rest: more poses and points, LPS mm, (any, any, 3).
-
-        Parameters
-        ----------
-        poses_mm, name
-            As of :meth:`cut`.
-
-        Raises
-        ------
-        SimulationError
-            As of :meth:`cut`.
-        """
-        points = refined(blade_points(self.model, poses_mm, name))
-        rest = places_at_rest(self.model, self.state.displacement, points)
-        rest_mm: Float64 = self.model.geometry.index_to_world(rest - 0.5)
-        return rest_mm
-
-    def remove_springs(self, removed: npt.ArrayLike) -> None:
-        """Take springs of the lattice away: the plain way to cut, in whole cells.
-
-        Hands hold on to what they held before, and the surface is not split.
-
-        Parameters
-        ----------
-        removed
-            True for each spring of ``model`` to take away, shape (spring_count,).
-
-        Raises
-        ------
-        SimulationError
-            It has not one value for each spring.
-        """
-        self._check_mask(removed, self.model.spring_count)
-        self._set_model(self.model.without_springs(removed), self._cuts)
-
-    def add_springs(
-        self, nodes: npt.ArrayLike, stiffness_n_m: npt.ArrayLike, rest_length_mm: npt.ArrayLike | None = None
-    ) -> None:
-        """Join nodes by explicit springs (thesis 8.5.1).
-
-        Parameters
-        ----------
-        nodes
-            Two different nodes each, shape (count, 2).
-        stiffness_n_m
-            Stiffness, N/m, above zero; one number or shape (count,).
-        rest_length_mm
-            Length at rest, mm; the distance now when left out; one number or shape (count,).
-
-        Raises
-        ------
-        SimulationError
-            With everything that is wrong: nodes that there are not, numbers out of range, springs that are too stiff
-            for the time step.
-        """
-        joined = join(self.model, self.state.displacement, nodes, stiffness_n_m, rest_length_mm, step_s=self.step_s)
-        self._set_model(joined, self._cuts)
-
-    def remove_explicit_springs(self, removed: npt.ArrayLike) -> None:
-        """Take explicit springs away; True for each of ``model.explicit``, shape (count,).
-
-        Raises
-        ------
-        SimulationError
-            It has not one value for each.
-        """
-        self._check_mask(removed, self.model.explicit.count)
-        kept = self.model.explicit.without(np.asarray(removed, dtype=bool))
-        self._set_model(replace(self.model, explicit=kept), self._cuts)
-
     def force_on(self, hand: Grab | Probe) -> Float64:
         """Force that the tissue exerts on a hand, N, LPS axes, shape (3,).
 
@@ -481,80 +347,14 @@ class Simulation:
         """Cells that are turned inside out now."""
         return int(inverted_cells(self.model, self.state.displacement).sum())
 
-    def displacement_mm(self) -> Float64:
-        """Displacement of every node now, LPS mm, shape (node_count, 3)."""
-        return self.model.to_mm(self.state.displacement)
-
-    def positions_mm(self) -> Float64:
-        """Position of every node now, LPS mm, shape (node_count, 3)."""
-        return self.model.rest_positions_mm() + self.displacement_mm()
-
-    def surface_now(self) -> DeformedSurface:
-        """The visible surface now; its arrays are not to be changed, and do not change when the simulation goes on.
-
-        Raises
-        ------
-        SimulationError
-            The simulation was made without one.
-        """
-        return self._surfaces.surface_now(self.state)
-
-    def picking_now(self) -> DeformedSurface:
-        """The one-to-one surface now; its arrays are not to be changed, and do not change when the simulation goes on.
-
-        Raises
-        ------
-        SimulationError
-            The simulation was made without one.
-        """
-        return self._surfaces.picking_now(self.state)
-
     def _place(self, grab: Grab, displacement: Float64, velocity: Float64) -> None:
         self._engine.prescribe(grab.nodes, displacement.astype(np.float32), velocity.astype(np.float32))
 
-    def nothing_cut(self) -> Cuts:
-        """What a first cut begins with: the lattice before it, and its tissue inside the visible surface at rest.
-
-        Where there is no surface, tissue fills its cells.
-        """
-        if self._cuts is not None:
-            return Cuts(self._cuts.uncut, self._cuts.tissue)
-        uncut = replace(self.model, explicit=ExplicitSprings.none())
-        if self.surface is None:
-            return Cuts(uncut, TissueSamples.everywhere())
-        vertices = uncut.geometry.world_to_index(self.surface.rest_mm) + 0.5
-        return Cuts(uncut, TissueSamples.inside(vertices, self.surface.triangles))
-
-    @property
-    def _uncut(self) -> LatticeModel:
-        return _uncut(self.model, self._cuts)
-
-    def _set_model(self, model: LatticeModel, cuts: Cuts | None) -> None:
-        """Go on with another model; where it was cut otherwise, the engine starts from rest and without hands."""
-        was_cut, self.model, self._cuts = self._cuts, model, cuts
-        if cuts is was_cut:
-            self._engine.set_springs(model)
-            return
-        step_count = self._engine.step_count
-        self._inverse_mass = model.inverse_mass
-        self._engine = make_engine(model, self.backend)
-        self._engine.step_count = step_count
-        self._surfaces = self._make_surfaces()
-
-    def _make_surfaces(self) -> ShownSurfaces:
-        return ShownSurfaces(
-            self.model,
-            self._engine,
-            self.backend,
-            surface=self.surface,
-            picking=self.picking,
-            skips_unmoved=self._skips_unmoved,
-        )
-
-    @staticmethod
-    def _check_mask(removed: npt.ArrayLike, count: int) -> None:
-        if np.shape(removed) != (count,):
-            raise SimulationError(f"there are {count} springs: give one value for each", place="removed")
+    def _carry(self, step: Step) -> None:
+        for grab in self.grabs:
+            grab.nodes, place = step.held(grab.nodes)
+            grab.closed_at, grab.arms = grab.closed_at[place], grab.arms[place]
+        self._hold()
 
     def _hold(self) -> None:
         masses = self._inverse_mass.copy()
@@ -583,8 +383,3 @@ class Simulation:
             "smaller step. The state before was restored",
             place="simulation",
         )
-
-
-def _uncut(model: LatticeModel, cuts: Cuts | None) -> LatticeModel:
-    """The lattice before all cuts."""
-    return model if cuts is None else cuts.uncut

@@ -1,0 +1,293 @@
+"""Tissue in motion: its lattice, what moves it, what is cut and joined of it, and the surfaces that follow."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from heartcase.schemas.arrays import Float64
+from heartcase.schemas.errors import SimulationError
+from heartcase.simulator.cutting.blade_sheet import blade_points
+from heartcase.simulator.cutting.cuts import Cuts, Step, cut_further
+from heartcase.simulator.cutting.rest_space import places_at_rest, refined
+from heartcase.simulator.cutting.tissue_samples import TissueSamples
+from heartcase.simulator.dynamics.joining import join
+from heartcase.simulator.dynamics.step_size import checked_step, own_step_limit
+from heartcase.simulator.engine.backends import Backend, make_engine
+from heartcase.simulator.lattice.explicit_springs import ExplicitSprings
+from heartcase.simulator.lattice.model import LatticeModel
+from heartcase.simulator.lattice.state import State
+from heartcase.simulator.splitting.free_parts import cut_picking
+from heartcase.simulator.splitting.split_surface import CuttableSurface, SplitSurface, split_surface
+from heartcase.simulator.surface.deform import DeformedSurface, PickingModel, SurfaceModel
+from heartcase.simulator.surface.shown_surfaces import ShownSurfaces
+
+__all__ = ["MovingTissue"]
+
+_SPLITS_KEPT = 8
+"""Split surfaces that are kept for going back and on."""
+
+
+class MovingTissue:
+    """A lattice in motion, and the surfaces that follow it.
+
+    Parameters
+    ----------
+    model
+        The lattice.
+    surface, picking
+        Surfaces that follow it, where they are wanted.
+    step_s
+        Time step, s; the case's default when left out.
+    backend
+        What moves it.
+    skips_unmoved
+        As of :class:`heartcase.simulator.surface.followers.SurfaceFollower`.
+
+    Raises
+    ------
+    SimulationError
+        The step is beyond the lattice's own limit, or there is no such backend.
+    """
+
+    def __init__(
+        self,
+        model: LatticeModel,
+        *,
+        surface: SurfaceModel | None,
+        picking: PickingModel | None,
+        step_s: float | None,
+        backend: Backend,
+        skips_unmoved: bool,
+    ) -> None:
+        self.model = model
+        self.surface = self._whole_surface = surface
+        self.picking = self._whole_picking = picking
+        self.split: SplitSurface | None = None
+        self.step_s = checked_step(model, step_s)
+        self.backend = backend
+        self.cuts: Cuts | None = None
+        self._cuttable: CuttableSurface | None = None
+        self._splits: list[tuple[Cuts, SplitSurface]] = []
+        self._inverse_mass = model.inverse_mass
+        self._engine = make_engine(model, backend)
+        self._state: State | None = None
+        self._skips_unmoved = skips_unmoved
+        self._surfaces = self._make_surfaces()
+
+    @property
+    def state(self) -> State:
+        """The state now, in grid units; not to be changed."""
+        if self._state is None:
+            self._state = self._engine.read()
+        return self._state
+
+    @property
+    def step_count(self) -> int:
+        """Steps taken."""
+        return self._engine.step_count
+
+    @property
+    def step_limit_s(self) -> float:
+        """Largest step that is stable at rest with the springs that there are now, s."""
+        return own_step_limit(self.model)
+
+    def cut(self, poses_mm: npt.ArrayLike, *, at_rest: bool = False, name: str = "blade") -> None:
+        """Cut along what a blade sweeps from pose to pose; nothing moves in this moment.
+
+        The tissue is parted along the sheet itself, wherever in cells that lies: each piece of a cell becomes a cell of
+        its own, with its share of coverage and mass (:mod:`heartcase.simulator.cutting`). Hands hold all copies of the
+        nodes that they held.
+
+        Parameters
+        ----------
+        poses_mm
+            Points of the blade's edge at each pose, LPS mm, shape (pose_count, point_count, 3), at least two of each.
+            For a line drawn on tissue: the line, and the line at its depth.
+        at_rest
+            Whether they are places of the tissue at rest; else they are places now.
+        name
+            Name in messages.
+
+        Raises
+        ------
+        SimulationError
+            Too few poses or points, numbers that are not finite, a blade that reaches too far, or springs were removed
+            one by one: what they held together is not known.
+        """
+        rest_mm = poses_mm if at_rest else self.rest_poses_mm(poses_mm, name=name)
+        points = blade_points(self.model, rest_mm, name)
+        model, cuts, step = cut_further(self.model, self.cuts or self.nothing_cut(), points)
+        state = step.carried(self.state)
+        self._set_model(model, cuts)
+        self._engine.load(state)
+        self._carry(step)
+        self._state = None
+
+    def rest_poses_mm(self, poses_mm: npt.ArrayLike, *, name: str = "blade") -> Float64:
+        """Where a blade that is swept now meets the tissue at rest: more poses and points, LPS mm, (any, any, 3).
+
+        Parameters
+        ----------
+        poses_mm, name
+            As of :meth:`cut`.
+
+        Raises
+        ------
+        SimulationError
+            As of :meth:`cut`.
+        """
+        points = refined(blade_points(self.model, poses_mm, name))
+        rest = places_at_rest(self.model, self.state.displacement, points)
+        rest_mm: Float64 = self.model.geometry.index_to_world(rest - 0.5)
+        return rest_mm
+
+    def remove_springs(self, removed: npt.ArrayLike) -> None:
+        """Take springs of the lattice away: the plain way to cut, in whole cells.
+
+        Hands hold on to what they held before, and the surface is not split.
+
+        Parameters
+        ----------
+        removed
+            True for each spring of ``model`` to take away, shape (spring_count,).
+
+        Raises
+        ------
+        SimulationError
+            It has not one value for each spring.
+        """
+        self._check_mask(removed, self.model.spring_count)
+        self._set_model(self.model.without_springs(removed), self.cuts)
+
+    def add_springs(
+        self, nodes: npt.ArrayLike, stiffness_n_m: npt.ArrayLike, rest_length_mm: npt.ArrayLike | None = None
+    ) -> None:
+        """Join nodes by explicit springs (thesis 8.5.1).
+
+        Parameters
+        ----------
+        nodes
+            Two different nodes each, shape (count, 2).
+        stiffness_n_m
+            Stiffness, N/m, above zero; one number or shape (count,).
+        rest_length_mm
+            Length at rest, mm; the distance now when left out; one number or shape (count,).
+
+        Raises
+        ------
+        SimulationError
+            With everything that is wrong: nodes that there are not, numbers out of range, springs that are too stiff
+            for the time step.
+        """
+        joined = join(self.model, self.state.displacement, nodes, stiffness_n_m, rest_length_mm, step_s=self.step_s)
+        self._set_model(joined, self.cuts)
+
+    def remove_explicit_springs(self, removed: npt.ArrayLike) -> None:
+        """Take explicit springs away; True for each of ``model.explicit``, shape (count,).
+
+        Raises
+        ------
+        SimulationError
+            It has not one value for each.
+        """
+        self._check_mask(removed, self.model.explicit.count)
+        kept = self.model.explicit.without(np.asarray(removed, dtype=bool))
+        self._set_model(replace(self.model, explicit=kept), self.cuts)
+
+    def displacement_mm(self) -> Float64:
+        """Displacement of every node now, LPS mm, shape (node_count, 3)."""
+        return self.model.to_mm(self.state.displacement)
+
+    def positions_mm(self) -> Float64:
+        """Position of every node now, LPS mm, shape (node_count, 3)."""
+        return self.model.rest_positions_mm() + self.displacement_mm()
+
+    def surface_now(self) -> DeformedSurface:
+        """The visible surface now; its arrays are not to be changed, and do not change when the simulation goes on.
+
+        Raises
+        ------
+        SimulationError
+            The simulation was made without one.
+        """
+        return self._surfaces.surface_now(self.state)
+
+    def picking_now(self) -> DeformedSurface:
+        """The one-to-one surface now; its arrays are not to be changed, and do not change when the simulation goes on.
+
+        Raises
+        ------
+        SimulationError
+            The simulation was made without one.
+        """
+        return self._surfaces.picking_now(self.state)
+
+    def nothing_cut(self) -> Cuts:
+        """What a first cut begins with: the lattice before it, and its tissue inside the visible surface at rest.
+
+        Where there is no surface, tissue fills its cells.
+        """
+        if self.cuts is not None:
+            return Cuts(self.cuts.uncut, self.cuts.tissue)
+        uncut = replace(self.model, explicit=ExplicitSprings.none())
+        if self._whole_surface is None:
+            return Cuts(uncut, TissueSamples.everywhere())
+        vertices = uncut.geometry.world_to_index(self._whole_surface.rest_mm) + 0.5
+        return Cuts(uncut, TissueSamples.inside(vertices, self._whole_surface.triangles))
+
+    @staticmethod
+    def uncut(model: LatticeModel, cuts: Cuts | None) -> LatticeModel:
+        """The lattice before all cuts."""
+        return model if cuts is None else cuts.uncut
+
+    def _carry(self, step: Step) -> None:
+        """Let instruments hold on from one lattice to the next."""
+
+    def _set_model(self, model: LatticeModel, cuts: Cuts | None) -> None:
+        """Go on with another model; where it was cut otherwise, the engine starts from rest and without hands."""
+        was_cut, self.model, self.cuts = self.cuts, model, cuts
+        if cuts is was_cut:
+            self._engine.set_springs(model)
+            return
+        step_count = self._engine.step_count
+        self._inverse_mass = model.inverse_mass
+        self._engine = make_engine(model, self.backend)
+        self._engine.step_count = step_count
+        self.surface, self.picking = self._whole_surface, self._whole_picking
+        self.split = None if cuts is None else self._split_of(cuts)
+        if self.split is not None:
+            self.surface = self.split.surface
+        if self.picking is not None and cuts is not None:
+            self.picking = cut_picking(model)
+        self._surfaces = self._make_surfaces()
+
+    def _split_of(self, cuts: Cuts) -> SplitSurface | None:
+        """The surface that some cuts leave, where there is one."""
+        if self._whole_surface is None or cuts.parted is None:
+            return None
+        for known, split in self._splits:
+            if known is cuts:
+                return split
+        if self._cuttable is None:
+            self._cuttable = CuttableSurface.of(cuts.uncut, self._whole_surface)
+        split = split_surface(self._cuttable, cuts.parted, cuts.sheets)
+        self._splits = [*self._splits[1 - _SPLITS_KEPT :], (cuts, split)]
+        return split
+
+    def _make_surfaces(self) -> ShownSurfaces:
+        return ShownSurfaces(
+            self.model,
+            self._engine,
+            self.backend,
+            surface=self.surface,
+            picking=self.picking,
+            skips_unmoved=self._skips_unmoved,
+        )
+
+    @staticmethod
+    def _check_mask(removed: npt.ArrayLike, count: int) -> None:
+        if np.shape(removed) != (count,):
+            raise SimulationError(f"there are {count} springs: give one value for each", place="removed")
