@@ -27,6 +27,8 @@ __all__ = ["Ties", "closest_weights", "tie_cells", "tie_split"]
 
 _INSIDE = 2.0**-9
 """How far inside the tissue a vertex is asked what it belongs to [cells]."""
+_ASIDE = 2.0**-10
+"""How far off towards its triangles [cells]: more than places are rounded by."""
 _PLACES = 2.0**22
 """Vertices whose places are the same when rounded by this are of one lip [1 / cell]."""
 _AROUND: Int64 = np.stack(np.meshgrid(*[[0, -1, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -196,6 +198,7 @@ def tie_split(
     points = split.places + _INSIDE * inward
 
     near = _near_sheets(model, parted, split.places[:old_count])
+    points[near] += _ASIDE * _towards_own_triangles(split, near)
     seen = sight.of(points[near], cells_of_ties[near], takes_first=False)
     lost = seen < 0
     nodes = _corners_of(parted, np.where(lost, 0, seen), triangle_nodes[near])
@@ -238,6 +241,23 @@ def tie_split(
     # Tied anew to copies of the nodes that it had, a vertex keeps its place among them.
     is_same = (parted.node_origin[ties.nodes[: len(ties.changed)]] == triangle_nodes[ties.changed]).all(axis=1)
     return replace(ties, is_tied_anew=ties.is_tied_anew & ~is_same)
+
+
+def _towards_own_triangles(split: SplitMesh, vertices: Int64) -> Float64:
+    """Unit vectors from some vertices to the middle of their triangles, shape (count, 3): off a sheet that they lie on.
+
+    On which side of it a vertex is, no place tells, but the triangles that it has.
+    """
+    row = np.full(len(split.places), -1)
+    row[vertices] = np.arange(len(vertices))
+    corners = row[split.triangles]
+    triangle, corner = np.nonzero(corners >= 0)
+    at = corners[triangle, corner]
+    way = split.places[split.triangles[triangle]].mean(axis=1) - split.places[split.triangles[triangle, corner]]
+    total = np.stack([np.bincount(at, way[:, axis], minlength=len(vertices)) for axis in range(3)], axis=1)
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    towards: Float64 = np.divide(total, length, out=np.zeros_like(total), where=length > 0)
+    return towards
 
 
 def _with_their_parts(parted: PartedLattice, split: SplitMesh, triangle_nodes: Int32, ties: Ties) -> Ties:
