@@ -27,6 +27,8 @@ from heartcase.phantom.anatomy.heart import HeartPhantom
 from heartcase.pipeline.building.session_file import open_session
 from heartcase.schemas.bundle.manifest import listed_files
 from heartcase.schemas.recipe.settings import Stroke
+from heartcase.simulator.arrangement.sheet_sides import directions_of
+from heartcase.simulator.arrangement.surface_crossings import is_inside
 from heartcase.simulator.cutting.blade_sheet import Sheet
 from heartcase.simulator.cutting.parted_lattice import part
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
@@ -139,6 +141,9 @@ def test_a_cut_parts_the_lattice(case):
     cuttable = CuttableSurface.of(model, case.surface)
     split = split_surface(cuttable, part(model, sheets, cuttable.samples()), sheets)
     assert split.triangle_part.max() > 0
+    # What only sheets in one place, or inside the tissue, ask.
+    assert directions_of(cuttable.mesh.vertices[:2]).shape == (2, 3)
+    assert not is_inside(cuttable.mesh.vertices, cuttable.mesh.triangles, cuttable.mesh.vertices.min(axis=0) - 1)
 
 
 def test_an_incision_is_measured(case):

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from heartcase.compiling.kernel import kernel
 
-__all__ = ["edge_meets", "line_side", "sheet_side", "tissue_side", "volume"]
+__all__ = ["line_side", "sheet_side", "tissue_side", "volume"]
 
 
 @kernel(cached=False)
@@ -63,10 +63,3 @@ def line_side(a, b, p, q):
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     vx, vy, vz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
     return _first_sign(uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx)
-
-
-@kernel(cached=False)
-def edge_meets(a, b, p, q, r):
-    """Whether the line of a surface's edge goes through the inside of a sheet's triangle; or turned about."""
-    one = line_side(a, b, p, q)
-    return one != 0 and one == line_side(a, b, q, r) and one == line_side(a, b, r, p)

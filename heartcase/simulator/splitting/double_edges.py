@@ -30,6 +30,8 @@ class Corners(NamedTuple):
     """Corners at the ends of the edge that each of the added corners halves, shape (added_count, 2)."""
     middle_triangles: Int64
     """One triangle at that edge; one of the surface if there is one, shape (added_count,)."""
+    is_unsure: bool
+    """Whether triangles may touch in a vertex alone, which :func:`separate_fans` mends."""
 
 
 def without_double_edges(triangles: Int64, vertices: Int64, following: Int64, partner: Int64, is_wall: Bool) -> Corners:
@@ -51,6 +53,7 @@ def without_double_edges(triangles: Int64, vertices: Int64, following: Int64, pa
     first_added, all_vertices = len(vertices), vertices
     vertex_count = int(vertices.max(initial=-1)) + 1
     middles: list[tuple[int, int]] = []
+    is_unsure = False
     at: list[int] = []
     added: list[int] = []
     while True:
@@ -65,6 +68,14 @@ def without_double_edges(triangles: Int64, vertices: Int64, following: Int64, pa
         for row, start, end in zip(rows.tolist(), starts[rows].tolist(), ends[rows].tolist(), strict=True):
             name = _name(start, end, all_vertices, middles, following, partner)
             by_name.setdefault((int(keys[row]), *name), []).append(row)
+        for name, alike_rows in list(by_name.items()):
+            if len(alike_rows) > 2:
+                # One name for more than one edge: any two that run against each other will do.
+                is_unsure = True
+                ways = [[row for row in alike_rows if (one[row] < other[row]) == way] for way in (True, False)]
+                del by_name[name]
+                for number, both in enumerate(zip(*ways, strict=False)):
+                    by_name[(*name, number)] = list(both)
         # One of each kind stays whole: one that the surface around has too, if there is one.
         edges = sorted(by_name.items(), key=lambda item: (item[0][0], len(item[1]), item[0]))
         halved: dict[int, tuple[int, int]] = {}
@@ -90,6 +101,7 @@ def without_double_edges(triangles: Int64, vertices: Int64, following: Int64, pa
         all_vertices,
         np.array(middles, np.int64).reshape(-1, 2),
         np.array(at, np.int64),
+        is_unsure,
     )
 
 

@@ -230,7 +230,7 @@ def _written(
 
     # Surface and wall have a vertex each where they meet.
     vertices = corners.vertices[corners.triangles]
-    if not has_three.all():
+    if corners.is_unsure or not has_three.all():
         vertices = separate_fans(vertices, vertex_count)
     is_new = vertices >= vertex_count
     key = 2 * vertices + is_wall[:, None]
