@@ -7,7 +7,8 @@ what was written before the last barrier, or by its own thread (:mod:`heartcase.
 writes only its own lanes, so that the result does not depend on the number of threads.
 
 Where springs act alone, corners that are about to turn inside out are looked for in the first step and every LOOK_STEPS
-from there; in between, only the windows that had such corners are looked after. Where cells are worked out, each looks
+from there, or in every step while there are probes; in between, only the windows that had such corners are looked
+after. Where cells are worked out, each looks
 after its own in every step. Where tissue may sleep
 (:mod:`heartcase.simulator.engine.cpu.sleep`), only windows that are awake are worked out.
 """
@@ -321,7 +322,7 @@ def _keep_from_turning(
     _, probes, turn, given = instruments
     velocity, inverse_mass, rest, rows = nodes.velocity, nodes.inverse_mass, nodes.rest, nodes.rows
     thread, thread_count, barrier = place
-    looks_after_flat = kinds[2] and kinds[0] != NO_CELLS
+    looks_after_flat = kinds[2] and (kinds[0] != NO_CELLS or len(probes) > 0)
     if len(probes):
         for share in range(thread, SHARES, thread_count):
             first, end = _part(share, len(rows))
@@ -417,7 +418,7 @@ def advance(
                 first, end = _part(share, sleep.counts[0])
                 remember(first, end, rows, velocity, sleep)
             wait_at(barrier, thread_count)
-        if has_guard and kind == NO_CELLS and row_step % LOOK_STEPS == 0:
+        if has_guard and kind == NO_CELLS and (row_step % LOOK_STEPS == 0 or len(probes) > 0):
             for share in range(thread, SHARES, thread_count):
                 _look_at_share(share, now, cells, sleep)
             wait_at(barrier, thread_count)

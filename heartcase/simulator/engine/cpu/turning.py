@@ -47,7 +47,7 @@ class TurnArrays(NamedTuple):
     allowed: Float32
     """What such a cell allows its corners' nodes, eight numbers a lane."""
     harm: Int8
-    """Whether a corner near a probe would come to harm in this step, shape (1,)."""
+    """Whether a corner that is looked after would come to harm in this step, shape (1,)."""
 
 
 def turn_arrays(layout: LaneLayout, cell_window_count: int) -> TurnArrays:
@@ -186,9 +186,9 @@ def _watch_cell(
         m0, m1, m2, m3 = _row(moved, n0), _row(moved, n1), _row(moved, n2), _row(moved, n3)
         volume, c0, c1, c2, c3 = _charges(a, b, c, m0, m1, m2, m3)
         harms = _harms(volume, a, b, c, m0, m1, m2, m3)
-        if near == 0 and (volume >= volume_most or not harms):
+        if near == 0 and volume >= volume_most:
             continue
-        if near > 0 and harms:
+        if harms:
             raise_to(turn.harm, 0, np.int8(1))
         is_watched = True
         each = _budget(volume, c0, c1, c2, c3, free[n0], free[n1], free[n2], free[n3])
@@ -279,6 +279,8 @@ def shorten(
         if not turn.is_beside[window]:
             continue
         turn.is_beside[window] = 0
+        if not turn.harm[0]:
+            continue
         row = rows[window]
         for place in range(LANE_COUNT):
             lane = row[4] + place
@@ -288,7 +290,7 @@ def shorten(
             part, owner = np.float32(1), 0
             for corner in range(8):
                 cell = row[_CELL_ROWS[corner >> 1]] + place - (corner & 1)
-                counts = turn.watched[cell] == 1 or (turn.watched[cell] > 1 and turn.harm[0] > 0)
+                counts = turn.watched[cell] > 0
                 if counts and turn.allowed[corner * BANK_LANES + cell] < part:
                     part, owner = turn.allowed[corner * BANK_LANES + cell], turn.watched[cell] - 1
             if part >= 1:
