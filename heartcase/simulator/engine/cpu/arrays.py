@@ -66,7 +66,9 @@ class CellArrays(NamedTuple):
     is_touched: Int8
     """Whether such cells belong to each window of nodes."""
     touches: Int64
-    """Windows of nodes that a window of cells belongs to, -1 for none, shape (count, 8)."""
+    """Windows of nodes that a window of cells belongs to, -1 for none, shape (count, any)."""
+    signs: Int8
+    """Whether a window was looked after in a step, three steps in turn, shape (3,)."""
 
 
 class SharingArrays(NamedTuple):

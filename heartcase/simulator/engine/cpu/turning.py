@@ -48,7 +48,7 @@ class TurnArrays(NamedTuple):
     allowed: Float32
     """What such a cell allows its corners' nodes, eight numbers a lane."""
     harm: Int8
-    """Whether a corner near a probe would come to harm in this step, shape (1,)."""
+    """Whether a corner that is looked after would come to harm in this step, shape (1,)."""
 
 
 def turn_arrays(layout: LaneLayout, cell_window_count: int) -> TurnArrays:
@@ -187,9 +187,9 @@ def _watch_cell(
         m0, m1, m2, m3 = _row(moved, n0), _row(moved, n1), _row(moved, n2), _row(moved, n3)
         volume, c0, c1, c2, c3 = _charges(a, b, c, m0, m1, m2, m3)
         harms = _harms(volume, a, b, c, m0, m1, m2, m3)
-        if near == 0 and (volume >= volume_most or not harms):
+        if near == 0 and volume >= volume_most:
             continue
-        if near > 0 and harms:
+        if harms:
             raise_to(turn.harm, 0, np.int8(1))
         is_watched = True
         each = _budget(volume, c0, c1, c2, c3, free[n0], free[n1], free[n2], free[n3])
@@ -263,9 +263,8 @@ def watch_cells(
 @kernel(cached=False)
 def _least(turn: TurnArrays, cell: int, corner: int, part: np.float32, owner: np.int64) -> tuple[np.float32, np.int64]:
     """What a cell allows the node at its corner, and the number of the probe near it, where that is less."""
-    counts = turn.watched[cell] == 1 or (turn.watched[cell] > 1 and turn.harm[0] > 0)
     allowed = turn.allowed[corner * BANK_LANES + cell]
-    if counts and allowed < part:
+    if turn.watched[cell] > 0 and allowed < part:
         return allowed, np.int64(turn.watched[cell]) - 1
     return part, owner
 
@@ -291,6 +290,8 @@ def shorten(
         if not turn.is_beside[window]:
             continue
         turn.is_beside[window] = 0
+        if not turn.harm[0]:
+            continue
         ghosted = ghosts.node_first[window]
         row = rows[window]
         for place in range(LANE_COUNT):

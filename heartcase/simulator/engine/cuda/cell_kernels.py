@@ -346,7 +346,7 @@ def advance_with_cells(
         if watches:
             expected = _U(expected + cuda.gridDim.x)
             wait_at_grid_barrier(arrivals, expected)
-            volume_most = _LOOK if has_guard and (has_elements or law[0] > _O) else _O
+            volume_most = _LOOK if has_guard and (has_elements or law[0] > _O or probes.shape[0] > 0) else _O
             for cell in range(cuda.grid(1), cell_count, cuda.gridsize(1)):
                 where = (displacement, now, later, velocity, corner_lane, corner_node)
                 watch_cell(*where, numbers[_U(cell)], volume_most, turn, step_number, _U(cell))

@@ -5,8 +5,8 @@ after each round. What probes give is added up node by node, so that the sums do
 
 ``turn`` is (number of the last probe near each node, from one on, and one for a cell that is looked after plus the
 number of the probe near it, int32, (node_count,) and (cell_count,); what cells allow their corners' nodes, float32,
-(8 * cell_count,); whether any cell is to be looked after in an even and an odd step, and whether a corner near a probe
-would come to harm in them, int32, (4,); momentum and its moment
+(8 * cell_count,); whether any cell is to be looked after in an even and an odd step, and whether a corner
+that is looked after would come to harm in them, int32, (4,); momentum and its moment
 about its centre that each probe gave each node, float32, (probe_count * 6 * node_count,)).
 """
 
@@ -104,9 +104,9 @@ def watch_cell(
         a, b, c = _less(p1, p0), _less(p2, p0), _less(p3, p0)
         volume, c0, c1, c2, c3 = _charges(a, b, c, m0, m1, m2, m3)
         harms = _harms(volume, a, b, c, m0, m1, m2, m3)
-        if owner == 0 and (volume >= volume_most or not harms):
+        if owner == 0 and volume >= volume_most:
             continue
-        if owner > 0 and harms:
+        if harms:
             flags[2 + step_number % 2] = 1
         watched[cell] = 1 + owner
         free0 = load_four(velocity, corner_lane[_U(n0 * count + cell)])[3] > _O
@@ -124,22 +124,21 @@ def watch_cell(
 def shorten(displacement, now, later, velocity, lane, rest, probes, step_number, turn, node_cell, node, no_cell):
     """Let a node go as far as the cells around it allow."""
     near, watched, allowed, flags, given = turn
-    harm = flags[2 + step_number % 2] > 0
     node_count, cell_count = _U(near.shape[0]), _U(watched.shape[0])
     v = load_four(velocity, lane)
-    if v[3] <= _O:
+    if v[3] <= _O or flags[2 + step_number % 2] == 0:
         return
     part, owner = _ONE, 0
     for corner in range(8):
         cell = node_cell[_U(corner * node_count + node)]
-        if cell == no_cell or watched[cell] == 0 or (watched[cell] > 1 and not harm):
+        if cell == no_cell or watched[cell] == 0:
             continue
         if allowed[_U(corner * cell_count + cell)] < part:
             part, owner = allowed[_U(corner * cell_count + cell)], watched[cell] - 1
     for slot in range(8, node_cell.shape[0] // node_count):
         use = node_cell[_U(slot * node_count + node)]
         cell, corner = use // 8, use % 8
-        if use == no_cell or watched[cell] == 0 or (watched[cell] > 1 and not harm):
+        if use == no_cell or watched[cell] == 0:
             continue
         if allowed[_U(corner * cell_count + cell)] < part:
             part, owner = allowed[_U(corner * cell_count + cell)], watched[cell] - 1

@@ -126,7 +126,7 @@ def keep_outside(
         new = (later[nodes] - displacement[nodes]) / step
         _give(impulse[number], (new - velocity[nodes]) / inverse_mass[nodes, None], before[pushed] - row[3:6])
         velocity[nodes] = new
-    part, owner = _parts(model, near, inverse_mass, displacement, later)
+    part, owner = _parts(model, near, len(probes) > 0, inverse_mass, displacement, later)
     held = np.flatnonzero(part < 1.0)
     lost = (part[held, None] - 1.0) * velocity[held] / inverse_mass[held, None]
     for number, row in enumerate(probes.astype(np.float64)):
@@ -184,12 +184,13 @@ def _pushed(row: Float64, before: Float64, after: Float64) -> tuple[Float64, Int
 
 
 def _parts(
-    model: LatticeModel, near: Intp, inverse_mass: Float64, displacement: Float64, later: Float64
+    model: LatticeModel, near: Intp, has_probes: bool, inverse_mass: Float64, displacement: Float64, later: Float64
 ) -> tuple[Float64, Intp]:
     """Parts of their movements that nodes may take, and the probe to whose account that goes, from one on."""
     corners = model.cell_corners
     owner_of_cell = near[corners].max(axis=1)
-    volume_most = LOOK_BELOW if model.law.has_corner_guard and model.law.acts_in_cells else 0.0
+    looks_after_flat = model.law.has_corner_guard and (model.law.acts_in_cells or has_probes)
+    volume_most = LOOK_BELOW if looks_after_flat else 0.0
     part, owner = np.ones(model.node_count), np.zeros(model.node_count, dtype=np.intp)
     is_due = owner_of_cell > 0
     if volume_most:
@@ -202,7 +203,7 @@ def _parts(
     is_near = owner_of_cell[cells] > 0
     allowed, harm = allowed_parts(displacement[at], (later - displacement)[at], is_free, is_near, volume_most)
     if not harm:
-        allowed[is_near] = 1.0
+        return part, owner
     # The cell that allows least has the probe; of equal ones that around the lowest corner.
     for corner in range(8):
         less = allowed[:, corner] < part[at[:, corner]]

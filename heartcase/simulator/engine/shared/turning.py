@@ -12,9 +12,9 @@ each node takes the least that its corners allow. So no corner loses more than S
 of a volume above zero is turned.
 
 That also holds back what would not turn a corner if all went together: the more, the flatter it is. So nothing is held
-back near the probes in a step in which all movements in full would do no corner there harm (:func:`_harms`); then, too,
-none is turned. Away from probes only the corners are looked after that would come to harm themselves,
-and only where cells are worked out: springs alone keep theirs.
+back in a step in which all movements in full would do none of the corners harm that are looked after (:func:`_harms`);
+then, too, none is turned. Looked after are corners of cells near a probe, and elsewhere those below LOOK_BELOW; of
+springs alone only while there is a probe.
 
 Nodes that are led move as they are led: what they take is counted first. Where they turn a corner by themselves, and
 where one is inside out already, nothing is held back.
@@ -178,14 +178,14 @@ def allowed_parts(u: Float64, moved: Float64, is_free: Bool, is_near: Bool, volu
     is_near
         Whether a cell's corners are looked after whatever their volume, shape (count,).
     volume_most
-        Volume below which those of the other cells are, where they would come to harm [cells].
+        Volume below which those of the other cells are [cells].
 
     Returns
     -------
     parts
         From 0 to 1, shape (count, 8).
     harm
-        Whether a corner of a cell that is near would come to harm; else what those allow does not count.
+        Whether a corner that is looked after would come to harm; else what they allow does not count.
     """
     position = u + CORNER_OFFSETS
     harm = False
@@ -204,8 +204,9 @@ def allowed_parts(u: Float64, moved: Float64, is_free: Bool, is_near: Bool, volu
         counts = ((charge > TINY) & free).sum(axis=0)
         left = start - (charge * ~free).sum(axis=0)
         harmed = _harms(start, volume[1, 1, 1, 1])
-        harm |= bool((harmed & is_near).any())
-        is_limited = (is_near | ((start < volume_most) & harmed)) & (left > 0.0)
+        is_due = is_near | (start < volume_most)
+        harm |= bool((harmed & is_due).any())
+        is_limited = is_due & (left > 0.0)
         each = SHARE * np.maximum(left - FLOOR, 0.0) / np.maximum(counts, 1)
         for node, own, own_free in zip(nodes, charge, free, strict=True):
             acts = is_limited & own_free & (own > TINY) & (own > each)
