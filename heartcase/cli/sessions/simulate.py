@@ -8,7 +8,14 @@ from pathlib import Path
 import click
 import numpy as np
 
-from heartcase.cli.shared.film import Filmer, check_animation_name, check_picture_name, write_animation, write_picture
+from heartcase.cli.shared.film import (
+    Filmer,
+    Seen,
+    check_animation_name,
+    check_picture_name,
+    write_animation,
+    write_picture,
+)
 from heartcase.cli.shared.output import echo_json
 from heartcase.cli.shared.sessions import (
     check_numbers,
@@ -27,7 +34,6 @@ from heartcase.simulator.lattice.force_law import LawName
 from heartcase.simulator.load import Case, load_case
 from heartcase.simulator.session.script import SessionSummary, load_script, run_script
 from heartcase.simulator.simulation import Simulation
-from heartcase.simulator.surface.deform import DeformedSurface
 from heartcase.simulator.surface.write_surface import SURFACE_FORMATS, write_surface
 
 __all__ = ["command"]
@@ -78,7 +84,14 @@ def command(
     film_every = max(1, round(script.frames_per_second / FILM_FRAMES_PER_SECOND)) if animation is not None else 0
     camera = _filmer(loaded) if animation is not None or picture is not None else None
     with session_bar("simulating", script.seconds) as tell:
-        audience = _Audience(camera, tell, film_every=film_every, wants_picture=picture is not None, case_id=case_id)
+        audience = _Audience(
+            camera,
+            loaded.triangle_colours,
+            tell,
+            film_every=film_every,
+            wants_picture=picture is not None,
+            case_id=case_id,
+        )
         summary = run_script(simulation, script, on_frame=audience.watch)
         shot = audience.furthest_picture()
     comment = f"heartcase {case_id}" if case_id else "heartcase"
@@ -87,14 +100,15 @@ def command(
         write_animation(animation, camera.frames, frames_per_second=speed, comment=comment)
     if picture is not None and shot is not None:
         write_picture(picture, shot, comment=comment)
-    if surface_out is not None and loaded.surface is not None:
-        end = simulation.surface_now()
+    if surface_out is not None and loaded.triangle_colours is not None:
+        seen = Seen.now(simulation, loaded.triangle_colours)
+        end = seen.surface
         write_surface(
             surface_out,
             end.vertices_mm,
             end.normals,
-            loaded.surface.triangles,
-            colours=loaded.triangle_colours,
+            seen.triangles,
+            colours=seen.colours,
             case_id=case_id,
         )
     if as_json:
@@ -115,6 +129,7 @@ class _Audience:
     def __init__(
         self,
         camera: Filmer | None,
+        colours: UInt8 | None,
         tell: Callable[[float], None],
         *,
         film_every: int,
@@ -122,40 +137,41 @@ class _Audience:
         case_id: str | None,
     ) -> None:
         self.camera = camera
+        self.colours = np.zeros((0, 3), np.uint8) if colours is None else colours
         self.tell = tell
         self.title = f"{case_id} " if case_id else ""
         self.film_every = film_every
         self.wants_picture = wants_picture
         self.frame_number = 0
         self.furthest = -1.0
-        self.furthest_surface: DeformedSurface | None = None
+        self.furthest_seen: Seen | None = None
         self.furthest_time_s = 0.0
-        self.rest_surface: DeformedSurface | None = None
+        self.rest_seen: Seen | None = None
 
     def watch(self, simulation: Simulation, time_s: float) -> None:
         """Look at a frame."""
         self.tell(time_s)
         if self.camera is not None:
             if self.film_every and self.frame_number % self.film_every == 0:
-                self.camera.film(simulation.surface_now())
+                self.camera.film(Seen.now(simulation, self.colours))
             moved = float(np.abs(simulation.state.displacement).max())
             if self.wants_picture and moved > self.furthest:
                 self.furthest = moved
-                self.furthest_surface = simulation.surface_now()
+                self.furthest_seen = Seen.now(simulation, self.colours)
                 self.furthest_time_s = time_s
-            if self.wants_picture and self.rest_surface is None:
-                self.rest_surface = simulation.surface_now()
+            if self.wants_picture and self.rest_seen is None:
+                self.rest_seen = Seen.now(simulation, self.colours)
         self.frame_number += 1
 
     def furthest_picture(self) -> np.ndarray | None:
         """The start and the furthest deformation side by side, if a picture was wanted."""
-        if self.camera is None or self.furthest_surface is None or self.rest_surface is None:
+        if self.camera is None or self.furthest_seen is None or self.rest_seen is None:
             return None
         from heartcase.pipeline.report.montage import montage
 
         pictures = {
-            f"{self.title}at the start": self.camera.take(self.rest_surface),
-            f"at {self.furthest_time_s:.2f} s, moved furthest": self.camera.take(self.furthest_surface),
+            f"{self.title}at the start": self.camera.take(self.rest_seen),
+            f"at {self.furthest_time_s:.2f} s, moved furthest": self.camera.take(self.furthest_seen),
         }
         return montage(pictures, columns=2)
 
@@ -175,8 +191,7 @@ def _check_names(surface: Path | None, animation: Path | None, picture: Path | N
 
 def _filmer(case: Case) -> Filmer:
     assert case.surface is not None
-    assert case.triangle_colours is not None
-    return Filmer(case.surface.rest_mm, case.surface.triangles, case.triangle_colours)
+    return Filmer(case.surface.rest_mm)
 
 
 def _lines(case: Case, summary: SessionSummary) -> Iterator[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +12,14 @@ import numpy as np
 from heartcase.schemas.arrays import Float32, Int32, UInt8
 from heartcase.schemas.errors import MissingExtraError, UsageError
 from heartcase.schemas.files import atomic_write
+from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.surface.deform import DeformedSurface
 
 __all__ = [
     "ANIMATION_FORMATS",
+    "CUT_FACE_COLOUR",
     "Filmer",
+    "Seen",
     "animation_bytes",
     "check_animation_name",
     "check_picture_name",
@@ -29,8 +33,30 @@ ANIMATION_FORMATS = (".gif", ".mp4")
 PICTURE_FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG"}
 """What a picture can be written as: suffix -> Pillow's name."""
 
+CUT_FACE_COLOUR = (150, 40, 45)
+"""Red, green, blue of walls that a blade made."""
 _FROM_LEFT_FRONT = (0.45, -1.0, 0.25)
 """Direction from the heart to the camera, LPS: front, somewhat left and above."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What is seen of a simulation at a moment."""
+
+    surface: DeformedSurface
+    """The visible surface."""
+    triangles: Int32
+    """Vertex numbers, shape (triangle_count, 3)."""
+    colours: UInt8
+    """Red, green, blue of each triangle, shape (triangle_count, 3)."""
+
+    @classmethod
+    def now(cls, simulation: Simulation, colours: UInt8) -> Seen:
+        """What is seen now; ``colours`` are those of the surface before any cut."""
+        assert simulation.surface is not None
+        split = simulation.split
+        carried = colours if split is None else split.carried(colours, CUT_FACE_COLOUR)
+        return cls(simulation.surface_now(), simulation.surface.triangles, carried)
 
 
 class Filmer:
@@ -40,10 +66,6 @@ class Filmer:
     ----------
     rest_mm
         Vertices at rest, LPS mm, shape (vertex_count, 3): they set the frame.
-    triangles
-        Vertex numbers, shape (triangle_count, 3).
-    colours
-        Red, green, blue of each triangle, shape (triangle_count, 3).
     size
         Width and height in pixels; whole multiples of 16 for MP4.
 
@@ -53,9 +75,7 @@ class Filmer:
         What draws is not installed.
     """
 
-    def __init__(
-        self, rest_mm: Float32, triangles: Int32, colours: UInt8, *, size: tuple[int, int] = (720, 608)
-    ) -> None:
+    def __init__(self, rest_mm: Float32, *, size: tuple[int, int] = (720, 608)) -> None:
         try:
             import PIL.Image  # noqa: F401
 
@@ -63,23 +83,22 @@ class Filmer:
         except ImportError:
             raise MissingExtraError("A picture or an animation", "prepare") from None
         self.frames: list[UInt8] = []
-        self._triangles = np.ascontiguousarray(triangles, dtype=np.int64)
-        self._colours = np.ascontiguousarray(colours)
         centre = (rest_mm.min(axis=0) + rest_mm.max(axis=0)) / 2
         # Room for the tissue that a hand pulls out of the frame of the tissue at rest.
         roomy = centre + 1.25 * (np.asarray(rest_mm, dtype=float) - centre)
         self._camera = camera_for(roomy, towards=_FROM_LEFT_FRONT, up=(0.0, 0.0, 1.0), size=size, margin=0.02)
 
-    def take(self, surface: DeformedSurface) -> UInt8:
-        """A picture of the surface, shape (height, width, 3)."""
+    def take(self, seen: Seen) -> UInt8:
+        """A picture, shape (height, width, 3)."""
         from heartcase.pipeline.report.render import Mesh, draw_mesh
 
-        points, normals = surface.vertices_mm.astype(float), surface.normals.astype(float)
-        return draw_mesh(Mesh(points, self._triangles, normals, self._colours), self._camera, depth_shading=True)
+        points, normals = seen.surface.vertices_mm.astype(float), seen.surface.normals.astype(float)
+        mesh = Mesh(points, seen.triangles.astype(np.int64), normals, np.ascontiguousarray(seen.colours))
+        return draw_mesh(mesh, self._camera, depth_shading=True)
 
-    def film(self, surface: DeformedSurface) -> None:
-        """Keep a picture of the surface as the next frame."""
-        self.frames.append(self.take(surface))
+    def film(self, seen: Seen) -> None:
+        """Keep a picture as the next frame."""
+        self.frames.append(self.take(seen))
 
 
 def write_picture(path: Path | str, picture: UInt8, *, comment: str = "") -> None:

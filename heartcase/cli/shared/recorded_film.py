@@ -9,13 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from heartcase.cli.shared.film import Filmer, animation_bytes, check_animation_name
+from heartcase.cli.shared.film import Filmer, Seen, animation_bytes, check_animation_name
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.recording.reader import open_recording
 from heartcase.simulator.load import Case, load_case
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.replay import load_session, refuse_deviation
-from heartcase.simulator.surface.deform import DeformedSurface
 
 __all__ = ["FRAMES_MAX", "Animation", "animation_of"]
 
@@ -74,9 +73,9 @@ def animation_of(
 def _film(session: OperatingSession, case: Case, suffix: str, frames_per_second: float) -> Animation:
     assert case.surface is not None
     assert case.triangle_colours is not None
-    camera = Filmer(case.surface.rest_mm, case.surface.triangles, case.triangle_colours)
-    for _, surface in _frames(session, frames_per_second):
-        camera.film(surface)
+    camera = Filmer(case.surface.rest_mm)
+    for _, seen in _frames(session, case.triangle_colours, frames_per_second):
+        camera.film(seen)
     comment = f"heartcase {case.manifest.case_id}" if case.manifest.case_id else "heartcase"
     content = animation_bytes(suffix, camera.frames, frames_per_second, comment)
     facts: dict[str, object] = {"frame_count": len(camera.frames), "frames_per_second": frames_per_second}
@@ -86,33 +85,37 @@ def _film(session: OperatingSession, case: Case, suffix: str, frames_per_second:
 def _glb(session: OperatingSession, case: Case, frames_per_second: float, error_mm: float) -> Animation:
     from heartcase.pipeline.exports.animation import MovingSurface, animation_glb_bytes
 
-    assert case.surface is not None
     assert case.triangle_colours is not None
-    times: list[float] = []
-    frames: list[DeformedSurface] = []
-    for time_s, surface in _frames(session, frames_per_second):
-        times.append(time_s)
-        frames.append(surface)
-    moving = MovingSurface(
-        time_s=np.array(times),
-        vertices_mm=np.stack([frame.vertices_mm for frame in frames]),
-        normals=np.stack([frame.normals for frame in frames]),
-        triangles=case.surface.triangles,
-        colours=case.triangle_colours,
-    )
-    content, error = animation_glb_bytes([moving], tolerance_mm=error_mm, case_id=case.manifest.case_id)
-    facts: dict[str, Any] = {"frame_count": len(frames), "frames_per_second": frames_per_second, "error_mm": error}
-    return Animation(content, f"{len(frames)} frames, at most {error:.2g} mm off,", facts)
+    # A cut makes another mesh, which goes on where the one before ends.
+    meshes: list[list[tuple[float, Seen]]] = []
+    for time_s, seen in _frames(session, case.triangle_colours, frames_per_second):
+        if not meshes or meshes[-1][-1][1].triangles is not seen.triangles:
+            meshes.append([])
+        meshes[-1].append((time_s, seen))
+    moving = [
+        MovingSurface(
+            time_s=np.array([time_s for time_s, _ in frames]),
+            vertices_mm=np.stack([seen.surface.vertices_mm for _, seen in frames]),
+            normals=np.stack([seen.surface.normals for _, seen in frames]),
+            triangles=frames[0][1].triangles,
+            colours=frames[0][1].colours,
+        )
+        for frames in meshes
+    ]
+    content, error = animation_glb_bytes(moving, tolerance_mm=error_mm, case_id=case.manifest.case_id)
+    count = sum(map(len, meshes))
+    facts: dict[str, Any] = {"frame_count": count, "frames_per_second": frames_per_second, "error_mm": error}
+    return Animation(content, f"{count} frames, at most {error:.2g} mm off,", facts)
 
 
-def _frames(session: OperatingSession, frames_per_second: float) -> Iterator[tuple[float, DeformedSurface]]:
+def _frames(session: OperatingSession, colours: UInt8, frames_per_second: float) -> Iterator[tuple[float, Seen]]:
     """Time since the start and surface of each frame; at the end, the session is checked against what was recorded."""
     step_s, start = session.simulation.step_s, session.start_step
-    yield 0.0, session.simulation.surface_now()
+    yield 0.0, Seen.now(session.simulation, colours)
     for step in _frame_steps(session, frames_per_second):
         for _ in session.play(step):
             pass
-        yield (step - start) * step_s, session.simulation.surface_now()
+        yield (step - start) * step_s, Seen.now(session.simulation, colours)
     for _ in session.play():
         pass
     refuse_deviation(session)

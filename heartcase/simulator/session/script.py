@@ -267,6 +267,8 @@ def run_script(
     times, energies = [0.0], [simulation.energy()]
     wall = 0.0
     simulation.prepare()
+    if script.cuts:
+        simulation.prepare_cuts()
     if on_frame:
         on_frame(simulation, 0.0)
     now = 0
