@@ -26,6 +26,7 @@ from heartcase.cli.shared.sessions import (
     simulation_of,
     with_law,
 )
+from heartcase.schemas.arrays import UInt8
 from heartcase.schemas.bundle.approval import approval_state
 from heartcase.schemas.bundle.format import LEVEL_MAX
 from heartcase.schemas.errors import UsageError

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from heartcase.cli.shared.film import Filmer, Seen, animation_bytes, check_animation_name
+from heartcase.schemas.arrays import UInt8
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.recording.reader import open_recording
 from heartcase.simulator.load import Case, load_case
