@@ -67,7 +67,11 @@ def test_rest_is_an_exact_equilibrium(model):
 @patient
 @given(models, SEEDS, st.floats(0.0, 0.3))
 def test_steps_agree(model, seed, damping):
-    """Each step rounds the velocity's change to EPS of the movement; all in one direction they add up to n^2 EPS."""
+    """Each step rounds the velocity's change to EPS of the movement; all in one direction they add up to n^2 EPS.
+
+    Corners are not guarded: slivers that a cut leaves may get flat between two looks of the device.
+    """
+    model = unguarded(model)
     displacement = random_field(model, seed, 0.05)
     displacement[model.node_is_fixed] = 0
     step = 0.8 * 2 / np.sqrt(24 * (model.cell_stiffness / model.cell_density).max())
@@ -144,7 +148,7 @@ def test_forces_of_every_law_agree(model, law, seed, size):
 
 
 @patient
-@given(models, LAWS, SEEDS, st.booleans())
+@given(uncut_models, LAWS, SEEDS, st.booleans())
 def test_steps_of_every_law_agree(model, law, seed, has_probes):
     """Corners that are flat from the start push back from the first step on."""
     model = with_law(tied(model, seed) if model.node_count > 1 else model, law, seed)

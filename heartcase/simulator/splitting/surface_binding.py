@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from heartcase.schemas.arrays import Bool, Float64, Int32, Int64
 from heartcase.schemas.bundle.lattice import CORNER_OFFSETS, lattice_keys
@@ -254,7 +253,8 @@ def _towards_own_triangles(split: SplitMesh, vertices: Int64) -> Float64:
     triangle, corner = np.nonzero(corners >= 0)
     at = corners[triangle, corner]
     way = split.places[split.triangles[triangle]].mean(axis=1) - split.places[split.triangles[triangle, corner]]
-    total = np.stack([np.bincount(at, way[:, axis], minlength=len(vertices)) for axis in range(3)], axis=1)
+    total = np.zeros((len(vertices), 3))
+    np.add.at(total, at, way)
     length = np.linalg.norm(total, axis=1, keepdims=True)
     towards: Float64 = np.divide(total, length, out=np.zeros_like(total), where=length > 0)
     return towards
@@ -294,7 +294,9 @@ def _with_their_parts(parted: PartedLattice, split: SplitMesh, triangle_nodes: I
     for part in np.unique(wanted[wrong]).tolist():
         of_part = np.flatnonzero(of_cell == part)
         mine = np.flatnonzero(wanted[wrong] == part)
-        cells[mine] = of_part[cKDTree(middles[of_part]).query(split.places[wrong[mine]])[1]]
+        for row in mine.tolist():
+            away = middles[of_part] - split.places[wrong[row]]
+            cells[row] = of_part[np.einsum("nx,nx->n", away, away).argmin()]
     halves = _half_faces(parted, cells, split.places[wrong])
     at_row = np.full(count, -1)
     at_row[rows] = np.arange(len(rows))
