@@ -237,24 +237,18 @@ def test_a_snapshot_brings_back_instruments_as_they_were(backend):
     assert simulation.instruments == ()
 
 
-@pytest.mark.parametrize("kind", ["grab", "probe"])
-def test_torque_is_that_of_the_forces_about_the_centre(kind):
+def test_torque_is_that_of_the_forces_about_the_centre():
     """Against the sum of moments node by node, in mm and N, from the reference's spring forces."""
     model = block(6, 5, 4, fix_base=True, geometry=oblique_geometry())
     simulation = Simulation(model, damping_per_s=0.0)
     rest = model.rest_positions_mm()
     corner = rest[(model.node_index == [0, 2, 4]).all(axis=1)][0]
     up = model.geometry.direction_matrix[:, 2] * model.cell_mm
-    if kind == "grab":
-        hand = simulation.grab(corner + 0.3, 1.6 * model.cell_mm)
-        simulation.lead(hand, 0.4 * up + 0.2)
-        centre_mm = corner + 0.3 + 0.4 * up + 0.2
-    else:
-        hand = simulation.probe(corner + 1.5 * up, 1.2 * model.cell_mm)
-        centre_mm = corner + 0.7 * up
-        simulation.move(hand, centre_mm)
+    hand = simulation.grab(corner + 0.3, 1.6 * model.cell_mm)
+    simulation.lead(hand, 0.4 * up + 0.2)
+    centre_mm = corner + 0.3 + 0.4 * up + 0.2
     simulation.step(60)
-    nodes = hand.nodes if kind == "grab" else hand.touched(model, simulation.state.displacement)
+    nodes = hand.nodes
     assert len(nodes) >= 2
     force = spring_forces(model, simulation.state.displacement)[nodes]
     force_n = force @ model.geometry.direction_matrix.T * model.units.force_n

@@ -31,7 +31,8 @@ RATIO_MAX = 0.49
 LOOK_BELOW = 0.6
 """Volume of a corner from which on nothing is done for it, in any law [cells]; one at rest."""
 _YOUNGS_MODULUS = 2.5
-_SPRINGS_FLOOR, _SPRINGS_CORNER = 0.3, 3.0
+_CORNER_FLOOR = 0.3
+_SPRINGS_CORNER = 3.0
 """Springs' corners: the least stiffness that drives a cell that is inside out back through being flat."""
 _ELEMENTS_CORNER = 0.11
 """Elements' corners: stiffness over the bound at rest; more takes omega^2 beyond 3.1 times that bound."""
@@ -119,9 +120,9 @@ class ForceLaw:
     def corner_floor(self) -> float:
         """J_0: volume of a corner from which on it pushes back [cells].
 
-        An element resists being flat no more than being stretched, so its corners begin as early as they may.
+        From 0.6 on, elements that a probe holds pressed never come to rest.
         """
-        return LOOK_BELOW if self.is_element else _SPRINGS_FLOOR
+        return _CORNER_FLOOR
 
     @property
     def corner_stiffness(self) -> float:

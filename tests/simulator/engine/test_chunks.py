@@ -17,6 +17,7 @@ from heartcase.simulator.dynamics.integrate import Verlet
 from heartcase.simulator.engine.cpu import chunks as kernel_cpu_chunks
 from heartcase.simulator.engine.cpu import engine as engine_cpu
 from heartcase.simulator.engine.cpu import kernel as kernel_cpu
+from heartcase.simulator.engine.cpu.arrays import CellWork
 from heartcase.simulator.engine.cpu.cells import is_flat_window
 from heartcase.simulator.engine.cpu.chunks import share_out
 from heartcase.simulator.engine.cpu.engine import CpuEngine
@@ -155,8 +156,8 @@ def step_one_chunk(engine: CpuEngine, chunk: int) -> None:
     state = (engine.displacement, later, engine.velocity, engine.weight, engine.window_numbers, engine.tension)
     state += (engine.inverse_mass, engine._rows)
     constants = tuple(np.float32(number) for number in Verlet(0.1).numbers)
-    rest = (constants, engine._cell_arrays, engine._kinds, engine._sharing, engine._chunks, engine._sleep)
-    kernel_cpu._step_chunk_with_cells(chunk, state, *rest)
+    work = CellWork(engine._cell_arrays, engine._kinds, engine._sharing, engine._ghosts)
+    kernel_cpu._step_chunk_with_cells(chunk, state, constants, work, engine._chunks, engine._sleep, 0)
 
 
 def test_the_forces_of_one_chunk_are_not_those_of_another():

@@ -259,10 +259,13 @@ def reseal(path: Path, changes: dict[str, str]) -> None:
     (path / HEADER_NAME).write_text(json.dumps(header))
 
 
-def test_another_backend_is_near(recording):
-    session = replayed(recording, backend="reference")
-    assert len(session.deviations) >= 2
-    assert 0 < max(deviation.distance_mm for deviation in session.deviations) < 0.05 * CELL_MM
+def test_another_backend_is_near(tmp_path):
+    """Until the hand lets go of what it turned: whether corners are then held back depends on the last digits."""
+    recorded(tmp_path / "one.recording", every=5)
+    session = replayed(tmp_path / "one.recording", backend="reference")
+    before = [deviation.distance_mm for deviation in session.deviations if deviation.step <= 180]
+    assert len(before) >= 3
+    assert 0 < max(before) < 0.01 * CELL_MM
 
 
 def test_of_another_case(recording):

