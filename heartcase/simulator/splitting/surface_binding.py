@@ -26,8 +26,8 @@ __all__ = ["Ties", "closest_weights", "tie_cells", "tie_split"]
 
 _INSIDE = 2.0**-9
 """How far inside the tissue a vertex is asked what it belongs to [cells]."""
-_ASIDE = 2.0**-10
-"""How far off towards its triangles [cells]: more than places are rounded by."""
+_ASIDE = 2.0**-9
+"""How far off towards its triangles, and a quarter of that inside [cells]: more than places are rounded by."""
 _PLACES = 2.0**22
 """Vertices whose places are the same when rounded by this are of one lip [1 / cell]."""
 _AROUND: Int64 = np.stack(np.meshgrid(*[[0, -1, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -197,7 +197,8 @@ def tie_split(
     points = split.places + _INSIDE * inward
 
     near = _near_sheets(model, parted, split.places[:old_count])
-    points[near] += _ASIDE * _towards_own_triangles(split, near)
+    aside = _towards_own_triangles(split, near) + 0.25 * inward[near]
+    points[near] = split.places[near] + _ASIDE * aside
     seen = sight.of(points[near], cells_of_ties[near], takes_first=False)
     lost = seen < 0
     nodes = _corners_of(parted, np.where(lost, 0, seen), triangle_nodes[near])
