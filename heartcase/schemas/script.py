@@ -142,5 +142,13 @@ class SimulationScript(Model):
     """What the instruments do."""
     cuts: tuple[CutAction, ...] = ()
     """What blades cut; those of one moment in this order, before hands let go or close."""
+
+    @model_validator(mode="after")
+    def _check_cuts(self) -> SimulationScript:
+        late = [cut.name for cut in self.cuts if cut.time_s >= self.seconds]
+        if late:
+            raise ValueError(f"cuts come after the end: {', '.join(late)}")
+        return self
+
     probes: tuple[ProbeAction, ...] = ()
     """Probes that are led through the tissue."""

@@ -15,14 +15,16 @@ from heartcase.schemas.bundle.lattice import FULL_MOMENTS
 from heartcase.schemas.bundle.reader import OpenBundle, open_bundle
 from heartcase.schemas.errors import BundleError, SimulationError, UsageError
 from heartcase.schemas.geometry import Geometry
+from heartcase.simulator.cutting.tissue_samples import TissueSamples
 from heartcase.simulator.lattice.model import LatticeModel, make_model
 from heartcase.simulator.surface.deform import Curvature, PickingModel, SurfaceModel, make_picking, make_surface
+from heartcase.simulator.surface.tissue_inside import tissue_inside
 
 __all__ = ["Case", "Need", "ScanVolume", "load_case"]
 
-Need = Literal["grid", "surface", "tangents", "colours", "picking", "scan"]
+Need = Literal["grid", "surface", "tangents", "colours", "picking", "tissue", "scan"]
 """Parts of a scene: the lattice (always), the visible surface, its tangents for normal mapping, the colour of its
-triangles, the one-to-one surface, the scan for slices."""
+triangles, the one-to-one surface, where in its cells the tissue lies that blades cut, the scan for slices."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +59,8 @@ class Case:
     """Red, green, blue of each triangle, shape (triangle_count, 3), where they were asked for."""
     picking: PickingModel | None = None
     """The one-to-one surface, where it was asked for."""
+    tissue: TissueSamples | None = None
+    """Where in its cells the tissue lies, by the finest surface, where it was asked for: for blades."""
     scan: ScanVolume | None = None
     """The scan, where it was asked for."""
 
@@ -99,10 +103,16 @@ def load_case(
     if wants_surface:
         bundle.surface_role(level)
     model = _model(bundle)
+    surface = _surface(bundle, model, curvature, level, tangents="tangents" in needs) if wants_surface else None
+    tissue = None
+    if "tissue" in needs:
+        finest = surface if level == 0 else None
+        tissue = tissue_inside(model, finest or _surface(bundle, model, "none", 0, tangents=False))
     return Case(
         manifest=bundle.manifest,
         model=model,
-        surface=_surface(bundle, model, curvature, level, tangents="tangents" in needs) if wants_surface else None,
+        surface=surface,
+        tissue=tissue,
         triangle_colours=_triangle_colours(bundle, level) if "colours" in needs else None,
         picking=make_picking(model, **bundle.arrays(FileRole.PICKING, ("nodes", "triangles")))
         if "picking" in needs

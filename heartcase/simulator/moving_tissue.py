@@ -14,7 +14,7 @@ from heartcase.simulator.cutting.cuts import Cuts, Step, cut_further
 from heartcase.simulator.cutting.rest_space import places_at_rest, refined
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
 from heartcase.simulator.dynamics.joining import join
-from heartcase.simulator.dynamics.step_size import checked_step, own_step_limit
+from heartcase.simulator.dynamics.step_size import checked_step, explicit_rate_limit, own_step_limit
 from heartcase.simulator.engine.backends import Backend, make_engine
 from heartcase.simulator.lattice.explicit_springs import ExplicitSprings
 from heartcase.simulator.lattice.model import LatticeModel
@@ -23,6 +23,7 @@ from heartcase.simulator.splitting.free_parts import cut_picking
 from heartcase.simulator.splitting.split_surface import CuttableSurface, SplitSurface, split_surface
 from heartcase.simulator.surface.deform import DeformedSurface, PickingModel, SurfaceModel
 from heartcase.simulator.surface.shown_surfaces import ShownSurfaces
+from heartcase.simulator.surface.tissue_inside import tissue_inside
 
 __all__ = ["MovingTissue"]
 
@@ -39,6 +40,8 @@ class MovingTissue:
         The lattice.
     surface, picking
         Surfaces that follow it, where they are wanted.
+    tissue
+        Where in its cells the tissue lies that blades cut; inside ``surface`` when left out.
     step_s
         Time step, s; the case's default when left out.
     backend
@@ -58,6 +61,7 @@ class MovingTissue:
         *,
         surface: SurfaceModel | None,
         picking: PickingModel | None,
+        tissue: TissueSamples | None,
         step_s: float | None,
         backend: Backend,
         skips_unmoved: bool,
@@ -66,6 +70,7 @@ class MovingTissue:
         self.surface = self._whole_surface = surface
         self.picking = self._whole_picking = picking
         self.split: SplitSurface | None = None
+        self._tissue = tissue
         self.step_s = checked_step(model, step_s)
         self.backend = backend
         self.cuts: Cuts | None = None
@@ -120,6 +125,7 @@ class MovingTissue:
         rest_mm = poses_mm if at_rest else self.rest_poses_mm(poses_mm, name=name)
         points = blade_points(self.model, rest_mm, name)
         model, cuts, step = cut_further(self.model, self.cuts or self.nothing_cut(), points)
+        self._check_explicit(model, cuts)
         state = step.carried(self.state)
         self._set_model(model, cuts)
         self._engine.load(state)
@@ -150,7 +156,7 @@ class MovingTissue:
         SimulationError
             As of :meth:`cut`.
         """
-        points = refined(blade_points(self.model, poses_mm, name))
+        points = refined(blade_points(self.model, poses_mm, name), name)
         rest = places_at_rest(self.model, self.state.displacement, points)
         rest_mm: Float64 = self.model.geometry.index_to_world(rest - 0.5)
         return rest_mm
@@ -168,8 +174,10 @@ class MovingTissue:
         Raises
         ------
         SimulationError
-            It has not one value for each spring.
+            It has not one value for each spring, or a blade has cut the tissue before.
         """
+        if self.cuts is not None:
+            raise SimulationError("the tissue was cut: cut it by blades only", place="removed")
         self._check_mask(removed, self.model.spring_count)
         self._set_model(self.model.without_springs(removed), self.cuts)
 
@@ -237,17 +245,16 @@ class MovingTissue:
         return self._surfaces.picking_now(self.state)
 
     def nothing_cut(self) -> Cuts:
-        """What a first cut begins with: the lattice before it, and its tissue inside the visible surface at rest.
+        """What a first cut begins with: the lattice before it, and its tissue.
 
-        Where there is no surface, tissue fills its cells.
+        Where that was not given it lies inside the visible surface at rest, and fills its cells where there is none.
         """
         if self.cuts is not None:
             return Cuts(self.cuts.uncut, self.cuts.tissue)
         uncut = replace(self.model, explicit=ExplicitSprings.none())
-        if self._whole_surface is None:
-            return Cuts(uncut, TissueSamples.everywhere())
-        vertices = uncut.geometry.world_to_index(self._whole_surface.rest_mm) + 0.5
-        return Cuts(uncut, TissueSamples.inside(vertices, self._whole_surface.triangles))
+        if self._tissue is None and self._whole_surface is not None:
+            self._tissue = tissue_inside(uncut, self._whole_surface)
+        return Cuts(uncut, self._tissue or TissueSamples.everywhere())
 
     @staticmethod
     def uncut(model: LatticeModel, cuts: Cuts | None) -> LatticeModel:
@@ -257,22 +264,34 @@ class MovingTissue:
     def _carry(self, step: Step) -> None:
         """Let instruments hold on from one lattice to the next."""
 
+    def _check_explicit(self, model: LatticeModel, cuts: Cuts) -> None:
+        """SimulationError where explicit springs are too stiff for what is left of the tissue that they hang on."""
+        rate = model.explicit.rate_bound(model.inverse_mass)
+        if rate > explicit_rate_limit(cuts.uncut, self.step_s):
+            raise SimulationError(
+                "explicit springs hang on so little tissue after this cut that they are too stiff for the time step: "
+                "remove them first, or take a smaller step",
+                place="cut",
+            )
+
     def _set_model(self, model: LatticeModel, cuts: Cuts | None) -> None:
-        """Go on with another model; where it was cut otherwise, the engine starts from rest and without hands."""
-        was_cut, self.model, self.cuts = self.cuts, model, cuts
-        if cuts is was_cut:
+        """Go on with another model; where it was cut otherwise, the engine starts from rest and without hands.
+
+        What raises does so before anything has changed.
+        """
+        if cuts is self.cuts:
             self._engine.set_springs(model)
+            self.model = model
             return
-        step_count = self._engine.step_count
-        self._inverse_mass = model.inverse_mass
-        self._engine = make_engine(model, self.backend)
-        self._engine.step_count = step_count
-        self.surface, self.picking = self._whole_surface, self._whole_picking
-        self.split = None if cuts is None else self._split_of(cuts)
-        if self.split is not None:
-            self.surface = self.split.surface
-        if self.picking is not None and cuts is not None:
-            self.picking = cut_picking(model)
+        split = None if cuts is None else self._split_of(cuts)
+        picking = self._whole_picking
+        if picking is not None and cuts is not None:
+            picking = cut_picking(model)
+        engine = make_engine(model, self.backend)
+        engine.step_count = self._engine.step_count
+        self.model, self.cuts, self.split, self.picking = model, cuts, split, picking
+        self.surface = self._whole_surface if split is None else split.surface
+        self._inverse_mass, self._engine = model.inverse_mass, engine
         self._surfaces = self._make_surfaces()
 
     def _split_of(self, cuts: Cuts) -> SplitSurface | None:

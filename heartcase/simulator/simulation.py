@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +10,7 @@ import numpy.typing as npt
 from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.cutting.cuts import Step
+from heartcase.simulator.cutting.tissue_samples import TissueSamples
 from heartcase.simulator.dynamics.integrate import Energy, Verlet, energy
 from heartcase.simulator.dynamics.measures import inverted_cells
 from heartcase.simulator.dynamics.step_size import checked_step
@@ -48,6 +48,9 @@ class Simulation(MovingTissue):
         The lattice.
     surface, picking
         Surfaces that follow it, where they are wanted.
+    tissue
+        Where in its cells the tissue lies that blades cut (``Case.tissue``). When left out, inside ``surface``; where
+        there is none, it fills its cells.
     step_s
         Time step, s; the case's default when left out.
     damping_per_s
@@ -75,6 +78,7 @@ class Simulation(MovingTissue):
         *,
         surface: SurfaceModel | None = None,
         picking: PickingModel | None = None,
+        tissue: TissueSamples | None = None,
         step_s: float | None = None,
         damping_per_s: float = 10.0,
         gravity_m_s2: Sequence[float] = (0.0, 0.0, 0.0),
@@ -83,7 +87,13 @@ class Simulation(MovingTissue):
         skips_unmoved: bool = True,
     ) -> None:
         super().__init__(
-            model, surface=surface, picking=picking, step_s=step_s, backend=backend, skips_unmoved=skips_unmoved
+            model,
+            surface=surface,
+            picking=picking,
+            tissue=tissue,
+            step_s=step_s,
+            backend=backend,
+            skips_unmoved=skips_unmoved,
         )
         if not 0.0 <= damping_per_s * self.step_s < 1.0:
             message = (
@@ -155,8 +165,10 @@ class Simulation(MovingTissue):
         if len(state.displacement) != model.node_count or not is_same:
             raise SimulationError("this is of another lattice: restore what this simulation gave", place="restore")
         if model is not self.model:
-            # What was cut is no quicker than the lattice was.
-            checked_step(replace(before_cuts, explicit=model.explicit), self.step_s)
+            if point.cuts is None:
+                checked_step(model, self.step_s)
+            else:
+                self._check_explicit(model, point.cuts)
             self._set_model(model, point.cuts)
         instruments = [kept.put_back() for kept in point.instruments]
         self.grabs = [instrument for instrument in instruments if isinstance(instrument, Grab)]

@@ -174,6 +174,18 @@ def test_kernels_find_and_take_for_their_own_what_is_theirs(model, in_banks):
     assert len(np.unique(cells.cell_lane)) == model.cell_count
 
 
+@pytest.mark.parametrize("in_banks", [False, True])
+def test_ghosts_lie_behind_all_nodes(in_banks):
+    """Also where there are more of them than rows."""
+    model = cut_block((60, 6, 6), seed=4, sheet_count=8)
+    layout = lane_layout(model, in_banks=in_banks)
+    assert 5 * len(layout.ghost_start) > len(np.unique(model.node_index[:, 1:], axis=0))
+    assert layout.ghost_start.min() > layout.node_lane.max()
+    assert layout.lane_count > layout.ghost_start.max() + 32
+    if not in_banks:
+        assert layout.lane_count < layout.node_lane.max() + 48 * (len(layout.ghost_start) + 2)
+
+
 def test_a_lattice_without_copies_has_nothing_irregular():
     layout = lane_layout(block(12, 5, 4))
     assert not layout.is_near_copies.any()

@@ -19,7 +19,7 @@ from heartcase.cli.shared.sessions import (
 from heartcase.schemas.recording.reader import open_recording
 from heartcase.simulator.engine.backends import Backend
 from heartcase.simulator.lattice.force_law import LawName
-from heartcase.simulator.load import load_case
+from heartcase.simulator.load import Need, load_case
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.recorder import STATE_EVERY_S, Recorder
 from heartcase.simulator.session.script import load_script, run_script
@@ -71,7 +71,10 @@ def command(
     require_folder(output)
     script = load_script(script_path) if script_path is not None else None
     # The surface says where the default script pulls; nothing else needs it.
-    loaded = with_law(load_case(case, needs=("grid",) if script else ("surface",)), law, poissons_ratio)
+    needs: tuple[Need, ...] = ("grid",) if script else ("surface",)
+    if script is not None and script.cuts:
+        needs = ("grid", "tissue")
+    loaded = with_law(load_case(case, needs=needs), law, poissons_ratio)
     script = completed_script(script, loaded, seconds, step_s)
     session = OperatingSession(simulation_of(loaded, script, backend=backend, sleep_mm=sleep_mm))
     recorder = Recorder(session, output, case=loaded.manifest, state_every_s=state_every_s)

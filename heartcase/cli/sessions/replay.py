@@ -69,8 +69,8 @@ def command(
     _check_options(script_path, let_go, output)
     opened = open_recording(recording, partial=partial)
     script = load_script(script_path) if script_path is not None else None
-    loaded = load_case(case, needs=("grid",))
-    session = load_session(opened, loaded.model, backend=backend)
+    loaded = load_case(case, needs=("grid", "tissue") if opened.header.tissue_sha256 else ("grid",))
+    session = load_session(opened, loaded.model, tissue=loaded.tissue, backend=backend)
     is_same_backend = session.simulation.backend == opened.header.backend
     to_step = _step_at(opened, session, to_s)
     with session_bar("replaying", max(to_step - session.start_step, 1) * session.simulation.step_s) as tell:

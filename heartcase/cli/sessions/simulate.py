@@ -32,7 +32,7 @@ from heartcase.schemas.bundle.format import LEVEL_MAX
 from heartcase.schemas.errors import UsageError
 from heartcase.simulator.engine.backends import Backend
 from heartcase.simulator.lattice.force_law import LawName
-from heartcase.simulator.load import Case, load_case
+from heartcase.simulator.load import Case, Need, load_case
 from heartcase.simulator.session.script import SessionSummary, load_script, run_script
 from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.surface.write_surface import SURFACE_FORMATS, write_surface
@@ -77,7 +77,10 @@ def command(
     _check_names(surface_out, animation, picture)
     script = load_script(script_path) if script_path is not None else None
     curvature = script.curvature if script else "flagged"
-    loaded = load_case(case, needs=("surface", "colours"), curvature=curvature, level=level)
+    needs: tuple[Need, ...] = ("surface", "colours")
+    if script is not None and script.cuts:
+        needs = (*needs, "tissue")
+    loaded = load_case(case, needs=needs, curvature=curvature, level=level)
     loaded = with_law(loaded, law, poissons_ratio)
     script = completed_script(script, loaded, seconds, step_s)
     simulation = simulation_of(loaded, script, backend=backend, sleep_mm=sleep_mm)
@@ -218,7 +221,8 @@ def _lines(case: Case, summary: SessionSummary) -> Iterator[str]:
         f"{summary.displacement_end_mm:.2f} mm at the end"
     )
     for name, force in summary.peak_force_n.items():
-        yield f"Force      {name}: at most {force:.3g} N on {summary.held_node_count[name]:,} nodes"
+        held = f" on {summary.held_node_count[name]:,} nodes" if name in summary.held_node_count else ""
+        yield f"Force      {name}: at most {force:.3g} N{held}"
     if summary.inverted_cell_count_end:
         count = summary.inverted_cell_count_end
         are = "cell is" if count == 1 else "cells are"

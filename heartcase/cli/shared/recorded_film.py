@@ -13,6 +13,7 @@ from heartcase.cli.shared.film import Filmer, Seen, animation_bytes, check_anima
 from heartcase.schemas.arrays import UInt8
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.recording.reader import open_recording
+from heartcase.simulator.cutting.tissue_samples import TissueSamples
 from heartcase.simulator.load import Case, load_case
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.replay import load_session, refuse_deviation
@@ -64,8 +65,9 @@ def animation_of(
     count = round(opened.seconds * frames_per_second) + 1
     if count > FRAMES_MAX:
         raise UsageError(f"{count:,} frames are more than {FRAMES_MAX:,}: give fewer", place="--frames-per-second")
-    loaded = load_case(case, needs=("surface", "colours"), level=level)
-    session = load_session(opened, loaded.model, surface=loaded.surface)
+    loaded = load_case(case, needs=("surface", "colours", "tissue"), level=level)
+    tissue = loaded.tissue if opened.header.tissue_sha256 else TissueSamples.everywhere()
+    session = load_session(opened, loaded.model, surface=loaded.surface, tissue=tissue)
     if suffix == ".glb":
         return _glb(session, loaded, frames_per_second, error_mm)
     return _film(session, loaded, suffix, frames_per_second)
@@ -90,7 +92,7 @@ def _glb(session: OperatingSession, case: Case, frames_per_second: float, error_
     # A cut makes another mesh, which goes on where the one before ends.
     meshes: list[list[tuple[float, Seen]]] = []
     for time_s, seen in _frames(session, case.triangle_colours, frames_per_second):
-        if not meshes or meshes[-1][-1][1].triangles is not seen.triangles:
+        if not meshes or not np.array_equal(meshes[-1][-1][1].triangles, seen.triangles):
             meshes.append([])
         meshes[-1].append((time_s, seen))
     moving = [

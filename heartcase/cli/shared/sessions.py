@@ -112,6 +112,7 @@ def simulation_of(case: Case, script: SimulationScript, *, backend: Backend, sle
     return Simulation(
         case.model,
         surface=case.surface,
+        tissue=case.tissue,
         step_s=script.step_s,
         damping_per_s=script.damping_per_s,
         gravity_m_s2=script.gravity_m_s2,

@@ -10,6 +10,8 @@ __all__ = ["follow_back"]
 
 _CANDIDATES = 8
 """Cells nearest to a place in which it is looked for."""
+_BESIDE = 0.6
+"""How far from its centre along an axis a place still belongs to a cell [edges]."""
 _ROUNDS = 6
 """Of Newton's method."""
 
@@ -34,9 +36,9 @@ def _solve(matrix, gap, local):
 def _local_place(point, centre, nodes, displacement, corners, local):
     """Place in a cell from its centre at rest, and the largest of its components: inside up to one half."""
     local[:] = 0.0
-    matrix, mean = np.empty((3, 3)), np.empty((3, 3))
+    matrix = np.empty((3, 3))
     gap = np.empty(3)
-    for number in range(_ROUNDS):
+    for _ in range(_ROUNDS):
         for axis in range(3):
             gap[axis] = centre[axis] + local[axis] - point[axis]
             for along in range(3):
@@ -54,20 +56,11 @@ def _local_place(point, centre, nodes, displacement, corners, local):
                 matrix[axis, 0] += sx * fy * fz * u
                 matrix[axis, 1] += fx * sy * fz * u
                 matrix[axis, 2] += fx * fy * sz * u
-        if number == 0:
-            mean[:] = matrix
         if not _solve(matrix, gap, local):
             return np.inf
         if max(abs(local[0]), abs(local[1]), abs(local[2])) > 1.0:
-            # Beside the cell its displacements are no guide: its mean deformation is.
-            local[:] = 0.0
-            for axis in range(3):
-                gap[axis] = centre[axis] - point[axis]
-                for corner in range(8):
-                    gap[axis] += displacement[nodes[corner], axis] / 8.0
-            if not _solve(mean, gap, local):
-                return np.inf
-            break
+            # Beside the cell its displacements are no guide.
+            return np.inf
     return max(abs(local[0]), abs(local[1]), abs(local[2]))
 
 
@@ -107,4 +100,15 @@ def follow_back(points, centres, cell_corners, displacement, corners, result):
                 best[:] = centres[cell] + local
             if least <= 0.5:
                 break
-        result[point] = best if least < np.inf else points[point]
+        if least <= _BESIDE:
+            result[point] = best
+            continue
+        # Beside the tissue: as the nearest cells have moved, on average, so that no two places near each other part.
+        total = 0.0
+        best[:] = 0.0
+        for candidate in range(_CANDIDATES):
+            if nearest[candidate] >= 0:
+                weight = 1.0 / (away[candidate] + 1e-6)
+                total += weight
+                best += weight * (now[nearest[candidate]] - centres[nearest[candidate]])
+        result[point] = points[point] - best / total

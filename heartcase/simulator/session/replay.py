@@ -7,6 +7,7 @@ from typing import Any, cast, get_args
 from heartcase.schemas.errors import Problem, RecordingError
 from heartcase.schemas.recording.commands import Cut
 from heartcase.schemas.recording.reader import Recording
+from heartcase.simulator.cutting.tissue_samples import TissueSamples
 from heartcase.simulator.engine.backends import Backend
 from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.lattice.model import LatticeModel
@@ -24,6 +25,7 @@ def load_session(
     *,
     surface: SurfaceModel | None = None,
     picking: PickingModel | None = None,
+    tissue: TissueSamples | None = None,
     backend: Backend | None = None,
     snapshot_every_s: float = SNAPSHOT_EVERY_S,
 ) -> OperatingSession:
@@ -40,6 +42,8 @@ def load_session(
         The lattice of the case that was recorded, under any law: the recording states its own.
     surface, picking
         Surfaces that follow it, where they are wanted.
+    tissue
+        Where in its cells the tissue lies, as it was given to the simulation that was recorded.
     backend
         What steps; the recording's own when left out. Another one does not give the same bytes.
     snapshot_every_s
@@ -72,6 +76,7 @@ def load_session(
         model.with_law(_law_of(recording)),
         surface=surface,
         picking=picking,
+        tissue=tissue,
         step_s=header.step_s,
         damping_per_s=header.damping_per_s,
         gravity_m_s2=header.gravity_m_s2,
@@ -80,10 +85,11 @@ def load_session(
     )
     nothing_cut = simulation.nothing_cut()
     if nothing_cut.tissue.sha256 != header.tissue_sha256 and any(
-        isinstance(entry.command, Cut) for entry in recording.entries
+        isinstance(entry.command, Cut) for entry in recording.entries[: recording.position]
     ):
-        message = "this recording cuts the tissue inside a surface, and another one was given, or none: load the case "
-        raise RecordingError(message + "with needs=('grid', 'surface') at the level that was recorded", place="surface")
+        where = "lies inside the case's surface" if header.tissue_sha256 else "fills its cells"
+        message = f"this recording cuts tissue that {where}, and other tissue was given: load the case with "
+        raise RecordingError(message + "needs=('tissue',) and give Case.tissue, or leave it out", place="tissue")
     states = RecordedStates(recording, simulation.model, nothing_cut, step_s=header.step_s)
     simulation.restore(states.snapshot(0))
     if simulation.step_count != header.start_step:

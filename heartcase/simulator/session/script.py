@@ -255,7 +255,7 @@ def run_script(
     frames = {round(number * step_total / frame_count) for number in range(1, frame_count + 1)}
     actions: list[GrabAction | ProbeAction] = [*script.actions, *script.probes]
     timelines = [_timeline(action, step_s, step_total) for action in actions]
-    cuts = [(round(cut.time_s / step_s), cut) for cut in script.cuts]
+    cuts = [(min(round(cut.time_s / step_s), step_total - 1), cut) for cut in script.cuts]
     stops = sorted(
         frames
         | {stop for timeline in timelines for stop in _stops(timeline, step_total)}

@@ -142,6 +142,9 @@ def test_what_cannot_be_cut_is_refused_and_changes_nothing():
         with pytest.raises(SimulationError, match="blade"):
             simulation.cut(poses)
         assert simulation.model is model
+    far = np.array([[[0.0, 0, 0], [9e4, 0, 0]], [[0, 9e4, 0], [9e4, 9e4, 0]]])
+    with pytest.raises(SimulationError, match="reaches too far"):
+        simulation.cut(far)
     simulation.remove_springs(np.arange(model.spring_count) == 0)
     with pytest.raises(SimulationError, match="springs of this lattice were removed"):
         simulation.cut(across_bar(model))
@@ -156,9 +159,13 @@ def test_a_blade_cuts_what_it_meets(seed, size):
     stretch = np.eye(3) + size * rng.uniform(-0.3, 0.3, (3, 3))
     shift = size * rng.uniform(-5, 5, 3)
     displacement = (model.node_index @ (stretch - np.eye(3)).T + shift).astype(np.float32)
-    places = rng.uniform(-2, 8, (40, 3))
+    places = rng.uniform((0, 0, 0), (6, 5, 4), (40, 3))
     found = places_at_rest(model, displacement, places @ stretch.T + shift)
     np.testing.assert_allclose(found, places, atol=1e-4)
+    # Beside it nothing is torn: neighbours stay neighbours.
+    beside = np.linspace((-3.0, 2, 2), (12.0, 3, 2), 40) + shift
+    back = places_at_rest(model, displacement, beside)
+    assert np.linalg.norm(np.diff(back, axis=0), axis=1).max() < 0.4 + 2.5 * size
     # In a cell that is warped, what its trilinear displacements say.
     displacement += random_field(model, seed % 1000, 0.1 * size)
     inside = rng.uniform(0, 1, (60, 3))
@@ -215,3 +222,39 @@ def test_a_node_goes_over_to_where_most_of_its_tissue_hung(seed):
     carried = step.carried(state)
     assert carried.step_count == 5
     np.testing.assert_array_equal(carried.displacement, state.displacement[step.node_before])
+
+
+def test_a_suture_across_the_lips_is_taken_back_with_its_cut():
+    simulation, _ = moving_bar("cpu")
+    start = simulation.snapshot()
+    simulation.cut(across_bar(simulation.model))
+    index = simulation.model.node_index
+    copy = len(start.model.node_index)
+    original = np.flatnonzero((index[:copy] == index[copy]).all(axis=1))[0]
+    simulation.add_springs([(copy, original)], 0.01)
+    sewn = simulation.snapshot()
+    simulation.step(5)
+    simulation.remove_explicit_springs([True])
+    simulation.restore(sewn)
+    assert simulation.model.explicit.count == 1
+    simulation.restore(start)
+    simulation.restore(sewn)
+    simulation.step(5)
+    with pytest.raises(SimulationError, match="cut it by blades only"):
+        simulation.remove_springs(np.zeros(simulation.model.spring_count, bool))
+
+
+def test_a_surface_that_is_not_closed_refuses_a_cut_and_nothing_changes():
+    from tests.simulator.splitting.surfaces import block as full
+    from tests.simulator.splitting.surfaces import box, hung
+
+    model = full((3, 3, 2))
+    places, triangles = box((6, 6, 4), np.array((3.0, 3.0, 2.0)))
+    simulation = Simulation(model, surface=hung(model, places, triangles[1:]), sleep_mm=0)
+    before = simulation.state.displacement.tobytes()
+    with pytest.raises(SimulationError, match="closed"):
+        simulation.cut(blade_mm(model, [[[1.3, -1, 4], [1.3, -1, 0.5]], [[1.3, 5, 4], [1.3, 5, 0.5]]]))
+    assert simulation.model is model
+    assert simulation.cuts is None
+    simulation.step(3)
+    assert simulation.state.displacement.tobytes() == before

@@ -243,3 +243,39 @@ def test_a_gif_has_its_frames(case_path, recorded):
         picture.seek(number)
         frames.append(np.asarray(picture.convert("RGB")).astype(int))
     assert np.abs(frames[1] - frames[0]).max() > 30
+
+
+def test_a_script_with_cuts_and_a_probe_is_shown_recorded_repeated_and_exported(case_path, script, capsys):
+    """The same cut everywhere, by the case's finest surface, whether it is shown or not."""
+    case = load_case(case_path, needs=("surface", "tissue"))
+    low, high = case.surface.rest_mm.min(axis=0).tolist(), case.surface.rest_mm.max(axis=0).tolist()
+    x, top, deep = low[0] + 0.4 * (high[0] - low[0]), high[2] + 2, low[2] + 0.4 * (high[2] - low[2])
+    poses = [[[x, y, top], [x, y, deep]] for y in (low[1] - 2, high[1] + 2)]
+    probe = [low[0] - 20.0, low[1], high[2]]
+    file = script.parent / "cut.toml"
+    file.write_text(
+        f"{SCRIPT}[[cuts]]\ntime_s = 0.05\nposes_mm = {poses}\n[[probes]]\nposition_mm = {probe}\n"
+        "path = [{ time_s = 0.1, offset_mm = [1.0, 0.0, 0.0] }]\n"
+    )
+    picture = script.parent / "cut.png"
+    surface = script.parent / "cut.ply"
+    arguments = [str(case_path), "--script", str(file)]
+    assert main(["simulate", *arguments, "--picture", str(picture), "--surface", str(surface)]) == 0
+    printed = capsys.readouterr().out
+    nodes = int(printed.split("Lattice")[1].split(" nodes")[0].replace(",", ""))
+    assert nodes > case.model.node_count
+    assert "probe: at most 0 N\n" in printed
+    path = script.parent / "cut.recording"
+    assert main(["record", *arguments, "--out", str(path), "--state-every", "0.05"]) == 0
+    assert main(["replay", str(path), "--case", str(case_path)]) == 0
+    session = load_session(open_recording(path), case.model, tissue=case.tissue)
+    for _ in session.play():
+        pass
+    assert session.simulation.model.node_count == nodes
+    assert session.deviations == []
+    for suffix in (".glb", ".gif"):
+        out = script.parent / f"cut{suffix}"
+        assert main(["export", str(case_path), "--recording", str(path), "--out", str(out)]) == 0
+    glb = pygltflib.GLTF2().load(str(script.parent / "cut.glb"))
+    assert len(glb.meshes) == 2
+    assert sum(1 for _ in glb.nodes) >= 2

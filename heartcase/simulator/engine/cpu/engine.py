@@ -87,6 +87,7 @@ class CpuEngine:
         self.is_touched = np.zeros(layout.window_count, np.int8)
         self._turn = turn_arrays(layout, len(self.cells.window_rows))
         self.probe_impulse: Float64 = np.zeros((0, 6))
+        self._given: Float64 = np.zeros((SHARES, 0, 6))
         before = room[6 * layout.stride :]
         self._sleep = sleep_arrays(model, layout, len(self.cells.window_rows), before)
         layer_count = int(np.ptp(model.node_index[:, 2])) + 1
@@ -166,8 +167,7 @@ class CpuEngine:
             return int(advance(*arguments, ThreadPlace(thread, thread_count, barrier)))
 
         if first_step == 0:
-            self.probe_impulse = np.zeros((len(probes), 6))
-        given = np.zeros((SHARES, len(probes), 6))
+            self._given = np.zeros((SHARES, len(probes), 6))
         constants = tuple(np.float32(number) for number in verlet.numbers)
         still = np.array([*verlet.still, ROUNDING * verlet.kick], np.float32)
         arguments = (
@@ -182,13 +182,14 @@ class CpuEngine:
                 self._rest,
             ),
             CellWork(self._cell_arrays, self._kinds, self._sharing, self._ghosts),
-            InstrumentArrays(self._explicit, probes, self._turn, given),
+            InstrumentArrays(self._explicit, probes, self._turn, self._given),
             StepRow(self.current, step_count, first_step, constants, still),
             self._sleep,
             self._chunks,
         )
         self.current = self._team.run(thread_count, part)
-        self.probe_impulse += given.sum(axis=0)
+        # Each share adds up step by step, wherever the row of steps is divided.
+        self.probe_impulse = self._given.sum(axis=0)
         self.step_count += step_count
 
     def set_springs(self, model: LatticeModel) -> None:

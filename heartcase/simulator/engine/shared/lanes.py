@@ -257,7 +257,8 @@ def lane_layout(model: LatticeModel, *, in_banks: bool = False) -> LaneLayout:
         layout = replace(layout, is_near_copies=is_near[window])
         irregular = irregular_cells(model, layout)
         ghost_blocks = np.full(-(-len(irregular) // GHOST_CELLS), len(_GHOST_ROWS))
-        ghost_start = _run_starts(np.concatenate([block_counts, ghost_blocks]), capacity)[len(block_counts) :]
+        room = capacity if in_banks else capacity + (len(_GHOST_ROWS) + 1) * len(ghost_blocks)
+        ghost_start = _run_starts(np.concatenate([block_counts, ghost_blocks]), room)[len(block_counts) :]
         if len(irregular):
             last = int(ghost_start[-1]) + LANE_COUNT * (len(_GHOST_ROWS) + 1)
             layout = replace(layout, lane_count=last, irregular_cells=irregular, ghost_start=ghost_start)
