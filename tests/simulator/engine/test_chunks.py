@@ -157,7 +157,7 @@ def step_one_chunk(engine: CpuEngine, chunk: int) -> None:
     state += (engine.inverse_mass, engine._rows)
     constants = tuple(np.float32(number) for number in Verlet(0.1).numbers)
     work = CellWork(engine._cell_arrays, engine._kinds, engine._sharing, engine._ghosts)
-    kernel_cpu._step_chunk_with_cells(chunk, state, constants, work, engine._chunks, engine._sleep, 0)
+    kernel_cpu._step_chunk_with_cells(chunk, state, constants, work, engine._chunks, engine._sleep)
 
 
 def test_the_forces_of_one_chunk_are_not_those_of_another():

@@ -67,8 +67,6 @@ class CellArrays(NamedTuple):
     """Whether such cells belong to each window of nodes."""
     touches: Int64
     """Windows of nodes that a window of cells belongs to, -1 for none, shape (count, any)."""
-    signs: Int8
-    """Whether a window was looked after in a step, three steps in turn, shape (3,)."""
 
 
 class SharingArrays(NamedTuple):

@@ -29,7 +29,6 @@ from heartcase.simulator.engine.cpu.kernel import (
     NO_CELLS,
     SHARES,
     SHARING_ELEMENTS,
-    SIGNS,
     VOLUME_TERM,
     advance,
     lane_forces,
@@ -213,7 +212,6 @@ class CpuEngine:
             self.is_flat,
             self.is_touched,
             self.cells.touches,
-            np.zeros(SIGNS, np.int8),
         )
         springs = self.layout.springs_apart(model)
         nodes = np.flatnonzero(np.diff(springs.first))

@@ -80,7 +80,6 @@ __all__ = [
     "NO_CELLS",
     "SHARES",
     "SHARING_ELEMENTS",
-    "SIGNS",
     "VOLUME_TERM",
     "advance",
     "lane_forces",
@@ -94,8 +93,6 @@ LOOK_STEPS = 8
 """Steps between two looks for corners that are about to turn inside out."""
 CHUNKS_PER_ROOM = CELL_NUMBERS // 3
 """Chunks whose forces share an array: it has room for so many numbers a lane."""
-SIGNS = 3
-"""Signs that steps raise in turn: while one is raised, that of the step before is read, and the third is taken back."""
 NO_CELLS, VOLUME_TERM, ELEMENTS, SHARING_ELEMENTS = 0, 1, 2, 3
 """What acts in the cells beside springs and the corner guard."""
 
@@ -108,7 +105,7 @@ def _part(share: int, count: int) -> tuple[int, int]:
 @kernel
 def _look_at_share(share: int, now: Float32, cells: CellArrays, sleep: SleepArrays) -> None:
     """Mark the windows of cells that have a corner to be looked after."""
-    rows, numbers, _, _, is_flat, _, _, _ = cells
+    rows, numbers, _, _, is_flat, _, _ = cells
     awake, counts = sleep.awake_cells, sleep.counts
     first, end = _part(share, counts[1])
     for window in awake[first:end]:
@@ -118,7 +115,7 @@ def _look_at_share(share: int, now: Float32, cells: CellArrays, sleep: SleepArra
 @kernel
 def _mark_touched(cells: CellArrays) -> None:
     """Mark the windows of nodes to which flat cells belong."""
-    rows, _, _, _, is_flat, is_touched, touches, _ = cells
+    rows, _, _, _, is_flat, is_touched, touches = cells
     is_touched[:] = 0
     for window in range(len(rows)):
         if is_flat[window]:
@@ -160,10 +157,10 @@ def _share_strain(thread: int, thread_count: int, rows: Int64, work: CellWork, c
 
 
 @kernel
-def _add_cells(windows: Int64 | Int32, now: Float32, force: Float32, work: CellWork, sign: int) -> None:
-    """Add the forces of some windows of cells to those on the nodes; where one is looked after, a sign is raised."""
+def _add_cells(windows: Int64 | Int32, now: Float32, force: Float32, work: CellWork) -> None:
+    """Add the forces of some windows of cells to those on the nodes."""
     cells, (kind, _, has_guard), sharing, ghosts = work
-    rows, numbers, _, law, is_flat, _, _, signs = cells
+    rows, numbers, _, law, is_flat, _, _ = cells
     for place in range(len(windows)):
         window = np.int64(windows[place])
         if window >= ghosts.first_window:
@@ -179,8 +176,6 @@ def _add_cells(windows: Int64 | Int32, now: Float32, force: Float32, work: CellW
         else:
             needs_guard = is_flat[window] > 0
         is_flat[window] = needs_guard
-        if needs_guard:
-            raise_to(signs, sign, np.int8(1))
         if needs_guard and has_guard:
             guard_of_window(now, numbers, force, law, rows, window)
         if window >= ghosts.first_window:
@@ -224,7 +219,6 @@ def _step_chunk_with_cells(
     work: CellWork,
     chunks: ChunkArrays,
     sleep: SleepArrays,
-    sign: int,
 ) -> None:
     """Move the windows of a chunk, by cells and springs."""
     cells, (kind, has_springs, _), _, _ = work
@@ -236,7 +230,7 @@ def _step_chunk_with_cells(
     for window in awake[first:end]:
         if kind != NO_CELLS or is_touched[window]:
             clear_window(force, rows, window)
-    _add_cells(chunks.cells[chunk, : chunks.cell_counts[chunk]], now, force, work, sign)
+    _add_cells(chunks.cells[chunk, : chunks.cell_counts[chunk]], now, force, work)
     if has_springs:
         for number in range(chunks.before_counts[chunk]):
             tension_of_window(now, window_numbers, tension, rows, np.int64(before[chunk, number]))
@@ -292,7 +286,7 @@ def lane_forces(
         if kind == SHARING_ELEMENTS:
             _stretch(0, 1, displacement, cells, sharing, sleep)
             _share_strain(0, 1, nodes, work, chunks)
-        _add_cells(sleep.awake_cells, displacement, cell_force, work, 0)
+        _add_cells(sleep.awake_cells, displacement, cell_force, work)
         for window in range(rows.shape[0]):
             force_of_window_with_cells(displacement, weight, cell_force, force, rows, window)
     else:
@@ -424,8 +418,6 @@ def advance(
     thread, thread_count, barrier = place
     chunk_count = len(chunks.before_counts)
     works_cells = kind != NO_CELLS or _has_flat(cells)
-    if thread == 0:
-        cells.signs[:] = 0
     # Nobody changes anything before all are there.
     if not wait_at(barrier, thread_count):
         return current
@@ -434,7 +426,6 @@ def advance(
         now = displacement[3 * BANK_LANES * current :]
         later = displacement[3 * BANK_LANES * (1 - current) :]
         row_step = first_step + step_number
-        sign = step_number % SIGNS
         if row_step % ROUSE_STEPS == 0:
             if thread == 0 and rouse(sleep, row_step == 0):
                 share_out(chunks, sleep)
@@ -467,15 +458,11 @@ def advance(
         for chunk in range(thread, chunk_count, thread_count):
             pull_explicitly(chunk, now, velocity, inverse_mass, explicit, constants, chunks)
             if works_cells:
-                _step_chunk_with_cells(chunk, state, constants, work, chunks, sleep, sign)
+                _step_chunk_with_cells(chunk, state, constants, work, chunks, sleep)
             else:
                 _step_chunk(chunk, state, constants, chunks, sleep)
         wait_at(barrier, thread_count)
-        # All threads must see the same sign: it is read between two barriers in which nobody writes it.
-        is_raised = cells.signs[sign] > 0
-        if thread == 0:
-            cells.signs[(sign + 2) % SIGNS] = 0
-        if len(probes) > 0 or (has_guard and kind != NO_CELLS and is_raised):
+        if len(probes) > 0:
             _keep_from_turning(now, later, nodes, work, instruments, row_step, constants[0], sleep, place)
         current = 1 - current
         if is_checked:

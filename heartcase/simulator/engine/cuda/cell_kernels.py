@@ -316,13 +316,11 @@ def advance_with_cells(
         for cell in range(cuda.grid(1), cell_count, cuda.gridsize(1)):
             number = _U(cell)
             kinds = (has_elements, has_guard, has_sharing)
-            if _work_cell(displacement, now, corner_lane, numbers, sharing, cell_force, law, number, *kinds):
-                turn[3][step_number % 2] = 1
+            _work_cell(displacement, now, corner_lane, numbers, sharing, cell_force, law, number, *kinds)
         expected = _U(expected + cuda.gridDim.x)
         wait_at_grid_barrier(arrivals, expected)
-        watches = probes.shape[0] > 0 or turn[3][step_number % 2] > 0
-        if cuda.grid(1) == 0:
-            turn[3][1 - step_number % 2] = 0
+        watches = probes.shape[0] > 0
+        if watches and cuda.grid(1) == 0:
             turn[3][3 - step_number % 2] = 0
         for node in range(cuda.grid(1), node_count, cuda.gridsize(1)):
             row = rows_of(window_rows, node_slot[node])
@@ -336,17 +334,15 @@ def advance_with_cells(
             )
             v = next_velocity(load_four(velocity, lane), f, keep, kick, gravity, limit)
             u = (own[0] + step * v[0], own[1] + step * v[1], own[2] + step * v[2], _O)
-            if probes.shape[0] > 0:
+            if watches:
                 place = load_four(rest, _U(node))
                 u, v = push_out(own, u, v, place, probes, step_number, step, turn, node, node_count)
-            elif watches:
-                turn[0][node] = 0
             store_four(velocity, lane, v[0], v[1], v[2], v[3])
             store_four(displacement, _U(later + lane), u[0], u[1], u[2], _O)
         if watches:
             expected = _U(expected + cuda.gridDim.x)
             wait_at_grid_barrier(arrivals, expected)
-            volume_most = _LOOK if has_guard and (has_elements or law[0] > _O or probes.shape[0] > 0) else _O
+            volume_most = _LOOK if has_guard else _O
             for cell in range(cuda.grid(1), cell_count, cuda.gridsize(1)):
                 where = (displacement, now, later, velocity, corner_lane, corner_node)
                 watch_cell(*where, numbers[_U(cell)], volume_most, turn, step_number, _U(cell))

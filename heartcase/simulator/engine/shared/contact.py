@@ -189,7 +189,7 @@ def _parts(
     """Parts of their movements that nodes may take, and the probe to whose account that goes, from one on."""
     corners = model.cell_corners
     owner_of_cell = near[corners].max(axis=1)
-    looks_after_flat = model.law.has_corner_guard and (model.law.acts_in_cells or has_probes)
+    looks_after_flat = model.law.has_corner_guard and has_probes
     volume_most = LOOK_BELOW if looks_after_flat else 0.0
     part, owner = np.ones(model.node_count), np.zeros(model.node_count, dtype=np.intp)
     is_due = owner_of_cell > 0
