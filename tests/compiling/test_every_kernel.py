@@ -146,6 +146,22 @@ def test_a_cut_parts_the_lattice(case):
     assert not is_inside(cuttable.mesh.vertices, cuttable.mesh.triangles, cuttable.mesh.vertices.min(axis=0) - 1)
 
 
+def test_moving_tissue_is_cut(case):
+    """On the CPU, with ghosts, and a blade that is followed back to rest."""
+    model = case.model.with_law(LAWS["element"])
+    simulation = Simulation(model, surface=case.surface, step_s=1e-4, damping_per_s=100.0)
+    corner = model.rest_positions_mm()[0]
+    hand = simulation.grab(corner, 8.0)
+    simulation.lead(hand, (0.0, 0.0, 1.0))
+    simulation.step(3)
+    x, y, z = model.rest_positions_mm().mean(axis=0)
+    simulation.cut([[(x - 60, y - 9, z - 60), (x + 60, y + 9, z - 60)], [(x - 60, y, z + 60), (x + 60, y, z + 60)]])
+    assert simulation.model.node_count > model.node_count
+    simulation.probe(corner, 6.0)
+    simulation.step(3)
+    assert np.isfinite(simulation.surface_now().vertices_mm).all()
+
+
 def test_an_incision_is_measured(case):
     rest, triangles = case.surface.rest_mm, case.surface.triangles
     tree = triangle_tree(rest, triangles)
