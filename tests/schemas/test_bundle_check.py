@@ -397,3 +397,9 @@ def test_what_is_wrong_is_left_out_and_not_filled_in(golden: CaseCopy) -> None:
         "case.json.simulation.cell_mm",
         "case.json.scan_values",
     }
+
+
+def test_a_label_table_without_labels_is_said(golden: CaseCopy) -> None:
+    golden.manifest["labels"] = {"labels": False}
+    golden.save()
+    assert "case.json.labels.labels" in {problem.place for problem in check_bundle(golden.folder)}

@@ -35,6 +35,8 @@ _LOW_QUANTILE = 0.1
 """Part of the blocks that surely lies in tissue of one kind."""
 _LOW_CHI_SQUARE = {1: 0.015790774093431, 2: 0.210721031315653, 3: 0.584374374155183}
 """That quantile of the chi-square distribution, by degrees of freedom."""
+_INNER_COUNT_MIN = 10_000
+"""Blocks that must remain inside the range of values: the flat ones among fewer say sigma to no better than 3%."""
 _CLAMP_SIGMAS = 4.0
 """Distance from the end of the range, in sigma, below which clamping or a magnitude image changes the noise."""
 
@@ -85,7 +87,7 @@ def estimate_noise(values: Float32) -> NoiseEstimate:
     for _ in range(3):
         margin = _CLAMP_SIGMAS * _finest_sigma(finest[inner], energy[inner])
         within = (mean > floor + margin) & (mean < ceiling - margin)
-        if np.count_nonzero(within) < 0.05 * mean.size:
+        if np.count_nonzero(within) < max(0.05 * mean.size, _INNER_COUNT_MIN):
             break
         inner = within
     low = float(np.quantile(energy[inner], _LOW_QUANTILE))

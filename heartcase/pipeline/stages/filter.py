@@ -17,7 +17,7 @@ def _compute(work: Work) -> Scan:
 
 STAGE = Stage(
     name="filter",
-    version=3,
+    version=4,
     title="smoothing the scan",
     deed="smooth it, keeping edges",
     subject="smoothing the scan",

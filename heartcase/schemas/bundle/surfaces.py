@@ -62,9 +62,8 @@ def _kind_problems(manifest: CaseManifest, surface: Arrays) -> Iterable[Problem]
     labels = stated(manifest, "labels")
     if not isinstance(labels, LabelTable) or not set(names) <= set(surface):
         return
-    if any(
-        not {"value", "role", "wall_of"} <= set(label.__dict__) for label in stated(manifest, "labels.labels") or ()
-    ):
+    entries = stated(manifest, "labels.labels")
+    if entries is None or any(not {"value", "role", "wall_of"} <= set(label.__dict__) for label in entries):
         return
     kinds, void, tissue, is_cut = (surface[name] for name in names)
     wrong = kinds != plain_kinds(void, tissue, is_cut, labels)

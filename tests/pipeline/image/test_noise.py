@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
@@ -21,6 +21,7 @@ def with_noise(values, sigma, seed):
     return (values + np.random.default_rng(seed).normal(0.0, sigma, np.shape(values))).astype(np.float32)
 
 
+@example(sigma=1e-6, level=0.0, shape=(1, 250, 260), seed=209)
 @settings(max_examples=25, deadline=None)
 @given(
     sigma=st.sampled_from([1e-6, 0.3, 30.0, 1e6]),
