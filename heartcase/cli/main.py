@@ -27,7 +27,7 @@ COMMANDS: dict[str, str] = {
     "library": "Build many cases from a folder of recipes.",
     "info": "Say what a scan, a recipe's scan, a case or a recording is.",
     "validate": "Check a case, a recipe, a script or a recording, and list every problem.",
-    "studio": "Paint on a recipe's scan in the browser.",
+    "studio": "Paint on a scan in the browser.",
     "paint": "Paint markers on a recipe's scan, for a viewer to drive.",
     "suggest": "Name the places where one more stroke is worth most.",
     "lock": "Write a recipe with every setting stated.",
