@@ -2,6 +2,7 @@
 
 import json
 import random
+import time
 import tomllib
 
 import numpy as np
@@ -82,9 +83,14 @@ def test_a_stroke_under_way_is_kept_when_its_page_is_gone(recipe):
     with studio(path) as browser:
         with page(browser) as talker:
             talker.ask(do="paint", label="aorta", radius_mm=1.0, points_mm=[middle])
+        # the server notices in its own time
+        for _ in range(100):
+            if len(load_recipe(path).strokes) == 2:
+                break
+            time.sleep(0.1)
+        assert [stroke.label for stroke in load_recipe(path).strokes][1:] == ["aorta"]
         with page(browser) as talker:
             assert talker.opened["undo_count"] == 1
-            assert [stroke.label for stroke in load_recipe(path).strokes][1:] == ["aorta"]
 
 
 def test_a_recipe_that_another_program_changes_is_opened_again(recipe):

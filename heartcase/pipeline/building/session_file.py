@@ -44,6 +44,7 @@ class RecipeSession:
     """Its text as it was written last."""
     copies: set[Path] = field(default_factory=set)
     """Files that :meth:`save_as` has written."""
+    _takes_strokes: bool = False
 
     def save(self) -> int:
         """Write the session's strokes at the end of the recipe; how many they are.
@@ -78,7 +79,11 @@ class RecipeSession:
             raise RecipeError(f"{path.name} is there already and is not replaced: choose another name", place="save_as")
         advice = "write its strokes as [[strokes]] tables instead of strokes = [...]"
         strokes = _strokes_text(self.session.strokes)
-        text = write_with_tables(path, self.opened_text, strokes, place="strokes", advice=advice)
+        text = write_with_tables(
+            path, self.opened_text, strokes, place="strokes", advice=advice, is_checked=self._takes_strokes
+        )
+        # Reading a recipe of many strokes takes long, and what holds some of them holds any.
+        self._takes_strokes |= bool(strokes)
         if path.resolve() == self.path.resolve():
             self.written_text = text
         self.copies.add(path.resolve())
@@ -148,8 +153,12 @@ def open_session(
     return RecipeSession(session, scan, recipe, path, kept, text)
 
 
-def write_with_tables(path: Path, text: str, addition: str, *, place: str, advice: str) -> str:
+def write_with_tables(
+    path: Path, text: str, addition: str, *, place: str, advice: str, is_checked: bool = False
+) -> str:
     """Write a recipe's text with tables added at its end, and return it.
+
+    Where ``is_checked``, such tables are known to go with this text.
 
     Raises
     ------
@@ -159,7 +168,8 @@ def write_with_tables(path: Path, text: str, addition: str, *, place: str, advic
     """
     whole = (text if text.endswith("\n") or not addition else f"{text}\n") + addition
     try:
-        parse_recipe(whole, needs_markers=False)
+        if not is_checked:
+            parse_recipe(whole, needs_markers=False)
     except RecipeError:
         raise RecipeError(f"{place} cannot be added at the end of this recipe: {advice}", place=place) from None
     try:
