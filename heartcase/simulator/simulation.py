@@ -19,10 +19,11 @@ from heartcase.simulator.engine.shared.contact import NO_PROBES, probe_row
 from heartcase.simulator.instruments.grab import Grab, close_grab, pose_of, require_grab
 from heartcase.simulator.instruments.placing import is_point, point_in_lattice
 from heartcase.simulator.instruments.probe import Probe, make_probe
-from heartcase.simulator.instruments.wrench import Wrench, wrench_on
+from heartcase.simulator.instruments.scissors import Scissors
+from heartcase.simulator.instruments.wrench import Instrument, Wrench, wrench_on
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.lattice.state import State
-from heartcase.simulator.moving_tissue import MovingTissue
+from heartcase.simulator.operated_tissue import OperatedTissue
 from heartcase.simulator.snapshot import Snapshot
 from heartcase.simulator.surface.deform import PickingModel, SurfaceModel
 from heartcase.simulator.watchdog import Watch, find_runaway, find_trouble, watch
@@ -36,7 +37,7 @@ SLEEP_HZ = 5.0
 """Slowest swing of tissue that sleeping shall not be seen in, Hz."""
 
 
-class Simulation(MovingTissue):
+class Simulation(OperatedTissue):
     """Tissue in motion.
 
     Lengths are mm in LPS axes, times s, forces N. A frame is: lead the hands with :meth:`lead`, take steps with
@@ -107,6 +108,7 @@ class Simulation(MovingTissue):
         self.sleep_mm = float(sleep_mm)
         self.grabs: list[Grab] = []
         self.probes: list[Probe] = []
+        self.open_scissors: list[Scissors] = []
         units = model.units
         gravity = np.asarray(gravity_m_s2) @ model.geometry.direction_matrix / units.acceleration_m_s2
         step = self.step_s / units.time_s
@@ -120,9 +122,9 @@ class Simulation(MovingTissue):
         )
 
     @property
-    def instruments(self) -> tuple[Grab | Probe, ...]:
-        """Hands that hold, then probes."""
-        return (*self.grabs, *self.probes)
+    def instruments(self) -> tuple[Instrument, ...]:
+        """Hands, forceps and retractors that hold, then probes, then scissors."""
+        return (*self.grabs, *self.probes, *self.open_scissors)
 
     @property
     def time_s(self) -> float:
@@ -173,6 +175,7 @@ class Simulation(MovingTissue):
         instruments = [kept.put_back() for kept in point.instruments]
         self.grabs = [instrument for instrument in instruments if isinstance(instrument, Grab)]
         self.probes = [instrument for instrument in instruments if isinstance(instrument, Probe)]
+        self.open_scissors = [instrument for instrument in instruments if isinstance(instrument, Scissors)]
         self._engine.load(state)
         self._hold()
         self._state = None
@@ -190,22 +193,22 @@ class Simulation(MovingTissue):
         if step_count == 0:
             return
         before = self.state
-        velocities = []
-        for grab in self.grabs:
-            start, end = grab.displacement_at(grab.pose), grab.displacement_at(grab.target)
-            velocities.append((end - start) / (step_count * self.verlet.step))
-            self._place(grab, start, velocities[-1])
+        duration = step_count * self.verlet.step
+        led = []
+        for start, end in [grab.way(self._engine.forces, duration) for grab in self.grabs]:
+            led.append((end, (end - start) / duration))
+            self._place(self.grabs[len(led) - 1], start, led[-1][1])
         rows = [probe.row(step_count) for probe in self.probes]
         self._engine.advance(step_count, self.verlet, np.stack(rows) if rows else NO_PROBES)
         for probe, impulse in zip(self.probes, self._engine.probe_impulse if rows else (), strict=True):
-            probe.wrench = -impulse / (step_count * self.verlet.step)
-        for grab, velocity in zip(self.grabs, velocities, strict=True):
-            self._place(grab, grab.displacement_at(grab.target), velocity)
+            probe.wrench = -impulse / duration
+        for grab, (end, velocity) in zip(self.grabs, led, strict=True):
+            self._place(grab, end, velocity)
         self._state = None
-        is_fed = bool(self.probes) or any(velocity.any() for velocity in velocities)
+        is_fed = bool(self.probes) or any(velocity.any() for _, velocity in led)
         self._watch(before, is_fed)
         for grab in self.grabs:
-            grab.pose = grab.target
+            grab.arrive()
         for probe in self.probes:
             probe.centre = probe.target
 
@@ -326,7 +329,7 @@ class Simulation(MovingTissue):
         if probe in self.probes:
             self.probes.remove(probe)
 
-    def force_on(self, hand: Grab | Probe) -> Float64:
+    def force_on(self, hand: Instrument) -> Float64:
         """Force that the tissue exerts on a hand, N, LPS axes, shape (3,).
 
         What a user feels: a hand that pulls to the left is pulled to the right. On a grab: of springs and cells on what
@@ -335,7 +338,7 @@ class Simulation(MovingTissue):
         """
         return self.wrench_on(hand).force_n
 
-    def wrench_on(self, hand: Grab | Probe) -> Wrench:
+    def wrench_on(self, hand: Instrument) -> Wrench:
         """Force that the tissue exerts on a hand, as of :meth:`force_on`, and its torque about the hand's centre."""
         if hand not in self.instruments:
             return Wrench(np.zeros(3), np.zeros(3))
@@ -364,8 +367,8 @@ class Simulation(MovingTissue):
 
     def _carry(self, step: Step) -> None:
         for grab in self.grabs:
-            grab.nodes, place = step.held(grab.nodes)
-            grab.closed_at, grab.arms = grab.closed_at[place], grab.arms[place]
+            grab.carry(*step.held(grab.nodes))
+            grab.keep_side(self.model, self._sheet_triangles())
         self._hold()
 
     def _hold(self) -> None:
@@ -384,7 +387,7 @@ class Simulation(MovingTissue):
         self._engine.load(before)
         self._state = None
         for grab in self.grabs:
-            grab.target = grab.pose
+            grab.stay()
         for probe in self.probes:
             probe.target = probe.centre
             probe.wrench = np.zeros(6)

@@ -7,8 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from heartcase.simulator.cutting.cuts import Cuts
-from heartcase.simulator.instruments.grab import Grab
-from heartcase.simulator.instruments.probe import Probe
+from heartcase.simulator.instruments.wrench import Instrument
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.lattice.state import State
 
@@ -19,17 +18,17 @@ __all__ = ["KeptInstrument", "Snapshot"]
 class KeptInstrument:
     """An instrument, and how it was at a moment."""
 
-    instrument: Grab | Probe
+    instrument: Instrument
     """The one that programs hold on to."""
-    then: Grab | Probe
+    then: Instrument
     """What it held and where it was: a copy."""
 
     @classmethod
-    def of(cls, instrument: Grab | Probe) -> KeptInstrument:
+    def of(cls, instrument: Instrument) -> KeptInstrument:
         """An instrument as it is now."""
         return cls(instrument, copy.copy(instrument))
 
-    def put_back(self) -> Grab | Probe:
+    def put_back(self) -> Instrument:
         """Make the instrument what it was; returns it."""
         vars(self.instrument).update(vars(self.then))
         return self.instrument
@@ -50,7 +49,7 @@ class Snapshot:
 
     @classmethod
     def of(
-        cls, model: LatticeModel, state: State, instruments: Iterable[Grab | Probe], cuts: Cuts | None = None
+        cls, model: LatticeModel, state: State, instruments: Iterable[Instrument], cuts: Cuts | None = None
     ) -> Snapshot:
         """The moment now: ``model``, ``state`` and ``cuts`` of a simulation, and the ``instruments`` in it."""
         return cls(model, state, tuple(KeptInstrument.of(instrument) for instrument in instruments), cuts)

@@ -72,7 +72,7 @@ def command(
     script = load_script(script_path) if script_path is not None else None
     # The surface says where the default script pulls; nothing else needs it.
     needs: tuple[Need, ...] = ("grid",) if script else ("surface",)
-    if script is not None and script.cuts:
+    if script is not None and (script.cuts or script.scissors):
         needs = ("grid", "tissue")
     loaded = with_law(load_case(case, needs=needs), law, poissons_ratio)
     script = completed_script(script, loaded, seconds, step_s)

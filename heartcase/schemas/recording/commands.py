@@ -12,13 +12,25 @@ from pydantic import Field, TypeAdapter, ValidationError, model_validator
 
 from heartcase.schemas.base import BladePoses, Model, Name, PointMm, PositiveMm
 from heartcase.schemas.errors import RecordingError, problems_from_validation
+from heartcase.schemas.recording.tool_commands import (
+    BringScissors,
+    CloseForceps,
+    CloseRetractor,
+    PlaceScissors,
+    Snip,
+    SqueezeForceps,
+    WithdrawScissors,
+)
 
 __all__ = [
     "COMMANDS_VERSION",
     "AddSprings",
     "Advance",
     "BringProbe",
+    "BringScissors",
+    "CloseForceps",
     "CloseGrab",
+    "CloseRetractor",
     "Command",
     "Cut",
     "Entry",
@@ -28,11 +40,15 @@ __all__ = [
     "Mark",
     "MoveProbe",
     "OpenGrab",
+    "PlaceScissors",
     "Redo",
     "RemoveSprings",
     "Rewind",
+    "Snip",
+    "SqueezeForceps",
     "Undo",
     "WithdrawProbe",
+    "WithdrawScissors",
     "parse_command",
 ]
 
@@ -225,9 +241,11 @@ class GoTo(Model):
     """The step, as frames count it."""
 
 
-Act = CloseGrab | OpenGrab | BringProbe | WithdrawProbe | AddSprings | RemoveSprings | Cut
+ToolAct = CloseForceps | CloseRetractor | BringScissors | Snip | WithdrawScissors
+ToolMotion = SqueezeForceps | PlaceScissors
+Act = CloseGrab | OpenGrab | BringProbe | WithdrawProbe | AddSprings | RemoveSprings | Cut | ToolAct
 """What :class:`Undo` takes back."""
-Motion = LeadGrab | MoveProbe | Halt | Mark | Advance
+Motion = LeadGrab | MoveProbe | Halt | Mark | Advance | ToolMotion
 Done = Act | Motion
 """What stands in the history of a session."""
 Navigation = Undo | Redo | Rewind | GoTo
