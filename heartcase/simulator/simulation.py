@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -22,9 +23,9 @@ from heartcase.simulator.instruments.probe import Probe, make_probe
 from heartcase.simulator.instruments.wrench import Wrench, wrench_on
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.lattice.state import State
-from heartcase.simulator.moving_tissue import MovingTissue
-from heartcase.simulator.snapshot import Snapshot
+from heartcase.simulator.snapshot import KeptInstrument, Snapshot
 from heartcase.simulator.surface.deform import PickingModel, SurfaceModel
+from heartcase.simulator.sutured_tissue import SuturedTissue
 from heartcase.simulator.watchdog import Watch, find_runaway, find_trouble, watch
 
 __all__ = ["SLEEP_MM", "Simulation"]
@@ -36,7 +37,7 @@ SLEEP_HZ = 5.0
 """Slowest swing of tissue that sleeping shall not be seen in, Hz."""
 
 
-class Simulation(MovingTissue):
+class Simulation(SuturedTissue):
     """Tissue in motion.
 
     Lengths are mm in LPS axes, times s, forces N. A frame is: lead the hands with :meth:`lead`, take steps with
@@ -107,6 +108,7 @@ class Simulation(MovingTissue):
         self.sleep_mm = float(sleep_mm)
         self.grabs: list[Grab] = []
         self.probes: list[Probe] = []
+        self.stitches = []
         units = model.units
         gravity = np.asarray(gravity_m_s2) @ model.geometry.direction_matrix / units.acceleration_m_s2
         step = self.step_s / units.time_s
@@ -139,17 +141,18 @@ class Simulation(MovingTissue):
         self._surfaces.prepare()
 
     def snapshot(self) -> Snapshot:
-        """What :meth:`restore` goes back to: the state, what was cut and joined by now, and the instruments.
+        """What :meth:`restore` goes back to: the state, what was cut, joined and sewn by now, and the instruments.
 
         It copies nothing twice.
         """
-        return Snapshot.of(self.model, self.state, self.instruments, self.cuts)
+        return Snapshot.of(self.model, self.state, self.instruments, self.cuts, self.stitches)
 
     def restore(self, point: State | Snapshot) -> None:
         """Go back, or on, to a snapshot: what follows gives the same bytes as it gave then.
 
         Instruments of that moment hold what they held, where they were, and go on to where they were led; others let
-        go and are withdrawn. To a state alone: springs stay as they are now, and all instruments let go.
+        go and are withdrawn. Stitches are those of that moment, too. To a state alone: springs and stitches stay as
+        they are now, and all instruments let go.
 
         Raises
         ------
@@ -158,7 +161,8 @@ class Simulation(MovingTissue):
             changed.
         """
         if not isinstance(point, Snapshot):
-            point = Snapshot(self.model, point, cuts=self.cuts)
+            kept = tuple(KeptInstrument.of(stitch) for stitch in self.stitches)
+            point = Snapshot(self.model, point, cuts=self.cuts, stitches=kept)
         model, state = point.model, point.state
         before_cuts = self.uncut(model, point.cuts)
         is_same = before_cuts.is_of_lattice(self.uncut(self.model, self.cuts))
@@ -173,6 +177,8 @@ class Simulation(MovingTissue):
         instruments = [kept.put_back() for kept in point.instruments]
         self.grabs = [instrument for instrument in instruments if isinstance(instrument, Grab)]
         self.probes = [instrument for instrument in instruments if isinstance(instrument, Probe)]
+        self.stitches = [stitch.put_back() for stitch in point.stitches]
+        self._string()
         self._engine.load(state)
         self._hold()
         self._state = None
@@ -195,6 +201,9 @@ class Simulation(MovingTissue):
             start, end = grab.displacement_at(grab.pose), grab.displacement_at(grab.target)
             velocities.append((end - start) / (step_count * self.verlet.step))
             self._place(grab, start, velocities[-1])
+        is_drawn = self._is_drawn
+        if is_drawn:
+            self._string(step_count)
         rows = [probe.row(step_count) for probe in self.probes]
         self._engine.advance(step_count, self.verlet, np.stack(rows) if rows else NO_PROBES)
         for probe, impulse in zip(self.probes, self._engine.probe_impulse if rows else (), strict=True):
@@ -202,8 +211,11 @@ class Simulation(MovingTissue):
         for grab, velocity in zip(self.grabs, velocities, strict=True):
             self._place(grab, grab.displacement_at(grab.target), velocity)
         self._state = None
-        is_fed = bool(self.probes) or any(velocity.any() for velocity in velocities)
+        is_fed = bool(self.probes) or is_drawn or any(velocity.any() for velocity in velocities)
         self._watch(before, is_fed)
+        if is_drawn:
+            self._drawn()
+            self._string()
         for grab in self.grabs:
             grab.pose = grab.target
         for probe in self.probes:
@@ -342,11 +354,13 @@ class Simulation(MovingTissue):
         return wrench_on(self.model, hand, self._engine.forces)
 
     def energy(self) -> Energy:
-        """Kinetic and elastic energy now, J."""
+        """Kinetic and elastic energy now, J; threads are elastic, too."""
         masses = self._inverse_mass.copy()
         for grab in self.grabs:
             masses[grab.nodes] = 0
-        return energy(self.model, self.verlet, self.state, force=self._engine.forces(), inverse_mass=masses)
+        threads_j = self._strung().energy(self.state.displacement) * self.model.units.energy_j
+        now = energy(self.model, self.verlet, self.state, force=self._engine.forces(), inverse_mass=masses)
+        return replace(now, elastic_j=now.elastic_j + threads_j)
 
     def watch(self) -> Watch:
         """Cells that are inside out and nodes that are held back, now."""
@@ -367,6 +381,7 @@ class Simulation(MovingTissue):
             grab.nodes, place = step.held(grab.nodes)
             grab.closed_at, grab.arms = grab.closed_at[place], grab.arms[place]
         self._hold()
+        self._rethread()
 
     def _hold(self) -> None:
         masses = self._inverse_mass.copy()
@@ -377,7 +392,7 @@ class Simulation(MovingTissue):
     def _watch(self, before: State, is_fed: bool) -> None:
         trouble = find_trouble(self.state)
         if trouble is None and not is_fed:
-            trouble = find_runaway(self.model, self.verlet, before, self.state)
+            trouble = find_runaway(self.model, self.verlet, before, self.state, self._strung())
         if trouble is None:
             return
         ended_s = self.time_s
@@ -388,6 +403,7 @@ class Simulation(MovingTissue):
         for probe in self.probes:
             probe.target = probe.centre
             probe.wrench = np.zeros(6)
+        self._stay()
         holders = " and ".join(instrument.name for instrument in self.instruments)
         raise SimulationError(
             f"the simulation broke down between {self.time_s:.4f} s and {ended_s:.4f} s: {trouble}"

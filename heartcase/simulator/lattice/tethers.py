@@ -132,8 +132,8 @@ class Tethers:
 
     def shapes(self) -> Float32:
         """What kernels read of each: offset, stiffness, length, most tension and both paces, shape (count, 8)."""
-        rows = [self.offset.T, self.stiffness, self.length, self.tension_most, self.pace.T]
-        return np.vstack([np.atleast_2d(row) for row in rows]).T.astype(np.float32).reshape(self.count, 8)
+        columns = np.stack([self.stiffness.astype(np.float64), self.length, self.tension_most], axis=1)
+        return np.concatenate([self.offset, columns, self.pace], axis=1).astype(np.float32)
 
 
 @dataclass(frozen=True)

@@ -270,7 +270,13 @@ class CudaEngine:
     def _advance_with_cells(self, step_count: int, constants: Any, probes: Float32) -> None:
         kernel = self._cells.kernels.advance_with_cells
         rest = self._rest if len(probes) else self._nothing
-        hands = (*self._explicit, self._tethers, self._row_step, rest, self._on_device_probes(probes) if len(probes) else self._no_probes)
+        hands = (
+            *self._explicit,
+            self._tethers,
+            self._row_step,
+            rest,
+            self._on_device_probes(probes) if len(probes) else self._no_probes,
+        )
         turn = self._cells.turn(len(probes))
 
         def start(count: int, threads: tuple[int, int]) -> None:
