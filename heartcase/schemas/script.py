@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 
 from heartcase.schemas.base import BladePoses, Model, Name, PointMm, PositiveMm
 from heartcase.schemas.migrate import SCRIPT
+from heartcase.schemas.suture_actions import StitchAction
 
 __all__ = ["CutAction", "GrabAction", "ProbeAction", "SimulationScript", "Waypoint"]
 
@@ -152,3 +153,15 @@ class SimulationScript(Model):
 
     probes: tuple[ProbeAction, ...] = ()
     """Probes that are led through the tissue."""
+    stitches: tuple[StitchAction, ...] = ()
+    """Stitches, in the order in which those of one moment are placed: after cuts, and before hands let go or close."""
+
+    @model_validator(mode="after")
+    def _check_stitches(self) -> SimulationScript:
+        late = [stitch.name for stitch in self.stitches if stitch.time_s >= self.seconds]
+        if late:
+            raise ValueError(f"stitches come after the end: {', '.join(late)}")
+        names = [stitch.name for stitch in self.stitches]
+        if len(set(names)) < len(names):
+            raise ValueError("two stitches have one name: name each by itself")
+        return self

@@ -204,9 +204,9 @@ class SuturedTissue(MovingTissue):
             name=stitch.name,
             is_tied=stitch.is_tied,
             places_mm=model.geometry.index_to_world(ends - 0.5),
-            force_n=tension * model.units.force_n,
-            length_mm=length * model.cell_mm,
-            distance_mm=distance * model.cell_mm,
+            force_n=float(tension * model.units.force_n),
+            length_mm=float(length * model.cell_mm),
+            distance_mm=float(distance * model.cell_mm),
         )
 
     def _made(self, places: tuple[Place, Place], name: str) -> Stitch:
@@ -248,6 +248,12 @@ class SuturedTissue(MovingTissue):
         """All threads are where they were drawn to."""
         for stitch in self.stitches:
             stitch.length, stitch.tension_most = stitch.length_target, stitch.tension_target
+
+    def draw_part_of_the_way(self, share: float) -> None:
+        """Draw each thread so far towards where it is drawn; 0 for not at all."""
+        for stitch in self.stitches:
+            stitch.length_target = stitch.length + share * (stitch.length_target - stitch.length)
+            stitch.tension_target = stitch.tension_most + share * (stitch.tension_target - stitch.tension_most)
 
     def _stay(self) -> None:
         """All threads stay as they are, wherever they were drawn to."""

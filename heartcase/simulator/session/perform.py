@@ -18,12 +18,16 @@ from heartcase.schemas.recording.commands import (
     CloseGrab,
     Cut,
     Done,
+    DrawStitch,
     Halt,
     LeadGrab,
     Mark,
     MoveProbe,
     OpenGrab,
+    PlaceStitch,
     RemoveSprings,
+    TakeOutStitch,
+    TieStitch,
     WithdrawProbe,
 )
 from heartcase.simulator.cutting.blade_sheet import blade_points
@@ -32,6 +36,7 @@ from heartcase.simulator.dynamics.joining import join
 from heartcase.simulator.instruments.grab import Grab, Pose
 from heartcase.simulator.instruments.probe import Probe
 from heartcase.simulator.lattice.model import LatticeModel
+from heartcase.simulator.session.perform_sutures import perform_suture, resolved_suture
 from heartcase.simulator.simulation import Simulation
 
 __all__ = ["changed_lattice", "instrument_named", "perform", "resolved"]
@@ -51,7 +56,7 @@ def resolved(simulation: Simulation, command: Done) -> Done:
     if isinstance(command, Cut) and not command.at_rest:
         poses = simulation.rest_poses_mm(command.poses_mm, name=command.name)
         return command.model_copy(update={"poses_mm": _as_tuples(poses), "at_rest": True})
-    return command
+    return resolved_suture(simulation, command)
 
 
 def perform(simulation: Simulation, command: Done) -> None:
@@ -85,6 +90,8 @@ def perform(simulation: Simulation, command: Done) -> None:
             simulation.remove_explicit_springs(_chosen(simulation.model, command))
         case Cut():
             simulation.cut(command.poses_mm, at_rest=command.at_rest, name=command.name)
+        case PlaceStitch() | DrawStitch() | TieStitch() | TakeOutStitch():
+            perform_suture(simulation, command)
         case Advance():
             _go_part_of_the_way(simulation, command.steps / (command.of or command.steps))
             simulation.step(command.steps)
@@ -170,6 +177,7 @@ def _go_part_of_the_way(simulation: Simulation, share: float) -> None:
         grab.target = Pose(between(pose.offset, target.offset), between(pose.turn, target.turn))
     for probe in simulation.probes:
         probe.target = between(probe.centre, probe.target)
+    simulation.draw_part_of_the_way(share)
 
 
 def _as_tuples(poses: Float64) -> tuple[tuple[tuple[float, float, float], ...], ...]:

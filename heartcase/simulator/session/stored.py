@@ -24,6 +24,7 @@ from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.lattice.state import PreciseState, State
 from heartcase.simulator.session.operating_session import Deviation
 from heartcase.simulator.session.perform import changed_lattice
+from heartcase.simulator.session.stored_stitches import stitch_arrays, stitches_from
 from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.snapshot import KeptInstrument, Snapshot
 
@@ -52,7 +53,7 @@ def lattice_sha256(model: LatticeModel) -> str:
 
 
 def snapshot_bytes(snapshot: Snapshot) -> bytes:
-    """State and instruments of a moment as a safetensors file."""
+    """State, instruments and stitches of a moment as a safetensors file."""
     state = snapshot.state
     arrays: Arrays = {"displacement": state.displacement, "velocity": state.velocity}
     if isinstance(state, PreciseState):
@@ -63,7 +64,11 @@ def snapshot_bytes(snapshot: Snapshot) -> bytes:
         instruments.append({"kind": "grab" if isinstance(one, Grab) else "probe", "name": one.name})
         described = _grab_arrays(one) if isinstance(one, Grab) else _probe_arrays(one)
         arrays |= {f"instrument_{number}_{name}": array for name, array in described.items()}
+    stitches = [kept.then for kept in snapshot.stitches]
     told = {"step_count": str(state.step_count), "instruments": json.dumps(instruments)}
+    if stitches:
+        arrays |= stitch_arrays(stitches)
+        told["stitches"] = json.dumps([stitch.name for stitch in stitches])
     content: bytes = save({name: np.ascontiguousarray(array) for name, array in arrays.items()}, told)
     return content
 
@@ -83,9 +88,12 @@ def snapshot_from(content: bytes, model: LatticeModel, cuts: Cuts | None = None)
             _instrument(arrays, number, said, model.node_count)
             for number, said in enumerate(json.loads(told["instruments"]))
         )
+        names = json.loads(told.get("stitches", "[]"))
+        stitches = stitches_from(arrays, names, model, cuts) if names else []
     except (SafetensorError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         raise RecordingError("a stored state does not fit the lattice or is damaged", place="state") from None
-    return Snapshot(model, state, tuple(KeptInstrument.of(instrument) for instrument in instruments), cuts)
+    kept = tuple(KeptInstrument.of(instrument) for instrument in instruments)
+    return Snapshot(model, state, kept, cuts, tuple(KeptInstrument.of(stitch) for stitch in stitches))
 
 
 class RecordedStates:

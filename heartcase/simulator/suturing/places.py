@@ -26,6 +26,7 @@ __all__ = [
     "REACH_MM",
     "Place",
     "PlaceOnSurface",
+    "as_known",
     "cell_of",
     "nearest_on_surface",
     "nodes_and_weights",
@@ -87,6 +88,19 @@ def cell_of(place: Place, cuts: Cuts | None) -> int:
     cells = cells_of_samples(cuts.uncut, cuts.parted, np.array([place.cell]))[0]
     # A sample without tissue of a cell whose tissue has none: its first piece.
     return int(cells[place.sample]) if cells[place.sample] >= 0 else place.cell
+
+
+def as_known(place: Place, uncut: LatticeModel, *, name: str = "stitch") -> Place:
+    """A place that was given as numbers.
+
+    Raises
+    ------
+    SimulationError
+        The lattice has no such cell, or a cell no such sample.
+    """
+    if place.cell >= uncut.cell_count or place.sample >= len(SAMPLE_PLACES):
+        raise SimulationError("this place is in another lattice: give it in mm", place=name)
+    return place
 
 
 def nearest_on_surface(point: npt.ArrayLike, vertices: npt.ArrayLike, triangles: Int32) -> PlaceOnSurface:
@@ -152,11 +166,11 @@ def place_near(
     """
     at = np.asarray(point, dtype=np.float64)
     ask = at if behind is None else np.asarray(behind, dtype=np.float64)
-    corners: Float64 = model.node_index + np.asarray(displacement, dtype=np.float64)
+    corners = model.node_index.astype(np.float64) + np.asarray(displacement, dtype=np.float64)
     middle = corners[model.cell_corners].mean(axis=1)
     away = np.einsum("nx,nx->n", middle - at, middle - at)
     cells = np.argsort(away, kind="stable")[:_CANDIDATES]
-    around: Float64 = corners[model.cell_corners[cells]]
+    around = corners[model.cell_corners[cells]]
     local = _local_places(around, at)
     beside = _at(around, local) - at
     missed = np.linalg.norm(beside, axis=1)
