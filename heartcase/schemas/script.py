@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 
 from heartcase.schemas.base import BladePoses, Model, Name, PointMm, PositiveMm
 from heartcase.schemas.migrate import SCRIPT
+from heartcase.schemas.suture_actions import StitchAction
 from heartcase.schemas.tool_actions import ForcepsAction, RetractorAction, ScissorsAction
 from heartcase.schemas.waypoint import Waypoint, raise_problems, time_problems
 
@@ -138,3 +139,15 @@ class SimulationScript(Model):
     """Retractors that hold a lip of an incision."""
     scissors: tuple[ScissorsAction, ...] = ()
     """Scissors, and what they cut."""
+    stitches: tuple[StitchAction, ...] = ()
+    """Stitches, in the order in which those of one moment are placed: after cuts, and before hands let go or close."""
+
+    @model_validator(mode="after")
+    def _check_stitches(self) -> SimulationScript:
+        late = [stitch.name for stitch in self.stitches if stitch.time_s >= self.seconds]
+        if late:
+            raise ValueError(f"stitches come after the end: {', '.join(late)}")
+        names = [stitch.name for stitch in self.stitches]
+        if len(set(names)) < len(names):
+            raise ValueError("two stitches have one name: name each by itself")
+        return self

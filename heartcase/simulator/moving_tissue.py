@@ -201,7 +201,8 @@ class MovingTissue:
             With everything that is wrong: nodes that there are not, numbers out of range, springs that are too stiff
             for the time step.
         """
-        joined = join(self.model, self.state.displacement, nodes, stiffness_n_m, rest_length_mm, step_s=self.step_s)
+        how = {"step_s": self.step_s, "thread_rate": self._thread_rate()}
+        joined = join(self.model, self.state.displacement, nodes, stiffness_n_m, rest_length_mm, **how)
         self._set_model(joined, self.cuts)
 
     def remove_explicit_springs(self, removed: npt.ArrayLike) -> None:
@@ -263,6 +264,10 @@ class MovingTissue:
 
     def _carry(self, step: Step) -> None:
         """Let instruments hold on from one lattice to the next."""
+
+    def _thread_rate(self) -> float:
+        """What threads that hang on it add to omega^2 at most [1 / unit of time^2]."""
+        return 0.0
 
     def _check_explicit(self, model: LatticeModel, cuts: Cuts) -> None:
         """SimulationError where explicit springs are too stiff for what is left of the tissue that they hang on."""

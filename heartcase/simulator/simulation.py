@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -24,8 +25,9 @@ from heartcase.simulator.instruments.wrench import Instrument, Wrench, wrench_on
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.lattice.state import State
 from heartcase.simulator.operated_tissue import OperatedTissue
-from heartcase.simulator.snapshot import Snapshot
+from heartcase.simulator.snapshot import KeptInstrument, Snapshot
 from heartcase.simulator.surface.deform import PickingModel, SurfaceModel
+from heartcase.simulator.sutured_tissue import SuturedTissue
 from heartcase.simulator.watchdog import Watch, find_runaway, find_trouble, watch
 
 __all__ = ["SLEEP_MM", "Simulation"]
@@ -37,7 +39,7 @@ SLEEP_HZ = 5.0
 """Slowest swing of tissue that sleeping shall not be seen in, Hz."""
 
 
-class Simulation(OperatedTissue):
+class Simulation(SuturedTissue, OperatedTissue):
     """Tissue in motion.
 
     Lengths are mm in LPS axes, times s, forces N. A frame is: lead the hands with :meth:`lead`, take steps with
@@ -109,6 +111,7 @@ class Simulation(OperatedTissue):
         self.grabs: list[Grab] = []
         self.probes: list[Probe] = []
         self.open_scissors: list[Scissors] = []
+        self.stitches = []
         units = model.units
         gravity = np.asarray(gravity_m_s2) @ model.geometry.direction_matrix / units.acceleration_m_s2
         step = self.step_s / units.time_s
@@ -141,17 +144,18 @@ class Simulation(OperatedTissue):
         self._surfaces.prepare()
 
     def snapshot(self) -> Snapshot:
-        """What :meth:`restore` goes back to: the state, what was cut and joined by now, and the instruments.
+        """What :meth:`restore` goes back to: the state, what was cut, joined and sewn by now, and the instruments.
 
         It copies nothing twice.
         """
-        return Snapshot.of(self.model, self.state, self.instruments, self.cuts)
+        return Snapshot.of(self.model, self.state, self.instruments, self.cuts, self.stitches)
 
     def restore(self, point: State | Snapshot) -> None:
         """Go back, or on, to a snapshot: what follows gives the same bytes as it gave then.
 
         Instruments of that moment hold what they held, where they were, and go on to where they were led; others let
-        go and are withdrawn. To a state alone: springs stay as they are now, and all instruments let go.
+        go and are withdrawn. Stitches are those of that moment, too. To a state alone: springs and stitches stay as
+        they are now, and all instruments let go.
 
         Raises
         ------
@@ -160,7 +164,8 @@ class Simulation(OperatedTissue):
             changed.
         """
         if not isinstance(point, Snapshot):
-            point = Snapshot(self.model, point, cuts=self.cuts)
+            kept = tuple(KeptInstrument.of(stitch) for stitch in self.stitches)
+            point = Snapshot(self.model, point, cuts=self.cuts, stitches=kept)
         model, state = point.model, point.state
         before_cuts = self.uncut(model, point.cuts)
         is_same = before_cuts.is_of_lattice(self.uncut(self.model, self.cuts))
@@ -176,6 +181,8 @@ class Simulation(OperatedTissue):
         self.grabs = [instrument for instrument in instruments if isinstance(instrument, Grab)]
         self.probes = [instrument for instrument in instruments if isinstance(instrument, Probe)]
         self.open_scissors = [instrument for instrument in instruments if isinstance(instrument, Scissors)]
+        self.stitches = [stitch.put_back() for stitch in point.stitches]
+        self._string()
         self._engine.load(state)
         self._hold()
         self._state = None
@@ -198,6 +205,9 @@ class Simulation(OperatedTissue):
         for start, end in [grab.way(self._engine.forces, duration) for grab in self.grabs]:
             led.append((end, (end - start) / duration))
             self._place(self.grabs[len(led) - 1], start, led[-1][1])
+        is_drawn = self._is_drawn
+        if is_drawn:
+            self._string(step_count)
         rows = [probe.row(step_count) for probe in self.probes]
         self._engine.advance(step_count, self.verlet, np.stack(rows) if rows else NO_PROBES)
         for probe, impulse in zip(self.probes, self._engine.probe_impulse if rows else (), strict=True):
@@ -205,8 +215,11 @@ class Simulation(OperatedTissue):
         for grab, (end, velocity) in zip(self.grabs, led, strict=True):
             self._place(grab, end, velocity)
         self._state = None
-        is_fed = bool(self.probes) or any(velocity.any() for _, velocity in led)
+        is_fed = bool(self.probes) or is_drawn or any(velocity.any() for _, velocity in led)
         self._watch(before, is_fed)
+        if is_drawn:
+            self._drawn()
+            self._string()
         for grab in self.grabs:
             grab.arrive()
         for probe in self.probes:
@@ -345,11 +358,13 @@ class Simulation(OperatedTissue):
         return wrench_on(self.model, hand, self._engine.forces)
 
     def energy(self) -> Energy:
-        """Kinetic and elastic energy now, J."""
+        """Kinetic and elastic energy now, J; threads are elastic, too."""
         masses = self._inverse_mass.copy()
         for grab in self.grabs:
             masses[grab.nodes] = 0
-        return energy(self.model, self.verlet, self.state, force=self._engine.forces(), inverse_mass=masses)
+        threads_j = self._strung().energy(self.state.displacement) * self.model.units.energy_j
+        now = energy(self.model, self.verlet, self.state, force=self._engine.forces(), inverse_mass=masses)
+        return replace(now, elastic_j=now.elastic_j + threads_j)
 
     def watch(self) -> Watch:
         """Cells that are inside out and nodes that are held back, now."""
@@ -370,6 +385,7 @@ class Simulation(OperatedTissue):
             grab.carry(*step.held(grab.nodes))
             grab.keep_side(self.model, self._sheet_triangles())
         self._hold()
+        self._rethread()
 
     def _hold(self) -> None:
         masses = self._inverse_mass.copy()
@@ -380,7 +396,7 @@ class Simulation(OperatedTissue):
     def _watch(self, before: State, is_fed: bool) -> None:
         trouble = find_trouble(self.state)
         if trouble is None and not is_fed:
-            trouble = find_runaway(self.model, self.verlet, before, self.state)
+            trouble = find_runaway(self.model, self.verlet, before, self.state, self._strung())
         if trouble is None:
             return
         ended_s = self.time_s
@@ -391,6 +407,7 @@ class Simulation(OperatedTissue):
         for probe in self.probes:
             probe.target = probe.centre
             probe.wrench = np.zeros(6)
+        self._stay()
         holders = " and ".join(instrument.name for instrument in self.instruments)
         raise SimulationError(
             f"the simulation broke down between {self.time_s:.4f} s and {ended_s:.4f} s: {trouble}"

@@ -5,30 +5,35 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 from heartcase.simulator.cutting.cuts import Cuts
 from heartcase.simulator.instruments.wrench import Instrument
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.lattice.state import State
+from heartcase.simulator.suturing.stitches import Stitch
 
 __all__ = ["KeptInstrument", "Snapshot"]
 
 
-@dataclass(frozen=True)
-class KeptInstrument:
-    """An instrument, and how it was at a moment."""
+_Kept = TypeVar("_Kept", Instrument, Stitch)
 
-    instrument: Instrument
+
+@dataclass(frozen=True)
+class KeptInstrument(Generic[_Kept]):
+    """An instrument or a stitch, and how it was at a moment."""
+
+    instrument: _Kept
     """The one that programs hold on to."""
-    then: Instrument
+    then: _Kept
     """What it held and where it was: a copy."""
 
     @classmethod
-    def of(cls, instrument: Instrument) -> KeptInstrument:
+    def of(cls, instrument: _Kept) -> KeptInstrument[_Kept]:
         """An instrument as it is now."""
         return cls(instrument, copy.copy(instrument))
 
-    def put_back(self) -> Instrument:
+    def put_back(self) -> _Kept:
         """Make the instrument what it was; returns it."""
         vars(self.instrument).update(vars(self.then))
         return self.instrument
@@ -42,14 +47,22 @@ class Snapshot:
     """The lattice with its springs of that moment."""
     state: State
     """Where its nodes were and how they moved."""
-    instruments: tuple[KeptInstrument, ...] = ()
+    instruments: tuple[KeptInstrument[Instrument], ...] = ()
     """Hands and probes of that moment: what they held, where they were and where they were led."""
     cuts: Cuts | None = None
     """What had been cut; None for nothing."""
+    stitches: tuple[KeptInstrument[Stitch], ...] = ()
+    """Threads that were in the tissue: their places, lengths, and what they were drawn to."""
 
     @classmethod
     def of(
-        cls, model: LatticeModel, state: State, instruments: Iterable[Instrument], cuts: Cuts | None = None
+        cls,
+        model: LatticeModel,
+        state: State,
+        instruments: Iterable[Instrument],
+        cuts: Cuts | None = None,
+        stitches: Iterable[Stitch] = (),
     ) -> Snapshot:
-        """The moment now: ``model``, ``state`` and ``cuts`` of a simulation, and the ``instruments`` in it."""
-        return cls(model, state, tuple(KeptInstrument.of(instrument) for instrument in instruments), cuts)
+        """The moment now: ``model``, ``state``, ``cuts``, ``instruments`` and ``stitches`` of a simulation."""
+        kept = tuple(KeptInstrument[Instrument].of(instrument) for instrument in instruments)
+        return cls(model, state, kept, cuts, tuple(KeptInstrument[Stitch].of(stitch) for stitch in stitches))

@@ -12,6 +12,7 @@ from heartcase.simulator.dynamics.integrate import Verlet
 from heartcase.simulator.dynamics.measures import elastic_energy_of, inverted_cells
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.lattice.state import State
+from heartcase.simulator.lattice.tethers import Tethers
 
 __all__ = ["Watch", "find_runaway", "find_trouble", "watch"]
 
@@ -56,8 +57,12 @@ def find_trouble(state: State) -> str | None:
     return None if is_whole else "a position is not a number any more"
 
 
-def find_runaway(model: LatticeModel, verlet: Verlet, before: State, after: State) -> str | None:
+def find_runaway(
+    model: LatticeModel, verlet: Verlet, before: State, after: State, tethers: Tethers | None = None
+) -> str | None:
     """Whether energy came from nowhere, in words, in steps in which no hand moved and no probe was there.
+
+    ``tethers`` are threads that are there; none was drawn in these steps.
 
     It is looked for only where a node moves at the speed limit, as it will before there is much of it. Gravity may have
     given what it gave.
@@ -67,9 +72,9 @@ def find_runaway(model: LatticeModel, verlet: Verlet, before: State, after: Stat
     mass = model.node_mass[:, None].astype(float)
 
     def energy_of(state: State) -> float:
-        return elastic_energy_of(model, state.displacement) + 0.5 * float(
-            (mass * state.velocity.astype(float) ** 2).sum()
-        )
+        threads = 0.0 if tethers is None else tethers.energy(state.displacement)
+        kinetic = 0.5 * float((mass * state.velocity.astype(float) ** 2).sum())
+        return elastic_energy_of(model, state.displacement) + threads + kinetic
 
     way = after.displacement.astype(float) - before.displacement
     had = energy_of(before) + max(float((mass * way * np.array(verlet.gravity)).sum()), 0.0)

@@ -74,6 +74,8 @@ def command(
     needs: tuple[Need, ...] = ("grid",) if script else ("surface",)
     if script is not None and (script.cuts or script.scissors):
         needs = ("grid", "tissue")
+    if script is not None and script.stitches:
+        needs = ("surface", "tissue")
     loaded = with_law(load_case(case, needs=needs), law, poissons_ratio)
     script = completed_script(script, loaded, seconds, step_s)
     session = OperatingSession(simulation_of(loaded, script, backend=backend, sleep_mm=sleep_mm))

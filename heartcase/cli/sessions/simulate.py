@@ -24,6 +24,7 @@ from heartcase.cli.shared.sessions import (
     session_bar,
     session_options,
     simulation_of,
+    stitch_lines,
     with_law,
 )
 from heartcase.schemas.arrays import UInt8
@@ -78,7 +79,7 @@ def command(
     script = load_script(script_path) if script_path is not None else None
     curvature = script.curvature if script else "flagged"
     needs: tuple[Need, ...] = ("surface", "colours")
-    if script is not None and (script.cuts or script.scissors):
+    if script is not None and (script.cuts or script.scissors or script.stitches):
         needs = (*needs, "tissue")
     loaded = load_case(case, needs=needs, curvature=curvature, level=level)
     loaded = with_law(loaded, law, poissons_ratio)
@@ -223,6 +224,7 @@ def _lines(case: Case, summary: SessionSummary) -> Iterator[str]:
     for name, force in summary.peak_force_n.items():
         held = f" on {summary.held_node_count[name]:,} nodes" if name in summary.held_node_count else ""
         yield f"Force      {name}: at most {force:.3g} N{held}"
+    yield from stitch_lines(summary)
     if summary.inverted_cell_count_end:
         count = summary.inverted_cell_count_end
         are = "cell is" if count == 1 else "cells are"

@@ -17,9 +17,10 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.script import SimulationScript
 from heartcase.simulator.engine.backends import Backend
+from heartcase.simulator.incisions.stitches import MEASURED, beside_measured
 from heartcase.simulator.lattice.force_law import RATIO_MAX, RATIO_MIN, ForceLaw, LawName
 from heartcase.simulator.load import Case
-from heartcase.simulator.session.script import default_script, with_positions
+from heartcase.simulator.session.script import SessionSummary, default_script, with_positions
 from heartcase.simulator.simulation import SLEEP_MM, Simulation
 
 __all__ = [
@@ -119,6 +120,22 @@ def simulation_of(case: Case, script: SimulationScript, *, backend: Backend, sle
         backend=backend,
         sleep_mm=sleep_mm,
     )
+
+
+def stitch_lines(summary: SessionSummary) -> Iterator[str]:
+    """The force in each stitch beside forces that were measured, in plain words."""
+    forces = summary.stitch_end_force_n
+    for (name, force), figures in zip(forces.items(), beside_measured(tuple(forces.values())), strict=True):
+        yield (
+            f"Stitch     {name}: {force:.3g} N, at most {summary.stitch_peak_force_n[name]:.3g} N; "
+            f"{figures.part_of_mean:.0%} of what cuts in at the weakest place"
+        )
+    if forces:
+        measured = next(one for one in MEASURED if one.key == figures.measured)
+        yield (
+            f"Measured   {measured.tissue}: {measured.event} at {measured.mean_n:.3g} +- {measured.deviation_n:.3g} N "
+            f"({measured.source}). None is of a child's heart"
+        )
 
 
 @contextmanager

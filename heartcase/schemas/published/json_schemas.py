@@ -33,7 +33,10 @@ _MADE = "Made from the code by `heartcase schema --out docs/schemas`."
 _REFERENCES = {
     "recipe": ("Every setting of a recipe", f"`docs/recipe.md` says how to use them. {_MADE}"),
     "simulation-script": ("Every setting of a simulation script", f"What hands do in `heartcase simulate`. {_MADE}"),
-    "incision-plans": ("Every setting of a file of incision plans", f"`docs/incisions.md` says what it is for. {_MADE}"),
+    "incision-plans": (
+        "Every setting of a file of incision plans",
+        f"`docs/incisions.md` says what it is for. {_MADE}",
+    ),
 }
 """Name of a format -> title and introduction of its page of tables."""
 

@@ -9,7 +9,7 @@ from heartcase.simulator.cutting.parted_lattice import PartedLattice
 from heartcase.simulator.cutting.piece_kernels import SAMPLE_COUNT
 from heartcase.simulator.lattice.model import LatticeModel
 
-__all__ = ["nodes_before", "nodes_now"]
+__all__ = ["cells_of_samples", "nodes_before", "nodes_now"]
 
 
 def nodes_before(uncut: LatticeModel, before: PartedLattice | None, now: PartedLattice) -> Int32:
@@ -63,13 +63,13 @@ def _overlaps(
 ) -> tuple[Int64, Int64, Int64]:
     """Pairs of a cell now and a cell before in one place, and how many samples they have in common."""
     cells = np.flatnonzero(was_copied[uncut.cell_corners].any(axis=1))
-    new, old = _cell_of_samples(uncut, now, cells), _cell_of_samples(uncut, before, cells)
+    new, old = cells_of_samples(uncut, now, cells), cells_of_samples(uncut, before, cells)
     both = (new >= 0) & (old >= 0)
     keys, size = np.unique(new[both] * before.model.cell_count + old[both], return_counts=True)
     return keys // before.model.cell_count, keys % before.model.cell_count, size
 
 
-def _cell_of_samples(uncut: LatticeModel, parted: PartedLattice, cells: Int64) -> Int64:
+def cells_of_samples(uncut: LatticeModel, parted: PartedLattice, cells: Int64) -> Int64:
     """Cell of a lattice that each sample of some uncut cells lies in, -1 where there is no tissue, (count, SAMPLES^3).
 
     All samples of cells that no sheet came near count as tissue.

@@ -77,16 +77,25 @@ def next_velocity(verlet: Verlet, velocity: Float64, force: Float64, inverse_mas
 
 
 def verlet_step(
-    model: LatticeModel, verlet: Verlet, displacement: Float64, velocity: Float64, inverse_mass: Float64
+    model: LatticeModel,
+    verlet: Verlet,
+    displacement: Float64,
+    velocity: Float64,
+    inverse_mass: Float64,
+    *,
+    more: Float64 | None = None,
 ) -> tuple[Float64, Float64]:
     """One step of the reference; arrays of shape (node_count, 3) and (node_count,), all in grid units.
+
+    ``more``: forces besides those of the lattice, where there are any.
 
     Returns
     -------
     displacement, velocity
         A step later, float64.
     """
-    velocity = next_velocity(verlet, velocity, elastic_forces(model, displacement), inverse_mass)
+    force = elastic_forces(model, displacement)
+    velocity = next_velocity(verlet, velocity, force if more is None else force + more, inverse_mass)
     return displacement + verlet.step * velocity, velocity
 
 

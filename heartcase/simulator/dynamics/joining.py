@@ -24,6 +24,7 @@ def join(
     rest_length_mm: npt.ArrayLike | None,
     *,
     step_s: float,
+    thread_rate: float = 0.0,
 ) -> LatticeModel:
     """The lattice with more explicit springs.
 
@@ -41,6 +42,8 @@ def join(
         Length at rest, mm; the distance now when left out; one number or shape (count,).
     step_s
         Time step, s.
+    thread_rate
+        What threads that hang on it add to omega^2 at most [1 / unit of time^2].
 
     Raises
     ------
@@ -72,7 +75,7 @@ def join(
     unit = model.units.force_n / model.units.length_m
     more = ExplicitSprings(pairs.astype(np.int32), (stiffness / unit).astype(np.float32), rest.astype(np.float32))
     explicit = model.explicit.with_more(more)
-    rate, limit = explicit.rate_bound(model.inverse_mass), explicit_rate_limit(model, step_s)
+    rate, limit = explicit.rate_bound(model.inverse_mass) + thread_rate, explicit_rate_limit(model, step_s)
     if limit == 0.0:
         most = default_step(replace(model, explicit=ExplicitSprings.none()))
         raise SimulationError(

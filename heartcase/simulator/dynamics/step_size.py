@@ -58,14 +58,15 @@ def step_limit(model: LatticeModel) -> float:
     return 2.0 / hypot(_rest_rate(model), _explicit_rate(model))
 
 
-def own_step_limit(model: LatticeModel) -> float:
+def own_step_limit(model: LatticeModel, thread_rate: float = 0.0) -> float:
     """Largest time step that is stable at rest for this very lattice, s: at most 1% below it, and never above.
 
-    Never below :func:`step_limit`; infinite where nothing can move. Ask again after springs were removed.
+    Never below :func:`step_limit` where there are no threads; infinite where nothing can move. Ask again after springs
+    were removed. ``thread_rate`` is what threads add to omega^2 at most [1 / unit of time^2].
     """
-    upper = largest_eigenvalue(model).upper + model.explicit.rate_bound(model.inverse_mass)
+    upper = largest_eigenvalue(model).upper + model.explicit.rate_bound(model.inverse_mass) + thread_rate
     own = 2.0 * model.units.time_s / sqrt(upper) if upper > 0.0 else inf
-    return max(own, step_limit(model))
+    return own if thread_rate else max(own, step_limit(model))
 
 
 def default_step(model: LatticeModel) -> float:

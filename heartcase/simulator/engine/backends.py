@@ -13,6 +13,7 @@ from heartcase.simulator.engine.shared.contact import NO_PROBES, keep_outside
 from heartcase.simulator.forces.reference import elastic_forces
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.lattice.state import PreciseState, State
+from heartcase.simulator.lattice.tethers import Tethers
 
 __all__ = ["Backend", "Engine", "ReferenceEngine", "make_engine"]
 
@@ -54,6 +55,9 @@ class Engine(Protocol):
     def set_springs(self, model: LatticeModel) -> None:
         """Go on with the springs, also the explicit ones, of another model of the same nodes and law."""
 
+    def set_tethers(self, tethers: Tethers) -> None:
+        """Go on with other tethers; in the next row of steps they change at their pace, and stay as they came in."""
+
     def forces(self, nodes: Intp | None = None) -> Float32:
         """Spring forces now, shape (node_count, 3), or on some nodes, shape (len(nodes), 3)."""
 
@@ -86,6 +90,7 @@ class ReferenceEngine:
 
     def __init__(self, model: LatticeModel) -> None:
         self.model = model
+        self.tethers = Tethers.none()
         self.inverse_mass = model.inverse_mass.astype(np.float64)
         self.probe_impulse: Float64 = np.zeros((0, 6))
         self.load(State.at_rest(model.node_count))
@@ -114,7 +119,9 @@ class ReferenceEngine:
         """Take steps."""
         self.probe_impulse = np.zeros((len(probes), 6))
         for step_number in range(step_count):
-            later, velocity = verlet_step(self.model, verlet, self.displacement, self.velocity, self.inverse_mass)
+            more = self.tethers.after(step_number).forces(self.displacement)
+            start = (self.displacement, self.velocity, self.inverse_mass)
+            later, velocity = verlet_step(self.model, verlet, *start, more=more)
             how = (self.model, probes, step_number, verlet.step, self.inverse_mass)
             later, velocity, impulse = keep_outside(*how, self.displacement, later, velocity)
             self.probe_impulse += impulse
@@ -125,7 +132,12 @@ class ReferenceEngine:
         """Go on with the springs, also the explicit ones, of another model of the same nodes."""
         self.model = model
 
+    def set_tethers(self, tethers: Tethers) -> None:
+        """Go on with other tethers."""
+        self.tethers = tethers
+
     def forces(self, nodes: Intp | None = None) -> Float32:
         """Spring forces now, on some nodes or all."""
-        force = elastic_forces(self.model, self.displacement).astype(np.float32)
+        pull = self.tethers.forces(self.displacement)
+        force = (elastic_forces(self.model, self.displacement) + pull).astype(np.float32)
         return force if nodes is None else force[nodes]

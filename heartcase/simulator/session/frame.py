@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import Problem
@@ -16,6 +16,7 @@ from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.lattice.state import State
 from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.surface.deform import DeformedSurface
+from heartcase.simulator.suturing.stitches import StitchState
 
 __all__ = ["Frame", "InstrumentFrame", "Refusal", "TopologyChange", "instrument_frames"]
 
@@ -92,6 +93,8 @@ class Frame:
     """How the lattice changed since the last frame."""
     refused: tuple[Refusal, ...] = ()
     """Commands since the last frame that were not done, and why."""
+    stitches: dict[str, StitchState] = field(default_factory=dict)
+    """Name -> stitch in the tissue: the force in it, where it is, how long."""
     breakdown: str | None = None
     """Why the steps of this frame were not taken, where the watchdog stopped them; the state is that before them."""
 

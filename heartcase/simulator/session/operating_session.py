@@ -220,6 +220,7 @@ class OperatingSession:
             instruments=instrument_frames(simulation),
             topology=changes,
             refused=refused,
+            stitches={stitch.name: simulation.stitch_state(stitch) for stitch in simulation.stitches},
             breakdown=breakdown,
         )
 
@@ -350,7 +351,7 @@ class OperatingSession:
             self._perform(command)
         except SimulationError:
             # A breakdown halts the instruments: a replay must do so too.
-            if isinstance(command, Advance) and self.simulation.instruments:
+            if isinstance(command, Advance) and (self.simulation.instruments or self.simulation.stitches):
                 self._append(step, Halt())
             raise
         if before is not None and self._on_the_way is None:

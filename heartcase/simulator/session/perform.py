@@ -20,13 +20,17 @@ from heartcase.schemas.recording.commands import (
     CloseRetractor,
     Cut,
     Done,
+    DrawStitch,
     Halt,
     LeadGrab,
     Mark,
     MoveProbe,
     OpenGrab,
+    PlaceStitch,
     RemoveSprings,
     Snip,
+    TakeOutStitch,
+    TieStitch,
     WithdrawProbe,
 )
 from heartcase.simulator.cutting.blade_sheet import blade_points
@@ -36,6 +40,7 @@ from heartcase.simulator.instruments.grab import Grab
 from heartcase.simulator.instruments.probe import Probe
 from heartcase.simulator.instruments.wrench import Instrument
 from heartcase.simulator.lattice.model import LatticeModel
+from heartcase.simulator.session.perform_sutures import perform_suture, resolved_suture
 from heartcase.simulator.session.perform_tools import as_poses, perform_tool, resolved_snip
 from heartcase.simulator.simulation import Simulation
 
@@ -58,7 +63,7 @@ def resolved(simulation: Simulation, command: Done) -> Done:
         return command.model_copy(update={"poses_mm": as_poses(poses), "at_rest": True})
     if isinstance(command, Snip):
         return resolved_snip(simulation, command)
-    return command
+    return resolved_suture(simulation, command)
 
 
 def perform(simulation: Simulation, command: Done) -> None:
@@ -92,6 +97,8 @@ def perform(simulation: Simulation, command: Done) -> None:
             simulation.remove_explicit_springs(_chosen(simulation.model, command))
         case Cut():
             simulation.cut(command.poses_mm, at_rest=command.at_rest, name=command.name)
+        case PlaceStitch() | DrawStitch() | TieStitch() | TakeOutStitch():
+            perform_suture(simulation, command)
         case Advance():
             _go_part_of_the_way(simulation, command.steps / (command.of or command.steps))
             simulation.step(command.steps)
@@ -180,3 +187,4 @@ def _go_part_of_the_way(simulation: Simulation, share: float) -> None:
         grab.lead_part(share)
     for probe in simulation.probes:
         probe.target = probe.centre + share * (probe.target - probe.centre)
+    simulation.draw_part_of_the_way(share)

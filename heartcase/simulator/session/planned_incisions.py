@@ -337,8 +337,7 @@ def ranked_by_defect(held: tuple[HeldOpen, ...], *, nearest_least_mm: float) -> 
     """
     names = list(held[0].figures) if held else []
     return {
-        name: ranked([one.figures[name] for one in held], CRITERIA, nearest_least_mm=nearest_least_mm)
-        for name in names
+        name: ranked([one.figures[name] for one in held], CRITERIA, nearest_least_mm=nearest_least_mm) for name in names
     }
 
 

@@ -34,6 +34,7 @@ from heartcase.simulator.instruments.wrench import Instrument
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.perform_tools import withdrawal_of
+from heartcase.simulator.session.script_sutures import Threads
 from heartcase.simulator.session.script_tools import Action, Snips, bringing_in, jaw_gap_mm
 from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.surface.deform import SurfaceModel
@@ -87,6 +88,10 @@ class SessionSummary:
     """Action or probe -> highest force on the hand in any frame, N."""
     held_node_count: dict[str, int]
     """Action -> nodes that it held."""
+    stitch_peak_force_n: dict[str, float]
+    """Stitch -> highest force in it in any frame, N."""
+    stitch_end_force_n: dict[str, float]
+    """Stitch -> force in it at the end, or when it was taken out, N."""
     frame_time_s: tuple[float, ...]
     """Simulated time of each frame, s."""
     frame_energy: tuple[Energy, ...]
@@ -260,9 +265,11 @@ def run_script(
     timelines = [_timeline(action, step_s, step_total) for action in actions]
     cuts = [(min(round(cut.time_s / step_s), step_total - 1), cut) for cut in script.cuts]
     snips = [Snips(one, step_s, step_total) for one in script.scissors]
+    threads = Threads(session, script, step_total)
     stops = sorted(
         frames
         | {stop for one in snips for stop in one.stops}
+        | set(threads.stops())
         | {stop for timeline in timelines for stop in _stops(timeline, step_total)}
         | {step for step, _ in cuts if 0 < step < step_total}
     )
@@ -284,12 +291,15 @@ def run_script(
                 session.do(Cut(name=cut.name, poses_mm=cut.poses_mm, at_rest=cut.at_rest))
         for one in snips:
             one.go_on(session, now)
+        threads.change(now)
         hands.change(now)
         hands.lead(stop)
+        threads.draw(stop)
         session.do(Advance(steps=stop - now))
         now = stop
         if stop in frames:
             hands.feel()
+            threads.feel()
             if simulation.surface is not None:
                 simulation.surface_now()
         wall += time.perf_counter() - started
@@ -318,6 +328,8 @@ def run_script(
         inverted_cell_count_end=simulation.inverted_cell_count(),
         peak_force_n=hands.peak_force_n,
         held_node_count=hands.held_node_count,
+        stitch_peak_force_n=threads.peak_force_n,
+        stitch_end_force_n=threads.end_force_n,
         frame_time_s=tuple(times),
         frame_energy=tuple(energies),
     )

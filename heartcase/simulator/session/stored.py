@@ -25,6 +25,7 @@ from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.lattice.state import PreciseState, State
 from heartcase.simulator.session.operating_session import Deviation
 from heartcase.simulator.session.perform import changed_lattice
+from heartcase.simulator.session.stored_stitches import stitch_arrays, stitches_from
 from heartcase.simulator.session.stored_tools import holding_from, kind_of, scissors_from, tool_arrays
 from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.snapshot import KeptInstrument, Snapshot
@@ -54,7 +55,7 @@ def lattice_sha256(model: LatticeModel) -> str:
 
 
 def snapshot_bytes(snapshot: Snapshot) -> bytes:
-    """State and instruments of a moment as a safetensors file."""
+    """State, instruments and stitches of a moment as a safetensors file."""
     state = snapshot.state
     arrays: Arrays = {"displacement": state.displacement, "velocity": state.velocity}
     if isinstance(state, PreciseState):
@@ -69,7 +70,11 @@ def snapshot_bytes(snapshot: Snapshot) -> bytes:
         elif isinstance(one, Probe):
             described |= _probe_arrays(one)
         arrays |= {f"instrument_{number}_{name}": array for name, array in described.items()}
+    stitches = [kept.then for kept in snapshot.stitches]
     told = {"step_count": str(state.step_count), "instruments": json.dumps(instruments)}
+    if stitches:
+        arrays |= stitch_arrays(stitches)
+        told["stitches"] = json.dumps([stitch.name for stitch in stitches])
     content: bytes = save({name: np.ascontiguousarray(array) for name, array in arrays.items()}, told)
     return content
 
@@ -89,9 +94,12 @@ def snapshot_from(content: bytes, model: LatticeModel, cuts: Cuts | None = None)
             _instrument(arrays, number, said, model.node_count)
             for number, said in enumerate(json.loads(told["instruments"]))
         )
+        names = json.loads(told.get("stitches", "[]"))
+        stitches = stitches_from(arrays, names, model, cuts) if names else []
     except (SafetensorError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         raise RecordingError("a stored state does not fit the lattice or is damaged", place="state") from None
-    return Snapshot(model, state, tuple(KeptInstrument.of(instrument) for instrument in instruments), cuts)
+    kept = tuple(KeptInstrument.of(instrument) for instrument in instruments)
+    return Snapshot(model, state, kept, cuts, tuple(KeptInstrument.of(stitch) for stitch in stitches))
 
 
 class RecordedStates:

@@ -8,6 +8,7 @@ from heartcase.schemas.arrays import Float32, Float64, Int8, Int64
 from heartcase.simulator.engine.cpu.barrier import Barrier
 from heartcase.simulator.engine.cpu.ghosts import GhostArrays
 from heartcase.simulator.engine.cpu.instruments import Constants, ExplicitArrays
+from heartcase.simulator.engine.cpu.tethers import TetherArrays
 from heartcase.simulator.engine.cpu.turning import TurnArrays
 
 __all__ = [
@@ -110,6 +111,8 @@ class InstrumentArrays(NamedTuple):
     """Room for what keeps corners from turning."""
     given: Float64
     """What each probe gave, momentum and its moment, is added to this in shares, shape (SHARES, probe_count, 6)."""
+    tethers: TetherArrays
+    """What stitches pull with."""
 
 
 class StepRow(NamedTuple):

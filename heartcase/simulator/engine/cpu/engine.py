@@ -35,6 +35,7 @@ from heartcase.simulator.engine.cpu.kernel import (
 )
 from heartcase.simulator.engine.cpu.sleep import ROUNDING, sleep_arrays
 from heartcase.simulator.engine.cpu.springs import WINDOW_NUMBERS
+from heartcase.simulator.engine.cpu.tethers import tether_arrays
 from heartcase.simulator.engine.cpu.turning import turn_arrays
 from heartcase.simulator.engine.shared.contact import NO_PROBES
 from heartcase.simulator.engine.shared.lanes import (
@@ -48,6 +49,7 @@ from heartcase.simulator.engine.shared.lanes import (
 )
 from heartcase.simulator.lattice.model import DIRECTIONS, LatticeModel
 from heartcase.simulator.lattice.state import State
+from heartcase.simulator.lattice.tethers import Tethers
 
 __all__ = ["PARALLEL_WINDOWS_MIN", "CpuEngine"]
 
@@ -97,6 +99,7 @@ class CpuEngine:
         self.cell_force = _aligned((room_count, layout.length(3 * CHUNKS_PER_ROOM) if may_act else 0))
         self._means = _aligned((0,)), _aligned((0,))
         self.set_springs(model)
+        self.set_tethers(Tethers.none())
         self.set_inverse_mass(model.inverse_mass)
         self.autotuner = Autotuner()
         self._team = ThreadTeam()
@@ -181,7 +184,7 @@ class CpuEngine:
                 self._rest,
             ),
             CellWork(self._cell_arrays, self._kinds, self._sharing, self._ghosts),
-            InstrumentArrays(self._explicit, probes, self._turn, self._given),
+            InstrumentArrays(self._explicit, probes, self._turn, self._given, self._tethers),
             StepRow(self.current, step_count, first_step, constants, still),
             self._sleep,
             self._chunks,
@@ -229,6 +232,11 @@ class CpuEngine:
         self._springs_apart = springs
         self.model = model
 
+    def set_tethers(self, tethers: Tethers) -> None:
+        """Go on with other tethers."""
+        self._tethers_apart = tethers
+        self._tethers = tether_arrays(self.layout, tethers)
+
     def _sharing_arrays(self, model: LatticeModel) -> SharingArrays:
         """What elements need that share strain."""
         is_sharing = np.zeros(len(self.cells.window_rows), np.int8)
@@ -253,6 +261,9 @@ class CpuEngine:
         force = self.force[self._vectors if nodes is None else self._vectors[nodes]]
         if len(self._springs_apart.other):
             apart = self._springs_apart.forces(self.read().displacement)
+            force += apart if nodes is None else apart[nodes]
+        if self._tethers_apart.count:
+            apart = self._tethers_apart.forces(self.read().displacement)
             force += apart if nodes is None else apart[nodes]
         return force
 

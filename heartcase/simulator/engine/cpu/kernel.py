@@ -70,6 +70,7 @@ from heartcase.simulator.engine.cpu.steps import (
     step_of_windows_with_cells_alone,
     step_of_windows_with_cells_from_both_ends,
 )
+from heartcase.simulator.engine.cpu.tethers import keep_both_ends_awake, pull_by_tethers, stretch_tethers
 from heartcase.simulator.engine.cpu.turning import push_out, shorten, watch_cells
 from heartcase.simulator.engine.cpu.vector_ir import flush_subnormals, restore_subnormals
 from heartcase.simulator.engine.shared.lanes import BANK_LANES, CELL_NUMBERS
@@ -334,7 +335,7 @@ def _keep_from_turning(
 ) -> None:
     """Push nodes out of the probes after a step, and keep corners from turning."""
     cells, kinds, _, ghosts = work
-    _, probes, turn, given = instruments
+    _, probes, turn, given, _ = instruments
     velocity, inverse_mass, rest, rows = nodes.velocity, nodes.inverse_mass, nodes.rest, nodes.rows
     thread, thread_count, barrier = place
     looks_after_flat = kinds[2] and (kinds[0] != NO_CELLS or len(probes) > 0)
@@ -396,7 +397,7 @@ def advance(
     work
         What is done in the cells.
     instruments
-        Explicit springs and probes.
+        Explicit springs, probes and stitches.
     steps
         The steps to take.
     sleep
@@ -413,7 +414,7 @@ def advance(
     """
     displacement, velocity, weight, window_numbers, tension, inverse_mass, rows, rest = nodes
     cells, (kind, _, has_guard), sharing, ghosts = work
-    explicit, probes, turn, _ = instruments
+    explicit, probes, turn, _, tethers = instruments
     current, step_count, first_step, constants, still = steps
     thread, thread_count, barrier = place
     chunk_count = len(chunks.before_counts)
@@ -454,8 +455,12 @@ def advance(
             wait_at(barrier, thread_count)
             _share_strain(thread, thread_count, rows, work, chunks)
             wait_at(barrier, thread_count)
+        if len(tethers.lanes):
+            stretch_tethers(thread, thread_count, now, row_step, tethers)
+            wait_at(barrier, thread_count)
         state = (now, later, velocity, weight, window_numbers, tension, inverse_mass, rows)
         for chunk in range(thread, chunk_count, thread_count):
+            pull_by_tethers(chunk, velocity, inverse_mass, tethers, constants, chunks)
             pull_explicitly(chunk, now, velocity, inverse_mass, explicit, constants, chunks)
             if works_cells:
                 _step_chunk_with_cells(chunk, state, constants, work, chunks, sleep)
@@ -471,8 +476,10 @@ def advance(
                     share, later, velocity, inverse_mass, rows, rest, probes, row_step + 1, sleep, still, turn.is_near
                 )
             wait_at(barrier, thread_count)
-            if thread == 0 and settle(later, now, velocity, rows, cells.touches, sleep):
-                share_out(chunks, sleep)
+            if thread == 0:
+                keep_both_ends_awake(tethers, sleep)
+                if settle(later, now, velocity, rows, cells.touches, sleep):
+                    share_out(chunks, sleep)
             wait_at(barrier, thread_count)
     restore_subnormals(before)
     return current

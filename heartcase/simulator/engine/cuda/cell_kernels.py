@@ -17,6 +17,7 @@ from heartcase.simulator.engine.cuda.intrinsics import load_four, store_four, wa
 from heartcase.simulator.engine.cuda.kernel import (
     force_of_springs,
     next_velocity,
+    pull_by_tethers,
     pull_explicitly,
     rows_of,
     start_meeting,
@@ -250,6 +251,8 @@ def advance_with_cells(
     explicit_lane,
     explicit_offset,
     explicit_stiffness,
+    tethers,
+    row_step,
     rest,
     probes,
     turn,
@@ -284,6 +287,8 @@ def advance_with_cells(
         Whether cells are elements, whether their corners push back, and whether elements share strain.
     step_count
         Steps to take; times six times the number of blocks of threads at most 2**32 - 1.
+    tethers, row_step
+        As of :func:`heartcase.simulator.engine.cuda.kernel.pull_by_tethers`, and steps taken before in this row.
     rest
         Rest positions, i, j, k and one unused, float32, shape (4 * node_count,); read where there are probes.
     probes
@@ -328,6 +333,8 @@ def advance_with_cells(
             own = load_four(displacement, _U(now + lane))
             f = force_of_springs(displacement, now, own, row, weights_of(spring_weight, count, row))
             f = _add_cells(f, cell_force, node_cell, node, node_count, cell_count)
+            if tethers[3].shape[0] > 0:
+                f = pull_by_tethers(f, displacement, now, node, row_step + step_number, tethers)
             begin, end = explicit_first[node], explicit_first[node + 1]
             f = pull_explicitly(
                 f, displacement, now, own, begin, end, explicit_lane, explicit_offset, explicit_stiffness

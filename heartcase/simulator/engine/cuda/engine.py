@@ -23,6 +23,7 @@ from heartcase.simulator.engine.shared.contact import NO_PROBES, moved_on
 from heartcase.simulator.engine.shared.lanes import lane_layout
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.lattice.state import State
+from heartcase.simulator.lattice.tethers import Tethers, TethersByNode
 
 __all__ = ["CudaEngine", "Launch", "plan_launch"]
 
@@ -107,6 +108,7 @@ class CudaEngine:
         self._window_rows = cuda.to_device(layout.window_rows.astype(np.uint32).ravel())
         self._cells = CellsOnDevice(cuda, model, layout)
         self.set_springs(model)
+        self.set_tethers(Tethers.none())
         self._displacement = cuda.to_device(np.zeros(8 * layout.lane_count, np.float32))
         self._velocity = cuda.to_device(np.zeros(4 * layout.lane_count, np.float32))
         self._arrivals = cuda.to_device(np.zeros(1, np.uint32))
@@ -117,9 +119,10 @@ class CudaEngine:
         self._given: _SharedMemory | None = None
         self._constants: dict[Verlet, Any] = {}
         self._current = 0
+        self._row_step = 0
         self.step_count = 0
         self._resident = resident
-        self._plans: dict[bool, tuple[Launch, bool]] = {}
+        self._plans: dict[tuple[bool, bool], tuple[Launch, bool]] = {}
         self._plan_with_cells: tuple[int, int] | None = None
         self._advance(0, self._constants_of(Verlet(0.0)))
         self.set_inverse_mass(model.inverse_mass)
@@ -179,6 +182,7 @@ class CudaEngine:
         """Take steps. They are under way when this returns; whatever reads the state waits for them."""
         constants = self._constants_of(verlet)
         left = step_count
+        self._row_step = 0
         self._cells.clear_given(len(probes))
         if not step_count and (self._cells.may_act or len(probes)):
             # compile it before it is needed in the middle of a scene
@@ -192,6 +196,7 @@ class CudaEngine:
                 self._advance(count, constants)
             self._current = (self._current + count) % 2
             self.step_count += count
+            self._row_step += count
             probes = moved_on(probes, count)
             left -= count
             if not left:
@@ -218,6 +223,21 @@ class CudaEngine:
             self._cuda.to_device(np.column_stack([springs.stiffness, springs.excess]).ravel()),
         )
 
+    def set_tethers(self, tethers: Tethers) -> None:
+        """Go on with other tethers."""
+        by_node = TethersByNode.of(tethers)
+        first = np.zeros(self.model.node_count + 1, np.uint32)
+        first[by_node.nodes + 1] = np.diff(by_node.first)
+        self._tethers_are_there = tethers.count > 0
+        self._tethers = (
+            self._cuda.to_device(np.cumsum(first).astype(np.uint32)),
+            self._cuda.to_device(by_node.number.astype(np.uint32)),
+            self._cuda.to_device(by_node.share.astype(np.float32)),
+            self._cuda.to_device(self._layout.node_lane[tethers.nodes].astype(np.uint32).ravel()),
+            self._cuda.to_device(tethers.shares.ravel()),
+            self._cuda.to_device(tethers.shapes().ravel()),
+        )
+
     def forces(self, nodes: Intp | None = None) -> Float32:
         """Spring forces now, on some nodes or all."""
         nodes = np.arange(self.model.node_count) if nodes is None else nodes
@@ -231,6 +251,7 @@ class CudaEngine:
             self._lane_count,
             self._current,
             *self._explicit,
+            self._tethers,
             self._on_device(nodes),
             self._shown.displacement,
         )
@@ -240,16 +261,22 @@ class CudaEngine:
         return np.array(self._shown.displacement[: len(nodes)])
 
     def _advance(self, step_count: int, constants: Any) -> None:
-        has_hands = self._explicit_count > 0
-        if has_hands not in self._plans:
-            self._plans[has_hands] = self._plan(has_hands, constants)
-        launch, is_resident = self._plans[has_hands]
-        self._start(launch, step_count, constants, has_hands=has_hands, is_resident=is_resident)
+        kind = (self._explicit_count > 0, self._tethers_are_there)
+        if kind not in self._plans:
+            self._plans[kind] = self._plan(kind, constants)
+        launch, is_resident = self._plans[kind]
+        self._start(launch, step_count, constants, kind=kind, is_resident=is_resident)
 
     def _advance_with_cells(self, step_count: int, constants: Any, probes: Float32) -> None:
         kernel = self._cells.kernels.advance_with_cells
         rest = self._rest if len(probes) else self._nothing
-        hands = (*self._explicit, rest, self._on_device_probes(probes) if len(probes) else self._no_probes)
+        hands = (
+            *self._explicit,
+            self._tethers,
+            self._row_step,
+            rest,
+            self._on_device_probes(probes) if len(probes) else self._no_probes,
+        )
         turn = self._cells.turn(len(probes))
 
         def start(count: int, threads: tuple[int, int]) -> None:
@@ -276,29 +303,31 @@ class CudaEngine:
             self._plan_with_cells = min(blocks, -(-self.model.node_count // threads)), threads
         start(step_count, self._plan_with_cells)
 
-    def _start(self, launch: Launch, step_count: int, constants: Any, *, has_hands: bool, is_resident: bool) -> None:
+    def _start(
+        self, launch: Launch, step_count: int, constants: Any, *, kind: tuple[bool, bool], is_resident: bool
+    ) -> None:
         state = (self._displacement, self._velocity, self._spring_weight)
         where = (self._window_rows, self._node_slot, self._lane_count)
         what = (self._current, step_count, constants, self._arrivals)
-        hands = self._explicit
+        hands = (*self._explicit, self._tethers, self._row_step)
         threads = (launch.block_count, launch.thread_count)
         if is_resident:
-            self._kernels.advance_resident[has_hands][threads](*state, *where, *what, *hands)
+            self._kernels.advance_resident[kind][threads](*state, *where, *what, *hands)
         else:
             sweeps = (launch.sweep_count, launch.share)
             arguments = (*state, self._uniform_weight, *where, *sweeps, *what, *hands)
-            self._kernels.advance_streaming[has_hands][threads](*arguments)
+            self._kernels.advance_streaming[kind][threads](*arguments)
 
-    def _plan(self, has_hands: bool, constants: Any) -> tuple[Launch, bool]:
+    def _plan(self, kind: tuple[bool, bool], constants: Any) -> tuple[Launch, bool]:
         """Compile the kernel that suits the number of nodes, and share them so that all threads run at once."""
         kernels, node_count = self._kernels, self.model.node_count
         for family, is_resident in ((kernels.advance_resident, True), (kernels.advance_streaming, False)):
             if self._resident not in (None, is_resident):
                 continue
             one = Launch(1, WARP, 1, WARP)
-            self._start(one, 0, constants, has_hands=has_hands, is_resident=is_resident)
+            self._start(one, 0, constants, kind=kind, is_resident=is_resident)
             most = kernels.RESIDENT_THREADS if is_resident else kernels.STREAMING_THREADS
-            overloads = family[has_hands].overloads
+            overloads = family[kind].overloads
             overload = next(iter(overloads.values()), None) or overloads[()]
             launch = plan_launch(node_count, *_fitting(overload.max_cooperative_grid_blocks, most))
             if launch.sweep_count == 1 or not is_resident:

@@ -23,6 +23,7 @@ from numba import cuda
 
 from heartcase.simulator.engine.cuda.intrinsics import load_four, register_limit, store_four, wait_at_grid_barrier
 from heartcase.simulator.engine.shared.lanes import LANE_COUNT
+from heartcase.simulator.lattice.tethers import END_NODES
 
 __all__ = [
     "RESIDENT_THREADS",
@@ -33,6 +34,7 @@ __all__ = [
     "gather_nodes",
     "next_velocity",
     "node_forces",
+    "pull_by_tethers",
     "pull_explicitly",
     "rows_of",
     "scatter_nodes",
@@ -52,6 +54,7 @@ _ROW_COUNT = _U(9)
 _TINY = np.float32(1e-30)
 """Keeps the division defined where two nodes lie on one spot."""
 _M, _O, _P = np.float32(-1.0), np.float32(0.0), np.float32(1.0)
+_ROW_OF_SHAPE, _NODES_OF_TETHER = _U(8), _U(2 * END_NODES)
 _EDGE, _DIAGONAL = np.float32(1.0), np.float32(np.sqrt(2.0))
 
 
@@ -192,6 +195,35 @@ def pull_explicitly(f, displacement, buffer, own, begin, end, explicit_lane, exp
 
 
 @cuda.jit(device=True)
+def pull_by_tethers(f, displacement, buffer, node, row_step, tethers):
+    """The force so far plus the pulls of a node's tethers, each worked out anew, in a step of a row.
+
+    ``tethers``: where those of each node begin and the last end, uint32, shape (node_count + 1,); number of each,
+    uint32, and the node's share in it, float32, shape (any,); lanes, uint32, and shares, float32, of the 16 nodes of
+    each, shape (16 * count,); :meth:`heartcase.simulator.lattice.tethers.Tethers.shapes`, shape (8 * count,).
+    """
+    for at in range(tethers[0][node], tethers[0][node + 1]):
+        tether = tethers[1][at]
+        shape = _U(_ROW_OF_SHAPE * tether)
+        x, y, z = tethers[5][shape], tethers[5][shape + _U(1)], tethers[5][shape + _U(2)]
+        for place in range(_NODES_OF_TETHER):
+            entry = _U(_NODES_OF_TETHER * tether + place)
+            share = tethers[4][entry]
+            other = load_four(displacement, _U(buffer + tethers[3][entry]))
+            x, y, z = x + share * other[0], y + share * other[1], z + share * other[2]
+        square = x * x + y * y + z * z
+        if square > _O:
+            distance = sqrt(square)
+            passed = np.float32(row_step)
+            stretch = distance - (tethers[5][shape + _U(4)] + passed * tethers[5][shape + _U(6)])
+            if stretch > _O:
+                most = tethers[5][shape + _U(5)] + passed * tethers[5][shape + _U(7)]
+                pull = tethers[2][at] * (min(tethers[5][shape + _U(3)] * stretch, most) / distance)
+                f = (f[0] - pull * x, f[1] - pull * y, f[2] - pull * z)
+    return f
+
+
+@cuda.jit(device=True)
 def start_meeting(arrivals):
     """Set the count to zero; numba's own barrier makes it launch the grid only if all of it runs at once."""
     if cuda.grid(1) == 0:
@@ -199,7 +231,7 @@ def start_meeting(arrivals):
     cuda.cg.this_grid().sync()
 
 
-def _make_advance_resident(has_hands: bool) -> Any:
+def _make_advance_resident(has_hands: bool, has_tethers: bool) -> Any:
     @cuda.jit(fastmath=True, **register_limit(128))
     def advance_resident(
         displacement,
@@ -216,6 +248,8 @@ def _make_advance_resident(has_hands: bool) -> Any:
         explicit_lane,
         explicit_offset,
         explicit_stiffness,
+        tethers,
+        row_step,
     ):
         """Take steps in place, with a thread for every node.
 
@@ -249,6 +283,10 @@ def _make_advance_resident(has_hands: bool) -> Any:
             Lane at the other end, uint32, shape (count,); offset to it with rest length, float32, shape (4 * count,);
             stiffness and excess by twos, float32, shape (2 * count,)
             (:class:`heartcase.simulator.lattice.explicit_springs.SpringsByNode`).
+        tethers
+            As of :func:`pull_by_tethers`.
+        row_step
+            Steps that were taken before in this row.
         """
         start_meeting(arrivals)
         number = cuda.grid(1)
@@ -269,9 +307,11 @@ def _make_advance_resident(has_hands: bool) -> Any:
         if has_hands and is_used:
             begin, end = explicit_first[number], explicit_first[number + 1]
         expected = _U(0)
-        for _ in range(step_count):
+        for step_number in range(step_count):
             if is_used:
                 f = force_of_springs(displacement, now, u, row, weight)
+                if has_tethers:
+                    f = pull_by_tethers(f, displacement, now, number, row_step + step_number, tethers)
                 if has_hands and begin < end:
                     f = pull_explicitly(
                         f, displacement, now, u, begin, end, explicit_lane, explicit_offset, explicit_stiffness
@@ -288,7 +328,7 @@ def _make_advance_resident(has_hands: bool) -> Any:
     return advance_resident
 
 
-def _make_advance_streaming(has_hands: bool) -> Any:
+def _make_advance_streaming(has_hands: bool, has_tethers: bool) -> Any:
     @cuda.jit(fastmath=True, **register_limit(96))
     def advance_streaming(
         displacement,
@@ -308,6 +348,8 @@ def _make_advance_streaming(has_hands: bool) -> Any:
         explicit_lane,
         explicit_offset,
         explicit_stiffness,
+        tethers,
+        row_step,
     ):
         """``advance_resident`` for any number of nodes.
 
@@ -337,6 +379,8 @@ def _make_advance_streaming(has_hands: bool) -> Any:
                     weight = _window_weights(spring_weight, uniform_weight, count, slot, row)
                     own = load_four(displacement, _U(now + lane))
                     f = force_of_springs(displacement, now, own, row, weight)
+                    if has_tethers:
+                        f = pull_by_tethers(f, displacement, now, number, row_step + step_number, tethers)
                     if has_hands:
                         begin, end = explicit_first[number], explicit_first[number + 1]
                         f = pull_explicitly(
@@ -353,9 +397,10 @@ def _make_advance_streaming(has_hands: bool) -> Any:
     return advance_streaming
 
 
-advance_resident = {has_hands: _make_advance_resident(has_hands) for has_hands in (False, True)}
-"""The kernel without and with what explicit springs take: registers, hence time, where there are none."""
-advance_streaming = {has_hands: _make_advance_streaming(has_hands) for has_hands in (False, True)}
+_KINDS = [(has_hands, has_tethers) for has_hands in (False, True) for has_tethers in (False, True)]
+advance_resident = {kind: _make_advance_resident(*kind) for kind in _KINDS}
+"""The kernel without and with what explicit springs, and tethers, take: registers, hence time, where there are none."""
+advance_streaming = {kind: _make_advance_streaming(*kind) for kind in _KINDS}
 """Likewise."""
 
 
@@ -371,6 +416,7 @@ def node_forces(
     explicit_lane,
     explicit_offset,
     explicit_stiffness,
+    tethers,
     nodes,
     force,
 ):
@@ -388,6 +434,8 @@ def node_forces(
             f = pull_explicitly(
                 f, displacement, now, own, begin, end, explicit_lane, explicit_offset, explicit_stiffness
             )
+        if tethers[3].shape[0] > 0:
+            f = pull_by_tethers(f, displacement, now, node, 0, tethers)
         force[number, 0], force[number, 1], force[number, 2] = f[0], f[1], f[2]
 
 

@@ -1,0 +1,1 @@
+"""Sutures and patches."""
