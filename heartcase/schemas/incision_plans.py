@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 
 from heartcase.schemas.base import BladePoses, Model, Name, PointMm, PositiveMm, Vector3
 from heartcase.schemas.migrate import PLANS
+from heartcase.schemas.recording.tool_commands import PadStiffness
 from heartcase.schemas.script import GrabAction
 
 __all__ = ["IncisionPlans", "LipHands", "LookingSettings", "PlannedCut", "PlannedIncision", "ShaftSettings"]
@@ -47,8 +48,8 @@ class PlannedCut(Model):
 class LipHands(Model):
     """What holds both lips of the first cut, and leads them apart across it."""
 
-    kind: Literal["retractors", "grabs"] = "retractors"
-    """Retractors, which lie along the lips on pads, or hands that close on a ball of tissue."""
+    kind: Literal["grabs", "retractors"] = "grabs"
+    """Hands that close on a ball of tissue beside the lip, or retractors, which lie along the lip on pads."""
     hands_per_lip: Annotated[int, Field(ge=1, le=8)] = 1
     """Of these on each lip: hands are spread evenly along it, retractors lie end to end along its middle."""
     spread_mm: PositiveMm | None = None
@@ -59,6 +60,9 @@ class LipHands(Model):
     """Part of a lip's length along which retractors lie, in its middle [1]."""
     depth_mm: PositiveMm | None = None
     """How far from the lip retractors hold, mm; 1.5 cells when left out."""
+    stiffness_n_mm2: PadStiffness | None = None
+    """Stiffness of retractors' pads, N for each mm along the line and each mm that they give; a script's when left
+    out."""
     distance_mm: PositiveMm | None = None
     """From the cut to the middle of a hand's ball, mm; as much as its radius when left out."""
     radius_mm: PositiveMm | None = None
@@ -66,7 +70,9 @@ class LipHands(Model):
 
     @model_validator(mode="after")
     def _check(self) -> LipHands:
-        of_others = {"retractors": ("distance_mm", "radius_mm"), "grabs": ("part", "depth_mm")}[self.kind]
+        of_others = {"retractors": ("distance_mm", "radius_mm"), "grabs": ("part", "depth_mm", "stiffness_n_mm2")}[
+            self.kind
+        ]
         given = [name for name in of_others if name in self.model_fields_set]
         _raise([f"{self.kind} have no {name}: leave it out" for name in given])
         return self

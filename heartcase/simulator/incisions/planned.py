@@ -208,8 +208,10 @@ def lip_retractors(
             inner = (line.places_mm > start * line.length_mm) & (line.places_mm < end * line.length_mm)
             places = [start * line.length_mm, *line.places_mm[inner], end * line.length_mm]
             along = np.stack([np.interp(places, line.places_mm, lip[:, axis]) for axis in range(3)], axis=1)
+            pads = {} if hands.stiffness_n_mm2 is None else {"stiffness_n_mm2": hands.stiffness_n_mm2}
             made.append(
                 RetractorAction(
+                    **pads,
                     name=_hand_name(hands, words, number),
                     line_mm=tuple(_point(point) for point in along),
                     side=_point(side * across),

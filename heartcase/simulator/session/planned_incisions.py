@@ -217,6 +217,10 @@ def run_plan(
         for cut, poses_mm in zip(plan.cuts, poses, strict=True)
     )
     run_script(session, SimulationScript(seconds=plan.settle_s, cuts=cuts), on_frame=tell(0.0))
+    if simulation.model.cell_count == case.model.cell_count and simulation.model.node_count == case.model.node_count:
+        raise SimulationError(
+            "the blade met no tissue: look where the line lies and how deep it goes", place=cuts[0].name
+        )
     session.do(Mark(name="cut"))
     cut_open = _Shown.of(simulation)
     script = SimulationScript(seconds=plan.open_s + plan.hold_s, actions=plan.actions)
