@@ -7,6 +7,7 @@ import numpy as np
 from heartcase.cli.shared.film import Seen
 from heartcase.schemas.arrays import Float64, UInt8
 from heartcase.schemas.errors import MissingExtraError
+from heartcase.simulator.incisions.directions import divided
 from heartcase.simulator.incisions.strain import vertex_colours
 from heartcase.simulator.session.planned_incisions import HeldOpen, at_vertices
 from heartcase.simulator.simulation import Simulation
@@ -15,10 +16,12 @@ __all__ = ["STRESS_MOST_KPA", "STRETCH_MOST", "stress_colours", "stretch_colours
 
 STRETCH_MOST = 1.5
 """Stretch of the last colour; the first is that of no stretch."""
-STRESS_MOST_KPA = 10.0
+STRESS_MOST_KPA = 20.0
 """Stress of the last colour, kPa; the first is that of none."""
 _RIM_COLOUR = (40, 220, 60)
 _RIM_MM = 0.35
+_APART_MM = 0.5
+"""Marks along the rim lie no farther apart."""
 _AROUND = 1.3
 """What of the heart is in the close picture: as far from the opening as it is long, times this."""
 _SIZE = (520, 520)
@@ -75,7 +78,7 @@ def view_of_defect(held: HeldOpen, defect: str, simulation: Simulation, colours:
     towards = held.looks_from[defect]
     up = (0.0, 0.0, 1.0) if abs(towards[2]) < 0.98 else (0.0, -1.0, 0.0)
     far, near = (camera_for(what, towards=towards, up=up, size=_SIZE) for what in (points, corners))
-    marks, mark_normals, mark_triangles = _marks(rim)
+    marks, mark_normals, mark_triangles = _marks(divided(rim, _APART_MM, is_closed=True)[0])
     marked = (
         np.concatenate([points, marks]),
         np.concatenate([triangles, mark_triangles + len(points)]),
@@ -89,8 +92,8 @@ def view_of_defect(held: HeldOpen, defect: str, simulation: Simulation, colours:
 
     found = held.figures[defect]
     pictures = {
-        f"{held.plan.name}, from the best eye": drawn(seen.colours, far),
-        f"{found.rim_seen_best or 0.0:.0%} of the rim (green) seen": drawn(seen.colours, near),
+        held.plan.name: drawn(seen.colours, far),
+        f"{found.rim_seen_best or 0.0:.0%} of the rim (green) seen from the best eye": drawn(seen.colours, near),
         f"stretch, 1 (blue) to {STRETCH_MOST:g} (red)": drawn(stretch_colours(held, simulation), near),
         f"stress, 0 (blue) to {STRESS_MOST_KPA:g} kPa (red)": drawn(stress_colours(held, simulation), near),
     }

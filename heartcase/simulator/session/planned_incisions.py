@@ -219,7 +219,7 @@ def run_plan(
     run_script(session, SimulationScript(seconds=plan.settle_s, cuts=cuts), on_frame=tell(0.0))
     if simulation.model.cell_count == case.model.cell_count and simulation.model.node_count == case.model.node_count:
         raise SimulationError(
-            "the blade met no tissue: look where the line lies and how deep it goes", place=cuts[0].name
+            "there is no tissue in its way: look where the line lies and how deep it goes", place=cuts[0].name
         )
     session.do(Mark(name="cut"))
     cut_open = _Shown.of(simulation)

@@ -115,7 +115,7 @@ def test_a_plan_comes_to_the_same_bytes_again(case, held_open):
 
 def test_a_cut_beside_the_tissue_is_told(case):
     text = '[[plans]]\nname = "air"\ncuts = [{ poses_mm = [[[900, 0, 0], [900, 0, 9]], [[909, 0, 0], [909, 0, 9]]] }]\n'
-    with pytest.raises(SimulationError, match="the blade met no tissue"):
+    with pytest.raises(SimulationError, match="there is no tissue in its way"):
         run(case, text)
 
 
