@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from PIL import Image
+from PIL import Image, ImageSequence
 
 from heartcase.cli.main import main
 from heartcase.pipeline.bundle.write_bundle import write_bundle
@@ -24,10 +24,16 @@ depth_mm = 20.0
 [[plans]]
 name = "left alone"
 cuts = [{ landmark = "lid" }]
+settle_s = 0.04
+open_s = 0.04
+hold_s = 0.04
 [[plans]]
 name = "held open"
 cuts = [{ landmark = "lid" }]
 retraction = { spread_mm = 6.0, lift_mm = 2.0, radius_mm = 4.5 }
+settle_s = 0.04
+open_s = 0.2
+hold_s = 0.1
 [[plans]]
 name = "beside"
 cuts = [{ poses_mm = [[[900, 0, 0], [900, 0, 9]], [[909, 0, 0], [909, 0, 9]]] }]
@@ -47,7 +53,8 @@ def folder(tmp_path):
 
 def test_everything_that_it_writes(folder, capsys, monkeypatch):
     monkeypatch.chdir(folder)
-    wanted = "-o told.json --table told.md --page told.html --pictures pictures --surfaces surfaces --recordings films"
+    wanted = "-o told.json --table told.md --page told.html --pictures pictures --animations moving"
+    wanted += " --surfaces surfaces --recordings films"
     assert main(["compare-incisions", "hollow.case", "plans.toml", *wanted.split()]) == 1
     said = capsys.readouterr()
     assert said.err.strip() == (
@@ -85,6 +92,11 @@ def test_everything_that_it_writes(folder, capsys, monkeypatch):
     picture = np.asarray(Image.open(folder / "pictures" / "hollow-held-open-hole.png").convert("RGB")).astype(int)
     is_rim = (picture[..., 1] > picture[..., 0] + 60) & (picture[..., 1] > picture[..., 2] + 60)
     assert is_rim.sum() > 20
+    film = Image.open(folder / "moving" / "hollow-held-open-hole.gif")
+    frames = [np.asarray(one.convert("RGB")).astype(int) for one in ImageSequence.Iterator(film)]
+    greens = [((one[..., 1] > one[..., 0] + 60) & (one[..., 1] > one[..., 2] + 60)).sum() for one in frames]
+    assert greens[0] == 0
+    assert greens[-1] > 20
     surface = trimesh.load(folder / "surfaces" / "hollow-held-open.ply", process=False)
     assert len(np.unique(surface.visual.vertex_colors, axis=0)) > 20
     # It encloses the tissue: cells of a box without its two rooms, and a wall with a hole between these.

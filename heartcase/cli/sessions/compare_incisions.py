@@ -11,8 +11,8 @@ from pathlib import Path
 
 import click
 
-from heartcase.cli.shared.film import write_picture
-from heartcase.cli.shared.incision_pictures import stretch_colours, view_of_defect
+from heartcase.cli.shared.film import write_animation, write_picture
+from heartcase.cli.shared.incision_pictures import film_of_defect, stretch_colours, view_of_defect
 from heartcase.cli.shared.incision_results import CaseResult, markdown, page
 from heartcase.cli.shared.output import echo_json, json_ready
 from heartcase.cli.shared.sessions import check_numbers, law_options, require_folder, session_bar, with_law
@@ -38,6 +38,9 @@ __all__ = ["command"]
 
 _PATH = click.Path(path_type=Path, readable=False)
 
+_FRAMES_PER_SECOND, _FILM_FRAMES_PER_SECOND = 25.0, 10.0
+"""Frames of an animation in a second of simulated time, and in one of those who look at it."""
+
 COMPARISON_VERSION = 1
 """Version of what --json and --out give."""
 
@@ -55,6 +58,9 @@ COMPARISON_VERSION = 1
     type=_PATH,
     help="A folder for pictures of each plan and defect (.png), stretch and stress as colours.",
 )
+@click.option(
+    "--animations", type=_PATH, help="A folder for animations of each plan and defect (.gif), from the best eye."
+)
 @click.option("--surfaces", type=_PATH, help="A folder for surfaces as they are held open (.ply), stretch as colours.")
 @click.option("--recordings", type=_PATH, help="A folder for a recording of each plan (NAME.recording).")
 @law_options
@@ -68,6 +74,7 @@ def command(
     table_out: Path | None,
     page_out: Path | None,
     pictures: Path | None,
+    animations: Path | None,
     surfaces: Path | None,
     recordings: Path | None,
     backend: Backend,
@@ -82,12 +89,12 @@ def command(
     Exits with 1 where a plan could not be run to its end; the others are told all the same.
     """
     check_numbers(poissons_ratio=poissons_ratio, sleep_mm=sleep_mm)
-    for path in (out, table_out, page_out, pictures, surfaces, recordings):
+    for path in (out, table_out, page_out, pictures, animations, surfaces, recordings):
         if path is not None:
             require_folder(path)
     loaded = [with_law(load_case(one, needs=("surface", "colours", "tissue")), law, poissons_ratio) for one in cases]
     planned = _planned(loaded, plans)
-    wanted = _Wanted(pictures, surfaces, recordings, has_page=page_out is not None, backend=backend, sleep_mm=sleep_mm)
+    wanted = _Wanted(pictures, animations, surfaces, recordings, page_out is not None, backend, sleep_mm)
     wanted.make_folders(loaded, planned)
     results = [CaseResult(case, on, law, poissons_ratio) for case, on in zip(loaded, planned, strict=True)]
     with session_bar("comparing", sum(on.seconds for on in planned)) as tell:
@@ -120,6 +127,7 @@ class _Wanted:
     """What is written beside the tables, and how tissue is stepped."""
 
     pictures: Path | None
+    animations: Path | None
     surfaces: Path | None
     recordings: Path | None
     has_page: bool
@@ -128,7 +136,7 @@ class _Wanted:
 
     def make_folders(self, cases: Sequence[Case], planned: Sequence[PlansOnCase]) -> None:
         """Make the folders; UsageError where a recording is there already."""
-        for folder in (self.pictures, self.surfaces, self.recordings):
+        for folder in (self.pictures, self.animations, self.surfaces, self.recordings):
             if folder is not None:
                 folder.mkdir(exist_ok=True)
         if self.recordings is not None:
@@ -202,15 +210,16 @@ def _run(result: CaseResult, plan: PlannedIncision, wanted: _Wanted, on_time: Ca
             recorder.discard()
         raise
     result.held.append(held)
-    _show(result, held, session.simulation, wanted, name)
+    _show(result, held, session, wanted, name)
 
 
-def _show(result: CaseResult, held: HeldOpen, simulation: Simulation, wanted: _Wanted, name: str) -> None:
-    """Pictures and the surface of what a session came to."""
-    case = result.case
+def _show(result: CaseResult, held: HeldOpen, session: OperatingSession, wanted: _Wanted, name: str) -> None:
+    """Pictures and the surface of what a session came to, and films of how."""
+    case, simulation = result.case, session.simulation
     assert case.triangle_colours is not None
     assert simulation.surface is not None
     case_id = case.manifest.case_id
+    comment = f"heartcase {case_id}" if case_id else "heartcase"
     if wanted.pictures is not None or wanted.has_page:
         for defect in held.figures:
             picture = view_of_defect(held, defect, simulation, case.triangle_colours)
@@ -218,7 +227,7 @@ def _show(result: CaseResult, held: HeldOpen, simulation: Simulation, wanted: _W
                 result.pictures[held.plan.name, defect] = picture
             if wanted.pictures is not None:
                 path = wanted.pictures / f"{name}-{_plain(defect)}.png"
-                write_picture(path, picture, comment=f"heartcase {case_id}" if case_id else "heartcase")
+                write_picture(path, picture, comment=comment)
     if wanted.surfaces is not None:
         shown = simulation.surface_now()
         write_surface(
@@ -229,6 +238,11 @@ def _show(result: CaseResult, held: HeldOpen, simulation: Simulation, wanted: _W
             colours=stretch_colours(held, simulation),
             case_id=case_id,
         )
+    if wanted.animations is not None:
+        for defect in held.figures:
+            path = wanted.animations / f"{name}-{_plain(defect)}.gif"
+            film = film_of_defect(held, defect, session, case.triangle_colours, frames_per_second=_FRAMES_PER_SECOND)
+            write_animation(path, film, frames_per_second=_FILM_FRAMES_PER_SECOND, comment=comment)
 
 
 def _file_name(case: Case, plan: str) -> str:

@@ -121,6 +121,8 @@ class HeldOpen:
     """Name of each defect -> from it to the best eye, LPS axes, unit length."""
     rims_mm: dict[str, Float64]
     """Name of each defect -> its rim now, LPS mm, shape (count, 3)."""
+    rims_at_rest_mm: dict[str, Float64]
+    """The same at rest."""
     hand_force_n: dict[str, float]
     """Name of each hand -> force on it at the end, N."""
     inverted_cell_count: int
@@ -333,6 +335,7 @@ def _measured(
         rim_found={rim.name: rim.part_found for rim in rims},
         looks_from=best,
         rims_mm=now,
+        rims_at_rest_mm={rim.name: rim.points_mm for rim in rims},
         hand_force_n=forces,
         inverted_cell_count=simulation.inverted_cell_count(),
         opening_mm=opening,
