@@ -13,7 +13,7 @@ from PIL import Image, ImageSequence
 from heartcase.cli.main import main
 from heartcase.pipeline.bundle.write_bundle import write_bundle
 from heartcase.schemas.recording.reader import open_recording
-from heartcase.simulator.session.planned_incisions import load_plans
+from heartcase.simulator.session.planned_incisions import load_plans, parse_plans
 from tests.hollow_case import CELL_MM, SIZE, hollow_case
 
 SAMPLES = Path(__file__).parents[2] / "sample_cases"
@@ -120,6 +120,12 @@ def test_a_folder_holds_plans_by_the_name_of_each_case(folder, capsys, monkeypat
     (folder / "plans" / "hollow.toml").write_text(PLANS[: PLANS.index('[[plans]]\nname = "held open"')])
     assert main(["compare-incisions", "hollow.case", "plans", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["cases"][0]["case"] == "hollow"
+
+
+def test_the_example_of_the_page_can_be_read():
+    page = (SAMPLES.parent / "docs" / "incisions.md").read_text()
+    plans = parse_plans(page.split("```toml\n")[1].split("```")[0])
+    assert len(plans.plans) == 2
 
 
 def test_the_sample_plans_can_be_read():
