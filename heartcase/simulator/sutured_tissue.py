@@ -14,7 +14,7 @@ from heartcase.simulator.instruments.placing import is_point, point_in_lattice
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.lattice.tethers import NO_LIMIT, Tethers
 from heartcase.simulator.moving_tissue import MovingTissue
-from heartcase.simulator.suturing.places import REACH_MM, Place, nearest_on_surface, place_near
+from heartcase.simulator.suturing.places import REACH_MM, Place, as_known, nearest_on_surface, place_near
 from heartcase.simulator.suturing.stitches import (
     Stitch,
     StitchState,
@@ -106,8 +106,10 @@ class SuturedTissue(MovingTissue):
         """
         if len(places) != 2:
             raise SimulationError(f"a stitch has two places (found {len(places)})", place=name)
+        uncut = self.uncut(self.model, self.cuts)
         first, second = (
-            one if isinstance(one, Place) else self.place(one, at_rest=at_rest, name=name) for one in places
+            as_known(one, uncut, name=name) if isinstance(one, Place) else self.place(one, at_rest=at_rest, name=name)
+            for one in places
         )
         stitch = self._made((first, second), name)
         wanted = None

@@ -5,7 +5,7 @@ from __future__ import annotations
 from heartcase.schemas.errors import SimulationError
 from heartcase.schemas.recording.commands import BoundPlace, Done, DrawStitch, PlaceStitch, TakeOutStitch, TieStitch
 from heartcase.simulator.simulation import Simulation
-from heartcase.simulator.suturing.places import Place, as_known
+from heartcase.simulator.suturing.places import Place
 from heartcase.simulator.suturing.stitches import Stitch
 
 __all__ = ["perform_suture", "resolved_suture", "stitch_named"]
@@ -33,7 +33,7 @@ def perform_suture(simulation: Simulation, command: PlaceStitch | DrawStitch | T
         case PlaceStitch():
             if any(stitch.name == command.name for stitch in simulation.stitches):
                 raise SimulationError("there is a stitch of this name: take another name", place=command.name)
-            places = command.places_mm if command.bound is None else _places(simulation, command)
+            places = command.places_mm if command.bound is None else _places(command)
             stiffness = command.stiffness_n_m
             simulation.stitch(places, at_rest=command.at_rest, stiffness_n_m=stiffness, name=command.name)
         case DrawStitch():
@@ -59,8 +59,6 @@ def stitch_named(simulation: Simulation, name: str) -> Stitch:
     return found
 
 
-def _places(simulation: Simulation, command: PlaceStitch) -> tuple[Place, ...]:
+def _places(command: PlaceStitch) -> tuple[Place, ...]:
     assert command.bound is not None
-    places = tuple(Place(one.cell, one.sample, one.local) for one in command.bound)
-    uncut = simulation.uncut(simulation.model, simulation.cuts)
-    return tuple(as_known(place, uncut, name=command.name) for place in places)
+    return tuple(Place(one.cell, one.sample, one.local) for one in command.bound)

@@ -113,7 +113,7 @@ def fitting_stiffness(
     limit
         What all may add to the largest omega^2 [1 / unit of time^2].
     wanted
-        Stiffness [k]; when left out, half of what the step allows them alone, or less where others are near.
+        Stiffness [k]; when left out, half of what the step and the others leave.
     name
         Name in messages.
 
@@ -122,29 +122,21 @@ def fitting_stiffness(
     SimulationError
         The step leaves nothing, or not as much as is wanted.
     """
-
-    def rate(stiffness: float) -> float:
-        both = _together(present, new, stiffness)
-        return both.rate_bound(model.inverse_mass)
-
-    alone = _together(Tethers.none(), new, 1.0).rate_bound(model.inverse_mass)
-    if alone == 0.0:
+    without, one = (_together(present, new, stiffness).rate_bounds(model.inverse_mass) for stiffness in (0.0, 1.0))
+    slope = one - without
+    if not slope.any():
         raise SimulationError("both places are in tissue that is held for good: nothing would move", place=name)
-    most = limit / alone
-    fits = 0.5 * most if limit > 0.0 else 0.0
-    for _ in range(40):
-        if fits and rate(fits) <= limit:
-            break
-        fits /= 2
-    else:
+    # The bounds are linear in the stiffness.
+    room = float(((limit - without)[slope > 0] / slope[slope > 0]).min())
+    if room <= 0.0:
         raise SimulationError("other springs and threads leave this one nothing: give a smaller step", place=name)
     if wanted is None:
-        return float(np.float32(fits))
-    if rate(wanted) > limit:
+        return float(np.float32(0.5 * room))
+    if wanted > room:
         unit = model.units.force_n / model.units.length_m
         raise SimulationError(
             f"a thread of {wanted * unit:.3g} N/m is stiffer than the time step allows here: give "
-            f"{fits * unit:.3g} N/m or less, or a smaller step",
+            f"{room * unit:.3g} N/m or less, or a smaller step",
             place=name,
         )
     return wanted
@@ -159,13 +151,16 @@ def _together(present: Tethers, new: Tethers, stiffness: float) -> Tethers:
 def softened(model: LatticeModel, stitches: Sequence[Stitch], limit: float) -> list[float]:
     """Stiffness of each [k], less where it is more than a time step allows, of tissue that was cut.
 
-    With each lowered by the square of what its own row is above the limit, every row is within it.
+    Each is lowered by what the highest bound of those that share a node with it is above the limit: so all are within.
     """
-    bounds = tethers_of(model, stitches).rate_bounds(model.inverse_mass)
-    return [
-        stitch.stiffness * min(1.0, limit / bound) ** 2 if bound > 0 else stitch.stiffness
-        for stitch, bound in zip(stitches, bounds.tolist(), strict=True)
-    ]
+    tethers = tethers_of(model, stitches)
+    bounds = tethers.rate_bounds(model.inverse_mass)
+    part = np.minimum(1.0, np.divide(limit, bounds, out=np.ones_like(bounds), where=bounds > 0))
+    used = np.where(tethers.shares != 0, part[:, None], 1.0)
+    at_node = np.ones(model.node_count)
+    np.minimum.at(at_node, tethers.nodes.ravel(), used.ravel())
+    least = np.where(tethers.shares != 0, at_node[tethers.nodes], 1.0).min(axis=1)
+    return [float(stitch.stiffness * lowered) for stitch, lowered in zip(stitches, least.tolist(), strict=True)]
 
 
 def checked_length(value: float | None, cell_mm: float, name: str) -> float | None:
