@@ -27,6 +27,7 @@ COMMANDS: dict[str, str] = {
     "library": "Build many cases from a folder of recipes.",
     "info": "Say what a scan, a recipe's scan, a case or a recording is.",
     "validate": "Check a case, a recipe, a script or a recording, and list every problem.",
+    "studio": "Paint on a scan in the browser.",
     "paint": "Paint markers on a recipe's scan, for a viewer to drive.",
     "suggest": "Name the places where one more stroke is worth most.",
     "lock": "Write a recipe with every setting stated.",
@@ -61,7 +62,12 @@ _FOLDERS = (
 INTERNAL_ERROR = 70
 """Exit code of what should not happen (EX_SOFTWARE of sysexits)."""
 
-_EXTRA_OF_MODULE = {"numba_cuda": "cuda", "dask": "library", "distributed": "library", "skimage": "bench"}
+_EXTRA_OF_MODULE = {
+    "numba_cuda": "cuda",
+    "dask": "library",
+    "distributed": "library",
+    "skimage": "bench",
+} | dict.fromkeys(("starlette", "uvicorn", "websockets"), "studio")
 _PREPARE_MODULES = [
     "SimpleITK",
     "cc3d",

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, GetCoreSchemaHandler
 from pydantic_core import CoreSchema
 
-__all__ = ["BladePoses", "CaseId", "Colour", "Model", "Name", "PointMm", "PositiveMm", "Vector3"]
+__all__ = ["BladePoses", "CaseId", "Colour", "Direction", "Model", "Name", "PointMm", "PositiveMm", "Vector3"]
 
 
 def _make_booleans_strict(node: Any) -> None:
@@ -43,6 +43,18 @@ Vector3 = tuple[float, float, float]
 
 PointMm = Annotated[Vector3, Field(description="Point in patient LPS space: x, y, z in mm.")]
 """A point (x, y, z) in patient LPS space, in mm."""
+
+
+def _points_somewhere(vector: Vector3) -> Vector3:
+    if not any(vector):
+        raise ValueError("a direction needs three numbers that are not all zero")
+    return vector
+
+
+Direction = Annotated[
+    Vector3, AfterValidator(_points_somewhere), Field(description="Direction in patient LPS space, of any length.")
+]
+"""A direction (x, y, z) in patient LPS space, of any length but zero."""
 
 BladePoses = Annotated[
     tuple[Annotated[tuple[PointMm, ...], Field(min_length=2, max_length=4096)], ...],

@@ -16,7 +16,7 @@ from typing import Any
 from heartcase import __version__
 from heartcase.schemas.errors import HeartcaseError, RecipeError, ScriptError
 
-__all__ = ["BUNDLE_CHANGES", "RECIPE", "SCRIPT", "Migration", "VersionedFormat", "bundle_changes"]
+__all__ = ["BUNDLE_CHANGES", "PLANS", "RECIPE", "SCRIPT", "Migration", "VersionedFormat", "bundle_changes"]
 
 
 @dataclass(frozen=True)
@@ -101,6 +101,9 @@ RECIPE = VersionedFormat("recipe", "heartcase_recipe", RecipeError)
 
 SCRIPT = VersionedFormat("simulation script", "heartcase_script", ScriptError)
 """Versions of the simulation script."""
+
+PLANS = VersionedFormat("file of incision plans", "heartcase_plans", ScriptError)
+"""Versions of the file of incision plans."""
 
 BUNDLE_CHANGES: dict[str, tuple[str, ...]] = {
     "1.1": (

@@ -9,21 +9,13 @@ from pydantic import Field, model_validator
 from heartcase.schemas.base import BladePoses, Model, Name, PointMm, PositiveMm
 from heartcase.schemas.migrate import SCRIPT
 from heartcase.schemas.suture_actions import StitchAction
+from heartcase.schemas.tool_actions import ForcepsAction, RetractorAction, ScissorsAction
+from heartcase.schemas.waypoint import Waypoint, raise_problems, time_problems
 
 __all__ = ["CutAction", "GrabAction", "ProbeAction", "SimulationScript", "Waypoint"]
 
 
-_Offset = Annotated[float, Field(ge=-10_000.0, le=10_000.0)]
 _Acceleration = Annotated[float, Field(ge=-10_000.0, le=10_000.0)]
-
-
-class Waypoint(Model):
-    """Where an instrument's centre is at a time; between waypoints it moves in a straight line."""
-
-    time_s: Annotated[float, Field(ge=0.0)]
-    """Time since the script's start, s."""
-    offset_mm: tuple[_Offset, _Offset, _Offset]
-    """Displacement from where it closed, or came in, LPS mm."""
 
 
 class GrabAction(Model):
@@ -49,7 +41,7 @@ class GrabAction(Model):
 
     @model_validator(mode="after")
     def _check(self) -> GrabAction:
-        _raise(_problems(self))
+        raise_problems(_problems(self))
         return self
 
 
@@ -98,7 +90,7 @@ class ProbeAction(Model):
         problems = _problems(self)
         if self.axis_mm is not None and len(set(self.semi_axes_mm)) > 1:
             problems.append("only a ball is swept along axis_mm: give three semi-axes that are alike")
-        _raise(problems)
+        raise_problems(problems)
         return self
 
 
@@ -107,19 +99,7 @@ def _problems(action: GrabAction | ProbeAction) -> list[str]:
     problems = []
     if (action.position_mm is None) == (action.landmark is None):
         problems.append("give either position_mm or landmark")
-    if action.release_s is not None and action.release_s <= action.start_s:
-        problems.append("release_s must come after start_s")
-    times = [waypoint.time_s for waypoint in action.path]
-    if times != sorted(times) or len(set(times)) != len(times):
-        problems.append("the waypoints' times must ascend")
-    if times and times[0] < action.start_s:
-        problems.append("the first waypoint comes before start_s")
-    return problems
-
-
-def _raise(problems: list[str]) -> None:
-    if problems:
-        raise ValueError("; ".join(problems))
+    return problems + time_problems(action.start_s, action.release_s, action.path)
 
 
 class SimulationScript(Model):
@@ -153,6 +133,12 @@ class SimulationScript(Model):
 
     probes: tuple[ProbeAction, ...] = ()
     """Probes that are led through the tissue."""
+    forceps: tuple[ForcepsAction, ...] = ()
+    """Forceps that hold tissue between their jaws."""
+    retractors: tuple[RetractorAction, ...] = ()
+    """Retractors that hold a lip of an incision."""
+    scissors: tuple[ScissorsAction, ...] = ()
+    """Scissors, and what they cut."""
     stitches: tuple[StitchAction, ...] = ()
     """Stitches, in the order in which those of one moment are placed: after cuts, and before hands let go or close."""
 

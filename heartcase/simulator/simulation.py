@@ -20,9 +20,11 @@ from heartcase.simulator.engine.shared.contact import NO_PROBES, probe_row
 from heartcase.simulator.instruments.grab import Grab, close_grab, pose_of, require_grab
 from heartcase.simulator.instruments.placing import is_point, point_in_lattice
 from heartcase.simulator.instruments.probe import Probe, make_probe
-from heartcase.simulator.instruments.wrench import Wrench, wrench_on
+from heartcase.simulator.instruments.scissors import Scissors
+from heartcase.simulator.instruments.wrench import Instrument, Wrench, wrench_on
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.lattice.state import State
+from heartcase.simulator.operated_tissue import OperatedTissue
 from heartcase.simulator.snapshot import KeptInstrument, Snapshot
 from heartcase.simulator.surface.deform import PickingModel, SurfaceModel
 from heartcase.simulator.sutured_tissue import SuturedTissue
@@ -37,7 +39,7 @@ SLEEP_HZ = 5.0
 """Slowest swing of tissue that sleeping shall not be seen in, Hz."""
 
 
-class Simulation(SuturedTissue):
+class Simulation(SuturedTissue, OperatedTissue):
     """Tissue in motion.
 
     Lengths are mm in LPS axes, times s, forces N. A frame is: lead the hands with :meth:`lead`, take steps with
@@ -108,6 +110,7 @@ class Simulation(SuturedTissue):
         self.sleep_mm = float(sleep_mm)
         self.grabs: list[Grab] = []
         self.probes: list[Probe] = []
+        self.open_scissors: list[Scissors] = []
         self.stitches = []
         units = model.units
         gravity = np.asarray(gravity_m_s2) @ model.geometry.direction_matrix / units.acceleration_m_s2
@@ -122,9 +125,9 @@ class Simulation(SuturedTissue):
         )
 
     @property
-    def instruments(self) -> tuple[Grab | Probe, ...]:
-        """Hands that hold, then probes."""
-        return (*self.grabs, *self.probes)
+    def instruments(self) -> tuple[Instrument, ...]:
+        """Hands, forceps and retractors that hold, then probes, then scissors."""
+        return (*self.grabs, *self.probes, *self.open_scissors)
 
     @property
     def time_s(self) -> float:
@@ -177,6 +180,7 @@ class Simulation(SuturedTissue):
         instruments = [kept.put_back() for kept in point.instruments]
         self.grabs = [instrument for instrument in instruments if isinstance(instrument, Grab)]
         self.probes = [instrument for instrument in instruments if isinstance(instrument, Probe)]
+        self.open_scissors = [instrument for instrument in instruments if isinstance(instrument, Scissors)]
         self.stitches = [stitch.put_back() for stitch in point.stitches]
         self._string()
         self._engine.load(state)
@@ -196,28 +200,28 @@ class Simulation(SuturedTissue):
         if step_count == 0:
             return
         before = self.state
-        velocities = []
-        for grab in self.grabs:
-            start, end = grab.displacement_at(grab.pose), grab.displacement_at(grab.target)
-            velocities.append((end - start) / (step_count * self.verlet.step))
-            self._place(grab, start, velocities[-1])
+        duration = step_count * self.verlet.step
+        led = []
+        for start, end in [grab.way(self._engine.forces, duration) for grab in self.grabs]:
+            led.append((end, (end - start) / duration))
+            self._place(self.grabs[len(led) - 1], start, led[-1][1])
         is_drawn = self._is_drawn
         if is_drawn:
             self._string(step_count)
         rows = [probe.row(step_count) for probe in self.probes]
         self._engine.advance(step_count, self.verlet, np.stack(rows) if rows else NO_PROBES)
         for probe, impulse in zip(self.probes, self._engine.probe_impulse if rows else (), strict=True):
-            probe.wrench = -impulse / (step_count * self.verlet.step)
-        for grab, velocity in zip(self.grabs, velocities, strict=True):
-            self._place(grab, grab.displacement_at(grab.target), velocity)
+            probe.wrench = -impulse / duration
+        for grab, (end, velocity) in zip(self.grabs, led, strict=True):
+            self._place(grab, end, velocity)
         self._state = None
-        is_fed = bool(self.probes) or is_drawn or any(velocity.any() for velocity in velocities)
+        is_fed = bool(self.probes) or is_drawn or any(velocity.any() for _, velocity in led)
         self._watch(before, is_fed)
         if is_drawn:
             self._drawn()
             self._string()
         for grab in self.grabs:
-            grab.pose = grab.target
+            grab.arrive()
         for probe in self.probes:
             probe.centre = probe.target
 
@@ -338,7 +342,7 @@ class Simulation(SuturedTissue):
         if probe in self.probes:
             self.probes.remove(probe)
 
-    def force_on(self, hand: Grab | Probe) -> Float64:
+    def force_on(self, hand: Instrument) -> Float64:
         """Force that the tissue exerts on a hand, N, LPS axes, shape (3,).
 
         What a user feels: a hand that pulls to the left is pulled to the right. On a grab: of springs and cells on what
@@ -347,7 +351,7 @@ class Simulation(SuturedTissue):
         """
         return self.wrench_on(hand).force_n
 
-    def wrench_on(self, hand: Grab | Probe) -> Wrench:
+    def wrench_on(self, hand: Instrument) -> Wrench:
         """Force that the tissue exerts on a hand, as of :meth:`force_on`, and its torque about the hand's centre."""
         if hand not in self.instruments:
             return Wrench(np.zeros(3), np.zeros(3))
@@ -378,8 +382,8 @@ class Simulation(SuturedTissue):
 
     def _carry(self, step: Step) -> None:
         for grab in self.grabs:
-            grab.nodes, place = step.held(grab.nodes)
-            grab.closed_at, grab.arms = grab.closed_at[place], grab.arms[place]
+            grab.carry(*step.held(grab.nodes))
+            grab.keep_side(self.model, self._sheet_triangles())
         self._hold()
         self._rethread()
 
@@ -399,7 +403,7 @@ class Simulation(SuturedTissue):
         self._engine.load(before)
         self._state = None
         for grab in self.grabs:
-            grab.target = grab.pose
+            grab.stay()
         for probe in self.probes:
             probe.target = probe.centre
             probe.wrench = np.zeros(6)

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from heartcase.simulator.cutting.cuts import Cuts
-from heartcase.simulator.instruments.grab import Grab
-from heartcase.simulator.instruments.probe import Probe
+from heartcase.simulator.instruments.wrench import Instrument
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.lattice.state import State
 from heartcase.simulator.suturing.stitches import Stitch
@@ -17,7 +16,7 @@ from heartcase.simulator.suturing.stitches import Stitch
 __all__ = ["KeptInstrument", "Snapshot"]
 
 
-_Kept = TypeVar("_Kept", Grab | Probe, Stitch)
+_Kept = TypeVar("_Kept", Instrument, Stitch)
 
 
 @dataclass(frozen=True)
@@ -48,7 +47,7 @@ class Snapshot:
     """The lattice with its springs of that moment."""
     state: State
     """Where its nodes were and how they moved."""
-    instruments: tuple[KeptInstrument[Grab | Probe], ...] = ()
+    instruments: tuple[KeptInstrument[Instrument], ...] = ()
     """Hands and probes of that moment: what they held, where they were and where they were led."""
     cuts: Cuts | None = None
     """What had been cut; None for nothing."""
@@ -60,10 +59,10 @@ class Snapshot:
         cls,
         model: LatticeModel,
         state: State,
-        instruments: Iterable[Grab | Probe],
+        instruments: Iterable[Instrument],
         cuts: Cuts | None = None,
         stitches: Iterable[Stitch] = (),
     ) -> Snapshot:
         """The moment now: ``model``, ``state``, ``cuts``, ``instruments`` and ``stitches`` of a simulation."""
-        kept = tuple(KeptInstrument[Grab | Probe].of(instrument) for instrument in instruments)
+        kept = tuple(KeptInstrument[Instrument].of(instrument) for instrument in instruments)
         return cls(model, state, kept, cuts, tuple(KeptInstrument[Stitch].of(stitch) for stitch in stitches))

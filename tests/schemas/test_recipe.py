@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from heartcase.cli.commands.new import starter_recipe
+from heartcase.pipeline.building.starter_recipe import starter_recipe
 from heartcase.schemas.errors import RecipeError
 from heartcase.schemas.published.json_schemas import schema_files
 from heartcase.schemas.recipe.recipe import Recipe, load_recipe, parse_recipe

@@ -53,7 +53,7 @@ def required() -> dict[str, set[str]]:
 
 def test_the_package_imports_what_its_extras_install():
     extras = required()
-    known = extras[""] | extras["prepare"] | extras["library"] | extras["cuda"] | {"scikit-image"}
+    known = extras[""] | extras["prepare"] | extras["library"] | extras["studio"] | extras["cuda"] | {"scikit-image"}
     assert libraries() - known - UNASKED - set(BROUGHT) == set()
 
 

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import click
 from pydantic import Field, TypeAdapter, ValidationError
 
-from heartcase.cli.commands.suggest import places_json
 from heartcase.cli.shared.output import working
 from heartcase.schemas.base import Model
 from heartcase.schemas.errors import HeartcaseError, Problem, UsageError, problems_from_validation
@@ -145,7 +144,7 @@ def _obey(opened: RecipeSession, line: bytes) -> dict[str, Any] | None:
     if isinstance(request, _Paint):
         return _changed(session.paint(Stroke.model_validate(request.model_dump(exclude={"do"}))))
     if isinstance(request, _Suggest):
-        return places_json(session.suggest(count=request.count), session.table)
+        return session.suggest(count=request.count).as_json(session.table)
     if isinstance(request, _Slice):
         return _labels(session.labels_of_slice(request.axis, request.index))
     if isinstance(request, _SaveAs):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -11,10 +11,9 @@ from heartcase.cli.shared.output import echo_json, print_table, working
 from heartcase.schemas.errors import UsageError
 
 if TYPE_CHECKING:
-    from heartcase.pipeline.markers.suggest import StrokePlaces
-    from heartcase.schemas.labels import LabelTable
+    pass
 
-__all__ = ["command", "places_json"]
+__all__ = ["command"]
 
 
 @click.command()
@@ -52,7 +51,7 @@ def command(recipe: Path, out: Path, count: int, ends: bool, write: bool, as_jso
         check_markers(opened.session.markers(), table, automatic=opened.recipe.segment.automatic)
         found = opened.session.suggest(count=count)
     if as_json:
-        echo_json(places_json(found, table))
+        echo_json(found.as_json(table))
         return
     if not found.places:
         click.echo("No place is unsure enough to be worth a stroke.")
@@ -122,23 +121,3 @@ def _suggest_ends(recipe: Path, out: Path, *, write: bool, as_json: bool) -> Non
         click.echo(f"wrote {saved} entries of 'ends' at the end of {recipe}")
     elif proposed.toml:
         click.echo(f"These lines in the recipe cut them (--write puts them there):\n\n{proposed.toml}", nl=False)
-
-
-def places_json(found: StrokePlaces, table: LabelTable) -> dict[str, Any]:
-    """Places as programs read them."""
-    return {
-        "places": [
-            {
-                "position_mm": list(place.position_mm),
-                "label": table[place.label].name,
-                "rival": table[place.rival].name,
-                "change_ml": place.change_ml,
-                "certainty": place.certainty,
-                "confidence": place.confidence,
-                "radius_mm": place.radius_mm,
-                "worth_ml": place.worth_ml,
-            }
-            for place in found.places
-        ],
-        "rest_ml": found.rest_ml,
-    }

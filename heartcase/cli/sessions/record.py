@@ -72,7 +72,7 @@ def command(
     script = load_script(script_path) if script_path is not None else None
     # The surface says where the default script pulls; nothing else needs it.
     needs: tuple[Need, ...] = ("grid",) if script else ("surface",)
-    if script is not None and script.cuts:
+    if script is not None and (script.cuts or script.scissors):
         needs = ("grid", "tissue")
     if script is not None and script.stitches:
         needs = ("surface", "tissue")

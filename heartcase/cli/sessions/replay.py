@@ -12,13 +12,12 @@ import click
 from heartcase.cli.shared.output import echo_json
 from heartcase.cli.shared.sessions import check_numbers, require_folder, session_bar
 from heartcase.schemas.errors import Problem, UsageError
-from heartcase.schemas.recording.commands import OpenGrab, WithdrawProbe
 from heartcase.schemas.recording.reader import Recording, open_recording
 from heartcase.schemas.script import SimulationScript
 from heartcase.simulator.engine.backends import Backend
-from heartcase.simulator.instruments.grab import Grab
 from heartcase.simulator.load import Case, load_case
 from heartcase.simulator.session.operating_session import OperatingSession
+from heartcase.simulator.session.perform_tools import withdrawal_of
 from heartcase.simulator.session.recorder import Recorder
 from heartcase.simulator.session.replay import load_session, refuse_deviation
 from heartcase.simulator.session.script import load_script, run_script, with_positions
@@ -198,8 +197,7 @@ def _take_over(result: _Result, case: Case, script: SimulationScript, output: Pa
 
 def _release_all(session: OperatingSession) -> None:
     for instrument in session.simulation.instruments:
-        name = instrument.name
-        session.do(OpenGrab(name=name) if isinstance(instrument, Grab) else WithdrawProbe(name=name))
+        session.do(withdrawal_of(instrument))
 
 
 def _telling(tell: Callable[[float], None]) -> Callable[[object, float], None]:

@@ -79,7 +79,7 @@ def command(
     script = load_script(script_path) if script_path is not None else None
     curvature = script.curvature if script else "flagged"
     needs: tuple[Need, ...] = ("surface", "colours")
-    if script is not None and (script.cuts or script.stitches):
+    if script is not None and (script.cuts or script.scissors or script.stitches):
         needs = (*needs, "tissue")
     loaded = load_case(case, needs=needs, curvature=curvature, level=level)
     loaded = with_law(loaded, law, poissons_ratio)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from heartcase.pipeline.artifacts.cache import Cache
 from heartcase.pipeline.building.runner import BuildListener, Runner, SilentListener
+from heartcase.pipeline.data import Scan
 from heartcase.pipeline.markers.session import SegmentationSession
 from heartcase.pipeline.stages.filter import STAGE as FILTER
 from heartcase.pipeline.stages.read import STAGE as READ
@@ -21,22 +23,28 @@ from heartcase.schemas.toml import toml_text
 __all__ = ["RecipeSession", "open_session", "write_with_tables"]
 
 
+_HEADING = "\n# Painted in a session.\n"
+
+
 @dataclass
 class RecipeSession:
     """A session, and the recipe's file that its strokes go into. Made by :func:`open_session`."""
 
     session: SegmentationSession
     """What is painted on."""
+    scan: Scan
+    """The scan's part that is painted on, as it was read."""
     recipe: Recipe
     """The recipe as it was opened, with everything resolved."""
     path: Path
     """Its file."""
     opened_text: str
-    """Its text as it was opened: kept to the letter, with its comments."""
+    """Its text as it was opened, without the strokes that the session holds: kept to the letter, with its comments."""
     written_text: str
     """Its text as it was written last."""
     copies: set[Path] = field(default_factory=set)
     """Files that :meth:`save_as` has written."""
+    _takes_strokes: bool = False
 
     def save(self) -> int:
         """Write the session's strokes at the end of the recipe; how many they are.
@@ -71,7 +79,11 @@ class RecipeSession:
             raise RecipeError(f"{path.name} is there already and is not replaced: choose another name", place="save_as")
         advice = "write its strokes as [[strokes]] tables instead of strokes = [...]"
         strokes = _strokes_text(self.session.strokes)
-        text = write_with_tables(path, self.opened_text, strokes, place="strokes", advice=advice)
+        text = write_with_tables(
+            path, self.opened_text, strokes, place="strokes", advice=advice, is_checked=self._takes_strokes
+        )
+        # Reading a recipe of many strokes takes long, and what holds some of them holds any.
+        self._takes_strokes |= bool(strokes)
         if path.resolve() == self.path.resolve():
             self.written_text = text
         self.copies.add(path.resolve())
@@ -79,7 +91,12 @@ class RecipeSession:
 
 
 def open_session(
-    path: Path, *, out: Path, cache: Path | None = None, listener: BuildListener | None = None
+    path: Path,
+    *,
+    out: Path,
+    cache: Path | None = None,
+    listener: BuildListener | None = None,
+    resumes: bool = False,
 ) -> RecipeSession:
     """Open a recipe for painting; scan, filter and tree are taken from the build's cache where they are there.
 
@@ -95,6 +112,9 @@ def open_session(
         Directory of the cache; ``out/.heartcase-cache`` when left out.
     listener
         Told of progress.
+    resumes
+        Whether the strokes that sessions wrote at the end of the recipe are strokes of this session: so that they can
+        be taken back.
 
     Raises
     ------
@@ -102,7 +122,8 @@ def open_session(
         A problem with the recipe, the scan or the markers; or the recipe's method is not the watershed.
     """
     text = read_recipe_text(path)
-    asked = parse_recipe(text, needs_markers=False)
+    kept, painted = _without_session(text) if resumes else (text, ())
+    asked = parse_recipe(kept, needs_markers=False)
     if asked.segment.method != "watershed":
         raise UsageError(
             f"the recipe's segment.method is {asked.segment.method!r}: only the watershed is painted", place="segment"
@@ -127,11 +148,17 @@ def open_session(
     session = SegmentationSession(
         tree, filtered.get().geometry, recipe.table, markers=markers or load_markers(*stated, whole=nodes.whole)
     )
-    return RecipeSession(session, recipe, path, text, text)
+    for stroke in painted:
+        session.paint(stroke)
+    return RecipeSession(session, scan, recipe, path, kept, text)
 
 
-def write_with_tables(path: Path, text: str, addition: str, *, place: str, advice: str) -> str:
+def write_with_tables(
+    path: Path, text: str, addition: str, *, place: str, advice: str, is_checked: bool = False
+) -> str:
     """Write a recipe's text with tables added at its end, and return it.
+
+    Where ``is_checked``, such tables are known to go with this text.
 
     Raises
     ------
@@ -141,7 +168,8 @@ def write_with_tables(path: Path, text: str, addition: str, *, place: str, advic
     """
     whole = (text if text.endswith("\n") or not addition else f"{text}\n") + addition
     try:
-        parse_recipe(whole, needs_markers=False)
+        if not is_checked:
+            parse_recipe(whole, needs_markers=False)
     except RecipeError:
         raise RecipeError(f"{place} cannot be added at the end of this recipe: {advice}", place=place) from None
     try:
@@ -151,8 +179,22 @@ def write_with_tables(path: Path, text: str, addition: str, *, place: str, advic
     return whole
 
 
+def _without_session(text: str) -> tuple[str, tuple[Stroke, ...]]:
+    """A recipe's text without what sessions wrote at its end, and the strokes of that."""
+    parse_recipe(text, needs_markers=False)
+    place = 0
+    while (place := text.find(_HEADING, place)) >= 0:
+        tail = tomllib.loads(text[place:]) if text[:place].endswith("\n") else {}
+        # What somebody wrote there by hand stays to the letter.
+        is_ours = "#" not in text[place:].replace(_HEADING, "")
+        if is_ours and tail.keys() == {"strokes"}:
+            return text[:place], tuple(Stroke.model_validate(stroke) for stroke in tail["strokes"])
+        place += len(_HEADING)
+    return text, ()
+
+
 def _strokes_text(strokes: tuple[Stroke, ...]) -> str:
     if not strokes:
         return ""
     tables = [stroke.model_dump(mode="json", exclude_defaults=True) for stroke in strokes]
-    return "\n# Painted in a session.\n" + toml_text({"strokes": tables})
+    return _HEADING + toml_text({"strokes": tables})

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from pydantic import ValidationError
 
 from heartcase.pipeline.data import UNMARKED, Markers, Scan, Segmentation
 from heartcase.pipeline.markers.load_markers import rasterise_strokes, stroke_voxels
@@ -13,7 +15,7 @@ from heartcase.pipeline.markers.marker_help import ERASED, AutomaticMarkers
 from heartcase.pipeline.watershed.forest import Box, solve_forest
 from heartcase.pipeline.watershed.tree import BasinTree
 from heartcase.schemas.arrays import Int64, UInt8
-from heartcase.schemas.errors import MarkerError, UsageError
+from heartcase.schemas.errors import MarkerError, UsageError, problems_from_validation
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable
 from heartcase.schemas.recipe.settings import SegmentSettings, Stroke
@@ -139,6 +141,45 @@ class SegmentationSession:
         self._undone.clear()
         return box
 
+    def extend(self, points_mm: Sequence[Sequence[float]]) -> Box | None:
+        """Go on with the last stroke, from its last point to these: as if it had been painted in one.
+
+        Parameters
+        ----------
+        points_mm
+            LPS mm, shape (n, 3); at least one.
+
+        Returns
+        -------
+        tuple of slices or None
+            The box [z, y, x] in which labels changed; None where none did.
+
+        Raises
+        ------
+        UsageError
+            There is no stroke of this session, or one was taken back since.
+        MarkerError
+            A point is not three finite numbers, or there is none. Nothing is changed then.
+        """
+        if not self._done or self._undone:
+            raise UsageError("there is no stroke to go on with: begin one", place="extend")
+        last = self._done[-1]
+        stated = last.stroke.model_dump(exclude={"points_mm"})
+        try:
+            piece = Stroke.model_validate(stated | {"points_mm": (last.stroke.points_mm[-1], *points_mm)})
+            whole = Stroke.model_validate(stated | {"points_mm": (*last.stroke.points_mm, *points_mm)})
+        except ValidationError as error:
+            raise MarkerError(problems_from_validation(error, place="stroke")) from None
+        if len(piece.points_mm) == 1:
+            raise MarkerError("give at least one point", place="stroke.points_mm")
+        voxels, value, marked = self._reached(piece)
+        # What the stroke went over before holds its value, and what was there before it is noted.
+        voxels = voxels[marked.ravel()[voxels] != value]
+        before = marked.ravel()[voxels]
+        box = self._mark(voxels, np.full(len(voxels), value, np.uint8))
+        self._done[-1] = _Done(whole, np.concatenate((last.voxels, voxels)), np.concatenate((last.before, before)))
+        return self._note(box)
+
     def undo(self) -> Box | None:
         """Take the last stroke back; the box in which labels changed.
 
@@ -219,6 +260,22 @@ class SegmentationSession:
         """Number of strokes that :meth:`redo` can paint again."""
         return len(self._undone)
 
+    @property
+    def undone(self) -> tuple[Stroke, ...]:
+        """The strokes that :meth:`redo` can paint again, the next one last."""
+        return tuple(self._undone)
+
+    def offer_again(self, strokes: Iterable[Stroke]) -> None:
+        """Let :meth:`redo` paint these strokes, the last one first: what an earlier session took back."""
+        self._undone = list(strokes)
+
+    @property
+    def marked(self) -> UInt8:
+        """Label value that each voxel is marked with, uint8, shape [z, y, x], read-only; UNMARKED where none is."""
+        view = self._forest.painted.view()
+        view.flags.writeable = False
+        return view
+
     def markers(self) -> Markers:
         """All markers as they are now: a copy."""
         return Markers(self._forest.painted.copy(), self.geometry)
@@ -257,17 +314,23 @@ class SegmentationSession:
             raise MarkerError("no voxel of the scan is marked: paint first", place="markers")
 
     def _carry_out(self, stroke: Stroke) -> Box | None:
-        voxels = stroke_voxels(stroke, self.geometry)
-        label = None if stroke.label is None else self.table.find(stroke.label)
-        if not len(voxels) or (stroke.label is not None and label is None):
+        voxels, value, marked = self._reached(stroke)
+        if not len(voxels):
             # the same words as for a recipe's stroke
             rasterise_strokes((stroke,), self.table, self.geometry)
-        stated = self._forest.painted if self._automatic is None else self._automatic.stated
-        erased = UNMARKED if self._automatic is None else ERASED
-        before = stated.ravel()[voxels]
-        box = self._mark(voxels, np.full(len(voxels), erased if label is None else label.value, np.uint8))
+        before = marked.ravel()[voxels]
+        box = self._mark(voxels, np.full(len(voxels), value, np.uint8))
         self._done.append(_Done(stroke, voxels, before))
         return self._note(box)
+
+    def _reached(self, stroke: Stroke) -> tuple[Int64, int, UInt8]:
+        """Voxels under a stroke, the value that it gives them, and what is stated of all voxels now."""
+        label = None if stroke.label is None else self.table.find(stroke.label)
+        if stroke.label is not None and label is None:
+            rasterise_strokes((stroke,), self.table, self.geometry)
+        marked = self._forest.painted if self._automatic is None else self._automatic.stated
+        erased = UNMARKED if self._automatic is None else ERASED
+        return stroke_voxels(stroke, self.geometry), erased if label is None else label.value, marked
 
     def _mark(self, voxels: Int64, values: UInt8) -> Box | None:
         """Mark voxels, and what automatic markers follow from that; a box around the labels that changed."""

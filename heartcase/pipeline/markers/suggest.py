@@ -14,6 +14,7 @@ unsure as can be, as nobody marks it. ``heartcase bench segment-confidence`` mea
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import edt
 import numpy as np
@@ -27,7 +28,7 @@ from heartcase.pipeline.watershed.marks import mark_below
 from heartcase.pipeline.watershed.subtrees import ForestPieces, forest_pieces
 from heartcase.schemas.arrays import Bool, Float64, Int64
 from heartcase.schemas.geometry import Geometry
-from heartcase.schemas.labels import BACKGROUND
+from heartcase.schemas.labels import BACKGROUND, LabelTable
 
 __all__ = ["DISTANCE_POWER", "DOUBT_POWER", "SURE", "StrokePlace", "StrokePlaces", "suggest_strokes"]
 
@@ -76,6 +77,25 @@ class StrokePlaces:
     """The most worth a look first."""
     rest_ml: float
     """Worth of the best place that is not among them, ml: when the places are right, little more is to be gained."""
+
+    def as_json(self, table: LabelTable) -> dict[str, Any]:
+        """What other programs read: plain data, with the labels' names."""
+        return {
+            "places": [
+                {
+                    "position_mm": list(place.position_mm),
+                    "label": table[place.label].name,
+                    "rival": table[place.rival].name,
+                    "change_ml": place.change_ml,
+                    "certainty": place.certainty,
+                    "confidence": place.confidence,
+                    "radius_mm": place.radius_mm,
+                    "worth_ml": place.worth_ml,
+                }
+                for place in self.places
+            ],
+            "rest_ml": self.rest_ml,
+        }
 
 
 @dataclass(frozen=True)

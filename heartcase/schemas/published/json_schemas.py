@@ -6,6 +6,7 @@ import json
 
 from heartcase.schemas.base import Model
 from heartcase.schemas.bundle.format import ARRAYS, CaseManifest
+from heartcase.schemas.incision_plans import IncisionPlans
 from heartcase.schemas.labels import LabelTable
 from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.published.reference import reference_page
@@ -24,6 +25,7 @@ SCHEMAS: dict[str, type[Model]] = {
     "simulation-script": SimulationScript,
     "recording-header": RecordingHeader,
     "session-entry": Entry,
+    "incision-plans": IncisionPlans,
 }
 """Name -> model of every format."""
 
@@ -31,6 +33,10 @@ _MADE = "Made from the code by `heartcase schema --out docs/schemas`."
 _REFERENCES = {
     "recipe": ("Every setting of a recipe", f"`docs/recipe.md` says how to use them. {_MADE}"),
     "simulation-script": ("Every setting of a simulation script", f"What hands do in `heartcase simulate`. {_MADE}"),
+    "incision-plans": (
+        "Every setting of a file of incision plans",
+        f"`docs/incisions.md` says what it is for. {_MADE}",
+    ),
 }
 """Name of a format -> title and introduction of its page of tables."""
 

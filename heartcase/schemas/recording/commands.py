@@ -12,6 +12,15 @@ from pydantic import Field, TypeAdapter, ValidationError, model_validator
 
 from heartcase.schemas.base import BladePoses, Model, Name, PointMm, PositiveMm
 from heartcase.schemas.errors import RecordingError, problems_from_validation
+from heartcase.schemas.recording.tool_commands import (
+    BringScissors,
+    CloseForceps,
+    CloseRetractor,
+    PlaceScissors,
+    Snip,
+    SqueezeForceps,
+    WithdrawScissors,
+)
 
 __all__ = [
     "COMMANDS_VERSION",
@@ -19,7 +28,10 @@ __all__ = [
     "Advance",
     "BoundPlace",
     "BringProbe",
+    "BringScissors",
+    "CloseForceps",
     "CloseGrab",
+    "CloseRetractor",
     "Command",
     "Cut",
     "DrawStitch",
@@ -30,14 +42,18 @@ __all__ = [
     "Mark",
     "MoveProbe",
     "OpenGrab",
+    "PlaceScissors",
     "PlaceStitch",
     "Redo",
     "RemoveSprings",
     "Rewind",
+    "Snip",
+    "SqueezeForceps",
     "TakeOutStitch",
     "TieStitch",
     "Undo",
     "WithdrawProbe",
+    "WithdrawScissors",
     "parse_command",
 ]
 
@@ -296,11 +312,13 @@ class GoTo(Model):
     """The step, as frames count it."""
 
 
-_InstrumentAct = CloseGrab | OpenGrab | BringProbe | WithdrawProbe
-_SutureAct = PlaceStitch | TieStitch | TakeOutStitch
-Act = _InstrumentAct | AddSprings | RemoveSprings | Cut | _SutureAct
+ToolAct = CloseForceps | CloseRetractor | BringScissors | Snip | WithdrawScissors
+ToolMotion = SqueezeForceps | PlaceScissors
+SutureAct = PlaceStitch | TieStitch | TakeOutStitch
+InstrumentAct = CloseGrab | OpenGrab | BringProbe | WithdrawProbe | ToolAct
+Act = InstrumentAct | AddSprings | RemoveSprings | Cut | SutureAct
 """What :class:`Undo` takes back."""
-Motion = LeadGrab | MoveProbe | DrawStitch | Halt | Mark | Advance
+Motion = LeadGrab | MoveProbe | DrawStitch | Halt | Mark | Advance | ToolMotion
 Done = Act | Motion
 """What stands in the history of a session."""
 Navigation = Undo | Redo | Rewind | GoTo

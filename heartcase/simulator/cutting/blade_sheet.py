@@ -9,6 +9,7 @@ and Muecke, ACM Trans. Graph. 9, 1990): every link is crossed or not, and a clos
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -60,13 +61,15 @@ class Sheet:
         flat = np.stack([nothing, nothing, along, nothing, share, across], axis=1)
         return flat.reshape(-1, 3, 2)
 
+    @cached_property
     def links(self) -> Links:
         """Links along x, y and z that the sheet crosses, ascending."""
         return _crossed(self.triangles)
 
+    @cached_property
     def links_beyond(self) -> Links:
         """Links that its continuation crosses in the cells that the sheet itself comes to, ascending."""
-        touched = touched_places(self.links())
+        touched = touched_places(self.links)
         x, y, z = (keys[np.isin(lattice_keys(key_indices(keys) // SAMPLES), touched)] for keys in _crossed(self.beyond))
         return x, y, z
 

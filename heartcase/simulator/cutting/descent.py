@@ -50,8 +50,13 @@ def nodes_now(uncut: LatticeModel, before: PartedLattice | None, now: PartedLatt
     Where none does, the heaviest of the copies that its node has now.
     """
     origin = np.arange(uncut.node_count) if before is None else before.node_origin
-    lightest_first = np.argsort(now.model.node_mass, kind="stable")
-    heaviest = np.zeros(uncut.node_count, np.int64)
+    # Where a node has no copies, before or now, it is the only one.
+    has_copies = np.zeros(uncut.node_count, np.bool_)
+    has_copies[now.node_origin[uncut.node_count :]] = True
+    has_copies[origin[uncut.node_count :]] = True
+    asked = np.flatnonzero(has_copies[now.node_origin])
+    lightest_first = asked[np.argsort(now.model.node_mass[asked], kind="stable")]
+    heaviest = np.arange(uncut.node_count)
     heaviest[now.node_origin[lightest_first]] = lightest_first
     result: Int64 = heaviest[origin]
     result[node_before[lightest_first]] = lightest_first

@@ -10,13 +10,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from heartcase.schemas.arrays import Float32, Float64, Int8, Int32, Int64
+from heartcase.schemas.arrays import Bool, Float32, Float64, Int8, Int32, Int64
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.cutting.blade_sheet import Links, Sheet
 from heartcase.simulator.cutting.crossings import SAMPLES
+from heartcase.simulator.cutting.parting_kernels import add_up_samples, merge_springs, spring_places
 from heartcase.simulator.cutting.piece_frequency import bounded_moments
 from heartcase.simulator.cutting.pieces import Pieces, find_pieces
 from heartcase.simulator.cutting.tissue_samples import SAMPLE_PLACES, TissueSamples
@@ -67,8 +69,8 @@ def part(model: LatticeModel, sheets: Sequence[Sheet], tissue: TissueSamples) ->
     if not model.cell_is_whole.all():
         raise SimulationError("springs of this lattice were removed: cut it by sheets only", place="cut")
     links, beyond = (
-        _together([sheet.links() for sheet in sheets]),
-        _together([sheet.links_beyond() for sheet in sheets]),
+        _together([sheet.links for sheet in sheets]),
+        _together([sheet.links_beyond for sheet in sheets]),
     )
     return _parted(model, find_pieces(model, tissue, links, beyond))
 
@@ -84,58 +86,81 @@ def _parted(model: LatticeModel, pieces: Pieces) -> PartedLattice:
     is_first[pieces.first] = True
     of_cell = np.repeat(pieces.cells, pieces.counts)
     # The first piece keeps the cell's number, and the first copy the node's.
-    cell_origin = np.concatenate([np.arange(model.cell_count), of_cell[~is_first]])
-    corners = model.cell_corners[cell_origin].astype(np.int64)
-    rows = np.concatenate([of_cell[is_first], model.cell_count + np.arange((~is_first).sum())])
-    copies = np.zeros_like(corners)
-    copies[rows] = np.concatenate([pieces.copies[is_first], pieces.copies[~is_first]])
+    added = of_cell[~is_first]
+    rows = np.concatenate([of_cell[is_first], model.cell_count + np.arange(len(added))])
+    copies = np.concatenate([pieces.copies[is_first], pieces.copies[~is_first]])
+    around = model.cell_corners[np.concatenate([of_cell[is_first], added])].astype(np.int64)
     is_copied = copies > 0
-    made, number = np.unique(np.stack([corners[is_copied], copies[is_copied]], axis=1), axis=0, return_inverse=True)
-    corners[is_copied] = model.node_count + number.ravel()
-    node_origin = np.concatenate([np.arange(model.node_count), made[:, 0]])
+    most = int(copies.max(initial=0)) + 1
+    made, number = np.unique(around[is_copied] * most + copies[is_copied], return_inverse=True)
+    around[is_copied] = model.node_count + number.ravel()
+    nodes = made // most
+
+    def with_pieces(values: Any) -> Any:
+        return np.concatenate([values, values[added]])
+
+    corners = with_pieces(model.cell_corners)
+    corners[rows] = around
+    node_origin = np.concatenate([np.arange(model.node_count, dtype=np.int32), nodes.astype(np.int32)])
+    cell_origin = np.concatenate([np.arange(model.cell_count, dtype=np.int32), added.astype(np.int32)])
 
     coverage, moments = _shares(model, pieces)
-    cell_coverage = model.cell_coverage[cell_origin]
-    cell_moments = model.cell_moments[cell_origin]
+    cell_coverage, cell_moments = with_pieces(model.cell_coverage), with_pieces(model.cell_moments)
     order = np.concatenate([np.flatnonzero(is_first), np.flatnonzero(~is_first)])
     is_parted = np.repeat(pieces.counts > 1, pieces.counts)[order]
     cell_coverage[rows[is_parted]] = coverage[order[is_parted]]
     cell_moments[rows[is_parted]] = bounded_moments(model.law, moments[order[is_parted]])
 
-    stiffness, density = model.cell_stiffness[cell_origin], model.cell_density[cell_origin]
-    corners = corners.astype(np.int32)
-    springs = _springs(model, node_origin, corners, cell_coverage.astype(np.float64) * stiffness)
+    stiffness, density = with_pieces(model.cell_stiffness), with_pieces(model.cell_density)
+    near = _near_copies(model, node_origin, corners, rows)
+    of_near = cell_coverage[near.cells].astype(np.float64)
+    springs = _springs(model, near, of_near * stiffness[near.cells])
     parted = replace(
         model,
-        cells=model.cells[cell_origin],
+        cells=with_pieces(model.cells),
         cell_corners=corners,
         cell_coverage=cell_coverage,
         cell_stiffness=stiffness,
         cell_density=density,
         cell_moments=cell_moments,
-        cell_shares=model.cell_shares[cell_origin],
+        cell_shares=with_pieces(model.cell_shares),
         cell_is_whole=np.ones(len(cell_origin), np.bool_),
-        node_index=model.node_index[node_origin],
-        node_mass=_masses(model, node_origin, corners, cell_coverage.astype(np.float64) * density),
-        node_is_fixed=model.node_is_fixed[node_origin],
+        node_index=np.concatenate([model.node_index, model.node_index[nodes]]),
+        node_mass=_masses(model, near, of_near * density[near.cells]),
+        node_is_fixed=np.concatenate([model.node_is_fixed, model.node_is_fixed[nodes]]),
         spring_nodes=springs[0],
         spring_direction=springs[1],
         spring_weight=springs[2],
     )
-    return PartedLattice(parted, node_origin.astype(np.int32), cell_origin.astype(np.int32), pieces)
+    return PartedLattice(parted, node_origin, cell_origin, pieces)
+
+
+class _NearCopies(NamedTuple):
+    """Cells around nodes of which there are copies: only there masses and springs are shared out."""
+
+    node_origin: Int32
+    """Node of the uncut lattice that each node is, or is a copy of, shape (node_count,)."""
+    has_copies: Bool
+    """Nodes of the uncut lattice of which there are copies, shape (uncut node count,)."""
+    cells: Int64
+    """Cells around these and their copies, ascending, shape (count,)."""
+    corners: Int32
+    """Their corners, shape (count, 8)."""
+
+
+def _near_copies(model: LatticeModel, node_origin: Int32, corners: Int32, rows: Int64) -> _NearCopies:
+    """What lies around copies, among the cells of all pieces, whose numbers are given in ascending order."""
+    has_copies = np.zeros(model.node_count, np.bool_)
+    has_copies[node_origin[model.node_count :]] = True
+    cells = rows[has_copies[node_origin[corners[rows]]].any(axis=1)]
+    return _NearCopies(node_origin, has_copies, cells, corners[cells])
 
 
 def _shares(model: LatticeModel, pieces: Pieces) -> tuple[Float32, Float64]:
     """Coverage and moments of each piece: those of its cell, shared out as its samples are."""
-    piece = pieces.samples + pieces.first[:, None]
-    is_tissue = pieces.samples >= 0
-    number = piece[is_tissue]
     piece_count = int(pieces.counts.sum())
-    place = np.broadcast_to(SAMPLE_PLACES, (*piece.shape, 3))[is_tissue]
-    x, y, z = place.T
-    terms = (x, y, z, x * x + _SAMPLE_VARIANCE, y * y + _SAMPLE_VARIANCE, z * z + _SAMPLE_VARIANCE, y * z, x * z, x * y)
-    sizes = np.bincount(number, minlength=piece_count)
-    sums = np.stack([np.bincount(number, term, minlength=piece_count) for term in terms], axis=1)
+    sizes, sums = np.zeros(piece_count, np.int64), np.zeros((piece_count, 9))
+    add_up_samples(pieces.samples, pieces.first, SAMPLE_PLACES, _SAMPLE_VARIANCE, sizes, sums)
     of_cell = np.repeat(np.arange(len(pieces.cells)), pieces.counts)
     cell_sizes = np.bincount(of_cell, sizes, minlength=len(pieces.cells))
     cell_sums = np.stack([np.bincount(of_cell, column, minlength=len(pieces.cells)) for column in sums.T], axis=1)
@@ -153,43 +178,51 @@ def _possible(moments: Float64) -> Float64:
     return np.concatenate([first, second, np.clip(moments[:, 6:], -0.5, 0.5)], axis=1)
 
 
-def _masses(model: LatticeModel, node_origin: Int64, corners: Int32, cell_mass: Float64) -> Float32:
+def _masses(model: LatticeModel, near: _NearCopies, cell_mass: Float64) -> Float32:
     """Mass of each node: that of the uncut lattice's, shared out among its copies."""
-    of_node = np.bincount(corners.ravel(), np.repeat(cell_mass, 8), minlength=len(node_origin))
-    whole = np.bincount(node_origin, of_node)[node_origin]
-    mass: Float32 = (model.node_mass[node_origin] * (of_node / whole)).astype(np.float32)
+    nodes, number = np.unique(near.corners, return_inverse=True)
+    of_node = np.bincount(number.ravel(), np.repeat(cell_mass, 8))
+    is_shared = near.has_copies[near.node_origin[nodes]]
+    nodes, of_node = nodes[is_shared], of_node[is_shared]
+    origin = near.node_origin[nodes]
+    _, which = np.unique(origin, return_inverse=True)
+    whole = np.bincount(which.ravel(), of_node)[which.ravel()] if len(nodes) else of_node
+    mass = np.concatenate([model.node_mass, np.zeros(len(near.node_origin) - model.node_count, np.float32)])
+    mass[nodes] = (model.node_mass[origin] * (of_node / whole)).astype(np.float32)
     return mass
 
 
-def _springs(
-    model: LatticeModel, node_origin: Int64, corners: Int32, stiffness: Float64
-) -> tuple[Int32, Int8, Float32]:
+def _springs(model: LatticeModel, near: _NearCopies, stiffness: Float64) -> tuple[Int32, Int8, Float32]:
     """Both nodes, direction and stiffness of each spring, by lower node, then direction.
 
-    They are those of the uncut lattice, shared out among their copies.
+    They are those of the uncut lattice, shared out among their copies. Where no node has a copy all stays as it was.
     """
     pairs, share, direction = CELL_SPRINGS
-    node_count = len(node_origin)
-    # Where no node has a copy all stays as it was.
-    has_copies = np.zeros(model.node_count, np.bool_)
-    has_copies[node_origin[model.node_count :]] = True
-    near = has_copies[node_origin[corners]].any(axis=1)
-    ends = corners[near][:, pairs].astype(np.int64)
+    node_count = len(near.node_origin)
+    ends = near.corners[:, pairs].astype(np.int64)
     keys = ((ends[..., 0] * 9 + direction) * node_count + ends[..., 1]).ravel()
-    shares = (stiffness[near, None] * share).ravel()
-    is_shared = has_copies[node_origin[ends]].any(axis=2).ravel()
+    shares = (stiffness[:, None] * share).ravel()
+    is_shared = near.has_copies[near.node_origin[ends]].any(axis=2).ravel()
     used, number = np.unique(keys[is_shared], return_inverse=True)
-    weight = np.bincount(number.ravel(), shares[is_shared])
-    uncut = model.spring_nodes[:, 0].astype(np.int64) * 9 + model.spring_direction
-    origin = np.searchsorted(uncut, node_origin[used // (9 * node_count)] * 9 + used // node_count % 9)
-    whole = np.bincount(origin, weight)[origin]
-    shared = model.spring_weight[origin] * (weight / whole)
+    weight = np.bincount(number.ravel(), shares[is_shared], minlength=len(used))
+    lower, way, higher = used // (9 * node_count), used // node_count % 9, used % node_count
+    origin = np.empty(len(used), np.int64)
+    spring_places(model.first_springs, model.spring_direction, near.node_origin[lower], way, origin)
+    _, which = np.unique(origin, return_inverse=True)
+    whole = np.bincount(which.ravel(), weight)[which.ravel()] if len(used) else weight
+    shared = (model.spring_weight[origin] * (weight / whole)).astype(np.float32)
 
-    kept = ~has_copies[model.spring_nodes].any(axis=1)
-    kept_keys = uncut[kept] * node_count + model.spring_nodes[kept, 1]
-    keys = np.concatenate([kept_keys, used])
-    order = np.argsort(keys, kind="stable")
-    keys = keys[order]
-    nodes = np.stack([keys // (9 * node_count), keys % node_count], axis=1)
-    weights = np.concatenate([model.spring_weight[kept], shared.astype(np.float32)])[order]
-    return nodes.astype(np.int32), (keys // node_count % 9).astype(np.int8), weights
+    room = model.spring_count + len(used)
+    nodes, directions, weights = np.empty((room, 2), np.int32), np.empty(room, np.int8), np.empty(room, np.float32)
+    count = merge_springs(
+        model.spring_nodes,
+        model.spring_direction,
+        model.spring_weight,
+        near.has_copies,
+        np.stack([lower, way, higher], axis=1),
+        shared,
+        nodes,
+        directions,
+        weights,
+    )
+    return nodes[:count], directions[:count], weights[:count]

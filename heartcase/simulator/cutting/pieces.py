@@ -21,9 +21,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from heartcase.schemas.arrays import Bool, Float64, Int32, Int64
-from heartcase.schemas.bundle.lattice import CORNER_OFFSETS, lattice_keys
+from heartcase.schemas.bundle.lattice import CORNER_OFFSETS, distinct_keys, lattice_keys
 from heartcase.simulator.cutting.blade_sheet import Links, key_indices, touched_places
 from heartcase.simulator.cutting.crossings import SAMPLES
+from heartcase.simulator.cutting.parting_kernels import nearest_of_each
 from heartcase.simulator.cutting.piece_kernels import (
     SAMPLE_COUNT,
     Block,
@@ -102,38 +103,44 @@ def find_pieces(model: LatticeModel, tissue: TissueSamples, links: Links, beyond
 
 def _block(model: LatticeModel, tissue: TissueSamples, links: Links, beyond: Links) -> tuple[Block, Bool]:
     """The places around a sheet, and where its continuation counts, shape (count, 3, SAMPLES^3)."""
-    cell_keys = lattice_keys(model.cells)
-    by_key = np.argsort(cell_keys, kind="stable")
-    cell_keys = cell_keys[by_key]
+    cell_keys, by_key = model.cells_in_order
     touched = touched_places(links)
     # Places without tissue count only beside tissue.
     around = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    near = np.unique(lattice_keys(key_indices(touched)[:, None] + around))
-    near = near[np.isin(near, cell_keys)]
-    keys = np.unique(lattice_keys(key_indices(near)[:, None] + around)) if len(near) else near
-    keys = np.intersect1d(keys, np.unique(lattice_keys(key_indices(touched)[:, None] + around)))
-    found = np.minimum(np.searchsorted(cell_keys, keys), len(cell_keys) - 1)
-    cell = np.where(cell_keys[found] == keys, by_key[found], -1)
+    beside = distinct_keys(lattice_keys(key_indices(touched)[:, None] + around))
+    found = np.minimum(np.searchsorted(cell_keys, beside), len(cell_keys) - 1)
+    has_cell = cell_keys[found] == beside
+    near = distinct_keys(lattice_keys(key_indices(beside[has_cell])[:, None] + around))
+    kept = _is_among(beside, near)
+    keys, cell = beside[kept], np.where(has_cell, by_key[found], -1)[kept]
 
     is_tissue = np.zeros((len(keys), SAMPLE_COUNT), np.bool_)
     here = np.flatnonzero(cell >= 0)
     is_tissue[here] = tissue.of_cells(model.cells[cell[here]], model.cell_moments[cell[here]])
-    block = Block(keys, cell, is_tissue, _marked(keys, links), np.isin(keys, touched))
+    block = Block(keys, cell, is_tissue, _marked(keys, links), _is_among(keys, touched))
     is_beyond = _marked(keys, beyond) & ~block.is_crossed & block.is_touched[:, None, None]
     for axis in range(3):
         # Between two cells it counts where the sheet has come to.
         on_face = np.arange(SAMPLE_COUNT) // _STRIDES[axis] % SAMPLES == SAMPLES - 1
         next_keys = lattice_keys(key_indices(keys) + np.eye(3, dtype=np.int64)[axis])
-        is_kept = block.is_crossed[:, axis, on_face].any(axis=1) & np.isin(next_keys, touched)
+        is_kept = block.is_crossed[:, axis, on_face].any(axis=1) & _is_among(next_keys, touched)
         is_beyond[np.ix_(~is_kept, np.array([axis]), on_face)] = False
     return block, is_beyond
+
+
+def _is_among(keys: Int64, listed: Int64) -> Bool:
+    """Which keys are listed, in ascending order."""
+    if not len(listed):
+        return np.zeros(len(keys), np.bool_)
+    among: Bool = listed[np.minimum(np.searchsorted(listed, keys), len(listed) - 1)] == keys
+    return among
 
 
 def _marked(keys: Int64, links: Links) -> Bool:
     """Links from each sample of some places that are listed, shape (count, 3, SAMPLES^3)."""
     marks = np.zeros((len(keys), 3, SAMPLE_COUNT), np.bool_)
     for axis, listed in enumerate(links if len(keys) else ()):
-        samples = key_indices(np.unique(listed))
+        samples = key_indices(listed)
         place_keys = lattice_keys(samples // SAMPLES)
         place = np.minimum(np.searchsorted(keys, place_keys), len(keys) - 1)
         kept = keys[place] == place_keys
@@ -146,15 +153,21 @@ def _with_stems(block: Block, labels: Labels, is_cut: Bool, is_beyond: Bool, cop
 
     Pieces and counts of the labels are changed; the copies of all pieces' corners are returned.
     """
-    first = np.cumsum(labels.piece_count) - labels.piece_count
-    rows: list[Int64] = np.split(copies, first[1:]) if len(first) else []
+    end = np.cumsum(labels.piece_count)
+    first = end - labels.piece_count
+    changed: dict[int, Int64] = {}
+
+    def rows_of(place: int) -> Int64:
+        return changed.get(place, copies[first[place] : end[place]])
+
     was_whole = labels.piece_count == 1
     on_face = [np.arange(SAMPLE_COUNT) // stride % SAMPLES == SAMPLES - 1 for stride in _STRIDES]
     inside = ~np.array(on_face)
     is_parted = (labels.piece_count > 1) & (is_beyond & inside).any(axis=(1, 2))
     for place in map(int, np.flatnonzero(is_parted)):
         at_cut = _places_of(is_cut[place])
-        rows[place] = _with_stem(labels, place, at_cut, _places_of(is_beyond[place]), rows[place], None)
+        at_stem = _places_of(is_beyond[place])
+        changed[place] = _with_stem(labels, place, at_cut, at_stem, rows_of(place), None)
     # Where a sheet ends on the face between two cells, tissue of the further one holds on to the nearer.
     for axis in range(3):
         next_keys = lattice_keys(key_indices(block.keys) + np.eye(3, dtype=np.int64)[axis])
@@ -168,9 +181,13 @@ def _with_stems(block: Block, labels: Labels, is_cut: Bool, is_beyond: Bool, cop
             at_cut, at_stem = (_places_of(marks[place] & on) - shift for marks in (is_cut, is_beyond))
             corners = np.arange(8)
             near = corners >> axis & 1 == 0
-            stem = np.where(near, rows[place][0][corners | 1 << axis], rows[there][0])
-            rows[there] = _with_stem(labels, there, at_cut, at_stem, rows[there], stem)
-    return np.concatenate(rows) if rows else copies
+            stem = np.where(near, rows_of(place)[0][corners | 1 << axis], rows_of(there)[0])
+            changed[there] = _with_stem(labels, there, at_cut, at_stem, rows_of(there), stem)
+    parts, done = [], 0
+    for place in sorted(changed):
+        parts += [copies[done : first[place]], changed[place]]
+        done = end[place]
+    return np.concatenate([*parts, copies[done:]])
 
 
 def _places_of(marks: Bool) -> Float64:
@@ -182,8 +199,10 @@ def _with_stem(labels: Labels, place: int, at_cut: Float64, at_stem: Float64, ro
     """Split the stem, with given copies at its corners or those of the sides they lie on, from a cell's pieces."""
     piece = labels.piece[place]
     tissue = piece >= 0
-    away_from_cut = _distances(SAMPLE_PLACES, at_cut) if len(at_cut) else np.full(SAMPLE_COUNT, np.inf)
-    is_stem = tissue & (_distances(SAMPLE_PLACES, at_stem) < away_from_cut)
+    away_from_cut, away_from_stem = np.empty((2, SAMPLE_COUNT))
+    nearest_of_each(SAMPLE_PLACES, at_cut, away_from_cut)
+    nearest_of_each(SAMPLE_PLACES, at_stem, away_from_stem)
+    is_stem = tissue & (away_from_stem < away_from_cut)
     if not is_stem.any():
         return rows
     if stem is None:
@@ -197,12 +216,6 @@ def _with_stem(labels: Labels, place: int, at_cut: Float64, at_stem: Float64, ro
     labels.piece[place][~tissue] = -1
     labels.piece_count[place] = len(kept) + 1
     return np.concatenate([rows[kept], stem[None]])
-
-
-def _distances(points: Float64, others: Float64) -> Float64:
-    """Squared distance of each point to the nearest of others."""
-    nearest: Float64 = ((points[:, None] - others) ** 2).sum(axis=2).min(axis=1)
-    return nearest
 
 
 def _renumbered(corners: Int64, copies: Int64) -> Int64:
@@ -233,11 +246,11 @@ def _shared_nodes(block: Block, labels: Labels) -> Int64:
 
     # Corners of cells that were touched, node by node; only there may nodes be copied.
     corner_keys = lattice_keys(indices[:, None, :] + CORNER_OFFSETS)
-    candidates = np.unique(corner_keys[block.is_touched])
+    candidates = distinct_keys(corner_keys[block.is_touched])
     place_of_piece = np.repeat(np.arange(len(block.keys)), labels.piece_count)
     use_keys = corner_keys[place_of_piece].ravel()
     order = np.argsort(use_keys, kind="stable")
-    order = order[np.isin(use_keys[order], candidates)]
+    order = order[_is_among(use_keys[order], candidates)]
     sizes, space_of_piece = piece_sizes(labels, first_piece, int(labels.piece_count.sum()))
     piece, corner = order // 8, order % 8
     place = place_of_piece[piece]

@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.schemas.arrays import Bool, Float64, Int32, Int64
-from heartcase.schemas.bundle.lattice import lattice_keys
 from heartcase.simulator.cutting.blade_sheet import crossed_links
 from heartcase.simulator.cutting.crossings import QUANTA, SAMPLES
+from heartcase.simulator.cutting.parting_kernels import tissue_in_cells
 
 __all__ = ["SAMPLE_PLACES", "TissueSamples", "samples_of"]
 
@@ -65,14 +65,8 @@ class TissueSamples:
         """
         if self.entries is None:
             return np.ones((len(cells), SAMPLES**3), np.bool_)
-        samples = samples_of(cells)
-        # A sample is inside where the surface was crossed an odd number of times on its row before it.
-        keys = lattice_keys(samples)
-        row_start = lattice_keys(
-            np.concatenate([np.full((*samples.shape[:2], 1), -(1 << 20)), samples[..., 1:]], axis=2)
-        )
-        before = np.searchsorted(self.entries, keys) - np.searchsorted(self.entries, row_start)
-        is_tissue: Bool = before % 2 == 1
+        is_tissue = np.empty((len(cells), SAMPLES**3), np.bool_)
+        tissue_in_cells(self.entries, cells, is_tissue)
         empty = np.flatnonzero(~is_tissue.any(axis=1))
         away = SAMPLE_PLACES - np.asarray(moments, dtype=np.float64)[empty, None, :3]
         is_tissue[empty, (away**2).sum(axis=2).argmin(axis=1)] = True

@@ -6,11 +6,12 @@ import numpy as np
 from numba import prange
 
 from heartcase.compiling.kernel import kernel
-from heartcase.schemas.arrays import Float64, Int32, Int64
+from heartcase.schemas.arrays import Bool, Float64, Int32, Int64
 from heartcase.simulator.forces.cell_forces import MODES, mean_slopes, tissue_spread
+from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.lattice.model import LatticeModel
 
-__all__ = ["CellStiffness"]
+__all__ = ["CellStiffness", "is_quicker"]
 
 
 class CellStiffness:
@@ -25,8 +26,7 @@ class CellStiffness:
         moments = model.cell_moments[:count].astype(np.float64)
         self._slopes = mean_slopes(moments) if law.is_element else np.zeros((count, 4, 3))
         self._spread = tissue_spread(moments)
-        shear, lame = (law.shear_modulus, law.lame_modulus) if law.is_element else (0.0, law.volume_modulus)
-        self._law = np.array([shear, lame, law.plate_modulus, law.poissons_ratio, law.youngs_modulus])
+        self._law = _law_numbers(law)
         order = np.argsort(self._corners.ravel(), kind="stable")
         self._places = order.astype(np.int64)
         ends = np.cumsum(np.bincount(self._corners.ravel(), minlength=model.node_count))
@@ -46,6 +46,30 @@ class CellStiffness:
             cells = (self._corners, self._scale, self._own, self._slopes, self._spread)
             _resist(*cells, self._law, self._shared, self._node_stress, moved, self._at_corners)
             _gather(self._places, self._first, self._at_corners.reshape(-1, 3), inverse_root, product)
+
+
+def is_quicker(law: ForceLaw, moments: Float64, bound: float) -> Bool:
+    """Which lone elements have a larger omega^2 at rest than a bound [k/m], shape (count,).
+
+    Parameters
+    ----------
+    law
+        A law of elements.
+    moments
+        Of their tissue, shape (count, 9), read as the model keeps them: in float32.
+    bound
+        In k/m, with the mass of a cell of their coverage.
+    """
+    kept = np.asarray(moments, np.float32).astype(np.float64)
+    result = np.empty(len(kept), np.bool_)
+    # An eighth of the mass lies at each corner.
+    _exceed(mean_slopes(kept), tissue_spread(kept), _law_numbers(law), bound / 8.0, result)
+    return result
+
+
+def _law_numbers(law: ForceLaw) -> Float64:
+    shear, lame = (law.shear_modulus, law.lame_modulus) if law.is_element else (0.0, law.volume_modulus)
+    return np.array([shear, lame, law.plate_modulus, law.poissons_ratio, law.youngs_modulus])
 
 
 @kernel
@@ -106,6 +130,38 @@ def _share(places: Int64, first: Int64, shared: Float64, gradient: Float64, law:
         node_stress[node] = _stress(mean, law[0], law[1])
 
 
+@kernel
+def _write_forces(
+    q: Float64, P: Float64, slopes: Float64, spread: Float64, scale: float, law: Float64, at_corners: Float64
+) -> None:
+    """Write the forces of a cell on its corners, from its modes and the stress of its stretching."""
+    mu, _, plate, ratio, youngs = law
+    e = np.zeros((7, 3))
+    if mu > 0:
+        x, y, z = spread
+        for varied, m, i, n, j in ((x, 5, 1, 4, 2), (y, 5, 0, 3, 2), (z, 4, 0, 3, 1)):
+            e[m, i] += varied * plate * (q[m, i] + ratio * q[n, j])
+            e[n, j] += varied * plate * (q[n, j] + ratio * q[m, i])
+        for varied, m, n in ((x, 1, 2), (y, 0, 2), (z, 0, 1)):
+            twist = mu * varied * (q[3 + m, m] + q[3 + n, n])
+            e[3 + m, m] += twist
+            e[3 + n, n] += twist
+        for axis, product in enumerate((y * z, x * z, x * y)):
+            e[6, axis] += youngs * product * q[6, axis]
+    e *= scale
+    for i in range(3):
+        for k in range(3):
+            e[k, i] += P[i, k]
+            for mode in range(4):
+                e[3 + mode, i] += P[i, k] * slopes[mode, k]
+    for corner in range(8):
+        for axis in range(3):
+            total = 0.0
+            for mode in range(7):
+                total += MODES[mode, corner] * e[mode, axis]
+            at_corners[corner, axis] = total
+
+
 @kernel(parallel=True)
 def _resist(
     corners: Int32,
@@ -120,41 +176,49 @@ def _resist(
     at_corners: Float64,
 ) -> None:
     """Write the forces of each cell on its corners."""
-    mu, lame, plate, ratio, youngs = law
-    is_element = mu > 0
     for cell in prange(len(corners)):
         q = _modes(corners, cell, moved)
-        P = own[cell] * _stress(_mean_gradient(q, slopes[cell]), mu, lame)
+        P = own[cell] * _stress(_mean_gradient(q, slopes[cell]), law[0], law[1])
         if len(node_stress):
             for corner in range(8):
                 part, node = shared[cell, corner], corners[cell, corner]
                 for i in range(3):
                     for k in range(3):
                         P[i, k] += part * node_stress[node, i, k]
-        e = np.zeros((7, 3))
-        if is_element:
-            x, y, z = spread[cell]
-            for varied, m, i, n, j in ((x, 5, 1, 4, 2), (y, 5, 0, 3, 2), (z, 4, 0, 3, 1)):
-                e[m, i] += varied * plate * (q[m, i] + ratio * q[n, j])
-                e[n, j] += varied * plate * (q[n, j] + ratio * q[m, i])
-            for varied, m, n in ((x, 1, 2), (y, 0, 2), (z, 0, 1)):
-                twist = mu * varied * (q[3 + m, m] + q[3 + n, n])
-                e[3 + m, m] += twist
-                e[3 + n, n] += twist
-            for axis, product in enumerate((y * z, x * z, x * y)):
-                e[6, axis] += youngs * product * q[6, axis]
-        e *= scale[cell]
-        for i in range(3):
-            for k in range(3):
-                e[k, i] += P[i, k]
-                for mode in range(4):
-                    e[3 + mode, i] += P[i, k] * slopes[cell, mode, k]
-        for corner in range(8):
-            for axis in range(3):
-                total = 0.0
-                for mode in range(7):
-                    total += MODES[mode, corner] * e[mode, axis]
-                at_corners[cell, corner, axis] = total
+        _write_forces(q, P, slopes[cell], spread[cell], scale[cell], law, at_corners[cell])
+
+
+@kernel
+def _exceed(slopes: Float64, spread: Float64, law: Float64, bound: float, result: Bool) -> None:
+    """Write which lone elements have an eigenvalue of their stiffness above a bound."""
+    q, column = np.empty((7, 3)), np.empty((8, 3))
+    matrix = np.empty((24, 24))
+    for cell in range(len(slopes)):
+        for degree in range(24):
+            q[:] = 0.0
+            for mode in range(7):
+                q[mode, degree % 3] = MODES[mode, degree // 3]
+            P = _stress(_mean_gradient(q, slopes[cell]), law[0], law[1])
+            _write_forces(q, P, slopes[cell], spread[cell], 1.0, law, column)
+            for row in range(24):
+                matrix[row, degree] = -column[row // 3, row % 3]
+            matrix[degree, degree] += bound
+        # None is above the bound where Cholesky's decomposition of what is left of it can be finished.
+        result[cell] = False
+        for row in range(24):
+            for degree in range(row + 1):
+                total = matrix[row, degree]
+                for before in range(degree):
+                    total -= matrix[row, before] * matrix[degree, before]
+                if degree < row:
+                    matrix[row, degree] = total / matrix[degree, degree]
+                elif total > 0.0:
+                    matrix[row, row] = np.sqrt(total)
+                else:
+                    result[cell] = True
+                    break
+            if result[cell]:
+                break
 
 
 @kernel(parallel=True)

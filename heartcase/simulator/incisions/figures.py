@@ -21,22 +21,32 @@ class IncisionFigures:
     """Name of the plan."""
     rim_seen: float | None = None
     """Part of the defect's rim that is seen from some eye of the cone [1]."""
+    rim_seen_closed: float | None = None
+    """The same before the heart was cut [1]."""
+    rim_seen_cut: float | None = None
+    """The same when it was cut and nothing holds it open yet [1]."""
     rim_seen_best: float | None = None
-    """The same from the best eye alone [1]."""
+    """The same as it is held open, from the best eye alone [1]."""
     solid_angle_sr: float | None = None
     """Solid angle of what is seen of the defect from the best eye, sr."""
     freedom_mm3: float | None = None
     """Volume of surgical freedom with the tip on the defect, mm3."""
     reach_mm3: float | None = None
     """Volume of all places that the tip comes to through the opening, mm3."""
+    gap_mm: float | None = None
+    """Largest distance between the lips as they are held, mm."""
     retraction_n: float | None = None
     """Largest force with which the opening is held, N."""
     stretch: float | None = None
     """Largest stretch of the tissue [1]."""
+    stretch_high: float | None = None
+    """Stretch that 99% of the tissue, by volume, stay below [1]."""
     stretch_place_mm: tuple[float, float, float] | None = None
     """Where, LPS mm."""
     stress_kpa: float | None = None
     """Largest principal stress, kPa."""
+    stress_high_kpa: float | None = None
+    """Principal stress that 99% of the tissue stay below, kPa."""
     stress_place_mm: tuple[float, float, float] | None = None
     """Where, LPS mm."""
     nearest_mm: dict[str, float] = field(default_factory=dict)
@@ -173,15 +183,20 @@ def to_json(plans: Sequence[RankedPlan]) -> str:
 
 
 _ROWS = (
+    ("rim seen, closed [%]", "rim_seen_closed", ".0%"),
+    ("rim seen, cut, not held [%]", "rim_seen_cut", ".0%"),
     ("rim seen [%]", "rim_seen", ".0%"),
     ("rim seen from the best eye [%]", "rim_seen_best", ".0%"),
     ("solid angle [sr]", "solid_angle_sr", ".2g"),
     ("freedom at the defect [mm3]", "freedom_mm3", ",.0f"),
     ("reach of the tip [mm3]", "reach_mm3", ",.0f"),
     ("length [mm]", "length_mm", ".1f"),
+    ("gap between the lips [mm]", "gap_mm", ".1f"),
     ("retraction force [N]", "retraction_n", ".2f"),
     ("largest stretch [1]", "stretch", ".2f"),
+    ("stretch of 99% below [1]", "stretch_high", ".2f"),
     ("largest stress [kPa]", "stress_kpa", ".1f"),
+    ("stress of 99% below [kPa]", "stress_high_kpa", ".1f"),
     ("worst stitch over measured [1]", "worst_stitch", ".2f"),
 )
 

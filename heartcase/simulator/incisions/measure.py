@@ -101,7 +101,7 @@ def measured(
         peak(scene.model, scene.displacement, values[:, 0], strain.is_known)
         for values in (strain.stretches, strain.stress_kpa)
     )
-    vessels = to_vessels(curve, scene.landmarks, scene.rest_mm, scene.now_mm)
+    vessels = to_vessels(_edge(scene, curve), scene.landmarks, scene.rest_mm, scene.now_mm)
     return IncisionFigures(
         name=plan.name,
         rim_seen=seen.rim_seen,
@@ -111,13 +111,22 @@ def measured(
         reach_mm3=reached,
         retraction_n=retraction_n,
         stretch=stretch.value,
+        stretch_high=stretch.high,
         stretch_place_mm=_place(stretch),
         stress_kpa=stress.value,
+        stress_high_kpa=stress.high,
         stress_place_mm=_place(stress),
         nearest_mm={one.name: one.distance_mm for one in vessels},
         length_mm=_length_mm(plan.curve_mm),
         stitches=beside_measured(tuple(stitch_forces_n)),
     )
+
+
+def _edge(scene: Scene, curve: Float64) -> Float64:
+    """What must keep clear of vessels: both lips where they are known, else the incision's line as it was carried."""
+    if scene.opening_mm is None:
+        return curve
+    return np.concatenate([scene.opening_mm, scene.opening_mm[:1]])
 
 
 def _length_mm(curve_mm: npt.ArrayLike) -> float:

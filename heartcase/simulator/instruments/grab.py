@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from math import sqrt
 
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.schemas.arrays import Bool, Float, Float32, Float64, Intp
+from heartcase.schemas.arrays import Bool, Float, Float32, Float64, Int64, Intp
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.instruments.placing import is_point, point_in_lattice, turn_in_grid
 from heartcase.simulator.lattice.model import LatticeModel
 
-__all__ = ["Grab", "Pose", "close_grab", "nodes_in_reach", "pose_of", "require_grab"]
+__all__ = ["DETOUR_MAX", "Grab", "Pose", "along_springs", "close_grab", "nodes_in_reach", "pose_of", "require_grab"]
 
 DETOUR_MAX = sqrt(1.5)
 """Longest way along lattice springs over the straight way, in an uncut lattice."""
@@ -55,11 +55,62 @@ class Grab:
 
     def displacement_at(self, pose: Pose) -> Float64:
         """Displacements of the nodes at a pose [cells, grid axes], shape (count, 3)."""
-        return self.closed_at + (self.arms @ pose.turn.T - self.arms) + pose.offset
+        return self._placed(pose, self.arms)
+
+    def _placed(self, pose: Pose, arms: Float64) -> Float64:
+        """Displacements at a pose of nodes that lie so in the hand before it is turned."""
+        return self.closed_at + (arms @ pose.turn.T - self.arms) + pose.offset
+
+    def way(self, forces: Callable[[Intp], Float32], duration: float) -> tuple[Float64, Float64]:
+        """Displacements of the nodes at the start and at the end of the next steps [cells], (count, 3) each.
+
+        Parameters
+        ----------
+        forces
+            Force of the tissue on some nodes now [grid units], shape (count, 3).
+        duration
+            How long the steps take [units of time].
+        """
+        return self.displacement_at(self.pose), self.displacement_at(self.target)
+
+    def arrive(self) -> None:
+        """The steps were taken: it is where it was led to."""
+        self.pose = self.target
+
+    def stay(self) -> None:
+        """The steps were not taken: it is led nowhere."""
+        self.target = self.pose
+
+    def lead_part(self, share: float) -> None:
+        """Lead it so far towards where it is led, 0 to 1; nodes are there in a straight line, as in all of the way."""
+        pose, target = self.pose, self.target
+        self.target = Pose(
+            pose.offset + share * (target.offset - pose.offset), pose.turn + share * (target.turn - pose.turn)
+        )
+
+    def carry(self, nodes: Intp, place: Int64) -> None:
+        """Hold other nodes from now on: those of a lattice that was cut further, each from the one at ``place``."""
+        self.nodes = nodes
+        self.closed_at, self.arms = self.closed_at[place], self.arms[place]
+
+    def keep_side(self, model: LatticeModel, sheets: Float64) -> None:
+        """Let go of what a further cut put onto the other side of it; a hand holds both sides.
+
+        Parameters
+        ----------
+        model
+            The lattice by now.
+        sheets
+            Triangles of all that was cut, at rest [cells, frame of the nodes], shape (triangle_count, 3, 3).
+        """
+
+    def arms_now(self) -> Float64:
+        """Vectors from the hand's centre to where its nodes are now [cells, grid axes], shape (count, 3)."""
+        return self.arms @ self.pose.turn.T
 
     def wrench(self, pull: Float) -> Float64:
         """Sum of the forces on its nodes, shape (count, 3), and of their moments about its centre now, shape (6,)."""
-        arms = self.arms @ self.pose.turn.T
+        arms = self.arms_now()
         return np.concatenate([pull.sum(axis=0, dtype=np.float64), np.cross(arms, pull).sum(axis=0)])
 
 
@@ -166,30 +217,42 @@ def nodes_in_reach(model: LatticeModel, displacement: Float32, center_mm: npt.Ar
         )
     inside = distance <= radius
     reach = DETOUR_MAX * (radius + distance[nearest]) + 1.0
-    held = _along_springs(model, inside, start=nearest, reach=reach)
+    held = along_springs(model, inside, starts=[nearest], reach=np.full(model.node_count, reach))
     held = held[~model.node_is_fixed[held]]
     if not len(held):
         raise SimulationError("all the tissue in the grab is fixed: grab elsewhere", place="grab")
     return held
 
 
-def _along_springs(model: LatticeModel, inside: Bool, *, start: int, reach: float) -> Intp:
-    """Nodes inside whose shortest way along springs inside, by rest length, is at most ``reach`` [cells]."""
+def along_springs(model: LatticeModel, inside: Bool, *, starts: Sequence[int], reach: Float64) -> Intp:
+    """Nodes inside whose shortest way along springs inside, by rest length, is at most their reach, ascending.
+
+    Parameters
+    ----------
+    model
+        The lattice, without the springs that were cut.
+    inside
+        Which nodes may be on the way, shape (node_count,).
+    starts
+        Nodes at which ways begin.
+    reach
+        Longest way to each node [cells], shape (node_count,).
+    """
     springs = np.flatnonzero(inside[model.spring_nodes].all(axis=1))
     beside: dict[int, list[tuple[int, float]]] = {}
     lengths = model.spring_length[springs].tolist()
     for (lower, higher), length in zip(model.spring_nodes[springs].tolist(), lengths, strict=True):
         beside.setdefault(lower, []).append((higher, length))
         beside.setdefault(higher, []).append((lower, length))
-    way = {start: 0.0}
-    queue = [(0.0, start)]
+    way = dict.fromkeys(starts, 0.0)
+    queue = [(0.0, start) for start in sorted(way)]
     while queue:
         so_far, node = heapq.heappop(queue)
         if so_far > way[node]:
             continue
         for other, length in beside.get(node, ()):
             there = so_far + length
-            if there <= reach and there < way.get(other, np.inf):
+            if there <= reach[other] and there < way.get(other, np.inf):
                 way[other] = there
                 heapq.heappush(queue, (there, other))
     return np.array(sorted(way), dtype=np.intp)

@@ -6,10 +6,10 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.schemas.arrays import Float64
-from heartcase.schemas.errors import SimulationError
+from heartcase.schemas.errors import Problem, SimulationError
 from heartcase.simulator.lattice.model import LatticeModel
 
-__all__ = ["is_point", "point_in_lattice", "turn_in_grid"]
+__all__ = ["is_point", "jaw_axes", "point_in_lattice", "turn_in_grid"]
 
 
 def is_point(values: npt.ArrayLike) -> bool:
@@ -37,3 +37,37 @@ def turn_in_grid(model: LatticeModel, turn: npt.ArrayLike | None, name: str) -> 
     direction = model.geometry.direction_matrix
     turned: Float64 = direction.T @ rotation @ direction
     return turned
+
+
+def jaw_axes(
+    model: LatticeModel, direction: npt.ArrayLike, closing: npt.ArrayLike, name: str
+) -> tuple[Float64, list[Problem]]:
+    """Axes of an instrument with two jaws, in rows, grid axes, shape (3, 3), and what is wrong with what was given.
+
+    Along the jaws towards their tips; from one jaw to the other; along the hinge.
+
+    Parameters
+    ----------
+    model
+        The lattice.
+    direction
+        Along the jaws, LPS, shape (3,), of any length.
+    closing
+        From one jaw to the other, LPS, shape (3,), of any length; what of it lies along the jaws is left out.
+    name
+        Name of the instrument, in messages.
+    """
+    problems = [
+        Problem(name, f"the {what} must be three finite numbers, not all zero")
+        for what, given in (("direction", direction), ("closing direction", closing))
+        if not is_point(given) or not np.asarray(given, dtype=float).any()
+    ]
+    if problems:
+        return np.eye(3), problems
+    along, across = (model.to_grid(np.asarray(given, dtype=float)) for given in (direction, closing))
+    along, across = along / np.linalg.norm(along), across / np.linalg.norm(across)
+    across = across - (across @ along) * along
+    if np.linalg.norm(across) < 1e-3:
+        return np.eye(3), [Problem(name, "the jaws close along their own length: give another closing direction")]
+    across = across / np.linalg.norm(across)
+    return np.stack([along, across, np.cross(along, across)]), []

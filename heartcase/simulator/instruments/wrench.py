@@ -8,9 +8,13 @@ from dataclasses import dataclass
 from heartcase.schemas.arrays import Float32, Float64, Intp
 from heartcase.simulator.instruments.grab import Grab
 from heartcase.simulator.instruments.probe import Probe
+from heartcase.simulator.instruments.scissors import Scissors
 from heartcase.simulator.lattice.model import LatticeModel
 
-__all__ = ["Wrench", "wrench_on"]
+__all__ = ["Instrument", "Wrench", "wrench_on"]
+
+Instrument = Grab | Probe | Scissors
+"""What may be in the tissue; forceps and retractors are grabs."""
 
 
 @dataclass(frozen=True)
@@ -23,7 +27,7 @@ class Wrench:
     """Torque about the instrument's centre, N mm, shape (3,)."""
 
 
-def wrench_on(model: LatticeModel, instrument: Grab | Probe, forces: Callable[[Intp], Float32]) -> Wrench:
+def wrench_on(model: LatticeModel, instrument: Instrument, forces: Callable[[Intp], Float32]) -> Wrench:
     """Force and torque of springs and cells on what a hand holds, or of what a probe gave in the last steps.
 
     Parameters

@@ -10,6 +10,7 @@ Everything that moves is reckoned in grid units (:class:`GridUnits`): a cell's e
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -131,6 +132,18 @@ class LatticeModel:
     def spring_count(self) -> int:
         """Number of springs."""
         return len(self.spring_nodes)
+
+    @cached_property
+    def cells_in_order(self) -> tuple[Int64, Int64]:
+        """Keys of the cells, ascending, and the cell of each, shapes (cell_count,)."""
+        keys = lattice_keys(self.cells)
+        order = np.argsort(keys, kind="stable")
+        return keys[order], order
+
+    @cached_property
+    def first_springs(self) -> Int64:
+        """Springs from all lower nodes before each node, and how many there are, shape (node_count + 1,)."""
+        return np.append(0, np.cumsum(np.bincount(self.spring_nodes[:, 0], minlength=self.node_count)))
 
     @property
     def cell_mm(self) -> float:

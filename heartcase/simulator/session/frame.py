@@ -7,8 +7,11 @@ from dataclasses import dataclass, field
 from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import Problem
 from heartcase.schemas.recording.commands import Done, Navigation
+from heartcase.simulator.instruments.forceps import Forceps
 from heartcase.simulator.instruments.grab import Grab
-from heartcase.simulator.instruments.probe import Probe
+from heartcase.simulator.instruments.retractor import Retractor
+from heartcase.simulator.instruments.scissors import Scissors
+from heartcase.simulator.instruments.wrench import Instrument
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.lattice.state import State
 from heartcase.simulator.simulation import Simulation
@@ -25,15 +28,20 @@ class InstrumentFrame:
     name: str
     """Its name."""
     kind: str
-    """``grab`` or ``probe``."""
+    """``grab``, ``forceps``, ``retractor``, ``probe`` or ``scissors``."""
     center_mm: Float64
     """Where its centre is, LPS mm, shape (3,)."""
     turn: Float64
-    """Its rotation since it closed, or the directions of a probe's semi-axes in columns, LPS axes, shape (3, 3)."""
+    """Its rotation since it closed, LPS axes, shape (3, 3); of a probe the directions of its semi-axes in columns, of
+    scissors those along the jaws, from jaw to jaw and along the hinge."""
     force_n: Float64
     """Force of the tissue on it, N, LPS axes, shape (3,)."""
     torque_n_mm: Float64
     """Torque of the tissue about its centre, N mm, LPS axes, shape (3,)."""
+    pinch_n: float | None = None
+    """Of forceps: force with which the tissue presses each jaw away from the other, N."""
+    pull_n_mm: Float64 | None = None
+    """Of a retractor: pull of the tissue along its line, N/mm, one value for each cell or so, shape (any,)."""
 
 
 @dataclass(frozen=True)
@@ -101,14 +109,23 @@ def instrument_frames(simulation: Simulation) -> dict[str, InstrumentFrame]:
     return {one.name: _instrument_frame(simulation, one) for one in simulation.instruments}
 
 
-def _instrument_frame(simulation: Simulation, instrument: Grab | Probe) -> InstrumentFrame:
+def _instrument_frame(simulation: Simulation, instrument: Instrument) -> InstrumentFrame:
     model = simulation.model
     to_world = model.geometry.direction_matrix
     wrench = simulation.wrench_on(instrument)
     if isinstance(instrument, Grab):
         kind, centre = "grab", instrument.centre_at(instrument.pose, model)
         turn = to_world @ instrument.pose.turn @ to_world.T
+    elif isinstance(instrument, Scissors):
+        kind, centre, turn = "scissors", instrument.hinge, to_world @ instrument.axes.T
     else:
         kind, centre, turn = "probe", instrument.centre, to_world @ instrument.turn
+    pinch_n, pull_n_mm = None, None
+    if isinstance(instrument, Forceps):
+        kind, pinch_n = "forceps", simulation.pinch_force_n(instrument)
+    elif isinstance(instrument, Retractor):
+        kind, pull_n_mm = "retractor", simulation.retraction_n_mm(instrument)
     centre_mm = model.geometry.index_to_world(centre - 0.5)
-    return InstrumentFrame(instrument.name, kind, centre_mm, turn, wrench.force_n, wrench.torque_n_mm)
+    return InstrumentFrame(
+        instrument.name, kind, centre_mm, turn, wrench.force_n, wrench.torque_n_mm, pinch_n, pull_n_mm
+    )

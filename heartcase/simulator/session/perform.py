@@ -9,13 +9,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import SimulationError
 from heartcase.schemas.recording.commands import (
     AddSprings,
     Advance,
     BringProbe,
+    BringScissors,
+    CloseForceps,
     CloseGrab,
+    CloseRetractor,
     Cut,
     Done,
     DrawStitch,
@@ -26,6 +28,7 @@ from heartcase.schemas.recording.commands import (
     OpenGrab,
     PlaceStitch,
     RemoveSprings,
+    Snip,
     TakeOutStitch,
     TieStitch,
     WithdrawProbe,
@@ -33,10 +36,12 @@ from heartcase.schemas.recording.commands import (
 from heartcase.simulator.cutting.blade_sheet import blade_points
 from heartcase.simulator.cutting.cuts import Cuts, cut_further
 from heartcase.simulator.dynamics.joining import join
-from heartcase.simulator.instruments.grab import Grab, Pose
+from heartcase.simulator.instruments.grab import Grab
 from heartcase.simulator.instruments.probe import Probe
+from heartcase.simulator.instruments.wrench import Instrument
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.session.perform_sutures import perform_suture, resolved_suture
+from heartcase.simulator.session.perform_tools import as_poses, perform_tool, resolved_snip
 from heartcase.simulator.simulation import Simulation
 
 __all__ = ["changed_lattice", "instrument_named", "perform", "resolved"]
@@ -55,7 +60,9 @@ def resolved(simulation: Simulation, command: Done) -> Done:
             return command.model_copy(update={"rest_length_mm": tuple(length.tolist())})
     if isinstance(command, Cut) and not command.at_rest:
         poses = simulation.rest_poses_mm(command.poses_mm, name=command.name)
-        return command.model_copy(update={"poses_mm": _as_tuples(poses), "at_rest": True})
+        return command.model_copy(update={"poses_mm": as_poses(poses), "at_rest": True})
+    if isinstance(command, Snip):
+        return resolved_snip(simulation, command)
     return resolved_suture(simulation, command)
 
 
@@ -99,6 +106,10 @@ def perform(simulation: Simulation, command: Done) -> None:
             _go_part_of_the_way(simulation, 0.0)
         case Mark():
             pass
+        case _:
+            if isinstance(command, CloseForceps | CloseRetractor | BringScissors):
+                _refuse_known(simulation, command.name)
+            perform_tool(simulation, command)
 
 
 def changed_lattice(model: LatticeModel, cuts: Cuts, command: Done, *, step_s: float) -> tuple[LatticeModel, Cuts]:
@@ -111,8 +122,11 @@ def changed_lattice(model: LatticeModel, cuts: Cuts, command: Done, *, step_s: f
     SimulationError
         It cannot be done with this lattice.
     """
-    if isinstance(command, Cut):
-        cut, cuts, _ = cut_further(model, cuts, blade_points(model, command.poses_mm, command.name))
+    poses_mm = command.poses_mm if isinstance(command, Cut) else None
+    if isinstance(command, Snip):
+        poses_mm = command.rest_poses_mm
+    if isinstance(command, Cut | Snip) and poses_mm is not None:
+        cut, cuts, _ = cut_further(model, cuts, blade_points(model, poses_mm, command.name))
         return cut, cuts
     return _joined(model, command, step_s=step_s), cuts
 
@@ -127,7 +141,7 @@ def _joined(model: LatticeModel, command: Done, *, step_s: float) -> LatticeMode
     return model
 
 
-def instrument_named(simulation: Simulation, name: str) -> Grab | Probe | None:
+def instrument_named(simulation: Simulation, name: str) -> Instrument | None:
     """The instrument of this name that is in the tissue."""
     return next((one for one in simulation.instruments if one.name == name), None)
 
@@ -169,16 +183,8 @@ def _go_part_of_the_way(simulation: Simulation, share: float) -> None:
     if share == 1.0:
         return
 
-    def between(start: Float64, end: Float64) -> Float64:
-        return start + share * (end - start)
-
     for grab in simulation.grabs:
-        pose, target = grab.pose, grab.target
-        grab.target = Pose(between(pose.offset, target.offset), between(pose.turn, target.turn))
+        grab.lead_part(share)
     for probe in simulation.probes:
-        probe.target = between(probe.centre, probe.target)
+        probe.target = probe.centre + share * (probe.target - probe.centre)
     simulation.draw_part_of_the_way(share)
-
-
-def _as_tuples(poses: Float64) -> tuple[tuple[tuple[float, float, float], ...], ...]:
-    return tuple(tuple((x, y, z) for x, y, z in pose) for pose in poses.tolist())

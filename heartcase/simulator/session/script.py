@@ -20,21 +20,22 @@ from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.migrate import SCRIPT
 from heartcase.schemas.recording.commands import (
     Advance,
-    BringProbe,
-    CloseGrab,
     Cut,
     LeadGrab,
     MoveProbe,
-    OpenGrab,
-    WithdrawProbe,
+    SqueezeForceps,
 )
 from heartcase.schemas.script import GrabAction, ProbeAction, SimulationScript, Waypoint
+from heartcase.schemas.tool_actions import ForcepsAction
 from heartcase.simulator.dynamics.integrate import Energy
+from heartcase.simulator.instruments.forceps import Forceps
 from heartcase.simulator.instruments.grab import Grab
-from heartcase.simulator.instruments.probe import Probe
+from heartcase.simulator.instruments.wrench import Instrument
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.session.operating_session import OperatingSession
+from heartcase.simulator.session.perform_tools import withdrawal_of
 from heartcase.simulator.session.script_sutures import Threads
+from heartcase.simulator.session.script_tools import Action, Snips, bringing_in, jaw_gap_mm
 from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.surface.deform import SurfaceModel
 
@@ -103,15 +104,17 @@ class SessionSummary:
 
 @dataclass(frozen=True)
 class _Timeline:
-    """A grab or a probe in steps instead of seconds."""
+    """A grab, forceps, a retractor or a probe in steps instead of seconds."""
 
-    action: GrabAction | ProbeAction
+    action: Action
     start: int
     end: int
     """Step at which it lets go; past the last step when it holds to the end."""
     steps: tuple[int, ...]
     offsets_mm: Float64
     """Offset at each of ``steps``, shape (len(steps), 3)."""
+    closed: int
+    """Step at which jaws are closed; ``start`` where there are none."""
 
     def offset_at(self, step: int) -> Float64:
         """Offset of the hand from where it closed, mm."""
@@ -258,12 +261,14 @@ def run_script(
         )
     frame_count = max(1, round(script.seconds * script.frames_per_second))
     frames = {round(number * step_total / frame_count) for number in range(1, frame_count + 1)}
-    actions: list[GrabAction | ProbeAction] = [*script.actions, *script.probes]
+    actions: list[Action] = [*script.actions, *script.probes, *script.forceps, *script.retractors]
     timelines = [_timeline(action, step_s, step_total) for action in actions]
     cuts = [(min(round(cut.time_s / step_s), step_total - 1), cut) for cut in script.cuts]
+    snips = [Snips(one, step_s, step_total) for one in script.scissors]
     threads = Threads(session, script, step_total)
     stops = sorted(
         frames
+        | {stop for one in snips for stop in one.stops}
         | set(threads.stops())
         | {stop for timeline in timelines for stop in _stops(timeline, step_total)}
         | {step for step, _ in cuts if 0 < step < step_total}
@@ -274,7 +279,7 @@ def run_script(
     times, energies = [0.0], [simulation.energy()]
     wall = 0.0
     simulation.prepare()
-    if script.cuts:
+    if script.cuts or script.scissors:
         simulation.prepare_cuts()
     if on_frame:
         on_frame(simulation, 0.0)
@@ -284,6 +289,8 @@ def run_script(
         for step, cut in cuts:
             if step == now:
                 session.do(Cut(name=cut.name, poses_mm=cut.poses_mm, at_rest=cut.at_rest))
+        for one in snips:
+            one.go_on(session, now)
         threads.change(now)
         hands.change(now)
         hands.lead(stop)
@@ -337,45 +344,46 @@ class _Hands:
         self.names: dict[int, str] = {}
         """Number of each action whose instrument is in the tissue -> its own name in the session."""
         self.peak_force_n = dict.fromkeys((timeline.action.name for timeline in timelines), 0.0)
-        grabs = (timeline.action.name for timeline in timelines if isinstance(timeline.action, GrabAction))
-        self.held_node_count = dict.fromkeys(grabs, 0)
+        holding = (timeline.action.name for timeline in timelines if not isinstance(timeline.action, ProbeAction))
+        self.held_node_count = dict.fromkeys(holding, 0)
+        self._gap_mm: dict[int, tuple[float, float]] = {}
         self._offset: dict[int, tuple[float, ...]] = {}
 
     def change(self, now: int) -> None:
         """Let go and close what is due at this step; first let go, so that one hand can take over from another."""
         for number, timeline in enumerate(self.timelines):
             if number in self.names and now >= timeline.end:
-                name = self.names.pop(number)
-                is_grab = isinstance(timeline.action, GrabAction)
-                self.session.do(OpenGrab(name=name) if is_grab else WithdrawProbe(name=name))
+                self.session.do(withdrawal_of(self._instrument(number)))
+                del self.names[number]
         for number, timeline in enumerate(self.timelines):
             if now == timeline.start and now < timeline.end:
                 self._bring_in(number, timeline.action)
 
-    def _bring_in(self, number: int, action: GrabAction | ProbeAction) -> None:
-        if action.position_mm is None:
-            raise SimulationError(f"the landmark {action.landmark!r} has no position yet", place=action.name)
+    def _bring_in(self, number: int, action: Action) -> None:
         name = self._free_name(action.name)
-        if isinstance(action, GrabAction):
-            self.session.do(CloseGrab(name=name, center_mm=action.position_mm, radius_mm=action.radius_mm))
-        else:
-            shape = {"semi_axes_mm": action.semi_axes_mm, "axis_mm": action.axis_mm}
-            self.session.do(BringProbe(name=name, center_mm=action.position_mm, **shape))
+        self.session.do(bringing_in(action, name))
         self.names[number] = name
         self._offset[number] = (0.0, 0.0, 0.0)
         instrument = self._instrument(number)
         if isinstance(instrument, Grab):
             self.held_node_count[action.name] += len(instrument.nodes)
+        if isinstance(instrument, Forceps):
+            self._gap_mm[number] = jaw_gap_mm(action, instrument, self.session.simulation.model.cell_mm)
 
     def lead(self, stop: int) -> None:
         """Lead each to where it shall be at a step; one that is led there already is left alone."""
         for number, name in self.names.items():
             timeline = self.timelines[number]
+            if isinstance(timeline.action, ForcepsAction) and number in self._gap_mm:
+                gap_mm = np.interp(stop, (timeline.start, timeline.closed), self._gap_mm[number])
+                self.session.do(SqueezeForceps(name=name, gap_mm=float(gap_mm)))
+                if stop >= timeline.closed:
+                    del self._gap_mm[number]
             x, y, z = timeline.offset_at(stop).tolist()
             if (x, y, z) == self._offset[number]:
                 continue
             self._offset[number] = (x, y, z)
-            if isinstance(timeline.action, GrabAction):
+            if not isinstance(timeline.action, ProbeAction):
                 self.session.do(LeadGrab(name=name, offset_mm=(x, y, z)))
             elif timeline.action.position_mm is not None:
                 at_x, at_y, at_z = timeline.action.position_mm
@@ -388,7 +396,7 @@ class _Hands:
             force = float(np.linalg.norm(self.session.simulation.force_on(self._instrument(number))))
             self.peak_force_n[name] = max(self.peak_force_n[name], force)
 
-    def _instrument(self, number: int) -> Grab | Probe:
+    def _instrument(self, number: int) -> Instrument:
         return next(one for one in self.session.simulation.instruments if one.name == self.names[number])
 
     def _free_name(self, name: str) -> str:
@@ -398,7 +406,7 @@ class _Hands:
         return next(candidate for candidate in candidates if candidate not in taken)
 
 
-def _timeline(action: GrabAction | ProbeAction, step_s: float, step_total: int) -> _Timeline:
+def _timeline(action: Action, step_s: float, step_total: int) -> _Timeline:
     """Seconds to steps; two moments never share a step, so that no hand jumps."""
     steps, offsets = [round(action.start_s / step_s)], [(0.0, 0.0, 0.0)]
     for waypoint in action.path:
@@ -407,12 +415,15 @@ def _timeline(action: GrabAction | ProbeAction, step_s: float, step_total: int) 
         steps.append(max(steps[-1] + 1, round(waypoint.time_s / step_s)))
         offsets.append(waypoint.offset_mm)
     release = step_total + 1 if action.release_s is None else max(steps[0] + 1, round(action.release_s / step_s))
-    return _Timeline(action=action, start=steps[0], end=release, steps=tuple(steps), offsets_mm=np.array(offsets))
+    closed = steps[0]
+    if isinstance(action, ForcepsAction):
+        closed = max(closed + 1, round((action.start_s + action.close_s) / step_s))
+    return _Timeline(action, steps[0], release, tuple(steps), np.array(offsets), closed)
 
 
 def _stops(timeline: _Timeline, step_total: int) -> Iterator[int]:
     """Steps at which a hand closes, turns or lets go."""
-    yield from (stop for stop in (*timeline.steps, timeline.end) if 0 < stop < step_total)
+    yield from (stop for stop in (*timeline.steps, timeline.closed, timeline.end) if 0 < stop < step_total)
 
 
 def _furthest(simulation: Simulation) -> float:

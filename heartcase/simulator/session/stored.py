@@ -20,11 +20,13 @@ from heartcase.schemas.recording.reader import Recording
 from heartcase.simulator.cutting.cuts import Cuts
 from heartcase.simulator.instruments.grab import Grab, Pose
 from heartcase.simulator.instruments.probe import Probe
+from heartcase.simulator.instruments.wrench import Instrument
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.lattice.state import PreciseState, State
 from heartcase.simulator.session.operating_session import Deviation
 from heartcase.simulator.session.perform import changed_lattice
 from heartcase.simulator.session.stored_stitches import stitch_arrays, stitches_from
+from heartcase.simulator.session.stored_tools import holding_from, kind_of, scissors_from, tool_arrays
 from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.snapshot import KeptInstrument, Snapshot
 
@@ -61,8 +63,12 @@ def snapshot_bytes(snapshot: Snapshot) -> bytes:
     instruments = []
     for number, kept in enumerate(snapshot.instruments):
         one = kept.then
-        instruments.append({"kind": "grab" if isinstance(one, Grab) else "probe", "name": one.name})
-        described = _grab_arrays(one) if isinstance(one, Grab) else _probe_arrays(one)
+        instruments.append({"kind": kind_of(one), "name": one.name})
+        described = tool_arrays(one)
+        if isinstance(one, Grab):
+            described |= _grab_arrays(one)
+        elif isinstance(one, Probe):
+            described |= _probe_arrays(one)
         arrays |= {f"instrument_{number}_{name}": array for name, array in described.items()}
     stitches = [kept.then for kept in snapshot.stitches]
     told = {"step_count": str(state.step_count), "instruments": json.dumps(instruments)}
@@ -195,10 +201,12 @@ def _state(arrays: Arrays, step_count: int, node_count: int) -> State:
     return PreciseState(displacement, velocity, step_count, precise_displacement=precise, precise_velocity=speed)
 
 
-def _instrument(arrays: Arrays, number: int, said: dict[str, str], node_count: int) -> Grab | Probe:
+def _instrument(arrays: Arrays, number: int, said: dict[str, str], node_count: int) -> Instrument:
     def of(name: str, dtype: type, *shape: int) -> npt.NDArray[Any]:
         return _taken(arrays, f"instrument_{number}_{name}", dtype, *shape)
 
+    if said["kind"] == "scissors":
+        return scissors_from(of, str(said["name"]))
     if said["kind"] == "probe":
         rows: Float64 = of("shape", np.float64, 9, 3)
         probe = Probe(rows[0], rows[1:4], rows[4], rows[5], name=str(said["name"]), half_axis=rows[6])
@@ -211,4 +219,5 @@ def _instrument(arrays: Arrays, number: int, said: dict[str, str], node_count: i
     poses = of("poses", np.float64, 2, 4, 3)
     pose, target = (Pose(rows[0], rows[1:]) for rows in poses)
     closed_at, arms = of("closed_at", np.float32, count, 3), of("arms", np.float64, count, 3)
-    return Grab(nodes, closed_at, arms, name=str(said["name"]), pose=pose, target=target)
+    held = {"nodes": nodes, "closed_at": closed_at, "arms": arms, "name": str(said["name"])}
+    return holding_from(said["kind"], of, count, **held, pose=pose, target=target)

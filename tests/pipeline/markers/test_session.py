@@ -44,7 +44,8 @@ strokes = st.builds(
     st.floats(0.0, 2.5),
     st.lists(points, min_size=1, max_size=3).map(tuple),
 )
-deeds = st.lists(st.one_of(strokes, st.sampled_from(["undo", "redo", "take"])), max_size=14)
+further = st.lists(points, min_size=1, max_size=3).map(tuple)
+deeds = st.lists(st.one_of(strokes, further, st.sampled_from(["undo", "redo", "take"])), max_size=14)
 
 
 @settings(max_examples=120, deadline=None)
@@ -77,6 +78,13 @@ def test_after_any_deeds_it_holds_what_its_strokes_give_from_scratch(seed, level
                 outside[box] = False
             np.testing.assert_array_equal(session.labels[outside], shown[outside])
             shown = session.labels.copy()
+        elif isinstance(deed, tuple):
+            if held and not undone:
+                session.extend(deed)
+                held[-1] = held[-1].model_copy(update={"points_mm": held[-1].points_mm + deed})
+            else:
+                with pytest.raises(UsageError, match="no stroke to go on with"):
+                    session.extend(deed)
         else:
             session.paint(deed)
             held.append(deed)
@@ -166,3 +174,18 @@ def test_redo_is_forgotten_after_a_new_stroke():
     assert session.strokes == (one, third)
     with pytest.raises(UsageError, match="no stroke"):
         session.redo()
+
+
+def test_a_stroke_goes_on_with_points_only():
+    session = SegmentationSession.of_scan(scan(4), TABLE)
+    session.paint(Stroke(label="aorta", points_mm=(world((2, 5, 4)),)))
+    before = session.markers().labels
+    for points_mm, message in (([], "at least one point"), ([(np.nan, 0.0, 0.0)], "finite"), ([(1.0,)], "points_mm")):
+        with pytest.raises(MarkerError, match=message):
+            session.extend(points_mm)
+    np.testing.assert_array_equal(session.markers().labels, before)
+    # it may leave the scan, and come back
+    session.extend([(900.0, 0.0, 0.0), world((9, 5, 4))])
+    assert session.markers().labels[4, 5, 9] == 5
+    session.undo()
+    assert (session.markers().labels == 255).all()

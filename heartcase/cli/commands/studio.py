@@ -1,0 +1,71 @@
+"""``heartcase studio``: a page in the browser in which a scan is painted."""
+
+from __future__ import annotations
+
+import webbrowser
+from pathlib import Path
+from typing import Any
+
+import click
+
+from heartcase.cli.commands.info import kind_of
+from heartcase.cli.shared.output import working
+from heartcase.cli.shared.stage_io import scan_options
+from heartcase.schemas.errors import UsageError
+
+__all__ = ["command"]
+
+
+@click.command()
+@click.argument("path", type=click.Path(path_type=Path, readable=False))
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, readable=False),
+    default=Path(),
+    help="Where the case goes, with the build's cache; here by default.",
+)
+@click.option(
+    "--recipe",
+    type=click.Path(path_type=Path, readable=False),
+    default=Path("case.toml"),
+    help="For a scan: the recipe that is written for it; case.toml.",
+)
+@scan_options
+@click.option(
+    "--port", type=click.IntRange(0, 65535), default=0, help="Port on this machine; a free one when left out."
+)
+@click.option("--browser/--no-browser", default=True, help="Whether to open the page in the browser.")
+def command(path: Path, out: Path, recipe: Path, port: int, browser: bool, choice: dict[str, Any]) -> None:
+    """Paint on the scan of a recipe in the browser, on this machine alone.
+
+    PATH is a recipe, or a scan, for which a recipe is written first. Every stroke is saved in the recipe when it is
+    over, and can be taken back, also after a restart. Ctrl-C ends the server. Who has the printed address can use the
+    page, and nobody else.
+    """
+    from heartcase.studio.serve import serve
+
+    kind = kind_of(path)
+    if kind in ("case", "recording"):
+        raise UsageError(f"is a {kind}: the studio opens a scan or a recipe", place="PATH")
+    if kind == "recipe":
+        if choice:
+            raise UsageError("a recipe says itself which images are read: change its [scan]", place=next(iter(choice)))
+        recipe = path
+    else:
+        from heartcase.pipeline.building.starter_recipe import write_recipe
+
+        if recipe.exists():
+            raise UsageError("there is already a recipe: open it, or choose another --recipe", place=str(recipe))
+        with working("reading the scan"):
+            warnings = write_recipe(path, recipe, choice=choice, with_examples=False)
+        for warning in warnings:
+            click.echo(f"note: {warning}", err=True)
+        click.echo(f"wrote {recipe}: it holds what you do")
+
+    def ready(address: str) -> None:
+        click.echo(f"The studio is at  {address}\nCtrl-C ends it.")
+        if browser:
+            webbrowser.open(address)
+
+    serve(recipe, out=out, port=port, ready=ready)
+    click.echo("The studio is closed; the recipe holds every stroke.")

@@ -1,0 +1,354 @@
+"""Plans of incisions run on a case, each in a session of its own, and what each comes to."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from pydantic import ValidationError
+
+from heartcase.schemas.arrays import Float64
+from heartcase.schemas.errors import Problem, ScriptError, SimulationError, problems_from_validation
+from heartcase.schemas.incision_plans import IncisionPlans, PlannedIncision
+from heartcase.schemas.landmarks import Landmark
+from heartcase.schemas.migrate import PLANS
+from heartcase.schemas.recording.commands import Mark
+from heartcase.schemas.script import CutAction, SimulationScript
+from heartcase.simulator.incisions.figures import CRITERIA, IncisionFigures, RankedPlan, ranked
+from heartcase.simulator.incisions.measure import IncisionPlan, Scene, measured
+from heartcase.simulator.incisions.planned import (
+    DrawnLine,
+    blade_poses,
+    drawn_line,
+    lip_hands,
+    lips,
+    problems_of_cut,
+)
+from heartcase.simulator.incisions.rim import DefectRim, defect_rim
+from heartcase.simulator.incisions.strain import Strain, cell_strain, values_at_nodes, values_at_vertices
+from heartcase.simulator.incisions.surgical_freedom import Shaft
+from heartcase.simulator.incisions.triangle_tree import TriangleTree, triangle_tree
+from heartcase.simulator.incisions.visibility import View, visibility
+from heartcase.simulator.instruments.grab import Grab
+from heartcase.simulator.load import Case
+from heartcase.simulator.session.operating_session import OperatingSession
+from heartcase.simulator.session.script import run_script, with_positions
+from heartcase.simulator.simulation import Simulation
+
+__all__ = [
+    "HeldOpen",
+    "PlansOnCase",
+    "load_plans",
+    "on_case",
+    "parse_plans",
+    "ranked_by_defect",
+    "run_plan",
+    "stretch_at_vertices",
+]
+
+
+def load_plans(path: Path | str) -> IncisionPlans:
+    """Read a file of incision plans.
+
+    Raises
+    ------
+    ScriptError
+        It cannot be read, or with every problem that was found in it.
+    """
+    try:
+        return parse_plans(Path(path).read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ScriptError("there is no such file; check the path", place="plans") from None
+    except (OSError, UnicodeDecodeError):
+        raise ScriptError("the file cannot be read as UTF-8 text", place="plans") from None
+
+
+def parse_plans(text: str) -> IncisionPlans:
+    """Read incision plans from TOML text.
+
+    Raises
+    ------
+    ScriptError
+        With every problem that was found.
+    """
+    try:
+        data = tomllib.loads(text)
+        for key, what in (("heartcase_recipe", "a recipe"), ("heartcase_script", "a simulation script")):
+            if key in data:
+                message = f"this is {what}, not a file of plans: sample_cases/incision_plans.toml is one"
+                raise ScriptError(message, place="plans")
+        return IncisionPlans.model_validate(PLANS.migrated(data)[0])
+    except tomllib.TOMLDecodeError as error:
+        raise ScriptError(f"this is not valid TOML: {error}", place="plans") from None
+    except ValidationError as error:
+        raise ScriptError(problems_from_validation(error, model=IncisionPlans)) from None
+
+
+@dataclass(frozen=True)
+class PlansOnCase:
+    """What of a file of plans is meant for a case."""
+
+    plans: IncisionPlans
+    """The file."""
+    runs: tuple[PlannedIncision, ...]
+    """Plans that are run."""
+    left_out: tuple[str, ...]
+    """Names of those that need a landmark which the case does not have."""
+    defects: tuple[Landmark, ...]
+    """Rings that are looked at."""
+
+    @property
+    def seconds(self) -> float:
+        """Simulated time of all plans, s."""
+        return sum(plan.seconds for plan in self.runs)
+
+
+@dataclass(frozen=True)
+class HeldOpen:
+    """A plan as it was run, at its end."""
+
+    plan: PlannedIncision
+    """The plan."""
+    figures: dict[str, IncisionFigures]
+    """Name of each defect -> figures, under the plan's name."""
+    rim_found: dict[str, float]
+    """Name of each defect -> part of its rim that was found on the surface [1]."""
+    looks_from: dict[str, tuple[float, float, float]]
+    """Name of each defect -> from it to the best eye, LPS axes, unit length."""
+    rims_mm: dict[str, Float64]
+    """Name of each defect -> its rim now, LPS mm, shape (count, 3)."""
+    hand_force_n: dict[str, float]
+    """Name of each hand -> force on it at the end, N."""
+    inverted_cell_count: int
+    """Cells that are inside out at the end."""
+    opening_mm: Float64 | None
+    """Both lips, one closed curve, LPS mm, shape (count, 3); None where the cut has no line."""
+    strain: Strain
+    """Stretch and stress of the cells at the end."""
+
+
+def on_case(plans: IncisionPlans, landmarks: tuple[Landmark, ...]) -> PlansOnCase:
+    """What is to be run on a case.
+
+    Raises
+    ------
+    ScriptError
+        The case lacks what a plan needs, none of the plans or of the defects is for it: all problems at once.
+    """
+    problems: list[Problem] = []
+    runs, left_out = [], []
+    known = {one.name.lower() for one in landmarks}
+    for number, plan in enumerate(plans.plans, start=1):
+        wanted = {one.landmark.lower() for one in (*plan.cuts, *plan.actions) if one.landmark is not None}
+        if plan.only_with_landmarks and wanted - known:
+            left_out.append(plan.name)
+            continue
+        runs.append(plan)
+        for place, cut in enumerate(plan.cuts, start=1):
+            problems += problems_of_cut(cut, landmarks, f"plans[{number}].cuts[{place}]")
+        for place, action in enumerate(plan.actions, start=1):
+            if action.landmark is not None and action.landmark.lower() not in known:
+                words = ", ".join(one.name for one in landmarks) or "none"
+                message = f"the case has no landmark {action.landmark!r}; it has: {words}"
+                problems.append(Problem(f"plans[{number}].actions[{place}].landmark", message))
+    if not runs:
+        problems.append(Problem("plans", "the case lacks landmarks of every plan: give it a plan of its own"))
+    rings = [one for one in landmarks if one.kind == "ring"]
+    names = {name.lower() for name in plans.defects}
+    defects = tuple(one for one in rings if not names or one.name.lower() in names)
+    if not defects:
+        words = ", ".join(one.name for one in rings) or "none"
+        problems.append(Problem("defects", f"the case has none of these; its rings: {words}"))
+    if problems:
+        raise ScriptError(problems)
+    return PlansOnCase(plans, tuple(runs), tuple(left_out), defects)
+
+
+def run_plan(
+    plan: PlannedIncision,
+    on: PlansOnCase,
+    case: Case,
+    session: OperatingSession,
+    *,
+    on_time: Callable[[float], None] | None = None,
+) -> HeldOpen:
+    """Cut, hold open, and measure.
+
+    Parameters
+    ----------
+    plan
+        One of the plans that are run.
+    on
+        All of them, on the case.
+    case
+        The case, loaded with its surface and tissue.
+    session
+        A new session on it, whose history then holds what was done; its moments are marked ``closed``, ``cut`` and
+        ``held open``.
+    on_time
+        Told the simulated time of the plan, s, at each frame.
+
+    Raises
+    ------
+    SimulationError
+        A cut or a hand meets no tissue, a defect is not there, or the simulation broke down.
+    """
+    simulation = session.simulation
+    surface = case.surface
+    assert surface is not None
+    landmarks = case.manifest.landmarks
+    whole = _Shown.of(simulation)
+    lines = [drawn_line(cut, landmarks, whole.tree, surface.rest_mm, whole.normals) for cut in plan.cuts]
+    poses = [blade_poses(cut, line, landmarks) for cut, line in zip(plan.cuts, lines, strict=True)]
+    entry = lines[0].at(0.5)[0] if lines[0] is not None else np.mean(poses[0], axis=(0, 1))
+    rims = [defect_rim(whole.tree, one, entry) for one in on.defects]
+    session.do(Mark(name="closed"))
+
+    def tell(before_s: float) -> Callable[[Simulation, float], None]:
+        return lambda _, time_s: None if on_time is None else on_time(before_s + time_s)
+
+    cuts = tuple(
+        CutAction(name=cut.name, poses_mm=poses_mm, at_rest=True)
+        for cut, poses_mm in zip(plan.cuts, poses, strict=True)
+    )
+    run_script(session, SimulationScript(seconds=plan.settle_s, cuts=cuts), on_frame=tell(0.0))
+    session.do(Mark(name="cut"))
+    cut_open = _Shown.of(simulation)
+    hands = plan.actions
+    if plan.retraction is not None and lines[0] is not None:
+        cell_mm = simulation.model.cell_mm
+        hands = (*lip_hands(plan.retraction, lines[0], surface.rest_mm, cell_mm=cell_mm, open_s=plan.open_s), *hands)
+    script = with_positions(SimulationScript(seconds=plan.open_s + plan.hold_s, actions=hands), landmarks)
+    run_script(session, script, on_frame=tell(plan.settle_s))
+    session.do(Mark(name="held open"))
+    if on_time is not None:
+        on_time(plan.seconds)
+    return _measured(plan, on, case, session, _Moments(whole, cut_open, _Shown.of(simulation)), lines[0], rims, entry)
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """The surface at a moment."""
+
+    rest_mm: Float64
+    now_mm: Float64
+    normals: Float64
+    tree: TriangleTree
+
+    @classmethod
+    def of(cls, simulation: Simulation) -> _Shown:
+        assert simulation.surface is not None
+        shown = simulation.surface_now()
+        now = shown.vertices_mm.astype(float)
+        tree = triangle_tree(now, simulation.surface.triangles)
+        return cls(simulation.surface.rest_mm.astype(float), now, shown.normals.astype(float), tree)
+
+
+@dataclass(frozen=True)
+class _Moments:
+    closed: _Shown
+    cut: _Shown
+    held: _Shown
+
+
+def _measured(
+    plan: PlannedIncision,
+    on: PlansOnCase,
+    case: Case,
+    session: OperatingSession,
+    moments: _Moments,
+    line: DrawnLine | None,
+    rims: list[DefectRim],
+    entry: Float64,
+) -> HeldOpen:
+    from heartcase.simulator.incisions.nearness import carried
+
+    simulation = session.simulation
+    assert simulation.surface is not None
+    opening, gap = None, None
+    held = moments.held
+    if line is not None:
+        whole_count = len(moments.closed.rest_mm)
+        sides = lips(line, held.rest_mm[:whole_count], held.now_mm[:whole_count])
+        gap = float(np.linalg.norm(sides[0] - sides[1], axis=1).max())
+        opening = np.concatenate([sides[0], sides[1][::-1]])
+    forces = {
+        one.name: float(np.linalg.norm(simulation.force_on(one)))
+        for one in simulation.instruments
+        if isinstance(one, Grab)
+    }
+    scene = Scene(
+        model=simulation.model,
+        displacement=simulation.state.displacement,
+        rest_mm=held.rest_mm.astype(np.float32),
+        now_mm=held.now_mm.astype(np.float32),
+        triangles=simulation.surface.triangles,
+        landmarks=case.manifest.landmarks,
+        opening_mm=opening,
+    )
+    shaft, looking = on.plans.shaft, on.plans.view
+    figures, best, now = {}, {}, {}
+    for rim in rims:
+        middle = carried(rim.points_mm, held.rest_mm, held.now_mm).mean(axis=0)
+        through = entry if opening is None else opening.mean(axis=0)
+        axis = _tuple(through - middle) if plan.looks_from is None else plan.looks_from
+        view = View(axis, looking.half_angle_deg, looking.distance_mm, looking.eye_count)
+        wanted = IncisionPlan(
+            name=plan.name,
+            curve_mm=line.points_mm if line is not None else np.asarray(plan.cuts[0].poses_mm, float)[:, -1],
+            rim_mm=rim.points_mm,
+            view=view,
+            shaft=Shaft(axis, shaft.half_angle_deg, shaft.length_mm, shaft.radius_mm),
+            depth_mm=shaft.depth_mm,
+        )
+        found = measured(wanted, scene, retraction_n=max(forces.values(), default=None), spacing_mm=shaft.spacing_mm)
+        earlier = [
+            visibility(one.tree, carried(rim.points_mm, one.rest_mm, one.now_mm), view).rim_seen
+            for one in (moments.closed, moments.cut)
+        ]
+        figures[rim.name] = replace(found, rim_seen_closed=earlier[0], rim_seen_cut=earlier[1], gap_mm=gap)
+        now[rim.name] = carried(rim.points_mm, held.rest_mm, held.now_mm)
+        best[rim.name] = _tuple(visibility(held.tree, now[rim.name], view).best_direction)
+    return HeldOpen(
+        plan=plan,
+        figures=figures,
+        rim_found={rim.name: rim.part_found for rim in rims},
+        looks_from=best,
+        rims_mm=now,
+        hand_force_n=forces,
+        inverted_cell_count=simulation.inverted_cell_count(),
+        opening_mm=opening,
+        strain=cell_strain(simulation.model, simulation.state.displacement),
+    )
+
+
+def ranked_by_defect(held: tuple[HeldOpen, ...], *, nearest_least_mm: float) -> dict[str, tuple[RankedPlan, ...]]:
+    """The plans of a case in the order of their worth, for each defect.
+
+    Parameters
+    ----------
+    held
+        Each plan as it was run on the same case.
+    nearest_least_mm
+        Nearest that a plan may come to a vessel, mm.
+    """
+    names = list(held[0].figures) if held else []
+    return {
+        name: ranked([one.figures[name] for one in held], CRITERIA, nearest_least_mm=nearest_least_mm) for name in names
+    }
+
+
+def stretch_at_vertices(held: HeldOpen, simulation: Simulation) -> Float64:
+    """Largest stretch around each vertex of the surface of a session that has just run a plan, shape (vertex_count,)."""
+    if simulation.surface is None:
+        raise SimulationError("there is no surface: load the case with one", place="surface")
+    at_nodes = values_at_nodes(simulation.model, held.strain.stretches[:, 0], held.strain.is_known)
+    return values_at_vertices(simulation.surface.triangle_nodes, simulation.surface.weights, at_nodes)
+
+
+def _tuple(values: Float64) -> tuple[float, float, float]:
+    x, y, z = values.tolist()
+    return x, y, z

@@ -1,0 +1,1 @@
+"""The studio: a page in the browser, on the user's own machine, where a case is made by hand and eye."""

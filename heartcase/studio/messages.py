@@ -1,0 +1,60 @@
+"""What a page is told: JSON text, and volumes as bytes.
+
+A binary message is the length of its header (uint32, little-endian), the header (JSON) and the voxels, i fastest.
+"""
+
+from __future__ import annotations
+
+import json
+import zlib
+from typing import Any
+
+import numpy as np
+
+from heartcase.pipeline.data import Scan
+from heartcase.pipeline.watershed.forest import Box
+from heartcase.schemas.arrays import UInt8
+from heartcase.schemas.errors import HeartcaseError
+
+__all__ = ["labels_message", "problems_of", "scan_message", "text_message"]
+
+_RAW_SIZE_MAX = 1 << 15
+"""Bytes up to which compressing would take longer than sending."""
+_COMPRESSION = 1
+_INT16_MAX = 32767
+
+
+def text_message(kind: str, **fields: Any) -> str:
+    """A message of one kind."""
+    return json.dumps({"kind": kind} | fields, ensure_ascii=False, allow_nan=False)
+
+
+def problems_of(error: HeartcaseError) -> list[dict[str, str]]:
+    """What was wrong, as plain data."""
+    return [{"place": problem.place, "message": problem.message} for problem in error.problems]
+
+
+def scan_message(scan: Scan) -> bytes:
+    """The intensities, in 16 bits: exact where they are whole numbers in that range, as Hounsfield units are."""
+    values = scan.values
+    lowest, highest = float(values.min()), float(values.max())
+    is_whole = lowest >= -_INT16_MAX and highest <= _INT16_MAX and bool((values == np.rint(values)).all())
+    offset = 0.0 if is_whole else 0.5 * (lowest + highest)
+    # an image of one intensity has no range
+    scale = (highest - lowest) / (2 * _INT16_MAX) if not is_whole and highest > lowest else 1.0
+    numbers = np.rint((values.astype(np.float64) - offset) / scale).astype("<i2")
+    header = {"kind": "scan", "dtype": "int16", "size": scan.geometry.size, "scale": scale, "offset": offset}
+    return _binary(header, numbers.tobytes())
+
+
+def labels_message(labels: UInt8, box: Box) -> bytes:
+    """The labels in a box of slices [z, y, x] of all."""
+    part = np.ascontiguousarray(labels[box])
+    header = {"kind": "labels", "low": [one.start for one in box[::-1]], "size": part.shape[::-1]}
+    return _binary(header, part.tobytes())
+
+
+def _binary(header: dict[str, Any], payload: bytes) -> bytes:
+    is_raw = len(payload) <= _RAW_SIZE_MAX
+    head = json.dumps(header | {"encoding": "raw" if is_raw else "deflate"}).encode()
+    return len(head).to_bytes(4, "little") + head + (payload if is_raw else zlib.compress(payload, _COMPRESSION))

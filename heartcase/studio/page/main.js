@@ -1,0 +1,162 @@
+/** The page of heartcase studio: puts its parts together, and hands them what the server sends. */
+
+import { Guide } from "./panel/guide.js";
+import { Status } from "./panel/status.js";
+import { Structures } from "./panel/structures.js";
+import { runHelp, runTabs, runTiles } from "./panel/tiles.js";
+import { runToolbar } from "./panel/toolbar.js";
+import { NoGraphics, Views } from "./pictures/views.js";
+import { TooLarge } from "./pictures/volume.js";
+import { Connection, Lost, Refused } from "./shared/connection.js";
+import { Studio } from "./shared/studio.js";
+import { fillWords, language, say } from "./shared/words.js";
+import { Brush } from "./tools/brush.js";
+import { Measures } from "./tools/measures.js";
+import { Pointers } from "./tools/pointers.js";
+import { Shortcuts } from "./tools/shortcuts.js";
+
+/** @typedef {import("./shared/connection.js").Message} Message */
+/** @typedef {import("./shared/connection.js").Package} Package */
+
+/** @param {string} id */
+const find = (id) => /** @type {HTMLElement} */ (document.getElementById(id));
+
+language.follow((name) => {
+  document.documentElement.lang = name;
+  fillWords(document);
+});
+
+function run() {
+  const studio = new Studio();
+  const measures = new Measures();
+  const tiles = { axial: find("axial"), coronal: find("coronal"), sagittal: find("sagittal") };
+  const views = new Views(/** @type {HTMLCanvasElement} */ (find("pictures")), tiles, studio, measures);
+  const url = new URL("socket", location.href);
+  url.protocol = location.protocol === "https:" ? "wss:" : "ws:";
+  url.search = url.hash = "";
+  const connection = new Connection(url.href, (message) => hear(message), (message) => receive(message), (error) => fault(error));
+  const status = new Status(document, studio, views, connection);
+  const brush = new Brush(studio, (request) => connection.ask(request), (problems) => status.refused(problems));
+  const pointers = new Pointers(views, studio, brush, measures);
+  const structures = new Structures(find("structures"), studio, views);
+  const parts = { place: find("place"), checklist: find("checklist") };
+  const guide = new Guide(studio, views, (request) => connection.ask(request), parts, (error) => fault(error));
+
+  /** @param {"undo" | "redo"} what */
+  const step = (what) => {
+    const count = what === "undo" ? studio.undoCount : studio.redoCount;
+    if (!studio.ready.value || brush.isBusy || count.value === 0) return;
+    status.clear();
+    connection.ask({ do: what }).catch((error) => fault(error));
+  };
+  const actions = {
+    undo: () => step("undo"),
+    redo: () => step("redo"),
+    nextPlace: () => void guide.next(),
+    fit: () => views.fit(),
+  };
+  const shortcuts = new Shortcuts(studio, views, pointers, brush, measures, actions);
+  runToolbar(studio, actions);
+  runTiles(studio, views);
+  runTabs();
+  runHelp(shortcuts.areOn);
+  find("next-place").addEventListener("click", () => actions.nextPlace());
+  studio.ready.follow((ready) => {
+    document.body.dataset.ready = String(ready);
+    /** @type {HTMLButtonElement} */ (find("next-place")).disabled = !ready;
+  });
+  language.listen(() => views.redrawOverlays());
+
+  connection.state.listen((state) => {
+    if (state === "open") return;
+    studio.ready.value = false;
+    pointers.letGo();
+  });
+
+  /** @param {Message} message */
+  function hear(message) {
+    if (message.kind === "progress") {
+      const stage = message.text === "open" ? say("stage_open") : say("stage_other", { stage: message.text });
+      status.progress(stage, message.fraction);
+    }
+    else if (message.kind === "opened") open(message);
+    else if (message.kind === "refused" && message.id === null) status.refused(message.problems ?? []);
+    else if (message.kind === "structures") {
+      structures.tell(message.volumes_ml ?? {}, message.marked);
+      guide.tell(message.checklist ?? []);
+    } else if (message.kind === "done") {
+      studio.undoCount.value = message.undo_count;
+      studio.redoCount.value = message.redo_count;
+      studio.saved.value = message.saved;
+      guide.forget();
+    } else if (message.kind === "failed") {
+      connection.end();
+      studio.ready.value = false;
+      status.stop("failed", message.problems ?? []);
+    }
+  }
+
+  /** @param {Message} message */
+  function open(message) {
+    studio.ready.value = false;
+    views.begin(message.size, message.index_to_world);
+    find("case-name").textContent = message.name;
+    studio.modality.value = message.modality;
+    studio.firstWindow.value = message.window;
+    studio.range.value = message.range;
+    studio.labels.value = message.labels;
+    const isKnown = studio.pickedLabel !== null;
+    if (!isKnown) {
+      studio.window.value = { ...message.window };
+      studio.picked.value = message.labels.find((/** @type {{role: string}} */ one) => one.role !== "background")?.value ?? null;
+    }
+    studio.undoCount.value = message.undo_count;
+    studio.redoCount.value = message.redo_count;
+    studio.saved.value = message.saved;
+    status.progress(say("loading"), null);
+  }
+
+  /** @param {Package} message */
+  function receive({ header, bytes }) {
+    if (views.volume === null) throw new Error("voxels came before the scan was opened");
+    if (header.kind === "scan") {
+      const values = new Int16Array(bytes.buffer.slice(bytes.byteOffset, bytes.byteOffset + bytes.byteLength));
+      views.volume.setScan(values, header.scale, header.offset);
+    } else if (header.kind === "labels") {
+      views.setLabels(header.low, header.size, bytes);
+    }
+    if (!studio.ready.value && views.volume.isComplete) {
+      views.redraw();
+      status.progress(null, null);
+      studio.ready.value = true;
+    }
+  }
+
+  /** @param {unknown} error */
+  function fault(error) {
+    if (error instanceof Lost) return;
+    if (error instanceof Refused) {
+      status.refused(error.problems);
+      return;
+    }
+    connection.end();
+    studio.ready.value = false;
+    if (error instanceof TooLarge) status.stop("too_large", [{ place: "", message: say("too_large_why", { most: error.message }) }]);
+    else {
+      status.stop("broken", [{ place: "", message: say("broken_why") }]);
+      console.error(error);
+    }
+  }
+
+  connection.open();
+}
+
+try {
+  run();
+} catch (error) {
+  const word = error instanceof NoGraphics ? "no_graphics" : "broken_why";
+  find("curtain").hidden = false;
+  find("curtain-bar").hidden = true;
+  find("curtain-words").textContent = say(word);
+  if (!(error instanceof NoGraphics)) console.error(error);
+}

@@ -1,0 +1,111 @@
+/** What to do next: the place where one more stroke is worth most, and the list of what is still missing. */
+
+import { figure, language, LANGUAGES, say } from "../shared/words.js";
+import { element } from "./structures.js";
+
+/** @typedef {import("../shared/studio.js").Studio} Studio */
+/** @typedef {import("../pictures/views.js").Views} Views */
+/** @typedef {import("../pictures/geometry.js").Vector} Vector */
+/** @typedef {{position_mm: Vector, label: string, rival: string, change_ml: number, radius_mm: number}} Place */
+/** @typedef {{key: string, done: boolean, missing: string[]}} Item */
+
+const COUNT = 5;
+
+export class Guide {
+  /** Where to look, best first; null when they must be asked for anew. @type {Place[] | null} */
+  #places = null;
+  #at = -1;
+  /** @type {readonly Item[]} */
+  #items = [];
+
+  /**
+   * @param {Studio} studio
+   * @param {Views} views
+   * @param {(request: {do: string, count: number}) => Promise<Record<string, any>>} ask
+   * @param {{place: HTMLElement, checklist: HTMLElement}} parts
+   * @param {(error: unknown) => void} onFault
+   */
+  constructor(studio, views, ask, parts, onFault) {
+    this.studio = studio;
+    this.views = views;
+    this.ask = ask;
+    this.parts = parts;
+    this.onFault = onFault;
+    language.listen(() => {
+      this.#showItems();
+      this.#showPlace();
+    });
+  }
+
+  /** Labels changed: other places may be worth more now. */
+  forget() {
+    this.#places = null;
+    this.#at = -1;
+    this.#showPlace();
+  }
+
+  async next() {
+    if (!this.studio.ready.value) return;
+    if (this.#places === null) {
+      try {
+        this.#places = (await this.ask({ do: "suggest", count: COUNT })).places ?? [];
+      } catch (error) {
+        this.onFault(error);
+        return;
+      }
+      this.#at = -1;
+    }
+    const places = this.#places ?? [];
+    if (places.length > 0) {
+      this.#at = (this.#at + 1) % places.length;
+      const mm = places[this.#at].position_mm;
+      this.studio.crosshair.value = mm;
+      for (const view of this.views.all) view.bringIntoSight(mm);
+      this.views.redraw();
+    }
+    this.#showPlace();
+  }
+
+  /** @param {readonly Item[]} items */
+  tell(items) {
+    this.#items = items;
+    this.#showItems();
+  }
+
+  #showPlace() {
+    const { place } = this.parts;
+    if (this.#places === null) {
+      place.textContent = "";
+      return;
+    }
+    const shown = this.#places[this.#at];
+    if (!shown) {
+      place.textContent = say("no_place");
+      return;
+    }
+    place.replaceChildren(
+      element("strong", "", say("place_of", { at: this.#at + 1, count: this.#places.length })),
+      element("span", "", say("place_says", {
+        label: shown.label,
+        other: shown.rival,
+        ml: figure(shown.change_ml, shown.change_ml < 1 ? 2 : 1),
+        mm: figure(shown.radius_mm, 1),
+      })),
+    );
+  }
+
+  #showItems() {
+    const rows = this.#items.map(({ key, done, missing }) => {
+      const isNamed = (/** @type {string} */ word) => word in LANGUAGES.en;
+      const text = isNamed(`item_${key}`) ? say(/** @type {import("../shared/words.js").Word} */ (`item_${key}`)) : key;
+      const row = element("li", done ? "done" : "open");
+      row.append(
+        element("span", "tick", done ? "✓" : "○"),
+        element("span", "hidden-words", done ? say("item_done") : say("item_open")),
+        element("span", "", missing.length > 0 && key !== "background" ? `${text}: ${missing.join(", ")}` : text),
+      );
+      return row;
+    });
+    this.parts.checklist.replaceChildren(...rows);
+  }
+}

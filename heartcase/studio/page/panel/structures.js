@@ -1,0 +1,120 @@
+/** The list of structures: which is in hand, which are shown, how large each is. */
+
+import { figure, language, say } from "../shared/words.js";
+import { keyOf } from "../tools/shortcuts.js";
+
+/** @typedef {import("../shared/studio.js").Studio} Studio */
+/** @typedef {import("../shared/studio.js").Label} Label */
+/** @typedef {import("../pictures/views.js").Views} Views */
+
+export class Structures {
+  /** @type {Record<string, number>} */
+  #volumes = {};
+  /** Names of those that are marked; null while the server has not said. @type {ReadonlySet<string> | null} */
+  #marked = null;
+
+  /**
+   * @param {HTMLElement} list
+   * @param {Studio} studio
+   * @param {Views} views
+   */
+  constructor(list, studio, views) {
+    this.list = list;
+    this.studio = studio;
+    this.views = views;
+    studio.labels.listen(() => this.#build());
+    studio.picked.listen(() => this.#update());
+    studio.hidden.listen(() => this.#update());
+    language.listen(() => this.#build());
+  }
+
+  /** @param {Record<string, number>} volumesMl @param {readonly string[] | undefined} marked */
+  tell(volumesMl, marked) {
+    this.#volumes = volumesMl;
+    this.#marked = marked ? new Set(marked) : null;
+    this.#update();
+  }
+
+  #build() {
+    const { labels } = this.studio;
+    this.list.replaceChildren(...labels.value.map((label) => this.#row(label)));
+    this.#update();
+  }
+
+  /** @param {Label} label */
+  #row(label) {
+    const row = element("li", "structure");
+    row.dataset.value = String(label.value);
+    const pick = element("button", "pick");
+    pick.type = "button";
+    const chip = element("span", "chip");
+    chip.style.background = label.colour;
+    const key = keyOf(label, this.studio.labels.value);
+    const name = element("span", "name", label.name);
+    pick.append(chip, name, element("kbd", "", key), element("span", "volume"), element("span", "mark"));
+    pick.addEventListener("click", (event) => {
+      this.studio.pick(label.value);
+      // By mouse one goes on in the picture, where the arrows step slices.
+      if (event.detail > 0) this.views.active.surface.focus({ preventScroll: true });
+    });
+    const show = element("button", "show");
+    show.type = "button";
+    show.setAttribute("aria-label", say("show_structure", { name: label.name }));
+    show.title = say("show_structure", { name: label.name });
+    show.append(icon("eye"));
+    show.addEventListener("click", () => this.studio.toggleShown(label.value));
+    row.append(pick, show);
+    return row;
+  }
+
+  #update() {
+    const { labels, picked, hidden } = this.studio;
+    for (const row of /** @type {Iterable<HTMLElement>} */ (this.list.children)) {
+      const value = Number(row.dataset.value);
+      const label = labels.value.find((one) => one.value === value);
+      if (!label) continue;
+      const volume = this.#volumes[label.name];
+      // Before the server says what is marked, what has a volume must be.
+      const isMarked = this.#marked ? this.#marked.has(label.name) : (volume ?? 0) > 0;
+      const isPicked = picked.value === value;
+      row.classList.toggle("picked", isPicked);
+      part(row, ".pick").setAttribute("aria-pressed", String(isPicked));
+      part(row, ".show").setAttribute("aria-pressed", String(!hidden.value.has(value)));
+      const isTold = volume !== undefined && label.role !== "background" && isMarked;
+      part(row, ".volume").textContent = isTold ? `${figure(volume, volume < 10 ? 2 : 1)} ml` : "";
+      const mark = part(row, ".mark");
+      mark.textContent = isMarked ? "" : say("not_marked");
+      mark.hidden = isMarked;
+    }
+  }
+}
+
+/** @param {HTMLElement} row @param {string} selector */
+function part(row, selector) {
+  return /** @type {HTMLElement} */ (row.querySelector(selector));
+}
+
+/**
+ * @template {keyof HTMLElementTagNameMap} T
+ * @param {T} tag
+ * @param {string} [className]
+ * @param {string} [text]
+ */
+export function element(tag, className = "", text = "") {
+  const made = document.createElement(tag);
+  if (className) made.className = className;
+  if (text) made.textContent = text;
+  return made;
+}
+
+/** One of the page's drawn icons. @param {string} name */
+export function icon(name) {
+  const space = "http://www.w3.org/2000/svg";
+  const drawn = document.createElementNS(space, "svg");
+  drawn.setAttribute("aria-hidden", "true");
+  drawn.setAttribute("class", "icon");
+  const use = document.createElementNS(space, "use");
+  use.setAttribute("href", `#icon-${name}`);
+  drawn.append(use);
+  return drawn;
+}

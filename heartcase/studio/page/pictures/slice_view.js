@@ -1,0 +1,92 @@
+/** One slice on the page: its tile, its camera, and where its plane lies. */
+
+import { Camera, PATIENT_FRAMES, plus, dot } from "./geometry.js";
+
+/** @typedef {import("./geometry.js").Lattice} Lattice */
+/** @typedef {import("./geometry.js").Vector} Vector */
+/** @typedef {import("../shared/studio.js").Studio} Studio */
+/** @typedef {import("../shared/studio.js").ViewName} ViewName */
+
+export class SliceView {
+  /** The picture must be drawn anew; only what lies over it must. */
+  isStale = true;
+  overlayIsStale = true;
+
+  /**
+   * @param {ViewName} name
+   * @param {HTMLElement} tile
+   * @param {Studio} studio
+   */
+  constructor(name, tile, studio) {
+    this.name = name;
+    this.tile = tile;
+    this.studio = studio;
+    this.surface = /** @type {HTMLElement} */ (tile.querySelector(".surface"));
+    this.overlay = /** @type {HTMLCanvasElement} */ (tile.querySelector("canvas"));
+    this.slider = /** @type {HTMLInputElement} */ (tile.querySelector(".slice-slider"));
+    this.pen = /** @type {CanvasRenderingContext2D} */ (this.overlay.getContext("2d"));
+    this.camera = new Camera(PATIENT_FRAMES[name]);
+    this.ratio = 1;
+  }
+
+  /**
+   * Take the surface's size over.
+   * @returns {boolean} whether it changed.
+   */
+  resize() {
+    const { clientWidth, clientHeight } = this.surface;
+    const ratio = globalThis.devicePixelRatio || 1;
+    const width = Math.max(clientWidth, 1);
+    const height = Math.max(clientHeight, 1);
+    if (width === this.camera.width && height === this.camera.height && ratio === this.ratio) return false;
+    const before = Math.min(this.camera.width, this.camera.height);
+    // What was seen stays seen, also where the tile has become smaller.
+    if (before > 1) this.camera.mmPerPixel *= before / Math.min(width, height);
+    this.camera.width = width;
+    this.camera.height = height;
+    this.ratio = ratio;
+    this.overlay.width = Math.round(width * ratio);
+    this.overlay.height = Math.round(height * ratio);
+    this.pen.setTransform(ratio, 0, 0, ratio, 0, 0);
+    return true;
+  }
+
+  /** The patient position of a pixel. @param {number} x @param {number} y */
+  toMm(x, y) {
+    return this.camera.toMm(x, y, this.studio.crosshair.value);
+  }
+
+  /** Position of the plane along its normal from the scan's first slice, steps; and how many there are. @param {Lattice} lattice */
+  slices(lattice) {
+    const { normal } = this.camera.frame;
+    const step = lattice.sliceStep(normal);
+    const extent = lattice.steps.reduce((sum, one, a) => sum + Math.abs(dot(one, normal)) * (lattice.size[a] - 1), 0);
+    const depth = dot(plus(this.studio.crosshair.value, lattice.centre, -1), normal);
+    return { at: Math.round((depth + extent / 2) / step), count: Math.floor(extent / step + 1e-6) + 1 };
+  }
+
+  /** @param {number} steps forward, or back where negative */
+  scroll(steps) {
+    const lattice = this.studio.lattice.value;
+    if (lattice === null || steps === 0) return;
+    const { normal } = this.camera.frame;
+    const moved = plus(this.studio.crosshair.value, normal, steps * lattice.sliceStep(normal));
+    this.studio.crosshair.value = lattice.snapped(lattice.clamped(moved), normal);
+  }
+
+  /** Move the crosshair within the plane, by voxels. @param {number} across @param {number} along */
+  nudge(across, along) {
+    const lattice = this.studio.lattice.value;
+    if (lattice === null) return;
+    const { right, down } = this.camera.frame;
+    const moved = plus(this.studio.crosshair.value, right, across * lattice.sliceStep(right));
+    this.studio.crosshair.value = lattice.clamped(plus(moved, down, along * lattice.sliceStep(down)));
+  }
+
+  /** The picture follows where a position has left it. @param {Vector} mm */
+  bringIntoSight(mm) {
+    const { x, y } = this.camera.toPixel(mm, mm);
+    const { width, height } = this.camera;
+    if (x < 0 || y < 0 || x > width || y > height) this.camera.pan(width / 2 - x, height / 2 - y);
+  }
+}

@@ -1,0 +1,219 @@
+/** The three slices: drawn into one canvas behind their tiles, each only when it changed. */
+
+import { boxMeetsPlane, Lattice, PATIENT_FRAMES, scanFrames } from "./geometry.js";
+import { drawOverlay } from "./overlay.js";
+import { SliceShader } from "./slice_shader.js";
+import { SliceView } from "./slice_view.js";
+import { Volume } from "./volume.js";
+import { figure, say } from "../shared/words.js";
+
+/** @typedef {import("./geometry.js").Vector} Vector */
+/** @typedef {import("../shared/studio.js").Studio} Studio */
+/** @typedef {import("../shared/studio.js").ViewName} ViewName */
+/** @typedef {import("../tools/measures.js").Measures} Measures */
+
+/** The browser gives no WebGL 2. */
+export class NoGraphics extends Error {}
+
+export class Views {
+  /** @type {Volume | null} */
+  volume = null;
+  #isAsked = false;
+
+  /**
+   * @param {HTMLCanvasElement} canvas
+   * @param {Record<ViewName, HTMLElement>} tiles
+   * @param {Studio} studio
+   * @param {Measures} measures
+   */
+  constructor(canvas, tiles, studio, measures) {
+    this.canvas = canvas;
+    this.studio = studio;
+    this.measures = measures;
+    // Kept, so that a slice which did not change is not drawn again.
+    const gl = canvas.getContext("webgl2", { antialias: false, alpha: false, depth: false, preserveDrawingBuffer: true });
+    if (gl === null) throw new NoGraphics();
+    this.gl = gl;
+    this.shader = new SliceShader(gl);
+    gl.enable(gl.SCISSOR_TEST);
+    canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
+    canvas.addEventListener("webglcontextrestored", () => {
+      this.shader = new SliceShader(gl);
+      gl.enable(gl.SCISSOR_TEST);
+      this.volume?.restore();
+      this.redraw();
+    });
+    const views = Object.entries(tiles).map(([name, tile]) => new SliceView(/** @type {ViewName} */ (name), tile, studio));
+    this.all = views;
+    this.byName = /** @type {Record<ViewName, SliceView>} */ (Object.fromEntries(views.map((view) => [view.name, view])));
+    const observer = new ResizeObserver(() => this.#resized());
+    for (const view of views) observer.observe(view.surface);
+    observer.observe(canvas);
+    this.#follow();
+  }
+
+  get active() {
+    return this.byName[this.studio.activeView.value];
+  }
+
+  /** A new scan: its lattice, with textures to come. @param {Vector} size @param {number[][]} indexToWorld */
+  begin(size, indexToWorld) {
+    const { studio } = this;
+    this.volume?.dispose();
+    this.volume = new Volume(this.gl, size);
+    const lattice = new Lattice(size, indexToWorld);
+    const isSame = JSON.stringify(studio.lattice.value) === JSON.stringify(lattice);
+    studio.lattice.value = lattice;
+    this.#setColours();
+    // After a lost connection one goes on looking at the same place.
+    if (!isSame) {
+      studio.alongScan.value = false;
+      this.#setFrames();
+      studio.crosshair.value = lattice.clamped(lattice.toWorld(/** @type {Vector} */ (size.map((n) => Math.floor(n / 2)))));
+      this.fit();
+    }
+  }
+
+  fit() {
+    const lattice = this.studio.lattice.value;
+    if (lattice === null) return;
+    for (const view of this.all) view.camera.fit(lattice);
+    this.redraw();
+  }
+
+  /** Labels of a box came. @param {Vector} low @param {Vector} size @param {Uint8Array<ArrayBuffer>} bytes */
+  setLabels(low, size, bytes) {
+    const lattice = this.studio.lattice.value;
+    if (this.volume === null || lattice === null) return;
+    this.volume.setLabels(low, size, bytes);
+    for (const view of this.all) {
+      if (boxMeetsPlane(lattice, low, size, view.camera.frame.normal, this.studio.crosshair.value)) view.isStale = true;
+    }
+    this.#ask();
+  }
+
+  /** Everything is drawn anew with the next frame. */
+  redraw() {
+    for (const view of this.all) view.isStale = true;
+    this.#ask();
+  }
+
+  /** What lies over the slices is drawn anew. */
+  redrawOverlays() {
+    for (const view of this.all) view.overlayIsStale = true;
+    this.#ask();
+  }
+
+  #follow() {
+    const { studio } = this;
+    for (const signal of [studio.window, studio.opacity, studio.outline, studio.labelsShown]) signal.listen(() => this.redraw());
+    for (const signal of [studio.hover, studio.stroke, studio.radiusMm, studio.erasing, studio.tool, studio.picked, studio.panning]) {
+      signal.listen(() => this.redrawOverlays());
+    }
+    this.measures.changed.listen(() => this.redrawOverlays());
+    for (const signal of [studio.labels, studio.hidden]) {
+      signal.listen(() => {
+        this.#setColours();
+        this.redraw();
+      });
+    }
+    studio.alongScan.listen(() => {
+      this.#setFrames();
+      this.fit();
+    });
+    let before = studio.crosshair.value;
+    studio.crosshair.listen((now) => {
+      const moved = /** @type {Vector} */ (now.map((value, a) => value - before[a]));
+      before = now;
+      for (const view of this.all) {
+        const { normal } = view.camera.frame;
+        if (Math.abs(normal[0] * moved[0] + normal[1] * moved[1] + normal[2] * moved[2]) > 1e-6) view.isStale = true;
+      }
+      this.redrawOverlays();
+    });
+  }
+
+  #setColours() {
+    const { labels, hidden } = this.studio;
+    this.volume?.setColours(labels.value.filter(({ value }) => !hidden.value.has(value)));
+  }
+
+  #setFrames() {
+    const lattice = this.studio.lattice.value;
+    const frames = this.studio.alongScan.value && lattice ? scanFrames(lattice) : PATIENT_FRAMES;
+    for (const view of this.all) view.camera.frame = frames[view.name];
+  }
+
+  #resized() {
+    const ratio = globalThis.devicePixelRatio || 1;
+    const width = Math.max(Math.round(this.canvas.clientWidth * ratio), 1);
+    const height = Math.max(Math.round(this.canvas.clientHeight * ratio), 1);
+    if (width !== this.canvas.width || height !== this.canvas.height) {
+      this.canvas.width = width;
+      this.canvas.height = height;
+    }
+    for (const view of this.all) view.resize();
+    // Drawn at once: a canvas whose size changed is empty.
+    for (const view of this.all) view.isStale = true;
+    this.#draw();
+  }
+
+  #ask() {
+    if (this.#isAsked) return;
+    this.#isAsked = true;
+    requestAnimationFrame(() => {
+      this.#isAsked = false;
+      this.#draw();
+    });
+  }
+
+  #draw() {
+    const { studio, volume } = this;
+    const lattice = studio.lattice.value;
+    if (lattice === null || volume === null || !volume.isComplete) return;
+    const origin = this.canvas.getBoundingClientRect();
+    for (const view of this.all) {
+      if (view.isStale) {
+        const at = view.surface.getBoundingClientRect();
+        const ratio = view.ratio;
+        const part = {
+          x: Math.round((at.left - origin.left) * ratio),
+          y: this.canvas.height - Math.round((at.top - origin.top + view.camera.height) * ratio),
+          width: view.overlay.width,
+          height: view.overlay.height,
+        };
+        const shown = studio.labelsShown.value;
+        const look = {
+          ...studio.window.value,
+          opacity: shown ? studio.opacity.value : 0,
+          outline: shown && studio.outline.value,
+        };
+        this.shader.draw(volume, lattice, view.camera, studio.crosshair.value, look, part);
+      }
+      if (view.isStale || view.overlayIsStale) {
+        drawOverlay(view.pen, view.camera, studio, this.measures.all);
+        this.#tellPosition(view, lattice);
+      }
+      view.isStale = view.overlayIsStale = false;
+    }
+  }
+
+  /** @param {SliceView} view @param {Lattice} lattice */
+  #tellPosition(view, lattice) {
+    const { at, count } = view.slices(lattice);
+    const { slider } = view;
+    slider.max = String(count - 1);
+    slider.value = String(at);
+    const text = say("slice_of", { at: at + 1, count });
+    if (slider.getAttribute("aria-valuetext") !== text) {
+      slider.setAttribute("aria-valuetext", text);
+      const output = /** @type {HTMLElement} */ (view.tile.querySelector("output"));
+      output.textContent = text;
+    }
+  }
+}
+
+/** A position as text: "L 12.3  P 4.0  H 1.2" in mm. @param {Vector} mm */
+export function positionText(mm) {
+  return mm.map((value, axis) => `${"RLAPIS"[2 * axis + (value < 0 ? 0 : 1)]} ${figure(Math.abs(value), 1)}`).join("  ");
+}

@@ -1,0 +1,187 @@
+/** The scan and its labels: kept as they came, and as textures of the graphics card. */
+
+import { EXACT_TO, halfFloats } from "./half_float.js";
+
+/** @typedef {import("./geometry.js").Vector} Vector */
+
+/** What is said to the user where a scan cannot be shown. */
+export class TooLarge extends Error {}
+
+export class Volume {
+  /** @type {Int16Array<ArrayBuffer> | null} */
+  #scan = null;
+  /** @type {Uint8Array<ArrayBuffer> | null} */
+  #labels = null;
+  /** Value of the scan that its texture holds as 0. */
+  #middle = 0;
+  #scale = 1;
+  #offset = 0;
+  /** @type {WebGLTexture | null} */
+  scanTexture = null;
+  /** @type {WebGLTexture | null} */
+  labelTexture = null;
+  /** @type {WebGLTexture | null} */
+  colourTexture = null;
+  #colours = new Uint8Array(256 * 4);
+
+  /**
+   * @param {WebGL2RenderingContext} gl
+   * @param {Vector} size
+   */
+  constructor(gl, size) {
+    this.gl = gl;
+    this.size = size;
+    const most = gl.getParameter(gl.MAX_3D_TEXTURE_SIZE);
+    if (Math.max(...size) > most) throw new TooLarge(String(most));
+  }
+
+  get voxelCount() {
+    return this.size[0] * this.size[1] * this.size[2];
+  }
+
+  /** Whether scan and labels are there. */
+  get isComplete() {
+    return this.#scan !== null && this.#labels !== null;
+  }
+
+  /**
+   * Take the scan; an intensity is scale * value + offset.
+   * @param {Int16Array<ArrayBuffer>} values i fastest
+   * @param {number} scale
+   * @param {number} offset
+   */
+  setScan(values, scale, offset) {
+    if (values.length !== this.voxelCount) throw new Error("the scan has not as many values as voxels");
+    this.#scan = values;
+    this.#scale = scale;
+    this.#offset = offset;
+    this.#uploadScan(values);
+  }
+
+  /** @param {Int16Array<ArrayBuffer>} values */
+  #uploadScan(values) {
+    const gl = this.gl;
+    let [low, high] = [32767, -32768];
+    for (const value of values) {
+      if (value < low) low = value;
+      if (value > high) high = value;
+    }
+    const middle = Math.round((low + high) / 2);
+    const isExactAsHalf = high - middle <= EXACT_TO && middle - low <= EXACT_TO;
+    gl.deleteTexture(this.scanTexture);
+    this.scanTexture = this.#texture3d(gl.LINEAR);
+    // 32 bits only where 16 would round, and only where the card interpolates them.
+    if (!isExactAsHalf && gl.getExtension("OES_texture_float_linear")) {
+      this.#middle = 0;
+      gl.texImage3D(gl.TEXTURE_3D, 0, gl.R32F, ...this.size, 0, gl.RED, gl.FLOAT, Float32Array.from(values));
+    } else {
+      this.#middle = middle;
+      const halves = halfFloats(values, middle);
+      gl.texImage3D(gl.TEXTURE_3D, 0, gl.R16F, ...this.size, 0, gl.RED, gl.HALF_FLOAT, halves);
+    }
+  }
+
+  /**
+   * Take the labels of a box; the first must be the whole volume.
+   * @param {Vector} low
+   * @param {Vector} size
+   * @param {Uint8Array<ArrayBuffer>} bytes i fastest
+   */
+  setLabels(low, size, bytes) {
+    if (bytes.length !== size[0] * size[1] * size[2]) throw new Error("labels have not as many bytes as voxels");
+    if (low.some((first, a) => first < 0 || size[a] < 1 || first + size[a] > this.size[a])) {
+      throw new Error("labels lie outside the scan");
+    }
+    const gl = this.gl;
+    if (bytes.length === this.voxelCount) {
+      this.#labels = bytes;
+      this.#uploadLabels(bytes);
+      return;
+    }
+    const labels = this.#labels;
+    if (labels === null) throw new Error("a part of the labels came before the whole");
+    const [ni, nj] = this.size;
+    for (let k = 0; k < size[2]; k++) {
+      for (let j = 0; j < size[1]; j++) {
+        const from = (k * size[1] + j) * size[0];
+        const to = ((low[2] + k) * nj + low[1] + j) * ni + low[0];
+        labels.set(bytes.subarray(from, from + size[0]), to);
+      }
+    }
+    gl.bindTexture(gl.TEXTURE_3D, this.labelTexture);
+    gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
+    gl.texSubImage3D(gl.TEXTURE_3D, 0, ...low, ...size, gl.RED_INTEGER, gl.UNSIGNED_BYTE, bytes);
+  }
+
+  /** @param {Uint8Array} bytes */
+  #uploadLabels(bytes) {
+    const gl = this.gl;
+    gl.deleteTexture(this.labelTexture);
+    this.labelTexture = this.#texture3d(gl.NEAREST);
+    gl.texImage3D(gl.TEXTURE_3D, 0, gl.R8UI, ...this.size, 0, gl.RED_INTEGER, gl.UNSIGNED_BYTE, bytes);
+  }
+
+  /**
+   * Colours of the labels; those that are not named here are not drawn.
+   * @param {Iterable<{value: number, colour: string}>} shown
+   */
+  setColours(shown) {
+    this.#colours = new Uint8Array(256 * 4);
+    for (const { value, colour } of shown) {
+      const rgb = parseInt(colour.slice(1), 16);
+      this.#colours.set([(rgb >> 16) & 255, (rgb >> 8) & 255, rgb & 255, 255], 4 * value);
+    }
+    this.#uploadColours();
+  }
+
+  #uploadColours() {
+    const gl = this.gl;
+    if (this.colourTexture === null) this.colourTexture = gl.createTexture();
+    gl.bindTexture(gl.TEXTURE_2D, this.colourTexture);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA8, 256, 1, 0, gl.RGBA, gl.UNSIGNED_BYTE, this.#colours);
+  }
+
+  /** @param {number} filter */
+  #texture3d(filter) {
+    const gl = this.gl;
+    const texture = gl.createTexture();
+    gl.bindTexture(gl.TEXTURE_3D, texture);
+    gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
+    gl.texParameteri(gl.TEXTURE_3D, gl.TEXTURE_MIN_FILTER, filter);
+    gl.texParameteri(gl.TEXTURE_3D, gl.TEXTURE_MAG_FILTER, filter);
+    for (const side of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T, gl.TEXTURE_WRAP_R]) {
+      gl.texParameteri(gl.TEXTURE_3D, side, gl.CLAMP_TO_EDGE);
+    }
+    return texture;
+  }
+
+  /** Make the textures anew: the card lost them. */
+  restore() {
+    this.scanTexture = this.labelTexture = this.colourTexture = null;
+    if (this.#scan) this.#uploadScan(this.#scan);
+    if (this.#labels) this.#uploadLabels(this.#labels);
+    this.#uploadColours();
+  }
+
+  dispose() {
+    for (const texture of [this.scanTexture, this.labelTexture, this.colourTexture]) this.gl.deleteTexture(texture);
+  }
+
+  /** An intensity as the texture holds it. @param {number} intensity */
+  asStored(intensity) {
+    return (intensity - this.#offset) / this.#scale - this.#middle;
+  }
+
+  /** @param {Vector} voxel */
+  intensityAt([i, j, k]) {
+    const value = this.#scan?.[(k * this.size[1] + j) * this.size[0] + i];
+    return value === undefined ? null : this.#scale * value + this.#offset;
+  }
+
+  /** @param {Vector} voxel */
+  labelAt([i, j, k]) {
+    return this.#labels?.[(k * this.size[1] + j) * this.size[0] + i] ?? null;
+  }
+}

@@ -1,0 +1,151 @@
+/**
+ * The line to the server: requests with their answers, messages in the order in which they were sent, and a line that
+ * comes back by itself when it was lost.
+ */
+
+import { Signal } from "./signal.js";
+
+/** @typedef {{place: string, message: string}} Problem */
+/** @typedef {Record<string, any> & {kind: string}} Message */
+/** @typedef {{header: Message, bytes: Uint8Array<ArrayBuffer>}} Package */
+
+const FIRST_WAIT_MS = 300;
+const LONGEST_WAIT_MS = 8000;
+
+/** The server did not carry a request out, and says why. */
+export class Refused extends Error {
+  /** @param {Problem[]} problems */
+  constructor(problems) {
+    super("refused");
+    this.problems = problems;
+  }
+}
+
+/** The line broke before an answer came. */
+export class Lost extends Error {}
+
+/**
+ * Take a binary message apart.
+ * @param {ArrayBuffer} data
+ * @returns {Promise<Package>}
+ */
+export async function unpack(data) {
+  if (data.byteLength < 4) throw new Error("a binary message is too short");
+  const headerLength = new DataView(data).getUint32(0, true);
+  if (4 + headerLength > data.byteLength) throw new Error("a binary message is shorter than its header");
+  const header = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, headerLength)));
+  const payload = new Uint8Array(data, 4 + headerLength);
+  if (header.encoding === "raw") return { header, bytes: payload };
+  if (header.encoding !== "deflate") throw new Error("a binary message has an unknown encoding");
+  const stream = new Blob([payload]).stream().pipeThrough(new DecompressionStream("deflate"));
+  return { header, bytes: new Uint8Array(await new Response(stream).arrayBuffer()) };
+}
+
+/**
+ * How long to wait before the next try.
+ * @param {number} tries that failed so far
+ */
+export function waitMs(tries) {
+  return Math.min(FIRST_WAIT_MS * 2 ** tries, LONGEST_WAIT_MS);
+}
+
+export class Connection {
+  /** @type {Signal<"connecting" | "open" | "lost" | "ended">} */
+  state = new Signal(/** @type {"connecting" | "open" | "lost" | "ended"} */ ("connecting"));
+  /** Requests without an answer yet. @type {Signal<number>} */
+  waiting = new Signal(0);
+  /** @type {WebSocket | null} */
+  #socket = null;
+  #nextId = 1;
+  #tries = 0;
+  /** @type {Promise<void>} */
+  #queue = Promise.resolve();
+  /** @type {Map<number, {resolve: (answer: Message) => void, reject: (error: Error) => void}>} */
+  #requests = new Map();
+
+  /**
+   * @param {string} url
+   * @param {(message: Message) => void} onMessage
+   * @param {(message: Package) => void} onPackage
+   * @param {(error: unknown) => void} onFault
+   */
+  constructor(url, onMessage, onPackage, onFault) {
+    this.url = url;
+    this.onMessage = onMessage;
+    this.onPackage = onPackage;
+    this.onFault = onFault;
+  }
+
+  open() {
+    const socket = new WebSocket(this.url);
+    socket.binaryType = "arraybuffer";
+    this.#socket = socket;
+    /** Each socket has a queue of its own: what an old one sent late is not applied. */
+    this.#queue = Promise.resolve();
+    socket.addEventListener("open", () => {
+      this.#tries = 0;
+      this.state.value = "open";
+    });
+    socket.addEventListener("message", (event) => {
+      const unpacked = typeof event.data === "string" ? null : unpack(event.data);
+      // its fault is told when its turn comes
+      unpacked?.catch(() => undefined);
+      this.#queue = this.#queue.then(() => this.#take(socket, event.data, unpacked)).catch(this.onFault);
+    });
+    socket.addEventListener("close", () => this.#closed(socket));
+  }
+
+  /** No more tries: the server said that it cannot go on. */
+  end() {
+    this.state.value = "ended";
+  }
+
+  /**
+   * Ask the server to do something.
+   * @param {Record<string, unknown> & {do: string}} request
+   * @returns {Promise<Message>} its answer; rejected with `Refused` or `Lost`.
+   */
+  ask(request) {
+    const socket = this.#socket;
+    if (socket === null || socket.readyState !== WebSocket.OPEN) return Promise.reject(new Lost());
+    const id = this.#nextId++;
+    return new Promise((resolve, reject) => {
+      this.#requests.set(id, { resolve, reject });
+      this.waiting.value = this.#requests.size;
+      socket.send(JSON.stringify({ id, ...request }));
+    });
+  }
+
+  /**
+   * @param {WebSocket} socket
+   * @param {string | ArrayBuffer} data
+   * @param {Promise<Package> | null} unpacked
+   */
+  async #take(socket, data, unpacked) {
+    const message = unpacked ? await unpacked : JSON.parse(/** @type {string} */ (data));
+    if (socket !== this.#socket) return;
+    if (unpacked) {
+      this.onPackage(message);
+      return;
+    }
+    this.onMessage(message);
+    const request = this.#requests.get(message.id);
+    if (request === undefined) return;
+    this.#requests.delete(message.id);
+    this.waiting.value = this.#requests.size;
+    if (message.kind === "refused") request.reject(new Refused(message.problems ?? []));
+    else request.resolve(message);
+  }
+
+  /** @param {WebSocket} socket */
+  #closed(socket) {
+    if (socket !== this.#socket) return;
+    this.#socket = null;
+    for (const { reject } of this.#requests.values()) reject(new Lost());
+    this.#requests.clear();
+    this.waiting.value = 0;
+    if (this.state.value === "ended") return;
+    this.state.value = "lost";
+    setTimeout(() => this.open(), waitMs(this.#tries++));
+  }
+}

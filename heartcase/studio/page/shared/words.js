@@ -1,0 +1,59 @@
+/** The page's words, in the language that was chosen. */
+
+import { words as de } from "../words/de.js";
+import { words as en } from "../words/en.js";
+import { keep, kept } from "./settings.js";
+import { Signal } from "./signal.js";
+
+/** @typedef {keyof typeof en} Word */
+/** @typedef {Record<string, string | number>} Values */
+
+/** @type {Record<string, Record<Word, string>>} */
+export const LANGUAGES = { en, de };
+
+/** @type {Signal<string>} */
+export const language = new Signal(firstLanguage());
+language.listen((chosen) => keep("language", chosen));
+
+function firstLanguage() {
+  const wanted = [kept("language"), ...(globalThis.navigator?.languages ?? [])];
+  for (const name of wanted) {
+    const short = name?.slice(0, 2).toLowerCase();
+    if (short && short in LANGUAGES) return short;
+  }
+  return "en";
+}
+
+/**
+ * A sentence of the page, with {values} put in.
+ * @param {Word} key
+ * @param {Values} [values]
+ */
+export function say(key, values = {}) {
+  const text = LANGUAGES[language.value][key];
+  return text.replace(/\{(\w+)\}/g, (_, name) => String(values[name] ?? ""));
+}
+
+/**
+ * A number as the language writes it.
+ * @param {number} value
+ * @param {number} digits behind the point
+ */
+export function figure(value, digits) {
+  return value.toLocaleString(language.value, { minimumFractionDigits: digits, maximumFractionDigits: digits });
+}
+
+/**
+ * Fill in every element's words: `data-word` is its text, `data-label` its accessible name and tip.
+ * @param {ParentNode} root
+ */
+export function fillWords(root) {
+  for (const element of root.querySelectorAll("[data-word]")) {
+    element.textContent = say(/** @type {Word} */ (element.getAttribute("data-word")));
+  }
+  for (const element of root.querySelectorAll("[data-label]")) {
+    const label = say(/** @type {Word} */ (element.getAttribute("data-label")));
+    element.setAttribute("aria-label", label);
+    if (element.matches("button, input, select, [data-tip]")) element.setAttribute("title", label);
+  }
+}

@@ -1,0 +1,69 @@
+"""Running the studio on this machine, until it is interrupted."""
+
+from __future__ import annotations
+
+import contextlib
+import secrets
+import socket
+from collections.abc import Callable
+from pathlib import Path
+
+import uvicorn
+
+from heartcase.schemas.errors import UsageError
+from heartcase.studio.app import make_app
+from heartcase.studio.requests import REQUEST_SIZE_MAX
+from heartcase.studio.workplace import Workplace
+
+__all__ = ["ADDRESS", "serve"]
+
+ADDRESS = "127.0.0.1"
+"""The studio is for this machine alone."""
+_CLOSING_S = 5
+
+
+def serve(recipe: Path, *, out: Path, port: int, ready: Callable[[str], None]) -> None:
+    """Serve the page of a recipe, until the process is interrupted.
+
+    Parameters
+    ----------
+    recipe
+        The recipe's file.
+    out
+        Directory that the case is built in, with the build's cache.
+    port
+        Port to listen on; any free one at 0.
+    ready
+        Told the address with its token, once the server can be reached.
+
+    Raises
+    ------
+    UsageError
+        The port is taken.
+    """
+    token = secrets.token_urlsafe(24)
+    with socket.socket() as listener:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            listener.bind((ADDRESS, port))
+        except OSError as error:
+            reason = (error.strerror or "the system gives no reason").lower()
+            raise UsageError(f"cannot listen on port {port} ({reason}): give another", place="--port") from None
+        listener.listen()
+        port = listener.getsockname()[1]
+        app = make_app(Workplace(recipe, out=out), token=token, port=port)
+        config = uvicorn.Config(
+            app,
+            log_level="error",
+            access_log=False,
+            server_header=False,
+            date_header=False,
+            ws="websockets-sansio",
+            ws_max_size=REQUEST_SIZE_MAX,
+            # what is sent is compressed where that helps
+            ws_per_message_deflate=False,
+            timeout_graceful_shutdown=_CLOSING_S,
+        )
+        ready(f"http://{ADDRESS}:{port}/?token={token}")
+        with contextlib.suppress(KeyboardInterrupt):
+            uvicorn.Server(config).run(sockets=[listener])

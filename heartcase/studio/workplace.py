@@ -1,0 +1,171 @@
+"""What is open in the studio, and the pages that look at it: one thing after the other, in the order of asking."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import traceback
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import TypeVar
+
+from heartcase.schemas.errors import HeartcaseError, RecipeError
+from heartcase.studio.messages import problems_of, text_message
+from heartcase.studio.painting import Painting, open_painting
+from heartcase.studio.requests import History, Paint, parse_request, request_id
+
+__all__ = ["Page", "Workplace"]
+
+T = TypeVar("T")
+
+QUEUE_LENGTH_MAX = 2000
+"""Messages that wait for a page at most: one that takes none is let go, and asks again for everything."""
+
+
+class Page:
+    """A page that is connected: messages wait here until they are sent."""
+
+    def __init__(self) -> None:
+        self.waiting: asyncio.Queue[str | bytes | None] = asyncio.Queue()
+
+    def send(self, message: str | bytes) -> None:
+        """Let a message be sent, after those before it; a page that takes none is let go."""
+        if self.waiting.qsize() < QUEUE_LENGTH_MAX:
+            self.waiting.put_nowait(message)
+        else:
+            self.close()
+
+    def close(self) -> None:
+        """Let the page go, after what waits."""
+        self.waiting.put_nowait(None)
+
+
+class Workplace:
+    """A recipe that is open, and the pages that show it.
+
+    All methods belong to one event loop. What takes long runs in one thread of its own, one thing after the other.
+
+    Parameters
+    ----------
+    recipe
+        The recipe's file.
+    out
+        Directory that the case is built in, with the build's cache.
+    """
+
+    def __init__(self, recipe: Path, *, out: Path) -> None:
+        self._recipe = recipe
+        self._out = out
+        self._painting: Painting | None = None
+        self._pages: set[Page] = set()
+        self._turn = asyncio.Lock()
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="studio")
+
+    async def join(self, page: Page) -> None:
+        """Show a page everything, and then all that changes."""
+        page.send(text_message("progress", text="open", fraction=None))
+        async with self._turn:
+            # Progress of opening is for all who wait for it.
+            self._pages.add(page)
+            await self._show_all((page,))
+
+    async def leave(self, page: Page) -> None:
+        """Forget a page; its stroke ends where it is."""
+        self._pages.discard(page)
+        async with self._turn:
+            painting = self._painting
+            if painting is not None:
+                await self._refusing(lambda: painting.leave(page))
+
+    async def ask(self, page: Page, text: str) -> None:
+        """Do what a page asks for, and tell it and the others."""
+        async with self._turn:
+            try:
+                request = parse_request(text)
+                if self._painting is None:
+                    raise RecipeError("it is not open", place="recipe")
+                painting = self._painting
+                if isinstance(request, Paint | History) and await self._run(lambda: painting.is_stale):
+                    await self._open_again()
+                    raise RecipeError(
+                        "another program changed the recipe: it was opened again, so look before you go on",
+                        place="recipe",
+                    )
+                answer = await self._run(lambda: painting.do(request, page))
+            except Exception as error:
+                page.send(text_message("refused", id=request_id(text), problems=problems_of(_told(error))))
+                return
+            for message in answer.for_all:
+                is_done = isinstance(message, str) and answer.done is not None and message.startswith('{"kind": "done"')
+                for one in self._pages:
+                    # who asked is told so by the answer itself
+                    if not (is_done and one is page):
+                        one.send(message)
+            if answer.done is not None:
+                page.send(answer.done)
+
+    async def close(self) -> None:
+        """End: a stroke that is not saved yet is saved."""
+        for page in tuple(self._pages):
+            await self.leave(page)
+            page.close()
+        self._thread.shutdown()
+
+    async def _show_all(self, pages: tuple[Page, ...]) -> None:
+        try:
+            if self._painting is None:
+                loop = asyncio.get_running_loop()
+                listener = _Progress(lambda message: loop.call_soon_threadsafe(self._tell, message))
+                self._painting = await self._run(lambda: open_painting(self._recipe, out=self._out, listener=listener))
+            messages = await self._run(self._painting.greeting)
+        except Exception as error:
+            messages = (text_message("failed", problems=problems_of(_told(error))),)
+        for page in pages:
+            for message in messages:
+                page.send(message)
+
+    async def _open_again(self) -> None:
+        self._painting = None
+        await self._show_all(tuple(self._pages))
+
+    async def _refusing(self, work: Callable[[], None]) -> None:
+        """Do something for nobody in particular: what is refused is told to all."""
+        try:
+            await self._run(work)
+        except Exception as error:
+            self._tell(text_message("refused", id=None, problems=problems_of(_told(error))))
+
+    async def _run(self, work: Callable[[], T]) -> T:
+        return await asyncio.get_running_loop().run_in_executor(self._thread, work)
+
+    def _tell(self, message: str) -> None:
+        for page in self._pages:
+            page.send(message)
+
+
+def _told(error: Exception) -> HeartcaseError:
+    """What a page is told of an error; one that nobody foresaw ends nothing but what was asked."""
+    if isinstance(error, HeartcaseError):
+        return error
+    if os.environ.get("HEARTCASE_DEBUG"):
+        traceback.print_exception(error)
+    return HeartcaseError(
+        f"something unforeseen happened ({type(error).__name__}): this is a fault of heartcase; start the studio with "
+        "HEARTCASE_DEBUG=1 to see where, and report it",
+        place="studio",
+    )
+
+
+class _Progress:
+    """Tells the pages how opening a recipe goes on."""
+
+    def __init__(self, tell: Callable[[str], object]) -> None:
+        self._tell = tell
+
+    def stage_started(self, stage: str, *, seconds_expected: float, seconds_after: float) -> None:
+        """Name the stage that begins."""
+        self._tell(text_message("progress", text=stage, fraction=None))
+
+    def stage_finished(self, stage: str, *, seconds: float, reused: bool) -> None:
+        """Say nothing: the next one, or the recipe itself, follows at once."""

@@ -1,0 +1,206 @@
+"""Painting through the studio's server."""
+
+import json
+import random
+import time
+import tomllib
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from heartcase.pipeline.building.session_file import open_session
+from heartcase.schemas.recipe.recipe import load_recipe
+from heartcase.studio.messages import scan_message
+from tests.studio.talking import page, studio, write_recipe
+
+
+@pytest.fixture
+def recipe(tmp_path):
+    return write_recipe(tmp_path)
+
+
+def shown_from_scratch(path):
+    return open_session(path, out=path.parent / "out").session.labels
+
+
+def test_a_stroke_grows_is_saved_and_taken_back_after_a_restart(recipe):
+    path, middle = recipe
+    text = path.read_text()
+    further = [middle[0] + 2.0, *middle[1:]]
+    with studio(path) as browser, page(browser) as talker:
+        first = talker.labels.copy()
+        assert (first == 0).all()
+        scan = open_session(path, out=path.parent / "out").scan
+        np.testing.assert_allclose(talker.scan, scan.values, atol=np.ptp(scan.values) / 60_000)
+        assert talker.ask(do="paint", label="aorta", radius_mm=1.0, points_mm=[middle])["saved"] is False
+        answer = talker.ask(do="extend", points_mm=[further])
+        assert (answer["undo_count"], answer["redo_count"]) == (1, 0)
+        talker.ask(do="end")
+        painted = talker.labels.copy()
+        assert (painted != first).any()
+        # on the disk at once, in one piece
+        assert load_recipe(path).strokes[-1].points_mm == (tuple(middle), tuple(further))
+        np.testing.assert_array_equal(painted, shown_from_scratch(path))
+        talker.ask(do="paint", label="left ventricle", radius_mm=1.0, points_mm=[further])
+        talker.ask(do="end")
+        talker.ask(do="undo")
+        np.testing.assert_array_equal(talker.labels, painted)
+    with studio(path) as browser, page(browser) as talker:
+        assert (talker.opened["undo_count"], talker.opened["redo_count"]) == (1, 1)
+        np.testing.assert_array_equal(talker.labels, painted)
+        talker.ask(do="undo")
+        np.testing.assert_array_equal(talker.labels, first)
+        assert talker.ask(do="undo")["kind"] == "refused"
+        assert path.read_text() == text
+        talker.ask(do="redo")
+        np.testing.assert_array_equal(talker.labels, painted)
+        talker.ask(do="redo")
+        assert talker.ask(do="redo")["kind"] == "refused"
+    assert [stroke.label for stroke in load_recipe(path).strokes] == ["background", "aorta", "left ventricle"]
+    assert path.read_text().startswith(text)
+
+
+def test_two_pages_show_the_same_and_draw_their_own_strokes(recipe):
+    path, middle = recipe
+    with studio(path) as browser, page(browser) as one, page(browser) as other:
+        one.ask(do="paint", label="aorta", radius_mm=1.0, points_mm=[middle])
+        refused = other.ask(do="extend", points_mm=[middle])
+        assert refused["problems"] == [{"place": "extend", "message": "there is no stroke to go on with: begin one"}]
+        np.testing.assert_array_equal(one.labels, other.labels)
+        # somebody else's stroke ends the first one's
+        other.ask(do="paint", label="background", radius_mm=1.0, points_mm=[middle])
+        assert one.ask(do="extend", points_mm=[middle])["kind"] == "refused"
+        assert (one.labels == other.labels).all()
+        assert [stroke.label for stroke in load_recipe(path).strokes][1:] == ["aorta"]
+        other.ask(do="end")
+        assert len(load_recipe(path).strokes) == 3
+
+
+def test_a_stroke_under_way_is_kept_when_its_page_is_gone(recipe):
+    path, middle = recipe
+    with studio(path) as browser:
+        with page(browser) as talker:
+            talker.ask(do="paint", label="aorta", radius_mm=1.0, points_mm=[middle])
+        # the server notices in its own time
+        for _ in range(100):
+            if len(load_recipe(path).strokes) == 2:
+                break
+            time.sleep(0.1)
+        assert [stroke.label for stroke in load_recipe(path).strokes][1:] == ["aorta"]
+        with page(browser) as talker:
+            assert talker.opened["undo_count"] == 1
+
+
+def test_a_recipe_that_another_program_changes_is_opened_again(recipe):
+    path, middle = recipe
+    with studio(path) as browser, page(browser) as talker:
+        talker.ask(do="paint", label="aorta", radius_mm=1.0, points_mm=[middle])
+        talker.ask(do="end")
+        stroke = {"label": "left ventricle", "radius_mm": 1.0, "points_mm": [[middle[0] - 3.0, *middle[1:]]]}
+        path.write_text(
+            path.read_text()
+            + "\n# by hand\n[[strokes]]\n"
+            + "".join(f"{key} = {json.dumps(value)}\n" for key, value in stroke.items())
+        )
+        changed = path.read_text()
+        refused = talker.ask(do="paint", label="aorta", radius_mm=1.0, points_mm=[middle])
+        assert "another program changed the recipe" in refused["problems"][0]["message"]
+        assert path.read_text() == changed
+        np.testing.assert_array_equal(talker.labels, shown_from_scratch(path))
+        # what was written by hand stays to the letter, and is not a stroke of this session
+        assert [one for one in talker.told if one["kind"] == "opened"][-1]["undo_count"] == 0
+        talker.ask(do="paint", label="aorta", radius_mm=1.0, points_mm=[middle])
+        talker.ask(do="end")
+        assert path.read_text().startswith(changed)
+
+
+def test_structures_places_and_what_is_missing_are_told(recipe):
+    path, middle = recipe
+    with studio(path) as browser, page(browser) as talker:
+        talker.ask(do="paint", label="aorta", radius_mm=1.0, points_mm=[middle])
+        talker.ask(do="end")
+        told = [one for one in talker.told if one["kind"] == "structures"][-1]
+        session = open_session(path, out=path.parent / "out").session
+        value = session.table["aorta"].value
+        ml = (session.labels == value).sum() * session.geometry.voxel_volume_mm3 / 1000.0
+        assert told["volumes_ml"]["aorta"] == pytest.approx(ml, abs=6e-4)
+        assert told["marked"] == ["background", "aorta"]
+        groups = {one["key"]: one for one in told["checklist"]}
+        assert groups["background"] == {"key": "background", "done": True, "missing": []}
+        assert not groups["vessels"]["done"]
+        assert "aorta" not in groups["vessels"]["missing"]
+        assert "pulmonary artery" in groups["vessels"]["missing"]
+        places = talker.ask(do="suggest", count=2)
+        assert places == {"kind": "places", "id": talker.number} | session.suggest(count=2).as_json(session.table)
+
+
+def test_a_recipe_that_cannot_be_opened_says_why(recipe):
+    path, _ = recipe
+    path.write_text(path.read_text().replace("scan.nii.gz", "another.nii.gz"))
+    with studio(path) as browser, page(browser) as talker:
+        assert talker.opened["kind"] == "failed"
+        assert talker.opened["problems"]
+        assert talker.ask(do="undo")["kind"] == "refused"
+
+
+@pytest.mark.parametrize(
+    ("lowest", "highest", "is_exact"), [(-1000.0, 3000.0, True), (0.0, 65000.0, False), (5.0, 5.0, True)]
+)
+def test_intensities_are_told_in_16_bits(lowest, highest, is_exact, recipe):
+    scan = open_session(recipe[0], out=recipe[0].parent / "out").scan
+    values = np.rint(np.linspace(lowest, highest, scan.values.size)).reshape(scan.values.shape).astype(np.float32)
+    message = scan_message(type(scan)(values, scan.geometry))
+    length = int.from_bytes(message[:4], "little")
+    header = json.loads(message[4 : 4 + length])
+    numbers = np.frombuffer(message[4 + length :], "<i2").reshape(values.shape)
+    error = np.abs(numbers * header["scale"] + header["offset"] - values).max()
+    assert error == 0.0 if is_exact else error <= (highest - lowest) / 65534
+
+
+JUNK = [
+    "",
+    "[]",
+    "null",
+    '{"do": "paint"}',
+    '{"id": 1}',
+    '{"id": -1, "do": "undo"}',
+    '{"id": 1, "do": "quit"}',
+    '{"id": 1, "do": "paint", "label": "aorta", "points_mm": [[NaN, 0, 0]]}',
+    '{"id": 1, "do": "paint", "label": "spleen", "points_mm": [[0, 0, 0]]}',
+    '{"id": 1, "do": "paint", "label": "aorta", "points_mm": [[9e9, 0, 0]]}',
+    '{"id": 1, "do": "paint", "label": "aorta", "erase": true, "points_mm": [[0, 0, 0]]}',
+    '{"id": 1, "do": "extend", "points_mm": []}',
+    '{"id": 1, "do": "suggest", "count": 0}',
+    "[" * 100_000,
+    '{"id": 1, "do": "undo", "do": "redo"}',
+]
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 10_000))
+def test_whatever_a_page_says_the_recipe_stays_valid_and_all_is_taken_back(seed, tmp_path_factory):
+    path, middle = write_recipe(tmp_path_factory.mktemp("junk"))
+    text, drawn = path.read_text(), random.Random(seed)
+    with studio(path) as browser, page(browser) as talker:
+        first = talker.labels.copy()
+        for _ in range(12):
+            point = [m + drawn.uniform(-6.0, 6.0) for m in middle]
+            requests = [
+                {"do": "paint", "label": drawn.choice(["aorta", "background"]), "radius_mm": 1, "points_mm": [point]},
+                {"do": "paint", "erase": True, "radius_mm": 2, "points_mm": [point]},
+                {"do": "extend", "points_mm": [point]},
+                *({"do": do} for do in ("undo", "redo", "end", "suggest")),
+            ]
+            if drawn.random() < 0.4:
+                talker.socket.send_text(drawn.choice(JUNK))
+                assert talker.hear("refused")["problems"]
+            else:
+                talker.ask(**drawn.choice(requests))
+            tomllib.loads(path.read_text())
+            assert load_recipe(path).name == "painted"
+        while talker.ask(do="undo")["kind"] == "done":
+            pass
+        np.testing.assert_array_equal(talker.labels, first)
+        assert path.read_text() == text

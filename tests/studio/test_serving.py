@@ -1,0 +1,59 @@
+"""``heartcase studio`` as a process of its own."""
+
+import re
+import signal
+import subprocess
+import sys
+import urllib.error
+import urllib.request
+
+import pytest
+
+from heartcase.cli.main import main
+from heartcase.pipeline.building.session_file import open_session
+from tests.cli.small_case import write_case, write_scan
+from tests.studio.talking import write_recipe
+
+
+@pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_it_serves_this_machine_until_it_is_ended(tmp_path, ending):
+    recipe, _ = write_recipe(tmp_path)
+    text = recipe.read_text()
+    command = [sys.executable, "-m", "heartcase", "studio", str(recipe), "--out", str(tmp_path / "out"), "--no-browser"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        address = re.search(r"http://127\.0\.0\.1:\d+/\?token=\S+", process.stdout.readline())[0]
+        with pytest.raises(urllib.error.HTTPError, match="403"):
+            urllib.request.urlopen(address.partition("?")[0], timeout=30)
+        opener = urllib.request.build_opener(urllib.request.HTTPCookieProcessor())
+        assert b"heartcase studio" in opener.open(address, timeout=30).read()
+        process.send_signal(ending)
+        out, err = process.communicate(timeout=60)
+    if ending is signal.SIGINT:
+        assert process.returncode == 0
+        assert "the recipe holds every stroke" in out
+    assert err == ""
+    assert recipe.read_text() == text
+    assert not list(tmp_path.glob(".heartcase-tmp-*"))
+
+
+def test_for_a_scan_a_recipe_is_written_that_marks_nothing(tmp_path, monkeypatch, capsys):
+    served = []
+    monkeypatch.setattr("heartcase.studio.serve.serve", lambda recipe, **_: served.append(recipe))
+    scan, recipe = write_scan(tmp_path / "scan.nii.gz"), tmp_path / "mine.toml"
+    assert main(["studio", str(scan), "--recipe", str(recipe), "--no-browser"]) == 0
+    assert served == [recipe]
+    session = open_session(recipe, out=tmp_path / "out", resumes=True).session
+    assert (session.labels == 255).all()
+    assert session.strokes == ()
+    # what is there is never replaced
+    assert main(["studio", str(scan), "--recipe", str(recipe), "--no-browser"]) == 2
+    assert "there is already a recipe" in capsys.readouterr().err
+
+
+def test_what_it_cannot_open_is_said_in_one_line(tmp_path, capsys):
+    case, _ = write_case(tmp_path)
+    for path, message in ((case, "is a case"), (tmp_path / "nothing", "there is nothing at this path")):
+        assert main(["studio", str(path), "--no-browser"]) == 2
+        error = capsys.readouterr().err
+        assert message in error
+        assert error.count("\n") == 1
