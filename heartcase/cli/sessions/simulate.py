@@ -20,11 +20,13 @@ from heartcase.cli.shared.output import echo_json
 from heartcase.cli.shared.sessions import (
     check_numbers,
     completed_script,
+    needs_tissue,
     require_folder,
     session_bar,
     session_options,
     simulation_of,
     stitch_lines,
+    template_files,
     with_law,
 )
 from heartcase.schemas.arrays import UInt8
@@ -54,6 +56,11 @@ _OUT = click.Path(path_type=Path, dir_okay=False, readable=False)
 @click.option("--surface", "surface_out", type=_OUT, help="Write the final surface here (.ply, .stl, .obj).")
 @click.option("--animation", type=_OUT, help="Write an animation here (.gif, .mp4).")
 @click.option("--picture", type=_OUT, help="Write a picture of start and furthest deformation (.png).")
+@click.option(
+    "--templates",
+    type=click.Path(path_type=Path, file_okay=False, readable=False),
+    help="Write the outline of each patch here, flat and to scale (NAME.svg, NAME.pdf).",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
 def command(
     case: Path,
@@ -68,6 +75,7 @@ def command(
     surface_out: Path | None,
     animation: Path | None,
     picture: Path | None,
+    templates: Path | None,
     as_json: bool,
 ) -> None:
     """Run a scripted session on CASE and say what came of it.
@@ -79,8 +87,10 @@ def command(
     script = load_script(script_path) if script_path is not None else None
     curvature = script.curvature if script else "flagged"
     needs: tuple[Need, ...] = ("surface", "colours")
-    if script is not None and (script.cuts or script.scissors or script.stitches):
+    if script is not None and needs_tissue(script):
         needs = (*needs, "tissue")
+    if templates is not None:
+        require_folder(templates / "template.svg")
     loaded = load_case(case, needs=needs, curvature=curvature, level=level)
     loaded = with_law(loaded, law, poissons_ratio)
     script = completed_script(script, loaded, seconds, step_s)
@@ -116,6 +126,7 @@ def command(
             colours=seen.colours,
             case_id=case_id,
         )
+    written = list(template_files(simulation, templates)) if templates is not None else []
     if as_json:
         named = {"case": loaded.manifest.name, "case_id": case_id, "approval": approval.state, "backend": backend}
         echo_json({**named, "law": law, "poissons_ratio": poissons_ratio, **summary.to_dict()})
@@ -126,6 +137,8 @@ def command(
         for what, path in (("picture", picture), ("animation", animation), ("surface", surface_out)):
             if path is not None:
                 click.echo(f"wrote the {what} to {path}")
+        for path in written:
+            click.echo(f"wrote the template to {path}")
 
 
 class _Audience:

@@ -72,6 +72,11 @@ class Tethers:
         """Number of tethers."""
         return len(self.nodes)
 
+    def with_more(self, more: Tethers) -> Tethers:
+        """These, then others."""
+        one, other = vars(self), vars(more)
+        return Tethers(**{name: np.concatenate([one[name], other[name]]) for name in one})
+
     def after(self, step_count: int) -> Tethers:
         """As they are after so many steps of a row."""
         length, most = np.stack([self.length, self.tension_most]) + step_count * self.pace.T

@@ -92,6 +92,10 @@ class SessionSummary:
     """Stitch -> highest force in it in any frame, N."""
     stitch_end_force_n: dict[str, float]
     """Stitch -> force in it at the end, or when it was taken out, N."""
+    patch_peak_force_n: dict[str, float]
+    """Patch -> highest force in a stitch of its rim in any frame, N."""
+    patch_end_force_n: dict[str, tuple[float, ...]]
+    """Patch -> force in each stitch of its rim at the end, or when it was taken out, N."""
     frame_time_s: tuple[float, ...]
     """Simulated time of each frame, s."""
     frame_energy: tuple[Energy, ...]
@@ -330,6 +334,8 @@ def run_script(
         held_node_count=hands.held_node_count,
         stitch_peak_force_n=threads.peak_force_n,
         stitch_end_force_n=threads.end_force_n,
+        patch_peak_force_n=threads.patch_peak_force_n,
+        patch_end_force_n=threads.patch_force_n,
         frame_time_s=tuple(times),
         frame_energy=tuple(energies),
     )

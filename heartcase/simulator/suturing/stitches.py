@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -51,6 +51,10 @@ class Stitch:
     """Whether its length is fixed by a knot."""
     name: str = "stitch"
     """Name in messages."""
+    row: str = ""
+    """Row that it belongs to; empty for none."""
+    is_running: bool = False
+    """Whether one thread runs through all stitches of its row."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +73,10 @@ class StitchState:
     """Length of the thread between them, mm; while it is drawn with a tension, its length without that."""
     distance_mm: float
     """How far the places are apart, mm: more than the length by what the thread is stretched."""
+    row: str = ""
+    """Row that it belongs to; empty for none."""
+    is_running: bool = False
+    """Whether one thread with one tension runs through all stitches of its row."""
 
 
 def bind(model: LatticeModel, cuts: Cuts | None, places: tuple[Place, Place]) -> tuple[Int32, Float32]:
@@ -144,23 +152,22 @@ def fitting_stiffness(
 
 def _together(present: Tethers, new: Tethers, stiffness: float) -> Tethers:
     """Threads that are there, and new ones of a stiffness."""
-    one, other = vars(present), vars(new) | {"stiffness": np.full(new.count, stiffness, np.float32)}
-    return Tethers(**{name: np.concatenate([one[name], other[name]]) for name in one})
+    return present.with_more(replace(new, stiffness=np.full(new.count, stiffness, np.float32)))
 
 
-def softened(model: LatticeModel, stitches: Sequence[Stitch], limit: float) -> list[float]:
-    """Stiffness of each [k], less where it is more than a time step allows, of tissue that was cut.
+def softened(tethers: Tethers, inverse_mass: Float32, limit: float) -> Float64:
+    """Stiffness of each [k], less where it is more than a time step allows, shape (count,).
 
     Each is lowered by what the highest bound of those that share a node with it is above the limit: so all are within.
     """
-    tethers = tethers_of(model, stitches)
-    bounds = tethers.rate_bounds(model.inverse_mass)
+    bounds = tethers.rate_bounds(inverse_mass)
     part = np.minimum(1.0, np.divide(limit, bounds, out=np.ones_like(bounds), where=bounds > 0))
     used = np.where(tethers.shares != 0, part[:, None], 1.0)
-    at_node = np.ones(model.node_count)
+    at_node = np.ones(len(inverse_mass))
     np.minimum.at(at_node, tethers.nodes.ravel(), used.ravel())
-    least = np.where(tethers.shares != 0, at_node[tethers.nodes], 1.0).min(axis=1)
-    return [float(stitch.stiffness * lowered) for stitch, lowered in zip(stitches, least.tolist(), strict=True)]
+    least = np.where(tethers.shares != 0, at_node[tethers.nodes], 1.0).min(axis=1, initial=1.0)
+    lowered: Float64 = tethers.stiffness.astype(np.float64) * least
+    return lowered
 
 
 def checked_length(value: float | None, cell_mm: float, name: str) -> float | None:

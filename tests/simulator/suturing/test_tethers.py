@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -86,7 +88,8 @@ def check_tethers(model, seed, engine, reference, step_count=30):
     """Forces and each step of a fast engine against the reference's from the same state; threads are being drawn.
 
     Only one step at a time can be held to a bound: what rounding leaves of a thread that is about to be taut, or of
-    tissue that is about to buckle, grows from step to step by no rule.
+    tissue that is about to buckle, grows from step to step by no rule. Corners are not guarded: where springs act
+    alone, the CPU looks for flat ones in every eighth step, the reference in each.
     """
     tethers = random_tethers(model, seed, pace=0.2 / step_count, slack=0.3)
     displacement = random_field(model, seed, 0.05)
@@ -121,6 +124,7 @@ def check_tethers(model, seed, engine, reference, step_count=30):
 @settings(max_examples=25, deadline=None)
 @given(LATTICES, SEEDS)
 def test_threads_pull_alike_in_both_engines_of_the_host(model, seed):
+    model = model.with_law(replace(model.law, guards_corners=False))
     check_tethers(model, seed, make_engine(model, "cpu"), make_engine(model, "reference"))
 
 
