@@ -35,6 +35,7 @@ from heartcase.schemas.bundle.format import LEVEL_MAX
 from heartcase.schemas.errors import UsageError
 from heartcase.simulator.engine.backends import Backend
 from heartcase.simulator.lattice.force_law import LawName
+from heartcase.simulator.lattice.loose_nodes import tissue_displacement
 from heartcase.simulator.load import Case, Need, load_case
 from heartcase.simulator.session.script import SessionSummary, load_script, run_script
 from heartcase.simulator.simulation import Simulation
@@ -165,6 +166,8 @@ class _Audience:
         self.furthest_seen: Seen | None = None
         self.furthest_time_s = 0.0
         self.rest_seen: Seen | None = None
+        self.sewn_seen: Seen | None = None
+        self.sewn_time_s = 0.0
 
     def watch(self, simulation: Simulation, time_s: float) -> None:
         """Look at a frame."""
@@ -172,17 +175,19 @@ class _Audience:
         if self.camera is not None:
             if self.film_every and self.frame_number % self.film_every == 0:
                 self.camera.film(Seen.now(simulation, self.colours))
-            moved = float(np.abs(simulation.state.displacement).max())
+            moved = float(np.abs(tissue_displacement(simulation.model, simulation.state.displacement)).max())
             if self.wants_picture and moved > self.furthest:
                 self.furthest = moved
                 self.furthest_seen = Seen.now(simulation, self.colours)
                 self.furthest_time_s = time_s
             if self.wants_picture and self.rest_seen is None:
                 self.rest_seen = Seen.now(simulation, self.colours)
+            if self.wants_picture and (simulation.stitches or simulation.patches):
+                self.sewn_seen, self.sewn_time_s = Seen.now(simulation, self.colours), time_s
         self.frame_number += 1
 
     def furthest_picture(self) -> np.ndarray | None:
-        """The start and the furthest deformation side by side, if a picture was wanted."""
+        """The start, the furthest deformation and what was sewn side by side, if a picture was wanted."""
         if self.camera is None or self.furthest_seen is None or self.rest_seen is None:
             return None
         from heartcase.pipeline.report.montage import montage
@@ -191,7 +196,9 @@ class _Audience:
             f"{self.title}at the start": self.camera.take(self.rest_seen),
             f"at {self.furthest_time_s:.2f} s, moved furthest": self.camera.take(self.furthest_seen),
         }
-        return montage(pictures, columns=2)
+        if self.sewn_seen is not None:
+            pictures[f"at {self.sewn_time_s:.2f} s, sewn"] = self.camera.take(self.sewn_seen)
+        return montage(pictures, columns=len(pictures))
 
 
 def _check_names(surface: Path | None, animation: Path | None, picture: Path | None) -> None:

@@ -154,7 +154,7 @@ def stitch_lines(summary: SessionSummary) -> Iterator[str]:
 
     def beside(force_n: float) -> str:
         parts = [beside_measured((force_n,), one.key)[0].part_of_mean for one in (cut_in, tear_out)]
-        return f"{parts[0]:.0%} of what cuts in, {parts[1]:.0%} of what tears out"
+        return f"{100 * parts[0]:.2g}% of what cuts in, {100 * parts[1]:.2g}% of what tears out"
 
     for name, force in summary.stitch_end_force_n.items():
         yield f"Stitch     {name}: {force:.3g} N, at most {summary.stitch_peak_force_n[name]:.3g} N; {beside(force)}"

@@ -15,7 +15,7 @@ from heartcase.schemas.arrays import Bool, Float32, Int32
 from heartcase.simulator.lattice.explicit_springs import ExplicitSprings
 from heartcase.simulator.lattice.model import LatticeModel
 
-__all__ = ["loose_first", "with_loose_nodes", "with_loose_of", "without_loose_nodes"]
+__all__ = ["loose_first", "tissue_displacement", "with_loose_nodes", "with_loose_of", "without_loose_nodes"]
 
 _GAP = 2
 """Empty layers below those of loose nodes."""
@@ -26,6 +26,11 @@ _ROW = 8
 def loose_first(model: LatticeModel) -> int:
     """Number of the first loose node."""
     return model.node_count - model.loose_count
+
+
+def tissue_displacement(model: LatticeModel, displacement: Float32) -> Float32:
+    """Displacements of the nodes that are tissue, shape (any, 3): those of loose nodes are no movement of anything."""
+    return displacement[: loose_first(model)]
 
 
 def with_loose_nodes(model: LatticeModel, mass: Float32) -> LatticeModel:
@@ -60,8 +65,8 @@ def without_loose_nodes(model: LatticeModel, removed: Bool | None = None) -> Lat
     gone = np.zeros(model.node_count, np.bool_)
     gone[loose_first(model) :] = True if removed is None else removed
     number = (np.cumsum(~gone) - 1).astype(np.int32)
-    hangs_on_them: Bool = gone[model.explicit.nodes].any(axis=1)
-    kept = model.explicit.without(hangs_on_them)
+    one, other = model.explicit.nodes.T
+    kept = model.explicit.without(gone[one] | gone[other])
     return replace(
         model,
         node_index=model.node_index[~gone],

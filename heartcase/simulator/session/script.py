@@ -31,6 +31,7 @@ from heartcase.simulator.dynamics.integrate import Energy
 from heartcase.simulator.instruments.forceps import Forceps
 from heartcase.simulator.instruments.grab import Grab
 from heartcase.simulator.instruments.wrench import Instrument
+from heartcase.simulator.lattice.loose_nodes import tissue_displacement
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.perform_tools import withdrawal_of
@@ -433,5 +434,5 @@ def _stops(timeline: _Timeline, step_total: int) -> Iterator[int]:
 
 
 def _furthest(simulation: Simulation) -> float:
-    displacement = simulation.state.displacement
+    displacement = tissue_displacement(simulation.model, simulation.state.displacement)
     return float(np.linalg.norm(displacement, axis=1).max()) * simulation.model.cell_mm

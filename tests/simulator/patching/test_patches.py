@@ -51,7 +51,10 @@ def hexagons(count):
     return FlatSheet(flat, np.column_stack([flat, 0 * flat[:, 0]]), triangles.astype(np.int32), 4 * count, 1.0, 1.0)
 
 
-@pytest.mark.parametrize("strain", [(1e-4, 0.0, 0.0), (0.0, 1e-4, 0.0), (1e-4, 1e-4, 0.0), (0.0, 0.0, 1e-4), (1e-4, -5e-5, 3e-5)])  # fmt: skip
+STRAINS = [(1e-4, 0.0, 0.0), (0.0, 1e-4, 0.0), (1e-4, 1e-4, 0.0), (0.0, 0.0, 1e-4), (1e-4, -5e-5, 3e-5)]
+
+
+@pytest.mark.parametrize("strain", STRAINS)
 def test_springs_of_equal_triangles_are_a_sheet_with_a_poissons_ratio_of_a_third(strain):
     """Energy at small strain, against plane stress: E t / (1 - v^2) (xx^2 + yy^2 + 2 v xx yy + 2 (1 - v) xy^2) / 2."""
     sheet, stiffness, ratio = hexagons(5), 7.0, 1 / 3
@@ -138,9 +141,8 @@ def test_a_patch_holds_two_halves_together_and_is_carried_over_the_cut():
     moment = simulation.snapshot()
     simulation.cut([[(12, -2, 6), (12, 26, 6)], [(12, -2, -2), (12, 26, -2)]], at_rest=True)
     assert simulation.model.loose_count == patch.node_count
-    np.testing.assert_allclose(
-        simulation.patch_state(patch).vertices_mm[: len(patch.places)], simulation.patch_state(patch).stitches_mm, atol=1e-5
-    )  # fmt: skip
+    state = simulation.patch_state(patch)
+    np.testing.assert_allclose(state.vertices_mm[: len(patch.places)], state.stitches_mm, atol=1e-5)
     hand = simulation.grab((23, 12, 2), 5.0)
     simulation.lead(hand, (2.0, 0, 0))
     for _ in range(10):
@@ -161,7 +163,7 @@ def test_a_patch_holds_two_halves_together_and_is_carried_over_the_cut():
 def test_a_patch_that_is_taken_out_leaves_no_trace():
     simulation = slab()
     plain = simulation.model
-    first, second = simulation.patch(OUTLINE), simulation.patch(OUTLINE - (0, 0, 4), name="below", scale=0.9)
+    first, second = simulation.patch(OUTLINE), simulation.patch(OUTLINE - np.array([0, 0, 4]), name="below", scale=0.9)
     hand = simulation.grab((6, 6, 2), 4.0)
     simulation.step(50)
     kept = simulation.patch_state(second)
@@ -188,7 +190,7 @@ def test_what_cannot_be_sewn_on_is_refused_and_changes_nothing():
         (lambda: simulation.patch(OUTLINE), "there is a patch of this name"),
         (lambda: simulation.patch(OUTLINE[:2], name="b"), "at least three"),
         (lambda: simulation.patch(OUTLINE * np.nan, name="b"), "finite"),
-        (lambda: simulation.patch(OUTLINE + (0, 0, 90), name="b"), "no tissue within"),
+        (lambda: simulation.patch(OUTLINE + np.array([0, 0, 90]), name="b"), "no tissue within"),
         (lambda: simulation.patch(OUTLINE, name="b", spacing_mm=0.0), "above 0"),
         (lambda: simulation.patch(OUTLINE, name="b", spacing_mm=0.01), "400 are the most"),
         (lambda: simulation.patch(OUTLINE, name="b", stiffness_n_m=-1.0, scale=0.0), "scale.* above 0"),

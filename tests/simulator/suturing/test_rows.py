@@ -45,7 +45,8 @@ def test_a_row_is_filled_in_evenly_between_chosen_stitches():
     chosen = [[(0, 0, 0), (0, 2, 0)], [(10, 0, 0), (10, 2, 0)], [(10, 0, 3), (10, 2, 7)]]
     points, is_chosen = filled_in(chosen, 2.4)
     assert is_chosen == [True, False, False, False, True, False, True]
-    np.testing.assert_allclose(points[:, 0], [(0, 0, 0), (2.5, 0, 0), (5, 0, 0), (7.5, 0, 0), (10, 0, 0), (10, 0, 1.5), (10, 0, 3)])  # fmt: skip
+    np.testing.assert_allclose(points[:, 0, 0], [0, 2.5, 5, 7.5, 10, 10, 10])
+    np.testing.assert_allclose(points[:, 0, 2], [0, 0, 0, 0, 0, 1.5, 3])
     np.testing.assert_allclose(points[5, 1], (10, 2, 3.5))
     with pytest.raises(SimulationError, match="two chosen stitches"):
         filled_in(chosen[:1], 1.0)
