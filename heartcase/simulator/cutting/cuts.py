@@ -13,6 +13,7 @@ from heartcase.simulator.cutting.descent import Descent, descent_of, nodes_now
 from heartcase.simulator.cutting.parted_lattice import PartedLattice, part
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
 from heartcase.simulator.lattice.explicit_springs import ExplicitSprings
+from heartcase.simulator.lattice.loose_nodes import with_loose_of
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.lattice.state import State
 
@@ -42,6 +43,12 @@ class Step:
     def joined(self, springs: ExplicitSprings) -> ExplicitSprings:
         """Explicit springs of the lattice before, which hold on to the heaviest copies of their nodes."""
         return replace(springs, nodes=self.node_now[springs.nodes].astype(np.int32))
+
+    def with_loose(self, loose_count: int) -> Step:
+        """The same of lattices that both have so many loose nodes more."""
+        loose = np.arange(loose_count)
+        before = np.append(self.node_before, len(self.node_now) + loose).astype(np.int32)
+        return Step(before, np.append(self.node_now, len(self.node_before) + loose))
 
     def held(self, nodes: Int64) -> tuple[Int64, Int64]:
         """Nodes that come from some nodes before, ascending, and the place of that node among those given."""
@@ -105,4 +112,5 @@ def cut_further(model: LatticeModel, cuts: Cuts, points: Float64) -> tuple[Latti
     if not model.cell_is_whole.all():
         raise SimulationError("springs of this lattice were removed: cut it by blades only", place="blade")
     cuts, step = cuts.with_sheet(Sheet.swept(points))
-    return replace(cuts.model, explicit=step.joined(model.explicit)), cuts, step
+    step = step.with_loose(model.loose_count)
+    return replace(with_loose_of(cuts.model, model), explicit=step.joined(model.explicit)), cuts, step
