@@ -10,7 +10,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import get_args
 
@@ -40,12 +40,16 @@ __all__ = ["FRAME_S", "Live", "LiveFrame"]
 
 FRAME_S = 1.0 / 40.0
 """Time from frame to frame where the machine keeps up, s."""
+_SLOWEST = 2.5
+"""How many times longer a frame may take where it does not: the time is for steps."""
+_STEPS_SHARE = 0.4
+"""Least part of a frame's time that is for steps, whatever the rest takes."""
+_LATE_FRAMES = 3
+"""Frames that may be made up for when the machine was busy with something else; of more, time goes slower."""
 _ACTS = get_args(Act)
 _NAVIGATION = get_args(Navigation)
 _MEASURED_S = 1.0
 """Over how long the pace is measured, s."""
-_SHARE = 0.9
-"""Part of a frame's time that its steps may take."""
 _JOIN_S = 60.0
 """How long a frame may take at most to end before its thread is given up, s: a rewind works out some seconds again."""
 
@@ -111,7 +115,8 @@ class Live:
         self._recorder: Recorder | None = None
         self._played: Iterator[Frame] | None = None
         self._mode = "running"
-        self._rate = 0.5 / session.simulation.step_s
+        self._step_wall_s = session.simulation.step_s
+        self._rest_wall_s = 0.0
         self._part = 0.0
         self._past: deque[tuple[float, int]] = deque()
         self._act_count = 0
@@ -162,7 +167,6 @@ class Live:
 
     def tick(self) -> None:
         """One frame: do what was asked for, take steps, publish. The thread does nothing else; tests do it without."""
-        began = time.perf_counter()
         has_work = self._do_asked()
         if self._mode == "playing":
             self._play_on()
@@ -170,16 +174,15 @@ class Live:
             steps = self._steps_due()
             seconds = steps * self.session.simulation.step_s
             motions = self._goals.commands(_places_mm(self.session.simulation), seconds)
-            frame = self.session.take(motions, steps, surface=True)
+            began = time.perf_counter()
+            frame = self.session.take(motions, steps)
+            stepped = time.perf_counter()
             if frame.breakdown is not None:
                 self._goals.drop()
                 self._messages.append(frame.breakdown)
-            took = max(time.perf_counter() - began, 1e-6)
-            # Quicker down than up: a frame that comes late is seen.
-            share = 0.5 if steps / took < self._rate else 0.1
-            self._rate += share * (steps / took - self._rate)
             self._measure()
-            self.newest = self._published(frame)
+            self.newest = self._published(replace(frame, surface=self.session.simulation.surface_now()))
+            self._learn(steps, stepped - began, time.perf_counter() - stepped)
         elif has_work:
             self.newest = self._published(self.session.frame(surface=True))
 
@@ -193,8 +196,7 @@ class Live:
             due = time.perf_counter()
             while not self._is_closing:
                 self.tick()
-                # A frame that came late is not made up for: time goes slower instead.
-                due = max(due + self._frame_s, time.perf_counter())
+                due = max(due + self._frame_s, time.perf_counter() - _LATE_FRAMES * self._frame_s)
                 with self._wake:
                     while not self._is_closing:
                         left = due - time.perf_counter()
@@ -271,9 +273,19 @@ class Live:
     def _steps_due(self) -> int:
         """How many steps the next frame takes: those of real time, or as many as there is time for."""
         wanted = self._frame_s / self.session.simulation.step_s + self._part
-        steps = max(1, int(min(wanted, _SHARE * self._rate * self._frame_s)))
+        longest = _SLOWEST * self._frame_s
+        for_steps = max(longest - self._rest_wall_s, _STEPS_SHARE * longest)
+        steps = max(1, int(min(wanted, for_steps / self._step_wall_s)))
         self._part = min(wanted - steps, 1.0)
         return steps
+
+    def _learn(self, steps: int, steps_wall_s: float, rest_wall_s: float) -> None:
+        """Note how long steps take, and all else of a frame."""
+        per_step = steps_wall_s / steps
+        # Quicker up than down: a frame that comes late is seen.
+        share = 0.5 if per_step > self._step_wall_s else 0.1
+        self._step_wall_s += share * (per_step - self._step_wall_s)
+        self._rest_wall_s += 0.2 * (rest_wall_s - self._rest_wall_s)
 
     def _measure(self) -> None:
         now = time.perf_counter()

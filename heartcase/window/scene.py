@@ -15,7 +15,7 @@ from heartcase.window.shapes import Structures, grey_range, slice_corners_mm, sl
 
 __all__ = ["LIST_LEFT", "LIST_STEP", "LIST_TOP", "Scene"]
 
-LIST_LEFT, LIST_TOP, LIST_STEP = 0.80, 0.97, 0.032
+LIST_LEFT, LIST_TOP, LIST_STEP = 0.77, 0.97, 0.032
 """Where the list of structures stands: left edge, upper edge, height of a line, in parts of the window."""
 _INSTRUMENT_COLOURS = {"grab": "gold", "forceps": "silver", "retractor": "deepskyblue", "scissors": "silver"}
 _HANDLE_MM = 1.5
@@ -143,7 +143,7 @@ class Scene:
             dark = tuple(int((1 - _SHADOW) * value) for value in structure.colour)
             self.text(
                 f"structure {row}",
-                f"{'-' if is_hidden else '+'} {structure.name[:34]}",
+                f"{'-' if is_hidden else '+'} {structure.name.removeprefix('morphologically ')[:32]}",
                 place=(LIST_LEFT, LIST_TOP - row * LIST_STEP),
                 colour="darkgrey" if is_hidden else "#{:02x}{:02x}{:02x}".format(*dark),
             )
@@ -200,6 +200,7 @@ class Scene:
             name="heart",
         )
         self._heart_actor.prop.interpolation = "Phong"
+        self._heart_actor.prop.ambient = 0.15
         self._heart_actor.prop.specular, self._heart_actor.prop.specular_power = 0.15, 20.0
         if plane is not None:
             from vtkmodules.vtkCommonDataModel import vtkPlane

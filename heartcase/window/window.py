@@ -424,5 +424,5 @@ class HeartWindow:
         low, high = STRETCH_SHOWN
         legend = f"stretched to {low:g} (blue) ... {high:g} (red) times its length" if self._shows_strain else ""
         self.scene.text("legend", legend, place=(0.01, 0.10))
-        self.scene.text("notice", "Not a medical device", place=(0.80, 0.03), size=8, colour="grey")
+        self.scene.text("notice", "Not a medical device", place=(0.77, 0.03), size=8, colour="grey")
         self.scene.text("help", help_text() if self._shows_help else "", place=(0.01, 0.86), size=9)
