@@ -188,6 +188,9 @@ class Scene:
             is_shown &= (middles - at) @ normal > 0.0
         self._shown = np.flatnonzero(is_shown).astype(np.int32)
         chosen = np.flatnonzero(self.structures.is_shown(numbers))
+        is_anything_shown = bool(len(chosen))
+        if not is_anything_shown:
+            chosen = np.arange(len(triangles))
         self._heart = self._pyvista.PolyData.from_regular_faces(surface.vertices_mm, triangles[chosen])
         self._heart.cell_data["structure"] = self.structures.colours(numbers[chosen])
         self._heart_actor = self.plotter.add_mesh(
@@ -199,6 +202,7 @@ class Scene:
             reset_camera=False,
             name="heart",
         )
+        self._heart_actor.SetVisibility(is_anything_shown)
         self._heart_actor.prop.interpolation = "Phong"
         self._heart_actor.prop.ambient = 0.15
         self._heart_actor.prop.specular, self._heart_actor.prop.specular_power = 0.15, 20.0
