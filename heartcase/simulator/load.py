@@ -24,8 +24,8 @@ __all__ = ["Case", "Need", "ScanVolume", "load_case"]
 
 Need = Literal["grid", "surface", "tangents", "colours", "picking", "tissue", "scan", "structures"]
 """Parts of a scene: the lattice (always), the visible surface, its tangents for normal mapping, the colour of its
-triangles, the one-to-one surface, where in its cells the tissue lies that blades cut, the scan for slices, the structure
-of each triangle, to show and hide."""
+triangles, the one-to-one surface, where in its cells the tissue lies that blades cut, the scan for slices, the
+structure of each triangle, to show and hide."""
 
 
 @dataclass(frozen=True)

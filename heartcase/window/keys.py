@@ -39,7 +39,7 @@ KEYS: tuple[Key, ...] = (
     Key(("w", "W"), "record:", "W", "record, from the start on; finish the recording"),
     Key(("v", "V"), "show_strain:", "V", "colours: structures, or how far the tissue is stretched"),
     Key(("i", "I"), "show_slice:", "I", "slice of the scan, the heart opened at it"),
-    Key(("bracketleft", "comma"), "move_slice:-1", "[", "slice towards the feet (the scan's first)"),
+    Key(("bracketleft", "comma"), "move_slice:-1", "[", "slice towards the scan's first"),
     Key(("bracketright", "period"), "move_slice:1", "]", "slice the other way"),
     Key(("a", "A"), "show_all:", "A", "show all structures"),
     Key(("z", "Z"), "reset_view:", "Z", "the view of the start"),

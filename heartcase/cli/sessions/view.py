@@ -84,12 +84,13 @@ def command(
         require_folder(output)
         if output.exists():
             raise RecordingError("there is something at this path already: take another name", place="--record")
+    manifest = open_bundle(case).manifest
     recording = None if recording_path is None else open_recording(recording_path)
     if recording is not None and output is not None:
         raise UsageError("give --recording alone: W records what comes of it", place="--record")
     require_display()
     needs: tuple[Need, ...] = ("surface", "structures", "tissue")
-    if open_bundle(case).manifest.scan_values is not None:
+    if manifest.scan_values is not None:
         needs = (*needs, "scan")
     with working("reading the case"):
         loaded = with_law(load_case(case, needs=needs, level=level), law, poissons_ratio)

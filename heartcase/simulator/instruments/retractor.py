@@ -39,7 +39,7 @@ STIFFNESS_N_MM2 = 0.2
 """Stiffness of the pads where nothing else is said: N for each mm along the line and each mm that they give."""
 LIMIT_N_MM = 0.5
 """Pull along the line that a retractor does not keep up where nothing else is said, N/mm. A choice, not a measurement:
-half of some 1 N/mm, which is 4.8 N, the least mean force that tears out a stitch (Medicina 2022, 58, 1081), each 5 mm."""
+half of some 1 N/mm: 4.8 N, the least mean force that tears out a stitch (Medicina 2022, 58, 1081), each 5 mm."""
 _BIN = 1.0
 """Length along the line over which a pull is told [cells]."""
 _SETTLE = 2e-3
