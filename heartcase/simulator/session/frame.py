@@ -97,6 +97,8 @@ class Frame:
     """Name -> stitch in the tissue: the force in it, where it is, how long."""
     breakdown: str | None = None
     """Why the steps of this frame were not taken, where the watchdog stopped them; the state is that before them."""
+    coming_cuts: int = 0
+    """Cuts that were begun and are not made yet."""
 
     @property
     def displacement_mm(self) -> Float64:
