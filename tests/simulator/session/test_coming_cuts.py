@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from heartcase.schemas.errors import SimulationError
-from heartcase.schemas.recording.commands import Advance, Cut, Undo
+from heartcase.schemas.recording.commands import Cut, Undo
 from heartcase.schemas.recording.reader import open_recording
 from heartcase.simulator import coming_cuts
 from heartcase.simulator.session.operating_session import OperatingSession
