@@ -26,6 +26,7 @@ from heartcase.schemas.recording.commands import (
     Snip,
     Undo,
 )
+from heartcase.simulator.session.coming_blades import ComingBlades
 from heartcase.simulator.session.frame import Frame, Refusal, TopologyChange, instrument_frames
 from heartcase.simulator.session.perform import perform, resolved
 from heartcase.simulator.session.snapshots import Snapshots
@@ -108,7 +109,7 @@ class OperatingSession:
         self._stored_end = 0
         self._shown_model = simulation.model
         self._changes: list[TopologyChange] = []
-        self._coming: list[Cut] = []
+        self._coming = ComingBlades()
         self._refused: list[Refusal] = []
 
     @property
@@ -190,7 +191,8 @@ class OperatingSession:
         """Begin a cut that is made as soon as it is worked out: motion goes on meanwhile.
 
         It meets the tissue as it is now. It is made, and stands in the history, before the first steps for which it is
-        ready; that moment is recorded, so that a replay makes it then. Going back or on makes it before.
+        ready; that moment is recorded, so that a replay makes it then. Going back or on makes it before. One is worked
+        out at a time; what a blade of one name goes on with meanwhile, from where it ended, becomes one cut.
 
         Raises
         ------
@@ -199,13 +201,16 @@ class OperatingSession:
         """
         begun = resolved(self.simulation, command)
         assert isinstance(begun, Cut)
-        self.simulation.begin_cut(begun.poses_mm, at_rest=True, name=begun.name)
-        self._coming.append(begun)
+        self._coming.add(self.simulation, command, begun)
+        self._coming.start(self.simulation)
 
     def make_cuts(self, *, wait: bool = False) -> None:
         """Make the cuts that were begun and are ready; with ``wait`` all of them."""
-        while self._coming and (wait or self.simulation.is_cut_ready or not self.simulation.coming_cuts):
-            command = self._coming.pop(0)
+        while (command := self._coming.start(self.simulation)) is not None:
+            # What another change of the lattice made void need not be waited for.
+            if not (wait or self.simulation.is_cut_ready or not self.simulation.coming_cuts):
+                return
+            self._coming.done()
             try:
                 self._do_now(command)
             except SimulationError as error:

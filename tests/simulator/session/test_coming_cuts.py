@@ -14,11 +14,12 @@ from heartcase.schemas.recording.commands import Cut, Undo
 from heartcase.schemas.recording.reader import open_recording
 from heartcase.simulator import coming_cuts
 from heartcase.simulator.session.operating_session import OperatingSession
+from heartcase.simulator.session.perform import resolved
 from heartcase.simulator.session.recorder import Recorder
 from heartcase.simulator.session.replay import load_session
 from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.splitting.free_parts import cut_picking
-from tests.simulator.cutting.test_cuts import across_bar
+from tests.simulator.cutting.test_cuts import across_bar, blade_mm
 from tests.simulator.session.test_recorded_cuts import as_tuples, bar, bytes_of, pull
 from tests.simulator.splitting.surfaces import box, hung
 
@@ -111,6 +112,51 @@ def test_a_cut_that_cannot_be_made_is_told_in_the_frame(gate):
     assert frame.model.node_count == model.node_count
     with pytest.raises(SimulationError, match="near it"):
         session.begin_cut(Cut(poses_mm=((((1e9,) * 3,) * 2),) * 2))
+
+
+def test_what_a_blade_goes_on_with_meanwhile_is_one_cut(gate, tmp_path):
+    model = bar()
+    session = pulled(model)
+    x = np.linspace(-1.0, 5.0, 5)
+    edges = as_tuples(blade_mm(model, [[(4.4, y, 5.0), (4.4, y, 1.5)] for y in x]))
+    with Recorder(session, tmp_path / "stroke.recording"):
+        for number in range(4):
+            frame = session.take([Cut(poses_mm=edges[number : number + 2])], 5, cuts_soon=True)
+        assert frame.coming_cuts == 2
+        gate.set()
+        session.make_cuts(wait=True)
+        session.advance(20)
+    made = [entry.command for entry in session.entries if isinstance(entry.command, Cut)]
+    assert len(made) == 2
+    # Of each sample all is kept that it met of the tissue, in its order.
+    plain = pulled(model)
+    found = []
+    for number in range(4):
+        found += resolved(plain.simulation, Cut(poses_mm=edges[number : number + 2])).poses_mm[number > 1 :]
+        plain.advance(5)
+    joined = [*made[0].poses_mm, *made[1].poses_mm]
+    assert set(found) <= set(joined)
+    again = load_session(open_recording(tmp_path / "stroke.recording"), model)
+    assert len(list(again.play())) > 0
+    assert again.deviations == []
+    assert bytes_of(again.simulation) == bytes_of(session.simulation)
+
+
+def test_another_blade_is_a_cut_of_its_own(gate):
+    model = bar()
+    session = pulled(model)
+    a, b, c, d = as_tuples(blade_mm(model, [[(4.4, y, 5.0), (4.4, y, 1.5)] for y in (-1.0, 1.0, 3.0, 5.0)]))
+    for poses, name in (((a, b), "one"), ((b, c), "one"), ((c, d), "other"), ((d, c), "other"), ((a, b), "other")):
+        session.begin_cut(Cut(poses_mm=poses, name=name, at_rest=True))
+    gate.set()
+    session.make_cuts(wait=True)
+    made = [entry.command for entry in session.entries if isinstance(entry.command, Cut)]
+    assert [(cut.name, cut.poses_mm) for cut in made] == [
+        ("one", (a, b)),
+        ("one", (b, c)),
+        ("other", (c, d, c)),
+        ("other", (a, b)),
+    ]
 
 
 blades = st.lists(st.tuples(st.floats(1.5, 7.5), st.floats(0.5, 4.5)), min_size=1, max_size=3)

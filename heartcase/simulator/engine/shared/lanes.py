@@ -255,7 +255,7 @@ def lane_layout(model: LatticeModel, *, in_banks: bool = False) -> LaneLayout:
         ghost_start=np.zeros(0, np.int64),
     )
     if rows is not None:
-        is_near = are_among(around_keys, rows.row_keys).any(axis=1)
+        is_near = np.asarray(are_among(around_keys, rows.row_keys).any(axis=1))
         near = np.flatnonzero(is_near)
         window_rows[near] = np.where(np.arange(len(ROWS)) == 4, window_rows[near], EMPTY_START)
         vote_for_rows(model, node_lane, layout.node_slot, near, window_rows, layout.lane_count)
