@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import fields
+from unittest.mock import patch
 
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from heartcase.simulator.engine.cpu.chunks import _windows_behind as windows_behind
+from heartcase.simulator.engine.shared import node_copies
 from heartcase.simulator.engine.shared.lanes import cell_layout, lane_layout
 from heartcase.simulator.lattice.force_law import ForceLaw
 from tests.simulator.engine.plain_lanes import (
@@ -26,6 +28,14 @@ def assert_same_bytes(one, other):
         a, b = getattr(one, each.name), getattr(other, each.name)
         if isinstance(a, np.ndarray):
             assert (a.dtype, a.shape, a.tobytes()) == (b.dtype, b.shape, b.tobytes()), each.name
+
+
+@settings(max_examples=15, deadline=None)
+@given(cut_models(size_max=(20, 5, 4)))
+def test_windows_vote_alike_however_many_at_once(model):
+    wanted = lane_layout(model)
+    with patch.object(node_copies, "_WINDOWS_AT_ONCE", 3):
+        assert_same_bytes(lane_layout(model), wanted)
 
 
 @settings(max_examples=60, deadline=None)

@@ -24,6 +24,8 @@ __all__ = ["CopiedRows", "Lookup", "are_among", "copied_rows", "irregular_cells"
 
 _BESIDE = np.array([(a, b) for a in range(8) for b in range(a + 1, 8) if (a ^ b) & 1 == 0])
 """Corners of a cell in different rows at one i, shape (12, 2)."""
+_WINDOWS_AT_ONCE = 1024
+"""Windows that vote at once: 9 kB each."""
 
 
 class Lookup(Protocol):
@@ -171,7 +173,14 @@ def vote_for_rows(
     is_asked[windows] = True
     asks = is_asked[node_slot // 8]
     corners = model.cell_corners[asks[model.cell_corners].any(axis=1)]
-    vote(corners, model.node_index, node_lane, node_slot, asks, windows, window_rows, window_count, lane_count)
+    # The room for votes does not grow with the cut.
+    for first in range(0, len(windows), _WINDOWS_AT_ONCE):
+        some = windows[first : first + _WINDOWS_AT_ONCE]
+        if len(windows) > _WINDOWS_AT_ONCE:
+            is_asked[:] = False
+            is_asked[some] = True
+            asks = is_asked[node_slot // 8]
+        vote(corners, model.node_index, node_lane, node_slot, asks, some, window_rows, window_count, lane_count)
 
 
 def irregular_springs(model: LatticeModel, lookup: Lookup) -> Bool:
