@@ -47,8 +47,10 @@ class Step:
     def with_loose(self, loose_count: int) -> Step:
         """The same of lattices that both have so many loose nodes more."""
         loose = np.arange(loose_count)
-        before = np.append(self.node_before, len(self.node_now) + loose).astype(np.int32)
-        return Step(before, np.append(self.node_now, len(self.node_before) + loose))
+        before = self.descent.node_before
+        now = np.append(self.node_now, len(before) + loose)
+        before = np.append(before, len(self.node_now) + loose).astype(np.int32)
+        return Step(replace(self.descent, node_before=before), now)
 
     def held(self, nodes: Int64) -> tuple[Int64, Int64]:
         """Nodes that come from some nodes before, ascending, and the place of that node among those given."""

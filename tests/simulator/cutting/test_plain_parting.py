@@ -9,13 +9,13 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.plain_parting import plain_nodes_now, plain_parted, plain_stems, plain_tissue
 from heartcase.simulator.cutting import pieces as pieces_module
 from heartcase.simulator.cutting.blade_sheet import Sheet
 from heartcase.simulator.cutting.descent import descent_of, nodes_now
 from heartcase.simulator.cutting.parted_lattice import part
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
 from heartcase.simulator.lattice.force_law import ForceLaw
-from tests.simulator.cutting.plain_parting import plain_nodes_now, plain_parted, plain_stems, plain_tissue
 from tests.simulator.cutting.test_parted_lattice import blades, block
 
 # A ball of tissue as an octahedron: some of its samples lie on its faces.
