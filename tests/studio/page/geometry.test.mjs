@@ -43,14 +43,14 @@ test("the voxel at a position reaches half a spacing to each side", () => {
 test("radiologists' sides: left at the right, front up, head up", () => {
   const { axial, coronal, sagittal } = PATIENT_FRAMES;
   const sides = [axial, coronal, sagittal].map(({ right, down }) => orientationLetters(right) + orientationLetters(down));
-  assert.deepEqual(sides, ["LP", "LI", "PI"]);
+  assert.deepEqual(sides, ["LP", "LF", "PF"]);
 });
 
 test("letters of oblique directions, strongest first", () => {
-  assert.equal(orientationLetters([0, 0, 1]), "S");
+  assert.equal(orientationLetters([0, 0, 1]), "H");
   assert.equal(orientationLetters([-1, 0.05, 0]), "R");
   assert.equal(orientationLetters([0.6, -0.8, 0]), "AL");
-  assert.equal(orientationLetters([-0.5, 0.5, -0.7]), "IRP");
+  assert.equal(orientationLetters([-0.5, 0.5, -0.7]), "FRP");
 });
 
 test("a camera shows pixels where they are, on the plane through the crosshair", () => {
@@ -121,7 +121,7 @@ test("scans stored in any order of axes give the patient's planes", () => {
   const stored = new Lattice([5, 6, 7], [[0, -2, 0, 0], [0, 0, 3, 0], [1, 0, 0, 0], [0, 0, 0, 1]]);
   assert.equal(stored.isOblique, false);
   const { axial, coronal, sagittal } = scanFrames(stored);
-  assert.deepEqual([axial, coronal, sagittal].map((f) => orientationLetters(f.right) + orientationLetters(f.down)), ["LP", "LI", "PI"]);
+  assert.deepEqual([axial, coronal, sagittal].map((f) => orientationLetters(f.right) + orientationLetters(f.down)), ["LP", "LF", "PF"]);
   assert.deepEqual([0, 1, 2].map((a) => stored.sliceAxis([axial, coronal, sagittal][a].normal)), [0, 2, 1]);
 });
 

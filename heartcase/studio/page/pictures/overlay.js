@@ -32,6 +32,20 @@ export function drawOverlay(pen, camera, studio, measures) {
   drawScale(pen, camera);
 }
 
+/**
+ * What lies over the solids: letters, scale, and where the slices meet.
+ * @param {CanvasRenderingContext2D} pen in CSS pixels
+ * @param {Camera} camera
+ * @param {Vector} through
+ */
+export function drawSolidOverlay(pen, camera, through) {
+  pen.clearRect(0, 0, camera.width, camera.height);
+  const { x, y } = camera.toPixel(through, through);
+  rimmed(pen, CROSSHAIR, () => pen.arc(x, y, 6, 0, 2 * Math.PI), 1.5);
+  drawLetters(pen, camera);
+  drawScale(pen, camera);
+}
+
 /** @param {CanvasRenderingContext2D} pen @param {string} colour @param {() => void} path */
 function rimmed(pen, colour, path, width = 1.25) {
   for (const [style, wide] of /** @type {const} */ ([[RIM, width + 2], [colour, width]])) {
