@@ -1,7 +1,7 @@
 /** The three slices and the solids: drawn into one canvas behind their tiles, each only when it changed. */
 
 import { boxMeetsPlane, Lattice, PATIENT_FRAMES, scanFrames, SIDES } from "./geometry.js";
-import { drawOverlay, drawSolidOverlay } from "./overlay.js";
+import { drawOverlay, drawSolidOverlay, sidesOf } from "./overlay.js";
 import { SliceShader } from "./slice_shader.js";
 import { fitToSurface, SliceView } from "./slice_view.js";
 import { SolidShader } from "./solid_shader.js";
@@ -261,6 +261,9 @@ export class Views {
     const { slider } = view;
     slider.max = String(count - 1);
     slider.value = String(at);
+    const sides = /** @type {HTMLElement} */ (view.tile.querySelector(".sides"));
+    const words = say("sides", sidesOf(view.camera));
+    if (sides.textContent !== words) sides.textContent = words;
     const text = say("slice_of", { at: at + 1, count });
     if (slider.getAttribute("aria-valuetext") !== text) {
       slider.setAttribute("aria-valuetext", text);

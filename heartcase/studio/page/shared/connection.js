@@ -5,6 +5,7 @@
 
 import { Signal } from "./signal.js";
 
+/** @typedef {"connecting" | "open" | "lost" | "stranger" | "ended"} State */
 /** @typedef {{place: string, message: string}} Problem */
 /** @typedef {Record<string, any> & {kind: string}} Message */
 /** @typedef {{header: Message, bytes: Uint8Array<ArrayBuffer>}} Package */
@@ -50,8 +51,8 @@ export function waitMs(tries) {
 }
 
 export class Connection {
-  /** @type {Signal<"connecting" | "open" | "lost" | "ended">} */
-  state = new Signal(/** @type {"connecting" | "open" | "lost" | "ended"} */ ("connecting"));
+  /** A stranger is who the server no longer knows: it was started anew, with another key. @type {Signal<State>} */
+  state = new Signal(/** @type {State} */ ("connecting"));
   /** Requests that change the recipe and have no answer yet. @type {Signal<number>} */
   changing = new Signal(0);
   /** @type {WebSocket | null} */
@@ -149,7 +150,19 @@ export class Connection {
     this.#requests.clear();
     this.#count();
     if (this.state.value === "ended") return;
-    this.state.value = "lost";
+    if (this.state.value !== "stranger") this.state.value = "lost";
+    if (this.#tries > 0) this.#askWhetherKnown();
+    // A stranger goes on trying too: another tab may be given the key.
     setTimeout(() => this.open(), waitMs(this.#tries++));
+  }
+
+  /** A socket does not say why it was refused; the page itself does. */
+  async #askWhetherKnown() {
+    try {
+      const { status } = await fetch("/", { method: "HEAD", cache: "no-store" });
+      if (status === 403 && this.state.value === "lost") this.state.value = "stranger";
+    } catch {
+      // There is no server.
+    }
   }
 }
