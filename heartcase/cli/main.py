@@ -36,6 +36,7 @@ COMMANDS: dict[str, str] = {
     "preview": "Make a picture of a scan or a case.",
     "export": "Write a case's labels, models to print and meshes, or a recording in motion.",
     "simulate": "Run a scripted session on a case.",
+    "view": "Operate on a case in a window, with the mouse.",
     "record": "Record a scripted session on a case.",
     "replay": "Repeat a recording, and go on from any moment of it.",
     "compare-incisions": "Run plans of incisions on cases, measure and rank them.",
@@ -55,7 +56,7 @@ COMMANDS: dict[str, str] = {
 
 _FOLDERS = (
     {"library": "library"}
-    | dict.fromkeys(("simulate", "record", "replay", "compare-incisions"), "sessions")
+    | dict.fromkeys(("simulate", "view", "record", "replay", "compare-incisions"), "sessions")
     | dict.fromkeys(("filter", "segment", "walls", "edit", "grid", "surface", "map", "bundle"), "stages")
 )
 """Folder of the module of a command's name, where it is not ``commands``."""

@@ -6,9 +6,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from heartcase.schemas.base import BladePoses, Model, Name, PointMm, PositiveMm, Vector3
+from heartcase.schemas.base import BladePoses, Model, Name, PadStiffness, PointMm, PositiveMm, Vector3
 from heartcase.schemas.migrate import PLANS
-from heartcase.schemas.recording.tool_commands import PadStiffness
 from heartcase.schemas.script import GrabAction
 
 __all__ = ["IncisionPlans", "LipHands", "LookingSettings", "PlannedCut", "PlannedIncision", "ShaftSettings"]
