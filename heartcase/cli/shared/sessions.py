@@ -27,6 +27,7 @@ from heartcase.simulator.simulation import SLEEP_MM, Simulation
 __all__ = [
     "check_numbers",
     "completed_script",
+    "law_options",
     "needs_tissue",
     "require_folder",
     "session_bar",
@@ -46,7 +47,7 @@ DEFAULT_SECONDS = 2.0
 QUIET_SECONDS = 1.0
 """The progress bar shows after this long."""
 
-_OPTIONS = (
+_SCRIPT_OPTIONS = (
     click.option(
         "--script", "script_path", type=click.Path(path_type=Path, readable=False), help="What the hands do (TOML)."
     ),
@@ -61,6 +62,8 @@ _OPTIONS = (
         type=click.FloatRange(min=0.0, max=1.0, min_open=True),
         help="Time step in s; the case's default when left out.",
     ),
+)
+_LAW_OPTIONS = (
     click.option("--backend", type=click.Choice(get_args(Backend)), default="cpu", help="Which kernel steps."),
     click.option("--law", type=click.Choice(get_args(LawName)), default="springs", help="What resists deformation."),
     click.option(
@@ -81,7 +84,14 @@ _OPTIONS = (
 
 def session_options(function: F) -> F:
     """Add the options of a command that runs a script on a case."""
-    for option in reversed(_OPTIONS):
+    for option in reversed((*_SCRIPT_OPTIONS, *_LAW_OPTIONS)):
+        function = option(function)
+    return function
+
+
+def law_options(function: F) -> F:
+    """Add the options that say how tissue moves, and what works it out."""
+    for option in reversed(_LAW_OPTIONS):
         function = option(function)
     return function
 

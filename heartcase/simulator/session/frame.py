@@ -100,6 +100,8 @@ class Frame:
     """Name -> patch on the tissue: a surface of kind ``patch``, and the force in each stitch of its rim."""
     breakdown: str | None = None
     """Why the steps of this frame were not taken, where the watchdog stopped them; the state is that before them."""
+    coming_cuts: int = 0
+    """Cuts that were begun and are not made yet."""
 
     @property
     def displacement_mm(self) -> Float64:
