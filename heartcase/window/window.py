@@ -31,6 +31,8 @@ _MESSAGE_S = 8.0
 """How long a message stands, s."""
 _LOOK_S = 1.0 / 60.0
 """How often the window looks for the mouse at most, s."""
+_SOFTWARE = ("llvmpipe", "softpipe", "swr", "swiftshader", "microsoft basic render")
+"""What renderers without a graphics card call themselves."""
 _FROM_LEFT_FRONT = np.array([0.45, -1.0, 0.25])
 """From the heart to the eye at the start, LPS: front, somewhat left and above."""
 _ACTIONS = {name: key.action for key in KEYS for name in key.keys}
@@ -117,6 +119,9 @@ class HeartWindow:
             What ended the session's thread, if something did.
         """
         self.plotter.show(interactive_update=True, auto_close=False)
+        if self.is_drawn_in_software:
+            self.live.spare_a_processor()
+            self.plotter.disable_anti_aliasing()
         try:
             while self.is_open:
                 began = time.perf_counter()
@@ -126,6 +131,12 @@ class HeartWindow:
                 time.sleep(max(0.0, _LOOK_S - (time.perf_counter() - began)))
         finally:
             self.close()
+
+    @property
+    def is_drawn_in_software(self) -> bool:
+        """Whether the processor draws, as there is no graphics card that does."""
+        told = self.plotter.render_window.ReportCapabilities().lower()
+        return any(name in told for name in _SOFTWARE)
 
     def draw(self) -> None:
         """Show the newest frame, if anything is new.
