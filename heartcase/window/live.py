@@ -22,6 +22,7 @@ from heartcase.schemas.bundle.format import CaseManifest
 from heartcase.schemas.errors import HeartcaseError, SimulationError
 from heartcase.schemas.recording.commands import (
     Act,
+    Cut,
     Done,
     LeadGrab,
     MoveProbe,
@@ -120,7 +121,7 @@ class Live:
         self._ticked: float | None = None
         self._part = 0.0
         self._past: deque[tuple[float, int]] = deque()
-        self._act_count = 0
+        self._act_count = self._counted = 0
         self.newest = self._published(session.frame(surface=True))
 
     def start(self) -> None:
@@ -137,7 +138,7 @@ class Live:
             self._thread.join(_JOIN_S)
             self._thread = None
         else:
-            self._finish_recording()
+            self._end()
 
     def do(self, *commands: Done | Navigation) -> None:
         """Ask for commands; they are done before the next steps. What is refused is told as a message."""
@@ -181,6 +182,8 @@ class Live:
             self._ticked = began
             motions = self._goals.commands(_places_mm(self.session.simulation), steps * self.session.simulation.step_s)
             frame = self.session.take(motions, steps, surface=True)
+            for refusal in frame.refused:
+                self._messages.extend(str(problem) for problem in refusal.problems)
             if frame.breakdown is not None:
                 self._goals.drop()
                 self._messages.append(frame.breakdown)
@@ -210,7 +213,13 @@ class Live:
         except BaseException as error:
             self.error = error
         finally:
-            self._finish_recording()
+            self._end()
+
+    def _end(self) -> None:
+        """Make what was begun, and finish what is recorded: no thread and no half-written file is left."""
+        if self.session.frame().coming_cuts:
+            self.session.make_cuts(wait=True)
+        self._finish_recording()
 
     def _do_asked(self) -> bool:
         """Do what was asked for; whether there was anything."""
@@ -233,7 +242,10 @@ class Live:
             self._goals.drop()
             self._set_mode("paused")
             self.session.do(one)
-            self._act_count = sum(isinstance(e.command, _ACTS) for e in self.session.entries[: self.session.position])
+        elif isinstance(one, Cut):
+            # It is made when it is worked out: no frame waits for it.
+            self._set_mode("running")
+            self.session.begin_cut(one)
         else:
             if isinstance(one, OpenGrab | WithdrawProbe):
                 self._goals.drop(one.name)
@@ -241,7 +253,6 @@ class Live:
                     # It never took hold: that was told.
                     return
             self.session.do(one)
-            self._act_count += isinstance(one, _ACTS)
             self._set_mode("running")
 
     def _set_mode(self, mode: str) -> None:
@@ -326,8 +337,18 @@ class Live:
             steps_per_second=rate,
             ahead_s=(session.end_step - session.step_count) * simulation.step_s,
             recording=None if self._recorder is None else self._recorder.path.name,
-            act_count=self._act_count,
+            act_count=self._acts_done(),
         )
+
+    def _acts_done(self) -> int:
+        """How many acts are done; only what came since the last time is looked at, where nothing was taken back."""
+        position = self.session.position
+        if position < self._counted:
+            self._act_count = self._counted = 0
+        new = self.session.entries[self._counted : position]
+        self._act_count += sum(isinstance(entry.command, _ACTS) for entry in new)
+        self._counted = position
+        return self._act_count
 
 
 def _places_mm(simulation: Simulation) -> dict[str, Float64]:

@@ -417,6 +417,7 @@ class HeartWindow:
         if len(self._frames) > 1:
             pace += f"  {(len(self._frames) - 1) / max(self._frames[-1] - self._frames[0], 1e-9):.0f} pictures/s"
         ahead = f", {newest.ahead_s:.2f} s known ahead" if newest.ahead_s > 0.0 else ""
+        ahead += "   cutting ..." if newest.frame.coming_cuts else ""
         recorded = "" if newest.recording is None else f"   recording: {newest.recording}"
         self.scene.text(
             "status",
@@ -427,6 +428,10 @@ class HeartWindow:
         forces += [
             f"{name}: {one.force_n:.2f} N{'' if one.is_tied else ', not tied'}"
             for name, one in newest.frame.stitches.items()
+        ]
+        forces += [
+            f"{name}: at most {np.max(one.forces_n, initial=0.0):.2f} N in a stitch of its rim"
+            for name, one in newest.frame.patches.items()
         ]
         self.scene.text("forces", "\n".join(forces[:24]), place=(0.01, 0.92))
         if time.perf_counter() >= self._message_until:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import threading
-
 import numpy as np
 import pytest
 
@@ -21,7 +19,7 @@ from heartcase.schemas.recording.commands import (
 from heartcase.schemas.recording.reader import open_recording
 from heartcase.simulator.session.replay import load_session
 from heartcase.window.live import Live
-from tests.window.scenes import bytes_of, live_on, load, until
+from tests.window.scenes import bytes_of, live_on, load, threads, until
 
 TOP = (22.0, -14.0, 40.5)
 """A place at the upper side of the block, LPS mm."""
@@ -110,7 +108,7 @@ def test_going_back_pauses_playing_comes_to_the_same_bytes_and_an_act_takes_over
 
 
 def test_the_thread_runs_cuts_records_and_leaves_nothing_behind(case, tmp_path):
-    threads = threading.active_count()
+    before = threads()
     live = live_on(case)
     live.record(tmp_path / "a.recording")
     live.start()
@@ -136,7 +134,7 @@ def test_the_thread_runs_cuts_records_and_leaves_nothing_behind(case, tmp_path):
     live.close()
     live.close()
     assert live.error is None
-    assert threading.active_count() == threads
+    assert threads() == before
     end = bytes_of(live.session.simulation)
     assert bytes_of(played_again(tmp_path / "a.recording", case).simulation) == end
 

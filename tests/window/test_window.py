@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 
 import numpy as np
@@ -14,7 +13,7 @@ from heartcase.schemas.recording.reader import open_recording
 from heartcase.simulator.session.replay import load_session
 from heartcase.window.keys import KEYS, MOUSE, help_text
 from tests.factories import block_grid
-from tests.window.scenes import Mouse, bytes_of, live_on, load, off_screen_window, until, write_case
+from tests.window.scenes import Mouse, bytes_of, live_on, load, off_screen_window, threads, until, write_case
 
 pytest.importorskip("pyvista")
 
@@ -32,7 +31,7 @@ def on_top(x, y):
 
 
 def test_a_story_by_mouse_and_keys_is_recorded_and_repeats_to_the_byte(case, tmp_path):
-    threads = threading.active_count()
+    before = threads()
     live = live_on(case)
     with off_screen_window(case, live, record_folder=tmp_path) as window:
         mouse = Mouse(window)
@@ -118,7 +117,7 @@ def test_a_story_by_mouse_and_keys_is_recorded_and_repeats_to_the_byte(case, tmp
         assert not window.is_open
     assert said == "recorded in block-1.recording"
     assert live.error is None
-    assert threading.active_count() == threads
+    assert threads() == before
 
     again = load_session(
         open_recording(tmp_path / "block-1.recording"), case.model, surface=case.surface, tissue=case.tissue
