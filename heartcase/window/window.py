@@ -16,7 +16,7 @@ from heartcase.schemas.errors import MissingExtraError, UsageError
 from heartcase.schemas.recording.commands import Mark, Redo, Rewind, TieStitch, Undo
 from heartcase.simulator.load import Case
 from heartcase.window.keys import KEYS, help_text
-from heartcase.window.letting_go import letting_go
+from heartcase.window.letting_go import letting_go, removable
 from heartcase.window.live import Live
 from heartcase.window.rays import Eye, Pointer, first_hit
 from heartcase.window.scene import Scene
@@ -300,7 +300,7 @@ class HeartWindow:
             self.tool.resize(int(steps))
 
     def _let_go(self) -> None:
-        pointed = nearest_held(self.pointer(*self._place()), self.live.newest.held)
+        pointed = nearest_held(self.pointer(*self._place()), removable(self.live.newest))
         command = letting_go(self.live.newest, None if pointed is None else pointed.name)
         if command is None:
             self._say("nothing is held")
@@ -308,7 +308,9 @@ class HeartWindow:
             self.live.do(command)
 
     def _tie(self) -> None:
-        loose = [stitch.name for stitch in self.live.newest.frame.stitches.values() if not stitch.is_tied]
+        stitches = self.live.newest.frame.stitches.values()
+        # A row is tied as one; its name stands for all of it.
+        loose = dict.fromkeys(stitch.row or stitch.name for stitch in stitches if not stitch.is_tied)
         self.live.do(*(TieStitch(name=name) for name in loose))
 
     def _undo(self) -> None:
@@ -396,7 +398,8 @@ class HeartWindow:
 
     def _new_name(self, kind: str) -> str:
         newest = self.live.newest.frame
-        there = {*newest.instruments, *newest.stitches}
+        rows = {stitch.row for stitch in newest.stitches.values()}
+        there = {*newest.instruments, *newest.stitches, *newest.patches, *rows}
         number = self._named.get(kind, 0) + 1
         while f"{kind} {number}" in there:
             number += 1

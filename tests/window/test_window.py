@@ -72,13 +72,37 @@ def test_a_story_by_mouse_and_keys_is_recorded_and_repeats_to_the_byte(case, tmp
         until(lambda: kinds() == {"forceps", "retractor"})
         window.draw()
 
-        # A stitch, tied; the retractor is let go, by pointing at it.
+        # A stitch, tied.
         mouse.key("s")
         mouse.drag(on_top(12.0, -18.0))
         mouse.drag(on_top(15.0, -18.0))
         until(lambda: len(live.newest.frame.stitches) == 1)
         mouse.key("t")
         until(lambda: all(stitch.is_tied for stitch in live.newest.frame.stitches.values()))
+
+        # A row of stitches and a patch, which is taken out by pointing at it.
+        mouse.key("n")
+        for place in (on_top(11.0, -12.0), on_top(14.0, -12.0), on_top(11.0, -9.0), on_top(14.0, -9.0)):
+            mouse.drag(place)
+        until(lambda: len(live.newest.frame.stitches) >= 3)
+        mouse.key("e")
+        turns = np.linspace(0.0, 2.0 * np.pi, 16)
+        mouse.drag(*[on_top(27.5 + 3.0 * np.cos(turn), -15.0 + 3.0 * np.sin(turn)) for turn in turns])
+        until(lambda: len(live.newest.frame.patches) == 1)
+        window.draw()
+        mouse.move(next(iter(live.newest.frame.patches.values())).vertices_mm.mean(axis=0))
+        mouse.key("x")
+        until(lambda: not live.newest.frame.patches)
+        window.draw()
+        mouse.key("u")
+        until(lambda: live.newest.mode == "paused" and len(live.newest.frame.patches) == 1)
+        mouse.key("u")
+        until(lambda: not live.newest.frame.patches)
+        mouse.key("space")
+
+        until(lambda: live.newest.mode == "running")
+
+        # The retractor is let go, by pointing at it.
         retractor = next(one for one in live.newest.frame.instruments.values() if one.kind == "retractor")
         mouse.move(retractor.center_mm)
         mouse.key("x")
