@@ -85,7 +85,7 @@ def springs_removed(inputs: Inputs) -> CpuEngine:
     if "removed" not in inputs.memory:
         inputs.memory["removed"] = CpuEngine(inputs.model)
     engine = inputs.memory["removed"]
-    engine.set_springs(inputs.model.without_springs(_crossed(inputs.model, inputs.corners)))
+    engine.set_springs(inputs.model.without_springs(crossed_springs(inputs.model, inputs.corners)))
     return engine
 
 
@@ -107,8 +107,8 @@ def _stepped(inputs: Inputs, engine: CpuEngine) -> CpuEngine:
     return engine
 
 
-def _crossed(model: LatticeModel, corners: Float64) -> Bool:
-    """Springs that a square crosses, shape (spring_count,)."""
+def crossed_springs(model: LatticeModel, corners: Float64) -> Bool:
+    """Springs that a rectangle crosses, given by its middle and two half sides, shape (spring_count,)."""
     middle, along, across = corners
     normal = np.cross(along, across)
     ends = model.node_index[model.spring_nodes] - middle
@@ -117,9 +117,9 @@ def _crossed(model: LatticeModel, corners: Float64) -> Bool:
         height[:, 0], height[:, 0] - height[:, 1], out=np.full(len(ends), -1.0), where=height[:, 0] != height[:, 1]
     )
     at = ends[:, 0] + way[:, None] * (ends[:, 1] - ends[:, 0])
-    size = along @ along
-    inside: Bool = (np.abs(at @ along) <= size) & (np.abs(at @ across) <= size) & (way >= 0) & (way <= 1)
-    return inside
+    is_inside = (np.abs(at @ along) <= along @ along) & (np.abs(at @ across) <= across @ across)
+    crossed: Bool = is_inside & (way >= 0) & (way <= 1)
+    return crossed
 
 
 METHODS = {"cut": cut, "springs_removed": springs_removed, "steps": steps, "steps_uncut": steps_uncut}

@@ -64,11 +64,11 @@ class Output:
 
 
 def prepare(params: dict[str, Any]) -> Inputs:
-    path = Path(os.environ["HEARTCASE_CASE"]) if "HEARTCASE_CASE" in os.environ else _built(params)
+    path = Path(os.environ["HEARTCASE_CASE"]) if "HEARTCASE_CASE" in os.environ else built_case(params)
     return Inputs(load_case(path, needs=("surface", "tangents", "picking")), {}, {})
 
 
-def _built(params: dict[str, Any]) -> Path:
+def built_case(params: dict[str, Any]) -> Path:
     try:
         from benchmarks.build import build_phantom
     except ImportError:

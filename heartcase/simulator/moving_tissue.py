@@ -9,14 +9,16 @@ import numpy.typing as npt
 
 from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import SimulationError
+from heartcase.simulator.coming_cuts import CutsAhead, CutTissue, cut_tissue
 from heartcase.simulator.cutting.blade_sheet import blade_points
-from heartcase.simulator.cutting.cuts import Cuts, Step, cut_further
+from heartcase.simulator.cutting.cuts import Cuts, Step
 from heartcase.simulator.cutting.rest_space import places_at_rest, refined
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
 from heartcase.simulator.dynamics.joining import join
 from heartcase.simulator.dynamics.step_size import checked_step, explicit_rate_limit, own_step_limit
 from heartcase.simulator.engine.backends import Backend, make_engine
 from heartcase.simulator.lattice.explicit_springs import ExplicitSprings
+from heartcase.simulator.lattice.loose_nodes import without_loose_nodes
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.lattice.state import State
 from heartcase.simulator.splitting.free_parts import cut_picking
@@ -76,6 +78,7 @@ class MovingTissue:
         self.cuts: Cuts | None = None
         self._cuttable: CuttableSurface | None = None
         self._splits: list[tuple[Cuts, SplitSurface]] = []
+        self._ahead = CutsAhead()
         self._inverse_mass = model.inverse_mass
         self._engine = make_engine(model, backend)
         self._state: State | None = None
@@ -124,24 +127,64 @@ class MovingTissue:
         """
         rest_mm = poses_mm if at_rest else self.rest_poses_mm(poses_mm, name=name)
         points = blade_points(self.model, rest_mm, name)
-        model, cuts, step = cut_further(self.model, self.cuts or self.nothing_cut(), points)
+        made = self._ahead.take(points, self.model, self.cuts)
+        if made is None:
+            made = self._cut_tissue(self.model, self.cuts or self.nothing_cut(), points)
+        model, cuts, step = made.model, made.cuts, made.step
+        if self.model.explicit is not made.before.explicit:
+            model = replace(model, explicit=step.joined(self.model.explicit))
         self._check_explicit(model, cuts)
         state = step.carried(self.state)
-        self._set_model(model, cuts)
+        self._set_model(model, cuts, made)
         self._engine.load(state)
         self._carry(step)
         self._state = None
+
+    def begin_cut(self, poses_mm: npt.ArrayLike, *, at_rest: bool = False, name: str = "blade") -> Float64:
+        """Begin to work out, in a thread of its own, what a cut will leave; nothing is cut yet, and steps go on.
+
+        :meth:`cut` with the poses that are returned then makes the cut at once, and the same to the bit as without
+        this. Several that are begun must be made in their order; another change of the lattice makes them void, and
+        :meth:`cut` works out again what it needs.
+
+        Parameters
+        ----------
+        poses_mm, at_rest, name
+            As of :meth:`cut`.
+
+        Returns
+        -------
+        ndarray
+            Poses of the blade at rest, LPS mm, shape (any, any, 3): where it meets the tissue now.
+
+        Raises
+        ------
+        SimulationError
+            As of :meth:`cut`; that springs were removed one by one is said by :meth:`cut` alone.
+        """
+        rest_mm = np.asarray(poses_mm) if at_rest else self.rest_poses_mm(poses_mm, name=name)
+        points = blade_points(self.model, rest_mm, name)
+        nothing_cut = self.nothing_cut()
+        self._prepare_split(nothing_cut)
+        self._ahead.begin(points, self.model, self.cuts, nothing_cut, self._cut_tissue)
+        return rest_mm
+
+    @property
+    def coming_cuts(self) -> int:
+        """Cuts that were begun and not made."""
+        return len(self._ahead)
+
+    @property
+    def is_cut_ready(self) -> bool:
+        """Whether the next of the cuts that were begun can be made without waiting."""
+        return self._ahead.is_ready
 
     def prepare_cuts(self) -> None:
         """Compile what a cut needs, so that the first is as quick as the rest; nothing changes."""
         middle = self.model.node_index[self.model.cell_corners[0]].mean(axis=0)
         points = middle + 0.4 * np.array([[[-1.0, -1, 0], [1, -1, 0]], [[-1, 1, 0], [1, 1, 0]]])
         places_at_rest(self.model, np.ones((self.model.node_count, 3), np.float32), points)
-        _, cuts, _ = cut_further(self.model, self.cuts or self.nothing_cut(), points)
-        kept, self._splits = self._splits, []
-        self._split_of(cuts)
-        self._splits = kept
-        make_engine(cuts.model, self.backend)
+        self._cut_tissue(self.model, self.cuts or self.nothing_cut(), points)
 
     def rest_poses_mm(self, poses_mm: npt.ArrayLike, *, name: str = "blade") -> Float64:
         """Where a blade that is swept now meets the tissue at rest: more poses and points, LPS mm, (any, any, 3).
@@ -252,15 +295,15 @@ class MovingTissue:
         """
         if self.cuts is not None:
             return Cuts(self.cuts.uncut, self.cuts.tissue)
-        uncut = replace(self.model, explicit=ExplicitSprings.none())
+        uncut = replace(without_loose_nodes(self.model), explicit=ExplicitSprings.none())
         if self._tissue is None and self._whole_surface is not None:
             self._tissue = tissue_inside(uncut, self._whole_surface)
         return Cuts(uncut, self._tissue or TissueSamples.everywhere())
 
     @staticmethod
     def uncut(model: LatticeModel, cuts: Cuts | None) -> LatticeModel:
-        """The lattice before all cuts."""
-        return model if cuts is None else cuts.uncut
+        """The lattice before all cuts, without loose nodes."""
+        return without_loose_nodes(model) if cuts is None else cuts.uncut
 
     def _carry(self, step: Step) -> None:
         """Let instruments hold on from one lattice to the next."""
@@ -279,36 +322,56 @@ class MovingTissue:
                 place="cut",
             )
 
-    def _set_model(self, model: LatticeModel, cuts: Cuts | None) -> None:
-        """Go on with another model; where it was cut otherwise, the engine starts from rest and without hands.
+    def _set_model(self, model: LatticeModel, cuts: Cuts | None, made: CutTissue | None = None) -> None:
+        """Go on with another model; where it has other nodes, the engine starts from rest and without hands.
 
-        What raises does so before anything has changed.
+        What was made of it already is given. What raises does so before anything has changed.
         """
-        if cuts is self.cuts:
+        if cuts is self.cuts and np.array_equal(model.node_index, self.model.node_index):
             self._engine.set_springs(model)
             self.model = model
             return
-        split = None if cuts is None else self._split_of(cuts)
+        split = None if cuts is None else self._split_of(cuts, None if made is None else made.split)
         picking = self._whole_picking
         if picking is not None and cuts is not None:
-            picking = cut_picking(model)
-        engine = make_engine(model, self.backend)
+            picking = cut_picking(without_loose_nodes(model)) if made is None else made.picking
+        engine = None if made is None else made.engine
+        if engine is None:
+            engine = make_engine(model, self.backend)
+        elif made is not None and model is not made.model:
+            engine.set_springs(model)
         engine.step_count = self._engine.step_count
         self.model, self.cuts, self.split, self.picking = model, cuts, split, picking
         self.surface = self._whole_surface if split is None else split.surface
         self._inverse_mass, self._engine = model.inverse_mass, engine
         self._surfaces = self._make_surfaces()
 
-    def _split_of(self, cuts: Cuts) -> SplitSurface | None:
-        """The surface that some cuts leave, where there is one."""
-        if self._whole_surface is None or cuts.parted is None:
+    def _cut_tissue(self, model: LatticeModel, cuts: Cuts, points: Float64) -> CutTissue:
+        """What one more cut leaves of some lattice, of which so much was cut."""
+        return cut_tissue(
+            model,
+            cuts,
+            points,
+            cuttable=self._prepare_split(cuts),
+            has_picking=self._whole_picking is not None,
+            backend=self.backend,
+        )
+
+    def _prepare_split(self, cuts: Cuts) -> CuttableSurface | None:
+        """The surface over the uncut lattice, where there is one."""
+        if self._cuttable is None and self._whole_surface is not None:
+            self._cuttable = CuttableSurface.of(cuts.uncut, self._whole_surface)
+        return self._cuttable
+
+    def _split_of(self, cuts: Cuts, made: SplitSurface | None) -> SplitSurface | None:
+        """The surface that some cuts leave, where there is one; given if it was made already."""
+        cuttable = self._prepare_split(cuts)
+        if cuttable is None or cuts.parted is None:
             return None
         for known, split in self._splits:
             if known is cuts:
                 return split
-        if self._cuttable is None:
-            self._cuttable = CuttableSurface.of(cuts.uncut, self._whole_surface)
-        split = split_surface(self._cuttable, cuts.parted, cuts.sheets)
+        split = split_surface(cuttable, cuts.parted, cuts.sheets) if made is None else made
         self._splits = [*self._splits[1 - _SPLITS_KEPT :], (cuts, split)]
         return split
 

@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.compiling.kernel import kernel
 from heartcase.schemas.arrays import Bool, Float, Float32, Float64, Int8, Int32, Int64
 from heartcase.schemas.bundle.lattice import (
     CELL_DIAGONALS,
@@ -117,6 +118,8 @@ class LatticeModel:
     """Springs outside the lattice."""
     law: ForceLaw = field(default_factory=ForceLaw)
     """What resists deformation."""
+    loose_count: int = 0
+    """Number of nodes of no cell, which come last: a patch's (:mod:`heartcase.simulator.lattice.loose_nodes`)."""
 
     @property
     def node_count(self) -> int:
@@ -189,13 +192,9 @@ class LatticeModel:
         around each of its free corners: slivers are turned back against their neighbours' springs, and as the corners'
         masses are such means too, none is the quicker for it.
         """
+        scale = np.empty(self.cell_count)
         own = self.cell_coverage * self.cell_stiffness
-        corners = self.cell_corners.ravel()
-        around = np.bincount(corners, np.repeat(own, 8), minlength=self.node_count)
-        mean = np.divide(around, np.bincount(corners, minlength=self.node_count), out=around, where=around > 0)
-        mean[self.node_is_fixed] = np.inf
-        least = mean[self.cell_corners].min(axis=1)
-        scale = np.where(np.isfinite(least), np.maximum(own, least), own)
+        _least_means(self.cell_corners, own.astype(np.float64), self.node_is_fixed, scale)
         return np.where(self.cell_is_whole, self.law.corner_stiffness * scale, 0.0).astype(np.float32)
 
     @property
@@ -355,6 +354,25 @@ def make_model(
         spring_weight=weight.astype(np.float32),
         law=law,
     )
+
+
+@kernel
+def _least_means(corners: Int32, own: Float64, is_fixed: Bool, scale: Float64) -> None:
+    """Write a number of each cell or, if more, the least of the means around its free corners."""
+    total, count = np.zeros(len(is_fixed)), np.zeros(len(is_fixed))
+    for cell in range(len(corners)):
+        for corner in range(8):
+            total[corners[cell, corner]] += own[cell]
+            count[corners[cell, corner]] += 1.0
+    for cell in range(len(corners)):
+        least = np.inf
+        for corner in range(8):
+            node = corners[cell, corner]
+            if total[node] > 0.0 and not is_fixed[node]:
+                least = min(least, total[node] / count[node])
+            elif not is_fixed[node]:
+                least = min(least, 0.0)
+        scale[cell] = max(own[cell], least) if least < np.inf else own[cell]
 
 
 def _shares(law: ForceLaw, cells: Int32, corners: Int32, coverage: Float32, moments: Float32) -> Float32:

@@ -14,6 +14,7 @@ from heartcase.schemas.errors import RecordingError, SimulationError
 from heartcase.schemas.recording.commands import (
     Act,
     Advance,
+    Cut,
     Done,
     Entry,
     GoTo,
@@ -22,8 +23,10 @@ from heartcase.schemas.recording.commands import (
     Navigation,
     Redo,
     Rewind,
+    Snip,
     Undo,
 )
+from heartcase.simulator.session.coming_blades import ComingBlades
 from heartcase.simulator.session.frame import Frame, Refusal, TopologyChange, instrument_frames
 from heartcase.simulator.session.perform import perform, resolved
 from heartcase.simulator.session.snapshots import Snapshots
@@ -106,6 +109,7 @@ class OperatingSession:
         self._stored_end = 0
         self._shown_model = simulation.model
         self._changes: list[TopologyChange] = []
+        self._coming = ComingBlades()
         self._refused: list[Refusal] = []
 
     @property
@@ -150,6 +154,8 @@ class OperatingSession:
             It cannot be done, and nothing has changed; or of steps, the simulation broke down: the state before them
             was restored, and instruments stay where they were.
         """
+        if isinstance(command, Cut | Snip):
+            self.make_cuts(wait=True)
         match command:
             case Undo():
                 self.undo()
@@ -177,10 +183,42 @@ class OperatingSession:
         SimulationError
             The simulation broke down: the state before the steps was restored, and instruments stay where they were.
         """
+        self.make_cuts()
         self._do_now(Advance(steps=steps))
         return self.frame(surface=surface)
 
-    def take(self, commands: Iterable[Done | Navigation], steps: int = 0, *, surface: bool = False) -> Frame:
+    def begin_cut(self, command: Cut) -> None:
+        """Begin a cut that is made as soon as it is worked out: motion goes on meanwhile.
+
+        It meets the tissue as it is now. It is made, and stands in the history, before the first steps for which it is
+        ready; that moment is recorded, so that a replay makes it then. Going back or on makes it before. One is worked
+        out at a time; what a blade of one name goes on with meanwhile, from where it ended, becomes one cut.
+
+        Raises
+        ------
+        SimulationError
+            It cannot be made. What turns out only when it is worked out is told in a frame as refused.
+        """
+        begun = resolved(self.simulation, command)
+        assert isinstance(begun, Cut)
+        self._coming.add(self.simulation, command, begun)
+        self._coming.start(self.simulation)
+
+    def make_cuts(self, *, wait: bool = False) -> None:
+        """Make the cuts that were begun and are ready; with ``wait`` all of them."""
+        while (command := self._coming.start(self.simulation)) is not None:
+            # What another change of the lattice made void need not be waited for.
+            if not (wait or self.simulation.is_cut_ready or not self.simulation.coming_cuts):
+                return
+            self._coming.done()
+            try:
+                self._do_now(command)
+            except SimulationError as error:
+                self._refused.append(Refusal(command, error.problems))
+
+    def take(
+        self, commands: Iterable[Done | Navigation], steps: int = 0, *, surface: bool = False, cuts_soon: bool = False
+    ) -> Frame:
         """Do commands, then take steps: what a client does for each of its frames. It raises nothing a command causes.
 
         Parameters
@@ -191,10 +229,16 @@ class OperatingSession:
             How many steps; none leaves the time where it is.
         surface
             Whether the frame shows the visible surface.
+        cuts_soon
+            Whether cuts are begun (:meth:`begin_cut`) instead of made, so that no frame waits for them.
         """
+        self.make_cuts()
         for command in commands:
             try:
-                self.do(command)
+                if cuts_soon and isinstance(command, Cut):
+                    self.begin_cut(command)
+                else:
+                    self.do(command)
             except SimulationError as error:
                 self._refused.append(Refusal(command, error.problems))
         breakdown = None
@@ -221,7 +265,9 @@ class OperatingSession:
             topology=changes,
             refused=refused,
             stitches={stitch.name: simulation.stitch_state(stitch) for stitch in simulation.stitches},
+            patches={patch.name: simulation.patch_state(patch) for patch in simulation.patches},
             breakdown=breakdown,
+            coming_cuts=len(self._coming),
         )
 
     def undo(self) -> None:
@@ -232,6 +278,7 @@ class OperatingSession:
         SimulationError
             There is no act to take back.
         """
+        self.make_cuts(wait=True)
         acts = [n for n, entry in enumerate(self.entries[: self.position]) if isinstance(entry.command, _ACTS)]
         if not acts:
             raise SimulationError("there is nothing to take back", place="undo")
@@ -245,6 +292,7 @@ class OperatingSession:
         SimulationError
             Nothing was taken back, or something else was done since.
         """
+        self.make_cuts(wait=True)
         if self.position == len(self.entries):
             raise SimulationError("there is nothing to do again", place="redo")
         later = range(self.position + 1, len(self.entries))
@@ -262,6 +310,7 @@ class OperatingSession:
         SimulationError
             The step is not known.
         """
+        self.make_cuts(wait=True)
         first, last = self.start_step, self.end_step
         if not first <= step <= last:
             raise SimulationError(f"step {step} is not known: there are {first} to {last}", place="step")
@@ -292,6 +341,7 @@ class OperatingSession:
         SimulationError
             The step is not known, or earlier than where the session is.
         """
+        self.make_cuts(wait=True)
         to_step = self.end_step if to_step is None else to_step
         if not self.step_count <= to_step <= self.end_step:
             message = f"step {to_step} cannot be played to: there are {self.step_count} to {self.end_step}"

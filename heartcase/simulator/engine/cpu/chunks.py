@@ -19,7 +19,8 @@ from numba import get_num_threads
 from heartcase.compiling.kernel import kernel
 from heartcase.schemas.arrays import Int32, Int64
 from heartcase.simulator.engine.cpu.sleep import SleepArrays
-from heartcase.simulator.engine.shared.lanes import LANE_COUNT, ROWS, LaneLayout
+from heartcase.simulator.engine.shared.lane_kernels import windows_behind
+from heartcase.simulator.engine.shared.lanes import LANE_COUNT, LaneLayout
 from heartcase.simulator.lattice.model import DIRECTIONS
 
 __all__ = ["KEPT_NODES_MAX", "ChunkArrays", "chunk_arrays", "share_out"]
@@ -86,16 +87,10 @@ def _windows_behind(layout: LaneLayout) -> Int32:
     window_count = layout.window_count
     window_of_lane = np.full(layout.lane_count, -1, np.int32)
     window_of_lane[layout.window_rows[:, 4, None] + np.arange(LANE_COUNT)] = np.arange(window_count)[:, None]
-    row_of = {(int(j), int(k)): number for number, (j, k) in enumerate(ROWS)}
-    found = [
-        window_of_lane[layout.window_rows[:, row_of[-j, -k], None] - i + np.arange(LANE_COUNT)]
-        for i, j, k in DIRECTIONS.tolist()
-    ]
-    behind = np.sort(np.concatenate(found, axis=1), axis=1)[:, ::-1]
-    behind[:, 1:][behind[:, 1:] == behind[:, :-1]] = -1
-    behind[behind == np.arange(window_count)[:, None]] = -1
-    behind = np.sort(behind, axis=1)[:, ::-1]
-    return np.ascontiguousarray(behind[:, : max(1, int((behind >= 0).sum(axis=1).max(initial=0)))])
+    room = np.full((window_count, len(DIRECTIONS) * LANE_COUNT), -1, np.int32)
+    counts = np.empty(window_count, np.int64)
+    windows_behind(layout.window_rows, DIRECTIONS, window_of_lane, LANE_COUNT, room, counts)
+    return np.ascontiguousarray(room[:, : max(1, int(counts.max(initial=0)))])
 
 
 @kernel

@@ -21,7 +21,7 @@ import numpy as np
 
 from heartcase.compiling.kernel import kernel
 from heartcase.schemas.arrays import Float32, Int8, Int32, Int64
-from heartcase.schemas.bundle.lattice import lattice_keys
+from heartcase.schemas.bundle.lattice import distinct_keys, lattice_keys
 from heartcase.simulator.engine.cpu.barrier import raise_to
 from heartcase.simulator.engine.shared.contact import REACH
 from heartcase.simulator.engine.shared.lanes import BANK_LANES, LANE_COUNT, LaneLayout
@@ -81,21 +81,23 @@ class SleepArrays(NamedTuple):
 
 def sleep_arrays(model: LatticeModel, layout: LaneLayout, cell_window_count: int, before: Float32) -> SleepArrays:
     """The windows of a layout in their blocks; all are awake at first. Room for velocities is given."""
-    by_lane = np.argsort(layout.node_lane)
+    by_lane = layout.nodes_by_lane
     window = layout.node_slot[by_lane] // LANE_COUNT
     first = np.flatnonzero(np.diff(window, prepend=-1))
     last = np.append(first[1:], len(window)) - 1
     index = model.node_index[by_lane[np.stack([first, last], axis=1)]] // _BLOCK
     keys = lattice_keys(index.reshape(-1, 3))
-    used, which = np.unique(keys, return_index=True)
-    blocks = index.reshape(-1, 3)[which]
+    used = distinct_keys(keys)
+    blocks = np.empty((len(used), 3), index.dtype)
+    number = np.searchsorted(used, keys)
+    blocks[number] = index.reshape(-1, 3)
     around = np.stack(np.meshgrid(*[np.arange(-1, 2)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     near = lattice_keys((blocks[:, None] + around).reshape(-1, 3)).reshape(len(blocks), -1)
     place = np.minimum(np.searchsorted(used, near), len(used) - 1)
     beside = np.where(used[place] == near, place, -1)
     window_count = layout.window_count
     return SleepArrays(
-        np.searchsorted(used, keys).reshape(-1, 2).astype(np.int32),
+        number.reshape(-1, 2).astype(np.int32),
         np.sort(beside, axis=1)[:, ::-1].astype(np.int32),
         np.zeros(len(blocks), np.int8),
         np.zeros(len(blocks), np.int8),

@@ -20,12 +20,22 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import numpy.typing as npt
 
 from heartcase.compiling.kernel import kernel
 from heartcase.schemas.arrays import Bool, Float32, Int32, Int64, Intp
 from heartcase.schemas.bundle.lattice import CORNER_OFFSETS, distinct_keys, lattice_keys
 from heartcase.schemas.errors import SimulationError
+from heartcase.simulator.engine.shared.lane_kernels import (
+    MOST_TOUCHED,
+    mark_blocks,
+    number_blocks,
+    rows_of_windows,
+    touched_windows,
+    write_weights,
+)
 from heartcase.simulator.engine.shared.node_copies import (
+    are_among,
     copied_rows,
     irregular_cells,
     irregular_springs,
@@ -117,9 +127,12 @@ class LaneLayout:
     @cached_property
     def node_at(self) -> Int32:
         """Node in each lane, -1 where there is none, shape (lane_count,)."""
-        nodes = np.full(self.lane_count, -1, np.int32)
-        nodes[self.node_lane] = np.arange(len(self.node_lane))
-        return nodes
+        return _nodes_in_lanes(self.node_lane, self.lane_count)
+
+    @cached_property
+    def nodes_by_lane(self) -> Int32:
+        """Nodes in the order of their lanes, shape (node_count,)."""
+        return self.node_at[self.node_at >= 0]
 
     def neighbour_lanes(self, nodes: Int64, offset: Int32) -> Int64:
         """Lanes in which the kernels look for the neighbours of some nodes at an offset (i, j, k), shape (count,)."""
@@ -156,9 +169,10 @@ class LaneLayout:
         """
         weight = np.zeros(self.length(len(DIRECTIONS)), np.float32)
         values = model.spring_weight if spring_weight is None else spring_weight
-        regular = ~self.irregular_springs(model)
-        lower = self.node_lane[model.spring_nodes[regular, 0]]
-        weight[self.stride * model.spring_direction[regular].astype(np.int64) + lower] = values[regular]
+        irregular = self.irregular_springs(model)
+        write_weights(
+            model.spring_nodes, model.spring_direction, values, irregular, self.node_lane, self.stride, weight
+        )
         return weight
 
     def uniform_weight(self, model: LatticeModel) -> Float32:
@@ -173,7 +187,7 @@ class LaneLayout:
         highest = np.zeros(model.node_count)
         np.minimum.at(lowest, ends, both)
         np.maximum.at(highest, ends, both)
-        by_lane = np.argsort(self.node_lane)
+        by_lane = self.nodes_by_lane
         first = np.flatnonzero(np.diff(self.node_slot[by_lane] // LANE_COUNT, prepend=-1))
         low, high = np.minimum.reduceat(lowest[by_lane], first), np.maximum.reduceat(highest[by_lane], first)
         return np.where(low == high, low, 0.0).astype(np.float32)
@@ -193,22 +207,17 @@ def lane_layout(model: LatticeModel, *, in_banks: bool = False) -> LaneLayout:
     """
     rows = copied_rows(model)
     layer = np.zeros(model.node_count, np.int64) if rows is None else rows.layer
-    i, j, k = model.node_index.astype(np.int64).T
-    block = i // LANE_COUNT
-    first_block = int(block.min())
-    layer_blocks = int(np.ptp(block)) + 2
-
-    def keys_of(block: Int64, layer: Int64, j: Int64, k: Int64) -> Int64:
-        return lattice_keys(np.stack([block - first_block + layer * layer_blocks, j, k], axis=-1))
-
-    keys = keys_of(block, layer, j, k)
-    # A spring over a block's end is found through the block at the same i in the other's row: store that too.
-    over = model.spring_nodes[np.diff(block[model.spring_nodes], axis=1)[:, 0] != 0]
-    beside = [keys_of(block[there], layer[here], j[here], k[here]) for here, there in (over.T, over.T[::-1])]
-    stored = distinct_keys(np.concatenate([keys, *beside]))
-    run = np.cumsum(np.diff(stored, prepend=stored[0] - 2) != 1) - 1
-    block_counts = np.bincount(run)
-    capacity = BANK_LANES // LANE_COUNT if in_banks else _HEAD_BLOCKS + len(stored) + 2 * len(block_counts)
+    block = model.node_index[:, 0] // LANE_COUNT
+    first_block, layer_blocks = int(block.min()), int(np.ptp(block)) + 2
+    keys = _row_keys(model.node_index)
+    row_keys = distinct_keys(keys)
+    row = np.searchsorted(row_keys, keys)
+    is_stored = np.zeros((len(row_keys), layer_blocks * (int(layer.max()) + 1)), np.int8)
+    mark_blocks(model.node_index, row, layer, model.spring_nodes, first_block, layer_blocks, LANE_COUNT, is_stored)
+    number, block_counts = np.empty(is_stored.shape, np.int32), np.empty(is_stored.size, np.int64)
+    block_count, run_count = number_blocks(is_stored, number, block_counts)
+    block_counts = block_counts[:run_count].copy()
+    capacity = BANK_LANES // LANE_COUNT if in_banks else _HEAD_BLOCKS + block_count + 2 * run_count
     longest = int(block_counts.max())
     if longest + 1 > capacity - _HEAD_BLOCKS:
         raise SimulationError(
@@ -217,29 +226,26 @@ def lane_layout(model: LatticeModel, *, in_banks: bool = False) -> LaneLayout:
         )
     run_start = _run_starts(block_counts, capacity)
     before = np.cumsum(block_counts) - block_counts
-    start = run_start[run] + LANE_COUNT * (np.arange(len(stored)) - before[run])
+    start = np.repeat(run_start - LANE_COUNT * before, block_counts) + LANE_COUNT * np.arange(block_count)
 
-    node_lane = start[np.searchsorted(stored, keys)] + i % LANE_COUNT
-    by_lane = np.argsort(node_lane) if rows is not None else np.arange(model.node_count)
+    own = number[row, block - first_block + layer * layer_blocks]
+    node_lane = start[own] + model.node_index[:, 0] % LANE_COUNT
+    lane_count = int(start[-1]) + 2 * LANE_COUNT
+    by_lane = _nodes_in_lanes(node_lane, lane_count)
+    by_lane = by_lane[by_lane >= 0]
     first, window_by_lane = _windows(node_lane[by_lane])
     first = by_lane[first]
     window = np.empty_like(window_by_lane)
     window[by_lane] = window_by_lane
     window_rows = np.full((len(first), len(ROWS)), EMPTY_START)
-    rows_j, rows_k = j[first, None] + ROWS[:, 0], k[first, None] + ROWS[:, 1]
-    # The next block, then the window's own: where it is there, so are the lanes of the other, empty or not.
-    for ahead in (1, 0):
-        row_keys = keys_of(
-            np.broadcast_to(block[first, None] + ahead, rows_j.shape), np.zeros_like(rows_j), rows_j, rows_k
-        )
-        nearest = np.minimum(np.searchsorted(stored, row_keys), len(stored) - 1)
-        is_there = stored[nearest] == row_keys
-        place = np.broadcast_to(i[first, None] % LANE_COUNT, is_there.shape)
-        window_rows[is_there] = (start[nearest] + place - ahead * LANE_COUNT)[is_there]
+    around_keys = _row_keys(model.node_index[first, None] + np.insert(ROWS, 0, 0, axis=1))
+    around = np.where(are_among(around_keys, row_keys), np.searchsorted(row_keys, around_keys), -1)
+    places = model.node_index[first, 0] % LANE_COUNT
+    rows_of_windows(around, block[first] - first_block, places, number, start, LANE_COUNT, window_rows)
     window_rows[:, 4] = node_lane[first]
 
     layout = LaneLayout(
-        lane_count=int(start[-1]) + 2 * LANE_COUNT,
+        lane_count=lane_count,
         stride=0,
         node_lane=node_lane,
         node_slot=LANE_COUNT * window + node_lane - node_lane[first][window],
@@ -249,8 +255,7 @@ def lane_layout(model: LatticeModel, *, in_banks: bool = False) -> LaneLayout:
         ghost_start=np.zeros(0, np.int64),
     )
     if rows is not None:
-        row_keys = lattice_keys(np.stack([np.zeros_like(rows_j), rows_j, rows_k], axis=-1))
-        is_near = np.asarray(np.isin(row_keys, rows.row_keys).any(axis=1))
+        is_near = np.asarray(are_among(around_keys, rows.row_keys).any(axis=1))
         near = np.flatnonzero(is_near)
         window_rows[near] = np.where(np.arange(len(ROWS)) == 4, window_rows[near], EMPTY_START)
         vote_for_rows(model, node_lane, layout.node_slot, near, window_rows, layout.lane_count)
@@ -263,6 +268,19 @@ def lane_layout(model: LatticeModel, *, in_banks: bool = False) -> LaneLayout:
             last = int(ghost_start[-1]) + LANE_COUNT * (len(_GHOST_ROWS) + 1)
             layout = replace(layout, lane_count=last, irregular_cells=irregular, ghost_start=ghost_start)
     return replace(layout, stride=BANK_LANES if in_banks else layout.lane_count)
+
+
+def _nodes_in_lanes(node_lane: Int64, lane_count: int) -> Int32:
+    nodes = np.full(lane_count, -1, np.int32)
+    nodes[node_lane] = np.arange(len(node_lane))
+    return nodes
+
+
+def _row_keys(places: npt.ArrayLike) -> Int64:
+    """Keys of the rows along i that places (i, j, k) lie in: those of (0, j, k)."""
+    starts = np.array(places)
+    starts[..., 0] = 0
+    return lattice_keys(starts)
 
 
 def cell_numbers(model: LatticeModel) -> Float32:
@@ -332,11 +350,13 @@ class CellLayout:
 def cell_layout(model: LatticeModel, layout: LaneLayout) -> CellLayout:
     """Lay out the cells of a lattice in the lanes of its nodes."""
     irregular = layout.irregular_cells
-    regular = np.delete(np.arange(model.cell_count), irregular)
     windows = layout.node_slot[model.cell_corners] // LANE_COUNT
-    held, number = np.unique(windows[regular, 0], return_inverse=True)
-    window_of_cell = np.empty(model.cell_count, np.int64)
-    window_of_cell[regular] = number
+    is_held = np.zeros(layout.window_count, np.bool_)
+    is_regular = np.ones(model.cell_count, np.bool_)
+    is_regular[irregular] = False
+    is_held[windows[is_regular, 0]] = True
+    held = np.flatnonzero(is_held)
+    window_of_cell = (np.cumsum(is_held) - 1)[windows[:, 0]]
     place = np.arange(len(irregular))
     window_of_cell[irregular] = len(held) + place // GHOST_CELLS
     cell_lane = layout.node_lane[model.cell_corners[:, 0]]
@@ -346,11 +366,11 @@ def cell_layout(model: LatticeModel, layout: LaneLayout) -> CellLayout:
     ghost_rows = np.full((len(layout.ghost_start), len(ROWS)), EMPTY_START)
     ghost_rows[:, _GHOST_ROWS] = layout.ghost_start[:, None] + LANE_COUNT * np.arange(len(_GHOST_ROWS))
 
-    pairs = distinct_keys((window_of_cell[:, None] * layout.window_count + windows).ravel())
-    here, there = pairs // layout.window_count, pairs % layout.window_count
-    place = np.arange(len(pairs)) - np.searchsorted(here, here)
-    touches = np.full((len(held) + len(ghost_rows), max(8, int(place.max()) + 1)), -1, np.int64)
-    touches[here, place] = there
+    count = len(held) + len(ghost_rows)
+    room, counts = np.empty((count, MOST_TOUCHED), np.int64), np.zeros(count, np.int64)
+    touched_windows(windows, window_of_cell, room, counts)
+    touches = room[:, : max(8, int(counts.max(initial=0)))].copy()
+    touches[np.arange(touches.shape[1]) >= counts[:, None]] = -1
     rows = np.concatenate([layout.window_rows[held], ghost_rows])
     return CellLayout(layout=layout, cell_lane=cell_lane, window_rows=rows, touches=touches, ghost_lane=ghost_lane)
 

@@ -16,13 +16,16 @@ import numpy as np
 
 from heartcase.schemas.arrays import Bool, Int32, Int64
 from heartcase.schemas.bundle.lattice import CORNER_OFFSETS, lattice_keys
+from heartcase.simulator.engine.shared.lane_kernels import mark_irregular
 from heartcase.simulator.engine.shared.node_copy_kernels import couple, group_paths, match, vote, walk
 from heartcase.simulator.lattice.model import DIRECTIONS, LatticeModel
 
-__all__ = ["CopiedRows", "Lookup", "copied_rows", "irregular_cells", "irregular_springs", "vote_for_rows"]
+__all__ = ["CopiedRows", "Lookup", "are_among", "copied_rows", "irregular_cells", "irregular_springs", "vote_for_rows"]
 
 _BESIDE = np.array([(a, b) for a in range(8) for b in range(a + 1, 8) if (a ^ b) & 1 == 0])
 """Corners of a cell in different rows at one i, shape (12, 2)."""
+_WINDOWS_AT_ONCE = 1024
+"""Windows that vote at once: 9 kB each."""
 
 
 class Lookup(Protocol):
@@ -31,6 +34,14 @@ class Lookup(Protocol):
     @property
     def node_lane(self) -> Int64:
         """Lane of each node, shape (node_count,)."""
+
+    @property
+    def node_slot(self) -> Int64:
+        """Number of its window times 8 plus its place there, shape (node_count,)."""
+
+    @property
+    def window_rows(self) -> Int64:
+        """Lane at the window's first i in the nine rows, for each window, shape (window_count, 9)."""
 
     @property
     def is_near_copies(self) -> Bool:
@@ -65,7 +76,7 @@ def copied_rows(model: LatticeModel) -> CopiedRows | None:
     order = np.argsort(keys, kind="stable")
     twins = order[1:][np.diff(keys[order]) == 0]
     row_keys = np.unique(rows[twins])
-    is_copied = np.isin(rows, row_keys)
+    is_copied = are_among(rows, row_keys)
     after, before = _paths(model, is_copied)
     starts = np.flatnonzero(is_copied & (before < 0))
     path = np.full(model.node_count, -1, np.int64)
@@ -80,6 +91,12 @@ def copied_rows(model: LatticeModel) -> CopiedRows | None:
     layer_of_group = np.zeros(len(starts), np.int64)
     layer_of_group[group[leading]] = number
     return CopiedRows(row_keys, np.where(is_copied, layer_of_group[group[path]], 0))
+
+
+def are_among(keys: Int64, listed: Int64) -> Bool:
+    """Which keys are listed, in ascending order and not none."""
+    among: Bool = listed[np.minimum(np.searchsorted(listed, keys), len(listed) - 1)] == keys
+    return among
 
 
 def _paths(model: LatticeModel, is_copied: Bool) -> tuple[Int64, Int64]:
@@ -102,9 +119,11 @@ def _grouped(model: LatticeModel, path: Int64, rows: Int64) -> Int64:
     """
     path_count = int(path.max()) + 1
     # A row without copies counts as one path.
-    _, row = np.unique(rows, return_inverse=True)
+    corners = model.cell_corners[(path >= 0)[model.cell_corners].any(axis=1)]
+    nodes = np.flatnonzero(np.bincount(corners.ravel(), minlength=model.node_count))
+    row = np.full(model.node_count, -1)
+    row[nodes] = np.unique(rows[nodes], return_inverse=True)[1].ravel()
     element = np.where(path >= 0, path, path_count + row)
-    corners = model.cell_corners[(path[model.cell_corners] >= 0).any(axis=1)]
     a, b = _BESIDE.T
     pairs = np.stack([element[corners[:, a]].ravel(), element[corners[:, b]].ravel()], axis=1)
     pairs = np.concatenate([pairs, pairs[:, ::-1]])
@@ -154,29 +173,30 @@ def vote_for_rows(
     is_asked[windows] = True
     asks = is_asked[node_slot // 8]
     corners = model.cell_corners[asks[model.cell_corners].any(axis=1)]
-    vote(corners, model.node_index, node_lane, node_slot, asks, windows, window_rows, window_count, lane_count)
+    # The room for votes does not grow with the cut.
+    for first in range(0, len(windows), _WINDOWS_AT_ONCE):
+        some = windows[first : first + _WINDOWS_AT_ONCE]
+        if len(windows) > _WINDOWS_AT_ONCE:
+            is_asked[:] = False
+            is_asked[some] = True
+            asks = is_asked[node_slot // 8]
+        vote(corners, model.node_index, node_lane, node_slot, asks, some, window_rows, window_count, lane_count)
 
 
 def irregular_springs(model: LatticeModel, lookup: Lookup) -> Bool:
     """Springs that kernels do not find at both ends, or would take for another node's, shape (spring_count,)."""
     irregular = np.zeros(model.spring_count, np.bool_)
-    ends = model.spring_nodes.astype(np.int64)
-    is_near = lookup.is_near_copies
-    near = np.flatnonzero(is_near[ends].any(axis=1))
-    nodes = np.flatnonzero(is_near)
-    for number, offset in enumerate(DIRECTIONS):
-        springs = near[model.spring_direction[near] == number]
-        lower, higher = ends[springs].T
-        fits = lookup.neighbour_lanes(lower, offset) == lookup.node_lane[higher]
-        fits &= lookup.neighbour_lanes(higher, -offset) == lookup.node_lane[lower]
-        irregular[springs[~fits]] = True
-        spring_of = np.full(model.node_count, -1)
-        kept = np.flatnonzero((model.spring_direction == number) & ~irregular)
-        spring_of[ends[kept, 0]] = kept
-        found = spring_of[lookup.node_at[lookup.neighbour_lanes(nodes, -offset)]]
-        found[lookup.node_at[lookup.neighbour_lanes(nodes, -offset)] < 0] = -1
-        is_wrong = (found >= 0) & (ends[found, 1] != nodes)
-        irregular[found[is_wrong]] = True
+    mark_irregular(
+        model.spring_nodes,
+        model.spring_direction,
+        DIRECTIONS,
+        lookup.is_near_copies,
+        lookup.node_lane,
+        lookup.node_slot,
+        lookup.window_rows,
+        lookup.node_at,
+        irregular,
+    )
     return irregular
 
 

@@ -1,4 +1,8 @@
-"""Parting in plain NumPy over whole arrays: the oracle of the kernels that work near the sheets alone."""
+"""Virtual nodes in plain NumPy over whole arrays: what ``cut-adult-stroke`` measures ours beside.
+
+It gives the same bytes, and is the oracle of the kernels that work near the sheets alone
+(``tests/simulator/cutting/test_plain_parting.py``).
+"""
 
 from __future__ import annotations
 
@@ -6,21 +10,23 @@ from dataclasses import replace
 
 import numpy as np
 
+from heartcase.schemas.arrays import Bool, Float32, Float64, Int8, Int32, Int64
 from heartcase.schemas.bundle.lattice import CORNER_OFFSETS, lattice_keys
 from heartcase.simulator.cutting.blade_sheet import key_indices
 from heartcase.simulator.cutting.crossings import SAMPLES
 from heartcase.simulator.cutting.parted_lattice import PartedLattice
 from heartcase.simulator.cutting.piece_frequency import bounded_moments
-from heartcase.simulator.cutting.piece_kernels import SAMPLE_COUNT
+from heartcase.simulator.cutting.piece_kernels import SAMPLE_COUNT, Labels
+from heartcase.simulator.cutting.pieces import Block, Pieces
 from heartcase.simulator.cutting.pieces import _places_of as places_of
 from heartcase.simulator.cutting.tissue_samples import SAMPLE_PLACES, samples_of
-from heartcase.simulator.lattice.model import CELL_SPRINGS
+from heartcase.simulator.lattice.model import CELL_SPRINGS, LatticeModel
 
 STRIDES = np.array([1, SAMPLES, SAMPLES**2])
 _SAMPLE_VARIANCE = 1.0 / 12.0 / SAMPLES**2
 
 
-def plain_tissue(entries, cells):
+def plain_tissue(entries: Int64, cells: Int32) -> Bool:
     """Which samples of some cells lie in the tissue, where links along x are crossed, shape (count, SAMPLES^3)."""
     samples = samples_of(cells)
     row_start = lattice_keys(np.concatenate([np.full((*samples.shape[:2], 1), -(1 << 20)), samples[..., 1:]], axis=2))
@@ -28,7 +34,7 @@ def plain_tissue(entries, cells):
     return before % 2 == 1
 
 
-def plain_nodes_now(uncut, before, now, node_before):
+def plain_nodes_now(uncut: LatticeModel, before: PartedLattice | None, now: PartedLattice, node_before: Int32) -> Int64:
     """The heaviest of the nodes now that come from each node before."""
     origin = np.arange(uncut.node_count) if before is None else before.node_origin
     lightest_first = np.argsort(now.model.node_mass, kind="stable")
@@ -39,7 +45,7 @@ def plain_nodes_now(uncut, before, now, node_before):
     return result
 
 
-def plain_parted(model, pieces):
+def plain_parted(model: LatticeModel, pieces: Pieces) -> PartedLattice:
     """The lattice that pieces make."""
     is_first = np.zeros(pieces.counts.sum(), np.bool_)
     is_first[pieces.first] = True
@@ -86,7 +92,7 @@ def plain_parted(model, pieces):
     return PartedLattice(parted, node_origin.astype(np.int32), cell_origin.astype(np.int32), pieces)
 
 
-def _shares(model, pieces):
+def _shares(model: LatticeModel, pieces: Pieces) -> tuple[Float32, Float64]:
     """Coverage and moments of each piece: those of its cell, shared out as its samples are."""
     piece = pieces.samples + pieces.first[:, None]
     is_tissue = pieces.samples >= 0
@@ -107,21 +113,23 @@ def _shares(model, pieces):
     return coverage.astype(np.float32), _possible(moments)
 
 
-def _possible(moments):
+def _possible(moments: Float64) -> Float64:
     """Moments of tissue that lies in its cell and has a shape."""
     first = np.clip(moments[:, :3], -0.5, 0.5)
     second = np.clip(moments[:, 3:6], first**2 + _SAMPLE_VARIANCE, 0.5)
     return np.concatenate([first, second, np.clip(moments[:, 6:], -0.5, 0.5)], axis=1)
 
 
-def _masses(model, node_origin, corners, cell_mass):
+def _masses(model: LatticeModel, node_origin: Int64, corners: Int32, cell_mass: Float64) -> Float32:
     """Mass of each node: that of the uncut lattice's, shared out among its copies."""
     of_node = np.bincount(corners.ravel(), np.repeat(cell_mass, 8), minlength=len(node_origin))
     whole = np.bincount(node_origin, of_node)[node_origin]
     return (model.node_mass[node_origin] * (of_node / whole)).astype(np.float32)
 
 
-def _springs(model, node_origin, corners, stiffness):
+def _springs(
+    model: LatticeModel, node_origin: Int64, corners: Int32, stiffness: Float64
+) -> tuple[Int32, Int8, Float32]:
     """Both nodes, direction and stiffness of each spring, by lower node, then direction.
 
     They are those of the uncut lattice, shared out among their copies.
@@ -153,7 +161,7 @@ def _springs(model, node_origin, corners, stiffness):
     return nodes.astype(np.int32), (keys // node_count % 9).astype(np.int8), weights
 
 
-def plain_stems(block, labels, is_cut, is_beyond, copies):
+def plain_stems(block: Block, labels: Labels, is_cut: Bool, is_beyond: Bool, copies: Int64) -> Int64:
     """Give tissue beside a sheet's continuation a piece of its own; its corners are those of the sides they lie on.
 
     Pieces and counts of the labels are changed; the copies of all pieces' corners are returned.
@@ -185,7 +193,7 @@ def plain_stems(block, labels, is_cut, is_beyond, copies):
     return np.concatenate(rows) if rows else copies
 
 
-def _with_stem(labels, place, at_cut, at_stem, rows, stem):
+def _with_stem(labels: Labels, place: int, at_cut: Float64, at_stem: Float64, rows: Int64, stem: Int64 | None) -> Int64:
     """Split the stem, with given copies at its corners or those of the sides they lie on, from a cell's pieces."""
     piece = labels.piece[place]
     tissue = piece >= 0
@@ -206,6 +214,6 @@ def _with_stem(labels, place, at_cut, at_stem, rows, stem):
     return np.concatenate([rows[kept], stem[None]])
 
 
-def _distances(points, others):
+def _distances(points: Float64, others: Float64) -> Float64:
     """Squared distance of each point to the nearest of others."""
     return ((points[:, None] - others) ** 2).sum(axis=2).min(axis=1)
