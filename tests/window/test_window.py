@@ -102,6 +102,12 @@ def test_a_story_by_mouse_and_keys_is_recorded_and_repeats_to_the_byte(case, tmp
 
         until(lambda: live.newest.mode == "running")
 
+        # Its handle is seen, though it lies in the tissue.
+        handle = next(one for one in live.newest.frame.instruments.values() if one.kind == "forceps").center_mm
+        seen = window.picture()
+        x, y = mouse.pixel(handle)
+        assert np.ptp(seen[seen.shape[0] - 1 - y, x].astype(int)) < 25  # silver, and not the colour of muscle
+
         # The retractor is let go, by pointing at it.
         retractor = next(one for one in live.newest.frame.instruments.values() if one.kind == "retractor")
         mouse.move(retractor.center_mm)
