@@ -72,6 +72,15 @@ if TYPE_CHECKING:
         parse_command,
     )
     from heartcase.schemas.recording.reader import Recording, check_recording, open_recording
+    from heartcase.schemas.recording.tool_commands import (
+        BringScissors,
+        CloseForceps,
+        CloseRetractor,
+        PlaceScissors,
+        Snip,
+        SqueezeForceps,
+        WithdrawScissors,
+    )
     from heartcase.schemas.script import SimulationScript
     from heartcase.simulator.dynamics.integrate import Energy
     from heartcase.simulator.dynamics.step_size import default_step, step_limit
@@ -83,8 +92,11 @@ if TYPE_CHECKING:
     from heartcase.simulator.haptics.servo import HapticServo
     from heartcase.simulator.haptics.settings import ServoSettings
     from heartcase.simulator.haptics.tissue_side import FeltInstrument, TissueSide
+    from heartcase.simulator.instruments.forceps import Forceps
     from heartcase.simulator.instruments.grab import Grab
     from heartcase.simulator.instruments.probe import Probe
+    from heartcase.simulator.instruments.retractor import Retractor
+    from heartcase.simulator.instruments.scissors import Scissors
     from heartcase.simulator.instruments.wrench import Wrench
     from heartcase.simulator.lattice.force_law import ForceLaw
     from heartcase.simulator.lattice.model import GridUnits, LatticeModel, make_model
@@ -120,6 +132,7 @@ __all__ = [
     "Advance",
     "Approval",
     "BringProbe",
+    "BringScissors",
     "BuildListener",
     "BuildResult",
     "BundleError",
@@ -130,7 +143,9 @@ __all__ = [
     "CaseRecord",
     "CatalogueResult",
     "Channel",
+    "CloseForceps",
     "CloseGrab",
+    "CloseRetractor",
     "Cut",
     "DeformedSurface",
     "Deviation",
@@ -143,6 +158,7 @@ __all__ = [
     "FileRole",
     "FilterSettings",
     "ForceLaw",
+    "Forceps",
     "Frame",
     "Geometry",
     "GoTo",
@@ -172,6 +188,7 @@ __all__ = [
     "OpenGrab",
     "OperatingSession",
     "PickingModel",
+    "PlaceScissors",
     "PointerPlane",
     "Probe",
     "Problem",
@@ -184,11 +201,13 @@ __all__ = [
     "Redo",
     "Refusal",
     "RemoveSprings",
+    "Retractor",
     "Rewind",
     "Role",
     "Scan",
     "ScanError",
     "ScanVolume",
+    "Scissors",
     "ScriptError",
     "SegmentSettings",
     "Segmentation",
@@ -200,6 +219,8 @@ __all__ = [
     "SimulationError",
     "SimulationScript",
     "Snapshot",
+    "Snip",
+    "SqueezeForceps",
     "StageError",
     "State",
     "Stroke",
@@ -215,6 +236,7 @@ __all__ = [
     "UsageError",
     "Watch",
     "WithdrawProbe",
+    "WithdrawScissors",
     "Workers",
     "Wrench",
     "__version__",
@@ -330,6 +352,15 @@ _MODULES = {
         "parse_command",
     ),
     "heartcase.schemas.recording.reader": ("Recording", "check_recording", "open_recording"),
+    "heartcase.schemas.recording.tool_commands": (
+        "BringScissors",
+        "CloseForceps",
+        "CloseRetractor",
+        "PlaceScissors",
+        "Snip",
+        "SqueezeForceps",
+        "WithdrawScissors",
+    ),
     "heartcase.schemas.script": ("SimulationScript",),
     "heartcase.simulator.dynamics.integrate": ("Energy",),
     "heartcase.simulator.dynamics.step_size": ("default_step", "step_limit"),
@@ -341,8 +372,11 @@ _MODULES = {
     "heartcase.simulator.haptics.servo": ("HapticServo",),
     "heartcase.simulator.haptics.settings": ("ServoSettings",),
     "heartcase.simulator.haptics.tissue_side": ("FeltInstrument", "TissueSide"),
+    "heartcase.simulator.instruments.forceps": ("Forceps",),
     "heartcase.simulator.instruments.grab": ("Grab",),
     "heartcase.simulator.instruments.probe": ("Probe",),
+    "heartcase.simulator.instruments.retractor": ("Retractor",),
+    "heartcase.simulator.instruments.scissors": ("Scissors",),
     "heartcase.simulator.instruments.wrench": ("Wrench",),
     "heartcase.simulator.lattice.force_law": ("ForceLaw",),
     "heartcase.simulator.lattice.model": ("GridUnits", "LatticeModel", "make_model"),

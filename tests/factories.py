@@ -38,6 +38,12 @@ def block_grid(size=(3, 2, 2), *, cell_mm=3.0, fixed_layer=True, geometry: Geome
     """A solid block of full cells; the nodes with the lowest k are fixed."""
     ni, nj, nk = size
     cells = np.array([(i, j, k) for k in range(nk) for j in range(nj) for i in range(ni)], np.int32)
+    return grid_of_cells(cells, size, cell_mm=cell_mm, fixed_layer=fixed_layer, geometry=geometry)
+
+
+def grid_of_cells(cells, size, *, cell_mm=3.0, fixed_layer=True, geometry: Geometry | None = None) -> SimulationGrid:
+    """Full cells, shape (cell_count, 3), within a box of so many; the nodes with the lowest k are fixed."""
+    ni, nj, nk = size
     nodes, corners = cell_nodes(cells)
     inside = {tuple(c) for c in cells.tolist()}
     faces, owners = [], []
@@ -62,14 +68,19 @@ def block_grid(size=(3, 2, 2), *, cell_mm=3.0, fixed_layer=True, geometry: Geome
     )
 
 
-def block_surface(grid: SimulationGrid) -> tuple[Surface, GridMap, PickingSurface]:
-    """The block's own boundary as the visible surface, tied to the grid node by node."""
+def block_surface(grid: SimulationGrid, normals=None) -> tuple[Surface, GridMap, PickingSurface]:
+    """The block's own boundary as the visible surface, tied to the grid node by node.
+
+    Normals point away from its middle where no others are given, those of its nodes in ascending order.
+    """
     nodes, numbers = np.unique(grid.faces, return_inverse=True)
     quads = numbers.reshape(-1, 4).astype(np.int32)
     triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
     positions = grid.node_positions_mm()[nodes].astype(np.float32)
-    outward = positions - positions.mean(axis=0)
-    normals = (outward / np.linalg.norm(outward, axis=1, keepdims=True)).astype(np.float32)
+    if normals is None:
+        outward = positions - positions.mean(axis=0)
+        normals = outward / np.linalg.norm(outward, axis=1, keepdims=True)
+    normals = np.asarray(normals, np.float32)
     count, triangle_count = len(nodes), len(triangles)
     surface = Surface(
         vertices_mm=positions,

@@ -36,8 +36,10 @@ COMMANDS: dict[str, str] = {
     "preview": "Make a picture of a scan or a case.",
     "export": "Write a case's labels, models to print and meshes, or a recording in motion.",
     "simulate": "Run a scripted session on a case.",
+    "view": "Operate on a case in a window, with the mouse.",
     "record": "Record a scripted session on a case.",
     "replay": "Repeat a recording, and go on from any moment of it.",
+    "compare-incisions": "Run plans of incisions on cases, measure and rank them.",
     "bench": "Measure run time against error.",
     "phantom": "Make a synthetic scan of a heart, with its truth.",
     "filter": "Stage: smooth a scan, keeping edges.",
@@ -54,7 +56,7 @@ COMMANDS: dict[str, str] = {
 
 _FOLDERS = (
     {"library": "library"}
-    | dict.fromkeys(("simulate", "record", "replay"), "sessions")
+    | dict.fromkeys(("simulate", "view", "record", "replay", "compare-incisions"), "sessions")
     | dict.fromkeys(("filter", "segment", "walls", "edit", "grid", "surface", "map", "bundle"), "stages")
 )
 """Folder of the module of a command's name, where it is not ``commands``."""
@@ -94,7 +96,8 @@ class _LazyGroup(click.Group):
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
         if name not in COMMANDS:
             return None
-        module = importlib.import_module(f"heartcase.cli.{_FOLDERS.get(name, 'commands')}.{name}")
+        folder, file = _FOLDERS.get(name, "commands"), name.replace("-", "_")
+        module = importlib.import_module(f"heartcase.cli.{folder}.{file}")
         command: click.Command = module.command
         return command
 

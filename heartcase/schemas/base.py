@@ -7,7 +7,22 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, GetCoreSchemaHandler
 from pydantic_core import CoreSchema
 
-__all__ = ["BladePoses", "CaseId", "Colour", "Direction", "Model", "Name", "PointMm", "PositiveMm", "Vector3"]
+__all__ = [
+    "BladePoses",
+    "CaseId",
+    "Colour",
+    "Direction",
+    "JawAngle",
+    "JawOpening",
+    "LipLine",
+    "Model",
+    "Name",
+    "PadLimit",
+    "PadStiffness",
+    "PointMm",
+    "PositiveMm",
+    "Vector3",
+]
 
 
 def _make_booleans_strict(node: Any) -> None:
@@ -73,3 +88,18 @@ CaseId = Annotated[str, Field(pattern=r"^[A-Z0-9](-?[A-Z0-9]){2,31}$")]
 
 Colour = Annotated[str, Field(pattern=r"^#[0-9a-fA-F]{6}$", description="Colour as #rrggbb.")]
 """A colour as ``#rrggbb``."""
+
+JawOpening = Annotated[float, Field(gt=0.0, le=90.0)]
+"""Angle between fully open jaws, degrees."""
+
+JawAngle = Annotated[float, Field(ge=0.0, le=90.0)]
+"""Angle between jaws, degrees; 0 is closed."""
+
+LipLine = Annotated[tuple[PointMm, ...], Field(min_length=2, max_length=4096)]
+"""Points of a line along a lip."""
+
+PadStiffness = Annotated[float, Field(gt=0.0, le=1000.0)]
+"""Stiffness of pads, N/mm2."""
+
+PadLimit = Annotated[float, Field(gt=0.0, le=1000.0)]
+"""Pull along a line at which pads give way, N/mm."""

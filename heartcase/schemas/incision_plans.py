@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from heartcase.schemas.base import BladePoses, Model, Name, PointMm, PositiveMm, Vector3
+from heartcase.schemas.base import BladePoses, Model, Name, PadStiffness, PointMm, PositiveMm, Vector3
 from heartcase.schemas.migrate import PLANS
 from heartcase.schemas.script import GrabAction
 
@@ -45,18 +45,36 @@ class PlannedCut(Model):
 
 
 class LipHands(Model):
-    """Hands that hold both lips of the first cut, and lead them apart across it."""
+    """What holds both lips of the first cut, and leads them apart across it."""
 
+    kind: Literal["grabs", "retractors"] = "grabs"
+    """Hands that close on a ball of tissue beside the lip, or retractors, which lie along the lip on pads."""
     hands_per_lip: Annotated[int, Field(ge=1, le=8)] = 1
-    """Hands on each lip, spread evenly along it."""
+    """Of these on each lip: hands are spread evenly along it, retractors lie end to end along its middle."""
     spread_mm: PositiveMm | None = None
     """How far each lip is led, mm; 0.25 of the cut's length when left out."""
-    lift_mm: Annotated[float, Field(ge=-1000.0, le=1000.0)] = 0.0
-    """How far each is lifted out of the surface besides, mm."""
+    lift_mm: Annotated[float, Field(ge=-1000.0, le=1000.0)] | None = None
+    """How far each is lifted out of the surface besides, mm; 0.2 of the cut's length when left out."""
+    part: Annotated[float, Field(gt=0.0, le=1.0)] = 0.6
+    """Part of a lip's length along which retractors lie, in its middle [1]."""
+    depth_mm: PositiveMm | None = None
+    """How far from the lip retractors hold, mm; 1.5 cells when left out."""
+    stiffness_n_mm2: PadStiffness | None = None
+    """Stiffness of retractors' pads, N for each mm along the line and each mm that they give; a script's when left
+    out."""
     distance_mm: PositiveMm | None = None
-    """From the cut to the middle of a hand, mm; as much as its radius when left out."""
+    """From the cut to the middle of a hand's ball, mm; as much as its radius when left out."""
     radius_mm: PositiveMm | None = None
     """Radius of a hand's ball, mm; 0.2 of the cut's length, and at least 1.5 cells, when left out."""
+
+    @model_validator(mode="after")
+    def _check(self) -> LipHands:
+        of_others = {"retractors": ("distance_mm", "radius_mm"), "grabs": ("part", "depth_mm", "stiffness_n_mm2")}[
+            self.kind
+        ]
+        given = [name for name in of_others if name in self.model_fields_set]
+        _raise([f"{self.kind} have no {name}: leave it out" for name in given])
+        return self
 
 
 class PlannedIncision(Model):
@@ -69,13 +87,13 @@ class PlannedIncision(Model):
     cuts: Annotated[tuple[PlannedCut, ...], Field(min_length=1)]
     """What blades cut, in this order; the first is the incision that is looked through."""
     retraction: LipHands | None = None
-    """Hands at both lips; none when left out."""
+    """What holds both lips; nothing when left out."""
     actions: tuple[GrabAction, ...] = ()
     """Other hands, as in a script; their times begin when the cuts were made and the tissue has come to rest."""
     settle_s: Annotated[float, Field(gt=0.0, le=3600.0)] = 0.1
     """Time after the cuts before hands close, s."""
     open_s: Annotated[float, Field(gt=0.0, le=3600.0)] = 0.4
-    """Time in which hands at the lips lead them apart, s."""
+    """Time in which the lips are led apart, s."""
     hold_s: Annotated[float, Field(gt=0.0, le=3600.0)] = 0.3
     """Time that the incision is held open before it is measured, s."""
     looks_from: Vector3 | None = None
@@ -91,7 +109,7 @@ class PlannedIncision(Model):
     def _check(self) -> PlannedIncision:
         problems = []
         if self.retraction is not None and self.cuts[0].poses_mm is not None:
-            problems.append("hands at the lips need a first cut along a landmark or a curve_mm; give actions instead")
+            problems.append("a retraction needs a first cut along a landmark or a curve_mm; give actions instead")
         if self.looks_from is not None and not any(self.looks_from):
             problems.append("looks_from must not be zero")
         late = [one.name for one in self.actions if one.start_s >= self.open_s + self.hold_s]

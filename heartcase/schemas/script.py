@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from heartcase.schemas.base import BladePoses, Model, Name, PointMm, PositiveMm
 from heartcase.schemas.migrate import SCRIPT
-from heartcase.schemas.suture_actions import StitchAction
+from heartcase.schemas.suture_actions import PatchAction, RowAction, StitchAction, suture_problems
 from heartcase.schemas.tool_actions import ForcepsAction, RetractorAction, ScissorsAction
 from heartcase.schemas.waypoint import Waypoint, raise_problems, time_problems
 
@@ -142,12 +142,12 @@ class SimulationScript(Model):
     stitches: tuple[StitchAction, ...] = ()
     """Stitches, in the order in which those of one moment are placed: after cuts, and before hands let go or close."""
 
+    stitch_rows: tuple[RowAction, ...] = ()
+    """Rows of stitches; they are placed after single ones of the same moment."""
+    patches: tuple[PatchAction, ...] = ()
+    """Patches; they are sewn on after stitches of the same moment are placed."""
+
     @model_validator(mode="after")
-    def _check_stitches(self) -> SimulationScript:
-        late = [stitch.name for stitch in self.stitches if stitch.time_s >= self.seconds]
-        if late:
-            raise ValueError(f"stitches come after the end: {', '.join(late)}")
-        names = [stitch.name for stitch in self.stitches]
-        if len(set(names)) < len(names):
-            raise ValueError("two stitches have one name: name each by itself")
+    def _check_sutures(self) -> SimulationScript:
+        raise_problems(suture_problems(self.seconds, self.stitches, self.stitch_rows, self.patches))
         return self

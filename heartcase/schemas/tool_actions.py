@@ -6,8 +6,18 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from heartcase.schemas.base import Direction, Model, Name, PointMm, PositiveMm
-from heartcase.schemas.recording.tool_commands import JawAngle, JawOpening, LipLine, PadLimit, PadStiffness
+from heartcase.schemas.base import (
+    Direction,
+    JawAngle,
+    JawOpening,
+    LipLine,
+    Model,
+    Name,
+    PadLimit,
+    PadStiffness,
+    PointMm,
+    PositiveMm,
+)
 from heartcase.schemas.waypoint import Waypoint, raise_problems, time_problems
 
 __all__ = ["ForcepsAction", "RetractorAction", "ScissorsAction", "SnipAction"]

@@ -17,6 +17,7 @@ import numpy as np
 from heartcase.schemas.arrays import Float64
 from heartcase.simulator.cutting.cuts import Cuts, Step, cut_further
 from heartcase.simulator.engine.backends import Backend, Engine, make_engine
+from heartcase.simulator.lattice.loose_nodes import without_loose_nodes
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.splitting.free_parts import cut_picking
 from heartcase.simulator.splitting.split_surface import CuttableSurface, SplitSurface, split_surface
@@ -76,7 +77,7 @@ def cut_tissue(
     split = None
     if cuttable is not None and further.parted is not None:
         split = split_surface(cuttable, further.parted, further.sheets)
-    picking = cut_picking(left) if has_picking else None
+    picking = cut_picking(without_loose_nodes(left)) if has_picking else None
     # A device belongs to the thread that talks to it.
     engine = None if backend == "cuda" else make_engine(left, backend)
     return CutTissue(model, left, further, step, split, picking, engine)
@@ -167,8 +168,8 @@ class CutsAhead:
         try:
             if np.array_equal(first.points, points) and _cuts_before(first) is cuts:
                 found = first.tissue.result()
-                # Springs may have been removed one by one meanwhile.
-                if found.before.spring_nodes is model.spring_nodes:
+                # Springs may have been removed one by one meanwhile, and patches laid in or taken out.
+                if found.before.spring_nodes is model.spring_nodes and _has_same_nodes(found.before, model):
                     return found
         except Exception:
             self.forget()
@@ -185,3 +186,7 @@ class CutsAhead:
 
 def _cuts_before(coming: _Coming) -> Cuts | None:
     return coming.before.result().cuts if isinstance(coming.before, Future) else coming.before
+
+
+def _has_same_nodes(one: LatticeModel, other: LatticeModel) -> bool:
+    return np.array_equal(one.node_index, other.node_index) and np.array_equal(one.node_mass, other.node_mass)

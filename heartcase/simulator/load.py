@@ -22,9 +22,10 @@ from heartcase.simulator.surface.tissue_inside import tissue_inside
 
 __all__ = ["Case", "Need", "ScanVolume", "load_case"]
 
-Need = Literal["grid", "surface", "tangents", "colours", "picking", "tissue", "scan"]
+Need = Literal["grid", "surface", "tangents", "colours", "picking", "tissue", "scan", "structures"]
 """Parts of a scene: the lattice (always), the visible surface, its tangents for normal mapping, the colour of its
-triangles, the one-to-one surface, where in its cells the tissue lies that blades cut, the scan for slices."""
+triangles, the one-to-one surface, where in its cells the tissue lies that blades cut, the scan for slices, the
+structure of each triangle, to show and hide."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,8 @@ class Case:
     """Where in its cells the tissue lies, by the finest surface, where it was asked for: for blades."""
     scan: ScanVolume | None = None
     """The scan, where it was asked for."""
+    triangle_structures: UInt8 | None = None
+    """Label whose colour each triangle has, shape (triangle_count,), where they were asked for."""
 
 
 def load_case(
@@ -99,7 +102,7 @@ def load_case(
     if unknown:
         raise UsageError(f"a scene cannot need {', '.join(unknown)}; it can need {', '.join(get_args(Need))}")
     bundle = open_bundle(path)
-    wants_surface = bool({"surface", "tangents", "colours"} & set(needs))
+    wants_surface = bool({"surface", "tangents", "colours", "structures"} & set(needs))
     if wants_surface:
         bundle.surface_role(level)
     model = _model(bundle)
@@ -118,6 +121,7 @@ def load_case(
         if "picking" in needs
         else None,
         scan=_scan(bundle) if "scan" in needs else None,
+        triangle_structures=_triangle_structures(bundle, level) if "structures" in needs else None,
     )
 
 
@@ -166,10 +170,16 @@ def _surface(
     )
 
 
-def _triangle_colours(bundle: OpenBundle, level: int) -> UInt8:
-    """Colour of the cavity that a triangle faces; outside, of the tissue behind it."""
+def _triangle_structures(bundle: OpenBundle, level: int) -> UInt8:
+    """Label of the cavity that a triangle faces; outside, of the tissue behind it."""
     mesh = bundle.arrays(FileRole.SURFACE.at(level), ("triangle_label", "triangle_tissue"))
+    found: UInt8 = np.where(mesh["triangle_label"] == 0, mesh["triangle_tissue"], mesh["triangle_label"])
+    return found
+
+
+def _triangle_colours(bundle: OpenBundle, level: int) -> UInt8:
+    """Colour of each triangle's structure."""
     palette = np.zeros((256, 3), np.uint8)
     for label in bundle.manifest.labels:
         palette[label.value] = [int(label.colour[at : at + 2], 16) for at in (1, 3, 5)]
-    return palette[np.where(mesh["triangle_label"] == 0, mesh["triangle_tissue"], mesh["triangle_label"])]
+    return palette[_triangle_structures(bundle, level)]

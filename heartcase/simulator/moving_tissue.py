@@ -18,6 +18,7 @@ from heartcase.simulator.dynamics.joining import join
 from heartcase.simulator.dynamics.step_size import checked_step, explicit_rate_limit, own_step_limit
 from heartcase.simulator.engine.backends import Backend, make_engine
 from heartcase.simulator.lattice.explicit_springs import ExplicitSprings
+from heartcase.simulator.lattice.loose_nodes import without_loose_nodes
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.lattice.state import State
 from heartcase.simulator.splitting.free_parts import cut_picking
@@ -294,15 +295,15 @@ class MovingTissue:
         """
         if self.cuts is not None:
             return Cuts(self.cuts.uncut, self.cuts.tissue)
-        uncut = replace(self.model, explicit=ExplicitSprings.none())
+        uncut = replace(without_loose_nodes(self.model), explicit=ExplicitSprings.none())
         if self._tissue is None and self._whole_surface is not None:
             self._tissue = tissue_inside(uncut, self._whole_surface)
         return Cuts(uncut, self._tissue or TissueSamples.everywhere())
 
     @staticmethod
     def uncut(model: LatticeModel, cuts: Cuts | None) -> LatticeModel:
-        """The lattice before all cuts."""
-        return model if cuts is None else cuts.uncut
+        """The lattice before all cuts, without loose nodes."""
+        return without_loose_nodes(model) if cuts is None else cuts.uncut
 
     def _carry(self, step: Step) -> None:
         """Let instruments hold on from one lattice to the next."""
@@ -322,18 +323,18 @@ class MovingTissue:
             )
 
     def _set_model(self, model: LatticeModel, cuts: Cuts | None, made: CutTissue | None = None) -> None:
-        """Go on with another model; where it was cut otherwise, the engine starts from rest and without hands.
+        """Go on with another model; where it has other nodes, the engine starts from rest and without hands.
 
         What was made of it already is given. What raises does so before anything has changed.
         """
-        if cuts is self.cuts:
+        if cuts is self.cuts and np.array_equal(model.node_index, self.model.node_index):
             self._engine.set_springs(model)
             self.model = model
             return
         split = None if cuts is None else self._split_of(cuts, None if made is None else made.split)
         picking = self._whole_picking
         if picking is not None and cuts is not None:
-            picking = cut_picking(model) if made is None else made.picking
+            picking = cut_picking(without_loose_nodes(model)) if made is None else made.picking
         engine = None if made is None else made.engine
         if engine is None:
             engine = make_engine(model, self.backend)

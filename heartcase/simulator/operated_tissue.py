@@ -127,7 +127,8 @@ class OperatedTissue(MovingTissue):
         stiffness_n_mm2
             Stiffness of the pads: N for each mm along the line and each mm that they give.
         limit_n_mm
-            Pull along the line at which the pads give way without end, N/mm; None for none.
+            Pull along the line at which the pads give way without end, N/mm; None for none. Pulled more, as while it is
+        led, they come back to it within some tenths of a second.
         name
             Name in messages.
 

@@ -25,9 +25,9 @@ from heartcase.simulator.instruments.wrench import Instrument, Wrench, wrench_on
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.lattice.state import State
 from heartcase.simulator.operated_tissue import OperatedTissue
-from heartcase.simulator.snapshot import KeptInstrument, Snapshot
+from heartcase.simulator.patched_tissue import PatchedTissue
+from heartcase.simulator.snapshot import Snapshot
 from heartcase.simulator.surface.deform import PickingModel, SurfaceModel
-from heartcase.simulator.sutured_tissue import SuturedTissue
 from heartcase.simulator.watchdog import Watch, find_runaway, find_trouble, watch
 
 __all__ = ["SLEEP_MM", "Simulation"]
@@ -39,7 +39,7 @@ SLEEP_HZ = 5.0
 """Slowest swing of tissue that sleeping shall not be seen in, Hz."""
 
 
-class Simulation(SuturedTissue, OperatedTissue):
+class Simulation(PatchedTissue, OperatedTissue):
     """Tissue in motion.
 
     Lengths are mm in LPS axes, times s, forces N. A frame is: lead the hands with :meth:`lead`, take steps with
@@ -112,6 +112,7 @@ class Simulation(SuturedTissue, OperatedTissue):
         self.probes: list[Probe] = []
         self.open_scissors: list[Scissors] = []
         self.stitches = []
+        self.patches = []
         units = model.units
         gravity = np.asarray(gravity_m_s2) @ model.geometry.direction_matrix / units.acceleration_m_s2
         step = self.step_s / units.time_s
@@ -148,14 +149,14 @@ class Simulation(SuturedTissue, OperatedTissue):
 
         It copies nothing twice.
         """
-        return Snapshot.of(self.model, self.state, self.instruments, self.cuts, self.stitches)
+        return Snapshot.of(self.model, self.state, self.instruments, self.cuts, self.stitches, self.patches)
 
     def restore(self, point: State | Snapshot) -> None:
         """Go back, or on, to a snapshot: what follows gives the same bytes as it gave then.
 
         Instruments of that moment hold what they held, where they were, and go on to where they were led; others let
-        go and are withdrawn. Stitches are those of that moment, too. To a state alone: springs and stitches stay as
-        they are now, and all instruments let go.
+        go and are withdrawn. Stitches and patches are those of that moment, too. To a state alone: springs, stitches
+        and patches stay as they are now, and all instruments let go.
 
         Raises
         ------
@@ -164,8 +165,7 @@ class Simulation(SuturedTissue, OperatedTissue):
             changed.
         """
         if not isinstance(point, Snapshot):
-            kept = tuple(KeptInstrument.of(stitch) for stitch in self.stitches)
-            point = Snapshot(self.model, point, cuts=self.cuts, stitches=kept)
+            point = Snapshot.of(self.model, point, (), self.cuts, self.stitches, self.patches)
         model, state = point.model, point.state
         before_cuts = self.uncut(model, point.cuts)
         is_same = before_cuts.is_of_lattice(self.uncut(self.model, self.cuts))
@@ -182,6 +182,7 @@ class Simulation(SuturedTissue, OperatedTissue):
         self.probes = [instrument for instrument in instruments if isinstance(instrument, Probe)]
         self.open_scissors = [instrument for instrument in instruments if isinstance(instrument, Scissors)]
         self.stitches = [stitch.put_back() for stitch in point.stitches]
+        self.patches = [patch.put_back() for patch in point.patches]
         self._string()
         self._engine.load(state)
         self._hold()
@@ -220,6 +221,7 @@ class Simulation(SuturedTissue, OperatedTissue):
         if is_drawn:
             self._drawn()
             self._string()
+        self._slip()
         for grab in self.grabs:
             grab.arrive()
         for probe in self.probes:

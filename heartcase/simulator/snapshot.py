@@ -11,17 +11,18 @@ from heartcase.simulator.cutting.cuts import Cuts
 from heartcase.simulator.instruments.wrench import Instrument
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.lattice.state import State
+from heartcase.simulator.patching.patches import Patch
 from heartcase.simulator.suturing.stitches import Stitch
 
 __all__ = ["KeptInstrument", "Snapshot"]
 
 
-_Kept = TypeVar("_Kept", Instrument, Stitch)
+_Kept = TypeVar("_Kept", Instrument, Stitch, Patch)
 
 
 @dataclass(frozen=True)
 class KeptInstrument(Generic[_Kept]):
-    """An instrument or a stitch, and how it was at a moment."""
+    """An instrument, a stitch or a patch, and how it was at a moment."""
 
     instrument: _Kept
     """The one that programs hold on to."""
@@ -53,6 +54,8 @@ class Snapshot:
     """What had been cut; None for nothing."""
     stitches: tuple[KeptInstrument[Stitch], ...] = ()
     """Threads that were in the tissue: their places, lengths, and what they were drawn to."""
+    patches: tuple[KeptInstrument[Patch], ...] = ()
+    """Patches that were sewn on."""
 
     @classmethod
     def of(
@@ -62,7 +65,9 @@ class Snapshot:
         instruments: Iterable[Instrument],
         cuts: Cuts | None = None,
         stitches: Iterable[Stitch] = (),
+        patches: Iterable[Patch] = (),
     ) -> Snapshot:
-        """The moment now: ``model``, ``state``, ``cuts``, ``instruments`` and ``stitches`` of a simulation."""
+        """The moment now: what a simulation has of each."""
         kept = tuple(KeptInstrument[Instrument].of(instrument) for instrument in instruments)
-        return cls(model, state, kept, cuts, tuple(KeptInstrument[Stitch].of(stitch) for stitch in stitches))
+        threads = tuple(KeptInstrument[Stitch].of(stitch) for stitch in stitches)
+        return cls(model, state, kept, cuts, threads, tuple(KeptInstrument[Patch].of(patch) for patch in patches))

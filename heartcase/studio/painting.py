@@ -121,7 +121,7 @@ class Painting:
             case End():
                 if self._drawn_by is page:
                     self._close_stroke()
-                return Answer((self._structures(),), self._done(request))
+                return Answer((self._structures(), self._done()), self._done(request))
             case History():
                 self._close_stroke()
                 box = session.undo() if request.do == "undo" else session.redo()
@@ -133,17 +133,20 @@ class Painting:
                 found = session.suggest(count=request.count).as_json(session.table)
                 return Answer(done=text_message("places", id=request.id, **found))
 
-    def leave(self, page: object) -> None:
-        """Whoever drew is gone: the stroke ends where it is."""
-        if self._drawn_by is page:
-            self._close_stroke()
+    def leave(self, page: object) -> tuple[str, ...]:
+        """Whoever drew is gone: the stroke ends where it is; messages for the pages that are left."""
+        if self._drawn_by is not page:
+            return ()
+        self._close_stroke()
+        return self._structures(), self._done()
 
     def _painted(self, request: Request, box: Box | None) -> Answer:
         shown = () if box is None else (labels_message(self._opened.session.labels, box),)
-        return Answer((*shown, text_message("done", **self._counts())), self._done(request))
+        return Answer((*shown, self._done()), self._done(request))
 
-    def _done(self, request: Request) -> str:
-        return text_message("done", id=request.id, **self._counts())
+    def _done(self, request: Request | None = None) -> str:
+        number = {} if request is None else {"id": request.id}
+        return text_message("done", **number, **self._counts())
 
     def _counts(self) -> dict[str, Any]:
         session = self._opened.session

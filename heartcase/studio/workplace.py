@@ -129,10 +129,11 @@ class Workplace:
         self._painting = None
         await self._show_all(tuple(self._pages))
 
-    async def _refusing(self, work: Callable[[], None]) -> None:
-        """Do something for nobody in particular: what is refused is told to all."""
+    async def _refusing(self, work: Callable[[], tuple[str, ...]]) -> None:
+        """Do something for nobody in particular: what comes of it is told to all, also what is refused."""
         try:
-            await self._run(work)
+            for message in await self._run(work):
+                self._tell(message)
         except Exception as error:
             self._tell(text_message("refused", id=None, problems=problems_of(_told(error))))
 

@@ -17,9 +17,9 @@ HEAD = 'heartcase_recipe = 1\nname = "a"\n[scan]\npath = "s.nii.gz"\n'
 
 @pytest.mark.parametrize("command", [
     "info {}", "validate {}", "validate {}.toml", "build {}.toml", "preview {} --out x.png", "simulate {}.case",
-    "export {}.case --out x.stl", "approve {}.case --role surgeon", "upgrade {}", "lock {}.toml --out x.toml",
-    "new {}.nii.gz --out x.toml", "library build {}", "library check {}", "library draw {}.toml",
-    "library catalogue {}", "library diff {} {}",
+    "view {}.case", "export {}.case --out x.stl", "approve {}.case --role surgeon", "upgrade {}",
+    "lock {}.toml --out x.toml", "new {}.nii.gz --out x.toml", "library build {}", "library check {}",
+    "library draw {}.toml", "library catalogue {}", "library diff {} {}",
 ])  # fmt: skip
 def test_where_nothing_is_every_command_ends_alike(tmp_path, monkeypatch, capsys, command):
     monkeypatch.chdir(tmp_path)

@@ -47,7 +47,8 @@ SECTIONS = {
     ),
     "Simulate": (
         "A case in motion: grab, push, cut, join, feel the force, show the surface.",
-        "Simulation Grab Probe Wrench State Snapshot Energy Watch DeformedSurface write_surface",
+        "Simulation Grab Forceps Retractor Scissors Probe Wrench State Snapshot Energy Watch DeformedSurface "
+        "write_surface",
     ),
     "Operate and record": (
         "A simulation with a history: commands in, frames out, recorded and repeated (`docs/operating.md`).",
@@ -57,7 +58,8 @@ SECTIONS = {
     "Commands of a session": (
         "What is asked of an operating session: plain data that JSON holds.",
         "CloseGrab LeadGrab OpenGrab BringProbe MoveProbe WithdrawProbe AddSprings RemoveSprings Cut Mark Halt Advance "
-        "Undo Redo Rewind GoTo Entry parse_command",
+        "Undo Redo Rewind GoTo Entry parse_command CloseForceps SqueezeForceps CloseRetractor BringScissors "
+        "PlaceScissors Snip WithdrawScissors",
     ),
     "Feel it": (
         "Force and torque on a hand at 1 kHz (`docs/haptics.md`).",

@@ -204,3 +204,18 @@ def test_whatever_a_page_says_the_recipe_stays_valid_and_all_is_taken_back(seed,
             pass
         np.testing.assert_array_equal(talker.labels, first)
         assert path.read_text() == text
+
+
+def test_other_pages_learn_that_a_stroke_is_saved(recipe):
+    path, middle = recipe
+    with studio(path) as browser, page(browser) as one, page(browser) as other:
+        one.ask(do="paint", label="aorta", radius_mm=1.0, points_mm=[middle])
+        assert other.hear("done")["saved"] is False
+        one.ask(do="end")
+        assert other.hear("done")["saved"] is True
+    with studio(path) as browser, page(browser) as other:
+        with page(browser) as one:
+            one.ask(do="paint", label="aorta", radius_mm=1.0, points_mm=[middle])
+            assert other.hear("done")["saved"] is False
+        # whoever drew it is gone
+        assert other.hear("done")["saved"] is True

@@ -13,6 +13,7 @@ from heartcase.cli.shared.sessions import (
     require_folder,
     session_bar,
     session_options,
+    sews,
     simulation_of,
     with_law,
 )
@@ -74,7 +75,7 @@ def command(
     needs: tuple[Need, ...] = ("grid",) if script else ("surface",)
     if script is not None and (script.cuts or script.scissors):
         needs = ("grid", "tissue")
-    if script is not None and script.stitches:
+    if script is not None and sews(script):
         needs = ("surface", "tissue")
     loaded = with_law(load_case(case, needs=needs), law, poissons_ratio)
     script = completed_script(script, loaded, seconds, step_s)

@@ -20,11 +20,13 @@ from heartcase.cli.shared.output import echo_json
 from heartcase.cli.shared.sessions import (
     check_numbers,
     completed_script,
+    needs_tissue,
     require_folder,
     session_bar,
     session_options,
     simulation_of,
     stitch_lines,
+    template_files,
     with_law,
 )
 from heartcase.schemas.arrays import UInt8
@@ -33,6 +35,7 @@ from heartcase.schemas.bundle.format import LEVEL_MAX
 from heartcase.schemas.errors import UsageError
 from heartcase.simulator.engine.backends import Backend
 from heartcase.simulator.lattice.force_law import LawName
+from heartcase.simulator.lattice.loose_nodes import tissue_displacement
 from heartcase.simulator.load import Case, Need, load_case
 from heartcase.simulator.session.script import SessionSummary, load_script, run_script
 from heartcase.simulator.simulation import Simulation
@@ -54,6 +57,11 @@ _OUT = click.Path(path_type=Path, dir_okay=False, readable=False)
 @click.option("--surface", "surface_out", type=_OUT, help="Write the final surface here (.ply, .stl, .obj).")
 @click.option("--animation", type=_OUT, help="Write an animation here (.gif, .mp4).")
 @click.option("--picture", type=_OUT, help="Write a picture of start and furthest deformation (.png).")
+@click.option(
+    "--templates",
+    type=click.Path(path_type=Path, file_okay=False, readable=False),
+    help="Write the outline of each patch here, flat and to scale (NAME.svg, NAME.pdf).",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
 def command(
     case: Path,
@@ -68,6 +76,7 @@ def command(
     surface_out: Path | None,
     animation: Path | None,
     picture: Path | None,
+    templates: Path | None,
     as_json: bool,
 ) -> None:
     """Run a scripted session on CASE and say what came of it.
@@ -79,8 +88,10 @@ def command(
     script = load_script(script_path) if script_path is not None else None
     curvature = script.curvature if script else "flagged"
     needs: tuple[Need, ...] = ("surface", "colours")
-    if script is not None and (script.cuts or script.scissors or script.stitches):
+    if script is not None and needs_tissue(script):
         needs = (*needs, "tissue")
+    if templates is not None:
+        require_folder(templates / "template.svg")
     loaded = load_case(case, needs=needs, curvature=curvature, level=level)
     loaded = with_law(loaded, law, poissons_ratio)
     script = completed_script(script, loaded, seconds, step_s)
@@ -116,6 +127,7 @@ def command(
             colours=seen.colours,
             case_id=case_id,
         )
+    written = list(template_files(simulation, templates)) if templates is not None else []
     if as_json:
         named = {"case": loaded.manifest.name, "case_id": case_id, "approval": approval.state, "backend": backend}
         echo_json({**named, "law": law, "poissons_ratio": poissons_ratio, **summary.to_dict()})
@@ -126,6 +138,8 @@ def command(
         for what, path in (("picture", picture), ("animation", animation), ("surface", surface_out)):
             if path is not None:
                 click.echo(f"wrote the {what} to {path}")
+        for path in written:
+            click.echo(f"wrote the template to {path}")
 
 
 class _Audience:
@@ -152,6 +166,8 @@ class _Audience:
         self.furthest_seen: Seen | None = None
         self.furthest_time_s = 0.0
         self.rest_seen: Seen | None = None
+        self.sewn_seen: Seen | None = None
+        self.sewn_time_s = 0.0
 
     def watch(self, simulation: Simulation, time_s: float) -> None:
         """Look at a frame."""
@@ -159,17 +175,19 @@ class _Audience:
         if self.camera is not None:
             if self.film_every and self.frame_number % self.film_every == 0:
                 self.camera.film(Seen.now(simulation, self.colours))
-            moved = float(np.abs(simulation.state.displacement).max())
+            moved = float(np.abs(tissue_displacement(simulation.model, simulation.state.displacement)).max())
             if self.wants_picture and moved > self.furthest:
                 self.furthest = moved
                 self.furthest_seen = Seen.now(simulation, self.colours)
                 self.furthest_time_s = time_s
             if self.wants_picture and self.rest_seen is None:
                 self.rest_seen = Seen.now(simulation, self.colours)
+            if self.wants_picture and (simulation.stitches or simulation.patches):
+                self.sewn_seen, self.sewn_time_s = Seen.now(simulation, self.colours), time_s
         self.frame_number += 1
 
     def furthest_picture(self) -> np.ndarray | None:
-        """The start and the furthest deformation side by side, if a picture was wanted."""
+        """The start, the furthest deformation and what was sewn side by side, if a picture was wanted."""
         if self.camera is None or self.furthest_seen is None or self.rest_seen is None:
             return None
         from heartcase.pipeline.report.montage import montage
@@ -178,7 +196,9 @@ class _Audience:
             f"{self.title}at the start": self.camera.take(self.rest_seen),
             f"at {self.furthest_time_s:.2f} s, moved furthest": self.camera.take(self.furthest_seen),
         }
-        return montage(pictures, columns=2)
+        if self.sewn_seen is not None:
+            pictures[f"at {self.sewn_time_s:.2f} s, sewn"] = self.camera.take(self.sewn_seen)
+        return montage(pictures, columns=len(pictures))
 
 
 def _check_names(surface: Path | None, animation: Path | None, picture: Path | None) -> None:

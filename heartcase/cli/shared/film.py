@@ -12,6 +12,7 @@ import numpy as np
 from heartcase.schemas.arrays import Float32, Int32, UInt8
 from heartcase.schemas.errors import MissingExtraError, UsageError
 from heartcase.schemas.files import atomic_write
+from heartcase.simulator.patching.sewn_mesh import SewnMesh, sewn_mesh
 from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.surface.deform import DeformedSurface
 
@@ -49,6 +50,8 @@ class Seen:
     """Vertex numbers, shape (triangle_count, 3)."""
     colours: UInt8
     """Red, green, blue of each triangle, shape (triangle_count, 3)."""
+    sewn: SewnMesh
+    """Patches and threads."""
 
     @classmethod
     def now(cls, simulation: Simulation, colours: UInt8) -> Seen:
@@ -56,7 +59,7 @@ class Seen:
         assert simulation.surface is not None
         split = simulation.split
         carried = colours if split is None else split.carried(colours, CUT_FACE_COLOUR)
-        return cls(simulation.surface_now(), simulation.surface.triangles, carried)
+        return cls(simulation.surface_now(), simulation.surface.triangles, carried, sewn_mesh(simulation))
 
 
 class Filmer:
@@ -92,8 +95,11 @@ class Filmer:
         """A picture, shape (height, width, 3)."""
         from heartcase.pipeline.report.render import Mesh, draw_mesh
 
-        points, normals = seen.surface.vertices_mm.astype(float), seen.surface.normals.astype(float)
-        mesh = Mesh(points, seen.triangles.astype(np.int64), normals, np.ascontiguousarray(seen.colours))
+        points = np.concatenate([seen.surface.vertices_mm.astype(float), seen.sewn.vertices_mm])
+        normals = np.concatenate([seen.surface.normals.astype(float), seen.sewn.normals])
+        own = seen.sewn.triangles + len(seen.surface.vertices_mm)
+        triangles = np.concatenate([seen.triangles.astype(np.int64), own])
+        mesh = Mesh(points, triangles, normals, np.concatenate([seen.colours, seen.sewn.colours]))
         return draw_mesh(mesh, self._camera, depth_shading=True)
 
     def film(self, seen: Seen) -> None:

@@ -18,7 +18,7 @@ from heartcase.simulator.load import Case, load_case
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.replay import load_session, refuse_deviation
 
-__all__ = ["FRAMES_MAX", "Animation", "animation_of"]
+__all__ = ["FRAMES_MAX", "Animation", "animation_of", "frame_steps"]
 
 FRAMES_MAX = 3000
 """Frames of one animation."""
@@ -115,7 +115,7 @@ def _frames(session: OperatingSession, colours: UInt8, frames_per_second: float)
     """Time since the start and surface of each frame; at the end, the session is checked against what was recorded."""
     step_s, start = session.simulation.step_s, session.start_step
     yield 0.0, Seen.now(session.simulation, colours)
-    for step in _frame_steps(session, frames_per_second):
+    for step in frame_steps(session, frames_per_second):
         for _ in session.play(step):
             pass
         yield (step - start) * step_s, Seen.now(session.simulation, colours)
@@ -124,7 +124,7 @@ def _frames(session: OperatingSession, colours: UInt8, frames_per_second: float)
     refuse_deviation(session)
 
 
-def _frame_steps(session: OperatingSession, frames_per_second: float) -> list[int]:
+def frame_steps(session: OperatingSession, frames_per_second: float) -> list[int]:
     """Steps of the frames after the first; the end of a row of steps where one is near, which then is taken once."""
     start, end = session.start_step, session.end_step
     every = 1.0 / (frames_per_second * session.simulation.step_s)

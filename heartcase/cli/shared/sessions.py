@@ -20,26 +20,34 @@ from heartcase.simulator.engine.backends import Backend
 from heartcase.simulator.incisions.stitches import MEASURED, beside_measured
 from heartcase.simulator.lattice.force_law import RATIO_MAX, RATIO_MIN, ForceLaw, LawName
 from heartcase.simulator.load import Case
+from heartcase.simulator.patching.templates import TEMPLATE_FORMATS, write_template
 from heartcase.simulator.session.script import SessionSummary, default_script, with_positions
 from heartcase.simulator.simulation import SLEEP_MM, Simulation
 
 __all__ = [
     "check_numbers",
     "completed_script",
+    "law_options",
+    "needs_tissue",
     "require_folder",
     "session_bar",
     "session_options",
+    "sews",
     "simulation_of",
+    "stitch_lines",
+    "template_files",
     "with_law",
 ]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
+_BESIDE = ("aortic-cut-in-weakest", "aortic-tear-out-weakest")
+"""Measured forces that those in stitches are put beside."""
 DEFAULT_SECONDS = 2.0
 QUIET_SECONDS = 1.0
 """The progress bar shows after this long."""
 
-_OPTIONS = (
+_SCRIPT_OPTIONS = (
     click.option(
         "--script", "script_path", type=click.Path(path_type=Path, readable=False), help="What the hands do (TOML)."
     ),
@@ -54,6 +62,8 @@ _OPTIONS = (
         type=click.FloatRange(min=0.0, max=1.0, min_open=True),
         help="Time step in s; the case's default when left out.",
     ),
+)
+_LAW_OPTIONS = (
     click.option("--backend", type=click.Choice(get_args(Backend)), default="cpu", help="Which kernel steps."),
     click.option("--law", type=click.Choice(get_args(LawName)), default="springs", help="What resists deformation."),
     click.option(
@@ -74,7 +84,14 @@ _OPTIONS = (
 
 def session_options(function: F) -> F:
     """Add the options of a command that runs a script on a case."""
-    for option in reversed(_OPTIONS):
+    for option in reversed((*_SCRIPT_OPTIONS, *_LAW_OPTIONS)):
+        function = option(function)
+    return function
+
+
+def law_options(function: F) -> F:
+    """Add the options that say how tissue moves, and what works it out."""
+    for option in reversed(_LAW_OPTIONS):
         function = option(function)
     return function
 
@@ -122,19 +139,45 @@ def simulation_of(case: Case, script: SimulationScript, *, backend: Backend, sle
     )
 
 
+def needs_tissue(script: SimulationScript) -> bool:
+    """Whether a script cuts or sews: what blades and threads meet is the case's own tissue."""
+    return bool(script.cuts or script.scissors) or sews(script)
+
+
+def sews(script: SimulationScript) -> bool:
+    """Whether a script sews: the places of stitches are ones of the surface."""
+    return bool(script.stitches or script.stitch_rows or script.patches)
+
+
+def template_files(simulation: Simulation, folder: Path) -> Iterator[Path]:
+    """Write the templates of all patches that are sewn on, as SVG and PDF; gives the files."""
+    for patch in simulation.patches:
+        for suffix in TEMPLATE_FORMATS:
+            path = folder / f"{patch.name}{suffix}"
+            write_template(path, simulation.template(patch), patch.name)
+            yield path
+
+
 def stitch_lines(summary: SessionSummary) -> Iterator[str]:
-    """The force in each stitch beside forces that were measured, in plain words."""
-    forces = summary.stitch_end_force_n
-    for (name, force), figures in zip(forces.items(), beside_measured(tuple(forces.values())), strict=True):
+    """The force in each stitch beside forces that were measured, and in the rims of patches, in plain words."""
+    cut_in, tear_out = (next(one for one in MEASURED if one.key == key) for key in _BESIDE)
+
+    def beside(force_n: float) -> str:
+        parts = [beside_measured((force_n,), one.key)[0].part_of_mean for one in (cut_in, tear_out)]
+        return f"{100 * parts[0]:.2g}% of what cuts in, {100 * parts[1]:.2g}% of what tears out"
+
+    for name, force in summary.stitch_end_force_n.items():
+        yield f"Stitch     {name}: {force:.3g} N, at most {summary.stitch_peak_force_n[name]:.3g} N; {beside(force)}"
+    for name, rim in summary.patch_end_force_n.items():
         yield (
-            f"Stitch     {name}: {force:.3g} N, at most {summary.stitch_peak_force_n[name]:.3g} N; "
-            f"{figures.part_of_mean:.0%} of what cuts in at the weakest place"
+            f"Patch      {name}: {len(rim)} stitches of {min(rim):.3g} to {max(rim):.3g} N, "
+            f"at most {summary.patch_peak_force_n[name]:.3g} N; {beside(max(rim))}"
         )
-    if forces:
-        measured = next(one for one in MEASURED if one.key == figures.measured)
+    if summary.stitch_end_force_n or summary.patch_end_force_n:
         yield (
-            f"Measured   {measured.tissue}: {measured.event} at {measured.mean_n:.3g} +- {measured.deviation_n:.3g} N "
-            f"({measured.source}). None is of a child's heart"
+            f"Measured   {cut_in.tissue}: {cut_in.event} at {cut_in.mean_n:.3g} +- {cut_in.deviation_n:.3g} N, "
+            f"{tear_out.event} at {tear_out.mean_n:.4g} +- {tear_out.deviation_n:.3g} N "
+            f"({cut_in.source}). None is of a child's heart"
         )
 
 

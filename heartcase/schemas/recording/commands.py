@@ -12,6 +12,16 @@ from pydantic import Field, TypeAdapter, ValidationError, model_validator
 
 from heartcase.schemas.base import BladePoses, Model, Name, PointMm, PositiveMm
 from heartcase.schemas.errors import RecordingError, problems_from_validation
+from heartcase.schemas.recording.suture_commands import (
+    BoundPlace,
+    DrawStitch,
+    PlacePatch,
+    PlaceRow,
+    PlaceStitch,
+    TakeOutPatch,
+    TakeOutStitch,
+    TieStitch,
+)
 from heartcase.schemas.recording.tool_commands import (
     BringScissors,
     CloseForceps,
@@ -42,6 +52,8 @@ __all__ = [
     "Mark",
     "MoveProbe",
     "OpenGrab",
+    "PlacePatch",
+    "PlaceRow",
     "PlaceScissors",
     "PlaceStitch",
     "Redo",
@@ -49,6 +61,7 @@ __all__ = [
     "Rewind",
     "Snip",
     "SqueezeForceps",
+    "TakeOutPatch",
     "TakeOutStitch",
     "TieStitch",
     "Undo",
@@ -66,7 +79,6 @@ _Row = tuple[float, float, float]
 Turn = Annotated[tuple[_Row, _Row, _Row], Field(description="Rows of a rotation matrix, LPS axes.")]
 Steps = Annotated[int, Field(ge=1, le=STEPS_MAX)]
 _Node = Annotated[int, Field(ge=0)]
-_Part = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
 class CloseGrab(Model):
@@ -182,71 +194,6 @@ class Cut(Model):
         return self
 
 
-class BoundPlace(Model):
-    """A place in tissue, as it was found: what a recording states."""
-
-    cell: _Node
-    """Cell of the uncut lattice."""
-    sample: _Node
-    """Sample of the cell's tissue, of whose piece it is."""
-    local: tuple[_Part, _Part, _Part]
-    """Where in the cell, from its lowest corner [edges]."""
-
-
-class PlaceStitch(Model):
-    """Put a thread through the tissue at two places; it pulls at nothing until it is drawn."""
-
-    kind: Literal["place_stitch"] = "place_stitch"
-    """Which command."""
-    name: Name
-    """Name of the stitch; no other may have it."""
-    places_mm: tuple[PointMm, PointMm]
-    """Where; each is taken to the nearest place on the surface."""
-    at_rest: bool = False
-    """Whether they are places of the tissue at rest; else they are places now."""
-    stiffness_n_m: Annotated[float, Field(gt=0.0)] | None = None
-    """Stiffness of the thread, N/m; half of what the time step allows when left out."""
-    bound: tuple[BoundPlace, BoundPlace] | None = None
-    """The places that were found. What is recorded states them."""
-
-
-class DrawStitch(Model):
-    """Draw the thread of a stitch; it comes to that with the end of the next steps."""
-
-    kind: Literal["draw_stitch"] = "draw_stitch"
-    """Which command."""
-    name: Name
-    """The stitch."""
-    length_mm: Annotated[float, Field(ge=0.0)] | None = None
-    """Length of the thread between its places, mm."""
-    tension_n: Annotated[float, Field(ge=0.0)] | None = None
-    """Tension that it is drawn with until it is tied, N."""
-
-    @model_validator(mode="after")
-    def _is_one(self) -> DrawStitch:
-        if (self.length_mm is None) == (self.tension_n is None):
-            raise ValueError("give either length_mm or tension_n")
-        return self
-
-
-class TieStitch(Model):
-    """Tie a knot: the thread keeps the length that it has now."""
-
-    kind: Literal["tie_stitch"] = "tie_stitch"
-    """Which command."""
-    name: Name
-    """The stitch."""
-
-
-class TakeOutStitch(Model):
-    """Take a stitch out."""
-
-    kind: Literal["take_out_stitch"] = "take_out_stitch"
-    """Which command."""
-    name: Name
-    """The stitch."""
-
-
 class Halt(Model):
     """All instruments stay where they are, wherever they were led. What a session does by itself when it broke down."""
 
@@ -314,7 +261,7 @@ class GoTo(Model):
 
 ToolAct = CloseForceps | CloseRetractor | BringScissors | Snip | WithdrawScissors
 ToolMotion = SqueezeForceps | PlaceScissors
-SutureAct = PlaceStitch | TieStitch | TakeOutStitch
+SutureAct = PlaceStitch | PlaceRow | TieStitch | TakeOutStitch | PlacePatch | TakeOutPatch
 InstrumentAct = CloseGrab | OpenGrab | BringProbe | WithdrawProbe | ToolAct
 Act = InstrumentAct | AddSprings | RemoveSprings | Cut | SutureAct
 """What :class:`Undo` takes back."""

@@ -2,32 +2,31 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Literal
 
-from pydantic import Field
-
-from heartcase.schemas.base import BladePoses, Direction, Model, Name, PointMm, PositiveMm
+from heartcase.schemas.base import (
+    BladePoses,
+    Direction,
+    JawAngle,
+    JawOpening,
+    LipLine,
+    Model,
+    Name,
+    PadLimit,
+    PadStiffness,
+    PointMm,
+    PositiveMm,
+)
 
 __all__ = [
     "BringScissors",
     "CloseForceps",
     "CloseRetractor",
-    "JawAngle",
-    "JawOpening",
-    "LipLine",
-    "PadLimit",
-    "PadStiffness",
     "PlaceScissors",
     "Snip",
     "SqueezeForceps",
     "WithdrawScissors",
 ]
-
-JawOpening = Annotated[float, Field(gt=0.0, le=90.0)]
-JawAngle = Annotated[float, Field(ge=0.0, le=90.0)]
-LipLine = Annotated[tuple[PointMm, ...], Field(min_length=2, max_length=4096)]
-PadStiffness = Annotated[float, Field(gt=0.0, le=1000.0)]
-PadLimit = Annotated[float, Field(gt=0.0, le=1000.0)]
 
 
 class CloseForceps(Model):

@@ -6,13 +6,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from heartcase.schemas.arrays import Float64, Int32, Int64
+from heartcase.schemas.arrays import Float64, Int64
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.cutting.blade_sheet import Sheet
-from heartcase.simulator.cutting.descent import nodes_before, nodes_now
+from heartcase.simulator.cutting.descent import Descent, descent_of, nodes_now
 from heartcase.simulator.cutting.parted_lattice import PartedLattice, part
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
 from heartcase.simulator.lattice.explicit_springs import ExplicitSprings
+from heartcase.simulator.lattice.loose_nodes import with_loose_of
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.lattice.state import State
 
@@ -23,24 +24,39 @@ __all__ = ["Cuts", "Step", "cut_further"]
 class Step:
     """From one lattice to the next, which was cut further."""
 
-    node_before: Int32
-    """Node of the lattice before that each node lies and goes with, shape (node_count,)."""
+    descent: Descent
+    """Where each node comes from."""
     node_now: Int64
     """Of the nodes that come from each node before, the heaviest, shape (node_count before,)."""
 
     def carried(self, state: State) -> State:
-        """A state of the lattice before: copies lie, and go, where their node does."""
-        return state.of_nodes(self.node_before)
+        """A state of the lattice before: copies lie, and go, where their node does.
+
+        A node that takes over tissue of several goes on with the momentum that this had.
+        """
+        found = self.descent
+        carried = state.of_nodes(found.node_before)
+        return carried.with_velocities(
+            found.mixed, state.velocities_of(found.mixed_before) * found.mixed_share[:, None]
+        )
 
     def joined(self, springs: ExplicitSprings) -> ExplicitSprings:
         """Explicit springs of the lattice before, which hold on to the heaviest copies of their nodes."""
         return replace(springs, nodes=self.node_now[springs.nodes].astype(np.int32))
 
+    def with_loose(self, loose_count: int) -> Step:
+        """The same of lattices that both have so many loose nodes more."""
+        loose = np.arange(loose_count)
+        before = self.descent.node_before
+        now = np.append(self.node_now, len(before) + loose)
+        before = np.append(before, len(self.node_now) + loose).astype(np.int32)
+        return Step(replace(self.descent, node_before=before), now)
+
     def held(self, nodes: Int64) -> tuple[Int64, Int64]:
         """Nodes that come from some nodes before, ascending, and the place of that node among those given."""
         number = np.full(len(self.node_now), -1)
         number[nodes] = np.arange(len(nodes))
-        place = number[self.node_before]
+        place = number[self.descent.node_before]
         held = np.flatnonzero(place >= 0)
         return held, place[held]
 
@@ -73,8 +89,8 @@ class Cuts:
         """
         sheets = (*self.sheets, sheet)
         parted = part(self.uncut, sheets, self.tissue)
-        before = nodes_before(self.uncut, self.parted, parted)
-        step = Step(before, nodes_now(self.uncut, self.parted, parted, before))
+        descent = descent_of(self.uncut, self.parted, parted)
+        step = Step(descent, nodes_now(self.uncut, self.parted, parted, descent.node_before))
         return replace(self, sheets=sheets, parted=parted), step
 
 
@@ -98,4 +114,5 @@ def cut_further(model: LatticeModel, cuts: Cuts, points: Float64) -> tuple[Latti
     if not model.cell_is_whole.all():
         raise SimulationError("springs of this lattice were removed: cut it by blades only", place="blade")
     cuts, step = cuts.with_sheet(Sheet.swept(points))
-    return replace(cuts.model, explicit=step.joined(model.explicit)), cuts, step
+    step = step.with_loose(model.loose_count)
+    return replace(with_loose_of(cuts.model, model), explicit=step.joined(model.explicit)), cuts, step

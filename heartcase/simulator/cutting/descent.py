@@ -2,20 +2,35 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from heartcase.schemas.arrays import Bool, Int32, Int64
+from heartcase.schemas.arrays import Bool, Float64, Int32, Int64
 from heartcase.simulator.cutting.parted_lattice import PartedLattice
 from heartcase.simulator.cutting.piece_kernels import SAMPLE_COUNT
 from heartcase.simulator.lattice.model import LatticeModel
 
-__all__ = ["cells_of_samples", "nodes_before", "nodes_now"]
+__all__ = ["Descent", "cells_of_samples", "descent_of", "nodes_now"]
 
 
-def nodes_before(uncut: LatticeModel, before: PartedLattice | None, now: PartedLattice) -> Int32:
-    """Node of the lattice before that each node now lies and goes with, shape (node_count,).
+@dataclass(frozen=True)
+class Descent:
+    """Where the nodes of a lattice come from that was cut further."""
 
-    Of the copies that its node had, it is the one to which most of its tissue hung.
+    node_before: Int32
+    """Node of the lattice before that each node now lies with, shape (node_count,): of the copies that its node had,
+    the one to which most of its tissue hung."""
+    mixed: Int64
+    """Nodes whose tissue hung to several copies, each as often as it has such, ascending, shape (count,)."""
+    mixed_before: Int64
+    """These copies, shape (count,)."""
+    mixed_share: Float64
+    """Share of the node's mass that each had, shape (count,); of each node they add up to 1."""
+
+
+def descent_of(uncut: LatticeModel, before: PartedLattice | None, now: PartedLattice) -> Descent:
+    """Where the nodes of a lattice come from.
 
     Parameters
     ----------
@@ -26,8 +41,9 @@ def nodes_before(uncut: LatticeModel, before: PartedLattice | None, now: PartedL
     now
         What is made of it now.
     """
+    nothing = np.zeros(0, np.int64)
     if before is None:
-        return now.node_origin
+        return Descent(now.node_origin, nothing, nothing, np.zeros(0))
     result = now.node_origin.copy()
     was_copied = np.zeros(uncut.node_count, np.bool_)
     was_copied[before.node_origin[uncut.node_count :]] = True
@@ -41,7 +57,14 @@ def nodes_before(uncut: LatticeModel, before: PartedLattice | None, now: PartedL
     order = np.lexsort((choice, -votes, node))
     first = order[np.diff(node[order], prepend=-1) != 0]
     result[node[first]] = choice[first]
-    return result
+    # Where a sheet ends in a cell, some of its tissue goes over to another side when the next comes near.
+    is_mixed = np.bincount(node, minlength=now.model.node_count)[node] > 1
+    mass = size * (now.model.cell_coverage * now.model.cell_density.astype(np.float64))[new]
+    mass /= np.bincount(new, size)[new]
+    masses = np.bincount(number, np.repeat(mass, 8)[asks])[is_mixed]
+    mixed = node[is_mixed]
+    share = masses / np.bincount(mixed, masses)[mixed] if len(mixed) else masses
+    return Descent(result, mixed, choice[is_mixed], share)
 
 
 def nodes_now(uncut: LatticeModel, before: PartedLattice | None, now: PartedLattice, node_before: Int32) -> Int64:

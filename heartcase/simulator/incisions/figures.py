@@ -10,7 +10,7 @@ from math import isfinite
 from heartcase.schemas.errors import Problem, SimulationError
 from heartcase.simulator.incisions.stitches import StitchFigures
 
-__all__ = ["CRITERIA", "Criterion", "IncisionFigures", "RankedPlan", "ranked", "table", "to_json"]
+__all__ = ["CRITERIA", "Criterion", "IncisionFigures", "RankedPlan", "ranked", "table", "table_rows", "to_json"]
 
 
 @dataclass(frozen=True)
@@ -158,14 +158,7 @@ def ranked(
 
 def table(plans: Sequence[IncisionFigures]) -> str:
     """The figures of plans side by side, a plan in each column, as text."""
-    rows = [["", *(plan.name for plan in plans)]]
-    for label, figure, form in _ROWS:
-        cells = [getattr(plan, figure) for plan in plans]
-        if any(cell is not None for cell in cells):
-            rows.append([label, *("-" if cell is None else format(cell, form) for cell in cells)])
-    for name in sorted({name for plan in plans for name in plan.nearest_mm}):
-        distances = [plan.nearest_mm.get(name) for plan in plans]
-        rows.append([f"to {name} [mm]", *("-" if one is None else f"{one:.1f}" for one in distances)])
+    rows = [("", *(plan.name for plan in plans)), *table_rows(plans)]
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     lines = [
         "  ".join(
@@ -175,6 +168,19 @@ def table(plans: Sequence[IncisionFigures]) -> str:
         for row in rows
     ]
     return "\n".join(lines) + "\n"
+
+
+def table_rows(plans: Sequence[IncisionFigures]) -> list[tuple[str, ...]]:
+    """A row for each figure that some plan has: what it is, and a cell for each plan."""
+    rows = []
+    for label, figure, form in _ROWS:
+        cells = [getattr(plan, figure) for plan in plans]
+        if any(cell is not None for cell in cells):
+            rows.append((label, *("-" if cell is None else format(cell, form) for cell in cells)))
+    for name in sorted({name for plan in plans for name in plan.nearest_mm}):
+        distances = [plan.nearest_mm.get(name) for plan in plans]
+        rows.append((f"to {name} [mm]", *("-" if one is None else f"{one:.1f}" for one in distances)))
+    return rows
 
 
 def to_json(plans: Sequence[RankedPlan]) -> str:

@@ -1,8 +1,9 @@
-"""A planned incision on a case: the blade's way along its line, the hands at its lips, and the lips as they are held."""
+"""A planned incision on a case: the blade's way along its line, the hands at its lips, and the lips as they are now."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -12,10 +13,11 @@ from heartcase.schemas.errors import Problem, SimulationError
 from heartcase.schemas.incision_plans import LipHands, PlannedCut
 from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.script import GrabAction, Waypoint
+from heartcase.schemas.tool_actions import RetractorAction
 from heartcase.simulator.incisions.segments import touches
 from heartcase.simulator.incisions.triangle_tree import TriangleTree
 
-__all__ = ["DrawnLine", "blade_poses", "drawn_line", "lip_hands", "lips", "problems_of_cut"]
+__all__ = ["DrawnLine", "blade_poses", "drawn_line", "lip_hands", "lip_retractors", "lips", "problems_of_cut"]
 
 _FAR_MM = 400.0
 _NEAR_MM = 4.0
@@ -162,7 +164,6 @@ def lip_hands(
         Time that it takes, s.
     """
     radius = hands.radius_mm or max(0.2 * line.length_mm, 1.5 * cell_mm)
-    spread = hands.spread_mm or 0.25 * line.length_mm
     distance = hands.distance_mm or radius
     made = []
     for side, words in ((1.0, "one lip"), (-1.0, "other lip")):
@@ -170,17 +171,66 @@ def lip_hands(
             point, outward, across = line.at((number + 1) / (hands.hands_per_lip + 1))
             wanted = point + side * distance * across
             held = _nearest(np.asarray(rest_mm, dtype=float), wanted, point, side * across)
-            way = side * spread * across + hands.lift_mm * outward
-            name = words if hands.hands_per_lip == 1 else f"{words} {number + 1}"
             made.append(
                 GrabAction(
-                    name=name,
+                    name=_hand_name(hands, words, number),
                     position_mm=_point(held),
                     radius_mm=radius,
-                    path=(Waypoint(time_s=open_s, offset_mm=_point(way)),),
+                    path=(Waypoint(time_s=open_s, offset_mm=_way(hands, line, outward, side * across)),),
                 )
             )
     return tuple(made)
+
+
+def lip_retractors(
+    hands: LipHands, line: DrawnLine, sides: tuple[Float64, Float64], *, cell_mm: float, open_s: float
+) -> tuple[RetractorAction, ...]:
+    """Retractors along both lips of a line that was cut, which lead them apart.
+
+    Parameters
+    ----------
+    hands
+        How many, how far and how deep.
+    line
+        The incision's line.
+    sides
+        Where both lips are now: :func:`lips`.
+    cell_mm
+        Edge of a cell, mm.
+    open_s
+        Time that it takes, s.
+    """
+    made = []
+    for side, lip, words in ((1.0, sides[0], "one lip"), (-1.0, sides[1], "other lip")):
+        edges = 0.5 + hands.part * (np.arange(hands.hands_per_lip + 1) / hands.hands_per_lip - 0.5)
+        for number, (start, end) in enumerate(pairwise(edges.tolist())):
+            _, outward, across = line.at(0.5 * (start + end))
+            inner = (line.places_mm > start * line.length_mm) & (line.places_mm < end * line.length_mm)
+            places = [start * line.length_mm, *line.places_mm[inner], end * line.length_mm]
+            along = np.stack([np.interp(places, line.places_mm, lip[:, axis]) for axis in range(3)], axis=1)
+            pads = {} if hands.stiffness_n_mm2 is None else {"stiffness_n_mm2": hands.stiffness_n_mm2}
+            made.append(
+                RetractorAction(
+                    **pads,
+                    name=_hand_name(hands, words, number),
+                    line_mm=tuple(_point(point) for point in along),
+                    side=_point(side * across),
+                    depth_mm=hands.depth_mm or 1.5 * cell_mm,
+                    path=(Waypoint(time_s=open_s, offset_mm=_way(hands, line, outward, side * across)),),
+                )
+            )
+    return tuple(made)
+
+
+def _way(hands: LipHands, line: DrawnLine, outward: Float64, apart: Float64) -> tuple[float, float, float]:
+    """How far a lip is led, mm."""
+    spread = hands.spread_mm or 0.25 * line.length_mm
+    lift = 0.2 * line.length_mm if hands.lift_mm is None else hands.lift_mm
+    return _point(spread * apart + lift * outward)
+
+
+def _hand_name(hands: LipHands, words: str, number: int) -> str:
+    return words if hands.hands_per_lip == 1 else f"{words} {number + 1}"
 
 
 def lips(line: DrawnLine, rest_mm: npt.ArrayLike, now_mm: npt.ArrayLike) -> tuple[Float64, Float64]:
@@ -222,11 +272,13 @@ def _facing(point: Float64, rest: Float64, normals: Float64) -> Float64:
     distance = np.linalg.norm(rest - point, axis=1)
     nearest = int(np.argmin(distance))
     near = (distance <= distance[nearest] + _NEAR_MM) & (normals @ normals[nearest] > 0.5)
-    return _unit(normals[near].mean(axis=0)[None])[0]
+    facing: Float64 = _unit(normals[near].mean(axis=0)[None])[0]
+    return facing
 
 
 def _unit(vectors: Float64) -> Float64:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12)
+    unit: Float64 = vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12)
+    return unit
 
 
 def _named(landmarks: tuple[Landmark, ...], name: str) -> Landmark | None:

@@ -63,7 +63,15 @@ class Forceps(Grab):
         return self.arms + (moved - across)[:, None] * self.axis
 
     def way(self, forces: Callable[[Intp], Float32], duration: float) -> tuple[Float64, Float64]:
-        """Displacements of the nodes at the start and at the end of the next steps [cells], (count, 3) each."""
+        """Displacements of the nodes at the start and at the end of the next steps [cells], (count, 3) each.
+
+        Parameters
+        ----------
+        forces
+            Gives the force of the tissue on some nodes now [grid units], shape (count, 3).
+        duration
+            Time that the steps take [grid units].
+        """
         start, end = self.squeezed(self.gap), self.squeezed(self.gap_target)
         return self._placed(self.pose, start), self._placed(self.target, end)
 
@@ -88,7 +96,15 @@ class Forceps(Grab):
         self.roots = self.roots[place]
 
     def keep_side(self, model: LatticeModel, sheets: Float64) -> None:
-        """Let go of what a further cut put onto the other side of it; all is kept where nothing else would be left."""
+        """Let go of what a further cut put onto the other side of it; all is kept where nothing else would be left.
+
+        Parameters
+        ----------
+        model
+            The lattice after the cut.
+        sheets
+            Triangles of all that was cut, at rest [cells, frame of the nodes], shape (triangle_count, 3, 3).
+        """
         kept = np.flatnonzero(on_own_side(model, sheets, self.nodes, self.roots))
         if len(kept):
             self.carry(self.nodes[kept], kept)

@@ -38,8 +38,8 @@ __all__ = ["LIMIT_N_MM", "STIFFNESS_N_MM2", "Retractor", "close_retractor"]
 STIFFNESS_N_MM2 = 0.2
 """Stiffness of the pads where nothing else is said: N for each mm along the line and each mm that they give."""
 LIMIT_N_MM = 0.5
-"""Pull along the line that a retractor does not pass where nothing else is said, N/mm. A choice, not a measurement: the
-least force that tears out a stitch is 4.8 N (Medicina 2022, 58, 1081), some 1 N/mm at stitches 5 mm apart; half."""
+"""Pull along the line that a retractor does not keep up where nothing else is said, N/mm. A choice, not a measurement:
+half of some 1 N/mm: 4.8 N, the least mean force that tears out a stitch (Medicina 2022, 58, 1081), each 5 mm."""
 _BIN = 1.0
 """Length along the line over which a pull is told [cells]."""
 _SETTLE = 2e-3
@@ -75,14 +75,24 @@ class Retractor(Grab):
         force = -self.stiffness / len(self.nodes) * self.give
         size = np.linalg.norm(force, axis=1, keepdims=True)
         most = self.limit / len(self.nodes)
-        return np.where(size > most, force * (most / np.maximum(size, 1e-300)), force)
+        # Where there is no limit nothing is cut down: infinity over a small number is none.
+        share: Float64 = np.divide(most, size, out=np.ones_like(size), where=size > most)
+        return force * share
 
     def displacement_at(self, pose: Pose) -> Float64:
         """Displacements of the nodes at a pose, with what the pads give now [cells, grid axes], shape (count, 3)."""
         return super().displacement_at(pose) + self.give
 
     def way(self, forces: Callable[[Intp], Float32], duration: float) -> tuple[Float64, Float64]:
-        """Displacements of the nodes at the start and at the end of the next steps [cells], (count, 3) each."""
+        """Displacements of the nodes at the start and at the end of the next steps [cells], (count, 3) each.
+
+        Parameters
+        ----------
+        forces
+            Gives the force of the tissue on some nodes now [grid units], shape (count, 3).
+        duration
+            Time that the steps take [grid units].
+        """
         whole = duration / self.row_share
         left_over = forces(self.nodes).astype(float) + self.pads()
         settled = -np.expm1(-whole / self.settle) if self.settle > 0.0 else 1.0
@@ -117,7 +127,15 @@ class Retractor(Grab):
         self.roots, self.along, self.give = self.roots[place], self.along[place], self.give[place]
 
     def keep_side(self, model: LatticeModel, sheets: Float64) -> None:
-        """Let go of what a further cut put onto the other side of it; all is kept where nothing else would be left."""
+        """Let go of what a further cut put onto the other side of it; all is kept where nothing else would be left.
+
+        Parameters
+        ----------
+        model
+            The lattice after the cut.
+        sheets
+            Triangles of all that was cut, at rest [cells, frame of the nodes], shape (triangle_count, 3, 3).
+        """
         kept = np.flatnonzero(on_own_side(model, sheets, self.nodes, self.roots))
         if len(kept):
             self.carry(self.nodes[kept], kept)
@@ -176,7 +194,8 @@ def close_retractor(
     stiffness_n_mm2
         Stiffness of the pads: N for each mm along the line and each mm that they give; above 0.
     limit_n_mm
-        Pull along the line that the pads do not pass, N/mm, above 0; none when left out.
+        Pull along the line that the pads do not keep up, N/mm, above 0; none when left out. Pulled more, as while it is
+        led, they give way to it within some tenths of a second.
     sheets
         Triangles of all that was cut, at rest [cells, frame of the nodes], shape (triangle_count, 3, 3).
     others

@@ -65,6 +65,17 @@ class Scissors:
     ) -> None:
         """Put them elsewhere; they touch nothing on the way.
 
+        Parameters
+        ----------
+        model
+            The lattice.
+        hinge_mm
+            Where the jaws are joined, LPS mm, shape (3,).
+        direction
+            From the hinge towards the tips of the closed jaws, LPS, shape (3,), of any length.
+        closing
+            From one jaw to the other, LPS, shape (3,), of any length.
+
         Raises
         ------
         SimulationError

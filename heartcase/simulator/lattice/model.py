@@ -118,6 +118,8 @@ class LatticeModel:
     """Springs outside the lattice."""
     law: ForceLaw = field(default_factory=ForceLaw)
     """What resists deformation."""
+    loose_count: int = 0
+    """Number of nodes of no cell, which come last: a patch's (:mod:`heartcase.simulator.lattice.loose_nodes`)."""
 
     @property
     def node_count(self) -> int:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from heartcase.schemas.arrays import Float32, Float64, Int32
+from heartcase.schemas.arrays import Float32, Float64, Int32, Int64
 
 __all__ = ["PreciseState", "State"]
 
@@ -35,6 +35,25 @@ class State:
         """The state of a lattice whose nodes lie, and go, where some nodes of this one do, shape (count,)."""
         return State(self.displacement[nodes], self.velocity[nodes], self.step_count)
 
+    def velocities_of(self, nodes: Int64) -> Float64:
+        """Velocity of some nodes, with all digits that are known [cells per unit of time], shape (count, 3)."""
+        return self.velocity[nodes].astype(np.float64)
+
+    def with_velocities(self, nodes: Int64, parts: Float64) -> State:
+        """The same with the velocity of some nodes replaced by the sum of parts [cells per unit of time].
+
+        Parameters
+        ----------
+        nodes, parts
+            Node of each part, ascending, and the parts, shapes (count,) and (count, 3).
+        """
+        if not len(nodes):
+            return self
+        velocity = self.velocity.copy()
+        chosen, first = np.unique(nodes, return_index=True)
+        velocity[chosen] = np.add.reduceat(parts, first)
+        return State(self.displacement, velocity, self.step_count)
+
 
 @dataclass(frozen=True)
 class PreciseState(State):
@@ -59,3 +78,16 @@ class PreciseState(State):
     def of_nodes(self, nodes: Int32) -> State:
         """The same of some nodes."""
         return PreciseState.of(self.precise_displacement[nodes], self.precise_velocity[nodes], self.step_count)
+
+    def velocities_of(self, nodes: Int64) -> Float64:
+        """Velocity of some nodes."""
+        return self.precise_velocity[nodes]
+
+    def with_velocities(self, nodes: Int64, parts: Float64) -> State:
+        """The same with the velocity of some nodes replaced by the sum of parts."""
+        if not len(nodes):
+            return self
+        velocity = self.precise_velocity.copy()
+        chosen, first = np.unique(nodes, return_index=True)
+        velocity[chosen] = np.add.reduceat(parts, first)
+        return PreciseState.of(self.precise_displacement, velocity, self.step_count)

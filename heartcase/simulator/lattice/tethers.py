@@ -72,6 +72,11 @@ class Tethers:
         """Number of tethers."""
         return len(self.nodes)
 
+    def with_more(self, more: Tethers) -> Tethers:
+        """These, then others."""
+        one, other = vars(self), vars(more)
+        return Tethers(**{name: np.concatenate([one[name], other[name]]) for name in one})
+
     def after(self, step_count: int) -> Tethers:
         """As they are after so many steps of a row."""
         length, most = np.stack([self.length, self.tension_most]) + step_count * self.pace.T
@@ -115,15 +120,16 @@ class Tethers:
         The largest is a bound for the lattice, however it is deformed. A tether resists a movement of its ends by at
         most its stiffness in every direction: along itself by k or nothing, across itself by tension over length, which
         is at most k. Its stiffness matrix is then at most k b b^T for each axis, with b its shares. With all of them,
-        the nonzero eigenvalues of the sum over the masses are those of the matrix sqrt(k_a k_b) b_a^T M^-1 b_b, and
-        none is larger than the largest sum of a row's absolute values (Gershgorin's theorem). Of a tether by itself
-        that is k (sum w^2/m + sum v^2/m), with w and v the weights of its ends.
+        the nonzero eigenvalues of the sum over the masses are those of the matrix b_a^T M^-1 b_b k_b, and none is
+        larger than the largest sum of a row's absolute values (Gershgorin's theorem). Of a tether by itself that is
+        k (sum w^2/m + sum v^2/m), with w and v the weights of its ends.
         """
         if not self.count:
             return np.zeros(0)
-        part = np.abs(self.shares) * np.sqrt(self.stiffness.astype(np.float64))[:, None]
-        at_node = np.bincount(self.nodes.ravel(), part.ravel(), len(inverse_mass)) * inverse_mass
-        bounds: Float64 = (part * at_node[self.nodes]).sum(axis=1)
+        share = np.abs(self.shares.astype(np.float64))
+        stiffness = np.repeat(self.stiffness.astype(np.float64), share.shape[1])
+        at_node = np.bincount(self.nodes.ravel(), stiffness * share.ravel(), len(inverse_mass)) * inverse_mass
+        bounds: Float64 = (share * at_node[self.nodes]).sum(axis=1)
         return bounds
 
     def rate_bound(self, inverse_mass: Float32) -> float:

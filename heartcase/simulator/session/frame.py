@@ -14,6 +14,7 @@ from heartcase.simulator.instruments.scissors import Scissors
 from heartcase.simulator.instruments.wrench import Instrument
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.lattice.state import State
+from heartcase.simulator.patching.patches import PatchState
 from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.surface.deform import DeformedSurface
 from heartcase.simulator.suturing.stitches import StitchState
@@ -95,6 +96,8 @@ class Frame:
     """Commands since the last frame that were not done, and why."""
     stitches: dict[str, StitchState] = field(default_factory=dict)
     """Name -> stitch in the tissue: the force in it, where it is, how long."""
+    patches: dict[str, PatchState] = field(default_factory=dict)
+    """Name -> patch on the tissue: a surface of kind ``patch``, and the force in each stitch of its rim."""
     breakdown: str | None = None
     """Why the steps of this frame were not taken, where the watchdog stopped them; the state is that before them."""
     coming_cuts: int = 0

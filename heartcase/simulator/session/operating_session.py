@@ -265,6 +265,7 @@ class OperatingSession:
             topology=changes,
             refused=refused,
             stitches={stitch.name: simulation.stitch_state(stitch) for stitch in simulation.stitches},
+            patches={patch.name: simulation.patch_state(patch) for patch in simulation.patches},
             breakdown=breakdown,
             coming_cuts=len(self._coming),
         )

@@ -26,9 +26,12 @@ from heartcase.schemas.recording.commands import (
     Mark,
     MoveProbe,
     OpenGrab,
+    PlacePatch,
+    PlaceRow,
     PlaceStitch,
     RemoveSprings,
     Snip,
+    TakeOutPatch,
     TakeOutStitch,
     TieStitch,
     WithdrawProbe,
@@ -40,7 +43,7 @@ from heartcase.simulator.instruments.grab import Grab
 from heartcase.simulator.instruments.probe import Probe
 from heartcase.simulator.instruments.wrench import Instrument
 from heartcase.simulator.lattice.model import LatticeModel
-from heartcase.simulator.session.perform_sutures import perform_suture, resolved_suture
+from heartcase.simulator.session.perform_sutures import patched_lattice, perform_suture, resolved_suture
 from heartcase.simulator.session.perform_tools import as_poses, perform_tool, resolved_snip
 from heartcase.simulator.simulation import Simulation
 
@@ -97,7 +100,7 @@ def perform(simulation: Simulation, command: Done) -> None:
             simulation.remove_explicit_springs(_chosen(simulation.model, command))
         case Cut():
             simulation.cut(command.poses_mm, at_rest=command.at_rest, name=command.name)
-        case PlaceStitch() | DrawStitch() | TieStitch() | TakeOutStitch():
+        case PlaceStitch() | PlaceRow() | DrawStitch() | TieStitch() | TakeOutStitch() | PlacePatch() | TakeOutPatch():
             perform_suture(simulation, command)
         case Advance():
             _go_part_of_the_way(simulation, command.steps / (command.of or command.steps))
@@ -128,7 +131,7 @@ def changed_lattice(model: LatticeModel, cuts: Cuts, command: Done, *, step_s: f
     if isinstance(command, Cut | Snip) and poses_mm is not None:
         cut, cuts, _ = cut_further(model, cuts, blade_points(model, poses_mm, command.name))
         return cut, cuts
-    return _joined(model, command, step_s=step_s), cuts
+    return _joined(patched_lattice(model, cuts, command, step_s=step_s), command, step_s=step_s), cuts
 
 
 def _joined(model: LatticeModel, command: Done, *, step_s: float) -> LatticeModel:

@@ -1,14 +1,28 @@
-"""What commands for stitches do to a simulation."""
+"""What commands for stitches and patches do to a simulation, and patches to the lattice alone."""
 
 from __future__ import annotations
 
 from heartcase.schemas.errors import SimulationError
-from heartcase.schemas.recording.commands import BoundPlace, Done, DrawStitch, PlaceStitch, TakeOutStitch, TieStitch
+from heartcase.schemas.recording.commands import (
+    BoundPlace,
+    Done,
+    DrawStitch,
+    PlacePatch,
+    PlaceRow,
+    PlaceStitch,
+    TakeOutPatch,
+    TakeOutStitch,
+    TieStitch,
+)
+from heartcase.simulator.cutting.cuts import Cuts
+from heartcase.simulator.lattice.model import LatticeModel
+from heartcase.simulator.patching.flat_sheets import flat_sheet
+from heartcase.simulator.patching.patches import Patch, with_patch, without_patch
 from heartcase.simulator.simulation import Simulation
-from heartcase.simulator.suturing.places import Place, as_known
+from heartcase.simulator.suturing.places import Place
 from heartcase.simulator.suturing.stitches import Stitch
 
-__all__ = ["perform_suture", "resolved_suture", "stitch_named"]
+__all__ = ["patch_named", "patched_lattice", "perform_suture", "resolved_suture", "stitch_named", "stitches_named"]
 
 
 def resolved_suture(simulation: Simulation, command: Done) -> Done:
@@ -16,12 +30,25 @@ def resolved_suture(simulation: Simulation, command: Done) -> Done:
     if isinstance(command, PlaceStitch) and command.bound is None:
         first, second = command.places_mm
         places = (simulation.place(point, at_rest=command.at_rest, name=command.name) for point in (first, second))
-        bound = tuple(BoundPlace(cell=one.cell, sample=one.sample, local=one.local) for one in places)
-        return command.model_copy(update={"bound": bound})
+        return command.model_copy(update={"bound": tuple(map(_bound, places))})
+    if isinstance(command, PlaceRow) and command.bound is None:
+        chosen = [stitch_named(simulation, name) for name in command.between or ()] or command.places_mm or ()
+        row = simulation.row_places(chosen, spacing_mm=command.spacing_mm, at_rest=command.at_rest, name=command.name)
+        return command.model_copy(update={"bound": tuple((_bound(one), _bound(other)) for one, other in row)})
+    if isinstance(command, PlacePatch) and (command.bound is None or command.rim_mm is None):
+        rim, rim_mm = simulation.outline_places(
+            command.outline_mm, spacing_mm=command.spacing_mm, at_rest=command.at_rest, name=command.name
+        )
+        return command.model_copy(
+            update={"bound": tuple(map(_bound, rim)), "rim_mm": tuple(map(tuple, rim_mm.tolist()))}
+        )
+    if isinstance(command, TakeOutPatch) and command.nodes is None:
+        patch = patch_named(simulation, command.name)
+        return command.model_copy(update={"nodes": (patch.first, patch.node_count)})
     return command
 
 
-def perform_suture(simulation: Simulation, command: PlaceStitch | DrawStitch | TieStitch | TakeOutStitch) -> None:
+def perform_suture(simulation: Simulation, command: Done) -> None:
     """Do what a command for stitches says.
 
     Raises
@@ -31,18 +58,73 @@ def perform_suture(simulation: Simulation, command: PlaceStitch | DrawStitch | T
     """
     match command:
         case PlaceStitch():
-            if any(stitch.name == command.name for stitch in simulation.stitches):
+            if any(command.name in (stitch.name, stitch.row) for stitch in simulation.stitches):
                 raise SimulationError("there is a stitch of this name: take another name", place=command.name)
-            places = command.places_mm if command.bound is None else _places(simulation, command)
+            places = command.places_mm if command.bound is None else tuple(map(_place, command.bound))
             stiffness = command.stiffness_n_m
             simulation.stitch(places, at_rest=command.at_rest, stiffness_n_m=stiffness, name=command.name)
+        case PlaceRow():
+            row = resolved_suture(simulation, command)
+            assert isinstance(row, PlaceRow)
+            pairs = [(_place(one), _place(other)) for one, other in row.bound or ()]
+            simulation.stitch_row(
+                pairs, is_running=command.running, stiffness_n_m=command.stiffness_n_m, name=command.name
+            )
         case DrawStitch():
-            stitch = stitch_named(simulation, command.name)
-            simulation.draw(stitch, length_mm=command.length_mm, tension_n=command.tension_n)
+            for stitch in stitches_named(simulation, command.name):
+                simulation.draw(stitch, length_mm=command.length_mm, tension_n=command.tension_n)
         case TieStitch():
-            simulation.tie(stitch_named(simulation, command.name))
+            for stitch in stitches_named(simulation, command.name):
+                simulation.tie(stitch)
         case TakeOutStitch():
-            simulation.take_out(stitch_named(simulation, command.name))
+            for stitch in stitches_named(simulation, command.name):
+                simulation.take_out(stitch)
+        case PlacePatch():
+            patch = resolved_suture(simulation, command)
+            assert isinstance(patch, PlacePatch)
+            assert patch.rim_mm is not None
+            simulation.sew_on(
+                tuple(map(_place, patch.bound or ())),
+                patch.rim_mm,
+                stiffness_n_m=command.stiffness_n_m,
+                thickness_mm=command.thickness_mm,
+                scale=command.scale,
+                name=command.name,
+            )
+        case TakeOutPatch():
+            simulation.take_out_patch(patch_named(simulation, command.name))
+
+
+def patched_lattice(model: LatticeModel, cuts: Cuts, command: Done, *, step_s: float) -> LatticeModel:
+    """The lattice after a command for a patch as :func:`resolved_suture` gave it; the same one after others.
+
+    Raises
+    ------
+    SimulationError
+        There cannot be such a patch.
+    """
+    if isinstance(command, PlacePatch) and command.rim_mm is not None:
+        sheet = flat_sheet(command.rim_mm, scale=command.scale, name=command.name)
+        return with_patch(model, cuts.uncut, sheet, command.stiffness_n_m, command.thickness_mm, step_s)
+    if isinstance(command, TakeOutPatch) and command.nodes is not None:
+        if sum(command.nodes) > model.loose_count:
+            raise SimulationError("there is no such patch", place=command.name)
+        return without_patch(model, *command.nodes)
+    return model
+
+
+def patch_named(simulation: Simulation, name: str) -> Patch:
+    """The patch of a name.
+
+    Raises
+    ------
+    SimulationError
+        There is none.
+    """
+    found = next((patch for patch in simulation.patches if patch.name == name), None)
+    if found is None:
+        raise SimulationError("there is no patch of this name: sew it on first", place=name)
+    return found
 
 
 def stitch_named(simulation: Simulation, name: str) -> Stitch:
@@ -59,8 +141,21 @@ def stitch_named(simulation: Simulation, name: str) -> Stitch:
     return found
 
 
-def _places(simulation: Simulation, command: PlaceStitch) -> tuple[Place, ...]:
-    assert command.bound is not None
-    places = tuple(Place(one.cell, one.sample, one.local) for one in command.bound)
-    uncut = simulation.uncut(simulation.model, simulation.cuts)
-    return tuple(as_known(place, uncut, name=command.name) for place in places)
+def stitches_named(simulation: Simulation, name: str) -> list[Stitch]:
+    """The stitch of a name, or all of a row.
+
+    Raises
+    ------
+    SimulationError
+        There is none.
+    """
+    row = [stitch for stitch in simulation.stitches if stitch.row == name]
+    return row or [stitch_named(simulation, name)]
+
+
+def _bound(place: Place) -> BoundPlace:
+    return BoundPlace(cell=place.cell, sample=place.sample, local=place.local)
+
+
+def _place(bound: BoundPlace) -> Place:
+    return Place(bound.cell, bound.sample, bound.local)

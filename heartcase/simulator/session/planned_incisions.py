@@ -24,6 +24,7 @@ from heartcase.simulator.incisions.planned import (
     blade_poses,
     drawn_line,
     lip_hands,
+    lip_retractors,
     lips,
     problems_of_cut,
 )
@@ -41,12 +42,12 @@ from heartcase.simulator.simulation import Simulation
 __all__ = [
     "HeldOpen",
     "PlansOnCase",
+    "at_vertices",
     "load_plans",
     "on_case",
     "parse_plans",
     "ranked_by_defect",
     "run_plan",
-    "stretch_at_vertices",
 ]
 
 
@@ -120,6 +121,8 @@ class HeldOpen:
     """Name of each defect -> from it to the best eye, LPS axes, unit length."""
     rims_mm: dict[str, Float64]
     """Name of each defect -> its rim now, LPS mm, shape (count, 3)."""
+    rims_at_rest_mm: dict[str, Float64]
+    """The same at rest."""
     hand_force_n: dict[str, float]
     """Name of each hand -> force on it at the end, N."""
     inverted_cell_count: int
@@ -142,7 +145,8 @@ def on_case(plans: IncisionPlans, landmarks: tuple[Landmark, ...]) -> PlansOnCas
     runs, left_out = [], []
     known = {one.name.lower() for one in landmarks}
     for number, plan in enumerate(plans.plans, start=1):
-        wanted = {one.landmark.lower() for one in (*plan.cuts, *plan.actions) if one.landmark is not None}
+        named = [*(cut.landmark for cut in plan.cuts), *(action.landmark for action in plan.actions)]
+        wanted = {name.lower() for name in named if name is not None}
         if plan.only_with_landmarks and wanted - known:
             left_out.append(plan.name)
             continue
@@ -215,13 +219,23 @@ def run_plan(
         for cut, poses_mm in zip(plan.cuts, poses, strict=True)
     )
     run_script(session, SimulationScript(seconds=plan.settle_s, cuts=cuts), on_frame=tell(0.0))
+    if simulation.model.cell_count == case.model.cell_count and simulation.model.node_count == case.model.node_count:
+        raise SimulationError(
+            "there is no tissue in its way: look where the line lies and how deep it goes", place=cuts[0].name
+        )
     session.do(Mark(name="cut"))
     cut_open = _Shown.of(simulation)
-    hands = plan.actions
-    if plan.retraction is not None and lines[0] is not None:
-        cell_mm = simulation.model.cell_mm
-        hands = (*lip_hands(plan.retraction, lines[0], surface.rest_mm, cell_mm=cell_mm, open_s=plan.open_s), *hands)
-    script = with_positions(SimulationScript(seconds=plan.open_s + plan.hold_s, actions=hands), landmarks)
+    script = SimulationScript(seconds=plan.open_s + plan.hold_s, actions=plan.actions)
+    held_by, cell_mm = plan.retraction, simulation.model.cell_mm
+    if held_by is not None and lines[0] is not None:
+        if held_by.kind == "grabs":
+            hands = lip_hands(held_by, lines[0], surface.rest_mm, cell_mm=cell_mm, open_s=plan.open_s)
+            script = script.model_copy(update={"actions": (*hands, *plan.actions)})
+        else:
+            sides = cut_open.lips(lines[0], len(whole.rest_mm))
+            retractors = lip_retractors(held_by, lines[0], sides, cell_mm=cell_mm, open_s=plan.open_s)
+            script = script.model_copy(update={"retractors": retractors})
+    script = with_positions(script, landmarks)
     run_script(session, script, on_frame=tell(plan.settle_s))
     session.do(Mark(name="held open"))
     if on_time is not None:
@@ -245,6 +259,10 @@ class _Shown:
         now = shown.vertices_mm.astype(float)
         tree = triangle_tree(now, simulation.surface.triangles)
         return cls(simulation.surface.rest_mm.astype(float), now, shown.normals.astype(float), tree)
+
+    def lips(self, line: DrawnLine, whole_count: int) -> tuple[Float64, Float64]:
+        """Both lips of a line, by the vertices that the surface had before it was cut."""
+        return lips(line, self.rest_mm[:whole_count], self.now_mm[:whole_count])
 
 
 @dataclass(frozen=True)
@@ -271,8 +289,7 @@ def _measured(
     opening, gap = None, None
     held = moments.held
     if line is not None:
-        whole_count = len(moments.closed.rest_mm)
-        sides = lips(line, held.rest_mm[:whole_count], held.now_mm[:whole_count])
+        sides = held.lips(line, len(moments.closed.rest_mm))
         gap = float(np.linalg.norm(sides[0] - sides[1], axis=1).max())
         opening = np.concatenate([sides[0], sides[1][::-1]])
     forces = {
@@ -318,6 +335,7 @@ def _measured(
         rim_found={rim.name: rim.part_found for rim in rims},
         looks_from=best,
         rims_mm=now,
+        rims_at_rest_mm={rim.name: rim.points_mm for rim in rims},
         hand_force_n=forces,
         inverted_cell_count=simulation.inverted_cell_count(),
         opening_mm=opening,
@@ -341,11 +359,26 @@ def ranked_by_defect(held: tuple[HeldOpen, ...], *, nearest_least_mm: float) -> 
     }
 
 
-def stretch_at_vertices(held: HeldOpen, simulation: Simulation) -> Float64:
-    """Largest stretch around each vertex of the surface of a session that has just run a plan, shape (vertex_count,)."""
+def at_vertices(values: Float64, held: HeldOpen, simulation: Simulation) -> Float64:
+    """What the surface's vertices have of what cells have, in a session that has just run a plan, (vertex_count,).
+
+    Parameters
+    ----------
+    values
+        One for each cell, such as a column of ``held.strain``, shape (cell_count,).
+    held
+        The plan, just run.
+    simulation
+        The simulation that ran it.
+
+    Raises
+    ------
+    SimulationError
+        It has no surface.
+    """
     if simulation.surface is None:
         raise SimulationError("there is no surface: load the case with one", place="surface")
-    at_nodes = values_at_nodes(simulation.model, held.strain.stretches[:, 0], held.strain.is_known)
+    at_nodes = values_at_nodes(simulation.model, values, held.strain.is_known)
     return values_at_vertices(simulation.surface.triangle_nodes, simulation.surface.weights, at_nodes)
 
 

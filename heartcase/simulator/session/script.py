@@ -31,6 +31,7 @@ from heartcase.simulator.dynamics.integrate import Energy
 from heartcase.simulator.instruments.forceps import Forceps
 from heartcase.simulator.instruments.grab import Grab
 from heartcase.simulator.instruments.wrench import Instrument
+from heartcase.simulator.lattice.loose_nodes import tissue_displacement
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.perform_tools import withdrawal_of
@@ -92,6 +93,10 @@ class SessionSummary:
     """Stitch -> highest force in it in any frame, N."""
     stitch_end_force_n: dict[str, float]
     """Stitch -> force in it at the end, or when it was taken out, N."""
+    patch_peak_force_n: dict[str, float]
+    """Patch -> highest force in a stitch of its rim in any frame, N."""
+    patch_end_force_n: dict[str, tuple[float, ...]]
+    """Patch -> force in each stitch of its rim at the end, or when it was taken out, N."""
     frame_time_s: tuple[float, ...]
     """Simulated time of each frame, s."""
     frame_energy: tuple[Energy, ...]
@@ -330,6 +335,8 @@ def run_script(
         held_node_count=hands.held_node_count,
         stitch_peak_force_n=threads.peak_force_n,
         stitch_end_force_n=threads.end_force_n,
+        patch_peak_force_n=threads.patch_peak_force_n,
+        patch_end_force_n=threads.patch_force_n,
         frame_time_s=tuple(times),
         frame_energy=tuple(energies),
     )
@@ -427,5 +434,5 @@ def _stops(timeline: _Timeline, step_total: int) -> Iterator[int]:
 
 
 def _furthest(simulation: Simulation) -> float:
-    displacement = simulation.state.displacement
+    displacement = tissue_displacement(simulation.model, simulation.state.displacement)
     return float(np.linalg.norm(displacement, axis=1).max()) * simulation.model.cell_mm

@@ -25,7 +25,13 @@ from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.lattice.state import PreciseState, State
 from heartcase.simulator.session.operating_session import Deviation
 from heartcase.simulator.session.perform import changed_lattice
-from heartcase.simulator.session.stored_stitches import stitch_arrays, stitches_from
+from heartcase.simulator.session.stored_stitches import (
+    patch_arrays,
+    patches_from,
+    stitch_arrays,
+    stitch_names,
+    stitches_from,
+)
 from heartcase.simulator.session.stored_tools import holding_from, kind_of, scissors_from, tool_arrays
 from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.snapshot import KeptInstrument, Snapshot
@@ -55,7 +61,7 @@ def lattice_sha256(model: LatticeModel) -> str:
 
 
 def snapshot_bytes(snapshot: Snapshot) -> bytes:
-    """State, instruments and stitches of a moment as a safetensors file."""
+    """State, instruments, stitches and patches of a moment as a safetensors file."""
     state = snapshot.state
     arrays: Arrays = {"displacement": state.displacement, "velocity": state.velocity}
     if isinstance(state, PreciseState):
@@ -74,7 +80,11 @@ def snapshot_bytes(snapshot: Snapshot) -> bytes:
     told = {"step_count": str(state.step_count), "instruments": json.dumps(instruments)}
     if stitches:
         arrays |= stitch_arrays(stitches)
-        told["stitches"] = json.dumps([stitch.name for stitch in stitches])
+        told["stitches"] = json.dumps(stitch_names(stitches))
+    patches = [kept.then for kept in snapshot.patches]
+    if patches:
+        arrays |= patch_arrays(patches)
+        told["patches"] = json.dumps([patch.name for patch in patches])
     content: bytes = save({name: np.ascontiguousarray(array) for name, array in arrays.items()}, told)
     return content
 
@@ -96,10 +106,12 @@ def snapshot_from(content: bytes, model: LatticeModel, cuts: Cuts | None = None)
         )
         names = json.loads(told.get("stitches", "[]"))
         stitches = stitches_from(arrays, names, model, cuts) if names else []
+        patches = patches_from(arrays, json.loads(told.get("patches", "[]")), model, cuts)
     except (SafetensorError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         raise RecordingError("a stored state does not fit the lattice or is damaged", place="state") from None
     kept = tuple(KeptInstrument.of(instrument) for instrument in instruments)
-    return Snapshot(model, state, kept, cuts, tuple(KeptInstrument.of(stitch) for stitch in stitches))
+    threads = tuple(KeptInstrument.of(stitch) for stitch in stitches)
+    return Snapshot(model, state, kept, cuts, threads, tuple(KeptInstrument.of(patch) for patch in patches))
 
 
 class RecordedStates:

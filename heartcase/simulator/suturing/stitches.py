@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -51,6 +51,10 @@ class Stitch:
     """Whether its length is fixed by a knot."""
     name: str = "stitch"
     """Name in messages."""
+    row: str = ""
+    """Row that it belongs to; empty for none."""
+    is_running: bool = False
+    """Whether one thread runs through all stitches of its row."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +73,10 @@ class StitchState:
     """Length of the thread between them, mm; while it is drawn with a tension, its length without that."""
     distance_mm: float
     """How far the places are apart, mm: more than the length by what the thread is stretched."""
+    row: str = ""
+    """Row that it belongs to; empty for none."""
+    is_running: bool = False
+    """Whether one thread with one tension runs through all stitches of its row."""
 
 
 def bind(model: LatticeModel, cuts: Cuts | None, places: tuple[Place, Place]) -> tuple[Int32, Float32]:
@@ -113,7 +121,7 @@ def fitting_stiffness(
     limit
         What all may add to the largest omega^2 [1 / unit of time^2].
     wanted
-        Stiffness [k]; when left out, half of what the step allows them alone, or less where others are near.
+        Stiffness [k]; when left out, half of what the step and the others leave.
     name
         Name in messages.
 
@@ -122,29 +130,21 @@ def fitting_stiffness(
     SimulationError
         The step leaves nothing, or not as much as is wanted.
     """
-
-    def rate(stiffness: float) -> float:
-        both = _together(present, new, stiffness)
-        return both.rate_bound(model.inverse_mass)
-
-    alone = _together(Tethers.none(), new, 1.0).rate_bound(model.inverse_mass)
-    if alone == 0.0:
+    without, one = (_together(present, new, stiffness).rate_bounds(model.inverse_mass) for stiffness in (0.0, 1.0))
+    slope = one - without
+    if not slope.any():
         raise SimulationError("both places are in tissue that is held for good: nothing would move", place=name)
-    most = limit / alone
-    fits = 0.5 * most if limit > 0.0 else 0.0
-    for _ in range(40):
-        if fits and rate(fits) <= limit:
-            break
-        fits /= 2
-    else:
+    # The bounds are linear in the stiffness.
+    room = float(((limit - without)[slope > 0] / slope[slope > 0]).min())
+    if room <= 0.0:
         raise SimulationError("other springs and threads leave this one nothing: give a smaller step", place=name)
     if wanted is None:
-        return float(np.float32(fits))
-    if rate(wanted) > limit:
+        return float(np.float32(0.5 * room))
+    if wanted > room:
         unit = model.units.force_n / model.units.length_m
         raise SimulationError(
             f"a thread of {wanted * unit:.3g} N/m is stiffer than the time step allows here: give "
-            f"{fits * unit:.3g} N/m or less, or a smaller step",
+            f"{room * unit:.3g} N/m or less, or a smaller step",
             place=name,
         )
     return wanted
@@ -152,20 +152,22 @@ def fitting_stiffness(
 
 def _together(present: Tethers, new: Tethers, stiffness: float) -> Tethers:
     """Threads that are there, and new ones of a stiffness."""
-    one, other = vars(present), vars(new) | {"stiffness": np.full(new.count, stiffness, np.float32)}
-    return Tethers(**{name: np.concatenate([one[name], other[name]]) for name in one})
+    return present.with_more(replace(new, stiffness=np.full(new.count, stiffness, np.float32)))
 
 
-def softened(model: LatticeModel, stitches: Sequence[Stitch], limit: float) -> list[float]:
-    """Stiffness of each [k], less where it is more than a time step allows, of tissue that was cut.
+def softened(tethers: Tethers, inverse_mass: Float32, limit: float) -> Float64:
+    """Stiffness of each [k], less where it is more than a time step allows, shape (count,).
 
-    With each lowered by the square of what its own row is above the limit, every row is within it.
+    Each is lowered by what the highest bound of those that share a node with it is above the limit: so all are within.
     """
-    bounds = tethers_of(model, stitches).rate_bounds(model.inverse_mass)
-    return [
-        stitch.stiffness * min(1.0, limit / bound) ** 2 if bound > 0 else stitch.stiffness
-        for stitch, bound in zip(stitches, bounds.tolist(), strict=True)
-    ]
+    bounds = tethers.rate_bounds(inverse_mass)
+    part = np.minimum(1.0, np.divide(limit, bounds, out=np.ones_like(bounds), where=bounds > 0))
+    used = np.where(tethers.shares != 0, part[:, None], 1.0)
+    at_node = np.ones(len(inverse_mass))
+    np.minimum.at(at_node, tethers.nodes.ravel(), used.ravel())
+    least = np.where(tethers.shares != 0, at_node[tethers.nodes], 1.0).min(axis=1, initial=1.0)
+    lowered: Float64 = tethers.stiffness.astype(np.float64) * least
+    return lowered
 
 
 def checked_length(value: float | None, cell_mm: float, name: str) -> float | None:

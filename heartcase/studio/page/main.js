@@ -14,6 +14,7 @@ import { Brush } from "./tools/brush.js";
 import { Measures } from "./tools/measures.js";
 import { Pointers } from "./tools/pointers.js";
 import { Shortcuts } from "./tools/shortcuts.js";
+import { runTurning } from "./tools/turning.js";
 
 /** @typedef {import("./shared/connection.js").Message} Message */
 /** @typedef {import("./shared/connection.js").Package} Package */
@@ -30,7 +31,7 @@ function run() {
   const studio = new Studio();
   const measures = new Measures();
   const tiles = { axial: find("axial"), coronal: find("coronal"), sagittal: find("sagittal") };
-  const views = new Views(/** @type {HTMLCanvasElement} */ (find("pictures")), tiles, studio, measures);
+  const views = new Views(/** @type {HTMLCanvasElement} */ (find("pictures")), tiles, find("solid"), studio, measures);
   const url = new URL("socket", location.href);
   url.protocol = location.protocol === "https:" ? "wss:" : "ws:";
   url.search = url.hash = "";
@@ -38,6 +39,7 @@ function run() {
   const status = new Status(document, studio, views, connection);
   const brush = new Brush(studio, (request) => connection.ask(request), (problems) => status.refused(problems));
   const pointers = new Pointers(views, studio, brush, measures);
+  runTurning(views, studio);
   const structures = new Structures(find("structures"), studio, views);
   const parts = { place: find("place"), checklist: find("checklist") };
   const guide = new Guide(studio, views, (request) => connection.ask(request), parts, (error) => fault(error));

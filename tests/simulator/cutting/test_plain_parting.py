@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from benchmarks.plain_parting import plain_nodes_now, plain_parted, plain_stems, plain_tissue
 from heartcase.simulator.cutting import pieces as pieces_module
 from heartcase.simulator.cutting.blade_sheet import Sheet
-from heartcase.simulator.cutting.descent import nodes_before, nodes_now
+from heartcase.simulator.cutting.descent import descent_of, nodes_now
 from heartcase.simulator.cutting.parted_lattice import part
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
 from heartcase.simulator.lattice.force_law import ForceLaw
@@ -47,7 +47,7 @@ def test_a_lattice_is_parted_as_plain_numpy_parts_it(found, seed, law):
     assert_same_bytes(parted, plain)
     assert_same_bytes(parted.model, plain.model)
     before = part(model, sheets[:-1], tissue) if len(sheets) > 1 else None
-    descent = nodes_before(model, before, parted)
+    descent = descent_of(model, before, parted).node_before
     heaviest = plain_nodes_now(model, before, parted, descent)
     np.testing.assert_array_equal(nodes_now(model, before, parted, descent), heaviest)
 

@@ -9,6 +9,7 @@ from scipy.sparse.csgraph import connected_components
 
 from heartcase.simulator.cutting.blade_sheet import Sheet
 from heartcase.simulator.lattice.model import LatticeModel, make_model
+from heartcase.simulator.splitting.free_parts import parts_of_lattice
 from heartcase.simulator.surface.deform import SurfaceModel, make_surface
 
 FACES = np.array([(0, 4, 6, 2), (1, 3, 7, 5), (0, 1, 5, 4), (2, 6, 7, 3), (0, 2, 3, 1), (4, 5, 7, 6)])
@@ -104,6 +105,26 @@ def check_closed(triangles) -> None:
     joined = coo_matrix((np.ones(len(key)), (corner, after[at])), (len(key), len(key)))
     count, _ = connected_components(joined, directed=False)
     assert count == len(np.unique(triangles))
+
+
+def check_ties(model, found, uncut) -> None:
+    """Nodes are corners of one piece; no part of the surface follows what another does."""
+    surface = found.surface
+    changed = np.flatnonzero(found.vertex_cells >= 0)
+    corners = model.cell_corners[found.vertex_cells[changed]]
+    nodes = surface.triangle_nodes[changed]
+    assert (corners[:, None, :] == nodes[:, :, None]).any(axis=2).all()
+    kept = np.flatnonzero(found.vertex_cells < 0)
+    np.testing.assert_array_equal(surface.triangle_nodes[kept], uncut.triangle_nodes[kept])
+    of_node = np.zeros(model.node_count, int)
+    of_node[model.cell_corners] = parts_of_lattice(model)[:, None]
+    used = [np.unique(surface.triangles[found.triangle_part == n]) for n in range(found.triangle_part.max() + 1)]
+    follows = of_node[surface.triangle_nodes]
+    of_parts = [follows[vertices].ravel() for vertices in used]
+    most = [np.bincount(parts).argmax() for parts in of_parts]
+    for parts, own in zip(of_parts, most, strict=True):
+        assert set(parts.tolist()) & set(most) == {own}
+    np.testing.assert_array_equal(surface.triangle_nodes[found.weld], surface.triangle_nodes)
 
 
 @st.composite

@@ -14,7 +14,7 @@ from heartcase.simulator.cutting.parted_lattice import part
 from heartcase.simulator.splitting.free_parts import cut_picking, excise, parts_of_lattice, triangles_of_parts
 from heartcase.simulator.splitting.split_surface import CuttableSurface, split_surface
 from heartcase.simulator.surface.deform import deform, deform_picking
-from tests.simulator.splitting.surfaces import block, box, check_closed, hung, plane, sheets, volume
+from tests.simulator.splitting.surfaces import block, box, check_closed, check_ties, hung, plane, sheets, volume
 
 SHAPE = (3, 3, 2)
 MODEL = block(SHAPE)
@@ -39,33 +39,13 @@ def places_of(cuttable, surface):
     return cuttable.model.geometry.world_to_index(surface.rest_mm.astype(float)) + 0.5
 
 
-def check_ties(parted, found, cuttable=CUTTABLE):
-    """Nodes are corners of one piece; no part of the surface follows what another does."""
-    model, surface = parted.model, found.surface
-    changed = np.flatnonzero(found.vertex_cells >= 0)
-    corners = model.cell_corners[found.vertex_cells[changed]]
-    nodes = surface.triangle_nodes[changed]
-    assert (corners[:, None, :] == nodes[:, :, None]).any(axis=2).all()
-    kept = np.flatnonzero(found.vertex_cells < 0)
-    np.testing.assert_array_equal(surface.triangle_nodes[kept], cuttable.surface.triangle_nodes[kept])
-    of_node = np.zeros(model.node_count, int)
-    of_node[model.cell_corners] = parts_of_lattice(model)[:, None]
-    used = [np.unique(surface.triangles[found.triangle_part == n]) for n in range(found.triangle_part.max() + 1)]
-    follows = of_node[surface.triangle_nodes]
-    of_parts = [follows[vertices].ravel() for vertices in used]
-    most = [np.bincount(parts).argmax() for parts in of_parts]
-    for parts, own in zip(of_parts, most, strict=True):
-        assert set(parts.tolist()) & set(most) == {own}
-    np.testing.assert_array_equal(surface.triangle_nodes[found.weld], surface.triangle_nodes)
-
-
 @settings(max_examples=25, deadline=None)
 @given(sheets(), st.integers(0, 99), st.booleans())
 def test_vertices_follow_their_own_side_and_nothing_moves_by_a_cut(blades, seed, is_bent):
     cuttable = BENT if is_bent else CUTTABLE
     parted, found = cut(blades, cuttable)
     check_closed(found.weld[found.surface.triangles])
-    check_ties(parted, found, cuttable)
+    check_ties(parted.model, found, cuttable.surface)
     still = deform(parted.model, found.surface, np.zeros((parted.model.node_count, 3), np.float32))
     np.testing.assert_array_equal(still.vertices_mm, found.surface.rest_mm)
     old_count = cuttable.surface.vertex_count
@@ -88,7 +68,7 @@ def test_vertices_follow_their_own_side_and_nothing_moves_by_a_cut(blades, seed,
 def test_lips_part_as_the_lattice_does(places):
     """In planes through, between and along cells: each part of the surface follows the lattice's part in its place."""
     parted, found = cut([plane(axis, place) for axis, place in enumerate(places)])
-    check_ties(parted, found)
+    check_ties(parted.model, found, CUTTABLE.surface)
     assert found.triangle_part.max() + 1 == 2 ** len(places) == parts_of_lattice(parted.model).max() + 1
     at = places_of(CUTTABLE, found.surface)
     cells = parted.model.cells + 0.5 + parted.model.cell_moments[:, :3]

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from fractions import Fraction
+from unittest import mock
 
 import numpy as np
 import pytest
 import pyvista
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from heartcase.schemas.errors import SimulationError
@@ -16,6 +17,7 @@ from heartcase.simulator.arrangement.surface_crossings import cross_surface
 from heartcase.simulator.arrangement.uncut_surface import UncutSurface
 from heartcase.simulator.cutting.blade_sheet import Sheet
 from heartcase.simulator.cutting.crossings import QUANTA
+from heartcase.simulator.splitting import surface_split
 from heartcase.simulator.splitting.surface_split import split_mesh
 from tests.simulator.splitting.surfaces import box, check_closed, part_volumes, plane, sheets, volume
 
@@ -40,7 +42,17 @@ boxes = st.builds(
 )
 
 
-def check_split(surface, found):
+IN_A_SIDE = [
+    [[(3, 0, 0), (0, 0, 1)], [(0, 3, 3), (3, 0, 2)], [(1, 0, 0), (1, 0, 3)]],
+    [[(2.5, 1.5, -1.5), (-0.5, 5.5, -1.5)], [(1.5, 1.5, -1.5), (-1.5, 5.5, -1.5)], [(3.5, -0.5, 2.5), (0.5, 3.5, 2.5)]],
+    [[(4, 0, 3), (3, 0, 0)], [(4, 4, 2), (0, 0, 3)]],
+]
+"""Blades of which a part runs in a side of a block: what they cut off of it is as thin as nothing."""
+
+
+def check_split(surface, blades):
+    """The surface split along blades, after everything was checked that holds for any."""
+    found = split(surface, blades)
     places, triangles = surface
     check_closed(found.weld[found.triangles])
     whole = volume(places, triangles)
@@ -52,27 +64,40 @@ def check_split(surface, found):
     on = np.flatnonzero(found.on_triangle >= 0)
     there = np.einsum("nc,ncx->nx", found.on_weights[on], places[triangles[found.on_triangle[on]]])
     np.testing.assert_allclose(found.places[on], there, atol=1e-9)
-    # What is left of each triangle of the surface has its area and its direction.
-    p, q, r = np.moveaxis(found.places[found.triangles], 1, 0)
-    kept = found.triangle_origin >= 0
-    areas = [np.bincount(found.triangle_origin[kept], column) for column in np.cross(q - p, r - p)[kept].T]
+    # What is left of each triangle of the surface has its direction, and together with what was thrown away its area.
     a, b, c = np.moveaxis(places[triangles], 1, 0)
     wanted = np.cross(b - a, c - a)
-    left = np.unique(found.triangle_origin[kept])
-    np.testing.assert_allclose(np.stack(areas, axis=1)[left], wanted[left], atol=1e-9)
+    areas = areas_by_triangle(found, len(triangles))
+    along = np.einsum("tx,tx->t", areas, wanted) / np.einsum("tx,tx->t", wanted, wanted)
+    assert (along >= -1e-9).all()
+    assert (along <= 1 + 1e-9).all()
+    np.testing.assert_allclose(areas, along[:, None] * wanted, atol=1e-9)
+    with mock.patch.object(surface_split, "_NO_THICKNESS", -1.0):
+        everything = split(surface, blades)
+    np.testing.assert_allclose(areas_by_triangle(everything, len(triangles)), wanted, atol=1e-9)
+    return found
 
 
+def areas_by_triangle(found, triangle_count):
+    """Twice the area, as a vector, of what each triangle of the uncut surface has in a split one."""
+    p, q, r = np.moveaxis(found.places[found.triangles], 1, 0)
+    kept = found.triangle_origin >= 0
+    columns = np.cross(q - p, r - p)[kept].T
+    return np.stack([np.bincount(found.triangle_origin[kept], one, triangle_count) for one in columns], axis=1)
+
+
+@example(box((1, 1, 1), (1.0, 1.0, 1.0)), [Sheet.swept(poses) for poses in IN_A_SIDE])
 @settings(max_examples=150, deadline=None)
 @given(boxes, sheets())
 def test_a_split_surface_is_closed_and_manifold_and_keeps_its_volume(surface, blades):
-    check_split(surface, split(surface, blades))
+    check_split(surface, blades)
 
 
 @pytest.mark.slow
 @settings(max_examples=10_000, deadline=None)
 @given(boxes, sheets())
 def test_many_split_surfaces_are_closed(surface, blades):
-    check_split(surface, split(surface, blades))
+    check_split(surface, blades)
 
 
 @settings(max_examples=30, deadline=None)
@@ -200,18 +225,15 @@ def test_a_sheet_that_comes_back_to_itself_cuts_out_a_plug(counts):
     """Also where all of it goes through the inside of one triangle."""
     surface = box(counts, (3.0, 3.0, 3.0))
     around = ring(0.24, (1.1, 0.9))
-    found = split(surface, [Sheet.swept([[(x, y, -1), (x, y, 4)] for x, y in around])])
-    check_split(surface, found)
+    found = check_split(surface, [Sheet.swept([[(x, y, -1), (x, y, 4)] for x, y in around])])
     plug = 0.5 * 12 * np.sin(np.pi / 6) * 0.24**2 * 3
     assert volumes_of(found) == pytest.approx([plug, 27 - plug], abs=2e-3)
-    open_again = split(surface, [Sheet.swept([[(x, y, -1), (x, y, 1.5)] for x, y in around])])
-    check_split(surface, open_again)
+    open_again = check_split(surface, [Sheet.swept([[(x, y, -1), (x, y, 1.5)] for x, y in around])])
     assert volumes_of(open_again) == [27.0]
 
 
 def test_a_sheet_inside_the_tissue_leaves_a_closed_gap():
-    found = split(CUBE, [Sheet.swept([[(1.3, 1, 1), (1.3, 2, 1)], [(1.3, 1, 2), (1.3, 2, 2)]])])
-    check_split(CUBE, found)
+    found = check_split(CUBE, [Sheet.swept([[(1.3, 1, 1), (1.3, 2, 1)], [(1.3, 1, 2), (1.3, 2, 2)]])])
     assert volumes_of(found) == [0.0, 27.0]
     assert found.triangle_is_wall.sum() == len(found.triangles) - len(CUBE[1])
 
@@ -242,8 +264,7 @@ def test_a_sheet_in_the_plane_of_another_changes_nothing(other):
 
 
 def test_lips_are_one_curve_and_walls_are_laid_out_to_scale():
-    found = split(CUBE, [Sheet.swept([[(1.3, -1, 1.6), (1.3, 4, 1.6)], [(1.3, -1, 4), (1.3, 4, 4)]])])
-    check_split(CUBE, found)
+    found = check_split(CUBE, [Sheet.swept([[(1.3, -1, 1.6), (1.3, 4, 1.6)], [(1.3, -1, 4), (1.3, 4, 4)]])])
     lips = np.flatnonzero(found.on_triangle >= 0)
     lips = lips[found.weld[lips] == lips]
     places, counts = np.unique(found.places[lips].round(9), axis=0, return_counts=True)

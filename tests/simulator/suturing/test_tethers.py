@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -82,34 +84,48 @@ def test_no_thread_is_stiffer_than_its_bound(model, seed):
         assert alone.rate_bound(model.inverse_mass) == pytest.approx(exact, rel=1e-6)
 
 
-def check_tethers(model, seed, engines, step_count=30):
-    """Forces and steps of a fast engine against the reference's, the last of the engines; threads are being drawn."""
+def check_tethers(model, seed, engine, reference, step_count=30):
+    """Forces and each step of a fast engine against the reference's from the same state; threads are being drawn.
+
+    Only one step at a time can be held to a bound: what rounding leaves of a thread that is about to be taut, or of
+    tissue that is about to buckle, grows from step to step by no rule. Corners are not guarded: where springs act
+    alone, the CPU looks for flat ones in every eighth step, the reference in each.
+    """
     tethers = random_tethers(model, seed, pace=0.2 / step_count, slack=0.3)
     displacement = random_field(model, seed, 0.05)
     displacement[model.node_is_fixed] = 0
     rate = 24 * (model.cell_stiffness / model.cell_density).max() + tethers.rate_bound(model.inverse_mass)
     verlet = Verlet(step=float(0.8 * 2 / np.sqrt(rate)))
-    ends = []
-    for engine in engines:
-        engine.set_tethers(tethers)
-        engine.load(State(displacement, np.zeros_like(displacement)))
-        force = engine.forces().astype(float)
-        engine.advance(step_count, verlet)
-        ends.append((force, engine.read().displacement.astype(float)))
-    # 16 products and sums of numbers up to the box, a root, a division: their rounding times the stiffness.
+    engine.set_tethers(tethers)
+    state = State(displacement, np.zeros_like(displacement))
+    engine.load(state)
+    # 16 products and sums of numbers up to the box, a root, a division: their rounding times the stiffness. Of 18
+    # springs of at most k each, the same of numbers of a few cells.
     size = 1.0 + np.ptp(model.node_index, axis=0).max()
     at_nodes = np.bincount(tethers.nodes.ravel(), np.repeat(tethers.stiffness * size, 16), model.node_count)
-    scale = 60.0 * EPS * (1.0 + at_nodes[:, None])
-    # Where a thread is about to be taut, and all that the steps carry on, may differ by as much as they are apart.
-    assert (np.abs(ends[0][0] - ends[-1][0]) <= scale).all()
-    assert np.abs(ends[0][1] - ends[-1][1]).max() <= step_count**2 * EPS * size
-    return ends
+    force_off = 60.0 * EPS * (1.0 + at_nodes[:, None])
+    reference.set_tethers(tethers)
+    reference.load(state)
+    assert (np.abs(engine.forces().astype(float) - reference.forces()) <= force_off).all()
+    for number in range(step_count):
+        reference.set_tethers(tethers.after(number))
+        reference.load(state)
+        engine.advance_by(1, 1, verlet, NO_PROBES, number)
+        reference.advance(1, verlet)
+        state, exact = engine.read(), reference.read()
+        speed_off = verlet.kick * force_off * model.inverse_mass[:, None].astype(float)
+        speed_off += 4 * EPS * np.abs(exact.precise_velocity).max() + EPS * verlet.kick * size
+        way_off = verlet.step * speed_off + 2 * EPS * np.abs(exact.precise_displacement)
+        assert (np.abs(state.velocity - exact.precise_velocity) <= speed_off).all()
+        assert (np.abs(state.displacement - exact.precise_displacement) <= way_off).all()
+    return tethers, state
 
 
 @settings(max_examples=25, deadline=None)
 @given(LATTICES, SEEDS)
 def test_threads_pull_alike_in_both_engines_of_the_host(model, seed):
-    check_tethers(model, seed, [make_engine(model, name) for name in ("cpu", "reference")])
+    model = model.with_law(replace(model.law, guards_corners=False))
+    check_tethers(model, seed, make_engine(model, "cpu"), make_engine(model, "reference"))
 
 
 @pytest.mark.parametrize("seed", [1, 2])

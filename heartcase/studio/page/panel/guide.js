@@ -47,9 +47,11 @@ export class Guide {
   async next() {
     if (!this.studio.ready.value) return;
     if (this.#places === null) {
+      this.parts.place.textContent = say("looking");
       try {
         this.#places = (await this.ask({ do: "suggest", count: COUNT })).places ?? [];
       } catch (error) {
+        this.parts.place.textContent = "";
         this.onFault(error);
         return;
       }
@@ -58,10 +60,7 @@ export class Guide {
     const places = this.#places ?? [];
     if (places.length > 0) {
       this.#at = (this.#at + 1) % places.length;
-      const mm = places[this.#at].position_mm;
-      this.studio.crosshair.value = mm;
-      for (const view of this.views.all) view.bringIntoSight(mm);
-      this.views.redraw();
+      this.views.lookAt(places[this.#at].position_mm);
     }
     this.#showPlace();
   }

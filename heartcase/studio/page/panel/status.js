@@ -28,7 +28,7 @@ export class Status {
       lost: find("lost"),
     };
     find("notice-close").addEventListener("click", () => this.clear());
-    for (const signal of [connection.state, connection.waiting, studio.ready, studio.saved, language]) {
+    for (const signal of [connection.state, connection.changing, studio.ready, studio.saved, language]) {
       /** @type {import("../shared/signal.js").Signal<any>} */ (signal).follow(() => this.#tellState());
     }
     studio.hover.follow(() => this.#tellPointer());
@@ -70,11 +70,12 @@ export class Status {
     const { connection, studio, parts } = this;
     const { saved, lost } = parts;
     const state = connection.state.value;
-    lost.hidden = state !== "lost";
-    lost.textContent = state === "lost" ? say("lost") : "";
-    const isSaved = studio.ready.value && studio.saved.value && connection.waiting.value === 0;
-    saved.textContent = state === "lost" ? say("state_lost") : !studio.ready.value ? say("state_opening") : isSaved ? say("saved") : say("saving");
-    saved.dataset.state = state === "lost" ? "lost" : isSaved ? "saved" : "saving";
+    const isLost = state === "lost" || state === "stranger";
+    lost.hidden = !isLost;
+    lost.textContent = isLost ? say(state) : "";
+    const isSaved = studio.ready.value && studio.saved.value && connection.changing.value === 0;
+    saved.textContent = isLost ? say("state_lost") : !studio.ready.value ? say("state_opening") : isSaved ? say("saved") : say("saving");
+    saved.dataset.state = isLost ? "lost" : isSaved ? "saved" : "saving";
   }
 
   #tellPointer() {

@@ -83,7 +83,8 @@ export class Structures {
       const isTold = volume !== undefined && label.role !== "background" && isMarked;
       part(row, ".volume").textContent = isTold ? `${figure(volume, volume < 10 ? 2 : 1)} ml` : "";
       const mark = part(row, ".mark");
-      mark.textContent = isMarked ? "" : say("not_marked");
+      mark.replaceChildren(...(isMarked ? [] : [element("span", "hidden-words", say("not_marked")), "○"]));
+      mark.title = isMarked ? "" : say("not_marked");
       mark.hidden = isMarked;
     }
   }

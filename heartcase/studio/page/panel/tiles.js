@@ -10,8 +10,8 @@ import { element } from "./structures.js";
 /** @param {Studio} studio @param {import("../pictures/views.js").Views} views */
 export function runTiles(studio, views) {
   const desk = /** @type {HTMLElement} */ (document.getElementById("desk"));
-  for (const tile of /** @type {NodeListOf<HTMLElement>} */ (desk.querySelectorAll(".tile"))) {
-    const name = /** @type {import("../shared/studio.js").ViewName | "panel"} */ (tile.dataset.tile);
+  for (const tile of /** @type {NodeListOf<HTMLElement>} */ (desk.querySelectorAll("[data-tile]"))) {
+    const name = /** @type {import("../shared/studio.js").ViewName | "solid"} */ (tile.dataset.tile);
     const button = /** @type {HTMLButtonElement} */ (tile.querySelector(".enlarge"));
     button.addEventListener("click", () => (studio.large.value = studio.large.value === name ? null : name));
     tile.querySelector(".tile-bar")?.addEventListener("dblclick", (event) => {

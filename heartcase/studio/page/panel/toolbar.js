@@ -15,6 +15,8 @@ const CT_WINDOWS = {
   window_lung: { low: -1350, high: 150 },
   window_bone: { low: -500, high: 1300 },
 };
+/** MR has no unit: shares of the window that the recipe was opened with. @type {Record<string, [number, number]>} */
+const MR_SHARES = { window_dark: [0, 0.5], window_bright: [0.4, 1] };
 
 /** @param {string} id */
 const find = (id) => /** @type {HTMLElement} */ (document.getElementById(id));
@@ -85,7 +87,7 @@ function runHistory(studio, actions) {
 function runWindow(studio) {
   const select = /** @type {HTMLSelectElement} */ (find("window"));
   const fill = () => {
-    const names = ["window_first", "window_all", ...(studio.modality.value === "CT" ? Object.keys(CT_WINDOWS) : [])];
+    const names = ["window_first", "window_all", ...Object.keys(studio.modality.value === "CT" ? CT_WINDOWS : MR_SHARES)];
     const options = ["window_choose", ...names].map((name) => {
       const option = document.createElement("option");
       option.value = name;
@@ -99,6 +101,11 @@ function runWindow(studio) {
     if (name === "window_first") studio.window.value = { ...studio.firstWindow.value };
     else if (name === "window_all") studio.window.value = { ...studio.range.value };
     else if (CT_WINDOWS[name]) studio.window.value = { ...CT_WINDOWS[name] };
+    else if (MR_SHARES[name]) {
+      const { low, high } = studio.firstWindow.value;
+      const [from, to] = MR_SHARES[name].map((share) => low + share * (high - low));
+      studio.window.value = { low: from, high: to };
+    }
     select.value = "window_choose";
   });
   studio.modality.follow(fill);
@@ -128,13 +135,16 @@ function runLook(studio, actions) {
   const opacity = /** @type {HTMLInputElement} */ (find("opacity"));
   opacity.addEventListener("input", () => (studio.opacity.value = Number(opacity.value) / 100));
   studio.opacity.follow((value) => (opacity.value = String(Math.round(value * 100))));
-  for (const [id, signal] of /** @type {const} */ ([["outline", studio.outline], ["labels-shown", studio.labelsShown], ["along-scan", studio.alongScan]])) {
+  for (const [id, signal] of /** @type {const} */ ([["outline", studio.outline], ["labels-shown", studio.labelsShown]])) {
     const box = /** @type {HTMLInputElement} */ (find(id));
     box.addEventListener("change", () => (signal.value = box.checked));
     signal.follow((value) => (box.checked = value));
   }
   // Only where the two differ there is something to choose.
-  studio.lattice.follow((lattice) => (find("along-scan-part").hidden = !lattice?.isOblique));
+  const along = find("along-scan");
+  along.addEventListener("click", () => (studio.alongScan.value = !studio.alongScan.value));
+  studio.alongScan.follow((isAlong) => along.setAttribute("aria-pressed", String(isAlong)));
+  studio.lattice.follow((lattice) => (along.hidden = !lattice?.isOblique));
   find("fit").addEventListener("click", () => actions.fit());
 }
 

@@ -16,6 +16,8 @@ export const PATIENT_FRAMES = /** @type {Frames} */ ({
 
 /** Above this cosine two directions count as the same: 0.25 degrees, 1 mm at the rim of a 450 mm field. */
 const ALIGNED = 0.99999;
+/** Right, left; anterior, posterior; foot, head: as DICOM names directions in the patient. */
+export const SIDES = "RLAPFH";
 /** A letter is shown for each direction that a rim faces to more than 17 degrees. */
 const LETTER_FROM = 0.3;
 
@@ -153,7 +155,7 @@ export function scanFrames(lattice) {
 
 /** What a direction faces, strongest first: "L", or "LA" where it is oblique. @param {Vector} direction */
 export function orientationLetters(direction) {
-  const letters = direction.map((value, axis) => ({ size: Math.abs(value), letter: "RLAPIS"[2 * axis + (value > 0 ? 1 : 0)] }));
+  const letters = direction.map((value, axis) => ({ size: Math.abs(value), letter: SIDES[2 * axis + (value > 0 ? 1 : 0)] }));
   letters.sort((a, b) => b.size - a.size);
   return letters.filter((one) => one.size > LETTER_FROM).map((one) => one.letter).join("");
 }
@@ -223,6 +225,23 @@ export class Camera {
       along: times(lattice.turnedToIndex(this.frame.down), this.mmPerPixel),
     };
   }
+}
+
+/**
+ * A view from outside, its vertical along the patient's.
+ * @param {number} azimuth degrees; 0 from the front, 90 from the patient's left
+ * @param {number} elevation degrees above the horizontal
+ * @returns {{frame: Frame, look: Vector}} the frame, and the direction away from the viewer.
+ */
+export function turntable(azimuth, elevation) {
+  const [a, e] = [(azimuth * Math.PI) / 180, (elevation * Math.PI) / 180];
+  /** @type {Vector} */
+  const right = [Math.cos(a), Math.sin(a), 0];
+  /** @type {Vector} */
+  const level = [-Math.sin(a), Math.cos(a), 0];
+  const look = plus(times(level, Math.cos(e)), [0, 0, 1], -Math.sin(e));
+  const down = plus(times(level, -Math.sin(e)), [0, 0, 1], -Math.cos(e));
+  return { frame: { right, down, normal: times(look, -1) }, look };
 }
 
 /** Whether a box of voxels meets the plane through a position. @param {Lattice} lattice @param {Vector} low @param {Vector} size @param {Vector} normal @param {Vector} through */

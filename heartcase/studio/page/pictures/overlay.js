@@ -32,6 +32,20 @@ export function drawOverlay(pen, camera, studio, measures) {
   drawScale(pen, camera);
 }
 
+/**
+ * What lies over the solids: letters, scale, and where the slices meet.
+ * @param {CanvasRenderingContext2D} pen in CSS pixels
+ * @param {Camera} camera
+ * @param {Vector} through
+ */
+export function drawSolidOverlay(pen, camera, through) {
+  pen.clearRect(0, 0, camera.width, camera.height);
+  const { x, y } = camera.toPixel(through, through);
+  rimmed(pen, CROSSHAIR, () => pen.arc(x, y, 6, 0, 2 * Math.PI), 1.5);
+  drawLetters(pen, camera);
+  drawScale(pen, camera);
+}
+
 /** @param {CanvasRenderingContext2D} pen @param {string} colour @param {() => void} path */
 function rimmed(pen, colour, path, width = 1.25) {
   for (const [style, wide] of /** @type {const} */ ([[RIM, width + 2], [colour, width]])) {
@@ -138,21 +152,36 @@ export function measureText({ kind, points }) {
   return "";
 }
 
+/**
+ * What the sides of a view face.
+ * @param {Camera} camera
+ * @returns {{left: string, right: string, top: string, bottom: string}}
+ */
+export function sidesOf({ frame: { right, down } }) {
+  /** @param {Vector} v @returns {Vector} */
+  const back = (v) => [-v[0], -v[1], -v[2]];
+  return {
+    left: orientationLetters(back(right)),
+    right: orientationLetters(right),
+    top: orientationLetters(back(down)),
+    bottom: orientationLetters(down),
+  };
+}
+
 /** @param {CanvasRenderingContext2D} pen @param {Camera} camera */
-function drawLetters(pen, { frame, width, height }) {
+function drawLetters(pen, camera) {
+  const { width, height } = camera;
+  const { left, right, top, bottom } = sidesOf(camera);
   pen.font = "600 14px system-ui, sans-serif";
   pen.textAlign = "center";
   pen.textBaseline = "middle";
-  const { right, down } = frame;
-  /** @param {Vector} v @returns {Vector} */
-  const back = (v) => [-v[0], -v[1], -v[2]];
   pen.textAlign = "left";
-  lettering(pen, orientationLetters(back(right)), 7, height / 2);
+  lettering(pen, left, 7, height / 2);
   pen.textAlign = "right";
-  lettering(pen, orientationLetters(right), width - 7, height / 2);
+  lettering(pen, right, width - 7, height / 2);
   pen.textAlign = "center";
-  lettering(pen, orientationLetters(back(down)), width / 2, 13);
-  lettering(pen, orientationLetters(down), width / 2, height - 13);
+  lettering(pen, top, width / 2, 13);
+  lettering(pen, bottom, width / 2, height - 13);
 }
 
 /** @param {CanvasRenderingContext2D} pen @param {Camera} camera */

@@ -112,11 +112,12 @@ export class SliceShader {
 }
 
 /**
+ * A program of two shaders.
  * @param {WebGL2RenderingContext} gl
  * @param {string} vertex
  * @param {string} fragment
  */
-function linked(gl, vertex, fragment) {
+export function linked(gl, vertex, fragment) {
   const program = /** @type {WebGLProgram} */ (gl.createProgram());
   for (const [kind, source] of /** @type {const} */ ([[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]])) {
     const shader = /** @type {WebGLShader} */ (gl.createShader(kind));

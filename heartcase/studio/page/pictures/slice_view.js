@@ -29,28 +29,6 @@ export class SliceView {
     this.ratio = 1;
   }
 
-  /**
-   * Take the surface's size over.
-   * @returns {boolean} whether it changed.
-   */
-  resize() {
-    const { clientWidth, clientHeight } = this.surface;
-    const ratio = globalThis.devicePixelRatio || 1;
-    const width = Math.max(clientWidth, 1);
-    const height = Math.max(clientHeight, 1);
-    if (width === this.camera.width && height === this.camera.height && ratio === this.ratio) return false;
-    const before = Math.min(this.camera.width, this.camera.height);
-    // What was seen stays seen, also where the tile has become smaller.
-    if (before > 1) this.camera.mmPerPixel *= before / Math.min(width, height);
-    this.camera.width = width;
-    this.camera.height = height;
-    this.ratio = ratio;
-    this.overlay.width = Math.round(width * ratio);
-    this.overlay.height = Math.round(height * ratio);
-    this.pen.setTransform(ratio, 0, 0, ratio, 0, 0);
-    return true;
-  }
-
   /** The patient position of a pixel. @param {number} x @param {number} y */
   toMm(x, y) {
     return this.camera.toMm(x, y, this.studio.crosshair.value);
@@ -89,4 +67,25 @@ export class SliceView {
     const { width, height } = this.camera;
     if (x < 0 || y < 0 || x > width || y > height) this.camera.pan(width / 2 - x, height / 2 - y);
   }
+}
+
+/**
+ * Take the size of a view's surface over.
+ * @param {{surface: HTMLElement, overlay: HTMLCanvasElement, pen: CanvasRenderingContext2D, camera: Camera, ratio: number}} view
+ */
+export function fitToSurface(view) {
+  const { surface, camera, overlay } = view;
+  const ratio = globalThis.devicePixelRatio || 1;
+  const width = Math.max(surface.clientWidth, 1);
+  const height = Math.max(surface.clientHeight, 1);
+  if (width === camera.width && height === camera.height && ratio === view.ratio) return;
+  const before = Math.min(camera.width, camera.height);
+  // What was seen stays seen, also where the tile has become smaller.
+  if (before > 1) camera.mmPerPixel *= before / Math.min(width, height);
+  camera.width = width;
+  camera.height = height;
+  view.ratio = ratio;
+  overlay.width = Math.round(width * ratio);
+  overlay.height = Math.round(height * ratio);
+  view.pen.setTransform(ratio, 0, 0, ratio, 0, 0);
 }

@@ -1,9 +1,11 @@
-/** The three slices: drawn into one canvas behind their tiles, each only when it changed. */
+/** The three slices and the solids: drawn into one canvas behind their tiles, each only when it changed. */
 
-import { boxMeetsPlane, Lattice, PATIENT_FRAMES, scanFrames } from "./geometry.js";
-import { drawOverlay } from "./overlay.js";
+import { boxMeetsPlane, Lattice, PATIENT_FRAMES, scanFrames, SIDES } from "./geometry.js";
+import { drawOverlay, drawSolidOverlay, sidesOf } from "./overlay.js";
 import { SliceShader } from "./slice_shader.js";
-import { SliceView } from "./slice_view.js";
+import { fitToSurface, SliceView } from "./slice_view.js";
+import { SolidShader } from "./solid_shader.js";
+import { SolidView } from "./solid_view.js";
 import { Volume } from "./volume.js";
 import { figure, say } from "../shared/words.js";
 
@@ -23,10 +25,11 @@ export class Views {
   /**
    * @param {HTMLCanvasElement} canvas
    * @param {Record<ViewName, HTMLElement>} tiles
+   * @param {HTMLElement} solidTile
    * @param {Studio} studio
    * @param {Measures} measures
    */
-  constructor(canvas, tiles, studio, measures) {
+  constructor(canvas, tiles, solidTile, studio, measures) {
     this.canvas = canvas;
     this.studio = studio;
     this.measures = measures;
@@ -34,22 +37,28 @@ export class Views {
     const gl = canvas.getContext("webgl2", { antialias: false, alpha: false, depth: false, preserveDrawingBuffer: true });
     if (gl === null) throw new NoGraphics();
     this.gl = gl;
-    this.shader = new SliceShader(gl);
-    gl.enable(gl.SCISSOR_TEST);
+    this.#load();
     canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
     canvas.addEventListener("webglcontextrestored", () => {
-      this.shader = new SliceShader(gl);
-      gl.enable(gl.SCISSOR_TEST);
+      this.#load();
       this.volume?.restore();
       this.redraw();
     });
     const views = Object.entries(tiles).map(([name, tile]) => new SliceView(/** @type {ViewName} */ (name), tile, studio));
     this.all = views;
     this.byName = /** @type {Record<ViewName, SliceView>} */ (Object.fromEntries(views.map((view) => [view.name, view])));
+    this.solid = new SolidView(solidTile);
     const observer = new ResizeObserver(() => this.#resized());
     for (const view of views) observer.observe(view.surface);
+    observer.observe(this.solid.surface);
     observer.observe(canvas);
     this.#follow();
+  }
+
+  #load() {
+    this.slices = new SliceShader(this.gl);
+    this.solids = new SolidShader(this.gl);
+    this.gl.enable(this.gl.SCISSOR_TEST);
   }
 
   get active() {
@@ -77,7 +86,14 @@ export class Views {
   fit() {
     const lattice = this.studio.lattice.value;
     if (lattice === null) return;
-    for (const view of this.all) view.camera.fit(lattice);
+    for (const view of [...this.all, this.solid]) view.camera.fit(lattice);
+    this.redraw();
+  }
+
+  /** The slices go to a position. @param {Vector} mm */
+  lookAt(mm) {
+    this.studio.crosshair.value = mm;
+    for (const view of this.all) view.bringIntoSight(mm);
     this.redraw();
   }
 
@@ -89,11 +105,23 @@ export class Views {
     for (const view of this.all) {
       if (boxMeetsPlane(lattice, low, size, view.camera.frame.normal, this.studio.crosshair.value)) view.isStale = true;
     }
+    this.solid.isStale = true;
     this.#ask();
   }
 
   /** Everything is drawn anew with the next frame. */
   redraw() {
+    for (const view of [...this.all, this.solid]) view.isStale = true;
+    this.#ask();
+  }
+
+  /** The solids are drawn anew: one looks from elsewhere. */
+  redrawSolid() {
+    this.solid.isStale = true;
+    this.#ask();
+  }
+
+  #redrawSlices() {
     for (const view of this.all) view.isStale = true;
     this.#ask();
   }
@@ -106,11 +134,14 @@ export class Views {
 
   #follow() {
     const { studio } = this;
-    for (const signal of [studio.window, studio.opacity, studio.outline, studio.labelsShown]) signal.listen(() => this.redraw());
+    for (const signal of [studio.window, studio.opacity, studio.outline, studio.labelsShown]) signal.listen(() => this.#redrawSlices());
     for (const signal of [studio.hover, studio.stroke, studio.radiusMm, studio.erasing, studio.tool, studio.picked, studio.panning]) {
       signal.listen(() => this.redrawOverlays());
     }
     this.measures.changed.listen(() => this.redrawOverlays());
+    studio.stroke.listen((stroke) => {
+      if (stroke === null) this.#ask();
+    });
     for (const signal of [studio.labels, studio.hidden]) {
       signal.listen(() => {
         this.#setColours();
@@ -129,6 +160,7 @@ export class Views {
         const { normal } = view.camera.frame;
         if (Math.abs(normal[0] * moved[0] + normal[1] * moved[1] + normal[2] * moved[2]) > 1e-6) view.isStale = true;
       }
+      this.solid.overlayIsStale = true;
       this.redrawOverlays();
     });
   }
@@ -152,9 +184,17 @@ export class Views {
       this.canvas.width = width;
       this.canvas.height = height;
     }
-    for (const view of this.all) view.resize();
+    const { gl } = this;
+    // What was drawn where no view is now must not stay.
+    gl.disable(gl.SCISSOR_TEST);
+    gl.clearColor(0, 0, 0, 1);
+    gl.clear(gl.COLOR_BUFFER_BIT);
+    gl.enable(gl.SCISSOR_TEST);
+    for (const view of [...this.all, this.solid]) {
+      fitToSurface(view);
+      view.isStale = true;
+    }
     // Drawn at once: a canvas whose size changed is empty.
-    for (const view of this.all) view.isStale = true;
     this.#draw();
   }
 
@@ -171,24 +211,15 @@ export class Views {
     const { studio, volume } = this;
     const lattice = studio.lattice.value;
     if (lattice === null || volume === null || !volume.isComplete) return;
-    const origin = this.canvas.getBoundingClientRect();
     for (const view of this.all) {
       if (view.isStale) {
-        const at = view.surface.getBoundingClientRect();
-        const ratio = view.ratio;
-        const part = {
-          x: Math.round((at.left - origin.left) * ratio),
-          y: this.canvas.height - Math.round((at.top - origin.top + view.camera.height) * ratio),
-          width: view.overlay.width,
-          height: view.overlay.height,
-        };
         const shown = studio.labelsShown.value;
         const look = {
           ...studio.window.value,
           opacity: shown ? studio.opacity.value : 0,
           outline: shown && studio.outline.value,
         };
-        this.shader.draw(volume, lattice, view.camera, studio.crosshair.value, look, part);
+        this.slices.draw(volume, lattice, view.camera, studio.crosshair.value, look, this.#partOf(view));
       }
       if (view.isStale || view.overlayIsStale) {
         drawOverlay(view.pen, view.camera, studio, this.measures.all);
@@ -196,6 +227,32 @@ export class Views {
       }
       view.isStale = view.overlayIsStale = false;
     }
+    this.#drawSolid(volume, lattice);
+  }
+
+  /** @param {Volume} volume @param {Lattice} lattice */
+  #drawSolid(volume, lattice) {
+    const { solid, studio } = this;
+    if (solid.isStale || solid.overlayIsStale) drawSolidOverlay(solid.pen, solid.camera, studio.crosshair.value);
+    solid.overlayIsStale = false;
+    // While a stroke is drawn the slices come first.
+    if (!solid.isStale || (studio.stroke.value !== null && !solid.isQuick)) return;
+    const { share } = solid;
+    const ms = this.solids.draw(volume, lattice, solid.camera, solid.look, this.#partOf(solid), share);
+    solid.fullMs = ms / share ** 2;
+    solid.isStale = false;
+  }
+
+  /** Where a view lies in the canvas, device pixels from below. @param {SliceView | SolidView} view */
+  #partOf(view) {
+    const origin = this.canvas.getBoundingClientRect();
+    const at = view.surface.getBoundingClientRect();
+    return {
+      x: Math.round((at.left - origin.left) * view.ratio),
+      y: this.canvas.height - Math.round((at.top - origin.top + view.camera.height) * view.ratio),
+      width: view.overlay.width,
+      height: view.overlay.height,
+    };
   }
 
   /** @param {SliceView} view @param {Lattice} lattice */
@@ -204,6 +261,9 @@ export class Views {
     const { slider } = view;
     slider.max = String(count - 1);
     slider.value = String(at);
+    const sides = /** @type {HTMLElement} */ (view.tile.querySelector(".sides"));
+    const words = say("sides", sidesOf(view.camera));
+    if (sides.textContent !== words) sides.textContent = words;
     const text = say("slice_of", { at: at + 1, count });
     if (slider.getAttribute("aria-valuetext") !== text) {
       slider.setAttribute("aria-valuetext", text);
@@ -215,5 +275,5 @@ export class Views {
 
 /** A position as text: "L 12.3  P 4.0  H 1.2" in mm. @param {Vector} mm */
 export function positionText(mm) {
-  return mm.map((value, axis) => `${"RLAPIS"[2 * axis + (value < 0 ? 0 : 1)]} ${figure(Math.abs(value), 1)}`).join("  ");
+  return mm.map((value, axis) => `${SIDES[2 * axis + (value < 0 ? 0 : 1)]} ${figure(Math.abs(value), 1)}`).join("  ");
 }

@@ -4,6 +4,9 @@ import { EXACT_TO, halfFloats } from "./half_float.js";
 
 /** @typedef {import("./geometry.js").Vector} Vector */
 
+/** Voxels along a side of the blocks that empty space is skipped by. */
+const BLOCK = 8;
+
 /** What is said to the user where a scan cannot be shown. */
 export class TooLarge extends Error {}
 
@@ -22,7 +25,12 @@ export class Volume {
   labelTexture = null;
   /** @type {WebGLTexture | null} */
   colourTexture = null;
-  #colours = new Uint8Array(256 * 4);
+  /** Which blocks of voxels hold a solid. @type {WebGLTexture | null} */
+  blockTexture = null;
+  /** Two rows: of slices, and of solids. */
+  #colours = new Uint8Array(2 * 256 * 4);
+  /** 1 for the values of structures that are shown as solids. */
+  #solid = new Uint8Array(256);
 
   /**
    * @param {WebGL2RenderingContext} gl
@@ -96,6 +104,7 @@ export class Volume {
     if (bytes.length === this.voxelCount) {
       this.#labels = bytes;
       this.#uploadLabels(bytes);
+      this.#updateBlocks([0, 0, 0], this.size);
       return;
     }
     const labels = this.#labels;
@@ -111,6 +120,45 @@ export class Volume {
     gl.bindTexture(gl.TEXTURE_3D, this.labelTexture);
     gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
     gl.texSubImage3D(gl.TEXTURE_3D, 0, ...low, ...size, gl.RED_INTEGER, gl.UNSIGNED_BYTE, bytes);
+    this.#updateBlocks(low, size);
+  }
+
+  /** Look anew which blocks hold a solid, as far as a box of voxels reaches. @param {Vector} low @param {Vector} size */
+  #updateBlocks(low, size) {
+    const gl = this.gl;
+    const count = /** @type {Vector} */ (this.size.map((n) => Math.ceil(n / BLOCK)));
+    if (this.blockTexture === null) {
+      this.blockTexture = this.#texture3d(gl.NEAREST);
+      gl.texImage3D(gl.TEXTURE_3D, 0, gl.R8UI, ...count, 0, gl.RED_INTEGER, gl.UNSIGNED_BYTE, null);
+      [low, size] = [[0, 0, 0], this.size];
+    }
+    const first = /** @type {Vector} */ (low.map((n) => Math.floor(n / BLOCK)));
+    const some = /** @type {Vector} */ (first.map((n, a) => Math.ceil((low[a] + size[a]) / BLOCK) - n));
+    const found = new Uint8Array(some[0] * some[1] * some[2]);
+    let n = 0;
+    for (let k = 0; k < some[2]; k++) {
+      for (let j = 0; j < some[1]; j++) {
+        for (let i = 0; i < some[0]; i++) found[n++] = this.#holdsSolid([first[0] + i, first[1] + j, first[2] + k]);
+      }
+    }
+    gl.bindTexture(gl.TEXTURE_3D, this.blockTexture);
+    gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
+    gl.texSubImage3D(gl.TEXTURE_3D, 0, ...first, ...some, gl.RED_INTEGER, gl.UNSIGNED_BYTE, found);
+  }
+
+  /** @param {Vector} block @returns {0 | 1} */
+  #holdsSolid(block) {
+    const [ni, nj, nk] = this.size;
+    const [labels, solid] = [/** @type {Uint8Array} */ (this.#labels), this.#solid];
+    const [i0, j0, k0] = block.map((n) => n * BLOCK);
+    const [i1, j1, k1] = [Math.min(i0 + BLOCK, ni), Math.min(j0 + BLOCK, nj), Math.min(k0 + BLOCK, nk)];
+    for (let k = k0; k < k1; k++) {
+      for (let j = j0; j < j1; j++) {
+        const row = (k * nj + j) * ni;
+        for (let n = row + i0; n < row + i1; n++) if (solid[labels[n]]) return 1;
+      }
+    }
+    return 0;
   }
 
   /** @param {Uint8Array} bytes */
@@ -122,16 +170,39 @@ export class Volume {
   }
 
   /**
-   * Colours of the labels; those that are not named here are not drawn.
-   * @param {Iterable<{value: number, colour: string}>} shown
+   * Colours of the labels; those that are not named here are not drawn, and the background is no solid.
+   * @param {Iterable<{value: number, colour: string, role: string}>} shown
    */
   setColours(shown) {
-    this.#colours = new Uint8Array(256 * 4);
-    for (const { value, colour } of shown) {
+    this.#colours.fill(0);
+    this.#solid.fill(0);
+    for (const { value, colour, role } of shown) {
       const rgb = parseInt(colour.slice(1), 16);
-      this.#colours.set([(rgb >> 16) & 255, (rgb >> 8) & 255, rgb & 255, 255], 4 * value);
+      const rgba = [(rgb >> 16) & 255, (rgb >> 8) & 255, rgb & 255, 255];
+      this.#colours.set(rgba, 4 * value);
+      if (role === "background") continue;
+      this.#solid[value] = 1;
+      this.#colours.set(rgba, 4 * (256 + value));
     }
     this.#uploadColours();
+    if (this.#labels) this.#updateBlocks([0, 0, 0], this.size);
+  }
+
+  /**
+   * The first voxel of a solid that a line meets.
+   * @param {Vector} from index where the line begins
+   * @param {Vector} look index per mm along it
+   * @param {number} mm how far it goes
+   * @returns {Vector | null} index of the voxel; null where it meets none.
+   */
+  firstSolid(from, look, mm) {
+    const step = 0.25 / Math.max(...look.map(Math.abs));
+    for (let way = 0; way < mm; way += step) {
+      const voxel = /** @type {Vector} */ (from.map((value, a) => Math.floor(value + way * look[a] + 0.5)));
+      if (voxel.some((n, a) => n < 0 || n >= this.size[a])) continue;
+      if (this.#solid[this.labelAt(voxel) ?? 0]) return voxel;
+    }
+    return null;
   }
 
   #uploadColours() {
@@ -140,7 +211,7 @@ export class Volume {
     gl.bindTexture(gl.TEXTURE_2D, this.colourTexture);
     gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
     gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
-    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA8, 256, 1, 0, gl.RGBA, gl.UNSIGNED_BYTE, this.#colours);
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA8, 256, 2, 0, gl.RGBA, gl.UNSIGNED_BYTE, this.#colours);
   }
 
   /** @param {number} filter */
@@ -159,14 +230,15 @@ export class Volume {
 
   /** Make the textures anew: the card lost them. */
   restore() {
-    this.scanTexture = this.labelTexture = this.colourTexture = null;
+    this.scanTexture = this.labelTexture = this.colourTexture = this.blockTexture = null;
     if (this.#scan) this.#uploadScan(this.#scan);
     if (this.#labels) this.#uploadLabels(this.#labels);
+    if (this.#labels) this.#updateBlocks([0, 0, 0], this.size);
     this.#uploadColours();
   }
 
   dispose() {
-    for (const texture of [this.scanTexture, this.labelTexture, this.colourTexture]) this.gl.deleteTexture(texture);
+    for (const texture of [this.scanTexture, this.labelTexture, this.colourTexture, this.blockTexture]) this.gl.deleteTexture(texture);
   }
 
   /** An intensity as the texture holds it. @param {number} intensity */

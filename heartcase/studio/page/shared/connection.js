@@ -5,6 +5,7 @@
 
 import { Signal } from "./signal.js";
 
+/** @typedef {"connecting" | "open" | "lost" | "stranger" | "ended"} State */
 /** @typedef {{place: string, message: string}} Problem */
 /** @typedef {Record<string, any> & {kind: string}} Message */
 /** @typedef {{header: Message, bytes: Uint8Array<ArrayBuffer>}} Package */
@@ -50,17 +51,17 @@ export function waitMs(tries) {
 }
 
 export class Connection {
-  /** @type {Signal<"connecting" | "open" | "lost" | "ended">} */
-  state = new Signal(/** @type {"connecting" | "open" | "lost" | "ended"} */ ("connecting"));
-  /** Requests without an answer yet. @type {Signal<number>} */
-  waiting = new Signal(0);
+  /** A stranger is who the server no longer knows: it was started anew, with another key. @type {Signal<State>} */
+  state = new Signal(/** @type {State} */ ("connecting"));
+  /** Requests that change the recipe and have no answer yet. @type {Signal<number>} */
+  changing = new Signal(0);
   /** @type {WebSocket | null} */
   #socket = null;
   #nextId = 1;
   #tries = 0;
   /** @type {Promise<void>} */
   #queue = Promise.resolve();
-  /** @type {Map<number, {resolve: (answer: Message) => void, reject: (error: Error) => void}>} */
+  /** @type {Map<number, {changes: boolean, resolve: (answer: Message) => void, reject: (error: Error) => void}>} */
   #requests = new Map();
 
   /**
@@ -110,10 +111,14 @@ export class Connection {
     if (socket === null || socket.readyState !== WebSocket.OPEN) return Promise.reject(new Lost());
     const id = this.#nextId++;
     return new Promise((resolve, reject) => {
-      this.#requests.set(id, { resolve, reject });
-      this.waiting.value = this.#requests.size;
+      this.#requests.set(id, { changes: request.do !== "suggest", resolve, reject });
+      this.#count();
       socket.send(JSON.stringify({ id, ...request }));
     });
+  }
+
+  #count() {
+    this.changing.value = [...this.#requests.values()].filter(({ changes }) => changes).length;
   }
 
   /**
@@ -132,7 +137,7 @@ export class Connection {
     const request = this.#requests.get(message.id);
     if (request === undefined) return;
     this.#requests.delete(message.id);
-    this.waiting.value = this.#requests.size;
+    this.#count();
     if (message.kind === "refused") request.reject(new Refused(message.problems ?? []));
     else request.resolve(message);
   }
@@ -143,9 +148,21 @@ export class Connection {
     this.#socket = null;
     for (const { reject } of this.#requests.values()) reject(new Lost());
     this.#requests.clear();
-    this.waiting.value = 0;
+    this.#count();
     if (this.state.value === "ended") return;
-    this.state.value = "lost";
+    if (this.state.value !== "stranger") this.state.value = "lost";
+    if (this.#tries > 0) this.#askWhetherKnown();
+    // A stranger goes on trying too: another tab may be given the key.
     setTimeout(() => this.open(), waitMs(this.#tries++));
+  }
+
+  /** A socket does not say why it was refused; the page itself does. */
+  async #askWhetherKnown() {
+    try {
+      const { status } = await fetch("/", { method: "HEAD", cache: "no-store" });
+      if (status === 403 && this.state.value === "lost") this.state.value = "stranger";
+    } catch {
+      // There is no server.
+    }
   }
 }

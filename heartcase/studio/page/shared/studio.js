@@ -57,7 +57,7 @@ export class Studio {
   alongScan = new Signal(false);
   activeView = new Signal(/** @type {ViewName} */ ("axial"));
   /** The tile that is large; null for two by two. */
-  large = new Signal(/** @type {ViewName | "panel" | null} */ (null));
+  large = new Signal(/** @type {ViewName | "solid" | null} */ (null));
 
   constructor() {
     this.radiusMm.listen((value) => keep("radius_mm", value));

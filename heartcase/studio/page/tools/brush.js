@@ -139,6 +139,8 @@ export class Brush {
 
   /** @param {unknown} error */
   #fail(error) {
+    // What was sent before the first refusal came is refused too, and says no more.
+    if (this.#isFailed && error instanceof Refused) return;
     this.#isFailed = true;
     this.#waiting = [];
     if (error instanceof Lost) return;

@@ -1,0 +1,1 @@
+"""Patches: sheets that are cut to a closed outline, laid out flat, and sewn on along it."""

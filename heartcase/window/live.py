@@ -1,0 +1,359 @@
+"""A session that runs in a thread of its own: commands go in at any time, and the newest frame can be had at any time.
+
+It keeps real time where the machine can. Where it cannot, it takes as many steps a frame as there is time for, and time
+goes slower: what is shown stays fluid, and nothing is left out.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+
+from heartcase.schemas.arrays import Float64, Int32
+from heartcase.schemas.bundle.format import CaseManifest
+from heartcase.schemas.errors import HeartcaseError, SimulationError
+from heartcase.schemas.recording.commands import (
+    Act,
+    Done,
+    LeadGrab,
+    MoveProbe,
+    Navigation,
+    OpenGrab,
+    WithdrawProbe,
+)
+from heartcase.simulator.session.frame import Frame
+from heartcase.simulator.session.operating_session import OperatingSession
+from heartcase.simulator.session.recorder import Recorder
+from heartcase.simulator.simulation import Simulation
+from heartcase.simulator.surface.deform import SurfaceModel
+from heartcase.window.goals import Goals
+from heartcase.window.tools import Held, Turn
+
+__all__ = ["FRAME_S", "Live", "LiveFrame"]
+
+FRAME_S = 1.0 / 40.0
+"""Time from frame to frame where the machine keeps up, s."""
+_SLOWEST = 2.5
+"""How many times longer a frame may take where it does not: the time is for steps."""
+_STEPS_SHARE = 0.4
+"""Least part of a frame's time that is for steps, whatever the rest takes."""
+_LATE_FRAMES = 3
+"""Frames that may be made up for when the machine was busy with something else; of more, time goes slower."""
+_ACTS = get_args(Act)
+_NAVIGATION = get_args(Navigation)
+_MEASURED_S = 1.0
+"""Over how long the pace is measured, s."""
+_JOIN_S = 60.0
+"""How long a frame may take at most to end before its thread is given up, s: a rewind works out some seconds again."""
+
+
+@dataclass(frozen=True)
+class LiveFrame:
+    """A moment, with all that a window shows of it. Nothing of it changes later."""
+
+    frame: Frame
+    """Tissue, instruments and stitches, with the visible surface."""
+    surface: SurfaceModel
+    """What the surface's vertices follow, and its triangles."""
+    triangle_origin: Int32 | None
+    """Triangle of the uncut surface that each is a part of, -1 for cut faces, shape (triangle_count,); None where
+    nothing is cut."""
+    held: tuple[Held, ...]
+    """What holds tissue."""
+    probes: dict[str, Float64]
+    """Name of each probe -> its semi-axes in columns, then half of the line it is swept along; LPS mm, shape (3, 4)."""
+    mode: str
+    """``running``, ``paused`` or ``playing`` (what is known is done again)."""
+    real_time_factor: float | None
+    """Simulated time over time that went by, during the last second or so; None while it does not run."""
+    steps_per_second: float | None
+    """Steps taken for each second that went by; None while it does not run."""
+    ahead_s: float
+    """Simulated time that is known from here on, after going back, s."""
+    recording: str | None
+    """Name of the folder that is recorded into."""
+    act_count: int
+    """Acts that are done."""
+
+
+class Live:
+    """Runs a session in a thread of its own.
+
+    ``newest`` is the frame to show, and ``take_messages`` gives what a user should read. All methods may be called from
+    any thread; ``close`` ends the thread, and finishes a recording.
+
+    Parameters
+    ----------
+    session
+        The session, with a surface. From :meth:`start` to :meth:`close` nobody else may use it.
+    manifest
+        What the case says of itself, for recordings.
+    frame_s
+        Time from frame to frame where the machine keeps up, s.
+    """
+
+    def __init__(
+        self, session: OperatingSession, *, manifest: CaseManifest | None = None, frame_s: float = FRAME_S
+    ) -> None:
+        self.session = session
+        self.error: BaseException | None = None
+        self._manifest = manifest
+        self._frame_s = frame_s
+        self._goals = Goals()
+        self._asked: deque[Done | Navigation | Callable[[], None]] = deque()
+        self._messages: deque[str] = deque()
+        self._wake = threading.Condition()
+        self._is_closing = False
+        self._thread: threading.Thread | None = None
+        self._recorder: Recorder | None = None
+        self._played: Iterator[Frame] | None = None
+        self._mode = "running"
+        self._step_wall_s = session.simulation.step_s
+        self._rest_wall_s = 0.0
+        self._part = 0.0
+        self._past: deque[tuple[float, int]] = deque()
+        self._act_count = 0
+        self.newest = self._published(session.frame(surface=True))
+
+    def start(self) -> None:
+        """Begin to run."""
+        self._thread = threading.Thread(target=self._run, name="physics", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the thread after the frame that it is at, and finish what is recorded; a second time does nothing."""
+        with self._wake:
+            self._is_closing = True
+            self._wake.notify_all()
+        if self._thread is not None:
+            self._thread.join(_JOIN_S)
+            self._thread = None
+        else:
+            self._finish_recording()
+
+    def do(self, *commands: Done | Navigation) -> None:
+        """Ask for commands; they are done before the next steps. What is refused is told as a message."""
+        self._ask(commands)
+
+    def pause(self, is_paused: bool) -> None:
+        """Let time stand, or go on from here: then what was known ahead is dropped by the next steps."""
+        self._ask([lambda: self._set_mode("paused" if is_paused else "running")])
+
+    def play(self) -> None:
+        """Do again what is known from here on, and then pause; an act takes over."""
+        self._ask([self._begin_to_play])
+
+    def record(self, path: Path) -> None:
+        """Record into a folder, from the session's start on, until :meth:`stop_recording` or :meth:`close`."""
+        self._ask([lambda: self._begin_to_record(path)])
+
+    def stop_recording(self) -> None:
+        """Finish the recording."""
+        self._ask([self._finish_recording])
+
+    def take_messages(self) -> list[str]:
+        """What there is to be read since the last time."""
+        found = []
+        while self._messages:
+            found.append(self._messages.popleft())
+        return found
+
+    def tick(self) -> None:
+        """One frame: do what was asked for, take steps, publish. The thread does nothing else; tests do it without."""
+        has_work = self._do_asked()
+        if self._mode == "playing":
+            self._play_on()
+        elif self._mode == "running":
+            steps = self._steps_due()
+            seconds = steps * self.session.simulation.step_s
+            motions = self._goals.commands(_places_mm(self.session.simulation), seconds)
+            began = time.perf_counter()
+            frame = self.session.take(motions, steps)
+            stepped = time.perf_counter()
+            if frame.breakdown is not None:
+                self._goals.drop()
+                self._messages.append(frame.breakdown)
+            self._measure()
+            self.newest = self._published(replace(frame, surface=self.session.simulation.surface_now()))
+            self._learn(steps, stepped - began, time.perf_counter() - stepped)
+        elif has_work:
+            self.newest = self._published(self.session.frame(surface=True))
+
+    def _ask(self, what: Iterable[Done | Navigation | Callable[[], None]]) -> None:
+        with self._wake:
+            self._asked.extend(what)
+            self._wake.notify_all()
+
+    def _run(self) -> None:
+        try:
+            due = time.perf_counter()
+            while not self._is_closing:
+                self.tick()
+                due = max(due + self._frame_s, time.perf_counter() - _LATE_FRAMES * self._frame_s)
+                with self._wake:
+                    while not self._is_closing:
+                        left = due - time.perf_counter()
+                        if left <= 0.0 and (self._mode != "paused" or self._asked):
+                            break
+                        self._wake.wait(max(left, 0.0) if self._mode != "paused" or left > 0.0 else None)
+        except BaseException as error:
+            self.error = error
+        finally:
+            self._finish_recording()
+
+    def _do_asked(self) -> bool:
+        """Do what was asked for; whether there was anything."""
+        with self._wake:
+            asked = list(self._asked)
+            self._asked.clear()
+        for one in asked:
+            try:
+                self._do(one)
+            except HeartcaseError as error:
+                self._messages.extend(str(problem) for problem in error.problems)
+        return bool(asked)
+
+    def _do(self, one: Done | Navigation | Callable[[], None]) -> None:
+        if not isinstance(one, Done | Navigation):
+            one()
+        elif isinstance(one, LeadGrab | MoveProbe):
+            self._goals.set(one)
+        elif isinstance(one, _NAVIGATION):
+            self._goals.drop()
+            self._set_mode("paused")
+            self.session.do(one)
+            self._act_count = sum(isinstance(e.command, _ACTS) for e in self.session.entries[: self.session.position])
+        else:
+            if isinstance(one, OpenGrab | WithdrawProbe):
+                self._goals.drop(one.name)
+                if all(each.name != one.name for each in self.session.simulation.instruments):
+                    # It never took hold: that was told.
+                    return
+            self.session.do(one)
+            self._act_count += isinstance(one, _ACTS)
+            self._set_mode("running")
+
+    def _set_mode(self, mode: str) -> None:
+        if mode != self._mode:
+            self._past.clear()
+        self._mode, self._played = mode, None
+
+    def _begin_to_play(self) -> None:
+        self._goals.drop()
+        self._set_mode("playing")
+        self._played = self.session.play(surface=True)
+
+    def _play_on(self) -> None:
+        """Do again the next row of steps, in its own time."""
+        assert self._played is not None
+        began, before = time.perf_counter(), self.session.step_count
+        try:
+            frame = next(self._played, None)
+        except SimulationError as error:
+            self._messages.extend(str(problem) for problem in error.problems)
+            frame = None
+        if frame is None:
+            self._set_mode("paused")
+            frame = self.session.frame(surface=True)
+        else:
+            seconds = (self.session.step_count - before) * self.session.simulation.step_s
+            spare = seconds - (time.perf_counter() - began) - self._frame_s
+            if spare > 0.0:
+                time.sleep(min(spare, 1.0))
+            self._measure()
+        self.newest = self._published(frame)
+
+    def _steps_due(self) -> int:
+        """How many steps the next frame takes: those of real time, or as many as there is time for."""
+        wanted = self._frame_s / self.session.simulation.step_s + self._part
+        longest = _SLOWEST * self._frame_s
+        for_steps = max(longest - self._rest_wall_s, _STEPS_SHARE * longest)
+        steps = max(1, int(min(wanted, for_steps / self._step_wall_s)))
+        self._part = min(wanted - steps, 1.0)
+        return steps
+
+    def _learn(self, steps: int, steps_wall_s: float, rest_wall_s: float) -> None:
+        """Note how long steps take, and all else of a frame."""
+        per_step = steps_wall_s / steps
+        # Quicker up than down: a frame that comes late is seen.
+        share = 0.5 if per_step > self._step_wall_s else 0.1
+        self._step_wall_s += share * (per_step - self._step_wall_s)
+        self._rest_wall_s += 0.2 * (rest_wall_s - self._rest_wall_s)
+
+    def _measure(self) -> None:
+        now = time.perf_counter()
+        self._past.append((now, self.session.step_count))
+        while len(self._past) > 2 and now - self._past[0][0] > _MEASURED_S:
+            self._past.popleft()
+
+    def _begin_to_record(self, path: Path) -> None:
+        self._finish_recording()
+        self._recorder = Recorder(self.session, path, case=self._manifest)
+        self._messages.append(f"recording into {path.name}")
+
+    def _finish_recording(self) -> None:
+        recorder, self._recorder = self._recorder, None
+        if recorder is not None:
+            recorder.finish()
+            self._messages.append(f"recorded in {recorder.path.name}")
+
+    def _published(self, frame: Frame) -> LiveFrame:
+        session, simulation = self.session, self.session.simulation
+        assert simulation.surface is not None
+        factor = rate = None
+        if len(self._past) > 1:
+            (began, first), (ended, last) = self._past[0], self._past[-1]
+            rate = (last - first) / max(ended - began, 1e-9)
+            factor = rate * simulation.step_s
+        return LiveFrame(
+            frame=frame,
+            surface=simulation.surface,
+            triangle_origin=None if simulation.split is None else simulation.split.triangle_origin,
+            held=_held(simulation),
+            probes=_probes(simulation),
+            mode=self._mode,
+            real_time_factor=factor,
+            steps_per_second=rate,
+            ahead_s=(session.end_step - session.step_count) * simulation.step_s,
+            recording=None if self._recorder is None else self._recorder.path.name,
+            act_count=self._act_count,
+        )
+
+
+def _places_mm(simulation: Simulation) -> dict[str, Float64]:
+    """Offset of each hand and centre of each probe, LPS mm, by name."""
+    model = simulation.model
+    places = {grab.name: model.to_mm(grab.pose.offset) for grab in simulation.grabs}
+    for probe in simulation.probes:
+        places[probe.name] = model.geometry.index_to_world(probe.centre - 0.5)
+    return places
+
+
+def _held(simulation: Simulation) -> tuple[Held, ...]:
+    model = simulation.model
+    to_world = model.geometry.direction_matrix
+    found = []
+    for grab in simulation.grabs:
+        centre_mm = model.geometry.index_to_world(grab.centre_at(grab.pose, model) - 0.5)
+        turn: Turn | None = None
+        if not np.array_equal(grab.pose.turn, np.eye(3)):
+            x, y, z = (to_world @ grab.pose.turn @ to_world.T).tolist()
+            turn = ((x[0], x[1], x[2]), (y[0], y[1], y[2]), (z[0], z[1], z[2]))
+        found.append(Held(grab.name, centre_mm, model.to_mm(grab.pose.offset), turn))
+    return tuple(found)
+
+
+def _probes(simulation: Simulation) -> dict[str, Float64]:
+    model = simulation.model
+    to_mm = model.geometry.direction_matrix * model.cell_mm
+    return {
+        probe.name: to_mm @ np.column_stack([probe.turn * probe.semi_axes, probe.half_axis])
+        for probe in simulation.probes
+    }

@@ -1,0 +1,13 @@
+"""Cases for the tests of the window."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.window.scenes import write_case
+
+
+@pytest.fixture(scope="session")
+def window_case(tmp_path_factory):
+    """The block without a scan."""
+    return write_case(tmp_path_factory.mktemp("window"))

@@ -1,0 +1,182 @@
+"""A session in a thread: commands at any time, time that stands and goes back, recordings that repeat to the byte."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+import pytest
+
+from heartcase.schemas.recording.commands import (
+    BringProbe,
+    CloseGrab,
+    Cut,
+    LeadGrab,
+    MoveProbe,
+    OpenGrab,
+    Redo,
+    Rewind,
+    Undo,
+)
+from heartcase.schemas.recording.reader import open_recording
+from heartcase.simulator.session.replay import load_session
+from heartcase.window.live import Live
+from tests.window.scenes import bytes_of, live_on, load, until
+
+TOP = (22.0, -14.0, 40.5)
+"""A place at the upper side of the block, LPS mm."""
+
+
+@pytest.fixture
+def case(window_case):
+    return load(window_case)
+
+
+def played_again(path, case):
+    again = load_session(open_recording(path), case.model, surface=case.surface, tissue=case.tissue)
+    for _ in again.play():
+        pass
+    assert again.deviations == []
+    return again
+
+
+def test_a_hand_comes_to_where_it_was_led_by_ticks_and_the_recording_repeats(case, tmp_path):
+    live = live_on(case)
+    live.record(tmp_path / "a.recording")
+    live.do(CloseGrab(name="hand", center_mm=TOP, radius_mm=4.0), LeadGrab(name="hand", offset_mm=(0.0, 0.0, 6.0)))
+    lifted = []
+    for _ in range(200):
+        live.tick()
+        lifted.append(live.newest.held[0].offset_mm[2])
+        if lifted[-1] >= 6.0:
+            break
+    assert lifted[-1] == pytest.approx(6.0, abs=1e-9)
+    steps = live.newest.frame.step
+    # 6 mm at 150 mm/s.
+    assert steps * live.session.simulation.step_s >= 0.039
+    assert live.newest.frame.instruments["hand"].force_n[2] < 0.0
+    live.do(OpenGrab(name="hand"))
+    live.tick()
+    assert live.newest.held == ()
+    assert live.newest.act_count == 2
+    end = bytes_of(live.session.simulation)
+    live.close()
+    assert bytes_of(played_again(tmp_path / "a.recording", case).simulation) == end
+
+
+def test_what_is_refused_is_told_once_and_the_rest_is_done(case):
+    live = live_on(case)
+    away = CloseGrab(name="hand", center_mm=(500.0, 0.0, 0.0))
+    live.do(away, LeadGrab(name="hand", offset_mm=(1.0, 0.0, 0.0)), OpenGrab(name="hand"))
+    live.do(BringProbe(name="tip", center_mm=(22.0, -14.0, 60.0), semi_axes_mm=(3.0, 3.0, 3.0)))
+    live.tick()
+    assert len(live.take_messages()) == 1
+    assert live.take_messages() == []
+    assert list(live.newest.frame.instruments) == ["tip"]
+    assert live.newest.probes["tip"][:, :3] == pytest.approx(3.0 * np.eye(3))
+    live.close()
+
+
+def test_going_back_pauses_playing_comes_to_the_same_bytes_and_an_act_takes_over(case):
+    live = live_on(case)
+    live.do(CloseGrab(name="hand", center_mm=TOP, radius_mm=4.0), LeadGrab(name="hand", offset_mm=(0.0, 0.0, 3.0)))
+    for _ in range(10):
+        live.tick()
+    end, step = bytes_of(live.session.simulation), live.newest.frame.step
+    live.do(Undo())
+    live.tick()
+    assert (live.newest.mode, live.newest.held, live.newest.act_count) == ("paused", (), 0)
+    assert live.newest.ahead_s > 0.0
+    live.tick()
+    assert live.newest.frame.step == 0
+    live.do(Redo())
+    live.tick()
+    assert bytes_of(live.session.simulation) == end
+    live.do(Rewind(seconds=0.5 * live.newest.frame.time_s))
+    live.tick()
+    assert 0 < live.newest.frame.step < step
+    live.play()
+    while live.newest.mode != "paused" or live.newest.ahead_s > 0.0:
+        live.tick()
+    assert bytes_of(live.session.simulation) == end
+    live.do(Rewind(seconds=0.5 * live.newest.frame.time_s))
+    live.play()
+    live.tick()
+    live.do(OpenGrab(name="hand"))
+    live.tick()
+    assert live.newest.mode == "running"
+    assert live.newest.ahead_s == 0.0
+    live.close()
+
+
+def test_the_thread_runs_cuts_records_and_leaves_nothing_behind(case, tmp_path):
+    threads = threading.active_count()
+    live = live_on(case)
+    live.record(tmp_path / "a.recording")
+    live.start()
+    until(lambda: live.newest.frame.step > 0)
+    node_count = live.newest.frame.model.node_count
+    poses = tuple(tuple((22.3, y, z) for y in (-18.0, -10.0)) for z in (45.0, 33.0))
+    live.do(Cut(poses_mm=poses))
+    until(lambda: live.newest.frame.model.node_count > node_count)
+    newest = live.newest
+    # What is published is of one moment.
+    assert len(newest.frame.surface.vertices_mm) == newest.surface.vertex_count
+    assert newest.triangle_origin.shape == (len(newest.surface.triangles),)
+    assert (newest.triangle_origin < 0).any()
+    live.do(BringProbe(name="tip", center_mm=(22.0, -14.0, 47.0), semi_axes_mm=(3.0, 3.0, 3.0)))
+    live.do(MoveProbe(name="tip", center_mm=(22.0, -14.0, 42.0)))
+    until(lambda: "tip" in live.newest.frame.instruments)
+    until(lambda: np.linalg.norm(live.newest.frame.instruments["tip"].force_n) > 0.0)
+    live.pause(True)
+    until(lambda: live.newest.mode == "paused")
+    step = live.newest.frame.step
+    live.pause(False)
+    until(lambda: live.newest.frame.step > step)
+    live.close()
+    live.close()
+    assert live.error is None
+    assert threading.active_count() == threads
+    end = bytes_of(live.session.simulation)
+    assert bytes_of(played_again(tmp_path / "a.recording", case).simulation) == end
+
+
+def test_what_ends_the_thread_is_kept_and_the_recording_is_finished(case, tmp_path):
+    live = live_on(case)
+    live.record(tmp_path / "a.recording")
+    live.start()
+    until(lambda: live.newest.recording is not None)
+
+    def fail():
+        raise ZeroDivisionError("a fault")
+
+    live._ask([fail])
+    until(lambda: live.error is not None)
+    live.close()
+    assert isinstance(live.error, ZeroDivisionError)
+    assert open_recording(tmp_path / "a.recording").header.end is not None
+
+
+def test_steps_of_a_frame_are_those_of_real_time_or_those_that_there_is_time_for(case):
+    live = live_on(case)
+    step_s = live.session.simulation.step_s
+    real_time = live._frame_s / step_s
+    for _ in range(50):
+        live._learn(10, 10 * 0.1 * step_s, 0.001)
+    taken = [live._steps_due() for _ in range(40)]
+    assert np.mean(taken) == pytest.approx(real_time, rel=0.02)
+    for _ in range(50):
+        live._learn(10, 10 * 20.0 * step_s, 0.001)
+    slow = live._steps_due()
+    assert slow * 20.0 * step_s <= 2.5 * live._frame_s
+    assert 1 <= slow < real_time
+    for _ in range(50):
+        live._learn(1, 1.0, 1.0)
+    assert live._steps_due() == 1
+    live.close()
+
+
+def test_a_thread_that_was_never_started_is_closed(case):
+    live = Live(live_on(case).session)
+    live.close()
+    live.close()
