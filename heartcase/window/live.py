@@ -21,6 +21,7 @@ from heartcase.schemas.bundle.format import CaseManifest
 from heartcase.schemas.errors import HeartcaseError, SimulationError
 from heartcase.schemas.recording.commands import (
     Act,
+    Cut,
     Done,
     LeadGrab,
     MoveProbe,
@@ -236,13 +237,19 @@ class Live:
                 if all(each.name != one.name for each in self.session.simulation.instruments):
                     # It never took hold: that was told.
                     return
-            self.session.do(one)
+            if isinstance(one, Cut):
+                # The tissue moves on until it is worked out.
+                self.session.begin_cut(one)
+            else:
+                self.session.do(one)
             self._act_count += isinstance(one, _ACTS)
             self._set_mode("running")
 
     def _set_mode(self, mode: str) -> None:
         if mode != self._mode:
             self._past.clear()
+        if mode != "running":
+            self.session.make_cuts(wait=True)
         self._mode, self._played = mode, None
 
     def _begin_to_play(self) -> None:
@@ -301,12 +308,17 @@ class Live:
     def _finish_recording(self) -> None:
         recorder, self._recorder = self._recorder, None
         if recorder is not None:
+            # What was cut last is part of it.
+            self.session.make_cuts(wait=True)
             recorder.finish()
             self._messages.append(f"recorded in {recorder.path.name}")
 
     def _published(self, frame: Frame) -> LiveFrame:
         session, simulation = self.session, self.session.simulation
         assert simulation.surface is not None
+        for refusal in frame.refused:
+            if isinstance(refusal.command, Cut):
+                self._messages.extend(str(problem) for problem in refusal.problems)
         factor = rate = None
         if len(self._past) > 1:
             (began, first), (ended, last) = self._past[0], self._past[-1]
