@@ -9,7 +9,7 @@ import { NoGraphics, Views } from "./pictures/views.js";
 import { TooLarge } from "./pictures/volume.js";
 import { Connection, Lost, Refused } from "./shared/connection.js";
 import { Studio } from "./shared/studio.js";
-import { fillWords, language, say } from "./shared/words.js";
+import { fillWords, isWord, language, say } from "./shared/words.js";
 import { Brush } from "./tools/brush.js";
 import { Measures } from "./tools/measures.js";
 import { Pointers } from "./tools/pointers.js";
@@ -78,10 +78,9 @@ function run() {
   /** @param {Message} message */
   function hear(message) {
     if (message.kind === "progress") {
-      const stage = message.text === "open" ? say("stage_open") : say("stage_other", { stage: message.text });
-      status.progress(stage, message.fraction);
-    }
-    else if (message.kind === "opened") open(message);
+      const key = `stage_${message.text}`;
+      status.progress(isWord(key) ? say(key) : say("stage_other", { stage: message.text }), message.fraction);
+    } else if (message.kind === "opened") open(message);
     else if (message.kind === "refused" && message.id === null) status.refused(message.problems ?? []);
     else if (message.kind === "structures") {
       structures.tell(message.volumes_ml ?? {}, message.marked);
@@ -102,7 +101,7 @@ function run() {
   function open(message) {
     studio.ready.value = false;
     views.begin(message.size, message.index_to_world);
-    find("case-name").textContent = message.name;
+    find("case-name").textContent = find("case-name").title = message.name;
     studio.modality.value = message.modality;
     studio.firstWindow.value = message.window;
     studio.range.value = message.range;

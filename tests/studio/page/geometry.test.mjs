@@ -152,3 +152,15 @@ test("window: to the right wider about the same level, down brighter", () => {
   const brighter = geometry.draggedWindow({ low: 0, high: 100 }, 0, 40);
   near([brighter.low, brighter.high], [-10, 90]);
 });
+
+test("seen from outside: letters and direction of every quarter turn, head up", () => {
+  const letters = (/** @type {number} */ azimuth, /** @type {number} */ elevation) => {
+    const { frame, look } = geometry.turntable(azimuth, elevation);
+    const { right, down } = frame;
+    // right, down and away from the viewer are right-handed, as on every screen
+    near([right[1] * down[2] - right[2] * down[1], right[2] * down[0] - right[0] * down[2], right[0] * down[1] - right[1] * down[0]], look);
+    return orientationLetters(right) + orientationLetters(down) + orientationLetters(look);
+  };
+  assert.deepEqual([0, 90, 180, 270].map((turn) => letters(turn, 0)), ["LFP", "PFR", "RFA", "AFL"]);
+  assert.deepEqual([letters(0, 90), letters(0, -90)], ["LAF", "LPH"]);
+});

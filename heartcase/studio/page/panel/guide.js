@@ -1,6 +1,6 @@
 /** What to do next: the place where one more stroke is worth most, and the list of what is still missing. */
 
-import { figure, language, LANGUAGES, say } from "../shared/words.js";
+import { figure, isWord, language, say } from "../shared/words.js";
 import { element } from "./structures.js";
 
 /** @typedef {import("../shared/studio.js").Studio} Studio */
@@ -95,8 +95,8 @@ export class Guide {
 
   #showItems() {
     const rows = this.#items.map(({ key, done, missing }) => {
-      const isNamed = (/** @type {string} */ word) => word in LANGUAGES.en;
-      const text = isNamed(`item_${key}`) ? say(/** @type {import("../shared/words.js").Word} */ (`item_${key}`)) : key;
+      const word = `item_${key}`;
+      const text = isWord(word) ? say(word) : key;
       const row = element("li", done ? "done" : "open");
       row.append(
         element("span", "tick", done ? "✓" : "○"),

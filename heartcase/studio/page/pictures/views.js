@@ -37,10 +37,14 @@ export class Views {
     const gl = canvas.getContext("webgl2", { antialias: false, alpha: false, depth: false, preserveDrawingBuffer: true });
     if (gl === null) throw new NoGraphics();
     this.gl = gl;
-    this.#load();
+    this.slices = new SliceShader(gl);
+    this.solids = new SolidShader(gl);
+    gl.enable(gl.SCISSOR_TEST);
     canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
     canvas.addEventListener("webglcontextrestored", () => {
-      this.#load();
+      this.slices = new SliceShader(gl);
+      this.solids = new SolidShader(gl);
+      gl.enable(gl.SCISSOR_TEST);
       this.volume?.restore();
       this.redraw();
     });
@@ -53,12 +57,6 @@ export class Views {
     observer.observe(this.solid.surface);
     observer.observe(canvas);
     this.#follow();
-  }
-
-  #load() {
-    this.slices = new SliceShader(this.gl);
-    this.solids = new SolidShader(this.gl);
-    this.gl.enable(this.gl.SCISSOR_TEST);
   }
 
   get active() {
@@ -249,7 +247,7 @@ export class Views {
     const at = view.surface.getBoundingClientRect();
     return {
       x: Math.round((at.left - origin.left) * view.ratio),
-      y: this.canvas.height - Math.round((at.top - origin.top + view.camera.height) * view.ratio),
+      y: this.canvas.height - Math.round((at.bottom - origin.top) * view.ratio),
       width: view.overlay.width,
       height: view.overlay.height,
     };

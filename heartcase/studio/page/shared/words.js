@@ -35,6 +35,15 @@ export function say(key, values = {}) {
 }
 
 /**
+ * A sentence that there may be none for, as of a stage's name that came from the server.
+ * @param {string} key
+ * @returns {key is Word}
+ */
+export function isWord(key) {
+  return key in en;
+}
+
+/**
  * A number as the language writes it.
  * @param {number} value
  * @param {number} digits behind the point
