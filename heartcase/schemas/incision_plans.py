@@ -28,10 +28,11 @@ class PlannedCut(Model):
     """Points of the blade's edge at each pose, at rest, instead of a line; hands at the lips need a line."""
     depth_mm: PositiveMm | None = None
     """How deep a line is cut, mm; needed with ``curve_mm``, a landmark has its own."""
-    deeper_mm: Annotated[float, Field(ge=0.0, le=1000.0)] = 0.0
-    """How much deeper besides, mm: where bridges of tissue stay behind the incision."""
-    outside_mm: PositiveMm = 3.0
-    """How far the blade stands out of the surface along a line, mm."""
+    deeper_mm: Annotated[float, Field(ge=0.0, le=1000.0)] | None = None
+    """How much deeper besides, mm; two cells when left out. What a blade has not passed by so much stays joined in
+    cells that lie in part below the wall."""
+    outside_mm: PositiveMm | None = None
+    """How far the blade stands out of the surface along a line, mm; 3 mm, and at least two cells, when left out."""
 
     @model_validator(mode="after")
     def _check(self) -> PlannedCut:

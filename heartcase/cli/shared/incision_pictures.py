@@ -38,6 +38,8 @@ _APART_MM = 0.5
 _AROUND = 1.3
 """What of the heart is in the close picture: as far from the opening as it is long, times this."""
 _SIZE = (520, 520)
+_FILM_SIZE = (416, 416)
+"""Width and height of pictures and of films, pixels."""
 _LAST_FRAMES = 12
 """So often an animation shows its last frame again."""
 
@@ -123,7 +125,7 @@ def film_of_defect(
         What draws is not installed.
     """
     eye = _Eye.best(held, defect)
-    camera = eye.camera(eye.around_mm)
+    camera = eye.camera(eye.around_mm, size=_FILM_SIZE)
     frames = []
     session.go_to(session.start_step)
     for step in (session.start_step, *frame_steps(session, frames_per_second)):
@@ -152,14 +154,14 @@ class _Eye:
         corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
         return cls(held.looks_from[defect], opening.mean(axis=0) + size / 2 * corners)
 
-    def camera(self, shown_mm: Float64) -> Any:
+    def camera(self, shown_mm: Float64, *, size: tuple[int, int] = _SIZE) -> Any:
         """A camera that shows all of some points."""
         try:
             from heartcase.pipeline.report.render import camera_for
         except ImportError:
             raise MissingExtraError("A picture", "prepare") from None
         up = (0.0, 0.0, 1.0) if abs(self.towards[2]) < 0.98 else (0.0, -1.0, 0.0)
-        return camera_for(shown_mm, towards=self.towards, up=up, size=_SIZE)
+        return camera_for(shown_mm, towards=self.towards, up=up, size=size)
 
 
 def _drawn(seen: Seen, rim_mm: Float64, camera: Any) -> UInt8:

@@ -20,6 +20,9 @@ from heartcase.simulator.incisions.triangle_tree import TriangleTree
 __all__ = ["DrawnLine", "blade_poses", "drawn_line", "lip_hands", "lip_retractors", "lips", "problems_of_cut"]
 
 _FAR_MM = 400.0
+_OUTSIDE_MM = 3.0
+_PAST_CELLS = 2.0
+"""So far a blade goes past the wall on either side: cells around a node of the wall's last ones reach there."""
 _NEAR_MM = 4.0
 """Vertices of one side that are no farther than this from the nearest one say which way the surface faces."""
 
@@ -120,7 +123,7 @@ def drawn_line(
 
 
 def blade_poses(
-    cut: PlannedCut, line: DrawnLine | None, landmarks: tuple[Landmark, ...]
+    cut: PlannedCut, line: DrawnLine | None, landmarks: tuple[Landmark, ...], *, cell_mm: float
 ) -> tuple[tuple[tuple[float, float, float], ...], ...]:
     """Points of the blade's edge at each pose, LPS mm at rest: outside and inside the tissue at each point of the line.
 
@@ -132,6 +135,8 @@ def blade_poses(
         Its line, None where it has none.
     landmarks
         Landmarks of the case.
+    cell_mm
+        Edge of a cell, mm.
     """
     if line is None:
         assert cut.poses_mm is not None
@@ -140,7 +145,9 @@ def blade_poses(
     if depth is None and cut.landmark is not None:
         depth = _found(landmarks, cut.landmark).depth_mm
     assert depth is not None
-    ends = [line.points_mm + cut.outside_mm * line.outward, line.points_mm - (depth + cut.deeper_mm) * line.outward]
+    outside = max(_OUTSIDE_MM, _PAST_CELLS * cell_mm) if cut.outside_mm is None else cut.outside_mm
+    inside = depth + (_PAST_CELLS * cell_mm if cut.deeper_mm is None else cut.deeper_mm)
+    ends = [line.points_mm + outside * line.outward, line.points_mm - inside * line.outward]
     poses = np.stack(ends, axis=1).tolist()
     return tuple(tuple((x, y, z) for x, y, z in pose) for pose in poses)
 

@@ -206,7 +206,8 @@ def run_plan(
     landmarks = case.manifest.landmarks
     whole = _Shown.of(simulation)
     lines = [drawn_line(cut, landmarks, whole.tree, surface.rest_mm, whole.normals) for cut in plan.cuts]
-    poses = [blade_poses(cut, line, landmarks) for cut, line in zip(plan.cuts, lines, strict=True)]
+    cell_mm = simulation.model.cell_mm
+    poses = [blade_poses(cut, line, landmarks, cell_mm=cell_mm) for cut, line in zip(plan.cuts, lines, strict=True)]
     entry = lines[0].at(0.5)[0] if lines[0] is not None else np.mean(poses[0], axis=(0, 1))
     rims = [defect_rim(whole.tree, one, entry) for one in on.defects]
     session.do(Mark(name="closed"))
@@ -226,7 +227,7 @@ def run_plan(
     session.do(Mark(name="cut"))
     cut_open = _Shown.of(simulation)
     script = SimulationScript(seconds=plan.open_s + plan.hold_s, actions=plan.actions)
-    held_by, cell_mm = plan.retraction, simulation.model.cell_mm
+    held_by = plan.retraction
     if held_by is not None and lines[0] is not None:
         if held_by.kind == "grabs":
             hands = lip_hands(held_by, lines[0], surface.rest_mm, cell_mm=cell_mm, open_s=plan.open_s)

@@ -54,11 +54,16 @@ def test_the_blade_stands_across_the_wall(whole):
     line = lid(whole)
     assert line.outward == pytest.approx(np.tile([0.0, 0, 1], (3, 1)))
     assert line.length_mm == pytest.approx(12.0)
-    poses = np.array(blade_poses(PlannedCut(landmark="lid", outside_mm=2.5), line, (MARK,)))
+    given = PlannedCut(landmark="lid", outside_mm=2.5, deeper_mm=0.0)
+    poses = np.array(blade_poses(given, line, (MARK,), cell_mm=2.0))
     assert poses[:, 0] == pytest.approx(np.array(LINE) + np.array([0, 0, 2.5]))
     assert poses[:, 1] == pytest.approx(np.array(LINE) - np.array([0, 0, 3.0]))
-    deeper = np.array(blade_poses(PlannedCut(landmark="lid", depth_mm=2.0, deeper_mm=0.7), line, (MARK,)))
+    deeper = np.array(blade_poses(PlannedCut(landmark="lid", depth_mm=2.0, deeper_mm=0.7), line, (MARK,), cell_mm=2.0))
     assert deeper[:, 1] == pytest.approx(np.array(LINE) - np.array([0, 0, 2.7]))
+    # Without more words it goes past the wall by two cells on either side.
+    past = np.array(blade_poses(PlannedCut(landmark="lid"), line, (MARK,), cell_mm=2.0))
+    assert past[:, 0] == pytest.approx(np.array(LINE) + np.array([0, 0, 4.0]))
+    assert past[:, 1] == pytest.approx(np.array(LINE) - np.array([0, 0, 7.0]))
 
 
 def test_out_is_where_there_is_less_tissue_whichever_face_is_nearer(whole):
@@ -75,7 +80,7 @@ def test_a_blade_with_a_way_of_its_own_has_no_line(whole):
     poses = (((0.0, 0, 1), (0.0, 0, -1)), ((1.0, 0, 1), (1.0, 0, -1)))
     cut = PlannedCut(poses_mm=poses)
     assert drawn_line(cut, (), whole[2], whole[0], whole[1]) is None
-    assert blade_poses(cut, None, ()) == poses
+    assert blade_poses(cut, None, (), cell_mm=2.0) == poses
 
 
 def test_hands_lie_on_both_sides_and_go_apart(whole):
