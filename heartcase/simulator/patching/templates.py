@@ -135,7 +135,16 @@ TEMPLATE_FORMATS: dict[str, Callable[[FlatSheet, str], bytes]] = {".svg": templa
 
 
 def write_template(path: Path | str, sheet: FlatSheet, name: str) -> None:
-    """Write the template of a patch, to scale in mm; the suffix says the format: ``.svg`` or ``.pdf``.
+    """Write the template of a patch, to scale in mm.
+
+    Parameters
+    ----------
+    path
+        Where to; the suffix says the format: ``.svg`` or ``.pdf``.
+    sheet
+        The patch laid out flat (:meth:`heartcase.simulator.simulation.Simulation.template`).
+    name
+        What is written beside it.
 
     Raises
     ------
