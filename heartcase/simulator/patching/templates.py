@@ -142,7 +142,7 @@ def write_template(path: Path | str, sheet: FlatSheet, name: str) -> None:
     path
         Where to; the suffix says the format: ``.svg`` or ``.pdf``.
     sheet
-        The patch laid out flat (:meth:`heartcase.simulator.simulation.Simulation.template`).
+        The patch laid out flat: what ``Simulation.template`` gives.
     name
         What is written beside it.
 
