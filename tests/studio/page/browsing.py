@@ -102,10 +102,16 @@ class Page:
     def __init__(self, context, server):
         self.server, self.faults, self.requests = server, [], []
         self.tab = context.new_page()
-        self.tab.on("console", lambda said: said.type in ("error", "warning") and self.faults.append(said.text))
+        self.tab.on("console", self._hear)
         self.tab.on("pageerror", lambda error: self.faults.append(str(error)))
         self.tab.on("request", lambda request: self.requests.append(request.url))
         self.tab.on("websocket", lambda socket: self.requests.append(socket.url))
+
+    def _hear(self, said):
+        # where there is no graphics card the browser itself reads the canvas back, and complains of its own reading
+        is_own = "GL Driver Message (OpenGL, Performance" in said.text
+        if said.type in ("error", "warning") and not is_own:
+            self.faults.append(said.text)
 
     def open(self):
         self.tab.goto(self.server.address)
@@ -158,7 +164,7 @@ def browsing(chromium, server, *, may_fault=False, **options):
     here = (f"http://127.0.0.1:{server.port}/", f"ws://127.0.0.1:{server.port}/", "data:", "blob:")
     assert [url for url in page.requests if not url.startswith(here)] == []
     if not may_fault:
-        assert page.faults == []
+        assert not page.faults, page.faults
     context.close()
 
 

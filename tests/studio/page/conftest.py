@@ -7,11 +7,12 @@ import pytest
 from tests.studio.page.browsing import Server, write_recipe
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
-SWITCHES = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+SWITCHES = ["--no-sandbox", "--enable-unsafe-swiftshader"]
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def chromium():
+    # of the package alone: while Playwright runs, this thread has an event loop, and other tests start their own
     playwright = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed: no browser was tried")
     path = next((found for name in BROWSERS if (found := shutil.which(name))), None)
     if path is None:
