@@ -5,9 +5,11 @@ such sample, and a stroke has 16 of them, each of which the lattice and the fine
 
 ``ahead`` begins the cut, takes frames until it is there, and makes it: the time is that from the sample to the split
 surface on show, the frames between with it. What a frame waits for, in it and in the one that makes the cut, stands
-beside it, and so do the frames. ``cut`` does all in one frame, without steps. ``plain`` parts the lattice by virtual
-nodes in plain NumPy over whole arrays and makes the engine anew; ``springs_removed`` takes the springs away that the
-blade crosses; neither splits a surface. (Pieces of cells are found by our kernels in ``plain``, too.)
+beside it, and so do the frames. ``live`` is a whole stroke with a sample in every frame, as a hand gives them: what the
+blade does while a cut is worked out becomes the next, and the time is that until all of it is on show. ``cut`` does all
+in one frame, without steps. ``plain`` parts the lattice by virtual nodes in plain NumPy over whole arrays and makes the
+engine anew; ``springs_removed`` takes the springs away that the blade crosses; neither splits a surface. (Pieces of
+cells are found by our kernels in ``plain``, too.)
 
 ``HEARTCASE_CASE`` may name a case that was built elsewhere.
 """
@@ -61,6 +63,8 @@ class Inputs:
     """Times by name, ms."""
     stroke: list[Sheet] = field(default_factory=list)
     """Of ``plain``: what was cut by now."""
+    cut_count: int = 0
+    """Of ``live``: frames in which a cut was made."""
 
     def note(self, name: str, seconds: float) -> None:
         """Keep a time."""
@@ -132,6 +136,33 @@ def ahead(inputs: Inputs) -> Simulation:
     return simulation
 
 
+def live(inputs: Inputs) -> Simulation:
+    inputs.sample = SAMPLE_COUNT
+    inputs.next_sample()
+    session, simulation = inputs.session, inputs.session.simulation
+    steps = round(FRAME_S / simulation.step_s)
+    for _ in range(SAMPLE_COUNT):
+        start = perf_counter()
+        session.take([], steps, surface=True)
+        inputs.note("frame before a stroke", perf_counter() - start)
+    start, made = perf_counter(), simulation.cuts
+    inputs.cut_count = 0
+    for sample in range(10 * SAMPLE_COUNT):
+        own = perf_counter()
+        commands = [Cut(poses_mm=as_poses(inputs.poses_mm(sample)))] if sample < SAMPLE_COUNT else []
+        frame = session.take(commands, steps, surface=True, cuts_soon=True)
+        inputs.note("frame of a stroke", perf_counter() - own)
+        inputs.cut_count += simulation.cuts is not made
+        made = simulation.cuts
+        if sample == SAMPLE_COUNT - 1:
+            last = perf_counter()
+        if sample >= SAMPLE_COUNT and not frame.coming_cuts:
+            break
+    inputs.note("from the last sample to the split surface", perf_counter() - last)
+    inputs.note("from the first sample to the split surface of all", perf_counter() - start)
+    return simulation
+
+
 def cut(inputs: Inputs) -> Simulation:
     poses = inputs.poses_mm(inputs.next_sample())
     simulation = inputs.session.simulation
@@ -168,7 +199,8 @@ def springs_removed(inputs: Inputs) -> Simulation:
     return simulation
 
 
-METHODS = {"ahead": ahead, "cut": cut, "plain": plain, "springs_removed": springs_removed}
+REPEATS = {"live": 5}
+METHODS = {"live": live, "ahead": ahead, "cut": cut, "plain": plain, "springs_removed": springs_removed}
 
 
 def errors(inputs: Inputs, output: Simulation) -> dict[str, float]:
@@ -183,6 +215,8 @@ def errors(inputs: Inputs, output: Simulation) -> dict[str, float]:
         "mass lost [1]": 1.0 - float(model.node_mass.sum(dtype=float)) / mass,
         "processes that want a core [1]": os.getloadavg()[0],
     }
+    if inputs.cut_count:
+        figures["cuts of the stroke [1]"] = float(inputs.cut_count)
     if output.split is not None:
         figures["lip places with one side alone [1]"] = float(lone_places(output))
         figures["cut faces [1]"] = float(output.split.triangle_is_cut_face.sum())

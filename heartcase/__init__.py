@@ -72,6 +72,15 @@ if TYPE_CHECKING:
         parse_command,
     )
     from heartcase.schemas.recording.reader import Recording, check_recording, open_recording
+    from heartcase.schemas.recording.suture_commands import (
+        DrawStitch,
+        PlacePatch,
+        PlaceRow,
+        PlaceStitch,
+        TakeOutPatch,
+        TakeOutStitch,
+        TieStitch,
+    )
     from heartcase.schemas.recording.tool_commands import (
         BringScissors,
         CloseForceps,
@@ -102,6 +111,9 @@ if TYPE_CHECKING:
     from heartcase.simulator.lattice.model import GridUnits, LatticeModel, make_model
     from heartcase.simulator.lattice.state import State
     from heartcase.simulator.load import Case, ScanVolume, load_case
+    from heartcase.simulator.patching.flat_sheets import FlatSheet
+    from heartcase.simulator.patching.patches import PatchState
+    from heartcase.simulator.patching.templates import write_template
     from heartcase.simulator.session.frame import Frame, InstrumentFrame, Refusal, TopologyChange
     from heartcase.simulator.session.operating_session import Deviation, OperatingSession
     from heartcase.simulator.session.recorder import Recorder
@@ -123,6 +135,7 @@ if TYPE_CHECKING:
         make_surface,
     )
     from heartcase.simulator.surface.write_surface import write_surface
+    from heartcase.simulator.suturing.stitches import StitchState
     from heartcase.simulator.watchdog import Watch
 
 __version__ = "0.1.0"
@@ -151,12 +164,14 @@ __all__ = [
     "Deviation",
     "DeviceReading",
     "DeviceSpec",
+    "DrawStitch",
     "Energy",
     "Entry",
     "Felt",
     "FeltInstrument",
     "FileRole",
     "FilterSettings",
+    "FlatSheet",
     "ForceLaw",
     "Forceps",
     "Frame",
@@ -187,8 +202,12 @@ __all__ = [
     "OpenBundle",
     "OpenGrab",
     "OperatingSession",
+    "PatchState",
     "PickingModel",
+    "PlacePatch",
+    "PlaceRow",
     "PlaceScissors",
+    "PlaceStitch",
     "PointerPlane",
     "Probe",
     "Problem",
@@ -223,10 +242,14 @@ __all__ = [
     "SqueezeForceps",
     "StageError",
     "State",
+    "StitchState",
     "Stroke",
     "StrokePlace",
     "StrokePlaces",
     "SurfaceModel",
+    "TakeOutPatch",
+    "TakeOutStitch",
+    "TieStitch",
     "TissueSide",
     "Tolerances",
     "ToolPose",
@@ -284,6 +307,7 @@ __all__ = [
     "write_scan",
     "write_segmentation",
     "write_surface",
+    "write_template",
 ]
 
 _MODULES = {
@@ -352,6 +376,15 @@ _MODULES = {
         "parse_command",
     ),
     "heartcase.schemas.recording.reader": ("Recording", "check_recording", "open_recording"),
+    "heartcase.schemas.recording.suture_commands": (
+        "DrawStitch",
+        "PlacePatch",
+        "PlaceRow",
+        "PlaceStitch",
+        "TakeOutPatch",
+        "TakeOutStitch",
+        "TieStitch",
+    ),
     "heartcase.schemas.recording.tool_commands": (
         "BringScissors",
         "CloseForceps",
@@ -382,6 +415,9 @@ _MODULES = {
     "heartcase.simulator.lattice.model": ("GridUnits", "LatticeModel", "make_model"),
     "heartcase.simulator.lattice.state": ("State",),
     "heartcase.simulator.load": ("Case", "ScanVolume", "load_case"),
+    "heartcase.simulator.patching.flat_sheets": ("FlatSheet",),
+    "heartcase.simulator.patching.patches": ("PatchState",),
+    "heartcase.simulator.patching.templates": ("write_template",),
     "heartcase.simulator.session.script": (
         "SessionSummary",
         "default_script",
@@ -403,6 +439,7 @@ _MODULES = {
         "make_surface",
     ),
     "heartcase.simulator.surface.write_surface": ("write_surface",),
+    "heartcase.simulator.suturing.stitches": ("StitchState",),
     "heartcase.simulator.watchdog": ("Watch",),
 }
 """Module -> the public names that it defines."""

@@ -17,10 +17,13 @@ __all__ = [
     "LipLine",
     "Model",
     "Name",
+    "Outline",
     "PadLimit",
     "PadStiffness",
+    "PatchScale",
     "PointMm",
     "PositiveMm",
+    "RowPlaces",
     "Vector3",
 ]
 
@@ -103,3 +106,12 @@ PadStiffness = Annotated[float, Field(gt=0.0, le=1000.0)]
 
 PadLimit = Annotated[float, Field(gt=0.0, le=1000.0)]
 """Pull along a line at which pads give way, N/mm."""
+
+RowPlaces = Annotated[tuple[tuple[PointMm, PointMm], ...], Field(min_length=2, max_length=1000)]
+"""Both places of each chosen stitch of a row."""
+
+Outline = Annotated[tuple[PointMm, ...], Field(min_length=3, max_length=1000)]
+"""Points of a closed outline."""
+
+PatchScale = Annotated[float, Field(ge=0.25, le=4.0)]
+"""Size of a patch over that of its outline laid out flat."""

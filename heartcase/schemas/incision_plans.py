@@ -28,6 +28,8 @@ class PlannedCut(Model):
     """Points of the blade's edge at each pose, at rest, instead of a line; hands at the lips need a line."""
     depth_mm: PositiveMm | None = None
     """How deep a line is cut, mm; needed with ``curve_mm``, a landmark has its own."""
+    deeper_mm: Annotated[float, Field(ge=0.0, le=1000.0)] = 0.0
+    """How much deeper besides, mm: where bridges of tissue stay behind the incision."""
     outside_mm: PositiveMm = 3.0
     """How far the blade stands out of the surface along a line, mm."""
 

@@ -6,8 +6,7 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from heartcase.schemas.base import Model, Name, PointMm, PositiveMm
-from heartcase.schemas.recording.suture_commands import Outline, PatchScale, RowPlaces
+from heartcase.schemas.base import Model, Name, Outline, PatchScale, PointMm, PositiveMm, RowPlaces
 
 __all__ = ["PatchAction", "RowAction", "StitchAction", "suture_problems"]
 

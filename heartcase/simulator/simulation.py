@@ -18,6 +18,7 @@ from heartcase.simulator.dynamics.step_size import checked_step
 from heartcase.simulator.engine.backends import Backend
 from heartcase.simulator.engine.shared.contact import NO_PROBES, probe_row
 from heartcase.simulator.instruments.grab import Grab, close_grab, pose_of, require_grab
+from heartcase.simulator.instruments.held_tissue import on_side_at
 from heartcase.simulator.instruments.placing import is_point, point_in_lattice
 from heartcase.simulator.instruments.probe import Probe, make_probe
 from heartcase.simulator.instruments.scissors import Scissors
@@ -230,8 +231,9 @@ class Simulation(PatchedTissue, OperatedTissue):
     def grab(self, center_mm: npt.ArrayLike, radius_mm: float, *, name: str = "grab") -> Grab:
         """Close a hand on the nodes within ``radius_mm`` of a point, LPS mm.
 
-        Held are those that can be reached along springs inside the ball from the node nearest its centre, so that a
-        hand never bridges an incision (thesis 8.7.2). Nodes that another hand holds stay with it.
+        Held are those that can be reached along springs inside the ball from the node nearest its centre, and that
+        belong to no tissue across an incision from there: a hand never bridges one, nor around its end (thesis 8.7.2).
+        Nodes that another hand holds stay with it.
 
         Parameters
         ----------
@@ -248,6 +250,12 @@ class Simulation(PatchedTissue, OperatedTissue):
             There is no tissue to hold, the place is not a finite point, or the radius is not above 0.
         """
         grab = close_grab(self.model, self.state.displacement, center_mm, radius_mm, others=self.grabs, name=name)
+        sheets = self._sheet_triangles()
+        if len(sheets):
+            center = point_in_lattice(self.model, center_mm)
+            own = np.flatnonzero(on_side_at(self.model, self.state.displacement, grab.nodes, center, sheets))
+            if len(own):
+                grab.carry(grab.nodes[own], own)
         self.grabs.append(grab)
         self._hold()
         return grab

@@ -67,7 +67,7 @@ class Snapshot:
         stitches: Iterable[Stitch] = (),
         patches: Iterable[Patch] = (),
     ) -> Snapshot:
-        """The moment now: what a simulation has of each."""
+        """The moment now: ``model``, ``state``, ``instruments``, ``cuts``, ``stitches``, ``patches`` of tissue."""
         kept = tuple(KeptInstrument[Instrument].of(instrument) for instrument in instruments)
         threads = tuple(KeptInstrument[Stitch].of(stitch) for stitch in stitches)
         return cls(model, state, kept, cuts, threads, tuple(KeptInstrument[Patch].of(patch) for patch in patches))

@@ -28,7 +28,7 @@ KEYS: tuple[Key, ...] = (
     *(Key((tool.key, tool.key.upper()), f"take_tool:{tool.key}", tool.key.upper(), tool.title) for tool in TOOLS),
     Key(("plus", "equal", "KP_Add"), "resize:1", "+", "larger: radius, depth, opening or tension of the tool"),
     Key(("minus", "KP_Subtract"), "resize:-1", "-", "smaller"),
-    Key(("x", "X"), "let_go:", "X", "let go what is pointed at, or else what closed last"),
+    Key(("x", "X"), "let_go:", "X", "let go or take out what is pointed at; else what closed last"),
     Key(("t", "T"), "tie:", "T", "tie all stitches that are drawn"),
     Key(("u", "U"), "undo:", "U", "take back the last act, and pause"),
     Key(("y", "Y"), "redo:", "Y", "do it again"),

@@ -10,10 +10,11 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import get_args
 
+import numba
 import numpy as np
 
 from heartcase.schemas.arrays import Float64, Int32
@@ -21,6 +22,7 @@ from heartcase.schemas.bundle.format import CaseManifest
 from heartcase.schemas.errors import HeartcaseError, SimulationError
 from heartcase.schemas.recording.commands import (
     Act,
+    Cut,
     Done,
     LeadGrab,
     MoveProbe,
@@ -40,14 +42,14 @@ __all__ = ["FRAME_S", "Live", "LiveFrame"]
 
 FRAME_S = 1.0 / 40.0
 """Time from frame to frame where the machine keeps up, s."""
-_SLOWEST = 2.5
-"""How many times longer a frame may take where it does not: the time is for steps."""
-_STEPS_SHARE = 0.4
-"""Least part of a frame's time that is for steps, whatever the rest takes."""
-_LATE_FRAMES = 3
-"""Frames that may be made up for when the machine was busy with something else; of more, time goes slower."""
 _ACTS = get_args(Act)
 _NAVIGATION = get_args(Navigation)
+_SLOWEST = 2.5
+"""How many times longer a frame may take where it does not: the time is for steps."""
+_STEPS_LEAST = 0.2
+"""Part of a frame's steps that is taken however long they take: time goes on."""
+_STEPS_DOWN, _STEPS_UP = 0.7, 1.15
+"""How much fewer, or more, steps a frame may take than the one before."""
 _MEASURED_S = 1.0
 """Over how long the pace is measured, s."""
 _JOIN_S = 60.0
@@ -115,11 +117,11 @@ class Live:
         self._recorder: Recorder | None = None
         self._played: Iterator[Frame] | None = None
         self._mode = "running"
-        self._step_wall_s = session.simulation.step_s
-        self._rest_wall_s = 0.0
+        self._steps_most = frame_s / session.simulation.step_s
+        self._ticked: float | None = None
         self._part = 0.0
         self._past: deque[tuple[float, int]] = deque()
-        self._act_count = 0
+        self._act_count = self._counted = 0
         self.newest = self._published(session.frame(surface=True))
 
     def start(self) -> None:
@@ -136,7 +138,7 @@ class Live:
             self._thread.join(_JOIN_S)
             self._thread = None
         else:
-            self._finish_recording()
+            self._end()
 
     def do(self, *commands: Done | Navigation) -> None:
         """Ask for commands; they are done before the next steps. What is refused is told as a message."""
@@ -165,24 +167,29 @@ class Live:
             found.append(self._messages.popleft())
         return found
 
+    def spare_a_processor(self) -> None:
+        """Leave a processor to what draws: threads of a step that wait for one another would wait for it each time."""
+        self._ask([lambda: numba.set_num_threads(max(1, numba.get_num_threads() - 1))])
+
     def tick(self) -> None:
         """One frame: do what was asked for, take steps, publish. The thread does nothing else; tests do it without."""
         has_work = self._do_asked()
         if self._mode == "playing":
             self._play_on()
         elif self._mode == "running":
-            steps = self._steps_due()
-            seconds = steps * self.session.simulation.step_s
-            motions = self._goals.commands(_places_mm(self.session.simulation), seconds)
             began = time.perf_counter()
-            frame = self.session.take(motions, steps)
-            stepped = time.perf_counter()
+            steps = self._steps_due(self._frame_s if self._ticked is None else began - self._ticked)
+            self._ticked = began
+            motions = self._goals.commands(_places_mm(self.session.simulation), steps * self.session.simulation.step_s)
+            frame = self.session.take(motions, steps, surface=True)
+            for refusal in frame.refused:
+                self._messages.extend(str(problem) for problem in refusal.problems)
             if frame.breakdown is not None:
                 self._goals.drop()
                 self._messages.append(frame.breakdown)
             self._measure()
-            self.newest = self._published(replace(frame, surface=self.session.simulation.surface_now()))
-            self._learn(steps, stepped - began, time.perf_counter() - stepped)
+            self.newest = self._published(frame)
+            self._learn(time.perf_counter() - began)
         elif has_work:
             self.newest = self._published(self.session.frame(surface=True))
 
@@ -196,7 +203,7 @@ class Live:
             due = time.perf_counter()
             while not self._is_closing:
                 self.tick()
-                due = max(due + self._frame_s, time.perf_counter() - _LATE_FRAMES * self._frame_s)
+                due = max(due + self._frame_s, time.perf_counter())
                 with self._wake:
                     while not self._is_closing:
                         left = due - time.perf_counter()
@@ -206,7 +213,13 @@ class Live:
         except BaseException as error:
             self.error = error
         finally:
-            self._finish_recording()
+            self._end()
+
+    def _end(self) -> None:
+        """Make what was begun, and finish what is recorded: no thread and no half-written file is left."""
+        if self.session.frame().coming_cuts:
+            self.session.make_cuts(wait=True)
+        self._finish_recording()
 
     def _do_asked(self) -> bool:
         """Do what was asked for; whether there was anything."""
@@ -229,7 +242,10 @@ class Live:
             self._goals.drop()
             self._set_mode("paused")
             self.session.do(one)
-            self._act_count = sum(isinstance(e.command, _ACTS) for e in self.session.entries[: self.session.position])
+        elif isinstance(one, Cut):
+            # It is made when it is worked out: no frame waits for it.
+            self._set_mode("running")
+            self.session.begin_cut(one)
         else:
             if isinstance(one, OpenGrab | WithdrawProbe):
                 self._goals.drop(one.name)
@@ -237,12 +253,12 @@ class Live:
                     # It never took hold: that was told.
                     return
             self.session.do(one)
-            self._act_count += isinstance(one, _ACTS)
             self._set_mode("running")
 
     def _set_mode(self, mode: str) -> None:
         if mode != self._mode:
             self._past.clear()
+            self._ticked = None
         self._mode, self._played = mode, None
 
     def _begin_to_play(self) -> None:
@@ -270,22 +286,20 @@ class Live:
             self._measure()
         self.newest = self._published(frame)
 
-    def _steps_due(self) -> int:
-        """How many steps the next frame takes: those of real time, or as many as there is time for."""
-        wanted = self._frame_s / self.session.simulation.step_s + self._part
-        longest = _SLOWEST * self._frame_s
-        for_steps = max(longest - self._rest_wall_s, _STEPS_SHARE * longest)
-        steps = max(1, int(min(wanted, for_steps / self._step_wall_s)))
+    def _steps_due(self, elapsed_s: float) -> int:
+        """How many steps the next frame takes: as much time as went by, or as many as there is time for."""
+        step_s = self.session.simulation.step_s
+        most_s = _SLOWEST * self._frame_s
+        wanted = min(max(elapsed_s, self._frame_s), most_s) / step_s + self._part
+        steps = max(1, int(min(wanted, self._steps_most)))
         self._part = min(wanted - steps, 1.0)
         return steps
 
-    def _learn(self, steps: int, steps_wall_s: float, rest_wall_s: float) -> None:
-        """Note how long steps take, and all else of a frame."""
-        per_step = steps_wall_s / steps
-        # Quicker up than down: a frame that comes late is seen.
-        share = 0.5 if per_step > self._step_wall_s else 0.1
-        self._step_wall_s += share * (per_step - self._step_wall_s)
-        self._rest_wall_s += 0.2 * (rest_wall_s - self._rest_wall_s)
+    def _learn(self, took_s: float) -> None:
+        """Let the next frame take more steps or fewer, by how long this one took with all else that it does."""
+        real_time, longest = self._frame_s / self.session.simulation.step_s, _SLOWEST * self._frame_s
+        change = min(max(longest / max(took_s, 1e-6), _STEPS_DOWN), _STEPS_UP)
+        self._steps_most = min(max(self._steps_most * change, _STEPS_LEAST * real_time), _SLOWEST * real_time)
 
     def _measure(self) -> None:
         now = time.perf_counter()
@@ -323,8 +337,18 @@ class Live:
             steps_per_second=rate,
             ahead_s=(session.end_step - session.step_count) * simulation.step_s,
             recording=None if self._recorder is None else self._recorder.path.name,
-            act_count=self._act_count,
+            act_count=self._acts_done(),
         )
+
+    def _acts_done(self) -> int:
+        """How many acts are done; only what came since the last time is looked at, where nothing was taken back."""
+        position = self.session.position
+        if position < self._counted:
+            self._act_count = self._counted = 0
+        new = self.session.entries[self._counted : position]
+        self._act_count += sum(isinstance(entry.command, _ACTS) for entry in new)
+        self._counted = position
+        return self._act_count
 
 
 def _places_mm(simulation: Simulation) -> dict[str, Float64]:

@@ -74,6 +74,7 @@ class Scene:
         self._draw_heart(live, stretch)
         self._draw_instruments(live)
         self._draw_stitches(live)
+        self._draw_patches(live)
         self._draw_line(line_mm)
 
     def show_slice(self, index: int | None) -> None:
@@ -246,9 +247,27 @@ class Scene:
             self._remove("stitches")
             return
         points = np.concatenate([stitch.places_mm for stitch in stitches]).astype(np.float32)
-        ends = np.arange(len(points), dtype=np.int64).reshape(-1, 2)
-        lines = np.column_stack([np.full(len(ends), 2), ends]).ravel()
-        self._draw_lines("stitches", points, lines, "black", 4.0)
+        lines, first = [], 0
+        for stitch in stitches:
+            count = len(stitch.places_mm)
+            lines += [count, *range(first, first + count)]
+            first += count
+        self._draw_lines("stitches", points, np.array(lines), "black", 4.0)
+
+    def _draw_patches(self, live: LiveFrame) -> None:
+        there = set()
+        for name, patch in live.frame.patches.items():
+            there.add(f"patch {name}")
+            sheet = self._pyvista.PolyData.from_regular_faces(patch.vertices_mm.astype(np.float32), patch.triangles)
+            sheet.point_data.active_normals = patch.normals.astype(np.float32)
+            if f"patch {name}" in self._drawn:
+                self._drawn[f"patch {name}"].mapper.dataset = sheet
+            else:
+                self._drawn[f"patch {name}"] = self.plotter.add_mesh(
+                    sheet, color="wheat", reset_camera=False, name=f"patch {name}"
+                )
+        for name in [name for name in self._drawn if name.startswith("patch ") and name not in there]:
+            self._remove(name)
 
     def _draw_line(self, line_mm: Float64) -> None:
         count = len(line_mm)

@@ -24,6 +24,8 @@ from heartcase.schemas.recording.commands import (
     LeadGrab,
     MoveProbe,
     OpenGrab,
+    PlacePatch,
+    PlaceRow,
     PlaceStitch,
     WithdrawProbe,
 )
@@ -36,8 +38,10 @@ __all__ = [
     "ForcepsTool",
     "GrabTool",
     "Held",
+    "PatchTool",
     "ProbeTool",
     "RetractorTool",
+    "RowTool",
     "StitchTool",
     "Tool",
     "nearest_held",
@@ -436,7 +440,89 @@ class StitchTool(Tool):
         return np.zeros((0, 3)) if self._first_mm is None else self._first_mm[None]
 
 
-TOOLS: tuple[type[Tool], ...] = (GrabTool, ProbeTool, CutTool, ForcepsTool, RetractorTool, StitchTool)
+@dataclass
+class RowTool(Tool):
+    """A row of stitches: both places of the first and of the last are clicked, those between are filled in."""
+
+    size: float = 0.5
+    key: ClassVar[str] = "n"
+    title: ClassVar[str] = "row of stitches"
+    size_words: ClassVar[str] = "tension {:.1f} N"
+    sizes: ClassVar[tuple[float, float, float]] = (0.1, 5.0, 0.1)
+    _clicked: list[Float64] = field(default_factory=list)
+
+    def press(self, pointer: Pointer, held: Sequence[Held] = ()) -> list[Done]:
+        """One more of the four places: of the first stitch, then of the last, on the same side first."""
+        if pointer.hit is None:
+            return []
+        self._clicked.append(pointer.hit.point_mm)
+        if len(self._clicked) < 4:
+            return []
+        a, b, c, d = (_point(place) for place in self._clicked)
+        self._clicked = []
+        name = self.new_name("row")
+        return [PlaceRow(name=name, places_mm=((a, b), (c, d))), DrawStitch(name=name, tension_n=self.size)]
+
+    def forget(self) -> None:
+        """Put down what was begun."""
+        self._clicked = []
+
+    @property
+    def line_mm(self) -> Float64:
+        """The places so far."""
+        return np.array(self._clicked, dtype=float).reshape(-1, 3)
+
+
+@dataclass
+class PatchTool(Tool):
+    """A patch that is cut to an outline drawn around an opening, its rim stitched on along it."""
+
+    size: float = 2.5
+    key: ClassVar[str] = "e"
+    title: ClassVar[str] = "patch"
+    size_words: ClassVar[str] = "stitches {:g} mm apart"
+    sizes: ClassVar[tuple[float, float, float]] = (1.0, 10.0, 0.5)
+    _line: DrawnLine | None = None
+
+    def press(self, pointer: Pointer, held: Sequence[Held] = ()) -> list[Done]:
+        """Begin the outline."""
+        self._line = DrawnLine()
+        return self.drag(pointer)
+
+    def drag(self, pointer: Pointer) -> list[Done]:
+        """Draw it."""
+        if self._line is not None:
+            self._line.add(pointer.ray, pointer.hit)
+        return []
+
+    def release(self, pointer: Pointer) -> list[Done]:
+        """Close it and sew the patch on; an outline of fewer than three points is none."""
+        self.drag(pointer)
+        line, self._line = self._line, None
+        if line is None or len(line.points) < 3:
+            return []
+        return [PlacePatch(name=self.new_name("patch"), outline_mm=_points(line.line_mm), spacing_mm=self.size)]
+
+    def forget(self) -> None:
+        """Put down what was begun."""
+        self._line = None
+
+    @property
+    def line_mm(self) -> Float64:
+        """The outline so far."""
+        return np.zeros((0, 3)) if self._line is None else self._line.line_mm
+
+
+TOOLS: tuple[type[Tool], ...] = (
+    GrabTool,
+    ProbeTool,
+    CutTool,
+    ForcepsTool,
+    RetractorTool,
+    StitchTool,
+    RowTool,
+    PatchTool,
+)
 """All of them, in the order in which they are listed."""
 
 

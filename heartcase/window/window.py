@@ -16,7 +16,7 @@ from heartcase.schemas.errors import MissingExtraError, UsageError
 from heartcase.schemas.recording.commands import Mark, Redo, Rewind, TieStitch, Undo
 from heartcase.simulator.load import Case
 from heartcase.window.keys import KEYS, help_text
-from heartcase.window.letting_go import letting_go
+from heartcase.window.letting_go import letting_go, removable
 from heartcase.window.live import Live
 from heartcase.window.rays import Eye, Pointer, first_hit
 from heartcase.window.scene import Scene
@@ -31,6 +31,8 @@ _MESSAGE_S = 8.0
 """How long a message stands, s."""
 _LOOK_S = 1.0 / 60.0
 """How often the window looks for the mouse at most, s."""
+_SOFTWARE = ("llvmpipe", "softpipe", "swr", "swiftshader", "microsoft basic render")
+"""What renderers without a graphics card call themselves."""
 _FROM_LEFT_FRONT = np.array([0.45, -1.0, 0.25])
 """From the heart to the eye at the start, LPS: front, somewhat left and above."""
 _ACTIONS = {name: key.action for key in KEYS for name in key.keys}
@@ -117,6 +119,9 @@ class HeartWindow:
             What ended the session's thread, if something did.
         """
         self.plotter.show(interactive_update=True, auto_close=False)
+        if self.is_drawn_in_software:
+            self.live.spare_a_processor()
+            self.plotter.disable_anti_aliasing()
         try:
             while self.is_open:
                 began = time.perf_counter()
@@ -126,6 +131,12 @@ class HeartWindow:
                 time.sleep(max(0.0, _LOOK_S - (time.perf_counter() - began)))
         finally:
             self.close()
+
+    @property
+    def is_drawn_in_software(self) -> bool:
+        """Whether the processor draws, as there is no graphics card that does."""
+        told = self.plotter.render_window.ReportCapabilities().lower()
+        return any(name in told for name in _SOFTWARE)
 
     def draw(self) -> None:
         """Show the newest frame, if anything is new.
@@ -289,7 +300,7 @@ class HeartWindow:
             self.tool.resize(int(steps))
 
     def _let_go(self) -> None:
-        pointed = nearest_held(self.pointer(*self._place()), self.live.newest.held)
+        pointed = nearest_held(self.pointer(*self._place()), removable(self.live.newest))
         command = letting_go(self.live.newest, None if pointed is None else pointed.name)
         if command is None:
             self._say("nothing is held")
@@ -297,7 +308,9 @@ class HeartWindow:
             self.live.do(command)
 
     def _tie(self) -> None:
-        loose = [stitch.name for stitch in self.live.newest.frame.stitches.values() if not stitch.is_tied]
+        stitches = self.live.newest.frame.stitches.values()
+        # A row is tied as one; its name stands for all of it.
+        loose = dict.fromkeys(stitch.row or stitch.name for stitch in stitches if not stitch.is_tied)
         self.live.do(*(TieStitch(name=name) for name in loose))
 
     def _undo(self) -> None:
@@ -385,7 +398,8 @@ class HeartWindow:
 
     def _new_name(self, kind: str) -> str:
         newest = self.live.newest.frame
-        there = {*newest.instruments, *newest.stitches}
+        rows = {stitch.row for stitch in newest.stitches.values()}
+        there = {*newest.instruments, *newest.stitches, *newest.patches, *rows}
         number = self._named.get(kind, 0) + 1
         while f"{kind} {number}" in there:
             number += 1
@@ -406,6 +420,7 @@ class HeartWindow:
         if len(self._frames) > 1:
             pace += f"  {(len(self._frames) - 1) / max(self._frames[-1] - self._frames[0], 1e-9):.0f} pictures/s"
         ahead = f", {newest.ahead_s:.2f} s known ahead" if newest.ahead_s > 0.0 else ""
+        ahead += "   cutting ..." if newest.frame.coming_cuts else ""
         recorded = "" if newest.recording is None else f"   recording: {newest.recording}"
         self.scene.text(
             "status",
@@ -416,6 +431,10 @@ class HeartWindow:
         forces += [
             f"{name}: {one.force_n:.2f} N{'' if one.is_tied else ', not tied'}"
             for name, one in newest.frame.stitches.items()
+        ]
+        forces += [
+            f"{name}: at most {np.max(one.forces_n, initial=0.0):.2f} N in a stitch of its rim"
+            for name, one in newest.frame.patches.items()
         ]
         self.scene.text("forces", "\n".join(forces[:24]), place=(0.01, 0.92))
         if time.perf_counter() >= self._message_until:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import threading
 from pathlib import Path
 
 import pytest
@@ -11,7 +10,7 @@ import pytest
 from heartcase.cli.main import main
 from heartcase.schemas.recording.reader import open_recording
 from heartcase.window.keys import KEYS, MOUSE
-from tests.window.scenes import SIZE, until, write_case
+from tests.window.scenes import SIZE, threads, until, write_case
 
 pytest.importorskip("pyvista")
 
@@ -56,7 +55,7 @@ def test_without_a_screen_one_line_says_so(case, monkeypatch, capsys):
 
 
 def test_it_records_from_the_start_and_plays_what_was_recorded(case, off_screen, tmp_path, capsys):
-    threads = threading.active_count()
+    before = threads()
     path = tmp_path / "a.recording"
     off_screen.append(lambda window: until(lambda: window.live.newest.frame.step > 20))
     assert main(["view", str(case), "--record", str(path)]) == 0
@@ -79,11 +78,11 @@ def test_it_records_from_the_start_and_plays_what_was_recorded(case, off_screen,
     assert seen == [steps]
     assert main(["view", str(case), "--record", str(path)]) == 1
     assert main(["view", str(case), "--recording", str(path), "--record", str(tmp_path / "b.recording")]) == 2
-    assert threading.active_count() == threads
+    assert threads() == before
 
 
 def test_ctrl_c_leaves_a_whole_recording_and_no_thread(case, off_screen, tmp_path, capsys):
-    threads = threading.active_count()
+    before = threads()
 
     def interrupt(window):
         until(lambda: window.live.newest.frame.step > 20)
@@ -94,7 +93,7 @@ def test_ctrl_c_leaves_a_whole_recording_and_no_thread(case, off_screen, tmp_pat
     assert "interrupted" in capsys.readouterr().err
     assert open_recording(tmp_path / "a.recording").header.end is not None
     assert [path.name for path in tmp_path.iterdir()] == ["a.recording"]
-    assert threading.active_count() == threads
+    assert threads() == before
 
 
 def test_the_page_lists_all_keys_and_what_the_mouse_does():

@@ -53,13 +53,14 @@ SECTIONS = {
     "Operate and record": (
         "A simulation with a history: commands in, frames out, recorded and repeated (`docs/operating.md`).",
         "OperatingSession Frame InstrumentFrame TopologyChange Refusal Recorder open_recording Recording "
-        "check_recording load_session Deviation",
+        "check_recording load_session Deviation StitchState PatchState FlatSheet write_template",
     ),
     "Commands of a session": (
         "What is asked of an operating session: plain data that JSON holds.",
         "CloseGrab LeadGrab OpenGrab BringProbe MoveProbe WithdrawProbe AddSprings RemoveSprings Cut Mark Halt Advance "
         "Undo Redo Rewind GoTo Entry parse_command CloseForceps SqueezeForceps CloseRetractor BringScissors "
-        "PlaceScissors Snip WithdrawScissors",
+        "PlaceScissors Snip WithdrawScissors PlaceStitch PlaceRow DrawStitch TieStitch TakeOutStitch PlacePatch "
+        "TakeOutPatch",
     ),
     "Feel it": (
         "Force and torque on a hand at 1 kHz (`docs/haptics.md`).",

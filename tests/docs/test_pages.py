@@ -86,7 +86,7 @@ def test_what_a_page_points_to_is_there(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     for path in re.findall(r"`((?:docs|heartcase|tests|benchmarks|sample_cases|readers)/[\w./-]*)`", text):
         assert (ROOT / path).exists(), path
-    for command in re.findall(r"`heartcase ([a-z]+)", text):
+    for command in re.findall(r"`heartcase ([a-z]+(?:-[a-z]+)*)", text):
         assert command in COMMANDS, command
     for target in re.findall(r"\]\(([^)#:]+)\)", text):
         assert (page.parent / target).exists(), target

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 import time
 from contextlib import contextmanager
 
@@ -40,6 +41,11 @@ def until(condition, *, seconds=60.0):
     while not condition():
         assert time.monotonic() < end, "it did not come to that"
         time.sleep(0.005)
+
+
+def threads():
+    """Threads that run, but those in which a simulation works out cuts: they wait for the next, and end with it."""
+    return sorted(one.name for one in threading.enumerate() if not one.name.startswith("heartcase-cuts"))
 
 
 def bytes_of(simulation):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import threading
-
 import numpy as np
 import pytest
 
@@ -21,7 +19,7 @@ from heartcase.schemas.recording.commands import (
 from heartcase.schemas.recording.reader import open_recording
 from heartcase.simulator.session.replay import load_session
 from heartcase.window.live import Live
-from tests.window.scenes import bytes_of, live_on, load, until
+from tests.window.scenes import bytes_of, live_on, load, threads, until
 
 TOP = (22.0, -14.0, 40.5)
 """A place at the upper side of the block, LPS mm."""
@@ -110,7 +108,7 @@ def test_going_back_pauses_playing_comes_to_the_same_bytes_and_an_act_takes_over
 
 
 def test_the_thread_runs_cuts_records_and_leaves_nothing_behind(case, tmp_path):
-    threads = threading.active_count()
+    before = threads()
     live = live_on(case)
     live.record(tmp_path / "a.recording")
     live.start()
@@ -136,7 +134,7 @@ def test_the_thread_runs_cuts_records_and_leaves_nothing_behind(case, tmp_path):
     live.close()
     live.close()
     assert live.error is None
-    assert threading.active_count() == threads
+    assert threads() == before
     end = bytes_of(live.session.simulation)
     assert bytes_of(played_again(tmp_path / "a.recording", case).simulation) == end
 
@@ -157,22 +155,34 @@ def test_what_ends_the_thread_is_kept_and_the_recording_is_finished(case, tmp_pa
     assert open_recording(tmp_path / "a.recording").header.end is not None
 
 
-def test_steps_of_a_frame_are_those_of_real_time_or_those_that_there_is_time_for(case):
+def test_steps_of_a_frame_are_those_of_the_time_that_went_by_or_those_that_there_is_time_for(case):
     live = live_on(case)
-    step_s = live.session.simulation.step_s
-    real_time = live._frame_s / step_s
-    for _ in range(50):
-        live._learn(10, 10 * 0.1 * step_s, 0.001)
-    taken = [live._steps_due() for _ in range(40)]
-    assert np.mean(taken) == pytest.approx(real_time, rel=0.02)
-    for _ in range(50):
-        live._learn(10, 10 * 20.0 * step_s, 0.001)
-    slow = live._steps_due()
-    assert slow * 20.0 * step_s <= 2.5 * live._frame_s
-    assert 1 <= slow < real_time
-    for _ in range(50):
-        live._learn(1, 1.0, 1.0)
-    assert live._steps_due() == 1
+    step_s, frame_s = live.session.simulation.step_s, live._frame_s
+
+    def settled(fixed_s, per_step_s):
+        """Simulated time over time that goes by, on a machine that needs so long for a frame and for a step."""
+        simulated = wall = 0.0
+        elapsed = frame_s
+        for n in range(300):
+            steps = live._steps_due(elapsed)
+            took = fixed_s + steps * per_step_s
+            live._learn(took)
+            elapsed = max(took, frame_s)
+            assert steps * step_s <= 2.6 * frame_s
+            if n >= 100:
+                simulated, wall = simulated + steps * step_s, wall + elapsed
+        return simulated / wall, elapsed
+
+    # As quick as it need be: real time, neither more nor less.
+    assert settled(0.002, 0.1 * step_s)[0] == pytest.approx(1.0, rel=0.01)
+    # What a frame takes besides steps is made up for by fewer frames.
+    assert settled(0.5 * frame_s, 0.7 * step_s)[0] == pytest.approx(1.0, rel=0.02)
+    # Too slow: half of real time, in frames of at most two and a half times the length.
+    factor, elapsed = settled(0.002, 2.0 * step_s)
+    assert factor == pytest.approx(0.5, rel=0.1)
+    assert elapsed <= 1.2 * 2.5 * frame_s
+    # Much too slow: time goes on all the same.
+    assert settled(1.0, 50.0 * step_s)[0] > 0.15 * frame_s / (1.0 + 0.2 * 50.0 * frame_s)
     live.close()
 
 

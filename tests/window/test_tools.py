@@ -12,7 +12,18 @@ from hypothesis import strategies as st
 from heartcase.schemas.recording.commands import LeadGrab, MoveProbe
 from heartcase.window.goals import HAND_SPEED_MM_S, Goals
 from heartcase.window.rays import Eye, Hit, Pointer
-from heartcase.window.tools import CutTool, ForcepsTool, GrabTool, Held, ProbeTool, RetractorTool, StitchTool
+from heartcase.window.tools import (
+    TOOLS,
+    CutTool,
+    ForcepsTool,
+    GrabTool,
+    Held,
+    PatchTool,
+    ProbeTool,
+    RetractorTool,
+    RowTool,
+    StitchTool,
+)
 
 SIZE = (400, 300)
 EYE = Eye(np.array([10.0, -200.0, 30.0]), np.array([0.0, 0.0, 0.0]), np.array([0.0, 0.1, 1.0]), 30.0)
@@ -85,7 +96,7 @@ def test_a_probe_touches_where_it_is_brought_in_and_is_pushed_by_the_wheel():
 def test_nothing_is_done_beside_the_heart():
     off = pointer(2.0, 2.0)
     assert off.hit is None
-    for kind in (GrabTool, ProbeTool, ForcepsTool, StitchTool, CutTool, RetractorTool):
+    for kind in TOOLS:
         tool = kind(names())
         assert [*tool.press(off), *tool.drag(off), *tool.release(off)] == []
         assert not tool.is_waiting
@@ -178,6 +189,28 @@ def test_a_stitch_goes_through_two_places_and_is_drawn():
     tool.press(first)
     tool.forget()
     assert len(tool.line_mm) == 0
+
+
+def test_a_row_goes_between_two_stitches_and_a_patch_is_cut_to_its_outline():
+    tool = RowTool(names())
+    clicked = [pointer(190.0, 140.0), pointer(210.0, 140.0), pointer(190.0, 170.0)]
+    assert [command for one in clicked for command in tool.press(one)] == []
+    assert tool.line_mm == pytest.approx(np.stack([one.hit.point_mm for one in clicked]))
+    last = pointer(210.0, 170.0)
+    placed, drawn = tool.press(last)
+    places = np.array(placed.places_mm)
+    assert places.reshape(4, 3) == pytest.approx(np.stack([one.hit.point_mm for one in (*clicked, last)]))
+    assert drawn.name == placed.name == "row 1"
+    tool = PatchTool(names())
+    turns = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+    ways = [(200.0 + 30.0 * np.cos(turn), 150.0 + 30.0 * np.sin(turn)) for turn in turns]
+    tool.press(pointer(*ways[0]))
+    for way in ways[1:]:
+        tool.drag(pointer(*way))
+    (patch,) = tool.release(pointer(*ways[-1]))
+    assert np.array(patch.outline_mm) == pytest.approx(np.stack([pointer(*way).hit.point_mm for way in ways]))
+    assert patch.spacing_mm == tool.size
+    assert tool.press(pointer(*ways[0])) + tool.release(pointer(*ways[0])) == []
 
 
 def test_sizes_stay_in_their_range():

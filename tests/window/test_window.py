@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 
 import numpy as np
@@ -14,7 +13,7 @@ from heartcase.schemas.recording.reader import open_recording
 from heartcase.simulator.session.replay import load_session
 from heartcase.window.keys import KEYS, MOUSE, help_text
 from tests.factories import block_grid
-from tests.window.scenes import Mouse, bytes_of, live_on, load, off_screen_window, until, write_case
+from tests.window.scenes import Mouse, bytes_of, live_on, load, off_screen_window, threads, until, write_case
 
 pytest.importorskip("pyvista")
 
@@ -32,7 +31,7 @@ def on_top(x, y):
 
 
 def test_a_story_by_mouse_and_keys_is_recorded_and_repeats_to_the_byte(case, tmp_path):
-    threads = threading.active_count()
+    before = threads()
     live = live_on(case)
     with off_screen_window(case, live, record_folder=tmp_path) as window:
         mouse = Mouse(window)
@@ -73,13 +72,37 @@ def test_a_story_by_mouse_and_keys_is_recorded_and_repeats_to_the_byte(case, tmp
         until(lambda: kinds() == {"forceps", "retractor"})
         window.draw()
 
-        # A stitch, tied; the retractor is let go, by pointing at it.
+        # A stitch, tied.
         mouse.key("s")
         mouse.drag(on_top(12.0, -18.0))
         mouse.drag(on_top(15.0, -18.0))
         until(lambda: len(live.newest.frame.stitches) == 1)
         mouse.key("t")
         until(lambda: all(stitch.is_tied for stitch in live.newest.frame.stitches.values()))
+
+        # A row of stitches and a patch, which is taken out by pointing at it.
+        mouse.key("n")
+        for place in (on_top(11.0, -12.0), on_top(14.0, -12.0), on_top(11.0, -9.0), on_top(14.0, -9.0)):
+            mouse.drag(place)
+        until(lambda: len(live.newest.frame.stitches) >= 3)
+        mouse.key("e")
+        turns = np.linspace(0.0, 2.0 * np.pi, 16)
+        mouse.drag(*[on_top(27.5 + 3.0 * np.cos(turn), -15.0 + 3.0 * np.sin(turn)) for turn in turns])
+        until(lambda: len(live.newest.frame.patches) == 1)
+        window.draw()
+        mouse.move(next(iter(live.newest.frame.patches.values())).vertices_mm.mean(axis=0))
+        mouse.key("x")
+        until(lambda: not live.newest.frame.patches)
+        window.draw()
+        mouse.key("u")
+        until(lambda: live.newest.mode == "paused" and len(live.newest.frame.patches) == 1)
+        mouse.key("u")
+        until(lambda: not live.newest.frame.patches)
+        mouse.key("space")
+
+        until(lambda: live.newest.mode == "running")
+
+        # The retractor is let go, by pointing at it.
         retractor = next(one for one in live.newest.frame.instruments.values() if one.kind == "retractor")
         mouse.move(retractor.center_mm)
         mouse.key("x")
@@ -118,7 +141,7 @@ def test_a_story_by_mouse_and_keys_is_recorded_and_repeats_to_the_byte(case, tmp
         assert not window.is_open
     assert said == "recorded in block-1.recording"
     assert live.error is None
-    assert threading.active_count() == threads
+    assert threads() == before
 
     again = load_session(
         open_recording(tmp_path / "block-1.recording"), case.model, surface=case.surface, tissue=case.tissue

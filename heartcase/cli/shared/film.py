@@ -59,7 +59,11 @@ class Seen:
         assert simulation.surface is not None
         split = simulation.split
         carried = colours if split is None else split.carried(colours, CUT_FACE_COLOUR)
-        return cls(simulation.surface_now(), simulation.surface.triangles, carried, sewn_mesh(simulation))
+        sewn = sewn_mesh(
+            [simulation.patch_state(patch) for patch in simulation.patches],
+            [simulation.stitch_state(stitch) for stitch in simulation.stitches],
+        )
+        return cls(simulation.surface_now(), simulation.surface.triangles, carried, sewn)
 
 
 class Filmer:

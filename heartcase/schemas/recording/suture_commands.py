@@ -6,18 +6,15 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from heartcase.schemas.base import Model, Name, PointMm, PositiveMm
+from heartcase.schemas.base import Model, Name, Outline, PatchScale, PointMm, PositiveMm, RowPlaces
 
 __all__ = [
     "ROW_MAX",
     "BoundPlace",
     "DrawStitch",
-    "Outline",
-    "PatchScale",
     "PlacePatch",
     "PlaceRow",
     "PlaceStitch",
-    "RowPlaces",
     "TakeOutPatch",
     "TakeOutStitch",
     "TieStitch",
@@ -28,9 +25,6 @@ ROW_MAX = 1000
 
 _Whole = Annotated[int, Field(ge=0)]
 _Part = Annotated[float, Field(ge=0.0, le=1.0)]
-RowPlaces = Annotated[tuple[tuple[PointMm, PointMm], ...], Field(min_length=2, max_length=ROW_MAX)]
-Outline = Annotated[tuple[PointMm, ...], Field(min_length=3, max_length=ROW_MAX)]
-PatchScale = Annotated[float, Field(ge=0.25, le=4.0)]
 
 
 class BoundPlace(Model):

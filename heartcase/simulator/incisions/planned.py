@@ -140,7 +140,7 @@ def blade_poses(
     if depth is None and cut.landmark is not None:
         depth = _found(landmarks, cut.landmark).depth_mm
     assert depth is not None
-    ends = [line.points_mm + cut.outside_mm * line.outward, line.points_mm - depth * line.outward]
+    ends = [line.points_mm + cut.outside_mm * line.outward, line.points_mm - (depth + cut.deeper_mm) * line.outward]
     poses = np.stack(ends, axis=1).tolist()
     return tuple(tuple((x, y, z) for x, y, z in pose) for pose in poses)
 

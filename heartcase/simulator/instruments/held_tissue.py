@@ -13,7 +13,15 @@ from heartcase.schemas.bundle.lattice import CORNER_OFFSETS
 from heartcase.simulator.instruments.grab import DETOUR_MAX, along_springs
 from heartcase.simulator.lattice.model import LatticeModel
 
-__all__ = ["cells_at_nodes", "is_across", "nodes_reached", "on_own_side", "tissue_at_rest", "tissue_now"]
+__all__ = [
+    "cells_at_nodes",
+    "is_across",
+    "nodes_reached",
+    "on_own_side",
+    "on_side_at",
+    "tissue_at_rest",
+    "tissue_now",
+]
 
 _DETOUR_MORE = 1.0
 """How much longer a way along springs may be beside that [cells]: walls lie in steps along the grid."""
@@ -125,3 +133,25 @@ def on_own_side(model: LatticeModel, sheets: Float64, nodes: Int64, roots: Float
     is_own = np.ones(len(nodes), dtype=bool)
     is_own[place[across]] = False
     return is_own
+
+
+def on_side_at(model: LatticeModel, displacement: Float, nodes: Int64, place: Float64, sheets: Float64) -> Bool:
+    """Which nodes belong to no tissue across an incision from their tissue that is nearest to a place now, (count,).
+
+    Parameters
+    ----------
+    model
+        The lattice.
+    displacement
+        Displacement of the nodes [cells, grid axes], shape (node_count, 3).
+    nodes
+        Nodes, shape (count,), at least one.
+    place
+        The place [cells, frame of the nodes], shape (3,).
+    sheets
+        Triangles of all that was cut of it, as of :func:`is_across`.
+    """
+    cells = np.unique(cells_at_nodes(model, nodes)[0])
+    now = tissue_now(model, displacement)[cells]
+    root = tissue_at_rest(model)[cells[np.linalg.norm(now - place, axis=1).argmin()]]
+    return on_own_side(model, sheets, nodes, np.tile(root, (len(nodes), 1)))

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from heartcase.schemas.arrays import Float64, Int64, UInt8
-
-if TYPE_CHECKING:
-    from heartcase.simulator.patched_tissue import PatchedTissue
+from heartcase.simulator.patching.patches import PatchState
+from heartcase.simulator.suturing.stitches import StitchState
 
 __all__ = ["PATCH_COLOUR", "THREAD_COLOUR", "SewnMesh", "sewn_mesh"]
 
@@ -37,20 +36,19 @@ class SewnMesh:
     """Red, green, blue of each triangle, shape (triangle_count, 3)."""
 
 
-def sewn_mesh(tissue: PatchedTissue) -> SewnMesh:
-    """What is sewn now."""
+def sewn_mesh(patches: Iterable[PatchState], stitches: Iterable[StitchState]) -> SewnMesh:
+    """Patches and stitches of a moment, as triangles."""
     vertices, normals, triangles, colours = [np.zeros((0, 3))], [np.zeros((0, 3))], [np.zeros((0, 3), int)], []
     count = 0
-    for patch in tissue.patches:
-        state = tissue.patch_state(patch)
+    for state in patches:
         own = state.triangles.astype(np.int64)
         vertices += [state.vertices_mm, state.vertices_mm]
         normals += [state.normals, -state.normals]
         triangles += [own + count, own[:, ::-1] + count + len(state.vertices_mm)]
         colours.append(np.tile(np.array(PATCH_COLOUR, np.uint8), (2 * len(own), 1)))
         count += 2 * len(state.vertices_mm)
-    for stitch in tissue.stitches:
-        points, out, own = _prism(tissue.stitch_state(stitch).places_mm)
+    for stitch in stitches:
+        points, out, own = _prism(stitch.places_mm)
         vertices.append(points)
         normals.append(out)
         triangles.append(own + count)

@@ -23,13 +23,13 @@ POSES_MOST = 256
 
 
 @dataclass(frozen=True)
-class _Waiting:
-    """A cut that waits."""
+class _Blade:
+    """A blade that cuts."""
 
     command: Cut
     """With poses at rest."""
     last_pose: _Pose
-    """Where the blade is at its end, as it was given."""
+    """Where it is at its end, as it was given."""
     at_rest: bool
     """Whether that is a place at rest."""
 
@@ -39,13 +39,17 @@ class ComingBlades:
 
     def __init__(self) -> None:
         self._begun: Cut | None = None
-        self._waiting: list[_Waiting] = []
+        self._waiting: list[Cut] = []
+        self._last: _Blade | None = None
 
     def __len__(self) -> int:
         return len(self._waiting) + (self._begun is not None)
 
     def add(self, simulation: Simulation, given: Cut, resolved: Cut) -> None:
-        """One more cut; it goes on from the one before if that waits, has its name, and ends where this one begins.
+        """One more cut.
+
+        Where it has the name of the one before, and begins where that ended, both are one sheet, and one cut if that
+        one waits: tissue that moved from sample to sample is cut between them, too.
 
         Parameters
         ----------
@@ -60,29 +64,30 @@ class ComingBlades:
             It cannot be made.
         """
         blade_points(simulation.model, resolved.poses_mm, resolved.name)
-        last = self._waiting[-1] if self._waiting else None
-        goes_on = (
-            last is not None
-            and (last.command.name, last.at_rest) == (given.name, given.at_rest)
-            and last.last_pose == given.poses_mm[0]
-            and len(last.command.poses_mm[0]) == len(resolved.poses_mm[0])
-            and len(last.command.poses_mm) + len(resolved.poses_mm) <= POSES_MOST
-        )
-        if last is not None and goes_on:
-            # Tissue that moved between the samples was met twice: the strip between both makes one sheet of them.
-            again = resolved.poses_mm[0] == last.command.poses_mm[-1]
-            poses = (*last.command.poses_mm, *resolved.poses_mm[again:])
+        if self._last is not None and _goes_on(self._last, given, resolved):
+            before, poses = self._last.command.poses_mm, resolved.poses_mm
+            poses = poses if poses[0] == before[-1] else (before[-1], *poses)
+            if self._waiting and len(before) + len(poses) <= POSES_MOST:
+                self._waiting.pop()
+                poses = (*before, *poses[1:])
             resolved = resolved.model_copy(update={"poses_mm": poses})
-            self._waiting.pop()
-        self._waiting.append(_Waiting(resolved, given.poses_mm[-1], given.at_rest))
+        self._waiting.append(resolved)
+        self._last = _Blade(resolved, given.poses_mm[-1], given.at_rest)
 
     def start(self, simulation: Simulation) -> Cut | None:
         """The cut that is worked out; where there is none, that of the next is begun. None where none waits."""
         if self._begun is None and self._waiting:
-            self._begun = self._waiting.pop(0).command
+            self._begun = self._waiting.pop(0)
             simulation.begin_cut(self._begun.poses_mm, at_rest=True, name=self._begun.name)
         return self._begun
 
     def done(self) -> None:
         """The cut that was worked out is made, or refused."""
         self._begun = None
+
+
+def _goes_on(last: _Blade, given: Cut, resolved: Cut) -> bool:
+    is_alike = (last.command.name, last.at_rest) == (given.name, given.at_rest)
+    return (
+        is_alike and last.last_pose == given.poses_mm[0] and len(last.command.poses_mm[0]) == len(resolved.poses_mm[0])
+    )

@@ -158,11 +158,18 @@ def split_surface(cuttable: CuttableSurface, parted: PartedLattice, sheets: Sequ
 
 def _directions(cuttable: CuttableSurface, split: SplitMesh) -> tuple[Float64, Float64]:
     """Direction into the tissue at each vertex, and normals of the new vertices; unit vectors, grid axes."""
-    old_count, count = len(cuttable.normals), len(split.places)
+    old_count, whole_count = len(cuttable.normals), len(split.places)
     rows = np.arange(len(split.triangles) - len(split.facing), len(split.triangles))
-    triangles, facing = split.triangles[rows], split.facing
+    # Only vertices of what was divided, and new ones, are asked for.
+    is_asked = np.zeros(whole_count, np.bool_)
+    is_asked[split.triangles[rows]] = True
+    is_asked[old_count:] = True
+    asked = np.flatnonzero(is_asked)
+    number = np.cumsum(is_asked) - 1
+    triangles, facing, weld = number[split.triangles[rows]], split.facing, number[split.weld[asked]]
+    count, first_new = len(asked), len(asked) - (whole_count - old_count)
     # By the angle at the corner: how a side is divided into triangles does not count.
-    corners = split.places[triangles]
+    corners = split.places[asked][triangles]
     ahead, back = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
     angle = np.arctan2(np.linalg.norm(np.cross(ahead, back), axis=2), np.einsum("tcx,tcx->tc", ahead, back))
     angle += 0.3  # a side that is too thin counts, too
@@ -173,29 +180,27 @@ def _directions(cuttable: CuttableSurface, split: SplitMesh) -> tuple[Float64, F
         return np.stack(sums, axis=1)
 
     # Vertices in one place that hang together see what all of them see.
-    one, other = split.weld[triangles], split.weld[np.roll(triangles, -1, axis=1)]
+    one, other = weld[triangles], weld[np.roll(triangles, -1, axis=1)]
     alike = np.linalg.norm(ahead, axis=2) < _ONE_PLACE
     places = np.arange(count)
     join_sets(places, np.stack([one[alike], other[alike]], axis=1).astype(np.int64))
-    own, together = summed(triangles), summed(places[split.weld[triangles]])[places[split.weld]]
+    own, together = summed(triangles), summed(places[weld[triangles]])[places[weld]]
     # Where both walls of a cut meet and cancel out, any of them.
     first = np.zeros((count, 3))
     first[triangles[::-1].ravel()] = np.repeat(facing[::-1], 3, axis=0)
     normals = _unit(own)
     normals = np.where(np.linalg.norm(normals, axis=1, keepdims=True) > 0, normals, first)
-    on = np.flatnonzero(split.on_triangle >= 0)
     is_lip = np.zeros(count, np.bool_)
     is_lip[triangles[split.triangle_origin[rows] >= 0].ravel()] = True
-    on = on[is_lip[on]]
-    of_corners = cuttable.normals[cuttable.mesh.triangles[split.on_triangle[on]]]
-    smooth = _unit(np.einsum("nc,ncx->nx", split.on_weights[on], of_corners))
+    on = np.flatnonzero((split.on_triangle[asked] >= 0) & is_lip)
+    of_corners = cuttable.normals[cuttable.mesh.triangles[split.on_triangle[asked[on]]]]
+    smooth = _unit(np.einsum("nc,ncx->nx", split.on_weights[asked[on]], of_corners))
     normals[on] = np.where(np.linalg.norm(smooth, axis=1, keepdims=True) > 0, smooth, normals[on])
     outward = _unit(together)
     for spare in (outward, np.array([0.0, 0.0, 1.0])):
         normals = np.where(np.linalg.norm(normals, axis=1, keepdims=True) > 0, normals, spare)
-    inward = -outward
-    inward[:old_count] = -cuttable.normals
-    return inward, normals[old_count:]
+    inward = np.concatenate([-cuttable.normals, -outward[first_new:]])
+    return inward, normals[first_new:]
 
 
 def _hung(

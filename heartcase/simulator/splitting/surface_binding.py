@@ -19,6 +19,7 @@ from heartcase.simulator.arrangement.surface_crossings import fill_buckets
 from heartcase.simulator.cutting.parted_lattice import PartedLattice
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.splitting.gluing import number_parts
+from heartcase.simulator.splitting.near_sheets import add_ways_to_middles, in_marked_cells
 from heartcase.simulator.splitting.seen_pieces import PieceCells, SheetBuckets, nearest_halves, see_cells
 from heartcase.simulator.splitting.surface_split import SplitMesh
 
@@ -250,12 +251,8 @@ def _towards_own_triangles(split: SplitMesh, vertices: Int64) -> Float64:
     """
     row = np.full(len(split.places), -1)
     row[vertices] = np.arange(len(vertices))
-    corners = row[split.triangles]
-    triangle, corner = np.nonzero(corners >= 0)
-    at = corners[triangle, corner]
-    way = split.places[split.triangles[triangle]].mean(axis=1) - split.places[split.triangles[triangle, corner]]
     total = np.zeros((len(vertices), 3))
-    np.add.at(total, at, way)
+    add_ways_to_middles(split.triangles, split.places, row, total)
     length = np.linalg.norm(total, axis=1, keepdims=True)
     towards: Float64 = np.divide(total, length, out=np.zeros_like(total), where=length > 0)
     return towards
@@ -326,16 +323,20 @@ def _corners_by_reach(model: LatticeModel, split: SplitMesh, triangle_nodes: Int
 
 def _near_sheets(model: LatticeModel, parted: PartedLattice, places: Float64) -> Int64:
     """Vertices within two cells of those that a sheet comes to."""
-    low = model.cells.min(axis=0) - 3
-    size = model.cells.max(axis=0) + 4 - low
-    touched = np.zeros(tuple(size), np.bool_)
-    touched[tuple((model.cells[parted.pieces.cells] - low).T)] = True
-    grown = touched
+    cells = model.cells[parted.pieces.cells]
+    if not len(cells):
+        return np.zeros(0, np.int64)
+    low = cells.min(axis=0) - 1
+    size = cells.max(axis=0) + 2 - low
+    grown = np.zeros(tuple(size), np.bool_)
+    grown[tuple((cells - low).T)] = True
     for axis in range(3):
-        moved = [np.roll(grown, step, axis=axis) for step in (-1, 1)]
-        grown = grown | moved[0] | moved[1]
-    index = np.clip(np.floor(places).astype(np.int64) - low, 0, size - 1)
-    return np.flatnonzero(grown[tuple(index.T)])
+        rows = np.moveaxis(grown, axis, 0)
+        before = rows.copy()
+        rows[1:] |= before[:-1]
+        rows[:-1] |= before[1:]
+    found = np.empty(len(places), np.int64)
+    return found[: in_marked_cells(places, low.astype(np.int64), grown, found)].copy()
 
 
 def _corners_of(parted: PartedLattice, cells: Int64, nodes: Int32) -> Int32:

@@ -339,7 +339,8 @@ def gather_springs(model: LatticeModel, nodes: Int32) -> NodeNormals:
     """The springs of some nodes, node by node."""
     number = np.full(model.node_count, -1)
     number[nodes] = np.arange(len(nodes))
-    near = np.flatnonzero((number[model.spring_nodes] >= 0).any(axis=1))
+    is_near = number >= 0
+    near = np.flatnonzero(is_near[model.spring_nodes[:, 0]] | is_near[model.spring_nodes[:, 1]])
     ends = np.concatenate([model.spring_nodes[near], model.spring_nodes[near, ::-1]])
     offset = DIRECTIONS[model.spring_direction[near]]
     offset = np.concatenate([-offset, offset])

@@ -57,6 +57,8 @@ def test_the_blade_stands_across_the_wall(whole):
     poses = np.array(blade_poses(PlannedCut(landmark="lid", outside_mm=2.5), line, (MARK,)))
     assert poses[:, 0] == pytest.approx(np.array(LINE) + np.array([0, 0, 2.5]))
     assert poses[:, 1] == pytest.approx(np.array(LINE) - np.array([0, 0, 3.0]))
+    deeper = np.array(blade_poses(PlannedCut(landmark="lid", depth_mm=2.0, deeper_mm=0.7), line, (MARK,)))
+    assert deeper[:, 1] == pytest.approx(np.array(LINE) - np.array([0, 0, 2.7]))
 
 
 def test_out_is_where_there_is_less_tissue_whichever_face_is_nearer(whole):

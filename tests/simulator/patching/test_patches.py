@@ -295,3 +295,28 @@ def test_the_lattice_with_a_patch_follows_from_numbers_alone():
         if isinstance(value, np.ndarray):
             np.testing.assert_array_equal(getattr(again, name), value)
     np.testing.assert_array_equal(again.explicit.rest_length, simulation.model.explicit.rest_length)
+
+
+def test_a_patch_a_running_row_and_a_cut_come_out_alike_on_a_gpu():
+    """On a device where there is one, else in numba's simulator: a small slab, few steps."""
+    ends = []
+    angle = ANGLE[::2]
+    outline = np.stack([6 + 3 * np.cos(angle), 6 + 3 * np.sin(angle), np.full(6, 2.0)], axis=1)
+    for backend in ("cuda", "reference"):
+        model = block(6, 6, 1, cell_mm=2.0)
+        model.node_is_fixed[model.node_index[:, 0] == 0] = True
+        simulation = Simulation(model, damping_per_s=30.0, backend=backend)
+        patch = simulation.patch(outline, scale=0.9, spacing_mm=3.0)
+        chosen = [((2, y, 2), (4, y, 2)) for y in (2, 10)]
+        row = simulation.stitch_row(simulation.row_places(chosen, spacing_mm=4.0), is_running=True)
+        simulation.draw(row[0], length_mm=1.5)
+        simulation.step(4)
+        simulation.cut([[(6, -2, 6), (6, 14, 6)], [(6, -2, -2), (6, 14, -2)]], at_rest=True)
+        simulation.step(4)
+        forces = [simulation.stitch_state(stitch).force_n for stitch in row]
+        ends.append((simulation.state.displacement.astype(float), simulation.patch_state(patch).forces_n, forces))
+    assert min(ends[1][2]) > 1e-3
+    assert ends[1][1].max() > 1e-3
+    np.testing.assert_allclose(ends[0][0], ends[1][0], atol=1e-5)
+    np.testing.assert_allclose(ends[0][1], ends[1][1], atol=1e-6)
+    np.testing.assert_allclose(ends[0][2], ends[1][2], rtol=1e-4)

@@ -128,6 +128,7 @@ def test_what_a_blade_goes_on_with_meanwhile_is_one_cut(gate, tmp_path):
         session.advance(20)
     made = [entry.command for entry in session.entries if isinstance(entry.command, Cut)]
     assert len(made) == 2
+    assert made[1].poses_mm[0] == made[0].poses_mm[-1]
     # Of each sample all is kept that it met of the tissue, in its order.
     plain = pulled(model)
     found = []

@@ -22,7 +22,16 @@ from hypothesis import strategies as st
 
 from heartcase import __version__
 from heartcase.schemas.errors import HeartcaseError, RecordingError, SimulationError
-from heartcase.schemas.recording.commands import Advance, CloseGrab, LeadGrab, Mark, Rewind, Undo, parse_command
+from heartcase.schemas.recording.commands import (
+    COMMANDS_VERSION,
+    Advance,
+    CloseGrab,
+    LeadGrab,
+    Mark,
+    Rewind,
+    Undo,
+    parse_command,
+)
 from heartcase.schemas.recording.header import HEADER_NAME, LOG_NAME, header_hash
 from heartcase.schemas.recording.log import opened, sealed
 from heartcase.schemas.recording.reader import check_recording, open_recording
@@ -284,7 +293,7 @@ def test_of_another_case(recording):
 
 
 @pytest.mark.parametrize(
-    ("key", "value"), [("format_version", "1.1"), ("format_version", "2.0"), ("commands_version", 2)]
+    ("key", "value"), [("format_version", "1.1"), ("format_version", "2.0"), ("commands_version", COMMANDS_VERSION + 1)]
 )
 def test_of_a_newer_version(recording, key, value):
     file = recording / HEADER_NAME
