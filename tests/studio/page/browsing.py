@@ -1,12 +1,18 @@
-"""A browser that has the studio open: a real one, without a window."""
+"""A browser that has the studio open: a real one, without a window.
+
+With ``HEARTCASE_SHOTS=FOLDER`` each test leaves a picture of its page there.
+"""
 
 from __future__ import annotations
 
 import io
+import os
+import re
 import socket
 import threading
 import time
 from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import SimpleITK
@@ -161,6 +167,9 @@ def browsing(chromium, server, *, may_fault=False, **options):
     page = Page(context, server)
     page.open()
     yield page
+    if folder := os.environ.get("HEARTCASE_SHOTS"):
+        test = re.sub(r"\W+", "_", os.environ["PYTEST_CURRENT_TEST"].partition("::")[2].partition(" ")[0])
+        page.tab.screenshot(path=Path(folder) / f"{test}.png")
     here = (f"http://127.0.0.1:{server.port}/", f"ws://127.0.0.1:{server.port}/", "data:", "blob:")
     assert [url for url in page.requests if not url.startswith(here)] == []
     if not may_fault:
