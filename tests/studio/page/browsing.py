@@ -134,8 +134,8 @@ class Page:
     def saved(self, count=None):
         """Wait until all that was painted is saved, and this many strokes can be taken back."""
         if count is not None:
-            self.tab.locator("#undo .count").get_by_text(str(count), exact=True).wait_for(timeout=WAIT_MS)
-        self.tab.locator("#saved[data-state=saved]").wait_for(timeout=WAIT_MS)
+            self.tab.locator("#undo .count").get_by_text(str(count), exact=True).wait_for(timeout=60_000)
+        self.tab.locator("#saved[data-state=saved]").wait_for(timeout=60_000)
         self.drawn()
 
     def text(self, selector):
