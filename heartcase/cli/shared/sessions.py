@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from heartcase.schemas.errors import UsageError
-from heartcase.schemas.script import SimulationScript
+from heartcase.schemas.scripts.script import SimulationScript
 from heartcase.simulator.engine.backends import Backend
 from heartcase.simulator.incisions.stitches import MEASURED, beside_measured
 from heartcase.simulator.lattice.force_law import RATIO_MAX, RATIO_MIN, ForceLaw, LawName
