@@ -17,10 +17,16 @@ def _missing(reason):
     pytest.skip(reason)
 
 
+def find_browser():
+    """The browser that is asked for, or one that is there, or None."""
+    asked = os.environ.get("HEARTCASE_BROWSER")
+    return asked or next((found for name in BROWSERS if (found := shutil.which(name))), None)
+
+
 @pytest.fixture(scope="package")
 def chromium():
     # of the package alone: while Playwright runs, this thread has an event loop, and other tests start their own
-    path = next((found for name in BROWSERS if (found := shutil.which(name))), None)
+    path = find_browser()
     try:
         from playwright import sync_api as playwright
     except ImportError:
