@@ -90,7 +90,7 @@ if TYPE_CHECKING:
         SqueezeForceps,
         WithdrawScissors,
     )
-    from heartcase.schemas.script import SimulationScript
+    from heartcase.schemas.scripts.script import SimulationScript
     from heartcase.simulator.dynamics.integrate import Energy
     from heartcase.simulator.dynamics.step_size import default_step, step_limit
     from heartcase.simulator.haptics.channel import Channel, Felt
@@ -394,7 +394,7 @@ _MODULES = {
         "SqueezeForceps",
         "WithdrawScissors",
     ),
-    "heartcase.schemas.script": ("SimulationScript",),
+    "heartcase.schemas.scripts.script": ("SimulationScript",),
     "heartcase.simulator.dynamics.integrate": ("Energy",),
     "heartcase.simulator.dynamics.step_size": ("default_step", "step_limit"),
     "heartcase.simulator.haptics.channel": ("Channel", "Felt"),

@@ -7,9 +7,10 @@ no difference to a bit of what follows: it is only there sooner.
 
 from __future__ import annotations
 
+import threading
 from collections import deque
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, wait
 from dataclasses import dataclass
 
 import numpy as np
@@ -100,7 +101,6 @@ class CutsAhead:
 
     def __init__(self) -> None:
         self._coming: deque[_Coming] = deque()
-        self._pool: ThreadPoolExecutor | None = None
 
     def __len__(self) -> int:
         """Cuts that were begun and not made."""
@@ -132,20 +132,18 @@ class CutsAhead:
         work
             Works it out, given a lattice, what was cut of it, and the points.
         """
-        if self._pool is None:
-            self._pool = ThreadPoolExecutor(1, thread_name_prefix="heartcase-cuts")
-        if self._coming:
-            last = self._coming[-1].tissue
+        last = self._coming[-1].tissue if self._coming else None
 
-            def further() -> CutTissue:
-                # One thread takes them in their order: the last is done by now.
-                found = last.result()
-                return work(found.model, found.cuts, points)
+        def further() -> CutTissue:
+            if last is None:
+                return work(model, nothing_cut if cuts is None else cuts, points)
+            found = last.result()
+            return work(found.model, found.cuts, points)
 
-            self._coming.append(_Coming(points, last, self._pool.submit(further)))
-        else:
-            future = self._pool.submit(work, model, nothing_cut if cuts is None else cuts, points)
-            self._coming.append(_Coming(points, cuts, future))
+        future: Future[CutTissue] = Future()
+        self._coming.append(_Coming(points, cuts if last is None else last, future))
+        # A thread for each: none is left when all are done.
+        threading.Thread(target=_work_out, args=(future, last, further), name="heartcase-cut").start()
 
     def take(self, points: Float64, model: LatticeModel, cuts: Cuts | None) -> CutTissue | None:
         """What the next cut leaves, if it is this one; otherwise none that was begun counts any more.
@@ -182,6 +180,17 @@ class CutsAhead:
         for coming in self._coming:
             coming.tissue.cancel()
         self._coming.clear()
+
+
+def _work_out(future: Future[CutTissue], last: Future[CutTissue] | None, work: Callable[[], CutTissue]) -> None:
+    if last is not None:
+        wait([last])
+    if not future.set_running_or_notify_cancel():
+        return
+    try:
+        future.set_result(work())
+    except BaseException as error:
+        future.set_exception(error)
 
 
 def _cuts_before(coming: _Coming) -> Cuts | None:

@@ -73,9 +73,14 @@ async def _serve_page(websocket: WebSocket, workplace: Workplace) -> None:
     finally:
         joined.cancel()
         sender.cancel()
-        with contextlib.suppress(asyncio.CancelledError):
-            await joined
-        await workplace.leave(page)
+        # A server that ends cancels this too: the page's stroke is saved all the same.
+        await asyncio.shield(_forget(workplace, page, joined))
+
+
+async def _forget(workplace: Workplace, page: Page, joined: asyncio.Task[None]) -> None:
+    with contextlib.suppress(asyncio.CancelledError):
+        await joined
+    await workplace.leave(page)
 
 
 async def _send(websocket: WebSocket, page: Page) -> None:

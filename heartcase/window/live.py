@@ -46,7 +46,7 @@ _ACTS = get_args(Act)
 _NAVIGATION = get_args(Navigation)
 _SLOWEST = 2.5
 """How many times longer a frame may take where it does not: the time is for steps."""
-_STEPS_LEAST = 0.2
+_STEPS_LEAST = 0.4
 """Part of a frame's steps that is taken however long they take: time goes on."""
 _STEPS_DOWN, _STEPS_UP = 0.7, 1.15
 """How much fewer, or more, steps a frame may take than the one before."""

@@ -51,7 +51,7 @@ class Scene:
         self._heart_actor: Any = None
         self._drawn: dict[str, Any] = {}
         self._texts: dict[str, Any] = {}
-        self._list: list[Any] = []
+        self._over = self._make_over()
         self._fill_list()
 
     @property
@@ -231,14 +231,34 @@ class Scene:
                 continue
             matrix = np.diag([_HANDLE_MM, _HANDLE_MM, _HANDLE_MM, 1.0])
             matrix[:3, 3] = shown.center_mm
-            self._place_ball(f"instrument {name}", matrix, _INSTRUMENT_COLOURS.get(shown.kind, "silver"))
+            colour = _INSTRUMENT_COLOURS.get(shown.kind, "silver")
+            self._place_ball(f"instrument {name}", matrix, colour, is_handle=True)
         for name in [name for name in self._drawn if name.startswith("instrument ") and name not in there]:
             self._remove(name)
 
-    def _place_ball(self, name: str, matrix: Float64, colour: str) -> None:
+    def _make_over(self) -> Any:
+        """What is drawn over all else: handles of instruments, which may lie in the tissue."""
+        from vtkmodules.vtkRenderingCore import vtkRenderer
+
+        over = vtkRenderer()
+        window = self.plotter.render_window
+        window.SetNumberOfLayers(max(window.GetNumberOfLayers(), 2))
+        over.SetLayer(1)
+        over.InteractiveOff()
+        over.SetActiveCamera(self.plotter.camera)
+        window.AddRenderer(over)
+        return over
+
+    def _place_ball(self, name: str, matrix: Float64, colour: str, *, is_handle: bool = False) -> None:
         if name not in self._drawn:
             ball = self._pyvista.Sphere(radius=1.0, theta_resolution=24, phi_resolution=24)
-            self._drawn[name] = self.plotter.add_mesh(ball, color=colour, reset_camera=False, name=name)
+            if is_handle:
+                actor = self._pyvista.Actor(mapper=self._pyvista.DataSetMapper(ball))
+                actor.prop.color, actor.prop.opacity, actor.prop.ambient = colour, 0.8, 0.4
+                self._over.AddActor(actor)
+                self._drawn[name] = actor
+            else:
+                self._drawn[name] = self.plotter.add_mesh(ball, color=colour, reset_camera=False, name=name)
         self._drawn[name].user_matrix = matrix
 
     def _draw_stitches(self, live: LiveFrame) -> None:
@@ -301,4 +321,5 @@ class Scene:
     def _remove(self, name: str) -> None:
         actor = self._drawn.pop(name, None)
         if actor is not None:
+            self._over.RemoveActor(actor)
             self.plotter.remove_actor(actor, reset_camera=False, render=False)

@@ -6,6 +6,8 @@ import os
 import sys
 import time
 from collections import deque
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +33,12 @@ _MESSAGE_S = 8.0
 """How long a message stands, s."""
 _LOOK_S = 1.0 / 60.0
 """How often the window looks for the mouse at most, s."""
+_NO_SCREEN = (
+    "there is no screen here that a window can be shown on ({}): run it on a machine with one, "
+    "or look at pictures with  heartcase simulate --picture"
+)
+_WITHOUT_SCREEN = ("vtkEGLRenderWindow", "vtkOSOpenGLRenderWindow")
+"""VTK's windows that are on no screen."""
 _SOFTWARE = ("llvmpipe", "softpipe", "swr", "swiftshader", "microsoft basic render")
 """What renderers without a graphics card call themselves."""
 _FROM_LEFT_FRONT = np.array([0.45, -1.0, 0.25])
@@ -53,10 +61,7 @@ def require_display() -> None:
     except ImportError:
         raise MissingExtraError("The window", "prepare") from None
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise UsageError(
-            "there is no screen here that a window can be shown on (DISPLAY is not set): run it on a machine with one, "
-            "or look at pictures with  heartcase simulate --picture"
-        )
+        raise UsageError(_NO_SCREEN.format("DISPLAY is not set"))
 
 
 class HeartWindow:
@@ -96,6 +101,7 @@ class HeartWindow:
         self._folder = Path() if record_folder is None else record_folder
         self._name = case.manifest.name
         self._named: dict[str, int] = {}
+        self._failure: BaseException | None = None
         self._is_used = False
         self._is_dirty = True
         self._shows_help = self._shows_strain = False
@@ -115,22 +121,34 @@ class HeartWindow:
 
         Raises
         ------
+        UsageError
+            There is no screen that can be reached.
         BaseException
             What ended the session's thread, if something did.
         """
-        self.plotter.show(interactive_update=True, auto_close=False)
-        if self.is_drawn_in_software:
-            self.live.spare_a_processor()
-            self.plotter.disable_anti_aliasing()
+        # Not by PyVista's show, which would put its own interaction in place of this one.
         try:
-            while self.is_open:
-                began = time.perf_counter()
-                self.plotter.iren.process_events()
-                if self.is_open:
-                    self.draw()
-                time.sleep(max(0.0, _LOOK_S - (time.perf_counter() - began)))
+            self.plotter.render_window.SetWindowName(self.plotter.title)
+            self.draw()
+            if type(self.plotter.render_window).__name__ in _WITHOUT_SCREEN and not self.plotter.off_screen:
+                # VTK draws on without a screen where the display named cannot be reached, and breaks down at events.
+                raise UsageError(_NO_SCREEN.format("the display that DISPLAY names cannot be reached"))
+            self._interactor.Initialize()
+            if self.is_drawn_in_software:
+                self.live.spare_a_processor()
+                self.plotter.disable_anti_aliasing()
+            if self.plotter.off_screen:
+                while self.is_open:
+                    self._look()
+                    time.sleep(_LOOK_S)
+            else:
+                self._interactor.AddObserver("TimerEvent", self._look)
+                self._interactor.CreateRepeatingTimer(round(1e3 * _LOOK_S))
+                self._interactor.Start()
         finally:
             self.close()
+        if self._failure is not None:
+            raise self._failure
 
     @property
     def is_drawn_in_software(self) -> bool:
@@ -161,7 +179,8 @@ class HeartWindow:
         self._drawn, self._is_dirty = newest, False
         self._frames.append(time.perf_counter())
         self._write()
-        self.plotter.render()
+        # PyVista's own render does nothing before its show was called.
+        self.plotter.render_window.Render()
 
     def picture(self) -> UInt8:
         """What is seen now, shape (height, width, 3)."""
@@ -201,6 +220,20 @@ class HeartWindow:
             pickable = np.arange(len(triangles), dtype=np.int32)
         return Pointer(ray, first_hit(ray, newest.frame.surface.vertices_mm, triangles[pickable]), eye.axes)
 
+    def _look(self, *_: Any) -> None:
+        """What is done again and again while the window is shown."""
+        self._guarded(self.draw)
+
+    def _guarded(self, does: Callable[..., None], *given: Any) -> None:
+        """Do something for VTK, which would swallow what is raised, Ctrl-C too: it ends the window instead."""
+        if not self.is_open:
+            return
+        try:
+            does(*given)
+        except BaseException as error:
+            self._failure = error
+            self._leave()
+
     def _listen(self) -> None:
         from vtkmodules.vtkInteractionStyle import vtkInteractorStyleTrackballCamera
 
@@ -219,9 +252,9 @@ class HeartWindow:
             "KeyPressEvent": self._key_pressed,
             "CharEvent": lambda *_: None,
         }.items():
-            style.AddObserver(event, does)
+            style.AddObserver(event, partial(self._guarded, does))
         interactor.SetInteractorStyle(style)
-        interactor.AddObserver("ExitEvent", lambda *_: self._leave())
+        interactor.AddObserver("ExitEvent", self._leave)
         self._style, self._interactor = style, interactor
 
     def _place(self) -> tuple[int, int]:
@@ -393,8 +426,9 @@ class HeartWindow:
     def _show_help(self) -> None:
         self._shows_help = not self._shows_help
 
-    def _leave(self) -> None:
+    def _leave(self, *_: Any) -> None:
         self.is_open = False
+        self._interactor.TerminateApp()
 
     def _new_name(self, kind: str) -> str:
         newest = self.live.newest.frame

@@ -52,8 +52,9 @@ def test_for_a_scan_a_recipe_is_written_that_marks_nothing(tmp_path, monkeypatch
 
 def test_what_it_cannot_open_is_said_in_one_line(tmp_path, capsys):
     case, _ = write_case(tmp_path)
-    for path, message in ((case, "is a case"), (tmp_path / "nothing", "there is nothing at this path")):
-        assert main(["studio", str(path), "--no-browser"]) == 2
+    missing = tmp_path / "nothing"
+    for path, code, message in ((case, 2, "is a case"), (missing, 1, "there is nothing at this path")):
+        assert main(["studio", str(path), "--no-browser"]) == code
         error = capsys.readouterr().err
         assert message in error
         assert error.count("\n") == 1

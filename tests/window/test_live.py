@@ -190,3 +190,15 @@ def test_a_thread_that_was_never_started_is_closed(case):
     live = Live(live_on(case).session)
     live.close()
     live.close()
+
+
+def test_a_cut_that_was_begun_is_made_before_the_end(case, tmp_path):
+    live = live_on(case)
+    live.record(tmp_path / "a.recording")
+    live.do(Cut(poses_mm=tuple(tuple((22.3, y, z) for y in (-18.0, -10.0)) for z in (45.0, 33.0))))
+    live._do_asked()
+    assert live.session.frame().coming_cuts == 1
+    live.close()
+    again = played_again(tmp_path / "a.recording", case)
+    assert [entry.command.kind for entry in again.entries] == ["cut"]
+    assert again.simulation.model.node_count > case.model.node_count

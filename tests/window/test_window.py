@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 
 import numpy as np
@@ -101,6 +102,12 @@ def test_a_story_by_mouse_and_keys_is_recorded_and_repeats_to_the_byte(case, tmp
         mouse.key("space")
 
         until(lambda: live.newest.mode == "running")
+
+        # Its handle is seen, though it lies in the tissue.
+        handle = next(one for one in live.newest.frame.instruments.values() if one.kind == "forceps").center_mm
+        seen = window.picture()
+        x, y = mouse.pixel(handle)
+        assert np.ptp(seen[seen.shape[0] - 1 - y, x].astype(int)) < 25  # silver, and not the colour of muscle
 
         # The retractor is let go, by pointing at it.
         retractor = next(one for one in live.newest.frame.instruments.values() if one.kind == "retractor")
@@ -277,3 +284,37 @@ def test_closing_twice_and_closing_while_it_runs(case):
         window.close()
         window.close()
     assert live._thread is None
+
+
+def test_steps_go_on_while_a_picture_is_drawn_and_the_view_turns_while_steps_are_taken(case, monkeypatch):
+    live = live_on(case)
+    with off_screen_window(case, live) as window:
+        window.draw()
+        draw = window.scene.draw
+
+        def slow_draw(*given, **named):
+            """A picture that is not ready before many frames of steps were taken."""
+            step = live.newest.frame.step
+            until(lambda: live.newest.frame.step > step + 200)
+            draw(*given, **named)
+
+        monkeypatch.setattr(window.scene, "draw", slow_draw)
+        live.start()
+        until(lambda: live.newest.frame.step > 0)
+        window.draw()
+        # The other way round: a frame of steps that does not end before the view has turned.
+        has_turned, is_held = threading.Event(), threading.Event()
+
+        def wait():
+            is_held.set()
+            assert has_turned.wait(60.0)
+
+        monkeypatch.setattr(window.scene, "draw", draw)
+        live._ask([wait])
+        assert is_held.wait(60.0)
+        before = np.array(window.plotter.camera.position)
+        Mouse(window).drag((240, 180), (280, 190))
+        window.draw()
+        assert np.linalg.norm(np.array(window.plotter.camera.position) - before) > 1.0
+        has_turned.set()
+    assert live.error is None

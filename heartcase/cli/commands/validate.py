@@ -15,7 +15,7 @@ from heartcase.schemas.bundle.check import check_bundle
 from heartcase.schemas.errors import HeartcaseError, Problem
 from heartcase.schemas.recipe.recipe import Recipe, load_recipe
 from heartcase.schemas.recording.reader import check_recording, is_recording
-from heartcase.schemas.script import SimulationScript
+from heartcase.schemas.scripts.script import SimulationScript
 
 __all__ = ["command"]
 

@@ -18,7 +18,7 @@ from heartcase.cli.shared.output import echo_json, json_ready
 from heartcase.cli.shared.sessions import check_numbers, law_options, require_folder, session_bar, with_law
 from heartcase.schemas.errors import Problem, ScriptError, SimulationError, UsageError
 from heartcase.schemas.files import atomic_write
-from heartcase.schemas.incision_plans import PlannedIncision
+from heartcase.schemas.scripts.incision_plans import PlannedIncision
 from heartcase.simulator.engine.backends import Backend
 from heartcase.simulator.lattice.force_law import LawName
 from heartcase.simulator.load import Case, load_case

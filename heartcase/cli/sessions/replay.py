@@ -13,7 +13,7 @@ from heartcase.cli.shared.output import echo_json
 from heartcase.cli.shared.sessions import check_numbers, require_folder, session_bar
 from heartcase.schemas.errors import Problem, UsageError
 from heartcase.schemas.recording.reader import Recording, open_recording
-from heartcase.schemas.script import SimulationScript
+from heartcase.schemas.scripts.script import SimulationScript
 from heartcase.simulator.engine.backends import Backend
 from heartcase.simulator.load import Case, load_case
 from heartcase.simulator.session.operating_session import OperatingSession

@@ -26,6 +26,7 @@ from heartcase.cli.shared.sessions import (
     session_options,
     simulation_of,
     stitch_lines,
+    stitches_over_measured,
     template_files,
     with_law,
 )
@@ -130,7 +131,8 @@ def command(
     written = list(template_files(simulation, templates)) if templates is not None else []
     if as_json:
         named = {"case": loaded.manifest.name, "case_id": case_id, "approval": approval.state, "backend": backend}
-        echo_json({**named, "law": law, "poissons_ratio": poissons_ratio, **summary.to_dict()})
+        beside = {"stitches_over_measured": stitches_over_measured(summary)}
+        echo_json({**named, "law": law, "poissons_ratio": poissons_ratio, **summary.to_dict(), **beside})
     else:
         click.echo(f"Approval   {approval.words}")
         for line in _lines(loaded, summary):

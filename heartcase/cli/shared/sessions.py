@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from heartcase.schemas.errors import UsageError
-from heartcase.schemas.script import SimulationScript
+from heartcase.schemas.scripts.script import SimulationScript
 from heartcase.simulator.engine.backends import Backend
 from heartcase.simulator.incisions.stitches import MEASURED, beside_measured
 from heartcase.simulator.lattice.force_law import RATIO_MAX, RATIO_MIN, ForceLaw, LawName
@@ -35,6 +35,7 @@ __all__ = [
     "sews",
     "simulation_of",
     "stitch_lines",
+    "stitches_over_measured",
     "template_files",
     "with_law",
 ]
@@ -156,6 +157,15 @@ def template_files(simulation: Simulation, folder: Path) -> Iterator[Path]:
             path = folder / f"{patch.name}{suffix}"
             write_template(path, simulation.template(patch), patch.name)
             yield path
+
+
+def stitches_over_measured(summary: SessionSummary) -> dict[str, dict[str, float]]:
+    """The force in each stitch, and the highest in each patch's rim, over the mean of each that was measured [1]."""
+    forces = summary.stitch_end_force_n | {name: max(rim) for name, rim in summary.patch_end_force_n.items()}
+    return {
+        name: {one.key: beside_measured((force,), one.key)[0].part_of_mean for one in MEASURED}
+        for name, force in forces.items()
+    }
 
 
 def stitch_lines(summary: SessionSummary) -> Iterator[str]:

@@ -6,14 +6,14 @@ import json
 
 from heartcase.schemas.base import Model
 from heartcase.schemas.bundle.format import ARRAYS, CaseManifest
-from heartcase.schemas.incision_plans import IncisionPlans
 from heartcase.schemas.labels import LabelTable
 from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.published.reference import reference_page
 from heartcase.schemas.recipe.recipe import Recipe
 from heartcase.schemas.recording.commands import Entry
 from heartcase.schemas.recording.header import RecordingHeader
-from heartcase.schemas.script import SimulationScript
+from heartcase.schemas.scripts.incision_plans import IncisionPlans
+from heartcase.schemas.scripts.script import SimulationScript
 
 __all__ = ["SCHEMAS", "schema_files"]
 

@@ -19,6 +19,8 @@ __all__ = ["PLACES_MAX", "places_at_rest", "refined"]
 
 PLACES_MAX = (4096, 100_000)
 """Poses, or points in each, of a blade that is followed back to rest, and both together: what a recording holds."""
+_REACH = 4.0
+"""How far around a blade cells are looked for at first [cells]."""
 _SPACING = 0.5
 """Distance between the places of a blade that are followed back to rest [cells]."""
 
@@ -74,7 +76,6 @@ def places_at_rest(model: LatticeModel, displacement: Float32, points: npt.Array
         return places.copy()
     result = np.empty((places.size // 3, 3))
     corners = (CORNER_OFFSETS - 0.5).astype(np.float64)
-    follow_back(
-        places.reshape(-1, 3), model.cells.astype(np.float64) + 0.5, model.cell_corners, displacement, corners, result
-    )
+    middles = model.cells.astype(np.float64) + 0.5
+    follow_back(places.reshape(-1, 3), middles, model.cell_corners, displacement, corners, _REACH, result)
     return result.reshape(places.shape)

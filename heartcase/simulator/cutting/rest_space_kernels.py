@@ -64,31 +64,56 @@ def _local_place(point, centre, nodes, displacement, corners, local):
     return max(abs(local[0]), abs(local[1]), abs(local[2]))
 
 
+@kernel(cached=False)
+def _find_nearest(point, now, listed, nearest, away):
+    """Write the cells among some whose middles are nearest to a point, and the squares of how far, else infinity."""
+    away[:] = np.inf
+    nearest[:] = -1
+    for cell in listed:
+        x, y, z = point[0] - now[cell, 0], point[1] - now[cell, 1], point[2] - now[cell, 2]
+        square = x * x + y * y + z * z
+        if square < away[_CANDIDATES - 1]:
+            place = _CANDIDATES - 1
+            while place > 0 and away[place - 1] > square:
+                away[place], nearest[place] = away[place - 1], nearest[place - 1]
+                place -= 1
+            away[place], nearest[place] = square, cell
+
+
 @kernel
-def follow_back(points, centres, cell_corners, displacement, corners, result):
-    """Write the place at rest of each point, from the cells around it, whose centres at rest are given."""
+def follow_back(points, centres, cell_corners, displacement, corners, reach, result):
+    """Write the place at rest of each point, from the cells around it, whose centres at rest are given.
+
+    Those within ``reach`` of the box around all points are looked at first, in case they are enough; the result is the
+    same whatever it is.
+    """
     cell_count = len(centres)
     now = np.empty((cell_count, 3))
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for point in range(len(points)):
+        for axis in range(3):
+            low[axis] = min(low[axis], points[point, axis] - reach)
+            high[axis] = max(high[axis], points[point, axis] + reach)
+    near, every = np.empty(cell_count, np.int64), np.arange(cell_count)
+    count = 0
     for cell in range(cell_count):
+        inside = True
         for axis in range(3):
             total = 0.0
             for corner in range(8):
                 total += displacement[cell_corners[cell, corner], axis]
             now[cell, axis] = centres[cell, axis] + total / 8.0
+            inside &= low[axis] <= now[cell, axis] <= high[axis]
+        if inside:
+            near[count] = cell
+            count += 1
     nearest, away = np.empty(_CANDIDATES, np.int64), np.empty(_CANDIDATES)
     local, best = np.empty(3), np.empty(3)
     for point in range(len(points)):
-        away[:] = np.inf
-        nearest[:] = -1
-        for cell in range(cell_count):
-            x, y, z = points[point, 0] - now[cell, 0], points[point, 1] - now[cell, 1], points[point, 2] - now[cell, 2]
-            square = x * x + y * y + z * z
-            if square < away[_CANDIDATES - 1]:
-                place = _CANDIDATES - 1
-                while place > 0 and away[place - 1] > square:
-                    away[place], nearest[place] = away[place - 1], nearest[place - 1]
-                    place -= 1
-                away[place], nearest[place] = square, cell
+        _find_nearest(points[point], now, near[:count], nearest, away)
+        # A cell beyond the box is further away than it reaches, whatever was rounded.
+        if away[_CANDIDATES - 1] >= 0.999 * reach * reach:
+            _find_nearest(points[point], now, every, nearest, away)
         least = np.inf
         for candidate in range(_CANDIDATES):
             cell = nearest[candidate]

@@ -10,10 +10,10 @@ import numpy.typing as npt
 
 from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import Problem, SimulationError
-from heartcase.schemas.incision_plans import LipHands, PlannedCut
 from heartcase.schemas.landmarks import Landmark
-from heartcase.schemas.script import GrabAction, Waypoint
-from heartcase.schemas.tool_actions import RetractorAction
+from heartcase.schemas.scripts.incision_plans import LipHands, PlannedCut
+from heartcase.schemas.scripts.script import GrabAction, Waypoint
+from heartcase.schemas.scripts.tool_actions import RetractorAction
 from heartcase.simulator.incisions.segments import touches
 from heartcase.simulator.incisions.triangle_tree import TriangleTree
 

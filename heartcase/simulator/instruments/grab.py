@@ -13,6 +13,7 @@ import numpy.typing as npt
 from heartcase.schemas.arrays import Bool, Float, Float32, Float64, Int64, Intp
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.instruments.placing import is_point, point_in_lattice, turn_in_grid
+from heartcase.simulator.lattice.loose_nodes import loose_first
 from heartcase.simulator.lattice.model import LatticeModel
 
 __all__ = ["DETOUR_MAX", "Grab", "Pose", "along_springs", "close_grab", "nodes_in_reach", "pose_of", "require_grab"]
@@ -208,6 +209,8 @@ def nodes_in_reach(model: LatticeModel, displacement: Float32, center_mm: npt.Ar
     center = point_in_lattice(model, center_mm)
     radius = radius_mm / model.cell_mm
     distance = np.linalg.norm(model.node_index + displacement - center, axis=1)
+    # A hand holds tissue, and no patch.
+    distance[loose_first(model) :] = np.inf
     nearest = int(distance.argmin())
     if distance[nearest] > radius:
         raise SimulationError(

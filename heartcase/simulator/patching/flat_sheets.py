@@ -43,6 +43,8 @@ class FlatSheet:
     """Smallest principal stretch of any triangle from flat to spanned, at scale 1."""
     stretch_most: float
     """Largest."""
+    scale: float = 1.0
+    """Size of what is cut over that of the outline laid out flat."""
 
     @property
     def outline_mm(self) -> Float64:
@@ -104,7 +106,7 @@ def flat_sheet(rim_mm: npt.ArrayLike, *, scale: float = 1.0, name: str = "patch"
     if not (stretches > 0).all():
         raise SimulationError("the sheet over this outline cannot be laid out flat: draw a flatter loop", place=name)
     flat = scale * (flat - flat.mean(axis=0))
-    return FlatSheet(flat, spanned, triangles, len(rim), float(stretches.min()), float(stretches.max()))
+    return FlatSheet(flat, spanned, triangles, len(rim), float(stretches.min()), float(stretches.max()), scale)
 
 
 def _seen_along_normal(rim: Float64, name: str) -> Float64:

@@ -58,9 +58,10 @@ def _page(sheet: FlatSheet, name: str) -> _Page:
     bar = np.array([[(_MARGIN_MM, foot - 1.0), (_MARGIN_MM + _BAR_MM, foot - 1.0)]])
     ends = [[(x, foot - 2.0), (x, foot)] for x in (_MARGIN_MM, _MARGIN_MM + _BAR_MM)]
     least, most = 100.0 * (sheet.stretch_least - 1.0), 100.0 * (sheet.stretch_most - 1.0)
+    cut = "" if sheet.scale == 1.0 else f"; cut to {100 * sheet.scale:.3g} % of that size"
     said = (
         f"{name}: {sheet.area_mm2:.0f} mm2, rim {sheet.perimeter_mm:.0f} mm, {sheet.rim_count} stitches (ticks)",
-        f"From flat to the heart it is stretched by {least:+.1f} to {most:+.1f} %",
+        f"Laid out flat; on the heart it is stretched by {least:+.1f} to {most:+.1f} %{cut}",
         "Print at 100 %: the bar is 10 mm. Not a medical device",
     )
     texts = tuple((_MARGIN_MM, foot - 3.0 - _TEXT_MM * (1.3 * number + 1.0), text) for number, text in enumerate(said))
@@ -134,7 +135,16 @@ TEMPLATE_FORMATS: dict[str, Callable[[FlatSheet, str], bytes]] = {".svg": templa
 
 
 def write_template(path: Path | str, sheet: FlatSheet, name: str) -> None:
-    """Write the template of a patch, to scale in mm; the suffix says the format: ``.svg`` or ``.pdf``.
+    """Write the template of a patch, to scale in mm.
+
+    Parameters
+    ----------
+    path
+        Where to; the suffix says the format: ``.svg`` or ``.pdf``.
+    sheet
+        The patch laid out flat: what ``Simulation.template`` gives.
+    name
+        What is written beside it.
 
     Raises
     ------

@@ -12,11 +12,11 @@ from pydantic import ValidationError
 
 from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import Problem, ScriptError, SimulationError, problems_from_validation
-from heartcase.schemas.incision_plans import IncisionPlans, PlannedIncision
 from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.migrate import PLANS
 from heartcase.schemas.recording.commands import Mark
-from heartcase.schemas.script import CutAction, SimulationScript
+from heartcase.schemas.scripts.incision_plans import IncisionPlans, PlannedIncision
+from heartcase.schemas.scripts.script import CutAction, SimulationScript
 from heartcase.simulator.incisions.figures import CRITERIA, IncisionFigures, RankedPlan, ranked
 from heartcase.simulator.incisions.measure import IncisionPlan, Scene, measured
 from heartcase.simulator.incisions.planned import (

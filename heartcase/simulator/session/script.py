@@ -25,8 +25,8 @@ from heartcase.schemas.recording.commands import (
     MoveProbe,
     SqueezeForceps,
 )
-from heartcase.schemas.script import GrabAction, ProbeAction, SimulationScript, Waypoint
-from heartcase.schemas.tool_actions import ForcepsAction
+from heartcase.schemas.scripts.script import GrabAction, ProbeAction, SimulationScript, Waypoint
+from heartcase.schemas.scripts.tool_actions import ForcepsAction
 from heartcase.simulator.dynamics.integrate import Energy
 from heartcase.simulator.instruments.forceps import Forceps
 from heartcase.simulator.instruments.grab import Grab

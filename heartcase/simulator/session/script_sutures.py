@@ -14,8 +14,8 @@ from heartcase.schemas.recording.commands import (
     TakeOutStitch,
     TieStitch,
 )
-from heartcase.schemas.script import SimulationScript
-from heartcase.schemas.suture_actions import PatchAction, RowAction, StitchAction
+from heartcase.schemas.scripts.script import SimulationScript
+from heartcase.schemas.scripts.suture_actions import PatchAction, RowAction, StitchAction
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.perform_sutures import patch_named, stitches_named
 

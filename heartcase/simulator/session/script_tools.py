@@ -16,8 +16,8 @@ from heartcase.schemas.recording.commands import (
     PlaceScissors,
     Snip,
 )
-from heartcase.schemas.script import GrabAction, ProbeAction
-from heartcase.schemas.tool_actions import ForcepsAction, RetractorAction, ScissorsAction
+from heartcase.schemas.scripts.script import GrabAction, ProbeAction
+from heartcase.schemas.scripts.tool_actions import ForcepsAction, RetractorAction, ScissorsAction
 from heartcase.simulator.instruments.forceps import Forceps
 from heartcase.simulator.session.operating_session import OperatingSession
 

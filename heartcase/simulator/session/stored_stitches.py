@@ -81,7 +81,7 @@ def patch_arrays(patches: Sequence[Patch]) -> Arrays:
     for number, patch in enumerate(patches):
         sheet, place = patch.sheet, f"patch_{number}_"
         numbers = [patch.stiffness_n_m, patch.thickness_mm, patch.first, patch.stitch_stiffness]
-        numbers += [sheet.stretch_least, sheet.stretch_most]
+        numbers += [sheet.stretch_least, sheet.stretch_most, sheet.scale]
         arrays |= {
             place + "places": np.array([(one.cell, one.sample) for one in patch.places], np.int64),
             place + "local": np.array([one.local for one in patch.places], np.float64),
@@ -109,7 +109,7 @@ def patches_from(arrays: Arrays, names: Sequence[str], model: LatticeModel, cuts
         )
         rim, count = len(places), len(flat)
         is_whole = places.shape == (rim, 2) and local.shape == (rim, 3) and flat.shape == (count, 2)
-        is_whole &= spanned.shape == (count, 3) and triangles.shape[1:] == (3,) and numbers.shape == (6,)
+        is_whole &= spanned.shape == (count, 3) and triangles.shape[1:] == (3,) and numbers.shape == (7,)
         if not is_whole or not 3 <= rim <= count or places.dtype != np.int64 or triangles.dtype != np.int32:
             raise ValueError("patches")
         if places.min() < 0 or places[:, 0].max() >= cell_count or places[:, 1].max() >= len(SAMPLE_PLACES):
@@ -118,10 +118,10 @@ def patches_from(arrays: Arrays, names: Sequence[str], model: LatticeModel, cuts
             raise ValueError("patches")
         if not all(np.isfinite(array).all() for array in (local, flat, spanned, numbers)):
             raise ValueError("patches")
-        stiffness, thickness, first, own, least, most = numbers.tolist()
+        stiffness, thickness, first, own, least, most, scale = numbers.tolist()
         if not (0 <= first <= model.loose_count - count and own > 0 and (local >= 0).all() and (local <= 1).all()):
             raise ValueError("patches")
-        sheet = FlatSheet(flat, spanned, triangles, rim, least, most)
+        sheet = FlatSheet(flat, spanned, triangles, rim, least, most, scale)
         at = tuple(
             Place(cell, sample, (x, y, z))
             for (cell, sample), (x, y, z) in zip(places.tolist(), local.tolist(), strict=True)

@@ -9,10 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from heartcase.schemas.bundle.lattice import CORNER_OFFSETS
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.cutting.blade_sheet import Sheet
 from heartcase.simulator.cutting.cuts import Cuts
 from heartcase.simulator.cutting.rest_space import places_at_rest, refined
+from heartcase.simulator.cutting.rest_space_kernels import follow_back
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
 from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.lattice.state import State
@@ -269,3 +271,16 @@ def test_a_surface_that_is_not_closed_refuses_a_cut_and_nothing_changes():
     assert simulation.cuts is None
     simulation.step(3)
     assert simulation.state.displacement.tobytes() == before
+
+
+@pytest.mark.parametrize("reach", [0.0, 0.7, 2.0])
+def test_places_at_rest_do_not_depend_on_which_cells_are_looked_at_first(reach):
+    model = block(9, 4, 4)
+    draw = np.random.default_rng(5)
+    displacement = draw.normal(0, 0.15, (model.node_count, 3)).astype(np.float32)
+    points = draw.uniform(-2.0, 7.0, (60, 3))
+    given = (points, model.cells + 0.5, model.cell_corners, displacement, CORNER_OFFSETS - 0.5)
+    found, wanted = np.empty_like(points), np.empty_like(points)
+    follow_back(*given, reach, found)
+    follow_back(*given, np.inf, wanted)
+    np.testing.assert_array_equal(found, wanted)

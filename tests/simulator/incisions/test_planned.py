@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from heartcase.schemas.errors import SimulationError
-from heartcase.schemas.incision_plans import LipHands, PlannedCut
 from heartcase.schemas.landmarks import Landmark
+from heartcase.schemas.scripts.incision_plans import LipHands, PlannedCut
 from heartcase.simulator.incisions.planned import (
     blade_poses,
     drawn_line,

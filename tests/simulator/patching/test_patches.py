@@ -20,6 +20,7 @@ from heartcase.schemas.recording.commands import (
     parse_command,
 )
 from heartcase.schemas.recording.reader import open_recording
+from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.patching.flat_sheets import FlatSheet
 from heartcase.simulator.patching.patches import patch_springs, with_patch
 from heartcase.simulator.session.operating_session import OperatingSession
@@ -35,9 +36,9 @@ ANGLE = np.arange(12) / 12 * 2 * np.pi
 OUTLINE = np.stack([12 + 6 * np.cos(ANGLE), 12 + 6 * np.sin(ANGLE), np.full(12, 4.0)], axis=1)
 
 
-def slab(backend="cpu", *, damping_per_s=30.0, **options):
+def slab(backend="cpu", *, law="springs", damping_per_s=30.0, **options):
     """A slab of 24 x 24 x 4 mm that is held at two ends."""
-    model = block(12, 12, 2, cell_mm=2.0)
+    model = block(12, 12, 2, cell_mm=2.0).with_law(ForceLaw(law, 0.25 if law == "springs" else 0.4))
     model.node_is_fixed[np.isin(model.node_index[:, 0], (0, 12))] = True
     return Simulation(model, backend=backend, damping_per_s=damping_per_s, **options)
 
@@ -93,12 +94,15 @@ def test_a_patch_that_was_cut_small_pulls_at_the_tissue_and_comes_to_rest_in_bal
     assert np.linalg.norm(simulation.displacement_mm()[tissue] - before[tissue], axis=1).max() > 0.05
 
 
-def test_both_engines_of_the_host_come_to_the_same_patch():
+@pytest.mark.parametrize(("law", "step_count"), [("springs", 150), ("element", 40)])
+def test_both_engines_of_the_host_come_to_the_same_patch(law, step_count):
     ends = []
     for backend in BACKENDS:
-        simulation = slab(backend, sleep_mm=0.0)
+        simulation = slab(backend, law=law, sleep_mm=0.0)
         patch = simulation.patch(OUTLINE, scale=0.9)
-        simulation.step(300)
+        simulation.step(step_count)
+        simulation.cut([[(12, -2, 6), (12, 26, 6)], [(12, -2, -2), (12, 26, -2)]], at_rest=True)
+        simulation.step(step_count)
         ends.append(simulation.patch_state(patch))
     np.testing.assert_allclose(ends[0].forces_n, ends[1].forces_n, rtol=2e-3)
     np.testing.assert_allclose(ends[0].vertices_mm, ends[1].vertices_mm, atol=2e-3)

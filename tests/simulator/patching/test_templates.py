@@ -14,7 +14,7 @@ from heartcase.simulator.patching.templates import template_pdf, template_svg, w
 from tests.simulator.patching.test_flat_sheets import CIRCLE, turned
 
 SVG = "{http://www.w3.org/2000/svg}"
-SHEET = flat_sheet(turned(CIRCLE * (1, 1.4, 1), 3))
+SHEET = flat_sheet(turned(CIRCLE * (1, 1.4, 1), 3), scale=0.9)
 
 
 def distances(points):
@@ -33,7 +33,7 @@ def test_the_svg_is_to_scale():
     assert (points < (width, height)).all()
     texts = [text.text for text in root.iter(f"{SVG}text")]
     assert texts[0].startswith(f"patch <A>: {SHEET.area_mm2:.0f} mm2")
-    assert "stretched by" in texts[1]
+    assert texts[1].endswith("%; cut to 90 % of that size")
 
 
 def test_the_pdf_is_to_scale_and_its_table_points_at_its_objects():

@@ -8,7 +8,7 @@ import pytest
 from heartcase.schemas.errors import RecordingError, ScriptError
 from heartcase.schemas.recording.commands import Advance, CloseGrab, Cut, LeadGrab, Rewind, Undo, parse_command
 from heartcase.schemas.recording.reader import open_recording
-from heartcase.schemas.script import CutAction
+from heartcase.schemas.scripts.script import CutAction
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.recorder import Recorder
 from heartcase.simulator.session.replay import load_session

@@ -11,7 +11,7 @@ import trimesh
 from heartcase.cli.main import main
 from heartcase.schemas.errors import ScriptError, UsageError
 from heartcase.schemas.landmarks import Landmark
-from heartcase.schemas.script import GrabAction, SimulationScript, Waypoint
+from heartcase.schemas.scripts.script import GrabAction, SimulationScript, Waypoint
 from heartcase.simulator.load import load_case
 from heartcase.simulator.session.script import default_script, load_script, parse_script, run_script, with_positions
 from heartcase.simulator.simulation import Simulation

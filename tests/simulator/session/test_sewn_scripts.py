@@ -170,6 +170,11 @@ def test_on_the_command_line_forces_stand_beside_measured_ones_and_templates_are
     assert main([*line, "--json"]) == 0
     told = json.loads(capfd.readouterr().out)
     assert told["patch_end_force_n"].keys() == {"patch A"}
+    over = told["stitches_over_measured"]
+    assert over.keys() == {"one", "patch A"}
+    assert over["one"]["aortic-cut-in"] == pytest.approx(told["stitch_end_force_n"]["one"] / 9.31, rel=1e-9)
+    rim = told["patch_end_force_n"]["patch A"]
+    assert over["patch A"]["aortic-tear-out"] == pytest.approx(max(rim) / 20.41, rel=1e-9)
     assert main([*line[:-1], str(tmp_path / "absent")]) == UsageError.exit_code
     capfd.readouterr()
 

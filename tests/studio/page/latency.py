@@ -11,12 +11,11 @@ from __future__ import annotations
 
 import argparse
 import math
-import shutil
 import sys
 
 import numpy as np
 
-from tests.studio.page.conftest import BROWSERS, SWITCHES
+from tests.studio.page.conftest import SWITCHES, find_browser
 
 HOOKS = """
 window.measured = [];
@@ -80,7 +79,7 @@ def main() -> int:
     given = parser.parse_args()
     from playwright.sync_api import sync_playwright
 
-    path = next(found for name in BROWSERS if (found := shutil.which(name)))
+    path = find_browser()
     with sync_playwright() as running:
         browser = running.chromium.launch(executable_path=path, args=SWITCHES)
         tab = browser.new_context(viewport={"width": 1280, "height": 720}).new_page()

@@ -78,6 +78,19 @@ def test_an_oblique_scan_has_the_sides_that_its_matrix_says(chromium, tmp_path):
     server.start()
     middle = mm_of(MIDDLE, affine)[0]
     with browsing(chromium, server) as page:
+        # all of the bar is seen with the button of oblique scans too, in the longest words and of the longest names
+        page.tab.locator("#tab-help").click()
+        for language in ("de", "en"):
+            page.tab.locator("#language").select_option(language)
+            page.tab.locator("#case-name").evaluate(
+                "(one) => { one.textContent = 'a long name of a heart '.repeat(5); }"
+            )
+            for selector in ("#along-scan", "#fit", "#theme", "#outline"):
+                box = page.tab.locator(selector).bounding_box()
+                assert box["x"] + box["width"] <= 1280, (selector, language)
+            assert page.tab.locator("header").bounding_box()["height"] < 48
+        page.tab.locator("#tab-structures").click()
+        page.drawn()
         sides = {view: page.text(f"#sides-{view}") for view in ("axial", "coronal", "sagittal")}
         # planes of the patient at first
         assert sides["axial"] == "Left R, right L, above A, below P."

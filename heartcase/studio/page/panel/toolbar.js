@@ -77,7 +77,9 @@ function runHistory(studio, actions) {
     const tell = () => {
       button.disabled = !studio.ready.value || count.value === 0;
       /** @type {HTMLElement} */ (button.querySelector(".count")).textContent = String(count.value);
+      button.setAttribute("aria-label", `${say(name)}: ${count.value}`);
     };
+    language.listen(tell);
     count.follow(tell);
     studio.ready.follow(tell);
   }

@@ -75,6 +75,8 @@ export class SolidShader {
     this.frame = gl.createFramebuffer();
     this.picture = gl.createTexture();
     this.width = this.height = 0;
+    /** A picture is not done yet: the next one waits for it. */
+    this.isBusy = false;
   }
 
   /**
@@ -85,9 +87,9 @@ export class SolidShader {
    * @param {Vector} look away from the viewer, unit vector
    * @param {{x: number, y: number, width: number, height: number}} part of the canvas, device pixels from below
    * @param {number} share of the pixels' number across and down that is worked out
-   * @returns {number} how long it took, ms.
+   * @param {(ms: number) => void} onDone told how long it took: that decides how finely it is drawn while it turns
    */
-  draw(volume, lattice, camera, look, part, share) {
+  draw(volume, lattice, camera, look, part, share, onDone) {
     const { gl } = this;
     const began = performance.now();
     const width = Math.max(Math.round(part.width * share), 1);
@@ -120,14 +122,29 @@ export class SolidShader {
     });
     gl.drawArrays(gl.TRIANGLES, 0, 3);
     gl.activeTexture(gl.TEXTURE0);
-    // Reading waits until it is drawn: how long that takes decides how finely it is drawn while it turns.
-    gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
     gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, null);
     const { x, y } = part;
     gl.blitFramebuffer(0, 0, width, height, x, y, x + part.width, y + part.height, gl.COLOR_BUFFER_BIT, gl.LINEAR);
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.enable(gl.SCISSOR_TEST);
-    return performance.now() - began;
+    this.#await(/** @type {WebGLSync} */ (gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0)), began, onDone);
+    gl.flush();
+  }
+
+  /** Look now and then whether the card is done. @param {WebGLSync} sync @param {number} began @param {(ms: number) => void} onDone */
+  #await(sync, began, onDone) {
+    const { gl } = this;
+    this.isBusy = true;
+    const look = () => {
+      if (!gl.isContextLost() && gl.clientWaitSync(sync, 0, 0) === gl.TIMEOUT_EXPIRED) {
+        setTimeout(look, 4);
+        return;
+      }
+      gl.deleteSync(sync);
+      this.isBusy = false;
+      onDone(performance.now() - began);
+    };
+    setTimeout(look, 4);
   }
 
   /** @param {number} width @param {number} height */

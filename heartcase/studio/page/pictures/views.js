@@ -234,11 +234,13 @@ export class Views {
     if (solid.isStale || solid.overlayIsStale) drawSolidOverlay(solid.pen, solid.camera, studio.crosshair.value);
     solid.overlayIsStale = false;
     // While a stroke is drawn the slices come first.
-    if (!solid.isStale || (studio.stroke.value !== null && !solid.isQuick)) return;
+    if (!solid.isStale || this.solids.isBusy || (studio.stroke.value !== null && !solid.isQuick)) return;
     const { share } = solid;
-    const ms = this.solids.draw(volume, lattice, solid.camera, solid.look, this.#partOf(solid), share);
-    solid.fullMs = ms / share ** 2;
     solid.isStale = false;
+    this.solids.draw(volume, lattice, solid.camera, solid.look, this.#partOf(solid), share, (ms) => {
+      solid.fullMs = ms / share ** 2;
+      if (solid.isStale) this.#ask();
+    });
   }
 
   /** Where a view lies in the canvas, device pixels from below. @param {SliceView | SolidView} view */

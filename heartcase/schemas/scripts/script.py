@@ -8,9 +8,9 @@ from pydantic import Field, model_validator
 
 from heartcase.schemas.base import BladePoses, Model, Name, PointMm, PositiveMm
 from heartcase.schemas.migrate import SCRIPT
-from heartcase.schemas.suture_actions import PatchAction, RowAction, StitchAction, suture_problems
-from heartcase.schemas.tool_actions import ForcepsAction, RetractorAction, ScissorsAction
-from heartcase.schemas.waypoint import Waypoint, raise_problems, time_problems
+from heartcase.schemas.scripts.suture_actions import PatchAction, RowAction, StitchAction, suture_problems
+from heartcase.schemas.scripts.tool_actions import ForcepsAction, RetractorAction, ScissorsAction
+from heartcase.schemas.scripts.waypoint import Waypoint, raise_problems, time_problems
 
 __all__ = ["CutAction", "GrabAction", "ProbeAction", "SimulationScript", "Waypoint"]
 

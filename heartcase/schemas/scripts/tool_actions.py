@@ -18,7 +18,7 @@ from heartcase.schemas.base import (
     PointMm,
     PositiveMm,
 )
-from heartcase.schemas.waypoint import Waypoint, raise_problems, time_problems
+from heartcase.schemas.scripts.waypoint import Waypoint, raise_problems, time_problems
 
 __all__ = ["ForcepsAction", "RetractorAction", "ScissorsAction", "SnipAction"]
 

@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from heartcase.schemas.base import BladePoses, Model, Name, PadStiffness, PointMm, PositiveMm, Vector3
 from heartcase.schemas.migrate import PLANS
-from heartcase.schemas.script import GrabAction
+from heartcase.schemas.scripts.script import GrabAction
 
 __all__ = ["IncisionPlans", "LipHands", "LookingSettings", "PlannedCut", "PlannedIncision", "ShaftSettings"]
 
