@@ -113,24 +113,36 @@ def label_all(is_tissue, is_crossed, is_touched, piece, piece_count, space, spac
         flatten(whole)
         flatten(parted)
         flatten(around)
-        # In each part of space, what never hung together with the largest piece is held by it.
+        # In each part of space, what never hung together with the largest piece is held by it: of what hung together
+        # before, the largest that is left alone, or it would hold together again what was parted.
         size[:] = 0
-        largest[:] = -1
         for sample in range(SAMPLE_COUNT):
             if tissue[sample]:
                 size[parted[sample]] += 1
+        largest[:] = -1
         for sample in range(SAMPLE_COUNT):
-            if tissue[sample] and parted[sample] == sample:
+            if size[sample] > 0:
                 part = around[sample]
                 if largest[part] < 0 or size[sample] > size[largest[part]]:
                     largest[part] = sample
         for sample in range(SAMPLE_COUNT):
-            if tissue[sample]:
-                main = largest[around[sample]]
-                if whole[main] != whole[sample]:
-                    _join(parted, main, sample)
+            if size[sample] == 0:
+                continue
+            main = largest[around[sample]]
+            if whole[main] != whole[sample] and _is_largest(sample, size, around, whole):
+                _join(parted, main, sample)
         piece_count[place] = _number(parted, tissue, piece[place])
         space_count[place] = _number(around, np.ones(SAMPLE_COUNT, np.bool_), space[place])
+
+
+@kernel(cached=False)
+def _is_largest(one, size, around, whole):
+    """Whether a piece is the largest, the first of equals, in its part of space of those that were one with it."""
+    for other in range(SAMPLE_COUNT):
+        is_rival = around[other] == around[one] and whole[other] == whole[one]
+        if is_rival and (size[other] > size[one] or (size[other] == size[one] and other < one)):
+            return False
+    return True
 
 
 @kernel(cached=False)
@@ -194,28 +206,38 @@ def piece_sizes(labels, first_piece, piece_count):
 def number_copies(order, starts, ends, uses, before, space, sizes, copies):
     """Number the copies that the uses of each node need.
 
-    In each part of space, what never hung together with the largest is held by it.
+    In each part of space, what never hung together with the largest is held by it: of what hung together before, the
+    largest that is left alone.
     """
     for node in range(len(starts)):
         first, end = starts[node], ends[node]
-        for a in range(first, end):
-            # The largest set in the same part of space, the lowest of equals.
-            main, most = -1, 0
-            for b in range(first, end):
-                if space[b] != space[a]:
+        count = end - first
+        total, main, own = np.zeros(count, np.int64), np.empty(count, np.int64), np.empty(count, np.int64)
+        for a in range(count):
+            for c in range(count):
+                if uses[order[first + c]] == uses[order[first + a]]:
+                    total[a] += sizes[first + c]
+        for a in range(count):
+            # The largest set in the same part of space, and of those that it hung together with; the lowest of equals.
+            main[a] = own[a] = -1
+            for b in range(count):
+                if space[first + b] != space[first + a]:
                     continue
-                total = 0
-                for c in range(first, end):
-                    if uses[order[c]] == uses[order[b]]:
-                        total += sizes[c]
-                if total > most:
-                    main, most = b, total
-            if before[main] != before[a]:
-                low, high = uses[order[main]], uses[order[a]]
-                low, high = min(low, high), max(low, high)
-                for c in range(first, end):
-                    if uses[order[c]] == high:
-                        uses[order[c]] = low
+                if main[a] < 0 or total[b] > total[main[a]]:
+                    main[a] = b
+                if before[first + b] == before[first + a] and (own[a] < 0 or total[b] > total[own[a]]):
+                    own[a] = b
+        set_of = np.empty(count, np.int64)
+        for a in range(count):
+            set_of[a] = uses[order[first + a]]
+        for a in range(count):
+            if before[first + main[a]] == before[first + a] or set_of[own[a]] != set_of[a]:
+                continue
+            low, high = uses[order[first + main[a]]], uses[order[first + a]]
+            low, high = min(low, high), max(low, high)
+            for c in range(first, end):
+                if uses[order[c]] == high:
+                    uses[order[c]] = low
         count = 0
         for a in range(first, end):
             number = -1

@@ -22,6 +22,7 @@ from heartcase.simulator.forces.reference import elastic_energy, elastic_forces
 from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.lattice.model import LatticeModel, make_model
 from heartcase.simulator.lattice.state import State
+from tests.simulator.splitting.surfaces import box
 
 LAWS = [ForceLaw(), ForceLaw(poissons_ratio=0.45), ForceLaw("element"), ForceLaw("element", shares_strain=False)]
 FULL = TissueSamples.everywhere()
@@ -325,3 +326,21 @@ def test_a_lattice_whose_springs_were_removed_is_refused():
     removed[0] = True
     with pytest.raises(SimulationError, match="springs of this lattice were removed"):
         part(model.without_springs(removed), [], FULL)
+
+
+@pytest.mark.parametrize("depth", [0.3, 0.7, 1.4])
+def test_lips_of_a_thin_wall_part_above_other_tissue(depth):
+    """A blade through a wall of a third of a cell, with a gap below it, and then tissue that shares nodes with it."""
+    boxes = [box((1, 1, 1), np.array((4.0, 2.0, 0.9))), box((1, 1, 1), np.array((4.0, 2.0, 0.3)))]
+    places = np.concatenate([boxes[0][0] + 1e-3, boxes[1][0] + (1e-3, 1e-3, 1.65)])
+    tissue = TissueSamples.inside(places, np.concatenate([boxes[0][1], boxes[1][1] + len(boxes[0][0])]))
+    model = block((4, 2, 2))
+    ends = [(2.3, y, z) for y, z in ((-1, 3), (-1, 1.65 - depth), (3, 3), (3, 1.65 - depth))]
+    parted = part(model, [Sheet.swept([ends[:2], ends[2:]])], tissue)
+    cut = parted.model
+    is_wall = cut.cells[:, 2] == 1
+    middle = (cut.cells + 0.5 + cut.cell_moments[:, :3])[:, 0]
+    left, right = (np.unique(cut.cell_corners[is_wall & (side * (middle - 2.3) > 0)]) for side in (-1, 1))
+    assert len(left)
+    assert len(right)
+    assert not np.intersect1d(left, right).size
