@@ -11,7 +11,8 @@ a cut that goes a little further opens a little more. (A cell that stays whole u
 fifths too stiff in a bar cut half through, of six cells.)
 
 Only the sheet parts. Tissue that lies in one cell, or in two that meet at a node, without hanging together was held
-together by the lattice before; it stays so wherever the space between is not crossed, with one of what a sheet has parted.
+together by the lattice before. It stays so wherever the space between is not crossed, with one alone of the pieces that
+a sheet has parted.
 """
 
 from __future__ import annotations
