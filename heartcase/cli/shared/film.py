@@ -186,7 +186,9 @@ def check_picture_name(path: Path) -> None:
 def _gif(frames: list[UInt8], frames_per_second: float, comment: str) -> bytes:
     from PIL import Image
 
-    pictures = [Image.fromarray(frame).quantize(colors=128, dither=Image.Dither.NONE) for frame in frames]
+    # Median cut would leave out what covers little, such as a line that marks a rim.
+    how = {"colors": 128, "method": Image.Quantize.MAXCOVERAGE, "dither": Image.Dither.NONE}
+    pictures = [Image.fromarray(frame).quantize(**how) for frame in frames]
     data = io.BytesIO()
     # A GIF counts hundredths of a second, and viewers slow down what is shorter than two of them.
     duration = 10 * max(2, round(100 / frames_per_second))
