@@ -187,7 +187,7 @@ def _gif(frames: list[UInt8], frames_per_second: float, comment: str) -> bytes:
     from PIL import Image
 
     # Median cut would leave out what covers little, such as a line that marks a rim.
-    how = {"colors": 128, "method": Image.Quantize.MAXCOVERAGE, "dither": Image.Dither.NONE}
+    how = {"colors": 256, "method": Image.Quantize.MAXCOVERAGE, "dither": Image.Dither.NONE}
     pictures = [Image.fromarray(frame).quantize(**how) for frame in frames]
     data = io.BytesIO()
     # A GIF counts hundredths of a second, and viewers slow down what is shorter than two of them.
