@@ -187,8 +187,8 @@ def _gif(frames: list[UInt8], frames_per_second: float, comment: str) -> bytes:
     from PIL import Image
 
     # Median cut would leave out what covers little, such as a line that marks a rim.
-    how = {"colors": 256, "method": Image.Quantize.MAXCOVERAGE, "dither": Image.Dither.NONE}
-    pictures = [Image.fromarray(frame).quantize(**how) for frame in frames]
+    method, dither = Image.Quantize.MAXCOVERAGE, Image.Dither.NONE
+    pictures = [Image.fromarray(frame).quantize(256, method, dither=dither) for frame in frames]
     data = io.BytesIO()
     # A GIF counts hundredths of a second, and viewers slow down what is shorter than two of them.
     duration = 10 * max(2, round(100 / frames_per_second))
