@@ -36,7 +36,7 @@ from heartcase.simulator.session.recorder import Recorder
 from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.surface.deform import SurfaceModel
 from heartcase.window.goals import Goals
-from heartcase.window.tools import Held, Turn
+from heartcase.window.tool import Held, Turn
 
 __all__ = ["FRAME_S", "Live", "LiveFrame"]
 

@@ -24,7 +24,8 @@ from heartcase.window.rays import Eye, Pointer, first_hit
 from heartcase.window.scene import Scene
 from heartcase.window.shapes import STRETCH_SHOWN, Structures
 from heartcase.window.strain_worker import StrainWorker
-from heartcase.window.tools import TOOLS, Tool, nearest_held
+from heartcase.window.tool import Tool, nearest_held
+from heartcase.window.tools import TOOLS
 
 __all__ = ["HeartWindow", "require_display"]
 
