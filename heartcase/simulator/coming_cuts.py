@@ -111,11 +111,6 @@ class CutsAhead:
         """Whether the next cut need not be waited for."""
         return bool(self._coming) and self._coming[0].tissue.done()
 
-    @property
-    def thread_count(self) -> int:
-        """Threads that are at work for it."""
-        return int(any(not coming.tissue.done() for coming in self._coming))
-
     def begin(
         self,
         points: Float64,

@@ -211,7 +211,6 @@ class Simulation(PatchedTissue, OperatedTissue):
         if is_drawn:
             self._string(step_count)
         rows = [probe.row(step_count) for probe in self.probes]
-        self._engine.spared_threads = self._ahead.thread_count
         self._engine.advance(step_count, self.verlet, np.stack(rows) if rows else NO_PROBES)
         for probe, impulse in zip(self.probes, self._engine.probe_impulse if rows else (), strict=True):
             probe.wrench = -impulse / duration

@@ -25,8 +25,6 @@ class Engine(Protocol):
 
     step_count: int
     """Steps taken."""
-    spared_threads: int
-    """Threads of the host that steps leave to other work: threads that wait for each other stand still without."""
 
     @property
     def probe_impulse(self) -> Float64:
@@ -89,7 +87,6 @@ class ReferenceEngine:
     """Plain NumPy in float64: slow, obvious, the truth that the others are held against."""
 
     threads_pay = False
-    spared_threads = 0
 
     def __init__(self, model: LatticeModel) -> None:
         self.model = model

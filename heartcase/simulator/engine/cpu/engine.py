@@ -105,7 +105,6 @@ class CpuEngine:
         self._team = ThreadTeam()
         self.current = 0
         self.step_count = 0
-        self.spared_threads = 0
 
     @property
     def awake_part(self) -> float:
@@ -150,7 +149,7 @@ class CpuEngine:
 
             return take
 
-        thread_count = min(max(get_num_threads() - self.spared_threads, 1), len(self._chunks.before_counts))
+        thread_count = min(get_num_threads(), len(self._chunks.before_counts))
         if self.layout.window_count < PARALLEL_WINDOWS_MIN or thread_count == 1:
             with_threads(1)(step_count)
         else:
@@ -159,7 +158,7 @@ class CpuEngine:
     @property
     def threads_pay(self) -> bool:
         """Whether more than one thread has been quicker lately: a busy machine has none to spare."""
-        return not self.spared_threads and bool(self.autotuner.seconds_per_step) and self.autotuner.quickest == 1
+        return bool(self.autotuner.seconds_per_step) and self.autotuner.quickest == 1
 
     def advance_by(
         self, thread_count: int, step_count: int, verlet: Verlet, probes: Float32, first_step: int = 0

@@ -121,7 +121,6 @@ class CudaEngine:
         self._current = 0
         self._row_step = 0
         self.step_count = 0
-        self.spared_threads = 0
         self._resident = resident
         self._plans: dict[tuple[bool, bool], tuple[Launch, bool]] = {}
         self._plan_with_cells: tuple[int, int] | None = None
