@@ -79,6 +79,7 @@ class MovingTissue:
         self._cuttable: CuttableSurface | None = None
         self._splits: list[tuple[Cuts, SplitSurface]] = []
         self._ahead = CutsAhead()
+        self._rate_limit: tuple[LatticeModel, float] | None = None
         self._inverse_mass = model.inverse_mass
         self._engine = make_engine(model, backend)
         self._state: State | None = None
@@ -312,10 +313,16 @@ class MovingTissue:
         """What threads that hang on it add to omega^2 at most [1 / unit of time^2]."""
         return 0.0
 
+    def _explicit_rate_limit(self, uncut: LatticeModel) -> float:
+        """What explicit springs may add to omega^2; worked out once for a lattice, as elements take long to ask."""
+        if self._rate_limit is None or self._rate_limit[0] is not uncut:
+            self._rate_limit = (uncut, explicit_rate_limit(uncut, self.step_s))
+        return self._rate_limit[1]
+
     def _check_explicit(self, model: LatticeModel, cuts: Cuts) -> None:
         """SimulationError where explicit springs are too stiff for what is left of the tissue that they hang on."""
         rate = model.explicit.rate_bound(model.inverse_mass)
-        if rate > explicit_rate_limit(cuts.uncut, self.step_s):
+        if rate and rate > self._explicit_rate_limit(cuts.uncut):
             raise SimulationError(
                 "explicit springs hang on so little tissue after this cut that they are too stiff for the time step: "
                 "remove them first, or take a smaller step",

@@ -9,7 +9,6 @@ import numpy.typing as npt
 
 from heartcase.schemas.arrays import Bool, Float64
 from heartcase.schemas.errors import Problem, SimulationError
-from heartcase.simulator.dynamics.step_size import explicit_rate_limit
 from heartcase.simulator.instruments.grab import Grab
 from heartcase.simulator.instruments.placing import is_point
 from heartcase.simulator.lattice.model import LatticeModel
@@ -154,7 +153,7 @@ class PatchedTissue(SuturedTissue):
             if not (np.isfinite(number) and number > 0.0)
         ]
         uncut = self.uncut(self.model, self.cuts)
-        if explicit_rate_limit(uncut, self.step_s) == 0.0:
+        if self._explicit_rate_limit(uncut) == 0.0:
             problems.append(Problem(name, "the time step leaves nothing for a patch: give a smaller step"))
         if problems:
             raise SimulationError(problems)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.cutting.cuts import Cuts
-from heartcase.simulator.dynamics.step_size import explicit_rate_limit, own_step_limit
+from heartcase.simulator.dynamics.step_size import own_step_limit
 from heartcase.simulator.instruments.placing import is_point, point_in_lattice
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.lattice.tethers import NO_LIMIT, Tethers
@@ -393,13 +393,15 @@ class SuturedTissue(MovingTissue):
 
     def _thread_rate_limit(self, model: LatticeModel, cuts: Cuts | None) -> float:
         """What threads may add to omega^2 beside the explicit springs [1 / unit of time^2]."""
-        return explicit_rate_limit(self.uncut(model, cuts), self.step_s) - model.explicit.rate_bound(model.inverse_mass)
+        return self._explicit_rate_limit(self.uncut(model, cuts)) - model.explicit.rate_bound(model.inverse_mass)
 
     def _rethread(self) -> None:
         """Bind all threads anew, in tissue that was cut; those that are too stiff for what is left are softened."""
         self._bind_all()
-        limit = self._thread_rate_limit(self.model, self.cuts)
-        self._soften(softened(self._strung(), self.model.inverse_mass, limit))
+        strung = self._strung()
+        if len(strung.nodes):
+            limit = self._thread_rate_limit(self.model, self.cuts)
+            self._soften(softened(strung, self.model.inverse_mass, limit))
         self._string()
 
     def _bind_all(self) -> None:
