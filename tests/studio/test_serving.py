@@ -52,8 +52,15 @@ def test_for_a_scan_a_recipe_is_written_that_marks_nothing(tmp_path, monkeypatch
 
 def test_what_it_cannot_open_is_said_in_one_line(tmp_path, capsys):
     case, _ = write_case(tmp_path)
-    missing = tmp_path / "nothing"
-    for path, code, message in ((case, 2, "is a case"), (missing, 1, "there is nothing at this path")):
+    missing, torn, script = tmp_path / "nothing", tmp_path / "torn.toml", tmp_path / "script.toml"
+    torn.write_text("heartcase_recipe = [\n")
+    script.write_text("heartcase_recipe = 1\nseconds = 1.0\nname = 'x'\n[scan]\npath = 'x.nii.gz'\n")
+    for path, code, message in (
+        (case, 2, "is a case"),
+        (missing, 1, "there is nothing at this path"),
+        (torn, 1, "this is not valid TOML"),
+        (script, 1, "seconds: unknown setting"),
+    ):
         assert main(["studio", str(path), "--no-browser"]) == code
         error = capsys.readouterr().err
         assert message in error

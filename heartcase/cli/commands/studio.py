@@ -12,6 +12,7 @@ from heartcase.cli.commands.info import kind_of
 from heartcase.cli.shared.output import working
 from heartcase.cli.shared.stage_io import scan_options
 from heartcase.schemas.errors import UsageError
+from heartcase.schemas.recipe.recipe import parse_recipe, read_recipe_text
 
 __all__ = ["command"]
 
@@ -51,6 +52,8 @@ def command(path: Path, out: Path, recipe: Path, port: int, browser: bool, choic
         if choice:
             raise UsageError("a recipe says itself which images are read: change its [scan]", place=next(iter(choice)))
         recipe = path
+        # What is wrong in it is said here, and not on the page alone.
+        parse_recipe(read_recipe_text(recipe), needs_markers=False)
     else:
         from heartcase.pipeline.building.starter_recipe import write_recipe
 

@@ -81,6 +81,9 @@ def parse_plans(text: str) -> IncisionPlans:
             if key in data:
                 message = f"this is {what}, not a file of plans: sample_cases/incision_plans.toml is one"
                 raise ScriptError(message, place="plans")
+        if not {"plans", "heartcase_plans"} & data.keys():
+            message = "this is no file of plans, as it has no [[plans]]: sample_cases/incision_plans.toml is one"
+            raise ScriptError(message, place="plans")
         return IncisionPlans.model_validate(PLANS.migrated(data)[0])
     except tomllib.TOMLDecodeError as error:
         raise ScriptError(f"this is not valid TOML: {error}", place="plans") from None

@@ -179,6 +179,8 @@ def test_what_is_wrong_with_a_file_is_told(text, told):
 def test_other_files_are_named(tmp_path):
     with pytest.raises(ScriptError, match="this is a recipe, not a file of plans"):
         parse_plans("heartcase_recipe = 1\n")
+    with pytest.raises(ScriptError, match="this is no file of plans"):
+        parse_plans("seconds = 1.0\n")
     with pytest.raises(ScriptError, match="there is no such file"):
         load_plans(tmp_path / "gone.toml")
     with pytest.raises(ScriptError, match="newer"):
