@@ -16,7 +16,7 @@ __all__ = ["SpringArrays", "spring_arrays"]
 
 @dataclass(frozen=True)
 class SpringArrays:
-    """What the page's engine needs of a lattice, in grid units: cells, the mass of a full cell, k of the stiffest tissue."""
+    """What the page's engine needs, in grid units: cells, the mass of a full cell, k of the stiffest tissue."""
 
     node_index: Int16
     """Rest position of each node [cells], shape (node_count, 3)."""

@@ -158,7 +158,8 @@ def test_a_ball_pushes_as_in_the_reference(page):
     verlet = begin(page, model)
     start, goal, radius = np.array([13.0, 4.0, 3.0]), np.array([9.5, 4.0, 3.5]), 1.7
     page.evaluate(
-        "([start, goal, radius]) => { engine.bring({ centre: start, radius }); engine.moveProbe(goal); engine.take(100); }",
+        """([start, goal, radius]) => {
+          engine.bring({ centre: start, radius }); engine.moveProbe(goal); engine.take(100); }""",
         [start.tolist(), goal.tolist(), radius],
     )
     row = probe_row(start, (goal - start) / 100, np.full(3, radius), np.eye(3))[None]

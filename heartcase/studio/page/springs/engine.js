@@ -113,7 +113,7 @@ export class SpringEngine {
   lead(name, way, count) {
     const hand = this.#hands.get(name);
     if (hand === undefined) return;
-    const velocity = /** @type {Vector} */ (way.map((part) => part / (count * this.step)));
+    const velocity = /** @type {[number, number, number]} */ (way.map((part) => part / (count * this.step)));
     if (velocity.every((part, axis) => part === hand.velocity[axis])) return;
     hand.velocity = velocity;
     this.#write(hand.nodes, 0, velocity);
