@@ -57,7 +57,7 @@ def serve(
     registry, address = Registry(token), "/"
     opened = recipe or case
     roots = [folder] if folder else [Path.home(), Path.cwd(), *([opened.resolve().parent] if opened else [])]
-    start = Start(registry, roots=roots)
+    start = Start(registry, roots=roots, looks=folder is not None)
     if recipe is not None:
         address = start.open_recipe(recipe, out=out)
     elif case is not None:

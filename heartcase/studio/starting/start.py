@@ -51,11 +51,16 @@ class Start:
         out.
     state
         Folder of the list of recent work; the user's when left out.
+    looks
+        Whether the page lists the series of the first folder at once.
     """
 
-    def __init__(self, registry: Registry, *, roots: Sequence[Path] = (), state: Path | None = None) -> None:
+    def __init__(
+        self, registry: Registry, *, roots: Sequence[Path] = (), state: Path | None = None, looks: bool = False
+    ) -> None:
         self._registry = registry
         self._roots = Roots.of(roots or (Path.home(), Path.cwd()))
+        self._looks = looks
         self._recent = Recent(state or state_folder())
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="studio-start")
         self._pages: set[Page] = set()
@@ -166,7 +171,7 @@ class Start:
         return folder
 
     def _greeting(self) -> str:
-        return text_message("start", recent=self._recent.shown(), samples=list(shown_samples()))
+        return text_message("start", recent=self._recent.shown(), samples=list(shown_samples()), looks=self._looks)
 
     async def _run(self, work: Callable[[], T]) -> T:
         return await asyncio.get_running_loop().run_in_executor(self._thread, work)
