@@ -101,7 +101,9 @@ def _build(path: Path, out: Path, teller: _Teller) -> None:
 
 def _end_with_input() -> None:
     with contextlib.suppress(OSError):
-        sys.stdin.buffer.read()
+        # not through sys.stdin: a thread that waits in it would stop Python from ending
+        while os.read(0, 4096):
+            pass
     if os.name == "posix":
         # those who compile ahead too
         os.killpg(os.getpgrp(), signal.SIGKILL)

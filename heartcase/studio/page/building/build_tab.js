@@ -31,6 +31,7 @@ export class BuildTab {
   /** @type {State | null} */
   #state = null;
   #since = 0;
+  #wasRunning = false;
   /** Problems of what was asked for last. @type {readonly Problem[]} */
   #refused = [];
 
@@ -92,10 +93,14 @@ export class BuildTab {
     find("build-age").dataset.age = made && !isRunning ? state.age : "none";
     find("tab-build").dataset.age = made && !isRunning ? state.age : "none";
     const isShown = isRunning || state.problems.length > 0 || state.changed !== null || state.is_cancelled;
-    find("build-steps").hidden = !isShown || state.steps.length === 0;
-    find("build-steps").replaceChildren(
-      ...state.steps.filter((one) => one.stage !== "scan" || one.state !== "waiting").map((one) => stepRow(one)),
-    );
+    const details = /** @type {HTMLDetailsElement} */ (find("build-details"));
+    details.hidden = !isShown || state.steps.length === 0;
+    if (isRunning !== this.#wasRunning) details.open = isRunning;
+    this.#wasRunning = isRunning;
+    // a scan is made for few recipes, and what a whole build left out it had no work for
+    const isWhole = !isRunning && state.changed !== null;
+    const rows = state.steps.filter((one) => one.state !== "waiting" || (one.stage !== "scan" && !isWhole));
+    find("build-steps").replaceChildren(...rows.map((one) => stepRow(one)));
     const problems = [...this.#refused, ...state.problems];
     find("build-problems").hidden = problems.length === 0;
     find("build-problems").replaceChildren(

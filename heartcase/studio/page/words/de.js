@@ -172,7 +172,7 @@ export const words = {
   build_seconds_left: "noch etwa {n} s",
   build_minutes_left: "noch etwa {n} min",
   build_compiling: "übersetzt {done} von {total}, einmalig",
-  build_state_waiting: "",
+  build_state_waiting: "wartet",
   build_state_running: "jetzt",
   build_state_reused: "unverändert",
   build_stage_scan: "Aufnahme erzeugen",

@@ -171,7 +171,7 @@ export const words = {
   build_seconds_left: "about {n} s left",
   build_minutes_left: "about {n} min left",
   build_compiling: "compiling {done} of {total}, once",
-  build_state_waiting: "",
+  build_state_waiting: "waits",
   build_state_running: "now",
   build_state_reused: "unchanged",
   build_stage_scan: "Making the scan",
