@@ -1,5 +1,6 @@
 /** The page of heartcase studio: puts its parts together, and hands them what the server sends. */
 
+import { BuildTab } from "./building/build_tab.js";
 import { Guide } from "./panel/guide.js";
 import { Status } from "./panel/status.js";
 import { Structures } from "./panel/structures.js";
@@ -32,7 +33,7 @@ function run() {
   const measures = new Measures();
   const tiles = { axial: find("axial"), coronal: find("coronal"), sagittal: find("sagittal") };
   const views = new Views(/** @type {HTMLCanvasElement} */ (find("pictures")), tiles, find("solid"), studio, measures);
-  const url = new URL("socket", location.href);
+  const url = new URL(location.pathname.replace("/prepare/", "/socket/"), location.href);
   url.protocol = location.protocol === "https:" ? "wss:" : "ws:";
   url.search = url.hash = "";
   const connection = new Connection(url.href, (message) => hear(message), (message) => receive(message), (error) => fault(error));
@@ -150,6 +151,7 @@ function run() {
   }
 
   connection.open();
+  new BuildTab(studio, views, (error) => fault(error));
 }
 
 try {
