@@ -19,7 +19,9 @@ __all__ = ["end_place"]
 LIMIT_MM = 40.0
 """Sections that reach farther are no vessel's."""
 STARTS = 13
-"""Directions that a plane is turned from: half of those to the faces, edges and corners of a cube."""
+"""Directions that are looked along: half of those to the faces, edges and corners of a cube."""
+TRIES = 3
+"""So many of the smallest sections are turned across the lumen."""
 
 
 def end_place(
@@ -63,7 +65,9 @@ def end_place(
     if not mask.any():
         raise UsageError(f"{label.name!r} has no voxels yet: paint it first", place="label")
     lumen = Lumen.of(mask, geometry)
-    found = [one for axis in _starts() if (one := across(lumen, point, axis, LIMIT_MM)) is not None]
+    cuts = [one for axis in _starts() if (one := lumen.section(point, axis, LIMIT_MM)) is not None and one.is_whole]
+    cuts = sorted(cuts, key=lambda one: round(one.area_mm2, 3))[:TRIES]
+    found = [one for cut in cuts if (one := across(lumen, point, cut.axis, LIMIT_MM)) is not None]
     if not found:
         raise UsageError(
             f"{label.name!r} is no tube here: click farther out, or drag across the vessel to set the disc by hand",

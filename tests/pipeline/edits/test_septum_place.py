@@ -17,7 +17,9 @@ TURN = np.array([[0.8, -0.6, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
 
 def two_halves(normal, thickness_mm, *, direction=TURN):
     """Two cavities and a flat septum through the middle of the volume."""
-    geometry = Geometry.of(SIZE, SPACING, origin=(10.0, -20.0, 5.0), direction=direction)
+    geometry = Geometry(
+        size=SIZE, spacing_mm=SPACING, origin_mm=(10.0, -20.0, 5.0), direction=tuple(map(tuple, direction.tolist()))
+    )
     k, j, i = np.meshgrid(*(np.arange(n) for n in geometry.shape), indexing="ij")
     middle = geometry.index_to_world((np.array(SIZE) - 1) / 2)
     side = (geometry.index_to_world(np.stack([i, j, k], axis=-1)) - middle) @ normal

@@ -17,7 +17,7 @@ STUMPS = Stumps(8.0, {})
 
 def tube(axis, radius_mm):
     """A chamber at one side, and a straight vessel out of it along an axis; the point that the vessel passes."""
-    geometry = Geometry.of((60, 60, 60), (1.0, 1.0, 1.0), origin=(-30.0, -30.0, -30.0))
+    geometry = Geometry(size=(60, 60, 60), spacing_mm=(1.0, 1.0, 1.0), origin_mm=(-30.0, -30.0, -30.0))
     k, j, i = np.meshgrid(*(np.arange(n) for n in geometry.shape), indexing="ij")
     at = geometry.index_to_world(np.stack([i, j, k], axis=-1))
     along = at @ axis
@@ -27,8 +27,9 @@ def tube(axis, radius_mm):
     return Segmentation(labels.astype(np.uint8), geometry, TABLE)
 
 
-@pytest.mark.parametrize("axis", [(0.0, 0.0, 1.0), (0.6, -0.5, 0.62), (-0.7, 0.7, 0.1)])
-@pytest.mark.parametrize("radius_mm", [4.0, 8.0])
+@pytest.mark.parametrize(
+    ("axis", "radius_mm"), [((0.0, 0.0, 1.0), 8.0), ((0.6, -0.5, 0.62), 4.0), ((-0.7, 0.7, 0.1), 8.0)]
+)
 def test_a_disc_lies_across_a_tube_and_has_room_for_its_wall(axis, radius_mm):
     axis = np.array(axis) / np.linalg.norm(axis)
     off = np.cross(axis, [1.0, 0.0, 0.0])
