@@ -175,6 +175,5 @@ def _set_material(head: str, recipe: Recipe, name: str, value: Any) -> tuple[str
         settings = MaterialSettings.model_validate(value)
     except ValidationError as error:
         raise UsageError(problems_from_validation(error, place=place)) from None
-    return changed_text(
-        head, ("materials", "labels", name), settings.model_dump(mode="json", exclude_unset=True)
-    ), place
+    stated = settings.model_dump(mode="json", exclude_unset=True)
+    return changed_text(head, (("materials", "labels", name), stated)), place
