@@ -104,4 +104,5 @@ export const words = {
   help_labels: "Label, Umrisse: an oder aus",
   help_tile: "dieser Schnitt groß; alles zeigen",
   keys_on: "Tasten ohne Strg wirken",
+  guide: "Was als Nächstes zu tun ist",
 };

@@ -103,4 +103,5 @@ export const words = {
   help_labels: "labels, outlines: on or off",
   help_tile: "this slice large; show all",
   keys_on: "Keys without Ctrl work",
+  guide: "What to do next",
 };
