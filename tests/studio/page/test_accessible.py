@@ -60,11 +60,14 @@ def test_axe_finds_nothing_where_the_server_is_gone_and_finds_what_is_planted(ch
               const button = document.createElement("button");
               button.style.cssText = "width: 10px; height: 10px; min-height: 0; padding: 0";
               const beside = document.createElement("button");
-              beside.textContent = "words";
-              beside.style.cssText = "color: #333; background: #222; height: 10px; min-height: 0; padding: 0";
-              const both = document.createElement("div");
-              both.append(button, beside);
-              document.querySelector("footer").prepend(both);
+              beside.style.cssText = button.style.cssText;
+              beside.setAttribute("aria-label", "named");
+              const words = document.createElement("span");
+              words.textContent = "hardly to be read";
+              words.style.cssText = "color: #333; background: #222";
+              const all = document.createElement("div");
+              all.append(button, beside, words);
+              document.querySelector("footer").prepend(all);
             }"""
         )
         found, _ = axe_findings(page)
