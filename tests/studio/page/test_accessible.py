@@ -60,8 +60,8 @@ def test_axe_finds_nothing_where_the_server_is_gone_and_finds_what_is_planted(ch
               const button = document.createElement("button");
               button.style.cssText = "width: 10px; height: 10px; min-height: 0; padding: 0";
               const beside = document.createElement("button");
-              beside.style.cssText = button.style.cssText;
-              beside.setAttribute("aria-label", "named");
+              beside.style.cssText = "height: 10px; min-height: 0; padding: 0";
+              beside.textContent = "words";
               const words = document.createElement("span");
               words.textContent = "hardly to be read";
               words.style.cssText = "color: #333; background: #222";
