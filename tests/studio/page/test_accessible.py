@@ -66,8 +66,8 @@ def test_axe_finds_nothing_where_the_server_is_gone_and_finds_what_is_planted(ch
               words.textContent = "hardly to be read";
               words.style.cssText = "color: #333; background: #222";
               const all = document.createElement("div");
-              all.append(button, beside, words);
-              document.querySelector("footer").prepend(all);
+              all.append(button, beside);
+              document.querySelector("footer").prepend(all, words);
             }"""
         )
         found, _ = axe_findings(page)
