@@ -23,7 +23,8 @@ from heartcase.schemas.labels import BACKGROUND, Role
 from heartcase.schemas.recipe.recipe import parse_recipe, read_recipe_text
 from heartcase.schemas.recipe.settings import Stroke
 from heartcase.studio.messages import labels_message, scan_message, text_message
-from heartcase.studio.requests import End, Extend, History, Paint, Request, Suggest
+from heartcase.studio.planes import planes_message
+from heartcase.studio.requests import End, Extend, History, Paint, Planes, Request, Suggest
 
 __all__ = ["Answer", "Painting", "open_painting"]
 
@@ -132,6 +133,8 @@ class Painting:
             case Suggest():
                 found = session.suggest(count=request.count).as_json(session.table)
                 return Answer(done=text_message("places", id=request.id, **found))
+            case Planes():
+                return Answer(done=planes_message(request.id, self._opened))
 
     def leave(self, page: object) -> tuple[str, ...]:
         """Whoever drew is gone: the stroke ends where it is; messages for the pages that are left."""

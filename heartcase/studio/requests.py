@@ -12,7 +12,18 @@ from heartcase.schemas.errors import UsageError, problems_from_validation
 from heartcase.schemas.recipe.settings import Stroke
 from heartcase.schemas.strict_json import parse_json
 
-__all__ = ["REQUEST_SIZE_MAX", "End", "Extend", "History", "Paint", "Request", "Suggest", "parse_request", "request_id"]
+__all__ = [
+    "REQUEST_SIZE_MAX",
+    "End",
+    "Extend",
+    "History",
+    "Paint",
+    "Planes",
+    "Request",
+    "Suggest",
+    "parse_request",
+    "request_id",
+]
 
 REQUEST_SIZE_MAX = 1 << 20
 """A message that is longer, in bytes, ends the connection."""
@@ -74,7 +85,16 @@ class Suggest(Model):
     """How many, at most."""
 
 
-Request = Paint | Extend | End | History | Suggest
+class Planes(Model):
+    """Name the heart's own planes, as far as labels and landmarks tell them."""
+
+    id: _Id
+    """Number that the answer names."""
+    do: Literal["planes"]
+    """Which request."""
+
+
+Request = Paint | Extend | End | History | Suggest | Planes
 _REQUEST: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="do")])
 
 
