@@ -1,6 +1,7 @@
 /** The page of heartcase studio: puts its parts together, and hands them what the server sends. */
 
 import { Guide } from "./panel/guide.js";
+import { runPlanes } from "./panel/planes.js";
 import { Status } from "./panel/status.js";
 import { Structures } from "./panel/structures.js";
 import { runHelp, runTabs, runTiles } from "./panel/tiles.js";
@@ -62,6 +63,7 @@ function run() {
   runTiles(studio, views);
   runTabs();
   runHelp(shortcuts.areOn);
+  runPlanes(studio, views, (request) => connection.ask(request), (error) => fault(error));
   find("next-place").addEventListener("click", () => actions.nextPlace());
   studio.ready.follow((ready) => {
     document.body.dataset.ready = String(ready);
