@@ -11,6 +11,7 @@ from heartcase.schemas.base import Model, PointMm
 from heartcase.schemas.errors import UsageError, problems_from_validation
 from heartcase.schemas.recipe.settings import Stroke
 from heartcase.schemas.strict_json import parse_json
+from heartcase.studio.shaping.requests import RequestId, ShapingRequest
 
 __all__ = [
     "REQUEST_SIZE_MAX",
@@ -28,13 +29,11 @@ __all__ = [
 REQUEST_SIZE_MAX = 1 << 20
 """A message that is longer, in bytes, ends the connection."""
 
-_Id = Annotated[int, Field(ge=0, le=1 << 53)]
-
 
 class Paint(Stroke):
     """Begin a stroke."""
 
-    id: _Id
+    id: RequestId
     """Number that the answer names."""
     do: Literal["paint"]
     """Which request."""
@@ -48,7 +47,7 @@ class Paint(Stroke):
 class Extend(Model):
     """Go on with the stroke that this page began, from its last point."""
 
-    id: _Id
+    id: RequestId
     """Number that the answer names."""
     do: Literal["extend"]
     """Which request."""
@@ -59,16 +58,16 @@ class Extend(Model):
 class End(Model):
     """The stroke is over."""
 
-    id: _Id
+    id: RequestId
     """Number that the answer names."""
     do: Literal["end"]
     """Which request."""
 
 
 class History(Model):
-    """Take the last stroke back, or paint again what was taken back."""
+    """Take the last act back, of whatever kind, or do again what was taken back."""
 
-    id: _Id
+    id: RequestId
     """Number that the answer names."""
     do: Literal["undo", "redo"]
     """Which request."""
@@ -77,7 +76,7 @@ class History(Model):
 class Suggest(Model):
     """Name the places where one more stroke would change most."""
 
-    id: _Id
+    id: RequestId
     """Number that the answer names."""
     do: Literal["suggest"]
     """Which request."""
@@ -88,13 +87,13 @@ class Suggest(Model):
 class Planes(Model):
     """Name the heart's own planes, as far as labels and landmarks tell them."""
 
-    id: _Id
+    id: RequestId
     """Number that the answer names."""
     do: Literal["planes"]
     """Which request."""
 
 
-Request = Paint | Extend | End | History | Suggest | Planes
+Request = Paint | Extend | End | History | Suggest | ShapingRequest | Planes
 _REQUEST: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="do")])
 
 

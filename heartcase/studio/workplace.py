@@ -14,10 +14,14 @@ from heartcase.schemas.errors import HeartcaseError, RecipeError
 from heartcase.studio.messages import problems_of, text_message
 from heartcase.studio.painting import Painting, open_painting
 from heartcase.studio.requests import History, Paint, parse_request, request_id
+from heartcase.studio.shaping.requests import Add, Change, Remove, Set
 
 __all__ = ["Page", "Workplace"]
 
 T = TypeVar("T")
+
+_ACTS = Paint | History | Add | Change | Remove | Set
+"""Requests that change the recipe."""
 
 QUEUE_LENGTH_MAX = 2000
 """Messages that wait for a page at most: one that takes none is let go, and asks again for everything."""
@@ -86,7 +90,7 @@ class Workplace:
                 if self._painting is None:
                     raise RecipeError("it is not open", place="recipe")
                 painting = self._painting
-                if isinstance(request, Paint | History) and await self._run(lambda: painting.is_stale):
+                if isinstance(request, _ACTS) and await self._run(lambda: painting.is_stale):
                     await self._open_again()
                     raise RecipeError(
                         "another program changed the recipe: it was opened again, so look before you go on",
