@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeVar
 
 from pydantic import Field, TypeAdapter, ValidationError
 
@@ -23,11 +23,14 @@ __all__ = [
     "Request",
     "Suggest",
     "parse_request",
+    "parsed",
     "request_id",
 ]
 
 REQUEST_SIZE_MAX = 1 << 20
 """A message that is longer, in bytes, ends the connection."""
+
+T = TypeVar("T")
 
 
 class Paint(Stroke):
@@ -98,7 +101,25 @@ _REQUEST: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discrimina
 
 
 def parse_request(text: str) -> Request:
+    """What a message of a painting page asks for.
+
+    Raises
+    ------
+    UsageError
+        As :func:`parsed` says.
+    """
+    return parsed(text, _REQUEST)
+
+
+def parsed(text: str, requests: TypeAdapter[T]) -> T:
     """What a message asks for.
+
+    Parameters
+    ----------
+    text
+        The message.
+    requests
+        The requests that there are, told apart by ``do``.
 
     Raises
     ------
@@ -112,7 +133,7 @@ def parse_request(text: str) -> Request:
     if not isinstance(data, dict):
         raise UsageError("must be a JSON object", place="request")
     try:
-        return _REQUEST.validate_python({"do": None} | data)
+        return requests.validate_python({"do": None} | data)
     except ValidationError as error:
         raise UsageError(problems_from_validation(error, place="request")) from None
 

@@ -47,7 +47,7 @@ def started(recipe):
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ
     ) as process:
         try:
-            yield process, re.search(r"http://127\.0\.0\.1:\d+/\?token=\S+", process.stdout.readline())[0]
+            yield process, re.search(r"http://127\.0\.0\.1:\d+/\S*\?token=\S+", process.stdout.readline())[0]
         finally:
             process.kill()
 
