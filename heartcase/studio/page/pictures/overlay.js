@@ -78,7 +78,8 @@ function drawCrosshair(pen, name, camera, studio) {
   rimmed(pen, CROSSHAIR, () => {
     for (const other of VIEWS) {
       const line = other === name ? null : lineOf(camera.frame, planes.frames[other]);
-      for (const way of line ? [1, -1] : []) {
+      if (line === null) continue;
+      for (const way of [1, -1]) {
         pen.moveTo(x + way * GAP * line[0], y + way * GAP * line[1]);
         pen.lineTo(x + way * far * line[0], y + way * far * line[1]);
       }

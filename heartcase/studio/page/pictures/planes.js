@@ -134,7 +134,8 @@ export function handlesOf(planes, view, { width, height }, cross) {
   if (Math.min(width, height) < SMALLEST) return found;
   for (const other of VIEWS) {
     const line = other === view ? null : lineOf(planes.frames[view], planes.frames[other]);
-    for (const way of line ? [far, -far] : []) {
+    if (line === null) continue;
+    for (const way of [far, -far]) {
       const at = { x: cross.x + way * line[0], y: cross.y + way * line[1] };
       const isInside = at.x > HANDLE_RIM && at.y > HANDLE_RIM && at.x < width - HANDLE_RIM && at.y < height - HANDLE_RIM;
       if (isInside) found.push(at);
