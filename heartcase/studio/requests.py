@@ -7,7 +7,7 @@ from typing import Annotated, Literal, TypeVar
 
 from pydantic import Field, TypeAdapter, ValidationError
 
-from heartcase.schemas.base import Model, PointMm
+from heartcase.schemas.base import Model, Name, PointMm
 from heartcase.schemas.errors import UsageError, problems_from_validation
 from heartcase.schemas.recipe.settings import Stroke
 from heartcase.schemas.strict_json import parse_json
@@ -18,6 +18,7 @@ __all__ = [
     "End",
     "Extend",
     "History",
+    "Lock",
     "Paint",
     "Planes",
     "Request",
@@ -96,7 +97,18 @@ class Planes(Model):
     """Which request."""
 
 
-Request = Paint | Extend | End | History | Suggest | ShapingRequest | Planes
+class Lock(Model):
+    """Lock these structures, and no others."""
+
+    id: RequestId
+    """Number that the answer names."""
+    do: Literal["lock"]
+    """Which request."""
+    labels: Annotated[tuple[Name, ...], Field(max_length=251)]
+    """Their names."""
+
+
+Request = Paint | Extend | End | History | Suggest | ShapingRequest | Planes | Lock
 _REQUEST: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="do")])
 
 

@@ -8,12 +8,14 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TypeVar
 
+from heartcase.pipeline.markers.states import StillSegmentation
 from heartcase.schemas.errors import RecipeError
 from heartcase.studio.messages import problems_of, text_message, told
 from heartcase.studio.pages import Page
 from heartcase.studio.painting import Painting, open_painting
 from heartcase.studio.requests import History, Paint, parse_request, request_id
 from heartcase.studio.shaping.requests import Add, Change, Remove, Set
+from heartcase.studio.states import States
 
 __all__ = ["Workplace"]
 
@@ -43,6 +45,7 @@ class Workplace:
         self._pages: set[Page] = set()
         self._turn = asyncio.Lock()
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="studio")
+        self._states = States(self._copied, self._tell)
 
     async def join(self, page: Page) -> None:
         """Show a page everything, and then all that changes."""
@@ -86,9 +89,11 @@ class Workplace:
                         one.send(message)
             if answer.done is not None:
                 page.send(answer.done)
+            self._states.later()
 
     async def close(self) -> None:
         """End: a stroke that is not saved yet is saved."""
+        self._states.close()
         for page in tuple(self._pages):
             await self.leave(page)
             page.close()
@@ -106,6 +111,7 @@ class Workplace:
         for page in pages:
             for message in messages:
                 page.send(message)
+        self._states.later()
 
     async def _open_again(self) -> None:
         self._painting = None
@@ -118,6 +124,11 @@ class Workplace:
                 self._tell(message)
         except Exception as error:
             self._tell(text_message("refused", id=None, problems=problems_of(told(error))))
+
+    async def _copied(self) -> StillSegmentation | None:
+        async with self._turn:
+            painting = self._painting
+            return None if painting is None else await self._run(painting.still)
 
     async def _run(self, work: Callable[[], T]) -> T:
         return await asyncio.get_running_loop().run_in_executor(self._thread, work)

@@ -78,6 +78,8 @@ def request(drawn, middle):
             {"do": "undo"},
             {"do": "redo"},
             {"do": "suggest", "count": 2},
+            {"do": "planes"},
+            {"do": "lock", "labels": drawn.choice(([], ["aorta"], [label], ["background", "aorta"]))},
         ]
     )
 

@@ -41,7 +41,10 @@ function run() {
   const brush = new Brush(studio, (request) => connection.ask(request), (problems) => status.refused(problems));
   const pointers = new Pointers(views, studio, brush, measures);
   runTurning(views, studio);
-  const structures = new Structures(find("structures"), studio, views);
+  const structures = new Structures(find("structures"), studio, views, (labels) => {
+    status.clear();
+    connection.ask({ do: "lock", labels }).catch((error) => fault(error));
+  });
   const parts = { place: find("place"), checklist: find("checklist") };
   const guide = new Guide(studio, views, (request) => connection.ask(request), parts, (error) => fault(error));
 
@@ -85,9 +88,10 @@ function run() {
     } else if (message.kind === "opened") open(message);
     else if (message.kind === "refused" && message.id === null) status.refused(message.problems ?? []);
     else if (message.kind === "structures") {
-      structures.tell(message.volumes_ml ?? {}, message.marked);
+      structures.tell(message.volumes_ml ?? {}, message.marked, message.locked ?? []);
       guide.tell(message.checklist ?? []);
-    } else if (message.kind === "done") {
+    } else if (message.kind === "states") structures.tellStates(message.states ?? {});
+    else if (message.kind === "done") {
       studio.undoCount.value = message.undo_count;
       studio.redoCount.value = message.redo_count;
       studio.saved.value = message.saved;

@@ -72,7 +72,6 @@ export const words = {
   panel: "Strukturen und Hilfe",
   structures: "Strukturen",
   show_structure: "{name} zeigen",
-  not_marked: "nicht markiert",
   undecided: "unentschieden",
   next_place: "Nächste Stelle ansehen",
   place_of: "Stelle {at} von {count}",
@@ -171,4 +170,10 @@ export const words = {
   start_samples_says: "Synthetische Herzen, geöffnet als Kopie im links gezeigten Ordner. Beim ersten Öffnen entsteht die Aufnahme.",
   start_no_samples: "Diese Installation enthält keine Beispielfälle.",
   start_sample_not: "Die Aufnahme gehört nicht zu heartcase.",
+  lock_structure: "{name} sperren",
+  lock_says: "Striche anderer Strukturen, die sie ändern würden, werden abgelehnt.",
+  state_nothing: "nicht markiert",
+  state_marked: "markiert",
+  state_confident: "sicher: keine Stelle ist einen weiteren Strich wert",
+  state_unsure: "unsicher: siehe nächste Stelle",
 };

@@ -71,7 +71,6 @@ export const words = {
   panel: "Structures and help",
   structures: "Structures",
   show_structure: "Show {name}",
-  not_marked: "not marked",
   undecided: "undecided",
   next_place: "Next place to look at",
   place_of: "Place {at} of {count}",
@@ -170,4 +169,10 @@ export const words = {
   start_samples_says: "Synthetic hearts, opened as a copy in the folder shown at the left. The first opening makes the scan.",
   start_no_samples: "This installation holds no sample cases.",
   start_sample_not: "Its scan is not part of heartcase.",
+  lock_structure: "Lock {name}",
+  lock_says: "Strokes of others that would change it are refused.",
+  state_nothing: "not marked",
+  state_marked: "marked",
+  state_confident: "confident: no place is worth another stroke",
+  state_unsure: "unsure: see the next place to look at",
 };
