@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-import os
-import traceback
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TypeVar
 
-from heartcase.schemas.errors import HeartcaseError, RecipeError
-from heartcase.studio.messages import problems_of, text_message
+from heartcase.schemas.errors import RecipeError
+from heartcase.studio.messages import problems_of, text_message, told
 from heartcase.studio.painting import Painting, open_painting
 from heartcase.studio.requests import History, Paint, parse_request, request_id
 
@@ -94,7 +92,7 @@ class Workplace:
                     )
                 answer = await self._run(lambda: painting.do(request, page))
             except Exception as error:
-                page.send(text_message("refused", id=request_id(text), problems=problems_of(_told(error))))
+                page.send(text_message("refused", id=request_id(text), problems=problems_of(told(error))))
                 return
             for message in answer.for_all:
                 is_done = isinstance(message, str) and answer.done is not None and message.startswith('{"kind": "done"')
@@ -120,7 +118,7 @@ class Workplace:
                 self._painting = await self._run(lambda: open_painting(self._recipe, out=self._out, listener=listener))
             messages = await self._run(self._painting.greeting)
         except Exception as error:
-            messages = (text_message("failed", problems=problems_of(_told(error))),)
+            messages = (text_message("failed", problems=problems_of(told(error))),)
         for page in pages:
             for message in messages:
                 page.send(message)
@@ -135,7 +133,7 @@ class Workplace:
             for message in await self._run(work):
                 self._tell(message)
         except Exception as error:
-            self._tell(text_message("refused", id=None, problems=problems_of(_told(error))))
+            self._tell(text_message("refused", id=None, problems=problems_of(told(error))))
 
     async def _run(self, work: Callable[[], T]) -> T:
         return await asyncio.get_running_loop().run_in_executor(self._thread, work)
@@ -143,19 +141,6 @@ class Workplace:
     def _tell(self, message: str) -> None:
         for page in self._pages:
             page.send(message)
-
-
-def _told(error: Exception) -> HeartcaseError:
-    """What a page is told of an error; one that nobody foresaw ends nothing but what was asked."""
-    if isinstance(error, HeartcaseError):
-        return error
-    if os.environ.get("HEARTCASE_DEBUG"):
-        traceback.print_exception(error)
-    return HeartcaseError(
-        f"something unforeseen happened ({type(error).__name__}): this is a fault of heartcase; start the studio with "
-        "HEARTCASE_DEBUG=1 to see where, and report it",
-        place="studio",
-    )
 
 
 class _Progress:

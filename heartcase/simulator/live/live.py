@@ -180,6 +180,11 @@ class Live:
         """
         self._ask([lambda: self._begin_to_leave(name)])
 
+    @property
+    def is_leaving(self) -> bool:
+        """Whether something lets go softly and is not done with it."""
+        return bool(self._leaving) or bool(self._asked)
+
     def take_messages(self) -> list[str]:
         """What there is to be read since the last time."""
         found = []
