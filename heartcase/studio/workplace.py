@@ -8,35 +8,14 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TypeVar
 
-from heartcase.schemas.errors import RecipeError
 from heartcase.studio.messages import problems_of, text_message, told
+from heartcase.studio.pages import Page
 from heartcase.studio.painting import Painting, open_painting
 from heartcase.studio.requests import History, Paint, parse_request, request_id
 
-__all__ = ["Page", "Workplace"]
+__all__ = ["Workplace"]
 
 T = TypeVar("T")
-
-QUEUE_LENGTH_MAX = 2000
-"""Messages that wait for a page at most: one that takes none is let go, and asks again for everything."""
-
-
-class Page:
-    """A page that is connected: messages wait here until they are sent."""
-
-    def __init__(self) -> None:
-        self.waiting: asyncio.Queue[str | bytes | None] = asyncio.Queue()
-
-    def send(self, message: str | bytes) -> None:
-        """Let a message be sent, after those before it; a page that takes none is let go."""
-        if self.waiting.qsize() < QUEUE_LENGTH_MAX:
-            self.waiting.put_nowait(message)
-        else:
-            self.close()
-
-    def close(self) -> None:
-        """Let the page go, after what waits."""
-        self.waiting.put_nowait(None)
 
 
 class Workplace:

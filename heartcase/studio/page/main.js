@@ -32,7 +32,7 @@ function run() {
   const measures = new Measures();
   const tiles = { axial: find("axial"), coronal: find("coronal"), sagittal: find("sagittal") };
   const views = new Views(/** @type {HTMLCanvasElement} */ (find("pictures")), tiles, find("solid"), studio, measures);
-  const url = new URL("socket", location.href);
+  const url = new URL(location.pathname.replace("/prepare/", "/socket/"), location.href);
   url.protocol = location.protocol === "https:" ? "wss:" : "ws:";
   url.search = url.hash = "";
   const connection = new Connection(url.href, (message) => hear(message), (message) => receive(message), (error) => fault(error));

@@ -21,7 +21,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from heartcase.studio.app import make_app
-from heartcase.studio.workplace import Workplace
+from heartcase.studio.registry import Registry
 
 TOKEN = "a-token"
 WAIT_MS = 120_000
@@ -75,8 +75,10 @@ class Server:
         listener.bind(("127.0.0.1", self.port))
         listener.listen()
         self.port = listener.getsockname()[1]
-        self.address = f"http://127.0.0.1:{self.port}/?token={token}"
-        app = make_app(Workplace(self.recipe, out=self.recipe.parent / "out"), token=token, port=self.port)
+        registry = Registry(token)
+        opened = registry.open_recipe(self.recipe, out=self.recipe.parent / "out")
+        self.address = f"http://127.0.0.1:{self.port}{opened.address}?token={token}"
+        app = make_app(registry, token=token, port=self.port)
         self._server = uvicorn.Server(
             uvicorn.Config(app, log_level="error", ws="websockets-sansio", timeout_graceful_shutdown=1)
         )
