@@ -32,7 +32,7 @@ def serve(
     recipe, case
         What the page shows first: a recipe's file, or a case's folder; the start page where both are left out.
     out
-        Directory that the recipe's case is built in, with the build's cache.
+        Directory that the recipe's case is built in, with the build's cache; recordings of a case go there too.
     port
         Port to listen on; any free one at 0.
     ready
@@ -48,7 +48,7 @@ def serve(
     if recipe is not None:
         address = registry.open_recipe(recipe, out=out).address
     elif case is not None:
-        address = registry.open_case(case).address
+        address = registry.open_case(case, out=out).address
     with socket.socket() as listener:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:

@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TypeVar
 
+from heartcase.schemas.errors import RecipeError
 from heartcase.studio.messages import problems_of, text_message, told
 from heartcase.studio.pages import Page
 from heartcase.studio.painting import Painting, open_painting

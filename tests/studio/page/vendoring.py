@@ -1,7 +1,7 @@
 """The packages that the studio's page carries: ``python -m tests.studio.page.vendoring`` fetches them anew.
 
-Each is pinned to a version and to the hash of its archive that the registry had then; of each only the files that the page
-needs are kept, as they are, with the licence. ``VENDORED.json`` has the SHA-256 of every file.
+Each is pinned to a version and to the hash of its archive that the registry had then; of each only the files that the
+page needs are kept, as they are, with the licence. ``VENDORED.json`` has the SHA-256 of every file.
 """
 
 from __future__ import annotations
