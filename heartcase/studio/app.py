@@ -18,6 +18,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from heartcase.studio.gate import Gate
 from heartcase.studio.pages import Page, Place
 from heartcase.studio.registry import Registry
+from heartcase.studio.starting.start import Start
 
 __all__ = ["PAGE", "make_app"]
 
@@ -31,7 +32,7 @@ _LINES = ("socket", "operating")
 """Sockets that talk to what is open."""
 
 
-def make_app(registry: Registry, *, token: str, port: int) -> ASGIApp:
+def make_app(registry: Registry, *, token: str, port: int, start: Start | None = None) -> ASGIApp:
     """The server as an ASGI application.
 
     Parameters
@@ -43,9 +44,12 @@ def make_app(registry: Registry, *, token: str, port: int) -> ASGIApp:
         address of anything open opens that.
     port
         Port that the server listens on.
+    start
+        What the start page is connected to; where it looks into the user's own folder when left out.
     """
+    starting = start or Start(registry)
 
-    async def start(_: Request) -> FileResponse:
+    async def start_page(_: Request) -> FileResponse:
         return FileResponse(PAGE / "start" / "start.html")
 
     def page(name: str, file: str) -> Route:
@@ -67,13 +71,18 @@ def make_app(registry: Registry, *, token: str, port: int) -> ASGIApp:
 
         return WebSocketRoute(f"/{name}/{{key}}", talk)
 
+    async def starting_line(websocket: WebSocket) -> None:
+        await _serve_page(websocket, starting)
+
     @contextlib.asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
         yield
+        await starting.close()
         await registry.close()
 
     routes = [
-        Route("/", start),
+        Route("/", start_page),
+        WebSocketRoute("/starting", starting_line),
         *(page(name, file) for name, file in _PAGES.items()),
         *(line(name) for name in _LINES),
         Mount("/static", StaticFiles(directory=PAGE)),

@@ -67,7 +67,7 @@ class Registry:
             self._opened[key] = Opened("prepare", key, path, places)
         return self._opened[key]
 
-    def open_case(self, path: Path, *, out: Path) -> Opened:
+    def open_case(self, path: Path, *, out: Path | None = None) -> Opened:
         """Open a case to be operated on, or find it where it is open.
 
         Parameters
@@ -75,11 +75,11 @@ class Registry:
         path
             The case's folder. What is wrong with it is told to its pages.
         out
-            Folder that recordings are put into, and taken from.
+            Folder that recordings are put into, and taken from; beside the case when left out.
         """
         key = self._key("operate", path)
         if key not in self._opened:
-            places = {"operating": Theatre(path, out=out)}
+            places = {"operating": Theatre(path, out=path.parent if out is None else out)}
             self._opened[key] = Opened("operate", key, path, places)
         return self._opened[key]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeVar
 
 from pydantic import Field, TypeAdapter, ValidationError
 
@@ -12,10 +12,23 @@ from heartcase.schemas.errors import UsageError, problems_from_validation
 from heartcase.schemas.recipe.settings import Stroke
 from heartcase.schemas.strict_json import parse_json
 
-__all__ = ["REQUEST_SIZE_MAX", "End", "Extend", "History", "Paint", "Request", "Suggest", "parse_request", "request_id"]
+__all__ = [
+    "REQUEST_SIZE_MAX",
+    "End",
+    "Extend",
+    "History",
+    "Paint",
+    "Request",
+    "Suggest",
+    "parse_request",
+    "parsed",
+    "request_id",
+]
 
 REQUEST_SIZE_MAX = 1 << 20
 """A message that is longer, in bytes, ends the connection."""
+
+T = TypeVar("T")
 
 _Id = Annotated[int, Field(ge=0, le=1 << 53)]
 
@@ -79,7 +92,25 @@ _REQUEST: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discrimina
 
 
 def parse_request(text: str) -> Request:
+    """What a message of a painting page asks for.
+
+    Raises
+    ------
+    UsageError
+        As :func:`parsed` says.
+    """
+    return parsed(text, _REQUEST)
+
+
+def parsed(text: str, requests: TypeAdapter[T]) -> T:
     """What a message asks for.
+
+    Parameters
+    ----------
+    text
+        The message.
+    requests
+        The requests that there are, told apart by ``do``.
 
     Raises
     ------
@@ -93,7 +124,7 @@ def parse_request(text: str) -> Request:
     if not isinstance(data, dict):
         raise UsageError("must be a JSON object", place="request")
     try:
-        return _REQUEST.validate_python({"do": None} | data)
+        return requests.validate_python({"do": None} | data)
     except ValidationError as error:
         raise UsageError(problems_from_validation(error, place="request")) from None
 

@@ -28,20 +28,23 @@ __all__ = ["command"]
 @click.option(
     "--recipe",
     type=click.Path(path_type=Path, readable=False),
-    default=Path("case.toml"),
-    help="For a scan: the recipe that is written for it; case.toml.",
+    help="For a scan: the recipe that is written for it; case.toml. For a folder of DICOM files, too.",
 )
 @scan_options
 @click.option(
     "--port", type=click.IntRange(0, 65535), default=0, help="Port on this machine; a free one when left out."
 )
 @click.option("--browser/--no-browser", default=True, help="Whether to open the page in the browser.")
-def command(path: Path | None, out: Path, recipe: Path, port: int, browser: bool, choice: dict[str, Any]) -> None:
+def command(
+    path: Path | None, out: Path, recipe: Path | None, port: int, browser: bool, choice: dict[str, Any]
+) -> None:
     """Make a case in the browser, on this machine alone: paint on a scan, build, operate.
 
-    PATH is a recipe, a case, or a scan, for which a recipe is written first; without it a start page opens. Every
-    stroke is saved in the recipe when it is over, and can be taken back, also after a restart. Ctrl-C ends the server.
-    Who has the printed address can use the pages, and nobody else.
+    PATH is a recipe, a case, or a scan, for which a recipe is written first. Without it, and for a folder, a start page
+    opens: recent work, sample cases, and the series of a DICOM folder to choose from. Where --recipe or an option that
+    chooses is given, a folder is read as a scan at once. Every stroke is saved in the recipe when it is over, and can
+    be taken back, also after a restart. Ctrl-C ends the server. Who has the printed address can use the pages, and
+    nobody else.
     """
     from heartcase.studio.serve import serve
 
@@ -56,7 +59,7 @@ def command(path: Path | None, out: Path, recipe: Path, port: int, browser: bool
     click.echo("The studio is closed; the recipe holds every stroke.")
 
 
-def _opening(path: Path, recipe: Path, choice: dict[str, Any]) -> dict[str, Path]:
+def _opening(path: Path, recipe: Path | None, choice: dict[str, Any]) -> dict[str, Path]:
     """What the page shows first."""
     kind = kind_of(path)
     if kind == "recording":
@@ -69,6 +72,9 @@ def _opening(path: Path, recipe: Path, choice: dict[str, Any]) -> dict[str, Path
         # What is wrong in it is said here, and not on the page alone.
         parse_recipe(read_recipe_text(path), needs_markers=False)
         return {"recipe": path}
+    if path.is_dir() and recipe is None and not choice:
+        return {"folder": path}
+    recipe = recipe or Path("case.toml")
     _write_recipe(path, recipe, choice)
     return {"recipe": recipe}
 
