@@ -134,9 +134,9 @@ class Run(_Asked):
 
 
 class Play(_Asked):
-    """Do again what is known from here on; begin to record, end the recording."""
+    """Do again what is known from here on; begin to record, end the recording; leave a processor to what draws."""
 
-    do: Literal["play", "record", "stop_recording"]
+    do: Literal["play", "record", "stop_recording", "spare"]
     """Which request."""
 
 

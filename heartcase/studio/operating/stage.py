@@ -49,6 +49,7 @@ class Stage:
         self._heard = heard
         self.structures = Structures(case.manifest, case.triangle_structures)
         self._strain: StrainWorker | None = None
+        self._spares = False
         self.live = self._started(self._new_session())
 
     def close(self) -> None:
@@ -90,6 +91,12 @@ class Stage:
             if path.name not in there and not path.exists():
                 self.live.record(path)
                 return
+
+    def spare_a_processor(self) -> None:
+        """Leave a processor to a browser of this machine that draws without a graphics card."""
+        if not self._spares:
+            self._spares = True
+            self.live.spare_a_processor()
 
     def show_strain(self, is_wanted: bool) -> None:
         """Work out how far the tissue is stretched, or leave it."""
@@ -148,6 +155,8 @@ class Stage:
         session.simulation.prepare()
         session.simulation.prepare_cuts()
         live = Live(session, manifest=self._case.manifest, heard=self._heard)
+        if self._spares:
+            live.spare_a_processor()
         if plays:
             live.play()
         live.start()

@@ -181,6 +181,8 @@ class Theatre:
             case Play():
                 if request.do == "play":
                     hands.play()
+                elif request.do == "spare":
+                    stage.spare_a_processor()
                 elif request.do == "record":
                     if live.newest.recording is not None:
                         raise RecordingError("it is recorded already", place="record")

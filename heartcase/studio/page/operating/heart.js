@@ -99,14 +99,19 @@ export class Heart {
     this.scene.add(this.mesh);
   }
 
-  /** @param {Package} message @param {Record<string, any>} arrays */
+  /**
+   * @param {Package} message
+   * @param {Record<string, any>} arrays
+   * @returns {boolean} whether anything of the heart is new
+   */
   takeFrame({ header }, arrays) {
     if (this.nodes === null || header.topology !== this.topology) throw new Error("a frame of another heart");
     this.nodes.take(arrays.blocks, arrays.steps, header.scale, header.block_nodes);
     if (arrays.stretch) this.nodes.takeStretch(arrays.stretch);
-    if (arrays.blocks.length === 0 && !arrays.stretch) return;
+    if (arrays.blocks.length === 0 && !arrays.stretch) return false;
     this.uniforms.displacements.value.needsUpdate = true;
     this.uniforms.nodeNormals.value.needsUpdate = true;
+    return true;
   }
 
   #remove() {

@@ -9,6 +9,8 @@ import { ToolsInScene } from "./tools_in_scene.js";
 export class NoGraphics extends Error {}
 
 const FINEST = 2;
+/** What renderers without a graphics card call themselves. */
+const SOFTWARE = /llvmpipe|softpipe|swiftshader|microsoft basic render/i;
 
 export class Picture {
   camera = new Camera();
@@ -22,6 +24,8 @@ export class Picture {
     this.canvas = canvas;
     const context = canvas.getContext("webgl2", { antialias: true, alpha: true });
     if (context === null) throw new NoGraphics();
+    const told = context.getExtension("WEBGL_debug_renderer_info");
+    this.isDrawnInSoftware = SOFTWARE.test(context.getParameter(told ? told.UNMASKED_RENDERER_WEBGL : context.RENDERER));
     this.renderer = new three.WebGLRenderer({ canvas, context, antialias: true, alpha: true });
     this.renderer.autoClear = false;
     this.scene = new three.Scene();
@@ -65,7 +69,7 @@ export class Picture {
     this.camera.width = Math.max(clientWidth, 1);
     this.camera.height = Math.max(clientHeight, 1);
     this.eye.aspect = this.camera.width / this.camera.height;
-    this.renderer.setPixelRatio(Math.min(globalThis.devicePixelRatio ?? 1, FINEST));
+    this.renderer.setPixelRatio(this.isDrawnInSoftware ? 1 : Math.min(globalThis.devicePixelRatio ?? 1, FINEST));
     this.renderer.setSize(this.camera.width, this.camera.height, false);
     this.redraw();
   }

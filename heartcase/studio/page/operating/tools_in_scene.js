@@ -34,8 +34,18 @@ export class ToolsInScene {
     }
   }
 
-  /** @param {Record<string, any>} header of a frame @param {Record<string, any>} arrays */
+  /** What is shown now, to know whether it is something else. */
+  #shown = "";
+
+  /**
+   * @param {Record<string, any>} header of a frame
+   * @param {Record<string, any>} arrays
+   * @returns {boolean} whether anything is new
+   */
   show(header, arrays) {
+    const shown = JSON.stringify([header.instruments, header.stitches]);
+    if (shown === this.#shown && header.patches.length === 0 && this.patches.children.length === 0) return false;
+    this.#shown = shown;
     const there = new Set();
     for (const { name, kind, center_mm: centre, axes_mm: axes } of header.instruments) {
       if (axes === null) {
@@ -58,6 +68,7 @@ export class ToolsInScene {
     }
     this.#setPoints(this.stitches, header.stitches.flatMap((/** @type {any} */ one) => one.places_mm).flat());
     this.#showPatches(header.patches.length, arrays);
+    return true;
   }
 
   /** @param {readonly number[][]} line LPS mm */
