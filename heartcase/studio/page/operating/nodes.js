@@ -14,6 +14,11 @@ const SUM_MIN = 0.1;
 export const rowsOf = (count) => Math.max(1, Math.ceil(count / ROW));
 
 export class Nodes {
+  /** Displacement of each node [cells, grid axes], and behind it its stretch from 0 to 1: four numbers each. @type {Float32Array} */
+  displacement;
+  /** Normal of each node that has one, four numbers each. @type {Float32Array} */
+  normals;
+
   /**
    * @param {number} count of nodes
    * @param {Springs} springs from which normals are made
@@ -22,9 +27,7 @@ export class Nodes {
   constructor(count, springs, before = null) {
     this.count = count;
     this.springs = springs;
-    /** Displacement of each node [cells, grid axes], and behind it its stretch from 0 to 1: four numbers each. */
     this.displacement = new Float32Array(4 * ROW * rowsOf(count));
-    /** Normal of each node that has one, four numbers each. */
     this.normals = new Float32Array(4 * ROW * rowsOf(springs.nodes.length));
     this.moved = new Uint8Array(count);
     if (before !== null && before.count === count) this.displacement.set(before.displacement);
