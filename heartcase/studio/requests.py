@@ -11,6 +11,7 @@ from heartcase.schemas.base import Model, PointMm
 from heartcase.schemas.errors import UsageError, problems_from_validation
 from heartcase.schemas.recipe.settings import Stroke
 from heartcase.schemas.strict_json import parse_json
+from heartcase.studio.shaping.requests import RequestId, ShapingRequest
 
 __all__ = [
     "REQUEST_SIZE_MAX",
@@ -30,13 +31,11 @@ REQUEST_SIZE_MAX = 1 << 20
 
 T = TypeVar("T")
 
-_Id = Annotated[int, Field(ge=0, le=1 << 53)]
-
 
 class Paint(Stroke):
     """Begin a stroke."""
 
-    id: _Id
+    id: RequestId
     """Number that the answer names."""
     do: Literal["paint"]
     """Which request."""
@@ -50,7 +49,7 @@ class Paint(Stroke):
 class Extend(Model):
     """Go on with the stroke that this page began, from its last point."""
 
-    id: _Id
+    id: RequestId
     """Number that the answer names."""
     do: Literal["extend"]
     """Which request."""
@@ -61,16 +60,16 @@ class Extend(Model):
 class End(Model):
     """The stroke is over."""
 
-    id: _Id
+    id: RequestId
     """Number that the answer names."""
     do: Literal["end"]
     """Which request."""
 
 
 class History(Model):
-    """Take the last stroke back, or paint again what was taken back."""
+    """Take the last act back, of whatever kind, or do again what was taken back."""
 
-    id: _Id
+    id: RequestId
     """Number that the answer names."""
     do: Literal["undo", "redo"]
     """Which request."""
@@ -79,7 +78,7 @@ class History(Model):
 class Suggest(Model):
     """Name the places where one more stroke would change most."""
 
-    id: _Id
+    id: RequestId
     """Number that the answer names."""
     do: Literal["suggest"]
     """Which request."""
@@ -87,7 +86,7 @@ class Suggest(Model):
     """How many, at most."""
 
 
-Request = Paint | Extend | End | History | Suggest
+Request = Paint | Extend | End | History | Suggest | ShapingRequest
 _REQUEST: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="do")])
 
 

@@ -13,10 +13,14 @@ from heartcase.studio.messages import problems_of, text_message, told
 from heartcase.studio.pages import Page
 from heartcase.studio.painting import Painting, open_painting
 from heartcase.studio.requests import History, Paint, parse_request, request_id
+from heartcase.studio.shaping.requests import Add, Change, Remove, Set
 
 __all__ = ["Workplace"]
 
 T = TypeVar("T")
+
+_ACTS = Paint | History | Add | Change | Remove | Set
+"""Requests that change the recipe."""
 
 
 class Workplace:
@@ -39,6 +43,8 @@ class Workplace:
         self._pages: set[Page] = set()
         self._turn = asyncio.Lock()
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="studio")
+        self._aside = ThreadPoolExecutor(1, thread_name_prefix="studio-aside")
+        self._tasks: set[asyncio.Task[None]] = set()
 
     async def join(self, page: Page) -> None:
         """Show a page everything, and then all that changes."""
@@ -64,7 +70,7 @@ class Workplace:
                 if self._painting is None:
                     raise RecipeError("it is not open", place="recipe")
                 painting = self._painting
-                if isinstance(request, Paint | History) and await self._run(lambda: painting.is_stale):
+                if isinstance(request, _ACTS) and await self._run(lambda: painting.is_stale):
                     await self._open_again()
                     raise RecipeError(
                         "another program changed the recipe: it was opened again, so look before you go on",
@@ -82,6 +88,21 @@ class Workplace:
                         one.send(message)
             if answer.done is not None:
                 page.send(answer.done)
+        if answer.later is not None:
+            self._start(page, text, answer.later)
+
+    def _start(self, page: Page, text: str, work: Callable[[], str]) -> None:
+        """Do what takes long beside all else, and tell who asked."""
+
+        async def answer() -> None:
+            try:
+                page.send(await asyncio.get_running_loop().run_in_executor(self._aside, work))
+            except Exception as error:
+                page.send(text_message("refused", id=request_id(text), problems=problems_of(told(error))))
+
+        task = asyncio.create_task(answer())
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
 
     async def close(self) -> None:
         """End: a stroke that is not saved yet is saved."""
@@ -89,6 +110,7 @@ class Workplace:
             await self.leave(page)
             page.close()
         self._thread.shutdown()
+        self._aside.shutdown(cancel_futures=True)
 
     async def _show_all(self, pages: tuple[Page, ...]) -> None:
         try:

@@ -72,7 +72,7 @@ class Talker:
         """Ask, and take the answer."""
         self.number += 1
         self.socket.send_text(json.dumps({"id": self.number} | request))
-        while (answer := self.hear("done", "refused", "places")).get("id") != self.number:
+        while (answer := self.hear("done", "refused", "places", "proposal", "found_ends")).get("id") != self.number:
             pass
         return answer
 

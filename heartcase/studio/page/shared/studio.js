@@ -5,7 +5,7 @@ import { Signal } from "./signal.js";
 
 /** @typedef {import("../pictures/geometry.js").Vector} Vector */
 /** @typedef {import("../pictures/geometry.js").Lattice} Lattice */
-/** @typedef {"pointer" | "brush" | "eraser" | "ruler" | "angle"} Tool */
+/** @typedef {"pointer" | "brush" | "eraser" | "ruler" | "angle" | "shape"} Tool */
 /** @typedef {"axial" | "coronal" | "sagittal"} ViewName */
 /** @typedef {{value: number, name: string, colour: string, role: string}} Label */
 /** @typedef {{low: number, high: number}} Range */
@@ -59,6 +59,9 @@ export class Studio {
   /** The tile that is large; null for two by two. */
   large = new Signal(/** @type {ViewName | "solid" | null} */ (null));
 
+  /** Places that are marked in the slices, with what is said of them. */
+  marks = new Signal(/** @type {readonly {mm: Vector, text: string, isOdd: boolean}[]} */ ([]));
+
   constructor() {
     this.radiusMm.listen((value) => keep("radius_mm", value));
     this.opacity.listen((value) => keep("opacity", value));
@@ -88,7 +91,8 @@ export class Studio {
   /** @param {number} value */
   pick(value) {
     this.picked.value = value;
-    if (this.tool.value !== "brush") this.take("brush");
+    // with the tool of the tab Shape one picks what is sculpted
+    if (this.tool.value !== "brush" && this.tool.value !== "shape") this.take("brush");
   }
 
   /** @param {number} steps larger, or smaller where negative */
