@@ -50,13 +50,19 @@ def test_for_a_scan_a_recipe_is_written_that_marks_nothing(tmp_path, monkeypatch
     assert "there is already a recipe" in capsys.readouterr().err
 
 
-def test_what_it_cannot_open_is_said_in_one_line(tmp_path, capsys):
+def test_a_case_is_served(tmp_path, monkeypatch):
+    served = []
+    monkeypatch.setattr("heartcase.studio.serve.serve", lambda case, **_: served.append(case))
     case, _ = write_case(tmp_path)
+    assert main(["studio", str(case), "--no-browser"]) == 0
+    assert served == [case]
+
+
+def test_what_it_cannot_open_is_said_in_one_line(tmp_path, capsys):
     missing, torn, script = tmp_path / "nothing", tmp_path / "torn.toml", tmp_path / "script.toml"
     torn.write_text("heartcase_recipe = [\n")
     script.write_text("heartcase_recipe = 1\nseconds = 1.0\nname = 'x'\n[scan]\npath = 'x.nii.gz'\n")
     for path, code, message in (
-        (case, 2, "cases do not move in the page yet"),
         (missing, 1, "there is nothing at this path"),
         (torn, 1, "this is not valid TOML"),
         (script, 1, "seconds: unknown setting"),

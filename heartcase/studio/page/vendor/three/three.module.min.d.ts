@@ -25,6 +25,8 @@ export class Scene extends Thing {}
 export class Sphere extends Thing {}
 export class SphereGeometry extends Thing {}
 export class Vector3 extends Thing {}
+export class Vector4 extends Thing {}
+export class WebGLRenderTarget extends Thing {}
 export class WebGLRenderer extends Thing {}
 export const DoubleSide: any;
 export const FloatType: any;
