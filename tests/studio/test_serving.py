@@ -38,7 +38,7 @@ def test_it_serves_this_machine_until_it_is_ended(tmp_path, ending):
 
 def test_for_a_scan_a_recipe_is_written_that_marks_nothing(tmp_path, monkeypatch, capsys):
     served = []
-    monkeypatch.setattr("heartcase.studio.serve.serve", lambda recipe, **_: served.append(recipe))
+    monkeypatch.setattr("heartcase.studio.serving.serve.serve", lambda recipe, **_: served.append(recipe))
     scan, recipe = write_scan(tmp_path / "scan.nii.gz"), tmp_path / "mine.toml"
     assert main(["studio", str(scan), "--recipe", str(recipe), "--no-browser"]) == 0
     assert served == [recipe]
