@@ -7,7 +7,7 @@ from typing import Annotated, Literal, TypeVar
 
 from pydantic import Field, TypeAdapter, ValidationError
 
-from heartcase.schemas.base import Model, PointMm
+from heartcase.schemas.base import Model, Name, PointMm
 from heartcase.schemas.errors import UsageError, problems_from_validation
 from heartcase.schemas.recipe.settings import Stroke
 from heartcase.schemas.strict_json import parse_json
@@ -18,7 +18,9 @@ __all__ = [
     "End",
     "Extend",
     "History",
+    "Lock",
     "Paint",
+    "Planes",
     "Request",
     "Suggest",
     "parse_request",
@@ -86,7 +88,27 @@ class Suggest(Model):
     """How many, at most."""
 
 
-Request = Paint | Extend | End | History | Suggest | ShapingRequest
+class Planes(Model):
+    """Name the heart's own planes, as far as labels and landmarks tell them."""
+
+    id: RequestId
+    """Number that the answer names."""
+    do: Literal["planes"]
+    """Which request."""
+
+
+class Lock(Model):
+    """Lock these structures, and no others."""
+
+    id: RequestId
+    """Number that the answer names."""
+    do: Literal["lock"]
+    """Which request."""
+    labels: Annotated[tuple[Name, ...], Field(max_length=251)]
+    """Their names."""
+
+
+Request = Paint | Extend | End | History | Suggest | ShapingRequest | Planes | Lock
 _REQUEST: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="do")])
 
 

@@ -8,12 +8,14 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TypeVar
 
+from heartcase.pipeline.markers.states import StillSegmentation
 from heartcase.schemas.errors import RecipeError
 from heartcase.studio.messages import problems_of, text_message, told
 from heartcase.studio.pages import Page
 from heartcase.studio.painting import Painting, open_painting
 from heartcase.studio.requests import History, Paint, parse_request, request_id
 from heartcase.studio.shaping.requests import Add, Change, Remove, Set
+from heartcase.studio.states import States
 
 __all__ = ["Workplace"]
 
@@ -45,6 +47,7 @@ class Workplace:
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="studio")
         self._aside = ThreadPoolExecutor(1, thread_name_prefix="studio-aside")
         self._tasks: set[asyncio.Task[None]] = set()
+        self._states = States(self._copied, self._tell)
 
     async def join(self, page: Page) -> None:
         """Show a page everything, and then all that changes."""
@@ -88,6 +91,7 @@ class Workplace:
                         one.send(message)
             if answer.done is not None:
                 page.send(answer.done)
+            self._states.later()
         if answer.later is not None:
             self._start(page, text, answer.later)
 
@@ -106,6 +110,7 @@ class Workplace:
 
     async def close(self) -> None:
         """End: a stroke that is not saved yet is saved."""
+        self._states.close()
         for page in tuple(self._pages):
             await self.leave(page)
             page.close()
@@ -124,6 +129,7 @@ class Workplace:
         for page in pages:
             for message in messages:
                 page.send(message)
+        self._states.later()
 
     async def _open_again(self) -> None:
         self._painting = None
@@ -136,6 +142,11 @@ class Workplace:
                 self._tell(message)
         except Exception as error:
             self._tell(text_message("refused", id=None, problems=problems_of(told(error))))
+
+    async def _copied(self) -> StillSegmentation | None:
+        async with self._turn:
+            painting = self._painting
+            return None if painting is None else await self._run(painting.still)
 
     async def _run(self, work: Callable[[], T]) -> T:
         return await asyncio.get_running_loop().run_in_executor(self._thread, work)
