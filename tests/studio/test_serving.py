@@ -11,7 +11,7 @@ import pytest
 
 from heartcase.cli.main import main
 from heartcase.pipeline.building.session_file import open_session
-from tests.cli.small_case import write_case, write_scan
+from tests.cli.small_case import write_scan
 from tests.studio.talking import write_recipe
 
 
@@ -51,12 +51,10 @@ def test_for_a_scan_a_recipe_is_written_that_marks_nothing(tmp_path, monkeypatch
 
 
 def test_what_it_cannot_open_is_said_in_one_line(tmp_path, capsys):
-    case, _ = write_case(tmp_path)
     missing, torn, script = tmp_path / "nothing", tmp_path / "torn.toml", tmp_path / "script.toml"
     torn.write_text("heartcase_recipe = [\n")
     script.write_text("heartcase_recipe = 1\nseconds = 1.0\nname = 'x'\n[scan]\npath = 'x.nii.gz'\n")
     for path, code, message in (
-        (case, 2, "cases do not move in the page yet"),
         (missing, 1, "there is nothing at this path"),
         (torn, 1, "this is not valid TOML"),
         (script, 1, "seconds: unknown setting"),
