@@ -15,6 +15,7 @@ from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.surface.deform import deform
 from heartcase.studio.operating.packing import Rounded, frame_message, topology_message
 from tests.simulator.live.scenes import write_case
+from tests.studio.axe.accessible import assert_accessible
 from tests.studio.page.browsing import Server, browsing, until
 
 READ_BACK = (Path(__file__).parent / "read_back.js").read_text(encoding="utf-8")
@@ -233,3 +234,33 @@ def test_the_graphics_card_places_vertices_as_the_server_does(chromium, operated
             # the same formula on the same displacements: float32 alone is between them
             assert np.abs(places - exact.vertices_mm[vertex]).max() < 1e-4
             assert np.abs(normals - exact.normals[vertex]).max() < 1e-4
+
+
+def test_axe_finds_nothing_on_the_page_that_operates(chromium, operated):
+    with browsing(chromium, operated, viewport={"width": 1366, "height": 768}) as page:
+        hands, tab = Hands(page), page.tab
+        hands.from_above()
+        tab.keyboard.press("f")
+        hands.drag(TOP, (24.0, -14.0, 40.5))
+        tab.mouse.up()
+        hands.until(lambda header: bool(header["instruments"]))
+        tab.keyboard.press("w")
+        hands.until(lambda header: header["recording"] is not None)
+        tab.keyboard.press("w")
+        tab.locator("#notice").wait_for()
+        tab.locator("#strain").check()
+        tab.locator("#pause").click()
+        # each tab once, both colours and both languages among them
+        for theme, language, names in (
+            ("light", "de", ("help", "structures")),
+            ("dark", "en", ("forces", "recordings")),
+        ):
+            if tab.locator("html").get_attribute("data-theme") != theme:
+                tab.locator("#theme").click()
+            tab.locator("#tab-help").click()
+            tab.locator("#language").select_option(language)
+            for name in names:
+                tab.locator(f"#tab-{name}").click()
+                if name == "recordings":
+                    tab.locator("#recordings button").first.wait_for()
+                assert_accessible(page, f"{theme}, {language}, {name}")
