@@ -79,6 +79,8 @@ class Theatre:
                     self._work = asyncio.create_task(self._show_on())
                 stage = self._stage
                 page.send(text_message("opened", **stage.greeting()))
+                if (picture := stage.picture_message()) is not None:
+                    page.send(picture)
             except Exception as error:
                 page.send(text_message("failed", problems=self._problems(error)))
                 return
