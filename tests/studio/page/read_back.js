@@ -80,5 +80,5 @@ async ({ topology, frame }) => {
     return [...read];
   });
   gl.getExtension("WEBGL_lose_context").loseContext();
-  return { vertex: [...arrays.vertex], places, normals, tangents, step: open.header.step };
+  return { vertex: [...arrays.vertex], uv: [...(arrays.uv ?? [])], places, normals, tangents, step: open.header.step };
 }
