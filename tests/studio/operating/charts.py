@@ -48,9 +48,7 @@ def write_charted(folder):
         BundleParts(grid=grid, surface=surface, grid_map=grid_map, picking=picking, glbs=(glb_bytes(surface),)),
         resolve_materials(MaterialsSettings(), TABLE),
         BundleSource(geometry=grid.geometry, sha256="0" * 64),
-        BundleRecord(
-            name="charted", stages=(StageRecord(stage="grid", version=1, settings={}, output_sha256="1" * 64),)
-        ),
+        BundleRecord(name="charted", stages=stages),
     )
     path = folder / "charted.case"
     write_bundle(path, content)
