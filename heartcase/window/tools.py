@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from heartcase.window.drawing_tools import CutTool, PatchTool, RowTool, StitchTool
+from heartcase.window.drawing_tools import CutTool, PatchTool, RowTool, ScissorsTool, StitchTool
 from heartcase.window.holding_tools import ForcepsTool, GrabTool, ProbeTool, RetractorTool
 from heartcase.window.tool import Tool
 
@@ -12,6 +12,7 @@ TOOLS: tuple[type[Tool], ...] = (
     GrabTool,
     ProbeTool,
     CutTool,
+    ScissorsTool,
     ForcepsTool,
     RetractorTool,
     StitchTool,
