@@ -21,6 +21,7 @@ from heartcase.schemas.labels import BACKGROUND, Role
 from heartcase.schemas.recipe.recipe import parse_recipe, read_recipe_text
 from heartcase.studio.messages import labels_message, scan_message, text_message
 from heartcase.studio.requests import End, Extend, History, Paint, Request, Suggest
+from heartcase.studio.shaping.facts import shaping_facts
 from heartcase.studio.shaping.requests import Add, Change, FindEnds, Propose, Remove, Set
 from heartcase.studio.shaping.shaping import Shaping
 
@@ -89,7 +90,14 @@ class Painting:
         everything = (slice(0, n) for n in geometry.shape)
         k, j, i = everything
         labels = labels_message(session.labels, (k, j, i))
-        return facts, self._shaping.facts(), self._shaping.shape(), scan_message(scan), labels, self._structures()
+        return (
+            facts,
+            text_message("shaping_facts", **shaping_facts()),
+            self._shape(),
+            scan_message(scan),
+            labels,
+            self._structures(),
+        )
 
     def do(self, request: Request, page: object) -> Answer:
         """Carry a request out.
@@ -127,11 +135,12 @@ class Painting:
             case Add() | Change() | Remove() | Set():
                 self._close_stroke()
                 self._shaping.act(request)
-                return Answer((self._shaping.shape(), self._done()), self._done(request))
+                return Answer((self._shape(), self._done()), self._done(request))
             case Propose():
-                return Answer(done=self._shaping.propose(request))
+                return Answer(done=text_message("proposal", id=request.id, **self._shaping.propose(request)))
             case FindEnds():
-                return Answer(later=self._shaping.find_ends(request))
+                find = self._shaping.find_ends()
+                return Answer(later=lambda: text_message("found_ends", id=request.id, **find()))
             case Suggest():
                 found = session.suggest(count=request.count).as_json(session.table)
                 return Answer(done=text_message("places", id=request.id, **found))
@@ -148,9 +157,12 @@ class Painting:
         session, history = self._opened.session, self._history
         act = history.undo() if request.do == "undo" else history.redo()
         if act.kind != STROKE:
-            return Answer((self._shaping.shape(), self._done()), self._done(request))
+            return Answer((self._shape(), self._done()), self._done(request))
         answer = self._painted(request, session.undo() if request.do == "undo" else session.redo())
         return Answer((*answer.for_all, self._structures()), answer.done)
+
+    def _shape(self) -> str:
+        return text_message("shape", **self._shaping.shape())
 
     def _painted(self, request: Request, box: Box | None) -> Answer:
         shown = () if box is None else (labels_message(self._opened.session.labels, box),)
