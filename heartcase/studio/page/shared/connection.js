@@ -119,6 +119,14 @@ export class Connection {
     });
   }
 
+  /**
+   * Tell the server something that has no answer. Where there is no line it is left out.
+   * @param {Record<string, unknown> & {do: string}} request
+   */
+  tell(request) {
+    if (this.#socket?.readyState === WebSocket.OPEN) this.#socket.send(JSON.stringify(request));
+  }
+
   #count() {
     this.changing.value = [...this.#requests.values()].filter(({ changes }) => changes).length;
   }
