@@ -1,4 +1,4 @@
-"""The studio's server: the page's files, and a socket for each page."""
+"""The studio's server: the pages' files, and a socket for each page."""
 
 from __future__ import annotations
 
@@ -9,14 +9,17 @@ from pathlib import Path
 
 from starlette.applications import Starlette
 from starlette.requests import Request
-from starlette.responses import FileResponse
+from starlette.responses import FileResponse, RedirectResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from heartcase.studio.building.building import Building
 from heartcase.studio.gate import Gate
-from heartcase.studio.workplace import Page, Workplace
+from heartcase.studio.pages import Page, Place
+from heartcase.studio.registry import Registry
+from heartcase.studio.starting.start import Start
 
 __all__ = ["PAGE", "make_app"]
 
@@ -24,63 +27,101 @@ PAGE = Path(__file__).parent / "page"
 """The page's files."""
 
 
-def make_app(workplace: Workplace, *, token: str, port: int) -> ASGIApp:
+_PAGES = {"prepare": "index.html", "operate": "operating/operate.html"}
+"""Pages that show what is open, and the HTML of each."""
+_LINES = ("socket", "building", "operating")
+"""Sockets that talk to what is open."""
+
+
+def make_app(registry: Registry, *, token: str, port: int, start: Start | None = None) -> ASGIApp:
     """The server as an ASGI application.
 
     Parameters
     ----------
-    workplace
+    registry
         What is open.
     token
-        Secret of this run: ``http://127.0.0.1:PORT/?token=TOKEN`` opens the page.
+        Secret of this run: ``http://127.0.0.1:PORT/?token=TOKEN`` opens the start page, and ``?token=TOKEN`` behind the
+        address of anything open opens that.
     port
         Port that the server listens on.
+    start
+        What the start page is connected to; where it looks into the user's own folder when left out.
     """
+    starting = start or Start(registry)
 
-    async def index(_: Request) -> FileResponse:
-        return FileResponse(PAGE / "index.html")
+    async def start_page(_: Request) -> FileResponse:
+        return FileResponse(PAGE / "start" / "start.html")
 
-    async def socket(websocket: WebSocket) -> None:
-        await _serve_page(websocket, workplace)
+    def page(name: str, file: str) -> Route:
+        async def answer(request: Request) -> Response:
+            if registry.find(name, request.path_params["key"]) is None:
+                # the start page says so
+                return RedirectResponse("/#closed", status_code=303)
+            return FileResponse(PAGE / file)
+
+        return Route(f"/{name}/{{key}}", answer)
+
+    async def report(request: Request) -> Response:
+        place = registry.place("building", request.path_params["key"])
+        found = place.report if isinstance(place, Building) else None
+        return RedirectResponse("/#closed", status_code=303) if found is None else FileResponse(found)
+
+    def line(name: str) -> WebSocketRoute:
+        async def talk(websocket: WebSocket) -> None:
+            place = registry.place(name, websocket.path_params["key"])
+            if place is None:
+                await websocket.close(1008)
+            else:
+                await _serve_page(websocket, place)
+
+        return WebSocketRoute(f"/{name}/{{key}}", talk)
+
+    async def starting_line(websocket: WebSocket) -> None:
+        await _serve_page(websocket, starting)
 
     @contextlib.asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
         yield
-        await workplace.close()
+        await starting.close()
+        await registry.close()
 
     routes = [
-        Route("/", index),
-        WebSocketRoute("/socket", socket),
+        Route("/", start_page),
+        WebSocketRoute("/starting", starting_line),
+        *(page(name, file) for name, file in _PAGES.items()),
+        *(line(name) for name in _LINES),
+        Route("/report/{key}", report),
         Mount("/static", StaticFiles(directory=PAGE)),
     ]
     return Gate(Starlette(routes=routes, lifespan=lifespan), token=token, port=port)
 
 
-async def _serve_page(websocket: WebSocket, workplace: Workplace) -> None:
+async def _serve_page(websocket: WebSocket, place: Place) -> None:
     """Talk to a page until it is gone."""
     await websocket.accept()
     page = Page()
     sender = asyncio.create_task(_send(websocket, page))
-    # Requests are read while the recipe is being opened, and wait for it.
-    joined = asyncio.create_task(workplace.join(page))
+    # Requests are read while a recipe is being opened, and wait for it.
+    joined = asyncio.create_task(place.join(page))
     try:
         while True:
             text = await websocket.receive_text()
             await joined
-            await workplace.ask(page, text)
+            await place.ask(page, text)
     except (WebSocketDisconnect, KeyError, RuntimeError):
         pass
     finally:
         joined.cancel()
         sender.cancel()
         # A server that ends cancels this too: the page's stroke is saved all the same.
-        await asyncio.shield(_forget(workplace, page, joined))
+        await asyncio.shield(_forget(place, page, joined))
 
 
-async def _forget(workplace: Workplace, page: Page, joined: asyncio.Task[None]) -> None:
+async def _forget(place: Place, page: Page, joined: asyncio.Task[None]) -> None:
     with contextlib.suppress(asyncio.CancelledError):
         await joined
-    await workplace.leave(page)
+    await place.leave(page)
 
 
 async def _send(websocket: WebSocket, page: Page) -> None:

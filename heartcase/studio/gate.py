@@ -7,12 +7,15 @@ other origin, and bring the cookie that only the address with the token gives.
 from __future__ import annotations
 
 import hmac
+import re
 from urllib.parse import parse_qs
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 __all__ = ["Gate"]
 
+_OPENED = re.compile(r"/(?:[a-z]+/[A-Za-z0-9_-]+)?")
+"""Addresses that may be opened with the token: the start page, and what is open."""
 _HEADERS = {
     "content-security-policy": (
         "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
@@ -24,6 +27,13 @@ _HEADERS = {
     "cross-origin-resource-policy": "same-origin",
     "cache-control": "no-store",
 }
+
+
+_REPORT_POLICY = (
+    "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'; "
+    "frame-ancestors 'none'; sandbox"
+)
+"""A report has its own styles and pictures in it, and no script."""
 
 
 class Gate:
@@ -65,14 +75,14 @@ class Gate:
         elif self._asks_with_token(scope):
             flags = "Path=/; HttpOnly; SameSite=Strict"
             cookie = ("set-cookie", f"{self._cookie}={self._token}; {flags}")
-            await _answer(send, 303, "", cookie, ("location", "/"))
+            await _answer(send, 303, "", cookie, ("location", scope["path"]))
         elif not self._is_known(headers):
             await _answer(send, 403, "Open the address that heartcase studio printed: it has the key to this page.")
         else:
-            await self._app(scope, receive, _with_headers(send))
+            await self._app(scope, receive, _with_headers(send, scope["path"]))
 
     def _asks_with_token(self, scope: Scope) -> bool:
-        if scope["path"] != "/" or scope["method"] != "GET":
+        if not _OPENED.fullmatch(scope["path"]) or scope["method"] != "GET":
             return False
         given = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
         return hmac.compare_digest(given.encode(), self._token.encode())
@@ -85,11 +95,14 @@ class Gate:
         return False
 
 
-def _with_headers(send: Send) -> Send:
+def _with_headers(send: Send, path: str = "") -> Send:
+    own = {"content-security-policy": _REPORT_POLICY} if path.startswith("/report/") else {}
+    headers = _HEADERS | own
+
     async def sending(message: Message) -> None:
         if message["type"] == "http.response.start":
-            kept = [(name, value) for name, value in message["headers"] if name.decode().lower() not in _HEADERS]
-            message["headers"] = kept + [(name.encode(), value.encode()) for name, value in _HEADERS.items()]
+            kept = [(name, value) for name, value in message["headers"] if name.decode().lower() not in headers]
+            message["headers"] = kept + [(name.encode(), value.encode()) for name, value in headers.items()]
         await send(message)
 
     return sending

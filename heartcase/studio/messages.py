@@ -6,6 +6,8 @@ A binary message is the length of its header (uint32, little-endian), the header
 from __future__ import annotations
 
 import json
+import os
+import traceback
 import zlib
 from typing import Any
 
@@ -16,7 +18,7 @@ from heartcase.pipeline.watershed.forest import Box
 from heartcase.schemas.arrays import UInt8
 from heartcase.schemas.errors import HeartcaseError
 
-__all__ = ["labels_message", "problems_of", "scan_message", "text_message"]
+__all__ = ["labels_message", "problems_of", "scan_message", "text_message", "told"]
 
 _RAW_SIZE_MAX = 1 << 15
 """Bytes up to which compressing would take longer than sending."""
@@ -32,6 +34,19 @@ def text_message(kind: str, **fields: Any) -> str:
 def problems_of(error: HeartcaseError) -> list[dict[str, str]]:
     """What was wrong, as plain data."""
     return [{"place": problem.place, "message": problem.message} for problem in error.problems]
+
+
+def told(error: BaseException) -> HeartcaseError:
+    """What a page is told of an error; one that nobody foresaw ends nothing but what was asked."""
+    if isinstance(error, HeartcaseError):
+        return error
+    if os.environ.get("HEARTCASE_DEBUG"):
+        traceback.print_exception(error)
+    return HeartcaseError(
+        f"something unforeseen happened ({type(error).__name__}): this is a fault of heartcase; start the studio with "
+        "HEARTCASE_DEBUG=1 to see where, and report it",
+        place="studio",
+    )
 
 
 def scan_message(scan: Scan) -> bytes:

@@ -15,12 +15,15 @@ from heartcase.pipeline.building.recipe_history import STROKE, RecipeHistory, op
 from heartcase.pipeline.building.runner import BuildListener
 from heartcase.pipeline.building.session_file import RecipeSession, open_session
 from heartcase.pipeline.data import UNMARKED, Scan
+from heartcase.pipeline.markers.states import StillSegmentation
 from heartcase.pipeline.watershed.forest import Box
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.labels import BACKGROUND, Role
 from heartcase.schemas.recipe.recipe import parse_recipe, read_recipe_text
+from heartcase.studio.locks import lock_again, lock_labels
 from heartcase.studio.messages import labels_message, scan_message, text_message
-from heartcase.studio.requests import End, Extend, History, Paint, Request, Suggest
+from heartcase.studio.planes import planes_message
+from heartcase.studio.requests import End, Extend, History, Lock, Paint, Planes, Request, Suggest
 from heartcase.studio.shaping.facts import shaping_facts
 from heartcase.studio.shaping.requests import Add, Change, FindEnds, Propose, Remove, Set
 from heartcase.studio.shaping.shaping import Shaping
@@ -53,13 +56,17 @@ class Painting:
         The recipe, and the session on its scan.
     history
         Its text, and what was done to it.
+    locks
+        File that remembers what is locked.
     """
 
-    def __init__(self, opened: RecipeSession, history: RecipeHistory) -> None:
+    def __init__(self, opened: RecipeSession, history: RecipeHistory, locks: Path) -> None:
         self._opened = opened
         self._history = history
         self._shaping = Shaping(history, opened.session)
         self._drawn_by: object | None = None
+        self._locks = locks
+        lock_again(opened.session, locks)
 
     @property
     def is_stale(self) -> bool:
@@ -144,6 +151,16 @@ class Painting:
             case Suggest():
                 found = session.suggest(count=request.count).as_json(session.table)
                 return Answer(done=text_message("places", id=request.id, **found))
+            case Lock():
+                self._close_stroke()
+                lock_labels(session, request.labels, self._locks)
+                return Answer((self._structures(), self._done()), self._done(request))
+            case Planes():
+                return Answer(done=planes_message(request.id, session, self._history.recipe.landmarks))
+
+    def still(self) -> StillSegmentation:
+        """A copy of the segmentation, to be looked at while painting goes on."""
+        return self._opened.session.still()
 
     def leave(self, page: object) -> tuple[str, ...]:
         """Whoever drew is gone: the stroke ends where it is; messages for the pages that are left."""
@@ -202,6 +219,7 @@ class Painting:
             "structures",
             volumes_ml={name: round(float(found[value]), 3) for value, name in names.items() if value != BACKGROUND},
             marked=[names[value] for value in sorted(marked) if value in names],
+            locked=[names[value] for value in sorted(session.locked)],
             checklist=self._checklist(marked),
         )
 
@@ -243,7 +261,7 @@ def open_painting(path: Path, *, out: Path, listener: BuildListener) -> Painting
     opened = open_session(path, out=out, listener=listener, resumes=True)
     history = open_history(path, out=out)
     opened.session.offer_again(history.undone_strokes)
-    return Painting(opened, history)
+    return Painting(opened, history, history.log.with_suffix(".locks.json"))
 
 
 def _window(scan: Scan) -> tuple[float, float]:

@@ -3,20 +3,35 @@
 from __future__ import annotations
 
 import json
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeVar
 
 from pydantic import Field, TypeAdapter, ValidationError
 
-from heartcase.schemas.base import Model, PointMm
+from heartcase.schemas.base import Model, Name, PointMm
 from heartcase.schemas.errors import UsageError, problems_from_validation
 from heartcase.schemas.recipe.settings import Stroke
 from heartcase.schemas.strict_json import parse_json
 from heartcase.studio.shaping.requests import RequestId, ShapingRequest
 
-__all__ = ["REQUEST_SIZE_MAX", "End", "Extend", "History", "Paint", "Request", "Suggest", "parse_request", "request_id"]
+__all__ = [
+    "REQUEST_SIZE_MAX",
+    "End",
+    "Extend",
+    "History",
+    "Lock",
+    "Paint",
+    "Planes",
+    "Request",
+    "Suggest",
+    "parse_request",
+    "parsed",
+    "request_id",
+]
 
 REQUEST_SIZE_MAX = 1 << 20
 """A message that is longer, in bytes, ends the connection."""
+
+T = TypeVar("T")
 
 
 class Paint(Stroke):
@@ -73,12 +88,50 @@ class Suggest(Model):
     """How many, at most."""
 
 
-Request = Paint | Extend | End | History | Suggest | ShapingRequest
+class Planes(Model):
+    """Name the heart's own planes, as far as labels and landmarks tell them."""
+
+    id: RequestId
+    """Number that the answer names."""
+    do: Literal["planes"]
+    """Which request."""
+
+
+class Lock(Model):
+    """Lock these structures, and no others."""
+
+    id: RequestId
+    """Number that the answer names."""
+    do: Literal["lock"]
+    """Which request."""
+    labels: Annotated[tuple[Name, ...], Field(max_length=251)]
+    """Their names."""
+
+
+Request = Paint | Extend | End | History | Suggest | ShapingRequest | Planes | Lock
 _REQUEST: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="do")])
 
 
 def parse_request(text: str) -> Request:
+    """What a message of a painting page asks for.
+
+    Raises
+    ------
+    UsageError
+        As :func:`parsed` says.
+    """
+    return parsed(text, _REQUEST)
+
+
+def parsed(text: str, requests: TypeAdapter[T]) -> T:
     """What a message asks for.
+
+    Parameters
+    ----------
+    text
+        The message.
+    requests
+        The requests that there are, told apart by ``do``.
 
     Raises
     ------
@@ -92,7 +145,7 @@ def parse_request(text: str) -> Request:
     if not isinstance(data, dict):
         raise UsageError("must be a JSON object", place="request")
     try:
-        return _REQUEST.validate_python({"do": None} | data)
+        return requests.validate_python({"do": None} | data)
     except ValidationError as error:
         raise UsageError(problems_from_validation(error, place="request")) from None
 

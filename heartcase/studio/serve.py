@@ -12,8 +12,9 @@ import uvicorn
 
 from heartcase.schemas.errors import UsageError
 from heartcase.studio.app import make_app
+from heartcase.studio.registry import Registry
 from heartcase.studio.requests import REQUEST_SIZE_MAX
-from heartcase.studio.workplace import Workplace
+from heartcase.studio.starting.start import Start
 
 __all__ = ["ADDRESS", "serve"]
 
@@ -22,15 +23,26 @@ ADDRESS = "127.0.0.1"
 _CLOSING_S = 5
 
 
-def serve(recipe: Path, *, out: Path, port: int, ready: Callable[[str], None]) -> None:
-    """Serve the page of a recipe, until the process is interrupted.
+def serve(
+    *,
+    recipe: Path | None = None,
+    case: Path | None = None,
+    folder: Path | None = None,
+    out: Path,
+    port: int,
+    ready: Callable[[str], None],
+) -> None:
+    """Serve the studio's pages, until the process is interrupted.
 
     Parameters
     ----------
-    recipe
-        The recipe's file.
+    recipe, case
+        What the page shows first: a recipe's file, or a case's folder; the start page where both are left out.
+    folder
+        Where the start page looks, and nowhere else; the user's own folder, the present one and that of the recipe or
+        the case when left out.
     out
-        Directory that the case is built in, with the build's cache.
+        Directory that the recipe's case is built in, with the build's cache.
     port
         Port to listen on; any free one at 0.
     ready
@@ -39,9 +51,17 @@ def serve(recipe: Path, *, out: Path, port: int, ready: Callable[[str], None]) -
     Raises
     ------
     UsageError
-        The port is taken.
+        The port is taken, or the case cannot be opened.
     """
     token = secrets.token_urlsafe(24)
+    registry, address = Registry(token), "/"
+    opened = recipe or case
+    roots = [folder] if folder else [Path.home(), Path.cwd(), *([opened.resolve().parent] if opened else [])]
+    start = Start(registry, roots=roots, looks=folder is not None)
+    if recipe is not None:
+        address = start.open_recipe(recipe, out=out)
+    elif case is not None:
+        address = start.open_case(case)
     with socket.socket() as listener:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -51,7 +71,7 @@ def serve(recipe: Path, *, out: Path, port: int, ready: Callable[[str], None]) -
             raise UsageError(f"cannot listen on port {port} ({reason}): give another", place="--port") from None
         listener.listen()
         port = listener.getsockname()[1]
-        app = make_app(Workplace(recipe, out=out), token=token, port=port)
+        app = make_app(registry, token=token, port=port, start=start)
         config = uvicorn.Config(
             app,
             log_level="error",
@@ -64,6 +84,6 @@ def serve(recipe: Path, *, out: Path, port: int, ready: Callable[[str], None]) -
             ws_per_message_deflate=False,
             timeout_graceful_shutdown=_CLOSING_S,
         )
-        ready(f"http://{ADDRESS}:{port}/?token={token}")
+        ready(f"http://{ADDRESS}:{port}{address}?token={token}")
         with contextlib.suppress(KeyboardInterrupt):
             uvicorn.Server(config).run(sockets=[listener])

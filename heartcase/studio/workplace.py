@@ -3,46 +3,26 @@
 from __future__ import annotations
 
 import asyncio
-import os
-import traceback
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TypeVar
 
-from heartcase.schemas.errors import HeartcaseError, RecipeError
-from heartcase.studio.messages import problems_of, text_message
+from heartcase.pipeline.markers.states import StillSegmentation
+from heartcase.schemas.errors import RecipeError
+from heartcase.studio.messages import problems_of, text_message, told
+from heartcase.studio.pages import Page
 from heartcase.studio.painting import Painting, open_painting
 from heartcase.studio.requests import History, Paint, parse_request, request_id
 from heartcase.studio.shaping.requests import Add, Change, Remove, Set
+from heartcase.studio.states import States
 
-__all__ = ["Page", "Workplace"]
+__all__ = ["Workplace"]
 
 T = TypeVar("T")
 
 _ACTS = Paint | History | Add | Change | Remove | Set
 """Requests that change the recipe."""
-
-QUEUE_LENGTH_MAX = 2000
-"""Messages that wait for a page at most: one that takes none is let go, and asks again for everything."""
-
-
-class Page:
-    """A page that is connected: messages wait here until they are sent."""
-
-    def __init__(self) -> None:
-        self.waiting: asyncio.Queue[str | bytes | None] = asyncio.Queue()
-
-    def send(self, message: str | bytes) -> None:
-        """Let a message be sent, after those before it; a page that takes none is let go."""
-        if self.waiting.qsize() < QUEUE_LENGTH_MAX:
-            self.waiting.put_nowait(message)
-        else:
-            self.close()
-
-    def close(self) -> None:
-        """Let the page go, after what waits."""
-        self.waiting.put_nowait(None)
 
 
 class Workplace:
@@ -67,6 +47,7 @@ class Workplace:
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="studio")
         self._aside = ThreadPoolExecutor(1, thread_name_prefix="studio-aside")
         self._tasks: set[asyncio.Task[None]] = set()
+        self._states = States(self._copied, self._tell)
 
     async def join(self, page: Page) -> None:
         """Show a page everything, and then all that changes."""
@@ -100,7 +81,7 @@ class Workplace:
                     )
                 answer = await self._run(lambda: painting.do(request, page))
             except Exception as error:
-                page.send(text_message("refused", id=request_id(text), problems=problems_of(_told(error))))
+                page.send(text_message("refused", id=request_id(text), problems=problems_of(told(error))))
                 return
             for message in answer.for_all:
                 is_done = isinstance(message, str) and answer.done is not None and message.startswith('{"kind": "done"')
@@ -110,6 +91,7 @@ class Workplace:
                         one.send(message)
             if answer.done is not None:
                 page.send(answer.done)
+            self._states.later()
         if answer.later is not None:
             self._start(page, text, answer.later)
 
@@ -120,7 +102,7 @@ class Workplace:
             try:
                 page.send(await asyncio.get_running_loop().run_in_executor(self._aside, work))
             except Exception as error:
-                page.send(text_message("refused", id=request_id(text), problems=problems_of(_told(error))))
+                page.send(text_message("refused", id=request_id(text), problems=problems_of(told(error))))
 
         task = asyncio.create_task(answer())
         self._tasks.add(task)
@@ -128,6 +110,7 @@ class Workplace:
 
     async def close(self) -> None:
         """End: a stroke that is not saved yet is saved."""
+        self._states.close()
         for page in tuple(self._pages):
             await self.leave(page)
             page.close()
@@ -142,10 +125,11 @@ class Workplace:
                 self._painting = await self._run(lambda: open_painting(self._recipe, out=self._out, listener=listener))
             messages = await self._run(self._painting.greeting)
         except Exception as error:
-            messages = (text_message("failed", problems=problems_of(_told(error))),)
+            messages = (text_message("failed", problems=problems_of(told(error))),)
         for page in pages:
             for message in messages:
                 page.send(message)
+        self._states.later()
 
     async def _open_again(self) -> None:
         self._painting = None
@@ -157,7 +141,12 @@ class Workplace:
             for message in await self._run(work):
                 self._tell(message)
         except Exception as error:
-            self._tell(text_message("refused", id=None, problems=problems_of(_told(error))))
+            self._tell(text_message("refused", id=None, problems=problems_of(told(error))))
+
+    async def _copied(self) -> StillSegmentation | None:
+        async with self._turn:
+            painting = self._painting
+            return None if painting is None else await self._run(painting.still)
 
     async def _run(self, work: Callable[[], T]) -> T:
         return await asyncio.get_running_loop().run_in_executor(self._thread, work)
@@ -165,19 +154,6 @@ class Workplace:
     def _tell(self, message: str) -> None:
         for page in self._pages:
             page.send(message)
-
-
-def _told(error: Exception) -> HeartcaseError:
-    """What a page is told of an error; one that nobody foresaw ends nothing but what was asked."""
-    if isinstance(error, HeartcaseError):
-        return error
-    if os.environ.get("HEARTCASE_DEBUG"):
-        traceback.print_exception(error)
-    return HeartcaseError(
-        f"something unforeseen happened ({type(error).__name__}): this is a fault of heartcase; start the studio with "
-        "HEARTCASE_DEBUG=1 to see where, and report it",
-        place="studio",
-    )
 
 
 class _Progress:

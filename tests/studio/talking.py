@@ -11,11 +11,11 @@ import numpy as np
 from starlette.testclient import TestClient
 
 from heartcase.studio.app import make_app
-from heartcase.studio.workplace import Workplace
+from heartcase.studio.registry import Registry
 from tests.cli.small_case import write_scan
 
 TOKEN, PORT = "a-token", 4711
-ADDRESS, SOCKET = f"http://127.0.0.1:{PORT}", f"ws://127.0.0.1:{PORT}/socket"
+ADDRESS = f"http://127.0.0.1:{PORT}"
 
 RECIPE = """\
 # a comment that stays
@@ -95,16 +95,24 @@ class Talker:
 @contextmanager
 def studio(recipe):
     """A browser that has the studio of this recipe open."""
-    app = make_app(Workplace(recipe, out=recipe.parent / "out"), token=TOKEN, port=PORT)
+    registry = Registry(TOKEN)
+    opened = registry.open_recipe(recipe, out=recipe.parent / "out")
+    app = make_app(registry, token=TOKEN, port=PORT)
     with TestClient(app, base_url=ADDRESS, follow_redirects=False) as browser:
         assert browser.get("/", params={"token": TOKEN}).status_code == 303
+        browser.opened = opened
         yield browser
+
+
+def socket_of(browser, line="socket"):
+    """Address of a socket of what is open."""
+    return f"ws://127.0.0.1:{PORT}/{line}/{browser.opened.key}"
 
 
 @contextmanager
 def page(browser):
     """A page of it."""
-    with browser.websocket_connect(SOCKET, headers={"origin": ADDRESS}) as socket:
+    with browser.websocket_connect(socket_of(browser), headers={"origin": ADDRESS}) as socket:
         talker = Talker(socket)
         talker.opened = talker.hear("opened", "failed")
         if talker.opened["kind"] == "opened":

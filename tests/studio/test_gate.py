@@ -3,9 +3,9 @@
 import pytest
 from starlette.websockets import WebSocketDisconnect
 
-from tests.studio.talking import ADDRESS, PORT, SOCKET, TOKEN, studio, write_recipe
+from tests.studio.talking import ADDRESS, PORT, TOKEN, socket_of, studio, write_recipe
 
-FILES = ("/", "/static/index.html", "/socket", "/static/../app.py", "/nothing")
+FILES = ("/", "/static/index.html", "/socket/key", "/prepare/key", "/static/../app.py", "/nothing")
 
 
 @pytest.fixture
@@ -52,19 +52,19 @@ def test_other_hosts_and_origins_are_refused_with_the_cookie_too(browser, header
     assert browser.get("/", headers=headers).status_code == 403
     with (
         pytest.raises(WebSocketDisconnect),
-        browser.websocket_connect(SOCKET, headers={"origin": ADDRESS} | headers),
+        browser.websocket_connect(socket_of(browser), headers={"origin": ADDRESS} | headers),
     ):
         pass
 
 
 @pytest.mark.parametrize("cookie", [None, "wrong"])
 def test_a_socket_needs_the_cookie_and_an_origin(browser, cookie):
-    with pytest.raises(WebSocketDisconnect), browser.websocket_connect(SOCKET):
+    with pytest.raises(WebSocketDisconnect), browser.websocket_connect(socket_of(browser)):
         pass
     browser.cookies.clear()
     if cookie:
         browser.cookies.set(f"heartcase-{PORT}", cookie)
-    with pytest.raises(WebSocketDisconnect), browser.websocket_connect(SOCKET, headers={"origin": ADDRESS}):
+    with pytest.raises(WebSocketDisconnect), browser.websocket_connect(socket_of(browser), headers={"origin": ADDRESS}):
         pass
 
 
@@ -108,5 +108,31 @@ def test_the_pages_files_hold_no_inline_script_and_load_nothing_from_elsewhere()
 
 
 def test_the_page_itself_gets_its_socket(browser):
-    with browser.websocket_connect(SOCKET, headers={"origin": ADDRESS}) as socket:
+    with browser.websocket_connect(socket_of(browser), headers={"origin": ADDRESS}) as socket:
         assert socket.receive_json()["kind"] == "progress"
+
+
+def test_what_is_open_has_an_address_that_takes_the_token(browser):
+    address = browser.opened.address
+    assert browser.opened.path.stem not in address
+    browser.cookies.clear()
+    assert browser.get(address).status_code == 403
+    answer = browser.get(address, params={"token": TOKEN})
+    assert (answer.status_code, answer.headers["location"]) == (303, address)
+    assert b'id="desk"' in browser.get(address).content
+
+
+@pytest.mark.parametrize("path", ["//evil.example", "/static/main.js", "/prepare/a/b", "/prepare//evil.example"])
+def test_the_token_opens_pages_alone(browser, path):
+    browser.cookies.clear()
+    assert browser.get(ADDRESS + path, params={"token": TOKEN}).status_code == 403
+
+
+def test_what_is_not_open_leads_to_the_start_page(browser):
+    answer = browser.get("/prepare/nothing")
+    assert (answer.status_code, answer.headers["location"]) == (303, "/#closed")
+    with (
+        pytest.raises(WebSocketDisconnect),
+        browser.websocket_connect(f"ws://127.0.0.1:{PORT}/socket/nothing", headers={"origin": ADDRESS}),
+    ):
+        pass

@@ -21,7 +21,7 @@ def test_it_serves_this_machine_until_it_is_ended(tmp_path, ending):
     text = recipe.read_text()
     command = [sys.executable, "-m", "heartcase", "studio", str(recipe), "--out", str(tmp_path / "out"), "--no-browser"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        address = re.search(r"http://127\.0\.0\.1:\d+/\?token=\S+", process.stdout.readline())[0]
+        address = re.search(r"http://127\.0\.0\.1:\d+/prepare/\S+\?token=\S+", process.stdout.readline())[0]
         with pytest.raises(urllib.error.HTTPError, match="403"):
             urllib.request.urlopen(address.partition("?")[0], timeout=30)
         opener = urllib.request.build_opener(urllib.request.HTTPCookieProcessor())
@@ -56,7 +56,7 @@ def test_what_it_cannot_open_is_said_in_one_line(tmp_path, capsys):
     torn.write_text("heartcase_recipe = [\n")
     script.write_text("heartcase_recipe = 1\nseconds = 1.0\nname = 'x'\n[scan]\npath = 'x.nii.gz'\n")
     for path, code, message in (
-        (case, 2, "is a case"),
+        (case, 2, "cases do not move in the page yet"),
         (missing, 1, "there is nothing at this path"),
         (torn, 1, "this is not valid TOML"),
         (script, 1, "seconds: unknown setting"),

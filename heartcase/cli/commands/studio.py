@@ -18,7 +18,7 @@ __all__ = ["command"]
 
 
 @click.command()
-@click.argument("path", type=click.Path(path_type=Path, readable=False))
+@click.argument("path", required=False, type=click.Path(path_type=Path, readable=False))
 @click.option(
     "--out",
     type=click.Path(path_type=Path, readable=False),
@@ -28,47 +28,64 @@ __all__ = ["command"]
 @click.option(
     "--recipe",
     type=click.Path(path_type=Path, readable=False),
-    default=Path("case.toml"),
-    help="For a scan: the recipe that is written for it; case.toml.",
+    help="For a scan: the recipe that is written for it; case.toml. For a folder of DICOM files, too.",
 )
 @scan_options
 @click.option(
     "--port", type=click.IntRange(0, 65535), default=0, help="Port on this machine; a free one when left out."
 )
 @click.option("--browser/--no-browser", default=True, help="Whether to open the page in the browser.")
-def command(path: Path, out: Path, recipe: Path, port: int, browser: bool, choice: dict[str, Any]) -> None:
-    """Paint on the scan of a recipe in the browser, on this machine alone.
+def command(
+    path: Path | None, out: Path, recipe: Path | None, port: int, browser: bool, choice: dict[str, Any]
+) -> None:
+    """Make a case in the browser, on this machine alone: paint on a scan, build, operate.
 
-    PATH is a recipe, or a scan, for which a recipe is written first. Every stroke is saved in the recipe when it is
-    over, and can be taken back, also after a restart. Ctrl-C ends the server. Who has the printed address can use the
-    page, and nobody else.
+    PATH is a recipe, a case, or a scan, for which a recipe is written first. Without it, and for a folder, a start page
+    opens: recent work, sample cases, and the series of a DICOM folder to choose from. Where --recipe or an option that
+    chooses is given, a folder is read as a scan at once. Every stroke is saved in the recipe when it is over, and can
+    be taken back, also after a restart. Ctrl-C ends the server. Who has the printed address can use the pages, and
+    nobody else.
     """
     from heartcase.studio.serve import serve
 
-    kind = kind_of(path)
-    if kind in ("case", "recording"):
-        raise UsageError(f"is a {kind}: the studio opens a scan or a recipe", place="PATH")
-    if kind == "recipe":
-        if choice:
-            raise UsageError("a recipe says itself which images are read: change its [scan]", place=next(iter(choice)))
-        recipe = path
-        # What is wrong in it is said here, and not on the page alone.
-        parse_recipe(read_recipe_text(recipe), needs_markers=False)
-    else:
-        from heartcase.pipeline.building.starter_recipe import write_recipe
-
-        if recipe.exists():
-            raise UsageError("there is already a recipe: open it, or choose another --recipe", place=str(recipe))
-        with working("reading the scan"):
-            warnings = write_recipe(path, recipe, choice=choice, with_examples=False)
-        for warning in warnings:
-            click.echo(f"note: {warning}", err=True)
-        click.echo(f"wrote {recipe}: it holds what you do")
+    opening = {} if path is None else _opening(path, recipe, choice)
 
     def ready(address: str) -> None:
         click.echo(f"The studio is at  {address}\nCtrl-C ends it.")
         if browser:
             webbrowser.open(address)
 
-    serve(recipe, out=out, port=port, ready=ready)
+    serve(**opening, out=out, port=port, ready=ready)
     click.echo("The studio is closed; the recipe holds every stroke.")
+
+
+def _opening(path: Path, recipe: Path | None, choice: dict[str, Any]) -> dict[str, Path]:
+    """What the page shows first."""
+    kind = kind_of(path)
+    if kind == "recording":
+        raise UsageError("is a recording: the studio opens a scan, a recipe or a case", place="PATH")
+    if kind == "case":
+        return {"case": path}
+    if kind == "recipe":
+        if choice:
+            raise UsageError("a recipe says itself which images are read: change its [scan]", place=next(iter(choice)))
+        # What is wrong in it is said here, and not on the page alone.
+        parse_recipe(read_recipe_text(path), needs_markers=False)
+        return {"recipe": path}
+    if path.is_dir() and recipe is None and not choice:
+        return {"folder": path}
+    recipe = recipe or Path("case.toml")
+    _write_recipe(path, recipe, choice)
+    return {"recipe": recipe}
+
+
+def _write_recipe(scan: Path, recipe: Path, choice: dict[str, Any]) -> None:
+    from heartcase.pipeline.building.starter_recipe import write_recipe
+
+    if recipe.exists():
+        raise UsageError("there is already a recipe: open it, or choose another --recipe", place=str(recipe))
+    with working("reading the scan"):
+        warnings = write_recipe(scan, recipe, choice=choice, with_examples=False)
+    for warning in warnings:
+        click.echo(f"note: {warning}", err=True)
+    click.echo(f"wrote {recipe}: it holds what you do")

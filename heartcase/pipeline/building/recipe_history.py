@@ -96,6 +96,11 @@ class RecipeHistory:
         return self._text
 
     @property
+    def log(self) -> Path:
+        """File that remembers the acts."""
+        return self._log
+
+    @property
     def head(self) -> str:
         """The text without the strokes of sessions at its end."""
         return self._head

@@ -1,6 +1,8 @@
 /** The page of heartcase studio: puts its parts together, and hands them what the server sends. */
 
+import { BuildTab } from "./building/build_tab.js";
 import { Guide } from "./panel/guide.js";
+import { runPlanes } from "./panel/planes.js";
 import { Status } from "./panel/status.js";
 import { Structures } from "./panel/structures.js";
 import { runHelp, runTabs, runTiles } from "./panel/tiles.js";
@@ -36,7 +38,7 @@ function run() {
   const measures = new Measures();
   const tiles = { axial: find("axial"), coronal: find("coronal"), sagittal: find("sagittal") };
   const views = new Views(/** @type {HTMLCanvasElement} */ (find("pictures")), tiles, find("solid"), studio, measures);
-  const url = new URL("socket", location.href);
+  const url = new URL(location.pathname.replace("/prepare/", "/socket/"), location.href);
   url.protocol = location.protocol === "https:" ? "wss:" : "ws:";
   url.search = url.hash = "";
   const connection = new Connection(url.href, (message) => hear(message), (message) => receive(message), (error) => fault(error));
@@ -57,7 +59,10 @@ function run() {
   for (const signal of [shaping.shape, shaping.selected, shaping.draft, shaping.isOpen]) {
     /** @type {import("./shared/signal.js").Signal<any>} */ (signal).listen(() => views.redrawAllOverlays());
   }
-  const structures = new Structures(find("structures"), studio, views);
+  const structures = new Structures(find("structures"), studio, views, (labels) => {
+    status.clear();
+    connection.ask({ do: "lock", labels }).catch((error) => fault(error));
+  });
   const parts = { place: find("place"), checklist: find("checklist") };
   const guide = new Guide(studio, views, (request) => connection.ask(request), parts, (error) => fault(error));
 
@@ -89,6 +94,7 @@ function run() {
     else if (studio.tool.value === "shape") studio.take(studio.toolBefore === "shape" ? "pointer" : studio.toolBefore);
   });
   runHelp(shortcuts.areOn);
+  runPlanes(studio, views, (request) => connection.ask(request), (error) => fault(error));
   find("next-place").addEventListener("click", () => actions.nextPlace());
   studio.ready.follow((ready) => {
     document.body.dataset.ready = String(ready);
@@ -110,10 +116,11 @@ function run() {
     } else if (message.kind === "opened") open(message);
     else if (message.kind === "refused" && message.id === null) status.refused(message.problems ?? []);
     else if (message.kind === "structures") {
-      structures.tell(message.volumes_ml ?? {}, message.marked);
+      structures.tell(message.volumes_ml ?? {}, message.marked, message.locked ?? []);
       guide.tell(message.checklist ?? []);
     } else if (message.kind === "shaping_facts") shaping.facts.value = /** @type {any} */ (message);
     else if (message.kind === "shape") shaping.tell(/** @type {any} */ (message));
+    else if (message.kind === "states") structures.tellStates(message.states ?? {});
     else if (message.kind === "done") {
       studio.undoCount.value = message.undo_count;
       studio.redoCount.value = message.redo_count;
@@ -179,6 +186,7 @@ function run() {
   }
 
   connection.open();
+  new BuildTab(studio, views, (error) => fault(error));
 }
 
 try {

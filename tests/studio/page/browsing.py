@@ -21,7 +21,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from heartcase.studio.app import make_app
-from heartcase.studio.workplace import Workplace
+from heartcase.studio.registry import Registry
 
 TOKEN = "a-token"
 WAIT_MS = 120_000
@@ -75,14 +75,19 @@ class Server:
         listener.bind(("127.0.0.1", self.port))
         listener.listen()
         self.port = listener.getsockname()[1]
-        self.address = f"http://127.0.0.1:{self.port}/?token={token}"
-        app = make_app(Workplace(self.recipe, out=self.recipe.parent / "out"), token=token, port=self.port)
+        registry = Registry(token)
+        opened = self.opened = self.open_in(registry)
+        self.address = f"http://127.0.0.1:{self.port}{opened.address}?token={token}"
+        app = make_app(registry, token=token, port=self.port)
         self._server = uvicorn.Server(
             uvicorn.Config(app, log_level="error", ws="websockets-sansio", timeout_graceful_shutdown=1)
         )
         self._thread = threading.Thread(target=self._server.run, kwargs={"sockets": [listener]}, daemon=True)
         self._listener = listener
         self._thread.start()
+
+    def open_in(self, registry):
+        return registry.open_recipe(self.recipe, out=self.recipe.parent / "out")
 
     def stop(self):
         if self._server is not None:

@@ -1,8 +1,8 @@
 /** The bar above: tools, brush size, undo, window, what is shown; theme and language. */
 
-import { keep, kept } from "../shared/settings.js";
+import { runLanguage, runTheme } from "../shared/looks.js";
 import { LARGEST_RADIUS_MM, SMALLEST_RADIUS_MM } from "../shared/studio.js";
-import { figure, language, LANGUAGES, say } from "../shared/words.js";
+import { figure, language, say } from "../shared/words.js";
 
 /** @typedef {import("../shared/studio.js").Studio} Studio */
 /** @typedef {import("../shared/studio.js").Tool} Tool */
@@ -142,40 +142,5 @@ function runLook(studio, actions) {
     box.addEventListener("change", () => (signal.value = box.checked));
     signal.follow((value) => (box.checked = value));
   }
-  // Only where the two differ there is something to choose.
-  const along = find("along-scan");
-  along.addEventListener("click", () => (studio.alongScan.value = !studio.alongScan.value));
-  studio.alongScan.follow((isAlong) => along.setAttribute("aria-pressed", String(isAlong)));
-  studio.lattice.follow((lattice) => (along.hidden = !lattice?.isOblique));
   find("fit").addEventListener("click", () => actions.fit());
-}
-
-function runTheme() {
-  const light = matchMedia("(prefers-color-scheme: light)");
-  let chosen = kept("theme");
-  const tell = () => {
-    const theme = chosen === "light" || chosen === "dark" ? chosen : light.matches ? "light" : "dark";
-    document.documentElement.dataset.theme = theme;
-    find("theme").setAttribute("aria-pressed", String(theme === "light"));
-  };
-  find("theme").addEventListener("click", () => {
-    chosen = document.documentElement.dataset.theme === "light" ? "dark" : "light";
-    keep("theme", chosen);
-    tell();
-  });
-  light.addEventListener("change", tell);
-  tell();
-}
-
-function runLanguage() {
-  const select = /** @type {HTMLSelectElement} */ (find("language"));
-  for (const [name, words] of Object.entries(LANGUAGES)) {
-    const option = document.createElement("option");
-    option.value = name;
-    option.lang = name;
-    option.textContent = words.language_name;
-    select.append(option);
-  }
-  select.addEventListener("change", () => (language.value = select.value));
-  language.follow((name) => (select.value = name));
 }

@@ -1,6 +1,7 @@
 /** What lies over a slice: crosshair, brush, the stroke under way, measurements, scale bar and letters. */
 
 import { figure } from "../shared/words.js";
+import { handlesOf, lineOf, VIEWS } from "./planes.js";
 import { angleDegrees, distance, orientationLetters, plus, roundLength, sectionRadius } from "./geometry.js";
 
 /** @typedef {import("./geometry.js").Camera} Camera */
@@ -14,19 +15,24 @@ const LIGHT = "#f4f6f8";
 const CROSSHAIR = "#7fd4ff";
 const RULER = "#ffe27a";
 const GAP = 12;
+const ODD_MARK = "#ffcf66";
+/** Openings this far from a slice are marked in it. */
+const MARK_DEPTH_MM = 2;
 
 /**
  * @param {CanvasRenderingContext2D} pen in CSS pixels
+ * @param {import("./planes.js").ViewName} name
  * @param {Camera} camera
  * @param {Studio} studio
  * @param {readonly Measure[]} measures
  */
-export function drawOverlay(pen, camera, studio, measures) {
+export function drawOverlay(pen, name, camera, studio, measures) {
   pen.clearRect(0, 0, camera.width, camera.height);
   const through = studio.crosshair.value;
   drawStroke(pen, camera, through, studio);
-  drawCrosshair(pen, camera, through);
+  drawCrosshair(pen, name, camera, studio);
   for (const measure of measures) drawMeasure(pen, camera, through, measure, studio.lattice.value?.sliceStep(camera.frame.normal) ?? 1);
+  for (const mark of studio.marks.value) drawMark(pen, camera, through, mark, studio.lattice.value?.sliceStep(camera.frame.normal) ?? 1);
   drawBrush(pen, camera, through, studio);
   drawLetters(pen, camera);
   drawScale(pen, camera);
@@ -67,16 +73,24 @@ export function lettering(pen, text, x, y, colour = LIGHT) {
   pen.fillText(text, x, y);
 }
 
-/** @param {CanvasRenderingContext2D} pen @param {Camera} camera @param {Vector} through */
-function drawCrosshair(pen, camera, through) {
+/** Lines where the other slices are, and with the pointer in hand the handles that turn them. @param {CanvasRenderingContext2D} pen @param {import("./planes.js").ViewName} name @param {Camera} camera @param {Studio} studio */
+function drawCrosshair(pen, name, camera, studio) {
+  const through = studio.crosshair.value;
   const { x, y } = camera.toPixel(through, through);
+  const planes = studio.planes.value;
+  const far = camera.width + camera.height + Math.abs(x) + Math.abs(y);
   rimmed(pen, CROSSHAIR, () => {
-    for (const [dx, dy, far] of [[-1, 0, x], [1, 0, camera.width - x], [0, -1, y], [0, 1, camera.height - y]]) {
-      if (far <= GAP) continue;
-      pen.moveTo(x + dx * GAP, y + dy * GAP);
-      pen.lineTo(x + dx * far, y + dy * far);
+    for (const other of VIEWS) {
+      const line = other === name ? null : lineOf(camera.frame, planes.frames[other]);
+      if (line === null) continue;
+      for (const way of [1, -1]) {
+        pen.moveTo(x + way * GAP * line[0], y + way * GAP * line[1]);
+        pen.lineTo(x + way * far * line[0], y + way * far * line[1]);
+      }
     }
   }, 1);
+  if (studio.tool.value !== "pointer") return;
+  for (const at of handlesOf(planes, name, camera, { x, y })) rimmed(pen, CROSSHAIR, () => pen.arc(at.x, at.y, 6, 0, 2 * Math.PI), 2);
 }
 
 /** @param {CanvasRenderingContext2D} pen @param {Camera} camera @param {Vector} through @param {Studio} studio */
@@ -143,6 +157,28 @@ function drawMeasure(pen, camera, through, measure, thickness) {
   pen.textAlign = corner.x > camera.width - 70 ? "right" : "left";
   pen.textBaseline = "middle";
   lettering(pen, text, corner.x + (pen.textAlign === "left" ? 9 : -9), corner.y, RULER);
+}
+
+/**
+ * An opening of the case: an arrow onto its middle, where the slice goes through it.
+ * @param {CanvasRenderingContext2D} pen @param {Camera} camera @param {Vector} through
+ * @param {{mm: Vector, text: string, isOdd: boolean}} mark @param {number} thickness
+ */
+function drawMark(pen, camera, through, { mm, text, isOdd }, thickness) {
+  const { x, y, depth } = camera.toPixel(mm, through);
+  if (Math.abs(depth) > Math.max(thickness / 2, MARK_DEPTH_MM)) return;
+  const colour = isOdd ? ODD_MARK : LIGHT;
+  rimmed(pen, colour, () => {
+    pen.moveTo(x + 22, y - 22);
+    pen.lineTo(x + 3, y - 3);
+    pen.moveTo(x + 3, y - 11);
+    pen.lineTo(x + 3, y - 3);
+    pen.lineTo(x + 11, y - 3);
+  }, 1.75);
+  pen.font = "600 13px system-ui, sans-serif";
+  pen.textAlign = "left";
+  pen.textBaseline = "middle";
+  lettering(pen, text, x + 25, y - 24, colour);
 }
 
 /** What a measurement says: "12.3 mm" or "45.0 degrees"; nothing while it lacks points. @param {Measure} measure */

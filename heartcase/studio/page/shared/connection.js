@@ -13,7 +13,7 @@ import { Signal } from "./signal.js";
 const FIRST_WAIT_MS = 300;
 const LONGEST_WAIT_MS = 8000;
 /** Requests that change nothing. */
-const ASKING = new Set(["suggest", "propose", "find_ends"]);
+const ASKING = new Set(["suggest", "propose", "find_ends", "planes"]);
 
 /** The server did not carry a request out, and says why. */
 export class Refused extends Error {
@@ -117,6 +117,14 @@ export class Connection {
       this.#count();
       socket.send(JSON.stringify({ id, ...request }));
     });
+  }
+
+  /**
+   * Tell the server something that has no answer. Where there is no line it is left out.
+   * @param {Record<string, unknown> & {do: string}} request
+   */
+  tell(request) {
+    if (this.#socket?.readyState === WebSocket.OPEN) this.#socket.send(JSON.stringify(request));
   }
 
   #count() {

@@ -1,5 +1,6 @@
 /** What the parts of the page share: what is open, what is in hand, and where one looks. */
 
+import { PATIENT_PLANES } from "../pictures/planes.js";
 import { keep, keptNumber } from "./settings.js";
 import { Signal } from "./signal.js";
 
@@ -53,11 +54,14 @@ export class Studio {
   /** Values of structures that are not drawn. */
   hidden = new Signal(/** @type {ReadonlySet<number>} */ (new Set()));
   labelsShown = new Signal(true);
-  /** Planes along the patient's axes, or along the scan's own. */
-  alongScan = new Signal(false);
+  /** Which planes the slices show. */
+  planes = new Signal(PATIENT_PLANES);
   activeView = new Signal(/** @type {ViewName} */ ("axial"));
   /** The tile that is large; null for two by two. */
   large = new Signal(/** @type {ViewName | "solid" | null} */ (null));
+
+  /** Places that are marked in the slices, with what is said of them. */
+  marks = new Signal(/** @type {readonly {mm: Vector, text: string, isOdd: boolean}[]} */ ([]));
 
   constructor() {
     this.radiusMm.listen((value) => keep("radius_mm", value));

@@ -7,9 +7,10 @@
 /** @typedef {import("./brush.js").Brush} Brush */
 /** @typedef {import("./measures.js").Measures} Measures */
 /** @typedef {{x: number, y: number}} Point */
-/** @typedef {{kind: "pan" | "window" | "crosshair" | "paint" | "measure" | "shape" | "fingers", view: SliceView, pointer: number, x: number, y: number, moved: boolean}} Drag */
+/** @typedef {{kind: "pan" | "window" | "crosshair" | "paint" | "measure" | "shape" | "fingers" | "turn", view: SliceView, pointer: number, x: number, y: number, moved: boolean}} Drag */
 
 import { draggedWindow } from "../pictures/geometry.js";
+import { handlesOf, isOnHandle } from "../pictures/planes.js";
 
 /** Wheel travel of one slice, pixels: that of one notch on most mice is 100 to 120. */
 const WHEEL_STEP = 60;
@@ -87,6 +88,7 @@ export class Pointers {
     if (kind === null) return;
     // where no line is, the crosshair is moved
     if (kind === "shape" && !this.hands?.down(view, at)) kind = "crosshair";
+    if (kind === "crosshair" && !event.shiftKey && this.#isOnHandle(view, at)) kind = "turn";
     view.surface.setPointerCapture(event.pointerId);
     this.#drag = { kind, view, pointer: event.pointerId, ...at, moved: false };
     this.studio.hover.value = { view: view.name, mm: view.toMm(at.x, at.y) };
@@ -153,6 +155,7 @@ export class Pointers {
     const at = positionOf(over, event);
     if (event.pointerType === "touch" && this.#fingers.has(event.pointerId)) this.#fingers.set(event.pointerId, at);
     if (drag === null) {
+      view.surface.style.cursor = this.#isOnHandle(view, at) ? "grab" : "";
       if (event.shiftKey && event.buttons === 0) this.#moveCrosshair(view, at);
       this.studio.hover.value = { view: view.name, mm: view.toMm(at.x, at.y) };
       this.measures.follow(view.toMm(at.x, at.y));
@@ -190,6 +193,7 @@ export class Pointers {
     }
     if (drag.kind === "window") this.studio.window.value = draggedWindow(this.studio.window.value, dx, dy);
     if (drag.kind === "crosshair") this.#moveCrosshair(over, at);
+    if (drag.kind === "turn") this.#turnPlanes(over, drag, at);
     drag.x = at.x;
     drag.y = at.y;
   }
@@ -242,6 +246,21 @@ export class Pointers {
   #moveCrosshair(view, at) {
     const lattice = this.studio.lattice.value;
     if (lattice) this.studio.crosshair.value = lattice.clamped(view.toMm(at.x, at.y));
+  }
+
+  /** Whether a handle that turns the other planes is under the pointer. @param {SliceView} view @param {Point} at */
+  #isOnHandle(view, at) {
+    const { studio } = this;
+    if (studio.tool.value !== "pointer" || studio.panning.value || studio.lattice.value === null) return false;
+    const cross = view.camera.toPixel(studio.crosshair.value, studio.crosshair.value);
+    return isOnHandle(handlesOf(studio.planes.value, view.name, view.camera, cross), at);
+  }
+
+  /** The other planes follow the pointer about the crosshair. @param {SliceView} view @param {Point} before @param {Point} at */
+  #turnPlanes(view, before, at) {
+    const { x, y } = view.camera.toPixel(this.studio.crosshair.value, this.studio.crosshair.value);
+    const angle = Math.atan2(at.y - y, at.x - x) - Math.atan2(before.y - y, before.x - x);
+    this.views.turnAbout(view.name, angle);
   }
 
   /** @param {SliceView} view @param {Point} at */

@@ -31,6 +31,7 @@ export const HELP = [
   ["Delete", "help_delete"],
   ["L  O", "help_labels"],
   ["T  F", "help_tile"],
+  ["J  K", "help_turn"],
 ];
 
 export class Shortcuts {
@@ -78,7 +79,7 @@ export class Shortcuts {
     if (target.matches("select, textarea, input:not([type=range], [type=checkbox])")) return false;
     if (target.matches("input[type=range]") && /^(Arrow|Page|Home|End)/.test(key)) return false;
     if (target.matches("button, input, a, summary, [role=tab]") && (key === "Enter" || key === " ")) return false;
-    if (target.closest("dialog")) return false;
+    if (target.closest("dialog, [popover]")) return false;
     return this.#move(event, key) || this.#choose(event, key) || this.#act(event, key);
   }
 
@@ -127,6 +128,7 @@ export class Shortcuts {
     else if (key === "n") this.actions.nextPlace();
     else if (key === "[" || key === ",") studio.resizeBrush(-1);
     else if (key === "]" || key === ".") studio.resizeBrush(1);
+    else if (key === "j" || key === "k") this.views.turnStep(key === "j" ? -1 : 1);
     else if (key === "s") this.actions.shape();
     else if (key === "Delete" || key === "Backspace") {
       if (studio.tool.value !== "shape" || !this.actions.removeShape()) this.measures.removeLast();

@@ -1,0 +1,37 @@
+/** Colours and language, chosen the same way on every page. */
+
+import { keep, kept } from "./settings.js";
+import { language, LANGUAGES } from "./words.js";
+
+/** @param {string} id */
+const find = (id) => /** @type {HTMLElement} */ (document.getElementById(id));
+
+export function runTheme() {
+  const light = matchMedia("(prefers-color-scheme: light)");
+  let chosen = kept("theme");
+  const tell = () => {
+    const theme = chosen === "light" || chosen === "dark" ? chosen : light.matches ? "light" : "dark";
+    document.documentElement.dataset.theme = theme;
+    find("theme").setAttribute("aria-pressed", String(theme === "light"));
+  };
+  find("theme").addEventListener("click", () => {
+    chosen = document.documentElement.dataset.theme === "light" ? "dark" : "light";
+    keep("theme", chosen);
+    tell();
+  });
+  light.addEventListener("change", tell);
+  tell();
+}
+
+export function runLanguage() {
+  const select = /** @type {HTMLSelectElement} */ (find("language"));
+  for (const [name, words] of Object.entries(LANGUAGES)) {
+    const option = document.createElement("option");
+    option.value = name;
+    option.lang = name;
+    option.textContent = words.language_name;
+    select.append(option);
+  }
+  select.addEventListener("change", () => (language.value = select.value));
+  language.follow((name) => (select.value = name));
+}

@@ -1,0 +1,94 @@
+/** The start page: what was opened last, folders and series on this machine, sample cases. */
+
+import { element } from "../panel/structures.js";
+import { Connection, Lost, Refused } from "../shared/connection.js";
+import { runLanguage, runTheme } from "../shared/looks.js";
+import { fillWords, language, say } from "../shared/words.js";
+import { Chooser } from "./chooser.js";
+import { Lists } from "./lists.js";
+import { Series } from "./series.js";
+
+/** @typedef {import("../shared/connection.js").Message} Message */
+/** @typedef {import("../shared/connection.js").Problem} Problem */
+/** @typedef {Record<string, unknown> & {do: string}} Request */
+
+/** @param {string} id */
+const find = (id) => /** @type {HTMLElement} */ (document.getElementById(id));
+
+/** What is said below the chooser: kept, so that another language can say it anew. @type {() => Node[]} */
+let saying = () => [];
+/** @param {() => Node[]} words */
+function tell(words) {
+  saying = words;
+  find("start-live").replaceChildren(...words());
+}
+
+/** @param {readonly Problem[]} problems */
+function problemLines(problems) {
+  const list = element("ul", "problems");
+  list.append(...problems.map(({ message }) => element("li", "", message)));
+  return [element("strong", "", say("refused")), list];
+}
+
+language.follow((name) => {
+  document.documentElement.lang = name;
+  fillWords(document);
+  find("start-live").replaceChildren(...saying());
+});
+runTheme();
+runLanguage();
+
+const url = new URL("/starting", location.href);
+url.protocol = location.protocol === "https:" ? "wss:" : "ws:";
+url.search = url.hash = "";
+const connection = new Connection(url.href, hear, () => undefined, (error) => console.error(error));
+
+/**
+ * Ask, and say what comes of it.
+ * @param {Request} request
+ * @param {(answer: Message) => void} [then]
+ */
+async function ask(request, then) {
+  tell(() => [document.createTextNode(say("start_working"))]);
+  document.body.dataset.busy = "true";
+  try {
+    const answer = await connection.ask(request);
+    tell(() => []);
+    if (answer.kind === "go") location.assign(answer.address);
+    else then?.(answer);
+  } catch (error) {
+    if (error instanceof Refused) tell(() => problemLines(error.problems));
+    else if (error instanceof Lost) tell(() => []);
+    else throw error;
+  } finally {
+    document.body.dataset.busy = "false";
+  }
+}
+
+const series = new Series(ask);
+const chooser = new Chooser(ask, series);
+const lists = new Lists(ask, () => chooser.folder);
+let isBegun = false;
+
+/** @param {Message} message */
+function hear(message) {
+  if (message.kind !== "start") return;
+  lists.show(message.recent, message.samples);
+  if (isBegun) return;
+  isBegun = true;
+  const wasClosed = location.hash === "#closed";
+  history.replaceState(null, "", "/");
+  void chooser.go(null).then(() => {
+    if (wasClosed) tell(() => [document.createTextNode(say("start_closed"))]);
+    else if (message.looks) chooser.look();
+  });
+}
+
+connection.state.follow((state) => {
+  const isLost = state === "lost" || state === "stranger";
+  const lost = find("lost");
+  lost.hidden = !isLost;
+  lost.textContent = isLost ? say(state === "lost" ? "start_lost" : "stranger") : "";
+  document.body.dataset.state = state;
+});
+connection.open();

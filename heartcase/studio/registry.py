@@ -1,0 +1,108 @@
+"""What is open in the studio: recipes and cases, each under a key that tells nothing about it."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import hashlib
+import hmac
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from heartcase.studio.building.building import Building
+from heartcase.studio.operating.theatre import Theatre
+from heartcase.studio.pages import Place
+from heartcase.studio.workplace import Workplace
+
+__all__ = ["Opened", "Registry"]
+
+_KEY_LENGTH = 12
+
+
+@dataclass(frozen=True)
+class Opened:
+    """Something that is open."""
+
+    page: str
+    """Which page shows it: ``prepare`` a recipe, ``operate`` a case."""
+    key: str
+    """Its key in addresses."""
+    path: Path
+    """Its file or folder; never told to a page."""
+    places: Mapping[str, Place]
+    """What a page of it is connected to, by the name of the socket."""
+
+    @property
+    def address(self) -> str:
+        """Path of its page in this server's addresses."""
+        return f"/{self.page}/{self.key}"
+
+
+class Registry:
+    """What is open. All methods belong to one event loop, or come before it starts.
+
+    Parameters
+    ----------
+    token
+        Secret of this run: keys are made from it, so that nobody can guess one, and the same path has the same key.
+    """
+
+    def __init__(self, token: str) -> None:
+        self._token = token
+        self._opened: dict[str, Opened] = {}
+
+    def open_recipe(self, path: Path, *, out: Path) -> Opened:
+        """Open a recipe, or find it where it is open.
+
+        Parameters
+        ----------
+        path
+            The recipe's file. What is wrong in it is told to its pages.
+        out
+            Directory that its case is built in, with the build's cache.
+        """
+        key = self._key("prepare", path)
+        if key not in self._opened:
+            building = Building(path, out=out, operate=lambda case: self.open_case(case).address)
+            places: dict[str, Place] = {"socket": Workplace(path, out=out), "building": building}
+            self._opened[key] = Opened("prepare", key, path, places)
+        return self._opened[key]
+
+    def open_case(self, path: Path, *, out: Path | None = None) -> Opened:
+        """Open a case to be operated on, or find it where it is open.
+
+        Parameters
+        ----------
+        path
+            The case's folder. What is wrong with it is told to its pages.
+        out
+            Folder that recordings are put into, and taken from; beside the case when left out.
+        """
+        key = self._key("operate", path)
+        if key not in self._opened:
+            places = {"operating": Theatre(path, out=path.parent if out is None else out)}
+            self._opened[key] = Opened("operate", key, path, places)
+        return self._opened[key]
+
+    def find(self, page: str, key: str) -> Opened | None:
+        """What is open under a key and shown by this page; None where there is nothing."""
+        found = self._opened.get(key)
+        return found if found is not None and found.page == page else None
+
+    def place(self, line: str, key: str) -> Place | None:
+        """What a socket of this name and key talks to; None where there is nothing."""
+        found = self._opened.get(key)
+        return None if found is None else found.places.get(line)
+
+    async def close(self) -> None:
+        """Close all that is open; what is not saved yet is saved."""
+        closing = [place.close() for opened in self._opened.values() for place in opened.places.values()]
+        self._opened.clear()
+        await asyncio.gather(*closing)
+
+    def _key(self, page: str, path: Path) -> str:
+        made = hmac.digest(
+            self._token.encode(), f"{page}\0{path.resolve()}".encode(errors="surrogateescape"), hashlib.sha256
+        )
+        return base64.urlsafe_b64encode(made).decode()[:_KEY_LENGTH]
