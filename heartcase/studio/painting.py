@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from heartcase.library.scans import ensure_scan
+from heartcase.pipeline.building.quick_surface import QuickSurface
 from heartcase.pipeline.building.recipe_history import STROKE, RecipeHistory, open_history
 from heartcase.pipeline.building.runner import BuildListener
 from heartcase.pipeline.building.session_file import RecipeSession, open_session
@@ -21,11 +22,11 @@ from heartcase.schemas.errors import UsageError
 from heartcase.schemas.labels import BACKGROUND, Role
 from heartcase.schemas.recipe.recipe import parse_recipe, read_recipe_text
 from heartcase.studio.locks import lock_again, lock_labels
-from heartcase.studio.messages import labels_message, scan_message, text_message
+from heartcase.studio.messages import labels_message, scan_message, surface_message, text_message
 from heartcase.studio.planes import planes_message
 from heartcase.studio.requests import End, Extend, History, Lock, Paint, Planes, Request, Suggest
 from heartcase.studio.shaping.facts import shaping_facts
-from heartcase.studio.shaping.requests import Add, Change, FindEnds, Propose, Remove, Set
+from heartcase.studio.shaping.requests import Add, Change, FindEnds, Preview, Propose, Remove, Set
 from heartcase.studio.shaping.shaping import Shaping
 
 __all__ = ["Answer", "Painting", "open_painting"]
@@ -43,8 +44,9 @@ class Answer:
     """Messages for every page on the recipe, in this order."""
     done: str | None = None
     """For the page that asked, after these."""
-    later: Callable[[], str] | None = None
-    """What takes long and looks at nothing that changes: it may run beside other requests, and gives the answer."""
+    later: Callable[[], tuple[str | bytes, ...]] | None = None
+    """What takes long and looks at nothing that changes: it may run beside other requests, and gives what is told to
+    the page that asked."""
 
 
 class Painting:
@@ -147,7 +149,9 @@ class Painting:
                 return Answer(done=text_message("proposal", id=request.id, **self._shaping.propose(request)))
             case FindEnds():
                 find = self._shaping.find_ends()
-                return Answer(later=lambda: text_message("found_ends", id=request.id, **find()))
+                return Answer(later=lambda: (text_message("found_ends", id=request.id, **find()),))
+            case Preview():
+                return Answer(later=_preview(request, self._shaping.preview()))
             case Suggest():
                 found = session.suggest(count=request.count).as_json(session.table)
                 return Answer(done=text_message("places", id=request.id, **found))
@@ -262,6 +266,15 @@ def open_painting(path: Path, *, out: Path, listener: BuildListener) -> Painting
     history = open_history(path, out=out)
     opened.session.offer_again(history.undone_strokes)
     return Painting(opened, history, history.log.with_suffix(".locks.json"))
+
+
+def _preview(request: Preview, make: Callable[[], QuickSurface]) -> Callable[[], tuple[str | bytes, ...]]:
+    def messages() -> tuple[str | bytes, ...]:
+        surface = make()
+        problems = [{"place": problem.place, "message": problem.message} for problem in surface.problems]
+        return surface_message(surface), text_message("preview", id=request.id, problems=problems)
+
+    return messages
 
 
 def _window(scan: Scan) -> tuple[float, float]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from heartcase.pipeline.building.quick_surface import QuickSurface, quick_surface
 from heartcase.pipeline.building.recipe_history import RecipeHistory
 from heartcase.pipeline.data import Segmentation
 from heartcase.pipeline.edits.septum_place import septum_place
@@ -129,6 +130,17 @@ class Shaping:
             }
 
         return find
+
+    def preview(self) -> Callable[[], QuickSurface]:
+        """What makes the surface of the labels and the recipe as they are now.
+
+        Raises
+        ------
+        HeartcaseError
+            Nothing is painted.
+        """
+        segmentation, recipe, strokes = self._session.segmentation(), self._history.recipe, self._session.strokes
+        return lambda: quick_surface(segmentation, recipe, strokes)
 
 
 def _stumps(recipe: Recipe, segmentation: Segmentation) -> Stumps:
