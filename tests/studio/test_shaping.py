@@ -217,6 +217,23 @@ def test_another_programs_line_is_seen_before_anything_is_shaped(recipe):
         assert tomllib.loads(path.read_text())["grid"] == {"node_count": 1000}
 
 
+def test_the_surface_is_shown_as_it_is_now_and_what_is_wrong_with_it_is_told(recipe):
+    path, middle = recipe
+    with studio(path) as browser, page(browser) as talker:
+        refused = talker.ask(do="preview")
+        assert "nothing is segmented but background" in refused["problems"][0]["message"]
+        talker.ask(do="paint", label="aorta", radius_mm=2.0, points_mm=[middle])
+        talker.ask(do="end")
+        answer = talker.ask(do="preview")
+        assert (answer["kind"], answer["problems"]) == ("preview", [])
+        surface = talker.surface
+        assert surface["triangle_count"] > 100
+        # positions, triangles, colours and normals
+        assert surface["bytes"] == 18 * surface["vertex_count"] + 12 * surface["triangle_count"]
+        talker.ask(do="add", list="edits", entries=[DEFECT])
+        assert talker.ask(do="preview")["problems"][0]["place"] == "edits[1]"
+
+
 def test_what_is_told_is_small_enough_and_plain(recipe):
     path, _ = recipe
     with studio(path) as browser, page(browser) as talker:

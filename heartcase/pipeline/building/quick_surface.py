@@ -29,7 +29,7 @@ VOXELS = 90_000
 """Voxels of the coarse lattice: what is quick."""
 MOST_VOXELS = 1_500_000
 """Up to so many all voxels are taken, where an end or an edit meets nothing on the coarse lattice."""
-POINTS = 220_000
+POINTS = 500_000
 """Points of the lattice that the surface is extracted on."""
 MARGIN_MM = 6.0
 """Room around the labels beside the thickest wall."""

@@ -5,7 +5,7 @@ from click.testing import CliRunner
 
 from heartcase.cli.main import cli
 from heartcase.schemas.recipe.recipe import load_recipe, parse_recipe
-from tests.studio.page.browsing import browsing, mm_of
+from tests.studio.page.browsing import browsing, mm_of, until
 from tests.studio.page.test_page import MIDDLE, look_at, off, stroke
 
 END = """
@@ -111,6 +111,13 @@ def test_an_end_a_defect_and_a_wall_by_mouse_stand_in_the_recipe_and_are_taken_b
         assert path.read_text() == text
         said = CliRunner().invoke(cli, ["validate", str(path)])
         assert said.exit_code == 0, said.output
+
+        # the surface, with what is placed
+        before = page.pixels("solid")
+        page.tab.locator("#preview-on").check()
+        until(lambda: (page.pixels("solid") != before).any(axis=2).sum() > 200)
+        page.tab.locator("#preview-state").get_by_text("edits[1]").wait_for(timeout=60_000)
+        page.tab.locator("#preview-on").uncheck()
 
         # one history: a stroke on top, then all back, and forth again
         page.tab.locator("#tab-structures").click()
