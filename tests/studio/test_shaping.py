@@ -100,6 +100,19 @@ def test_a_wall_is_set_in_the_label_table_which_is_written_out_where_it_was_not(
         assert walls["aorta"] == 1.2
 
 
+def test_edits_of_bare_structures_stand_before_those_that_are_laid_over_them(recipe):
+    path, _ = recipe
+    with studio(path) as browser, page(browser) as talker:
+        talker.ask(do="add", list="edits", entries=[SCULPT])
+        smooth = SCULPT | {"kind": "smooth"}
+        # a build refuses to smooth behind what was added to the same structure
+        assert talker.ask(do="add", list="edits", entries=[smooth])["undo_kind"] == "edits[1]"
+        assert talker.ask(do="add", list="edits", entries=[{"kind": "remove_islands"}])["undo_kind"] == "edits[2]"
+        assert talker.ask(do="add", list="edits", entries=[DEFECT])["undo_kind"] == "edits[4]"
+        kinds = [edit.kind for edit in read(path).edits]
+        assert kinds == ["smooth", "remove_islands", "add", "septal_defect"]
+
+
 def test_found_ends_and_other_ends_go_together(recipe):
     path, _ = recipe
     path.write_text(path.read_text().replace("\n[scan]", '\nends = "automatic"\n\n[scan]', 1))
