@@ -235,11 +235,7 @@ def _with_table(
     """Write a new table, or what differs in one that is there."""
     there = _at(data, place)
     if there is None:
-        keys = [part for part in place if isinstance(part, str)]
-        nested: Any = [value] if isinstance(place[-1], int) else value
-        for key in reversed(keys):
-            nested = {key: nested}
-        return _with_block(text, tables, place, toml_text(nested))
+        return _with_block(text, tables, place, _block(place, value))
     changes: list[tuple[str, Any]] = [(key, None) for key in there if key not in value]
     changes += [(key, one) for key, one in value.items() if key not in there or there[key] != one]
     for key, one in changes:
@@ -259,7 +255,15 @@ def _with_entry(text: str, tables: Sequence[TablePlace], place: Place, value: An
             written = f"{toml_text({str(place[-1]): value})}"
             before = text[: table.end]
             return before + ("" if before.endswith("\n") or not before else "\n") + written + text[table.end :]
-    return _with_block(text, tables, place, toml_text(_with({}, place, value)))
+    return _with_block(text, tables, place, _block(place[:-1], {str(place[-1]): value}))
+
+
+def _block(place: Place, table: Mapping[str, Any]) -> str:
+    """A table with its header, as a person writes it: without those of the tables that it lies in."""
+    if not place:
+        return toml_text(table)
+    name = ".".join(toml_text({part: 0}).partition(" = ")[0] for part in place if isinstance(part, str))
+    return (f"[[{name}]]\n" if isinstance(place[-1], int) else f"[{name}]\n") + toml_text(table)
 
 
 def _with_block(text: str, tables: Sequence[TablePlace], place: Place, block: str) -> str:
@@ -275,10 +279,7 @@ def _with_block_before(text: str, tables: Sequence[TablePlace], place: Place, ta
     at = next(one.start for one in tables if one.place == place)
     while (line := text.rfind("\n", 0, at - 1) + 1) < at and text[line:at].lstrip().startswith("#"):
         at = line
-    nested: Any = [table]
-    for key in reversed([part for part in place if isinstance(part, str)]):
-        nested = {key: nested}
-    return text[:at] + toml_text(nested) + "\n" + text[at:]
+    return text[:at] + _block(place, table) + "\n" + text[at:]
 
 
 def _header(place: Place) -> str:

@@ -77,6 +77,10 @@ def test_a_setting_gets_a_table_where_it_has_none_and_takes_it_away_again():
     found = changed_text(TEXT, (("grid", "node_count"), 20000))
     assert found == TEXT + "\n[grid]\nnode_count = 20000\n"
     assert changed_text(found, (("grid", "node_count"), None)) == TEXT
+    found = changed_text(TEXT, (("materials", "labels", "aorta wall"), {"youngs_modulus_kpa": 20.0}))
+    assert found == TEXT + '\n[materials.labels."aorta wall"]\nyoungs_modulus_kpa = 20.0\n'
+    found = changed_text(TEXT, (("walls", "septum", 0), {"between": ["a", "b"], "thickness_mm": 2.0}))
+    assert found == TEXT + '\n[[walls.septum]]\nbetween = ["a", "b"]\nthickness_mm = 2.0\n'
     place = ("materials", "labels", "right ventricle wall", "youngs_modulus_kpa")
     assert "materials" not in tomllib.loads(changed_text(TEXT, (place, None)))
     assert changed_text(TEXT, (("materials", "youngs_modulus_kpa"), 20.0)).endswith(
