@@ -5,6 +5,7 @@ from click.testing import CliRunner
 
 from heartcase.cli.main import cli
 from heartcase.schemas.recipe.recipe import load_recipe, parse_recipe
+from tests.studio.axe.accessible import assert_accessible
 from tests.studio.page.browsing import browsing, mm_of, until
 from tests.studio.page.test_page import MIDDLE, look_at, off, stroke
 
@@ -178,6 +179,13 @@ def test_by_keys_alone_and_what_another_page_sees(chromium, painted):
         part(page, "shape_materials").locator(".add-material").select_option("aorta wall")
         page.saved(6)
         assert read(path).materials.labels["aorta wall"].youngs_modulus_kpa == 30.0
+        # with every section open and a form in it, in both themes
+        for name in ("shape_ends", "shape_edits", "shape_landmarks", "shape_pins", "shape_walls"):
+            part(page, name)
+        assert page.tab.locator("[data-line='edits 1'] .form").is_visible()
+        for _ in range(2):
+            assert_accessible(page)
+            page.tab.locator("#theme").click()
         nodes = part(page, "shape_model").locator("[data-setting='grid.node_count'] input")
         type_into(nodes, "12000")
         page.saved(7)
