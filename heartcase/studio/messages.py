@@ -13,12 +13,13 @@ from typing import Any
 
 import numpy as np
 
+from heartcase.pipeline.building.quick_surface import QuickSurface
 from heartcase.pipeline.data import Scan
 from heartcase.pipeline.watershed.forest import Box
 from heartcase.schemas.arrays import UInt8
 from heartcase.schemas.errors import HeartcaseError
 
-__all__ = ["labels_message", "problems_of", "scan_message", "text_message", "told"]
+__all__ = ["labels_message", "problems_of", "scan_message", "surface_message", "text_message", "told"]
 
 _RAW_SIZE_MAX = 1 << 15
 """Bytes up to which compressing would take longer than sending."""
@@ -67,6 +68,23 @@ def labels_message(labels: UInt8, box: Box) -> bytes:
     part = np.ascontiguousarray(labels[box])
     header = {"kind": "labels", "low": [one.start for one in box[::-1]], "size": part.shape[::-1]}
     return _binary(header, part.tobytes())
+
+
+def surface_message(surface: QuickSurface) -> bytes:
+    """A surface: positions (float32), triangles (uint32), colours and normals (3 bytes each), one after the other."""
+    header = {
+        "kind": "surface",
+        "vertex_count": len(surface.vertices_mm),
+        "triangle_count": len(surface.triangles),
+        "spacing_mm": surface.spacing_mm,
+    }
+    parts = (
+        surface.vertices_mm.astype("<f4"),
+        surface.triangles.astype("<u4"),
+        surface.colours.astype(np.uint8),
+        surface.normals.astype(np.int8),
+    )
+    return _binary(header, b"".join(part.tobytes() for part in parts))
 
 
 def _binary(header: dict[str, Any], payload: bytes) -> bytes:

@@ -54,6 +54,7 @@ class Talker:
     scan: np.ndarray | None = None
     told: list[dict] = field(default_factory=list)
     number: int = 0
+    surface: dict | None = None
 
     def hear(self, *kinds):
         """Take messages until one of these kinds, which is returned."""
@@ -72,7 +73,9 @@ class Talker:
         """Ask, and take the answer."""
         self.number += 1
         self.socket.send_text(json.dumps({"id": self.number} | request))
-        while (answer := self.hear("done", "refused", "places", "proposal", "found_ends")).get("id") != self.number:
+        while (answer := self.hear("done", "refused", "places", "proposal", "found_ends", "preview")).get(
+            "id"
+        ) != self.number:
             pass
         return answer
 
@@ -80,6 +83,9 @@ class Talker:
         length = int.from_bytes(data[:4], "little")
         header, payload = json.loads(data[4 : 4 + length]), data[4 + length :]
         payload = zlib.decompress(payload) if header["encoding"] == "deflate" else payload
+        if header["kind"] == "surface":
+            self.surface = header | {"bytes": len(payload)}
+            return
         shape = header["size"][::-1]
         if header["kind"] == "scan":
             self.scan = np.frombuffer(payload, "<i2").reshape(shape) * header["scale"] + header["offset"]

@@ -96,12 +96,13 @@ class Workplace:
         if answer.later is not None:
             self._start(page, text, answer.later)
 
-    def _start(self, page: Page, text: str, work: Callable[[], str]) -> None:
+    def _start(self, page: Page, text: str, work: Callable[[], tuple[str | bytes, ...]]) -> None:
         """Do what takes long beside all else, and tell who asked."""
 
         async def answer() -> None:
             try:
-                page.send(await asyncio.get_running_loop().run_in_executor(self._aside, work))
+                for message in await asyncio.get_running_loop().run_in_executor(self._aside, work):
+                    page.send(message)
             except Exception as error:
                 page.send(text_message("refused", id=request_id(text), problems=problems_of(told(error))))
 

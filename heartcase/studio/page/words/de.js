@@ -420,4 +420,9 @@ export const words = {
   state_marked: "markiert",
   state_confident: "sicher: keine Stelle ist einen weiteren Strich wert",
   state_unsure: "unsicher: siehe nächste Stelle",
+  preview: "Oberfläche",
+  preview_tip: "Die Oberfläche mit Wänden, Enden und Änderungen, grob; genau nach dem Bauen",
+  preview_cut: "Aufgeschnitten",
+  preview_busy: "Rechnet …",
+  preview_without: "Ohne {place}",
 };

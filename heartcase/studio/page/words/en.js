@@ -419,4 +419,9 @@ export const words = {
   state_marked: "marked",
   state_confident: "confident: no place is worth another stroke",
   state_unsure: "unsure: see the next place to look at",
+  preview: "Surface",
+  preview_tip: "The surface with walls, ends and edits, coarsely; exact after the build",
+  preview_cut: "Cut open",
+  preview_busy: "Working …",
+  preview_without: "Without {place}",
 };
