@@ -1,11 +1,9 @@
-"""Painting on a recipe, as a page drives it: strokes that grow, saved when they are over, taken back at any time."""
+"""A recipe as pages drive it: strokes that grow, shaping, all saved as it happens and taken back in its order."""
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,17 +11,21 @@ from typing import Any
 import numpy as np
 
 from heartcase.library.scans import ensure_scan
+from heartcase.pipeline.building.recipe_history import STROKE, RecipeHistory, open_history
 from heartcase.pipeline.building.runner import BuildListener
 from heartcase.pipeline.building.session_file import RecipeSession, open_session
 from heartcase.pipeline.data import UNMARKED, Scan
+from heartcase.pipeline.markers.states import StillSegmentation
 from heartcase.pipeline.watershed.forest import Box
-from heartcase.schemas.errors import HeartcaseError, RecipeError, UsageError
-from heartcase.schemas.files import atomic_write
+from heartcase.schemas.errors import UsageError
 from heartcase.schemas.labels import BACKGROUND, Role
 from heartcase.schemas.recipe.recipe import parse_recipe, read_recipe_text
-from heartcase.schemas.recipe.settings import Stroke
+from heartcase.studio.locks import lock_again, lock_labels
 from heartcase.studio.messages import labels_message, scan_message, text_message
-from heartcase.studio.requests import End, Extend, History, Paint, Request, Suggest
+from heartcase.studio.planes import planes_message
+from heartcase.studio.requests import End, Extend, History, Lock, Paint, Planes, Request, Suggest
+from heartcase.studio.shaping.requests import Add, Change, FindEnds, Propose, Remove, Set
+from heartcase.studio.shaping.shaping import Shaping
 
 __all__ = ["Answer", "Painting", "open_painting"]
 
@@ -40,32 +42,35 @@ class Answer:
     """Messages for every page on the recipe, in this order."""
     done: str | None = None
     """For the page that asked, after these."""
+    later: Callable[[], str] | None = None
+    """What takes long and looks at nothing that changes: it may run beside other requests, and gives the answer."""
 
 
 class Painting:
-    """A recipe that is being painted on.
+    """A recipe that is being painted on and shaped.
 
     Parameters
     ----------
     opened
         The recipe, and the session on its scan.
-    undone
-        File that remembers the strokes that were taken back, for when the recipe is opened again.
+    history
+        Its text, and what was done to it.
+    locks
+        File that remembers what is locked.
     """
 
-    def __init__(self, opened: RecipeSession, undone: Path) -> None:
+    def __init__(self, opened: RecipeSession, history: RecipeHistory, locks: Path) -> None:
         self._opened = opened
-        self._undone = undone
+        self._history = history
+        self._shaping = Shaping(history, opened.session)
         self._drawn_by: object | None = None
-        self._is_saved = True
+        self._locks = locks
+        lock_again(opened.session, locks)
 
     @property
     def is_stale(self) -> bool:
         """Whether another program changed the recipe since it was read or written here."""
-        try:
-            return read_recipe_text(self._opened.path) != self._opened.written_text
-        except RecipeError:
-            return True
+        return self._history.is_stale
 
     def greeting(self) -> tuple[str | bytes, ...]:
         """All that a page needs to show the recipe as it is now."""
@@ -74,7 +79,7 @@ class Painting:
         low, high = _window(scan)
         facts = text_message(
             "opened",
-            name=opened.recipe.name,
+            name=self._history.recipe.name,
             size=geometry.size,
             spacing_mm=geometry.spacing_mm,
             index_to_world=geometry.affine.tolist(),
@@ -90,7 +95,8 @@ class Painting:
         )
         everything = (slice(0, n) for n in geometry.shape)
         k, j, i = everything
-        return facts, scan_message(scan), labels_message(session.labels, (k, j, i)), self._structures()
+        labels = labels_message(session.labels, (k, j, i))
+        return facts, self._shaping.facts(), self._shaping.shape(), scan_message(scan), labels, self._structures()
 
     def do(self, request: Request, page: object) -> Answer:
         """Carry a request out.
@@ -112,7 +118,7 @@ class Painting:
             case Paint():
                 self._close_stroke()
                 box = session.paint(request.stroke)
-                self._drawn_by, self._is_saved = page, False
+                self._drawn_by = page
                 return self._painted(request, box)
             case Extend():
                 if self._drawn_by is not page:
@@ -124,14 +130,28 @@ class Painting:
                 return Answer((self._structures(), self._done()), self._done(request))
             case History():
                 self._close_stroke()
-                box = session.undo() if request.do == "undo" else session.redo()
-                self._is_saved = False
-                self._save()
-                answer = self._painted(request, box)
-                return Answer((*answer.for_all, self._structures()), answer.done)
+                return self._step(request)
+            case Add() | Change() | Remove() | Set():
+                self._close_stroke()
+                self._shaping.act(request)
+                return Answer((self._shaping.shape(), self._done()), self._done(request))
+            case Propose():
+                return Answer(done=self._shaping.propose(request))
+            case FindEnds():
+                return Answer(later=self._shaping.find_ends(request))
             case Suggest():
                 found = session.suggest(count=request.count).as_json(session.table)
                 return Answer(done=text_message("places", id=request.id, **found))
+            case Lock():
+                self._close_stroke()
+                lock_labels(session, request.labels, self._locks)
+                return Answer((self._structures(), self._done()), self._done(request))
+            case Planes():
+                return Answer(done=planes_message(request.id, session, self._history.recipe.landmarks))
+
+    def still(self) -> StillSegmentation:
+        """A copy of the segmentation, to be looked at while painting goes on."""
+        return self._opened.session.still()
 
     def leave(self, page: object) -> tuple[str, ...]:
         """Whoever drew is gone: the stroke ends where it is; messages for the pages that are left."""
@@ -139,6 +159,15 @@ class Painting:
             return ()
         self._close_stroke()
         return self._structures(), self._done()
+
+    def _step(self, request: History) -> Answer:
+        """Take the last act back, or do the next one again."""
+        session, history = self._opened.session, self._history
+        act = history.undo() if request.do == "undo" else history.redo()
+        if act.kind != STROKE:
+            return Answer((self._shaping.shape(), self._done()), self._done(request))
+        answer = self._painted(request, session.undo() if request.do == "undo" else session.redo())
+        return Answer((*answer.for_all, self._structures()), answer.done)
 
     def _painted(self, request: Request, box: Box | None) -> Answer:
         shown = () if box is None else (labels_message(self._opened.session.labels, box),)
@@ -149,19 +178,25 @@ class Painting:
         return text_message("done", **number, **self._counts())
 
     def _counts(self) -> dict[str, Any]:
-        session = self._opened.session
-        return {"undo_count": len(session.strokes), "redo_count": session.redo_count, "saved": self._is_saved}
+        history, is_saved = self._history, self._is_saved
+        last, following = history.last if is_saved else None, history.next if is_saved else None
+        return {
+            "undo_count": history.undo_count + (not is_saved),
+            "redo_count": history.redo_count if is_saved else 0,
+            "undo_kind": last.kind if last else STROKE,
+            "redo_kind": following.kind if following else STROKE,
+            "saved": is_saved,
+        }
+
+    @property
+    def _is_saved(self) -> bool:
+        """Whether the recipe has every stroke."""
+        return len(self._opened.session.strokes) == self._history.stroke_count
 
     def _close_stroke(self) -> None:
         self._drawn_by = None
         if not self._is_saved:
-            self._save()
-
-    def _save(self) -> None:
-        self._opened.save()
-        undone = [stroke.model_dump(mode="json", exclude_defaults=True) for stroke in self._opened.session.undone]
-        _remember(self._undone, self._opened.written_text, undone)
-        self._is_saved = True
+            self._history.paint(self._opened.session.strokes[-1])
 
     def _structures(self) -> str:
         session = self._opened.session
@@ -172,6 +207,7 @@ class Painting:
             "structures",
             volumes_ml={name: round(float(found[value]), 3) for value, name in names.items() if value != BACKGROUND},
             marked=[names[value] for value in sorted(marked) if value in names],
+            locked=[names[value] for value in sorted(session.locked)],
             checklist=self._checklist(marked),
         )
 
@@ -192,7 +228,7 @@ class Painting:
 
 
 def open_painting(path: Path, *, out: Path, listener: BuildListener) -> Painting:
-    """Open a recipe for painting, with what was painted and taken back before.
+    """Open a recipe for painting and shaping, with what was done and taken back before.
 
     Parameters
     ----------
@@ -211,10 +247,9 @@ def open_painting(path: Path, *, out: Path, listener: BuildListener) -> Painting
     recipe = parse_recipe(read_recipe_text(path), needs_markers=False)
     ensure_scan(recipe.scan, path.parent)
     opened = open_session(path, out=out, listener=listener, resumes=True)
-    name = hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:16]
-    undone = out / ".heartcase-cache" / "studio" / f"{name}.json"
-    opened.session.offer_again(_remembered(undone, opened.written_text))
-    return Painting(opened, undone)
+    history = open_history(path, out=out)
+    opened.session.offer_again(history.undone_strokes)
+    return Painting(opened, history, history.log.with_suffix(".locks.json"))
 
 
 def _window(scan: Scan) -> tuple[float, float]:
@@ -223,25 +258,3 @@ def _window(scan: Scan) -> tuple[float, float]:
         return _CT_WINDOW
     low, high = (float(x) for x in np.percentile(scan.values[::2, ::2, ::2], _WINDOW_PERCENTILES))
     return (low, high) if math.nextafter(low, high) < high else (low, low + 1.0)
-
-
-def _remember(file: Path, recipe_text: str, undone: Sequence[dict[str, Any]]) -> None:
-    """Write down what was taken back; the recipe holds the rest."""
-    data = {"recipe_sha256": hashlib.sha256(recipe_text.encode()).hexdigest(), "undone": list(undone)}
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        atomic_write(file, json.dumps(data).encode())
-    except OSError:
-        # The recipe is saved: all that is lost is a redo after the next start.
-        return
-
-
-def _remembered(file: Path, recipe_text: str) -> tuple[Stroke, ...]:
-    """The strokes that were taken back when the recipe was as it is now; none where that is not known."""
-    try:
-        data = json.loads(file.read_bytes())
-        if data["recipe_sha256"] != hashlib.sha256(recipe_text.encode()).hexdigest():
-            return ()
-        return tuple(Stroke.model_validate(stroke) for stroke in data["undone"])
-    except (OSError, ValueError, KeyError, TypeError, HeartcaseError):
-        return ()

@@ -7,17 +7,20 @@ from typing import Annotated, Literal, TypeVar
 
 from pydantic import Field, TypeAdapter, ValidationError
 
-from heartcase.schemas.base import Model, PointMm
+from heartcase.schemas.base import Model, Name, PointMm
 from heartcase.schemas.errors import UsageError, problems_from_validation
 from heartcase.schemas.recipe.settings import Stroke
 from heartcase.schemas.strict_json import parse_json
+from heartcase.studio.shaping.requests import RequestId, ShapingRequest
 
 __all__ = [
     "REQUEST_SIZE_MAX",
     "End",
     "Extend",
     "History",
+    "Lock",
     "Paint",
+    "Planes",
     "Request",
     "Suggest",
     "parse_request",
@@ -30,13 +33,11 @@ REQUEST_SIZE_MAX = 1 << 20
 
 T = TypeVar("T")
 
-_Id = Annotated[int, Field(ge=0, le=1 << 53)]
-
 
 class Paint(Stroke):
     """Begin a stroke."""
 
-    id: _Id
+    id: RequestId
     """Number that the answer names."""
     do: Literal["paint"]
     """Which request."""
@@ -50,7 +51,7 @@ class Paint(Stroke):
 class Extend(Model):
     """Go on with the stroke that this page began, from its last point."""
 
-    id: _Id
+    id: RequestId
     """Number that the answer names."""
     do: Literal["extend"]
     """Which request."""
@@ -61,16 +62,16 @@ class Extend(Model):
 class End(Model):
     """The stroke is over."""
 
-    id: _Id
+    id: RequestId
     """Number that the answer names."""
     do: Literal["end"]
     """Which request."""
 
 
 class History(Model):
-    """Take the last stroke back, or paint again what was taken back."""
+    """Take the last act back, of whatever kind, or do again what was taken back."""
 
-    id: _Id
+    id: RequestId
     """Number that the answer names."""
     do: Literal["undo", "redo"]
     """Which request."""
@@ -79,7 +80,7 @@ class History(Model):
 class Suggest(Model):
     """Name the places where one more stroke would change most."""
 
-    id: _Id
+    id: RequestId
     """Number that the answer names."""
     do: Literal["suggest"]
     """Which request."""
@@ -87,7 +88,27 @@ class Suggest(Model):
     """How many, at most."""
 
 
-Request = Paint | Extend | End | History | Suggest
+class Planes(Model):
+    """Name the heart's own planes, as far as labels and landmarks tell them."""
+
+    id: RequestId
+    """Number that the answer names."""
+    do: Literal["planes"]
+    """Which request."""
+
+
+class Lock(Model):
+    """Lock these structures, and no others."""
+
+    id: RequestId
+    """Number that the answer names."""
+    do: Literal["lock"]
+    """Which request."""
+    labels: Annotated[tuple[Name, ...], Field(max_length=251)]
+    """Their names."""
+
+
+Request = Paint | Extend | End | History | Suggest | ShapingRequest | Planes | Lock
 _REQUEST: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="do")])
 
 

@@ -8,15 +8,21 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TypeVar
 
+from heartcase.pipeline.markers.states import StillSegmentation
 from heartcase.schemas.errors import RecipeError
 from heartcase.studio.messages import problems_of, text_message, told
 from heartcase.studio.pages import Page
 from heartcase.studio.painting import Painting, open_painting
 from heartcase.studio.requests import History, Paint, parse_request, request_id
+from heartcase.studio.shaping.requests import Add, Change, Remove, Set
+from heartcase.studio.states import States
 
 __all__ = ["Workplace"]
 
 T = TypeVar("T")
+
+_ACTS = Paint | History | Add | Change | Remove | Set
+"""Requests that change the recipe."""
 
 
 class Workplace:
@@ -39,6 +45,9 @@ class Workplace:
         self._pages: set[Page] = set()
         self._turn = asyncio.Lock()
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="studio")
+        self._aside = ThreadPoolExecutor(1, thread_name_prefix="studio-aside")
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._states = States(self._copied, self._tell)
 
     async def join(self, page: Page) -> None:
         """Show a page everything, and then all that changes."""
@@ -64,7 +73,7 @@ class Workplace:
                 if self._painting is None:
                     raise RecipeError("it is not open", place="recipe")
                 painting = self._painting
-                if isinstance(request, Paint | History) and await self._run(lambda: painting.is_stale):
+                if isinstance(request, _ACTS) and await self._run(lambda: painting.is_stale):
                     await self._open_again()
                     raise RecipeError(
                         "another program changed the recipe: it was opened again, so look before you go on",
@@ -82,13 +91,31 @@ class Workplace:
                         one.send(message)
             if answer.done is not None:
                 page.send(answer.done)
+            self._states.later()
+        if answer.later is not None:
+            self._start(page, text, answer.later)
+
+    def _start(self, page: Page, text: str, work: Callable[[], str]) -> None:
+        """Do what takes long beside all else, and tell who asked."""
+
+        async def answer() -> None:
+            try:
+                page.send(await asyncio.get_running_loop().run_in_executor(self._aside, work))
+            except Exception as error:
+                page.send(text_message("refused", id=request_id(text), problems=problems_of(told(error))))
+
+        task = asyncio.create_task(answer())
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
 
     async def close(self) -> None:
         """End: a stroke that is not saved yet is saved."""
+        self._states.close()
         for page in tuple(self._pages):
             await self.leave(page)
             page.close()
         self._thread.shutdown()
+        self._aside.shutdown(cancel_futures=True)
 
     async def _show_all(self, pages: tuple[Page, ...]) -> None:
         try:
@@ -102,6 +129,7 @@ class Workplace:
         for page in pages:
             for message in messages:
                 page.send(message)
+        self._states.later()
 
     async def _open_again(self) -> None:
         self._painting = None
@@ -114,6 +142,11 @@ class Workplace:
                 self._tell(message)
         except Exception as error:
             self._tell(text_message("refused", id=None, problems=problems_of(told(error))))
+
+    async def _copied(self) -> StillSegmentation | None:
+        async with self._turn:
+            painting = self._painting
+            return None if painting is None else await self._run(painting.still)
 
     async def _run(self, work: Callable[[], T]) -> T:
         return await asyncio.get_running_loop().run_in_executor(self._thread, work)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from heartcase.pipeline.artifacts.cache import Cache
+from heartcase.pipeline.building.recipe_text import split_session, strokes_text
 from heartcase.pipeline.building.runner import BuildListener, Runner, SilentListener
 from heartcase.pipeline.data import Scan
 from heartcase.pipeline.markers.session import SegmentationSession
@@ -18,12 +19,8 @@ from heartcase.schemas.errors import RecipeError, UsageError
 from heartcase.schemas.files import atomic_write
 from heartcase.schemas.recipe.recipe import Recipe, parse_recipe, read_recipe_text
 from heartcase.schemas.recipe.settings import Stroke
-from heartcase.schemas.toml import toml_text
 
 __all__ = ["RecipeSession", "open_session", "write_with_tables"]
-
-
-_HEADING = "\n# Painted in a session.\n"
 
 
 @dataclass
@@ -78,7 +75,7 @@ class RecipeSession:
         if path.exists() and path.resolve() not in {self.path.resolve(), *self.copies}:
             raise RecipeError(f"{path.name} is there already and is not replaced: choose another name", place="save_as")
         advice = "write its strokes as [[strokes]] tables instead of strokes = [...]"
-        strokes = _strokes_text(self.session.strokes)
+        strokes = strokes_text(self.session.strokes)
         text = write_with_tables(
             path, self.opened_text, strokes, place="strokes", advice=advice, is_checked=self._takes_strokes
         )
@@ -182,19 +179,6 @@ def write_with_tables(
 def _without_session(text: str) -> tuple[str, tuple[Stroke, ...]]:
     """A recipe's text without what sessions wrote at its end, and the strokes of that."""
     parse_recipe(text, needs_markers=False)
-    place = 0
-    while (place := text.find(_HEADING, place)) >= 0:
-        tail = tomllib.loads(text[place:]) if text[:place].endswith("\n") else {}
-        # What somebody wrote there by hand stays to the letter.
-        is_ours = "#" not in text[place:].replace(_HEADING, "")
-        if is_ours and tail.keys() == {"strokes"}:
-            return text[:place], tuple(Stroke.model_validate(stroke) for stroke in tail["strokes"])
-        place += len(_HEADING)
-    return text, ()
-
-
-def _strokes_text(strokes: tuple[Stroke, ...]) -> str:
-    if not strokes:
-        return ""
-    tables = [stroke.model_dump(mode="json", exclude_defaults=True) for stroke in strokes]
-    return _HEADING + toml_text({"strokes": tables})
+    kept, tail = split_session(text)
+    painted = tomllib.loads(tail).get("strokes", ())
+    return kept, tuple(Stroke.model_validate(stroke) for stroke in painted)

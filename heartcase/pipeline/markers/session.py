@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,6 +11,7 @@ from pydantic import ValidationError
 
 from heartcase.pipeline.data import UNMARKED, Markers, Scan, Segmentation
 from heartcase.pipeline.markers.load_markers import rasterise_strokes, stroke_voxels
+from heartcase.pipeline.markers.locks import Locks
 from heartcase.pipeline.markers.marker_help import ERASED, AutomaticMarkers
 from heartcase.pipeline.watershed.forest import Box, solve_forest
 from heartcase.pipeline.watershed.tree import BasinTree
@@ -21,6 +22,7 @@ from heartcase.schemas.labels import LabelTable
 from heartcase.schemas.recipe.settings import SegmentSettings, Stroke
 
 if TYPE_CHECKING:
+    from heartcase.pipeline.markers.states import StillSegmentation
     from heartcase.pipeline.markers.suggest import StrokePlaces
 
 __all__ = ["SegmentationSession"]
@@ -88,6 +90,7 @@ class SegmentationSession:
         self._done: list[_Done] = []
         self._undone: list[Stroke] = []
         self._changed: Box | None = None
+        self._locks = Locks((), self._forest.labels)
         # the lists that a first stroke would otherwise wait for
         _ = tree.voxels, tree.neighbours
 
@@ -135,7 +138,8 @@ class SegmentationSession:
         Raises
         ------
         MarkerError
-            The label is not in the table, or the stroke lies outside the scan. Nothing is changed then.
+            The label is not in the table, the stroke lies outside the scan, or it would change a locked structure.
+            Nothing is changed then.
         """
         box = self._carry_out(stroke)
         self._undone.clear()
@@ -159,7 +163,8 @@ class SegmentationSession:
         UsageError
             There is no stroke of this session, or one was taken back since.
         MarkerError
-            A point is not three finite numbers, or there is none. Nothing is changed then.
+            A point is not three finite numbers, there is none, or a locked structure would change. Nothing is changed
+            then.
         """
         if not self._done or self._undone:
             raise UsageError("there is no stroke to go on with: begin one", place="extend")
@@ -177,6 +182,7 @@ class SegmentationSession:
         voxels = voxels[marked.ravel()[voxels] != value]
         before = marked.ravel()[voxels]
         box = self._mark(voxels, np.full(len(voxels), value, np.uint8))
+        self._check_locks(value, box, voxels, before)
         self._done[-1] = _Done(whole, np.concatenate((last.voxels, voxels)), np.concatenate((last.before, before)))
         return self._note(box)
 
@@ -204,7 +210,7 @@ class SegmentationSession:
         """
         if not self._undone:
             raise UsageError("there is no stroke to paint again", place="redo")
-        box = self._carry_out(self._undone[-1])
+        box = self._carry_out(self._undone[-1], minds_locks=False)
         self._undone.pop()
         return box
 
@@ -270,6 +276,41 @@ class SegmentationSession:
         self._undone = list(strokes)
 
     @property
+    def locked(self) -> frozenset[int]:
+        """Values of the labels that are locked."""
+        return self._locks.values
+
+    def lock(self, values: Collection[int]) -> None:
+        """Lock these labels, and no others: none of their voxels is lost, and none is won, by strokes of other labels.
+
+        A stroke, or a part of one, that would change one of them is refused. What the structure itself is painted with
+        may change it, and taking back and painting again always does what it did.
+
+        Parameters
+        ----------
+        values
+            Values of labels of the table.
+
+        Raises
+        ------
+        UsageError
+            One is not in the table.
+        """
+        unknown = sorted(set(values) - set(self.table.values))
+        if unknown:
+            raise UsageError(f"value {unknown[0]} is not in the label table", place="lock")
+        self._locks = Locks(values, self._forest.labels)
+
+    def still(self) -> StillSegmentation:
+        """The segmentation as it is now, copied: it can be looked at in another thread while painting goes on."""
+        from heartcase.pipeline.markers.states import StillSegmentation
+
+        forest = self._forest
+        names = ("painted", "marks", "foot_label", "foot_level", "lowest_mark", "flat_label", "labels")
+        copies = {name: getattr(forest, name).copy() for name in names}
+        return StillSegmentation(replace(forest, **copies), self.geometry, self.table)
+
+    @property
     def marked(self) -> UInt8:
         """Label value that each voxel is marked with, uint8, shape [z, y, x], read-only; UNMARKED where none is."""
         view = self._forest.painted.view()
@@ -313,13 +354,15 @@ class SegmentationSession:
         if self._forest.labels.flat[0] == UNMARKED:
             raise MarkerError("no voxel of the scan is marked: paint first", place="markers")
 
-    def _carry_out(self, stroke: Stroke) -> Box | None:
+    def _carry_out(self, stroke: Stroke, *, minds_locks: bool = True) -> Box | None:
         voxels, value, marked = self._reached(stroke)
         if not len(voxels):
             # the same words as for a recipe's stroke
             rasterise_strokes((stroke,), self.table, self.geometry)
         before = marked.ravel()[voxels]
         box = self._mark(voxels, np.full(len(voxels), value, np.uint8))
+        if minds_locks:
+            self._check_locks(value, box, voxels, before)
         self._done.append(_Done(stroke, voxels, before))
         return self._note(box)
 
@@ -338,7 +381,21 @@ class SegmentationSession:
             voxels, values = self._automatic.paint(voxels, values)
         return self._forest.restore(voxels, values)
 
+    def _check_locks(self, value: int, box: Box | None, voxels: Int64, before: UInt8) -> None:
+        """Take marks back that change a structure which is locked, and say which."""
+        changed = self._locks.changed_by(value, self._forest.labels, box) if self._locks.values else {}
+        if not changed:
+            return
+        self._mark(voxels, before)
+        ml = self.geometry.voxel_volume_mm3 / 1000.0
+        listed = ", ".join(f"{self.table[one].name} ({count * ml:.3g} ml)" for one, count in changed.items())
+        raise MarkerError(
+            f"this would change what is locked: {listed}; unlock it, or paint further away from it", place="stroke"
+        )
+
     def _note(self, box: Box | None) -> Box | None:
+        if self._locks.values:
+            self._locks.hold(self._forest.labels, box)
         if box is not None and self._changed is not None:
             pairs = zip(box, self._changed, strict=True)
             k, j, i = (slice(min(a.start, b.start), max(a.stop, b.stop)) for a, b in pairs)

@@ -19,7 +19,7 @@ from heartcase.schemas.arrays import Float64
 from heartcase.schemas.labels import LabelTable
 from heartcase.schemas.landmarks import Landmark
 
-__all__ = ["CutView", "Place", "four_chamber_view", "places_of", "short_axis_view"]
+__all__ = ["CutView", "Place", "four_chamber_view", "places_of", "short_axis_view", "towards_viewer", "upward"]
 
 
 _LEFT_VENTRICLE, _LEFT_ATRIUM = "87878005", "82471001"
@@ -122,13 +122,13 @@ def four_chamber_view(
         across = np.cross(sides[0], sides[1])
         longest = float(np.linalg.norm(sides, axis=1).max())
         if np.linalg.norm(across) > _FLAT * longest**2:
-            normal = _towards_viewer(across / np.linalg.norm(across))
+            normal = towards_viewer(across / np.linalg.norm(across))
             names = _listed([f'"{places[name].name}"' for name in wanted])
-            return CutView((corners[0], normal), _upward(normal), f"Plane through the landmarks {names}.")
+            return CutView((corners[0], normal), upward(normal), f"Plane through the landmarks {names}.")
         why = "its landmarks lie on one line"
     point, normal = four_chamber_plane(vertices_mm, triangles, triangle_label, table)
-    normal = _towards_viewer(normal)
-    return CutView((point, normal), _upward(normal), f"Plane estimated from the shape of the chambers, as {why}.")
+    normal = towards_viewer(normal)
+    return CutView((point, normal), upward(normal), f"Plane estimated from the shape of the chambers, as {why}.")
 
 
 def short_axis_view(
@@ -162,7 +162,7 @@ def short_axis_view(
             normal = (apex - mitral) / length
             names = _listed([f'"{places[name].name}"' for name in wanted])
             source = f"Plane half way between the landmarks {names}, across the line that joins them."
-            return CutView(((apex + mitral) / 2.0, normal), _upward(normal), source)
+            return CutView(((apex + mitral) / 2.0, normal), upward(normal), source)
         missing = ["apex"]
     points, faces, labels = np.asarray(vertices_mm, dtype=float), np.asarray(triangles), np.asarray(triangle_label)
     chambers = []
@@ -183,15 +183,16 @@ def short_axis_view(
         "Plane estimated from the shape of the left ventricle and atrium, as the recipe has no landmark for "
         f"{_listed(missing)}."
     )
-    return CutView((middle + normal * (along.min() + along.max()) / 2.0, normal), _upward(normal), source)
+    return CutView((middle + normal * (along.min() + along.max()) / 2.0, normal), upward(normal), source)
 
 
-def _towards_viewer(normal: Float64) -> Float64:
+def towards_viewer(normal: Float64) -> Float64:
+    """The normal of a cut turned to who stands at the feet, or in front where the cut runs along the body."""
     return normal if normal @ _FEET_FIRST >= 0.0 else -normal
 
 
-def _upward(towards: Float64) -> Float64:
-    """What shows upwards when the picture's right is as near as can be to the patient's left."""
+def upward(towards: Float64) -> Float64:
+    """Across ``towards``, what shows upwards when the picture's right is as near as can be to the patient's left."""
     right = np.array([1.0, 0.0, 0.0])
     if abs(towards[0]) > 0.98:
         right = np.array([0.0, np.sign(towards[0]), 0.0])

@@ -85,7 +85,7 @@ def test_an_oblique_scan_has_the_sides_that_its_matrix_says(chromium, tmp_path):
             page.tab.locator("#case-name").evaluate(
                 "(one) => { one.textContent = 'a long name of a heart '.repeat(5); }"
             )
-            for selector in ("#along-scan", "#fit", "#theme", "#outline"):
+            for selector in ("#planes-open", "#fit", "#theme", "#outline"):
                 box = page.tab.locator(selector).bounding_box()
                 assert box["x"] + box["width"] <= 1280, (selector, language)
             assert page.tab.locator("header").bounding_box()["height"] < 48
@@ -96,7 +96,9 @@ def test_an_oblique_scan_has_the_sides_that_its_matrix_says(chromium, tmp_path):
         assert sides["axial"] == "Left R, right L, above A, below P."
         assert sides["coronal"] == "Left R, right L, above H, below F."
         assert sides["sagittal"] == "Left A, right P, above H, below F."
-        page.tab.locator("#along-scan").click()
+        page.tab.locator("#planes-open").click()
+        page.tab.locator("[data-planes=scan]").click()
+        page.tab.keyboard.press("Escape")
         page.drawn()
         # turned by 35 degrees about the head-foot axis: 0.82 to the patient's left, 0.57 to the back
         sides = {view: page.text(f"#sides-{view}") for view in ("axial", "coronal", "sagittal")}

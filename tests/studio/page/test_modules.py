@@ -1,5 +1,6 @@
 """The modules of the studio's page by themselves, as node runs them."""
 
+import os
 import re
 import shutil
 import subprocess
@@ -29,3 +30,13 @@ def test_all_imports_are_there():
     for file in sorted(PAGE.rglob("*.js")):
         for target in re.findall(r'^(?:import|export) .*from "(.+)";$', file.read_text(encoding="utf-8"), re.MULTILINE):
             assert (file.parent / target).is_file(), (file.name, target)
+
+
+def test_types_fit():
+    """As the JSDoc comments state them; `.ci/run` fetches the compiler that package-lock.json pins."""
+    compiler = os.environ.get("HEARTCASE_TSC") or shutil.which("tsc")
+    if compiler is None:
+        pytest.skip("there is no TypeScript on this machine (HEARTCASE_TSC): the types of the page were not checked")
+    project = Path(__file__).parent / "types" / "tsconfig.json"
+    found = subprocess.run([compiler, "-p", str(project)], capture_output=True, text=True, timeout=300, check=False)
+    assert found.returncode == 0, found.stdout + found.stderr

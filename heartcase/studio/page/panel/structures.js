@@ -1,4 +1,4 @@
-/** The list of structures: which is in hand, which are shown, how large each is. */
+/** The list of structures: which is in hand, which are shown and locked, how large and how far each is. */
 
 import { figure, language, say } from "../shared/words.js";
 import { keyOf } from "../tools/shortcuts.js";
@@ -6,20 +6,30 @@ import { keyOf } from "../tools/shortcuts.js";
 /** @typedef {import("../shared/studio.js").Studio} Studio */
 /** @typedef {import("../shared/studio.js").Label} Label */
 /** @typedef {import("../pictures/views.js").Views} Views */
+/** @typedef {"nothing" | "marked" | "confident" | "unsure"} State */
+
+/** What stands for a state in the list. @type {Record<State, string>} */
+const SIGNS = { nothing: "○", marked: "·", confident: "✓", unsure: "?" };
 
 export class Structures {
   /** @type {Record<string, number>} */
   #volumes = {};
   /** Names of those that are marked; null while the server has not said. @type {ReadonlySet<string> | null} */
   #marked = null;
+  /** @type {ReadonlySet<string>} */
+  #locked = new Set();
+  /** As they were worked out last. @type {Record<string, State>} */
+  #states = {};
 
   /**
    * @param {HTMLElement} list
    * @param {Studio} studio
    * @param {Views} views
+   * @param {(names: string[]) => void} lock
    */
-  constructor(list, studio, views) {
+  constructor(list, studio, views, lock) {
     this.list = list;
+    this.lock = lock;
     this.studio = studio;
     this.views = views;
     studio.labels.listen(() => this.#build());
@@ -28,9 +38,18 @@ export class Structures {
     language.listen(() => this.#build());
   }
 
-  /** @param {Record<string, number>} volumesMl @param {readonly string[] | undefined} marked */
-  tell(volumesMl, marked) {
+  /** @param {Record<string, State>} states */
+  tellStates(states) {
+    this.#states = states;
+    this.#update();
+  }
+
+  /** @param {Record<string, number>} volumesMl @param {readonly string[] | undefined} marked @param {readonly string[]} locked */
+  tell(volumesMl, marked, locked) {
     this.#volumes = volumesMl;
+    this.#locked = new Set(locked);
+    // they are worked out anew
+    this.#states = {};
     this.#marked = marked ? new Set(marked) : null;
     this.#update();
   }
@@ -63,7 +82,17 @@ export class Structures {
     show.title = say("show_structure", { name: label.name });
     show.append(icon("eye"));
     show.addEventListener("click", () => this.studio.toggleShown(label.value));
-    row.append(pick, show);
+    const lock = element("button", "lock");
+    lock.type = "button";
+    lock.setAttribute("aria-label", say("lock_structure", { name: label.name }));
+    lock.title = `${say("lock_structure", { name: label.name })}. ${say("lock_says")}`;
+    lock.append(icon("lock"));
+    lock.addEventListener("click", () => {
+      const locked = new Set(this.#locked);
+      if (!locked.delete(label.name)) locked.add(label.name);
+      this.lock([...locked]);
+    });
+    row.append(pick, lock, show);
     return row;
   }
 
@@ -82,10 +111,16 @@ export class Structures {
       part(row, ".show").setAttribute("aria-pressed", String(!hidden.value.has(value)));
       const isTold = volume !== undefined && label.role !== "background" && isMarked;
       part(row, ".volume").textContent = isTold ? `${figure(volume, volume < 10 ? 2 : 1)} ml` : "";
+      part(row, ".lock").setAttribute("aria-pressed", String(this.#locked.has(label.name)));
+      const state = !isMarked ? "nothing" : (this.#states[label.name] ?? "marked");
       const mark = part(row, ".mark");
-      mark.replaceChildren(...(isMarked ? [] : [element("span", "hidden-words", say("not_marked")), "○"]));
-      mark.title = isMarked ? "" : say("not_marked");
-      mark.hidden = isMarked;
+      const words = say(`state_${state}`);
+      if (mark.dataset.state === state && mark.title === words) continue;
+      const sign = element("span", "", SIGNS[state]);
+      sign.setAttribute("aria-hidden", "true");
+      mark.replaceChildren(element("span", "hidden-words", words), sign);
+      mark.dataset.state = state;
+      mark.title = words;
     }
   }
 }

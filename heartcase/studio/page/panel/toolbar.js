@@ -142,10 +142,5 @@ function runLook(studio, actions) {
     box.addEventListener("change", () => (signal.value = box.checked));
     signal.follow((value) => (box.checked = value));
   }
-  // Only where the two differ there is something to choose.
-  const along = find("along-scan");
-  along.addEventListener("click", () => (studio.alongScan.value = !studio.alongScan.value));
-  studio.alongScan.follow((isAlong) => along.setAttribute("aria-pressed", String(isAlong)));
-  studio.lattice.follow((lattice) => (along.hidden = !lattice?.isOblique));
   find("fit").addEventListener("click", () => actions.fit());
 }

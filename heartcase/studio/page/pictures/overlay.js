@@ -1,6 +1,7 @@
 /** What lies over a slice: crosshair, brush, the stroke under way, measurements, scale bar and letters. */
 
 import { figure } from "../shared/words.js";
+import { handlesOf, lineOf, VIEWS } from "./planes.js";
 import { angleDegrees, distance, orientationLetters, plus, roundLength, sectionRadius } from "./geometry.js";
 
 /** @typedef {import("./geometry.js").Camera} Camera */
@@ -20,15 +21,16 @@ const MARK_DEPTH_MM = 2;
 
 /**
  * @param {CanvasRenderingContext2D} pen in CSS pixels
+ * @param {import("./planes.js").ViewName} name
  * @param {Camera} camera
  * @param {Studio} studio
  * @param {readonly Measure[]} measures
  */
-export function drawOverlay(pen, camera, studio, measures) {
+export function drawOverlay(pen, name, camera, studio, measures) {
   pen.clearRect(0, 0, camera.width, camera.height);
   const through = studio.crosshair.value;
   drawStroke(pen, camera, through, studio);
-  drawCrosshair(pen, camera, through);
+  drawCrosshair(pen, name, camera, studio);
   for (const measure of measures) drawMeasure(pen, camera, through, measure, studio.lattice.value?.sliceStep(camera.frame.normal) ?? 1);
   for (const mark of studio.marks.value) drawMark(pen, camera, through, mark, studio.lattice.value?.sliceStep(camera.frame.normal) ?? 1);
   drawBrush(pen, camera, through, studio);
@@ -51,7 +53,7 @@ export function drawSolidOverlay(pen, camera, through) {
 }
 
 /** @param {CanvasRenderingContext2D} pen @param {string} colour @param {() => void} path */
-function rimmed(pen, colour, path, width = 1.25) {
+export function rimmed(pen, colour, path, width = 1.25) {
   for (const [style, wide] of /** @type {const} */ ([[RIM, width + 2], [colour, width]])) {
     pen.strokeStyle = style;
     pen.lineWidth = wide;
@@ -62,7 +64,7 @@ function rimmed(pen, colour, path, width = 1.25) {
 }
 
 /** @param {CanvasRenderingContext2D} pen @param {string} text @param {number} x @param {number} y @param {string} colour */
-function lettering(pen, text, x, y, colour = LIGHT) {
+export function lettering(pen, text, x, y, colour = LIGHT) {
   pen.lineJoin = "round";
   pen.strokeStyle = RIM;
   pen.lineWidth = 3;
@@ -71,16 +73,24 @@ function lettering(pen, text, x, y, colour = LIGHT) {
   pen.fillText(text, x, y);
 }
 
-/** @param {CanvasRenderingContext2D} pen @param {Camera} camera @param {Vector} through */
-function drawCrosshair(pen, camera, through) {
+/** Lines where the other slices are, and with the pointer in hand the handles that turn them. @param {CanvasRenderingContext2D} pen @param {import("./planes.js").ViewName} name @param {Camera} camera @param {Studio} studio */
+function drawCrosshair(pen, name, camera, studio) {
+  const through = studio.crosshair.value;
   const { x, y } = camera.toPixel(through, through);
+  const planes = studio.planes.value;
+  const far = camera.width + camera.height + Math.abs(x) + Math.abs(y);
   rimmed(pen, CROSSHAIR, () => {
-    for (const [dx, dy, far] of [[-1, 0, x], [1, 0, camera.width - x], [0, -1, y], [0, 1, camera.height - y]]) {
-      if (far <= GAP) continue;
-      pen.moveTo(x + dx * GAP, y + dy * GAP);
-      pen.lineTo(x + dx * far, y + dy * far);
+    for (const other of VIEWS) {
+      const line = other === name ? null : lineOf(camera.frame, planes.frames[other]);
+      if (line === null) continue;
+      for (const way of [1, -1]) {
+        pen.moveTo(x + way * GAP * line[0], y + way * GAP * line[1]);
+        pen.lineTo(x + way * far * line[0], y + way * far * line[1]);
+      }
     }
   }, 1);
+  if (studio.tool.value !== "pointer") return;
+  for (const at of handlesOf(planes, name, camera, { x, y })) rimmed(pen, CROSSHAIR, () => pen.arc(at.x, at.y, 6, 0, 2 * Math.PI), 2);
 }
 
 /** @param {CanvasRenderingContext2D} pen @param {Camera} camera @param {Vector} through @param {Studio} studio */

@@ -1,6 +1,7 @@
 /** The three slices and the solids: drawn into one canvas behind their tiles, each only when it changed. */
 
-import { boxMeetsPlane, Lattice, PATIENT_FRAMES, scanFrames, SIDES } from "./geometry.js";
+import { boxMeetsPlane, Lattice, plus, SIDES } from "./geometry.js";
+import { PATIENT_PLANES, turned, turnedPlanes } from "./planes.js";
 import { drawOverlay, drawSolidOverlay, sidesOf } from "./overlay.js";
 import { SliceShader } from "./slice_shader.js";
 import { fitToSurface, SliceView } from "./slice_view.js";
@@ -14,6 +15,8 @@ import { figure, say } from "../shared/words.js";
 /** @typedef {import("../shared/studio.js").ViewName} ViewName */
 /** @typedef {import("../tools/measures.js").Measures} Measures */
 
+const TURN_STEP_DEGREES = 5;
+
 /** The browser gives no WebGL 2. */
 export class NoGraphics extends Error {}
 
@@ -21,6 +24,10 @@ export class Views {
   /** @type {Volume | null} */
   volume = null;
   #isAsked = false;
+  /** What other parts of the page draw over the slices. @type {((view: SliceView, thickness: number) => void)[]} */
+  over = [];
+  /** And over the solids. @type {((view: SolidView) => void)[]} */
+  overSolid = [];
 
   /**
    * @param {HTMLCanvasElement} canvas
@@ -74,8 +81,7 @@ export class Views {
     this.#setColours();
     // After a lost connection one goes on looking at the same place.
     if (!isSame) {
-      studio.alongScan.value = false;
-      this.#setFrames();
+      studio.planes.value = PATIENT_PLANES;
       studio.crosshair.value = lattice.clamped(lattice.toWorld(/** @type {Vector} */ (size.map((n) => Math.floor(n / 2)))));
       this.fit();
     }
@@ -93,6 +99,22 @@ export class Views {
     this.studio.crosshair.value = mm;
     for (const view of this.all) view.bringIntoSight(mm);
     this.redraw();
+  }
+
+  /** The other slices turn about the crosshair in one of them. @param {ViewName} name @param {number} angle radians, from right to below */
+  turnAbout(name, angle) {
+    const { planes, crosshair } = this.studio;
+    const about = planes.value.frames[name];
+    for (const { name: other, camera } of this.all) {
+      // what lies at the crosshair stays where it is seen
+      if (other !== name) camera.centre = plus(crosshair.value, turned(plus(camera.centre, crosshair.value, -1), about, angle));
+    }
+    planes.value = turnedPlanes(planes.value, name, angle);
+  }
+
+  /** The others turn by a step about the slice that had the focus last. @param {-1 | 1} way */
+  turnStep(way) {
+    this.turnAbout(this.active.name, (way * TURN_STEP_DEGREES * Math.PI) / 180);
   }
 
   /** Labels of a box came. @param {Vector} low @param {Vector} size @param {Uint8Array<ArrayBuffer>} bytes */
@@ -124,6 +146,12 @@ export class Views {
     this.#ask();
   }
 
+  /** What lies over all pictures is drawn anew. */
+  redrawAllOverlays() {
+    this.solid.overlayIsStale = true;
+    this.redrawOverlays();
+  }
+
   /** What lies over the slices is drawn anew. */
   redrawOverlays() {
     for (const view of this.all) view.overlayIsStale = true;
@@ -146,9 +174,10 @@ export class Views {
         this.redraw();
       });
     }
-    studio.alongScan.listen(() => {
-      this.#setFrames();
-      this.fit();
+    studio.planes.listen(({ name, frames }) => {
+      for (const view of this.all) view.camera.frame = frames[view.name];
+      if (name === "turned") this.redraw();
+      else this.fit();
     });
     let before = studio.crosshair.value;
     studio.crosshair.listen((now) => {
@@ -166,12 +195,6 @@ export class Views {
   #setColours() {
     const { labels, hidden } = this.studio;
     this.volume?.setColours(labels.value.filter(({ value }) => !hidden.value.has(value)));
-  }
-
-  #setFrames() {
-    const lattice = this.studio.lattice.value;
-    const frames = this.studio.alongScan.value && lattice ? scanFrames(lattice) : PATIENT_FRAMES;
-    for (const view of this.all) view.camera.frame = frames[view.name];
   }
 
   #resized() {
@@ -220,7 +243,8 @@ export class Views {
         this.slices.draw(volume, lattice, view.camera, studio.crosshair.value, look, this.#partOf(view));
       }
       if (view.isStale || view.overlayIsStale) {
-        drawOverlay(view.pen, view.camera, studio, this.measures.all);
+        drawOverlay(view.pen, view.name, view.camera, studio, this.measures.all);
+        for (const draw of this.over) draw(view, lattice.sliceStep(view.camera.frame.normal));
         this.#tellPosition(view, lattice);
       }
       view.isStale = view.overlayIsStale = false;
@@ -231,7 +255,10 @@ export class Views {
   /** @param {Volume} volume @param {Lattice} lattice */
   #drawSolid(volume, lattice) {
     const { solid, studio } = this;
-    if (solid.isStale || solid.overlayIsStale) drawSolidOverlay(solid.pen, solid.camera, studio.crosshair.value);
+    if (solid.isStale || solid.overlayIsStale) {
+      drawSolidOverlay(solid.pen, solid.camera, studio.crosshair.value);
+      for (const draw of this.overSolid) draw(solid);
+    }
     solid.overlayIsStale = false;
     // While a stroke is drawn the slices come first.
     if (!solid.isStale || this.solids.isBusy || (studio.stroke.value !== null && !solid.isQuick)) return;

@@ -1,11 +1,12 @@
 /** What the parts of the page share: what is open, what is in hand, and where one looks. */
 
+import { PATIENT_PLANES } from "../pictures/planes.js";
 import { keep, keptNumber } from "./settings.js";
 import { Signal } from "./signal.js";
 
 /** @typedef {import("../pictures/geometry.js").Vector} Vector */
 /** @typedef {import("../pictures/geometry.js").Lattice} Lattice */
-/** @typedef {"pointer" | "brush" | "eraser" | "ruler" | "angle"} Tool */
+/** @typedef {"pointer" | "brush" | "eraser" | "ruler" | "angle" | "shape"} Tool */
 /** @typedef {"axial" | "coronal" | "sagittal"} ViewName */
 /** @typedef {{value: number, name: string, colour: string, role: string}} Label */
 /** @typedef {{low: number, high: number}} Range */
@@ -53,8 +54,8 @@ export class Studio {
   /** Values of structures that are not drawn. */
   hidden = new Signal(/** @type {ReadonlySet<number>} */ (new Set()));
   labelsShown = new Signal(true);
-  /** Planes along the patient's axes, or along the scan's own. */
-  alongScan = new Signal(false);
+  /** Which planes the slices show. */
+  planes = new Signal(PATIENT_PLANES);
   activeView = new Signal(/** @type {ViewName} */ ("axial"));
   /** The tile that is large; null for two by two. */
   large = new Signal(/** @type {ViewName | "solid" | null} */ (null));
@@ -91,7 +92,8 @@ export class Studio {
   /** @param {number} value */
   pick(value) {
     this.picked.value = value;
-    if (this.tool.value !== "brush") this.take("brush");
+    // with the tool of the tab Shape one picks what is sculpted
+    if (this.tool.value !== "brush" && this.tool.value !== "shape") this.take("brush");
   }
 
   /** @param {number} steps larger, or smaller where negative */

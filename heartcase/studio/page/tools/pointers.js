@@ -7,9 +7,10 @@
 /** @typedef {import("./brush.js").Brush} Brush */
 /** @typedef {import("./measures.js").Measures} Measures */
 /** @typedef {{x: number, y: number}} Point */
-/** @typedef {{kind: "pan" | "window" | "crosshair" | "paint" | "measure" | "fingers", view: SliceView, pointer: number, x: number, y: number, moved: boolean}} Drag */
+/** @typedef {{kind: "pan" | "window" | "crosshair" | "paint" | "measure" | "shape" | "fingers" | "turn", view: SliceView, pointer: number, x: number, y: number, moved: boolean}} Drag */
 
 import { draggedWindow } from "../pictures/geometry.js";
+import { handlesOf, isOnHandle } from "../pictures/planes.js";
 
 /** Wheel travel of one slice, pixels: that of one notch on most mice is 100 to 120. */
 const WHEEL_STEP = 60;
@@ -31,6 +32,8 @@ export class Pointers {
   #penAt = -Infinity;
   /** Space was held for a drag, and not for a swap of tools. */
   hasPanned = false;
+  /** What acts on the lines of the recipe. @type {import("../shaping/hands.js").Hands | null} */
+  hands = null;
 
   /**
    * @param {Views} views
@@ -81,8 +84,11 @@ export class Pointers {
       }
     }
     if (this.#drag !== null || this.studio.lattice.value === null) return;
-    const kind = this.#kindOf(event);
+    let kind = this.#kindOf(event);
     if (kind === null) return;
+    // where no line is, the crosshair is moved
+    if (kind === "shape" && !this.hands?.down(view, at)) kind = "crosshair";
+    if (kind === "crosshair" && !event.shiftKey && this.#isOnHandle(view, at)) kind = "turn";
     view.surface.setPointerCapture(event.pointerId);
     this.#drag = { kind, view, pointer: event.pointerId, ...at, moved: false };
     this.studio.hover.value = { view: view.name, mm: view.toMm(at.x, at.y) };
@@ -103,6 +109,7 @@ export class Pointers {
     if (event.button === 2) return "window";
     if (event.button !== 0 && event.button !== 5) return null;
     if (tool.value === "pointer" || event.shiftKey) return "crosshair";
+    if (tool.value === "shape") return "shape";
     return tool.value === "ruler" || tool.value === "angle" ? "measure" : "paint";
   }
 
@@ -130,6 +137,7 @@ export class Pointers {
       return;
     }
     this.measures.drop();
+    this.hands?.drop();
     view.surface.setPointerCapture(event.pointerId);
     this.#drag = { kind: "fingers", view, pointer: event.pointerId, x: 0, y: 0, moved: true };
     this.studio.hover.value = null;
@@ -147,6 +155,7 @@ export class Pointers {
     const at = positionOf(over, event);
     if (event.pointerType === "touch" && this.#fingers.has(event.pointerId)) this.#fingers.set(event.pointerId, at);
     if (drag === null) {
+      view.surface.style.cursor = this.#isOnHandle(view, at) ? "grab" : "";
       if (event.shiftKey && event.buttons === 0) this.#moveCrosshair(view, at);
       this.studio.hover.value = { view: view.name, mm: view.toMm(at.x, at.y) };
       this.measures.follow(view.toMm(at.x, at.y));
@@ -169,6 +178,10 @@ export class Pointers {
       }));
       return;
     }
+    if (drag.kind === "shape") {
+      this.hands?.move(at);
+      return;
+    }
     if (drag.kind === "measure") {
       this.measures.follow(over.toMm(at.x, at.y));
       return;
@@ -180,6 +193,7 @@ export class Pointers {
     }
     if (drag.kind === "window") this.studio.window.value = draggedWindow(this.studio.window.value, dx, dy);
     if (drag.kind === "crosshair") this.#moveCrosshair(over, at);
+    if (drag.kind === "turn") this.#turnPlanes(over, drag, at);
     drag.x = at.x;
     drag.y = at.y;
   }
@@ -214,6 +228,7 @@ export class Pointers {
       this.#settle(true);
       this.brush.end();
     }
+    if (drag.kind === "shape") this.hands?.up();
     // A ruler is drawn by dragging, or by clicks.
     if (drag.kind === "measure" && drag.moved) this.#setMeasure(drag.view, positionOf(drag.view, event));
     if (event.pointerType === "touch") this.studio.hover.value = null;
@@ -223,6 +238,7 @@ export class Pointers {
   letGo() {
     if (this.#pending) window.clearTimeout(this.#pending.timer);
     this.#pending = this.#drag = null;
+    this.hands?.drop();
     this.brush.drop();
   }
 
@@ -230,6 +246,21 @@ export class Pointers {
   #moveCrosshair(view, at) {
     const lattice = this.studio.lattice.value;
     if (lattice) this.studio.crosshair.value = lattice.clamped(view.toMm(at.x, at.y));
+  }
+
+  /** Whether a handle that turns the other planes is under the pointer. @param {SliceView} view @param {Point} at */
+  #isOnHandle(view, at) {
+    const { studio } = this;
+    if (studio.tool.value !== "pointer" || studio.panning.value || studio.lattice.value === null) return false;
+    const cross = view.camera.toPixel(studio.crosshair.value, studio.crosshair.value);
+    return isOnHandle(handlesOf(studio.planes.value, view.name, view.camera, cross), at);
+  }
+
+  /** The other planes follow the pointer about the crosshair. @param {SliceView} view @param {Point} before @param {Point} at */
+  #turnPlanes(view, before, at) {
+    const { x, y } = view.camera.toPixel(this.studio.crosshair.value, this.studio.crosshair.value);
+    const angle = Math.atan2(at.y - y, at.x - x) - Math.atan2(before.y - y, before.x - x);
+    this.views.turnAbout(view.name, angle);
   }
 
   /** @param {SliceView} view @param {Point} at */

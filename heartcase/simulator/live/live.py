@@ -1,0 +1,433 @@
+"""A session that runs in a thread of its own: commands go in at any time, and the newest frame can be had at any time.
+
+It keeps real time where the machine can. Where it cannot, it takes as many steps a frame as there is time for, and time
+goes slower: what is shown stays fluid, and nothing is left out.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import get_args
+
+import numba
+import numpy as np
+
+from heartcase.schemas.arrays import Float64, Int32
+from heartcase.schemas.bundle.format import CaseManifest
+from heartcase.schemas.errors import HeartcaseError, SimulationError
+from heartcase.schemas.recording.commands import (
+    Act,
+    BringProbe,
+    Cut,
+    Done,
+    LeadGrab,
+    MoveProbe,
+    Navigation,
+    OpenGrab,
+    WithdrawProbe,
+)
+from heartcase.simulator.live.goals import SOFT_SPEED_MM_S, Goals
+from heartcase.simulator.live.tool import Held, Turn
+from heartcase.simulator.session.frame import Frame
+from heartcase.simulator.session.operating_session import OperatingSession
+from heartcase.simulator.session.recorder import Recorder
+from heartcase.simulator.simulation import Simulation
+from heartcase.simulator.surface.deform import SurfaceModel
+
+__all__ = ["FRAME_S", "Live", "LiveFrame"]
+
+FRAME_S = 1.0 / 40.0
+"""Time from frame to frame where the machine keeps up, s."""
+_ACTS = get_args(Act)
+_NAVIGATION = get_args(Navigation)
+_SLOWEST = 2.5
+"""How many times longer a frame may take where it does not: the time is for steps."""
+_STEPS_LEAST = 0.4
+"""Part of a frame's steps that is taken however long they take: time goes on."""
+_STEPS_DOWN, _STEPS_UP = 0.7, 1.15
+"""How much fewer, or more, steps a frame may take than the one before."""
+_MEASURED_S = 1.0
+"""Over how long the pace is measured, s."""
+_JOIN_S = 60.0
+"""How long a frame may take at most to end before its thread is given up, s: a rewind works out some seconds again."""
+
+
+@dataclass(frozen=True)
+class LiveFrame:
+    """A moment, with all that a window or a page shows of it. Nothing of it changes later."""
+
+    frame: Frame
+    """Tissue, instruments and stitches, with the visible surface."""
+    surface: SurfaceModel
+    """What the surface's vertices follow, and its triangles."""
+    triangle_origin: Int32 | None
+    """Triangle of the uncut surface that each is a part of, -1 for cut faces, shape (triangle_count,); None where
+    nothing is cut."""
+    held: tuple[Held, ...]
+    """What holds tissue."""
+    probes: dict[str, Float64]
+    """Name of each probe -> its semi-axes in columns, then half of the line it is swept along; LPS mm, shape (3, 4)."""
+    mode: str
+    """``running``, ``paused`` or ``playing`` (what is known is done again)."""
+    real_time_factor: float | None
+    """Simulated time over time that went by, during the last second or so; None while it does not run."""
+    steps_per_second: float | None
+    """Steps taken for each second that went by; None while it does not run."""
+    ahead_s: float
+    """Simulated time that is known from here on, after going back, s."""
+    recording: str | None
+    """Name of the folder that is recorded into."""
+    act_count: int
+    """Acts that are done."""
+
+
+class Live:
+    """Runs a session in a thread of its own.
+
+    ``newest`` is the frame to show, and ``take_messages`` gives what a user should read. All methods may be called from
+    any thread; ``close`` ends the thread, and finishes a recording.
+
+    Parameters
+    ----------
+    session
+        The session, with a surface. From :meth:`start` to :meth:`close` nobody else may use it.
+    manifest
+        What the case says of itself, for recordings.
+    frame_s
+        Time from frame to frame where the machine keeps up, s.
+    heard
+        Called by the session's thread whenever there is a new frame, or the thread ended; it must return at once.
+    """
+
+    def __init__(
+        self,
+        session: OperatingSession,
+        *,
+        manifest: CaseManifest | None = None,
+        frame_s: float = FRAME_S,
+        heard: Callable[[], None] = lambda: None,
+    ) -> None:
+        self.session = session
+        self.error: BaseException | None = None
+        self._manifest = manifest
+        self._frame_s = frame_s
+        self._heard = heard
+        self._goals = Goals()
+        self._leaving: dict[str, Done] = {}
+        self._asked: deque[Done | Navigation | Callable[[], None]] = deque()
+        self._messages: deque[str] = deque()
+        self._wake = threading.Condition()
+        self._is_closing = False
+        self._thread: threading.Thread | None = None
+        self._recorder: Recorder | None = None
+        self._played: Iterator[Frame] | None = None
+        self._mode = "running"
+        self._steps_most = frame_s / session.simulation.step_s
+        self._ticked: float | None = None
+        self._part = 0.0
+        self._past: deque[tuple[float, int]] = deque()
+        self._act_count = self._counted = 0
+        self.newest = self._published(session.frame(surface=True))
+
+    def start(self) -> None:
+        """Begin to run."""
+        self._thread = threading.Thread(target=self._run, name="physics", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the thread after the frame that it is at, and finish what is recorded; a second time does nothing."""
+        with self._wake:
+            self._is_closing = True
+            self._wake.notify_all()
+        if self._thread is not None:
+            self._thread.join(_JOIN_S)
+            self._thread = None
+        else:
+            self._end()
+
+    def do(self, *commands: Done | Navigation) -> None:
+        """Ask for commands; they are done before the next steps. What is refused is told as a message."""
+        self._ask(commands)
+
+    def pause(self, is_paused: bool) -> None:
+        """Let time stand, or go on from here: then what was known ahead is dropped by the next steps."""
+        self._ask([lambda: self._set_mode("paused" if is_paused else "running")])
+
+    def play(self) -> None:
+        """Do again what is known from here on, and then pause; an act takes over."""
+        self._ask([self._begin_to_play])
+
+    def record(self, path: Path) -> None:
+        """Record into a folder, from the session's start on, until :meth:`stop_recording` or :meth:`close`."""
+        self._ask([lambda: self._begin_to_record(path)])
+
+    def stop_recording(self) -> None:
+        """Finish the recording."""
+        self._ask([self._finish_recording])
+
+    def let_go_softly(self, name: str) -> None:
+        """Nobody leads an instrument any more: it stays, is brought back to where it came from slowly, and lets go.
+
+        Parameters
+        ----------
+        name
+            A hand or a probe. Where there is none of that name nothing happens.
+        """
+        self._ask([lambda: self._begin_to_leave(name)])
+
+    @property
+    def is_leaving(self) -> bool:
+        """Whether something lets go softly and is not done with it."""
+        return bool(self._leaving) or bool(self._asked)
+
+    def take_messages(self) -> list[str]:
+        """What there is to be read since the last time."""
+        found = []
+        while self._messages:
+            found.append(self._messages.popleft())
+        return found
+
+    def spare_a_processor(self) -> None:
+        """Leave a processor to what draws: threads of a step that wait for one another would wait for it each time."""
+        self._ask([lambda: numba.set_num_threads(max(1, numba.get_num_threads() - 1))])
+
+    def tick(self) -> None:
+        """One frame: do what was asked for, take steps, publish. The thread does nothing else; tests do it without."""
+        self._leave()
+        has_work = self._do_asked()
+        if self._mode == "playing":
+            self._play_on()
+        elif self._mode == "running":
+            began = time.perf_counter()
+            steps = self._steps_due(self._frame_s if self._ticked is None else began - self._ticked)
+            self._ticked = began
+            motions = self._goals.commands(_places_mm(self.session.simulation), steps * self.session.simulation.step_s)
+            frame = self.session.take(motions, steps, surface=True)
+            for refusal in frame.refused:
+                self._messages.extend(str(problem) for problem in refusal.problems)
+            if frame.breakdown is not None:
+                self._goals.drop()
+                self._messages.append(frame.breakdown)
+            self._measure()
+            self._publish(frame)
+            self._learn(time.perf_counter() - began)
+        elif has_work:
+            self._publish(self.session.frame(surface=True))
+
+    def _ask(self, what: Iterable[Done | Navigation | Callable[[], None]]) -> None:
+        with self._wake:
+            self._asked.extend(what)
+            self._wake.notify_all()
+
+    def _run(self) -> None:
+        try:
+            due = time.perf_counter()
+            while not self._is_closing:
+                self.tick()
+                due = max(due + self._frame_s, time.perf_counter())
+                with self._wake:
+                    while not self._is_closing:
+                        left = due - time.perf_counter()
+                        if left <= 0.0 and (self._mode != "paused" or self._asked):
+                            break
+                        self._wake.wait(max(left, 0.0) if self._mode != "paused" or left > 0.0 else None)
+        except BaseException as error:
+            self.error = error
+        finally:
+            self._end()
+            self._heard()
+
+    def _end(self) -> None:
+        """Make what was begun, and finish what is recorded: no thread and no half-written file is left."""
+        if self.session.frame().coming_cuts:
+            self.session.make_cuts(wait=True)
+        self._finish_recording()
+
+    def _do_asked(self) -> bool:
+        """Do what was asked for; whether there was anything."""
+        with self._wake:
+            asked = list(self._asked)
+            self._asked.clear()
+        for one in asked:
+            try:
+                self._do(one)
+            except HeartcaseError as error:
+                self._messages.extend(str(problem) for problem in error.problems)
+        return bool(asked)
+
+    def _do(self, one: Done | Navigation | Callable[[], None]) -> None:
+        if not isinstance(one, Done | Navigation):
+            one()
+        elif isinstance(one, LeadGrab | MoveProbe):
+            self._goals.set(one)
+        elif isinstance(one, _NAVIGATION):
+            self._goals.drop()
+            self._set_mode("paused")
+            self.session.do(one)
+        elif isinstance(one, Cut):
+            # It is made when it is worked out: no frame waits for it.
+            self._set_mode("running")
+            self.session.begin_cut(one)
+        else:
+            if isinstance(one, OpenGrab | WithdrawProbe):
+                self._goals.drop(one.name)
+                if all(each.name != one.name for each in self.session.simulation.instruments):
+                    # It never took hold: that was told.
+                    return
+            self.session.do(one)
+            self._set_mode("running")
+
+    def _set_mode(self, mode: str) -> None:
+        if mode != self._mode:
+            self._past.clear()
+            self._ticked = None
+        self._mode, self._played = mode, None
+
+    def _begin_to_play(self) -> None:
+        self._goals.drop()
+        self._set_mode("playing")
+        self._played = self.session.play(surface=True)
+
+    def _play_on(self) -> None:
+        """Do again the next row of steps, in its own time."""
+        assert self._played is not None
+        began, before = time.perf_counter(), self.session.step_count
+        try:
+            frame = next(self._played, None)
+        except SimulationError as error:
+            self._messages.extend(str(problem) for problem in error.problems)
+            frame = None
+        if frame is None:
+            self._set_mode("paused")
+            frame = self.session.frame(surface=True)
+        else:
+            seconds = (self.session.step_count - before) * self.session.simulation.step_s
+            spare = seconds - (time.perf_counter() - began) - self._frame_s
+            if spare > 0.0:
+                time.sleep(min(spare, 1.0))
+            self._measure()
+        self._publish(frame)
+
+    def _steps_due(self, elapsed_s: float) -> int:
+        """How many steps the next frame takes: as much time as went by, or as many as there is time for."""
+        step_s = self.session.simulation.step_s
+        most_s = _SLOWEST * self._frame_s
+        wanted = min(max(elapsed_s, self._frame_s), most_s) / step_s + self._part
+        steps = max(1, int(min(wanted, self._steps_most)))
+        self._part = min(wanted - steps, 1.0)
+        return steps
+
+    def _learn(self, took_s: float) -> None:
+        """Let the next frame take more steps or fewer, by how long this one took with all else that it does."""
+        real_time, longest = self._frame_s / self.session.simulation.step_s, _SLOWEST * self._frame_s
+        change = min(max(longest / max(took_s, 1e-6), _STEPS_DOWN), _STEPS_UP)
+        self._steps_most = min(max(self._steps_most * change, _STEPS_LEAST * real_time), _SLOWEST * real_time)
+
+    def _measure(self) -> None:
+        now = time.perf_counter()
+        self._past.append((now, self.session.step_count))
+        while len(self._past) > 2 and now - self._past[0][0] > _MEASURED_S:
+            self._past.popleft()
+
+    def _begin_to_record(self, path: Path) -> None:
+        self._finish_recording()
+        self._recorder = Recorder(self.session, path, case=self._manifest)
+        self._messages.append(f"recording into {path.name}")
+
+    def _finish_recording(self) -> None:
+        recorder, self._recorder = self._recorder, None
+        if recorder is not None:
+            recorder.finish()
+            self._messages.append(f"recorded in {recorder.path.name}")
+
+    def _begin_to_leave(self, name: str) -> None:
+        simulation = self.session.simulation
+        self._goals.drop(name)
+        if any(grab.name == name for grab in simulation.grabs):
+            self._goals.set(LeadGrab(name=name, offset_mm=(0.0, 0.0, 0.0)), SOFT_SPEED_MM_S)
+            self._leaving[name] = OpenGrab(name=name)
+        elif any(probe.name == name for probe in simulation.probes):
+            known = self.session.entries[: self.session.position]
+            came = [one.command for one in known if isinstance(one.command, BringProbe) and one.command.name == name]
+            if came:
+                self._goals.set(MoveProbe(name=name, center_mm=came[-1].center_mm), SOFT_SPEED_MM_S)
+            self._leaving[name] = WithdrawProbe(name=name)
+
+    def _leave(self) -> None:
+        """Ask those to let go that nobody leads any more and that have come to where they are let go."""
+        if self._mode == "running":
+            for name in [name for name in self._leaving if name not in self._goals]:
+                self._ask([self._leaving.pop(name)])
+
+    def _publish(self, frame: Frame) -> None:
+        self.newest = self._published(frame)
+        self._heard()
+
+    def _published(self, frame: Frame) -> LiveFrame:
+        session, simulation = self.session, self.session.simulation
+        assert simulation.surface is not None
+        factor = rate = None
+        if len(self._past) > 1:
+            (began, first), (ended, last) = self._past[0], self._past[-1]
+            rate = (last - first) / max(ended - began, 1e-9)
+            factor = rate * simulation.step_s
+        return LiveFrame(
+            frame=frame,
+            surface=simulation.surface,
+            triangle_origin=None if simulation.split is None else simulation.split.triangle_origin,
+            held=_held(simulation),
+            probes=_probes(simulation),
+            mode=self._mode,
+            real_time_factor=factor,
+            steps_per_second=rate,
+            ahead_s=(session.end_step - session.step_count) * simulation.step_s,
+            recording=None if self._recorder is None else self._recorder.path.name,
+            act_count=self._acts_done(),
+        )
+
+    def _acts_done(self) -> int:
+        """How many acts are done; only what came since the last time is looked at, where nothing was taken back."""
+        position = self.session.position
+        if position < self._counted:
+            self._act_count = self._counted = 0
+        new = self.session.entries[self._counted : position]
+        self._act_count += sum(isinstance(entry.command, _ACTS) for entry in new)
+        self._counted = position
+        return self._act_count
+
+
+def _places_mm(simulation: Simulation) -> dict[str, Float64]:
+    """Offset of each hand and centre of each probe, LPS mm, by name."""
+    model = simulation.model
+    places = {grab.name: model.to_mm(grab.pose.offset) for grab in simulation.grabs}
+    for probe in simulation.probes:
+        places[probe.name] = model.geometry.index_to_world(probe.centre - 0.5)
+    return places
+
+
+def _held(simulation: Simulation) -> tuple[Held, ...]:
+    model = simulation.model
+    to_world = model.geometry.direction_matrix
+    found = []
+    for grab in simulation.grabs:
+        centre_mm = model.geometry.index_to_world(grab.centre_at(grab.pose, model) - 0.5)
+        turn: Turn | None = None
+        if not np.array_equal(grab.pose.turn, np.eye(3)):
+            x, y, z = (to_world @ grab.pose.turn @ to_world.T).tolist()
+            turn = ((x[0], x[1], x[2]), (y[0], y[1], y[2]), (z[0], z[1], z[2]))
+        found.append(Held(grab.name, centre_mm, model.to_mm(grab.pose.offset), turn))
+    return tuple(found)
+
+
+def _probes(simulation: Simulation) -> dict[str, Float64]:
+    model = simulation.model
+    to_mm = model.geometry.direction_matrix * model.cell_mm
+    return {
+        probe.name: to_mm @ np.column_stack([probe.turn * probe.semi_axes, probe.half_axis])
+        for probe in simulation.probes
+    }

@@ -1,0 +1,1 @@
+"""Shaping: what a recipe says beside strokes, changed by hand: vessel ends, walls, edits, landmarks, materials."""

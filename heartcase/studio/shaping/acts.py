@@ -1,0 +1,179 @@
+"""What a page's request makes of a recipe's text."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
+
+from heartcase.pipeline.building.recipe_text import changed_text, place_words, without_line
+from heartcase.schemas.base import Model
+from heartcase.schemas.errors import Problem, UsageError, problems_from_validation
+from heartcase.schemas.labels import Label
+from heartcase.schemas.landmarks import Landmark
+from heartcase.schemas.recipe.edit_settings import Edit
+from heartcase.schemas.recipe.recipe import AUTOMATIC, Recipe
+from heartcase.schemas.recipe.settings import EndMarker, MaterialSettings, Pin, SeptumThickness, WallThickness
+from heartcase.schemas.toml_places import Place
+from heartcase.studio.shaping.facts import LINES, SETTINGS
+from heartcase.studio.shaping.requests import Add, Change, Remove, Set
+
+__all__ = ["done_to"]
+
+_LINES: dict[str, TypeAdapter[Any]] = {
+    "ends": TypeAdapter(EndMarker),
+    "edits": TypeAdapter(Edit),
+    "landmarks": TypeAdapter(Landmark),
+    "pins": TypeAdapter(Pin),
+    "walls.thickness": TypeAdapter(WallThickness),
+    "walls.septum": TypeAdapter(SeptumThickness),
+}
+_FIRST_KEYS = ("kind", "name", "label")
+"""What a line begins with, as people write it."""
+
+
+def done_to(head: str, recipe: Recipe, request: Add | Change | Remove | Set) -> tuple[str, str]:
+    """The recipe's text after a request, and what was changed, in the recipe's words.
+
+    Parameters
+    ----------
+    head
+        The recipe's text, without the strokes of sessions at its end.
+    recipe
+        What it says.
+    request
+        What is asked.
+
+    Raises
+    ------
+    UsageError
+        There is no such line or setting, or it cannot say that; every problem.
+    RecipeError
+        The part is written in a way that cannot be changed by itself.
+    """
+    if isinstance(request, Set):
+        return _set(head, recipe, request)
+    place: Place = tuple(request.list.split("."))
+    if request.list == "ends":
+        head = _without_automatic(head)
+    count = len(_at(recipe, request.list))
+    match request:
+        case Add():
+            lines = [_line(request.list, number, entry) for number, entry in enumerate(request.entries, start=count)]
+            changes = [((*place, number), line) for number, line in enumerate(lines, start=count)]
+            return changed_text(head, *changes), place_words((*place, count))
+        case Change():
+            where = _existing(request.list, request.number, count)
+            return changed_text(head, (where, _line(request.list, request.number - 1, request.entry))), place_words(
+                where
+            )
+        case Remove():
+            where = _existing(request.list, request.number, count)
+            return changed_text(head, (where, None)), place_words(where)
+
+
+def _at(recipe: Recipe, name: str) -> tuple[Model, ...]:
+    found: Any = recipe
+    for key in name.split("."):
+        found = getattr(found, key)
+    return tuple(found)
+
+
+def _existing(name: str, number: int, count: int) -> Place:
+    if number > count:
+        raise UsageError(f"there is no line {number}: the recipe has {count}", place=name)
+    return (*name.split("."), number - 1)
+
+
+def _line(name: str, number: int, entry: Mapping[str, Any]) -> dict[str, Any]:
+    """A line as it is written: what is not stated stays away."""
+    stated = {key: value for key, value in entry.items() if value is not None}
+    try:
+        model: Model = _LINES[name].validate_python(stated)
+    except ValidationError as error:
+        raise UsageError(_problems(error, name, number)) from None
+    written = model.model_dump(mode="json", exclude_unset=True)
+    return {key: written[key] for key in sorted(written, key=_rank)}
+
+
+def _problems(error: ValidationError, name: str, number: int) -> tuple[Problem, ...]:
+    """What is wrong with a line; pydantic puts the kind of line into places."""
+    place = place_words((*name.split("."), number))
+    places = {f"{place}.{kind}": place for kind in LINES[name]}
+    found = []
+    for problem in problems_from_validation(error, place=place):
+        kind = next((one for one in places if f"{problem.place}.".startswith(f"{one}.")), None)
+        where = problem.place if kind is None else problem.place.replace(kind, places[kind], 1)
+        found.append(Problem(where, problem.message))
+    return tuple(found)
+
+
+def _rank(key: str) -> int:
+    return _FIRST_KEYS.index(key) if key in _FIRST_KEYS else len(_FIRST_KEYS)
+
+
+def _without_automatic(head: str) -> str:
+    """The text with ``ends = "automatic"`` said in the other way, which leaves room for lines."""
+    if tomllib.loads(head).get("ends") != AUTOMATIC:
+        return head
+    return changed_text(without_line(head, "ends"), (("walls", "find_ends"), True))
+
+
+def _set(head: str, recipe: Recipe, request: Set) -> tuple[str, str]:
+    first, *rest = request.place
+    if first == "labels" and len(rest) == 2 and rest[1] == "wall_thickness_mm":
+        return _set_wall(head, recipe, rest[0], request.value)
+    if first == "materials" and rest[0] == "labels" and len(rest) == 2:
+        return _set_material(head, recipe, rest[1], request.value)
+    if first not in SETTINGS or rest not in ([key] for key in SETTINGS[first][1]):
+        raise UsageError("this is not set on this page: change it in the recipe's file", place=".".join(request.place))
+    if isinstance(request.value, dict | list):
+        raise UsageError("must be one value", place=".".join(request.place))
+    if first == "walls":
+        head = _without_automatic(head)
+    return changed_text(head, (tuple(request.place), request.value)), ".".join(request.place)
+
+
+def _set_wall(head: str, recipe: Recipe, name: str, value: Any) -> tuple[str, str]:
+    place = f"labels.{name}.wall_thickness_mm"
+    label = recipe.table.find(name)
+    if label is None:
+        raise UsageError(f"there is no label {name!r}: take one of the list", place=place)
+    stated = tomllib.loads(head).get("labels")
+    changes: list[tuple[Place, Any]] = []
+    if stated is None:
+        # A table that is stated replaces the usual one, so all of it is.
+        stated = [_label_line(one) for one in recipe.labels if one.value != 0]
+        changes.append((("labels",), stated))
+    at = next((n for n, one in enumerate(stated) if one["value"] == label.value), None)
+    if at is None:
+        raise UsageError("is no cavity and has no wall", place=place)
+    if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)):
+        raise UsageError("must be a number, in mm", place=place)
+    # no wall is what a label has when nothing is said
+    changes.append((("labels", at, "wall_thickness_mm"), value or None))
+    return changed_text(head, *changes), place
+
+
+def _label_line(label: Label) -> dict[str, Any]:
+    keys = ("value", "name", "role", "colour", "wall_thickness_mm", "snomed")
+    written = label.model_dump(mode="json", exclude_defaults=True)
+    return {key: written[key] for key in keys if key in written}
+
+
+def _set_material(head: str, recipe: Recipe, name: str, value: Any) -> tuple[str, str]:
+    place = f"materials.labels.{name}"
+    if value is None:
+        if name not in recipe.materials.labels:
+            raise UsageError("has no constants of its own", place=place)
+        return changed_text(head, (("materials", "labels", name), None)), place
+    if not isinstance(value, dict):
+        raise UsageError("must be a table of constants", place=place)
+    try:
+        settings = MaterialSettings.model_validate(value)
+    except ValidationError as error:
+        raise UsageError(problems_from_validation(error, place=place)) from None
+    stated = settings.model_dump(mode="json", exclude_unset=True)
+    return changed_text(head, (("materials", "labels", name), stated)), place

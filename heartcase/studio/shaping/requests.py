@@ -1,0 +1,100 @@
+"""What a page asks for to shape a model: lines of the recipe added, changed and removed, and proposals for them."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, JsonValue
+
+from heartcase.schemas.base import Model, Name, PointMm
+
+__all__ = ["Add", "Change", "FindEnds", "ListName", "Propose", "Remove", "RequestId", "Set", "ShapingRequest"]
+
+RequestId = Annotated[int, Field(ge=0, le=1 << 53)]
+
+ListName = Literal["ends", "edits", "landmarks", "pins", "walls.thickness", "walls.septum"]
+"""Lists of the recipe that a page changes."""
+
+_Entry = dict[Annotated[str, Field(max_length=64)], JsonValue]
+_Number = Annotated[int, Field(ge=1, le=100_000)]
+
+
+class Add(Model):
+    """Add lines to a list of the recipe, as one act."""
+
+    id: RequestId
+    """Number that the answer names."""
+    do: Literal["add"]
+    """Which request."""
+    list: ListName
+    """Which list."""
+    entries: Annotated[tuple[_Entry, ...], Field(min_length=1, max_length=100)]
+    """What the lines say, as in the recipe."""
+
+
+class Change(Model):
+    """Let a line of a list say something else."""
+
+    id: RequestId
+    """Number that the answer names."""
+    do: Literal["change"]
+    """Which request."""
+    list: ListName
+    """Which list."""
+    number: _Number
+    """Which line, from 1."""
+    entry: _Entry
+    """All that it says then."""
+
+
+class Remove(Model):
+    """Take a line out of a list."""
+
+    id: RequestId
+    """Number that the answer names."""
+    do: Literal["remove"]
+    """Which request."""
+    list: ListName
+    """Which list."""
+    number: _Number
+    """Which line, from 1."""
+
+
+class Set(Model):
+    """Give a setting another value."""
+
+    id: RequestId
+    """Number that the answer names."""
+    do: Literal["set"]
+    """Which request."""
+    place: Annotated[tuple[Annotated[str, Field(min_length=1, max_length=64)], ...], Field(min_length=2, max_length=4)]
+    """Keys that lead to it; a label is called by its name."""
+    value: JsonValue = None
+    """What is set; null leaves the setting out, so that its default counts."""
+
+
+class FindEnds(Model):
+    """Find where vessels end that the recipe does not cut yet."""
+
+    id: RequestId
+    """Number that the answer names."""
+    do: Literal["find_ends"]
+    """Which request."""
+
+
+class Propose(Model):
+    """Propose how a disc lies at a place: across a vessel, or in a septum."""
+
+    id: RequestId
+    """Number that the answer names."""
+    do: Literal["propose"]
+    """Which request."""
+    about: Literal["vessel", "septum"]
+    """Whether it is to cut a vessel, or to lie in the septum between two cavities."""
+    position_mm: PointMm
+    """Where, LPS mm."""
+    label: Name | None = None
+    """Which vessel; the one at the place when left out."""
+
+
+ShapingRequest = Add | Change | Remove | Set | FindEnds | Propose

@@ -1,0 +1,168 @@
+"""Shaping a recipe, as a page drives it: what is there, acts on it, and proposals from the labels as they are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from heartcase.pipeline.building.recipe_history import RecipeHistory
+from heartcase.pipeline.data import Segmentation
+from heartcase.pipeline.edits.septum_place import septum_place
+from heartcase.pipeline.ends.discs import Stumps, end_marker
+from heartcase.pipeline.ends.end_place import end_place
+from heartcase.pipeline.ends.find_ends import find_ends
+from heartcase.pipeline.markers.session import SegmentationSession
+from heartcase.pipeline.walls.grow_walls import resolve_walls
+from heartcase.schemas.base import Model
+from heartcase.schemas.recipe.recipe import Recipe
+from heartcase.studio.messages import text_message
+from heartcase.studio.shaping.acts import done_to
+from heartcase.studio.shaping.facts import LINES, SETTINGS, shaping_facts
+from heartcase.studio.shaping.requests import Add, Change, FindEnds, Propose, Remove, Set
+
+__all__ = ["Shaping"]
+
+
+class Shaping:
+    """What a recipe says beside its strokes.
+
+    Parameters
+    ----------
+    history
+        The recipe's text and the acts on it.
+    session
+        The labels as they are painted now.
+    """
+
+    def __init__(self, history: RecipeHistory, session: SegmentationSession) -> None:
+        self._history = history
+        self._session = session
+
+    @staticmethod
+    def facts() -> str:
+        """A message of what may be said: see :func:`shaping_facts`."""
+        return text_message("shaping_facts", **shaping_facts())
+
+    def shape(self) -> str:
+        """A message of what the recipe says now."""
+        recipe = self._history.recipe
+        table = recipe.table
+        devices = sorted({edit.label for edit in recipe.edits if edit.kind == "close_defect"} - _names(recipe))
+        return text_message(
+            "shape",
+            lines={name: [_plain(line) for line in _at(recipe, name)] for name in LINES},
+            settings={
+                name: {key: value for key, value in _plain(_at(recipe, name)).items() if key in keys}
+                for name, (_, keys) in SETTINGS.items()
+            },
+            walls=[
+                {
+                    "label": label.name,
+                    "term": label.term.name if label.term else None,
+                    "wall_thickness_mm": label.wall_thickness_mm,
+                    "has_table": any(table.find(one.label) == label for one in recipe.walls.thickness),
+                }
+                for label in table
+                if label.role.is_blood
+            ],
+            materials={name: _plain(one) for name, one in recipe.materials.labels.items()},
+            structures=[
+                {
+                    "name": label.name,
+                    "role": label.role.value,
+                    "colour": label.colour,
+                    "is_grown": label.value not in table,
+                }
+                for label in table.with_walls()
+            ]
+            + [{"name": name, "role": "device", "colour": "#a0a0a0", "is_grown": False} for name in devices],
+            is_locked=recipe.lock is not None,
+        )
+
+    def act(self, request: Add | Change | Remove | Set) -> None:
+        """Carry an act out.
+
+        Raises
+        ------
+        HeartcaseError
+            It cannot be done, and nothing has changed.
+        """
+        history = self._history
+        head, kind = done_to(history.head, history.recipe, request)
+        history.change(kind, head)
+        # what was painted and taken back before cannot be done again behind this
+        self._session.offer_again(())
+
+    def propose(self, request: Propose) -> str:
+        """How a disc lies at a place.
+
+        Raises
+        ------
+        HeartcaseError
+            Nothing is painted, or there is nothing to propose at the place.
+        """
+        segmentation, recipe = self._session.segmentation(), self._history.recipe
+        table = recipe.table.with_walls()
+        if request.about == "vessel":
+            stumps = _stumps(recipe, segmentation)
+            end = end_place(segmentation, table, stumps, request.position_mm, request.label)
+            return text_message("proposal", id=request.id, **_plain(end))
+        place = septum_place(segmentation, table, request.position_mm)
+        return text_message(
+            "proposal",
+            id=request.id,
+            position_mm=_rounded(place.position_mm, 1),
+            axis=_rounded(place.axis, 3),
+            thickness_mm=round(place.thickness_mm, 1),
+            between=place.between,
+        )
+
+    def find_ends(self, request: FindEnds) -> Callable[[], str]:
+        """What finds the ends that the recipe does not cut yet, in the labels as they are now.
+
+        Raises
+        ------
+        HeartcaseError
+            Nothing is painted.
+        """
+        # a copy: painting goes on meanwhile
+        segmentation, recipe = self._session.segmentation(), self._history.recipe
+
+        def find() -> str:
+            stumps = _stumps(recipe, segmentation)
+            found = find_ends(segmentation, recipe.table.with_walls(), stumps, known=recipe.ends)
+            return text_message(
+                "found_ends",
+                id=request.id,
+                ends=[_plain(end_marker(end)) for end in found.ends if not end.is_open],
+                open=sorted({end.label for end in found.ends if end.is_open}),
+                dropped=found.dropped,
+            )
+
+        return find
+
+
+def _stumps(recipe: Recipe, segmentation: Segmentation) -> Stumps:
+    geometry = segmentation.geometry
+    walls = resolve_walls(recipe.walls, geometry, recipe.table)
+    return Stumps.of(walls, recipe.table.with_walls(), geometry.spacing_mm)
+
+
+def _at(recipe: Recipe, name: str) -> Any:
+    found: Any = recipe
+    for key in name.split("."):
+        found = getattr(found, key)
+    return found
+
+
+def _names(recipe: Recipe) -> set[str]:
+    return {label.name for label in recipe.table.with_walls()}
+
+
+def _plain(model: Model) -> dict[str, Any]:
+    """What a line states, its defaults left out."""
+    return model.model_dump(mode="json", exclude_defaults=True)
+
+
+def _rounded(vector: tuple[float, ...], digits: int) -> list[float]:
+    return [round(one, digits) + 0.0 for one in vector]

@@ -1,0 +1,240 @@
+"""A session in a thread: commands at any time, time that stands and goes back, recordings that repeat to the byte."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from heartcase.schemas.recording.commands import (
+    BringProbe,
+    CloseGrab,
+    Cut,
+    LeadGrab,
+    MoveProbe,
+    OpenGrab,
+    Redo,
+    Rewind,
+    Undo,
+)
+from heartcase.schemas.recording.reader import open_recording
+from heartcase.simulator.live.live import Live
+from heartcase.simulator.session.replay import load_session
+from tests.simulator.live.scenes import bytes_of, live_on, load, threads, until
+
+TOP = (22.0, -14.0, 40.5)
+"""A place at the upper side of the block, LPS mm."""
+
+
+@pytest.fixture
+def case(live_case):
+    return load(live_case)
+
+
+def played_again(path, case):
+    again = load_session(open_recording(path), case.model, surface=case.surface, tissue=case.tissue)
+    for _ in again.play():
+        pass
+    assert again.deviations == []
+    return again
+
+
+def test_a_hand_comes_to_where_it_was_led_by_ticks_and_the_recording_repeats(case, tmp_path):
+    live = live_on(case)
+    live.record(tmp_path / "a.recording")
+    live.do(CloseGrab(name="hand", center_mm=TOP, radius_mm=4.0), LeadGrab(name="hand", offset_mm=(0.0, 0.0, 6.0)))
+    lifted = []
+    for _ in range(200):
+        live.tick()
+        lifted.append(live.newest.held[0].offset_mm[2])
+        if lifted[-1] >= 6.0:
+            break
+    assert lifted[-1] == pytest.approx(6.0, abs=1e-9)
+    steps = live.newest.frame.step
+    # 6 mm at 150 mm/s.
+    assert steps * live.session.simulation.step_s >= 0.039
+    assert live.newest.frame.instruments["hand"].force_n[2] < 0.0
+    live.do(OpenGrab(name="hand"))
+    live.tick()
+    assert live.newest.held == ()
+    assert live.newest.act_count == 2
+    end = bytes_of(live.session.simulation)
+    live.close()
+    assert bytes_of(played_again(tmp_path / "a.recording", case).simulation) == end
+
+
+def test_what_is_refused_is_told_once_and_the_rest_is_done(case):
+    live = live_on(case)
+    away = CloseGrab(name="hand", center_mm=(500.0, 0.0, 0.0))
+    live.do(away, LeadGrab(name="hand", offset_mm=(1.0, 0.0, 0.0)), OpenGrab(name="hand"))
+    live.do(BringProbe(name="tip", center_mm=(22.0, -14.0, 60.0), semi_axes_mm=(3.0, 3.0, 3.0)))
+    live.tick()
+    assert len(live.take_messages()) == 1
+    assert live.take_messages() == []
+    assert list(live.newest.frame.instruments) == ["tip"]
+    assert live.newest.probes["tip"][:, :3] == pytest.approx(3.0 * np.eye(3))
+    live.close()
+
+
+def test_going_back_pauses_playing_comes_to_the_same_bytes_and_an_act_takes_over(case):
+    live = live_on(case)
+    live.do(CloseGrab(name="hand", center_mm=TOP, radius_mm=4.0), LeadGrab(name="hand", offset_mm=(0.0, 0.0, 3.0)))
+    for _ in range(10):
+        live.tick()
+    end, step = bytes_of(live.session.simulation), live.newest.frame.step
+    live.do(Undo())
+    live.tick()
+    assert (live.newest.mode, live.newest.held, live.newest.act_count) == ("paused", (), 0)
+    assert live.newest.ahead_s > 0.0
+    live.tick()
+    assert live.newest.frame.step == 0
+    live.do(Redo())
+    live.tick()
+    assert bytes_of(live.session.simulation) == end
+    live.do(Rewind(seconds=0.5 * live.newest.frame.time_s))
+    live.tick()
+    assert 0 < live.newest.frame.step < step
+    live.play()
+    while live.newest.mode != "paused" or live.newest.ahead_s > 0.0:
+        live.tick()
+    assert bytes_of(live.session.simulation) == end
+    live.do(Rewind(seconds=0.5 * live.newest.frame.time_s))
+    live.play()
+    live.tick()
+    live.do(OpenGrab(name="hand"))
+    live.tick()
+    assert live.newest.mode == "running"
+    assert live.newest.ahead_s == 0.0
+    live.close()
+
+
+def test_the_thread_runs_cuts_records_and_leaves_nothing_behind(case, tmp_path):
+    before = threads()
+    live = live_on(case)
+    live.record(tmp_path / "a.recording")
+    live.start()
+    until(lambda: live.newest.frame.step > 0)
+    node_count = live.newest.frame.model.node_count
+    poses = tuple(tuple((22.3, y, z) for y in (-18.0, -10.0)) for z in (45.0, 33.0))
+    live.do(Cut(poses_mm=poses))
+    until(lambda: live.newest.frame.model.node_count > node_count)
+    newest = live.newest
+    # What is published is of one moment.
+    assert len(newest.frame.surface.vertices_mm) == newest.surface.vertex_count
+    assert newest.triangle_origin.shape == (len(newest.surface.triangles),)
+    assert (newest.triangle_origin < 0).any()
+    live.do(BringProbe(name="tip", center_mm=(22.0, -14.0, 47.0), semi_axes_mm=(3.0, 3.0, 3.0)))
+    live.do(MoveProbe(name="tip", center_mm=(22.0, -14.0, 42.0)))
+    until(lambda: "tip" in live.newest.frame.instruments)
+    until(lambda: np.linalg.norm(live.newest.frame.instruments["tip"].force_n) > 0.0)
+    live.pause(True)
+    until(lambda: live.newest.mode == "paused")
+    step = live.newest.frame.step
+    live.pause(False)
+    until(lambda: live.newest.frame.step > step)
+    live.close()
+    live.close()
+    assert live.error is None
+    assert threads() == before
+    end = bytes_of(live.session.simulation)
+    assert bytes_of(played_again(tmp_path / "a.recording", case).simulation) == end
+
+
+def test_what_ends_the_thread_is_kept_and_the_recording_is_finished(case, tmp_path):
+    live = live_on(case)
+    live.record(tmp_path / "a.recording")
+    live.start()
+    until(lambda: live.newest.recording is not None)
+
+    def fail():
+        raise ZeroDivisionError("a fault")
+
+    live._ask([fail])
+    until(lambda: live.error is not None)
+    live.close()
+    assert isinstance(live.error, ZeroDivisionError)
+    assert open_recording(tmp_path / "a.recording").header.end is not None
+
+
+def test_steps_of_a_frame_are_those_of_the_time_that_went_by_or_those_that_there_is_time_for(case):
+    live = live_on(case)
+    step_s, frame_s = live.session.simulation.step_s, live._frame_s
+
+    def settled(fixed_s, per_step_s):
+        """Simulated time over time that goes by, on a machine that needs so long for a frame and for a step."""
+        simulated = wall = 0.0
+        elapsed = frame_s
+        for n in range(300):
+            steps = live._steps_due(elapsed)
+            took = fixed_s + steps * per_step_s
+            live._learn(took)
+            elapsed = max(took, frame_s)
+            assert steps * step_s <= 2.6 * frame_s
+            if n >= 100:
+                simulated, wall = simulated + steps * step_s, wall + elapsed
+        return simulated / wall, elapsed
+
+    # As quick as it need be: real time, neither more nor less.
+    assert settled(0.002, 0.1 * step_s)[0] == pytest.approx(1.0, rel=0.01)
+    # What a frame takes besides steps is made up for by fewer frames.
+    assert settled(0.5 * frame_s, 0.7 * step_s)[0] == pytest.approx(1.0, rel=0.02)
+    # Too slow: half of real time, in frames of at most two and a half times the length.
+    factor, elapsed = settled(0.002, 2.0 * step_s)
+    assert factor == pytest.approx(0.5, rel=0.1)
+    assert elapsed <= 1.2 * 2.5 * frame_s
+    # Much too slow: time goes on all the same.
+    assert settled(1.0, 50.0 * step_s)[0] > 0.15 * frame_s / (1.0 + 0.2 * 50.0 * frame_s)
+    live.close()
+
+
+def test_a_thread_that_was_never_started_is_closed(case):
+    live = Live(live_on(case).session)
+    live.close()
+    live.close()
+
+
+def test_a_cut_that_was_begun_is_made_before_the_end(case, tmp_path):
+    live = live_on(case)
+    live.record(tmp_path / "a.recording")
+    live.do(Cut(poses_mm=tuple(tuple((22.3, y, z) for y in (-18.0, -10.0)) for z in (45.0, 33.0))))
+    live._do_asked()
+    assert live.session.frame().coming_cuts == 1
+    live.close()
+    again = played_again(tmp_path / "a.recording", case)
+    assert [entry.command.kind for entry in again.entries] == ["cut"]
+    assert again.simulation.model.node_count > case.model.node_count
+
+
+def test_what_nobody_leads_any_more_stays_comes_back_slowly_and_lets_go(case):
+    live = live_on(case)
+    live.do(CloseGrab(name="hand", center_mm=TOP, radius_mm=4.0), LeadGrab(name="hand", offset_mm=(0.0, 0.0, 3.0)))
+    live.do(BringProbe(name="tip", center_mm=(22.0, -14.0, 60.0), semi_axes_mm=(3.0, 3.0, 3.0)))
+    live.do(MoveProbe(name="tip", center_mm=(22.0, -14.0, 55.0)))
+    for _ in range(200):
+        live.tick()
+    assert live.newest.held[0].offset_mm[2] == pytest.approx(3.0, abs=1e-9)
+    live.do(LeadGrab(name="hand", offset_mm=(0.0, 0.0, 100.0)))
+    live.let_go_softly("hand")
+    live.let_go_softly("tip")
+    live.let_go_softly("nothing")
+    heights, times = [3.0], [live.newest.frame.time_s]
+    while live.newest.frame.instruments:
+        live.tick()
+        heights += [one.offset_mm[2] for one in live.newest.held]
+        times.append(live.newest.frame.time_s)
+        assert len(times) < 1000
+    # never further, and at 30 mm/s where the mouse may lead at 150
+    assert max(heights) == pytest.approx(3.0, abs=1e-9)
+    assert heights[-1] == pytest.approx(0.0, abs=1e-9)
+    assert times[-1] - times[0] >= 5.0 / 30.0
+    assert [one.command.kind for one in live.session.entries].count("open_grab") == 1
+    assert live.take_messages() == []
+    live.close()
+
+
+def test_a_frame_is_told_of_when_it_is_there(case):
+    heard = []
+    live = Live(live_on(case).session, heard=lambda: heard.append(live.newest.frame.step) if heard else heard.append(0))
+    live.tick()
+    live.tick()
+    assert heard[-1] == live.newest.frame.step
+    live.close()

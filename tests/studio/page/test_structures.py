@@ -1,0 +1,51 @@
+"""The list of structures on the studio's page: locks and states; in a real browser."""
+
+from heartcase.schemas.recipe.recipe import load_recipe
+from tests.studio.axe.accessible import assert_accessible
+from tests.studio.page.browsing import browsing, mm_of, until
+from tests.studio.page.test_page import MIDDLE, inside, look_at, off, stroke
+
+
+def test_a_locked_structure_stays_and_states_are_shown(chromium, painted):
+    server, path, affine = painted
+    middle, corner = mm_of(MIDDLE, affine)[0], mm_of([4, 24, 17], affine)[0]
+    with browsing(chromium, server) as page:
+
+        def row(name):
+            return page.tab.locator("#structures .structure").filter(has_text=name)
+
+        def state(name):
+            return row(name).locator(".mark").get_attribute("data-state")
+
+        look_at(page, middle, affine)
+        assert state("aorta") == "nothing"
+        for name, mm in (("background", corner), ("aorta", middle)):
+            row(name).locator(".pick").click()
+            stroke(page, "axial", [mm, off(mm, 2.0, 0, 0)], affine)
+        page.saved(2)
+        until(lambda: state("aorta") in ("confident", "unsure"))
+        assert state("pulmonary artery") == "nothing"
+        row("aorta").locator(".lock").click()
+        page.tab.locator(".lock[aria-pressed=true]").wait_for()
+        text = path.read_text()
+        page.tab.mouse.move(5, 5)
+        page.drawn()
+        before = inside(page, "axial")
+        row("pulmonary artery").locator(".pick").click()
+        stroke(page, "axial", [middle, off(middle, 1.0, 0, 0)], affine)
+        page.tab.locator("#notice").wait_for()
+        assert "would change what is locked: aorta" in page.text("#notice")
+        assert_accessible(page, "locked")
+        page.tab.mouse.move(5, 5)
+        row("aorta").locator(".pick").click()
+        page.drawn()
+        page.tab.locator("#notice-close").click()
+        assert path.read_text() == text
+        page.drawn()
+        assert (inside(page, "axial") != before).mean() < 0.02
+        row("aorta").locator(".lock").click()
+        page.tab.locator(".lock[aria-pressed=true]").wait_for(state="detached")
+        row("pulmonary artery").locator(".pick").click()
+        stroke(page, "axial", [middle, off(middle, 1.0, 0, 0)], affine)
+        page.saved(3)
+        assert [one.label for one in load_recipe(path).strokes] == ["background", "aorta", "pulmonary artery"]

@@ -1,0 +1,82 @@
+"""Locked structures and states of structures, through the studio's server."""
+
+import threading
+
+import numpy as np
+import pytest
+
+from heartcase.pipeline.building.session_file import open_session
+from heartcase.schemas.recipe.recipe import load_recipe
+from heartcase.studio import states
+from tests.studio.talking import page, studio, write_recipe
+
+
+@pytest.fixture
+def recipe(tmp_path):
+    return write_recipe(tmp_path)
+
+
+def told(talker, kind):
+    return [one for one in talker.told if one["kind"] == kind]
+
+
+def test_a_lock_refuses_strokes_of_others_is_kept_and_is_no_line_of_the_recipe(recipe):
+    path, middle = recipe
+    with studio(path) as browser, page(browser) as talker, page(browser) as other:
+        talker.ask(do="paint", label="aorta", radius_mm=1.0, points_mm=[middle])
+        talker.ask(do="end")
+        before, text = talker.labels.copy(), path.read_text()
+        assert talker.ask(do="lock", labels=["aorta"])["kind"] == "done"
+        assert told(talker, "structures")[-1]["locked"] == ["aorta"]
+        assert other.hear("structures")["locked"] == []
+        assert path.read_text() == text
+        other.ask(do="end")
+        assert told(other, "structures")[-1]["locked"] == ["aorta"]
+        refused = other.ask(do="paint", label="left ventricle", radius_mm=2.0, points_mm=[middle])
+        assert "would change what is locked: aorta" in refused["problems"][0]["message"]
+        other.ask(do="end")
+        np.testing.assert_array_equal(other.labels, before)
+        assert path.read_text() == text
+        assert talker.ask(do="lock", labels=["spleen"])["problems"] == [
+            {"place": "lock", "message": "there is no label 'spleen'"}
+        ]
+    with studio(path) as browser, page(browser) as talker:
+        assert told(talker, "structures")[-1]["locked"] == ["aorta"]
+        assert talker.ask(do="paint", label="left ventricle", radius_mm=2.0, points_mm=[middle])["kind"] == "refused"
+        # taking back goes on in spite of it
+        assert talker.ask(do="undo")["kind"] == "done"
+        assert talker.ask(do="redo")["kind"] == "done"
+        np.testing.assert_array_equal(talker.labels, before)
+        talker.ask(do="lock", labels=[])
+        assert talker.ask(do="paint", label="left ventricle", radius_mm=2.0, points_mm=[middle])["kind"] == "done"
+        talker.ask(do="end")
+    assert [stroke.label for stroke in load_recipe(path).strokes] == ["background", "aorta", "left ventricle"]
+    np.testing.assert_array_equal(open_session(path, out=path.parent / "out").session.labels, talker.labels)
+
+
+def test_states_are_told_when_it_is_quiet_and_no_stroke_waits_for_them(recipe, monkeypatch):
+    path, middle = recipe
+    with studio(path) as browser, page(browser) as talker:
+        first = talker.hear("states")["states"]
+        assert first["background"] == "marked"
+        assert first["aorta"] == "nothing"
+        talker.ask(do="paint", label="aorta", radius_mm=1.0, points_mm=[middle])
+        talker.ask(do="end")
+        assert talker.hear("states")["states"]["aorta"] in ("confident", "unsure")
+        # however long it takes, strokes go on meanwhile, and what is out of date is not told
+        began, may_end, real = threading.Event(), threading.Event(), states.structure_states
+
+        def slow(still):
+            began.set()
+            assert may_end.wait(60.0)
+            return real(still)
+
+        monkeypatch.setattr(states, "structure_states", slow)
+        talker.ask(do="lock", labels=[])
+        assert began.wait(60.0)
+        talker.told.clear()
+        talker.ask(do="paint", label="pulmonary artery", radius_mm=1.0, points_mm=[middle])
+        talker.ask(do="end")
+        may_end.set()
+        assert talker.hear("states")["states"]["pulmonary artery"] != "nothing"
+        assert len(told(talker, "states")) == 1

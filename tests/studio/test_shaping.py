@@ -1,0 +1,226 @@
+"""Shaping through the studio's server: lines of the recipe, and one history over all."""
+
+import json
+import random
+import tomllib
+
+import numpy as np
+import pytest
+
+from heartcase.schemas.recipe.recipe import parse_recipe
+from tests.studio.talking import page, studio, write_recipe
+
+END = {"label": "aorta", "position_mm": [0.0, 1.0, 2.0], "axis": [1.0, 0.0, 0.0], "radius_mm": 4.0}
+DEFECT = {"kind": "septal_defect", "position_mm": [0.0, 1.0, 2.0], "diameter_mm": 5.0, "axis": [1.0, 0.0, 0.0]}
+SCULPT = {"kind": "add", "label": "aorta", "radius_mm": 2.0, "points_mm": [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]}
+
+
+@pytest.fixture
+def recipe(tmp_path):
+    return write_recipe(tmp_path)
+
+
+def read(path):
+    return parse_recipe(path.read_text(), needs_markers=False)
+
+
+def last(talker, kind):
+    return [one for one in talker.told if one["kind"] == kind][-1]
+
+
+def test_what_is_done_stands_in_the_recipe_as_a_person_would_write_it(recipe):
+    path, middle = recipe
+    text = path.read_text()
+    with studio(path) as browser, page(browser) as talker:
+        stroke = {"label": "aorta", "radius_mm": 1.0, "points_mm": [middle]}
+        talker.ask(do="paint", **stroke)
+        talker.ask(do="end")
+        painted = talker.labels.copy()
+        assert talker.ask(do="add", list="ends", entries=[END])["undo_kind"] == "ends[1]"
+        assert talker.ask(do="add", list="edits", entries=[DEFECT | {"name": None}])["undo_count"] == 3
+        talker.ask(do="set", place=["materials", "youngs_modulus_kpa"], value=20)
+        talker.ask(do="change", list="ends", number=1, entry=END | {"radius_mm": 5.5})
+        assert path.read_text() == (
+            text
+            + '\n[[ends]]\nlabel = "aorta"\nposition_mm = [0.0, 1.0, 2.0]\naxis = [1.0, 0.0, 0.0]\nradius_mm = 5.5\n'
+            + '\n[[edits]]\nkind = "septal_defect"\nposition_mm = [0.0, 1.0, 2.0]\ndiameter_mm = 5.0\n'
+            + "axis = [1.0, 0.0, 0.0]\n\n[materials]\nyoungs_modulus_kpa = 20\n"
+            + '\n# Painted in a session.\n[[strokes]]\nlabel = "aorta"\nradius_mm = 1.0\n'
+            + f"points_mm = [{middle}]\n"
+        )
+        shape = last(talker, "shape")
+        assert shape["lines"]["ends"] == [END | {"radius_mm": 5.5}]
+        assert shape["lines"]["edits"] == [DEFECT]
+        assert shape["settings"]["materials"] == {"youngs_modulus_kpa": 20.0}
+        # strokes go on at the end, and every kind is taken back in its order
+        talker.ask(do="paint", **stroke | {"radius_mm": 1.5})
+        talker.ask(do="end")
+        whole = path.read_bytes()
+        kinds = [talker.ask(do="undo")["redo_kind"] for _ in range(3)]
+        assert kinds == ["strokes", "ends[1]", "materials.youngs_modulus_kpa"]
+        np.testing.assert_array_equal(talker.labels, painted)
+    with studio(path) as browser, page(browser) as talker:
+        assert (talker.opened["undo_count"], talker.opened["redo_count"]) == (3, 3)
+        for _ in range(3):
+            talker.ask(do="redo")
+        assert path.read_bytes() == whole
+        for _ in range(6):
+            talker.ask(do="undo")
+        assert path.read_text() == text
+        # what was taken back is gone when something else is done
+        assert (
+            talker.ask(do="add", list="landmarks", entries=[{"name": "apex", "kind": "point", "points_mm": [middle]}])[
+                "redo_count"
+            ]
+            == 0
+        )
+        assert talker.ask(do="redo")["kind"] == "refused"
+        talker.ask(do="remove", list="landmarks", number=1)
+        assert path.read_text() == text
+
+
+def test_a_wall_is_set_in_the_label_table_which_is_written_out_where_it_was_not(recipe):
+    path, _ = recipe
+    text = path.read_text()
+    with studio(path) as browser, page(browser) as talker:
+        facts = last(talker, "shaping_facts")
+        assert facts["usual_wall_mm"]["aorta"] == 2.0
+        before = read(path).table
+        assert talker.ask(do="set", place=["labels", "aorta", "wall_thickness_mm"], value=1.2)["kind"] == "done"
+        after = read(path).table
+        assert after["aorta"].wall_thickness_mm == 1.2
+        assert [one for one in after if one.name != "aorta"] == [one for one in before if one.name != "aorta"]
+        assert path.read_text().startswith(text + '\n[[labels]]\nvalue = 1\nname = "morphologically left ventricle"\n')
+        written = path.read_text()
+        talker.ask(do="set", place=["labels", "right atrium", "wall_thickness_mm"], value=0)
+        assert read(path).table["right atrium"].wall_thickness_mm == 0.0
+        talker.ask(do="undo")
+        assert path.read_text() == written
+        walls = {one["label"]: one["wall_thickness_mm"] for one in last(talker, "shape")["walls"]}
+        assert walls["aorta"] == 1.2
+
+
+def test_found_ends_and_other_ends_go_together(recipe):
+    path, _ = recipe
+    path.write_text(path.read_text().replace("\n[scan]", '\nends = "automatic"\n\n[scan]', 1))
+    text = path.read_text()
+    with studio(path) as browser, page(browser) as talker:
+        talker.ask(do="add", list="ends", entries=[END, END | {"label": "pulmonary artery"}])
+        assert len(read(path).ends) == 2
+        assert read(path).walls.find_ends
+        talker.ask(do="undo")
+        assert path.read_text() == text
+        talker.ask(do="set", place=["walls", "find_ends"], value=False)
+        assert not read(path).walls.find_ends
+
+
+WRONG = [
+    ({"do": "add", "list": "ends", "entries": [END | {"radius_mm": -1}]}, "ends[1].radius_mm"),
+    ({"do": "add", "list": "ends", "entries": [END | {"label": "spleen"}]}, "ends[1]"),
+    ({"do": "add", "list": "ends", "entries": []}, "request.add.entries"),
+    ({"do": "add", "list": "strokes", "entries": [END]}, "request.add.list"),
+    ({"do": "add", "list": "edits", "entries": [{"kind": "dance"}]}, "edits[1].kind"),
+    ({"do": "add", "list": "edits", "entries": [DEFECT | {"diameter_mm": "wide"}]}, "edits[1].diameter_mm"),
+    ({"do": "add", "list": "edits", "entries": [DEFECT | {"shape": "slit"}]}, "edits[1].width_mm"),
+    ({"do": "add", "list": "edits", "entries": [SCULPT | {"into": "aorta"}]}, "edits[1].into"),
+    (
+        {"do": "add", "list": "landmarks", "entries": [{"name": "a", "kind": "ring", "points_mm": [[0, 0, 0]]}]},
+        "landmarks[1]",
+    ),
+    ({"do": "change", "list": "ends", "number": 1, "entry": END}, "ends"),
+    ({"do": "remove", "list": "edits", "number": 0}, "request.remove.number"),
+    ({"do": "set", "place": ["scan", "path"], "value": "/etc/passwd"}, "scan.path"),
+    ({"do": "set", "place": ["labels", "spleen", "wall_thickness_mm"], "value": 1}, "labels.spleen.wall_thickness_mm"),
+    ({"do": "set", "place": ["labels", "aorta", "wall_thickness_mm"], "value": 900}, "labels[5].wall_thickness_mm"),
+    (
+        {"do": "set", "place": ["labels", "background", "wall_thickness_mm"], "value": 1},
+        "labels.background.wall_thickness_mm",
+    ),
+    ({"do": "set", "place": ["labels", "aorta", "wall_thickness_mm"], "value": "x"}, "labels.aorta.wall_thickness_mm"),
+    (
+        {"do": "set", "place": ["materials", "labels", "aorta wall"], "value": {"youngs_modulus_kpa": 1e9}},
+        "materials.labels.aorta wall",
+    ),
+    ({"do": "set", "place": ["materials", "labels", "aorta"], "value": None}, "materials.labels.aorta"),
+    ({"do": "set", "place": ["grid", "node_count"], "value": [1]}, "grid.node_count"),
+    ({"do": "set", "place": ["grid", "node_count"], "value": 2}, "grid.node_count"),
+    ({"do": "propose", "about": "septum", "position_mm": [900, 0, 0]}, "position_mm"),
+    ({"do": "propose", "about": "vessel", "position_mm": [900, 0, 0]}, "position_mm"),
+]
+
+
+def test_every_refusal_names_place_and_cure_in_one_line_and_changes_nothing(recipe):
+    path, _ = recipe
+    text = path.read_text()
+    with studio(path) as browser, page(browser) as talker:
+        for request, place in WRONG:
+            answer = talker.ask(**request)
+            assert answer["kind"] == "refused", request
+            assert answer["problems"][0]["place"].startswith(place), (request, answer)
+            for problem in answer["problems"]:
+                assert "\n" not in problem["message"]
+                assert "unforeseen" not in problem["message"]
+                assert len(problem["message"]) > 10
+        assert talker.ask(do="undo")["kind"] == "refused"
+        assert path.read_text() == text
+
+
+def test_random_requests_of_all_kinds_leave_a_recipe_and_are_all_taken_back(recipe):
+    path, middle = recipe
+    text, drawn = path.read_text(), random.Random(0)
+    with studio(path) as browser, page(browser) as talker:
+        first = talker.labels.copy()
+        for _ in range(60):
+            point = [round(m + drawn.uniform(-6.0, 6.0), 1) for m in middle]
+            number, mm = drawn.randrange(1, 4), round(drawn.uniform(0.5, 6.0), 1)
+            requests = [
+                {"do": "paint", "label": "aorta", "radius_mm": 1, "points_mm": [point]},
+                {"do": "add", "list": "ends", "entries": [END | {"position_mm": point}] * drawn.randrange(1, 3)},
+                {"do": "add", "list": "edits", "entries": [drawn.choice([DEFECT, SCULPT])]},
+                {
+                    "do": "change",
+                    "list": "edits",
+                    "number": number,
+                    "entry": DEFECT | {"diameter_mm": mm, "name": "a b"},
+                },
+                {"do": "remove", "list": drawn.choice(["ends", "edits"]), "number": number},
+                {"do": "set", "place": ["labels", "aorta", "wall_thickness_mm"], "value": drawn.choice([mm, None])},
+                {"do": "set", "place": ["materials", "labels", "aorta wall"], "value": {"youngs_modulus_kpa": mm}},
+                {"do": "undo"},
+                {"do": "redo"},
+            ]
+            asked = drawn.choice(requests)
+            talker.ask(do="end")
+            before = path.read_text()
+            answer = talker.ask(**asked)
+            if answer["kind"] == "refused":
+                assert "unforeseen" not in answer["problems"][0]["message"], asked
+                assert path.read_text() == before
+            read(path)
+        while talker.ask(do="undo")["kind"] == "done":
+            pass
+        np.testing.assert_array_equal(talker.labels, first)
+        assert path.read_text() == text
+
+
+def test_another_programs_line_is_seen_before_anything_is_shaped(recipe):
+    path, _ = recipe
+    with studio(path) as browser, page(browser) as talker:
+        talker.ask(do="add", list="ends", entries=[END])
+        path.write_text(path.read_text() + "\n[grid]\nnode_count = 1000\n")
+        changed = path.read_text()
+        refused = talker.ask(do="remove", list="ends", number=1)
+        assert "another program changed the recipe" in refused["problems"][0]["message"]
+        assert path.read_text() == changed
+        assert last(talker, "shape")["settings"]["grid"] == {"node_count": 1000}
+        assert talker.ask(do="remove", list="ends", number=1)["kind"] == "done"
+        assert tomllib.loads(path.read_text())["grid"] == {"node_count": 1000}
+
+
+def test_what_is_told_is_small_enough_and_plain(recipe):
+    path, _ = recipe
+    with studio(path) as browser, page(browser) as talker:
+        assert len(json.dumps(last(talker, "shaping_facts"))) < 30_000
+        shape = last(talker, "shape")
+        assert {one["name"] for one in shape["structures"]} > {"aorta", "aorta wall"}
+        assert str(path.parent) not in json.dumps(shape)
