@@ -187,11 +187,11 @@ def test_other_requests_are_refused(copy, request_):
 
 def test_warnings_have_the_places_that_the_build_or_their_sentence_tells(tmp_path):
     case, _ = write_case(
-        tmp_path, warnings=[CaseWarning("a hole at (1.0, -2.5, 30.0), (4.0, 5.0, 6.0) mm"), anatomy("odd")]
+        tmp_path, warnings=[CaseWarning("a hole at (1.0, -2.5, 30.0), (4, 5, -6) mm (4.5 cm)"), anatomy("odd")]
     )
     found = outcome_of(case).figures["warnings"]
     assert [one["grade"] for one in found] == ["anatomy", "look"]
-    assert [one["places_mm"] for one in found] == [[], [[1.0, -2.5, 30.0], [4.0, 5.0, 6.0]]]
+    assert [one["places_mm"] for one in found] == [[], [[1.0, -2.5, 30.0], [4.0, 5.0, -6.0]]]
     told = outcome_of(case, {"odd": [(7.0, 8.0, 9.0)]}).figures["warnings"]
     assert told[0]["places_mm"] == [[7.0, 8.0, 9.0]]
     assert outcome_of(tmp_path / "nothing.case") is None
