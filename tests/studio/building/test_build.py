@@ -2,14 +2,16 @@
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
 import sys
-import time
 
 import numpy as np
+import psutil
 import pytest
+from websockets.sync.client import connect
 
 from heartcase.library.progress import MAKING_THE_SCAN
 from heartcase.pipeline.stages.table import steps
@@ -198,44 +200,33 @@ def test_warnings_have_the_places_that_the_build_or_their_sentence_tells(tmp_pat
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
-def test_a_killed_server_ends_its_build_and_leaves_the_old_case_whole(copy):
-    case = copy.parent / "out" / "ball.case"
-    before = bundle_sha256(case)
+@pytest.mark.parametrize("ending", [signal.SIGKILL, signal.SIGINT])
+def test_a_server_that_ends_ends_its_build_and_leaves_the_old_case_whole(copy, ending, monkeypatch):
+    monkeypatch.setenv("XDG_STATE_HOME", str(copy.parent / "state"))
+    out = copy.parent / "out"
+    before = bundle_sha256(out / "ball.case")
     copy.write_text(copy.read_text() + MUSCLE_STROKE)
-    # the process of a build hears of its server's end by its input alone
-    order = {"recipe": str(copy), "out": str(copy.parent / "out")}
-    command = [sys.executable, "-m", "heartcase.studio.building.work"]
-    server = f"""
-import json, subprocess, sys, time
-process = subprocess.Popen({command!r}, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True)
-process.stdin.write(json.dumps({order!r}).encode() + b"\\n")
-process.stdin.flush()
-print(process.pid, flush=True)
-while b"finished" not in (line := process.stdout.readline()):
-    assert line
-print("begun", flush=True)
-time.sleep(600)
-"""
-    with subprocess.Popen([sys.executable, "-c", server], stdout=subprocess.PIPE, text=True) as running:
-        builder = int(running.stdout.readline())
-        assert running.stdout.readline() == "begun\n"
-        running.send_signal(signal.SIGKILL)
-    end = time.monotonic() + 30
-    while time.monotonic() < end and _is_alive(builder):
-        time.sleep(0.05)
-    assert not _is_alive(builder)
-    assert bundle_sha256(case) == before
-    # and the next start builds what was asked for
+    command = [sys.executable, "-m", "heartcase", "studio", str(copy), "--out", str(out), "--no-browser"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
+        host, key, token = re.search(r"http://(\S+)/prepare/(\S+)\?token=(\S+)", server.stdout.readline()).groups()
+        port = host.partition(":")[2]
+        headers = {"Cookie": f"heartcase-{port}={token}"}
+        with connect(f"ws://{host}/building/{key}", origin=f"http://{host}", additional_headers=headers) as page:
+            page.send('{"id": 1, "do": "build"}')
+            while '"computed"' not in page.recv(timeout=60):
+                pass
+        builders = psutil.Process(server.pid).children(recursive=True)
+        assert any("heartcase.studio.building.work" in one.cmdline() for one in builders)
+        # nobody who looks at the list of processes learns of whom the scan is
+        assert not any(str(copy.parent) in " ".join(one.cmdline()) for one in builders)
+        server.send_signal(ending)
+        server.wait(timeout=30)
+    _, alive = psutil.wait_procs(builders, timeout=30)
+    assert [one for one in alive if one.status() != psutil.STATUS_ZOMBIE] == []
+    assert bundle_sha256(out / "ball.case") == before
+    # and the next start says how it stands
     with studio(copy) as browser, building(browser) as told:
         assert (told.first["case"]["sha256"], told.first["age"]) == (before, "older")
-
-
-def _is_alive(process):
-    try:
-        with open(f"/proc/{process}/stat") as file:
-            return file.read().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
 
 
 def test_what_a_build_notes_holds_no_path(built):
