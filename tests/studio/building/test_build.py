@@ -200,7 +200,7 @@ def test_warnings_have_the_places_that_the_build_or_their_sentence_tells(tmp_pat
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
-@pytest.mark.parametrize("ending", [signal.SIGKILL, signal.SIGINT])
+@pytest.mark.parametrize("ending", [signal.SIGKILL, pytest.param(signal.SIGINT, marks=pytest.mark.slow)])
 def test_a_server_that_ends_ends_its_build_and_leaves_the_old_case_whole(copy, ending, monkeypatch):
     monkeypatch.setenv("XDG_STATE_HOME", str(copy.parent / "state"))
     out = copy.parent / "out"

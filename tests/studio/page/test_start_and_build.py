@@ -62,6 +62,7 @@ def start(page):
 def test_from_a_dicom_folder_to_a_recipe_by_keys_alone(page, folder):
     start(page)
     tab = page.tab
+    tab.locator("#sample-rows button:enabled").nth(18).wait_for()
     assert_accessible(page, "start page")
     tab.locator("#entries button").first.focus()
     tab.keyboard.press("ArrowDown")

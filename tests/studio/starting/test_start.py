@@ -14,7 +14,7 @@ from heartcase.pipeline.formats.read_scan import read_scan
 from heartcase.schemas.recipe.recipe import load_recipe, parse_recipe, read_recipe_text
 from heartcase.studio.starting.recent import COUNT_MAX, Recent, state_folder
 from heartcase.studio.starting.roots import ENTRY_COUNT_MAX, Roots
-from heartcase.studio.starting.samples import copy_sample, sample_folder, shown_samples
+from heartcase.studio.starting.samples import _SCAN_PATH, copy_sample, sample_folder, shown_samples
 from heartcase.studio.starting.shown_series import shown_series
 from tests.pipeline.formats.dicom_series import write_series
 from tests.studio.talking import line, studio, write_recipe
@@ -194,13 +194,16 @@ def test_every_sample_case_whose_scan_can_be_made_opens_as_a_copy(tmp_path):
     recipes = {one.stem for one in originals.glob("*.toml") if "heartcase_recipe" in one.read_text()}
     assert set(samples) == recipes
     assert not samples["chest_ct"]["can_be_opened"]
-    for name, one in samples.items():
-        if not one["can_be_opened"]:
-            continue
+    for name in ("avsd", "adult_phantom", "dorv_baffle"):
+        assert samples[name]["can_be_opened"]
         copy, original = load_recipe(copy_sample(name, tmp_path)), load_recipe(originals / f"{name}.toml")
         assert copy.scan.path == "scan.nii.gz"
         same = original.model_copy(update={"scan": original.scan.model_copy(update={"path": "scan.nii.gz"})})
         assert copy.model_dump() == same.model_dump()
+    for name, one in samples.items():
+        text = (originals / f"{name}.toml").read_text()
+        assert one["can_be_opened"] == ("[scan.phantom]" in text)
+        assert _SCAN_PATH.search(text)[0].count("path = ") == 1
     # what was changed in a copy stays
     copied = tmp_path / "avsd" / "avsd.toml"
     copied.write_text(copied.read_text() + "# mine\n")
