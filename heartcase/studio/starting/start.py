@@ -89,6 +89,8 @@ class Start:
         """Show a page what can be opened."""
         self._pages.add(page)
         page.send(await self._run(self._greeting))
+        # reading them takes a second, once
+        page.send(await self._run(lambda: text_message("samples", samples=list(shown_samples()))))
 
     async def leave(self, page: Page) -> None:
         """Forget a page."""
@@ -171,7 +173,7 @@ class Start:
         return folder
 
     def _greeting(self) -> str:
-        return text_message("start", recent=self._recent.shown(), samples=list(shown_samples()), looks=self._looks)
+        return text_message("start", recent=self._recent.shown(), looks=self._looks)
 
     async def _run(self, work: Callable[[], T]) -> T:
         return await asyncio.get_running_loop().run_in_executor(self._thread, work)

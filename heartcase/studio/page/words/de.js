@@ -301,7 +301,6 @@ export const words = {
   build_mark: "Pfeile in den Schnitten",
   build_between: "Zwischen",
   build_area: "mm²",
-  build_verdict: "Urteil",
   build_verdict_expected: "erwartet",
   build_verdict_stated: "wie im Rezept",
   build_verdict_other_ventricle: "aus dem anderen Ventrikel",

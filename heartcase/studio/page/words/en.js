@@ -300,7 +300,6 @@ export const words = {
   build_mark: "Arrows in the slices",
   build_between: "Between",
   build_area: "mm²",
-  build_verdict: "Verdict",
   build_verdict_expected: "expected",
   build_verdict_stated: "as the recipe says",
   build_verdict_other_ventricle: "from the other ventricle",
