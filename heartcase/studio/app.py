@@ -15,6 +15,7 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from heartcase.studio.building.building import Building
 from heartcase.studio.gate import Gate
 from heartcase.studio.pages import Page, Place
 from heartcase.studio.registry import Registry
@@ -28,7 +29,7 @@ PAGE = Path(__file__).parent / "page"
 
 _PAGES = {"prepare": "index.html"}
 """Pages that show what is open, and the HTML of each."""
-_LINES = ("socket", "operating")
+_LINES = ("socket", "building", "operating")
 """Sockets that talk to what is open."""
 
 
@@ -61,6 +62,11 @@ def make_app(registry: Registry, *, token: str, port: int, start: Start | None =
 
         return Route(f"/{name}/{{key}}", answer)
 
+    async def report(request: Request) -> Response:
+        place = registry.place("building", request.path_params["key"])
+        found = place.report if isinstance(place, Building) else None
+        return RedirectResponse("/#closed", status_code=303) if found is None else FileResponse(found)
+
     def line(name: str) -> WebSocketRoute:
         async def talk(websocket: WebSocket) -> None:
             place = registry.place(name, websocket.path_params["key"])
@@ -85,6 +91,7 @@ def make_app(registry: Registry, *, token: str, port: int, start: Start | None =
         WebSocketRoute("/starting", starting_line),
         *(page(name, file) for name, file in _PAGES.items()),
         *(line(name) for name in _LINES),
+        Route("/report/{key}", report),
         Mount("/static", StaticFiles(directory=PAGE)),
     ]
     return Gate(Starlette(routes=routes, lifespan=lifespan), token=token, port=port)

@@ -29,6 +29,13 @@ _HEADERS = {
 }
 
 
+_REPORT_POLICY = (
+    "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'; "
+    "frame-ancestors 'none'; sandbox"
+)
+"""A report has its own styles and pictures in it, and no script."""
+
+
 class Gate:
     """Refuses what does not come from the studio's own page; sets the headers that keep the page to itself.
 
@@ -72,7 +79,7 @@ class Gate:
         elif not self._is_known(headers):
             await _answer(send, 403, "Open the address that heartcase studio printed: it has the key to this page.")
         else:
-            await self._app(scope, receive, _with_headers(send))
+            await self._app(scope, receive, _with_headers(send, scope["path"]))
 
     def _asks_with_token(self, scope: Scope) -> bool:
         if not _OPENED.fullmatch(scope["path"]) or scope["method"] != "GET":
@@ -88,11 +95,14 @@ class Gate:
         return False
 
 
-def _with_headers(send: Send) -> Send:
+def _with_headers(send: Send, path: str = "") -> Send:
+    own = {"content-security-policy": _REPORT_POLICY} if path.startswith("/report/") else {}
+    headers = _HEADERS | own
+
     async def sending(message: Message) -> None:
         if message["type"] == "http.response.start":
-            kept = [(name, value) for name, value in message["headers"] if name.decode().lower() not in _HEADERS]
-            message["headers"] = kept + [(name.encode(), value.encode()) for name, value in _HEADERS.items()]
+            kept = [(name, value) for name, value in message["headers"] if name.decode().lower() not in headers]
+            message["headers"] = kept + [(name.encode(), value.encode()) for name, value in headers.items()]
         await send(message)
 
     return sending

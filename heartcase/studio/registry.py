@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from heartcase.schemas.errors import UsageError
+from heartcase.studio.building.building import Building
 from heartcase.studio.pages import Place
 from heartcase.studio.workplace import Workplace
 
@@ -63,7 +64,8 @@ class Registry:
         """
         key = self._key("prepare", path)
         if key not in self._opened:
-            places = {"socket": Workplace(path, out=out)}
+            building = Building(path, out=out, operate=lambda case: self.open_case(case).address)
+            places: dict[str, Place] = {"socket": Workplace(path, out=out), "building": building}
             self._opened[key] = Opened("prepare", key, path, places)
         return self._opened[key]
 

@@ -9,7 +9,7 @@ import click
 
 from heartcase.cli.shared.output import echo_json, echo_warnings
 from heartcase.pipeline.warnings import counted, warnings_of
-from heartcase.schemas.bundle.approval import approval_log, approve_case, bundle_sha256
+from heartcase.schemas.bundle.approval import approval_log, approve_case, bundle_sha256, report_beside
 from heartcase.schemas.bundle.check import check_bundle
 from heartcase.schemas.bundle.reader import open_bundle
 from heartcase.schemas.errors import BundleError, UsageError
@@ -36,7 +36,8 @@ def command(case: Path, role: str, note: str, withdraw: bool, yes: bool, as_json
         if problems:
             raise BundleError(problems)
         seen = bundle_sha256(case)
-        _check_report(case, seen)
+        if report_beside(case, seen) is None:
+            click.echo("warning: there is no report beside the case: what was it judged by?", err=True)
         manifest = open_bundle(case).manifest
         click.echo(f"Case       {manifest.name}" + (f" ({manifest.case_id})" if manifest.case_id else ""), err=True)
         click.echo(f"Hash       {seen[:16]}, as on the report", err=True)
@@ -75,12 +76,3 @@ def _confirm(question: str) -> None:
             "nobody is there to answer (no terminal), nothing was noted: add --yes where you have made up your mind"
         ) from None
     raise UsageError("not confirmed: nothing was noted")
-
-
-def _check_report(case: Path, sha256: str) -> None:
-    """Refuse where the report beside the case is about other bytes: the reviewer has seen another case."""
-    report = case.resolve().with_name(f"{case.resolve().name.removesuffix('.case')}.report.html")
-    if not report.is_file():
-        click.echo("warning: there is no report beside the case: what was it judged by?", err=True)
-    elif sha256.encode() not in report.read_bytes():
-        raise BundleError("the report beside the case is about another one: build the case again", place="report")

@@ -30,7 +30,15 @@ from heartcase.schemas.errors import BundleError, UsageError, problems_from_vali
 from heartcase.schemas.files import atomic_write, exclusive, sha256_of_file
 from heartcase.schemas.strict_json import parse_json
 
-__all__ = ["Approval", "ApprovalEntry", "approval_log", "approval_state", "approve_case", "bundle_sha256"]
+__all__ = [
+    "Approval",
+    "ApprovalEntry",
+    "approval_log",
+    "approval_state",
+    "approve_case",
+    "bundle_sha256",
+    "report_beside",
+]
 
 FIRST = "0" * 64
 """What stands for the line before the first."""
@@ -132,6 +140,30 @@ def bundle_sha256(case: Path | str) -> str:
     if not all(_is_as_listed(case, *entry) for entry in listed):
         raise BundleError("a file is missing or was changed: build the case again", place="files")
     return hashlib.sha256(manifest).hexdigest()
+
+
+def report_beside(case: Path | str, sha256: str) -> Path | None:
+    """The report that lies beside a case; None where there is none.
+
+    Parameters
+    ----------
+    case
+        The case's directory.
+    sha256
+        Its bundle hash.
+
+    Raises
+    ------
+    BundleError
+        It is about other bytes: a reviewer has seen another case.
+    """
+    case = Path(case).resolve()
+    report = case.with_name(f"{case.name.removesuffix('.case')}.report.html")
+    if not report.is_file():
+        return None
+    if sha256.encode() not in report.read_bytes():
+        raise BundleError("the report beside the case is about another one: build the case again", place="report")
+    return report
 
 
 def _is_as_listed(case: Path, name: Any, size: Any, sha256: Any) -> bool:

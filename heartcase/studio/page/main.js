@@ -1,5 +1,6 @@
 /** The page of heartcase studio: puts its parts together, and hands them what the server sends. */
 
+import { BuildTab } from "./building/build_tab.js";
 import { Guide } from "./panel/guide.js";
 import { runPlanes } from "./panel/planes.js";
 import { Status } from "./panel/status.js";
@@ -156,6 +157,7 @@ function run() {
   }
 
   connection.open();
+  new BuildTab(studio, views, (error) => fault(error));
 }
 
 try {

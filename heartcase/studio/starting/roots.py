@@ -18,8 +18,8 @@ ENTRY_COUNT_MAX = 500
 _LOOKED_AT_MAX = 20_000
 """Entries of a folder that are looked at, at most."""
 _SCANS = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd")
-_DICOM = (".dcm", ".dicom", ".ima", ".zip")
-_ORDER = ("recipe", "case", "folder", "scan", "dicom")
+_DICOM = (".dcm", ".dicom", ".ima")
+_ORDER = ("recipe", "case", "folder", "scan", "zip", "dicom")
 _DICOM_START = 128
 _FIRST_BYTES = 4096
 
@@ -85,14 +85,17 @@ class Roots:
         if not folder.is_dir():
             folder, chosen = folder.parent, folder.name
         found, is_cut = _entries(folder)
+        # a slice is no scan: the files are counted, and their series are listed together
+        single = [one for one in found if one[0] != "dicom"]
         parent = folder.parent
         return {
             "path": str(folder),
             "chosen": chosen,
             "parent": str(parent) if any(parent.is_relative_to(one) for one in self.folders) else None,
             "roots": [str(one) for one in self.folders],
-            "entries": [{"name": name, "kind": kind} for kind, name in found[:ENTRY_COUNT_MAX]],
-            "more": max(len(found) - ENTRY_COUNT_MAX, 0),
+            "entries": [{"name": name, "kind": kind} for kind, name in single[:ENTRY_COUNT_MAX]],
+            "more": max(len(single) - ENTRY_COUNT_MAX, 0),
+            "dicom_count": len(found) - len(single),
             "is_cut": is_cut,
         }
 
@@ -136,6 +139,8 @@ def _kind(entry: os.DirEntry[str]) -> str | None:
             return "recipe" if b"heartcase_recipe" in _first_bytes(entry.path) else None
         if name.endswith(_SCANS):
             return "scan"
+        if name.endswith(".zip"):
+            return "zip"
         if name.endswith(_DICOM):
             return "dicom"
         if "." not in name or name.rpartition(".")[2].isdigit():

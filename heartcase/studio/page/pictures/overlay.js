@@ -15,6 +15,9 @@ const LIGHT = "#f4f6f8";
 const CROSSHAIR = "#7fd4ff";
 const RULER = "#ffe27a";
 const GAP = 12;
+const ODD_MARK = "#ffcf66";
+/** Openings this far from a slice are marked in it. */
+const MARK_DEPTH_MM = 2;
 
 /**
  * @param {CanvasRenderingContext2D} pen in CSS pixels
@@ -29,6 +32,7 @@ export function drawOverlay(pen, name, camera, studio, measures) {
   drawStroke(pen, camera, through, studio);
   drawCrosshair(pen, name, camera, studio);
   for (const measure of measures) drawMeasure(pen, camera, through, measure, studio.lattice.value?.sliceStep(camera.frame.normal) ?? 1);
+  for (const mark of studio.marks.value) drawMark(pen, camera, through, mark, studio.lattice.value?.sliceStep(camera.frame.normal) ?? 1);
   drawBrush(pen, camera, through, studio);
   drawLetters(pen, camera);
   drawScale(pen, camera);
@@ -153,6 +157,28 @@ function drawMeasure(pen, camera, through, measure, thickness) {
   pen.textAlign = corner.x > camera.width - 70 ? "right" : "left";
   pen.textBaseline = "middle";
   lettering(pen, text, corner.x + (pen.textAlign === "left" ? 9 : -9), corner.y, RULER);
+}
+
+/**
+ * An opening of the case: an arrow onto its middle, where the slice goes through it.
+ * @param {CanvasRenderingContext2D} pen @param {Camera} camera @param {Vector} through
+ * @param {{mm: Vector, text: string, isOdd: boolean}} mark @param {number} thickness
+ */
+function drawMark(pen, camera, through, { mm, text, isOdd }, thickness) {
+  const { x, y, depth } = camera.toPixel(mm, through);
+  if (Math.abs(depth) > Math.max(thickness / 2, MARK_DEPTH_MM)) return;
+  const colour = isOdd ? ODD_MARK : LIGHT;
+  rimmed(pen, colour, () => {
+    pen.moveTo(x + 22, y - 22);
+    pen.lineTo(x + 3, y - 3);
+    pen.moveTo(x + 3, y - 11);
+    pen.lineTo(x + 3, y - 3);
+    pen.lineTo(x + 11, y - 3);
+  }, 1.75);
+  pen.font = "600 13px system-ui, sans-serif";
+  pen.textAlign = "left";
+  pen.textBaseline = "middle";
+  lettering(pen, text, x + 25, y - 24, colour);
 }
 
 /** What a measurement says: "12.3 mm" or "45.0 degrees"; nothing while it lacks points. @param {Measure} measure */

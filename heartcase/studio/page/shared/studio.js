@@ -60,6 +60,9 @@ export class Studio {
   /** The tile that is large; null for two by two. */
   large = new Signal(/** @type {ViewName | "solid" | null} */ (null));
 
+  /** Places that are marked in the slices, with what is said of them. */
+  marks = new Signal(/** @type {readonly {mm: Vector, text: string, isOdd: boolean}[]} */ ([]));
+
   constructor() {
     this.radiusMm.listen((value) => keep("radius_mm", value));
     this.opacity.listen((value) => keep("opacity", value));

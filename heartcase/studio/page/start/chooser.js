@@ -1,7 +1,7 @@
 /** A folder of this machine: the browser cannot name files, so the server lists them. */
 
 import { element, icon } from "../panel/structures.js";
-import { isWord, language, say } from "../shared/words.js";
+import { figure, isWord, language, say } from "../shared/words.js";
 
 /** @typedef {import("../shared/connection.js").Message} Message */
 /** @typedef {import("./start.js").Request} Request */
@@ -49,6 +49,7 @@ export class Chooser {
       this.#show(answer);
       if (hadFocus) find("entries").querySelector("button")?.focus();
       const chosen = answer.entries.find((/** @type {Entry} */ one) => one.name === answer.chosen);
+      if (answer.chosen !== null && !chosen) queueMicrotask(() => this.#look(`${answer.path}/${answer.chosen}`, answer.path));
       if (chosen) queueMicrotask(() => this.#choose(chosen));
     });
   }
@@ -82,6 +83,7 @@ export class Chooser {
       }),
     );
     find("entries").replaceChildren(...answer.entries.map((/** @type {Entry} */ one) => this.#row(one)));
+    if (answer.dicom_count > 0) find("entries").prepend(this.#row({ name: figure(answer.dicom_count, 0), kind: "dicom" }));
     this.series.hide();
     this.#tellMore();
   }
@@ -93,7 +95,7 @@ export class Chooser {
     const word = `start_kind_${entry.kind}`;
     const kind = element("span", "kind", isWord(word) ? say(word) : entry.kind);
     kind.dataset.word = word;
-    button.append(icon(entry.kind), element("span", "", entry.name), kind);
+    button.append(icon(entry.kind === "zip" ? "dicom" : entry.kind), element("span", "", entry.name), kind);
     button.addEventListener("click", () => this.#choose(entry));
     const row = element("li");
     row.append(button);
@@ -106,7 +108,7 @@ export class Chooser {
     const path = this.folder.endsWith(separator) ? this.folder + name : this.folder + separator + name;
     if (kind === "folder") void this.go(path);
     else if (kind === "recipe" || kind === "case") void this.ask({ do: "open", path });
-    else if (kind === "dicom" && !name.toLowerCase().endsWith(".zip")) this.look();
+    else if (kind === "dicom") this.look();
     else this.#look(path, this.folder);
   }
 

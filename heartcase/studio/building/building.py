@@ -1,0 +1,306 @@
+"""The place of the build tab: one build at a time of a recipe, what it tells, and what came of it."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import hashlib
+import json
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import TypeAdapter
+
+from heartcase.library.progress import MAKING_THE_SCAN
+from heartcase.pipeline.stages.table import steps
+from heartcase.schemas.bundle.approval import approve_case, report_beside
+from heartcase.schemas.errors import BundleError, HeartcaseError, UsageError
+from heartcase.schemas.files import atomic_write, remove_leftovers
+from heartcase.schemas.recipe.recipe import parse_recipe, read_recipe_text
+from heartcase.studio.building.outcome import Outcome, outcome_of
+from heartcase.studio.building.process import BuildProcess
+from heartcase.studio.building.requests import Approve, BuildRequest, Order
+from heartcase.studio.messages import problems_of, text_message, told
+from heartcase.studio.pages import Page
+from heartcase.studio.requests import parsed, request_id
+
+__all__ = ["Building"]
+
+T = TypeVar("T")
+_REQUEST: TypeAdapter[Order | Approve] = TypeAdapter(BuildRequest)
+_LOOK_EVERY_S = 1.0
+"""How often it is looked whether the recipe changed."""
+
+
+class Building:
+    """What is built of a recipe. All methods belong to one event loop.
+
+    Parameters
+    ----------
+    recipe
+        The recipe's file.
+    out
+        Directory that the case is built in, with the build's cache.
+    operate
+        Opens a case; gives the address of its page.
+    """
+
+    def __init__(self, recipe: Path, *, out: Path, operate: Callable[[Path], str]) -> None:
+        self._recipe = recipe
+        self._out = out
+        self._operate = operate
+        self._pages: set[Page] = set()
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="studio-build")
+        self._process: BuildProcess | None = None
+        self._running: asyncio.Task[None] | None = None
+        self._watching: asyncio.Task[None] | None = None
+        self._steps: list[dict[str, Any]] = []
+        self._expected: tuple[float, float, float] | None = None
+        self._compiling: tuple[int, int] | None = None
+        self._problems: list[dict[str, str]] = []
+        self._is_cancelled = False
+        self._changed: bool | None = None
+        self._outcome: Outcome | None = None
+        self._before_ml: dict[str, float] = {}
+        self._built_from: str | None = None
+        self._recipe_sha256: str | None = None
+        self._is_known = False
+
+    @property
+    def report(self) -> Path | None:
+        """The report about the case that is shown; None where there is none."""
+        case = self._case()
+        if case is None or self._outcome is None:
+            return None
+        try:
+            return report_beside(case, self._outcome.sha256)
+        except BundleError:
+            return None
+
+    async def join(self, page: Page) -> None:
+        """Show a page how the case stands, and then all that changes."""
+        if not self._is_known:
+            self._is_known = True
+            await self._run(self._look_at_case)
+        self._pages.add(page)
+        if self._watching is None:
+            self._watching = asyncio.create_task(self._watch())
+        page.send(self._state())
+
+    async def leave(self, page: Page) -> None:
+        """Forget a page; a build goes on without it."""
+        self._pages.discard(page)
+        if not self._pages and self._watching is not None:
+            self._watching.cancel()
+            self._watching = None
+
+    async def ask(self, page: Page, text: str) -> None:
+        """Do what a page asks for, and tell it and the others."""
+        try:
+            request = parsed(text, _REQUEST)
+            more: dict[str, Any] = {}
+            if isinstance(request, Approve):
+                await self._run(lambda: self._approve(request))
+            elif request.do == "build":
+                self._begin()
+            elif request.do == "cancel":
+                self._cancel()
+            else:
+                more["address"] = self._operate(self._whole_case())
+            page.send(text_message("done", id=request.id, **more))
+            self._tell()
+        except Exception as error:
+            page.send(text_message("refused", id=request_id(text), problems=problems_of(told(error))))
+
+    async def close(self) -> None:
+        """End a build that runs; the case that was there stays whole."""
+        if self._process is not None:
+            self._process.end()
+        if self._watching is not None:
+            self._watching.cancel()
+        if self._running is not None:
+            await self._running
+        for page in self._pages:
+            page.close()
+        self._thread.shutdown(wait=False, cancel_futures=True)
+
+    def _begin(self) -> None:
+        if self._process is not None:
+            raise UsageError("a build runs already: wait for it, or cancel it", place="build")
+        names = [MAKING_THE_SCAN, *(step.name for step in steps())]
+        self._steps = [{"stage": name, "state": "waiting", "seconds": 0.0} for name in names]
+        self._expected = self._compiling = self._changed = None
+        self._problems, self._is_cancelled = [], False
+        self._before_ml = dict(self._outcome.figures["volumes_ml"]) if self._outcome is not None else {}
+        self._process = BuildProcess(self._recipe, self._out)
+        self._running = asyncio.create_task(self._follow(self._process))
+
+    def _cancel(self) -> None:
+        if self._process is None:
+            raise UsageError("no build runs", place="build")
+        self._is_cancelled = True
+        self._process.end()
+
+    async def _follow(self, process: BuildProcess) -> None:
+        """Hear a build to its end."""
+        sha256, built = None, None
+        try:
+            async for news in process.news():
+                match news.pop("news"):
+                    case "recipe":
+                        sha256 = news["sha256"]
+                    case "built":
+                        built = news
+                    case "failed":
+                        self._problems = news["problems"]
+                    case "compiling":
+                        self._compiling = news["done"], news["total"]
+                    case kind:
+                        self._note_stage(kind, news)
+                self._tell()
+            if built is not None:
+                self._changed = built["changed"]
+                places = {one["text"]: [tuple(place) for place in one["places_mm"]] for one in built["warnings"]}
+                await self._run(lambda: self._remember(Path(built["case"]), sha256, places))
+            else:
+                await self._run(lambda: remove_leftovers(self._out))
+                if not self._problems and not self._is_cancelled:
+                    raise HeartcaseError(
+                        "the build ended without a word: the machine may have too little memory; the case that was "
+                        "there before is whole",
+                        place="build",
+                    )
+        except Exception as error:
+            self._problems = problems_of(told(error))
+        for step in self._steps:
+            if step["state"] == "running":
+                step["state"] = "waiting"
+        self._expected = self._compiling = self._process = None
+        self._tell()
+
+    def _note_stage(self, kind: str, news: dict[str, Any]) -> None:
+        step = next((one for one in self._steps if one["stage"] == news["stage"]), None)
+        if step is None:
+            return
+        if kind == "started":
+            step["state"] = "running"
+            self._expected = time.monotonic(), news["seconds_expected"], news["seconds_after"]
+        else:
+            step["state"] = "reused" if news["reused"] else "computed"
+            step["seconds"] = round(news["seconds"], 2)
+            self._expected = None
+
+    def _approve(self, request: Approve) -> None:
+        case = self._whole_case()
+        is_withdrawal = request.do == "withdraw"
+        if not is_withdrawal:
+            if not request.has_looked:
+                raise UsageError("read the report and look at every warning first", place="approve")
+            # what was looked at must be about these bytes
+            report_beside(case, request.sha256)
+        approve_case(case, role=request.role, note=request.note, withdraw=is_withdrawal, expected_sha256=request.sha256)
+        self._outcome = outcome_of(case, self._outcome.places_mm if self._outcome else None)
+
+    def _whole_case(self) -> Path:
+        case = self._case()
+        if case is None or self._outcome is None:
+            raise UsageError("there is no case yet: build it", place="case")
+        return case
+
+    def _case(self) -> Path | None:
+        """Where the recipe's case goes; None where the recipe cannot be read."""
+        try:
+            name = parse_recipe(read_recipe_text(self._recipe), needs_markers=False).name
+        except HeartcaseError:
+            return None
+        return self._out / f"{name}.case"
+
+    def _look_at_case(self) -> None:
+        """What was built before, by whom ever."""
+        self._recipe_sha256 = self._recipe_hash()
+        case = self._case()
+        if case is None:
+            return
+        noted = self._noted()
+        self._outcome = outcome_of(case, noted.get("places_mm"))
+        if self._outcome is not None and noted.get("bundle_sha256") == self._outcome.sha256:
+            self._built_from = noted.get("recipe_sha256")
+
+    def _remember(self, case: Path, sha256: str | None, places: dict[str, list[Any]]) -> None:
+        """Which recipe a case was built from, and the places of its warnings: for the next start too."""
+        if not any(places.values()):
+            # of a case that was there already, the build knows no places
+            places = self._noted().get("places_mm") or places
+        self._outcome, self._built_from = outcome_of(case, places), sha256
+        if self._outcome is None:
+            return
+        note = {"bundle_sha256": self._outcome.sha256, "recipe_sha256": sha256, "places_mm": places}
+        with contextlib.suppress(OSError):
+            file = self._note_file()
+            file.parent.mkdir(parents=True, exist_ok=True)
+            atomic_write(file, json.dumps(note).encode())
+
+    def _noted(self) -> dict[str, Any]:
+        try:
+            found = json.loads(self._note_file().read_bytes())
+        except (OSError, ValueError):
+            return {}
+        return found if isinstance(found, dict) else {}
+
+    def _note_file(self) -> Path:
+        name = hashlib.sha256(str(self._recipe.resolve()).encode(errors="surrogateescape")).hexdigest()[:16]
+        return self._out / ".heartcase-cache" / "studio" / f"{name}.built.json"
+
+    def _recipe_hash(self) -> str | None:
+        try:
+            return hashlib.sha256(read_recipe_text(self._recipe).encode()).hexdigest()
+        except HeartcaseError:
+            return None
+
+    async def _watch(self) -> None:
+        """Tell when the recipe is no longer what the case was built from, and when it is again."""
+        seen = None
+        while True:
+            with contextlib.suppress(OSError):
+                found = self._recipe.stat()
+                stamp = found.st_mtime_ns, found.st_size
+                if stamp != seen:
+                    seen = stamp
+                    sha256 = await self._run(self._recipe_hash)
+                    if sha256 != self._recipe_sha256:
+                        self._recipe_sha256 = sha256
+                        self._tell()
+            await asyncio.sleep(_LOOK_EVERY_S)
+
+    def _state(self) -> str:
+        expected = None
+        if self._expected is not None:
+            start, seconds, after = self._expected
+            expected = {"elapsed": time.monotonic() - start, "seconds": seconds, "after": after}
+        age = "unknown"
+        if self._built_from is not None:
+            age = "current" if self._built_from == self._recipe_sha256 else "older"
+        return text_message(
+            "build",
+            is_running=self._process is not None,
+            is_cancelled=self._is_cancelled,
+            steps=self._steps,
+            expected=expected,
+            compiling=self._compiling,
+            problems=self._problems,
+            changed=self._changed,
+            age=age,
+            case=None if self._outcome is None else self._outcome.figures,
+            before_ml=self._before_ml,
+        )
+
+    def _tell(self) -> None:
+        message = self._state()
+        for page in self._pages:
+            page.send(message)
+
+    async def _run(self, work: Callable[[], T]) -> T:
+        return await asyncio.get_running_loop().run_in_executor(self._thread, work)

@@ -1,0 +1,167 @@
+/** What a case holds: warnings that lead to their places, volumes, openings; marks in the slices. */
+
+import { element } from "../panel/structures.js";
+import { figure, isWord, language, say } from "../shared/words.js";
+
+/** @typedef {import("./build_tab.js").Case} Case */
+/** @typedef {import("./build_tab.js").Warning} Warning */
+/** @typedef {import("./build_tab.js").Opening} Opening */
+
+const GRADES = ["anatomy", "look", "note"];
+/** Openings that no normal heart has, or that nobody stated. */
+const ODD = ["unexpected", "other ventricle", "unknown"];
+
+/** @param {string} id */
+const find = (id) => /** @type {HTMLElement} */ (document.getElementById(id));
+
+export class Results {
+  /** @type {Case | null} */
+  #case = null;
+  /** @type {Record<string, number>} */
+  #beforeMl = {};
+  /** Texts of warnings that were looked at. @type {Set<string>} */
+  #seen = new Set();
+  /** Which place of a warning was looked at last. @type {Map<string, number>} */
+  #at = new Map();
+  /** Told when a warning was looked at. @type {() => void} */
+  onSeen = () => undefined;
+
+  /** @param {import("../shared/studio.js").Studio} studio @param {import("../pictures/views.js").Views} views */
+  constructor(studio, views) {
+    this.studio = studio;
+    this.views = views;
+    const box = /** @type {HTMLInputElement} */ (find("openings-marked"));
+    box.addEventListener("change", () => this.#mark());
+    language.listen(() => this.#draw());
+  }
+
+  /** Whether every warning that is more than a note was looked at. */
+  get areSeen() {
+    return (this.#case?.warnings ?? []).every(({ text, grade }) => grade === "note" || this.#seen.has(text));
+  }
+
+  /** @param {Case} made @param {Record<string, number>} beforeMl */
+  show(made, beforeMl) {
+    const isSame = this.#case?.sha256 === made.sha256;
+    if (!isSame) {
+      this.#seen.clear();
+      this.#at.clear();
+    }
+    const hadDrawn = isSame && JSON.stringify(this.#beforeMl) === JSON.stringify(beforeMl);
+    this.#case = made;
+    this.#beforeMl = beforeMl;
+    if (!hadDrawn) this.#draw();
+  }
+
+  #draw() {
+    const made = this.#case;
+    if (made === null) return;
+    find("build-notice").textContent = made.notice;
+    find("report-link").hidden = !made.has_report;
+    find("build-figures").textContent = say("build_figures", {
+      nodes: figure(made.node_count, 0), cell: figure(made.cell_mm, 2), ml: figure(made.tissue_volume_ml, 1),
+    });
+    this.#drawWarnings(made);
+    this.#drawVolumes(made);
+    this.#drawOpenings(made);
+    this.#mark();
+  }
+
+  /** @param {Case} made */
+  #drawWarnings({ warnings }) {
+    const parts = [];
+    for (const grade of GRADES) {
+      const alike = warnings.filter((one) => one.grade === grade);
+      if (alike.length === 0) continue;
+      const word = `build_grade_${grade}`;
+      const list = element("ol", `warnings ${grade}`);
+      list.append(...alike.map((one) => this.#warning(one)));
+      parts.push(element("h4", grade, isWord(word) ? say(word) : grade), list);
+    }
+    if (parts.length === 0) parts.push(element("p", "soft", say("build_no_warnings")));
+    find("build-warnings").replaceChildren(...parts);
+  }
+
+  /** @param {Warning} warning */
+  #warning({ text, grade, places_mm: places }) {
+    const row = element("li");
+    row.append(element("span", "says", text));
+    const line = element("div", "where");
+    const seen = element("input");
+    seen.type = "checkbox";
+    seen.checked = this.#seen.has(text);
+    if (places.length > 0) {
+      const button = element("button", "fly", placeWords(this.#at.get(text) ?? -1, places.length));
+      button.type = "button";
+      button.addEventListener("click", () => {
+        const at = ((this.#at.get(text) ?? -1) + 1) % places.length;
+        this.#at.set(text, at);
+        this.views.lookAt(places[at]);
+        button.textContent = placeWords(at, places.length);
+        seen.checked = true;
+        this.#see(text, true);
+      });
+      line.append(button);
+    } else line.append(element("span", "soft", say("build_no_place")));
+    if (grade !== "note") {
+      const label = element("label");
+      seen.addEventListener("change", () => this.#see(text, seen.checked));
+      label.append(seen, element("span", "", say("build_seen")));
+      line.append(label);
+    }
+    row.append(line);
+    return row;
+  }
+
+  /** @param {string} text @param {boolean} isSeen */
+  #see(text, isSeen) {
+    if (isSeen) this.#seen.add(text);
+    else this.#seen.delete(text);
+    this.onSeen();
+  }
+
+  /** @param {Case} made */
+  #drawVolumes({ volumes_ml: volumes }) {
+    const rows = Object.entries(volumes).map(([name, ml]) => {
+      const row = element("tr");
+      const before = this.#beforeMl[name];
+      const change = before === undefined || Math.abs(ml - before) < 0.05 ? "" : `${ml > before ? "+" : "−"}${figure(Math.abs(ml - before), 1)}`;
+      const head = element("th", "", name);
+      head.scope = "row";
+      row.append(head, element("td", "n", figure(ml, 1)), element("td", "n", change));
+      return row;
+    });
+    find("volume-rows").replaceChildren(...rows);
+  }
+
+  /** @param {Case} made */
+  #drawOpenings({ openings }) {
+    find("openings").hidden = openings.length === 0;
+    find("opening-rows").replaceChildren(...openings.map((one) => {
+      const row = element("tr", ODD.includes(one.verdict) ? "odd" : "");
+      const button = element("button", "fly", one.between.join(" – "));
+      button.type = "button";
+      button.addEventListener("click", () => this.views.lookAt(one.center_mm));
+      const head = element("th");
+      head.scope = "row";
+      head.append(button);
+      const word = `build_verdict_${one.verdict.replaceAll(" ", "_")}`;
+      row.append(head, element("td", "n", figure(one.area_mm2, 0)), element("td", "", isWord(word) ? say(word) : one.verdict));
+      return row;
+    }));
+  }
+
+  #mark() {
+    const isOn = /** @type {HTMLInputElement} */ (find("openings-marked")).checked;
+    this.studio.marks.value = isOn
+      ? (this.#case?.openings ?? []).map(({ center_mm: mm, area_mm2: area, verdict }) => (
+        { mm, text: `${figure(area, 0)} mm²`, isOdd: ODD.includes(verdict) }))
+      : [];
+    this.views.redrawOverlays();
+  }
+}
+
+/** @param {number} at the place that was looked at last, or -1 @param {number} count */
+function placeWords(at, count) {
+  return at < 0 ? say("build_fly", { count }) : say("place_of", { at: at + 1, count });
+}
