@@ -11,6 +11,7 @@ import numpy as np
 
 from heartcase.library.scans import ensure_scan
 from heartcase.pipeline.building.recipe_history import STROKE, RecipeHistory, open_history
+from heartcase.pipeline.building.recipe_text import changed_text, place_words
 from heartcase.pipeline.building.runner import BuildListener
 from heartcase.pipeline.building.session_file import RecipeSession, open_session
 from heartcase.pipeline.data import UNMARKED, Scan
@@ -19,6 +20,8 @@ from heartcase.pipeline.watershed.forest import Box
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.labels import BACKGROUND, Role
 from heartcase.schemas.recipe.recipe import parse_recipe, read_recipe_text
+from heartcase.schemas.toml_places import Place
+from heartcase.studio.drafts import Draft
 from heartcase.studio.locks import lock_again, lock_labels
 from heartcase.studio.messages import labels_message, scan_message, text_message
 from heartcase.studio.planes import planes_message
@@ -143,6 +146,31 @@ class Painting:
                 return Answer((self._structures(), self._done()), self._done(request))
             case Planes():
                 return Answer(done=planes_message(request.id, session, self._history.recipe.landmarks))
+
+    @property
+    def is_outdated(self) -> bool:
+        """Whether the recipe names other marker files than those that are painted on: it must be opened again."""
+        return self._history.recipe.markers != self._opened.recipe.markers
+
+    def add(self, draft: Draft) -> None:
+        """Write a draft as one more marker file of the recipe.
+
+        Raises
+        ------
+        HeartcaseError
+            It does not go with the recipe, and nothing has changed.
+        """
+        self._close_stroke()
+        session, history, directory = self._opened.session, self._history, self._history.path.parent
+        ready = draft.checked(session.table, session.geometry, None)
+        place: Place = ("markers", len(history.recipe.markers))
+        name = draft.added_to(directory, ready)
+        try:
+            history.change(place_words(place), changed_text(history.head, place, draft.marker_file(name)))
+        except BaseException:
+            # what the recipe does not name goes with what is discarded
+            (directory / name).rename(ready)
+            raise
 
     def still(self) -> StillSegmentation:
         """A copy of the segmentation, to be looked at while painting goes on."""
