@@ -93,13 +93,15 @@ def make_app(registry: Registry, *, token: str, port: int, start: Start | None =
         # a page of another site can send a form, but no origin of ours
         if not isinstance(workplace, Workplace) or "origin" not in request.headers:
             return Response(status_code=404)
+        problems: list[dict[str, str]] = []
         try:
             await workplace.add_draft(request.stream())
         except ClientDisconnect:
             return Response(status_code=400)
         except Exception as error:
-            return JSONResponse({"problems": problems_of(told(error))}, status_code=422)
-        return Response(status_code=204)
+            # an answer like any other: browsers write others into their log
+            problems = problems_of(told(error))
+        return JSONResponse({"problems": problems})
 
     routes = [
         Route("/draft/{key}", draft, methods=["POST"]),

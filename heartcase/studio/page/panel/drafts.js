@@ -69,8 +69,7 @@ export function runDrafts(studio, address) {
     let problems = [];
     try {
       const answer = await fetch(address, { method: "POST", body: packed(files, options) });
-      if (answer.status === 422) problems = (await answer.json()).problems;
-      else if (!answer.ok) problems = [{ place: "", message: say("draft_lost") }];
+      problems = answer.ok ? (await answer.json()).problems : [{ place: "", message: say("draft_lost") }];
     } catch {
       // a file that changed since it was dropped cannot be read any more, either
       problems = [{ place: "", message: say("draft_lost") }];
