@@ -63,9 +63,9 @@ def load_markers(
     Parameters
     ----------
     recipe_markers
-        Label volumes, folders of parts (.stl) and point lists. A segment or list is found by ``names``, then by the label or synonym that it is
-        named like, then by its SNOMED CT code; a volume without segments by ``names`` and ``convention``, or, where
-        neither is given, by the values of the table.
+        Label volumes, folders of parts (.stl) and point lists. A segment, part or list is found by ``names``, then by
+        the label or synonym that it is named like, then by its SNOMED CT code; a volume without segments by ``names``
+        and ``convention``, or, where neither is given, by the values of the table.
     strokes
         Strokes of the recipe.
     table
