@@ -29,7 +29,7 @@ PAGE = Path(__file__).parent / "page"
 """The page's files."""
 
 
-_PAGES = {"prepare": "index.html"}
+_PAGES = {"prepare": "index.html", "operate": "operating/operate.html"}
 """Pages that show what is open, and the HTML of each."""
 _LINES = ("socket", "building", "operating")
 """Sockets that talk to what is open."""

@@ -36,7 +36,7 @@ def problems_of(error: HeartcaseError) -> list[dict[str, str]]:
     return [{"place": problem.place, "message": problem.message} for problem in error.problems]
 
 
-def told(error: Exception) -> HeartcaseError:
+def told(error: BaseException) -> HeartcaseError:
     """What a page is told of an error; one that nobody foresaw ends nothing but what was asked."""
     if isinstance(error, HeartcaseError):
         return error

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -44,6 +45,8 @@ class Answer:
     """Messages for every page on the recipe, in this order."""
     done: str | None = None
     """For the page that asked, after these."""
+    later: Callable[[], str] | None = None
+    """What takes long and looks at nothing that changes: it may run beside other requests, and gives the answer."""
 
 
 class Painting:
@@ -135,8 +138,10 @@ class Painting:
                 self._close_stroke()
                 self._shaping.act(request)
                 return Answer((self._shaping.shape(), self._done()), self._done(request))
-            case FindEnds() | Propose():
-                return Answer(done=self._shaping.answer(request))
+            case Propose():
+                return Answer(done=self._shaping.propose(request))
+            case FindEnds():
+                return Answer(later=self._shaping.find_ends(request))
             case Suggest():
                 found = session.suggest(count=request.count).as_json(session.table)
                 return Answer(done=text_message("places", id=request.id, **found))

@@ -10,8 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from heartcase.schemas.errors import UsageError
 from heartcase.studio.building.building import Building
+from heartcase.studio.operating.theatre import Theatre
 from heartcase.studio.pages import Place
 from heartcase.studio.workplace import Workplace
 
@@ -69,22 +69,20 @@ class Registry:
             self._opened[key] = Opened("prepare", key, path, places)
         return self._opened[key]
 
-    def open_case(self, path: Path) -> Opened:
+    def open_case(self, path: Path, *, out: Path | None = None) -> Opened:
         """Open a case to be operated on, or find it where it is open.
 
         Parameters
         ----------
         path
-            The case's folder.
-
-        Raises
-        ------
-        UsageError
-            It cannot be opened.
+            The case's folder. What is wrong with it is told to its pages.
+        out
+            Folder that recordings are put into, and taken from; beside the case when left out.
         """
         key = self._key("operate", path)
         if key not in self._opened:
-            raise UsageError("cases do not move in the page yet: open it with heartcase view", place="case")
+            places = {"operating": Theatre(path, out=path.parent if out is None else out)}
+            self._opened[key] = Opened("operate", key, path, places)
         return self._opened[key]
 
     def find(self, page: str, key: str) -> Opened | None:

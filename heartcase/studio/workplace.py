@@ -47,6 +47,8 @@ class Workplace:
         self._turn = asyncio.Lock()
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="studio")
         self._receives = False
+        self._aside = ThreadPoolExecutor(1, thread_name_prefix="studio-aside")
+        self._tasks: set[asyncio.Task[None]] = set()
         self._states = States(self._copied, self._tell)
 
     async def join(self, page: Page) -> None:
@@ -94,6 +96,21 @@ class Workplace:
             if isinstance(request, History) and painting.is_outdated:
                 await self._open_again()
             self._states.later()
+        if answer.later is not None:
+            self._start(page, text, answer.later)
+
+    def _start(self, page: Page, text: str, work: Callable[[], str]) -> None:
+        """Do what takes long beside all else, and tell who asked."""
+
+        async def answer() -> None:
+            try:
+                page.send(await asyncio.get_running_loop().run_in_executor(self._aside, work))
+            except Exception as error:
+                page.send(text_message("refused", id=request_id(text), problems=problems_of(told(error))))
+
+        task = asyncio.create_task(answer())
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
 
     async def add_draft(self, stream: AsyncIterator[bytes]) -> None:
         """Take a draft in that a page sends, and show all pages what comes of it.
@@ -132,6 +149,7 @@ class Workplace:
             await self.leave(page)
             page.close()
         self._thread.shutdown()
+        self._aside.shutdown(cancel_futures=True)
 
     async def _show_all(self, pages: tuple[Page, ...]) -> None:
         try:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from heartcase.window.tools import TOOLS
+from heartcase.simulator.live.tools import TOOLS
 
 __all__ = ["KEYS", "MOUSE", "Key", "help_text"]
 

@@ -15,21 +15,19 @@ import numpy as np
 
 from heartcase.schemas.arrays import UInt8
 from heartcase.schemas.errors import MissingExtraError, UsageError
-from heartcase.schemas.recording.commands import Mark, Redo, Rewind, TieStitch, Undo
+from heartcase.schemas.recording.commands import Mark
+from heartcase.simulator.live.hands import Hands
+from heartcase.simulator.live.live import Live
+from heartcase.simulator.live.rays import Eye, Pointer, first_hit
+from heartcase.simulator.live.shapes import STRETCH_SHOWN, Structures
+from heartcase.simulator.live.strain_worker import StrainWorker
+from heartcase.simulator.live.tool import Tool
 from heartcase.simulator.load import Case
 from heartcase.window.keys import KEYS, help_text
-from heartcase.window.letting_go import letting_go, removable
-from heartcase.window.live import Live
-from heartcase.window.rays import Eye, Pointer, first_hit
 from heartcase.window.scene import Scene
-from heartcase.window.shapes import STRETCH_SHOWN, Structures
-from heartcase.window.strain_worker import StrainWorker
-from heartcase.window.tool import Tool, nearest_held
-from heartcase.window.tools import TOOLS
 
 __all__ = ["HeartWindow", "require_display"]
 
-_REWIND_S = 1.0
 _MESSAGE_S = 8.0
 """How long a message stands, s."""
 _LOOK_S = 1.0 / 60.0
@@ -97,13 +95,10 @@ class HeartWindow:
         assert case.triangle_structures is not None
         self.live = live
         self.is_open = True
-        self.tools: dict[str, Tool] = {tool.key: tool(self._new_name) for tool in TOOLS}
-        self.tool: Tool | None = None
+        self.hands = Hands(live)
         self._folder = Path() if record_folder is None else record_folder
         self._name = case.manifest.name
-        self._named: dict[str, int] = {}
         self._failure: BaseException | None = None
-        self._is_used = False
         self._is_dirty = True
         self._shows_help = self._shows_strain = False
         self._strain: StrainWorker | None = None
@@ -150,6 +145,11 @@ class HeartWindow:
             self.close()
         if self._failure is not None:
             raise self._failure
+
+    @property
+    def tool(self) -> Tool | None:
+        """The tool in hand."""
+        return self.hands.tool
 
     @property
     def is_drawn_in_software(self) -> bool:
@@ -271,27 +271,20 @@ class HeartWindow:
             self.scene.hidden_changed()
             self._is_dirty = True
             return
-        if self.tool is not None and not self._interactor.GetShiftKey():
-            pointer, held = self.pointer(x, y), self.live.newest.held
-            if pointer.hit is not None or self.tool.is_waiting or nearest_held(pointer, held) is not None:
-                self._is_used = True
-                self.live.do(*self.tool.press(pointer, held))
-                self._is_dirty = True
-                return
+        uses_tool = self.tool is not None and not self._interactor.GetShiftKey()
+        if uses_tool and self.hands.press(self.pointer(x, y)):
+            self._is_dirty = True
+            return
         self._style.OnLeftButtonDown()
 
     def _left_released(self, *_: Any) -> None:
-        if self._is_used and self.tool is not None:
-            self._is_used = False
-            self.live.do(*self.tool.release(self.pointer(*self._place())))
+        if self.hands.is_used and self.hands.release(self.pointer(*self._place())):
             self._is_dirty = True
             return
         self._style.OnLeftButtonUp()
 
     def _moved(self, *_: Any) -> None:
-        if self._is_used and self.tool is not None:
-            self.live.do(*self.tool.drag(self.pointer(*self._place())))
-        else:
+        if not self.hands.is_used or not self.hands.drag(self.pointer(*self._place())):
             self._style.OnMouseMove()
         self._is_dirty = True
 
@@ -303,13 +296,11 @@ class HeartWindow:
         self._style.EndRotate()
 
     def _wheeled(self, notches: int) -> None:
-        given = self.tool.wheel(notches) if self.tool is not None and self._is_used else None
-        if given is not None:
-            self.live.do(*given)
-        elif notches > 0:
-            self._style.OnMouseWheelForward()
-        else:
-            self._style.OnMouseWheelBackward()
+        if not self.hands.wheel(notches):
+            if notches > 0:
+                self._style.OnMouseWheelForward()
+            else:
+                self._style.OnMouseWheelBackward()
         self._is_dirty = True
 
     def _key_pressed(self, *_: Any) -> None:
@@ -319,61 +310,38 @@ class HeartWindow:
 
     def _take_tool(self, key: str = "") -> None:
         self._put_down()
-        self.tool = self.tools.get(key)
+        self.hands.take(key)
 
     def _put_down(self) -> None:
-        """Forget what was begun. What the mouse leads lets go as if it was released."""
-        if self._is_used and self.tool is not None:
-            self.live.do(*self.tool.release(self.pointer(*self._place())))
-        self._is_used = False
-        for tool in self.tools.values():
-            tool.forget()
+        self.hands.put_down(self.pointer(*self._place()) if self.hands.is_used else None)
 
     def _resize(self, steps: str) -> None:
-        if self.tool is not None:
-            self.tool.resize(int(steps))
+        self.hands.resize(int(steps))
 
     def _let_go(self) -> None:
-        pointed = nearest_held(self.pointer(*self._place()), removable(self.live.newest))
-        command = letting_go(self.live.newest, None if pointed is None else pointed.name)
-        if command is None:
+        if not self.hands.let_go(self.pointer(*self._place())):
             self._say("nothing is held")
-        else:
-            self.live.do(command)
 
     def _tie(self) -> None:
-        stitches = self.live.newest.frame.stitches.values()
-        # A row is tied as one; its name stands for all of it.
-        loose = dict.fromkeys(stitch.row or stitch.name for stitch in stitches if not stitch.is_tied)
-        self.live.do(*(TieStitch(name=name) for name in loose))
+        self.hands.tie()
 
     def _undo(self) -> None:
-        self._forget_all()
-        self.live.do(Undo())
+        self.hands.undo()
 
     def _redo(self) -> None:
-        self._forget_all()
-        self.live.do(Redo())
+        self.hands.redo()
 
     def _rewind(self) -> None:
-        self._forget_all()
-        self.live.do(Rewind(seconds=_REWIND_S))
-
-    def _forget_all(self) -> None:
-        """Time goes elsewhere: what the mouse leads may not be there then."""
-        self._is_used = False
-        for tool in self.tools.values():
-            tool.forget()
+        self.hands.rewind()
 
     def _play(self) -> None:
-        self._forget_all()
-        self.live.play()
+        self.hands.play()
 
     def _pause(self) -> None:
         self.live.pause(self.live.newest.mode != "paused")
 
     def _mark(self) -> None:
-        name = self._new_name("mark")
+        name = self.hands.new_name("mark")
         self.live.do(Mark(name=name))
         self._say(f"this moment is {name}")
 
@@ -430,16 +398,6 @@ class HeartWindow:
     def _leave(self, *_: Any) -> None:
         self.is_open = False
         self._interactor.TerminateApp()
-
-    def _new_name(self, kind: str) -> str:
-        newest = self.live.newest.frame
-        rows = {stitch.row for stitch in newest.stitches.values()}
-        there = {*newest.instruments, *newest.stitches, *newest.patches, *rows}
-        number = self._named.get(kind, 0) + 1
-        while f"{kind} {number}" in there:
-            number += 1
-        self._named[kind] = number
-        return f"{kind} {number}"
 
     def _say(self, words: str) -> None:
         self._message, self._message_until = words, time.perf_counter() + _MESSAGE_S

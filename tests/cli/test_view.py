@@ -10,7 +10,8 @@ import pytest
 from heartcase.cli.main import main
 from heartcase.schemas.recording.reader import open_recording
 from heartcase.window.keys import KEYS, MOUSE
-from tests.window.scenes import SIZE, threads, until, write_case
+from tests.simulator.live.scenes import threads, until, write_case
+from tests.window.scenes import SIZE
 
 pytest.importorskip("pyvista")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.window.scenes import write_case
+from tests.simulator.live.scenes import write_case
 
 
 @pytest.fixture(scope="session")

@@ -14,7 +14,8 @@ from heartcase.schemas.recording.reader import open_recording
 from heartcase.simulator.session.replay import load_session
 from heartcase.window.keys import KEYS, MOUSE, help_text
 from tests.factories import block_grid
-from tests.window.scenes import Mouse, bytes_of, live_on, load, off_screen_window, threads, until, write_case
+from tests.simulator.live.scenes import bytes_of, live_on, load, threads, until, write_case
+from tests.window.scenes import Mouse, off_screen_window
 
 pytest.importorskip("pyvista")
 

@@ -76,7 +76,7 @@ def command(
     H in the window lists its keys. Closing it, or Ctrl-C, ends all; what is recorded is finished. Recordings that W
     begins are put into the current folder. With --recording, law, step and damping are those that were recorded.
     """
-    from heartcase.window.live import Live
+    from heartcase.simulator.live.live import Live
     from heartcase.window.window import HeartWindow, require_display
 
     check_numbers(poissons_ratio=poissons_ratio, damping_per_s=damping_per_s)

@@ -56,33 +56,34 @@ def with_stroke(text: str, stroke: Stroke, *, has_some: bool) -> str:
     return (text if text.endswith("\n") else text + newline) + added.replace("\n", newline)
 
 
-def changed_text(text: str, place: Place, value: Any) -> str:
-    """A recipe's text with another value at one place.
+def changed_text(text: str, *changes: tuple[Place, Any]) -> str:
+    """A recipe's text with other values at some places.
 
     Parameters
     ----------
     text
         The recipe, without the strokes of sessions at its end.
-    place
-        Keys, and numbers from 0: ``("ends", 0)``, ``("materials", "youngs_modulus_kpa")``. A number that is one above
-        those there are adds a table.
-    value
-        What is to stand there; a mapping for a table, of which only what differs is written anew. None takes it away.
+    changes
+        Each a place and what is to stand there, one after the other. A place is keys, and numbers from 0: ``("ends",
+        0)``, ``("materials", "youngs_modulus_kpa")``; a number that is one above those there adds a table. What is to
+        stand there is a value; a mapping for a table, of which only what differs is written anew; or None, which takes
+        it away.
 
     Raises
     ------
     RecipeError
-        The part is written in a way that cannot be changed by itself.
+        A part is written in a way that cannot be changed by itself.
     """
     newline = newline_of(text)
-    before = tomllib.loads(text)
-    wanted = _with(before, place, value)
-    if wanted == before:
-        return text
+    data: dict[str, Any] = tomllib.loads(text)
     found = text.replace(newline, "\n")
+    place: Place = ()
     try:
-        found = _changed(found, place, value, before)
-        is_right = tomllib.loads(found) == wanted
+        for place, value in changes:
+            wanted = _with(data, place, value)
+            if wanted != data:
+                found, data = _changed(found, place, value, data), wanted
+        is_right = found == text or tomllib.loads(found) == data
     except (tomllib.TOMLDecodeError, _Entangled):
         is_right = False
     if not is_right:
@@ -168,6 +169,8 @@ def _changed(text: str, place: Place, value: Any, data: Mapping[str, Any]) -> st
         return _without_tables(text, tables, place, data)
     if isinstance(value, Mapping):
         return _with_table(text, tables, place, value, data)
+    if _is_tables(value):
+        return _with_block(text, tables, place, toml_text(_with({}, place, value)))
     return _with_entry(text, tables, place, value)
 
 
@@ -179,7 +182,7 @@ def _written_over(text: str, entry: EntryPlace, value: Any) -> str:
 
 def _value_text(key: str | int, value: Any) -> str:
     """A value as it stands behind its key: long lists in several lines."""
-    if isinstance(value, Mapping) or (isinstance(value, list) and any(isinstance(one, Mapping) for one in value)):
+    if isinstance(value, Mapping) or _is_tables(value):
         return toml_value(value)
     return toml_text({str(key): value}).partition(" = ")[2].rstrip("\n")
 
@@ -215,12 +218,16 @@ def _with_table(
         for key in reversed(keys):
             nested = {key: nested}
         return _with_block(text, tables, place, toml_text(nested))
-    for key in [key for key in there if key not in value]:
-        text = changed_text(text, (*place, key), None)
-    for key, one in value.items():
-        if key not in there or there[key] != one:
-            text = changed_text(text, (*place, key), one)
+    changes: list[tuple[str, Any]] = [(key, None) for key in there if key not in value]
+    changes += [(key, one) for key, one in value.items() if key not in there or there[key] != one]
+    for key, one in changes:
+        text = _changed(text, (*place, key), one, data)
+        data = _with(data, (*place, key), one)
     return text
+
+
+def _is_tables(value: Any) -> bool:
+    return isinstance(value, list) and any(isinstance(one, Mapping) for one in value)
 
 
 def _with_entry(text: str, tables: Sequence[TablePlace], place: Place, value: Any) -> str:

@@ -16,6 +16,10 @@ import { fillWords, isWord, language, say } from "./shared/words.js";
 import { Brush } from "./tools/brush.js";
 import { Measures } from "./tools/measures.js";
 import { Pointers } from "./tools/pointers.js";
+import { drawLines, drawLinesOnSolid } from "./shaping/drawing.js";
+import { Hands } from "./shaping/hands.js";
+import { ShapePanel } from "./shaping/panel.js";
+import { Shaping } from "./shaping/shaping.js";
 import { Shortcuts } from "./tools/shortcuts.js";
 import { runTurning } from "./tools/turning.js";
 
@@ -43,6 +47,19 @@ function run() {
   const brush = new Brush(studio, (request) => connection.ask(request), (problems) => status.refused(problems));
   const pointers = new Pointers(views, studio, brush, measures);
   runTurning(views, studio);
+  const shaping = new Shaping((request) => connection.ask(request), (error) => fault(error));
+  const hands = (pointers.hands = new Hands(studio, shaping));
+  studio.tool.listen((tool) => {
+    if (tool !== "shape") hands.drop();
+  });
+  hands.lookAt = (mm) => views.lookAt(mm);
+  hands.labelValueAt = (voxel) => views.volume?.labelAt(voxel) ?? null;
+  new ShapePanel(find("panel-shape"), studio, views, shaping, hands);
+  views.over.push((view, thickness) => drawLines(view.pen, view.camera, studio.crosshair.value, thickness, shaping));
+  views.overSolid.push((view) => drawLinesOnSolid(view.pen, view.camera, studio.crosshair.value, shaping));
+  for (const signal of [shaping.shape, shaping.selected, shaping.draft, shaping.isOpen]) {
+    /** @type {import("./shared/signal.js").Signal<any>} */ (signal).listen(() => views.redrawAllOverlays());
+  }
   const structures = new Structures(find("structures"), studio, views, (labels) => {
     status.clear();
     connection.ask({ do: "lock", labels }).catch((error) => fault(error));
@@ -62,11 +79,21 @@ function run() {
     redo: () => step("redo"),
     nextPlace: () => void guide.next(),
     fit: () => views.fit(),
+    shape: () => find("tab-shape").click(),
+    removeShape: () => {
+      const line = shaping.selected.value;
+      if (line) void shaping.remove(line);
+      return line !== null;
+    },
   };
   const shortcuts = new Shortcuts(studio, views, pointers, brush, measures, actions);
   runToolbar(studio, actions);
   runTiles(studio, views);
-  runTabs();
+  runTabs((id) => {
+    shaping.isOpen.value = id === "tab-shape";
+    if (id === "tab-shape") studio.take("shape");
+    else if (studio.tool.value === "shape") studio.take(studio.toolBefore === "shape" ? "pointer" : studio.toolBefore);
+  });
   runHelp(shortcuts.areOn);
   runPlanes(studio, views, (request) => connection.ask(request), (error) => fault(error));
   runDrafts(studio, location.pathname.replace("/prepare/", "/draft/"));
@@ -93,7 +120,9 @@ function run() {
     else if (message.kind === "structures") {
       structures.tell(message.volumes_ml ?? {}, message.marked, message.locked ?? []);
       guide.tell(message.checklist ?? []);
-    } else if (message.kind === "states") structures.tellStates(message.states ?? {});
+    } else if (message.kind === "shaping_facts") shaping.facts.value = /** @type {any} */ (message);
+    else if (message.kind === "shape") shaping.tell(/** @type {any} */ (message));
+    else if (message.kind === "states") structures.tellStates(message.states ?? {});
     else if (message.kind === "done") {
       studio.undoCount.value = message.undo_count;
       studio.redoCount.value = message.redo_count;

@@ -61,15 +61,17 @@ def done_to(head: str, recipe: Recipe, request: Add | Change | Remove | Set) -> 
     count = len(_at(recipe, request.list))
     match request:
         case Add():
-            for number, entry in enumerate(request.entries):
-                head = changed_text(head, (*place, count + number), _line(request.list, count + number, entry))
-            return head, place_words((*place, count))
+            lines = [_line(request.list, number, entry) for number, entry in enumerate(request.entries, start=count)]
+            changes = [((*place, number), line) for number, line in enumerate(lines, start=count)]
+            return changed_text(head, *changes), place_words((*place, count))
         case Change():
             where = _existing(request.list, request.number, count)
-            return changed_text(head, where, _line(request.list, request.number - 1, request.entry)), place_words(where)
+            return changed_text(head, (where, _line(request.list, request.number - 1, request.entry))), place_words(
+                where
+            )
         case Remove():
             where = _existing(request.list, request.number, count)
-            return changed_text(head, where, None), place_words(where)
+            return changed_text(head, (where, None)), place_words(where)
 
 
 def _at(recipe: Recipe, name: str) -> tuple[Model, ...]:
@@ -116,7 +118,7 @@ def _without_automatic(head: str) -> str:
     """The text with ``ends = "automatic"`` said in the other way, which leaves room for lines."""
     if tomllib.loads(head).get("ends") != AUTOMATIC:
         return head
-    return changed_text(without_line(head, "ends"), ("walls", "find_ends"), True)
+    return changed_text(without_line(head, "ends"), (("walls", "find_ends"), True))
 
 
 def _set(head: str, recipe: Recipe, request: Set) -> tuple[str, str]:
@@ -131,7 +133,7 @@ def _set(head: str, recipe: Recipe, request: Set) -> tuple[str, str]:
         raise UsageError("must be one value", place=".".join(request.place))
     if first == "walls":
         head = _without_automatic(head)
-    return changed_text(head, tuple(request.place), request.value), ".".join(request.place)
+    return changed_text(head, (tuple(request.place), request.value)), ".".join(request.place)
 
 
 def _set_wall(head: str, recipe: Recipe, name: str, value: Any) -> tuple[str, str]:
@@ -140,18 +142,19 @@ def _set_wall(head: str, recipe: Recipe, name: str, value: Any) -> tuple[str, st
     if label is None:
         raise UsageError(f"there is no label {name!r}: take one of the list", place=place)
     stated = tomllib.loads(head).get("labels")
+    changes: list[tuple[Place, Any]] = []
     if stated is None:
         # A table that is stated replaces the usual one, so all of it is.
-        for number, one in enumerate(one for one in recipe.labels if one.value != 0):
-            head = changed_text(head, ("labels", number), _label_line(one))
-        stated = tomllib.loads(head)["labels"]
+        stated = [_label_line(one) for one in recipe.labels if one.value != 0]
+        changes.append((("labels",), stated))
     at = next((n for n, one in enumerate(stated) if one["value"] == label.value), None)
     if at is None:
         raise UsageError("is no cavity and has no wall", place=place)
     if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)):
         raise UsageError("must be a number, in mm", place=place)
     # no wall is what a label has when nothing is said
-    return changed_text(head, ("labels", at, "wall_thickness_mm"), value or None), place
+    changes.append((("labels", at, "wall_thickness_mm"), value or None))
+    return changed_text(head, *changes), place
 
 
 def _label_line(label: Label) -> dict[str, Any]:
@@ -165,13 +168,12 @@ def _set_material(head: str, recipe: Recipe, name: str, value: Any) -> tuple[str
     if value is None:
         if name not in recipe.materials.labels:
             raise UsageError("has no constants of its own", place=place)
-        return changed_text(head, ("materials", "labels", name), None), place
+        return changed_text(head, (("materials", "labels", name), None)), place
     if not isinstance(value, dict):
         raise UsageError("must be a table of constants", place=place)
     try:
         settings = MaterialSettings.model_validate(value)
     except ValidationError as error:
         raise UsageError(problems_from_validation(error, place=place)) from None
-    return changed_text(
-        head, ("materials", "labels", name), settings.model_dump(mode="json", exclude_unset=True)
-    ), place
+    stated = settings.model_dump(mode="json", exclude_unset=True)
+    return changed_text(head, (("materials", "labels", name), stated)), place

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from heartcase.pipeline.building.recipe_history import RecipeHistory
+from heartcase.pipeline.data import Segmentation
 from heartcase.pipeline.edits.septum_place import septum_place
 from heartcase.pipeline.ends.discs import Stumps, end_marker
 from heartcase.pipeline.ends.end_place import end_place
@@ -91,8 +93,8 @@ class Shaping:
         # what was painted and taken back before cannot be done again behind this
         self._session.offer_again(())
 
-    def answer(self, request: FindEnds | Propose) -> str:
-        """What is proposed.
+    def propose(self, request: Propose) -> str:
+        """How a disc lies at a place.
 
         Raises
         ------
@@ -101,30 +103,49 @@ class Shaping:
         """
         segmentation, recipe = self._session.segmentation(), self._history.recipe
         table = recipe.table.with_walls()
-        if isinstance(request, Propose) and request.about == "septum":
-            place = septum_place(segmentation, table, request.position_mm)
-            return text_message(
-                "proposal",
-                id=request.id,
-                position_mm=_rounded(place.position_mm, 1),
-                axis=_rounded(place.axis, 3),
-                thickness_mm=round(place.thickness_mm, 1),
-                between=place.between,
-            )
-        geometry = segmentation.geometry
-        walls = resolve_walls(recipe.walls, geometry, recipe.table)
-        stumps = Stumps.of(walls, table, geometry.spacing_mm)
-        if isinstance(request, Propose):
+        if request.about == "vessel":
+            stumps = _stumps(recipe, segmentation)
             end = end_place(segmentation, table, stumps, request.position_mm, request.label)
             return text_message("proposal", id=request.id, **_plain(end))
-        found = find_ends(segmentation, table, stumps, known=recipe.ends)
+        place = septum_place(segmentation, table, request.position_mm)
         return text_message(
-            "found_ends",
+            "proposal",
             id=request.id,
-            ends=[_plain(end_marker(end)) for end in found.ends if not end.is_open],
-            open=sorted({end.label for end in found.ends if end.is_open}),
-            dropped=found.dropped,
+            position_mm=_rounded(place.position_mm, 1),
+            axis=_rounded(place.axis, 3),
+            thickness_mm=round(place.thickness_mm, 1),
+            between=place.between,
         )
+
+    def find_ends(self, request: FindEnds) -> Callable[[], str]:
+        """What finds the ends that the recipe does not cut yet, in the labels as they are now.
+
+        Raises
+        ------
+        HeartcaseError
+            Nothing is painted.
+        """
+        # a copy: painting goes on meanwhile
+        segmentation, recipe = self._session.segmentation(), self._history.recipe
+
+        def find() -> str:
+            stumps = _stumps(recipe, segmentation)
+            found = find_ends(segmentation, recipe.table.with_walls(), stumps, known=recipe.ends)
+            return text_message(
+                "found_ends",
+                id=request.id,
+                ends=[_plain(end_marker(end)) for end in found.ends if not end.is_open],
+                open=sorted({end.label for end in found.ends if end.is_open}),
+                dropped=found.dropped,
+            )
+
+        return find
+
+
+def _stumps(recipe: Recipe, segmentation: Segmentation) -> Stumps:
+    geometry = segmentation.geometry
+    walls = resolve_walls(recipe.walls, geometry, recipe.table)
+    return Stumps.of(walls, recipe.table.with_walls(), geometry.spacing_mm)
 
 
 def _at(recipe: Recipe, name: str) -> Any:

@@ -27,7 +27,7 @@ def opened(path):
 
 
 def shape(history, place, value):
-    history.change(str(place), changed_text(history.head, place, value))
+    history.change(str(place), changed_text(history.head, (place, value)))
 
 
 def do_something(history, drawn):

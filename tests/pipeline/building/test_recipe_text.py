@@ -42,34 +42,36 @@ youngs_modulus_kpa = 50.0
 
 
 def test_a_value_is_changed_where_it_stands():
-    assert changed_text(TEXT, ("ends", 0, "radius_mm"), 13.5) == TEXT.replace("radius_mm = 12\n", "radius_mm = 13.5\n")
-    assert changed_text(TEXT, ("name",), "b") == TEXT.replace("'one'  #", '"b"  #')
-    assert changed_text(TEXT, ("ends", 0, "radius_mm"), 12) == TEXT
+    assert changed_text(TEXT, (("ends", 0, "radius_mm"), 13.5)) == TEXT.replace(
+        "radius_mm = 12\n", "radius_mm = 13.5\n"
+    )
+    assert changed_text(TEXT, (("name",), "b")) == TEXT.replace("'one'  #", '"b"  #')
+    assert changed_text(TEXT, (("ends", 0, "radius_mm"), 12)) == TEXT
 
 
 def test_of_a_table_only_what_differs_is_written_anew():
     table = tomllib.loads(TEXT)["ends"][0] | {"radius_mm": 10.0, "label": "left atrium"}
-    found = changed_text(TEXT, ("ends", 0), table)
+    found = changed_text(TEXT, (("ends", 0), table))
     assert found == TEXT.replace('"aorta" ', '"left atrium" ').replace("radius_mm = 12\n", "radius_mm = 10.0\n")
 
 
 def test_a_table_is_added_behind_those_of_its_kind_and_goes_without_a_trace():
     table = {"label": "aorta", "position_mm": [0.0, 1.0, 2.0], "axis": [1.0, 0.0, 0.0], "radius_mm": 4.0}
-    found = changed_text(TEXT, ("ends", 2), table)
+    found = changed_text(TEXT, (("ends", 2), table))
     block = '\n[[ends]]\nlabel = "aorta"\nposition_mm = [0.0, 1.0, 2.0]\naxis = [1.0, 0.0, 0.0]\nradius_mm = 4.0\n'
     assert found == TEXT.replace("radius_mm = 9.0\n", f"radius_mm = 9.0\n{block}")
-    assert changed_text(found, ("ends", 2), None) == TEXT
+    assert changed_text(found, (("ends", 2), None)) == TEXT
     # the words above a table are somebody's, and stay
-    assert "# why this one\n" in changed_text(TEXT, ("ends", 1), None)
+    assert "# why this one\n" in changed_text(TEXT, (("ends", 1), None))
 
 
 def test_a_setting_gets_a_table_where_it_has_none_and_takes_it_away_again():
-    found = changed_text(TEXT, ("grid", "node_count"), 20000)
+    found = changed_text(TEXT, (("grid", "node_count"), 20000))
     assert found == TEXT + "\n[grid]\nnode_count = 20000\n"
-    assert changed_text(found, ("grid", "node_count"), None) == TEXT
+    assert changed_text(found, (("grid", "node_count"), None)) == TEXT
     place = ("materials", "labels", "right ventricle wall", "youngs_modulus_kpa")
-    assert "materials" not in tomllib.loads(changed_text(TEXT, place, None))
-    assert changed_text(TEXT, ("materials", "youngs_modulus_kpa"), 20.0).endswith(
+    assert "materials" not in tomllib.loads(changed_text(TEXT, (place, None)))
+    assert changed_text(TEXT, (("materials", "youngs_modulus_kpa"), 20.0)).endswith(
         "[materials]\nyoungs_modulus_kpa = 20.0\n"
     )
 
@@ -91,9 +93,9 @@ def test_a_setting_gets_a_table_where_it_has_none_and_takes_it_away_again():
 def test_other_ways_of_writing_are_kept_or_refused(text, place, value, expected):
     if expected is None:
         with pytest.raises(RecipeError, match="cannot be changed by itself"):
-            changed_text(text, place, value)
+            changed_text(text, (place, value))
     else:
-        assert changed_text(text, place, value) == expected
+        assert changed_text(text, (place, value)) == expected
 
 
 def test_strokes_of_sessions_are_told_from_what_is_written_by_hand():

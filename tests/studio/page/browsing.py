@@ -76,7 +76,7 @@ class Server:
         listener.listen()
         self.port = listener.getsockname()[1]
         registry = Registry(token)
-        opened = registry.open_recipe(self.recipe, out=self.recipe.parent / "out")
+        opened = self.opened = self.open_in(registry)
         self.address = f"http://127.0.0.1:{self.port}{opened.address}?token={token}"
         app = make_app(registry, token=token, port=self.port)
         self._server = uvicorn.Server(
@@ -85,6 +85,9 @@ class Server:
         self._thread = threading.Thread(target=self._server.run, kwargs={"sockets": [listener]}, daemon=True)
         self._listener = listener
         self._thread.start()
+
+    def open_in(self, registry):
+        return registry.open_recipe(self.recipe, out=self.recipe.parent / "out")
 
     def stop(self):
         if self._server is not None:

@@ -35,7 +35,7 @@ export function runTiles(studio, views) {
 }
 
 /** The fourth tile's tabs, as the pattern for tabs has them: arrows go from one to the next. */
-export function runTabs() {
+export function runTabs(onChosen = (/** @type {string} */ _id) => {}) {
   const tabs = /** @type {HTMLElement[]} */ ([...document.querySelectorAll("[role=tab]")]);
   /** @param {HTMLElement} chosen */
   const choose = (chosen) => {
@@ -46,6 +46,7 @@ export function runTabs() {
       const body = document.getElementById(tab.getAttribute("aria-controls") ?? "");
       if (body) body.hidden = !isChosen;
     }
+    onChosen(chosen.id);
   };
   tabs.forEach((tab, n) => {
     tab.addEventListener("click", () => choose(tab));

@@ -53,7 +53,7 @@ export function drawSolidOverlay(pen, camera, through) {
 }
 
 /** @param {CanvasRenderingContext2D} pen @param {string} colour @param {() => void} path */
-function rimmed(pen, colour, path, width = 1.25) {
+export function rimmed(pen, colour, path, width = 1.25) {
   for (const [style, wide] of /** @type {const} */ ([[RIM, width + 2], [colour, width]])) {
     pen.strokeStyle = style;
     pen.lineWidth = wide;
@@ -64,7 +64,7 @@ function rimmed(pen, colour, path, width = 1.25) {
 }
 
 /** @param {CanvasRenderingContext2D} pen @param {string} text @param {number} x @param {number} y @param {string} colour */
-function lettering(pen, text, x, y, colour = LIGHT) {
+export function lettering(pen, text, x, y, colour = LIGHT) {
   pen.lineJoin = "round";
   pen.strokeStyle = RIM;
   pen.lineWidth = 3;

@@ -24,6 +24,10 @@ export class Views {
   /** @type {Volume | null} */
   volume = null;
   #isAsked = false;
+  /** What other parts of the page draw over the slices. @type {((view: SliceView, thickness: number) => void)[]} */
+  over = [];
+  /** And over the solids. @type {((view: SolidView) => void)[]} */
+  overSolid = [];
 
   /**
    * @param {HTMLCanvasElement} canvas
@@ -142,6 +146,12 @@ export class Views {
     this.#ask();
   }
 
+  /** What lies over all pictures is drawn anew. */
+  redrawAllOverlays() {
+    this.solid.overlayIsStale = true;
+    this.redrawOverlays();
+  }
+
   /** What lies over the slices is drawn anew. */
   redrawOverlays() {
     for (const view of this.all) view.overlayIsStale = true;
@@ -234,6 +244,7 @@ export class Views {
       }
       if (view.isStale || view.overlayIsStale) {
         drawOverlay(view.pen, view.name, view.camera, studio, this.measures.all);
+        for (const draw of this.over) draw(view, lattice.sliceStep(view.camera.frame.normal));
         this.#tellPosition(view, lattice);
       }
       view.isStale = view.overlayIsStale = false;
@@ -244,7 +255,10 @@ export class Views {
   /** @param {Volume} volume @param {Lattice} lattice */
   #drawSolid(volume, lattice) {
     const { solid, studio } = this;
-    if (solid.isStale || solid.overlayIsStale) drawSolidOverlay(solid.pen, solid.camera, studio.crosshair.value);
+    if (solid.isStale || solid.overlayIsStale) {
+      drawSolidOverlay(solid.pen, solid.camera, studio.crosshair.value);
+      for (const draw of this.overSolid) draw(solid);
+    }
     solid.overlayIsStale = false;
     // While a stroke is drawn the slices come first.
     if (!solid.isStale || this.solids.isBusy || (studio.stroke.value !== null && !solid.isQuick)) return;

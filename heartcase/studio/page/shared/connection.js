@@ -13,7 +13,7 @@ import { Signal } from "./signal.js";
 const FIRST_WAIT_MS = 300;
 const LONGEST_WAIT_MS = 8000;
 /** Requests that change nothing. */
-const LOOKING = new Set(["suggest", "planes"]);
+const ASKING = new Set(["suggest", "propose", "find_ends", "planes"]);
 
 /** The server did not carry a request out, and says why. */
 export class Refused extends Error {
@@ -113,10 +113,18 @@ export class Connection {
     if (socket === null || socket.readyState !== WebSocket.OPEN) return Promise.reject(new Lost());
     const id = this.#nextId++;
     return new Promise((resolve, reject) => {
-      this.#requests.set(id, { changes: !LOOKING.has(request.do), resolve, reject });
+      this.#requests.set(id, { changes: !ASKING.has(request.do), resolve, reject });
       this.#count();
       socket.send(JSON.stringify({ id, ...request }));
     });
+  }
+
+  /**
+   * Tell the server something that has no answer. Where there is no line it is left out.
+   * @param {Record<string, unknown> & {do: string}} request
+   */
+  tell(request) {
+    if (this.#socket?.readyState === WebSocket.OPEN) this.#socket.send(JSON.stringify(request));
   }
 
   #count() {

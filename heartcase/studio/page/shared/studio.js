@@ -6,7 +6,7 @@ import { Signal } from "./signal.js";
 
 /** @typedef {import("../pictures/geometry.js").Vector} Vector */
 /** @typedef {import("../pictures/geometry.js").Lattice} Lattice */
-/** @typedef {"pointer" | "brush" | "eraser" | "ruler" | "angle"} Tool */
+/** @typedef {"pointer" | "brush" | "eraser" | "ruler" | "angle" | "shape"} Tool */
 /** @typedef {"axial" | "coronal" | "sagittal"} ViewName */
 /** @typedef {{value: number, name: string, colour: string, role: string}} Label */
 /** @typedef {{low: number, high: number}} Range */
@@ -92,7 +92,8 @@ export class Studio {
   /** @param {number} value */
   pick(value) {
     this.picked.value = value;
-    if (this.tool.value !== "brush") this.take("brush");
+    // with the tool of the tab Shape one picks what is sculpted
+    if (this.tool.value !== "brush" && this.tool.value !== "shape") this.take("brush");
   }
 
   /** @param {number} steps larger, or smaller where negative */

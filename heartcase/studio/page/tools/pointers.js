@@ -7,7 +7,7 @@
 /** @typedef {import("./brush.js").Brush} Brush */
 /** @typedef {import("./measures.js").Measures} Measures */
 /** @typedef {{x: number, y: number}} Point */
-/** @typedef {{kind: "pan" | "window" | "crosshair" | "paint" | "measure" | "fingers" | "turn", view: SliceView, pointer: number, x: number, y: number, moved: boolean}} Drag */
+/** @typedef {{kind: "pan" | "window" | "crosshair" | "paint" | "measure" | "shape" | "fingers" | "turn", view: SliceView, pointer: number, x: number, y: number, moved: boolean}} Drag */
 
 import { draggedWindow } from "../pictures/geometry.js";
 import { handlesOf, isOnHandle } from "../pictures/planes.js";
@@ -32,6 +32,8 @@ export class Pointers {
   #penAt = -Infinity;
   /** Space was held for a drag, and not for a swap of tools. */
   hasPanned = false;
+  /** What acts on the lines of the recipe. @type {import("../shaping/hands.js").Hands | null} */
+  hands = null;
 
   /**
    * @param {Views} views
@@ -84,6 +86,8 @@ export class Pointers {
     if (this.#drag !== null || this.studio.lattice.value === null) return;
     let kind = this.#kindOf(event);
     if (kind === null) return;
+    // where no line is, the crosshair is moved
+    if (kind === "shape" && !this.hands?.down(view, at)) kind = "crosshair";
     if (kind === "crosshair" && !event.shiftKey && this.#isOnHandle(view, at)) kind = "turn";
     view.surface.setPointerCapture(event.pointerId);
     this.#drag = { kind, view, pointer: event.pointerId, ...at, moved: false };
@@ -105,6 +109,7 @@ export class Pointers {
     if (event.button === 2) return "window";
     if (event.button !== 0 && event.button !== 5) return null;
     if (tool.value === "pointer" || event.shiftKey) return "crosshair";
+    if (tool.value === "shape") return "shape";
     return tool.value === "ruler" || tool.value === "angle" ? "measure" : "paint";
   }
 
@@ -132,6 +137,7 @@ export class Pointers {
       return;
     }
     this.measures.drop();
+    this.hands?.drop();
     view.surface.setPointerCapture(event.pointerId);
     this.#drag = { kind: "fingers", view, pointer: event.pointerId, x: 0, y: 0, moved: true };
     this.studio.hover.value = null;
@@ -170,6 +176,10 @@ export class Pointers {
         const { x, y } = positionOf(over, one);
         return over.toMm(x, y);
       }));
+      return;
+    }
+    if (drag.kind === "shape") {
+      this.hands?.move(at);
       return;
     }
     if (drag.kind === "measure") {
@@ -218,6 +228,7 @@ export class Pointers {
       this.#settle(true);
       this.brush.end();
     }
+    if (drag.kind === "shape") this.hands?.up();
     // A ruler is drawn by dragging, or by clicks.
     if (drag.kind === "measure" && drag.moved) this.#setMeasure(drag.view, positionOf(drag.view, event));
     if (event.pointerType === "touch") this.studio.hover.value = null;
@@ -227,6 +238,7 @@ export class Pointers {
   letGo() {
     if (this.#pending) window.clearTimeout(this.#pending.timer);
     this.#pending = this.#drag = null;
+    this.hands?.drop();
     this.brush.drop();
   }
 

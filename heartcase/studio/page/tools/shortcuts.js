@@ -9,7 +9,7 @@ import { Signal } from "../shared/signal.js";
 /** @typedef {import("./brush.js").Brush} Brush */
 /** @typedef {import("./measures.js").Measures} Measures */
 /** @typedef {import("../shared/words.js").Word} Word */
-/** @typedef {{undo: () => void, redo: () => void, nextPlace: () => void}} Actions */
+/** @typedef {{undo: () => void, redo: () => void, nextPlace: () => void, shape: () => void, removeShape: () => boolean}} Actions */
 
 /** Held longer than this, the space bar was not tapped. */
 const TAP_MS = 350;
@@ -27,6 +27,7 @@ export const HELP = [
   ["Space", "help_space"],
   ["N", "help_next"],
   ["M  A", "help_measure"],
+  ["S", "help_shape"],
   ["Delete", "help_delete"],
   ["L  O", "help_labels"],
   ["T  F", "help_tile"],
@@ -129,9 +130,11 @@ export class Shortcuts {
     else if (key === "[" || key === ",") studio.resizeBrush(-1);
     else if (key === "]" || key === ".") studio.resizeBrush(1);
     else if (key === "j" || key === "k") this.views.turnStep(key === "j" ? -1 : 1);
-    else if (key === "Delete" || key === "Backspace") this.measures.removeLast();
-    else if (key === "Escape") {
-      if (!this.measures.drop()) studio.large.value = null;
+    else if (key === "s") this.actions.shape();
+    else if (key === "Delete" || key === "Backspace") {
+      if (studio.tool.value !== "shape" || !this.actions.removeShape()) this.measures.removeLast();
+    } else if (key === "Escape") {
+      if (!this.pointers.hands?.drop() && !this.measures.drop()) studio.large.value = null;
     } else if (key === "Enter" && !event.repeat) this.#dab();
     else return false;
     return true;
@@ -143,6 +146,7 @@ export class Shortcuts {
     const tool = studio.tool.value;
     const mm = studio.crosshair.value;
     if (tool === "ruler" || tool === "angle") this.measures.set(tool, mm);
+    else if (tool === "shape") this.pointers.hands?.placeAtCrosshair();
     else if (tool !== "pointer" && this.brush.begin(mm, studio.erases)) this.brush.end();
   }
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from heartcase.window.rays import Eye, Ray, first_hit, on_plane
+from heartcase.simulator.live.rays import Eye, Ray, first_hit, on_plane
 
 pyvista = pytest.importorskip("pyvista")
 

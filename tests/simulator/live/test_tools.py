@@ -10,12 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from heartcase.schemas.recording.commands import LeadGrab, MoveProbe
-from heartcase.window.drawing_tools import CutTool, PatchTool, RowTool, StitchTool
-from heartcase.window.goals import HAND_SPEED_MM_S, Goals
-from heartcase.window.holding_tools import ForcepsTool, GrabTool, ProbeTool, RetractorTool
-from heartcase.window.rays import Eye, Hit, Pointer
-from heartcase.window.tool import Held
-from heartcase.window.tools import TOOLS
+from heartcase.simulator.live.drawing_tools import CutTool, PatchTool, RowTool, StitchTool
+from heartcase.simulator.live.goals import HAND_SPEED_MM_S, Goals
+from heartcase.simulator.live.holding_tools import ForcepsTool, GrabTool, ProbeTool, RetractorTool
+from heartcase.simulator.live.rays import Eye, Hit, Pointer
+from heartcase.simulator.live.tool import Held
+from heartcase.simulator.live.tools import TOOLS
 
 SIZE = (400, 300)
 EYE = Eye(np.array([10.0, -200.0, 30.0]), np.array([0.0, 0.0, 0.0]), np.array([0.0, 0.1, 1.0]), 30.0)

@@ -10,9 +10,9 @@ import numpy as np
 
 from heartcase.schemas.arrays import Float64
 from heartcase.schemas.recording.commands import Cut, Done, DrawStitch, PlacePatch, PlaceRow, PlaceStitch
-from heartcase.window.lines import DrawnLine
-from heartcase.window.rays import Pointer
-from heartcase.window.tool import Held, Row, Tool, row_of, rows_of
+from heartcase.simulator.live.lines import DrawnLine
+from heartcase.simulator.live.rays import Pointer
+from heartcase.simulator.live.tool import Held, Row, Tool, row_of, rows_of
 
 __all__ = ["CutTool", "PatchTool", "RowTool", "StitchTool"]
 

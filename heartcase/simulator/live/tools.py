@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from heartcase.window.drawing_tools import CutTool, PatchTool, RowTool, StitchTool
-from heartcase.window.holding_tools import ForcepsTool, GrabTool, ProbeTool, RetractorTool
-from heartcase.window.tool import Tool
+from heartcase.simulator.live.drawing_tools import CutTool, PatchTool, RowTool, StitchTool
+from heartcase.simulator.live.holding_tools import ForcepsTool, GrabTool, ProbeTool, RetractorTool
+from heartcase.simulator.live.tool import Tool
 
 __all__ = ["TOOLS"]
 

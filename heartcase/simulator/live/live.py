@@ -22,6 +22,7 @@ from heartcase.schemas.bundle.format import CaseManifest
 from heartcase.schemas.errors import HeartcaseError, SimulationError
 from heartcase.schemas.recording.commands import (
     Act,
+    BringProbe,
     Cut,
     Done,
     LeadGrab,
@@ -30,13 +31,13 @@ from heartcase.schemas.recording.commands import (
     OpenGrab,
     WithdrawProbe,
 )
+from heartcase.simulator.live.goals import SOFT_SPEED_MM_S, Goals
+from heartcase.simulator.live.tool import Held, Turn
 from heartcase.simulator.session.frame import Frame
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.recorder import Recorder
 from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.surface.deform import SurfaceModel
-from heartcase.window.goals import Goals
-from heartcase.window.tool import Held, Turn
 
 __all__ = ["FRAME_S", "Live", "LiveFrame"]
 
@@ -58,7 +59,7 @@ _JOIN_S = 60.0
 
 @dataclass(frozen=True)
 class LiveFrame:
-    """A moment, with all that a window shows of it. Nothing of it changes later."""
+    """A moment, with all that a window or a page shows of it. Nothing of it changes later."""
 
     frame: Frame
     """Tissue, instruments and stitches, with the visible surface."""
@@ -99,16 +100,25 @@ class Live:
         What the case says of itself, for recordings.
     frame_s
         Time from frame to frame where the machine keeps up, s.
+    heard
+        Called by the session's thread whenever there is a new frame, or the thread ended; it must return at once.
     """
 
     def __init__(
-        self, session: OperatingSession, *, manifest: CaseManifest | None = None, frame_s: float = FRAME_S
+        self,
+        session: OperatingSession,
+        *,
+        manifest: CaseManifest | None = None,
+        frame_s: float = FRAME_S,
+        heard: Callable[[], None] = lambda: None,
     ) -> None:
         self.session = session
         self.error: BaseException | None = None
         self._manifest = manifest
         self._frame_s = frame_s
+        self._heard = heard
         self._goals = Goals()
+        self._leaving: dict[str, Done] = {}
         self._asked: deque[Done | Navigation | Callable[[], None]] = deque()
         self._messages: deque[str] = deque()
         self._wake = threading.Condition()
@@ -160,6 +170,21 @@ class Live:
         """Finish the recording."""
         self._ask([self._finish_recording])
 
+    def let_go_softly(self, name: str) -> None:
+        """Nobody leads an instrument any more: it stays, is brought back to where it came from slowly, and lets go.
+
+        Parameters
+        ----------
+        name
+            A hand or a probe. Where there is none of that name nothing happens.
+        """
+        self._ask([lambda: self._begin_to_leave(name)])
+
+    @property
+    def is_leaving(self) -> bool:
+        """Whether something lets go softly and is not done with it."""
+        return bool(self._leaving) or bool(self._asked)
+
     def take_messages(self) -> list[str]:
         """What there is to be read since the last time."""
         found = []
@@ -173,6 +198,7 @@ class Live:
 
     def tick(self) -> None:
         """One frame: do what was asked for, take steps, publish. The thread does nothing else; tests do it without."""
+        self._leave()
         has_work = self._do_asked()
         if self._mode == "playing":
             self._play_on()
@@ -188,10 +214,10 @@ class Live:
                 self._goals.drop()
                 self._messages.append(frame.breakdown)
             self._measure()
-            self.newest = self._published(frame)
+            self._publish(frame)
             self._learn(time.perf_counter() - began)
         elif has_work:
-            self.newest = self._published(self.session.frame(surface=True))
+            self._publish(self.session.frame(surface=True))
 
     def _ask(self, what: Iterable[Done | Navigation | Callable[[], None]]) -> None:
         with self._wake:
@@ -214,6 +240,7 @@ class Live:
             self.error = error
         finally:
             self._end()
+            self._heard()
 
     def _end(self) -> None:
         """Make what was begun, and finish what is recorded: no thread and no half-written file is left."""
@@ -284,7 +311,7 @@ class Live:
             if spare > 0.0:
                 time.sleep(min(spare, 1.0))
             self._measure()
-        self.newest = self._published(frame)
+        self._publish(frame)
 
     def _steps_due(self, elapsed_s: float) -> int:
         """How many steps the next frame takes: as much time as went by, or as many as there is time for."""
@@ -317,6 +344,29 @@ class Live:
         if recorder is not None:
             recorder.finish()
             self._messages.append(f"recorded in {recorder.path.name}")
+
+    def _begin_to_leave(self, name: str) -> None:
+        simulation = self.session.simulation
+        self._goals.drop(name)
+        if any(grab.name == name for grab in simulation.grabs):
+            self._goals.set(LeadGrab(name=name, offset_mm=(0.0, 0.0, 0.0)), SOFT_SPEED_MM_S)
+            self._leaving[name] = OpenGrab(name=name)
+        elif any(probe.name == name for probe in simulation.probes):
+            known = self.session.entries[: self.session.position]
+            came = [one.command for one in known if isinstance(one.command, BringProbe) and one.command.name == name]
+            if came:
+                self._goals.set(MoveProbe(name=name, center_mm=came[-1].center_mm), SOFT_SPEED_MM_S)
+            self._leaving[name] = WithdrawProbe(name=name)
+
+    def _leave(self) -> None:
+        """Ask those to let go that nobody leads any more and that have come to where they are let go."""
+        if self._mode == "running":
+            for name in [name for name in self._leaving if name not in self._goals]:
+                self._ask([self._leaving.pop(name)])
+
+    def _publish(self, frame: Frame) -> None:
+        self.newest = self._published(frame)
+        self._heard()
 
     def _published(self, frame: Frame) -> LiveFrame:
         session, simulation = self.session, self.session.simulation

@@ -7,22 +7,35 @@ import numpy as np
 from heartcase.schemas.arrays import Float64
 from heartcase.schemas.recording.commands import Done, LeadGrab, MoveProbe
 
-__all__ = ["HAND_SPEED_MM_S", "Goals"]
+__all__ = ["HAND_SPEED_MM_S", "SOFT_SPEED_MM_S", "Goals"]
 
 HAND_SPEED_MM_S = 150.0
 """How fast an instrument goes to where the mouse has gone at most, mm for each simulated second. A choice: surgeons'
 hands are slower most of the time, and a mouse leaps."""
+SOFT_SPEED_MM_S = 30.0
+"""How fast an instrument that nobody leads any more is brought back before it lets go, mm for each simulated second."""
 
 
 class Goals:
     """Where each instrument shall be by the mouse, until it is there."""
 
     def __init__(self) -> None:
-        self._wanted: dict[str, LeadGrab | MoveProbe] = {}
+        self._wanted: dict[str, tuple[LeadGrab | MoveProbe, float]] = {}
 
-    def set(self, command: LeadGrab | MoveProbe) -> None:
-        """An instrument shall be led there; what was wanted of it before is not any more."""
-        self._wanted[command.name] = command
+    def __contains__(self, name: str) -> bool:
+        return name in self._wanted
+
+    def set(self, command: LeadGrab | MoveProbe, speed_mm_s: float = HAND_SPEED_MM_S) -> None:
+        """An instrument shall be led there; what was wanted of it before is not any more.
+
+        Parameters
+        ----------
+        command
+            Where to.
+        speed_mm_s
+            How fast at most, mm for each simulated second.
+        """
+        self._wanted[command.name] = command, speed_mm_s
 
     def drop(self, name: str | None = None) -> None:
         """Nothing is wanted of an instrument any more; of all where no name is given."""
@@ -42,15 +55,14 @@ class Goals:
         seconds
             Simulated time of the next steps, s.
         """
-        most = HAND_SPEED_MM_S * seconds
         given: list[Done] = []
-        for name, wanted in list(self._wanted.items()):
+        for name, (wanted, speed) in list(self._wanted.items()):
             if name not in places_mm:
                 del self._wanted[name]
                 continue
             goal = np.array(wanted.offset_mm if isinstance(wanted, LeadGrab) else wanted.center_mm)
             way = goal - places_mm[name]
-            size = float(np.linalg.norm(way))
+            size, most = float(np.linalg.norm(way)), speed * seconds
             if size <= most:
                 del self._wanted[name]
                 given.append(wanted)

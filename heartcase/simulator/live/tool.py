@@ -1,7 +1,7 @@
 """What the mouse holds: it sees pointers, and answers with commands of an operating session. No window.
 
 A tool sees the mouse pressed, dragged and let go. Leading and moving are where a hand shall be:
-:mod:`heartcase.window.goals` takes it there no faster than tissue stands.
+:mod:`heartcase.simulator.live.goals` takes it there no faster than tissue stands.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 from heartcase.schemas.arrays import Float64
 from heartcase.schemas.recording.commands import Done
-from heartcase.window.rays import Pointer
+from heartcase.simulator.live.rays import Pointer
 
 __all__ = ["TAKE_UP_MM", "Held", "Row", "Tool", "Turn", "nearest_held", "row_of", "rows_of"]
 
@@ -56,6 +56,8 @@ class Tool:
     """What ``size`` is, with its unit behind."""
     sizes: ClassVar[tuple[float, float, float]] = (0.0, 0.0, 0.0)
     """Smallest and largest ``size``, and its step."""
+    lets_go: ClassVar[bool] = False
+    """Whether what it leads is let go when the mouse is."""
 
     def press(self, pointer: Pointer, held: Sequence[Held] = ()) -> list[Done]:
         """The mouse is pressed; ``held`` are the instruments that hold tissue now."""
@@ -80,6 +82,11 @@ class Tool:
         """Change ``size`` by steps."""
         low, high, step = self.sizes
         self.size = float(np.clip(self.size + steps * step, low, high))
+
+    @property
+    def led(self) -> str | None:
+        """Name of the instrument that the mouse leads now."""
+        return None
 
     @property
     def is_waiting(self) -> bool:

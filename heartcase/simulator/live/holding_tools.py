@@ -20,9 +20,9 @@ from heartcase.schemas.recording.commands import (
     OpenGrab,
     WithdrawProbe,
 )
-from heartcase.window.lines import DrawnLine
-from heartcase.window.rays import Pointer, on_plane
-from heartcase.window.tool import Held, Tool, Turn, nearest_held, row_of, rows_of
+from heartcase.simulator.live.lines import DrawnLine
+from heartcase.simulator.live.rays import Pointer, on_plane
+from heartcase.simulator.live.tool import Held, Tool, Turn, nearest_held, row_of, rows_of
 
 __all__ = ["ForcepsTool", "GrabTool", "ProbeTool", "RetractorTool"]
 
@@ -74,6 +74,11 @@ class _LeadingTool(Tool):
 
     _drag: _Drag | None = None
 
+    @property
+    def led(self) -> str | None:
+        """Name of the instrument that the mouse leads now."""
+        return None if self._drag is None else self._drag.name
+
     def drag(self, pointer: Pointer) -> list[Done]:
         """Lead it across the view."""
         return [] if self._drag is None else [self._drag.lead(pointer)]
@@ -96,6 +101,7 @@ class GrabTool(_LeadingTool):
 
     size: float = 6.0
     key: ClassVar[str] = "g"
+    lets_go: ClassVar[bool] = True
     title: ClassVar[str] = "grab"
     size_words: ClassVar[str] = "radius {:g} mm"
     sizes: ClassVar[tuple[float, float, float]] = (2.0, 20.0, 1.0)
@@ -119,6 +125,7 @@ class ProbeTool(_LeadingTool):
 
     size: float = 5.0
     key: ClassVar[str] = "p"
+    lets_go: ClassVar[bool] = True
     title: ClassVar[str] = "probe"
     size_words: ClassVar[str] = "radius {:g} mm"
     sizes: ClassVar[tuple[float, float, float]] = (2.0, 20.0, 1.0)

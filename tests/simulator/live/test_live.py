@@ -17,17 +17,17 @@ from heartcase.schemas.recording.commands import (
     Undo,
 )
 from heartcase.schemas.recording.reader import open_recording
+from heartcase.simulator.live.live import Live
 from heartcase.simulator.session.replay import load_session
-from heartcase.window.live import Live
-from tests.window.scenes import bytes_of, live_on, load, threads, until
+from tests.simulator.live.scenes import bytes_of, live_on, load, threads, until
 
 TOP = (22.0, -14.0, 40.5)
 """A place at the upper side of the block, LPS mm."""
 
 
 @pytest.fixture
-def case(window_case):
-    return load(window_case)
+def case(live_case):
+    return load(live_case)
 
 
 def played_again(path, case):
@@ -202,3 +202,39 @@ def test_a_cut_that_was_begun_is_made_before_the_end(case, tmp_path):
     again = played_again(tmp_path / "a.recording", case)
     assert [entry.command.kind for entry in again.entries] == ["cut"]
     assert again.simulation.model.node_count > case.model.node_count
+
+
+def test_what_nobody_leads_any_more_stays_comes_back_slowly_and_lets_go(case):
+    live = live_on(case)
+    live.do(CloseGrab(name="hand", center_mm=TOP, radius_mm=4.0), LeadGrab(name="hand", offset_mm=(0.0, 0.0, 3.0)))
+    live.do(BringProbe(name="tip", center_mm=(22.0, -14.0, 60.0), semi_axes_mm=(3.0, 3.0, 3.0)))
+    live.do(MoveProbe(name="tip", center_mm=(22.0, -14.0, 55.0)))
+    for _ in range(200):
+        live.tick()
+    assert live.newest.held[0].offset_mm[2] == pytest.approx(3.0, abs=1e-9)
+    live.do(LeadGrab(name="hand", offset_mm=(0.0, 0.0, 100.0)))
+    live.let_go_softly("hand")
+    live.let_go_softly("tip")
+    live.let_go_softly("nothing")
+    heights, times = [3.0], [live.newest.frame.time_s]
+    while live.newest.frame.instruments:
+        live.tick()
+        heights += [one.offset_mm[2] for one in live.newest.held]
+        times.append(live.newest.frame.time_s)
+        assert len(times) < 1000
+    # never further, and at 30 mm/s where the mouse may lead at 150
+    assert max(heights) == pytest.approx(3.0, abs=1e-9)
+    assert heights[-1] == pytest.approx(0.0, abs=1e-9)
+    assert times[-1] - times[0] >= 5.0 / 30.0
+    assert [one.command.kind for one in live.session.entries].count("open_grab") == 1
+    assert live.take_messages() == []
+    live.close()
+
+
+def test_a_frame_is_told_of_when_it_is_there(case):
+    heard = []
+    live = Live(live_on(case).session, heard=lambda: heard.append(live.newest.frame.step) if heard else heard.append(0))
+    live.tick()
+    live.tick()
+    assert heard[-1] == live.newest.frame.step
+    live.close()

@@ -6,8 +6,8 @@ import numpy as np
 
 from heartcase.schemas.recording.commands import Done, OpenGrab, TakeOutPatch, TakeOutStitch, WithdrawProbe
 from heartcase.schemas.recording.tool_commands import WithdrawScissors
-from heartcase.window.live import LiveFrame
-from heartcase.window.tool import Held
+from heartcase.simulator.live.live import LiveFrame
+from heartcase.simulator.live.tool import Held
 
 __all__ = ["letting_go", "removable"]
 

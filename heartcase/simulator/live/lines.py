@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from heartcase.schemas.arrays import Float64
-from heartcase.window.rays import Hit, Ray
+from heartcase.simulator.live.rays import Hit, Ray
 
 __all__ = ["DrawnLine"]
 

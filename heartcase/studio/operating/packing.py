@@ -1,0 +1,179 @@
+"""A moment of a session as bytes for a page: the surface as it hangs on the nodes, and where the nodes are.
+
+A binary message is the length of its header (uint32, little-endian), the header (JSON, filled up with spaces so that
+what follows begins at a multiple of four), and arrays one after another, little-endian.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from heartcase.schemas.arrays import Float32, Float64, Int16, Int32, UInt8
+from heartcase.simulator.live.live import LiveFrame
+from heartcase.simulator.surface.deform import SurfaceModel
+
+__all__ = [
+    "BLOCK_NODES",
+    "SCALE_LEAST",
+    "Rounded",
+    "frame_message",
+    "moved_blocks",
+    "packed",
+    "stretch_bytes",
+    "topology_message",
+]
+
+BLOCK_NODES = 32
+"""Nodes that are sent together: a block is sent where one of them moved."""
+SCALE_LEAST = 2.0**-10
+"""Displacements are whole multiples of so many cells: 0.003 mm in cells of 3 mm."""
+_INT16_MAX = 32767
+
+
+@dataclass(frozen=True)
+class Rounded:
+    """Displacements of nodes as they are sent."""
+
+    steps: Int16
+    """Displacement over ``scale``, shape (node_count, 3)."""
+    scale: float
+    """Cells for a step; a power of two."""
+
+    @classmethod
+    def of(cls, displacement: Float32, scale: float = SCALE_LEAST) -> Rounded:
+        """Displacements [cells], rounded to steps of a scale, or of a larger one where they are too large for it."""
+        most = float(np.abs(displacement).max(initial=0.0))
+        while most > _INT16_MAX * scale:
+            scale *= 2.0
+        return cls(np.rint(displacement * np.float32(1.0 / scale)).astype(np.int16), scale)
+
+
+def moved_blocks(now: Rounded, before: Rounded | None) -> npt.NDArray[np.uint32]:
+    """Numbers of the blocks of nodes that are to be sent, ascending; all where nothing was sent before.
+
+    Parameters
+    ----------
+    now
+        Where the nodes are.
+    before
+        Where the page has them; None where it has none of this lattice.
+    """
+    count = len(now.steps)
+    if before is None or before.scale != now.scale:
+        return np.arange(-(-count // BLOCK_NODES), dtype=np.uint32)
+    moved = (now.steps != before.steps).any(axis=1)
+    starts = np.arange(0, count, BLOCK_NODES)
+    return np.flatnonzero(np.logical_or.reduceat(moved, starts)).astype(np.uint32)
+
+
+def frame_message(
+    header: Mapping[str, Any],
+    now: Rounded,
+    before: Rounded | None,
+    more: Mapping[str, npt.NDArray[Any]],
+) -> bytes:
+    """A frame: what is said of it, and the nodes that moved.
+
+    Parameters
+    ----------
+    header
+        What is said of it.
+    now, before
+        As of :func:`moved_blocks`.
+    more
+        Further arrays, by name.
+    """
+    blocks = moved_blocks(now, before)
+    padded = np.zeros((-(-len(now.steps) // BLOCK_NODES) * BLOCK_NODES, 3), np.int16)
+    padded[: len(now.steps)] = now.steps
+    arrays: dict[str, npt.NDArray[Any]] = {"blocks": blocks, "steps": padded.reshape(-1, BLOCK_NODES, 3)[blocks]}
+    own = {"scale": now.scale, "block_nodes": BLOCK_NODES}
+    return packed({"kind": "frame"} | dict(header) | own, arrays | dict(more))
+
+
+def topology_message(number: int, live: LiveFrame, structures: Int32) -> bytes:
+    """The surface as it hangs on the nodes: what a page's vertex shader needs to place it, as of eq. 9.9.
+
+    A vertex on the border of two structures is sent once for each, so that a vertex is of one structure.
+
+    Parameters
+    ----------
+    number
+        Number of this topology; frames name it.
+    live
+        The moment.
+    structures
+        Structure of each triangle, shape (triangle_count,).
+    """
+    surface, model = live.surface, live.frame.model
+    corners, owners = surface.triangles.ravel().astype(np.int64), np.repeat(structures.astype(np.int64), 3)
+    pairs, triangles = np.unique(corners << 9 | owners, return_inverse=True)
+    vertex = pairs >> 9
+    arrays: dict[str, npt.NDArray[Any]] = {
+        "triangles": triangles.astype(np.uint32).reshape(-1, 3),
+        "structure": (pairs & 511).astype(np.uint16),
+        "vertex": vertex.astype(np.uint32),
+        **_hung(surface, vertex),
+        **_springs(surface),
+    }
+    header = {
+        "kind": "topology",
+        "topology": number,
+        "node_count": model.node_count,
+        "cell_mm": model.cell_mm,
+        "direction": model.geometry.direction_matrix.tolist(),
+    }
+    return packed(header, arrays)
+
+
+def _hung(surface: SurfaceModel, vertex: npt.NDArray[np.int64]) -> dict[str, npt.NDArray[Any]]:
+    """What is constant of some vertices, by the names of :class:`heartcase.simulator.surface.deform.SurfaceModel`."""
+    found: dict[str, npt.NDArray[Any]] = {
+        "nodes": surface.triangle_nodes[vertex],
+        "weights": surface.weights[vertex],
+        "edge_one": surface.edges[vertex, 0],
+        "edge_two": surface.edges[vertex, 1],
+        "curvature": surface.curvature[vertex],
+        "offset": surface.offset[vertex],
+        "normal": surface.normal[vertex],
+        "normal_number": surface.normal_number[vertex],
+        "rest_mm": surface.rest_mm[vertex],
+        "rest_turn": surface.rest_turn[vertex],
+    }
+    return found
+
+
+def _springs(surface: SurfaceModel) -> dict[str, npt.NDArray[Any]]:
+    springs = surface.normals_of
+    return {
+        "normal_nodes": springs.nodes,
+        "spring_first": springs.first,
+        "spring_neighbours": springs.neighbours,
+        "spring_offset": springs.offset,
+    }
+
+
+def stretch_bytes(stretch: Float64, shown: tuple[float, float]) -> UInt8:
+    """Stretch around each node in 8 bit, shape (node_count,): 0 and 255 are the ends of what colours show."""
+    low, high = shown
+    found: UInt8 = np.rint(255.0 * np.clip((stretch - low) / (high - low), 0.0, 1.0)).astype(np.uint8)
+    return found
+
+
+def packed(header: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]) -> bytes:
+    """A binary message: the header, with a table of the arrays, and the arrays."""
+    table, parts, at = {}, [], 0
+    for name, array in arrays.items():
+        data = np.ascontiguousarray(array).astype(array.dtype.newbyteorder("<"), copy=False).tobytes()
+        table[name] = {"dtype": array.dtype.name, "shape": array.shape, "at": at}
+        parts += [data, b"\0" * (-len(data) % 4)]
+        at += len(data) + -len(data) % 4
+    head = json.dumps(dict(header) | {"encoding": "raw", "arrays": table}, allow_nan=False).encode()
+    head += b" " * (-len(head) % 4)
+    return b"".join([len(head).to_bytes(4, "little"), head, *parts])

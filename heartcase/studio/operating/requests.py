@@ -1,0 +1,230 @@
+"""What a page that operates asks for: one JSON object a message."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, TypeAdapter, ValidationError, model_validator
+
+from heartcase.schemas.base import Direction, Model, PointMm
+from heartcase.schemas.errors import UsageError, problems_from_validation
+from heartcase.schemas.recording.commands import Command as SessionCommand
+from heartcase.schemas.strict_json import parse_json
+
+__all__ = [
+    "Act",
+    "Along",
+    "Begin",
+    "Hide",
+    "LetGo",
+    "Look",
+    "Play",
+    "Point",
+    "Recordings",
+    "Replay",
+    "Request",
+    "Resize",
+    "Run",
+    "Seen",
+    "Strain",
+    "Take",
+    "Wheel",
+    "parse_request",
+]
+
+_Id = Annotated[int, Field(ge=0, le=1 << 53)]
+_PERPENDICULAR_MAX = 1e-3
+"""How far rows of the eye's axes may be from perpendicular and of unit length."""
+
+
+class _Asked(Model):
+    """What all requests have."""
+
+    id: _Id
+    """Number that the answer names."""
+
+
+class Look(Model):
+    """Where the pointer points to: the ray from the eye, and the eye's axes."""
+
+    start_mm: PointMm
+    """Where the ray begins, LPS mm."""
+    direction: Direction
+    """Where it goes."""
+    axes: tuple[Direction, Direction, Direction]
+    """Right and up on the screen, and from what is seen to the eye; unit length, LPS."""
+
+    @model_validator(mode="after")
+    def _is_an_eye(self) -> Look:
+        axes = np.array(self.axes)
+        if np.abs(axes @ axes.T - np.eye(3)).max() > _PERPENDICULAR_MAX:
+            raise ValueError("the axes of an eye are perpendicular and of unit length")
+        return self
+
+
+class Act(_Asked):
+    """Do a command of the session."""
+
+    do: Literal["command"]
+    """Which request."""
+    command: SessionCommand
+    """The command, as recordings have it."""
+
+
+class Take(_Asked):
+    """Take a tool in hand."""
+
+    do: Literal["take"]
+    """Which request."""
+    tool: Annotated[str, Field(max_length=1)]
+    """Its key; empty for none."""
+
+
+class Resize(_Asked):
+    """Change what can be set of the tool in hand, such as its radius."""
+
+    do: Literal["resize"]
+    """Which request."""
+    steps: Annotated[int, Field(ge=-100, le=100)]
+    """By how many steps."""
+
+
+class Point(_Asked):
+    """Use the tool in hand where the pointer points to: begin, go on, end."""
+
+    do: Literal["press", "drag", "release"]
+    """Which request."""
+    pointer: Look
+    """Where it points to."""
+
+
+class Wheel(_Asked):
+    """Lead what is held away from the eye."""
+
+    do: Literal["wheel"]
+    """Which request."""
+    notches: Annotated[int, Field(ge=-100, le=100)]
+    """How far, 1 mm each; nearer where negative."""
+
+
+class LetGo(_Asked):
+    """Let go, or take out, what is pointed at; else what holds since last."""
+
+    do: Literal["let_go"]
+    """Which request."""
+    pointer: Look | None = None
+    """Where the pointer points to, where it is over the heart."""
+
+
+class Along(_Asked):
+    """Take the last act back, do it again, go back by a second, put down what was begun, tie all stitches."""
+
+    do: Literal["undo", "redo", "back", "put_down", "tie"]
+    """Which request."""
+
+
+class Run(_Asked):
+    """Let time stand, or go on from here."""
+
+    do: Literal["pause"]
+    """Which request."""
+    paused: bool
+    """Whether it stands."""
+
+
+class Play(_Asked):
+    """Do again what is known from here on; begin to record, end the recording; leave a processor to what draws."""
+
+    do: Literal["play", "record", "stop_recording", "spare"]
+    """Which request."""
+
+
+class Recordings(_Asked):
+    """Name the recordings of this case that can be replayed."""
+
+    do: Literal["recordings"]
+    """Which request."""
+
+
+class Replay(_Asked):
+    """Leave this session, and play a recording from its start; an act takes over."""
+
+    do: Literal["replay"]
+    """Which request."""
+    name: Annotated[str, Field(min_length=1, max_length=200)]
+    """One of the names that were given for it."""
+
+
+class Begin(_Asked):
+    """Leave this session, and begin anew with the case as it was built."""
+
+    do: Literal["begin"]
+    """Which request."""
+
+
+class Hide(_Asked):
+    """Structures that this page does not show, and that cannot be pointed at from it."""
+
+    do: Literal["hide"]
+    """Which request."""
+    structures: Annotated[tuple[Annotated[int, Field(ge=0, le=256)], ...], Field(max_length=257)]
+    """Their numbers."""
+
+
+class Strain(_Asked):
+    """Send how far the tissue is stretched, too."""
+
+    do: Literal["strain"]
+    """Which request."""
+    shown: bool
+    """Whether it is wanted."""
+
+
+class Seen(Model):
+    """A frame was taken: another may follow. It has no answer."""
+
+    do: Literal["seen"]
+    """Which request."""
+    frame: Annotated[int, Field(ge=0, le=1 << 53)]
+    """Its number."""
+
+
+Request = (
+    Act
+    | Take
+    | Resize
+    | Point
+    | Wheel
+    | LetGo
+    | Along
+    | Run
+    | Play
+    | Recordings
+    | Replay
+    | Begin
+    | Hide
+    | Strain
+    | Seen
+)
+_REQUEST: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="do")])
+
+
+def parse_request(text: str) -> Request:
+    """What a message asks for.
+
+    Raises
+    ------
+    UsageError
+        It is no JSON object, or none of the requests; all problems at once.
+    """
+    try:
+        data = parse_json(text.encode("utf-8", "surrogatepass"))
+    except (ValueError, RecursionError):
+        raise UsageError("is not valid JSON", place="request") from None
+    if not isinstance(data, dict):
+        raise UsageError("must be a JSON object", place="request")
+    try:
+        return _REQUEST.validate_python({"do": None} | data)
+    except ValidationError as error:
+        raise UsageError(problems_from_validation(error, place="request")) from None

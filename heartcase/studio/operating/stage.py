@@ -1,0 +1,181 @@
+"""The case on which pages operate: loaded once, with one live session at a time, and its recordings."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from heartcase.schemas.errors import RecordingError
+from heartcase.schemas.recording.reader import open_recording
+from heartcase.simulator.incisions.strain import vertex_colours
+from heartcase.simulator.live.live import Live, LiveFrame
+from heartcase.simulator.live.shapes import CUT_FACES, STRETCH_SHOWN, Structures
+from heartcase.simulator.live.strain_worker import StrainWorker
+from heartcase.simulator.live.tools import TOOLS
+from heartcase.simulator.load import Case, load_case
+from heartcase.simulator.session.operating_session import OperatingSession
+from heartcase.simulator.session.replay import load_session
+from heartcase.simulator.simulation import SLEEP_MM, Simulation
+from heartcase.studio.operating.packing import stretch_bytes
+
+__all__ = ["DAMPING_PER_S", "Stage", "open_stage"]
+
+DAMPING_PER_S = 30.0
+"""Damping of all movement, 1/s."""
+_RECORDINGS_MAX = 10_000
+
+
+class Stage:
+    """A case, and the session that runs on it.
+
+    Parameters
+    ----------
+    case
+        The case, loaded with surface, structures and tissue.
+    out
+        Folder that recordings are put into, and taken from.
+    heard
+        Called by the session's thread when there is a new frame.
+    """
+
+    def __init__(self, case: Case, out: Path, heard: Callable[[], None]) -> None:
+        assert case.triangle_structures is not None
+        self._case = case
+        self._out = out
+        self._heard = heard
+        self.structures = Structures(case.manifest, case.triangle_structures)
+        self._strain: StrainWorker | None = None
+        self._spares = False
+        self.live = self._started(self._new_session())
+
+    def close(self) -> None:
+        """End the session; a recording is finished."""
+        self.live.close()
+        self.show_strain(False)
+
+    def begin(self) -> None:
+        """Leave the session, and begin anew with the case as it was built."""
+        self.live.close()
+        self.live = self._started(self._new_session())
+
+    def replay(self, name: str) -> None:
+        """Leave the session, and play a recording from its start.
+
+        Raises
+        ------
+        HeartcaseError
+            There is no such recording, or it is not of this case; the session goes on.
+        """
+        if name not in self._found():
+            raise RecordingError("there is no recording of this name: look at the list again", place="recording")
+        recording = open_recording(self._out / name)
+        case = self._case
+        session = load_session(recording, case.model, surface=case.surface, tissue=case.tissue)
+        self.live.close()
+        self.live = self._started(session, plays=True)
+
+    def recordings(self) -> list[str]:
+        """Names of the recordings that are there, the newest first."""
+        return sorted(self._found(), key=lambda name: (self._out / name).stat().st_mtime, reverse=True)
+
+    def record(self) -> None:
+        """Record what is done, from the session's start on, under the next free name."""
+        name = re.sub(r"[^A-Za-z0-9_-]+", "_", self._case.manifest.name)
+        there = self._found()
+        for number in range(1, _RECORDINGS_MAX):
+            path = self._out / f"{name}-{number}.recording"
+            if path.name not in there and not path.exists():
+                self.live.record(path)
+                return
+
+    def spare_a_processor(self) -> None:
+        """Leave a processor to a browser of this machine that draws without a graphics card."""
+        if not self._spares:
+            self._spares = True
+            self.live.spare_a_processor()
+
+    def show_strain(self, is_wanted: bool) -> None:
+        """Work out how far the tissue is stretched, or leave it."""
+        if is_wanted and self._strain is None:
+            self._strain = StrainWorker()
+            self._strain.ask(self.live.newest.frame)
+        elif not is_wanted and self._strain is not None:
+            self._strain.close()
+            self._strain = None
+
+    def stretch(self, live: LiveFrame) -> Any:
+        """Stretch around each node as bytes, of a moment of late; None where it is not known of this lattice."""
+        if self._strain is None:
+            return None
+        known = self._strain.newest
+        self._strain.ask(live.frame)
+        return None if known is None or known[0] is not live.frame.model else stretch_bytes(known[1], STRETCH_SHOWN)
+
+    def greeting(self) -> dict[str, Any]:
+        """What a page must know of the case before the first frame."""
+        case, simulation = self._case, self.live.session.simulation
+        assert case.surface is not None
+        low, high = case.surface.rest_mm.min(axis=0), case.surface.rest_mm.max(axis=0)
+        return {
+            "name": case.manifest.name,
+            "notice": case.manifest.notice,
+            "structures": [
+                {"value": one.number, "name": one.name, "colour": "#{:02x}{:02x}{:02x}".format(*one.colour)}
+                for one in self.structures.all
+            ],
+            "cut_faces": CUT_FACES,
+            "tools": [
+                {"key": tool.key, "size_words": tool.size_words, "size": tool.size, "sizes": tool.sizes}
+                for tool in TOOLS
+            ],
+            "box_mm": [low.tolist(), high.tolist()],
+            "step_s": simulation.step_s,
+            "stretch_shown": STRETCH_SHOWN,
+            "stretch_colours": vertex_colours(np.linspace(*STRETCH_SHOWN, 256), *STRETCH_SHOWN).tolist(),
+        }
+
+    def _found(self) -> list[str]:
+        try:
+            return [one.name for one in self._out.iterdir() if one.suffix == ".recording" and not one.is_symlink()]
+        except OSError:
+            return []
+
+    def _new_session(self) -> OperatingSession:
+        case = self._case
+        simulation = Simulation(
+            case.model, surface=case.surface, tissue=case.tissue, damping_per_s=DAMPING_PER_S, sleep_mm=SLEEP_MM
+        )
+        return OperatingSession(simulation)
+
+    def _started(self, session: OperatingSession, *, plays: bool = False) -> Live:
+        session.simulation.prepare()
+        session.simulation.prepare_cuts()
+        live = Live(session, manifest=self._case.manifest, heard=self._heard)
+        if self._spares:
+            live.spare_a_processor()
+        if plays:
+            live.play()
+        live.start()
+        return live
+
+
+def open_stage(path: Path, *, out: Path, heard: Callable[[], None]) -> Stage:
+    """Load a case, and begin a session on it.
+
+    Parameters
+    ----------
+    path
+        The case's folder.
+    out, heard
+        As of :class:`Stage`.
+
+    Raises
+    ------
+    HeartcaseError
+        The case cannot be read.
+    """
+    return Stage(load_case(path, needs=("surface", "structures", "tissue")), out, heard)

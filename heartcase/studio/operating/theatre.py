@@ -1,0 +1,272 @@
+"""A case that moves, and the pages that operate on it: all see the same session, each with a hand of its own."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, TypeVar
+
+from heartcase.schemas.errors import RecordingError, UsageError
+from heartcase.studio.messages import problems_of, text_message, told
+from heartcase.studio.operating.requests import (
+    Act,
+    Along,
+    Begin,
+    Hide,
+    LetGo,
+    Play,
+    Point,
+    Recordings,
+    Replay,
+    Request,
+    Resize,
+    Run,
+    Seen,
+    Strain,
+    Take,
+    Wheel,
+    parse_request,
+)
+from heartcase.studio.operating.stage import Stage, open_stage
+from heartcase.studio.operating.viewer import Viewer
+from heartcase.studio.pages import Page
+from heartcase.studio.requests import request_id
+
+__all__ = ["Theatre"]
+
+T = TypeVar("T")
+
+_SOFTLY_S = 20.0
+"""How long a session goes on at most when nobody looks any more, so that instruments let go, s."""
+_LOOK_S = 0.05
+
+
+class Theatre:
+    """A case that is operated on, and the pages that show it.
+
+    All methods belong to one event loop. What takes long runs in a thread of its own, one thing after the other; the
+    session steps in another.
+
+    Parameters
+    ----------
+    case
+        The case's folder.
+    out
+        Folder that recordings are put into.
+    """
+
+    def __init__(self, case: Path, *, out: Path) -> None:
+        self._case = case
+        self._out = out
+        self._stage: Stage | None = None
+        self._viewers: dict[Page, Viewer] = {}
+        self._turn = asyncio.Lock()
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="theatre")
+        self._news = asyncio.Event()
+        self._work: asyncio.Task[None] | None = None
+        self._resting: asyncio.Task[None] | None = None
+        self._rests = False
+
+    async def join(self, page: Page) -> None:
+        """Show a page the case, and then each moment."""
+        page.send(text_message("progress", text="open_case", fraction=None))
+        async with self._turn:
+            try:
+                if self._stage is None:
+                    self._stage = await self._run(self._open())
+                    self._work = asyncio.create_task(self._show_on())
+                stage = self._stage
+                page.send(text_message("opened", **stage.greeting()))
+            except Exception as error:
+                page.send(text_message("failed", problems=self._problems(error)))
+                return
+            self._viewers[page] = Viewer(stage)
+            if self._resting is not None:
+                self._resting.cancel()
+                self._resting = None
+            if self._rests:
+                self._rests = False
+                stage.live.pause(False)
+            self._news.set()
+
+    async def leave(self, page: Page) -> None:
+        """Forget a page. What it led stays where it is, and then lets go softly; with the last page time stands."""
+        viewer = self._viewers.pop(page, None)
+        if viewer is None:
+            return
+        viewer.hands.abandon()
+        async with self._turn:
+            if self._stage is None:
+                return
+            await self._update_strain()
+            if not self._viewers and self._resting is None:
+                self._resting = asyncio.create_task(self._rest(self._stage))
+
+    async def ask(self, page: Page, text: str) -> None:
+        """Do what a page asks for."""
+        try:
+            request = parse_request(text)
+            viewer, stage = self._viewers.get(page), self._stage
+            if viewer is None or stage is None:
+                raise UsageError("the case is not open", place="case")
+            if isinstance(request, Seen):
+                viewer.seen(request.frame)
+                self._news.set()
+                return
+            async with self._turn:
+                answer = await self._do(request, viewer, stage)
+        except Exception as error:
+            page.send(text_message("refused", id=request_id(text), problems=self._problems(error)))
+            return
+        tool = viewer.hands.tool
+        own = {
+            "tool": "" if tool is None else tool.key,
+            "size": None if tool is None else tool.size,
+            "line_mm": [] if tool is None else tool.line_mm.tolist(),
+        }
+        page.send(text_message("done", id=request.id, **own, **answer))
+
+    async def close(self) -> None:
+        """End the session: what was begun is made, and what is recorded is finished."""
+        for page in tuple(self._viewers):
+            await self.leave(page)
+            page.close()
+        for task in (self._resting, self._work):
+            if task is not None:
+                task.cancel()
+        async with self._turn:
+            stage, self._stage = self._stage, None
+            if stage is not None:
+                await self._run(stage.close)
+        self._thread.shutdown()
+
+    def _open(self) -> Callable[[], Stage]:
+        loop = asyncio.get_running_loop()
+
+        def heard() -> None:
+            # The session's thread may end after the loop did.
+            if not loop.is_closed():
+                loop.call_soon_threadsafe(self._news.set)
+
+        return lambda: open_stage(self._case, out=self._out, heard=heard)
+
+    async def _do(self, request: Request, viewer: Viewer, stage: Stage) -> dict[str, Any]:
+        """Carry a request out; what else its answer says."""
+        hands, live = viewer.hands, stage.live
+        match request:
+            case Point():
+                return {"used": await self._run(lambda: _point(request, viewer))}
+            case Act():
+                live.do(request.command)
+            case Take():
+                if request.tool and request.tool not in hands.tools:
+                    raise UsageError(f"there is no tool {request.tool!r}", place="tool")
+                hands.take(request.tool)
+            case Resize():
+                hands.resize(request.steps)
+            case Wheel():
+                return {"used": hands.wheel(request.notches)}
+            case LetGo():
+                look = request.pointer
+                pointer = None if look is None else await self._run(lambda: viewer.pointer(look))
+                return {"used": hands.let_go(pointer)}
+            case Along():
+                {"undo": hands.undo, "redo": hands.redo, "back": hands.rewind, "tie": hands.tie}.get(
+                    request.do, hands.put_down
+                )()
+            case Run():
+                live.pause(request.paused)
+            case Play():
+                if request.do == "play":
+                    hands.play()
+                elif request.do == "spare":
+                    stage.spare_a_processor()
+                elif request.do == "record":
+                    if live.newest.recording is not None:
+                        raise RecordingError("it is recorded already", place="record")
+                    await self._run(stage.record)
+                else:
+                    live.stop_recording()
+            case Recordings():
+                return {"recordings": await self._run(stage.recordings)}
+            case Replay() | Begin():
+                name = request.name if isinstance(request, Replay) else None
+                await self._run(lambda: stage.begin() if name is None else stage.replay(name))
+                for one in self._viewers.values():
+                    one.begin_anew()
+                self._news.set()
+            case Hide():
+                viewer.hidden = frozenset(request.structures)
+            case Strain():
+                viewer.wants_strain = request.shown
+                await self._update_strain()
+                self._news.set()
+        return {}
+
+    async def _update_strain(self) -> None:
+        stage, is_wanted = self._stage, any(one.wants_strain for one in self._viewers.values())
+        if stage is not None:
+            await self._run(lambda: stage.show_strain(is_wanted))
+
+    async def _show_on(self) -> None:
+        """Show each page what is new, again and again."""
+        while True:
+            await self._news.wait()
+            self._news.clear()
+            stage = self._stage
+            if stage is None:
+                return
+            live = stage.live
+            for words in live.take_messages():
+                self._tell(text_message("message", text=words))
+            if live.error is not None:
+                self._tell(text_message("failed", problems=self._problems(live.error)))
+                return
+            newest = live.newest
+            for page, viewer in tuple(self._viewers.items()):
+                try:
+                    messages = await asyncio.get_running_loop().run_in_executor(None, viewer.messages, newest)
+                except Exception as error:
+                    self._tell(text_message("failed", problems=self._problems(error)))
+                    return
+                for message in messages:
+                    page.send(message)
+
+    async def _rest(self, stage: Stage) -> None:
+        """Nobody looks: when instruments have let go, time stands until somebody does."""
+        live = stage.live
+        for _ in range(int(_SOFTLY_S / _LOOK_S)):
+            await asyncio.sleep(_LOOK_S)
+            if not live.is_leaving:
+                break
+        if live.newest.mode == "running":
+            live.pause(True)
+            self._rests = True
+
+    async def _run(self, work: Callable[[], T]) -> T:
+        return await asyncio.get_running_loop().run_in_executor(self._thread, work)
+
+    def _tell(self, message: str) -> None:
+        for page in self._viewers:
+            page.send(message)
+
+    def _problems(self, error: BaseException) -> list[dict[str, str]]:
+        """What a page is told of an error; not where on this machine the case lies."""
+        found = problems_of(told(error))
+        folders = {str(folder) for one in (self._case, self._case.resolve()) for folder in (one, one.parent)}
+        for problem in found:
+            for folder in sorted(folders - {".", "/"}, key=len, reverse=True):
+                problem["place"] = problem["place"].replace(folder, "case")
+                problem["message"] = problem["message"].replace(folder, "case")
+        return found
+
+
+def _point(request: Point, viewer: Viewer) -> bool:
+    """Use the tool in hand there; whether there was a use for it."""
+    hands = viewer.hands
+    if request.do != "press" and not hands.is_used:
+        return False
+    pointer = viewer.pointer(request.pointer)
+    return {"press": hands.press, "drag": hands.drag, "release": hands.release}[request.do](pointer)

@@ -1,0 +1,175 @@
+"""A page that operates: what it has in hand, what it shows, and which frames it has taken."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+
+from heartcase.schemas.arrays import Int32
+from heartcase.simulator.lattice.model import LatticeModel
+from heartcase.simulator.live.hands import Hands
+from heartcase.simulator.live.live import LiveFrame
+from heartcase.simulator.live.rays import Pointer, Ray, first_hit
+from heartcase.simulator.surface.deform import SurfaceModel
+from heartcase.studio.operating.packing import Rounded, frame_message, topology_message
+from heartcase.studio.operating.requests import Look
+from heartcase.studio.operating.stage import Stage
+
+__all__ = ["IN_FLIGHT_MAX", "Viewer"]
+
+IN_FLIGHT_MAX = 2
+"""Frames that a page has not taken yet at most: one that is slow gets the newest when it is ready for it."""
+_STILL_S = 0.1
+"""Where nothing moves, the time alone is told so often, s."""
+
+
+class Viewer:
+    """One page on a stage.
+
+    Parameters
+    ----------
+    stage
+        What it looks at.
+    """
+
+    def __init__(self, stage: Stage) -> None:
+        self._stage = stage
+        self.hands = Hands(stage.live)
+        self.hidden: frozenset[int] = frozenset()
+        self.wants_strain = False
+        self._surface: SurfaceModel | None = None
+        self._model: LatticeModel | None = None
+        self._sent: Rounded | None = None
+        self._shown: LiveFrame | None = None
+        self._shown_s = 0.0
+        self._stretch: Any = None
+        self._topology = self._frame = self._taken = 0
+        self._pickable: tuple[SurfaceModel, frozenset[int], Int32] | None = None
+
+    def begin_anew(self) -> None:
+        """The stage has another session now: nothing is in hand."""
+        tool = self.hands.tool
+        self.hands = Hands(self._stage.live)
+        if tool is not None:
+            self.hands.take(tool.key)
+            assert self.hands.tool is not None
+            self.hands.tool.size = tool.size
+
+    def seen(self, frame: int) -> None:
+        """The page took a frame."""
+        self._taken = max(self._taken, min(frame, self._frame))
+
+    def pointer(self, look: Look) -> Pointer:
+        """Where the page points to, against the surface as it is now."""
+        direction = np.array(look.direction)
+        ray = Ray(np.array(look.start_mm), direction / np.linalg.norm(direction))
+        hit = None
+        if self.hands.needs_hit:
+            newest = self._stage.live.newest
+            assert newest.frame.surface is not None
+            hit = first_hit(ray, newest.frame.surface.vertices_mm, self._shown_triangles(newest))
+        return Pointer(ray, hit, np.array(look.axes))
+
+    def messages(self, newest: LiveFrame) -> list[bytes]:
+        """What is to be sent to show a moment; nothing where the page is busy, or has it already.
+
+        Parameters
+        ----------
+        newest
+            The moment.
+        """
+        if self._frame - self._taken >= IN_FLIGHT_MAX:
+            return []
+        stretch = self._stage.stretch(newest) if self.wants_strain else None
+        is_new_stretch = stretch is not None and (self._stretch is None or not np.array_equal(stretch, self._stretch))
+        if newest is self._shown and not is_new_stretch:
+            return []
+        found = []
+        if newest.surface is not self._surface or newest.frame.model is not self._model:
+            self._topology += 1
+            found.append(topology_message(self._topology, newest, self._stage.structures.of(newest)))
+            if self._model is None or newest.frame.model.node_count != self._model.node_count:
+                self._sent = None
+            self._surface, self._model = newest.surface, newest.frame.model
+        scale = {} if self._sent is None else {"scale": self._sent.scale}
+        rounded = Rounded.of(newest.frame.state.displacement, **scale)
+        now = time.monotonic()
+        if not found and not is_new_stretch and now - self._shown_s < _STILL_S and self._is_still(newest, rounded):
+            return []
+        more = dict(_patches(newest))
+        if is_new_stretch:
+            more["stretch"] = stretch
+            self._stretch = stretch
+        self._frame += 1
+        header = {"frame": self._frame, "topology": self._topology} | _told(newest)
+        found.append(frame_message(header, rounded, self._sent, more))
+        self._sent, self._shown, self._shown_s = rounded, newest, now
+        return found
+
+    def _is_still(self, newest: LiveFrame, rounded: Rounded) -> bool:
+        """Whether nothing but the time is new."""
+        shown, sent = self._shown, self._sent
+        if shown is None or sent is None or newest.mode != "running" or newest.frame.instruments:
+            return False
+        if newest.frame.stitches or newest.frame.patches or shown.frame.instruments:
+            return False
+        is_same = all(
+            getattr(newest, name) == getattr(shown, name) for name in ("mode", "recording", "act_count", "ahead_s")
+        )
+        is_same = is_same and newest.frame.coming_cuts == shown.frame.coming_cuts
+        return is_same and rounded.scale == sent.scale and np.array_equal(rounded.steps, sent.steps)
+
+    def _shown_triangles(self, newest: LiveFrame) -> Int32:
+        """Corners of the triangles that can be pointed at."""
+        known = self._pickable
+        if known is not None and known[0] is newest.surface and known[1] == self.hidden:
+            return known[2]
+        triangles = newest.surface.triangles
+        if self.hidden:
+            triangles = triangles[~np.isin(self._stage.structures.of(newest), list(self.hidden))]
+        self._pickable = newest.surface, self.hidden, triangles
+        return triangles
+
+
+def _told(live: LiveFrame) -> dict[str, Any]:
+    """What is said of a moment."""
+    frame = live.frame
+    return {
+        "step": frame.step,
+        "time_s": frame.time_s,
+        "end_s": frame.time_s + live.ahead_s,
+        "mode": live.mode,
+        "pace": live.real_time_factor,
+        "cutting": frame.coming_cuts,
+        "recording": live.recording,
+        "act_count": live.act_count,
+        "instruments": [
+            {
+                "name": name,
+                "kind": one.kind,
+                "center_mm": one.center_mm.tolist(),
+                "force_n": one.force_n.tolist(),
+                "axes_mm": live.probes[name].T.tolist() if name in live.probes else None,
+            }
+            for name, one in frame.instruments.items()
+        ],
+        "stitches": [
+            {"name": name, "places_mm": one.places_mm.tolist(), "force_n": one.force_n, "tied": one.is_tied}
+            for name, one in frame.stitches.items()
+        ],
+        "patches": [
+            {"name": name, "force_n": float(np.max(one.forces_n, initial=0.0))} for name, one in frame.patches.items()
+        ],
+    }
+
+
+def _patches(live: LiveFrame) -> list[tuple[str, Any]]:
+    """Vertices, normals and triangles of each patch."""
+    found: list[tuple[str, Any]] = []
+    for number, patch in enumerate(live.frame.patches.values()):
+        found.append((f"patch {number} vertices", patch.vertices_mm.astype(np.float32)))
+        found.append((f"patch {number} normals", patch.normals.astype(np.float32)))
+        found.append((f"patch {number} triangles", patch.triangles.astype(np.uint32)))
+    return found

@@ -1,0 +1,123 @@
+/** The heart as three.js draws it: constant arrays of its vertices, and the nodes that they follow, on the graphics card. */
+
+import * as three from "../vendor/three/three.module.min.js";
+import { arraysOf } from "./messages.js";
+import { Nodes, ROW } from "./nodes.js";
+import { ATTRIBUTES, FRAGMENT, VERTEX } from "./placing.js";
+
+/** @typedef {import("../shared/connection.js").Package} Package */
+/** @typedef {{value: number, name: string, colour: string}} Structure */
+
+const STRUCTURES_MOST = 257;
+
+/** @param {Float32Array} numbers four for each texel */
+function texels(numbers) {
+  const texture = new three.DataTexture(numbers, ROW, numbers.length / 4 / ROW, three.RGBAFormat, three.FloatType);
+  texture.needsUpdate = true;
+  return texture;
+}
+
+export class Heart {
+  /** @type {Nodes | null} */
+  nodes = null;
+  /** Number of the topology that is shown. */
+  topology = 0;
+  /** Arrays of that topology, by their names in messages. @type {Record<string, any>} */
+  arrays = {};
+  /** @type {any} */
+  mesh = null;
+  #colours = new Uint8Array(4 * STRUCTURES_MOST);
+
+  /** @param {any} scene */
+  constructor(scene) {
+    this.scene = scene;
+    const palette = new three.DataTexture(this.#colours, STRUCTURES_MOST, 1, three.RGBAFormat, three.UnsignedByteType);
+    const stretch = new three.DataTexture(new Uint8Array(1024), 256, 1, three.RGBAFormat, three.UnsignedByteType);
+    stretch.minFilter = stretch.magFilter = three.LinearFilter;
+    this.material = new three.RawShaderMaterial({
+      glslVersion: three.GLSL3,
+      vertexShader: VERTEX,
+      fragmentShader: FRAGMENT,
+      side: three.DoubleSide,
+      uniforms: {
+        displacements: { value: null },
+        nodeNormals: { value: null },
+        direction: { value: new three.Matrix3() },
+        cellMm: { value: 1 },
+        palette: { value: palette },
+        stretchColours: { value: stretch },
+        showsStretch: { value: false },
+      },
+    });
+  }
+
+  get uniforms() {
+    return this.material.uniforms;
+  }
+
+  /** @param {readonly Structure[]} structures @param {ReadonlySet<number>} hidden */
+  paint(structures, hidden) {
+    for (const { value, colour } of structures) {
+      const rgb = Number.parseInt(colour.slice(1), 16);
+      const isShown = hidden.has(value) ? 0 : 255;
+      this.#colours.set([rgb >> 16, (rgb >> 8) & 255, rgb & 255, isShown], 4 * value);
+    }
+    this.uniforms.palette.value.needsUpdate = true;
+  }
+
+  /** @param {readonly (readonly number[])[]} colours red, green, blue of 256 stretches */
+  paintStretch(colours) {
+    const texture = this.uniforms.stretchColours.value;
+    colours.forEach((colour, n) => texture.image.data.set([...colour, 255], 4 * n));
+    texture.needsUpdate = true;
+  }
+
+  /** @param {Package} message */
+  takeTopology(message) {
+    const arrays = arraysOf(message);
+    const { header } = message;
+    const geometry = new three.BufferGeometry();
+    for (const [attribute, name, size, isWhole] of ATTRIBUTES) {
+      const numbers = isWhole ? arrays[name] : new Float32Array(arrays[name]);
+      geometry.setAttribute(attribute, new three.BufferAttribute(numbers, size));
+    }
+    geometry.setIndex(new three.BufferAttribute(arrays.triangles, 1));
+    const springs = {
+      nodes: arrays.normal_nodes, first: arrays.spring_first, neighbours: arrays.spring_neighbours, offset: arrays.spring_offset,
+    };
+    this.nodes = new Nodes(header.node_count, springs, this.nodes);
+    this.topology = header.topology;
+    this.arrays = arrays;
+    for (const name of ["displacements", "nodeNormals"]) this.uniforms[name].value?.dispose();
+    this.uniforms.displacements.value = texels(this.nodes.displacement);
+    this.uniforms.nodeNormals.value = texels(this.nodes.normals);
+    this.uniforms.direction.value.set(...header.direction.flat());
+    this.uniforms.cellMm.value = header.cell_mm;
+    this.#remove();
+    this.mesh = new three.Mesh(geometry, this.material);
+    this.mesh.frustumCulled = false;
+    this.scene.add(this.mesh);
+  }
+
+  /**
+   * @param {Package} message
+   * @param {Record<string, any>} arrays
+   * @returns {boolean} whether anything of the heart is new
+   */
+  takeFrame({ header }, arrays) {
+    if (this.nodes === null || header.topology !== this.topology) throw new Error("a frame of another heart");
+    this.nodes.take(arrays.blocks, arrays.steps, header.scale, header.block_nodes);
+    if (arrays.stretch) this.nodes.takeStretch(arrays.stretch);
+    if (arrays.blocks.length === 0 && !arrays.stretch) return false;
+    this.uniforms.displacements.value.needsUpdate = true;
+    this.uniforms.nodeNormals.value.needsUpdate = true;
+    return true;
+  }
+
+  #remove() {
+    if (this.mesh === null) return;
+    this.scene.remove(this.mesh);
+    this.mesh.geometry.dispose();
+  }
+}
+

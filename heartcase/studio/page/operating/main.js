@@ -1,0 +1,385 @@
+/** The page on which a case moves: puts its parts together, and hands them what the server sends. */
+
+import { runTabs } from "../panel/tiles.js";
+import { element } from "../panel/structures.js";
+import { Connection, Lost, Refused } from "../shared/connection.js";
+import { runLanguage, runTheme } from "../shared/looks.js";
+import { keep, kept } from "../shared/settings.js";
+import { fillWords, figure, isWord, language, say } from "../shared/words.js";
+import { arraysOf } from "./messages.js";
+import { Panel } from "./panel.js";
+import { NoGraphics, Picture } from "./picture.js";
+import { Pointer } from "./pointer.js";
+import { TimeLine } from "./time_line.js";
+
+/** @typedef {import("../shared/connection.js").Message} Message */
+/** @typedef {import("../shared/connection.js").Package} Package */
+/** @typedef {import("../shared/connection.js").Problem} Problem */
+/** @typedef {import("../shared/words.js").Word} Word */
+/** @typedef {{key: string, size_words: string, size: number, sizes: number[]}} Tool */
+
+const NOTICE_MS = 8000;
+
+/** @param {string} id */
+const find = (id) => /** @type {HTMLElement} */ (document.getElementById(id));
+
+language.follow((name) => {
+  document.documentElement.lang = name;
+  fillWords(document);
+});
+
+/** What is open, for whoever looks at the page from outside, such as its tests. @type {{picture: Picture | null, header: any}} */
+export const open = { picture: null, header: null };
+
+function run() {
+  const picture = new Picture(/** @type {HTMLCanvasElement} */ (find("picture")));
+  open.picture = picture;
+  const url = new URL(location.pathname.replace("/operate/", "/operating/"), location.href);
+  url.protocol = location.protocol === "https:" ? "wss:" : "ws:";
+  const connection = new Connection(url.href, hear, receive, fault);
+  let isReady = false;
+  let keysAreOn = kept("keys") !== "off";
+  /** @type {readonly Tool[]} */
+  let tools = [];
+  /** Size of each tool that was set. @type {Map<string, number>} */
+  const sizes = new Map();
+  let tool = "";
+  let noticeUntil = 0;
+
+  /** @param {Record<string, unknown> & {do: string}} request */
+  const ask = (request) => {
+    if (!isReady) return;
+    connection.ask(request).then(answered, fault);
+  };
+  const panel = new Panel({
+    hiddenChanged: () => {
+      paint();
+      ask({ do: "hide", structures: [...panel.hidden] });
+    },
+    replay: (name) => {
+      forget();
+      ask({ do: "replay", name });
+    },
+  });
+  const timeLine = new TimeLine((step) => {
+    forget();
+    return connection.ask({ do: "command", command: { kind: "go_to", step } });
+  });
+  const pointer = new Pointer(find("scene"), picture.camera, {
+    ask: (request) => connection.ask(request),
+    answered,
+    failed: fault,
+    changed: () => picture.redraw(),
+    hasTool: () => tool !== "",
+    isReady: () => isReady,
+    cursorMoved: () => {
+      const { cursor } = pointer;
+      find("cursor").hidden = cursor === null;
+      if (cursor) Object.assign(find("cursor").style, { left: `${cursor.x}px`, top: `${cursor.y}px` });
+    },
+  });
+
+  function forget() {
+    pointer.forget();
+    picture.tools.showLine([]);
+    picture.redraw();
+  }
+
+  function paint() {
+    picture.heart.paint(panel.structures, panel.hidden);
+    picture.redraw();
+  }
+
+  /** @param {string} key */
+  function take(key) {
+    tool = key;
+    pointer.forget();
+    document.body.dataset.tool = key;
+    for (const button of find("tools").querySelectorAll("button")) {
+      button.setAttribute("aria-pressed", String(button.dataset.key === key));
+    }
+    ask({ do: "take", tool: key });
+    tellSize();
+  }
+
+  function tellSize() {
+    const one = tools.find(({ key }) => key === tool);
+    for (const id of ["smaller", "larger"]) /** @type {HTMLButtonElement} */ (find(id)).disabled = one === undefined;
+    if (one === undefined) find("size").textContent = say("operate_no_tool");
+    else {
+      const size = sizes.get(tool) ?? one.size;
+      const word = `operate_size_${tool}`;
+      find("size").textContent = isWord(word) ? say(word, { size: figure(size, one.sizes[2] < 1 ? 1 : 0) }) : String(size);
+    }
+  }
+
+  function fillTools() {
+    const rows = [["", "o"], ...tools.map(({ key }) => [key, key])];
+    find("tools").replaceChildren(
+      ...rows.map(([key, shown]) => {
+        const word = /** @type {Word} */ (`operate_tool_${shown}`);
+        const button = element("button", "", isWord(word) ? say(word) : shown);
+        button.type = "button";
+        button.dataset.key = key;
+        button.title = `${button.textContent} (${shown.toUpperCase()})`;
+        button.setAttribute("aria-pressed", String(key === tool));
+        button.addEventListener("click", () => take(key));
+        return button;
+      }),
+    );
+    tellSize();
+  }
+
+  /** @param {Message} answer */
+  function answered(answer) {
+    if (answer.kind !== "done") return;
+    if (answer.size !== null) {
+      sizes.set(answer.tool, answer.size);
+      tellSize();
+    }
+    picture.tools.showLine(answer.line_mm);
+    picture.redraw();
+    if (answer.recordings) panel.showRecordings(answer.recordings);
+    if (answer.used === false && answer.id === lettingGo) notice("", [{ place: "", message: say("operate_nothing_held") }]);
+  }
+
+  let lettingGo = -1;
+  const actions = {
+    undo: () => (forget(), ask({ do: "undo" })),
+    redo: () => (forget(), ask({ do: "redo" })),
+    back: () => (forget(), ask({ do: "back" })),
+    play: () => (forget(), ask({ do: "play" })),
+    tie: () => ask({ do: "tie" }),
+    putDown: () => (forget(), ask({ do: "put_down" })),
+    /** @param {boolean} isPointed */
+    letGo: (isPointed) => {
+      if (!isReady) return;
+      const request = { do: "let_go", pointer: isPointed ? pointer.look : null };
+      connection.ask(request).then((answer) => {
+        lettingGo = answer.id;
+        answered(answer);
+      }, fault);
+    },
+    pause: () => ask({ do: "pause", paused: timeLine.mode !== "paused" }),
+    record: () => ask({ do: open.header?.recording ? "stop_recording" : "record" }),
+    /** @param {number} steps */
+    resize: (steps) => ask({ do: "resize", steps }),
+    strain: () => /** @type {HTMLInputElement} */ (find("strain")).click(),
+    showAll: () => panel.showAll(),
+    reset: () => {
+      picture.camera.frame(...box);
+      picture.redraw();
+    },
+  };
+  /** @type {[import("./camera.js").Vector, import("./camera.js").Vector]} */
+  let box = [[0, 0, 0], [1, 1, 1]];
+  /** @type {[string, () => void][]} */
+  const clicks = [
+    ["undo", actions.undo], ["redo", actions.redo], ["let-go", () => actions.letGo(false)], ["tie", actions.tie],
+    ["back", actions.back], ["pause", actions.pause], ["play", actions.play], ["record", actions.record],
+    ["smaller", () => actions.resize(-1)], ["larger", () => actions.resize(1)], ["reset-view", actions.reset],
+    ["begin", () => (forget(), ask({ do: "begin" }))], ["tab-recordings", () => ask({ do: "recordings" })],
+    ["notice-close", () => notice("", [])],
+  ];
+  for (const [id, does] of clicks) find(id).addEventListener("click", does);
+  const strain = /** @type {HTMLInputElement} */ (find("strain"));
+  strain.addEventListener("change", () => {
+    picture.heart.uniforms.showsStretch.value = strain.checked;
+    find("stretch-legend").hidden = !strain.checked;
+    ask({ do: "strain", shown: strain.checked });
+    picture.redraw();
+  });
+  const keysOn = /** @type {HTMLInputElement} */ (find("keys-on"));
+  keysOn.checked = keysAreOn;
+  keysOn.addEventListener("change", () => {
+    keysAreOn = keysOn.checked;
+    keep("keys", keysAreOn ? "on" : "off");
+  });
+
+  document.addEventListener("keydown", (event) => {
+    if (event.defaultPrevented) return;
+    const target = /** @type {Element} */ (event.target);
+    const isInScene = target.closest("#scene") !== null;
+    if (isInScene && !event.ctrlKey && !event.metaKey && !event.altKey && pointer.key(event)) {
+      event.preventDefault();
+      return;
+    }
+    if (target.closest("input[type=text], input[type=number], select, textarea")) return;
+    const key = event.key.toLowerCase();
+    if (event.ctrlKey || event.metaKey) {
+      const does = key === "z" && !event.shiftKey ? actions.undo : key === "y" || key === "z" ? actions.redo : null;
+      if (does === null || event.altKey) return;
+      event.preventDefault();
+      does();
+      return;
+    }
+    if (!keysAreOn || event.altKey) return;
+    // a button or a slider keeps the keys that it has a use for
+    if (!isInScene && target !== document.body && [" ", "enter", "home", "end"].includes(key)) return;
+    const does = keyAction(key);
+    if (does === null) return;
+    event.preventDefault();
+    does();
+  });
+
+  /** @param {string} key @returns {(() => void) | null} */
+  function keyAction(key) {
+    if (key === "o") return () => take("");
+    if (tools.some((one) => one.key === key)) return () => take(key);
+    const found = /** @type {Record<string, () => void>} */ ({
+      u: actions.undo, y: actions.redo, b: actions.back, l: actions.play, t: actions.tie, w: actions.record, v: actions.strain,
+      x: () => actions.letGo(true), a: actions.showAll, home: actions.reset, escape: actions.putDown, " ": actions.pause,
+      "[": () => actions.resize(-1), "]": () => actions.resize(1), ",": () => actions.resize(-1), ".": () => actions.resize(1),
+    });
+    return found[key] ?? null;
+  }
+
+  /** @param {Message} message */
+  function hear(message) {
+    if (message.kind === "progress") curtain(say("operate_opening"), []);
+    else if (message.kind === "opened") begin(message);
+    else if (message.kind === "message") notice("", [{ place: "", message: message.text }]);
+    else if (message.kind === "refused" && message.id === null) notice(say("refused"), message.problems ?? []);
+    else if (message.kind === "failed") {
+      connection.end();
+      stop(say("operate_failed"), message.problems ?? []);
+    }
+  }
+
+  /** @param {Message} message */
+  function begin(message) {
+    find("case-name").textContent = find("case-name").title = message.name;
+    find("not-device").textContent = message.notice;
+    tools = message.tools;
+    sizes.clear();
+    const isFirst = box[1][0] === 1 && box[0][0] === 0;
+    box = message.box_mm;
+    if (isFirst) picture.camera.frame(...box);
+    timeLine.stepS = message.step_s;
+    panel.setStructures(message.structures);
+    picture.heart.paintStretch(message.stretch_colours);
+    const [low, high] = message.stretch_shown;
+    find("stretch-legend").textContent = say("operate_stretch", { low: figure(low, 1), high: figure(high, 1) });
+    isReady = true;
+    fillTools();
+    paint();
+    take(tool);
+    ask({ do: "hide", structures: [...panel.hidden] });
+    if (strain.checked) ask({ do: "strain", shown: true });
+    // what draws needs a processor of those that step
+    if (picture.isDrawnInSoftware) ask({ do: "spare" });
+  }
+
+  /** @param {Package} message */
+  function receive(message) {
+    const { header } = message;
+    if (header.kind === "topology") {
+      picture.heart.takeTopology(message);
+      picture.redraw();
+      return;
+    }
+    const arrays = arraysOf(message);
+    const isHeartNew = picture.heart.takeFrame(message, arrays);
+    const areToolsNew = picture.tools.show(header, arrays);
+    if (isHeartNew || areToolsNew) picture.redraw();
+    const before = open.header;
+    open.header = header;
+    panel.showForces(header);
+    timeLine.show(header);
+    showState(header, before);
+    // The next one comes when this one is drawn: a page that is slow or hidden is sent the newest then.
+    requestAnimationFrame(() => connection.tell({ do: "seen", frame: header.frame }));
+    if (document.body.dataset.ready !== "true") {
+      document.body.dataset.ready = "true";
+      find("curtain").hidden = true;
+    }
+  }
+
+  /** @param {Record<string, any>} header @param {Record<string, any> | null} before */
+  function showState(header, before) {
+    /** @type {HTMLButtonElement} */ (find("undo")).disabled = header.act_count === 0;
+    /** @type {HTMLButtonElement} */ (find("redo")).disabled = header.end_s <= header.time_s;
+    /** @type {HTMLButtonElement} */ (find("let-go")).disabled = header.instruments.length === 0;
+    find("tie").hidden = !header.stitches.some((/** @type {any} */ one) => !one.tied);
+    find("record").setAttribute("aria-pressed", String(header.recording !== null));
+    const cutting = header.cutting > 0 ? say("operate_cutting") : "";
+    const pace = header.pace === null ? "" : say("operate_pace", { pace: figure(header.pace, 2) });
+    find("pace").textContent = [cutting, pace].filter(Boolean).join("   ");
+    if (before?.recording && !header.recording) ask({ do: "recordings" });
+    if (noticeUntil > 0 && performance.now() > noticeUntil) notice("", []);
+  }
+
+  /** @param {string} heading @param {readonly Problem[]} problems */
+  function notice(heading, problems) {
+    find("notice").hidden = problems.length === 0;
+    noticeUntil = problems.length ? performance.now() + NOTICE_MS : 0;
+    find("notice-words").replaceChildren(...(heading ? [element("strong", "", heading)] : []), list(problems));
+  }
+
+  /** @param {string} heading @param {readonly Problem[]} problems */
+  function curtain(heading, problems) {
+    find("curtain").hidden = false;
+    find("curtain-bar").hidden = problems.length > 0;
+    find("curtain-words").replaceChildren(element("strong", "", heading), list(problems));
+  }
+
+  /** Nothing more will come: say why, for good. @param {string} heading @param {readonly Problem[]} problems */
+  function stop(heading, problems) {
+    isReady = false;
+    document.body.dataset.ready = "false";
+    curtain(heading, problems);
+    find("curtain-bar").hidden = true;
+  }
+
+  /** @param {unknown} error */
+  function fault(error) {
+    if (error instanceof Lost) return;
+    if (error instanceof Refused) {
+      notice(say("refused"), error.problems);
+      return;
+    }
+    connection.end();
+    stop(say("broken"), [{ place: "", message: say("operate_broken_why") }]);
+    console.error(error);
+  }
+
+  connection.state.follow((state) => {
+    const isLost = state === "lost" || state === "stranger";
+    find("lost").hidden = !isLost;
+    find("lost").textContent = isLost ? say(state === "lost" ? "operate_lost" : "operate_stranger") : "";
+    if (state === "open") return;
+    isReady = false;
+    document.body.dataset.ready = "false";
+    forget();
+    timeLine.tell("");
+  });
+  language.listen(() => {
+    fillTools();
+    timeLine.tell(timeLine.mode);
+  });
+  runTheme();
+  runLanguage();
+  runTabs();
+  connection.open();
+}
+
+/** @param {readonly Problem[]} problems */
+function list(problems) {
+  const made = element("ul", "problems");
+  for (const { place, message } of problems) {
+    const row = element("li");
+    if (place) row.append(element("span", "place", place), document.createTextNode(": "));
+    row.append(document.createTextNode(message));
+    made.append(row);
+  }
+  return made;
+}
+
+try {
+  run();
+} catch (error) {
+  find("curtain").hidden = false;
+  find("curtain-bar").hidden = true;
+  find("curtain-words").textContent = say(error instanceof NoGraphics ? "no_graphics" : "broken_why");
+  if (!(error instanceof NoGraphics)) console.error(error);
+}

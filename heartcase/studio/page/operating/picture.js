@@ -1,0 +1,76 @@
+/** The picture: heart and instruments, seen by a camera, drawn when something is new. */
+
+import * as three from "../vendor/three/three.module.min.js";
+import { Camera, VIEW_ANGLE_DEG } from "./camera.js";
+import { Heart } from "./heart.js";
+import { ToolsInScene } from "./tools_in_scene.js";
+
+/** There is no WebGL 2 here. */
+export class NoGraphics extends Error {}
+
+const FINEST = 2;
+/** What renderers without a graphics card call themselves. */
+const SOFTWARE = /llvmpipe|softpipe|swiftshader|microsoft basic render/i;
+
+export class Picture {
+  camera = new Camera();
+  /** Pictures that were drawn so far. */
+  count = 0;
+  #isStale = true;
+  #isWaiting = false;
+
+  /** @param {HTMLCanvasElement} canvas */
+  constructor(canvas) {
+    this.canvas = canvas;
+    const context = canvas.getContext("webgl2", { antialias: true, alpha: true });
+    if (context === null) throw new NoGraphics();
+    const told = context.getExtension("WEBGL_debug_renderer_info");
+    this.isDrawnInSoftware = SOFTWARE.test(context.getParameter(told ? told.UNMASKED_RENDERER_WEBGL : context.RENDERER));
+    this.renderer = new three.WebGLRenderer({ canvas, context, antialias: true, alpha: true });
+    this.renderer.autoClear = false;
+    this.scene = new three.Scene();
+    this.over = new three.Scene();
+    this.eye = new three.PerspectiveCamera(VIEW_ANGLE_DEG, 1, 1, 1000);
+    this.heart = new Heart(this.scene);
+    this.tools = new ToolsInScene(this.scene, this.over);
+    new ResizeObserver(() => this.#resize()).observe(/** @type {Element} */ (canvas.parentElement));
+    this.#resize();
+  }
+
+  /** Draw before the next picture of the screen. */
+  redraw() {
+    this.#isStale = true;
+    if (this.#isWaiting) return;
+    this.#isWaiting = true;
+    requestAnimationFrame(() => {
+      this.#isWaiting = false;
+      if (this.#isStale) this.draw();
+    });
+  }
+
+  draw() {
+    this.#isStale = false;
+    const { camera, eye } = this;
+    eye.position.set(...camera.position);
+    eye.up.set(...camera.up);
+    eye.lookAt(...camera.target);
+    eye.near = Math.max(0.05 * camera.distance, 0.5);
+    eye.far = camera.distance + 4 * camera.size;
+    eye.updateProjectionMatrix();
+    this.renderer.clear();
+    this.renderer.render(this.scene, eye);
+    this.renderer.clearDepth();
+    this.renderer.render(this.over, eye);
+    this.count += 1;
+  }
+
+  #resize() {
+    const { clientWidth, clientHeight } = /** @type {Element} */ (this.canvas.parentElement);
+    this.camera.width = Math.max(clientWidth, 1);
+    this.camera.height = Math.max(clientHeight, 1);
+    this.eye.aspect = this.camera.width / this.camera.height;
+    this.renderer.setPixelRatio(this.isDrawnInSoftware ? 1 : Math.min(globalThis.devicePixelRatio ?? 1, FINEST));
+    this.renderer.setSize(this.camera.width, this.camera.height, false);
+    this.redraw();
+  }
+}

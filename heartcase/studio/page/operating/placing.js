@@ -1,0 +1,106 @@
+/**
+ * How a vertex of the surface follows its three nodes, as the server's `heartcase.simulator.surface` has it (eq. 9.6 to 9.9):
+ * a reference point on the triangle of nodes, and an offset along the triangle's own basis T, N, B, or along one whose normal
+ * lies between the normals of the nodes.
+ */
+
+import { ROW } from "./nodes.js";
+
+/** What is constant of each vertex: attribute, its name in messages, numbers of each, and whether they are whole. */
+export const ATTRIBUTES = /** @type {const} */ ([
+  ["position", "rest_mm", 3, false],
+  ["nodes", "nodes", 3, true],
+  ["normalNumber", "normal_number", 3, true],
+  ["weights", "weights", 3, false],
+  ["edgeOne", "edge_one", 3, false],
+  ["edgeTwo", "edge_two", 3, false],
+  ["curvature", "curvature", 1, false],
+  ["offset", "offset", 3, false],
+  ["along", "normal", 3, false],
+  ["restTurn", "rest_turn", 3, false],
+  ["structure", "structure", 1, false],
+]);
+
+export const PLACING = `
+precision highp float;
+precision highp int;
+precision highp sampler2D;
+in vec3 position, weights, edgeOne, edgeTwo, offset, along, restTurn;
+in ivec3 nodes, normalNumber;
+in float curvature, structure;
+uniform sampler2D displacements, nodeNormals;
+uniform mat3 direction;
+uniform float cellMm;
+
+vec4 ofNode(sampler2D texels, int number) {
+  return texelFetch(texels, ivec2(number % ${ROW}, number / ${ROW}), 0);
+}
+
+vec3 unit(vec3 a) {
+  float squared = dot(a, a);
+  return squared > 0.0 ? a * inversesqrt(squared) : vec3(0.0);
+}
+
+/* Where the vertex is, LPS mm, its unit normal, LPS, and the stretch there, 0 to 1. */
+void place(out vec3 placeMm, out vec3 normal, out float stretch) {
+  vec4 u1 = ofNode(displacements, nodes.x), u2 = ofNode(displacements, nodes.y), u3 = ofNode(displacements, nodes.z);
+  vec3 T = unit(edgeOne + (u2.xyz - u1.xyz));
+  vec3 N = unit(cross(T, edgeTwo + (u3.xyz - u1.xyz)));
+  vec3 B = cross(N, T);
+  if (curvature > 0.5) {
+    N = unit(weights.x * ofNode(nodeNormals, normalNumber.x).xyz + weights.y * ofNode(nodeNormals, normalNumber.y).xyz
+      + weights.z * ofNode(nodeNormals, normalNumber.z).xyz);
+    B = unit(cross(N, T));
+    T = cross(B, N);
+  }
+  vec4 between = weights.x * u1 + weights.y * u2 + weights.z * u3;
+  vec3 moved = between.xyz + offset.x * T + offset.y * N + offset.z * B;
+  placeMm = position + cellMm * (direction * (moved - restTurn));
+  normal = direction * (along.x * T + along.y * N + along.z * B);
+  stretch = between.w;
+}
+`;
+
+export const VERTEX = `
+${PLACING}
+uniform mat4 projectionMatrix, viewMatrix;
+uniform sampler2D palette;
+out vec3 seenNormal, toEye;
+out float stretchHere;
+flat out vec3 colour;
+
+void main() {
+  vec3 placeMm, normal;
+  place(placeMm, normal, stretchHere);
+  vec4 look = texelFetch(palette, ivec2(int(structure + 0.5), 0), 0);
+  vec4 seen = viewMatrix * vec4(placeMm, 1.0);
+  colour = look.rgb;
+  seenNormal = mat3(viewMatrix) * normal;
+  toEye = -seen.xyz;
+  // a structure that is hidden lies outside of what is seen, with all corners at one place
+  gl_Position = look.a > 0.5 ? projectionMatrix * seen : vec4(2.0, 2.0, 2.0, 1.0);
+}
+`;
+
+/* Light from the eye, a little from above, and some all around; the inner side of a wall is darker. */
+export const FRAGMENT = `
+precision highp float;
+precision highp sampler2D;
+in vec3 seenNormal, toEye;
+in float stretchHere;
+flat in vec3 colour;
+uniform sampler2D stretchColours;
+uniform bool showsStretch;
+out vec4 drawn;
+
+void main() {
+  vec3 eye = normalize(toEye);
+  vec3 normal = normalize(seenNormal);
+  if (!gl_FrontFacing) normal = -normal;
+  vec3 own = showsStretch ? texture(stretchColours, vec2(clamp(stretchHere, 0.0, 1.0) * 0.9961 + 0.00195, 0.5)).rgb : colour;
+  vec3 light = normalize(eye + vec3(0.15, 0.45, 0.0));
+  float bright = 0.24 + 0.12 * normal.y + 0.72 * max(dot(normal, light), 0.0);
+  float shine = 0.16 * pow(max(dot(normal, normalize(light + eye)), 0.0), 24.0);
+  drawn = vec4(own * bright * (gl_FrontFacing ? 1.0 : 0.7) + shine, 1.0);
+}
+`;

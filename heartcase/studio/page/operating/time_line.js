@@ -1,0 +1,62 @@
+/** The time line: where the session is, how far it is known, going back and on along it. */
+
+import { figure, fillWords, say } from "../shared/words.js";
+
+/** @param {string} id */
+const find = (id) => /** @type {HTMLElement} */ (document.getElementById(id));
+
+export class TimeLine {
+  #slider = /** @type {HTMLInputElement} */ (find("time"));
+  #wanted = /** @type {number | null} */ (null);
+  #isAsking = false;
+  stepS = 1;
+  mode = "";
+
+  /** @param {(step: number) => Promise<unknown>} goTo */
+  constructor(goTo) {
+    this.goTo = goTo;
+    this.#slider.addEventListener("input", () => {
+      this.#wanted = Number(this.#slider.value);
+      void this.#go();
+    });
+  }
+
+  /** @param {Record<string, any>} header of a frame */
+  show(header) {
+    const end = Math.round(header.end_s / this.stepS);
+    if (this.#wanted === null && !this.#isAsking) {
+      this.#slider.max = String(Math.max(end, 1));
+      this.#slider.value = String(header.step);
+    }
+    const words = say("operate_time_words", { time: figure(header.time_s, 2), end: figure(header.end_s, 2) });
+    find("time-words").textContent = words;
+    this.#slider.setAttribute("aria-valuetext", words);
+    /** @type {HTMLButtonElement} */ (find("play")).disabled = header.mode === "playing" || header.end_s <= header.time_s;
+    /** @type {HTMLButtonElement} */ (find("back")).disabled = header.step === 0;
+    if (header.mode !== this.mode) this.tell(header.mode);
+  }
+
+  /** @param {string} mode */
+  tell(mode) {
+    this.mode = mode;
+    const words = find("mode");
+    words.dataset.mode = mode;
+    words.textContent = mode ? say(/** @type {any} */ (`operate_mode_${mode}`)) : "";
+    const pause = find("pause");
+    const isStanding = mode === "paused";
+    pause.dataset.label = isStanding ? "operate_go_on" : "operate_pause";
+    /** @type {Element} */ (pause.querySelector("use")).setAttribute("href", isStanding ? "#icon-go" : "#icon-pause");
+    fillWords(/** @type {ParentNode} */ (pause.parentNode));
+  }
+
+  async #go() {
+    if (this.#isAsking) return;
+    this.#isAsking = true;
+    while (this.#wanted !== null) {
+      const step = this.#wanted;
+      this.#wanted = null;
+      await this.goTo(step).catch(() => undefined);
+    }
+    this.#isAsking = false;
+  }
+}

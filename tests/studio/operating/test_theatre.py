@@ -1,0 +1,252 @@
+"""What server and page say to each other while a case is operated on, with a page that is none."""
+
+from __future__ import annotations
+
+import json
+import time
+
+import numpy as np
+import pytest
+
+from heartcase.schemas.recording.reader import open_recording
+from heartcase.studio.operating.packing import BLOCK_NODES, SCALE_LEAST, Rounded, frame_message, moved_blocks
+from tests.simulator.live.scenes import until
+from tests.studio.operating.performing import operator, theatre, unpacked
+
+TOP = (22.0, -14.0, 40.5)
+
+
+def live_of(opened):
+    return opened.places["operating"]._stage.live
+
+
+def agrees(page, opened):
+    """Whether the page has the nodes where they are in a session that stands, by half a step of what is sent."""
+    frame = live_of(opened).newest.frame
+    displacement = frame.state.displacement
+    scale = page.frames[-1]["scale"]
+    return (
+        page.frames[-1]["step"] == frame.step
+        and len(page.displacement) == len(displacement)
+        and float(np.abs(page.displacement - displacement).max()) <= 0.5001 * scale
+    )
+
+
+def test_a_story_that_pulls_cuts_undoes_records_and_replays(operated, operated_case):
+    browser, opened = operated
+    with operator(browser, opened) as page:
+        assert page.opened["name"] == "block"
+        assert [one["name"] for one in page.opened["structures"]][-1] == "cut faces"
+        assert str(operated_case.parent) not in json.dumps(page.opened)
+        page.until(lambda frame: frame["step"] > 0)
+        assert page.arrays["blocks"].size == 0
+        page.done("record")
+        # a hand that is led by 5 mm to the side
+        page.done("take", tool="g")
+        assert page.at("press", TOP)["used"]
+        page.at("drag", (27.0, -14.0, 40.5))
+        page.until(lambda frame: frame["instruments"] and frame["instruments"][0]["center_mm"][0] > 26.9)
+        assert np.nanmax(page.displacement) * 3.0 > 3.0
+        assert np.linalg.norm(page.frames[-1]["instruments"][0]["force_n"]) > 0.0
+        page.done("pause", paused=True)
+        page.until(lambda frame: frame["mode"] == "paused")
+        assert agrees(page, opened)
+        assert page.at("release", (27.0, -14.0, 40.5))["used"]
+        page.until(lambda frame: not frame["instruments"] and frame["act_count"] == 2)
+        # a blade across the block
+        page.done("take", tool="c")
+        page.at("press", (22.3, -20.0, 40.5))
+        for y in (-17.0, -14.0, -11.0, -8.0):
+            answer = page.at("drag", (22.3, y, 40.5))
+        assert len(answer["line_mm"]) == 5
+        nodes, count = len(page.displacement), page.topology_count
+        answer = page.at("release", (22.3, -8.0, 40.5))
+        assert answer["line_mm"] == []
+        page.until(lambda frame: page.topology_count > count)
+        assert len(page.displacement) > nodes
+        assert (page.topology[1]["structure"] == page.opened["cut_faces"]).any()
+        # back before the cut, and on again
+        page.done("undo")
+        page.until(lambda frame: frame["mode"] == "paused" and len(page.displacement) == nodes)
+        assert agrees(page, opened)
+        assert page.frames[-1]["end_s"] > page.frames[-1]["time_s"]
+        page.done("redo")
+        page.until(lambda frame: len(page.displacement) > nodes and frame["act_count"] == 3)
+        assert agrees(page, opened)
+        end = page.frames[-1]
+        page.done("stop_recording")
+        page.until(lambda frame: frame["recording"] is None)
+        name = page.done("recordings")["recordings"][0]
+        assert name == "block-1.recording"
+        # the same again from the recording, and taken over
+        page.done("replay", name=name)
+        page.until(lambda frame: frame["mode"] == "playing" and frame["step"] < end["step"])
+        page.until(lambda frame: frame["mode"] == "paused" and frame["step"] == end["step"])
+        assert agrees(page, opened)
+        assert live_of(opened).session.deviations == []
+        page.done("command", command={"kind": "go_to", "step": end["step"] // 2})
+        page.until(lambda frame: frame["step"] == end["step"] // 2)
+        assert agrees(page, opened)
+        page.done(
+            "command",
+            command={"kind": "bring_probe", "name": "tip", "center_mm": [22, -14, 60], "semi_axes_mm": [3, 3, 3]},
+        )
+        page.until(lambda frame: frame["mode"] == "running" and frame["instruments"])
+        assert page.frames[-1]["end_s"] == page.frames[-1]["time_s"]
+        page.done("begin")
+        page.until(lambda frame: frame["act_count"] == 0 and not frame["instruments"])
+        stored = open_recording(opened.places["operating"]._out / name)
+        assert {one.command.kind for one in stored.entries} >= {"close_grab", "open_grab", "cut"}
+
+
+def test_what_is_asked_wrongly_is_refused_and_changes_nothing(operated):
+    browser, opened = operated
+    with operator(browser, opened) as page:
+        page.until(lambda frame: frame["step"] > 0)
+        pointer = {"start_mm": [0, 0, 0], "direction": [0, 0, 1], "axes": [[1, 0, 0], [1, 0, 0], [0, 0, 1]]}
+        for do, request, words in (
+            ("press", {"pointer": pointer}, "perpendicular"),
+            ("press", {"pointer": pointer | {"direction": [0, 0, 0]}}, "all zero"),
+            ("press", {"pointer": pointer | {"start_mm": [float("inf"), 0, 0]}}, "JSON"),
+            ("take", {"tool": "q"}, "no tool"),
+            ("replay", {"name": "../block-1.recording"}, "no recording"),
+            ("replay", {"name": str(opened.path)}, "no recording"),
+            ("command", {"command": {"kind": "erase"}}, "kind"),
+            ("command", {"command": {"kind": "cut", "poses_mm": []}}, "poses_mm"),
+            ("fly", {}, "do"),
+            ("resize", {"steps": 1e9}, "steps"),
+        ):
+            answer = page.ask(do, **request)
+            assert answer["kind"] == "refused", do
+            assert words in json.dumps(answer["problems"]), answer
+        page.socket.send_text("[1]")
+        assert page.hear("refused")["id"] is None
+        assert live_of(opened).newest.act_count == 0
+        # beside the heart there is no use for a tool: the page turns the heart instead
+        page.done("take", tool="g")
+        assert not page.at("press", (100.0, -14.0, 40.5))["used"]
+        # nor on a structure that is hidden
+        everything = [one["value"] for one in page.opened["structures"]]
+        page.done("hide", structures=everything)
+        assert not page.at("press", TOP)["used"]
+        page.done("hide", structures=[])
+        assert page.done("resize", steps=2)["size"] == 8.0
+        assert page.at("press", TOP)["used"]
+        page.at("release", TOP)
+        page.until(lambda frame: frame["act_count"] == 2)
+        page.done("begin")
+        page.until(lambda frame: frame["act_count"] == 0)
+
+
+def test_a_page_that_is_slow_gets_the_newest_and_no_queue_grows(operated):
+    browser, opened = operated
+    with operator(browser, opened) as page, operator(browser, opened, takes=False) as slow:
+        page.until(lambda frame: frame["step"] > 0)
+        page.done("take", tool="g")
+        page.at("press", TOP)
+        for n in range(40):
+            page.at("drag", (22.0 + 4.0 * np.sin(0.4 * n), -14.0, 40.5))
+            last = page.frames[-1]["frame"]
+            page.until(lambda frame, last=last: frame["frame"] > last)
+        viewers = opened.places["operating"]._viewers
+        assert len(viewers) == 2
+        assert all(len(viewer_page.waiting._queue) <= 6 for viewer_page in viewers)
+        # it took none: it was sent as many as may be under way, and not one more
+        slow.done("take", tool="")
+        assert len(slow.frames) == 2
+        assert len(page.frames) > 40
+        page.done("pause", paused=True)
+        page.until(lambda frame: frame["mode"] == "paused")
+        # ready again, it is shown where things are now, and all that moved meanwhile
+        slow.takes = True
+        slow.socket.send_text(json.dumps({"do": "seen", "frame": 2}))
+        slow.until(lambda frame: frame["mode"] == "paused")
+        np.testing.assert_array_equal(slow.displacement, page.displacement)
+        page.done("begin")
+        page.until(lambda frame: frame["act_count"] == 0)
+
+
+def test_a_lost_page_freezes_what_it_led_and_lets_go_softly_and_then_time_stands(operated):
+    browser, opened = operated
+    with operator(browser, opened) as page:
+        page.until(lambda frame: frame["step"] > 0)
+        page.done("take", tool="g")
+        page.at("press", TOP)
+        page.at("drag", (26.0, -14.0, 40.5))
+        page.until(lambda frame: frame["instruments"] and frame["instruments"][0]["center_mm"][0] > 25.9)
+        page.at("drag", (60.0, -14.0, 40.5))
+    live = live_of(opened)
+    offsets, began = [], live.newest.frame.time_s
+    end = time.monotonic() + 60.0
+    while live.newest.frame.instruments:
+        newest = live.newest
+        if newest.held:
+            offsets.append((newest.frame.time_s, float(newest.held[0].offset_mm[0])))
+        assert time.monotonic() < end
+        time.sleep(0.002)
+    # it went no further than it was led by then, and came back at 30 mm/s, not with a leap
+    assert max(offset for _, offset in offsets) < 12.0
+    assert offsets[-1][1] < 2.5
+    assert live.newest.frame.time_s - began > 0.1
+    assert live.session.entries[-2].command.kind in ("open_grab", "advance")
+    until(lambda: live.newest.mode == "paused")
+    step = live.newest.frame.step
+    time.sleep(0.2)
+    assert live.newest.frame.step == step
+    with operator(browser, opened) as page:
+        page.until(lambda frame: frame["mode"] == "running" and frame["step"] > step)
+        page.done("begin")
+        page.until(lambda frame: frame["act_count"] == 0)
+
+
+def test_a_heart_that_does_not_move_costs_next_to_nothing(operated):
+    browser, opened = operated
+    with operator(browser, opened) as page:
+        page.until(lambda frame: frame["step"] > 0)
+        first, began = len(page.frames), time.monotonic()
+        page.until(lambda frame: frame["time_s"] > page.frames[first - 1]["time_s"] + 0.5)
+        seconds = time.monotonic() - began
+        # the time is told ten times a second at most, without a node
+        assert len(page.frames) - first <= 11.0 * seconds + 2
+        assert max(page.sizes[first:]) < 1000
+
+
+def test_strain_is_sent_to_the_page_that_wants_it(operated):
+    browser, opened = operated
+    with operator(browser, opened) as page:
+        page.until(lambda frame: frame["step"] > 0)
+        page.done("strain", shown=True)
+        page.until(lambda frame: "stretch" in page.arrays)
+        assert page.arrays["stretch"].shape == (len(page.displacement),)
+        page.done("strain", shown=False)
+
+
+def test_a_case_that_is_none_is_told_without_its_path(tmp_path):
+    folder = tmp_path / "a-patient's-name.case"
+    folder.mkdir()
+    with theatre(folder, tmp_path) as (browser, opened), operator(browser, opened) as page:
+        assert page.opened["kind"] == "failed"
+        assert page.opened["problems"]
+        assert "patient" not in json.dumps(page.opened)
+        assert page.ask("undo")["kind"] == "refused"
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_frames_that_tell_what_moved_add_up_to_all_that_is(seed):
+    random = np.random.default_rng(seed)
+    count = int(random.integers(1, 500))
+    nodes, before, held = np.zeros((count, 3), np.float32), None, np.full((count, 3), np.nan)
+    for turn in range(30):
+        some = random.random(count) < random.choice([0.0, 0.01, 0.5])
+        nodes[some] += random.normal(0.0, 2.0 if turn < 20 else 40.0, (some.sum(), 3)).astype(np.float32)
+        now = Rounded.of(nodes, SCALE_LEAST if before is None else before.scale)
+        assert np.abs(now.steps * now.scale - nodes).max() <= 0.5001 * now.scale
+        header, arrays = unpacked(frame_message({}, now, before, {}))
+        moved = {} if before is None else set(np.flatnonzero(some) // BLOCK_NODES)
+        if before is not None and before.scale == now.scale:
+            assert set(moved_blocks(now, before).tolist()) <= moved
+        for block, steps in zip(arrays["blocks"], arrays["steps"], strict=True):
+            part = held[block * BLOCK_NODES : (block + 1) * BLOCK_NODES]
+            part[:] = steps[: len(part)] * header["scale"]
+        before = now
+        np.testing.assert_array_equal(held, now.steps * now.scale)
