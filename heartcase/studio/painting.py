@@ -34,6 +34,8 @@ __all__ = ["Answer", "Painting", "open_painting"]
 
 _CT_WINDOW = (-150.0, 450.0)
 """Contrast-filled chambers, muscle and fat, HU."""
+_ATRIA = ("82471001", "73829009")
+"""SNOMED CT codes of the two that are often painted as one."""
 _WINDOW_PERCENTILES = (1.0, 99.5)
 
 
@@ -137,7 +139,7 @@ class Painting:
             case Add() | Change() | Remove() | Set():
                 self._close_stroke()
                 self._shaping.act(request)
-                return Answer((self._shaping.shape(), self._done()), self._done(request))
+                return Answer((self._shaping.shape(), self._structures(), self._done()), self._done(request))
             case Propose():
                 return Answer(done=self._shaping.propose(request))
             case FindEnds():
@@ -171,7 +173,7 @@ class Painting:
         place: Place = ("markers", len(history.recipe.markers))
         name = draft.added_to(directory, ready)
         try:
-            history.change(place_words(place), changed_text(history.head, place, draft.marker_file(name)))
+            history.change(place_words(place), changed_text(history.head, (place, draft.marker_file(name))))
         except BaseException:
             # what the recipe does not name goes with what is discarded
             (directory / name).rename(ready)
@@ -193,7 +195,7 @@ class Painting:
         session, history = self._opened.session, self._history
         act = history.undo() if request.do == "undo" else history.redo()
         if act.kind != STROKE:
-            return Answer((self._shaping.shape(), self._done()), self._done(request))
+            return Answer((self._shaping.shape(), self._structures(), self._done()), self._done(request))
         answer = self._painted(request, session.undo() if request.do == "undo" else session.redo())
         return Answer((*answer.for_all, self._structures()), answer.done)
 
@@ -241,16 +243,21 @@ class Painting:
 
     def _checklist(self, marked: set[int]) -> list[dict[str, Any]]:
         """What a model still needs, in the order in which it is best painted."""
-        table = self._opened.session.table
+        table, recipe = self._opened.session.table, self._history.recipe
+        atria = [label.value for code in _ATRIA if (label := table.find_code(code)) is not None]
+        vessels = [label.value for label in table if label.role is Role.VESSEL_LUMEN]
+        ended = {label.value for end in recipe.ends if (label := table.find(end.label)) is not None}
         groups = (
-            ("background", [BACKGROUND]),
-            ("chambers", [label.value for label in table if label.role is Role.BLOOD]),
-            ("vessels", [label.value for label in table if label.role is Role.VESSEL_LUMEN]),
-            ("myocardium", [label.value for label in table if label.role is Role.MYOCARDIUM]),
+            ("background", [BACKGROUND], marked),
+            ("chambers", [one.value for one in table if one.role is Role.BLOOD and one.value not in atria], marked),
+            ("atria", atria, marked),
+            ("vessels", vessels, marked),
+            ("myocardium", [label.value for label in table if label.role is Role.MYOCARDIUM], marked),
+            ("ends", vessels, set(vessels) if recipe.walls.find_ends else ended),
         )
         return [
-            {"key": key, "done": set(values) <= marked, "missing": [table[v].name for v in values if v not in marked]}
-            for key, values in groups
+            {"key": key, "done": set(values) <= there, "missing": [table[v].name for v in values if v not in there]}
+            for key, values, there in groups
             if values
         ]
 

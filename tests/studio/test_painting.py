@@ -168,3 +168,26 @@ def test_other_pages_learn_that_a_stroke_is_saved(recipe):
             assert other.hear("done")["saved"] is False
         # whoever drew it is gone
         assert other.hear("done")["saved"] is True
+
+
+def test_the_checklist_asks_for_both_atria_and_for_ends(recipe):
+    path, middle = recipe
+    with studio(path) as browser, page(browser) as talker:
+
+        def groups():
+            told = [one for one in talker.told if one["kind"] == "structures"][-1]
+            return {one["key"]: one for one in told["checklist"]}
+
+        assert list(groups()) == ["background", "chambers", "atria", "vessels", "myocardium", "ends"]
+        assert groups()["atria"]["missing"] == ["morphologically left atrium", "morphologically right atrium"]
+        talker.ask(do="paint", label="left atrium", radius_mm=1.0, points_mm=[middle])
+        talker.ask(do="end")
+        assert groups()["atria"]["missing"] == ["morphologically right atrium"]
+        assert "morphologically left atrium" not in groups()["chambers"]["missing"]
+        end = {"label": "aorta", "position_mm": middle, "axis": [0.0, 0.0, 1.0], "radius_mm": 3.0}
+        assert talker.ask(do="add", list="ends", entries=[end])["kind"] == "done"
+        assert "aorta" not in groups()["ends"]["missing"]
+        talker.ask(do="undo")
+        assert "aorta" in groups()["ends"]["missing"]
+        talker.ask(do="set", place=["walls", "find_ends"], value=True)
+        assert groups()["ends"]["done"]

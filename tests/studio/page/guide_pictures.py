@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from PIL import Image, ImageDraw
+from PIL import Image, ImageDraw, ImageFilter
 
 from heartcase.library.scans import ensure_scan
 from heartcase.pipeline.data import UNMARKED
@@ -24,9 +24,9 @@ from heartcase.schemas.recipe.recipe import load_recipe
 from heartcase.studio.app import PAGE
 
 GUIDE = PAGE / "guide"
-SIZE = (176, 132)
+SIZE = (136, 136)
 """Pixels across and down: twice what is shown, for fine screens."""
-WIDTH_MM = 190.0
+WIDTH_MM = 138.0
 NEAR_MM = 5.0
 """Strokes that lie so near to the slice are drawn."""
 ATRIA = ("82471001", "73829009")
@@ -52,7 +52,7 @@ def best_slice(marked, values, axis):
     # of a thin slab
     slab = np.stack([np.convolve(row, np.ones(3), "same") for row in counts])
     least = np.sort(slab, axis=0)
-    return int(np.lexsort((*least, (slab > 0).sum(axis=0)))[-1])
+    return int(np.lexsort((*least[::-1], (slab > 0).sum(axis=0)))[-1])
 
 
 def picture(scan, marked, values, colours, ends=()):
@@ -75,17 +75,17 @@ def picture(scan, marked, values, colours, ends=()):
     grey = np.clip((grey - low) / (high - low), 0.0, 1.0)
     rgb = np.repeat((235 * grey)[..., None], 3, axis=2)
     slab = np.take(marked, near, axis)
-    for value in values:
-        is_marked = (slab == value).any(axis=axis)
-        rgb[is_marked] = colours[value]
     rows_mm, columns_mm = (spacing[a] for a in range(3) if a != axis)
-    if ends:
-        # head up
-        rgb = rgb[::-1]
     scale = SIZE[0] / WIDTH_MM
-    full = Image.fromarray(rgb.round().astype(np.uint8)).resize(
-        (round(rgb.shape[1] * columns_mm * scale), round(rgb.shape[0] * rows_mm * scale)), Image.Resampling.BICUBIC
-    )
+    size = (round(rgb.shape[1] * columns_mm * scale), round(rgb.shape[0] * rows_mm * scale))
+    # the head is up in a coronal picture
+    up = slice(None, None, -1) if ends else slice(None)
+    full = Image.fromarray(rgb[up].round().astype(np.uint8)).resize(size, Image.Resampling.BICUBIC)
+    for value in values if not ends else ():
+        is_marked = Image.fromarray(255 * (slab == value).any(axis=axis).astype(np.uint8)).resize(size)
+        # a dark rim, so that every colour is seen on bright blood
+        for wide, colour in ((5, (0, 0, 0)), (3, colours[value])):
+            full.paste(colour, mask=is_marked.filter(ImageFilter.MaxFilter(wide)))
     draw = ImageDraw.Draw(full)
     y_mm = origin[1] + at * spacing[1]
     for end in ends:
@@ -96,7 +96,8 @@ def picture(scan, marked, values, colours, ends=()):
         middle = np.array([x - origin[0] + columns_mm / 2, (shape[0] - 0.5) * spacing[0] - (z - origin[2])]) * scale
         # down the picture is to the feet
         step = np.array([across[0], -across[1]]) * end.radius_mm * scale
-        draw.line([tuple(middle - step), tuple(middle + step)], fill=END_COLOUR, width=4)
+        for wide, colour in ((7, (0, 0, 0)), (4, END_COLOUR)):
+            draw.line([tuple(middle - step), tuple(middle + step)], fill=colour, width=wide)
     heart = np.argwhere(np.take(marked, range(shape[axis]), axis) != UNMARKED)[:, [a for a in range(3) if a != axis]]
     centre = (heart.min(axis=0) + heart.max(axis=0)) / 2.0 * (rows_mm, columns_mm) * scale
     if ends:
@@ -105,7 +106,7 @@ def picture(scan, marked, values, colours, ends=()):
     top = int(np.clip(centre[0] - SIZE[1] / 2, 0, max(full.size[1] - SIZE[1], 0)))
     shown = Image.new("RGB", SIZE)
     shown.paste(full.crop((left, top, left + SIZE[0], top + SIZE[1])))
-    return shown.quantize(64, dither=Image.Dither.NONE)
+    return shown.quantize(128, dither=Image.Dither.NONE)
 
 
 def pictures(recipe, scan):
