@@ -83,7 +83,12 @@ class Talker:
     def _take(self, data):
         length = int.from_bytes(data[:4], "little")
         header, payload = json.loads(data[4 : 4 + length]), data[4 + length :]
-        payload = zlib.decompress(payload) if header["encoding"] == "deflate" else payload
+        if header["encoding"] == "deflate":
+            payload = zlib.decompress(payload)
+        elif header["encoding"] == "runs":
+            ends = np.frombuffer(payload[: len(payload) // 5 * 4], "<u4")
+            values = np.frombuffer(payload[4 * len(ends) :], np.uint8)
+            payload = np.repeat(values, np.diff(ends, prepend=0)).tobytes()
         if header["kind"] == "surface":
             self.surface = header | {"bytes": len(payload)}
             return
