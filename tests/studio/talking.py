@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from starlette.testclient import TestClient
 
-from heartcase.studio.app import make_app
-from heartcase.studio.registry import Registry
+from heartcase.studio.serving.app import make_app
+from heartcase.studio.starting.registry import Registry
 from heartcase.studio.starting.start import Start
 from tests.cli.small_case import write_scan
 

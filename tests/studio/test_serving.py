@@ -40,7 +40,7 @@ def test_it_serves_this_machine_until_it_is_ended(tmp_path, ending, monkeypatch)
 
 def test_for_a_scan_a_recipe_is_written_that_marks_nothing(tmp_path, monkeypatch, capsys):
     served = []
-    monkeypatch.setattr("heartcase.studio.serve.serve", lambda recipe, **_: served.append(recipe))
+    monkeypatch.setattr("heartcase.studio.serving.serve.serve", lambda recipe, **_: served.append(recipe))
     scan, recipe = write_scan(tmp_path / "scan.nii.gz"), tmp_path / "mine.toml"
     assert main(["studio", str(scan), "--recipe", str(recipe), "--no-browser"]) == 0
     assert served == [recipe]
@@ -54,7 +54,7 @@ def test_for_a_scan_a_recipe_is_written_that_marks_nothing(tmp_path, monkeypatch
 
 def test_what_is_given_says_what_opens_first(tmp_path, monkeypatch):
     served = []
-    monkeypatch.setattr("heartcase.studio.serve.serve", lambda **given: served.append(given))
+    monkeypatch.setattr("heartcase.studio.serving.serve.serve", lambda **given: served.append(given))
     recipe, _ = write_recipe(tmp_path)
     case, _ = write_case(tmp_path)
     for path, first in (

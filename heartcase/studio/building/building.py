@@ -20,12 +20,12 @@ from heartcase.schemas.bundle.approval import approve_case, report_beside
 from heartcase.schemas.errors import BundleError, HeartcaseError, UsageError
 from heartcase.schemas.files import atomic_write, remove_leftovers
 from heartcase.schemas.recipe.recipe import parse_recipe, read_recipe_text
+from heartcase.studio.asking import parsed, request_id
 from heartcase.studio.building.outcome import Outcome, outcome_of
 from heartcase.studio.building.process import BuildProcess
 from heartcase.studio.building.requests import Approve, BuildRequest, Order
 from heartcase.studio.messages import problems_of, text_message, told
 from heartcase.studio.pages import Page
-from heartcase.studio.requests import parsed, request_id
 
 __all__ = ["Building"]
 

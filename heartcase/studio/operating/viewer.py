@@ -89,7 +89,8 @@ class Viewer:
         found = []
         if newest.surface is not self._surface or newest.frame.model is not self._model:
             self._topology += 1
-            found.append(topology_message(self._topology, newest, self._stage.structures.of(newest)))
+            structures = self._stage.structures.of(newest)
+            found.append(topology_message(self._topology, newest, structures, self._stage.normal_map))
             if self._model is None or newest.frame.model.node_count != self._model.node_count:
                 self._sent = None
             self._surface, self._model = newest.surface, newest.frame.model

@@ -14,11 +14,11 @@ from heartcase.pipeline.building.starter_recipe import write_recipe
 from heartcase.schemas.bundle.reader import open_bundle
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.recipe.recipe import parse_recipe, read_recipe_text
+from heartcase.studio.asking import parsed, request_id
 from heartcase.studio.messages import problems_of, text_message, told
 from heartcase.studio.pages import Page
-from heartcase.studio.registry import Registry
-from heartcase.studio.requests import parsed, request_id
 from heartcase.studio.starting.recent import Recent, state_folder
+from heartcase.studio.starting.registry import Registry
 from heartcase.studio.starting.requests import Begin, List, Look, Open, Reopen, Sample, StartRequest
 from heartcase.studio.starting.roots import Roots
 from heartcase.studio.starting.samples import copy_sample, shown_samples

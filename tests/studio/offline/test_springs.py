@@ -11,8 +11,8 @@ from heartcase.simulator.dynamics.integrate import Verlet, verlet_step
 from heartcase.simulator.engine.shared.contact import keep_outside, probe_row
 from heartcase.simulator.instruments.grab import nodes_in_reach
 from heartcase.simulator.lattice.model import DIRECTIONS, make_model
-from heartcase.studio.app import PAGE
 from heartcase.studio.offline.spring_arrays import spring_arrays
+from heartcase.studio.serving.app import PAGE
 from tests.studio.page.conftest import find_browser
 
 SWITCHES = ["--no-sandbox", "--enable-unsafe-webgpu", "--use-webgpu-adapter=swiftshader", "--enable-features=Vulkan"]

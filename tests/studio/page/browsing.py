@@ -20,8 +20,8 @@ import uvicorn
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from heartcase.studio.app import make_app
-from heartcase.studio.registry import Registry
+from heartcase.studio.serving.app import make_app
+from heartcase.studio.starting.registry import Registry
 from heartcase.studio.starting.start import Start
 
 TOKEN = "a-token"

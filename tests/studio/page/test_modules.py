@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from heartcase.studio.app import PAGE
+from heartcase.studio.serving.app import PAGE
 
 TESTS = sorted(Path(__file__).parent.glob("*.test.mjs"))
 

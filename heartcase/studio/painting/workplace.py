@@ -10,12 +10,13 @@ from typing import TypeVar
 
 from heartcase.pipeline.markers.states import StillSegmentation
 from heartcase.schemas.errors import RecipeError
+from heartcase.studio.asking import request_id
 from heartcase.studio.messages import problems_of, text_message, told
 from heartcase.studio.pages import Page
-from heartcase.studio.painting import Painting, open_painting
-from heartcase.studio.requests import History, Paint, parse_request, request_id
+from heartcase.studio.painting.painting import Painting, open_painting
+from heartcase.studio.painting.requests import History, Paint, parse_request
+from heartcase.studio.painting.states import States
 from heartcase.studio.shaping.requests import Add, Change, Remove, Set
-from heartcase.studio.states import States
 
 __all__ = ["Workplace"]
 

@@ -20,10 +20,10 @@ from heartcase.pipeline.watershed.forest import Box
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.labels import BACKGROUND, Role
 from heartcase.schemas.recipe.recipe import parse_recipe, read_recipe_text
-from heartcase.studio.locks import lock_again, lock_labels
 from heartcase.studio.messages import labels_message, scan_message, text_message
-from heartcase.studio.planes import planes_message
-from heartcase.studio.requests import End, Extend, History, Lock, Paint, Planes, Request, Suggest
+from heartcase.studio.painting.locks import lock_again, lock_labels
+from heartcase.studio.painting.planes import planes_message
+from heartcase.studio.painting.requests import End, Extend, History, Lock, Paint, Planes, Request, Suggest
 from heartcase.studio.shaping.requests import Add, Change, FindEnds, Propose, Remove, Set
 from heartcase.studio.shaping.shaping import Shaping
 
