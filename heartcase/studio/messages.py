@@ -60,14 +60,19 @@ def scan_message(scan: Scan) -> bytes:
     scale = (highest - lowest) / (2 * _INT16_MAX) if not is_whole and highest > lowest else 1.0
     numbers = np.rint((values.astype(np.float64) - offset) / scale).astype("<i2")
     header = {"kind": "scan", "dtype": "int16", "size": scan.geometry.size, "scale": scale, "offset": offset}
-    return _binary(header, numbers.tobytes())
+    payload = numbers.tobytes()
+    if len(payload) <= _RAW_SIZE_MAX:
+        return _binary(header, payload, encoding="raw")
+    return _binary(header, zlib.compress(payload, _COMPRESSION), encoding="deflate")
 
 
 def labels_message(labels: UInt8, box: Box) -> bytes:
     """The labels in a box of slices [z, y, x] of all."""
     part = np.ascontiguousarray(labels[box])
     header = {"kind": "labels", "low": [one.start for one in box[::-1]], "size": part.shape[::-1]}
-    return _binary(header, part.tobytes())
+    if part.size > _RAW_SIZE_MAX and (runs := _as_runs(part.ravel())) is not None:
+        return _binary(header, runs, encoding="runs")
+    return _binary(header, part.tobytes(), encoding="raw")
 
 
 def surface_message(surface: QuickSurface) -> bytes:
@@ -84,10 +89,21 @@ def surface_message(surface: QuickSurface) -> bytes:
         surface.colours.astype(np.uint8),
         surface.normals.astype(np.int8),
     )
-    return _binary(header, b"".join(part.tobytes() for part in parts))
+    return _binary(header, b"".join(part.tobytes() for part in parts), encoding="raw")
 
 
-def _binary(header: dict[str, Any], payload: bytes) -> bytes:
-    is_raw = len(payload) <= _RAW_SIZE_MAX
-    head = json.dumps(header | {"encoding": "raw" if is_raw else "deflate"}).encode()
-    return len(head).to_bytes(4, "little") + head + (payload if is_raw else zlib.compress(payload, _COMPRESSION))
+def _as_runs(values: UInt8) -> bytes | None:
+    """Where each run of equal values ends (uint32, little-endian), then the value of each; None where that is longer.
+
+    Labels are long runs: this is several times as quick as compressing them, for both sides.
+    """
+    ends = np.append(np.flatnonzero(values[1:] != values[:-1]) + 1, len(values))
+    if 5 * len(ends) >= len(values):
+        return None
+    found: bytes = ends.astype("<u4").tobytes() + values[ends - 1].tobytes()
+    return found
+
+
+def _binary(header: dict[str, Any], payload: bytes, *, encoding: str) -> bytes:
+    head = json.dumps(header | {"encoding": encoding}).encode()
+    return b"".join((len(head).to_bytes(4, "little"), head, payload))

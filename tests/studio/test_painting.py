@@ -5,11 +5,13 @@ import time
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from heartcase.pipeline.building.session_file import open_session
 from heartcase.schemas.recipe.recipe import load_recipe
-from heartcase.studio.messages import scan_message
-from tests.studio.talking import page, studio, write_recipe
+from heartcase.studio.messages import labels_message, scan_message
+from tests.studio.talking import Talker, page, studio, write_recipe
 
 
 @pytest.fixture
@@ -168,3 +170,42 @@ def test_other_pages_learn_that_a_stroke_is_saved(recipe):
             assert other.hear("done")["saved"] is False
         # whoever drew it is gone
         assert other.hear("done")["saved"] is True
+
+
+def test_the_checklist_asks_for_both_atria_and_for_ends(recipe):
+    path, middle = recipe
+    with studio(path) as browser, page(browser) as talker:
+
+        def groups():
+            told = [one for one in talker.told if one["kind"] == "structures"][-1]
+            return {one["key"]: one for one in told["checklist"]}
+
+        assert list(groups()) == ["background", "chambers", "atria", "vessels", "myocardium", "ends"]
+        assert groups()["atria"]["missing"] == ["morphologically left atrium", "morphologically right atrium"]
+        talker.ask(do="paint", label="left atrium", radius_mm=1.0, points_mm=[middle])
+        talker.ask(do="end")
+        assert groups()["atria"]["missing"] == ["morphologically right atrium"]
+        assert "morphologically left atrium" not in groups()["chambers"]["missing"]
+        end = {"label": "aorta", "position_mm": middle, "axis": [0.0, 0.0, 1.0], "radius_mm": 3.0}
+        assert talker.ask(do="add", list="ends", entries=[end])["kind"] == "done"
+        assert "aorta" not in groups()["ends"]["missing"]
+        talker.ask(do="undo")
+        assert "aorta" in groups()["ends"]["missing"]
+        talker.ask(do="set", place=["walls", "find_ends"], value=True)
+        assert groups()["ends"]["done"]
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 10_000), st.sampled_from([1, 3, 40, 4000]), st.sampled_from([(40, 50, 30), (3, 5, 7)]))
+def test_labels_arrive_as_they_are_however_they_are_sent(seed, most, shape):
+    drawn = np.random.default_rng(seed)
+    lengths = drawn.integers(1, most + 1, np.prod(shape))
+    labels = np.repeat(drawn.integers(0, 256, len(lengths)).astype(np.uint8), lengths)[: np.prod(shape)].reshape(shape)
+    low = drawn.integers(0, 3, 3)
+    box = tuple(slice(int(first), size - 1) for first, size in zip(low, shape, strict=True))
+    talker = Talker(None, labels=np.full(shape, 255, np.uint8), scan=np.zeros(shape))
+    message = labels_message(labels, box)
+    talker._take(message)
+    np.testing.assert_array_equal(talker.labels[box], labels[box])
+    # never longer than the labels themselves
+    assert len(message) <= labels[box].size + 200

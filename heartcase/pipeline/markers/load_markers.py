@@ -63,9 +63,9 @@ def load_markers(
     Parameters
     ----------
     recipe_markers
-        Label volumes and point lists. A segment or list is found by ``names``, then by the label or synonym that it is
-        named like, then by its SNOMED CT code; a volume without segments by ``names`` and ``convention``, or, where
-        neither is given, by the values of the table.
+        Label volumes, folders of parts (.stl) and point lists. A segment, part or list is found by ``names``, then by
+        the label or synonym that it is named like, then by its SNOMED CT code; a volume without segments by ``names``
+        and ``convention``, or, where neither is given, by the values of the table.
     strokes
         Strokes of the recipe.
     table
@@ -316,13 +316,13 @@ def _painted_volume(
     path: Path, file: MarkerFile, table: LabelTable, geometry: Geometry, place: str, whole: Geometry | None
 ) -> tuple[UInt8, tuple[CaseWarning, ...]]:
     naming = Naming(file.names, file.convention, file.others, order=file.order)
-    volume = read_labels(path, geometry, left_out(naming, table), rank_by_label(naming, table))
+    volume = _finished(path, geometry, naming, table)
     lookup = label_lookup(volume, naming, table).values
     values = resample_labels(volume, geometry)
     if not volume.marks_anything:
         raise MarkerError("the file marks nothing: paint in it, or leave it out")
     lost = [value for value in _lost(volume, values) if lookup[value] != UNMARKED]
-    told = list(overlap_warnings(volume, lookup, table, place))
+    told = [*volume.warnings, *overlap_warnings(volume, lookup, table, place)]
     if lost and whole is not None and not whole.matches(geometry):
         in_scan = set(np.unique(resample_labels(volume, whole)).tolist())
         cut_off = [value for value in lost if value in in_scan]

@@ -38,7 +38,8 @@ Box = tuple[slice, slice, slice]
 
 NO_FLAT = -1
 MOST_MENDED = 0.1
-"""Share of the feet that may hang on erased markers to be mended; with more, solving anew is quicker."""
+"""Share of the feet that a label is carried to, or that hang on erased markers, at most; with more, solving anew is
+quicker."""
 WHOLE_SHARE = 0.15
 """Share of the voxels in basins that changed from which on all voxels are painted anew: rows are quicker than lists."""
 
@@ -91,9 +92,11 @@ class Forest:
         landscape = (bits, tree.direction.ravel(), basin, side_offsets(tree.height.shape))
         graph = (*tree.neighbours, tree.key, *tree.ends)
         feet = (self.marks.reshape(-1), self.foot_label, self.foot_level, self.lowest_mark)
+        most = int(MOST_MENDED * tree.basin_count)
         if label != UNMARKED:
-            return self._paint_basins(mend(landscape, graph, voxels, label, *feet))
-        changed = unmark(landscape, graph, tree.voxels, voxels, *feet, int(MOST_MENDED * tree.basin_count))
+            changed = mend(landscape, graph, voxels, label, *feet, most)
+        else:
+            changed = unmark(landscape, graph, tree.voxels, voxels, *feet, most)
         return self._paint_basins(changed) if len(changed) else self.solve()
 
     def restore(self, voxels: Int64, values: UInt8) -> Box | None:

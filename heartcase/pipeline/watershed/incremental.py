@@ -15,8 +15,12 @@ __all__ = ["mend", "unmark"]
 
 
 @kernel
-def mend(landscape, graph, voxels, label, marks, foot_label, foot_level, lowest_mark):
-    """Mark voxels, and carry the label as far as its way is lower than what was there; the basins to paint anew."""
+def mend(landscape, graph, voxels, label, marks, foot_label, foot_level, lowest_mark, most):
+    """Mark voxels, and carry the label as far as its way is lower than what was there; the basins to paint anew.
+
+    ``most`` limits the number of feet that the label is carried to; with more, the answer is empty, and the forest must
+    be solved anew: what it holds then is neither the old one nor the new.
+    """
     bits, direction, basin, offsets = landscape
     start, faces, key, higher, lower = graph
     count = len(lowest_mark)
@@ -35,6 +39,7 @@ def mend(landscape, graph, voxels, label, marks, foot_label, foot_level, lowest_
             lowest_mark[b] = v
     touched = np.sort(touched[:touched_count])
     changed = [np.int64(b) for b in touched]
+    left = np.full(1, most, np.int64)
     # first every marked foot itself: then no way that leads over a voxel marked now is the best one of its foot
     for b in touched:
         mark = lowest_mark[b]
@@ -50,8 +55,11 @@ def mend(landscape, graph, voxels, label, marks, foot_label, foot_level, lowest_
             lowest_mark,
             is_changed,
             changed,
+            left,
         )
     for b in touched:
+        if left[0] < 0:
+            return np.empty(0, np.int64)
         for n in range(start[b], start[b + 1]):
             one = key[faces[n]]
             here, there = higher[faces[n]], lower[faces[n]]
@@ -71,24 +79,29 @@ def mend(landscape, graph, voxels, label, marks, foot_label, foot_level, lowest_
                     lowest_mark,
                     is_changed,
                     changed,
+                    left,
                 )
+    if left[0] < 0:
+        return np.empty(0, np.int64)
     # in the order of the volume, for the memory's sake
     return np.sort(np.array(changed))
 
 
 @copied
-def _carry(foot, level, label, landscape, graph, marks, foot_label, foot_level, lowest_mark, is_changed, changed):
+def _carry(foot, level, label, landscape, graph, marks, foot_label, foot_level, lowest_mark, is_changed, changed, left):
     """Offer a label to a foot by a way as high as ``level``, and on to all feet that have a higher way now.
 
-    Where the way is the one that a foot has already, only its label is new.
+    Where the way is the one that a foot has already, only its label is new. ``left`` is how many feet it may still be
+    carried to; below 0 nothing goes on.
     """
     _, direction, basin, offsets = landscape
     start, faces, key, higher, lower = graph
     if not (level < foot_level[foot] or (level == foot_level[foot] and label != foot_label[foot])):
         return
     stack = [(np.int64(foot), np.int64(level))]
-    while len(stack) > 0:
+    while len(stack) > 0 and left[0] >= 0:
         b, level = stack.pop()
+        left[0] -= 1
         # a tree has one way only to each foot, so nothing better can have come meanwhile
         if foot_label[b] != label and not is_changed[b]:
             is_changed[b] = True

@@ -113,7 +113,7 @@ class MarkerFile(Model):
     """A file of markers: a label volume, or a list of points."""
 
     path: Annotated[str, Field(min_length=1)]
-    """.nii.gz, .nrrd, .seg.nrrd, DICOM SEG (.dcm) or .mrk.json, relative to the recipe."""
+    """.nii.gz, .nrrd, .seg.nrrd, DICOM SEG (.dcm), a folder of parts (.stl) or .mrk.json, relative to the recipe."""
     names: dict[str, Name] = {}
     """Segment name, value or list name in the file -> label name; the same name when left out."""
     convention: Convention | None = None

@@ -1,6 +1,7 @@
 /** The page of heartcase studio: puts its parts together, and hands them what the server sends. */
 
 import { BuildTab } from "./building/build_tab.js";
+import { runDrafts } from "./panel/drafts.js";
 import { Guide } from "./panel/guide.js";
 import { runPlanes } from "./panel/planes.js";
 import { Status } from "./panel/status.js";
@@ -97,6 +98,7 @@ function run() {
   });
   runHelp(shortcuts.areOn);
   runPlanes(studio, views, (request) => connection.ask(request), (error) => fault(error));
+  runDrafts(studio, location.pathname.replace("/prepare/", "/draft/"));
   find("next-place").addEventListener("click", () => actions.nextPlace());
   studio.ready.follow((ready) => {
     document.body.dataset.ready = String(ready);

@@ -47,6 +47,15 @@ test("binary messages are taken apart, compressed or not", async () => {
   }
 });
 
+test("runs are spread out", async () => {
+  const ends = Uint8Array.from([3, 0, 0, 0, 4, 0, 0, 0, 44, 1, 0, 0, 45, 1, 0, 0]);
+  const payload = Uint8Array.from([...ends, 7, 0, 255, 9]);
+  const { bytes } = await unpack(packed({ kind: "labels", encoding: "runs" }, payload));
+  const wanted = [...new Array(3).fill(7), 0, ...new Array(296).fill(255), 9];
+  assert.deepEqual([...bytes], wanted);
+  await assert.rejects(unpack(packed({ kind: "labels", encoding: "runs" }, payload.slice(0, 19))));
+});
+
 test("binary messages that are none are refused", async () => {
   const header = { kind: "labels", encoding: "deflate" };
   await assert.rejects(unpack(new ArrayBuffer(3)));

@@ -11,6 +11,16 @@ import { element } from "./structures.js";
 
 const COUNT = 5;
 
+/** Where it is in the sample heart. @param {string} key @param {string} words */
+function pictureOf(key, words) {
+  const picture = element("img", "where");
+  picture.src = `/static/guide/${key}.png`;
+  picture.alt = picture.title = words;
+  picture.width = 68;
+  picture.height = 68;
+  return picture;
+}
+
 export class Guide {
   /** Where to look, best first; null when they must be asked for anew. @type {Place[] | null} */
   #places = null;
@@ -101,8 +111,10 @@ export class Guide {
       row.append(
         element("span", "tick", done ? "✓" : "○"),
         element("span", "hidden-words", done ? say("item_done") : say("item_open")),
-        element("span", "", missing.length > 0 && key !== "background" ? `${text}: ${missing.join(", ")}` : text),
+        element("span", "words", missing.length > 0 && key !== "background" ? `${text}: ${missing.join(", ")}` : text),
       );
+      const where = `where_${key}`;
+      if (!done && isWord(where)) row.append(pictureOf(key, say(where)));
       return row;
     });
     this.parts.checklist.replaceChildren(...rows);

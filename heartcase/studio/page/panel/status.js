@@ -98,7 +98,7 @@ export class Status {
 }
 
 /** @param {readonly Problem[]} problems */
-function problemList(problems) {
+export function problemList(problems) {
   const list = element("ul", "problems");
   for (const { place, message } of problems) {
     const row = element("li");

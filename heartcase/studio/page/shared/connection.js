@@ -39,9 +39,31 @@ export async function unpack(data) {
   const header = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, headerLength)));
   const payload = new Uint8Array(data, 4 + headerLength);
   if (header.encoding === "raw") return { header, bytes: payload };
+  if (header.encoding === "runs") return { header, bytes: fromRuns(payload) };
   if (header.encoding !== "deflate") throw new Error("a binary message has an unknown encoding");
   const stream = new Blob([payload]).stream().pipeThrough(new DecompressionStream("deflate"));
   return { header, bytes: new Uint8Array(await new Response(stream).arrayBuffer()) };
+}
+
+/**
+ * Voxels from runs: where each ends (uint32, little-endian), then the value of each.
+ * @param {Uint8Array<ArrayBuffer>} payload
+ */
+export function fromRuns(payload) {
+  const count = payload.length / 5;
+  if (!Number.isInteger(count)) throw new Error("runs are cut off");
+  const ends = new DataView(payload.buffer, payload.byteOffset, 4 * count);
+  const bytes = new Uint8Array(count > 0 ? ends.getUint32(4 * (count - 1), true) : 0);
+  let at = 0;
+  for (let n = 0; n < count; n++) {
+    const end = ends.getUint32(4 * n, true);
+    const value = payload[4 * count + n];
+    // most runs are short, and filling them one by one is quicker
+    if (end - at < 24) while (at < end) bytes[at++] = value;
+    else bytes.fill(value, at, end);
+    at = end;
+  }
+  return bytes;
 }
 
 /**

@@ -79,7 +79,8 @@ export class Shortcuts {
     if (target.matches("select, textarea, input:not([type=range], [type=checkbox])")) return false;
     if (target.matches("input[type=range]") && /^(Arrow|Page|Home|End)/.test(key)) return false;
     if (target.matches("button, input, a, summary, [role=tab]") && (key === "Enter" || key === " ")) return false;
-    if (target.closest("dialog, [popover]")) return false;
+    // a button that is disabled while it works loses the focus, also in a dialog
+    if (target.closest("dialog, [popover]") || document.querySelector("dialog[open]")) return false;
     return this.#move(event, key) || this.#choose(event, key) || this.#act(event, key);
   }
 

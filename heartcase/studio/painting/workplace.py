@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TypeVar
 
 from heartcase.pipeline.markers.states import StillSegmentation
-from heartcase.schemas.errors import RecipeError
+from heartcase.schemas.errors import RecipeError, UsageError
+from heartcase.studio.asking import request_id
 from heartcase.studio.messages import problems_of, text_message, told
 from heartcase.studio.pages import Page
-from heartcase.studio.painting import Painting, open_painting
-from heartcase.studio.requests import History, Paint, parse_request, request_id
+from heartcase.studio.painting.drafts import receive_draft
+from heartcase.studio.painting.painting import Painting, open_painting
+from heartcase.studio.painting.requests import History, Paint, parse_request
+from heartcase.studio.painting.states import States
 from heartcase.studio.shaping.requests import Add, Change, Remove, Set
-from heartcase.studio.states import States
 
 __all__ = ["Workplace"]
 
@@ -45,6 +47,7 @@ class Workplace:
         self._pages: set[Page] = set()
         self._turn = asyncio.Lock()
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="studio")
+        self._receives = False
         self._aside = ThreadPoolExecutor(1, thread_name_prefix="studio-aside")
         self._tasks: set[asyncio.Task[None]] = set()
         self._states = States(self._copied, self._tell)
@@ -91,6 +94,8 @@ class Workplace:
                         one.send(message)
             if answer.done is not None:
                 page.send(answer.done)
+            if isinstance(request, History) and painting.is_outdated:
+                await self._open_again()
             self._states.later()
         if answer.later is not None:
             self._start(page, text, answer.later)
@@ -108,6 +113,36 @@ class Workplace:
         task = asyncio.create_task(answer())
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
+
+    async def add_draft(self, stream: AsyncIterator[bytes]) -> None:
+        """Take a draft in that a page sends, and show all pages what comes of it.
+
+        Parameters
+        ----------
+        stream
+            What is sent: see :mod:`heartcase.studio.painting.drafts`.
+
+        Raises
+        ------
+        HeartcaseError
+            It cannot be taken, and nothing has changed.
+        """
+        if self._receives:
+            raise UsageError("another draft is being taken in: wait for it", place="draft")
+        self._receives = True
+        try:
+            draft = await receive_draft(stream, self._recipe.resolve().parent)
+            try:
+                async with self._turn:
+                    painting = self._painting
+                    if painting is None:
+                        raise RecipeError("it is not open", place="recipe")
+                    await self._run(lambda: painting.add(draft))
+                    await self._open_again()
+            finally:
+                draft.discard()
+        finally:
+            self._receives = False
 
     async def close(self) -> None:
         """End: a stroke that is not saved yet is saved."""

@@ -8,22 +8,24 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 from starlette.applications import Starlette
-from starlette.requests import Request
-from starlette.responses import FileResponse, RedirectResponse, Response
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import FileResponse, JSONResponse, RedirectResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from heartcase.studio.building.building import Building
-from heartcase.studio.gate import Gate
+from heartcase.studio.messages import problems_of, told
 from heartcase.studio.pages import Page, Place
-from heartcase.studio.registry import Registry
+from heartcase.studio.painting.workplace import Workplace
+from heartcase.studio.serving.gate import Gate
+from heartcase.studio.starting.registry import Registry
 from heartcase.studio.starting.start import Start
 
 __all__ = ["PAGE", "make_app"]
 
-PAGE = Path(__file__).parent / "page"
+PAGE = Path(__file__).parents[1] / "page"
 """The page's files."""
 
 
@@ -86,7 +88,23 @@ def make_app(registry: Registry, *, token: str, port: int, start: Start | None =
         await starting.close()
         await registry.close()
 
+    async def draft(request: Request) -> Response:
+        workplace = registry.place("socket", request.path_params["key"])
+        # a page of another site can send a form, but no origin of ours
+        if not isinstance(workplace, Workplace) or "origin" not in request.headers:
+            return Response(status_code=404)
+        problems: list[dict[str, str]] = []
+        try:
+            await workplace.add_draft(request.stream())
+        except ClientDisconnect:
+            return Response(status_code=400)
+        except Exception as error:
+            # an answer like any other: browsers write others into their log
+            problems = problems_of(told(error))
+        return JSONResponse({"problems": problems})
+
     routes = [
+        Route("/draft/{key}", draft, methods=["POST"]),
         Route("/", start_page),
         WebSocketRoute("/starting", starting_line),
         *(page(name, file) for name, file in _PAGES.items()),

@@ -13,6 +13,7 @@ import numpy as np
 from heartcase.library.scans import ensure_scan
 from heartcase.pipeline.building.quick_surface import QuickSurface
 from heartcase.pipeline.building.recipe_history import STROKE, RecipeHistory, open_history
+from heartcase.pipeline.building.recipe_text import changed_text, place_words
 from heartcase.pipeline.building.runner import BuildListener
 from heartcase.pipeline.building.session_file import RecipeSession, open_session
 from heartcase.pipeline.data import UNMARKED, Scan
@@ -21,10 +22,12 @@ from heartcase.pipeline.watershed.forest import Box
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.labels import BACKGROUND, Role
 from heartcase.schemas.recipe.recipe import parse_recipe, read_recipe_text
-from heartcase.studio.locks import lock_again, lock_labels
+from heartcase.schemas.toml_places import Place
 from heartcase.studio.messages import labels_message, scan_message, surface_message, text_message
-from heartcase.studio.planes import planes_message
-from heartcase.studio.requests import End, Extend, History, Lock, Paint, Planes, Request, Suggest
+from heartcase.studio.painting.drafts import Draft
+from heartcase.studio.painting.locks import lock_again, lock_labels
+from heartcase.studio.painting.planes import planes_message
+from heartcase.studio.painting.requests import End, Extend, History, Lock, Paint, Planes, Request, Suggest
 from heartcase.studio.shaping.facts import shaping_facts
 from heartcase.studio.shaping.requests import Add, Change, FindEnds, Preview, Propose, Remove, Set
 from heartcase.studio.shaping.shaping import Shaping
@@ -33,6 +36,8 @@ __all__ = ["Answer", "Painting", "open_painting"]
 
 _CT_WINDOW = (-150.0, 450.0)
 """Contrast-filled chambers, muscle and fat, HU."""
+_ATRIA = ("82471001", "73829009")
+"""SNOMED CT codes of the two that are often painted as one."""
 _WINDOW_PERCENTILES = (1.0, 99.5)
 
 
@@ -144,7 +149,7 @@ class Painting:
             case Add() | Change() | Remove() | Set():
                 self._close_stroke()
                 self._shaping.act(request)
-                return Answer((self._shape(), self._done()), self._done(request))
+                return Answer((self._shape(), self._structures(), self._done()), self._done(request))
             case Propose():
                 return Answer(done=text_message("proposal", id=request.id, **self._shaping.propose(request)))
             case FindEnds():
@@ -162,6 +167,31 @@ class Painting:
             case Planes():
                 return Answer(done=planes_message(request.id, session, self._history.recipe.landmarks))
 
+    @property
+    def is_outdated(self) -> bool:
+        """Whether the recipe names other marker files than those that are painted on: it must be opened again."""
+        return self._history.recipe.markers != self._opened.recipe.markers
+
+    def add(self, draft: Draft) -> None:
+        """Write a draft as one more marker file of the recipe.
+
+        Raises
+        ------
+        HeartcaseError
+            It does not go with the recipe, and nothing has changed.
+        """
+        self._close_stroke()
+        session, history, directory = self._opened.session, self._history, self._history.path.parent
+        ready = draft.checked(session.table, session.geometry, None)
+        place: Place = ("markers", len(history.recipe.markers))
+        name = draft.added_to(directory, ready)
+        try:
+            history.change(place_words(place), changed_text(history.head, (place, draft.marker_file(name))))
+        except BaseException:
+            # what the recipe does not name goes with what is discarded
+            (directory / name).rename(ready)
+            raise
+
     def still(self) -> StillSegmentation:
         """A copy of the segmentation, to be looked at while painting goes on."""
         return self._opened.session.still()
@@ -178,7 +208,7 @@ class Painting:
         session, history = self._opened.session, self._history
         act = history.undo() if request.do == "undo" else history.redo()
         if act.kind != STROKE:
-            return Answer((self._shape(), self._done()), self._done(request))
+            return Answer((self._shape(), self._structures(), self._done()), self._done(request))
         answer = self._painted(request, session.undo() if request.do == "undo" else session.redo())
         return Answer((*answer.for_all, self._structures()), answer.done)
 
@@ -229,16 +259,21 @@ class Painting:
 
     def _checklist(self, marked: set[int]) -> list[dict[str, Any]]:
         """What a model still needs, in the order in which it is best painted."""
-        table = self._opened.session.table
+        table, recipe = self._opened.session.table, self._history.recipe
+        atria = [label.value for code in _ATRIA if (label := table.find_code(code)) is not None]
+        vessels = [label.value for label in table if label.role is Role.VESSEL_LUMEN]
+        ended = {label.value for end in recipe.ends if (label := table.find(end.label)) is not None}
         groups = (
-            ("background", [BACKGROUND]),
-            ("chambers", [label.value for label in table if label.role is Role.BLOOD]),
-            ("vessels", [label.value for label in table if label.role is Role.VESSEL_LUMEN]),
-            ("myocardium", [label.value for label in table if label.role is Role.MYOCARDIUM]),
+            ("background", [BACKGROUND], marked),
+            ("chambers", [one.value for one in table if one.role is Role.BLOOD and one.value not in atria], marked),
+            ("atria", atria, marked),
+            ("vessels", vessels, marked),
+            ("myocardium", [label.value for label in table if label.role is Role.MYOCARDIUM], marked),
+            ("ends", vessels, set(vessels) if recipe.walls.find_ends else ended),
         )
         return [
-            {"key": key, "done": set(values) <= marked, "missing": [table[v].name for v in values if v not in marked]}
-            for key, values in groups
+            {"key": key, "done": set(values) <= there, "missing": [table[v].name for v in values if v not in there]}
+            for key, values, there in groups
             if values
         ]
 
