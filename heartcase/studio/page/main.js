@@ -132,6 +132,8 @@ function run() {
     else if (message.kind === "done") {
       studio.undoCount.value = message.undo_count;
       studio.redoCount.value = message.redo_count;
+      studio.undoKind.value = message.undo_kind;
+      studio.redoKind.value = message.redo_kind;
       studio.saved.value = message.saved;
       guide.forget();
     } else if (message.kind === "failed") {
@@ -157,6 +159,8 @@ function run() {
     }
     studio.undoCount.value = message.undo_count;
     studio.redoCount.value = message.redo_count;
+    studio.undoKind.value = message.undo_kind;
+    studio.redoKind.value = message.redo_kind;
     studio.saved.value = message.saved;
     status.progress(say("loading"), null);
   }

@@ -77,6 +77,7 @@ def test_an_end_a_defect_and_a_wall_by_mouse_stand_in_the_recipe_and_are_taken_b
         # and its middle is moved, in another slice
         stroke(page, "coronal", [turned.position_mm, off(turned.position_mm, 2.0, 0, 3.0)], affine)
         page.saved(5)
+        assert page.tab.locator("#undo").get_attribute("title") == "Undo (Z), a vessel end"
         moved = load_recipe(path).ends[0]
         np.testing.assert_allclose(moved.position_mm, off(turned.position_mm, 2.0, 0, 3.0), atol=0.4)
         assert moved.radius_mm == turned.radius_mm

@@ -47,6 +47,7 @@ export class Heart {
         palette: { value: palette },
         stretchColours: { value: stretch },
         showsStretch: { value: false },
+        cutPlane: { value: new three.Vector4(0, 0, 0, 1) },
         normalMap: { value: palette },
         hasMap: { value: false },
       },

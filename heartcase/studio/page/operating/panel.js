@@ -40,13 +40,16 @@ export class Panel {
   #structures = [];
   #toldAt = -Infinity;
 
-  /** @param {{hiddenChanged: () => void, replay: (name: string) => void}} does */
-  constructor(does) {
+  /**
+   * @param {{hiddenChanged: () => void, replay: (name: string) => void}} does
+   * @param {readonly (readonly [string, Word])[]} [help] keys that there are
+   */
+  constructor(does, help = HELP) {
     this.does = does;
     find("show-all").addEventListener("click", () => this.showAll());
     language.follow(() => {
       this.#build();
-      find("keys").replaceChildren(...HELP.flatMap(([keys, word]) => [element("dt", "", keys), element("dd", "", say(word))]));
+      find("keys").replaceChildren(...help.flatMap(([keys, word]) => [element("dt", "", keys), element("dd", "", say(word))]));
     });
   }
 

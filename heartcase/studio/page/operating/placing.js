@@ -76,6 +76,7 @@ out vec4 seenTangent;
 out vec2 mapAt;
 out float stretchHere;
 flat out vec3 colour;
+out vec3 here;
 
 void main() {
   vec3 placeMm, normal, tangentHere;
@@ -83,6 +84,7 @@ void main() {
   vec4 look = texelFetch(palette, ivec2(int(structure + 0.5), 0), 0);
   vec4 seen = viewMatrix * vec4(placeMm, 1.0);
   colour = look.rgb;
+  here = placeMm;
   seenNormal = mat3(viewMatrix) * normal;
   seenTangent = vec4(mat3(viewMatrix) * tangentHere, tangent.w);
   mapAt = uv;
@@ -101,11 +103,15 @@ in vec4 seenTangent;
 in vec2 mapAt;
 in float stretchHere;
 flat in vec3 colour;
+in vec3 here;
+/* What lies beyond this plane is not drawn: normal, and how far it is from the origin, LPS mm. */
+uniform vec4 cutPlane;
 uniform sampler2D stretchColours, normalMap;
 uniform bool showsStretch, hasMap;
 out vec4 drawn;
 
 void main() {
+  if (dot(cutPlane.xyz, here) > cutPlane.w) discard;
   vec3 eye = normalize(toEye);
   vec3 normal = normalize(seenNormal);
   vec3 bent = texture(normalMap, mapAt).rgb * 2.0 - 1.0;
@@ -119,5 +125,22 @@ void main() {
   float bright = 0.24 + 0.12 * normal.y + 0.72 * max(dot(normal, light), 0.0);
   float shine = 0.16 * pow(max(dot(normal, normalize(light + eye)), 0.0), 24.0);
   drawn = vec4(own * bright * (gl_FrontFacing ? 1.0 : 0.7) + shine, 1.0);
+}
+`;
+
+/* The place itself, for whoever asks what lies under the pointer. */
+export const PLACE_FRAGMENT = `
+precision highp float;
+precision highp sampler2D;
+in vec3 seenNormal, toEye;
+in float stretchHere;
+flat in vec3 colour;
+in vec3 here;
+uniform vec4 cutPlane;
+out vec4 drawn;
+
+void main() {
+  if (dot(cutPlane.xyz, here) > cutPlane.w) discard;
+  drawn = vec4(here, 1.0);
 }
 `;

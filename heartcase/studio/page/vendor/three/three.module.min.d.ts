@@ -26,6 +26,8 @@ export class Sphere extends Thing {}
 export class SphereGeometry extends Thing {}
 export class Texture extends Thing {}
 export class Vector3 extends Thing {}
+export class Vector4 extends Thing {}
+export class WebGLRenderTarget extends Thing {}
 export class WebGLRenderer extends Thing {}
 export const DoubleSide: any;
 export const FloatType: any;
