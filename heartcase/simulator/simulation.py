@@ -231,9 +231,9 @@ class Simulation(PatchedTissue, OperatedTissue):
     def grab(self, center_mm: npt.ArrayLike, radius_mm: float, *, name: str = "grab") -> Grab:
         """Close a hand on the nodes within ``radius_mm`` of a point, LPS mm.
 
-        Held are those that can be reached along springs inside the ball from the node nearest its centre, and that
-        belong to no tissue across an incision from there: a hand never bridges one, nor around its end (thesis 8.7.2).
-        Nodes that another hand holds stay with it.
+        Held are those that belong to no tissue across an incision from that nearest the ball's centre, and that can be
+        reached along springs inside the ball from the nearest of them: a hand never bridges an incision, nor around its
+        end (thesis 8.7.2). Nodes that another hand holds stay with it.
 
         Parameters
         ----------
@@ -249,13 +249,13 @@ class Simulation(PatchedTissue, OperatedTissue):
         SimulationError
             There is no tissue to hold, the place is not a finite point, or the radius is not above 0.
         """
-        grab = close_grab(self.model, self.state.displacement, center_mm, radius_mm, others=self.grabs, name=name)
-        sheets = self._sheet_triangles()
-        if len(sheets):
-            center = point_in_lattice(self.model, center_mm)
-            own = np.flatnonzero(on_side_at(self.model, self.state.displacement, grab.nodes, center, sheets))
-            if len(own):
-                grab.carry(grab.nodes[own], own)
+        among = None
+        if is_point(center_mm) and 0.0 < radius_mm < np.inf:
+            center, radius = point_in_lattice(self.model, center_mm), radius_mm / self.model.cell_mm
+            among = on_side_at(self.model, self.state.displacement, center, radius, self._sheet_triangles())
+        grab = close_grab(
+            self.model, self.state.displacement, center_mm, radius_mm, among=among, others=self.grabs, name=name
+        )
         self.grabs.append(grab)
         self._hold()
         return grab

@@ -13,12 +13,13 @@ from typing import Any
 
 import numpy as np
 
+from heartcase.pipeline.building.quick_surface import QuickSurface
 from heartcase.pipeline.data import Scan
 from heartcase.pipeline.watershed.forest import Box
 from heartcase.schemas.arrays import UInt8
 from heartcase.schemas.errors import HeartcaseError
 
-__all__ = ["labels_message", "problems_of", "scan_message", "text_message", "told"]
+__all__ = ["labels_message", "problems_of", "scan_message", "surface_message", "text_message", "told"]
 
 _RAW_SIZE_MAX = 1 << 15
 """Bytes up to which compressing would take longer than sending."""
@@ -74,6 +75,23 @@ def labels_message(labels: UInt8, box: Box) -> bytes:
     return _binary(header, part.tobytes(), encoding="raw")
 
 
+def surface_message(surface: QuickSurface) -> bytes:
+    """A surface: positions (float32), triangles (uint32), colours and normals (3 bytes each), one after the other."""
+    header = {
+        "kind": "surface",
+        "vertex_count": len(surface.vertices_mm),
+        "triangle_count": len(surface.triangles),
+        "spacing_mm": surface.spacing_mm,
+    }
+    parts = (
+        surface.vertices_mm.astype("<f4"),
+        surface.triangles.astype("<u4"),
+        surface.colours.astype(np.uint8),
+        surface.normals.astype(np.int8),
+    )
+    return _binary(header, b"".join(part.tobytes() for part in parts), encoding="raw")
+
+
 def _as_runs(values: UInt8) -> bytes | None:
     """Where each run of equal values ends (uint32, little-endian), then the value of each; None where that is longer.
 
@@ -82,7 +100,8 @@ def _as_runs(values: UInt8) -> bytes | None:
     ends = np.append(np.flatnonzero(values[1:] != values[:-1]) + 1, len(values))
     if 5 * len(ends) >= len(values):
         return None
-    return ends.astype("<u4").tobytes() + values[ends - 1].tobytes()
+    found: bytes = ends.astype("<u4").tobytes() + values[ends - 1].tobytes()
+    return found
 
 
 def _binary(header: dict[str, Any], payload: bytes, *, encoding: str) -> bytes:

@@ -1,5 +1,6 @@
 """A small scan and a small case on disk for the tests of the command line."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from heartcase.pipeline.bundle.write_bundle import (
     assemble_bundle,
     write_bundle,
 )
-from heartcase.pipeline.warnings import CaseWarning
+from heartcase.pipeline.warnings import CaseWarning, worst_first
 from heartcase.schemas.bundle.format import Material
 from tests.pipeline.report.analytic_heart import AnalyticHeart, make_heart
 
@@ -36,7 +37,12 @@ def write_scan(path: Path) -> Path:
     return path
 
 
-def write_case(directory: Path, *, with_level: bool = False) -> tuple[Path, AnalyticHeart]:
+def write_case(
+    directory: Path,
+    *,
+    with_level: bool = False,
+    warnings: Sequence[CaseWarning] = (CaseWarning("a warning for the reader"),),
+) -> tuple[Path, AnalyticHeart]:
     """A case with a grid and a surface, and where asked for a coarser level of it."""
     heart = make_heart(spacing_mm=(3.0, 3.0, 3.0))
     coarse = (make_heart(spacing_mm=(5.0, 5.0, 5.0)).surface,) if with_level else ()
@@ -47,7 +53,7 @@ def write_case(directory: Path, *, with_level: bool = False) -> tuple[Path, Anal
         BundleRecord(
             name="Toy",
             quality={"volumes_ml": {"morphologically left ventricle": 33.0}},
-            warnings=[CaseWarning("a warning for the reader")],
+            warnings=worst_first(warnings),
         ),
     )
     path = directory / "Toy.case"

@@ -10,12 +10,15 @@ from dataclasses import dataclass, field
 import numpy as np
 from starlette.testclient import TestClient
 
-from heartcase.studio.app import make_app
-from heartcase.studio.registry import Registry
+from heartcase.studio.serving.app import make_app
+from heartcase.studio.starting.registry import Registry
+from heartcase.studio.starting.start import Start
 from tests.cli.small_case import write_scan
 
 TOKEN, PORT = "a-token", 4711
 ADDRESS = f"http://127.0.0.1:{PORT}"
+
+ANSWERS = ("done", "refused", "places", "proposal", "found_ends", "preview", "folder", "series", "go")
 
 RECIPE = """\
 # a comment that stays
@@ -54,6 +57,7 @@ class Talker:
     scan: np.ndarray | None = None
     told: list[dict] = field(default_factory=list)
     number: int = 0
+    surface: dict | None = None
 
     def hear(self, *kinds):
         """Take messages until one of these kinds, which is returned."""
@@ -72,7 +76,7 @@ class Talker:
         """Ask, and take the answer."""
         self.number += 1
         self.socket.send_text(json.dumps({"id": self.number} | request))
-        while (answer := self.hear("done", "refused", "places", "proposal", "found_ends")).get("id") != self.number:
+        while (answer := self.hear(*ANSWERS)).get("id") != self.number:
             pass
         return answer
 
@@ -85,6 +89,9 @@ class Talker:
             ends = np.frombuffer(payload[: len(payload) // 5 * 4], "<u4")
             values = np.frombuffer(payload[4 * len(ends) :], np.uint8)
             payload = np.repeat(values, np.diff(ends, prepend=0)).tobytes()
+        if header["kind"] == "surface":
+            self.surface = header | {"bytes": len(payload)}
+            return
         shape = header["size"][::-1]
         if header["kind"] == "scan":
             self.scan = np.frombuffer(payload, "<i2").reshape(shape) * header["scale"] + header["offset"]
@@ -99,10 +106,11 @@ class Talker:
 
 @contextmanager
 def studio(recipe):
-    """A browser that has the studio of this recipe open."""
+    """A browser that has the studio of this recipe open; its start page looks into the recipe's folder alone."""
     registry = Registry(TOKEN)
     opened = registry.open_recipe(recipe, out=recipe.parent / "out")
-    app = make_app(registry, token=TOKEN, port=PORT)
+    start = Start(registry, roots=[recipe.parent], state=recipe.parent / "state")
+    app = make_app(registry, token=TOKEN, port=PORT, start=start)
     with TestClient(app, base_url=ADDRESS, follow_redirects=False) as browser:
         assert browser.get("/", params={"token": TOKEN}).status_code == 303
         browser.opened = opened
@@ -122,4 +130,13 @@ def page(browser):
         talker.opened = talker.hear("opened", "failed")
         if talker.opened["kind"] == "opened":
             talker.hear("structures")
+        yield talker
+
+
+@contextmanager
+def line(browser, path, *, first):
+    """A page on another socket of the studio, once it was told the first message of this kind."""
+    with browser.websocket_connect(f"ws://127.0.0.1:{PORT}{path}", headers={"origin": ADDRESS}) as socket:
+        talker = Talker(socket)
+        talker.first = talker.hear(first)
         yield talker

@@ -91,7 +91,7 @@ def test_paths_do_not_leave_the_pages_folder(browser, address):
 def test_the_pages_files_hold_no_inline_script_and_load_nothing_from_elsewhere():
     import re
 
-    from heartcase.studio.app import PAGE
+    from heartcase.studio.serving.app import PAGE
 
     for file in PAGE.rglob("*"):
         if file.suffix not in (".html", ".js", ".css"):

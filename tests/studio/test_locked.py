@@ -7,7 +7,7 @@ import pytest
 
 from heartcase.pipeline.building.session_file import open_session
 from heartcase.schemas.recipe.recipe import load_recipe
-from heartcase.studio import states
+from heartcase.studio.painting import states
 from tests.studio.talking import page, studio, write_recipe
 
 

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import urllib.error
 import urllib.request
+from pathlib import Path
 
 import pytest
 
@@ -16,7 +17,8 @@ from tests.studio.talking import write_recipe
 
 
 @pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
-def test_it_serves_this_machine_until_it_is_ended(tmp_path, ending):
+def test_it_serves_this_machine_until_it_is_ended(tmp_path, ending, monkeypatch):
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     recipe, _ = write_recipe(tmp_path)
     text = recipe.read_text()
     command = [sys.executable, "-m", "heartcase", "studio", str(recipe), "--out", str(tmp_path / "out"), "--no-browser"]
@@ -38,7 +40,7 @@ def test_it_serves_this_machine_until_it_is_ended(tmp_path, ending):
 
 def test_for_a_scan_a_recipe_is_written_that_marks_nothing(tmp_path, monkeypatch, capsys):
     served = []
-    monkeypatch.setattr("heartcase.studio.serve.serve", lambda recipe, **_: served.append(recipe))
+    monkeypatch.setattr("heartcase.studio.serving.serve.serve", lambda recipe, **_: served.append(recipe))
     scan, recipe = write_scan(tmp_path / "scan.nii.gz"), tmp_path / "mine.toml"
     assert main(["studio", str(scan), "--recipe", str(recipe), "--no-browser"]) == 0
     assert served == [recipe]
@@ -50,13 +52,31 @@ def test_for_a_scan_a_recipe_is_written_that_marks_nothing(tmp_path, monkeypatch
     assert "there is already a recipe" in capsys.readouterr().err
 
 
-def test_what_it_cannot_open_is_said_in_one_line(tmp_path, capsys):
+def test_what_is_given_says_what_opens_first(tmp_path, monkeypatch):
+    served = []
+    monkeypatch.setattr("heartcase.studio.serving.serve.serve", lambda **given: served.append(given))
+    recipe, _ = write_recipe(tmp_path)
     case, _ = write_case(tmp_path)
+    for path, first in (
+        (recipe, {"recipe": recipe}),
+        (case, {"case": case}),
+        (tmp_path, {"folder": tmp_path}),
+        (None, {}),
+    ):
+        assert main(["studio", *([str(path)] if path else []), "--no-browser"]) == 0
+        assert {key: value for key, value in served[-1].items() if isinstance(value, Path) and key != "out"} == first
+
+
+def test_what_it_cannot_open_is_said_in_one_line(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    case = tmp_path / "torn.case"
+    case.mkdir()
+    (case / "case.json").write_text("{}")
     missing, torn, script = tmp_path / "nothing", tmp_path / "torn.toml", tmp_path / "script.toml"
     torn.write_text("heartcase_recipe = [\n")
     script.write_text("heartcase_recipe = 1\nseconds = 1.0\nname = 'x'\n[scan]\npath = 'x.nii.gz'\n")
     for path, code, message in (
-        (case, 2, "cases do not move in the page yet"),
+        (case, 1, "case.json"),
         (missing, 1, "there is nothing at this path"),
         (torn, 1, "this is not valid TOML"),
         (script, 1, "seconds: unknown setting"),

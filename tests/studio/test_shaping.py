@@ -100,6 +100,19 @@ def test_a_wall_is_set_in_the_label_table_which_is_written_out_where_it_was_not(
         assert walls["aorta"] == 1.2
 
 
+def test_edits_of_bare_structures_stand_before_those_that_are_laid_over_them(recipe):
+    path, _ = recipe
+    with studio(path) as browser, page(browser) as talker:
+        talker.ask(do="add", list="edits", entries=[SCULPT])
+        smooth = SCULPT | {"kind": "smooth"}
+        # a build refuses to smooth behind what was added to the same structure
+        assert talker.ask(do="add", list="edits", entries=[smooth])["undo_kind"] == "edits[1]"
+        assert talker.ask(do="add", list="edits", entries=[{"kind": "remove_islands"}])["undo_kind"] == "edits[2]"
+        assert talker.ask(do="add", list="edits", entries=[DEFECT])["undo_kind"] == "edits[4]"
+        kinds = [edit.kind for edit in read(path).edits]
+        assert kinds == ["smooth", "remove_islands", "add", "septal_defect"]
+
+
 def test_found_ends_and_other_ends_go_together(recipe):
     path, _ = recipe
     path.write_text(path.read_text().replace("\n[scan]", '\nends = "automatic"\n\n[scan]', 1))
@@ -215,6 +228,23 @@ def test_another_programs_line_is_seen_before_anything_is_shaped(recipe):
         assert last(talker, "shape")["settings"]["grid"] == {"node_count": 1000}
         assert talker.ask(do="remove", list="ends", number=1)["kind"] == "done"
         assert tomllib.loads(path.read_text())["grid"] == {"node_count": 1000}
+
+
+def test_the_surface_is_shown_as_it_is_now_and_what_is_wrong_with_it_is_told(recipe):
+    path, middle = recipe
+    with studio(path) as browser, page(browser) as talker:
+        refused = talker.ask(do="preview")
+        assert "nothing is segmented but background" in refused["problems"][0]["message"]
+        talker.ask(do="paint", label="aorta", radius_mm=2.0, points_mm=[middle])
+        talker.ask(do="end")
+        answer = talker.ask(do="preview")
+        assert (answer["kind"], answer["problems"]) == ("preview", [])
+        surface = talker.surface
+        assert surface["triangle_count"] > 100
+        # positions, triangles, colours and normals
+        assert surface["bytes"] == 18 * surface["vertex_count"] + 12 * surface["triangle_count"]
+        talker.ask(do="add", list="edits", entries=[DEFECT])
+        assert talker.ask(do="preview")["problems"][0]["place"] == "edits[1]"
 
 
 def test_what_is_told_is_small_enough_and_plain(recipe):

@@ -190,6 +190,19 @@ def test_what_is_seen_tissue_cut_faces_hidden_structures_and_strain(case):
         mouse.drag(*[on_top(20.3, y) for y in np.linspace(-19.0, -9.0, 8)])
         live.tick()
         assert window.picture().shape == whole.shape
+        mouse.key("j")
+        mouse.drag(*[on_top(x, -14.0) for x in np.linspace(24.0, 32.0, 8)])
+        live.tick()
+        made = [
+            entry.command
+            for entry in live.session.entries
+            if "scissors" in entry.command.kind or entry.command.kind == "snip"
+        ]
+        assert [one.kind for one in made][:2] == ["bring_scissors", "snip"]
+        assert made[-1].kind == "withdraw_scissors"
+        assert made[0].closing == pytest.approx((0.0, 0.0, 1.0), abs=0.05)
+        assert len(live.session.simulation.cuts.sheets) == 1 + sum(one.kind == "snip" for one in made)
+        assert window.picture().shape == whole.shape
         mouse.key("o")
         assert window.tool is None
 

@@ -131,8 +131,10 @@ MIN_THICKNESS_MM = 1.0
 """Two lines of the usual 0.4 mm nozzle and a margin; a wall that nothing supports asks as much of resin and powder."""
 
 
-RECORDED_FORMATS = (".glb", ".gif", ".mp4")
+RECORDED_FORMATS = (".glb", ".html", ".gif", ".mp4")
 """What a recording can be shown as."""
+PAGE = ".html"
+"""A page for a browser, which needs no server."""
 FRAMES_PER_SECOND = 15.0
 """Frames in a second of a recording's simulated time."""
 ERROR_MM = 0.05
@@ -195,6 +197,15 @@ def _for_meshio(export: _Export, model: str, suffix: str) -> _Made:
     return _Made(surface_bytes(mesh, suffix), f"the surface of {_called(model)}", warnings=mesh.warnings)
 
 
+def _page(case: Path, level: int) -> _Made:
+    """The case for a browser."""
+    from heartcase.simulator.load import load_case
+    from heartcase.studio.offline.web_page import web_page
+
+    loaded = load_case(case, needs=("surface", "structures"), level=level)
+    return _Made(web_page(loaded), "the case as a page")
+
+
 def _recorded(
     case: Path, recording: Path, suffix: str, level: int, rate: float | None, error_mm: float | None
 ) -> _Made:
@@ -215,7 +226,7 @@ def _suffix_of(name: str, recording: Path | None) -> str:
     UsageError
         It says none.
     """
-    endings = [*WRITERS, *dict.fromkeys(ending for held in MODELS.values() for ending in held)]
+    endings = [*WRITERS, *dict.fromkeys(ending for held in MODELS.values() for ending in held), PAGE]
     if recording is not None:
         endings = [*RECORDED_FORMATS]
     for ending in endings:
@@ -236,11 +247,13 @@ def _problems(
     problems = []
     if series is not None and scan is None:
         problems.append(Problem("--series", "says which series of --scan: give that too, or leave it out"))
-    if level and (model or "hollow" if suffix in MODELS["hollow"] else None) != "hollow":
+    if level and (model or "hollow" if suffix in (*MODELS["hollow"], PAGE) else None) != "hollow":
         problems.append(Problem("--level", "only the hollow model has levels of detail: leave it out"))
     if scan is not None and suffix not in _WITH_SCAN:
         problems.append(Problem("--scan", f"serves only for {' and '.join(_WITH_SCAN)}: leave it out"))
-    if model is not None and suffix not in MODELS[model]:
+    if model is not None and suffix == PAGE:
+        problems.append(Problem("--model", "a page shows the hollow model: leave it out"))
+    elif model is not None and suffix not in MODELS[model]:
         held = [name for name, endings in MODELS.items() if suffix in endings]
         holds = ", ".join(held) if held else "labels, and no model: leave it out"
         problems.append(Problem("--model", f"{suffix} holds {holds}; {model} is written as {', '.join(MODELS[model])}"))
@@ -274,7 +287,8 @@ def _motion_problems(
     type=click.Path(path_type=Path, readable=False),
     required=True,
     help="The file to write. Labels: .seg.nrrd or .dcm (DICOM SEG) with names, colours and codes; .nii.gz or .nrrd "
-    "with the label values alone. For printing: .stl, .ply, .3mf. To look at: .glb. For ParaView: .vtu, .vtk. "
+    "with the label values alone. For printing: .stl, .ply, .3mf. To look at: .glb, or .html, a page "
+    "that any browser opens without a server. For ParaView: .vtu, .vtk. "
     "For finite elements: .inp (Abaqus), .msh (Gmsh 2.2).",
 )
 @click.option(
@@ -310,7 +324,7 @@ def _motion_problems(
 @click.option(
     "--recording",
     type=click.Path(path_type=Path, readable=False),
-    help="A recording of CASE to show in motion, as .glb, .gif or .mp4.",
+    help="A recording of CASE to show in motion, as .glb, .html, .gif or .mp4.",
 )
 @click.option(
     "--frames-per-second",
@@ -358,6 +372,8 @@ def command(
         export.bundle.surface_role(level, place="--level")
     if recording is not None:
         made = _recorded(case, recording, suffix, level, frames_per_second, error_mm)
+    elif suffix == PAGE:
+        made = _page(case, level)
     elif suffix in WRITERS:
         made = _Made(WRITERS[suffix](export), "the labels")
     else:

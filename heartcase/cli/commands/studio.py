@@ -46,7 +46,7 @@ def command(
     be taken back, also after a restart. Ctrl-C ends the server. Who has the printed address can use the pages, and
     nobody else.
     """
-    from heartcase.studio.serve import serve
+    from heartcase.studio.serving.serve import serve
 
     opening = {} if path is None else _opening(path, recipe, choice)
 

@@ -5,18 +5,22 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from heartcase.cli.shared.film import Filmer, Seen, animation_bytes, check_animation_name
-from heartcase.schemas.arrays import UInt8
+from heartcase.schemas.arrays import Float32, Int32, UInt8
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.recording.reader import open_recording
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
+from heartcase.simulator.live.live import LiveFrame, moment_of
 from heartcase.simulator.load import Case, load_case
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.replay import load_session, refuse_deviation
+
+if TYPE_CHECKING:
+    from heartcase.pipeline.exports.animation import MovingSurface
 
 __all__ = ["FRAMES_MAX", "Animation", "animation_of", "frame_steps"]
 
@@ -45,7 +49,7 @@ def animation_of(
     recording, case
         The recording, and the case that was recorded.
     suffix
-        ``.glb``, ``.gif`` or ``.mp4``.
+        ``.glb``, ``.html``, ``.gif`` or ``.mp4``.
     level
         Level of detail of the surface.
     frames_per_second
@@ -59,15 +63,17 @@ def animation_of(
         The recording is not whole, of another case, or does not come to what was recorded; it is too long; or what
         writes the format is not installed.
     """
-    if suffix != ".glb":
+    if suffix not in (".glb", ".html"):
         check_animation_name(Path(f"animation{suffix}"))
     opened = open_recording(recording)
     count = round(opened.seconds * frames_per_second) + 1
     if count > FRAMES_MAX:
         raise UsageError(f"{count:,} frames are more than {FRAMES_MAX:,}: give fewer", place="--frames-per-second")
-    loaded = load_case(case, needs=("surface", "colours", "tissue"), level=level)
+    loaded = load_case(case, needs=("surface", "colours", "structures", "tissue"), level=level)
     tissue = loaded.tissue if opened.header.tissue_sha256 else TissueSamples.everywhere()
     session = load_session(opened, loaded.model, surface=loaded.surface, tissue=tissue)
+    if suffix == ".html":
+        return _page(session, loaded, recording.stem, frames_per_second)
     if suffix == ".glb":
         return _glb(session, loaded, frames_per_second, error_mm)
     return _film(session, loaded, suffix, frames_per_second)
@@ -85,30 +91,88 @@ def _film(session: OperatingSession, case: Case, suffix: str, frames_per_second:
     return Animation(content, f"{len(camera.frames)} frames", facts)
 
 
+def _page(session: OperatingSession, case: Case, name: str, frames_per_second: float) -> Animation:
+    from heartcase.studio.offline.web_page import Recorded, web_page
+
+    content = web_page(
+        case, [Recorded(name, _moments(session, frames_per_second))], frames_per_second=frames_per_second
+    )
+    facts: dict[str, object] = {"frames_per_second": frames_per_second}
+    return Animation(content, "the case as a page with its recording", facts)
+
+
+def _moments(session: OperatingSession, frames_per_second: float) -> Iterator[LiveFrame]:
+    """Moments of a recording, the first one included; at the end it is checked against what was recorded."""
+    yield moment_of(session)
+    for step in frame_steps(session, frames_per_second):
+        for _ in session.play(step):
+            pass
+        yield moment_of(session)
+    for _ in session.play():
+        pass
+    refuse_deviation(session)
+
+
 def _glb(session: OperatingSession, case: Case, frames_per_second: float, error_mm: float) -> Animation:
-    from heartcase.pipeline.exports.animation import MovingSurface, animation_glb_bytes
+    from heartcase.pipeline.exports.animation import animation_glb_bytes
 
     assert case.triangle_colours is not None
-    # A cut makes another mesh, which goes on where the one before ends.
-    meshes: list[list[tuple[float, Seen]]] = []
+    tissue: list[_Shown] = []
+    sewn: list[_Shown] = []
     for time_s, seen in _frames(session, case.triangle_colours, frames_per_second):
-        if not meshes or not np.array_equal(meshes[-1][-1][1].triangles, seen.triangles):
-            meshes.append([])
-        meshes[-1].append((time_s, seen))
-    moving = [
-        MovingSurface(
-            time_s=np.array([time_s for time_s, _ in frames]),
-            vertices_mm=np.stack([seen.surface.vertices_mm for _, seen in frames]),
-            normals=np.stack([seen.surface.normals for _, seen in frames]),
-            triangles=frames[0][1].triangles,
-            colours=frames[0][1].colours,
-        )
-        for frames in meshes
-    ]
+        shown = seen.surface
+        tissue.append(_Shown(time_s, shown.vertices_mm, shown.normals, seen.triangles, seen.colours))
+        own = seen.sewn
+        vertices, normals = own.vertices_mm.astype(np.float32), own.normals.astype(np.float32)
+        sewn.append(_Shown(time_s, vertices, normals, own.triangles.astype(np.int32), own.colours))
+    moving = [*_moving(tissue), *_moving(sewn)]
     content, error = animation_glb_bytes(moving, tolerance_mm=error_mm, case_id=case.manifest.case_id)
-    count = sum(map(len, meshes))
+    count = len(tissue)
     facts: dict[str, Any] = {"frame_count": count, "frames_per_second": frames_per_second, "error_mm": error}
     return Animation(content, f"{count} frames, at most {error:.2g} mm off,", facts)
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """A mesh in a frame: of the tissue, or of what is sewn."""
+
+    time_s: float
+    vertices_mm: Float32
+    normals: Float32
+    triangles: Int32
+    colours: UInt8
+
+    def goes_on(self, before: _Shown) -> bool:
+        """Whether it is the mesh of the frame before, moved."""
+        return len(self.vertices_mm) == len(before.vertices_mm) and all(
+            np.array_equal(one, other)
+            for one, other in ((self.triangles, before.triangles), (self.colours, before.colours))
+        )
+
+
+def _moving(frames: list[_Shown]) -> list[MovingSurface]:
+    """The meshes of some frames, each as long as it goes on; frames without triangles have none."""
+    from heartcase.pipeline.exports.animation import MovingSurface
+
+    # A cut makes another mesh, and so does what is sewn; it goes on where the one before ends.
+    runs: list[list[_Shown]] = []
+    for frame in frames:
+        if not runs or not frame.goes_on(runs[-1][-1]):
+            runs.append([])
+        runs[-1].append(frame)
+    ends = [*(run[0].time_s for run in runs[1:]), np.inf]
+    return [
+        MovingSurface(
+            time_s=np.array([frame.time_s for frame in run]),
+            vertices_mm=np.stack([frame.vertices_mm for frame in run]),
+            normals=np.stack([frame.normals for frame in run]),
+            triangles=run[0].triangles,
+            colours=run[0].colours,
+            until_s=end,
+        )
+        for run, end in zip(runs, ends, strict=True)
+        if len(run[0].triangles)
+    ]
 
 
 def _frames(session: OperatingSession, colours: UInt8, frames_per_second: float) -> Iterator[tuple[float, Seen]]:

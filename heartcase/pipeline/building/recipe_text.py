@@ -11,6 +11,7 @@ import copy
 import itertools
 import tomllib
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from heartcase.schemas.errors import RecipeError
@@ -18,7 +19,16 @@ from heartcase.schemas.recipe.settings import Stroke
 from heartcase.schemas.toml import toml_text, toml_value
 from heartcase.schemas.toml_places import EntryPlace, Place, TablePlace, toml_places
 
-__all__ = ["HEADING", "changed_text", "place_words", "split_session", "strokes_text", "with_stroke", "without_line"]
+__all__ = [
+    "HEADING",
+    "Inserted",
+    "changed_text",
+    "place_words",
+    "split_session",
+    "strokes_text",
+    "with_stroke",
+    "without_line",
+]
 
 HEADING = "\n# Painted in a session.\n"
 """What stands above the strokes that sessions write at the end of a recipe."""
@@ -66,8 +76,8 @@ def changed_text(text: str, *changes: tuple[Place, Any]) -> str:
     changes
         Each a place and what is to stand there, one after the other. A place is keys, and numbers from 0: ``("ends",
         0)``, ``("materials", "youngs_modulus_kpa")``; a number that is one above those there adds a table. What is to
-        stand there is a value; a mapping for a table, of which only what differs is written anew; or None, which takes
-        it away.
+        stand there is a value; a mapping for a table, of which only what differs is written anew; :class:`Inserted`, a
+        table before the one that is there; or None, which takes it away.
 
     Raises
     ------
@@ -116,6 +126,14 @@ def newline_of(text: str) -> str:
     return "\r\n" if 0 < text.count("\n") == text.count("\r\n") else "\n"
 
 
+@dataclass(frozen=True)
+class Inserted:
+    """A table that is put before another one of its array."""
+
+    table: Mapping[str, Any]
+    """What it holds."""
+
+
 class _Entangled(Exception):
     """Two things are written in one."""
 
@@ -134,6 +152,8 @@ def _with(data: Mapping[str, Any], place: Place, value: Any) -> Any:
             del inner[last]
         if len(place) > 1 and not inner:
             return _with(data, place[:-1], None)
+    elif isinstance(value, Inserted):
+        inner.insert(last, value.table)
     elif isinstance(inner, list) and last == len(inner):
         inner.append(value)
     else:
@@ -167,6 +187,8 @@ def _changed(text: str, place: Place, value: Any, data: Mapping[str, Any]) -> st
             )
     if value is None:
         return _without_tables(text, tables, place, data)
+    if isinstance(value, Inserted):
+        return _with_block_before(text, tables, place, value.table)
     if isinstance(value, Mapping):
         return _with_table(text, tables, place, value, data)
     if _is_tables(value):
@@ -213,11 +235,7 @@ def _with_table(
     """Write a new table, or what differs in one that is there."""
     there = _at(data, place)
     if there is None:
-        keys = [part for part in place if isinstance(part, str)]
-        nested: Any = [value] if isinstance(place[-1], int) else value
-        for key in reversed(keys):
-            nested = {key: nested}
-        return _with_block(text, tables, place, toml_text(nested))
+        return _with_block(text, tables, place, _block(place, value))
     changes: list[tuple[str, Any]] = [(key, None) for key in there if key not in value]
     changes += [(key, one) for key, one in value.items() if key not in there or there[key] != one]
     for key, one in changes:
@@ -237,7 +255,15 @@ def _with_entry(text: str, tables: Sequence[TablePlace], place: Place, value: An
             written = f"{toml_text({str(place[-1]): value})}"
             before = text[: table.end]
             return before + ("" if before.endswith("\n") or not before else "\n") + written + text[table.end :]
-    return _with_block(text, tables, place, toml_text(_with({}, place, value)))
+    return _with_block(text, tables, place, _block(place[:-1], {str(place[-1]): value}))
+
+
+def _block(place: Place, table: Mapping[str, Any]) -> str:
+    """A table with its header, as a person writes it: without those of the tables that it lies in."""
+    if not place:
+        return toml_text(table)
+    name = ".".join(toml_text({part: 0}).partition(" = ")[0] for part in place if isinstance(part, str))
+    return (f"[[{name}]]\n" if isinstance(place[-1], int) else f"[{name}]\n") + toml_text(table)
 
 
 def _with_block(text: str, tables: Sequence[TablePlace], place: Place, block: str) -> str:
@@ -246,6 +272,14 @@ def _with_block(text: str, tables: Sequence[TablePlace], place: Place, block: st
     at = alike[-1].end if alike else len(text)
     before = text[:at]
     return before + ("" if before.endswith("\n") else "\n") + "\n" + block + text[at:]
+
+
+def _with_block_before(text: str, tables: Sequence[TablePlace], place: Place, table: Mapping[str, Any]) -> str:
+    """Put a new table before the one at a place, and before the words that stand right above that."""
+    at = next(one.start for one in tables if one.place == place)
+    while (line := text.rfind("\n", 0, at - 1) + 1) < at and text[line:at].lstrip().startswith("#"):
+        at = line
+    return text[:at] + _block(place, table) + "\n" + text[at:]
 
 
 def _header(place: Place) -> str:

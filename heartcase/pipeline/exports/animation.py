@@ -26,7 +26,7 @@ SHAPES_MAX = 128
 
 @dataclass(frozen=True)
 class MovingSurface:
-    """A surface whose triangles stay the same for a time; after a cut another one goes on."""
+    """A surface whose triangles stay the same for a time; after a cut, or where something is sewn, another goes on."""
 
     time_s: Float64
     """Time of each frame, ascending, shape (frame_count,)."""
@@ -38,6 +38,8 @@ class MovingSurface:
     """Vertex numbers, shape (triangle_count, 3)."""
     colours: UInt8
     """Red, green, blue of each triangle, shape (triangle_count, 3)."""
+    until_s: float = np.inf
+    """When it goes; infinity where it stays."""
 
 
 @dataclass(frozen=True)
@@ -96,12 +98,12 @@ def shapes_of(vertices_mm: Float32, *, tolerance_mm: float) -> Shapes:
 def animation_glb_bytes(
     surfaces: Sequence[MovingSurface], *, tolerance_mm: float, case_id: str | None = None
 ) -> tuple[bytes, float]:
-    """Write surfaces in motion as GLB, one after the other: each is there from its first frame to that of the next.
+    """Write surfaces in motion as GLB: each is there from its first frame until it goes.
 
     Parameters
     ----------
     surfaces
-        By ascending time.
+        At least one.
     tolerance_mm
         Furthest that a vertex may be off in a frame, mm.
     case_id
@@ -118,7 +120,7 @@ def animation_glb_bytes(
         The motion is too rich for a viewer.
     """
     writer = GlbWriter()
-    begin, end = surfaces[0].time_s[0], surfaces[-1].time_s[-1]
+    begin, end = (float(which(surface.time_s[at] for surface in surfaces)) for which, at in ((min, 0), (max, -1)))
     nodes: list[dict[str, Any]] = [
         {
             "name": "patient",
@@ -145,8 +147,8 @@ def animation_glb_bytes(
         if shapes.weights.size:
             output = writer.number_array(shapes.weights.ravel())
             animate(number + 1, "weights", surface.time_s - begin, output, "LINEAR")
-        if len(surfaces) > 1 and end > begin:
-            times, shown = _presence(surfaces, number)
+        if surface.time_s[0] > begin or surface.until_s <= end:
+            times, shown = _presence(surface, begin, end)
             scale = writer.vector_array(np.repeat(shown[:, None], 3, axis=1))
             animate(number + 1, "scale", times - begin, scale, "STEP")
     document: dict[str, Any] = {
@@ -167,11 +169,9 @@ def _furthest(movement: Float32) -> float:
     return float(np.sqrt(np.square(movement.reshape(len(movement), -1, 3)).sum(axis=2).max(initial=0.0)))
 
 
-def _presence(surfaces: Sequence[MovingSurface], number: int) -> tuple[Float64, Float64]:
+def _presence(surface: MovingSurface, begin: float, end: float) -> tuple[Float64, Float64]:
     """Times at which a surface comes and goes, and whether it is there from then on, 1 or 0."""
-    begin, end = surfaces[0].time_s[0], surfaces[-1].time_s[-1]
-    comes = surfaces[number].time_s[0]
-    goes = surfaces[number + 1].time_s[0] if number + 1 < len(surfaces) else np.inf
+    comes, goes = surface.time_s[0], surface.until_s
     times = np.unique(np.array([begin, comes, min(goes, end), end]))
     return times, ((times >= comes) & (times < goes)).astype(float)
 

@@ -127,6 +127,7 @@ def close_grab(
     center_mm: npt.ArrayLike,
     radius_mm: float,
     *,
+    among: Bool | None = None,
     others: Sequence[Grab] = (),
     name: str = "grab",
 ) -> Grab:
@@ -142,6 +143,8 @@ def close_grab(
         Centre of the sphere, LPS mm, shape (3,).
     radius_mm
         Its radius, mm; above 0.
+    among
+        Nodes that may be held, as of :func:`nodes_in_reach`.
     others
         Hands that hold already.
     name
@@ -156,7 +159,7 @@ def close_grab(
         raise SimulationError("the centre and the radius must be finite numbers, three and one", place=name)
     if radius_mm <= 0:
         raise SimulationError(f"the radius must be above 0 mm (found {radius_mm:g})", place=name)
-    nodes = nodes_in_reach(model, displacement, center_mm, radius_mm)
+    nodes = nodes_in_reach(model, displacement, center_mm, radius_mm, among)
     for other in others:
         nodes = np.setdiff1d(nodes, other.nodes, assume_unique=True)
     if not len(nodes):
@@ -179,7 +182,13 @@ def pose_of(model: LatticeModel, offset_mm: npt.ArrayLike, turn: npt.ArrayLike |
     return Pose(model.to_grid(offset_mm), turn_in_grid(model, turn, name))
 
 
-def nodes_in_reach(model: LatticeModel, displacement: Float32, center_mm: npt.ArrayLike, radius_mm: float) -> Intp:
+def nodes_in_reach(
+    model: LatticeModel,
+    displacement: Float32,
+    center_mm: npt.ArrayLike,
+    radius_mm: float,
+    among: Bool | None = None,
+) -> Intp:
     """Nodes in a sphere that can be reached along springs inside it, from the one nearest its centre.
 
     The way along the springs may not be longer than it is in uncut tissue, so that a grab never bridges an incision.
@@ -195,6 +204,9 @@ def nodes_in_reach(model: LatticeModel, displacement: Float32, center_mm: npt.Ar
         Centre of the sphere, LPS mm.
     radius_mm
         Its radius, mm.
+    among
+        Nodes that may be held, shape (node_count,), one of them within the sphere; all when left out. The way to them
+        may lead along others.
 
     Returns
     -------
@@ -211,7 +223,7 @@ def nodes_in_reach(model: LatticeModel, displacement: Float32, center_mm: npt.Ar
     distance = np.linalg.norm(model.node_index + displacement - center, axis=1)
     # A hand holds tissue, and no patch.
     distance[loose_first(model) :] = np.inf
-    nearest = int(distance.argmin())
+    nearest = int((distance if among is None else np.where(among, distance, np.inf)).argmin())
     if distance[nearest] > radius:
         raise SimulationError(
             f"there is no tissue within {radius_mm:.3g} mm of the grab; the nearest is "
@@ -221,7 +233,7 @@ def nodes_in_reach(model: LatticeModel, displacement: Float32, center_mm: npt.Ar
     inside = distance <= radius
     reach = DETOUR_MAX * (radius + distance[nearest]) + 1.0
     held = along_springs(model, inside, starts=[nearest], reach=np.full(model.node_count, reach))
-    held = held[~model.node_is_fixed[held]]
+    held = held[~model.node_is_fixed[held] & (among is None or among[held])]
     if not len(held):
         raise SimulationError("all the tissue in the grab is fixed: grab elsewhere", place="grab")
     return held

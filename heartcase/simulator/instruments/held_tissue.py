@@ -11,6 +11,7 @@ import numpy as np
 from heartcase.schemas.arrays import Bool, Float, Float64, Int64, Intp
 from heartcase.schemas.bundle.lattice import CORNER_OFFSETS
 from heartcase.simulator.instruments.grab import DETOUR_MAX, along_springs
+from heartcase.simulator.lattice.loose_nodes import loose_first
 from heartcase.simulator.lattice.model import LatticeModel
 
 __all__ = [
@@ -135,8 +136,11 @@ def on_own_side(model: LatticeModel, sheets: Float64, nodes: Int64, roots: Float
     return is_own
 
 
-def on_side_at(model: LatticeModel, displacement: Float, nodes: Int64, place: Float64, sheets: Float64) -> Bool:
-    """Which nodes belong to no tissue across an incision from their tissue that is nearest to a place now, (count,).
+def on_side_at(model: LatticeModel, displacement: Float, place: Float64, radius: float, sheets: Float64) -> Bool | None:
+    """Which nodes a hand at a place may hold, shape (node_count,).
+
+    Those in its ball that belong to no tissue across an incision from that nearest its centre; None, for all, where
+    nothing was cut or nothing would be left.
 
     Parameters
     ----------
@@ -144,14 +148,24 @@ def on_side_at(model: LatticeModel, displacement: Float, nodes: Int64, place: Fl
         The lattice.
     displacement
         Displacement of the nodes [cells, grid axes], shape (node_count, 3).
-    nodes
-        Nodes, shape (count,), at least one.
     place
-        The place [cells, frame of the nodes], shape (3,).
+        The ball's centre now [cells, frame of the nodes], shape (3,).
+    radius
+        Its radius [cells].
     sheets
         Triangles of all that was cut of it, as of :func:`is_across`.
     """
+    away = np.linalg.norm(model.node_index + displacement - place, axis=1)
+    away[loose_first(model) :] = np.inf
+    nodes = np.flatnonzero(away <= radius)
+    if not (len(sheets) and len(nodes)):
+        return None
     cells = np.unique(cells_at_nodes(model, nodes)[0])
     now = tissue_now(model, displacement)[cells]
     root = tissue_at_rest(model)[cells[np.linalg.norm(now - place, axis=1).argmin()]]
-    return on_own_side(model, sheets, nodes, np.tile(root, (len(nodes), 1)))
+    own = nodes[on_own_side(model, sheets, nodes, np.tile(root, (len(nodes), 1)))]
+    if not len(own):
+        return None
+    is_own = np.zeros(model.node_count, dtype=bool)
+    is_own[own] = True
+    return is_own

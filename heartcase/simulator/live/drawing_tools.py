@@ -1,4 +1,4 @@
-"""Tools that draw on tissue or click on it: blade, patch, stitch, row of stitches."""
+"""Tools that draw on tissue or click on it: blade, scissors, patch, stitch, row of stitches."""
 
 from __future__ import annotations
 
@@ -10,14 +10,21 @@ import numpy as np
 
 from heartcase.schemas.arrays import Float64
 from heartcase.schemas.recording.commands import Cut, Done, DrawStitch, PlacePatch, PlaceRow, PlaceStitch
+from heartcase.schemas.recording.tool_commands import BringScissors, Snip, WithdrawScissors
 from heartcase.simulator.live.lines import DrawnLine
-from heartcase.simulator.live.rays import Pointer
+from heartcase.simulator.live.rays import Hit, Pointer, on_plane
 from heartcase.simulator.live.tool import Held, Row, Tool, row_of, rows_of
 
-__all__ = ["CutTool", "PatchTool", "RowTool", "StitchTool"]
+__all__ = ["CutTool", "PatchTool", "RowTool", "ScissorsTool", "StitchTool"]
 
 ABOVE_MM = 2.0
 """How far above a drawn line a blade begins, mm."""
+JAWS_DEG = 60.0
+"""Angle between the open jaws of scissors, degrees."""
+HINGE_MM = 4.0
+"""How far behind the place that is pressed on the jaws are joined, mm."""
+WAY_MIN_MM = 2.0
+"""How far the mouse goes before it is known where the jaws point, and between two snips, mm."""
 
 
 @dataclass
@@ -65,6 +72,75 @@ class CutTool(_DrawingTool):
             return []
         poses = line.blade_poses_mm(pointer.ray.direction, above_mm=ABOVE_MM, depth_mm=self.size)
         return [Cut(name="blade", poses_mm=tuple(rows_of(pose) for pose in poses))]
+
+
+@dataclass
+class ScissorsTool(Tool):
+    """Scissors that come where the mouse is pressed, one jaw on either side of the wall, and close as it goes on."""
+
+    size: float = 20.0
+    key: ClassVar[str] = "j"
+    title: ClassVar[str] = "scissors"
+    size_words: ClassVar[str] = "jaws {:g} mm long"
+    sizes: ClassVar[tuple[float, float, float]] = (8.0, 40.0, 1.0)
+    _hit: Hit | None = None
+    _scissors: BringScissors | None = None
+    _cut_mm: float = 0.0
+    """How far from the hinge their edges have met."""
+
+    def press(self, pointer: Pointer, held: Sequence[Held] = ()) -> list[Done]:
+        """Begin where the tissue is pointed at."""
+        self.forget()
+        self._hit = pointer.hit
+        return []
+
+    def drag(self, pointer: Pointer) -> list[Done]:
+        """The first way says where the jaws point; then their edges meet as far as the mouse is."""
+        if self._hit is None:
+            return []
+        place = on_plane(pointer.ray, self._hit.point_mm, self._hit.normal)
+        if place is None:
+            return []
+        way = place - self._hit.point_mm
+        made: list[Done] = []
+        if self._scissors is None:
+            length = float(np.linalg.norm(way))
+            if length < WAY_MIN_MM:
+                return []
+            self._scissors = BringScissors(
+                name=self.new_name("scissors"),
+                hinge_mm=row_of(self._hit.point_mm - HINGE_MM / length * way),
+                direction=row_of(way / length),
+                closing=row_of(self._hit.normal),
+                length_mm=self.size,
+                opening_deg=JAWS_DEG,
+            )
+            made.append(self._scissors)
+        met = min(float(way @ np.array(self._scissors.direction)) + HINGE_MM, self.size)
+        if met >= self._cut_mm + WAY_MIN_MM or (met == self.size and met > self._cut_mm):
+            self._cut_mm = met
+            made.append(Snip(name=self._scissors.name, angle_deg=JAWS_DEG * (1.0 - met / self.size)))
+        return made
+
+    def release(self, pointer: Pointer) -> list[Done]:
+        """Take them away."""
+        made = self.drag(pointer)
+        scissors = self._scissors
+        self.forget()
+        return made if scissors is None else [*made, WithdrawScissors(name=scissors.name)]
+
+    def forget(self) -> None:
+        """Put down what was begun."""
+        self._hit = self._scissors = None
+        self._cut_mm = 0.0
+
+    @property
+    def line_mm(self) -> Float64:
+        """From the hinge to where their edges have met."""
+        if self._scissors is None:
+            return np.zeros((0, 3))
+        hinge = np.array(self._scissors.hinge_mm)
+        return np.stack([hinge, hinge + self._cut_mm * np.array(self._scissors.direction)])
 
 
 @dataclass

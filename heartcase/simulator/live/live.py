@@ -10,7 +10,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import get_args
 
@@ -39,7 +39,7 @@ from heartcase.simulator.session.recorder import Recorder
 from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.surface.deform import SurfaceModel
 
-__all__ = ["FRAME_S", "Live", "LiveFrame"]
+__all__ = ["FRAME_S", "Live", "LiveFrame", "moment_of"]
 
 FRAME_S = 1.0 / 40.0
 """Time from frame to frame where the machine keeps up, s."""
@@ -369,23 +369,16 @@ class Live:
         self._heard()
 
     def _published(self, frame: Frame) -> LiveFrame:
-        session, simulation = self.session, self.session.simulation
-        assert simulation.surface is not None
-        factor = rate = None
+        session, factor, rate = self.session, None, None
         if len(self._past) > 1:
             (began, first), (ended, last) = self._past[0], self._past[-1]
             rate = (last - first) / max(ended - began, 1e-9)
-            factor = rate * simulation.step_s
-        return LiveFrame(
-            frame=frame,
-            surface=simulation.surface,
-            triangle_origin=None if simulation.split is None else simulation.split.triangle_origin,
-            held=_held(simulation),
-            probes=_probes(simulation),
+            factor = rate * session.simulation.step_s
+        return replace(
+            moment_of(session, frame),
             mode=self._mode,
             real_time_factor=factor,
             steps_per_second=rate,
-            ahead_s=(session.end_step - session.step_count) * simulation.step_s,
             recording=None if self._recorder is None else self._recorder.path.name,
             act_count=self._acts_done(),
         )
@@ -399,6 +392,25 @@ class Live:
         self._act_count += sum(isinstance(entry.command, _ACTS) for entry in new)
         self._counted = position
         return self._act_count
+
+
+def moment_of(session: OperatingSession, frame: Frame | None = None) -> LiveFrame:
+    """A session as it stands, paused; its simulation has a surface. ``frame`` is that moment's, where it is known."""
+    simulation = session.simulation
+    assert simulation.surface is not None
+    return LiveFrame(
+        frame=frame or session.frame(surface=True),
+        surface=simulation.surface,
+        triangle_origin=None if simulation.split is None else simulation.split.triangle_origin,
+        held=_held(simulation),
+        probes=_probes(simulation),
+        mode="paused",
+        real_time_factor=None,
+        steps_per_second=None,
+        ahead_s=(session.end_step - session.step_count) * simulation.step_s,
+        recording=None,
+        act_count=0,
+    )
 
 
 def _places_mm(simulation: Simulation) -> dict[str, Float64]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from heartcase.simulator.live.drawing_tools import CutTool, PatchTool, RowTool, StitchTool
+from heartcase.simulator.live.drawing_tools import CutTool, PatchTool, RowTool, ScissorsTool, StitchTool
 from heartcase.simulator.live.holding_tools import ForcepsTool, GrabTool, ProbeTool, RetractorTool
 from heartcase.simulator.live.tool import Tool
 
@@ -12,6 +12,7 @@ TOOLS: tuple[type[Tool], ...] = (
     GrabTool,
     ProbeTool,
     CutTool,
+    ScissorsTool,
     ForcepsTool,
     RetractorTool,
     StitchTool,

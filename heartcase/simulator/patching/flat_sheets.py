@@ -23,6 +23,12 @@ _SPAN_ROUNDS = 8
 _FLATTEN_ROUNDS = 200
 _COTANGENT_LEAST = 0.05
 """Lower bound of weights, so that no triangle turns over."""
+_LAYOUT_ROUNDS = 20
+"""Times at most that the sheet of a winding outline is triangulated, each time as it was laid out flat before."""
+_SIZE_SETTLED = 2e-3
+"""Change of its area from one to the next, over the area, at which that is done."""
+_APART_LEAST = 0.5
+"""Over the distance between stitches: how near to itself a winding outline may come."""
 _SETTLED = 1e-10
 """Movement over size at which the layout is done."""
 
@@ -89,21 +95,31 @@ def flat_sheet(rim_mm: npt.ArrayLike, *, scale: float = 1.0, name: str = "patch"
     Raises
     ------
     SimulationError
-        Seen along its mean normal the outline crosses itself, has no area, or is too narrow for its points.
+        The outline comes too near to itself, has no area, or is too narrow for its points; or its sheet cannot be laid
+        out flat.
     """
     rim = np.asarray(rim_mm, dtype=np.float64)
     ways = np.linalg.norm(np.roll(rim, -1, axis=0) - rim, axis=1)
     spacing = float(ways.mean())
     plane = _seen_along_normal(rim, name)
-    if ways.min() < 0.05 * spacing or crosses_itself(plane):
+    is_seen_simple = not crosses_itself(plane)
+    if ways.min() < 0.05 * spacing or (not is_seen_simple and _nearest_to_itself(rim) < _APART_LEAST * spacing):
         raise SimulationError(
             "the outline crosses itself, or two of its stitches are in one place: draw a simple loop", place=name
         )
-    start, triangles = triangulated(plane, spacing, name=name)
-    spanned = _spanned(rim, start, triangles)
-    flat = _laid_out(start, spanned, triangles)
+    if not is_seen_simple:
+        # An outline that winds, such as a baffle's: a disc of as many points to begin with, then its own layout.
+        plane = _disc(ways)
+    size = np.inf
+    for _ in range(1 if is_seen_simple else _LAYOUT_ROUNDS):
+        start, triangles = triangulated(plane, spacing, name=name)
+        spanned = _spanned(rim, start, triangles)
+        flat = _laid_out(start, spanned, triangles)
+        plane, before, size = flat[: len(rim)], size, abs(signed_area(flat[: len(rim)]))
+        if crosses_itself(plane) or abs(size - before) < _SIZE_SETTLED * size:
+            break
     stretches = _stretches(flat, spanned, triangles)
-    if not (stretches > 0).all():
+    if crosses_itself(plane) or not (stretches > 0).all():
         raise SimulationError("the sheet over this outline cannot be laid out flat: draw a flatter loop", place=name)
     flat = scale * (flat - flat.mean(axis=0))
     return FlatSheet(flat, spanned, triangles, len(rim), float(stretches.min()), float(stretches.max()), scale)
@@ -121,6 +137,27 @@ def _seen_along_normal(rim: Float64, name: str) -> Float64:
     u = np.cross(across, normal)
     u /= np.linalg.norm(u)
     return np.stack([arms @ u, arms @ np.cross(normal, u)], axis=1)
+
+
+def _disc(ways: Float64) -> Float64:
+    """Points on a circle, as far apart along it as those of an outline, shape (count, 2)."""
+    length = ways.sum()
+    angle = 2.0 * np.pi * np.concatenate([[0.0], np.cumsum(ways)[:-1]]) / length
+    disc: Float64 = length / (2.0 * np.pi) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return disc
+
+
+def _nearest_to_itself(rim: Float64) -> float:
+    """Least distance, to an eighth of a side, between two sides of an outline that have no corner in common."""
+    count = len(rim)
+    way = np.roll(rim, -1, axis=0) - rim
+    places = rim[:, None] + np.linspace(0.0, 1.0, 9)[:, None] * way[:, None]
+    arm = places[None] - rim[:, None, None]
+    along = np.einsum("sopx,sx->sop", arm, way) / (way**2).sum(axis=1)[:, None, None]
+    away = np.linalg.norm(arm - np.clip(along, 0.0, 1.0)[..., None] * way[:, None, None], axis=3).min(axis=2)
+    apart = np.abs(np.arange(count)[:, None] - np.arange(count))
+    is_apart = (apart > 1) & (apart < count - 1)
+    return float(away[is_apart].min())
 
 
 def _cotangents(vertices: Float64, triangles: Int32) -> Float64:

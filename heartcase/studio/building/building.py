@@ -20,12 +20,12 @@ from heartcase.schemas.bundle.approval import approve_case, report_beside
 from heartcase.schemas.errors import BundleError, HeartcaseError, UsageError
 from heartcase.schemas.files import atomic_write, remove_leftovers
 from heartcase.schemas.recipe.recipe import parse_recipe, read_recipe_text
+from heartcase.studio.asking import parsed, request_id
 from heartcase.studio.building.outcome import Outcome, outcome_of
 from heartcase.studio.building.process import BuildProcess
 from heartcase.studio.building.requests import Approve, BuildRequest, Order
 from heartcase.studio.messages import problems_of, text_message, told
 from heartcase.studio.pages import Page
-from heartcase.studio.requests import parsed, request_id
 
 __all__ = ["Building"]
 
@@ -64,6 +64,7 @@ class Building:
         self._is_cancelled = False
         self._changed: bool | None = None
         self._outcome: Outcome | None = None
+        self._last_case: Path | None = None
         self._before_ml: dict[str, float] = {}
         self._built_from: str | None = None
         self._recipe_sha256: str | None = None
@@ -211,12 +212,11 @@ class Building:
         return case
 
     def _case(self) -> Path | None:
-        """Where the recipe's case goes; None where the recipe cannot be read."""
-        try:
+        """Where the recipe's case goes, or where it went when it could last be read; None where it never could."""
+        with contextlib.suppress(HeartcaseError):
             name = parse_recipe(read_recipe_text(self._recipe), needs_markers=False).name
-        except HeartcaseError:
-            return None
-        return self._out / f"{name}.case"
+            self._last_case = self._out / f"{name}.case"
+        return self._last_case
 
     def _look_at_case(self) -> None:
         """What was built before, by whom ever."""
@@ -224,7 +224,7 @@ class Building:
         case = self._case()
         if case is None:
             return
-        noted = self._noted()
+        noted = self._noted(case)
         self._outcome = outcome_of(case, noted.get("places_mm"))
         if self._outcome is not None and noted.get("bundle_sha256") == self._outcome.sha256:
             self._built_from = noted.get("recipe_sha256")
@@ -233,26 +233,25 @@ class Building:
         """Which recipe a case was built from, and the places of its warnings: for the next start too."""
         if not any(places.values()):
             # of a case that was there already, the build knows no places
-            places = self._noted().get("places_mm") or places
+            places = self._noted(case).get("places_mm") or places
         self._outcome, self._built_from = outcome_of(case, places), sha256
         if self._outcome is None:
             return
         note = {"bundle_sha256": self._outcome.sha256, "recipe_sha256": sha256, "places_mm": places}
         with contextlib.suppress(OSError):
-            file = self._note_file()
+            file = self._note_file(case)
             file.parent.mkdir(parents=True, exist_ok=True)
             atomic_write(file, json.dumps(note).encode())
 
-    def _noted(self) -> dict[str, Any]:
+    def _noted(self, case: Path) -> dict[str, Any]:
         try:
-            found = json.loads(self._note_file().read_bytes())
+            found = json.loads(self._note_file(case).read_bytes())
         except (OSError, ValueError):
             return {}
         return found if isinstance(found, dict) else {}
 
-    def _note_file(self) -> Path:
-        name = hashlib.sha256(str(self._recipe.resolve()).encode(errors="surrogateescape")).hexdigest()[:16]
-        return self._out / ".heartcase-cache" / "studio" / f"{name}.built.json"
+    def _note_file(self, case: Path) -> Path:
+        return self._out / ".heartcase-cache" / "studio" / f"{case.stem}.built.json"
 
     def _recipe_hash(self) -> str | None:
         try:

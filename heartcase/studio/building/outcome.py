@@ -18,7 +18,7 @@ __all__ = ["Outcome", "outcome_of"]
 
 Point = tuple[float, float, float]
 
-_PLACE = re.compile(r"\((-?\d+\.\d), (-?\d+\.\d), (-?\d+\.\d)\)")
+_PLACE = re.compile(r"\((-?\d+(?:\.\d+)?), (-?\d+(?:\.\d+)?), (-?\d+(?:\.\d+)?)\)")
 """A place as the sentences of warnings write it, mm."""
 
 

@@ -31,7 +31,8 @@ class SpringArrays:
     guard_scale: Float32
     """Stiffness with which corners of each cell push back [k/h], shape (cell_count,)."""
     facts: dict[str, float]
-    """Step, unit of time and damping in s and 1/s, shear modulus [k/h], corner floor [cells], cell edge in mm."""
+    """Step, unit of time and damping in s and 1/s, shear modulus [k/h], corner floor [cells], cell edge in mm,
+    unit of force in N."""
 
 
 def spring_arrays(model: LatticeModel, *, damping_per_s: float, step_s: float | None = None) -> SpringArrays:
@@ -76,5 +77,6 @@ def spring_arrays(model: LatticeModel, *, damping_per_s: float, step_s: float | 
             "shear": law.shear_modulus,
             "cornerFloor": law.corner_floor,
             "cellMm": model.cell_mm,
+            "forceN": model.units.force_n,
         },
     )

@@ -17,6 +17,7 @@ import numpy.typing as npt
 from heartcase.schemas.arrays import Float32, Float64, Int16, Int32, UInt8
 from heartcase.simulator.live.live import LiveFrame
 from heartcase.simulator.surface.deform import SurfaceModel
+from heartcase.studio.operating.normal_map import NormalMap
 
 __all__ = [
     "BLOCK_NODES",
@@ -97,10 +98,10 @@ def frame_message(
     return packed({"kind": "frame"} | dict(header) | own, arrays | dict(more))
 
 
-def topology_message(number: int, live: LiveFrame, structures: Int32) -> bytes:
+def topology_message(number: int, live: LiveFrame, structures: Int32, normal_map: NormalMap | None = None) -> bytes:
     """The surface as it hangs on the nodes: what a page's vertex shader needs to place it, as of eq. 9.9.
 
-    A vertex on the border of two structures is sent once for each, so that a vertex is of one structure.
+    A vertex on the border of two structures, or of two charts of the normal map, is sent once for each.
 
     Parameters
     ----------
@@ -110,11 +111,19 @@ def topology_message(number: int, live: LiveFrame, structures: Int32) -> bytes:
         The moment.
     structures
         Structure of each triangle, shape (triangle_count,).
+    normal_map
+        That of the uncut surface, where the case has one: it is shown on what is whole.
     """
     surface, model = live.surface, live.frame.model
-    corners, owners = surface.triangles.ravel().astype(np.int64), np.repeat(structures.astype(np.int64), 3)
-    pairs, triangles = np.unique(corners << 9 | owners, return_inverse=True)
-    vertex = pairs >> 9
+    drawn = surface.triangles
+    if normal_map is not None:
+        # vertices of the surface come behind those of the map, for triangles that the map does not fit any more
+        charted = normal_map.corners_now(surface, live.triangle_origin)
+        map_count = len(normal_map.uv)
+        drawn = np.where(charted >= 0, charted, map_count + surface.triangles)
+    corners, owners = drawn.ravel().astype(np.int64), np.repeat(structures.astype(np.int64), 3)
+    pairs, first, triangles = np.unique(corners << 9 | owners, return_index=True, return_inverse=True)
+    vertex = surface.triangles.ravel()[first].astype(np.int64)
     arrays: dict[str, npt.NDArray[Any]] = {
         "triangles": triangles.astype(np.uint32).reshape(-1, 3),
         "structure": (pairs & 511).astype(np.uint16),
@@ -122,6 +131,11 @@ def topology_message(number: int, live: LiveFrame, structures: Int32) -> bytes:
         **_hung(surface, vertex),
         **_springs(surface),
     }
+    if normal_map is not None:
+        chart = pairs >> 9
+        is_charted, at = chart < map_count, np.minimum(chart, map_count - 1)
+        arrays["uv"] = np.where(is_charted[:, None], normal_map.uv[at], np.float32(-1.0))
+        arrays["tangent"] = np.where(is_charted[:, None], normal_map.tangent[at], np.float32(0.0))
     header = {
         "kind": "topology",
         "topology": number,

@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, TypeAdapter, ValidationError, model_validator
+from pydantic import Field, TypeAdapter, model_validator
 
 from heartcase.schemas.base import Direction, Model, PointMm
-from heartcase.schemas.errors import UsageError, problems_from_validation
 from heartcase.schemas.recording.commands import Command as SessionCommand
-from heartcase.schemas.strict_json import parse_json
+from heartcase.studio.asking import parsed
 
 __all__ = [
     "Act",
@@ -211,20 +210,11 @@ _REQUEST: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discrimina
 
 
 def parse_request(text: str) -> Request:
-    """What a message asks for.
+    """What a message of a page that operates asks for.
 
     Raises
     ------
     UsageError
-        It is no JSON object, or none of the requests; all problems at once.
+        As :func:`heartcase.studio.asking.parsed` says.
     """
-    try:
-        data = parse_json(text.encode("utf-8", "surrogatepass"))
-    except (ValueError, RecursionError):
-        raise UsageError("is not valid JSON", place="request") from None
-    if not isinstance(data, dict):
-        raise UsageError("must be a JSON object", place="request")
-    try:
-        return _REQUEST.validate_python({"do": None} | data)
-    except ValidationError as error:
-        raise UsageError(problems_from_validation(error, place="request")) from None
+    return parsed(text, _REQUEST)

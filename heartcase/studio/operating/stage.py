@@ -20,7 +20,8 @@ from heartcase.simulator.load import Case, load_case
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.replay import load_session
 from heartcase.simulator.simulation import SLEEP_MM, Simulation
-from heartcase.studio.operating.packing import stretch_bytes
+from heartcase.studio.operating.normal_map import NormalMap, load_normal_map
+from heartcase.studio.operating.packing import packed, stretch_bytes
 
 __all__ = ["DAMPING_PER_S", "Stage", "open_stage"]
 
@@ -40,13 +41,16 @@ class Stage:
         Folder that recordings are put into, and taken from.
     heard
         Called by the session's thread when there is a new frame.
+    normal_map
+        The case's normal map, where it has one.
     """
 
-    def __init__(self, case: Case, out: Path, heard: Callable[[], None]) -> None:
+    def __init__(self, case: Case, out: Path, heard: Callable[[], None], normal_map: NormalMap | None = None) -> None:
         assert case.triangle_structures is not None
         self._case = case
         self._out = out
         self._heard = heard
+        self.normal_map = normal_map
         self.structures = Structures(case.manifest, case.triangle_structures)
         self._strain: StrainWorker | None = None
         self._spares = False
@@ -138,6 +142,12 @@ class Stage:
             "stretch_colours": vertex_colours(np.linspace(*STRETCH_SHOWN, 256), *STRETCH_SHOWN).tolist(),
         }
 
+    def picture_message(self) -> bytes | None:
+        """The normal map's picture for a page; None where the case has none."""
+        if self.normal_map is None:
+            return None
+        return packed({"kind": "normal_map"}, {"png": np.frombuffer(self.normal_map.png, np.uint8)})
+
     def _found(self) -> list[str]:
         try:
             return [one.name for one in self._out.iterdir() if one.suffix == ".recording" and not one.is_symlink()]
@@ -178,4 +188,6 @@ def open_stage(path: Path, *, out: Path, heard: Callable[[], None]) -> Stage:
     HeartcaseError
         The case cannot be read.
     """
-    return Stage(load_case(path, needs=("surface", "structures", "tissue")), out, heard)
+    case = load_case(path, needs=("surface", "structures", "tissue"))
+    assert case.surface is not None
+    return Stage(case, out, heard, load_normal_map(path, case.surface))

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from heartcase.schemas.errors import RecordingError, UsageError
+from heartcase.studio.asking import request_id
 from heartcase.studio.messages import problems_of, text_message, told
 from heartcase.studio.operating.requests import (
     Act,
@@ -32,7 +33,6 @@ from heartcase.studio.operating.requests import (
 from heartcase.studio.operating.stage import Stage, open_stage
 from heartcase.studio.operating.viewer import Viewer
 from heartcase.studio.pages import Page
-from heartcase.studio.requests import request_id
 
 __all__ = ["Theatre"]
 
@@ -79,6 +79,8 @@ class Theatre:
                     self._work = asyncio.create_task(self._show_on())
                 stage = self._stage
                 page.send(text_message("opened", **stage.greeting()))
+                if (picture := stage.picture_message()) is not None:
+                    page.send(picture)
             except Exception as error:
                 page.send(text_message("failed", problems=self._problems(error)))
                 return

@@ -17,7 +17,7 @@ from heartcase.studio.operating.packing import Rounded, frame_message, topology_
 from heartcase.studio.operating.requests import Look
 from heartcase.studio.operating.stage import Stage
 
-__all__ = ["IN_FLIGHT_MAX", "Viewer"]
+__all__ = ["IN_FLIGHT_MAX", "Viewer", "described", "patch_arrays"]
 
 IN_FLIGHT_MAX = 2
 """Frames that a page has not taken yet at most: one that is slow gets the newest when it is ready for it."""
@@ -89,7 +89,8 @@ class Viewer:
         found = []
         if newest.surface is not self._surface or newest.frame.model is not self._model:
             self._topology += 1
-            found.append(topology_message(self._topology, newest, self._stage.structures.of(newest)))
+            structures = self._stage.structures.of(newest)
+            found.append(topology_message(self._topology, newest, structures, self._stage.normal_map))
             if self._model is None or newest.frame.model.node_count != self._model.node_count:
                 self._sent = None
             self._surface, self._model = newest.surface, newest.frame.model
@@ -98,12 +99,12 @@ class Viewer:
         now = time.monotonic()
         if not found and not is_new_stretch and now - self._shown_s < _STILL_S and self._is_still(newest, rounded):
             return []
-        more = dict(_patches(newest))
+        more = dict(patch_arrays(newest))
         if is_new_stretch:
             more["stretch"] = stretch
             self._stretch = stretch
         self._frame += 1
-        header = {"frame": self._frame, "topology": self._topology} | _told(newest)
+        header = {"frame": self._frame, "topology": self._topology} | described(newest)
         found.append(frame_message(header, rounded, self._sent, more))
         self._sent, self._shown, self._shown_s = rounded, newest, now
         return found
@@ -133,8 +134,8 @@ class Viewer:
         return triangles
 
 
-def _told(live: LiveFrame) -> dict[str, Any]:
-    """What is said of a moment."""
+def described(live: LiveFrame) -> dict[str, Any]:
+    """What a page is told of a moment beside where the nodes are: time, instruments, stitches, patches."""
     frame = live.frame
     return {
         "step": frame.step,
@@ -165,7 +166,7 @@ def _told(live: LiveFrame) -> dict[str, Any]:
     }
 
 
-def _patches(live: LiveFrame) -> list[tuple[str, Any]]:
+def patch_arrays(live: LiveFrame) -> list[tuple[str, Any]]:
     """Vertices, normals and triangles of each patch."""
     found: list[tuple[str, Any]] = []
     for number, patch in enumerate(live.frame.patches.values()):

@@ -18,6 +18,7 @@ import { Measures } from "./tools/measures.js";
 import { Pointers } from "./tools/pointers.js";
 import { drawLines, drawLinesOnSolid } from "./shaping/drawing.js";
 import { Hands } from "./shaping/hands.js";
+import { runPreview } from "./shaping/preview.js";
 import { ShapePanel } from "./shaping/panel.js";
 import { Shaping } from "./shaping/shaping.js";
 import { Shortcuts } from "./tools/shortcuts.js";
@@ -52,6 +53,7 @@ function run() {
   studio.tool.listen((tool) => {
     if (tool !== "shape") hands.drop();
   });
+  const preview = runPreview(views, (request) => connection.ask(request), (error) => fault(error));
   hands.lookAt = (mm) => views.lookAt(mm);
   hands.labelValueAt = (voxel) => views.volume?.labelAt(voxel) ?? null;
   new ShapePanel(find("panel-shape"), studio, views, shaping, hands);
@@ -118,14 +120,20 @@ function run() {
     } else if (message.kind === "opened") open(message);
     else if (message.kind === "refused" && message.id === null) status.refused(message.problems ?? []);
     else if (message.kind === "structures") {
+      preview.refresh();
       structures.tell(message.volumes_ml ?? {}, message.marked, message.locked ?? []);
       guide.tell(message.checklist ?? []);
     } else if (message.kind === "shaping_facts") shaping.facts.value = /** @type {any} */ (message);
-    else if (message.kind === "shape") shaping.tell(/** @type {any} */ (message));
+    else if (message.kind === "shape") {
+      shaping.tell(/** @type {any} */ (message));
+      preview.refresh();
+    }
     else if (message.kind === "states") structures.tellStates(message.states ?? {});
     else if (message.kind === "done") {
       studio.undoCount.value = message.undo_count;
       studio.redoCount.value = message.redo_count;
+      studio.undoKind.value = message.undo_kind;
+      studio.redoKind.value = message.redo_kind;
       studio.saved.value = message.saved;
       guide.forget();
     } else if (message.kind === "failed") {
@@ -151,6 +159,8 @@ function run() {
     }
     studio.undoCount.value = message.undo_count;
     studio.redoCount.value = message.redo_count;
+    studio.undoKind.value = message.undo_kind;
+    studio.redoKind.value = message.redo_kind;
     studio.saved.value = message.saved;
     status.progress(say("loading"), null);
   }
@@ -161,6 +171,8 @@ function run() {
     if (header.kind === "scan") {
       const values = new Int16Array(bytes.buffer.slice(bytes.byteOffset, bytes.byteOffset + bytes.byteLength));
       views.volume.setScan(values, header.scale, header.offset);
+    } else if (header.kind === "surface") {
+      preview.take(/** @type {any} */ (header), bytes);
     } else if (header.kind === "labels") {
       views.setLabels(header.low, header.size, bytes);
     }

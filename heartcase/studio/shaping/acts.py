@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
-from heartcase.pipeline.building.recipe_text import changed_text, place_words, without_line
+from heartcase.pipeline.building.recipe_text import Inserted, changed_text, place_words, without_line
 from heartcase.schemas.base import Model
 from heartcase.schemas.errors import Problem, UsageError, problems_from_validation
 from heartcase.schemas.labels import Label
@@ -30,6 +30,8 @@ _LINES: dict[str, TypeAdapter[Any]] = {
     "walls.thickness": TypeAdapter(WallThickness),
     "walls.septum": TypeAdapter(SeptumThickness),
 }
+_BARE = ("smooth", "fill", "keep_largest", "remove_islands")
+"""Edits that come before all others, whatever their place: a build refuses some of them behind others."""
 _FIRST_KEYS = ("kind", "name", "label")
 """What a line begins with, as people write it."""
 
@@ -62,6 +64,12 @@ def done_to(head: str, recipe: Recipe, request: Add | Change | Remove | Set) -> 
     match request:
         case Add():
             lines = [_line(request.list, number, entry) for number, entry in enumerate(request.entries, start=count)]
+            first = _first_laid_over(recipe.edits) if all(line.get("kind") in _BARE for line in lines) else count
+            if first < count:
+                lines.reverse()
+                return changed_text(head, *(((*place, first), Inserted(line)) for line in lines)), place_words(
+                    (*place, first)
+                )
             changes = [((*place, number), line) for number, line in enumerate(lines, start=count)]
             return changed_text(head, *changes), place_words((*place, count))
         case Change():
@@ -72,6 +80,11 @@ def done_to(head: str, recipe: Recipe, request: Add | Change | Remove | Set) -> 
         case Remove():
             where = _existing(request.list, request.number, count)
             return changed_text(head, (where, None)), place_words(where)
+
+
+def _first_laid_over(edits: Sequence[Edit]) -> int:
+    """Where edits of bare structures end: those behind are laid over the heart with its walls."""
+    return next((number for number, edit in enumerate(edits) if edit.kind not in _BARE), len(edits))
 
 
 def _at(recipe: Recipe, name: str) -> tuple[Model, ...]:

@@ -8,7 +8,18 @@ from pydantic import Field, JsonValue
 
 from heartcase.schemas.base import Model, Name, PointMm
 
-__all__ = ["Add", "Change", "FindEnds", "ListName", "Propose", "Remove", "RequestId", "Set", "ShapingRequest"]
+__all__ = [
+    "Add",
+    "Change",
+    "FindEnds",
+    "ListName",
+    "Preview",
+    "Propose",
+    "Remove",
+    "RequestId",
+    "Set",
+    "ShapingRequest",
+]
 
 RequestId = Annotated[int, Field(ge=0, le=1 << 53)]
 
@@ -97,4 +108,13 @@ class Propose(Model):
     """Which vessel; the one at the place when left out."""
 
 
-ShapingRequest = Add | Change | Remove | Set | FindEnds | Propose
+class Preview(Model):
+    """Show the surface as it is now, coarsely: with walls, ends and edits."""
+
+    id: RequestId
+    """Number that the answer names."""
+    do: Literal["preview"]
+    """Which request."""
+
+
+ShapingRequest = Add | Change | Remove | Set | FindEnds | Propose | Preview

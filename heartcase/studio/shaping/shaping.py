@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from heartcase.pipeline.building.quick_surface import QuickSurface, quick_surface
 from heartcase.pipeline.building.recipe_history import RecipeHistory
 from heartcase.pipeline.data import Segmentation
 from heartcase.pipeline.edits.septum_place import septum_place
@@ -15,10 +16,9 @@ from heartcase.pipeline.markers.session import SegmentationSession
 from heartcase.pipeline.walls.grow_walls import resolve_walls
 from heartcase.schemas.base import Model
 from heartcase.schemas.recipe.recipe import Recipe
-from heartcase.studio.messages import text_message
 from heartcase.studio.shaping.acts import done_to
-from heartcase.studio.shaping.facts import LINES, SETTINGS, shaping_facts
-from heartcase.studio.shaping.requests import Add, Change, FindEnds, Propose, Remove, Set
+from heartcase.studio.shaping.facts import LINES, SETTINGS
+from heartcase.studio.shaping.requests import Add, Change, Propose, Remove, Set
 
 __all__ = ["Shaping"]
 
@@ -38,24 +38,18 @@ class Shaping:
         self._history = history
         self._session = session
 
-    @staticmethod
-    def facts() -> str:
-        """A message of what may be said: see :func:`shaping_facts`."""
-        return text_message("shaping_facts", **shaping_facts())
-
-    def shape(self) -> str:
-        """A message of what the recipe says now."""
+    def shape(self) -> dict[str, Any]:
+        """What the recipe says now, as plain data."""
         recipe = self._history.recipe
         table = recipe.table
         devices = sorted({edit.label for edit in recipe.edits if edit.kind == "close_defect"} - _names(recipe))
-        return text_message(
-            "shape",
-            lines={name: [_plain(line) for line in _at(recipe, name)] for name in LINES},
-            settings={
+        return {
+            "lines": {name: [_plain(line) for line in _at(recipe, name)] for name in LINES},
+            "settings": {
                 name: {key: value for key, value in _plain(_at(recipe, name)).items() if key in keys}
                 for name, (_, keys) in SETTINGS.items()
             },
-            walls=[
+            "walls": [
                 {
                     "label": label.name,
                     "term": label.term.name if label.term else None,
@@ -65,8 +59,8 @@ class Shaping:
                 for label in table
                 if label.role.is_blood
             ],
-            materials={name: _plain(one) for name, one in recipe.materials.labels.items()},
-            structures=[
+            "materials": {name: _plain(one) for name, one in recipe.materials.labels.items()},
+            "structures": [
                 {
                     "name": label.name,
                     "role": label.role.value,
@@ -76,8 +70,8 @@ class Shaping:
                 for label in table.with_walls()
             ]
             + [{"name": name, "role": "device", "colour": "#a0a0a0", "is_grown": False} for name in devices],
-            is_locked=recipe.lock is not None,
-        )
+            "is_locked": recipe.lock is not None,
+        }
 
     def act(self, request: Add | Change | Remove | Set) -> None:
         """Carry an act out.
@@ -93,7 +87,7 @@ class Shaping:
         # what was painted and taken back before cannot be done again behind this
         self._session.offer_again(())
 
-    def propose(self, request: Propose) -> str:
+    def propose(self, request: Propose) -> dict[str, Any]:
         """How a disc lies at a place.
 
         Raises
@@ -106,18 +100,16 @@ class Shaping:
         if request.about == "vessel":
             stumps = _stumps(recipe, segmentation)
             end = end_place(segmentation, table, stumps, request.position_mm, request.label)
-            return text_message("proposal", id=request.id, **_plain(end))
+            return _plain(end)
         place = septum_place(segmentation, table, request.position_mm)
-        return text_message(
-            "proposal",
-            id=request.id,
-            position_mm=_rounded(place.position_mm, 1),
-            axis=_rounded(place.axis, 3),
-            thickness_mm=round(place.thickness_mm, 1),
-            between=place.between,
-        )
+        return {
+            "position_mm": _rounded(place.position_mm, 1),
+            "axis": _rounded(place.axis, 3),
+            "thickness_mm": round(place.thickness_mm, 1),
+            "between": place.between,
+        }
 
-    def find_ends(self, request: FindEnds) -> Callable[[], str]:
+    def find_ends(self) -> Callable[[], dict[str, Any]]:
         """What finds the ends that the recipe does not cut yet, in the labels as they are now.
 
         Raises
@@ -128,18 +120,27 @@ class Shaping:
         # a copy: painting goes on meanwhile
         segmentation, recipe = self._session.segmentation(), self._history.recipe
 
-        def find() -> str:
+        def find() -> dict[str, Any]:
             stumps = _stumps(recipe, segmentation)
             found = find_ends(segmentation, recipe.table.with_walls(), stumps, known=recipe.ends)
-            return text_message(
-                "found_ends",
-                id=request.id,
-                ends=[_plain(end_marker(end)) for end in found.ends if not end.is_open],
-                open=sorted({end.label for end in found.ends if end.is_open}),
-                dropped=found.dropped,
-            )
+            return {
+                "ends": [_plain(end_marker(end)) for end in found.ends if not end.is_open],
+                "open": sorted({end.label for end in found.ends if end.is_open}),
+                "dropped": found.dropped,
+            }
 
         return find
+
+    def preview(self) -> Callable[[], QuickSurface]:
+        """What makes the surface of the labels and the recipe as they are now.
+
+        Raises
+        ------
+        HeartcaseError
+            Nothing is painted.
+        """
+        segmentation, recipe, strokes = self._session.segmentation(), self._history.recipe, self._session.strokes
+        return lambda: quick_surface(segmentation, recipe, strokes)
 
 
 def _stumps(recipe: Recipe, segmentation: Segmentation) -> Stumps:

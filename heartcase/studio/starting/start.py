@@ -14,11 +14,11 @@ from heartcase.pipeline.building.starter_recipe import write_recipe
 from heartcase.schemas.bundle.reader import open_bundle
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.recipe.recipe import parse_recipe, read_recipe_text
+from heartcase.studio.asking import parsed, request_id
 from heartcase.studio.messages import problems_of, text_message, told
 from heartcase.studio.pages import Page
-from heartcase.studio.registry import Registry
-from heartcase.studio.requests import parsed, request_id
 from heartcase.studio.starting.recent import Recent, state_folder
+from heartcase.studio.starting.registry import Registry
 from heartcase.studio.starting.requests import Begin, List, Look, Open, Reopen, Sample, StartRequest
 from heartcase.studio.starting.roots import Roots
 from heartcase.studio.starting.samples import copy_sample, shown_samples
@@ -89,6 +89,8 @@ class Start:
         """Show a page what can be opened."""
         self._pages.add(page)
         page.send(await self._run(self._greeting))
+        # reading them takes a second, once
+        page.send(await self._run(lambda: text_message("samples", samples=list(shown_samples()))))
 
     async def leave(self, page: Page) -> None:
         """Forget a page."""
@@ -171,7 +173,7 @@ class Start:
         return folder
 
     def _greeting(self) -> str:
-        return text_message("start", recent=self._recent.shown(), samples=list(shown_samples()), looks=self._looks)
+        return text_message("start", recent=self._recent.shown(), looks=self._looks)
 
     async def _run(self, work: Callable[[], T]) -> T:
         return await asyncio.get_running_loop().run_in_executor(self._thread, work)

@@ -1,6 +1,11 @@
 """Acts on a recipe: done, taken back and done again, whatever kind they are."""
 
+import contextlib
+import hashlib
 import random
+import subprocess
+import sys
+import time
 
 import pytest
 
@@ -62,8 +67,67 @@ points_mm = [[0.0, 0.0, 0.0]]
 """
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(8))
 def test_random_acts_taken_back_give_the_first_bytes_also_after_restarts(recipe, seed):
+    act_at_random(recipe, seed)
+
+
+@pytest.mark.slow
+def test_a_thousand_random_sequences_of_acts(recipe):
+    for seed in range(8, 1008):
+        for log in (recipe.parent / "out").rglob("*.jsonl"):
+            log.unlink()
+        act_at_random(recipe, seed)
+
+
+ACTING = """
+import random, sys
+from pathlib import Path
+from tests.pipeline.building.test_recipe_history import do_something, opened, sha256
+history, drawn = opened(Path(sys.argv[1])), random.Random(int(sys.argv[2]))
+print("ready", flush=True)
+while True:
+    do_something(history, drawn)
+    print(sha256(history.text), flush=True)
+"""
+
+
+def sha256(text):
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+@pytest.mark.slow
+def test_whoever_is_killed_at_any_moment_loses_nothing(recipe):
+    first, drawn, act_count = recipe.read_bytes(), random.Random(0), 0
+    for number in range(50):
+        command = [sys.executable, "-c", ACTING, str(recipe), str(number)]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as acting:
+            assert acting.stdout.readline() == "ready\n"
+            time.sleep(drawn.uniform(0.0, 0.4))
+            acting.kill()
+            done = [line.strip() for line in acting.stdout if len(line) == 65]
+        act_count += len(done)
+        history = opened(recipe)
+        # what was told as done is there, or one step away: the act that was under way came after it
+        near = {sha256(history.text)}
+        for there, back in ((history.undo, history.redo), (history.redo, history.undo)):
+            with contextlib.suppress(UsageError):
+                there()
+                near.add(sha256(history.text))
+                back()
+        assert not done or done[-1] in near
+        parse_recipe(recipe.read_text(), needs_markers=False)
+        if number % 10 == 9:
+            while history.undo_count:
+                history.undo()
+            assert recipe.read_bytes() == first
+            while history.redo_count:
+                history.redo()
+    assert act_count > 100
+
+
+def act_at_random(recipe, seed):
+    """Acts at random, compared with whole texts."""
     drawn = random.Random(seed)
     newline = drawn.choice(["\n", "\r\n"])
     texts = [TEXT, TEXT + PAINTED] if seed % 2 else [TEXT.rstrip("\n")]

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from heartcase.pipeline.building.recipe_text import changed_text, split_session
+from heartcase.pipeline.building.recipe_text import Inserted, changed_text, split_session
 from heartcase.schemas.errors import RecipeError
 from heartcase.schemas.toml import toml_text
 from heartcase.schemas.toml_places import toml_places
@@ -65,10 +65,22 @@ def test_a_table_is_added_behind_those_of_its_kind_and_goes_without_a_trace():
     assert "# why this one\n" in changed_text(TEXT, (("ends", 1), None))
 
 
+def test_a_table_is_put_before_another_one_and_the_words_above_that():
+    table = {"label": "aorta", "position_mm": [0.0, 1.0, 2.0], "axis": [1.0, 0.0, 0.0], "radius_mm": 4.0}
+    found = changed_text(TEXT, (("ends", 1), Inserted(table)))
+    block = '[[ends]]\nlabel = "aorta"\nposition_mm = [0.0, 1.0, 2.0]\naxis = [1.0, 0.0, 0.0]\nradius_mm = 4.0\n\n'
+    assert found == TEXT.replace("# why this one\n", f"{block}# why this one\n")
+    assert tomllib.loads(changed_text("e = [{x = 1}]\n", (("e", 0), Inserted({"x": 2}))))["e"] == [{"x": 2}, {"x": 1}]
+
+
 def test_a_setting_gets_a_table_where_it_has_none_and_takes_it_away_again():
     found = changed_text(TEXT, (("grid", "node_count"), 20000))
     assert found == TEXT + "\n[grid]\nnode_count = 20000\n"
     assert changed_text(found, (("grid", "node_count"), None)) == TEXT
+    found = changed_text(TEXT, (("materials", "labels", "aorta wall"), {"youngs_modulus_kpa": 20.0}))
+    assert found == TEXT + '\n[materials.labels."aorta wall"]\nyoungs_modulus_kpa = 20.0\n'
+    found = changed_text(TEXT, (("walls", "septum", 0), {"between": ["a", "b"], "thickness_mm": 2.0}))
+    assert found == TEXT + '\n[[walls.septum]]\nbetween = ["a", "b"]\nthickness_mm = 2.0\n'
     place = ("materials", "labels", "right ventricle wall", "youngs_modulus_kpa")
     assert "materials" not in tomllib.loads(changed_text(TEXT, (place, None)))
     assert changed_text(TEXT, (("materials", "youngs_modulus_kpa"), 20.0)).endswith(

@@ -105,7 +105,7 @@ def moving(frame_count=6, *, start_s=0.0, scale=2.0):
 
 def test_surfaces_in_motion(judge):
     """One that moves, one that rests, one of a single frame, and one that gives way to two others, as after cuts."""
-    after_cuts = [moving(3), moving(4, start_s=0.3), moving(1, start_s=0.7)]
+    after_cuts = [replace(moving(3), until_s=0.3), replace(moving(4, start_s=0.3), until_s=0.7), moving(1, start_s=0.7)]
     files = [[moving()], [moving(scale=0.0)], [moving(1)], after_cuts]
     reports = judge([animation_glb_bytes(file, tolerance_mm=1e-3, case_id="HC-0001")[0] for file in files])
     for report, animations, calls in zip(reports, (1, 0, 0, 1), (2, 2, 2, 6), strict=True):

@@ -47,7 +47,8 @@ def test_a_hand_holds_one_lip_around_the_end_of_an_incision():
     np.minimum.at(lowest, place, tissue[:, 1])
     assert set(reached[lowest > 0.3]) <= set(hand.nodes)
     assert (lowest > 0.3).sum() >= 10
-    assert set(hand.nodes) <= set(reached)
+    away = np.linalg.norm(simulation.model.rest_positions_mm()[hand.nodes] - center, axis=1)
+    assert away.max() <= 2.2
     assert len(hand.arms) == len(hand.closed_at) == len(hand.nodes)
 
 
@@ -56,3 +57,18 @@ def test_far_from_incisions_a_hand_holds_all_that_it_reaches():
     center = (middle + np.array([0.0, 4.5, 0.0])).tolist()
     reached = nodes_in_reach(simulation.model, simulation.state.displacement, center, 2.2)
     assert np.array_equal(simulation.grab(center, 2.2).nodes, reached)
+
+
+def test_a_hand_beside_an_incision_holds_the_lip_that_its_centre_lies_on():
+    # A cell that was cut has copies of nodes beyond the cut. They lie where those of the other lip do, also nearest to
+    # a hand's centre, and are tissue of their own lip all the same.
+    simulation, middle = cut_plate()
+    model = simulation.model
+    for y in (-1.2, -0.7, -0.2, 0.8, 1.3, 1.8):
+        for x in (-1.5, -0.5, 0.0, 0.5, 1.5):
+            hand = simulation.grab((middle + np.array([x, y, 0.4])).tolist(), 1.8)
+            cells = np.unique(cells_at_nodes(model, hand.nodes)[0])
+            tissue = model.geometry.index_to_world(tissue_at_rest(model)[cells] - 0.5) - middle
+            beside = np.abs(tissue[:, 0]) < HALF - 0.2
+            assert ((tissue[beside, 1] > 0.3) == (y > 0.3)).all(), (x, y)
+            simulation.release(hand)

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from heartcase.schemas.recording.commands import LeadGrab, MoveProbe
-from heartcase.simulator.live.drawing_tools import CutTool, PatchTool, RowTool, StitchTool
+from heartcase.simulator.live.drawing_tools import HINGE_MM, CutTool, PatchTool, RowTool, ScissorsTool, StitchTool
 from heartcase.simulator.live.goals import HAND_SPEED_MM_S, Goals
 from heartcase.simulator.live.holding_tools import ForcepsTool, GrabTool, ProbeTool, RetractorTool
 from heartcase.simulator.live.rays import Eye, Hit, Pointer
@@ -112,6 +112,37 @@ def test_a_blade_goes_along_the_drawn_line_to_its_depth_and_against_the_normals(
     assert np.linalg.norm(below - drawn, axis=1) == pytest.approx(tool.size)
     assert len(tool.line_mm) == 0
     assert tool.press(pointer(*ways[0])) + tool.release(pointer(*ways[0])) == []  # a click is no line
+
+
+def test_scissors_close_as_far_as_the_mouse_goes():
+    tool = ScissorsTool(names())
+    start = pointer(190.0, 150.0)
+    assert tool.press(start) == []
+    assert tool.drag(pointer(190.5, 150.0)) == []  # not far enough to know where they point
+    made = [command for n in range(60) for command in tool.drag(pointer(191.0 + n, 150.0))]
+    brought, snips = made[0], made[1:]
+    point, normal, along = start.hit.point_mm, start.hit.normal, np.array(brought.direction)
+    # The hinge lies behind the place that was pressed on, and one jaw outside the surface, one inside.
+    assert np.array(brought.hinge_mm) == pytest.approx(point - HINGE_MM * along)
+    assert along @ normal == pytest.approx(0.0, abs=1e-9)
+    assert along @ EYE.axes[0] > 0.8
+    assert brought.closing == pytest.approx(normal)
+    # Edges meet in proportion to how far the jaws have closed: as far as the mouse went along them.
+    assert [one.kind for one in snips] == ["snip"] * len(snips)
+    met = brought.length_mm * (1.0 - np.array([one.angle_deg for one in snips]) / brought.opening_deg)
+    assert (np.diff(met) > 0).all()
+    assert met[-1] == pytest.approx(brought.length_mm)
+    assert snips[-1].angle_deg == pytest.approx(0.0)
+    assert tool.line_mm == pytest.approx(np.stack([brought.hinge_mm, np.add(brought.hinge_mm, met[-1] * along)]))
+    assert tool.drag(pointer(260.0, 150.0)) == []
+    (gone,) = tool.release(pointer(260.0, 150.0))
+    assert (gone.kind, gone.name) == ("withdraw_scissors", brought.name)
+    assert tool.press(start) + tool.release(start) == []  # a click is no snip
+    # In the middle of their way the edges meet under the mouse.
+    tool.press(start)
+    *_, snip = tool.drag(pointer(200.0, 150.0))
+    met = brought.length_mm * (1.0 - snip.angle_deg / brought.opening_deg)
+    assert seen_at(np.add(brought.hinge_mm, met * along))[0] == pytest.approx(200.0, abs=0.5)
 
 
 def test_a_line_does_not_leap_over_an_edge_to_what_lies_behind():

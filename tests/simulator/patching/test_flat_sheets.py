@@ -80,6 +80,23 @@ def test_the_sheet_over_a_saddle_has_least_area_and_cannot_lie_flat():
     assert distortions[1] / distortions[0] == pytest.approx(4.0, rel=0.1)
 
 
+@pytest.mark.parametrize("seed", range(2))
+def test_an_outline_that_winds_is_laid_out_too(seed):
+    """A ribbon that winds around a cylinder: seen from its front it crosses itself; it is as long as it lies flat."""
+    radius, width, turns, climb = 10.0, 4.0, 0.8, 3.0
+    arc = np.linspace(-1.0, 1.0, 33) * np.pi * turns
+    side = np.stack([radius * np.sin(arc), climb * arc, radius * np.cos(arc)], axis=1)
+    across = np.array([0.0, width, 0.0])
+    middle = 0.5 * across
+    rim = np.concatenate([side - middle, side[-1:], side[::-1] + middle, side[:1]])
+    sheet = flat_sheet(turned(rim, seed))
+    along, around = 2 * np.pi * turns * np.hypot(radius, climb), 2 * np.pi * turns * radius
+    assert sheet.perimeter_mm == pytest.approx(2 * (along + width), rel=0.02)
+    # Between both arcs it is a little nearer to the cylinder's axis than they are.
+    assert 0.95 * around * width < sheet.area_mm2 < around * width
+    assert 0.93 < sheet.stretch_least < sheet.stretch_most < 1.07
+
+
 def test_an_outline_is_resampled_evenly():
     square = resampled([(0, 0, 0), (8, 0, 0), (8, 8, 0), (0, 8, 0)], 2.1)
     assert len(square) == 15

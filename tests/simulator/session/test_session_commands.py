@@ -14,9 +14,11 @@ from PIL import Image
 
 from heartcase.cli.main import main
 from heartcase.cli.sessions import record, replay
+from heartcase.cli.shared.recorded_film import frame_steps
 from heartcase.schemas.errors import SimulationError
 from heartcase.schemas.recording.reader import open_recording
 from heartcase.simulator.load import load_case
+from heartcase.simulator.patching.sewn_mesh import sewn_mesh
 from heartcase.simulator.session.replay import load_session
 from heartcase.simulator.session.script import load_script, run_script
 from heartcase.simulator.simulation import Simulation
@@ -39,6 +41,25 @@ name = "lift"
 position_mm = [28.0, -14.0, 40.5]
 radius_mm = 5.0
 path = [{ time_s = 0.05, offset_mm = [0, 0, 1.0] }]
+"""
+SEWING = """
+seconds = 0.2
+damping_per_s = 40
+
+[[stitches]]
+name = "stay"
+time_s = 0.05
+tied_s = 0.08
+out_s = 0.15
+length_mm = 3.0
+places_mm = [[20.5, -14.0, 40.5], [28.0, -14.0, 40.5]]
+
+[[patches]]
+name = "patch"
+time_s = 0.1
+spacing_mm = 3.0
+scale = 0.8
+outline_mm = OUTLINE
 """
 
 
@@ -279,3 +300,68 @@ def test_a_script_with_cuts_and_a_probe_is_shown_recorded_repeated_and_exported(
     glb = pygltflib.GLTF2().load(str(script.parent / "cut.glb"))
     assert len(glb.meshes) == 2
     assert sum(1 for _ in glb.nodes) >= 2
+
+
+def sewn_at(content: bytes, time_s: float) -> np.ndarray:
+    """Corners of the triangles of what a GLB shows beside the tissue at the time of a frame, (count, 3, 3)."""
+    file = pygltflib.GLTF2.load_from_bytes(content)
+    blob = file.binary_blob()
+
+    def array(number: int) -> np.ndarray:
+        accessor = file.accessors[number]
+        view = file.bufferViews[accessor.bufferView]
+        kind, width = {5126: "<f4", 5125: "<u4", 5123: "<u2"}[accessor.componentType], 1 + 2 * (accessor.type == "VEC3")
+        start = view.byteOffset + (accessor.byteOffset or 0)
+        return np.frombuffer(blob, kind, accessor.count * width, start).reshape(-1, width)
+
+    (animation,) = file.animations
+    found = [np.zeros((0, 3, 3))]
+    for number, node in enumerate(file.nodes):
+        if node.mesh is None or node.name == "surface 1":
+            continue
+        own = {
+            one.target.path: animation.samplers[one.sampler] for one in animation.channels if one.target.node == number
+        }
+        times = array(own["scale"].input)[:, 0]
+        if array(own["scale"].output)[np.searchsorted(times, time_s + 1e-4) - 1, 0] == 0:
+            continue
+        for primitive in file.meshes[node.mesh].primitives:
+            points = array(primitive.attributes.POSITION).astype(float)
+            if "weights" in own:
+                frame = np.abs(array(own["weights"].input)[:, 0] - time_s).argmin()
+                weights = array(own["weights"].output).reshape(-1, len(primitive.targets))[frame]
+                for weight, target in zip(weights, primitive.targets, strict=True):
+                    points = points + weight * array(target["POSITION"])
+            found.append(points[array(primitive.indices).reshape(-1, 3)])
+    return np.concatenate(found)
+
+
+def test_a_glb_shows_what_is_sewn_while_it_is_there(case_path, tmp_path, capsys):
+    """A stitch comes, a patch comes, the stitch goes: their triangles are where they are in the session."""
+    angle = np.arange(8) / 8 * 2 * np.pi
+    outline = np.stack([24 + 6 * np.cos(angle), -14 + 6 * np.sin(angle), np.full(8, 40.5)], axis=1).round(1).tolist()
+    (tmp_path / "sewing.toml").write_text(SEWING.replace("OUTLINE", str(outline)))
+    recorded, out = tmp_path / "sewing.recording", tmp_path / "sewing.glb"
+    assert main(["record", str(case_path), "--script", str(tmp_path / "sewing.toml"), "--out", str(recorded)]) == 0
+    arguments = ["export", str(case_path), "--recording", str(recorded), "-o", str(out), "--error-mm", "0.01"]
+    assert main([*arguments, "--frames-per-second", "30"]) == 0
+    case = load_case(case_path, needs=("surface", "tissue"))
+    session = load_session(open_recording(recorded), case.model, surface=case.surface, tissue=case.tissue)
+    counts = []
+    for step in [session.start_step, *frame_steps(session, 30.0)]:
+        session.go_to(step)
+        simulation = session.simulation
+        expected = sewn_mesh(
+            [simulation.patch_state(patch) for patch in simulation.patches],
+            [simulation.stitch_state(stitch) for stitch in simulation.stitches],
+        )
+        shown = sewn_at(out.read_bytes(), step * simulation.step_s)
+        counts.append(len(shown))
+        corners = expected.vertices_mm[expected.triangles]
+        assert shown.shape == corners.shape
+        if len(shown):
+            apart = shown.mean(axis=1)[:, None] - corners.mean(axis=1)
+            assert np.linalg.norm(apart, axis=2).min(axis=1).max() <= 0.0101
+    assert counts[0] == 0
+    assert len(set(counts)) == 4
+    assert counts[1:] != sorted(counts[1:])

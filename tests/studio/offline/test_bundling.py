@@ -6,8 +6,8 @@ import subprocess
 import pytest
 
 from heartcase.schemas.errors import UsageError
-from heartcase.studio.app import PAGE
 from heartcase.studio.offline.bundling import bundled_script, for_script_element, modules_from
+from heartcase.studio.serving.app import PAGE
 
 
 def write(folder, **files):

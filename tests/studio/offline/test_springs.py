@@ -11,11 +11,10 @@ from heartcase.simulator.dynamics.integrate import Verlet, verlet_step
 from heartcase.simulator.engine.shared.contact import keep_outside, probe_row
 from heartcase.simulator.instruments.grab import nodes_in_reach
 from heartcase.simulator.lattice.model import DIRECTIONS, make_model
-from heartcase.studio.app import PAGE
 from heartcase.studio.offline.spring_arrays import spring_arrays
-from tests.studio.page.conftest import find_browser
+from heartcase.studio.serving.app import PAGE
+from tests.studio.offline.browser import with_web_gpu
 
-SWITCHES = ["--no-sandbox", "--enable-unsafe-webgpu", "--use-webgpu-adapter=swiftshader", "--enable-features=Vulkan"]
 TYPES = {"float32": "Float32Array", "int32": "Int32Array", "int16": "Int16Array"}
 START = """
   async ({ arrays, facts }) => {
@@ -31,12 +30,7 @@ START = """
 
 @pytest.fixture(scope="module")
 def page():
-    playwright = pytest.importorskip("playwright.sync_api")
-    path = find_browser()
-    if path is None:
-        pytest.skip("there is no Chromium on this machine: the page's own engine was not tried")
-    with playwright.sync_playwright() as running:
-        browser = running.chromium.launch(executable_path=path, args=SWITCHES)
+    with with_web_gpu() as browser:
         page = browser.new_page()
 
         def answer(route):
@@ -46,11 +40,7 @@ def page():
 
         page.route("**/*", answer)
         page.goto("http://localhost/")
-        if page.evaluate("async () => (await navigator.gpu?.requestAdapter()) == null"):
-            browser.close()
-            pytest.skip("this Chromium has no WebGPU in software: the page's own engine was not tried")
         yield page
-        browser.close()
 
 
 def packed(arrays):

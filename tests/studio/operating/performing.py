@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from starlette.testclient import TestClient
 
-from heartcase.studio.app import make_app
-from heartcase.studio.registry import Registry
+from heartcase.studio.serving.app import make_app
+from heartcase.studio.starting.registry import Registry
 from tests.studio.talking import ADDRESS, PORT, TOKEN
 
 UP = {"axes": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}

@@ -38,7 +38,7 @@ def test_a_story_that_pulls_cuts_undoes_records_and_replays(operated, operated_c
         assert page.opened["name"] == "block"
         assert [one["name"] for one in page.opened["structures"]][-1] == "cut faces"
         assert str(operated_case.parent) not in json.dumps(page.opened)
-        page.until(lambda frame: frame["step"] > 0)
+        page.until(lambda frame: frame["frame"] > 1)
         assert page.arrays["blocks"].size == 0
         page.done("record")
         # a hand that is led by 5 mm to the side

@@ -20,8 +20,9 @@ import uvicorn
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from heartcase.studio.app import make_app
-from heartcase.studio.registry import Registry
+from heartcase.studio.serving.app import make_app
+from heartcase.studio.starting.registry import Registry
+from heartcase.studio.starting.start import Start
 
 TOKEN = "a-token"
 WAIT_MS = 120_000
@@ -78,7 +79,7 @@ class Server:
         registry = Registry(token)
         opened = self.opened = self.open_in(registry)
         self.address = f"http://127.0.0.1:{self.port}{opened.address}?token={token}"
-        app = make_app(registry, token=token, port=self.port)
+        app = make_app(registry, token=token, port=self.port, start=self.start_page(registry))
         self._server = uvicorn.Server(
             uvicorn.Config(app, log_level="error", ws="websockets-sansio", timeout_graceful_shutdown=1)
         )
@@ -88,6 +89,10 @@ class Server:
 
     def open_in(self, registry):
         return registry.open_recipe(self.recipe, out=self.recipe.parent / "out")
+
+    def start_page(self, registry):
+        folder = self.recipe.parent
+        return Start(registry, roots=[folder], state=folder / "state")
 
     def stop(self):
         if self._server is not None:

@@ -21,7 +21,7 @@ from heartcase.pipeline.formats.read_scan import read_scan
 from heartcase.pipeline.markers.load_markers import rasterise_strokes
 from heartcase.schemas.labels import BACKGROUND, Role
 from heartcase.schemas.recipe.recipe import load_recipe
-from heartcase.studio.app import PAGE
+from heartcase.studio.serving.app import PAGE
 
 GUIDE = PAGE / "guide"
 SIZE = (136, 136)

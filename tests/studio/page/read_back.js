@@ -26,8 +26,8 @@ async ({ topology, frame }) => {
   }
   const gl = document.createElement("canvas").getContext("webgl2");
   const program = gl.createProgram();
-  const source = `#version 300 es\n${PLACING}\nout vec3 placeMm, normalHere; out float stretchHere;
-    void main() { place(placeMm, normalHere, stretchHere); }`;
+  const source = `#version 300 es\n${PLACING}\nout vec3 placeMm, normalHere, tangentRead; out float stretchHere;
+    void main() { place(placeMm, normalHere, tangentRead, stretchHere); }`;
   for (const [kind, text] of [[gl.VERTEX_SHADER, source], [gl.FRAGMENT_SHADER, "#version 300 es\nvoid main() {}"]]) {
     const shader = gl.createShader(kind);
     gl.shaderSource(shader, text);
@@ -35,13 +35,13 @@ async ({ topology, frame }) => {
     if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS)) throw new Error(gl.getShaderInfoLog(shader));
     gl.attachShader(program, shader);
   }
-  gl.transformFeedbackVaryings(program, ["placeMm", "normalHere"], gl.SEPARATE_ATTRIBS);
+  gl.transformFeedbackVaryings(program, ["placeMm", "normalHere", "tangentRead"], gl.SEPARATE_ATTRIBS);
   gl.linkProgram(program);
   if (!gl.getProgramParameter(program, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(program));
   gl.useProgram(program);
   for (const [attribute, name, size, isWhole] of ATTRIBUTES) {
     const at = gl.getAttribLocation(program, attribute);
-    if (at < 0) continue;
+    if (at < 0 || arrays[name] === undefined) continue;
     gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
     gl.bufferData(gl.ARRAY_BUFFER, isWhole ? arrays[name] : new Float32Array(arrays[name]), gl.STATIC_DRAW);
     gl.enableVertexAttribArray(at);
@@ -60,7 +60,7 @@ async ({ topology, frame }) => {
   gl.uniform1f(gl.getUniformLocation(program, "cellMm"), cellMm);
   const count = arrays.curvature.length;
   gl.bindTransformFeedback(gl.TRANSFORM_FEEDBACK, gl.createTransformFeedback());
-  const buffers = [0, 1].map((number) => {
+  const buffers = [0, 1, 2].map((number) => {
     const buffer = gl.createBuffer();
     gl.bindBuffer(gl.TRANSFORM_FEEDBACK_BUFFER, buffer);
     gl.bufferData(gl.TRANSFORM_FEEDBACK_BUFFER, 12 * count, gl.STATIC_READ);
@@ -73,12 +73,12 @@ async ({ topology, frame }) => {
   gl.drawArrays(gl.POINTS, 0, count);
   gl.endTransformFeedback();
   gl.bindTransformFeedback(gl.TRANSFORM_FEEDBACK, null);
-  const [places, normals] = buffers.map((buffer) => {
+  const [places, normals, tangents] = buffers.map((buffer) => {
     const read = new Float32Array(3 * count);
     gl.bindBuffer(gl.TRANSFORM_FEEDBACK_BUFFER, buffer);
     gl.getBufferSubData(gl.TRANSFORM_FEEDBACK_BUFFER, 0, read);
     return [...read];
   });
   gl.getExtension("WEBGL_lose_context").loseContext();
-  return { vertex: [...arrays.vertex], places, normals, step: open.header.step };
+  return { vertex: [...arrays.vertex], uv: [...(arrays.uv ?? [])], places, normals, tangents, step: open.header.step };
 }

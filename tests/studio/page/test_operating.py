@@ -15,6 +15,8 @@ from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.surface.deform import deform
 from heartcase.studio.operating.packing import Rounded, frame_message, topology_message
 from tests.simulator.live.scenes import write_case
+from tests.studio.axe.accessible import assert_accessible
+from tests.studio.operating.charts import write_charted
 from tests.studio.page.browsing import Server, browsing, until
 
 READ_BACK = (Path(__file__).parent / "read_back.js").read_text(encoding="utf-8")
@@ -74,7 +76,9 @@ class Hands:
     def read_back(self, **messages):
         """Surface vertex, place and normal of each vertex that is drawn, and the step of which it is."""
         found = self.tab.evaluate(READ_BACK, {"topology": None, "frame": None} | messages)
-        return np.array(found["vertex"]), *(np.reshape(found[one], (-1, 3)) for one in ("places", "normals"))
+        self.vertex, self.uv = np.array(found["vertex"]), np.reshape(found["uv"], (-1, 2)).astype(np.float32)
+        self.tangents = np.reshape(found["tangents"], (-1, 3))
+        return self.vertex, *(np.reshape(found[one], (-1, 3)) for one in ("places", "normals"))
 
     def shows(self, live):
         """How far the surface that is drawn is from the server's at most, mm; the session stands."""
@@ -233,3 +237,69 @@ def test_the_graphics_card_places_vertices_as_the_server_does(chromium, operated
             # the same formula on the same displacements: float32 alone is between them
             assert np.abs(places - exact.vertices_mm[vertex]).max() < 1e-4
             assert np.abs(normals - exact.normals[vertex]).max() < 1e-4
+
+
+def test_tangents_of_the_normal_map_turn_with_the_surface(chromium, tmp_path):
+    path, _ = write_charted(tmp_path)
+    server = CaseServer(path)
+    server.start()
+    with browsing(chromium, server) as page:
+        hands = Hands(page)
+        hands.from_above()
+        until(lambda: page.tab.evaluate(f"async () => {OPEN}.picture.heart.uniforms.hasMap.value"))
+        page.drawn()
+        bent = picture(page)
+        page.tab.evaluate(
+            f"async () => {{ const {{ picture }} = {OPEN}; picture.heart.uniforms.hasMap.value = false; "
+            "picture.draw(); }"
+        )
+        page.drawn()
+        assert picture(page) != bent
+        hands.drag(TOP, TOP)
+        page.tab.mouse.up()
+        page.tab.keyboard.press("g")
+        hands.drag(TOP, (27.0, -14.0, 40.5))
+        hands.until(lambda header: header["instruments"] and header["instruments"][0]["center_mm"][0] > 26.5)
+        page.tab.locator("#pause").focus()
+        page.tab.keyboard.press(" ")
+        assert hands.shows(server.live) < TOLERANCE_MM
+        frame = server.live.newest.frame
+        loaded = load_case(path, needs=("surface", "tangents"))
+        exact = deform(frame.model, loaded.surface, frame.state.displacement).tangents
+        vertex, uv = hands.vertex, hands.uv
+        known = server.opened.places["operating"]._stage.normal_map.uv
+        render = np.array([np.flatnonzero((known == one).all(axis=1))[0] for one in uv])
+        np.testing.assert_array_equal(loaded.surface.render_to_welded[render], vertex)
+        assert np.abs(hands.tangents - exact[render, :3]).max() < TOLERANCE_NORMAL
+        page.tab.mouse.up()
+    server.stop()
+
+
+def test_axe_finds_nothing_on_the_page_that_operates(chromium, operated):
+    with browsing(chromium, operated, viewport={"width": 1366, "height": 768}) as page:
+        hands, tab = Hands(page), page.tab
+        hands.from_above()
+        tab.keyboard.press("f")
+        hands.drag(TOP, (24.0, -14.0, 40.5))
+        tab.mouse.up()
+        hands.until(lambda header: bool(header["instruments"]))
+        tab.keyboard.press("w")
+        hands.until(lambda header: header["recording"] is not None)
+        tab.keyboard.press("w")
+        tab.locator("#notice").wait_for()
+        tab.locator("#strain").check()
+        tab.locator("#pause").click()
+        # each tab once, both colours and both languages among them
+        for theme, language, names in (
+            ("light", "de", ("help", "structures")),
+            ("dark", "en", ("forces", "recordings")),
+        ):
+            if tab.locator("html").get_attribute("data-theme") != theme:
+                tab.locator("#theme").click()
+            tab.locator("#tab-help").click()
+            tab.locator("#language").select_option(language)
+            for name in names:
+                tab.locator(f"#tab-{name}").click()
+                if name == "recordings":
+                    tab.locator("#recordings button").first.wait_for()
+                assert_accessible(page, f"{theme}, {language}, {name}")

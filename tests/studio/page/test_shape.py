@@ -5,7 +5,8 @@ from click.testing import CliRunner
 
 from heartcase.cli.main import cli
 from heartcase.schemas.recipe.recipe import load_recipe, parse_recipe
-from tests.studio.page.browsing import browsing, mm_of
+from tests.studio.axe.accessible import assert_accessible
+from tests.studio.page.browsing import browsing, mm_of, until
 from tests.studio.page.test_page import MIDDLE, look_at, off, stroke
 
 END = """
@@ -76,6 +77,7 @@ def test_an_end_a_defect_and_a_wall_by_mouse_stand_in_the_recipe_and_are_taken_b
         # and its middle is moved, in another slice
         stroke(page, "coronal", [turned.position_mm, off(turned.position_mm, 2.0, 0, 3.0)], affine)
         page.saved(5)
+        assert page.tab.locator("#undo").get_attribute("title") == "Undo (Z), a vessel end"
         moved = load_recipe(path).ends[0]
         np.testing.assert_allclose(moved.position_mm, off(turned.position_mm, 2.0, 0, 3.0), atol=0.4)
         assert moved.radius_mm == turned.radius_mm
@@ -111,6 +113,13 @@ def test_an_end_a_defect_and_a_wall_by_mouse_stand_in_the_recipe_and_are_taken_b
         assert path.read_text() == text
         said = CliRunner().invoke(cli, ["validate", str(path)])
         assert said.exit_code == 0, said.output
+
+        # the surface, with what is placed
+        before = page.pixels("solid")
+        page.tab.locator("#preview-on").check()
+        until(lambda: (page.pixels("solid") != before).any(axis=2).sum() > 200)
+        page.tab.locator("#preview-state").get_by_text("edits[1]").wait_for(timeout=60_000)
+        page.tab.locator("#preview-on").uncheck()
 
         # one history: a stroke on top, then all back, and forth again
         page.tab.locator("#tab-structures").click()
@@ -171,6 +180,13 @@ def test_by_keys_alone_and_what_another_page_sees(chromium, painted):
         part(page, "shape_materials").locator(".add-material").select_option("aorta wall")
         page.saved(6)
         assert read(path).materials.labels["aorta wall"].youngs_modulus_kpa == 30.0
+        # with every section open and a form in it, in both themes
+        for name in ("shape_ends", "shape_edits", "shape_landmarks", "shape_pins", "shape_walls"):
+            part(page, name)
+        assert page.tab.locator("[data-line='edits 1'] .form").is_visible()
+        for _ in range(2):
+            assert_accessible(page)
+            page.tab.locator("#theme").click()
         nodes = part(page, "shape_model").locator("[data-setting='grid.node_count'] input")
         type_into(nodes, "12000")
         page.saved(7)

@@ -4,7 +4,7 @@ import gzip
 import json
 import re
 
-from heartcase.studio.app import PAGE
+from heartcase.studio.serving.app import PAGE
 from tests.studio.page.vendoring import PACKAGES, TABLE, VENDOR, sha256
 
 FIRST_PAGE_MOST = 700_000

@@ -14,7 +14,7 @@ import tarfile
 import tempfile
 from pathlib import Path
 
-from heartcase.studio.app import PAGE
+from heartcase.studio.serving.app import PAGE
 
 VENDOR = PAGE / "vendor"
 TABLE = VENDOR / "VENDORED.json"

@@ -126,7 +126,7 @@ export class Results {
       const row = element("tr");
       const before = this.#beforeMl[name];
       const change = before === undefined || Math.abs(ml - before) < 0.05 ? "" : `${ml > before ? "+" : "−"}${figure(Math.abs(ml - before), 1)}`;
-      const head = element("th", "", name);
+      const head = element("th", "", short(name));
       head.scope = "row";
       row.append(head, element("td", "n", figure(ml, 1)), element("td", "n", change));
       return row;
@@ -139,14 +139,14 @@ export class Results {
     find("openings").hidden = openings.length === 0;
     find("opening-rows").replaceChildren(...openings.map((one) => {
       const row = element("tr", ODD.includes(one.verdict) ? "odd" : "");
-      const button = element("button", "fly", one.between.join(" – "));
+      const button = element("button", "fly", one.between.map(short).join(" – "));
       button.type = "button";
       button.addEventListener("click", () => this.views.lookAt(one.center_mm));
+      const word = `build_verdict_${one.verdict.replaceAll(" ", "_")}`;
       const head = element("th");
       head.scope = "row";
-      head.append(button);
-      const word = `build_verdict_${one.verdict.replaceAll(" ", "_")}`;
-      row.append(head, element("td", "n", figure(one.area_mm2, 0)), element("td", "", isWord(word) ? say(word) : one.verdict));
+      head.append(button, element("div", "verdict", isWord(word) ? say(word) : one.verdict));
+      row.append(head, element("td", "n", figure(one.area_mm2, 0)));
       return row;
     }));
   }
@@ -159,6 +159,11 @@ export class Results {
       : [];
     this.views.redrawOverlays();
   }
+}
+
+/** What every label of a chamber begins with says little in a table. @param {string} name */
+function short(name) {
+  return name.replace(/^morphologically /, "");
 }
 
 /** @param {number} at the place that was looked at last, or -1 @param {number} count */

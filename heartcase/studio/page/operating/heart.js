@@ -47,6 +47,9 @@ export class Heart {
         palette: { value: palette },
         stretchColours: { value: stretch },
         showsStretch: { value: false },
+        cutPlane: { value: new three.Vector4(0, 0, 0, 1) },
+        normalMap: { value: palette },
+        hasMap: { value: false },
       },
     });
   }
@@ -72,12 +75,30 @@ export class Heart {
     texture.needsUpdate = true;
   }
 
+  /**
+   * Take the normal map's picture: as it is, without colours being turned into others.
+   * @param {Uint8Array<ArrayBuffer>} png
+   */
+  async takeNormalMap(png) {
+    const options = /** @type {const} */ ({ colorSpaceConversion: "none", premultiplyAlpha: "none" });
+    const picture = await createImageBitmap(new Blob([png], { type: "image/png" }), options);
+    const texture = new three.Texture(picture);
+    texture.flipY = false;
+    texture.generateMipmaps = true;
+    texture.minFilter = three.LinearMipmapLinearFilter;
+    texture.anisotropy = 4;
+    texture.needsUpdate = true;
+    this.uniforms.normalMap.value = texture;
+    this.uniforms.hasMap.value = true;
+  }
+
   /** @param {Package} message */
   takeTopology(message) {
     const arrays = arraysOf(message);
     const { header } = message;
     const geometry = new three.BufferGeometry();
     for (const [attribute, name, size, isWhole] of ATTRIBUTES) {
+      if (arrays[name] === undefined) continue;
       const numbers = isWhole ? arrays[name] : new Float32Array(arrays[name]);
       geometry.setAttribute(attribute, new three.BufferAttribute(numbers, size));
     }

@@ -279,6 +279,10 @@ function run() {
       return;
     }
     const arrays = arraysOf(message);
+    if (header.kind === "normal_map") {
+      picture.heart.takeNormalMap(arrays.png).then(() => picture.redraw(), fault);
+      return;
+    }
     const isHeartNew = picture.heart.takeFrame(message, arrays);
     const areToolsNew = picture.tools.show(header, arrays);
     if (isHeartNew || areToolsNew) picture.redraw();

@@ -55,6 +55,26 @@ export class Nodes {
     if (blocks.length > 0) this.turn();
   }
 
+  /**
+   * Take over where all nodes are.
+   * @param {Float32Array} displacement [cells], four numbers each
+   * @returns {number} largest way that a node went along an axis since the last time [cells]
+   */
+  takeAll(displacement) {
+    let most = 0;
+    for (let node = 0; node < this.count; node++) {
+      for (let axis = 0; axis < 3; axis++) {
+        const way = Math.abs(displacement[4 * node + axis] - this.displacement[4 * node + axis]);
+        if (way === 0) continue;
+        this.displacement[4 * node + axis] = displacement[4 * node + axis];
+        this.moved[node] = 1;
+        if (way > most) most = way;
+      }
+    }
+    if (most > 0) this.turn();
+    return most;
+  }
+
   /** @param {Uint8Array} stretch of each node, 0 to 255 */
   takeStretch(stretch) {
     for (let node = 0; node < this.count; node++) this.displacement[4 * node + 3] = stretch[node] / 255;

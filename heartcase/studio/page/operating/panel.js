@@ -14,7 +14,7 @@ const find = (id) => /** @type {HTMLElement} */ (document.getElementById(id));
 /** Keys and what they do, in the order in which they are shown. @type {readonly (readonly [string, Word])[]} */
 export const HELP = [
   ["O", "operate_help_orbit"],
-  ["G P C F R S N E", "operate_help_tools"],
+  ["G P C J F R S N E", "operate_help_tools"],
   ["[  ]", "operate_help_size"],
   ["Enter", "operate_help_enter"],
   ["↑ ↓ ← →", "operate_help_arrows"],
@@ -40,13 +40,16 @@ export class Panel {
   #structures = [];
   #toldAt = -Infinity;
 
-  /** @param {{hiddenChanged: () => void, replay: (name: string) => void}} does */
-  constructor(does) {
+  /**
+   * @param {{hiddenChanged: () => void, replay: (name: string) => void}} does
+   * @param {readonly (readonly [string, Word])[]} [help] keys that there are
+   */
+  constructor(does, help = HELP) {
     this.does = does;
     find("show-all").addEventListener("click", () => this.showAll());
     language.follow(() => {
       this.#build();
-      find("keys").replaceChildren(...HELP.flatMap(([keys, word]) => [element("dt", "", keys), element("dd", "", say(word))]));
+      find("keys").replaceChildren(...help.flatMap(([keys, word]) => [element("dt", "", keys), element("dd", "", say(word))]));
     });
   }
 

@@ -12,6 +12,16 @@ const FINEST = 2;
 /** What renderers without a graphics card call themselves. */
 const SOFTWARE = /llvmpipe|softpipe|swiftshader|microsoft basic render/i;
 
+/** What draws here, by its own words. */
+function rendererName() {
+  const context = document.createElement("canvas").getContext("webgl2");
+  if (context === null) throw new NoGraphics();
+  const told = context.getExtension("WEBGL_debug_renderer_info");
+  const name = String(context.getParameter(told ? told.UNMASKED_RENDERER_WEBGL : context.RENDERER));
+  context.getExtension("WEBGL_lose_context")?.loseContext();
+  return name;
+}
+
 export class Picture {
   camera = new Camera();
   /** Pictures that were drawn so far. */
@@ -22,11 +32,11 @@ export class Picture {
   /** @param {HTMLCanvasElement} canvas */
   constructor(canvas) {
     this.canvas = canvas;
-    const context = canvas.getContext("webgl2", { antialias: true, alpha: true });
+    this.isDrawnInSoftware = SOFTWARE.test(rendererName());
+    const options = { antialias: !this.isDrawnInSoftware, alpha: true };
+    const context = canvas.getContext("webgl2", options);
     if (context === null) throw new NoGraphics();
-    const told = context.getExtension("WEBGL_debug_renderer_info");
-    this.isDrawnInSoftware = SOFTWARE.test(context.getParameter(told ? told.UNMASKED_RENDERER_WEBGL : context.RENDERER));
-    this.renderer = new three.WebGLRenderer({ canvas, context, antialias: true, alpha: true });
+    this.renderer = new three.WebGLRenderer({ canvas, context, ...options });
     this.renderer.autoClear = false;
     this.scene = new three.Scene();
     this.over = new three.Scene();

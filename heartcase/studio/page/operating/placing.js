@@ -19,6 +19,9 @@ export const ATTRIBUTES = /** @type {const} */ ([
   ["along", "normal", 3, false],
   ["restTurn", "rest_turn", 3, false],
   ["structure", "structure", 1, false],
+  // of a case with a normal map
+  ["uv", "uv", 2, false],
+  ["tangent", "tangent", 4, false],
 ]);
 
 export const PLACING = `
@@ -28,6 +31,8 @@ precision highp sampler2D;
 in vec3 position, weights, edgeOne, edgeTwo, offset, along, restTurn;
 in ivec3 nodes, normalNumber;
 in float curvature, structure;
+in vec2 uv;
+in vec4 tangent;
 uniform sampler2D displacements, nodeNormals;
 uniform mat3 direction;
 uniform float cellMm;
@@ -41,8 +46,8 @@ vec3 unit(vec3 a) {
   return squared > 0.0 ? a * inversesqrt(squared) : vec3(0.0);
 }
 
-/* Where the vertex is, LPS mm, its unit normal, LPS, and the stretch there, 0 to 1. */
-void place(out vec3 placeMm, out vec3 normal, out float stretch) {
+/* Where the vertex is, LPS mm, its unit normal and tangent, LPS, and the stretch there, 0 to 1. */
+void place(out vec3 placeMm, out vec3 normal, out vec3 tangentHere, out float stretch) {
   vec4 u1 = ofNode(displacements, nodes.x), u2 = ofNode(displacements, nodes.y), u3 = ofNode(displacements, nodes.z);
   vec3 T = unit(edgeOne + (u2.xyz - u1.xyz));
   vec3 N = unit(cross(T, edgeTwo + (u3.xyz - u1.xyz)));
@@ -57,6 +62,7 @@ void place(out vec3 placeMm, out vec3 normal, out float stretch) {
   vec3 moved = between.xyz + offset.x * T + offset.y * N + offset.z * B;
   placeMm = position + cellMm * (direction * (moved - restTurn));
   normal = direction * (along.x * T + along.y * N + along.z * B);
+  tangentHere = direction * (tangent.x * T + tangent.y * N + tangent.z * B);
   stretch = between.w;
 }
 `;
@@ -66,16 +72,22 @@ ${PLACING}
 uniform mat4 projectionMatrix, viewMatrix;
 uniform sampler2D palette;
 out vec3 seenNormal, toEye;
+out vec4 seenTangent;
+out vec2 mapAt;
 out float stretchHere;
 flat out vec3 colour;
+out vec3 here;
 
 void main() {
-  vec3 placeMm, normal;
-  place(placeMm, normal, stretchHere);
+  vec3 placeMm, normal, tangentHere;
+  place(placeMm, normal, tangentHere, stretchHere);
   vec4 look = texelFetch(palette, ivec2(int(structure + 0.5), 0), 0);
   vec4 seen = viewMatrix * vec4(placeMm, 1.0);
   colour = look.rgb;
+  here = placeMm;
   seenNormal = mat3(viewMatrix) * normal;
+  seenTangent = vec4(mat3(viewMatrix) * tangentHere, tangent.w);
+  mapAt = uv;
   toEye = -seen.xyz;
   // a structure that is hidden lies outside of what is seen, with all corners at one place
   gl_Position = look.a > 0.5 ? projectionMatrix * seen : vec4(2.0, 2.0, 2.0, 1.0);
@@ -87,20 +99,48 @@ export const FRAGMENT = `
 precision highp float;
 precision highp sampler2D;
 in vec3 seenNormal, toEye;
+in vec4 seenTangent;
+in vec2 mapAt;
 in float stretchHere;
 flat in vec3 colour;
-uniform sampler2D stretchColours;
-uniform bool showsStretch;
+in vec3 here;
+/* What lies beyond this plane is not drawn: normal, and how far it is from the origin, LPS mm. */
+uniform vec4 cutPlane;
+uniform sampler2D stretchColours, normalMap;
+uniform bool showsStretch, hasMap;
 out vec4 drawn;
 
 void main() {
+  if (dot(cutPlane.xyz, here) > cutPlane.w) discard;
   vec3 eye = normalize(toEye);
   vec3 normal = normalize(seenNormal);
+  vec3 bent = texture(normalMap, mapAt).rgb * 2.0 - 1.0;
+  if (hasMap && mapAt.x >= 0.0) {
+    vec3 across = cross(seenNormal, seenTangent.xyz) * seenTangent.w;
+    normal = normalize(bent.x * seenTangent.xyz + bent.y * across + bent.z * seenNormal);
+  }
   if (!gl_FrontFacing) normal = -normal;
   vec3 own = showsStretch ? texture(stretchColours, vec2(clamp(stretchHere, 0.0, 1.0) * 0.9961 + 0.00195, 0.5)).rgb : colour;
   vec3 light = normalize(eye + vec3(0.15, 0.45, 0.0));
   float bright = 0.24 + 0.12 * normal.y + 0.72 * max(dot(normal, light), 0.0);
   float shine = 0.16 * pow(max(dot(normal, normalize(light + eye)), 0.0), 24.0);
   drawn = vec4(own * bright * (gl_FrontFacing ? 1.0 : 0.7) + shine, 1.0);
+}
+`;
+
+/* The place itself, for whoever asks what lies under the pointer. */
+export const PLACE_FRAGMENT = `
+precision highp float;
+precision highp sampler2D;
+in vec3 seenNormal, toEye;
+in float stretchHere;
+flat in vec3 colour;
+in vec3 here;
+uniform vec4 cutPlane;
+out vec4 drawn;
+
+void main() {
+  if (dot(cutPlane.xyz, here) > cutPlane.w) discard;
+  drawn = vec4(here, 1.0);
 }
 `;

@@ -2,7 +2,7 @@
 
 import { runLanguage, runTheme } from "../shared/looks.js";
 import { LARGEST_RADIUS_MM, SMALLEST_RADIUS_MM } from "../shared/studio.js";
-import { figure, language, say } from "../shared/words.js";
+import { figure, isWord, language, say } from "../shared/words.js";
 
 /** @typedef {import("../shared/studio.js").Studio} Studio */
 /** @typedef {import("../shared/studio.js").Tool} Tool */
@@ -73,14 +73,19 @@ function runHistory(studio, actions) {
   for (const name of /** @type {const} */ (["undo", "redo"])) {
     const button = /** @type {HTMLButtonElement} */ (find(name));
     const count = name === "undo" ? studio.undoCount : studio.redoCount;
+    const kind = name === "undo" ? studio.undoKind : studio.redoKind;
     button.addEventListener("click", () => actions[name]());
     const tell = () => {
       button.disabled = !studio.ready.value || count.value === 0;
       /** @type {HTMLElement} */ (button.querySelector(".count")).textContent = String(count.value);
-      button.setAttribute("aria-label", `${say(name)}: ${count.value}`);
+      const word = `act_${/^\w+/.exec(kind.value)?.[0]}`;
+      const what = count.value === 0 ? "" : `, ${isWord(word) ? say(word) : kind.value}`;
+      button.title = `${say(name)}${what}`;
+      button.setAttribute("aria-label", `${say(name)}${what}: ${count.value}`);
     };
     language.listen(tell);
     count.follow(tell);
+    kind.listen(tell);
     studio.ready.follow(tell);
   }
 }

@@ -162,7 +162,7 @@ export class SolidShader {
 }
 
 /** The light stands above the viewer's left shoulder. @param {Camera} camera @param {Vector} look @returns {Vector} */
-function lightOf({ frame: { right, down } }, look) {
+export function lightOf({ frame: { right, down } }, look) {
   const towards = [0, 1, 2].map((a) => -look[a] - 0.35 * right[a] - 0.45 * down[a]);
   const length = Math.hypot(...towards);
   return /** @type {Vector} */ (towards.map((value) => value / length));

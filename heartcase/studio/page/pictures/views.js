@@ -5,8 +5,9 @@ import { PATIENT_PLANES, turned, turnedPlanes } from "./planes.js";
 import { drawOverlay, drawSolidOverlay, sidesOf } from "./overlay.js";
 import { SliceShader } from "./slice_shader.js";
 import { fitToSurface, SliceView } from "./slice_view.js";
-import { SolidShader } from "./solid_shader.js";
+import { lightOf, SolidShader } from "./solid_shader.js";
 import { SolidView } from "./solid_view.js";
+import { SurfaceShader } from "./surface_shader.js";
 import { Volume } from "./volume.js";
 import { figure, say } from "../shared/words.js";
 
@@ -24,6 +25,11 @@ export class Views {
   /** @type {Volume | null} */
   volume = null;
   #isAsked = false;
+  /** Whether the 3-D picture shows the surface that came, and whether it is cut open at the crosshair. */
+  surfaceShown = false;
+  surfaceCut = false;
+  /** The graphics card forgot everything: what another part of the page had given it must come again. */
+  onRestored = () => {};
   /** What other parts of the page draw over the slices. @type {((view: SliceView, thickness: number) => void)[]} */
   over = [];
   /** And over the solids. @type {((view: SolidView) => void)[]} */
@@ -46,11 +52,14 @@ export class Views {
     this.gl = gl;
     this.slices = new SliceShader(gl);
     this.solids = new SolidShader(gl);
+    this.surfaces = new SurfaceShader(gl);
     gl.enable(gl.SCISSOR_TEST);
     canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
     canvas.addEventListener("webglcontextrestored", () => {
       this.slices = new SliceShader(gl);
       this.solids = new SolidShader(gl);
+      this.surfaces = new SurfaceShader(gl);
+      this.onRestored();
       gl.enable(gl.SCISSOR_TEST);
       this.volume?.restore();
       this.redraw();
@@ -188,6 +197,7 @@ export class Views {
         if (Math.abs(normal[0] * moved[0] + normal[1] * moved[1] + normal[2] * moved[2]) > 1e-6) view.isStale = true;
       }
       this.solid.overlayIsStale = true;
+      if (this.surfaceShown && this.surfaceCut) this.solid.isStale = true;
       this.redrawOverlays();
     });
   }
@@ -260,6 +270,15 @@ export class Views {
       for (const draw of this.overSolid) draw(solid);
     }
     solid.overlayIsStale = false;
+    if (this.surfaceShown && this.surfaces.isThere) {
+      if (solid.isStale) {
+        const { camera, look } = solid;
+        const through = this.surfaceCut ? studio.crosshair.value : null;
+        this.surfaces.draw(lattice, camera, look, lightOf(camera, look), this.#partOf(solid), through);
+      }
+      solid.isStale = false;
+      return;
+    }
     // While a stroke is drawn the slices come first.
     if (!solid.isStale || this.solids.isBusy || (studio.stroke.value !== null && !solid.isQuick)) return;
     const { share } = solid;

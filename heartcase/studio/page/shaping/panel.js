@@ -248,7 +248,7 @@ export class ShapePanel {
       const [row] = formRows([field], { wall_thickness_mm }, [], (_, value) => void this.shaping.set(["labels", label, "wall_thickness_mm"], value ?? 0));
       row.dataset.wall = label;
       /** @type {HTMLElement} */ (row.querySelector("label")).textContent = label;
-      const note = has_table ? say("shape_wall_table") : usual !== undefined && usual !== wall_thickness_mm ? say("shape_usual", { mm: figure(usual, 1) }) : "";
+      const note = has_table ? say("shape_wall_table") : usual !== undefined && usual > 0 && usual !== wall_thickness_mm ? say("shape_usual", { mm: figure(usual, 1) }) : "";
       row.append(element("span", "note", note));
       table.append(row);
     }

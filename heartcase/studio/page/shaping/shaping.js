@@ -67,10 +67,11 @@ export class Shaping {
 
   /** @param {List} list @param {Entry[]} entries */
   async add(list, entries) {
-    const isDone = await this.#try({ do: "add", list, entries });
-    const count = this.shape.value?.lines[list].length ?? 0;
-    if (isDone && count > 0) this.selected.value = { list, number: count };
-    return isDone;
+    const answer = await this.#try({ do: "add", list, entries });
+    // what was done is named by its place in the recipe: edits[2]
+    const number = Number(/\[(\d+)\]$/.exec(answer?.undo_kind ?? "")?.[1] ?? 0);
+    if (number > 0) this.selected.value = { list, number };
+    return answer !== null;
   }
 
   /** @param {Line} line @param {Entry} entry */
@@ -105,17 +106,16 @@ export class Shaping {
     return this.ask({ do: "propose", about, position_mm: rounded(mm, 2) });
   }
 
-  /** @param {Record<string, unknown> & {do: string}} request */
+  /** @param {Record<string, unknown> & {do: string}} request @returns {Promise<Record<string, any> | null>} null where it was refused */
   async #try(request) {
     try {
-      await this.ask(request);
-      return true;
+      return await this.ask(request);
     } catch (error) {
       // what was typed or dragged is as it was before
       this.draft.value = null;
       if (this.shape.value) this.shape.value = { ...this.shape.value };
       this.onFault(error);
-      return false;
+      return null;
     }
   }
 }

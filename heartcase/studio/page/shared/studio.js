@@ -28,6 +28,9 @@ export class Studio {
   ready = new Signal(false);
   undoCount = new Signal(0);
   redoCount = new Signal(0);
+  /** What undo takes back, and redo does again, in the recipe's words: "strokes", "ends[2]". */
+  undoKind = new Signal("strokes");
+  redoKind = new Signal("strokes");
   /** Whether the recipe's file holds all that was painted. */
   saved = new Signal(true);
 

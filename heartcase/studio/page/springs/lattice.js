@@ -17,7 +17,7 @@ const DETOUR = Math.sqrt(1.5);
  * @property {Float32Array} weight its stiffness, as `higher`
  * @property {Int32Array} cellCorners 8 nodes a cell
  * @property {Float32Array} guardScale stiffness with which each cell's corners push back
- * @property {{stepS: number, timeS: number, dampingPerS: number, shear: number, cornerFloor: number, cellMm: number}} facts
+ * @property {{stepS: number, timeS: number, dampingPerS: number, shear: number, cornerFloor: number, cellMm: number, forceN: number}} facts
  */
 
 export class Lattice {

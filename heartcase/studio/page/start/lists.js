@@ -13,8 +13,8 @@ const find = (id) => /** @type {HTMLElement} */ (document.getElementById(id));
 export class Lists {
   /** @type {Work[]} */
   #recent = [];
-  /** @type {Sample[]} */
-  #samples = [];
+  /** Null until they came. @type {Sample[] | null} */
+  #samples = null;
 
   /** @param {Ask} ask @param {() => string} folder that copies go into */
   constructor(ask, folder) {
@@ -23,9 +23,14 @@ export class Lists {
     language.listen(() => this.#draw());
   }
 
-  /** @param {Work[]} recent @param {Sample[]} samples */
-  show(recent, samples) {
+  /** @param {Work[]} recent */
+  showRecent(recent) {
     this.#recent = recent;
+    this.#draw();
+  }
+
+  /** @param {Sample[]} samples */
+  showSamples(samples) {
     this.#samples = samples;
     this.#draw();
   }
@@ -33,8 +38,9 @@ export class Lists {
   #draw() {
     const none = element("li", "soft", say("start_no_recent"));
     find("recent-rows").replaceChildren(...(this.#recent.length > 0 ? this.#recent.map((one) => this.#work(one)) : [none]));
-    find("samples-says").textContent = say(this.#samples.length > 0 ? "start_samples_says" : "start_no_samples");
-    find("sample-rows").replaceChildren(...this.#samples.map((one) => this.#sample(one)));
+    const samples = this.#samples ?? [];
+    find("samples-says").textContent = say(this.#samples === null ? "looking" : samples.length > 0 ? "start_samples_says" : "start_no_samples");
+    find("sample-rows").replaceChildren(...samples.map((one) => this.#sample(one)));
   }
 
   /** @param {Work} work */

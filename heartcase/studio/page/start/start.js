@@ -72,8 +72,9 @@ let isBegun = false;
 
 /** @param {Message} message */
 function hear(message) {
+  if (message.kind === "samples") lists.showSamples(message.samples);
   if (message.kind !== "start") return;
-  lists.show(message.recent, message.samples);
+  lists.showRecent(message.recent);
   if (isBegun) return;
   isBegun = true;
   const wasClosed = location.hash === "#closed";

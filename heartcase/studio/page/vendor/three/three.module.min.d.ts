@@ -24,12 +24,16 @@ export class RawShaderMaterial extends Thing {}
 export class Scene extends Thing {}
 export class Sphere extends Thing {}
 export class SphereGeometry extends Thing {}
+export class Texture extends Thing {}
 export class Vector3 extends Thing {}
+export class Vector4 extends Thing {}
+export class WebGLRenderTarget extends Thing {}
 export class WebGLRenderer extends Thing {}
 export const DoubleSide: any;
 export const FloatType: any;
 export const GLSL3: any;
 export const LinearFilter: any;
+export const LinearMipmapLinearFilter: any;
 export const NearestFilter: any;
 export const RGBAFormat: any;
 export const UnsignedByteType: any;

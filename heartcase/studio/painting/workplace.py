@@ -10,13 +10,14 @@ from typing import TypeVar
 
 from heartcase.pipeline.markers.states import StillSegmentation
 from heartcase.schemas.errors import RecipeError, UsageError
-from heartcase.studio.drafts import receive_draft
+from heartcase.studio.asking import request_id
 from heartcase.studio.messages import problems_of, text_message, told
 from heartcase.studio.pages import Page
-from heartcase.studio.painting import Painting, open_painting
-from heartcase.studio.requests import History, Paint, parse_request, request_id
+from heartcase.studio.painting.drafts import receive_draft
+from heartcase.studio.painting.painting import Painting, open_painting
+from heartcase.studio.painting.requests import History, Paint, parse_request
+from heartcase.studio.painting.states import States
 from heartcase.studio.shaping.requests import Add, Change, Remove, Set
-from heartcase.studio.states import States
 
 __all__ = ["Workplace"]
 
@@ -99,12 +100,13 @@ class Workplace:
         if answer.later is not None:
             self._start(page, text, answer.later)
 
-    def _start(self, page: Page, text: str, work: Callable[[], str]) -> None:
+    def _start(self, page: Page, text: str, work: Callable[[], tuple[str | bytes, ...]]) -> None:
         """Do what takes long beside all else, and tell who asked."""
 
         async def answer() -> None:
             try:
-                page.send(await asyncio.get_running_loop().run_in_executor(self._aside, work))
+                for message in await asyncio.get_running_loop().run_in_executor(self._aside, work):
+                    page.send(message)
             except Exception as error:
                 page.send(text_message("refused", id=request_id(text), problems=problems_of(told(error))))
 
@@ -118,7 +120,7 @@ class Workplace:
         Parameters
         ----------
         stream
-            What is sent: see :mod:`heartcase.studio.drafts`.
+            What is sent: see :mod:`heartcase.studio.painting.drafts`.
 
         Raises
         ------

@@ -11,9 +11,9 @@ from pathlib import Path
 import uvicorn
 
 from heartcase.schemas.errors import UsageError
-from heartcase.studio.app import make_app
-from heartcase.studio.registry import Registry
-from heartcase.studio.requests import REQUEST_SIZE_MAX
+from heartcase.studio.asking import REQUEST_SIZE_MAX
+from heartcase.studio.serving.app import make_app
+from heartcase.studio.starting.registry import Registry
 from heartcase.studio.starting.start import Start
 
 __all__ = ["ADDRESS", "serve"]

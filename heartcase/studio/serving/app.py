@@ -16,16 +16,16 @@ from starlette.types import ASGIApp
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from heartcase.studio.building.building import Building
-from heartcase.studio.gate import Gate
 from heartcase.studio.messages import problems_of, told
 from heartcase.studio.pages import Page, Place
-from heartcase.studio.registry import Registry
+from heartcase.studio.painting.workplace import Workplace
+from heartcase.studio.serving.gate import Gate
+from heartcase.studio.starting.registry import Registry
 from heartcase.studio.starting.start import Start
-from heartcase.studio.workplace import Workplace
 
 __all__ = ["PAGE", "make_app"]
 
-PAGE = Path(__file__).parent / "page"
+PAGE = Path(__file__).parents[1] / "page"
 """The page's files."""
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from heartcase.library.scans import ensure_scan
+from heartcase.pipeline.building.quick_surface import QuickSurface
 from heartcase.pipeline.building.recipe_history import STROKE, RecipeHistory, open_history
 from heartcase.pipeline.building.recipe_text import changed_text, place_words
 from heartcase.pipeline.building.runner import BuildListener
@@ -22,12 +23,13 @@ from heartcase.schemas.errors import UsageError
 from heartcase.schemas.labels import BACKGROUND, Role
 from heartcase.schemas.recipe.recipe import parse_recipe, read_recipe_text
 from heartcase.schemas.toml_places import Place
-from heartcase.studio.drafts import Draft
-from heartcase.studio.locks import lock_again, lock_labels
-from heartcase.studio.messages import labels_message, scan_message, text_message
-from heartcase.studio.planes import planes_message
-from heartcase.studio.requests import End, Extend, History, Lock, Paint, Planes, Request, Suggest
-from heartcase.studio.shaping.requests import Add, Change, FindEnds, Propose, Remove, Set
+from heartcase.studio.messages import labels_message, scan_message, surface_message, text_message
+from heartcase.studio.painting.drafts import Draft
+from heartcase.studio.painting.locks import lock_again, lock_labels
+from heartcase.studio.painting.planes import planes_message
+from heartcase.studio.painting.requests import End, Extend, History, Lock, Paint, Planes, Request, Suggest
+from heartcase.studio.shaping.facts import shaping_facts
+from heartcase.studio.shaping.requests import Add, Change, FindEnds, Preview, Propose, Remove, Set
 from heartcase.studio.shaping.shaping import Shaping
 
 __all__ = ["Answer", "Painting", "open_painting"]
@@ -47,8 +49,9 @@ class Answer:
     """Messages for every page on the recipe, in this order."""
     done: str | None = None
     """For the page that asked, after these."""
-    later: Callable[[], str] | None = None
-    """What takes long and looks at nothing that changes: it may run beside other requests, and gives the answer."""
+    later: Callable[[], tuple[str | bytes, ...]] | None = None
+    """What takes long and looks at nothing that changes: it may run beside other requests, and gives what is told to
+    the page that asked."""
 
 
 class Painting:
@@ -101,7 +104,14 @@ class Painting:
         everything = (slice(0, n) for n in geometry.shape)
         k, j, i = everything
         labels = labels_message(session.labels, (k, j, i))
-        return facts, self._shaping.facts(), self._shaping.shape(), scan_message(scan), labels, self._structures()
+        return (
+            facts,
+            text_message("shaping_facts", **shaping_facts()),
+            self._shape(),
+            scan_message(scan),
+            labels,
+            self._structures(),
+        )
 
     def do(self, request: Request, page: object) -> Answer:
         """Carry a request out.
@@ -139,11 +149,14 @@ class Painting:
             case Add() | Change() | Remove() | Set():
                 self._close_stroke()
                 self._shaping.act(request)
-                return Answer((self._shaping.shape(), self._structures(), self._done()), self._done(request))
+                return Answer((self._shape(), self._structures(), self._done()), self._done(request))
             case Propose():
-                return Answer(done=self._shaping.propose(request))
+                return Answer(done=text_message("proposal", id=request.id, **self._shaping.propose(request)))
             case FindEnds():
-                return Answer(later=self._shaping.find_ends(request))
+                find = self._shaping.find_ends()
+                return Answer(later=lambda: (text_message("found_ends", id=request.id, **find()),))
+            case Preview():
+                return Answer(later=_preview(request, self._shaping.preview()))
             case Suggest():
                 found = session.suggest(count=request.count).as_json(session.table)
                 return Answer(done=text_message("places", id=request.id, **found))
@@ -195,9 +208,12 @@ class Painting:
         session, history = self._opened.session, self._history
         act = history.undo() if request.do == "undo" else history.redo()
         if act.kind != STROKE:
-            return Answer((self._shaping.shape(), self._structures(), self._done()), self._done(request))
+            return Answer((self._shape(), self._structures(), self._done()), self._done(request))
         answer = self._painted(request, session.undo() if request.do == "undo" else session.redo())
         return Answer((*answer.for_all, self._structures()), answer.done)
+
+    def _shape(self) -> str:
+        return text_message("shape", **self._shaping.shape())
 
     def _painted(self, request: Request, box: Box | None) -> Answer:
         shown = () if box is None else (labels_message(self._opened.session.labels, box),)
@@ -285,6 +301,15 @@ def open_painting(path: Path, *, out: Path, listener: BuildListener) -> Painting
     history = open_history(path, out=out)
     opened.session.offer_again(history.undone_strokes)
     return Painting(opened, history, history.log.with_suffix(".locks.json"))
+
+
+def _preview(request: Preview, make: Callable[[], QuickSurface]) -> Callable[[], tuple[str | bytes, ...]]:
+    def messages() -> tuple[str | bytes, ...]:
+        surface = make()
+        problems = [{"place": problem.place, "message": problem.message} for problem in surface.problems]
+        return surface_message(surface), text_message("preview", id=request.id, problems=problems)
+
+    return messages
 
 
 def _window(scan: Scan) -> tuple[float, float]:

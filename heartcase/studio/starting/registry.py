@@ -13,7 +13,7 @@ from pathlib import Path
 from heartcase.studio.building.building import Building
 from heartcase.studio.operating.theatre import Theatre
 from heartcase.studio.pages import Place
-from heartcase.studio.workplace import Workplace
+from heartcase.studio.painting.workplace import Workplace
 
 __all__ = ["Opened", "Registry"]
 

@@ -1,0 +1,171 @@
+"""The surface of a recipe as it is now, coarse and quick: with its walls, vessel ends and edits, before it is built.
+
+The same functions as in a build make it, on labels of which only some voxels are taken; so a hole, a patch or a thicker
+wall is seen where the build will put it, to about a voxel of the coarse lattice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from heartcase.pipeline.data import UNMARKED, Segmentation, Structures
+from heartcase.pipeline.edits.apply_edits import apply_edits
+from heartcase.pipeline.fields.reader import ownership_at_points
+from heartcase.pipeline.mesh.extraction.extract import extract
+from heartcase.pipeline.walls.grow_walls import grow_walls
+from heartcase.pipeline.walls.septa import open_places
+from heartcase.schemas.arrays import Float32, Float64, Int8, Int32, UInt8
+from heartcase.schemas.errors import Problem, StageError
+from heartcase.schemas.labels import BACKGROUND, LabelTable
+from heartcase.schemas.recipe.recipe import Recipe
+from heartcase.schemas.recipe.settings import Stroke
+
+__all__ = ["QuickSurface", "quick_surface"]
+
+VOXELS = 90_000
+"""Voxels of the coarse lattice: what is quick."""
+MOST_VOXELS = 1_500_000
+"""Up to so many all voxels are taken, where an end or an edit meets nothing on the coarse lattice."""
+POINTS = 500_000
+"""Points of the lattice that the surface is extracted on."""
+MARGIN_MM = 6.0
+"""Room around the labels beside the thickest wall."""
+
+
+@dataclass(frozen=True)
+class QuickSurface:
+    """A closed surface, and what kept something from it."""
+
+    vertices_mm: Float32
+    """LPS mm, shape (vertex_count, 3)."""
+    normals: Int8
+    """127 times the unit normal, out of the tissue, shape (vertex_count, 3)."""
+    colours: UInt8
+    """Red, green and blue, shape (vertex_count, 3): of the cavity in front, or of the tissue where it is seen from
+    outside."""
+    triangles: Int32
+    """Counter-clockwise from outside the tissue, shape (triangle_count, 3)."""
+    spacing_mm: tuple[float, float, float]
+    """Distance of the voxels that were taken."""
+    problems: tuple[Problem, ...]
+    """What is wrong with ends or edits; these are not in the surface then."""
+
+
+def quick_surface(segmentation: Segmentation, recipe: Recipe, strokes: Sequence[Stroke] = ()) -> QuickSurface:
+    """Make the surface, coarsely.
+
+    Parameters
+    ----------
+    segmentation
+        Labels as they are now; voxels without a label count as background.
+    recipe
+        Walls, ends and edits.
+    strokes
+        Painted strokes beside those of the recipe: a stroke over two cavities opens the septum there.
+
+    Raises
+    ------
+    StageError
+        Nothing is segmented, or there is no tissue.
+    """
+    table = recipe.table
+    whole = replace(segmentation, table=table, labels=np.where(segmentation.labels == UNMARKED, 0, segmentation.labels))
+    near = _cropped(whole, recipe)
+    coarse, is_coarse = _thinned(near)
+    tries = [coarse, near] if is_coarse and near.labels.size <= MOST_VOXELS else [coarse]
+    problems: tuple[Problem, ...] = ()
+    for one in tries:
+        try:
+            return _surface(_structures(one, recipe, strokes), one, ())
+        except StageError as error:
+            problems = error.problems
+    # Without what is wrong, so that the rest is seen; problems of all parts are told.
+    plain = recipe.model_copy(update={"edits": ()})
+    try:
+        return _surface(_structures(coarse, plain, strokes), coarse, problems)
+    except StageError as error:
+        problems = (*error.problems, *(one for one in problems if one not in error.problems))
+    bare = plain.model_copy(update={"ends": (), "walls": recipe.walls.model_copy(update={"find_ends": False})})
+    return _surface(_structures(coarse, bare, strokes), coarse, problems)
+
+
+def _structures(segmentation: Segmentation, recipe: Recipe, strokes: Sequence[Stroke]) -> Structures:
+    walls = recipe.walls_to_grow
+    painted = (*recipe.strokes, *strokes)
+    places = open_places(painted, recipe.landmarks, recipe.table) if walls.septa == "grown" else ()
+    return apply_edits(grow_walls(segmentation, walls, recipe.ends, open_places=places), recipe.edits)
+
+
+def _surface(structures: Structures, segmentation: Segmentation, problems: tuple[Problem, ...]) -> QuickSurface:
+    mesh = extract(structures, point_cap=POINTS)
+    owner = ownership_at_points(structures, mesh.vertices_mm)
+    palette = _palette(structures.table)
+    colours = np.where((mesh.void_label == BACKGROUND)[:, None], palette[owner.tissue_label], palette[mesh.void_label])
+    spacing = segmentation.geometry.spacing_mm
+    normals = _normals(mesh.vertices_mm, mesh.triangles)
+    return QuickSurface(
+        mesh.vertices_mm.astype(np.float32), normals, colours.astype(np.uint8), mesh.triangles, spacing, problems
+    )
+
+
+def _cropped(segmentation: Segmentation, recipe: Recipe) -> Segmentation:
+    """The part around the labels and all that the recipe places."""
+    geometry, labels = segmentation.geometry, segmentation.labels
+    there = [np.flatnonzero((labels != BACKGROUND).any(axis=axes)) for axes in ((0, 1), (0, 2), (1, 2))]
+    if not len(there[0]):
+        raise StageError("nothing is segmented but background: paint the structures first", place="segment")
+    placed = [end.position_mm for end in recipe.ends]
+    placed += [edit.position_mm for edit in recipe.edits if edit.kind in ("septal_defect", "close_defect")]
+    corners = np.array([[one[0], one[-1]] for one in there], dtype=float).T
+    if placed:
+        size = np.array(geometry.size) - 1
+        inside = np.clip(geometry.world_to_index(np.array(placed)), 0, size)
+        corners = np.vstack([corners, inside])
+    margin = (MARGIN_MM + recipe.walls.thickest_mm(recipe.table)) / np.array(geometry.spacing_mm)
+    low = np.maximum(np.floor(corners.min(axis=0) - margin), 0).astype(int)
+    high = np.minimum(np.ceil(corners.max(axis=0) + margin) + 1, geometry.size).astype(int)
+    part = np.ascontiguousarray(labels[low[2] : high[2], low[1] : high[1], low[0] : high[0]])
+    i, j, k = (int(one) for one in low)
+    return replace(segmentation, labels=part, geometry=geometry.cropped((i, j, k), part.shape[::-1]))
+
+
+def _thinned(segmentation: Segmentation) -> tuple[Segmentation, bool]:
+    """Every second voxel or fewer, about as far apart along all axes; and whether any are left out."""
+    geometry, spacing = segmentation.geometry, np.array(segmentation.geometry.spacing_mm)
+    apart_mm = float(np.cbrt(segmentation.labels.size * spacing.prod() / VOXELS))
+    steps = np.maximum(np.rint(apart_mm / spacing), 1).astype(int)
+    if (steps == 1).all():
+        return segmentation, False
+    first = steps // 2
+    i, j, k = (slice(int(start), None, int(step)) for start, step in zip(first, steps, strict=True))
+    labels = np.ascontiguousarray(segmentation.labels[k, j, i])
+    coarse = geometry.model_copy(
+        update={
+            "size": labels.shape[::-1],
+            "spacing_mm": tuple(float(one) for one in spacing * steps),
+            "origin_mm": tuple(float(one) for one in geometry.index_to_world(first)),
+        }
+    )
+    return replace(segmentation, labels=labels, geometry=coarse), True
+
+
+def _palette(table: LabelTable) -> UInt8:
+    colours = np.full((256, 3), 160, np.uint8)
+    for label in table:
+        colours[label.value] = [int(label.colour[at : at + 2], 16) for at in (1, 3, 5)]
+    return colours
+
+
+def _normals(vertices: Float64, triangles: Int32) -> Int8:
+    """Normals of the vertices, by the area of the triangles around them."""
+    a, b, c = (vertices[triangles[:, corner]] for corner in range(3))
+    faces = np.cross(b - a, c - a)
+    found = np.empty((len(vertices), 3))
+    for axis in range(3):
+        found[:, axis] = np.bincount(triangles.ravel(), weights=np.repeat(faces[:, axis], 3), minlength=len(vertices))
+    length = np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-12)
+    normals: Int8 = np.rint(127.0 * found / length).astype(np.int8)
+    return normals

@@ -1,0 +1,37 @@
+/** What the file holds of a case: binary messages as the server would send them, compressed, as text in the page. */
+
+import { unpack } from "../shared/connection.js";
+
+/** @typedef {import("../shared/connection.js").Package} Package */
+/** A recording: its first part, how many pictures it has, and how many parts are topologies. */
+/** @typedef {{name: string, first: number, count: number, topologies: number}} Recording */
+/** @typedef {{facts: Record<string, any>, parts: Package[], recordings: Recording[]}} CaseData */
+
+/** @param {string} text base64 */
+function bytesOf(text) {
+  const letters = atob(text);
+  const bytes = new Uint8Array(letters.length);
+  for (let n = 0; n < letters.length; n++) bytes[n] = letters.charCodeAt(n);
+  return bytes;
+}
+
+/**
+ * Take the data apart: a table of contents (length in 4 bytes, JSON), and the messages one after the other.
+ * @param {string} text base64 of zlib's format
+ * @returns {Promise<CaseData>}
+ */
+export async function readCase(text) {
+  const stream = new Blob([bytesOf(text)]).stream().pipeThrough(new DecompressionStream("deflate"));
+  const data = await new Response(stream).arrayBuffer();
+  const size = new DataView(data).getUint32(0, true);
+  const { facts, lengths, recordings } = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, size)));
+  let at = 4 + size;
+  /** @type {Package[]} */
+  const parts = [];
+  for (const length of lengths) {
+    // a copy, so that its arrays begin where their kind must
+    parts.push(await unpack(data.slice(at, at + length)));
+    at += length;
+  }
+  return { facts, parts, recordings };
+}

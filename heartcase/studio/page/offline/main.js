@@ -1,0 +1,395 @@
+/** A case without a server: looked at, cut open by a plane, its recordings played; pulled and probed where there is WebGPU. */
+
+import { arraysOf } from "../operating/messages.js";
+import { Panel } from "../operating/panel.js";
+import { NoGraphics, Picture } from "../operating/picture.js";
+import { Pointer } from "../operating/pointer.js";
+import { element } from "../panel/structures.js";
+import { runTabs } from "../panel/tiles.js";
+import { runLanguage, runTheme } from "../shared/looks.js";
+import { fillWords, figure, isWord, language, say } from "../shared/words.js";
+import { NoWebGpu, SpringEngine } from "../springs/engine.js";
+import { Lattice } from "../springs/lattice.js";
+import { readCase } from "./case_data.js";
+import { Frame, LocalHands } from "./hands.js";
+import { Picking } from "./picking.js";
+
+/** @typedef {import("../shared/words.js").Word} Word */
+/** @typedef {import("../shared/connection.js").Package} Package */
+/** @typedef {import("./case_data.js").Recording} Recording */
+
+/** Time of steps in a picture at most, as simulated: what takes longer goes slower. */
+const MOST_S = 1 / 30;
+/** Movement in a picture below which nothing moves any more [cells], and pictures of it after which steps end. */
+const STILL = 2e-4;
+const STILL_PICTURES = 20;
+/** What steps may take in a picture, ms: where they take longer, fewer are taken. */
+const STEPS_MS = 25;
+/** Steps in a picture, however long they take: time goes on. */
+const STEPS_LEAST = 4;
+/** @type {readonly (readonly [string, Word])[]} */
+const KEYS = [
+  ["O", "operate_help_orbit"], ["G P", "operate_help_tools"], ["[  ]", "operate_help_size"], ["Enter", "operate_help_enter"],
+  ["↑ ↓ ← →", "operate_help_arrows"], ["Shift + ↑ ↓ ← →", "operate_help_move"], ["+  -", "operate_help_zoom"],
+  ["Page ↑ ↓", "operate_help_deeper"], ["Esc", "operate_help_escape"], ["A  Home", "operate_help_view"],
+];
+
+/** @param {string} id */
+const find = (id) => /** @type {HTMLElement} */ (document.getElementById(id));
+
+language.follow((name) => {
+  document.documentElement.lang = name;
+  fillWords(document);
+});
+
+/** What is open, for whoever looks at the page from outside, such as its tests. @type {Record<string, any>} */
+export const open = /** @type {any} */ (globalThis).heartcase = {};
+
+async function run() {
+  const picture = new Picture(/** @type {HTMLCanvasElement} */ (find("picture")));
+  const data = await readCase(find("case-data").textContent?.trim() ?? "");
+  const { facts } = data;
+  /** @type {[import("../operating/camera.js").Vector, import("../operating/camera.js").Vector]} */
+  const box = facts.box_mm;
+  const [topology, springs] = data.parts;
+  /** @type {LocalHands | null} */
+  let hands = null;
+  /** @type {SpringEngine | null} */
+  let engine = null;
+  /** @type {{recording: Recording, at: number, isRunning: boolean, since: number} | null} */
+  let played = null;
+  let stillPictures = 0;
+  let isStepping = false;
+  let steps = STEPS_LEAST;
+
+  const panel = new Panel({ hiddenChanged: () => paint(), replay: (name) => replay(name) }, KEYS);
+  const picking = new Picking(picture);
+  const pointer = new Pointer(find("scene"), picture.camera, {
+    ask: (request) => (hands === null ? Promise.resolve({ kind: "done", used: false }) : hands.ask(request)),
+    answered: (answer) => {
+      if (answer.used) wake();
+    },
+    failed: (error) => stop(error),
+    changed: () => picture.redraw(),
+    hasTool: () => hands !== null && hands.tool !== "" && played === null,
+    isReady: () => hands !== null,
+    cursorMoved: () => {
+      const { cursor } = pointer;
+      find("cursor").hidden = cursor === null;
+      if (cursor) Object.assign(find("cursor").style, { left: `${cursor.x}px`, top: `${cursor.y}px` });
+    },
+  });
+
+  function paint() {
+    picture.heart.paint(panel.structures, panel.hidden);
+    picture.redraw();
+  }
+
+  /** @param {string} tool */
+  function take(tool) {
+    if (hands === null) return;
+    pointer.forget();
+    hands.letGo();
+    hands.tool = tool;
+    document.body.dataset.tool = tool;
+    for (const button of find("tools").querySelectorAll("button")) {
+      button.setAttribute("aria-pressed", String(button.dataset.key === tool));
+    }
+    tellSize();
+  }
+
+  function tellSize() {
+    const tool = hands?.tool ?? "";
+    const isSized = tool === "g" || tool === "p";
+    for (const id of ["smaller", "larger"]) /** @type {HTMLButtonElement} */ (find(id)).disabled = !isSized;
+    const word = /** @type {Word} */ (`operate_size_${tool}`);
+    find("size").textContent = isSized && hands ? say(word, { size: figure(hands.sizes[tool], 0) }) : say("operate_no_tool");
+  }
+
+  /** @param {number} count */
+  function resize(count) {
+    hands?.resize(count);
+    tellSize();
+  }
+
+  function fillTools() {
+    find("tools").replaceChildren(
+      ...["", "g", "p"].map((key) => {
+        const word = /** @type {Word} */ (`operate_tool_${key || "o"}`);
+        const button = element("button", "", say(word));
+        button.type = "button";
+        button.dataset.key = key;
+        button.title = `${button.textContent} (${(key || "o").toUpperCase()})`;
+        button.setAttribute("aria-pressed", String(key === (hands?.tool ?? "")));
+        button.addEventListener("click", () => take(key));
+        return button;
+      }),
+    );
+    tellSize();
+  }
+
+  /** The heart's surface as at the start. */
+  function showStart() {
+    picture.heart.takeTopology(topology);
+    picture.heart.nodes?.takeAll(new Float32Array(4 * topology.header.node_count));
+    changed();
+    picture.tools.show({ instruments: [], stitches: [], patches: [] }, {});
+  }
+
+  function changed() {
+    picture.heart.uniforms.displacements.value.needsUpdate = true;
+    picture.heart.uniforms.nodeNormals.value.needsUpdate = true;
+    picture.redraw();
+  }
+
+  // Steps of the page's own engine
+  function wake() {
+    stillPictures = 0;
+    if (!isStepping && engine !== null && played === null) void stepOn();
+  }
+
+  async function stepOn() {
+    isStepping = true;
+    let before = performance.now();
+    while (engine !== null && hands !== null && played === null && stillPictures < STILL_PICTURES) {
+      await new Promise((resolve) => requestAnimationFrame(resolve));
+      const now = performance.now();
+      const { stepS } = engine.lattice.arrays.facts;
+      const took = now - before;
+      before = now;
+      // as much time as went by, where there is time for so many steps
+      const due = Math.max(1, Math.ceil(Math.min(took / 1000, MOST_S) / stepS));
+      const taken = Math.min(steps, due);
+      hands.lead(taken);
+      const began = performance.now();
+      engine.take(taken);
+      const displacement = await engine.displacements();
+      const isSlow = performance.now() - began > STEPS_MS;
+      if (isSlow) steps = Math.max(STEPS_LEAST, Math.floor(0.8 * steps));
+      else if (taken === steps) steps = Math.ceil(1.15 * steps);
+      if (played !== null || picture.heart.nodes === null) break;
+      const most = picture.heart.nodes.takeAll(displacement);
+      stillPictures = most < STILL && !hands.isUsed ? stillPictures + 1 : 0;
+      const shown = hands.shown();
+      const areToolsNew = picture.tools.show({ instruments: shown, stitches: [], patches: [] }, {});
+      panel.showForces({ mode: "running", instruments: shown.filter(({ kind }) => kind === "grab"), stitches: [], patches: [] });
+      find("pace").textContent = say("operate_pace", { pace: figure((taken * stepS * 1000) / Math.max(took, 1), 2) });
+      if (most > 0) changed();
+      else if (areToolsNew) picture.redraw();
+      open.pictures = (open.pictures ?? 0) + 1;
+    }
+    find("pace").textContent = "";
+    isStepping = false;
+  }
+
+  // Recordings
+  /** @param {string} name */
+  function replay(name) {
+    const recording = data.recordings.find((one) => one.name === name);
+    if (recording === undefined) return;
+    leaveTools();
+    showStart();
+    played = { recording, at: -1, isRunning: true, since: performance.now() };
+    find("time-bar").hidden = false;
+    /** @type {HTMLInputElement} */ (find("time")).max = String(recording.count - 1);
+    showMoment(0);
+    void playOn();
+  }
+
+  function leaveTools() {
+    pointer.forget();
+    hands?.letGo();
+  }
+
+  /** @param {number} at */
+  function showMoment(at) {
+    if (played === null) return;
+    const { recording } = played;
+    const moments = momentsOf(recording);
+    // what a picture changes of the one before: those between are gone through, from the start where it lies behind
+    if (at < played.at) played.at = -1;
+    for (let n = played.at + 1; n <= at; n++) {
+      for (const part of moments[n]) {
+        if (part.header.kind === "topology") picture.heart.takeTopology(part);
+        else {
+          const arrays = arraysOf(part);
+          picture.heart.takeFrame(part, arrays);
+          if (n === at) picture.tools.show(part.header, arrays);
+        }
+      }
+    }
+    played.at = at;
+    /** @type {Record<string, any>} */
+    const header = moments[at].at(-1)?.header ?? {};
+    panel.showForces({ ...header, mode: "paused" });
+    /** @type {HTMLInputElement} */ (find("time")).value = String(at);
+    find("time-words").textContent = say("offline_time", { at: figure(header.time_s ?? 0, 1), end: figure(header.end_s ?? 0, 1) });
+    changed();
+  }
+
+  /** Parts of each moment of a recording. @param {Recording} recording @returns {Package[][]} */
+  function momentsOf(recording) {
+    /** @type {Package[][]} */
+    const moments = [[]];
+    for (const part of data.parts.slice(recording.first, recording.first + recording.count + recording.topologies)) {
+      moments.at(-1)?.push(part);
+      if (part.header.kind === "frame") moments.push([]);
+    }
+    moments.pop();
+    return moments;
+  }
+
+  async function playOn() {
+    while (played?.isRunning) {
+      await new Promise((resolve) => requestAnimationFrame(resolve));
+      if (!played?.isRunning) break;
+      const due = Math.floor(((performance.now() - played.since) / 1000) * facts.frames_per_second);
+      const at = Math.min(due, played.recording.count - 1);
+      if (at > played.at) showMoment(at);
+      if (at === played.recording.count - 1) played.isRunning = false;
+    }
+    tellPlaying();
+  }
+
+  function tellPlaying() {
+    find("play").setAttribute("aria-pressed", String(played?.isRunning ?? false));
+  }
+
+  function playOrPause() {
+    if (played === null) return;
+    const { recording, at } = played;
+    played.isRunning = !played.isRunning;
+    if (played.isRunning) {
+      const from = at >= recording.count - 1 ? 0 : at;
+      played.since = performance.now() - (1000 * from) / facts.frames_per_second;
+      if (from === 0) showMoment(0);
+      void playOn();
+    }
+    tellPlaying();
+  }
+
+  function leaveRecording() {
+    played = null;
+    find("time-bar").hidden = true;
+    engine?.reset();
+    showStart();
+    paint();
+  }
+
+  // The plane that opens the heart
+  const cut = { axis: /** @type {HTMLSelectElement} */ (find("cut-axis")), depth: /** @type {HTMLInputElement} */ (find("cut-depth")) };
+  function setPlane() {
+    const [low, high] = box;
+    const chosen = cut.axis.value;
+    cut.depth.disabled = chosen === "";
+    const plane = picture.heart.uniforms.cutPlane.value;
+    if (chosen === "") plane.set(0, 0, 0, 1);
+    else {
+      const axis = Number(chosen.slice(1));
+      const sign = chosen[0] === "+" ? 1 : -1;
+      const normal = [0, 0, 0];
+      normal[axis] = sign;
+      const part = Number(cut.depth.value) / 100;
+      const at = sign > 0 ? high[axis] - part * (high[axis] - low[axis]) : low[axis] + part * (high[axis] - low[axis]);
+      plane.set(normal[0], normal[1], normal[2], sign * at);
+    }
+    picture.redraw();
+  }
+  cut.axis.addEventListener("change", setPlane);
+  cut.depth.addEventListener("input", setPlane);
+
+  const reset = () => {
+    picture.camera.frame(...box);
+    picture.redraw();
+  };
+  /** @type {[string, () => void][]} */
+  const clicks = [
+    ["smaller", () => resize(-1)], ["larger", () => resize(1)], ["reset-view", reset], ["play", playOrPause], ["begin", leaveRecording],
+    ["as-at-start", () => {
+      leaveTools();
+      engine?.reset();
+      wake();
+    }],
+  ];
+  for (const [id, does] of clicks) find(id).addEventListener("click", does);
+  /** @type {HTMLInputElement} */ (find("time")).addEventListener("input", (event) => {
+    if (played === null) return;
+    played.isRunning = false;
+    showMoment(Number(/** @type {HTMLInputElement} */ (event.target).value));
+    tellPlaying();
+  });
+  document.addEventListener("keydown", (event) => {
+    const target = /** @type {Element} */ (event.target);
+    if (event.defaultPrevented || event.ctrlKey || event.metaKey || event.altKey || target.closest("select, textarea, input:not([type=checkbox])")) return;
+    const isInScene = target.closest("#scene") !== null;
+    const key = event.key.toLowerCase();
+    const does = /** @type {Record<string, () => void>} */ ({
+      o: () => take(""), g: () => take("g"), p: () => take("p"), a: () => panel.showAll(), home: reset, escape: leaveTools,
+      "[": () => resize(-1), "]": () => resize(1), ",": () => resize(-1), ".": () => resize(1),
+    })[key];
+    if (isInScene && pointer.key(event)) event.preventDefault();
+    else if (does && (isInScene || key !== "home")) {
+      event.preventDefault();
+      does();
+    }
+  });
+
+  find("case-name").textContent = facts.name;
+  find("not-device").textContent = facts.notice;
+  panel.setStructures(facts.structures);
+  panel.showRecordings(data.recordings.map(({ name }) => name));
+  find("tab-recordings").hidden = data.recordings.length === 0;
+  picture.camera.frame(...box);
+  showStart();
+  paint();
+  language.listen(() => {
+    fillTools();
+    tellEngine();
+  });
+  runTheme();
+  runLanguage();
+  runTabs();
+  setPlane();
+
+  let reason = "";
+  function tellEngine() {
+    find("engine").textContent = engine === null ? say(isWord(reason) ? reason : "offline_no_webgpu") : "";
+  }
+  try {
+    const lattice = latticeOf(springs);
+    engine = await SpringEngine.create(lattice);
+    const pick = (/** @type {import("./hands.js").Look} */ look) => {
+      const [x, y] = picture.camera.pixel(/** @type {any} */ (look.start_mm.map((part, axis) => part + 100 * look.direction[axis])));
+      return picking.at(x, y);
+    };
+    hands = new LocalHands(engine, new Frame(facts.place), pick, () => picture.heart.nodes?.displacement ?? new Float32Array(0));
+  } catch (error) {
+    if (!(error instanceof NoWebGpu)) throw error;
+    reason = "offline_no_webgpu";
+  }
+  fillTools();
+  for (const id of ["tools", "size-group", "as-at-start"]) find(id).hidden = engine === null;
+  tellEngine();
+  Object.assign(open, { picture, engine, picking, panel, facts, data });
+  find("curtain").hidden = true;
+  document.body.dataset.ready = "true";
+}
+
+/** @param {Package} message */
+function latticeOf(message) {
+  const arrays = arraysOf(message);
+  return new Lattice({
+    nodeIndex: arrays.node_index, inverseMass: arrays.inverse_mass, higher: arrays.higher, weight: arrays.weight,
+    cellCorners: arrays.cell_corners, guardScale: arrays.guard_scale, facts: message.header.facts,
+  });
+}
+
+/** @param {unknown} error */
+function stop(error) {
+  find("curtain").hidden = false;
+  find("curtain-bar").hidden = true;
+  find("curtain-words").textContent = say(error instanceof NoGraphics ? "no_graphics" : "offline_broken");
+  if (!(error instanceof NoGraphics)) console.error(error);
+}
+
+run().catch(stop);

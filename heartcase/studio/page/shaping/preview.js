@@ -1,0 +1,106 @@
+/** The quick preview of the surface: asked for anew when labels or the recipe changed, one at a time. */
+
+import { Signal } from "../shared/signal.js";
+import { language, say } from "../shared/words.js";
+
+/** @typedef {import("../shared/connection.js").Problem} Problem */
+/** @typedef {import("../pictures/views.js").Views} Views */
+/** @typedef {import("./shaping.js").Ask} Ask */
+
+const WAIT_MS = 150;
+
+export class Preview {
+  isOn = new Signal(false);
+  /** Cut open at the crosshair. */
+  cuts = new Signal(false);
+  /** Whether one is being made. */
+  isBusy = new Signal(false);
+  /** What is not in the surface, and why. */
+  problems = new Signal(/** @type {readonly Problem[]} */ ([]));
+  #isStale = false;
+  #timer = 0;
+
+  /** @param {Views} views @param {Ask} ask @param {(error: unknown) => void} onFault */
+  constructor(views, ask, onFault) {
+    this.views = views;
+    this.ask = ask;
+    this.onFault = onFault;
+    this.isOn.listen((isOn) => {
+      if (isOn) this.refresh();
+    });
+  }
+
+  /** Labels or the recipe changed. */
+  refresh() {
+    if (!this.isOn.value) return;
+    this.#isStale = true;
+    clearTimeout(this.#timer);
+    this.#timer = setTimeout(() => void this.#make(), WAIT_MS);
+  }
+
+  async #make() {
+    if (this.isBusy.value || !this.isOn.value) return;
+    this.isBusy.value = true;
+    try {
+      while (this.#isStale && this.isOn.value) {
+        this.#isStale = false;
+        this.problems.value = (await this.ask({ do: "preview" })).problems ?? [];
+      }
+    } catch (error) {
+      this.isOn.value = false;
+      this.onFault(error);
+    } finally {
+      this.isBusy.value = false;
+    }
+  }
+
+  /** A surface came. @param {{vertex_count: number, triangle_count: number}} header @param {Uint8Array<ArrayBuffer>} bytes */
+  take({ vertex_count: vertices, triangle_count: triangles }, bytes) {
+    // a copy begins where numbers of four bytes may begin
+    const data = bytes.slice().buffer;
+    const [positions, index] = [12 * vertices, 12 * triangles];
+    this.views.surfaces.set(
+      new Float32Array(data, 0, 3 * vertices),
+      new Uint32Array(data, positions, 3 * triangles),
+      new Uint8Array(data, positions + index, 3 * vertices),
+      new Int8Array(data, positions + index + 3 * vertices, 3 * vertices),
+    );
+    this.views.redrawSolid();
+  }
+}
+
+/**
+ * The preview with its switches in the bar of the 3-D picture.
+ * @param {Views} views
+ * @param {Ask} ask
+ * @param {(error: unknown) => void} onFault
+ */
+export function runPreview(views, ask, onFault) {
+  const find = (/** @type {string} */ id) => /** @type {HTMLElement} */ (document.getElementById(id));
+  const preview = new Preview(views, ask, onFault);
+  const switches = /** @type {const} */ ([["preview-on", preview.isOn], ["preview-cut", preview.cuts]]);
+  for (const [id, signal] of switches) {
+    const box = /** @type {HTMLInputElement} */ (find(id));
+    box.addEventListener("change", () => (signal.value = box.checked));
+    signal.follow((value) => (box.checked = value));
+    signal.listen(() => {
+      views.surfaceShown = preview.isOn.value;
+      views.surfaceCut = preview.cuts.value;
+      views.redrawSolid();
+    });
+  }
+  preview.isOn.follow((isOn) => (find("preview-cut-choice").hidden = !isOn));
+  const tell = () => {
+    const { isOn, isBusy, problems } = preview;
+    const state = find("preview-state");
+    const first = problems.value[0];
+    state.textContent = !isOn.value ? "" : isBusy.value ? say("preview_busy") : first ? say("preview_without", { place: first.place }) : "";
+    state.title = problems.value.map(({ place, message }) => `${place}: ${message}`).join("\n");
+  };
+  for (const signal of [preview.isOn, preview.isBusy, preview.problems]) {
+    /** @type {import("../shared/signal.js").Signal<any>} */ (signal).listen(tell);
+  }
+  language.listen(tell);
+  views.onRestored = () => preview.refresh();
+  return preview;
+}

@@ -1,0 +1,105 @@
+"""The quick surface, against balls whose sizes are known, and the number of holes that an edit makes."""
+
+import numpy as np
+import pytest
+
+from heartcase.pipeline.building.quick_surface import quick_surface
+from heartcase.pipeline.data import Segmentation
+from heartcase.pipeline.mesh.extraction.extract import enclosed_volume_mm3
+from heartcase.schemas.errors import StageError
+from heartcase.schemas.geometry import Geometry
+from heartcase.schemas.labels import default_label_table
+from heartcase.schemas.recipe.recipe import parse_recipe
+
+TABLE = default_label_table()
+LEFT, RIGHT = TABLE["left atrium"].value, TABLE["right atrium"].value
+APART, RADIUS = 26.0, 11.0
+"""Two cavities of this radius, mm, their middles so far apart along x; 4 mm of muscle between them."""
+
+TEXT = """
+heartcase_recipe = 1
+name = "balls"
+[scan]
+path = "scan.nii.gz"
+"""
+DEFECT = """
+[[edits]]
+kind = "septal_defect"
+position_mm = [0.0, 0.0, 0.0]
+diameter_mm = 4.0
+axis = [1.0, 0.0, 0.0]
+"""
+
+
+def recipe(more=""):
+    return parse_recipe(TEXT + more, needs_markers=False)
+
+
+def two_balls(size=96, spacing=0.75):
+    geometry = Geometry.of(shape=(size,) * 3, spacing_mm=(spacing,) * 3, origin_mm=(-0.5 * spacing * (size - 1),) * 3)
+    k, j, i = np.meshgrid(*(np.arange(size),) * 3, indexing="ij")
+    at = geometry.index_to_world(np.stack([i, j, k], axis=-1))
+    labels = np.zeros(geometry.shape, np.uint8)
+    for value, side in ((LEFT, -0.5), (RIGHT, 0.5)):
+        labels[np.linalg.norm(at - [side * APART, 0.0, 0.0], axis=-1) <= RADIUS] = value
+    return Segmentation(labels, geometry, TABLE)
+
+
+def shells(surface):
+    """Connected parts of a surface: their Euler characteristics, the largest part first."""
+    count = len(surface.vertices_mm)
+    part = np.arange(count)
+    for _ in range(count):
+        low = part[surface.triangles].min(axis=1)
+        before = part.copy()
+        np.minimum.at(part, surface.triangles.ravel(), np.repeat(low, 3))
+        part = part[part]
+        if (part == before).all():
+            break
+    found = []
+    for name in np.unique(part[surface.triangles[:, 0]]):
+        triangles = surface.triangles[part[surface.triangles[:, 0]] == name]
+        edges = np.unique(np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+        found.append((len(triangles), len(np.unique(triangles)) - len(edges) + len(triangles)))
+    return [euler for _, euler in sorted(found, reverse=True)]
+
+
+def test_walls_are_as_thick_as_they_are_stated_on_every_other_voxel():
+    surface = quick_surface(two_balls(), recipe())
+    assert surface.spacing_mm == (1.5, 1.5, 1.5)
+    assert surface.problems == ()
+    # an outer shell and the insides of two cavities
+    assert shells(surface) == [2, 2, 2]
+    away = np.linalg.norm(surface.vertices_mm - np.array([0.5 * APART, 0.0, 0.0]), axis=1)
+    outside = surface.vertices_mm[:, 0] > 0.5 * APART + 3.0
+    wall = TABLE["right atrium"].wall_thickness_mm
+    for low, high, radius in ((0.0, RADIUS + 0.5 * wall, RADIUS), (RADIUS + 0.5 * wall, 99.0, RADIUS + wall)):
+        shell = away[outside & (away > low) & (away < high)]
+        assert abs(shell.mean() - radius) < 0.5
+        assert np.abs(shell - radius).max() < 1.2
+    # closed, facing outwards, its normals too
+    volume = enclosed_volume_mm3(surface.vertices_mm.astype(float), surface.triangles)
+    assert 0.0 < volume < 2.2 * 4.0 / 3.0 * np.pi * ((RADIUS + wall) ** 3 - RADIUS**3)
+    outer = outside & (away > RADIUS + 0.5 * wall)
+    towards = surface.vertices_mm[outer] - np.array([0.5 * APART, 0.0, 0.0])
+    assert (np.einsum("ij,ij->i", surface.normals[outer].astype(float), towards) > 0.0).all()
+
+
+def test_a_defect_makes_one_cavity_of_two_and_what_meets_nothing_is_told_and_left_out():
+    segmentation = two_balls()
+    surface = quick_surface(segmentation, recipe(DEFECT))
+    assert surface.problems == ()
+    assert shells(surface) == [2, 2]
+    wrong = quick_surface(segmentation, recipe(DEFECT.replace("[0.0, 0.0, 0.0]", "[0.0, 30.0, 0.0]")))
+    assert [problem.place for problem in wrong.problems] == ["edits[1]"]
+    assert shells(wrong) == [2, 2, 2]
+    end = '\n[[ends]]\nlabel = "aorta"\nposition_mm = [0.0, 0.0, 0.0]\naxis = [1.0, 0.0, 0.0]\nradius_mm = 3.0\n'
+    both = quick_surface(segmentation, recipe(end + DEFECT))
+    assert both.problems[0].place == "ends[1]"
+
+
+def test_nothing_painted_is_said():
+    empty = two_balls()
+    labels = np.where(empty.labels > 0, 255, 0).astype(np.uint8)
+    with pytest.raises(StageError, match="nothing is segmented but background"):
+        quick_surface(Segmentation(labels, empty.geometry, TABLE), recipe())
