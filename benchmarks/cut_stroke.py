@@ -31,7 +31,7 @@ from heartcase.schemas.arrays import Float64
 from heartcase.schemas.recording.commands import CloseGrab, Cut, LeadGrab
 from heartcase.simulator.cutting.blade_sheet import Sheet
 from heartcase.simulator.cutting.cuts import Cuts
-from heartcase.simulator.cutting.parted_lattice import _together as together
+from heartcase.simulator.cutting.parted_lattice import links_together
 from heartcase.simulator.cutting.pieces import find_pieces
 from heartcase.simulator.engine.backends import make_engine
 from heartcase.simulator.lattice.force_law import ForceLaw
@@ -178,8 +178,8 @@ def plain(inputs: Inputs) -> Simulation:
     start = perf_counter()
     inputs.stroke.append(Sheet.swept(inputs.poses[sample : sample + 2]))
     uncut, tissue = inputs.cuts.uncut, inputs.cuts.tissue
-    links = together([sheet.links for sheet in inputs.stroke])
-    beyond = together([sheet.links_beyond for sheet in inputs.stroke])
+    links = links_together([sheet.links for sheet in inputs.stroke])
+    beyond = links_together([sheet.links_beyond for sheet in inputs.stroke])
     parted = plain_parted(uncut, find_pieces(uncut, tissue, links, beyond))
     engine = make_engine(parted.model, "cpu")
     engine.load(parted.carried(inputs.start.state))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
@@ -13,49 +13,9 @@ __all__ = ["PatchAction", "RowAction", "StitchAction", "suture_problems"]
 _Seconds = Annotated[float, Field(ge=0.0)]
 
 
-class StitchAction(Model):
-    """A stitch: a thread through the tissue at two places that is drawn and tied."""
+class _ThreadAction(Model):
+    """A thread that is placed, drawn, tied and taken out: what stitches and rows have in common."""
 
-    name: Name = "stitch"
-    """Name in the summary."""
-    places_mm: tuple[PointMm, PointMm]
-    """Where it goes through the tissue; each is taken to the nearest place on the surface."""
-    at_rest: bool = False
-    """Whether they are places of the tissue at rest; else they are places at that time."""
-    stiffness_n_m: Annotated[float, Field(gt=0.0)] | None = None
-    """Stiffness of the thread, N/m; half of what the time step allows when left out."""
-    time_s: _Seconds = 0.0
-    """When it is placed, s."""
-    tied_s: _Seconds
-    """When it is tied, s. It is drawn evenly from ``time_s`` on, and fully by then."""
-    length_mm: Annotated[float, Field(ge=0.0)] | None = None
-    """Length that the thread is drawn to, mm."""
-    tension_n: Annotated[float, Field(ge=0.0)] | None = None
-    """Tension that it is drawn with, N, instead of a length."""
-    out_s: Annotated[float, Field(gt=0.0)] | None = None
-    """When it is taken out, s; it stays when left out."""
-
-    @model_validator(mode="after")
-    def _check(self) -> StitchAction:
-        problems = thread_problems(self.length_mm, self.tension_n)
-        problems += time_problems(self.time_s, self.tied_s, self.out_s)
-        if problems:
-            raise ValueError("; ".join(problems))
-        return self
-
-
-class RowAction(Model):
-    """A row of stitches, filled in between chosen ones, drawn and tied."""
-
-    name: Name = "row"
-    """Name in the summary; its stitches are numbered behind it."""
-    places_mm: RowPlaces
-    """Both places of each chosen stitch in their order, the first all on one side; each is taken to the nearest place
-    on the surface."""
-    spacing_mm: PositiveMm = 3.0
-    """Distance between neighbouring stitches, mm: the nearest that divides the way evenly."""
-    running: bool = False
-    """Whether one thread runs through all, with one tension; else each is tied by itself."""
     at_rest: bool = False
     """Whether they are places of the tissue at rest; else they are places at that time."""
     stiffness_n_m: Annotated[float, Field(gt=0.0)] | None = None
@@ -72,12 +32,35 @@ class RowAction(Model):
     """When it is taken out, s; it stays when left out."""
 
     @model_validator(mode="after")
-    def _check(self) -> RowAction:
+    def _check(self) -> Self:
         problems = thread_problems(self.length_mm, self.tension_n)
         problems += time_problems(self.time_s, self.tied_s, self.out_s)
         if problems:
             raise ValueError("; ".join(problems))
         return self
+
+
+class StitchAction(_ThreadAction):
+    """A stitch: a thread through the tissue at two places that is drawn and tied."""
+
+    name: Name = "stitch"
+    """Name in the summary."""
+    places_mm: tuple[PointMm, PointMm]
+    """Where it goes through the tissue; each is taken to the nearest place on the surface."""
+
+
+class RowAction(_ThreadAction):
+    """A row of stitches, filled in between chosen ones, drawn and tied."""
+
+    name: Name = "row"
+    """Name in the summary; its stitches are numbered behind it."""
+    places_mm: RowPlaces
+    """Both places of each chosen stitch in their order, the first all on one side; each is taken to the nearest place
+    on the surface."""
+    spacing_mm: PositiveMm = 3.0
+    """Distance between neighbouring stitches, mm: the nearest that divides the way evenly."""
+    running: bool = False
+    """Whether one thread runs through all, with one tension; else each is tied by itself."""
 
 
 class PatchAction(Model):

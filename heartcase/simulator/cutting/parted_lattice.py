@@ -25,7 +25,7 @@ from heartcase.simulator.cutting.tissue_samples import SAMPLE_PLACES, TissueSamp
 from heartcase.simulator.lattice.model import CELL_SPRINGS, LatticeModel
 from heartcase.simulator.lattice.state import State
 
-__all__ = ["PartedLattice", "part"]
+__all__ = ["PartedLattice", "links_together", "part"]
 
 _SAMPLE_VARIANCE = 1.0 / 12.0 / SAMPLES**2
 """Of the tissue that a sample stands for, along each axis [edges squared]."""
@@ -69,13 +69,14 @@ def part(model: LatticeModel, sheets: Sequence[Sheet], tissue: TissueSamples) ->
     if not model.cell_is_whole.all():
         raise SimulationError("springs of this lattice were removed: cut it by sheets only", place="cut")
     links, beyond = (
-        _together([sheet.links for sheet in sheets]),
-        _together([sheet.links_beyond for sheet in sheets]),
+        links_together([sheet.links for sheet in sheets]),
+        links_together([sheet.links_beyond for sheet in sheets]),
     )
     return _parted(model, find_pieces(model, tissue, links, beyond))
 
 
-def _together(links: Sequence[Links]) -> Links:
+def links_together(links: Sequence[Links]) -> Links:
+    """The links of several lists, each once, ascending."""
     nothing = np.zeros(0, np.int64)
     x, y, z = (np.unique(np.concatenate([nothing, *(each[axis] for each in links)])) for axis in range(3))
     return x, y, z

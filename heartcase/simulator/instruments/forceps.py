@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.schemas.arrays import Float, Float32, Float64, Int64, Intp
+from heartcase.schemas.arrays import Float, Float32, Float64, Intp
 from heartcase.schemas.errors import Problem, SimulationError
 from heartcase.simulator.instruments.grab import Grab
 from heartcase.simulator.instruments.held_tissue import (
@@ -18,6 +18,7 @@ from heartcase.simulator.instruments.held_tissue import (
     tissue_at_rest,
     tissue_now,
 )
+from heartcase.simulator.instruments.one_sided import OneSidedGrab
 from heartcase.simulator.instruments.placing import is_point, jaw_axes, point_in_lattice
 from heartcase.simulator.lattice.model import LatticeModel
 
@@ -30,7 +31,7 @@ _BESIDE = 0.5
 
 
 @dataclass(eq=False)
-class Forceps(Grab):
+class Forceps(OneSidedGrab):
     """Nodes between two jaws, which are pressed together and led.
 
     The jaws are parallel plates. Tissue between them is squeezed alike all through, from its own thickness to the gap
@@ -39,8 +40,6 @@ class Forceps(Grab):
 
     axis: Float64 = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
     """Direction from one jaw to the other when the hand closed, grid axes, shape (3,)."""
-    roots: Float64 = field(default_factory=lambda: np.zeros((0, 3)))
-    """Tissue at rest from which each node was reached [cells, frame of the nodes], shape (count, 3)."""
     span: tuple[float, float] = (0.0, 0.0)
     """Where, along ``axis`` from its centre, the tissue began and ended that it closed on [cells]."""
     gap: float = np.inf
@@ -89,25 +88,6 @@ class Forceps(Grab):
         """Lead it, and close it, so far towards where it is led; nodes are there in a straight line."""
         super().lead_part(share)
         self.gap_target = self.gap + share * (self.gap_target - self.gap)
-
-    def carry(self, nodes: Intp, place: Int64) -> None:
-        """Hold other nodes from now on: those of a lattice that was cut further, each from the one at ``place``."""
-        super().carry(nodes, place)
-        self.roots = self.roots[place]
-
-    def keep_side(self, model: LatticeModel, sheets: Float64) -> None:
-        """Let go of what a further cut put onto the other side of it; all is kept where nothing else would be left.
-
-        Parameters
-        ----------
-        model
-            The lattice after the cut.
-        sheets
-            Triangles of all that was cut, at rest [cells, frame of the nodes], shape (triangle_count, 3, 3).
-        """
-        kept = np.flatnonzero(on_own_side(model, sheets, self.nodes, self.roots))
-        if len(kept):
-            self.carry(self.nodes[kept], kept)
 
     def arms_now(self) -> Float64:
         """Vectors from the hand's centre to where its nodes are now [cells, grid axes], shape (count, 3)."""

@@ -30,6 +30,7 @@ from heartcase.simulator.instruments.held_tissue import (
     tissue_at_rest,
     tissue_now,
 )
+from heartcase.simulator.instruments.one_sided import OneSidedGrab
 from heartcase.simulator.instruments.placing import is_point, point_in_lattice
 from heartcase.simulator.lattice.model import LatticeModel
 
@@ -39,7 +40,7 @@ STIFFNESS_N_MM2 = 0.2
 """Stiffness of the pads where nothing else is said: N for each mm along the line and each mm that they give."""
 LIMIT_N_MM = 0.5
 """Pull along the line that a retractor does not keep up where nothing else is said, N/mm. A choice, not a measurement:
-half of some 1 N/mm: 4.8 N, the least mean force that tears out a stitch (Medicina 2022, 58, 1081), each 5 mm."""
+half of some 1 N/mm: 4.8 N, the least mean force that tears out a stitch (Medicina 2022, 58, 1055), each 5 mm."""
 _BIN = 1.0
 """Length along the line over which a pull is told [cells]."""
 _SETTLE = 2e-3
@@ -47,11 +48,9 @@ _SETTLE = 2e-3
 
 
 @dataclass(eq=False)
-class Retractor(Grab):
+class Retractor(OneSidedGrab):
     """Nodes along a line on one lip, on pads, which are led."""
 
-    roots: Float64 = field(default_factory=lambda: np.zeros((0, 3)))
-    """Tissue at rest from which each node was reached [cells, frame of the nodes], shape (count, 3)."""
     along: Float64 = field(default_factory=lambda: np.zeros(0))
     """Place of each node along the line [cells], shape (count,)."""
     length: float = 1.0
@@ -124,21 +123,11 @@ class Retractor(Grab):
     def carry(self, nodes: Intp, place: Int64) -> None:
         """Hold other nodes from now on: those of a lattice that was cut further, each from the one at ``place``."""
         super().carry(nodes, place)
-        self.roots, self.along, self.give = self.roots[place], self.along[place], self.give[place]
+        self.along, self.give = self.along[place], self.give[place]
 
     def keep_side(self, model: LatticeModel, sheets: Float64) -> None:
-        """Let go of what a further cut put onto the other side of it; all is kept where nothing else would be left.
-
-        Parameters
-        ----------
-        model
-            The lattice after the cut.
-        sheets
-            Triangles of all that was cut, at rest [cells, frame of the nodes], shape (triangle_count, 3, 3).
-        """
-        kept = np.flatnonzero(on_own_side(model, sheets, self.nodes, self.roots))
-        if len(kept):
-            self.carry(self.nodes[kept], kept)
+        """Let go of what a further cut put onto the other side of it; the pads stand on what is left."""
+        super().keep_side(model, sheets)
         self.resistance = _resistance(model, self.nodes)
 
     def arms_now(self) -> Float64:

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from pydantic import ValidationError
 
 from heartcase.schemas.arrays import Float64
-from heartcase.schemas.errors import Problem, ScriptError, SimulationError, problems_from_validation
+from heartcase.schemas.errors import Problem, ScriptError, SimulationError
 from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.migrate import PLANS
 from heartcase.schemas.recording.commands import Mark
 from heartcase.schemas.scripts.incision_plans import IncisionPlans, PlannedIncision
 from heartcase.schemas.scripts.script import CutAction, SimulationScript
+from heartcase.schemas.scripts.toml_text import checked_toml, text_of
 from heartcase.simulator.incisions.figures import CRITERIA, IncisionFigures, RankedPlan, ranked
 from heartcase.simulator.incisions.measure import IncisionPlan, Scene, measured
 from heartcase.simulator.incisions.planned import (
@@ -59,12 +59,7 @@ def load_plans(path: Path | str) -> IncisionPlans:
     ScriptError
         It cannot be read, or with every problem that was found in it.
     """
-    try:
-        return parse_plans(Path(path).read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise ScriptError("there is no such file; check the path", place="plans") from None
-    except (OSError, UnicodeDecodeError):
-        raise ScriptError("the file cannot be read as UTF-8 text", place="plans") from None
+    return parse_plans(text_of(path, "plans"))
 
 
 def parse_plans(text: str) -> IncisionPlans:
@@ -75,20 +70,17 @@ def parse_plans(text: str) -> IncisionPlans:
     ScriptError
         With every problem that was found.
     """
-    try:
-        data = tomllib.loads(text)
-        for key, what in (("heartcase_recipe", "a recipe"), ("heartcase_script", "a simulation script")):
-            if key in data:
-                message = f"this is {what}, not a file of plans: sample_cases/incision_plans.toml is one"
-                raise ScriptError(message, place="plans")
-        if not {"plans", "heartcase_plans"} & data.keys():
-            message = "this is no file of plans, as it has no [[plans]]: sample_cases/incision_plans.toml is one"
-            raise ScriptError(message, place="plans")
-        return IncisionPlans.model_validate(PLANS.migrated(data)[0])
-    except tomllib.TOMLDecodeError as error:
-        raise ScriptError(f"this is not valid TOML: {error}", place="plans") from None
-    except ValidationError as error:
-        raise ScriptError(problems_from_validation(error, model=IncisionPlans)) from None
+    return checked_toml(text, IncisionPlans, PLANS, "plans", _no_plans)
+
+
+def _no_plans(data: dict[str, Any]) -> str | None:
+    """Why data are no plans."""
+    for key, what in (("heartcase_recipe", "a recipe"), ("heartcase_script", "a simulation script")):
+        if key in data:
+            return f"this is {what}, not a file of plans: sample_cases/incision_plans.toml is one"
+    if not {"plans", "heartcase_plans"} & data.keys():
+        return "this is no file of plans, as it has no [[plans]]: sample_cases/incision_plans.toml is one"
+    return None
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import time
-import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from math import inf
@@ -12,10 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import ValidationError
 
 from heartcase.schemas.arrays import Float64
-from heartcase.schemas.errors import Problem, ScriptError, SimulationError, problems_from_validation
+from heartcase.schemas.errors import Problem, ScriptError, SimulationError
 from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.migrate import SCRIPT
 from heartcase.schemas.recording.commands import (
@@ -26,6 +24,7 @@ from heartcase.schemas.recording.commands import (
     SqueezeForceps,
 )
 from heartcase.schemas.scripts.script import GrabAction, ProbeAction, SimulationScript, Waypoint
+from heartcase.schemas.scripts.toml_text import checked_toml, text_of
 from heartcase.schemas.scripts.tool_actions import ForcepsAction
 from heartcase.simulator.dynamics.integrate import Energy
 from heartcase.simulator.instruments.forceps import Forceps
@@ -134,12 +133,7 @@ def load_script(path: Path | str) -> SimulationScript:
     ScriptError
         It cannot be read, or with every problem that was found in it.
     """
-    try:
-        return parse_script(Path(path).read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise ScriptError("there is no such file; check the path", place="script") from None
-    except (OSError, UnicodeDecodeError):
-        raise ScriptError("the file cannot be read as UTF-8 text", place="script") from None
+    return parse_script(text_of(path, "script"))
 
 
 def parse_script(text: str) -> SimulationScript:
@@ -150,15 +144,14 @@ def parse_script(text: str) -> SimulationScript:
     ScriptError
         With every problem that was found.
     """
-    try:
-        data = tomllib.loads(text)
-        if "heartcase_recipe" in data:
-            raise ScriptError("this is a recipe, not a script: sample_cases/pull.toml is a script", place="script")
-        return SimulationScript.model_validate(SCRIPT.migrated(data)[0])
-    except tomllib.TOMLDecodeError as error:
-        raise ScriptError(f"this is not valid TOML: {error}", place="script") from None
-    except ValidationError as error:
-        raise ScriptError(problems_from_validation(error, model=SimulationScript)) from None
+    return checked_toml(text, SimulationScript, SCRIPT, "script", _no_script)
+
+
+def _no_script(data: dict[str, Any]) -> str | None:
+    """Why data are no script."""
+    if "heartcase_recipe" in data:
+        return "this is a recipe, not a script: sample_cases/pull.toml is a script"
+    return None
 
 
 def with_positions(script: SimulationScript, landmarks: tuple[Landmark, ...]) -> SimulationScript:
