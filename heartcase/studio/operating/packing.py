@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from heartcase.schemas.arrays import Float32, Float64, Int16, Int32, UInt8
 from heartcase.simulator.live.live import LiveFrame
+from heartcase.simulator.live.shapes import CUT_FACES
 from heartcase.simulator.surface.deform import SurfaceModel
 from heartcase.studio.operating.normal_map import NormalMap
 
@@ -140,6 +141,7 @@ def topology_message(number: int, live: LiveFrame, structures: Int32, normal_map
         "kind": "topology",
         "topology": number,
         "node_count": model.node_count,
+        "cut_faces": CUT_FACES,
         "cell_mm": model.cell_mm,
         "direction": model.geometry.direction_matrix.tolist(),
     }

@@ -3,7 +3,7 @@
 import * as three from "../vendor/three/three.module.min.js";
 import { arraysOf } from "./messages.js";
 import { Nodes, ROW } from "./nodes.js";
-import { ATTRIBUTES, FRAGMENT, VERTEX } from "./placing.js";
+import { ATTRIBUTES, FRAGMENT, LINE_FRAGMENT, LINE_VERTEX, VERTEX } from "./placing.js";
 
 /** @typedef {import("../shared/connection.js").Package} Package */
 /** @typedef {{value: number, name: string, colour: string}} Structure */
@@ -52,6 +52,11 @@ export class Heart {
         hasMap: { value: false },
       },
     });
+  }
+
+  #lineMaterial() {
+    const { uniforms } = this.material;
+    return new three.RawShaderMaterial({ glslVersion: three.GLSL3, vertexShader: LINE_VERTEX, fragmentShader: LINE_FRAGMENT, uniforms });
   }
 
   get uniforms() {
@@ -118,6 +123,19 @@ export class Heart {
     this.mesh = new three.Mesh(geometry, this.material);
     this.mesh.frustumCulled = false;
     this.scene.add(this.mesh);
+    this.#addLips(geometry, header.cut_faces);
+  }
+
+  /** Where the skin is cut, as a line: an incision that lies closed is seen by it. @param {any} geometry @param {number} cutFaces */
+  #addLips(geometry, cutFaces) {
+    const edges = lipEdges(this.arrays, cutFaces);
+    if (edges.length === 0) return;
+    const lines = new three.BufferGeometry();
+    for (const [name, attribute] of Object.entries(geometry.attributes)) lines.setAttribute(name, attribute);
+    lines.setIndex(new three.BufferAttribute(Uint32Array.from(edges), 1));
+    const lips = new three.LineSegments(lines, this.#lineMaterial());
+    lips.frustumCulled = false;
+    this.mesh.add(lips);
   }
 
   /**
@@ -142,3 +160,45 @@ export class Heart {
   }
 }
 
+
+/**
+ * Edges of the skin at which cut faces begin, two vertices each. Cut faces have vertices of their own there, at the same places.
+ * @param {Record<string, any>} arrays of a topology
+ * @param {number} cutFaces number of that structure
+ * @returns {number[]}
+ */
+export function lipEdges({ triangles, structure, rest_mm: rest }, cutFaces) {
+  /** Number of each place at which a cut face has a corner. @type {Map<string, number>} */
+  const places = new Map();
+  /** @param {number} vertex */
+  const name = (vertex) => `${rest[3 * vertex]},${rest[3 * vertex + 1]},${rest[3 * vertex + 2]}`;
+  const numbers = new Int32Array(structure.length).fill(-1);
+  for (let vertex = 0; vertex < structure.length; vertex++) {
+    if (structure[vertex] !== cutFaces) continue;
+    const place = name(vertex);
+    const number = places.get(place) ?? places.size;
+    places.set(place, number);
+    numbers[vertex] = number;
+  }
+  /** @type {number[]} */
+  const found = [];
+  if (places.size === 0) return found;
+  for (let vertex = 0; vertex < structure.length; vertex++) {
+    if (structure[vertex] !== cutFaces) numbers[vertex] = places.get(name(vertex)) ?? -1;
+  }
+  /** @param {number} a @param {number} b */
+  const key = (a, b) => Math.min(numbers[a], numbers[b]) * places.size + Math.max(numbers[a], numbers[b]);
+  const ofFaces = new Set();
+  for (const isFace of [true, false]) {
+    for (let at = 0; at < triangles.length; at += 3) {
+      if ((structure[triangles[at]] === cutFaces) !== isFace) continue;
+      for (let n = 0; n < 3; n++) {
+        const [a, b] = [triangles[at + n], triangles[at + ((n + 1) % 3)]];
+        if (numbers[a] < 0 || numbers[b] < 0) continue;
+        if (isFace) ofFaces.add(key(a, b));
+        else if (ofFaces.has(key(a, b))) found.push(a, b);
+      }
+    }
+  }
+  return found;
+}

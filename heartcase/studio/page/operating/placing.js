@@ -144,3 +144,7 @@ void main() {
   drawn = vec4(here, 1.0);
 }
 `;
+
+/* Lines on the surface, a little before it. */
+export const LINE_VERTEX = VERTEX.replace("projectionMatrix * seen", "projectionMatrix * vec4(seen.xyz * 0.997, 1.0)");
+export const LINE_FRAGMENT = PLACE_FRAGMENT.replace("vec4(here, 1.0)", "vec4(0.16, 0.02, 0.02, 1.0)");
