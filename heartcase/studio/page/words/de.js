@@ -5,6 +5,7 @@ export const words = {
   language_name: "Deutsch",
   connecting: "Verbinde …",
   stage_open: "Rezept wird geöffnet …",
+  stage_scan: "Die Aufnahme wird erzeugt, einmalig …",
   stage_read: "Die Aufnahme wird gelesen …",
   stage_filter: "Die Aufnahme wird geglättet …",
   stage_segment: "Grenzen werden gesucht …",

@@ -4,6 +4,7 @@ export const words = {
   language_name: "English",
   connecting: "Connecting …",
   stage_open: "Opening the recipe …",
+  stage_scan: "Making the scan, which is done once …",
   stage_read: "Reading the scan …",
   stage_filter: "Smoothing the scan …",
   stage_segment: "Looking for borders …",
