@@ -41,6 +41,7 @@ def test_a_story_that_pulls_cuts_undoes_records_and_replays(operated, operated_c
         page.until(lambda frame: frame["frame"] > 1)
         assert page.arrays["blocks"].size == 0
         page.done("record")
+        recorded = page.until(lambda frame: frame["recording"] is not None)["recording"]
         # a hand that is led by 5 mm to the side
         page.done("take", tool="g")
         assert page.at("press", TOP)["used"]
@@ -77,7 +78,7 @@ def test_a_story_that_pulls_cuts_undoes_records_and_replays(operated, operated_c
         page.done("stop_recording")
         page.until(lambda frame: frame["recording"] is None)
         name = page.done("recordings")["recordings"][0]
-        assert name == "block-1.recording"
+        assert name == recorded
         # the same again from the recording, and taken over
         page.done("replay", name=name)
         page.until(lambda frame: frame["mode"] == "playing" and frame["step"] < end["step"])
