@@ -126,7 +126,15 @@ class Retractor(OneSidedGrab):
         self.along, self.give = self.along[place], self.give[place]
 
     def keep_side(self, model: LatticeModel, sheets: Float64) -> None:
-        """Let go of what a further cut put onto the other side of it; the pads stand on what is left."""
+        """Let go of what a further cut put onto the other side of it; the pads stand on what is left.
+
+        Parameters
+        ----------
+        model
+            The lattice after the cut.
+        sheets
+            Triangles of all that was cut, at rest [cells, frame of the nodes], shape (triangle_count, 3, 3).
+        """
         super().keep_side(model, sheets)
         self.resistance = _resistance(model, self.nodes)
 
