@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import hashlib
-import json
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -16,6 +15,7 @@ from pydantic import TypeAdapter
 
 from heartcase.library.progress import MAKING_THE_SCAN
 from heartcase.pipeline.stages.table import steps
+from heartcase.schemas.base import Model, PointMm
 from heartcase.schemas.bundle.approval import approve_case, report_beside
 from heartcase.schemas.errors import BundleError, HeartcaseError, UsageError
 from heartcase.schemas.files import atomic_write, remove_leftovers
@@ -33,6 +33,15 @@ T = TypeVar("T")
 _REQUEST: TypeAdapter[Order | Approve] = TypeAdapter(BuildRequest)
 _LOOK_EVERY_S = 1.0
 """How often it is looked whether the recipe changed."""
+
+
+class _Note(Model):
+    """What is remembered of a build beside the cache."""
+
+    bundle_sha256: str
+    recipe_sha256: str | None
+    places_mm: dict[str, tuple[PointMm, ...]]
+    """Places that warnings are about, by their text."""
 
 
 class Building:
@@ -164,7 +173,7 @@ class Building:
                 self._tell()
             if built is not None:
                 self._changed = built["changed"]
-                places = {one["text"]: [tuple(place) for place in one["places_mm"]] for one in built["warnings"]}
+                places = {one["text"]: tuple(map(tuple, one["places_mm"])) for one in built["warnings"]}
                 await self._run(lambda: self._remember(Path(built["case"]), sha256, places))
             else:
                 await self._run(lambda: remove_leftovers(self._out))
@@ -225,30 +234,30 @@ class Building:
         if case is None:
             return
         noted = self._noted(case)
-        self._outcome = outcome_of(case, noted.get("places_mm"))
-        if self._outcome is not None and noted.get("bundle_sha256") == self._outcome.sha256:
-            self._built_from = noted.get("recipe_sha256")
+        self._outcome = outcome_of(case, noted.places_mm if noted else None)
+        if self._outcome is not None and noted is not None and noted.bundle_sha256 == self._outcome.sha256:
+            self._built_from = noted.recipe_sha256
 
-    def _remember(self, case: Path, sha256: str | None, places: dict[str, list[Any]]) -> None:
+    def _remember(self, case: Path, sha256: str | None, places: dict[str, tuple[PointMm, ...]]) -> None:
         """Which recipe a case was built from, and the places of its warnings: for the next start too."""
-        if not any(places.values()):
+        noted = self._noted(case)
+        if noted is not None and not any(places.values()):
             # of a case that was there already, the build knows no places
-            places = self._noted(case).get("places_mm") or places
+            places = noted.places_mm
         self._outcome, self._built_from = outcome_of(case, places), sha256
         if self._outcome is None:
             return
-        note = {"bundle_sha256": self._outcome.sha256, "recipe_sha256": sha256, "places_mm": places}
+        note = _Note(bundle_sha256=self._outcome.sha256, recipe_sha256=sha256, places_mm=places)
         with contextlib.suppress(OSError):
             file = self._note_file(case)
             file.parent.mkdir(parents=True, exist_ok=True)
-            atomic_write(file, json.dumps(note).encode())
+            atomic_write(file, note.model_dump_json().encode())
 
-    def _noted(self, case: Path) -> dict[str, Any]:
+    def _noted(self, case: Path) -> _Note | None:
         try:
-            found = json.loads(self._note_file(case).read_bytes())
+            return _Note.model_validate_json(self._note_file(case).read_bytes())
         except (OSError, ValueError):
-            return {}
-        return found if isinstance(found, dict) else {}
+            return None
 
     def _note_file(self, case: Path) -> Path:
         return self._out / ".heartcase-cache" / "studio" / f"{case.stem}.built.json"

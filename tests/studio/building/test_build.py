@@ -116,6 +116,14 @@ def test_a_case_of_unknown_recipe_is_told_as_that(copy):
         assert (told.first["age"], told.first["case"]["name"]) == ("unknown", "ball")
 
 
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"bundle_sha256": 1}', '{"places_mm": {"x": 5}}', "\xff"])
+def test_a_damaged_note_counts_as_none(copy, text):
+    (note,) = (copy.parent / "out" / ".heartcase-cache" / "studio").glob("*.built.json")
+    note.write_text(text, encoding="latin-1")
+    with studio(copy) as browser, building(browser) as told:
+        assert (told.first["age"], told.first["case"]["name"]) == ("unknown", "ball")
+
+
 def test_problems_are_told_with_their_places_and_the_old_case_stays(copy):
     case = copy.parent / "out" / "ball.case"
     before = bundle_sha256(case)
