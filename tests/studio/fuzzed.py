@@ -86,7 +86,8 @@ def request(drawn, middle):
 
 def damaged(drawn, asked):
     """The same request with something wrong: a value, a field too many or too few, a bit of its text."""
-    asked = {"id": drawn.randrange(1000)} | asked
+    # a number that no right request has: its answer is told from theirs
+    asked = {"id": drawn.randrange(10**6, 10**7)} | asked
     how = drawn.randrange(6)
     field = drawn.choice(sorted(asked))
     if how == 0:
