@@ -8,7 +8,7 @@ import SimpleITK
 
 from heartcase.pipeline.building.session_file import open_session
 from heartcase.schemas.recipe.recipe import load_recipe
-from heartcase.studio import drafts
+from heartcase.studio.painting import drafts
 from tests.studio.talking import ADDRESS, page, studio, write_recipe
 
 

@@ -33,6 +33,8 @@ __all__ = [
 ]
 
 _Id = Annotated[int, Field(ge=0, le=1 << 53)]
+_FAR_MM = 1e6
+"""No eye is further away, and no number that says where it looks is larger."""
 _PERPENDICULAR_MAX = 1e-3
 """How far rows of the eye's axes may be from perpendicular and of unit length."""
 
@@ -56,6 +58,10 @@ class Look(Model):
 
     @model_validator(mode="after")
     def _is_an_eye(self) -> Look:
+        if np.abs([self.start_mm, self.direction, *self.axes]).max() > _FAR_MM:
+            raise ValueError(f"an eye is at most {_FAR_MM:g} mm away")
+        if np.linalg.norm(self.direction) < 1.0 / _FAR_MM:
+            raise ValueError("a direction this short says nothing")
         axes = np.array(self.axes)
         if np.abs(axes @ axes.T - np.eye(3)).max() > _PERPENDICULAR_MAX:
             raise ValueError("the axes of an eye are perpendicular and of unit length")

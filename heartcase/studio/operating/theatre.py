@@ -224,17 +224,26 @@ class Theatre:
             for words in live.take_messages():
                 self._tell(text_message("message", text=words))
             if live.error is not None:
-                self._tell(text_message("failed", problems=self._problems(live.error)))
+                await self._fail(live.error)
                 return
             newest = live.newest
             for page, viewer in tuple(self._viewers.items()):
                 try:
                     messages = await asyncio.get_running_loop().run_in_executor(None, viewer.messages, newest)
                 except Exception as error:
-                    self._tell(text_message("failed", problems=self._problems(error)))
+                    await self._fail(error)
                     return
                 for message in messages:
                     page.send(message)
+
+    async def _fail(self, error: BaseException) -> None:
+        """The session cannot go on: it is told, what is recorded is finished, and who comes next begins anew."""
+        self._tell(text_message("failed", problems=self._problems(error)))
+        async with self._turn:
+            stage, self._stage = self._stage, None
+            self._viewers.clear()
+            if stage is not None:
+                await self._run(stage.close)
 
     async def _rest(self, stage: Stage) -> None:
         """Nobody looks: when instruments have let go, time stands until somebody does."""

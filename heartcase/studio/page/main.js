@@ -47,7 +47,7 @@ function run() {
   const status = new Status(document, studio, views, connection);
   const brush = new Brush(studio, (request) => connection.ask(request), (problems) => status.refused(problems));
   const pointers = new Pointers(views, studio, brush, measures);
-  runTurning(views, studio);
+  runTurning(views, studio, () => void (studio.tool.value === "shape" && hands.placeAtCrosshair()));
   const shaping = new Shaping((request) => connection.ask(request), (error) => fault(error));
   const hands = (pointers.hands = new Hands(studio, shaping));
   studio.tool.listen((tool) => {

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from heartcase.library.scans import ensure_scan
+from heartcase.library.scans import ensure_scan, scan_is_made
 from heartcase.pipeline.building.quick_surface import QuickSurface
 from heartcase.pipeline.building.recipe_history import STROKE, RecipeHistory, open_history
 from heartcase.pipeline.building.recipe_text import changed_text, place_words
@@ -296,7 +296,9 @@ def open_painting(path: Path, *, out: Path, listener: BuildListener) -> Painting
         A problem with the recipe, its scan or its markers.
     """
     recipe = parse_recipe(read_recipe_text(path), needs_markers=False)
-    ensure_scan(recipe.scan, path.parent)
+    if not scan_is_made(recipe.scan, path.parent):
+        listener.stage_started("scan", seconds_expected=0.0, seconds_after=0.0)
+        ensure_scan(recipe.scan, path.parent)
     opened = open_session(path, out=out, listener=listener, resumes=True)
     history = open_history(path, out=out)
     opened.session.offer_again(history.undone_strokes)

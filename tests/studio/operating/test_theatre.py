@@ -221,6 +221,25 @@ def test_strain_is_sent_to_the_page_that_wants_it(operated):
         page.done("strain", shown=False)
 
 
+def test_a_session_that_broke_is_told_and_the_next_page_begins_anew(operated_case, tmp_path):
+    with theatre(operated_case, tmp_path) as (browser, opened):
+        with operator(browser, opened) as page:
+            page.until(lambda frame: frame["step"] > 0)
+            page.done("record")
+            page.until(lambda frame: frame["recording"] is not None)
+
+            def fail():
+                raise ZeroDivisionError("a fault")
+
+            live_of(opened)._ask([fail])
+            assert "ZeroDivisionError" in json.dumps(page.hear("failed")["problems"])
+            assert page.ask("undo")["kind"] == "refused"
+        assert open_recording(tmp_path / "block-1.recording").header.end is not None
+        with operator(browser, opened) as page:
+            page.until(lambda frame: frame["step"] > 0)
+            assert page.frames[-1]["recording"] is None
+
+
 def test_a_case_that_is_none_is_told_without_its_path(tmp_path):
     folder = tmp_path / "a-patient's-name.case"
     folder.mkdir()

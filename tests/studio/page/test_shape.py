@@ -4,6 +4,7 @@ import numpy as np
 from click.testing import CliRunner
 
 from heartcase.cli.main import cli
+from heartcase.pipeline.building.session_file import open_session
 from heartcase.schemas.recipe.recipe import load_recipe, parse_recipe
 from tests.studio.axe.accessible import assert_accessible
 from tests.studio.page.browsing import browsing, mm_of, until
@@ -121,16 +122,30 @@ def test_an_end_a_defect_and_a_wall_by_mouse_stand_in_the_recipe_and_are_taken_b
         page.tab.locator("#preview-state").get_by_text("edits[1]").wait_for(timeout=60_000)
         page.tab.locator("#preview-on").uncheck()
 
+        # a landmark by a click in the 3-D picture, on the red of the aorta
+        page.drawn()
+        red, green, blue = np.moveaxis(page.pixels("solid").astype(float), -1, 0)
+        rows, columns = np.nonzero((red > 80.0) & (green < 0.6 * red) & (blue < 0.8 * red))
+        n = len(rows) // 2
+        part(page, "shape_landmarks").locator("[data-place=point]").click()
+        x, y, *_ = page.box("solid")
+        page.tab.mouse.click(float(x + columns[n]), float(y + rows[n]))
+        page.saved(9)
+        point = load_recipe(path).landmarks[0].points_mm[0]
+        i, j, k = np.rint(np.linalg.inv(affine) @ [*point, 1.0])[:3].astype(int)
+        session = open_session(path, out=path.parent / "out").session
+        assert session.labels[k, j, i] == session.table["aorta"].value
+
         # one history: a stroke on top, then all back, and forth again
         page.tab.locator("#tab-structures").click()
         stroke(page, "axial", [off(middle, 0, 1.0, 0)], affine)
-        page.saved(9)
+        page.saved(10)
         whole = path.read_bytes()
-        for count in range(8, -1, -1):
+        for count in range(9, -1, -1):
             page.tab.keyboard.press("Control+z")
             page.saved(count)
         assert path.read_text().count("[[") == 0
-        for count in range(1, 10):
+        for count in range(1, 11):
             page.tab.keyboard.press("Control+y")
             page.saved(count)
         assert path.read_bytes() == whole

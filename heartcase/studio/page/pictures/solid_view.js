@@ -1,6 +1,6 @@
 /** The structures as solids, seen from outside: which way one looks, and how finely it is drawn. */
 
-import { Camera, plus, turntable } from "./geometry.js";
+import { Camera, dot, plus, turntable } from "./geometry.js";
 
 /** @typedef {import("./geometry.js").Vector} Vector */
 /** @typedef {import("./geometry.js").Lattice} Lattice */
@@ -59,10 +59,12 @@ export class SolidView {
    * @param {number} y
    * @param {Lattice} lattice
    * @param {Volume} volume
+   * @param {Vector | null} through what lies in front of this position is cut away
    */
-  surfaceAt(x, y, lattice, volume) {
+  surfaceAt(x, y, lattice, volume, through = null) {
     const extent = lattice.spacing.reduce((sum, one, a) => sum + one * lattice.size[a], 0);
-    const from = plus(this.camera.toMm(x, y, lattice.centre), this.look, -extent);
+    const seen = this.camera.toMm(x, y, lattice.centre);
+    const from = plus(seen, this.look, through ? dot(plus(through, seen, -1), this.look) : -extent);
     const voxel = volume.firstSolid(lattice.toIndex(from), lattice.turnedToIndex(this.look), 2 * extent);
     return voxel && lattice.toWorld(voxel);
   }

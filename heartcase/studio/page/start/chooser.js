@@ -5,7 +5,7 @@ import { figure, isWord, language, say } from "../shared/words.js";
 
 /** @typedef {import("../shared/connection.js").Message} Message */
 /** @typedef {import("./start.js").Request} Request */
-/** @typedef {(request: Request, then?: (answer: Message) => void) => Promise<void>} Ask */
+/** @typedef {(request: Request, then?: (answer: Message) => void, isQuiet?: boolean) => Promise<void>} Ask */
 /** @typedef {{name: string, kind: string}} Entry */
 
 /** @param {string} id */
@@ -55,14 +55,14 @@ export class Chooser {
   }
 
   /** List the series of the folder that is shown. */
-  look() {
-    this.#look(this.folder, this.#parent ?? this.folder);
+  look(isQuiet = false) {
+    this.#look(this.folder, this.#parent ?? this.folder, isQuiet);
   }
 
-  /** @param {string} path @param {string} beside */
-  #look(path, beside) {
+  /** @param {string} path @param {string} beside @param {boolean} [isQuiet] */
+  #look(path, beside, isQuiet = false) {
     this.series.hide();
-    void this.ask({ do: "look", path }, (answer) => this.series.show(path, beside, answer.series));
+    void this.ask({ do: "look", path }, (answer) => this.series.show(path, beside, answer.series), isQuiet);
   }
 
   /** @param {Message} answer */

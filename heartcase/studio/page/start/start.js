@@ -47,8 +47,9 @@ const connection = new Connection(url.href, hear, () => undefined, (error) => co
  * Ask, and say what comes of it.
  * @param {Request} request
  * @param {(answer: Message) => void} [then]
+ * @param {boolean} [isQuiet] whether a refusal goes without a word: nobody asked
  */
-async function ask(request, then) {
+async function ask(request, then, isQuiet = false) {
   tell(() => [document.createTextNode(say("start_working"))]);
   document.body.dataset.busy = "true";
   try {
@@ -57,7 +58,7 @@ async function ask(request, then) {
     if (answer.kind === "go") location.assign(answer.address);
     else then?.(answer);
   } catch (error) {
-    if (error instanceof Refused) tell(() => problemLines(error.problems));
+    if (error instanceof Refused) tell(() => (isQuiet ? [] : problemLines(error.problems)));
     else if (error instanceof Lost) tell(() => []);
     else throw error;
   } finally {
@@ -81,7 +82,7 @@ function hear(message) {
   history.replaceState(null, "", "/");
   void chooser.go(null).then(() => {
     if (wasClosed) tell(() => [document.createTextNode(say("start_closed"))]);
-    else if (message.looks) chooser.look();
+    else if (message.looks) chooser.look(true);
   });
 }
 

@@ -8,8 +8,8 @@ const KEY_DEGREES = 15;
 /** After the last movement it is drawn in full. */
 const SETTLE_MS = 180;
 
-/** @param {Views} views @param {Studio} studio */
-export function runTurning(views, studio) {
+/** @param {Views} views @param {Studio} studio @param {() => void} onClick the slices went where a click took them */
+export function runTurning(views, studio, onClick) {
   const view = views.solid;
   const { surface, camera } = view;
   /** @type {Map<number, {x: number, y: number}>} */
@@ -59,8 +59,11 @@ export function runTurning(views, studio) {
     const lattice = studio.lattice.value;
     if (!isClick || lattice === null || views.volume === null) return;
     const box = surface.getBoundingClientRect();
-    const mm = view.surfaceAt(event.clientX - box.left, event.clientY - box.top, lattice, views.volume);
-    if (mm) views.lookAt(mm);
+    const through = views.surfaceShown && views.surfaceCut ? studio.crosshair.value : null;
+    const mm = view.surfaceAt(event.clientX - box.left, event.clientY - box.top, lattice, views.volume, through);
+    if (!mm) return;
+    views.lookAt(mm);
+    onClick();
   };
   surface.addEventListener("pointerup", up);
   surface.addEventListener("pointercancel", up);
