@@ -134,7 +134,7 @@ def _document(data: str) -> bytes:
             "img-src data: blob:",
         ]
     )
-    document = (_PAGE / "offline" / "offline.html").read_text(encoding="utf-8")
+    document = (Path(__file__).parent / "offline.html").read_text(encoding="utf-8")
     for name, content in (("POLICY", policy), ("STYLE", style), ("SCRIPT", script), ("DATA", data)):
         before, after = document.split(f">{name}<" if name != "POLICY" else f'"{name}"')
         around = ('"', '"') if name == "POLICY" else (">", "<")
