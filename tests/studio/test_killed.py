@@ -16,8 +16,8 @@ LATEST_S = 1.2
 
 
 def stroke_of(drawn, middle):
-    far = 6.0
-    points = [[round(m + drawn.uniform(-far, far), 3) for m in middle] for _ in range(4)]
+    # within the scan
+    points = [[round(m + drawn.uniform(-4.0, 4.0), 3) for m in middle] for _ in range(4)]
     label = drawn.choice(("aorta", "background", "left ventricle"))
     return {"label": label, "radius_mm": drawn.choice((1.0, 2.0)), "points_mm": points}
 
