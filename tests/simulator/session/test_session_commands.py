@@ -163,7 +163,7 @@ def test_each_refusal_is_a_line(case_path, recorded, script, tmp_path, capsys):
         (["record", str(case_path), "--out", str(recorded)], "something at this path already"),
         (["record", str(case_path), "--out", str(tmp_path / "no" / "x.recording")], "make it first"),
         (["record", str(case_path), "--state-every", "nan", *out], "must be numbers"),
-        (["export", str(case_path), "--recording", str(recorded), "-o", str(tmp_path / "x.stl")], ".glb, .html, .gif, .mp4"),
+        (["export", str(case_path), "--recording", str(recorded), "-o", str(tmp_path / "x.stl")], ".html, .gif, .mp4"),
         (["export", str(case_path), "--recording", str(damaged), "-o", str(tmp_path / "x.glb")], "was cut short"),
         (["preview", str(recorded), "--out", str(tmp_path / "x.png")], "a recording is shown in motion"),
         (["export", str(case_path), "--error-mm", "1", "-o", str(tmp_path / "x.stl")], "--error-mm: serves only"),
