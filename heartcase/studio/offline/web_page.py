@@ -62,17 +62,20 @@ def web_page(case: Case, recordings: Sequence[Recorded] = (), *, frames_per_seco
     assert case.triangle_structures is not None
     structures = Structures(case.manifest, case.triangle_structures)
     start = moment_of(OperatingSession(Simulation(case.model, surface=case.surface)))
-    parts = [topology_message(1, start, structures.of(start)), _springs(case)]
-    table = []
-    for recording in recordings:
-        found = _messages(recording.moments, structures)
-        frame_count = sum(is_frame for is_frame, _ in found)
-        facts = {"name": recording.name, "first": len(parts), "count": frame_count}
-        table.append(facts | {"topologies": len(found) - frame_count})
-        parts += [message for _, message in found]
-    contents = {"facts": _facts(case, structures, frames_per_second), "lengths": [len(part) for part in parts]}
-    head = json.dumps(contents | {"recordings": table}, allow_nan=False).encode()
-    data = b"".join([len(head).to_bytes(4, "little"), head, *parts])
+    parts = _Parts()
+    first = [parts.number(topology_message(1, start, structures.of(start))), parts.number(_springs(case))]
+    table = [
+        {"name": recording.name, "parts": [parts.number(one) for one in _messages(recording.moments, structures)]}
+        for recording in recordings
+    ]
+    contents = {
+        "facts": _facts(case, structures, frames_per_second),
+        "lengths": [len(part) for part in parts.all],
+        "case": first,
+        "recordings": table,
+    }
+    head = json.dumps(contents, allow_nan=False).encode()
+    data = b"".join([len(head).to_bytes(4, "little"), head, *parts.all])
     return _document(base64.b64encode(zlib.compress(data, 9)).decode("ascii"))
 
 
@@ -105,21 +108,37 @@ def _springs(case: Case) -> bytes:
     return packed({"kind": "springs", "facts": facts}, found)
 
 
-def _messages(moments: Iterable[LiveFrame], structures: Structures) -> list[tuple[bool, bytes]]:
-    """Topologies and frames of some moments, as a page that has shown none of them takes them; which are frames."""
-    found: list[tuple[bool, bytes]] = []
+def _messages(moments: Iterable[LiveFrame], structures: Structures) -> list[bytes]:
+    """Topologies and frames of some moments, as a page that has shown none of them takes them."""
+    found: list[bytes] = []
     shown, sent, number = None, None, 0
     for moment in moments:
         if shown is None or moment.surface is not shown.surface or moment.frame.model is not shown.frame.model:
             number += 1
-            found.append((False, topology_message(number, moment, structures.of(moment))))
+            found.append(topology_message(number, moment, structures.of(moment)))
             if shown is None or moment.frame.model.node_count != shown.frame.model.node_count:
                 sent = None
         rounded = Rounded.of(moment.frame.state.displacement, SCALE_LEAST if sent is None else sent.scale)
         header = {"frame": len(found), "topology": number} | described(moment)
-        found.append((True, frame_message(header, rounded, sent, dict(patch_arrays(moment)))))
+        found.append(frame_message(header, rounded, sent, dict(patch_arrays(moment))))
         shown, sent = moment, rounded
     return found
+
+
+class _Parts:
+    """Messages of the file, each once."""
+
+    def __init__(self) -> None:
+        self.all: list[bytes] = []
+        self._numbers: dict[bytes, int] = {}
+
+    def number(self, part: bytes) -> int:
+        """Where a message is in the file."""
+        digest = hashlib.sha256(part).digest()
+        if digest not in self._numbers:
+            self._numbers[digest] = len(self.all)
+            self.all.append(part)
+        return self._numbers[digest]
 
 
 def _document(data: str) -> bytes:

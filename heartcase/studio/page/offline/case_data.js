@@ -3,9 +3,9 @@
 import { unpack } from "../shared/connection.js";
 
 /** @typedef {import("../shared/connection.js").Package} Package */
-/** A recording: its first part, how many pictures it has, and how many parts are topologies. */
-/** @typedef {{name: string, first: number, count: number, topologies: number}} Recording */
-/** @typedef {{facts: Record<string, any>, parts: Package[], recordings: Recording[]}} CaseData */
+/** A recording: which parts of the file it is, in order. */
+/** @typedef {{name: string, parts: number[]}} Recording */
+/** @typedef {{facts: Record<string, any>, parts: Package[], case: number[], recordings: Recording[]}} CaseData */
 
 /** @param {string} text base64 */
 function bytesOf(text) {
@@ -24,7 +24,7 @@ export async function readCase(text) {
   const stream = new Blob([bytesOf(text)]).stream().pipeThrough(new DecompressionStream("deflate"));
   const data = await new Response(stream).arrayBuffer();
   const size = new DataView(data).getUint32(0, true);
-  const { facts, lengths, recordings } = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, size)));
+  const { facts, lengths, recordings, case: first } = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, size)));
   let at = 4 + size;
   /** @type {Package[]} */
   const parts = [];
@@ -33,5 +33,5 @@ export async function readCase(text) {
     parts.push(await unpack(data.slice(at, at + length)));
     at += length;
   }
-  return { facts, parts, recordings };
+  return { facts, parts, case: first, recordings };
 }

@@ -51,12 +51,12 @@ async function run() {
   const { facts } = data;
   /** @type {[import("../operating/camera.js").Vector, import("../operating/camera.js").Vector]} */
   const box = facts.box_mm;
-  const [topology, springs] = data.parts;
+  const [topology, springs] = data.case.map((number) => data.parts[number]);
   /** @type {LocalHands | null} */
   let hands = null;
   /** @type {SpringEngine | null} */
   let engine = null;
-  /** @type {{recording: Recording, at: number, isRunning: boolean, since: number} | null} */
+  /** @type {{moments: Package[][], at: number, isRunning: boolean, since: number} | null} */
   let played = null;
   let stillPictures = 0;
   let isStepping = false;
@@ -189,9 +189,9 @@ async function run() {
     if (recording === undefined) return;
     leaveTools();
     showStart();
-    played = { recording, at: -1, isRunning: true, since: performance.now() };
+    played = { moments: momentsOf(recording), at: -1, isRunning: true, since: performance.now() };
     find("time-bar").hidden = false;
-    /** @type {HTMLInputElement} */ (find("time")).max = String(recording.count - 1);
+    /** @type {HTMLInputElement} */ (find("time")).max = String(played.moments.length - 1);
     showMoment(0);
     void playOn();
   }
@@ -204,8 +204,7 @@ async function run() {
   /** @param {number} at */
   function showMoment(at) {
     if (played === null) return;
-    const { recording } = played;
-    const moments = momentsOf(recording);
+    const { moments } = played;
     // what a picture changes of the one before: those between are gone through, from the start where it lies behind
     if (at < played.at) played.at = -1;
     for (let n = played.at + 1; n <= at; n++) {
@@ -231,7 +230,7 @@ async function run() {
   function momentsOf(recording) {
     /** @type {Package[][]} */
     const moments = [[]];
-    for (const part of data.parts.slice(recording.first, recording.first + recording.count + recording.topologies)) {
+    for (const part of recording.parts.map((number) => data.parts[number])) {
       moments.at(-1)?.push(part);
       if (part.header.kind === "frame") moments.push([]);
     }
@@ -244,9 +243,9 @@ async function run() {
       await new Promise((resolve) => requestAnimationFrame(resolve));
       if (!played?.isRunning) break;
       const due = Math.floor(((performance.now() - played.since) / 1000) * facts.frames_per_second);
-      const at = Math.min(due, played.recording.count - 1);
+      const at = Math.min(due, played.moments.length - 1);
       if (at > played.at) showMoment(at);
-      if (at === played.recording.count - 1) played.isRunning = false;
+      if (at === played.moments.length - 1) played.isRunning = false;
     }
     tellPlaying();
   }
@@ -257,10 +256,10 @@ async function run() {
 
   function playOrPause() {
     if (played === null) return;
-    const { recording, at } = played;
+    const { moments, at } = played;
     played.isRunning = !played.isRunning;
     if (played.isRunning) {
-      const from = at >= recording.count - 1 ? 0 : at;
+      const from = at >= moments.length - 1 ? 0 : at;
       played.since = performance.now() - (1000 * from) / facts.frames_per_second;
       if (from === 0) showMoment(0);
       void playOn();
