@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
+import secrets
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,6 +17,9 @@ TEMPORARY_PREFIX = ".heartcase-tmp-"
 
 LEFTOVER_AGE_S = 3600.0
 
+_UNFINISHED: set[str] = set()
+"""Names of the files that this process is writing."""
+
 LOCK_NAME = ".heartcase-lock"
 """Lock file inside a directory, on systems that cannot lock the directory itself."""
 
@@ -23,9 +27,11 @@ LOCK_NAME = ".heartcase-lock"
 def atomic_write(path: Path | str, data: bytes | memoryview) -> None:
     """Put ``data`` into a file: written beside it under another name, flushed to disk, then renamed over it."""
     path = Path(path)
-    temporary = path.with_name(f"{TEMPORARY_PREFIX}{os.getpid()}-{path.name}")
+    # Nobody can guess the name, so nobody can have put a link there; nor does another thread write under it.
+    temporary = path.with_name(f"{TEMPORARY_PREFIX}{os.getpid()}-{secrets.token_hex(4)}-{path.name}")
+    _UNFINISHED.add(temporary.name)
     try:
-        with temporary.open("wb") as file:
+        with temporary.open("xb") as file:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
@@ -34,6 +40,8 @@ def atomic_write(path: Path | str, data: bytes | memoryview) -> None:
         with contextlib.suppress(OSError):
             temporary.unlink()
         raise
+    finally:
+        _UNFINISHED.discard(temporary.name)
     _flush_directory(path.parent)
 
 
@@ -57,8 +65,10 @@ def remove_leftovers(directory: Path | str) -> None:
 
 def _is_being_written(temporary: Path) -> bool:
     process, _, _ = temporary.name.removeprefix(TEMPORARY_PREFIX).partition("-")
-    if not process.isdecimal() or int(process) == os.getpid():
+    if not process.isdecimal():
         return False
+    if int(process) == os.getpid():
+        return temporary.name in _UNFINISHED
     if os.name != "posix":
         # There is no harmless way to ask for a process by its number, so age decides.
         with contextlib.suppress(OSError):

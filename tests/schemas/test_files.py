@@ -62,3 +62,29 @@ def test_a_lock_keeps_another_process_waiting(tmp_path):
 def test_the_hash_is_sha256(tmp_path):
     (tmp_path / "a").write_bytes(b"abc")
     assert sha256_of_file(tmp_path / "a") == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+
+
+def test_a_link_that_lies_in_wait_is_not_written_through(tmp_path, monkeypatch):
+    victim, folder = tmp_path / "victim", tmp_path / "folder"
+    victim.write_bytes(b"mine")
+    folder.mkdir()
+    # every name that can be guessed, and the one that is drawn
+    monkeypatch.setattr("heartcase.schemas.files.secrets.token_hex", lambda size: "0" * 2 * size)
+    for name in (f"{os.getpid()}-a", f"{os.getpid()}-00000000-a"):
+        (folder / f"{TEMPORARY_PREFIX}{name}").symlink_to(victim)
+    with pytest.raises(FileExistsError):
+        atomic_write(folder / "a", b"new")
+    assert victim.read_bytes() == b"mine"
+
+
+def test_what_this_process_writes_is_no_leftover(tmp_path, monkeypatch):
+    seen = []
+
+    def look(_descriptor):
+        remove_leftovers(tmp_path)
+        seen.append(list(tmp_path.glob(f"{TEMPORARY_PREFIX}*")))
+
+    monkeypatch.setattr(os, "fsync", look)
+    atomic_write(tmp_path / "a", b"x")
+    assert len(seen[0]) == 1
+    assert (tmp_path / "a").read_bytes() == b"x"

@@ -52,14 +52,19 @@ def started(recipe):
             process.kill()
 
 
-@contextmanager
-def connected(address):
-    """A page of it, which has the recipe open."""
+def entered(address):
+    """Where the printed address leads to, and the headers that show that one came by it."""
     cookies = http.cookiejar.CookieJar()
     opener = urllib.request.build_opener(urllib.request.HTTPCookieProcessor(cookies))
     with opener.open(address, timeout=60) as found:
         place = urlsplit(found.url)
-    header = {"Cookie": "; ".join(f"{one.name}={one.value}" for one in cookies)}
+    return place, {"Cookie": "; ".join(f"{one.name}={one.value}" for one in cookies)}
+
+
+@contextmanager
+def connected(address):
+    """A page of it, which has the recipe open."""
+    place, header = entered(address)
     # what is open is named by the end of the page's address
     path = f"/socket/{place.path.rpartition('/')[2]}".rstrip("/")
     url = f"ws://{place.netloc}{path}"

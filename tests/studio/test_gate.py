@@ -35,6 +35,8 @@ def test_the_token_gives_a_cookie_that_scripts_and_other_sites_cannot_use(browse
     answer = browser.get("/", params={"token": TOKEN})
     assert (answer.status_code, answer.headers["location"]) == (303, "/")
     assert {"HttpOnly", "SameSite=Strict"} <= set(answer.headers["set-cookie"].split("; "))
+    # every server of this machine is sent it
+    assert TOKEN not in answer.headers["set-cookie"]
 
 
 @pytest.mark.parametrize(
@@ -57,7 +59,7 @@ def test_other_hosts_and_origins_are_refused_with_the_cookie_too(browser, header
         pass
 
 
-@pytest.mark.parametrize("cookie", [None, "wrong"])
+@pytest.mark.parametrize("cookie", [None, "wrong", TOKEN])
 def test_a_socket_needs_the_cookie_and_an_origin(browser, cookie):
     with pytest.raises(WebSocketDisconnect), browser.websocket_connect(socket_of(browser)):
         pass

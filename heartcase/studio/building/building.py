@@ -16,7 +16,8 @@ from pydantic import TypeAdapter
 from heartcase.library.progress import MAKING_THE_SCAN
 from heartcase.pipeline.stages.table import steps
 from heartcase.schemas.base import Model, PointMm
-from heartcase.schemas.bundle.approval import approve_case, report_beside
+from heartcase.schemas.bundle.approval import approve_case, bundle_sha256, report_beside
+from heartcase.schemas.bundle.format import MANIFEST_NAME
 from heartcase.schemas.errors import BundleError, HeartcaseError, UsageError
 from heartcase.schemas.files import atomic_write, remove_leftovers
 from heartcase.schemas.recipe.recipe import parse_recipe, read_recipe_text
@@ -268,9 +269,29 @@ class Building:
         except HeartcaseError:
             return None
 
+    def _case_stamp(self) -> tuple[int, int] | None:
+        """When the case was replaced last, and its size there; None where there is none."""
+        if self._last_case is None:
+            return None
+        try:
+            found = (self._last_case / MANIFEST_NAME).stat()
+        except OSError:
+            return None
+        return found.st_mtime_ns, found.st_size
+
+    def _is_case_new(self) -> bool:
+        """Whether the case is another one than that whose figures are shown."""
+        case = self._case()
+        if case is None:
+            return False
+        try:
+            return self._outcome is None or bundle_sha256(case) != self._outcome.sha256
+        except HeartcaseError:
+            return False
+
     async def _watch(self) -> None:
-        """Tell when the recipe is no longer what the case was built from, and when it is again."""
-        seen = None
+        """Tell when the recipe is no longer what the case was built from, or is again, and of a case built elsewhere."""
+        seen, seen_case = None, self._case_stamp()
         while True:
             with contextlib.suppress(OSError):
                 found = self._recipe.stat()
@@ -281,6 +302,13 @@ class Building:
                     if sha256 != self._recipe_sha256:
                         self._recipe_sha256 = sha256
                         self._tell()
+            case_stamp = self._case_stamp()
+            if case_stamp != seen_case and self._process is None:
+                seen_case = case_stamp
+                if await self._run(self._is_case_new):
+                    self._built_from = None
+                    await self._run(self._look_at_case)
+                    self._tell()
             await asyncio.sleep(_LOOK_EVERY_S)
 
     def _state(self) -> str:

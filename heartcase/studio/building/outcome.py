@@ -50,25 +50,28 @@ def outcome_of(case: Path, places_mm: Mapping[str, Sequence[Point]] | None = Non
     try:
         sha256 = bundle_sha256(case)
         manifest = open_bundle(case).manifest
-    except HeartcaseError:
+        return Outcome(sha256, _figures(case, manifest, sha256, places_mm or {}), places_mm or {})
+    except (HeartcaseError, AttributeError, KeyError, TypeError, ValueError):
+        # also one whose figures are not what builds write
         return None
-    return Outcome(
-        sha256,
-        {
-            "sha256": sha256,
-            "name": manifest.name,
-            "notice": manifest.notice,
-            "warnings": _warnings(manifest, places_mm or {}),
-            "volumes_ml": _volumes(manifest),
-            "openings": _openings(manifest),
-            "node_count": manifest.simulation.node_count,
-            "cell_mm": manifest.simulation.cell_mm,
-            "tissue_volume_ml": manifest.simulation.tissue_volume_ml,
-            "approval": _approval(case),
-            "has_report": _has_report(case, sha256),
-        },
-        places_mm or {},
-    )
+
+
+def _figures(
+    case: Path, manifest: CaseManifest, sha256: str, places_mm: Mapping[str, Sequence[Point]]
+) -> dict[str, Any]:
+    return {
+        "sha256": sha256,
+        "name": manifest.name,
+        "notice": manifest.notice,
+        "warnings": _warnings(manifest, places_mm),
+        "volumes_ml": _volumes(manifest),
+        "openings": _openings(manifest),
+        "node_count": manifest.simulation.node_count,
+        "cell_mm": manifest.simulation.cell_mm,
+        "tissue_volume_ml": manifest.simulation.tissue_volume_ml,
+        "approval": _approval(case),
+        "has_report": _has_report(case, sha256),
+    }
 
 
 def _warnings(manifest: CaseManifest, told: Mapping[str, Sequence[Point]]) -> list[dict[str, Any]]:

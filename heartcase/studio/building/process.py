@@ -12,8 +12,16 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
+import heartcase
+
 __all__ = ["BuildProcess"]
 
+_ROOT = Path(heartcase.__file__).parents[1]
+_RUN = (
+    "import runpy, sys; sys.path.append(sys.argv[1]); "
+    "runpy.run_module('heartcase.studio.building.work', run_name='__main__')"
+)
+"""The package is found also where this process found it: in a checkout that is not installed."""
 _LINE_LENGTH_MAX = 1 << 24
 """Bytes of a line at most: warnings may have many places."""
 
@@ -38,8 +46,11 @@ class BuildProcess:
         """Start it, and tell what it tells until it has ended."""
         process = await asyncio.create_subprocess_exec(
             sys.executable,
-            "-m",
-            "heartcase.studio.building.work",
+            # modules that lie in the folder that the studio was started in are none of ours
+            "-P",
+            "-c",
+            _RUN,
+            str(_ROOT),
             stdin=asyncio.subprocess.PIPE,
             stdout=asyncio.subprocess.PIPE,
             stderr=None if os.environ.get("HEARTCASE_DEBUG") else asyncio.subprocess.DEVNULL,

@@ -137,16 +137,21 @@ async def _serve_page(websocket: WebSocket, place: Place) -> None:
 
 
 async def _forget(place: Place, page: Page, joined: asyncio.Task[None]) -> None:
-    with contextlib.suppress(asyncio.CancelledError):
+    with contextlib.suppress(asyncio.CancelledError, Exception):
         await joined
     await place.leave(page)
 
 
 async def _send(websocket: WebSocket, page: Page) -> None:
     with contextlib.suppress(WebSocketDisconnect, RuntimeError):
-        while (message := await page.waiting.get()) is not None:
-            if isinstance(message, str):
-                await websocket.send_text(message)
-            else:
-                await websocket.send_bytes(message)
+        try:
+            while (message := await page.waiting.get()) is not None:
+                if isinstance(message, str):
+                    await websocket.send_text(message)
+                else:
+                    await websocket.send_bytes(message)
+        except ValueError:
+            # A text that cannot be sent: the page connects anew rather than waiting for what never comes.
+            await websocket.close(1011)
+            return
         await websocket.close(1013)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hmac
 import re
+import secrets
 from urllib.parse import parse_qs
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -53,6 +54,8 @@ class Gate:
         self._app = app
         self._token = token
         self._cookie = f"heartcase-{port}"
+        # Browsers send cookies to every server of this machine: the token itself is in none.
+        self._pass = secrets.token_urlsafe(24)
         self._hosts = {f"{name}:{port}" for name in ("127.0.0.1", "localhost")}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -74,7 +77,7 @@ class Gate:
             await _answer(send, 403, "This address is not the studio's own.")
         elif self._asks_with_token(scope):
             flags = "Path=/; HttpOnly; SameSite=Strict"
-            cookie = ("set-cookie", f"{self._cookie}={self._token}; {flags}")
+            cookie = ("set-cookie", f"{self._cookie}={self._pass}; {flags}")
             await _answer(send, 303, "", cookie, ("location", scope["path"]))
         elif not self._is_known(headers):
             await _answer(send, 403, "Open the address that heartcase studio printed: it has the key to this page.")
@@ -90,7 +93,7 @@ class Gate:
     def _is_known(self, headers: dict[str, str]) -> bool:
         for part in headers.get("cookie", "").split(";"):
             name, _, value = part.strip().partition("=")
-            if name == self._cookie and hmac.compare_digest(value.encode(), self._token.encode()):
+            if name == self._cookie and hmac.compare_digest(value.encode(), self._pass.encode()):
                 return True
         return False
 

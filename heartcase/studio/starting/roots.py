@@ -38,10 +38,10 @@ class Roots:
 
     @classmethod
     def of(cls, folders: Sequence[Path]) -> Roots:
-        """Those of these folders that are there, each once, and none that lies in another one."""
+        """Those of these folders that are there and have a name that is text, each once, and none in another one."""
         found: list[Path] = []
         for folder in dict.fromkeys(one.resolve() for one in folders):
-            if folder.is_dir() and not any(folder.is_relative_to(one) for one in found):
+            if folder.is_dir() and _is_text(str(folder)) and not any(folder.is_relative_to(one) for one in found):
                 found.append(folder)
         return cls(tuple(found))
 
@@ -135,6 +135,9 @@ def _kind(entry: os.DirEntry[str]) -> str | None:
         if entry.is_dir():
             is_case = name.endswith(".case") or (Path(entry.path) / MANIFEST_NAME).is_file()
             return "case" if is_case else "folder"
+        if not entry.is_file():
+            # whoever opens a pipe waits for one who writes into it
+            return None
         if name.endswith(".toml"):
             return "recipe" if b"heartcase_recipe" in _first_bytes(entry.path) else None
         if name.endswith(_SCANS):

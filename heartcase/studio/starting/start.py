@@ -105,8 +105,9 @@ class Start:
                 found = {"kind": "go", "address": self._open(found)}
             page.send(text_message(found.pop("kind"), id=request.id, **found))
             if isinstance(request, Reopen) and request.do == "forget":
+                greeting = await self._run(self._greeting)
                 for one in self._pages:
-                    one.send(await self._run(self._greeting))
+                    one.send(greeting)
         except Exception as error:
             page.send(text_message("refused", id=request_id(text), problems=problems_of(told(error))))
 

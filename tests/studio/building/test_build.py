@@ -1,5 +1,6 @@
 """Building as the page drives it: stages, problems, what came of it, approval; and what a killed server leaves."""
 
+import asyncio
 import json
 import os
 import re
@@ -7,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import psutil
@@ -21,8 +23,10 @@ from heartcase.schemas.bundle.check import check_bundle
 from heartcase.schemas.bundle.reader import open_bundle
 from heartcase.schemas.files import TEMPORARY_PREFIX
 from heartcase.studio.building.outcome import outcome_of
+from heartcase.studio.building.process import BuildProcess
 from tests.ball import write_ball_recipe, write_ball_scan
 from tests.cli.small_case import write_case
+from tests.studio.process import entered
 from tests.studio.talking import TOKEN, line, page, studio
 
 MUSCLE_STROKE = '\n[[strokes]]\nlabel = "muscle"\nradius_mm = 1.0\npoints_mm = [[12, 12, 0]]\n'
@@ -216,15 +220,15 @@ def test_a_server_that_ends_ends_its_build_and_leaves_the_old_case_whole(copy, e
     copy.write_text(copy.read_text() + MUSCLE_STROKE)
     command = [sys.executable, "-m", "heartcase", "studio", str(copy), "--out", str(out), "--no-browser"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
-        host, key, token = re.search(r"http://(\S+)/prepare/(\S+)\?token=(\S+)", server.stdout.readline()).groups()
-        port = host.partition(":")[2]
-        headers = {"Cookie": f"heartcase-{port}={token}"}
+        address = re.search(r"http://\S+", server.stdout.readline())[0]
+        host, key = re.search(r"http://(\S+)/prepare/(\S+)\?", address).groups()
+        _, headers = entered(address)
         with connect(f"ws://{host}/building/{key}", origin=f"http://{host}", additional_headers=headers) as page:
             page.send('{"id": 1, "do": "build"}')
             while '"computed"' not in page.recv(timeout=60):
                 pass
         builders = psutil.Process(server.pid).children(recursive=True)
-        assert any("heartcase.studio.building.work" in one.cmdline() for one in builders)
+        assert any("heartcase.studio.building.work" in " ".join(one.cmdline()) for one in builders)
         # nobody who looks at the list of processes learns of whom the scan is
         assert not any(str(copy.parent) in " ".join(one.cmdline()) for one in builders)
         server.send_signal(ending)
@@ -240,3 +244,29 @@ def test_a_server_that_ends_ends_its_build_and_leaves_the_old_case_whole(copy, e
 def test_what_a_build_notes_holds_no_path(built):
     path, told = built
     assert str(path.parent) not in json.dumps(told)
+
+
+def test_what_lies_in_the_folder_that_it_was_started_in_is_not_run(copy, monkeypatch):
+    """A folder that came from elsewhere may hold anything."""
+    folder = copy.parent / "came"
+    folder.mkdir()
+    for name in ("tomllib.py", "heartcase.py", "sitecustomize.py"):
+        (folder / name).write_text("open('it_ran', 'w').close()\nraise SystemExit(3)\n")
+    monkeypatch.chdir(folder)
+
+    async def news():
+        return [one async for one in BuildProcess(copy, copy.parent / "out").news()]
+
+    told = asyncio.run(news())
+    assert told
+    assert not (folder / "it_ran").exists()
+
+
+def test_a_case_with_odd_figures_is_none(copy, monkeypatch):
+    case = copy.parent / "out" / "ball.case"
+    assert outcome_of(case) is not None
+    odd = open_bundle(case)
+    quality = dict(odd.manifest.quality) | {"openings": [{"area_mm2": 1.0}]}
+    changed = SimpleNamespace(manifest=odd.manifest.model_copy(update={"quality": quality}))
+    monkeypatch.setattr("heartcase.studio.building.outcome.open_bundle", lambda path: changed)
+    assert outcome_of(case) is None

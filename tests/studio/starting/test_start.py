@@ -73,6 +73,24 @@ def test_a_folder_shows_what_the_studio_opens_and_nothing_else(tmp_path):
     assert Roots.of([tmp_path]).listing(tmp_path / "painted.toml")["chosen"] == "painted.toml"
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes in folders")
+def test_pipes_are_left_alone(tmp_path):
+    """Whoever opens one waits for somebody who writes into it."""
+    for name in ("notes.toml", "1", "scan.nii.gz"):
+        os.mkfifo(tmp_path / name)
+    assert Roots((tmp_path,)).listing(None)["entries"] == []
+
+
+def test_a_folder_whose_name_is_no_text_is_not_shown(tmp_path):
+    """It could not be told to a page."""
+    try:
+        odd = tmp_path / os.fsdecode(b"M\xfcller")
+        odd.mkdir()
+    except OSError:
+        pytest.skip("this system has no such names")
+    assert Roots.of([odd, tmp_path]).folders == (tmp_path,)
+
+
 def test_a_folder_of_many_is_cut_and_says_so(tmp_path):
     for number in range(ENTRY_COUNT_MAX + 7):
         (tmp_path / f"{number}").mkdir()
