@@ -290,7 +290,7 @@ class Building:
             return False
 
     async def _watch(self) -> None:
-        """Tell when the recipe is no longer what the case was built from, or is again, and of a case built elsewhere."""
+        """Tell when the case is older than the recipe, or no longer so, and of a case that was built elsewhere."""
         seen, seen_case = None, self._case_stamp()
         while True:
             with contextlib.suppress(OSError):
