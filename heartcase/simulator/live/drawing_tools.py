@@ -58,7 +58,8 @@ class _DrawingTool(Tool):
 class CutTool(_DrawingTool):
     """A blade along a line that is drawn on the tissue, into it."""
 
-    size: float = 12.0
+    size: float = 6.0
+    """Through the right ventricle's wall or a great vessel's, and not on into what lies behind it, mm."""
     key: ClassVar[str] = "c"
     title: ClassVar[str] = "cut"
     size_words: ClassVar[str] = "depth {:g} mm"

@@ -90,8 +90,8 @@ test("nothing is painted while there is no connection, nor a second stroke durin
   assert.equal(brush.begin([0, 0, 0], false), false);
   studio.ready.value = true;
   assert.ok(brush.begin([0, 0, 0], false));
-  brush.end();
   assert.equal(brush.begin([0, 0, 0], false), false);
+  brush.end();
   assert.equal(sent.length, 1);
 });
 
@@ -132,4 +132,45 @@ test("a lost connection lets the stroke go", async () => {
   assert.equal(studio.stroke.value, null);
   assert.ok(brush.begin([1, 1, 1], false));
   assert.deepEqual(sent.map((request) => request.do), ["paint", "paint"]);
+});
+
+test("a stroke that is drawn while the one before is worked out is not lost", async () => {
+  const { brush, sent, studio, settle, frame, answer } = scene();
+  brush.begin([0, 0, 0], false);
+  brush.end();
+  assert.ok(brush.begin([50, 0, 0], false));
+  brush.extend([[59, 0, 0]]);
+  frame();
+  brush.end();
+  assert.ok(brush.begin([90, 0, 0], true));
+  brush.extend([[99, 0, 0]]);
+  frame();
+  assert.ok(brush.isBusy);
+  assert.deepEqual(sent.map((request) => request.do), ["paint"]);
+  await answer(1);
+  await settle();
+  // the second is whole when its turn comes; the third is still being drawn
+  assert.deepEqual(sent.map((request) => request.do), ["paint", "end", "paint"]);
+  await answer(sent.length);
+  await settle();
+  for (let n = 0; n < 6; n++) {
+    await answer(1).catch(() => undefined);
+    await settle();
+  }
+  brush.extend([[105, 0, 0]]);
+  frame();
+  brush.end();
+  for (let n = 0; n < 6; n++) {
+    await answer(1).catch(() => undefined);
+    await settle();
+  }
+  const strokes = sent.filter((request) => request.do !== "end");
+  assert.deepEqual(
+    strokes.map(({ do: kind, points_mm: points }) => [kind, points.at(-1)[0]]),
+    [["paint", 0], ["paint", 50], ["extend", 59], ["paint", 90], ["extend", 99], ["extend", 105]],
+  );
+  assert.equal(strokes[3].erase, true);
+  assert.equal(sent.filter((request) => request.do === "end").length, 3);
+  assert.equal(brush.isBusy, false);
+  assert.equal(studio.stroke.value, null);
 });

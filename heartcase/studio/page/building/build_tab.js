@@ -32,6 +32,7 @@ export class BuildTab {
   #state = null;
   #since = 0;
   #wasRunning = false;
+  #isAboutApproval = false;
   /** Problems of what was asked for last. @type {readonly Problem[]} */
   #refused = [];
 
@@ -61,6 +62,8 @@ export class BuildTab {
   /** @param {Record<string, unknown> & {do: string}} request */
   async #ask(request) {
     this.#refused = [];
+    // what was wrong with an approval is said beside its button
+    this.#isAboutApproval = request.do === "approve" || request.do === "withdraw";
     try {
       const answer = await this.connection.ask(request);
       if (answer.address) location.assign(answer.address);
@@ -101,7 +104,10 @@ export class BuildTab {
     const isWhole = !isRunning && state.changed !== null;
     const rows = state.steps.filter((one) => one.state !== "waiting" || (one.stage !== "scan" && !isWhole));
     find("build-steps").replaceChildren(...rows.map((one) => stepRow(one)));
-    const problems = [...this.#refused, ...state.problems];
+    const problems = this.#isAboutApproval ? state.problems : [...this.#refused, ...state.problems];
+    const refusals = this.#isAboutApproval ? this.#refused : [];
+    find("approve-problems").hidden = refusals.length === 0;
+    find("approve-problems").replaceChildren(problemList(refusals));
     find("build-problems").hidden = problems.length === 0;
     find("build-problems").replaceChildren(
       element("strong", "", say(state.problems.length > 0 ? "build_failed" : "refused")),

@@ -23,6 +23,8 @@ export class Results {
   #seen = new Set();
   /** Which place of a warning was looked at last. @type {Map<string, number>} */
   #at = new Map();
+  /** Which of its places were. @type {Map<string, Set<number>>} */
+  #shown = new Map();
   /** Told when a warning was looked at. @type {() => void} */
   onSeen = () => undefined;
 
@@ -45,6 +47,7 @@ export class Results {
     const isSame = this.#case?.sha256 === made.sha256;
     if (!isSame) {
       this.#seen.clear();
+      this.#shown.clear();
       this.#at.clear();
     }
     const hadDrawn = isSame && JSON.stringify(this.#beforeMl) === JSON.stringify(beforeMl);
@@ -98,6 +101,10 @@ export class Results {
         this.#at.set(text, at);
         this.views.lookAt(places[at]);
         button.textContent = placeWords(at, places.length);
+        const shown = this.#shown.get(text) ?? new Set();
+        this.#shown.set(text, shown.add(at));
+        // looked at is what was shown at all of its places
+        if (shown.size < places.length) return;
         seen.checked = true;
         this.#see(text, true);
       });

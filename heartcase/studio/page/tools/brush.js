@@ -30,6 +30,11 @@ export class Brush {
   #isBegun = false;
   #isFailed = false;
   #isAsked = false;
+  /**
+   * Strokes that were drawn while the one before was not answered yet: none is lost, and they are painted in their order.
+   * @type {{request: Record<string, unknown> & {do: string}, points: Vector[], erases: boolean, isDown: boolean}[]}
+   */
+  #next = [];
 
   /**
    * @param {Studio} studio
@@ -45,12 +50,18 @@ export class Brush {
   }
 
   get isDown() {
-    return this.#isDown;
+    return this.#isDown || this.#drawn !== null;
   }
 
-  /** Whether a stroke has still to be sent or answered: another one waits for it. */
+  /** The stroke that is being drawn and waits for the one before. */
+  get #drawn() {
+    const last = this.#next.at(-1);
+    return last?.isDown ? last : null;
+  }
+
+  /** Whether a stroke has still to be sent or answered: others wait for it. */
   get isBusy() {
-    return this.#isDown || this.#isEnding;
+    return this.#isDown || this.#isEnding || this.#next.length > 0;
   }
 
   /**
@@ -62,24 +73,36 @@ export class Brush {
   begin(mm, erases) {
     const { studio } = this;
     const label = studio.pickedLabel;
-    if (this.isBusy || !studio.ready.value || (!erases && label === null)) return false;
-    this.#isDown = true;
-    this.#isBegun = this.#isFailed = false;
-    this.#waiting = [];
-    this.#last = mm;
-    studio.stroke.value = { points: [mm], erases };
-    this.#send({
+    if (this.isDown || !studio.ready.value || (!erases && label === null)) return false;
+    const request = {
       do: "paint",
       ...(erases ? { erase: true } : { label: label?.name }),
       radius_mm: studio.radiusMm.value,
       points_mm: [rounded(mm)],
-    });
+    };
+    this.#last = mm;
+    this.#next.push({ request, points: [mm], erases, isDown: true });
+    studio.stroke.value = { points: [mm], erases };
+    if (!this.#isEnding) this.#startNext();
     return true;
+  }
+
+  /** The stroke that waited longest is painted. */
+  #startNext() {
+    const next = this.#next.shift();
+    if (next === undefined) return;
+    this.#isDown = next.isDown;
+    this.#isEnding = !next.isDown;
+    this.#isBegun = this.#isFailed = false;
+    this.#waiting = next.points.slice(1);
+    this.studio.stroke.value = { points: next.points, erases: next.erases };
+    this.#send(next.request);
   }
 
   /** The pointer went on. @param {readonly Vector[]} positions */
   extend(positions) {
-    if (!this.#isDown || this.#isFailed) return;
+    const waits = this.#drawn;
+    if (waits === null && (!this.#isDown || this.#isFailed)) return;
     const { studio } = this;
     const fresh = [];
     for (const mm of positions) {
@@ -88,10 +111,10 @@ export class Brush {
       fresh.push(mm);
     }
     if (fresh.length === 0) return;
-    this.#waiting.push(...fresh);
+    (waits?.points ?? this.#waiting).push(...fresh);
     const stroke = studio.stroke.value;
     if (stroke) studio.stroke.value = { ...stroke, points: [...stroke.points, ...fresh] };
-    if (this.#isAsked) return;
+    if (waits !== null || this.#isAsked) return;
     this.#isAsked = true;
     this.nextFrame(() => {
       this.#isAsked = false;
@@ -101,14 +124,20 @@ export class Brush {
 
   /** The pointer was lifted. */
   end() {
+    const waits = this.#drawn;
+    if (waits !== null) {
+      waits.isDown = false;
+      return;
+    }
     if (!this.#isDown) return;
     this.#isDown = false;
     this.#isEnding = true;
     this.#flush();
   }
 
-  /** The connection was lost: the stroke is let go. */
+  /** The connection was lost: the stroke is let go, and those that waited for it. */
   drop() {
+    this.#next = [];
     this.#isDown = this.#isEnding = this.#isBegun = false;
     this.#waiting = [];
     this.#sent = 0;
@@ -123,6 +152,7 @@ export class Brush {
     if (this.#isBegun) this.ask({ do: "end" }).catch((error) => this.#fail(error));
     this.#isEnding = false;
     this.studio.stroke.value = null;
+    this.#startNext();
   }
 
   /** @param {Record<string, unknown> & {do: string}} request */
