@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from heartcase.schemas.errors import RecordingError, UsageError
+from heartcase.simulator.live.live import Live
 from heartcase.studio.asking import request_id
 from heartcase.studio.messages import problems_of, text_message, told
 from heartcase.studio.operating.requests import (
@@ -41,6 +42,7 @@ T = TypeVar("T")
 _SOFTLY_S = 20.0
 """How long a session goes on at most when nobody looks any more, so that instruments let go, s."""
 _LOOK_S = 0.05
+_BUILT_ANEW = "the case was built anew: this is the new one, and the session on the one before has ended"
 
 
 class Theatre:
@@ -74,17 +76,11 @@ class Theatre:
         page.send(text_message("progress", text="open_case", fraction=None))
         async with self._turn:
             try:
-                if self._stage is None:
-                    self._stage = await self._run(self._open())
-                    self._work = asyncio.create_task(self._show_on())
-                stage = self._stage
-                page.send(text_message("opened", **stage.greeting()))
-                if (picture := stage.picture_message()) is not None:
-                    page.send(picture)
+                stage, _ = await self._newest_stage()
+                self._greet(page, stage)
             except Exception as error:
                 page.send(text_message("failed", problems=self._problems(error)))
                 return
-            self._viewers[page] = Viewer(stage)
             if self._resting is not None:
                 self._resting.cancel()
                 self._resting = None
@@ -92,6 +88,31 @@ class Theatre:
                 self._rests = False
                 stage.live.pause(False)
             self._news.set()
+
+    async def _newest_stage(self) -> tuple[Stage, bool]:
+        """The stage of the case as it lies there now, opened where there is none; whether it took another's place."""
+        before = self._stage
+        if before is not None and await self._run(lambda: before.is_of(self._case)):
+            return before, False
+        stage = self._stage = await self._run(self._open())
+        if before is None:
+            self._work = asyncio.create_task(self._show_on())
+            return stage, False
+        for page in self._viewers:
+            self._greet(page, stage)
+        self._tell(text_message("message", text=_BUILT_ANEW))
+        self._news.set()
+        old = before.live
+        await self._run(before.close)
+        self._tell_all_of(old)
+        return stage, True
+
+    def _greet(self, page: Page, stage: Stage) -> None:
+        """Let a page look at a stage, from its beginning."""
+        page.send(text_message("opened", **stage.greeting()))
+        if (picture := stage.picture_message()) is not None:
+            page.send(picture)
+        self._viewers[page] = Viewer(stage)
 
     async def leave(self, page: Page) -> None:
         """Forget a page. What it led stays where it is, and then lets go softly; with the last page time stands."""
@@ -118,7 +139,12 @@ class Theatre:
                 self._news.set()
                 return
             async with self._turn:
+                # What it looked at when it asked may be closed by now.
+                viewer, stage = self._viewers.get(page), self._stage
+                if viewer is None or stage is None:
+                    raise UsageError("the case is not open", place="case")
                 answer = await self._do(request, viewer, stage)
+                viewer = self._viewers.get(page, viewer)
         except Exception as error:
             page.send(text_message("refused", id=request_id(text), problems=self._problems(error)))
             return
@@ -195,7 +221,10 @@ class Theatre:
                 return {"recordings": await self._run(stage.recordings)}
             case Replay() | Begin():
                 name = request.name if isinstance(request, Replay) else None
+                if name is None and (await self._newest_stage())[1]:
+                    return {}
                 await self._run(lambda: stage.begin() if name is None else stage.replay(name))
+                self._tell_all_of(live)
                 for one in self._viewers.values():
                     one.begin_anew()
                 self._news.set()
@@ -221,29 +250,37 @@ class Theatre:
             if stage is None:
                 return
             live = stage.live
-            for words in live.take_messages():
-                self._tell(text_message("message", text=words))
+            self._tell_all_of(live)
             if live.error is not None:
-                await self._fail(live.error)
-                return
+                if await self._fail(live.error, stage):
+                    return
+                continue
             newest = live.newest
             for page, viewer in tuple(self._viewers.items()):
                 try:
                     messages = await asyncio.get_running_loop().run_in_executor(None, viewer.messages, newest)
                 except Exception as error:
-                    await self._fail(error)
-                    return
-                for message in messages:
-                    page.send(message)
+                    if await self._fail(error, stage):
+                        return
+                    break
+                # Meanwhile it may have been shown another stage.
+                if self._viewers.get(page) is viewer:
+                    for message in messages:
+                        page.send(message)
 
-    async def _fail(self, error: BaseException) -> None:
-        """The session cannot go on: it is told, what is recorded is finished, and who comes next begins anew."""
-        self._tell(text_message("failed", problems=self._problems(error)))
+    async def _fail(self, error: BaseException, stage: Stage) -> bool:
+        """The session cannot go on: it is told, what is recorded is finished, and who comes next begins anew.
+
+        Where another stage took its place meanwhile nothing is done; whether something was.
+        """
         async with self._turn:
-            stage, self._stage = self._stage, None
+            if self._stage is not stage:
+                return self._stage is None
+            self._tell(text_message("failed", problems=self._problems(error)))
+            self._stage = None
             self._viewers.clear()
-            if stage is not None:
-                await self._run(stage.close)
+            await self._run(stage.close)
+            return True
 
     async def _rest(self, stage: Stage) -> None:
         """Nobody looks: when instruments have let go, time stands until somebody does."""
@@ -258,6 +295,11 @@ class Theatre:
 
     async def _run(self, work: Callable[[], T]) -> T:
         return await asyncio.get_running_loop().run_in_executor(self._thread, work)
+
+    def _tell_all_of(self, live: Live) -> None:
+        """Tell what a session has to say."""
+        for words in live.take_messages():
+            self._tell(text_message("message", text=words))
 
     def _tell(self, message: str) -> None:
         for page in self._viewers:
