@@ -64,6 +64,8 @@ class Theatre:
         self._out = out
         self._stage: Stage | None = None
         self._viewers: dict[Page, Viewer] = {}
+        self._waiting: set[Page] = set()
+        self._letting: set[asyncio.Task[None]] = set()
         self._turn = asyncio.Lock()
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="theatre")
         self._news = asyncio.Event()
@@ -74,13 +76,28 @@ class Theatre:
     async def join(self, page: Page) -> None:
         """Show a page the case, and then each moment."""
         page.send(text_message("progress", text="open_case", fraction=None))
+        self._waiting.add(page)
+        # A page that goes meanwhile leaves the case open for the next: nothing that was begun is lost.
+        task = asyncio.create_task(self._let_in(page))
+        self._letting.add(task)
+        task.add_done_callback(self._letting.discard)
+        await asyncio.shield(task)
+
+    async def _let_in(self, page: Page) -> None:
         async with self._turn:
+            if page not in self._waiting:
+                return
             try:
                 stage, _ = await self._newest_stage()
+                if page not in self._waiting:
+                    self._rest_if_alone(stage)
+                    return
                 self._greet(page, stage)
             except Exception as error:
                 page.send(text_message("failed", problems=self._problems(error)))
                 return
+            finally:
+                self._waiting.discard(page)
             if self._resting is not None:
                 self._resting.cancel()
                 self._resting = None
@@ -116,6 +133,7 @@ class Theatre:
 
     async def leave(self, page: Page) -> None:
         """Forget a page. What it led stays where it is, and then lets go softly; with the last page time stands."""
+        self._waiting.discard(page)
         viewer = self._viewers.pop(page, None)
         if viewer is None:
             return
@@ -124,8 +142,7 @@ class Theatre:
             if self._stage is None:
                 return
             await self._update_strain()
-            if not self._viewers and self._resting is None:
-                self._resting = asyncio.create_task(self._rest(self._stage))
+            self._rest_if_alone(self._stage)
 
     async def ask(self, page: Page, text: str) -> None:
         """Do what a page asks for."""
@@ -158,13 +175,14 @@ class Theatre:
 
     async def close(self) -> None:
         """End the session: what was begun is made, and what is recorded is finished."""
+        self._waiting.clear()
         for page in tuple(self._viewers):
             await self.leave(page)
             page.close()
-        for task in (self._resting, self._work):
-            if task is not None:
-                task.cancel()
         async with self._turn:
+            for task in (self._resting, self._work):
+                if task is not None:
+                    task.cancel()
             stage, self._stage = self._stage, None
             if stage is not None:
                 await self._run(stage.close)
@@ -281,6 +299,10 @@ class Theatre:
             self._viewers.clear()
             await self._run(stage.close)
             return True
+
+    def _rest_if_alone(self, stage: Stage) -> None:
+        if not self._viewers and self._resting is None:
+            self._resting = asyncio.create_task(self._rest(stage))
 
     async def _rest(self, stage: Stage) -> None:
         """Nobody looks: when instruments have let go, time stands until somebody does."""
