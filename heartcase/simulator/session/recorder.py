@@ -48,6 +48,7 @@ class Recorder:
             session.advance(100)
 
     Every command is on disk when it is done. Leaving the block finishes the recording, also where an error ends it.
+    ``error`` is why it could not be written any more; None while it can.
 
     Parameters
     ----------
@@ -64,8 +65,6 @@ class Recorder:
     failed
         Called when it cannot be written any more, as on a full disk: the recording has ended then, and the session goes
         on. When left out, what is done raises a :class:`RecordingError` then, and the session is of no more use.
-
-    ``error`` is what ended it so, and None otherwise.
 
     Raises
     ------
