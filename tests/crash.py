@@ -20,10 +20,11 @@ class _Counter:
 
 
 @contextlib.contextmanager
-def crash_after(limit: int):
+def crash_after(limit: int, error: BaseException | type[BaseException] = Crash):
     """Let ``limit`` file operations happen, then raise :class:`Crash` at the next and at all that follow.
 
     Writes are split: the operation that crashes leaves half of its bytes in the file, as a power cut would.
+    With an ``OSError`` the process lives and its disk is full instead.
     """
     counter = _Counter(limit)
 
@@ -31,7 +32,7 @@ def crash_after(limit: int):
         def call(*args, **kwargs):
             if counter.dead or counter.count >= counter.limit:
                 counter.dead = True
-                raise Crash
+                raise error
             counter.count += 1
             return function(*args, **kwargs)
 
@@ -51,7 +52,7 @@ def crash_after(limit: int):
                     self._file.write(bytes(data)[: len(data) // 2])
                     self._file.flush()
                 counter.dead = True
-                raise Crash
+                raise error
             counter.count += 1
             return self._file.write(data)
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from heartcase.schemas.arrays import Float64, Int32
 from heartcase.schemas.bundle.format import CaseManifest
-from heartcase.schemas.errors import HeartcaseError, SimulationError
+from heartcase.schemas.errors import HeartcaseError, RecordingError, SimulationError
 from heartcase.schemas.recording.commands import (
     Act,
     BringProbe,
@@ -239,14 +239,20 @@ class Live:
         except BaseException as error:
             self.error = error
         finally:
-            self._end()
-            self._heard()
+            try:
+                self._end()
+            except BaseException as error:
+                self.error = self.error or error
+            finally:
+                self._heard()
 
     def _end(self) -> None:
         """Make what was begun, and finish what is recorded: no thread and no half-written file is left."""
-        if self.session.frame().coming_cuts:
-            self.session.make_cuts(wait=True)
-        self._finish_recording()
+        try:
+            if self.session.frame().coming_cuts:
+                self.session.make_cuts(wait=True)
+        finally:
+            self._finish_recording()
 
     def _do_asked(self) -> bool:
         """Do what was asked for; whether there was anything."""
@@ -336,14 +342,22 @@ class Live:
 
     def _begin_to_record(self, path: Path) -> None:
         self._finish_recording()
-        self._recorder = Recorder(self.session, path, case=self._manifest)
+        self._recorder = Recorder(self.session, path, case=self._manifest, failed=self._drop_recorder)
         self._messages.append(f"recording into {path.name}")
 
     def _finish_recording(self) -> None:
         recorder, self._recorder = self._recorder, None
         if recorder is not None:
             recorder.finish()
-            self._messages.append(f"recorded in {recorder.path.name}")
+            if recorder.error is None:
+                self._messages.append(f"recorded in {recorder.path.name}")
+
+    def _drop_recorder(self, error: RecordingError) -> None:
+        """The recording ended by itself, and the session goes on."""
+        self._recorder = None
+        self._messages.extend(
+            f"{problem}; the recording ended with what was done by then" for problem in error.problems
+        )
 
     def _begin_to_leave(self, name: str) -> None:
         simulation = self.session.simulation

@@ -429,10 +429,11 @@ class OperatingSession:
     def _write(self, entry: Entry) -> None:
         self.entries.append(entry)
         self.position += 1
-        if self.log is not None:
-            self.log.append(entry)
+        # A log that cannot be written any more leaves the session meanwhile.
+        if (log := self.log) is not None:
+            log.append(entry)
             if isinstance(entry.command, Advance):
-                self.log.keep(self.position, self.simulation)
+                log.keep(self.position, self.simulation)
 
     def _go_to(self, position: int) -> None:
         """Go to where so many entries of the history are done."""

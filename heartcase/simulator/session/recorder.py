@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
+from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from hashlib import sha256
 from pathlib import Path
@@ -47,6 +48,7 @@ class Recorder:
             session.advance(100)
 
     Every command is on disk when it is done. Leaving the block finishes the recording, also where an error ends it.
+    ``error`` is why it could not be written any more; None while it can.
 
     Parameters
     ----------
@@ -60,12 +62,15 @@ class Recorder:
         Simulated time between stored states, s: what a replay is compared with, and may begin from.
     parent
         Where the session took over from another recording: what its ``branch_at`` gives.
+    failed
+        Called when it cannot be written any more, as on a full disk: the recording has ended then, and the session goes
+        on. When left out, what is done raises a :class:`RecordingError` then, and the session is of no more use.
 
     Raises
     ------
     RecordingError
-        There is something at the path, its folder does not exist, or the session began with a lattice that was cut or
-        joined.
+        There is something at the path, its folder does not exist or cannot be written, or the session began with a
+        lattice that was cut or joined. Nothing is left at the path but what was there.
     """
 
     def __init__(
@@ -76,6 +81,7 @@ class Recorder:
         case: CaseManifest | None = None,
         state_every_s: float = STATE_EVERY_S,
         parent: RecordingParent | None = None,
+        failed: Callable[[RecordingError], None] | None = None,
     ) -> None:
         if session.log is not None:
             raise RecordingError("the session is being recorded already", place="recording")
@@ -90,41 +96,56 @@ class Recorder:
         self._is_stored = False
         self._header = _header(session.simulation, start, case, parent)
         self._link = header_hash(self._header)
+        self.error: RecordingError | None = None
+        self._failed: Callable[[RecordingError], None] | None = None
+        self._log: BinaryIO | None = None
         self._make_folder()
-        self._log: BinaryIO | None = (self.path / LOG_NAME).open("xb")
-        self._write_past()
+        try:
+            with self._writing():
+                atomic_write(self.path / HEADER_NAME, header_bytes(self._header))
+                self._log = (self.path / LOG_NAME).open("xb")
+                self._write_past()
+        except RecordingError:
+            self.discard()
+            raise
+        self._failed = failed
         session.log = self
 
     def append(self, entry: Entry) -> None:
         """Write down what was done."""
-        self._write(entry)
+        with self._writing():
+            self._write(entry)
         self._is_stored = False
 
     def go_to(self, position: int) -> None:
         """Write down that the session went back, or on."""
-        self._write(GoToLine(to=position))
+        with self._writing():
+            self._write(GoToLine(to=position))
         self._state_step = self._session.step_count
         self._is_stored = False
 
     def keep(self, position: int, simulation: Simulation) -> None:
         """Store the state of the ``simulation``, where so many entries (``position``) are done, if it is time."""
-        if simulation.step_count - self._state_step >= self._state_steps:
-            self._store(simulation.snapshot())
+        if self._log is not None and simulation.step_count - self._state_step >= self._state_steps:
+            with self._writing():
+                self._store(simulation.snapshot())
 
     def finish(self) -> None:
         """Store the last state, and seal the recording; a second time does nothing."""
         if self._log is None:
             return
         session = self._session
-        if not (self._is_stored or session.is_on_the_way):
-            self._store(session.simulation.snapshot())
-        self._close()
-        end = RecordingEnd(line_count=self._line_count, log_hash=self._link, step=self._session.step_count)
-        atomic_write(self.path / HEADER_NAME, header_bytes(self._header.model_copy(update={"end": end})))
+        with self._writing():
+            if not (self._is_stored or session.is_on_the_way):
+                self._store(session.simulation.snapshot())
+            self._close()
+            end = RecordingEnd(line_count=self._line_count, log_hash=self._link, step=self._session.step_count)
+            atomic_write(self.path / HEADER_NAME, header_bytes(self._header.model_copy(update={"end": end})))
 
     def discard(self) -> None:
         """Stop, and leave nothing behind."""
-        self._close()
+        with contextlib.suppress(OSError):
+            self._close()
         with contextlib.suppress(OSError):
             shutil.rmtree(self.path)
 
@@ -145,7 +166,21 @@ class Recorder:
             raise RecordingError("there is something at this path already: take another name", place="out") from None
         except FileNotFoundError:
             raise RecordingError("the folder of this path does not exist: make it first", place="out") from None
-        atomic_write(self.path / HEADER_NAME, header_bytes(self._header))
+        except OSError as error:
+            raise _unwritable(error) from None
+
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        """What the system refuses ends the recording: told to who wants to hear of it, or raised."""
+        try:
+            yield
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                self._close()
+            self.error = _unwritable(error)
+            if self._failed is None:
+                raise self.error from None
+            self._failed(self.error)
 
     def _write_past(self) -> None:
         """What the session did before it was recorded, with some of its snapshots."""
@@ -178,11 +213,15 @@ class Recorder:
 
     def _close(self) -> None:
         self._session.log = None
-        if self._log is not None:
+        log, self._log = self._log, None
+        if log is not None:
             with contextlib.suppress(OSError):
-                os.fsync(self._log.fileno())
-            self._log.close()
-            self._log = None
+                os.fsync(log.fileno())
+            log.close()
+
+
+def _unwritable(error: OSError) -> RecordingError:
+    return RecordingError(f"cannot be written: {error.strerror or type(error).__name__}", place="recording")
 
 
 def _header(

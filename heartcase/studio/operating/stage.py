@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -9,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from heartcase.schemas.errors import RecordingError
+from heartcase.schemas.bundle.manifest import manifest_bytes
+from heartcase.schemas.errors import HeartcaseError, RecordingError
 from heartcase.schemas.recording.reader import open_recording
 from heartcase.simulator.incisions.strain import vertex_colours
 from heartcase.simulator.live.live import Live, LiveFrame
@@ -43,14 +45,25 @@ class Stage:
         Called by the session's thread when there is a new frame.
     normal_map
         The case's normal map, where it has one.
+    sha256
+        Hash of the case's manifest, which lists the hash of each file; None where it is not known.
     """
 
-    def __init__(self, case: Case, out: Path, heard: Callable[[], None], normal_map: NormalMap | None = None) -> None:
+    def __init__(
+        self,
+        case: Case,
+        out: Path,
+        heard: Callable[[], None],
+        normal_map: NormalMap | None = None,
+        *,
+        sha256: str | None = None,
+    ) -> None:
         assert case.triangle_structures is not None
         self._case = case
         self._out = out
         self._heard = heard
         self.normal_map = normal_map
+        self._sha256 = sha256
         self.structures = Structures(case.manifest, case.triangle_structures)
         self._strain: StrainWorker | None = None
         self._spares = False
@@ -60,6 +73,10 @@ class Stage:
         """End the session; a recording is finished."""
         self.live.close()
         self.show_strain(False)
+
+    def is_of(self, path: Path) -> bool:
+        """Whether the case that lies there now is the one that was loaded; it may have been built anew."""
+        return self._sha256 is not None and _manifest_sha256(path) == self._sha256
 
     def begin(self) -> None:
         """Leave the session, and begin anew with the case as it was built."""
@@ -188,6 +205,18 @@ def open_stage(path: Path, *, out: Path, heard: Callable[[], None]) -> Stage:
     HeartcaseError
         The case cannot be read.
     """
-    case = load_case(path, needs=("surface", "structures", "tissue"))
-    assert case.surface is not None
-    return Stage(case, out, heard, load_normal_map(path, case.surface))
+    while True:
+        sha256 = _manifest_sha256(path)
+        case = load_case(path, needs=("surface", "structures", "tissue"))
+        assert case.surface is not None
+        normal_map = load_normal_map(path, case.surface)
+        # A build may have put another case there meanwhile.
+        if _manifest_sha256(path) == sha256:
+            return Stage(case, out, heard, normal_map, sha256=sha256)
+
+
+def _manifest_sha256(path: Path) -> str | None:
+    try:
+        return hashlib.sha256(manifest_bytes(path)).hexdigest()
+    except (OSError, HeartcaseError):
+        return None

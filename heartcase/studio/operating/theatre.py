@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from heartcase.schemas.errors import RecordingError, UsageError
+from heartcase.simulator.live.live import Live
 from heartcase.studio.asking import request_id
 from heartcase.studio.messages import problems_of, text_message, told
 from heartcase.studio.operating.requests import (
@@ -41,6 +42,7 @@ T = TypeVar("T")
 _SOFTLY_S = 20.0
 """How long a session goes on at most when nobody looks any more, so that instruments let go, s."""
 _LOOK_S = 0.05
+_BUILT_ANEW = "the case was built anew: this is the new one, and the session on the one before has ended"
 
 
 class Theatre:
@@ -62,6 +64,8 @@ class Theatre:
         self._out = out
         self._stage: Stage | None = None
         self._viewers: dict[Page, Viewer] = {}
+        self._waiting: set[Page] = set()
+        self._letting: set[asyncio.Task[None]] = set()
         self._turn = asyncio.Lock()
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="theatre")
         self._news = asyncio.Event()
@@ -72,19 +76,28 @@ class Theatre:
     async def join(self, page: Page) -> None:
         """Show a page the case, and then each moment."""
         page.send(text_message("progress", text="open_case", fraction=None))
+        self._waiting.add(page)
+        # A page that goes meanwhile leaves the case open for the next: nothing that was begun is lost.
+        task = asyncio.create_task(self._let_in(page))
+        self._letting.add(task)
+        task.add_done_callback(self._letting.discard)
+        await asyncio.shield(task)
+
+    async def _let_in(self, page: Page) -> None:
         async with self._turn:
+            if page not in self._waiting:
+                return
             try:
-                if self._stage is None:
-                    self._stage = await self._run(self._open())
-                    self._work = asyncio.create_task(self._show_on())
-                stage = self._stage
-                page.send(text_message("opened", **stage.greeting()))
-                if (picture := stage.picture_message()) is not None:
-                    page.send(picture)
+                stage, _ = await self._newest_stage()
+                if page not in self._waiting:
+                    self._rest_if_alone(stage)
+                    return
+                self._greet(page, stage)
             except Exception as error:
                 page.send(text_message("failed", problems=self._problems(error)))
                 return
-            self._viewers[page] = Viewer(stage)
+            finally:
+                self._waiting.discard(page)
             if self._resting is not None:
                 self._resting.cancel()
                 self._resting = None
@@ -93,8 +106,34 @@ class Theatre:
                 stage.live.pause(False)
             self._news.set()
 
+    async def _newest_stage(self) -> tuple[Stage, bool]:
+        """The stage of the case as it lies there now, opened where there is none; whether it took another's place."""
+        before = self._stage
+        if before is not None and await self._run(lambda: before.is_of(self._case)):
+            return before, False
+        stage = self._stage = await self._run(self._open())
+        if before is None:
+            self._work = asyncio.create_task(self._show_on())
+            return stage, False
+        for page in self._viewers:
+            self._greet(page, stage)
+        self._tell(text_message("message", text=_BUILT_ANEW))
+        self._news.set()
+        old = before.live
+        await self._run(before.close)
+        self._tell_all_of(old)
+        return stage, True
+
+    def _greet(self, page: Page, stage: Stage) -> None:
+        """Let a page look at a stage, from its beginning."""
+        page.send(text_message("opened", **stage.greeting()))
+        if (picture := stage.picture_message()) is not None:
+            page.send(picture)
+        self._viewers[page] = Viewer(stage)
+
     async def leave(self, page: Page) -> None:
         """Forget a page. What it led stays where it is, and then lets go softly; with the last page time stands."""
+        self._waiting.discard(page)
         viewer = self._viewers.pop(page, None)
         if viewer is None:
             return
@@ -103,8 +142,7 @@ class Theatre:
             if self._stage is None:
                 return
             await self._update_strain()
-            if not self._viewers and self._resting is None:
-                self._resting = asyncio.create_task(self._rest(self._stage))
+            self._rest_if_alone(self._stage)
 
     async def ask(self, page: Page, text: str) -> None:
         """Do what a page asks for."""
@@ -118,7 +156,12 @@ class Theatre:
                 self._news.set()
                 return
             async with self._turn:
+                # What it looked at when it asked may be closed by now.
+                viewer, stage = self._viewers.get(page), self._stage
+                if viewer is None or stage is None:
+                    raise UsageError("the case is not open", place="case")
                 answer = await self._do(request, viewer, stage)
+                viewer = self._viewers.get(page, viewer)
         except Exception as error:
             page.send(text_message("refused", id=request_id(text), problems=self._problems(error)))
             return
@@ -132,13 +175,14 @@ class Theatre:
 
     async def close(self) -> None:
         """End the session: what was begun is made, and what is recorded is finished."""
+        self._waiting.clear()
         for page in tuple(self._viewers):
             await self.leave(page)
             page.close()
-        for task in (self._resting, self._work):
-            if task is not None:
-                task.cancel()
         async with self._turn:
+            for task in (self._resting, self._work):
+                if task is not None:
+                    task.cancel()
             stage, self._stage = self._stage, None
             if stage is not None:
                 await self._run(stage.close)
@@ -195,7 +239,10 @@ class Theatre:
                 return {"recordings": await self._run(stage.recordings)}
             case Replay() | Begin():
                 name = request.name if isinstance(request, Replay) else None
+                if name is None and (await self._newest_stage())[1]:
+                    return {}
                 await self._run(lambda: stage.begin() if name is None else stage.replay(name))
+                self._tell_all_of(live)
                 for one in self._viewers.values():
                     one.begin_anew()
                 self._news.set()
@@ -221,29 +268,41 @@ class Theatre:
             if stage is None:
                 return
             live = stage.live
-            for words in live.take_messages():
-                self._tell(text_message("message", text=words))
+            self._tell_all_of(live)
             if live.error is not None:
-                await self._fail(live.error)
-                return
+                if await self._fail(live.error, stage):
+                    return
+                continue
             newest = live.newest
             for page, viewer in tuple(self._viewers.items()):
                 try:
                     messages = await asyncio.get_running_loop().run_in_executor(None, viewer.messages, newest)
                 except Exception as error:
-                    await self._fail(error)
-                    return
-                for message in messages:
-                    page.send(message)
+                    if await self._fail(error, stage):
+                        return
+                    break
+                # Meanwhile it may have been shown another stage.
+                if self._viewers.get(page) is viewer:
+                    for message in messages:
+                        page.send(message)
 
-    async def _fail(self, error: BaseException) -> None:
-        """The session cannot go on: it is told, what is recorded is finished, and who comes next begins anew."""
-        self._tell(text_message("failed", problems=self._problems(error)))
+    async def _fail(self, error: BaseException, stage: Stage) -> bool:
+        """The session cannot go on: it is told, what is recorded is finished, and who comes next begins anew.
+
+        Where another stage took its place meanwhile nothing is done; whether something was.
+        """
         async with self._turn:
-            stage, self._stage = self._stage, None
+            if self._stage is not stage:
+                return self._stage is None
+            self._tell(text_message("failed", problems=self._problems(error)))
+            self._stage = None
             self._viewers.clear()
-            if stage is not None:
-                await self._run(stage.close)
+            await self._run(stage.close)
+            return True
+
+    def _rest_if_alone(self, stage: Stage) -> None:
+        if not self._viewers and self._resting is None:
+            self._resting = asyncio.create_task(self._rest(stage))
 
     async def _rest(self, stage: Stage) -> None:
         """Nobody looks: when instruments have let go, time stands until somebody does."""
@@ -258,6 +317,11 @@ class Theatre:
 
     async def _run(self, work: Callable[[], T]) -> T:
         return await asyncio.get_running_loop().run_in_executor(self._thread, work)
+
+    def _tell_all_of(self, live: Live) -> None:
+        """Tell what a session has to say."""
+        for words in live.take_messages():
+            self._tell(text_message("message", text=words))
 
     def _tell(self, message: str) -> None:
         for page in self._viewers:

@@ -45,6 +45,7 @@ class Workplace:
         self._out = out
         self._painting: Painting | None = None
         self._pages: set[Page] = set()
+        self._waiting: set[Page] = set()
         self._turn = asyncio.Lock()
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="studio")
         self._receives = False
@@ -55,13 +56,24 @@ class Workplace:
     async def join(self, page: Page) -> None:
         """Show a page everything, and then all that changes."""
         page.send(text_message("progress", text="open", fraction=None))
+        self._waiting.add(page)
+        # A page that goes meanwhile leaves the recipe open for the next: it is opened once.
+        task = asyncio.create_task(self._let_in(page))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+        await asyncio.shield(task)
+
+    async def _let_in(self, page: Page) -> None:
         async with self._turn:
-            # Progress of opening is for all who wait for it.
-            self._pages.add(page)
-            await self._show_all((page,))
+            if page in self._waiting:
+                self._waiting.discard(page)
+                # Progress of opening is for all who wait for it.
+                self._pages.add(page)
+                await self._show_all((page,))
 
     async def leave(self, page: Page) -> None:
         """Forget a page; its stroke ends where it is."""
+        self._waiting.discard(page)
         self._pages.discard(page)
         async with self._turn:
             painting = self._painting
@@ -146,7 +158,10 @@ class Workplace:
 
     async def close(self) -> None:
         """End: a stroke that is not saved yet is saved."""
-        self._states.close()
+        self._waiting.clear()
+        async with self._turn:
+            # What is being opened is open first.
+            self._states.close()
         for page in tuple(self._pages):
             await self.leave(page)
             page.close()

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import errno
+import os
+from unittest import mock
+
 import numpy as np
 import pytest
 
@@ -238,3 +242,38 @@ def test_a_frame_is_told_of_when_it_is_there(case):
     live.tick()
     assert heard[-1] == live.newest.frame.step
     live.close()
+
+
+def test_a_recording_that_cannot_be_written_is_told_and_the_session_goes_on(case, tmp_path):
+    live = live_on(case)
+    (tmp_path / "file").write_bytes(b"")
+    live.record(tmp_path / "file" / "a.recording")
+    live.start()
+    heard = []
+    until(lambda: heard.extend(live.take_messages()) or heard)
+    assert "cannot be written" in heard[0]
+    live.record(tmp_path / "b.recording")
+    until(lambda: live.newest.recording is not None)
+    full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    with mock.patch("heartcase.simulator.session.recorder.sealed", side_effect=full):
+        live.do(CloseGrab(name="hand", center_mm=TOP, radius_mm=4.0))
+        until(lambda: live.newest.recording is None)
+    step = live.newest.frame.step
+    until(lambda: live.newest.frame.step > step and live.newest.act_count == 1)
+    assert "No space left" in " ".join(live.take_messages())
+    # all that was done is there, and is recorded where there is room
+    live.record(tmp_path / "c.recording")
+    until(lambda: live.newest.recording is not None)
+    live.close()
+    assert live.error is None
+    assert "c.recording" in live.take_messages()[-1]
+    assert bytes_of(played_again(tmp_path / "c.recording", case).simulation) == bytes_of(live.session.simulation)
+
+
+def test_an_end_that_fails_is_heard_of(case):
+    heard = []
+    live = Live(live_on(case).session, heard=lambda: heard.append(live.error))
+    live.start()
+    with mock.patch.object(live.session, "frame", side_effect=ZeroDivisionError("a fault")):
+        live.close()
+    assert isinstance(heard[-1], ZeroDivisionError)

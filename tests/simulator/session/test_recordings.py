@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import os
 import shutil
@@ -14,6 +15,7 @@ from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -491,6 +493,58 @@ def test_a_crash_at_any_operation_on_files_leaves_a_beginning(tmp_path):
     assert had == sorted(had)
     assert had[0] == 0
     assert had[-1] == len(whole.entries)
+
+
+def test_a_disk_that_is_full_at_any_operation_ends_the_recording_and_not_the_session(tmp_path):
+    untouched = recorded(tmp_path / "whole.recording")
+    whole = open_recording(tmp_path / "whole.recording")
+    limit, had, is_done = 0, [], False
+    while not is_done:
+        path, told = tmp_path / f"{limit}.recording", []
+        session = OperatingSession(block_simulation(), snapshot_every_s=float("inf"))
+        with crash_after(limit, OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "a path")):
+            try:
+                every_s = 50 * session.simulation.step_s
+                recorder = Recorder(session, path, state_every_s=every_s, failed=told.append)
+            except RecordingError as error:
+                assert had == []
+                told.append(error)
+            else:
+                operate(session)
+                recorder.finish()
+                assert recorder.error is (told[0] if told else None)
+                had.append(limit)
+            is_done = not told
+        limit += 3
+        assert session.log is None
+        if told:
+            assert [str(error) for error in told] == ["recording: cannot be written: No space left on device"]
+        if had and told:
+            found = open_recording(path, partial=True)
+            assert found.entries == whole.entries[: len(found.entries)]
+        if had:
+            assert fingerprint(session.simulation) == untouched
+    assert len(had) > 5
+    assert found.entries == whole.entries
+
+
+def test_where_a_recording_cannot_begin_nothing_is_left_and_who_does_not_ask_is_told_by_an_error(tmp_path):
+    session = OperatingSession(block_simulation())
+    file = tmp_path / "file"
+    file.write_bytes(b"")
+    with pytest.raises(RecordingError, match="cannot be written: Not a directory"):
+        Recorder(session, file / "a.recording")
+    full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    with mock.patch("heartcase.simulator.session.recorder.snapshot_bytes", side_effect=full):
+        with pytest.raises(RecordingError, match="No space left"):
+            Recorder(session, tmp_path / "a.recording")
+        assert sorted(tmp_path.iterdir()) == [file]
+        assert session.log is None
+    recorder = Recorder(session, tmp_path / "a.recording")
+    no_room = mock.patch("heartcase.simulator.session.recorder.sealed", side_effect=full)
+    with no_room, pytest.raises(RecordingError, match="No space left"):
+        session.advance(1)
+    assert recorder.error is not None
 
 
 JSON = st.recursive(

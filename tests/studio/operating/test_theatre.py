@@ -8,9 +8,12 @@ import time
 import numpy as np
 import pytest
 
+from heartcase.pipeline.bundle.write_bundle import write_bundle
+from heartcase.schemas.bundle.manifest import MANIFEST_NAME
 from heartcase.schemas.recording.reader import open_recording
 from heartcase.studio.operating.packing import BLOCK_NODES, SCALE_LEAST, Rounded, frame_message, moved_blocks
-from tests.simulator.live.scenes import until
+from tests.factories import block_case
+from tests.simulator.live.scenes import until, write_case
 from tests.studio.operating.performing import operator, theatre, unpacked
 
 TOP = (22.0, -14.0, 40.5)
@@ -239,6 +242,65 @@ def test_a_session_that_broke_is_told_and_the_next_page_begins_anew(operated_cas
         with operator(browser, opened) as page:
             page.until(lambda frame: frame["step"] > 0)
             assert page.frames[-1]["recording"] is None
+
+
+def shows(page, size):
+    """Take messages until the page shows a block of this size in a new frame; whether it knows where its nodes are."""
+    page.frames.clear()
+    count = np.prod(np.array(size) + 1)
+    page.until(lambda frame: page.topology[0]["node_count"] == count and frame["step"] > 0)
+    return bool(np.isfinite(page.displacement).all())
+
+
+@pytest.fixture
+def rebuilt(tmp_path):
+    """A block of 8 x 5 x 4 cells, and how another is built in its place."""
+    case = write_case(tmp_path)
+    return case, lambda size: write_bundle(case, block_case(size=size))
+
+
+def test_who_opens_a_case_that_was_built_anew_sees_the_new_one_and_so_do_all_others(rebuilt, tmp_path):
+    case, build = rebuilt
+    with theatre(case, tmp_path) as (browser, opened), operator(browser, opened) as page:
+        assert shows(page, (8, 5, 4))
+        page.done("record")
+        page.until(lambda frame: frame["recording"] is not None)
+        page.done("take", tool="g")
+        assert page.at("press", TOP)["used"]
+        stage, live = opened.places["operating"]._stage, live_of(opened)
+        # the same bytes again: nothing is disturbed
+        build((8, 5, 4))
+        with operator(browser, opened) as other:
+            assert shows(other, (8, 5, 4))
+        assert opened.places["operating"]._stage is stage
+        build((6, 5, 4))
+        with operator(browser, opened) as other:
+            assert shows(other, (6, 5, 4))
+            assert page.hear("opened")["box_mm"] == other.opened["box_mm"]
+            assert "built anew" in page.hear("message")["text"]
+            assert shows(page, (6, 5, 4))
+            page.done("take", tool="g")
+            assert page.at("press", TOP)["used"]
+        assert live._thread is None
+        assert open_recording(tmp_path / "block-1.recording").header.end is not None
+
+
+def test_to_begin_anew_is_to_begin_with_the_case_as_it_is_now(rebuilt, tmp_path):
+    case, build = rebuilt
+    with theatre(case, tmp_path) as (browser, opened), operator(browser, opened) as page:
+        assert shows(page, (8, 5, 4))
+        build((6, 5, 4))
+        page.done("begin")
+        assert shows(page, (6, 5, 4))
+        # one that cannot be read is told, and the session goes on
+        live = live_of(opened)
+        (case / MANIFEST_NAME).write_text("{")
+        assert page.ask("begin")["kind"] == "refused"
+        with operator(browser, opened) as other:
+            assert other.opened["kind"] == "failed"
+        assert live_of(opened) is live
+        step = page.frames[-1]["step"]
+        page.until(lambda frame: frame["step"] > step)
 
 
 def test_a_case_that_is_none_is_told_without_its_path(tmp_path):

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from heartcase.pipeline.bundle.write_bundle import write_bundle
 from heartcase.schemas.recording.reader import open_recording
 from heartcase.simulator.live.live import Live
 from heartcase.simulator.load import load_case
@@ -14,6 +15,7 @@ from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.surface.deform import deform
 from heartcase.studio.operating.packing import Rounded, frame_message, topology_message
+from tests.factories import block_case
 from tests.simulator.live.scenes import write_case
 from tests.studio.axe.accessible import assert_accessible
 from tests.studio.operating.charts import write_charted
@@ -272,6 +274,33 @@ def test_tangents_of_the_normal_map_turn_with_the_surface(chromium, tmp_path):
         np.testing.assert_array_equal(loaded.surface.render_to_welded[render], vertex)
         assert np.abs(hands.tangents - exact[render, :3]).max() < TOLERANCE_NORMAL
         page.tab.mouse.up()
+    server.stop()
+
+
+def test_a_page_shows_the_case_that_was_built_anew_where_another_opens_it(chromium, tmp_path):
+    path, _ = write_charted(tmp_path)
+    server = CaseServer(path)
+    server.start()
+    with browsing(chromium, server) as page:
+        hands, tab = Hands(page), page.tab
+        until(lambda: tab.evaluate(f"async () => {OPEN}.picture.heart.uniforms.hasMap.value"))
+        hands.from_above()
+        tab.keyboard.press("g")
+        hands.drag(TOP, (27.0, -14.0, 40.5))
+        hands.until(lambda header: header["instruments"])
+        write_bundle(path, block_case(size=(6, 5, 4)))
+        with browsing(chromium, server) as other:
+            assert other.text("#case-name") == "block"
+            until(lambda: page.text("#case-name") == "block")
+            assert "built anew" in page.text("#notice")
+            hands.until(lambda header: not header["instruments"])
+            tab.locator("#pause").focus()
+            tab.keyboard.press(" ")
+            assert hands.shows(server.live) < TOLERANCE_MM
+            assert Hands(other).shows(server.live) < TOLERANCE_MM
+        # it has no normal map, and is not drawn with that of the one before
+        assert not tab.evaluate(f"async () => {OPEN}.picture.heart.uniforms.hasMap.value")
+        tab.mouse.up()
     server.stop()
 
 

@@ -97,6 +97,11 @@ export class Heart {
     this.uniforms.hasMap.value = true;
   }
 
+  /** Another case may have no map: one that has sends its own. */
+  forgetNormalMap() {
+    this.uniforms.hasMap.value = false;
+  }
+
   /** @param {Package} message */
   takeTopology(message) {
     const arrays = arraysOf(message);

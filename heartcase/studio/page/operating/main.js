@@ -256,6 +256,7 @@ function run() {
     box = message.box_mm;
     if (isFirst) picture.camera.frame(...box);
     timeLine.stepS = message.step_s;
+    picture.heart.forgetNormalMap();
     panel.setStructures(message.structures);
     picture.heart.paintStretch(message.stretch_colours);
     const [low, high] = message.stretch_shown;
