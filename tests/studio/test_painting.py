@@ -1,5 +1,6 @@
 """Painting through the studio's server."""
 
+import errno
 import json
 import time
 
@@ -8,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from heartcase.pipeline.building import recipe_history
 from heartcase.pipeline.building.session_file import open_session
 from heartcase.schemas.recipe.recipe import load_recipe
 from heartcase.studio.messages import labels_message, scan_message
@@ -89,6 +91,39 @@ def test_a_stroke_under_way_is_kept_when_its_page_is_gone(recipe):
         assert [stroke.label for stroke in load_recipe(path).strokes][1:] == ["aorta"]
         with page(browser) as talker:
             assert talker.opened["undo_count"] == 1
+
+
+@pytest.mark.parametrize("ends_with", ["page", "server"])
+def test_a_stroke_that_could_not_be_saved_is_saved_when_that_goes_again(recipe, monkeypatch, ends_with):
+    path, middle = recipe
+    write, tries = recipe_history.atomic_write, []
+
+    def full(file, data):
+        if file == path:
+            tries.append(file)
+            raise OSError(errno.ENOSPC, "No space left on device")
+        write(file, data)
+
+    def until(is_there):
+        for _ in range(100):
+            if is_there():
+                return
+            time.sleep(0.1)
+
+    with studio(path) as browser:
+        with page(browser) as talker:
+            monkeypatch.setattr(recipe_history, "atomic_write", full)
+            talker.ask(do="paint", label="aorta", radius_mm=1.0, points_mm=[middle])
+            assert "No space left" in talker.ask(do="end")["problems"][0]["message"]
+            if ends_with == "page":
+                monkeypatch.setattr(recipe_history, "atomic_write", write)
+        if ends_with == "page":
+            until(lambda: len(load_recipe(path).strokes) == 2)
+        else:
+            until(lambda: len(tries) == 2)
+            assert len(load_recipe(path).strokes) == 1
+            monkeypatch.setattr(recipe_history, "atomic_write", write)
+    assert [stroke.label for stroke in load_recipe(path).strokes] == ["background", "aorta"]
 
 
 def test_a_recipe_that_another_program_changes_is_opened_again(recipe):

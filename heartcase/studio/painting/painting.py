@@ -196,9 +196,16 @@ class Painting:
         """A copy of the segmentation, to be looked at while painting goes on."""
         return self._opened.session.still()
 
-    def leave(self, page: object) -> tuple[str, ...]:
-        """Whoever drew is gone: the stroke ends where it is; messages for the pages that are left."""
-        if self._drawn_by is not page:
+    def leave(self, page: object, *, is_last: bool) -> tuple[str, ...]:
+        """Whoever drew is gone: the stroke ends where it is; messages for the pages that are left.
+
+        When the last one goes, a stroke that could not be saved before is saved.
+        """
+        return self.save() if self._drawn_by is page or is_last else ()
+
+    def save(self) -> tuple[str, ...]:
+        """Save a stroke that is not saved yet; messages for all pages."""
+        if self._is_saved:
             return ()
         self._close_stroke()
         return self._structures(), self._done()
