@@ -84,7 +84,8 @@ function run() {
     shape: () => find("tab-shape").click(),
     removeShape: () => {
       const line = shaping.selected.value;
-      if (line) void shaping.remove(line);
+      const entry = shaping.entryOf(line);
+      if (line && entry) void shaping.remove(line, entry);
       return line !== null;
     },
   };
