@@ -182,7 +182,7 @@ class Painting:
         """
         self._close_stroke()
         session, history, directory = self._opened.session, self._history, self._history.path.parent
-        ready = draft.checked(session.table, session.geometry, None)
+        ready = draft.checked(session.table, session.geometry, self._opened.whole)
         place: Place = ("markers", len(history.recipe.markers))
         name = draft.added_to(directory, ready)
         try:
