@@ -145,8 +145,13 @@ def open_session(
     if recipe.segment.automatic:
         markers = AutomaticMarkers(scan, recipe.segment.automatic, stated_markers(*stated, whole=nodes.whole).labels)
     tree = filtered_tree(work)
-    markers = markers or load_markers(*stated, whole=nodes.whole)
-    session = SegmentationSession(tree, filtered.get().geometry, recipe.table, markers=markers, whole=nodes.whole)
+    session = SegmentationSession(
+        tree,
+        filtered.get().geometry,
+        recipe.table,
+        markers=markers or load_markers(*stated, whole=nodes.whole),
+        whole=nodes.whole,
+    )
     for stroke in painted:
         # the region of interest may have been made smaller since
         session.paint(stroke, may_miss=True)

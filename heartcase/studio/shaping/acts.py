@@ -106,7 +106,7 @@ def _existing(request: Change | Remove, there: Sequence[Model]) -> Place:
     name, number = request.list, request.number
     if number > len(there):
         raise UsageError(f"there is no line {number}: the recipe has {len(there)}", place=name)
-    place = (*name.split("."), number - 1)
+    place: Place = (*name.split("."), number - 1)
     if plain(there[number - 1]) != request.was:
         raise UsageError("it was changed or moved meanwhile: look at it again", place=place_words(place))
     return place
