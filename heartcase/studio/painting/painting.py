@@ -25,7 +25,7 @@ from heartcase.schemas.recipe.recipe import parse_recipe, read_recipe_text
 from heartcase.schemas.toml_places import Place
 from heartcase.studio.messages import labels_message, scan_message, surface_message, text_message
 from heartcase.studio.painting.drafts import Draft
-from heartcase.studio.painting.locks import lock_again, lock_labels
+from heartcase.studio.painting.locks import lock_again, lock_label
 from heartcase.studio.painting.planes import planes_message
 from heartcase.studio.painting.requests import End, Extend, History, Lock, Paint, Planes, Request, Suggest
 from heartcase.studio.shaping.facts import shaping_facts
@@ -162,7 +162,7 @@ class Painting:
                 return Answer(done=text_message("places", id=request.id, **found))
             case Lock():
                 self._close_stroke()
-                lock_labels(session, request.labels, self._locks)
+                lock_label(session, request.label, is_locked=request.locked, file=self._locks)
                 return Answer((self._structures(), self._done()), self._done(request))
             case Planes():
                 return Answer(done=planes_message(request.id, session, self._history.recipe.landmarks))
