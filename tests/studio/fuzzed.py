@@ -79,7 +79,7 @@ def request(drawn, middle):
             {"do": "redo"},
             {"do": "suggest", "count": 2},
             {"do": "planes"},
-            {"do": "lock", "labels": drawn.choice(([], ["aorta"], [label], ["background", "aorta"]))},
+            {"do": "lock", "label": label, "locked": drawn.choice((True, False))},
         ]
     )
 

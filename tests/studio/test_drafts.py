@@ -95,6 +95,25 @@ def test_a_draft_is_written_shown_taken_back_and_there_after_a_restart(recipe):
         assert path.read_bytes() == text
 
 
+def test_a_label_outside_the_region_of_interest_is_left_out_of_a_draft_as_in_a_build(recipe):
+    path, _ = recipe
+    scan = SimpleITK.ReadImage(str(path.parent / "scan.nii.gz"))
+    # the outer half along k, with the stroke of background
+    centre = list(scan.TransformContinuousIndexToPhysicalPoint((5.5, 4.5, 1.5)))
+    path.write_text(path.read_text() + f"\n[region]\ncenter_mm = {centre}\nsize_mm = [12.0, 15.0, 10.0]\n")
+    values = np.zeros(scan.GetSize()[::-1], np.uint8)
+    values[1:3, 2:6, 2:6] = 1
+    values[6:8, 5:9, 6:11] = 5
+    with studio(path) as browser, page(browser) as talker:
+        assert talker.labels.shape == (4, 10, 12)
+        assert send(browser, packed([("x.nii.gz", volume(path, values=values)[0])])).json() == {"problems": []}
+        talker.hear("opened")
+        talker.ask(do="end")
+        assert set(np.unique(talker.labels)) == {0, 1}
+        # what lies outside the scan itself, or marks nothing, is refused as before
+        assert "marks nothing" in send(browser, packed([("x.nii.gz", volume(path, values=values * 0)[0])])).text
+
+
 def cube(low, high):
     """A closed box as a text STL, LPS mm."""
     corners = np.array([[(low, high)[n >> a & 1][a] for a in range(3)] for n in range(8)], float)

@@ -26,7 +26,7 @@ def test_a_lock_refuses_strokes_of_others_is_kept_and_is_no_line_of_the_recipe(r
         talker.ask(do="paint", label="aorta", radius_mm=1.0, points_mm=[middle])
         talker.ask(do="end")
         before, text = talker.labels.copy(), path.read_text()
-        assert talker.ask(do="lock", labels=["aorta"])["kind"] == "done"
+        assert talker.ask(do="lock", label="aorta", locked=True)["kind"] == "done"
         assert told(talker, "structures")[-1]["locked"] == ["aorta"]
         assert other.hear("structures")["locked"] == []
         assert path.read_text() == text
@@ -37,7 +37,7 @@ def test_a_lock_refuses_strokes_of_others_is_kept_and_is_no_line_of_the_recipe(r
         other.ask(do="end")
         np.testing.assert_array_equal(other.labels, before)
         assert path.read_text() == text
-        assert talker.ask(do="lock", labels=["spleen"])["problems"] == [
+        assert talker.ask(do="lock", label="spleen", locked=True)["problems"] == [
             {"place": "lock", "message": "there is no label 'spleen'"}
         ]
     with studio(path) as browser, page(browser) as talker:
@@ -47,11 +47,25 @@ def test_a_lock_refuses_strokes_of_others_is_kept_and_is_no_line_of_the_recipe(r
         assert talker.ask(do="undo")["kind"] == "done"
         assert talker.ask(do="redo")["kind"] == "done"
         np.testing.assert_array_equal(talker.labels, before)
-        talker.ask(do="lock", labels=[])
+        talker.ask(do="lock", label="aorta", locked=False)
         assert talker.ask(do="paint", label="left ventricle", radius_mm=2.0, points_mm=[middle])["kind"] == "done"
         talker.ask(do="end")
     assert [stroke.label for stroke in load_recipe(path).strokes] == ["background", "aorta", "left ventricle"]
     np.testing.assert_array_equal(open_session(path, out=path.parent / "out").session.labels, talker.labels)
+
+
+def test_each_structure_is_locked_by_itself_whatever_else_is_asked_meanwhile(recipe):
+    path, _ = recipe
+    with studio(path) as browser, page(browser) as talker, page(browser) as other:
+        talker.ask(do="lock", label="aorta", locked=True)
+        # a page that has not heard of it yet
+        other.ask(do="lock", label="left ventricle", locked=True)
+        other.ask(do="lock", label="pulmonary artery", locked=True)
+        talker.ask(do="lock", label="aorta", locked=True)
+        other.ask(do="lock", label="PULMONARY_ARTERY", locked=False)
+        other.ask(do="lock", label="right ventricle", locked=False)
+    with studio(path) as browser, page(browser) as talker:
+        assert told(talker, "structures")[-1]["locked"] == ["morphologically left ventricle", "aorta"]
 
 
 def test_states_are_told_when_it_is_quiet_and_no_stroke_waits_for_them(recipe, monkeypatch):
@@ -72,7 +86,7 @@ def test_states_are_told_when_it_is_quiet_and_no_stroke_waits_for_them(recipe, m
             return real(still)
 
         monkeypatch.setattr(states, "structure_states", slow)
-        talker.ask(do="lock", labels=[])
+        talker.ask(do="lock", label="aorta", locked=False)
         assert began.wait(60.0)
         talker.told.clear()
         talker.ask(do="paint", label="pulmonary artery", radius_mm=1.0, points_mm=[middle])

@@ -1,13 +1,16 @@
 """Painting through the studio's server."""
 
+import errno
 import json
 import time
 
 import numpy as np
 import pytest
+import SimpleITK
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from heartcase.pipeline.building import recipe_history
 from heartcase.pipeline.building.session_file import open_session
 from heartcase.schemas.recipe.recipe import load_recipe
 from heartcase.studio.messages import labels_message, scan_message
@@ -91,6 +94,39 @@ def test_a_stroke_under_way_is_kept_when_its_page_is_gone(recipe):
             assert talker.opened["undo_count"] == 1
 
 
+@pytest.mark.parametrize("ends_with", ["page", "server"])
+def test_a_stroke_that_could_not_be_saved_is_saved_when_that_goes_again(recipe, monkeypatch, ends_with):
+    path, middle = recipe
+    write, tries = recipe_history.atomic_write, []
+
+    def full(file, data):
+        if file == path:
+            tries.append(file)
+            raise OSError(errno.ENOSPC, "No space left on device")
+        write(file, data)
+
+    def until(is_there):
+        for _ in range(100):
+            if is_there():
+                return
+            time.sleep(0.1)
+
+    with studio(path) as browser:
+        with page(browser) as talker:
+            monkeypatch.setattr(recipe_history, "atomic_write", full)
+            talker.ask(do="paint", label="aorta", radius_mm=1.0, points_mm=[middle])
+            assert "No space left" in talker.ask(do="end")["problems"][0]["message"]
+            if ends_with == "page":
+                monkeypatch.setattr(recipe_history, "atomic_write", write)
+        if ends_with == "page":
+            until(lambda: len(load_recipe(path).strokes) == 2)
+        else:
+            until(lambda: len(tries) == 2)
+            assert len(load_recipe(path).strokes) == 1
+            monkeypatch.setattr(recipe_history, "atomic_write", write)
+    assert [stroke.label for stroke in load_recipe(path).strokes] == ["background", "aorta"]
+
+
 def test_a_recipe_that_another_program_changes_is_opened_again(recipe):
     path, middle = recipe
     with studio(path) as browser, page(browser) as talker:
@@ -112,6 +148,33 @@ def test_a_recipe_that_another_program_changes_is_opened_again(recipe):
         talker.ask(do="paint", label="aorta", radius_mm=1.0, points_mm=[middle])
         talker.ask(do="end")
         assert path.read_text().startswith(changed)
+
+
+def test_strokes_outside_a_region_of_interest_that_was_made_smaller_stay_and_are_taken_back(recipe):
+    path, middle = recipe
+    scan = SimpleITK.ReadImage(str(path.parent / "scan.nii.gz"))
+    far, centre = (list(scan.TransformContinuousIndexToPhysicalPoint(one)) for one in ((6, 5, 7), (5.5, 4.5, 1.5)))
+    with studio(path) as browser, page(browser) as talker:
+        for label, at in (("left ventricle", middle), ("aorta", far), ("right atrium", far)):
+            talker.ask(do="paint", label=label, radius_mm=1.0, points_mm=[at])
+            talker.ask(do="end")
+        talker.ask(do="undo")
+    whole = path.read_text()
+    region = f"[region]\ncenter_mm = {centre}\nsize_mm = [12.0, 15.0, 10.0]\n"
+    path.write_text(whole.replace("\n[[strokes]]", f"\n{region}\n[[strokes]]", 1))
+    with studio(path) as browser, page(browser) as talker:
+        assert talker.labels.shape == (4, 10, 12)
+        # another program changed it: what was taken back before is forgotten
+        assert (talker.opened["undo_count"], talker.opened["redo_count"]) == (2, 0)
+        shown = talker.labels.copy()
+        np.testing.assert_array_equal(shown, shown_from_scratch(path))
+        refused = talker.ask(do="paint", label="aorta", radius_mm=1.0, points_mm=[far])
+        assert "lies outside the scan" in refused["problems"][0]["message"]
+        talker.ask(do="undo")
+        assert [stroke.label for stroke in load_recipe(path).strokes] == ["background", "left ventricle"]
+        assert talker.ask(do="redo")["kind"] == "done"
+        np.testing.assert_array_equal(talker.labels, shown)
+        assert path.read_text().endswith(whole.split("# Painted in a session.", 1)[1])
 
 
 def test_structures_places_and_what_is_missing_are_told(recipe):

@@ -39,7 +39,7 @@ def test_what_is_done_stands_in_the_recipe_as_a_person_would_write_it(recipe):
         assert talker.ask(do="add", list="ends", entries=[END])["undo_kind"] == "ends[1]"
         assert talker.ask(do="add", list="edits", entries=[DEFECT | {"name": None}])["undo_count"] == 3
         talker.ask(do="set", place=["materials", "youngs_modulus_kpa"], value=20)
-        talker.ask(do="change", list="ends", number=1, entry=END | {"radius_mm": 5.5})
+        talker.ask(do="change", list="ends", number=1, was=END, entry=END | {"radius_mm": 5.5})
         assert path.read_text() == (
             text
             + '\n[[ends]]\nlabel = "aorta"\nposition_mm = [0.0, 1.0, 2.0]\naxis = [1.0, 0.0, 0.0]\nradius_mm = 5.5\n'
@@ -75,7 +75,7 @@ def test_what_is_done_stands_in_the_recipe_as_a_person_would_write_it(recipe):
             == 0
         )
         assert talker.ask(do="redo")["kind"] == "refused"
-        talker.ask(do="remove", list="landmarks", number=1)
+        talker.ask(do="remove", list="landmarks", number=1, was=last(talker, "shape")["lines"]["landmarks"][0])
         assert path.read_text() == text
 
 
@@ -140,8 +140,9 @@ WRONG = [
         {"do": "add", "list": "landmarks", "entries": [{"name": "a", "kind": "ring", "points_mm": [[0, 0, 0]]}]},
         "landmarks[1]",
     ),
-    ({"do": "change", "list": "ends", "number": 1, "entry": END}, "ends"),
-    ({"do": "remove", "list": "edits", "number": 0}, "request.remove.number"),
+    ({"do": "change", "list": "ends", "number": 1, "was": END, "entry": END}, "ends"),
+    ({"do": "remove", "list": "edits", "number": 1}, "request.remove.was"),
+    ({"do": "remove", "list": "edits", "number": 0, "was": DEFECT}, "request.remove.number"),
     ({"do": "set", "place": ["scan", "path"], "value": "/etc/passwd"}, "scan.path"),
     ({"do": "set", "place": ["labels", "spleen", "wall_thickness_mm"], "value": 1}, "labels.spleen.wall_thickness_mm"),
     ({"do": "set", "place": ["labels", "aorta", "wall_thickness_mm"], "value": 900}, "labels[5].wall_thickness_mm"),
@@ -185,6 +186,7 @@ def test_random_requests_of_all_kinds_leave_a_recipe_and_are_all_taken_back(reci
         first = talker.labels.copy()
         for _ in range(60):
             point = [round(m + drawn.uniform(-6.0, 6.0), 1) for m in middle]
+            lines = last(talker, "shape")["lines"]
             number, mm = drawn.randrange(1, 4), round(drawn.uniform(0.5, 6.0), 1)
             requests = [
                 {"do": "paint", "label": "aorta", "radius_mm": 1, "points_mm": [point]},
@@ -194,9 +196,15 @@ def test_random_requests_of_all_kinds_leave_a_recipe_and_are_all_taken_back(reci
                     "do": "change",
                     "list": "edits",
                     "number": number,
+                    "was": dict(enumerate(lines["edits"], start=1)).get(number, DEFECT),
                     "entry": DEFECT | {"diameter_mm": mm, "name": "a b"},
                 },
-                {"do": "remove", "list": drawn.choice(["ends", "edits"]), "number": number},
+                {
+                    "do": "remove",
+                    "list": (name := drawn.choice(["ends", "edits"])),
+                    "number": number,
+                    "was": dict(enumerate(lines[name], start=1)).get(number, END),
+                },
                 {"do": "set", "place": ["labels", "aorta", "wall_thickness_mm"], "value": drawn.choice([mm, None])},
                 {"do": "set", "place": ["materials", "labels", "aorta wall"], "value": {"youngs_modulus_kpa": mm}},
                 {"do": "undo"},
@@ -216,17 +224,38 @@ def test_random_requests_of_all_kinds_leave_a_recipe_and_are_all_taken_back(reci
         assert path.read_text() == text
 
 
+def test_a_line_is_changed_and_removed_as_it_was_shown_and_no_other_in_its_place(recipe):
+    path, _ = recipe
+    ends = [END | {"radius_mm": radius} for radius in (3.0, 4.0, 5.0)]
+    with studio(path) as browser, page(browser) as talker, page(browser) as other:
+        talker.ask(do="add", list="ends", entries=ends)
+        assert talker.ask(do="remove", list="ends", number=2, was=ends[1])["kind"] == "done"
+        # a second click, and another page that shows the line still
+        for one in (talker, other):
+            refused = one.ask(do="remove", list="ends", number=2, was=ends[1])
+            assert refused["problems"] == [
+                {"place": "ends[2]", "message": "it was changed or moved meanwhile: look at it again"}
+            ]
+        moved = ends[1] | {"position_mm": [1.0, 1.0, 1.0]}
+        assert other.ask(do="change", list="ends", number=2, was=ends[1], entry=moved)["kind"] == "refused"
+        assert [end.radius_mm for end in read(path).ends] == [3.0, 5.0]
+        # however a page writes its numbers
+        shown = json.loads(json.dumps(last(talker, "shape")["lines"]["ends"][1]).replace(".0", ""))
+        assert talker.ask(do="change", list="ends", number=2, was=shown, entry=moved)["kind"] == "done"
+        assert [end.radius_mm for end in read(path).ends] == [3.0, 4.0]
+
+
 def test_another_programs_line_is_seen_before_anything_is_shaped(recipe):
     path, _ = recipe
     with studio(path) as browser, page(browser) as talker:
         talker.ask(do="add", list="ends", entries=[END])
         path.write_text(path.read_text() + "\n[grid]\nnode_count = 1000\n")
         changed = path.read_text()
-        refused = talker.ask(do="remove", list="ends", number=1)
+        refused = talker.ask(do="remove", list="ends", number=1, was=END)
         assert "another program changed the recipe" in refused["problems"][0]["message"]
         assert path.read_text() == changed
         assert last(talker, "shape")["settings"]["grid"] == {"node_count": 1000}
-        assert talker.ask(do="remove", list="ends", number=1)["kind"] == "done"
+        assert talker.ask(do="remove", list="ends", number=1, was=END)["kind"] == "done"
         assert tomllib.loads(path.read_text())["grid"] == {"node_count": 1000}
 
 

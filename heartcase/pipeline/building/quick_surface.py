@@ -6,6 +6,7 @@ wall is seen where the build will put it, to about a voxel of the coarse lattice
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -33,6 +34,9 @@ POINTS = 500_000
 """Points of the lattice that the surface is extracted on."""
 MARGIN_MM = 6.0
 """Room around the labels beside the thickest wall."""
+_LINE = re.compile(r"^(ends|edits)\[(\d+)\]")
+_Line = tuple[str, int]
+"""A list of the recipe, and the number of a line in it, from 1."""
 
 
 @dataclass(frozen=True)
@@ -77,19 +81,54 @@ def quick_surface(segmentation: Segmentation, recipe: Recipe, strokes: Sequence[
     coarse, is_coarse = _thinned(near)
     tries = [coarse, near] if is_coarse and near.labels.size <= MOST_VOXELS else [coarse]
     problems: tuple[Problem, ...] = ()
-    for one in tries:
-        try:
-            return _surface(_structures(one, recipe, strokes), one, ())
-        except StageError as error:
-            problems = error.problems
+    wrong: frozenset[_Line] = frozenset()
     # Without what is wrong, so that the rest is seen; problems of all parts are told.
-    plain = recipe.model_copy(update={"edits": ()})
+    while True:
+        found: tuple[Problem, ...] = ()
+        asked, ends = _without(recipe, wrong)
+        for one in tries:
+            try:
+                return _surface(_structures(one, asked, strokes), one, problems)
+            except StageError as error:
+                found = tuple(_as_in_recipe(problem, ends) for problem in error.problems)
+        problems = (*problems, *(one for one in found if one not in problems))
+        named = frozenset(line for line in map(_line_of, found) if line is not None)
+        if named <= wrong:
+            break
+        wrong |= named
+    # where no line is to blame, all edits are left out, and then all ends
+    plain = asked.model_copy(update={"edits": ()})
     try:
         return _surface(_structures(coarse, plain, strokes), coarse, problems)
     except StageError as error:
-        problems = (*error.problems, *(one for one in problems if one not in error.problems))
+        problems = (*(one for one in error.problems if one not in problems), *problems)
     bare = plain.model_copy(update={"ends": (), "walls": recipe.walls.model_copy(update={"find_ends": False})})
     return _surface(_structures(coarse, bare, strokes), coarse, problems)
+
+
+def _without(recipe: Recipe, wrong: frozenset[_Line]) -> tuple[Recipe, list[int]]:
+    """A recipe without some lines, and which of its ends are left, from 1; edits keep their numbers."""
+    ends = [number for number in range(1, len(recipe.ends) + 1) if ("ends", number) not in wrong]
+    edits = tuple(
+        edit.model_copy(update={"enabled": False}) if ("edits", number) in wrong else edit
+        for number, edit in enumerate(recipe.edits, start=1)
+    )
+    return recipe.model_copy(update={"ends": tuple(recipe.ends[n - 1] for n in ends), "edits": edits}), ends
+
+
+def _line_of(problem: Problem) -> _Line | None:
+    """The line that a problem names, if it is an end or an edit."""
+    found = _LINE.match(problem.place)
+    return None if found is None else (found[1], int(found[2]))
+
+
+def _as_in_recipe(problem: Problem, ends: Sequence[int]) -> Problem:
+    """A problem with the number that an end has in the recipe."""
+    line = _line_of(problem)
+    if line is None or line[0] != "ends":
+        return problem
+    name, number = line
+    return replace(problem, place=_LINE.sub(f"{name}[{ends[number - 1]}]", problem.place))
 
 
 def _structures(segmentation: Segmentation, recipe: Recipe, strokes: Sequence[Stroke]) -> Structures:
@@ -117,13 +156,18 @@ def _cropped(segmentation: Segmentation, recipe: Recipe) -> Segmentation:
     there = [np.flatnonzero((labels != BACKGROUND).any(axis=axes)) for axes in ((0, 1), (0, 2), (1, 2))]
     if not len(there[0]):
         raise StageError("nothing is segmented but background: paint the structures first", place="segment")
-    placed = [end.position_mm for end in recipe.ends]
-    placed += [edit.position_mm for edit in recipe.edits if edit.kind in ("septal_defect", "close_defect")]
+    placed = [(end.position_mm, 0.0) for end in recipe.ends]
+    for edit in recipe.edits:
+        if edit.kind in ("septal_defect", "close_defect"):
+            placed.append((edit.position_mm, 0.5 * edit.diameter_mm))
+        elif edit.kind in ("add", "remove", "smooth", "fill"):
+            placed += [(point, edit.radius_mm) for point in edit.points_mm]
     corners = np.array([[one[0], one[-1]] for one in there], dtype=float).T
     if placed:
         size = np.array(geometry.size) - 1
-        inside = np.clip(geometry.world_to_index(np.array(placed)), 0, size)
-        corners = np.vstack([corners, inside])
+        middles = geometry.world_to_index(np.array([point for point, _ in placed]))
+        reach = np.array([[radius] for _, radius in placed]) / np.array(geometry.spacing_mm)
+        corners = np.vstack([corners, np.clip(middles - reach, 0, size), np.clip(middles + reach, 0, size)])
     margin = (MARGIN_MM + recipe.walls.thickest_mm(recipe.table)) / np.array(geometry.spacing_mm)
     low = np.maximum(np.floor(corners.min(axis=0) - margin), 0).astype(int)
     high = np.minimum(np.ceil(corners.max(axis=0) + margin) + 1, geometry.size).astype(int)

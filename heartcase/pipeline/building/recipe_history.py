@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import itertools
 import json
 import tomllib
 from dataclasses import dataclass
@@ -269,7 +270,8 @@ class RecipeHistory:
         text = self._text
         for act in reversed(self._acts[: self._count]):
             text = act.undone(text)
-        lines: list[dict[str, object]] = [{"heartcase_history": _VERSION, "sha256": _sha256(text)}]
+        begins = {"heartcase_history": _VERSION, "sha256": _sha256(text), "length": len(text)}
+        lines: list[dict[str, object]] = [begins]
         lines += [_line(number, act) for number, act in enumerate(self._acts)]
         lines.append({"count": self._count})
         with contextlib.suppress(OSError):
@@ -324,7 +326,8 @@ def _remembered(log: Path, text: str) -> tuple[tuple[Act, ...], int] | None:
     count = 0
     try:
         first, *lines = log.read_bytes().splitlines()
-        if json.loads(first)["heartcase_history"] != _VERSION:
+        begins = json.loads(first)
+        if begins["heartcase_history"] != _VERSION:
             return None
         for line in lines:
             # a line that was being written when the machine stopped ends the file
@@ -335,7 +338,7 @@ def _remembered(log: Path, text: str) -> tuple[tuple[Act, ...], int] | None:
                 count = min(count, len(acts))
             else:
                 count = data["count"]
-        at_start = _text_at_start(acts, count, text, json.loads(first)["sha256"])
+        at_start = _count_in(text, acts, count, begins["sha256"], begins.get("length"))
     except (OSError, ValueError, KeyError, TypeError, IndexError):
         return None
     return None if at_start is None else (tuple(acts), at_start)
@@ -349,9 +352,16 @@ def _data(line: bytes) -> dict[str, Any] | None:
     return found if isinstance(found, dict) else None
 
 
-def _text_at_start(acts: list[Act], count: int, text: str, sha256: str) -> int | None:
-    """How many acts a text has: ``count``, or what is nearest to it."""
+def _count_in(text: str, acts: list[Act], count: int, sha256: str, length: int | None) -> int | None:
+    """How many acts a text has, where the text before all of them had this digest: ``count``, or the nearest to it.
+
+    Only where the length agrees are the acts taken back: of many strokes that takes long. A log without a length is
+    asked for what a stop between two writes can leave alone.
+    """
+    grown = [0, *itertools.accumulate(len(act.added) - len(act.removed) for act in acts)]
     for number in sorted(range(len(acts) + 1), key=lambda one: abs(one - count)):
+        if abs(number - count) > 1 if length is None else len(text) - grown[number] != length:
+            continue
         first = text
         for act in reversed(acts[:number]):
             if first[act.at : act.at + len(act.added)] != act.added:

@@ -17,6 +17,7 @@ from heartcase.pipeline.stages.segment import filtered_tree
 from heartcase.pipeline.stages.stage import Work, have
 from heartcase.schemas.errors import RecipeError, UsageError
 from heartcase.schemas.files import atomic_write
+from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.recipe.recipe import Recipe, parse_recipe, read_recipe_text
 from heartcase.schemas.recipe.settings import Stroke
 
@@ -39,6 +40,8 @@ class RecipeSession:
     """Its text as it was opened, without the strokes that the session holds: kept to the letter, with its comments."""
     written_text: str
     """Its text as it was written last."""
+    whole: Geometry | None = None
+    """Lattice of the whole scan, of which the session may have a region of interest alone."""
     copies: set[Path] = field(default_factory=set)
     """Files that :meth:`save_as` has written."""
     _takes_strokes: bool = False
@@ -143,11 +146,16 @@ def open_session(
         markers = AutomaticMarkers(scan, recipe.segment.automatic, stated_markers(*stated, whole=nodes.whole).labels)
     tree = filtered_tree(work)
     session = SegmentationSession(
-        tree, filtered.get().geometry, recipe.table, markers=markers or load_markers(*stated, whole=nodes.whole)
+        tree,
+        filtered.get().geometry,
+        recipe.table,
+        markers=markers or load_markers(*stated, whole=nodes.whole),
+        whole=nodes.whole,
     )
     for stroke in painted:
-        session.paint(stroke)
-    return RecipeSession(session, scan, recipe, path, kept, text)
+        # the region of interest may have been made smaller since
+        session.paint(stroke, may_miss=True)
+    return RecipeSession(session, scan, recipe, path, kept, text, nodes.whole)
 
 
 def write_with_tables(

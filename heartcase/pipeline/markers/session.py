@@ -56,6 +56,8 @@ class SegmentationSession:
     markers
         What is marked at the start; nothing when left out. With automatic markers among them, these follow what is
         painted: see :class:`heartcase.pipeline.markers.marker_help.AutomaticMarkers`.
+    whole
+        Lattice of the whole scan, where ``geometry`` is that of its region of interest.
 
     Raises
     ------
@@ -70,6 +72,7 @@ class SegmentationSession:
         table: LabelTable,
         *,
         markers: Markers | AutomaticMarkers | None = None,
+        whole: Geometry | None = None,
     ) -> None:
         if tree.height.shape != geometry.shape:
             raise UsageError("the tree was made on another scan", place="session")
@@ -86,6 +89,7 @@ class SegmentationSession:
                 raise MarkerError(f"value {listed} is not in the label table", place="markers")
         self.geometry = geometry
         self.table = table
+        self._whole = whole or geometry
         self._forest = solve_forest(tree, painted)
         self._done: list[_Done] = []
         self._undone: list[Stroke] = []
@@ -122,13 +126,16 @@ class SegmentationSession:
         tree = scan_tree(filtered, gradient_sigma_mm=settings.gradient_sigma_mm, shape_sigma_mm=settings.shape_sigma_mm)
         return cls(tree, filtered.geometry, table, markers=markers)
 
-    def paint(self, stroke: Stroke) -> Box | None:
+    def paint(self, stroke: Stroke, *, may_miss: bool = False) -> Box | None:
         """Mark, or erase, along a stroke.
 
         Parameters
         ----------
         stroke
             The brush's radius and its line; a label of the table, or ``erase``.
+        may_miss
+            Whether it may lie outside the region of interest, in the scan: then it marks nothing, as in a build. For
+            strokes of an earlier session; whoever paints wants to be told.
 
         Returns
         -------
@@ -141,7 +148,7 @@ class SegmentationSession:
             The label is not in the table, the stroke lies outside the scan, or it would change a locked structure.
             Nothing is changed then.
         """
-        box = self._carry_out(stroke)
+        box = self._carry_out(stroke, may_miss=may_miss)
         self._undone.clear()
         return box
 
@@ -210,7 +217,7 @@ class SegmentationSession:
         """
         if not self._undone:
             raise UsageError("there is no stroke to paint again", place="redo")
-        box = self._carry_out(self._undone[-1], minds_locks=False)
+        box = self._carry_out(self._undone[-1], minds_locks=False, may_miss=True)
         self._undone.pop()
         return box
 
@@ -354,9 +361,9 @@ class SegmentationSession:
         if self._forest.labels.flat[0] == UNMARKED:
             raise MarkerError("no voxel of the scan is marked: paint first", place="markers")
 
-    def _carry_out(self, stroke: Stroke, *, minds_locks: bool = True) -> Box | None:
+    def _carry_out(self, stroke: Stroke, *, minds_locks: bool = True, may_miss: bool) -> Box | None:
         voxels, value, marked = self._reached(stroke)
-        if not len(voxels):
+        if not len(voxels) and not (may_miss and len(stroke_voxels(stroke, self._whole))):
             # the same words as for a recipe's stroke
             rasterise_strokes((stroke,), self.table, self.geometry)
         before = marked.ravel()[voxels]
@@ -377,7 +384,7 @@ class SegmentationSession:
 
     def _mark(self, voxels: Int64, values: UInt8) -> Box | None:
         """Mark voxels, and what automatic markers follow from that; a box around the labels that changed."""
-        if self._automatic is not None:
+        if self._automatic is not None and len(voxels):
             voxels, values = self._automatic.paint(voxels, values)
         return self._forest.restore(voxels, values)
 

@@ -62,9 +62,9 @@ function run() {
   for (const signal of [shaping.shape, shaping.selected, shaping.draft, shaping.isOpen]) {
     /** @type {import("./shared/signal.js").Signal<any>} */ (signal).listen(() => views.redrawAllOverlays());
   }
-  const structures = new Structures(find("structures"), studio, views, (labels) => {
+  const structures = new Structures(find("structures"), studio, views, (label, locked) => {
     status.clear();
-    connection.ask({ do: "lock", labels }).catch((error) => fault(error));
+    connection.ask({ do: "lock", label, locked }).catch((error) => fault(error));
   });
   const parts = { place: find("place"), checklist: find("checklist") };
   const guide = new Guide(studio, views, (request) => connection.ask(request), parts, (error) => fault(error));
@@ -84,7 +84,8 @@ function run() {
     shape: () => find("tab-shape").click(),
     removeShape: () => {
       const line = shaping.selected.value;
-      if (line) void shaping.remove(line);
+      const entry = shaping.entryOf(line);
+      if (line && entry) void shaping.remove(line, entry);
       return line !== null;
     },
   };

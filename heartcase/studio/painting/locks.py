@@ -3,42 +3,42 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
 
 from heartcase.pipeline.markers.session import SegmentationSession
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.files import atomic_write
 
-__all__ = ["lock_again", "lock_labels"]
+__all__ = ["lock_again", "lock_label"]
 
 
-def lock_labels(session: SegmentationSession, names: Sequence[str], file: Path) -> None:
-    """Lock structures, and no others; they are locked after the next start, too.
+def lock_label(session: SegmentationSession, name: str, *, is_locked: bool, file: Path) -> None:
+    """Lock a structure, or unlock it; what is locked is so after the next start, too.
 
     Parameters
     ----------
     session
         What is painted on.
-    names
-        Names of labels.
+    name
+        Name of a label.
+    is_locked
+        Whether it is locked then.
     file
-        Where they are remembered.
+        Where it is remembered.
 
     Raises
     ------
     UsageError
         There is no such label.
     """
-    labels = [(name, session.table.find(name)) for name in names]
-    unknown = [name for name, label in labels if label is None]
-    if unknown:
-        raise UsageError(f"there is no label {unknown[0]!r}", place="lock")
-    found = {label.value: label.name for _, label in labels if label is not None}
-    session.lock(found.keys())
+    label = session.table.find(name)
+    if label is None:
+        raise UsageError(f"there is no label {name!r}", place="lock")
+    session.lock(session.locked | {label.value} if is_locked else session.locked - {label.value})
+    names = sorted(session.table[value].name for value in session.locked)
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        atomic_write(file, json.dumps({"locked": sorted(found.values())}).encode())
+        atomic_write(file, json.dumps({"locked": names}).encode())
     except OSError:
         # they are locked as long as the server runs
         return

@@ -25,7 +25,7 @@ from heartcase.schemas.recipe.recipe import parse_recipe, read_recipe_text
 from heartcase.schemas.toml_places import Place
 from heartcase.studio.messages import labels_message, scan_message, surface_message, text_message
 from heartcase.studio.painting.drafts import Draft
-from heartcase.studio.painting.locks import lock_again, lock_labels
+from heartcase.studio.painting.locks import lock_again, lock_label
 from heartcase.studio.painting.planes import planes_message
 from heartcase.studio.painting.requests import End, Extend, History, Lock, Paint, Planes, Request, Suggest
 from heartcase.studio.shaping.facts import shaping_facts
@@ -162,7 +162,7 @@ class Painting:
                 return Answer(done=text_message("places", id=request.id, **found))
             case Lock():
                 self._close_stroke()
-                lock_labels(session, request.labels, self._locks)
+                lock_label(session, request.label, is_locked=request.locked, file=self._locks)
                 return Answer((self._structures(), self._done()), self._done(request))
             case Planes():
                 return Answer(done=planes_message(request.id, session, self._history.recipe.landmarks))
@@ -182,7 +182,7 @@ class Painting:
         """
         self._close_stroke()
         session, history, directory = self._opened.session, self._history, self._history.path.parent
-        ready = draft.checked(session.table, session.geometry, None)
+        ready = draft.checked(session.table, session.geometry, self._opened.whole)
         place: Place = ("markers", len(history.recipe.markers))
         name = draft.added_to(directory, ready)
         try:
@@ -196,9 +196,16 @@ class Painting:
         """A copy of the segmentation, to be looked at while painting goes on."""
         return self._opened.session.still()
 
-    def leave(self, page: object) -> tuple[str, ...]:
-        """Whoever drew is gone: the stroke ends where it is; messages for the pages that are left."""
-        if self._drawn_by is not page:
+    def leave(self, page: object, *, is_last: bool) -> tuple[str, ...]:
+        """Whoever drew is gone: the stroke ends where it is; messages for the pages that are left.
+
+        When the last one goes, a stroke that could not be saved before is saved.
+        """
+        return self.save() if self._drawn_by is page or is_last else ()
+
+    def save(self) -> tuple[str, ...]:
+        """Save a stroke that is not saved yet; messages for all pages."""
+        if self._is_saved:
             return ()
         self._close_stroke()
         return self._structures(), self._done()

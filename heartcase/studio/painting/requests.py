@@ -88,14 +88,16 @@ class Planes(Model):
 
 
 class Lock(Model):
-    """Lock these structures, and no others."""
+    """Lock a structure, or unlock it; all others stay as they are."""
 
     id: RequestId
     """Number that the answer names."""
     do: Literal["lock"]
     """Which request."""
-    labels: Annotated[tuple[Name, ...], Field(max_length=251)]
-    """Their names."""
+    label: Name
+    """Its name."""
+    locked: bool
+    """Whether it is locked then."""
 
 
 Request = Paint | Extend | End | History | Suggest | ShapingRequest | Planes | Lock

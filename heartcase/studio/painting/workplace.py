@@ -78,7 +78,8 @@ class Workplace:
         async with self._turn:
             painting = self._painting
             if painting is not None:
-                await self._refusing(lambda: painting.leave(page))
+                is_last = not self._pages
+                await self._refusing(lambda: painting.leave(page, is_last=is_last))
 
     async def ask(self, page: Page, text: str) -> None:
         """Do what a page asks for, and tell it and the others."""
@@ -162,6 +163,8 @@ class Workplace:
         async with self._turn:
             # What is being opened is open first.
             self._states.close()
+            if self._painting is not None:
+                await self._refusing(self._painting.save)
         for page in tuple(self._pages):
             await self.leave(page)
             page.close()

@@ -20,7 +20,7 @@ from heartcase.schemas.toml_places import Place
 from heartcase.studio.shaping.facts import LINES, SETTINGS
 from heartcase.studio.shaping.requests import Add, Change, Remove, Set
 
-__all__ = ["done_to"]
+__all__ = ["done_to", "plain"]
 
 _LINES: dict[str, TypeAdapter[Any]] = {
     "ends": TypeAdapter(EndMarker),
@@ -51,7 +51,8 @@ def done_to(head: str, recipe: Recipe, request: Add | Change | Remove | Set) -> 
     Raises
     ------
     UsageError
-        There is no such line or setting, or it cannot say that; every problem.
+        There is no such line or setting, the line says something else than it was shown to say, or it cannot say
+        that; every problem.
     RecipeError
         The part is written in a way that cannot be changed by itself.
     """
@@ -60,7 +61,8 @@ def done_to(head: str, recipe: Recipe, request: Add | Change | Remove | Set) -> 
     place: Place = tuple(request.list.split("."))
     if request.list == "ends":
         head = _without_automatic(head)
-    count = len(_at(recipe, request.list))
+    there = _at(recipe, request.list)
+    count = len(there)
     match request:
         case Add():
             lines = [_line(request.list, number, entry) for number, entry in enumerate(request.entries, start=count)]
@@ -73,12 +75,12 @@ def done_to(head: str, recipe: Recipe, request: Add | Change | Remove | Set) -> 
             changes = [((*place, number), line) for number, line in enumerate(lines, start=count)]
             return changed_text(head, *changes), place_words((*place, count))
         case Change():
-            where = _existing(request.list, request.number, count)
+            where = _existing(request, there)
             return changed_text(head, (where, _line(request.list, request.number - 1, request.entry))), place_words(
                 where
             )
         case Remove():
-            where = _existing(request.list, request.number, count)
+            where = _existing(request, there)
             return changed_text(head, (where, None)), place_words(where)
 
 
@@ -94,10 +96,20 @@ def _at(recipe: Recipe, name: str) -> tuple[Model, ...]:
     return tuple(found)
 
 
-def _existing(name: str, number: int, count: int) -> Place:
-    if number > count:
-        raise UsageError(f"there is no line {number}: the recipe has {count}", place=name)
-    return (*name.split("."), number - 1)
+def plain(model: Model) -> dict[str, Any]:
+    """What a line or a table states, its defaults left out: as pages are shown it."""
+    return model.model_dump(mode="json", exclude_defaults=True)
+
+
+def _existing(request: Change | Remove, there: Sequence[Model]) -> Place:
+    """Where the line is that the request was made for."""
+    name, number = request.list, request.number
+    if number > len(there):
+        raise UsageError(f"there is no line {number}: the recipe has {len(there)}", place=name)
+    place: Place = (*name.split("."), number - 1)
+    if plain(there[number - 1]) != request.was:
+        raise UsageError("it was changed or moved meanwhile: look at it again", place=place_words(place))
+    return place
 
 
 def _line(name: str, number: int, entry: Mapping[str, Any]) -> dict[str, Any]:

@@ -54,6 +54,8 @@ class Change(Model):
     """Which list."""
     number: _Number
     """Which line, from 1."""
+    was: _Entry
+    """All that it said where it was shown: a line that says something else by now is another one."""
     entry: _Entry
     """All that it says then."""
 
@@ -69,6 +71,8 @@ class Remove(Model):
     """Which list."""
     number: _Number
     """Which line, from 1."""
+    was: _Entry
+    """All that it said where it was shown: a line that says something else by now is another one."""
 
 
 class Set(Model):

@@ -14,9 +14,8 @@ from heartcase.pipeline.ends.end_place import end_place
 from heartcase.pipeline.ends.find_ends import find_ends
 from heartcase.pipeline.markers.session import SegmentationSession
 from heartcase.pipeline.walls.grow_walls import resolve_walls
-from heartcase.schemas.base import Model
 from heartcase.schemas.recipe.recipe import Recipe
-from heartcase.studio.shaping.acts import done_to
+from heartcase.studio.shaping.acts import done_to, plain
 from heartcase.studio.shaping.facts import LINES, SETTINGS
 from heartcase.studio.shaping.requests import Add, Change, Propose, Remove, Set
 
@@ -44,9 +43,9 @@ class Shaping:
         table = recipe.table
         devices = sorted({edit.label for edit in recipe.edits if edit.kind == "close_defect"} - _names(recipe))
         return {
-            "lines": {name: [_plain(line) for line in _at(recipe, name)] for name in LINES},
+            "lines": {name: [plain(line) for line in _at(recipe, name)] for name in LINES},
             "settings": {
-                name: {key: value for key, value in _plain(_at(recipe, name)).items() if key in keys}
+                name: {key: value for key, value in plain(_at(recipe, name)).items() if key in keys}
                 for name, (_, keys) in SETTINGS.items()
             },
             "walls": [
@@ -59,7 +58,7 @@ class Shaping:
                 for label in table
                 if label.role.is_blood
             ],
-            "materials": {name: _plain(one) for name, one in recipe.materials.labels.items()},
+            "materials": {name: plain(one) for name, one in recipe.materials.labels.items()},
             "structures": [
                 {
                     "name": label.name,
@@ -100,7 +99,7 @@ class Shaping:
         if request.about == "vessel":
             stumps = _stumps(recipe, segmentation)
             end = end_place(segmentation, table, stumps, request.position_mm, request.label)
-            return _plain(end)
+            return plain(end)
         place = septum_place(segmentation, table, request.position_mm)
         return {
             "position_mm": _rounded(place.position_mm, 1),
@@ -124,7 +123,7 @@ class Shaping:
             stumps = _stumps(recipe, segmentation)
             found = find_ends(segmentation, recipe.table.with_walls(), stumps, known=recipe.ends)
             return {
-                "ends": [_plain(end_marker(end)) for end in found.ends if not end.is_open],
+                "ends": [plain(end_marker(end)) for end in found.ends if not end.is_open],
                 "open": sorted({end.label for end in found.ends if end.is_open}),
                 "dropped": found.dropped,
             }
@@ -158,11 +157,6 @@ def _at(recipe: Recipe, name: str) -> Any:
 
 def _names(recipe: Recipe) -> set[str]:
     return {label.name for label in recipe.table.with_walls()}
-
-
-def _plain(model: Model) -> dict[str, Any]:
-    """What a line states, its defaults left out."""
-    return model.model_dump(mode="json", exclude_defaults=True)
 
 
 def _rounded(vector: tuple[float, ...], digits: int) -> list[float]:

@@ -98,6 +98,56 @@ def test_a_defect_makes_one_cavity_of_two_and_what_meets_nothing_is_told_and_lef
     assert both.problems[0].place == "ends[1]"
 
 
+ADD = """
+[[edits]]
+kind = "add"
+label = "left atrium wall"
+radius_mm = {radius}
+points_mm = [{point}]
+"""
+
+
+def test_only_the_edits_that_are_wrong_are_left_out():
+    segmentation = two_balls()
+    far = DEFECT.replace("[0.0, 0.0, 0.0]", "[0.0, 30.0, 0.0]")
+    # the second one is wrong as well, and named by its place in the recipe
+    surface = quick_surface(segmentation, recipe(far + far.replace("30.0", "31.0") + DEFECT))
+    assert [problem.place for problem in surface.problems] == ["edits[1]", "edits[2]"]
+    assert shells(surface) == [2, 2]
+    one_by_one = quick_surface(segmentation, recipe(DEFECT + far))
+    assert [problem.place for problem in one_by_one.problems] == ["edits[2]"]
+    assert shells(one_by_one) == [2, 2]
+
+
+def test_only_the_ends_that_are_wrong_are_left_out():
+    size, spacing = 96, 0.75
+    geometry = Geometry.of(shape=(size,) * 3, spacing_mm=(spacing,) * 3, origin_mm=(-0.5 * spacing * (size - 1),) * 3)
+    k, j, i = np.meshgrid(*(np.arange(size),) * 3, indexing="ij")
+    x, y, z = np.moveaxis(geometry.index_to_world(np.stack([i, j, k], axis=-1)), -1, 0)
+    labels = np.zeros(geometry.shape, np.uint8)
+    labels[(np.hypot(x, y) <= 6.0) & (np.abs(z) <= 25.0)] = TABLE["aorta"].value
+    segmentation = Segmentation(labels, geometry, TABLE)
+    line = '\n[[ends]]\nlabel = "{label}"\nposition_mm = [0.0, 0.0, {z}]\naxis = [0.0, 0.0, {way}]\nradius_mm = 8.0\n'
+    good = [line.format(label="aorta", z=way * 15.0, way=way) for way in (-1.0, 1.0)]
+    bad = line.format(label="pulmonary artery", z=15.0, way=1.0)
+    # a tube that is open at both ends: one surface, like a ring's
+    assert shells(quick_surface(segmentation, recipe("".join(good)))) == [0]
+    for wrong, number in ((bad + good[0] + good[1], 1), (good[0] + bad + good[1], 2)):
+        surface = quick_surface(segmentation, recipe(wrong + DEFECT))
+        assert [problem.place for problem in surface.problems] == [f"ends[{number}]", "edits[1]"]
+        assert shells(surface) == [0]
+
+
+def test_what_is_sculpted_away_from_the_labels_is_in_the_surface_whole():
+    at = [-0.5 * APART, 0.0, 26.0]
+    surface = quick_surface(two_balls(), recipe(ADD.format(radius=7.0, point=at)))
+    assert surface.problems == ()
+    away = np.linalg.norm(surface.vertices_mm - np.array(at), axis=1)
+    ball = surface.vertices_mm[away < 8.5]
+    assert np.abs(ball - at).max(axis=0) == pytest.approx([7.0] * 3, abs=0.8)
+    assert np.abs(away[away < 8.5] - 7.0).max() < 0.8
+
+
 def test_nothing_painted_is_said():
     empty = two_balls()
     labels = np.where(empty.labels > 0, 255, 0).astype(np.uint8)

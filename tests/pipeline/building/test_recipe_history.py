@@ -2,6 +2,7 @@
 
 import contextlib
 import hashlib
+import json
 import random
 import subprocess
 import sys
@@ -215,6 +216,46 @@ def test_whoever_is_killed_between_log_and_recipe_loses_nothing(recipe, monkeypa
     assert opened(recipe).undo_count == 2
     log.write_bytes(b"\xff junk")
     assert opened(recipe).undo_count == 1  # the stroke at the recipe's end
+
+
+def painted_texts(recipe, count):
+    """Strokes of several lengths, painted one by one, and a setting in between; the text after each act."""
+    history, texts = opened(recipe), [recipe.read_text()]
+    for number in range(count):
+        if number == count // 2:
+            shape(history, ("grid", "node_count"), 20000)
+        else:
+            points = tuple((float(n), 2.0, 3.0) for n in range(1 + number % 3))
+            history.paint(Stroke(label="aorta", radius_mm=1.0, points_mm=points))
+        texts.append(recipe.read_text())
+    return texts
+
+
+def test_every_text_that_the_history_went_through_is_known_again(recipe):
+    texts = painted_texts(recipe, 12)
+    for number, text in enumerate(texts):
+        recipe.write_text(text)
+        again = opened(recipe)
+        assert (again.undo_count, again.redo_count) == (number, 12 - number)
+    # of a log that was written without the first text's length, what a stop between two writes leaves
+    log = next((recipe.parent / "out" / ".heartcase-cache" / "studio").iterdir())
+    begins, *lines = log.read_text().splitlines()
+    begins = {key: value for key, value in json.loads(begins).items() if key != "length"}
+    log.write_text("\n".join([json.dumps(begins), *lines]) + "\n")
+    for number in (11, 12):
+        recipe.write_text(texts[number])
+        assert opened(recipe).undo_count == number
+
+
+def test_a_text_that_another_program_changed_is_told_from_many_strokes_in_few_steps(recipe, monkeypatch):
+    count = 60
+    text = painted_texts(recipe, count)[-1]
+    undone, steps = Act.undone, []
+    monkeypatch.setattr(Act, "undone", lambda self, text: steps.append(1) or undone(self, text))
+    # as long as it was, before all that sessions wrote
+    recipe.write_text(text.replace("that stays", "as before!", 1))
+    assert opened(recipe).undo_count == count - 1
+    assert len(steps) <= 3 * count
 
 
 def test_an_act_is_the_shortest_change():

@@ -206,3 +206,30 @@ def test_by_keys_alone_and_what_another_page_sees(chromium, painted):
         type_into(nodes, "12000")
         page.saved(7)
         assert read(path).grid.node_count == 12000
+
+
+def test_a_double_click_on_the_bin_and_a_key_held_down_remove_one_line(chromium, painted):
+    server, path, affine = painted
+    middle = mm_of(MIDDLE, affine)[0]
+    point = '\n[[landmarks]]\nname = "{name}"\nkind = "point"\npoints_mm = [[{position}]]\n'
+    path.write_text(path.read_text() + "".join(point.format(name=f"p{n}", position=listed(middle)) for n in range(6)))
+    with browsing(chromium, server) as page:
+
+        def names():
+            return [one.name for one in read(path).landmarks]
+
+        page.tab.locator("#tab-shape").click()
+        lines = part(page, "shape_landmarks").locator(".lines .line")
+        # nothing is known of the recipe's own lines: what is removed here counts from 1
+        lines.nth(1).locator(".remove").dblclick()
+        page.saved(1)
+        lines.nth(1).locator(".go").click()
+        page.tab.locator("#axial .surface").focus()
+        for _ in range(4):
+            page.tab.keyboard.down("Delete")
+        page.tab.keyboard.up("Delete")
+        page.saved(2)
+        lines.nth(0).locator(".remove").click()
+        page.saved(3)
+        assert names() == ["p3", "p4", "p5"]
+        assert not page.tab.locator("#notice").is_visible()

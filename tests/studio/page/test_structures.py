@@ -49,3 +49,17 @@ def test_a_locked_structure_stays_and_states_are_shown(chromium, painted):
         stroke(page, "axial", [middle, off(middle, 1.0, 0, 0)], affine)
         page.saved(3)
         assert [one.label for one in load_recipe(path).strokes] == ["background", "aorta", "pulmonary artery"]
+
+
+def test_quick_clicks_lock_one_structure_each(chromium, painted):
+    server, *_ = painted
+    with browsing(chromium, server) as page:
+        locks = page.tab.locator("#structures .lock")
+        # before the server has answered the first one
+        page.tab.evaluate(
+            "() => document.querySelectorAll('#structures .lock').forEach((lock, n) => n % 2 && lock.click())"
+        )
+        count = locks.count() // 2
+        until(lambda: page.tab.locator("#structures .lock[aria-pressed=true]").count() == count)
+        pressed = [one.get_attribute("aria-pressed") == "true" for one in locks.all()]
+        assert pressed == [n % 2 == 1 for n in range(locks.count())]

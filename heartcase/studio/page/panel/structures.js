@@ -25,7 +25,7 @@ export class Structures {
    * @param {HTMLElement} list
    * @param {Studio} studio
    * @param {Views} views
-   * @param {(names: string[]) => void} lock
+   * @param {(name: string, locked: boolean) => void} lock
    */
   constructor(list, studio, views, lock) {
     this.list = list;
@@ -87,11 +87,7 @@ export class Structures {
     lock.setAttribute("aria-label", say("lock_structure", { name: label.name }));
     lock.title = `${say("lock_structure", { name: label.name })}. ${say("lock_says")}`;
     lock.append(icon("lock"));
-    lock.addEventListener("click", () => {
-      const locked = new Set(this.#locked);
-      if (!locked.delete(label.name)) locked.add(label.name);
-      this.lock([...locked]);
-    });
+    lock.addEventListener("click", () => this.lock(label.name, !this.#locked.has(label.name)));
     row.append(pick, lock, show);
     return row;
   }

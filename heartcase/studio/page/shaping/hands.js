@@ -69,7 +69,7 @@ export class Hands {
     const draft = shaping.draft.value;
     if (grip === null) return;
     if (grip.kind) void this.#finish(grip.kind, grip.from, grip.moved ? (draft?.entry ?? null) : null);
-    else if (draft) void shaping.change(draft.line, draft.entry);
+    else if (draft && grip.entry) void shaping.change(draft.line, grip.entry, draft.entry);
   }
 
   /** Nothing is in hand any more, and nothing has changed. */
@@ -94,10 +94,10 @@ export class Hands {
     if (line === null || entry === null) return;
     const points = /** @type {Vector[] | undefined} */ (entry.points_mm);
     const to = this.studio.crosshair.value;
-    if (!points) void this.shaping.change(line, { ...entry, position_mm: rounded(to, 1) });
+    if (!points) void this.shaping.change(line, entry, { ...entry, position_mm: rounded(to, 1) });
     else {
       const way = plus(to, points[Math.floor(points.length / 2)], -1);
-      void this.shaping.change(line, { ...entry, points_mm: points.map((mm) => rounded(plus(mm, way), 1)) });
+      void this.shaping.change(line, entry, { ...entry, points_mm: points.map((mm) => rounded(plus(mm, way), 1)) });
     }
   }
 
@@ -105,7 +105,7 @@ export class Hands {
   flip() {
     const line = this.shaping.selected.value;
     const entry = this.shaping.entryOf(line);
-    if (line && entry?.axis) void this.shaping.change(line, { ...entry, axis: entry.axis.map((/** @type {number} */ one) => -one + 0) });
+    if (line && entry?.axis) void this.shaping.change(line, entry, { ...entry, axis: entry.axis.map((/** @type {number} */ one) => -one + 0) });
   }
 
   /** @param {SliceView} view */

@@ -195,7 +195,7 @@ export class ShapePanel {
       remove.setAttribute("aria-label", say("shape_remove", { name: lineName(list, entry, line.number) }));
       remove.title = say("shape_remove", { name: "" }).trim();
       remove.append(icon("remove"));
-      remove.addEventListener("click", () => void this.shaping.remove(line));
+      onOneClick(remove, () => void this.shaping.remove(line, entry));
       row.append(go, remove);
       if (isPicked) row.append(this.#form(line, entry));
       rows.append(row);
@@ -222,7 +222,7 @@ export class ShapePanel {
     const fields = kinds[kindOf(line.list, entry)] ?? kinds[""] ?? [];
     const isRound = entry.shape === undefined;
     const shown = fields.filter(({ name }) => !isRound || (name !== "width_mm" && name !== "long_axis"));
-    form.append(...formRows(shown, entry, shape.value?.structures ?? [], (name, value) => void this.shaping.change(line, changed(entry, name, value))));
+    form.append(...formRows(shown, entry, shape.value?.structures ?? [], (name, value) => void this.shaping.change(line, entry, changed(entry, name, value))));
     const buttons = element("div", "place-buttons");
     /** @type {[import("../shared/words.js").Word, () => void][]} */
     const acts = [];
@@ -268,7 +268,7 @@ export class ShapePanel {
       remove.type = "button";
       remove.setAttribute("aria-label", say("shape_remove", { name }));
       remove.append(icon("remove"));
-      remove.addEventListener("click", () => void this.shaping.set(["materials", "labels", name], null));
+      onOneClick(remove, () => void this.shaping.set(["materials", "labels", name], null));
       head.append(element("h4", "", name), remove);
       const whole = { ...Object.fromEntries(fields.map((one) => [one.name, one.default])), ...entry };
       parts.push(head, ...formRows(fields, whole, [], (key, value) => void this.shaping.set(["materials", "labels", name], changed(whole, key, value))));
@@ -292,6 +292,13 @@ export class ShapePanel {
     rows.forEach((row, n) => (row.dataset.setting = `${table}.${facts.value?.settings[table][n].name}`));
     return rows;
   }
+}
+
+/** What a double click does once: its second click may meet what came in the place of the first. @param {HTMLElement} button @param {() => void} act */
+function onOneClick(button, act) {
+  button.addEventListener("click", ({ detail }) => {
+    if (detail < 2) act();
+  });
 }
 
 const FOCUSABLE = "button, input, select, summary";

@@ -74,14 +74,14 @@ export class Shaping {
     return answer !== null;
   }
 
-  /** @param {Line} line @param {Entry} entry */
-  change(line, entry) {
-    return this.#try({ do: "change", ...line, entry });
+  /** @param {Line} line @param {Entry} was the line as it was shown @param {Entry} entry */
+  change(line, was, entry) {
+    return this.#try({ do: "change", ...line, was, entry });
   }
 
-  /** @param {Line} line */
-  async remove(line) {
-    if (!(await this.#try({ do: "remove", ...line }))) return;
+  /** @param {Line} line @param {Entry} was the line as it was shown */
+  async remove(line, was) {
+    if (!(await this.#try({ do: "remove", ...line, was }))) return;
     this.selected.value = null;
   }
 

@@ -132,7 +132,8 @@ export class Shortcuts {
     else if (key === "j" || key === "k") this.views.turnStep(key === "j" ? -1 : 1);
     else if (key === "s") this.actions.shape();
     else if (key === "Delete" || key === "Backspace") {
-      if (studio.tool.value !== "shape" || !this.actions.removeShape()) this.measures.removeLast();
+      // held down, it would go on with the next ones
+      if (!event.repeat && (studio.tool.value !== "shape" || !this.actions.removeShape())) this.measures.removeLast();
     } else if (key === "Escape") {
       if (!this.pointers.hands?.drop() && !this.measures.drop()) studio.large.value = null;
     } else if (key === "Enter" && !event.repeat) this.#dab();
