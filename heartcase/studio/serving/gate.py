@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hmac
 import re
-import secrets
 from urllib.parse import parse_qs
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -54,8 +53,8 @@ class Gate:
         self._app = app
         self._token = token
         self._cookie = f"heartcase-{port}"
-        # Browsers send cookies to every server of this machine: the token itself is in none.
-        self._pass = secrets.token_urlsafe(24)
+        # Browsers send cookies to every server of this machine: the token cannot be told from what is in them.
+        self._pass = hmac.new(token.encode(), b"cookie", "sha256").hexdigest()
         self._hosts = {f"{name}:{port}" for name in ("127.0.0.1", "localhost")}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
