@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -42,6 +43,9 @@ T = TypeVar("T")
 _SOFTLY_S = 20.0
 """How long a session goes on at most when nobody looks any more, so that instruments let go, s."""
 _LOOK_S = 0.05
+_LOOK_EVERY_S = 1.0
+"""How often it is looked whether the case was built anew."""
+_OLDER = "the case was built anew, and what is shown is the one before: begin anew to see the new one"
 _BUILT_ANEW = "the case was built anew: this is the new one, and the session on the one before has ended"
 
 
@@ -70,6 +74,7 @@ class Theatre:
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="theatre")
         self._news = asyncio.Event()
         self._work: asyncio.Task[None] | None = None
+        self._watching: asyncio.Task[None] | None = None
         self._resting: asyncio.Task[None] | None = None
         self._rests = False
 
@@ -114,6 +119,8 @@ class Theatre:
         stage = self._stage = await self._run(self._open())
         if before is None:
             self._work = asyncio.create_task(self._show_on())
+            if self._watching is None or self._watching.done():
+                self._watching = asyncio.create_task(self._watch())
             return stage, False
         for page in self._viewers:
             self._greet(page, stage)
@@ -180,7 +187,7 @@ class Theatre:
             await self.leave(page)
             page.close()
         async with self._turn:
-            for task in (self._resting, self._work):
+            for task in (self._resting, self._work, self._watching):
                 if task is not None:
                     task.cancel()
             stage, self._stage = self._stage, None
@@ -285,6 +292,18 @@ class Theatre:
                 if self._viewers.get(page) is viewer:
                     for message in messages:
                         page.send(message)
+
+    async def _watch(self) -> None:
+        """Tell pages once that the case they look at is no longer the one that lies there."""
+        told = None
+        while True:
+            await asyncio.sleep(_LOOK_EVERY_S)
+            stage = self._stage
+            if stage is None or stage is told or not self._viewers:
+                continue
+            if not await self._run(partial(stage.is_of, self._case)) and self._stage is stage:
+                told = stage
+                self._tell(text_message("message", text=_OLDER))
 
     async def _fail(self, error: BaseException, stage: Stage) -> bool:
         """The session cannot go on: it is told, what is recorded is finished, and who comes next begins anew.

@@ -277,7 +277,7 @@ def test_who_opens_a_case_that_was_built_anew_sees_the_new_one_and_so_do_all_oth
         with operator(browser, opened) as other:
             assert shows(other, (6, 5, 4))
             assert page.hear("opened")["box_mm"] == other.opened["box_mm"]
-            assert "built anew" in page.hear("message")["text"]
+            assert "this is the new one" in page.hear("message")["text"]
             assert shows(page, (6, 5, 4))
             page.done("take", tool="g")
             assert page.at("press", TOP)["used"]
@@ -290,6 +290,7 @@ def test_to_begin_anew_is_to_begin_with_the_case_as_it_is_now(rebuilt, tmp_path)
     with theatre(case, tmp_path) as (browser, opened), operator(browser, opened) as page:
         assert shows(page, (8, 5, 4))
         build((6, 5, 4))
+        assert "begin anew to see the new one" in page.hear("message")["text"]
         page.done("begin")
         assert shows(page, (6, 5, 4))
         # one that cannot be read is told, and the session goes on
