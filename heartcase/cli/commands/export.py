@@ -387,7 +387,10 @@ def command(
     try:
         atomic_write(output, made.content)
     except OSError as error:
-        raise UsageError(f"cannot be written: {error.strerror}", place="--out") from None
+        reason = (error.strerror or "the system gives no reason").lower()
+        raise UsageError(
+            f"cannot be written: {reason}; give a file in a folder that is there and may be written", place="--out"
+        ) from None
     for warning in made.warnings:
         click.echo(f"warning: {warning}", err=True)
     if as_json:

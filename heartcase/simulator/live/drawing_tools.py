@@ -59,7 +59,7 @@ class CutTool(_DrawingTool):
     """A blade along a line that is drawn on the tissue, into it."""
 
     size: float = 6.0
-    """Through the right ventricle's wall or a great vessel's, and not on into what lies behind it, mm."""
+    """Depth, mm: through a wall of 4 mm, as the right ventricle's, and little further."""
     key: ClassVar[str] = "c"
     title: ClassVar[str] = "cut"
     size_words: ClassVar[str] = "depth {:g} mm"
