@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import json
-from typing import TypeVar
+from typing import Annotated, TypeVar
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter, ValidationError
 
 from heartcase.schemas.errors import UsageError, problems_from_validation
 from heartcase.schemas.strict_json import parse_json
 
-__all__ = ["REQUEST_SIZE_MAX", "parsed", "request_id"]
+__all__ = ["REQUEST_SIZE_MAX", "RequestId", "parsed", "request_id"]
 
 REQUEST_SIZE_MAX = 1 << 20
 """A message that is longer, in bytes, ends the connection."""
+
+RequestId = Annotated[int, Field(ge=0, le=1 << 53)]
+"""A number that a page chooses for a request, and that the answer names."""
 
 T = TypeVar("T")
 

@@ -7,17 +7,17 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from heartcase.schemas.base import Model
+from heartcase.studio.asking import RequestId
 
 __all__ = ["Approve", "BuildRequest", "Order"]
 
-_Id = Annotated[int, Field(ge=0, le=1 << 53)]
 _Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
 
 class Order(Model):
     """Build, end the build that runs, or open the case that is there."""
 
-    id: _Id
+    id: RequestId
     """Number that the answer names."""
     do: Literal["build", "cancel", "operate"]
     """Which request."""
@@ -26,7 +26,7 @@ class Order(Model):
 class Approve(Model):
     """Approve the case that was looked at, or take its approval back."""
 
-    id: _Id
+    id: RequestId
     """Number that the answer names."""
     do: Literal["approve", "withdraw"]
     """Which request."""

@@ -9,7 +9,7 @@ from pydantic import Field, TypeAdapter, model_validator
 
 from heartcase.schemas.base import Direction, Model, PointMm
 from heartcase.schemas.recording.commands import Command as SessionCommand
-from heartcase.studio.asking import parsed
+from heartcase.studio.asking import RequestId, parsed
 
 __all__ = [
     "Act",
@@ -32,7 +32,6 @@ __all__ = [
     "parse_request",
 ]
 
-_Id = Annotated[int, Field(ge=0, le=1 << 53)]
 _FAR_MM = 1e6
 """No eye is further away, and no number that says where it looks is larger."""
 _PERPENDICULAR_MAX = 1e-3
@@ -42,7 +41,7 @@ _PERPENDICULAR_MAX = 1e-3
 class _Asked(Model):
     """What all requests have."""
 
-    id: _Id
+    id: RequestId
     """Number that the answer names."""
 
 
@@ -191,7 +190,7 @@ class Seen(Model):
 
     do: Literal["seen"]
     """Which request."""
-    frame: Annotated[int, Field(ge=0, le=1 << 53)]
+    frame: RequestId
     """Its number."""
 
 

@@ -8,8 +8,8 @@ from pydantic import Field, TypeAdapter
 
 from heartcase.schemas.base import Model, Name, PointMm
 from heartcase.schemas.recipe.settings import Stroke
-from heartcase.studio.asking import parsed
-from heartcase.studio.shaping.requests import RequestId, ShapingRequest
+from heartcase.studio.asking import RequestId, parsed
+from heartcase.studio.shaping.requests import ShapingRequest
 
 __all__ = [
     "End",

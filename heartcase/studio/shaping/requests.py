@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, JsonValue
 
 from heartcase.schemas.base import Model, Name, PointMm
+from heartcase.studio.asking import RequestId
 
 __all__ = [
     "Add",
@@ -16,12 +17,10 @@ __all__ = [
     "Preview",
     "Propose",
     "Remove",
-    "RequestId",
     "Set",
     "ShapingRequest",
 ]
 
-RequestId = Annotated[int, Field(ge=0, le=1 << 53)]
 
 ListName = Literal["ends", "edits", "landmarks", "pins", "walls.thickness", "walls.septum"]
 """Lists of the recipe that a page changes."""

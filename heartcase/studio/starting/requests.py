@@ -7,10 +7,10 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from heartcase.schemas.base import Model
+from heartcase.studio.asking import RequestId
 
 __all__ = ["Begin", "List", "Look", "Open", "Reopen", "Sample", "StartRequest"]
 
-_Id = Annotated[int, Field(ge=0, le=1 << 53)]
 _Path = Annotated[str, Field(min_length=1, max_length=4096, pattern=r"^[^\x00]*$")]
 _Milliseconds = Annotated[float, Field(ge=0.0, le=1e6, allow_inf_nan=False)]
 
@@ -18,7 +18,7 @@ _Milliseconds = Annotated[float, Field(ge=0.0, le=1e6, allow_inf_nan=False)]
 class List(Model):
     """Say what a folder holds."""
 
-    id: _Id
+    id: RequestId
     """Number that the answer names."""
     do: Literal["list"]
     """Which request."""
@@ -29,7 +29,7 @@ class List(Model):
 class Look(Model):
     """List the series of a folder of DICOM files, or say what another scan is."""
 
-    id: _Id
+    id: RequestId
     """Number that the answer names."""
     do: Literal["look"]
     """Which request."""
@@ -40,7 +40,7 @@ class Look(Model):
 class Begin(Model):
     """Write a recipe for a scan, and open it."""
 
-    id: _Id
+    id: RequestId
     """Number that the answer names."""
     do: Literal["begin"]
     """Which request."""
@@ -65,7 +65,7 @@ class Begin(Model):
 class Open(Model):
     """Open a recipe or a case."""
 
-    id: _Id
+    id: RequestId
     """Number that the answer names."""
     do: Literal["open"]
     """Which request."""
@@ -76,7 +76,7 @@ class Open(Model):
 class Reopen(Model):
     """Open what was opened before, or take it off the list."""
 
-    id: _Id
+    id: RequestId
     """Number that the answer names."""
     do: Literal["reopen", "forget"]
     """Which request."""
@@ -87,7 +87,7 @@ class Reopen(Model):
 class Sample(Model):
     """Open a copy of a sample case."""
 
-    id: _Id
+    id: RequestId
     """Number that the answer names."""
     do: Literal["sample"]
     """Which request."""
