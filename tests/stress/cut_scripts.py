@@ -23,9 +23,6 @@ from tests.simulator.splitting.surfaces import box, check_closed, check_ties, hu
 ROUNDING = 2e-6
 """Of an energy in 32 bits, added up over the cells."""
 
-TURNED_MAX = 0.05
-"""How far a vertex may turn at the moment of a cut that follows a normal between nodes [cells]."""
-
 
 @dataclass(frozen=True)
 class Operated:
@@ -82,11 +79,13 @@ def operate(
     blades: list[Float64],
     *,
     hand_mm: Float64 | None = None,
+    turned_max: float = 0.0,
     steps: int = 25,
 ) -> Operated:
     """Pull, cut, go on, and undo, blade by blade, with everything checked that has to hold at each cut.
 
-    A hand pulls at a place, LPS mm; at the last free node where none is given.
+    A hand pulls at a place, LPS mm; at the last free node where none is given. ``turned_max`` says how far a vertex
+    that follows a normal between nodes may turn at the moment of a cut [cells].
     """
     cut_count = refused_count = 0
     mixed_count, rises = 0, [0.0, 0.0]
@@ -100,7 +99,7 @@ def operate(
         shown = all_bytes(simulation)
         at_rest = bool(rng.integers(2))
         try:
-            found, is_refined = check_cut(simulation, blade, at_rest, uncut)
+            found, is_refined = check_cut(simulation, blade, at_rest, uncut, turned_max)
             rises[is_refined] = max(rises[is_refined], found)
             mixed_count += not is_refined
         except SimulationError:
@@ -135,9 +134,11 @@ def all_bytes(simulation: Simulation) -> tuple[bytes, ...]:
     return tuple(np.ascontiguousarray(array).tobytes() for array in arrays)
 
 
-def check_cut(simulation: Simulation, blade: Float64, at_rest: bool, uncut: SurfaceModel) -> tuple[float, bool]:
+def check_cut(
+    simulation: Simulation, blade: Float64, at_rest: bool, uncut: SurfaceModel, turned_max: float
+) -> tuple[float, bool]:
     """Cut, and check what the moment of the cut may not change; by how much of itself the energy rises,
-    and whether no tissue changed sides."""
+    and whether no tissue changed sides. As of :func:`operate`."""
     model, state, elastic = simulation.model, simulation.state, simulation.energy().elastic_j
     springs = energy_of_springs(model, state)
     momentum, kinetic, speed = movement(model, state)
@@ -170,7 +171,7 @@ def check_cut(simulation: Simulation, blade: Float64, at_rest: bool, uncut: Surf
         np.testing.assert_array_equal(shown[kept & ~bent], vertices[kept & ~bent])
         # Those that follow a normal between nodes turn a little where they lost springs.
         moved = np.linalg.norm((shown - vertices)[kept & bent], axis=1)
-        assert moved.max(initial=0.0) <= TURNED_MAX * model.cell_mm
+        assert moved.max(initial=0.0) <= turned_max * model.cell_mm
     return rise, is_refined
 
 
