@@ -197,13 +197,14 @@ def _for_meshio(export: _Export, model: str, suffix: str) -> _Made:
     return _Made(surface_bytes(mesh, suffix), f"the surface of {_called(model)}", warnings=mesh.warnings)
 
 
-def _page(case: Path, level: int) -> _Made:
+def _page(export: _Export) -> _Made:
     """The case for a browser."""
     from heartcase.simulator.load import load_case
+    from heartcase.studio.offline.shown import shown_of
     from heartcase.studio.offline.web_page import web_page
 
-    loaded = load_case(case, needs=("surface", "structures"), level=level)
-    return _Made(web_page(loaded), "the case as a page")
+    loaded = load_case(export.case, needs=("surface",), level=export.level)
+    return _Made(web_page(loaded, shown_of(export.bundle, export.level)), "the case as a page")
 
 
 def _recorded(
@@ -373,7 +374,7 @@ def command(
     if recording is not None:
         made = _recorded(case, recording, suffix, level, frames_per_second, error_mm)
     elif suffix == PAGE:
-        made = _page(case, level)
+        made = _page(export)
     elif suffix in WRITERS:
         made = _Made(WRITERS[suffix](export), "the labels")
     else:

@@ -73,7 +73,7 @@ def animation_of(
     tissue = loaded.tissue if opened.header.tissue_sha256 else TissueSamples.everywhere()
     session = load_session(opened, loaded.model, surface=loaded.surface, tissue=tissue)
     if suffix == ".html":
-        return _page(session, loaded, recording.stem, frames_per_second)
+        return _page(session, loaded, case, level, recording.stem, frames_per_second)
     if suffix == ".glb":
         return _glb(session, loaded, frames_per_second, error_mm)
     return _film(session, loaded, suffix, frames_per_second)
@@ -91,12 +91,16 @@ def _film(session: OperatingSession, case: Case, suffix: str, frames_per_second:
     return Animation(content, f"{len(camera.frames)} frames", facts)
 
 
-def _page(session: OperatingSession, case: Case, name: str, frames_per_second: float) -> Animation:
+def _page(
+    session: OperatingSession, case: Case, path: Path, level: int, name: str, frames_per_second: float
+) -> Animation:
+    from heartcase.schemas.bundle.reader import open_bundle
+    from heartcase.studio.offline.shown import shown_of
     from heartcase.studio.offline.web_page import Recorded, web_page
 
-    content = web_page(
-        case, [Recorded(name, _moments(session, frames_per_second))], frames_per_second=frames_per_second
-    )
+    played = [Recorded(name, _moments(session, frames_per_second))]
+    shown = shown_of(open_bundle(path), level)
+    content = web_page(case, shown, played, frames_per_second=frames_per_second)
     facts: dict[str, object] = {"frames_per_second": frames_per_second}
     return Animation(content, "the case as a page with its recording", facts)
 

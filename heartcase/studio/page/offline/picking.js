@@ -27,6 +27,14 @@ export class Picking {
    * @returns {Vector | null} LPS mm; null beside the heart
    */
   at(x, y) {
+    return this.seen(x, y)?.place ?? null;
+  }
+
+  /**
+   * @param {number} x @param {number} y pixels from the picture's upper left corner
+   * @returns {{place: Vector, structure: number} | null} place, LPS mm, and number of the structure; null beside the heart
+   */
+  seen(x, y) {
     const { picture } = this;
     const { renderer, eye, scene, camera, heart } = picture;
     if (heart.mesh === null) return null;
@@ -48,6 +56,6 @@ export class Picking {
     renderer.setClearAlpha(clear);
     eye.clearViewOffset();
     const [a, b, c, isHit] = this.#found;
-    return isHit > 0.5 ? [a, b, c] : null;
+    return isHit > 0.5 ? { place: [a, b, c], structure: Math.round(isHit) - 1 } : null;
   }
 }

@@ -26,6 +26,8 @@ export class Picture {
   camera = new Camera();
   /** Pictures that were drawn so far. */
   count = 0;
+  /** For whoever draws over it. */
+  drawn = () => {};
   #isStale = true;
   #isWaiting = false;
 
@@ -72,6 +74,7 @@ export class Picture {
     this.renderer.clearDepth();
     this.renderer.render(this.over, eye);
     this.count += 1;
+    this.drawn();
   }
 
   #resize() {

@@ -20,6 +20,7 @@ export class DirectionalLight extends Thing {}
 export class PerspectiveCamera extends Thing {}
 export class Points extends Thing {}
 export class PointsMaterial extends Thing {}
+export class Quaternion extends Thing {}
 export class RawShaderMaterial extends Thing {}
 export class Scene extends Thing {}
 export class Sphere extends Thing {}

@@ -8,12 +8,12 @@ import re
 import numpy as np
 from PIL import Image
 
-from heartcase.library.catalogue.mesh_data import SurfaceArrays
 from heartcase.pipeline.report.pictures import cutaway_picture, surface_picture
 from heartcase.pipeline.report.views import CutView, four_chamber_view, places_of
 from heartcase.schemas.arrays import Float64, UInt8
 from heartcase.schemas.labels import LabelTable
 from heartcase.schemas.landmarks import Landmark
+from heartcase.studio.offline.surfaces import SurfaceArrays
 
 __all__ = ["PICTURE_SIZE", "SMALL_SIZE", "case_pictures"]
 
