@@ -35,6 +35,7 @@ from heartcase.studio.operating.viewer import described, patch_arrays
 __all__ = [
     "FRAMES_PER_SECOND",
     "LINKED_POLICY",
+    "PAGE",
     "Recorded",
     "case_script",
     "linked_page",
@@ -50,7 +51,7 @@ LINKED_POLICY = (
     "base-uri 'none'; form-action 'none'"
 )
 """What a page of a site may load: files beside it. A page of a folder has no origin, so that 'self' is not enough."""
-_PAGE = Path(__file__).parents[1] / "page"
+PAGE = Path(__file__).parents[1] / "page"
 _STYLES = ("style.css", "operating/operate.css", "offline/offline.css")
 _DAMPING_PER_S = 30.0
 """Damping of all movement that the page steps, 1/s; as where the studio's server does."""
@@ -140,13 +141,13 @@ def case_script(
 @cache
 def viewer_script() -> str:
     """The page's modules as one script."""
-    return bundled_script(_PAGE, "offline/main.js")
+    return bundled_script(PAGE, "offline/main.js")
 
 
 @cache
 def viewer_style() -> str:
     """The page's style."""
-    return "\n".join((_PAGE / name).read_text(encoding="utf-8") for name in _STYLES)
+    return "\n".join((PAGE / name).read_text(encoding="utf-8") for name in _STYLES)
 
 
 def _case_data(case: Case, shown: Shown, recordings: Sequence[Recorded], frames_per_second: float) -> str:
