@@ -19,7 +19,7 @@ from heartcase.schemas.recipe.settings import MaterialsSettings
 from tests.factories import TABLE, block_grid, block_surface
 
 SIDES = ((0, 4, 6, 2), (1, 3, 7, 5), (0, 1, 5, 4), (2, 6, 7, 3), (0, 2, 3, 1), (4, 5, 7, 6))
-"""Corners of a box, counter-clockwise from outside; bit a of a corner's number tells on which side it is along axis a."""
+"""Corners of a box, counter-clockwise from outside; bit a of a corner's number is its side along axis a."""
 
 
 def write_block_with_a_box(folder):
