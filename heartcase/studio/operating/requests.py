@@ -15,6 +15,7 @@ __all__ = [
     "Act",
     "Along",
     "Begin",
+    "Coarser",
     "Hide",
     "LetGo",
     "Look",
@@ -185,6 +186,13 @@ class Strain(_Asked):
     """Whether it is wanted."""
 
 
+class Coarser(_Asked):
+    """Send coarser levels of detail of the surface, too: for a page that cannot draw the finest while it moves."""
+
+    do: Literal["coarser"]
+    """Which request."""
+
+
 class Seen(Model):
     """A frame was taken: another may follow. It has no answer."""
 
@@ -209,6 +217,7 @@ Request = (
     | Begin
     | Hide
     | Strain
+    | Coarser
     | Seen
 )
 _REQUEST: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="do")])

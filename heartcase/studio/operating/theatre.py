@@ -17,6 +17,7 @@ from heartcase.studio.operating.requests import (
     Act,
     Along,
     Begin,
+    Coarser,
     Hide,
     LetGo,
     Play,
@@ -149,6 +150,7 @@ class Theatre:
             if self._stage is None:
                 return
             await self._update_strain()
+            await self._update_coarser()
             self._rest_if_alone(self._stage)
 
     async def ask(self, page: Page, text: str) -> None:
@@ -259,12 +261,21 @@ class Theatre:
                 viewer.wants_strain = request.shown
                 await self._update_strain()
                 self._news.set()
+            case Coarser():
+                viewer.wants_coarser = True
+                await self._update_coarser()
+                self._news.set()
         return {}
 
     async def _update_strain(self) -> None:
         stage, is_wanted = self._stage, any(one.wants_strain for one in self._viewers.values())
         if stage is not None:
             await self._run(lambda: stage.show_strain(is_wanted))
+
+    async def _update_coarser(self) -> None:
+        stage, is_wanted = self._stage, any(one.wants_coarser for one in self._viewers.values())
+        if stage is not None:
+            await self._run(lambda: stage.show_coarser(is_wanted))
 
     async def _show_on(self) -> None:
         """Show each page what is new, again and again."""

@@ -12,8 +12,8 @@ from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.live.hands import Hands
 from heartcase.simulator.live.live import LiveFrame
 from heartcase.simulator.live.rays import Pointer, Ray, first_hit
-from heartcase.simulator.surface.deform import SurfaceModel
-from heartcase.studio.operating.packing import Rounded, frame_message, topology_message
+from heartcase.simulator.surface.deform import SurfaceModel, deform
+from heartcase.studio.operating.packing import Rounded, coarse_message, frame_message, topology_message
 from heartcase.studio.operating.requests import Look
 from heartcase.studio.operating.stage import Stage
 
@@ -39,6 +39,7 @@ class Viewer:
         self.hands = Hands(stage.live)
         self.hidden: frozenset[int] = frozenset()
         self.wants_strain = False
+        self.wants_coarser = False
         self._surface: SurfaceModel | None = None
         self._model: LatticeModel | None = None
         self._sent: Rounded | None = None
@@ -46,6 +47,7 @@ class Viewer:
         self._shown_s = 0.0
         self._stretch: Any = None
         self._topology = self._frame = self._taken = 0
+        self._coarse_topology = 0
         self._pickable: tuple[SurfaceModel, frozenset[int], Int32] | None = None
 
     def begin_anew(self) -> None:
@@ -68,8 +70,9 @@ class Viewer:
         hit = None
         if self.hands.needs_hit:
             newest = self._stage.live.newest
-            assert newest.frame.surface is not None
-            hit = first_hit(ray, newest.frame.surface.vertices_mm, self._shown_triangles(newest))
+            # pages place the surface themselves: it is worked out here only where somebody points at it
+            vertices_mm = deform(newest.frame.model, newest.surface, newest.frame.state.displacement).vertices_mm
+            hit = first_hit(ray, vertices_mm, self._shown_triangles(newest))
         return Pointer(ray, hit, np.array(look.axes))
 
     def messages(self, newest: LiveFrame) -> list[bytes]:
@@ -85,7 +88,7 @@ class Viewer:
         stretch = self._stage.stretch(newest) if self.wants_strain else None
         is_new_stretch = stretch is not None and (self._stretch is None or not np.array_equal(stretch, self._stretch))
         if newest is self._shown and not is_new_stretch:
-            return []
+            return self._new_coarse(newest)
         found = []
         if newest.surface is not self._surface or newest.frame.model is not self._model:
             self._topology += 1
@@ -94,6 +97,7 @@ class Viewer:
             if self._model is None or newest.frame.model.node_count != self._model.node_count:
                 self._sent = None
             self._surface, self._model = newest.surface, newest.frame.model
+        found += self._new_coarse(newest)
         scale = {} if self._sent is None else {"scale": self._sent.scale}
         rounded = Rounded.of(newest.frame.state.displacement, **scale)
         now = time.monotonic()
@@ -108,6 +112,15 @@ class Viewer:
         found.append(frame_message(header, rounded, self._sent, more))
         self._sent, self._shown, self._shown_s = rounded, newest, now
         return found
+
+    def _new_coarse(self, newest: LiveFrame) -> list[bytes]:
+        """Coarser levels of what the page shows, where it wants them, has them not, and they are there."""
+        if not self.wants_coarser or self._coarse_topology == self._topology:
+            return []
+        coarser = self._stage.coarser(newest)
+        if coarser:
+            self._coarse_topology = self._topology
+        return [coarse_message(self._topology, one) for one in coarser]
 
     def _is_still(self, newest: LiveFrame, rounded: Rounded) -> bool:
         """Whether nothing but the time is new."""

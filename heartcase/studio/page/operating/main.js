@@ -65,11 +65,12 @@ function run() {
     forget();
     return connection.ask({ do: "command", command: { kind: "go_to", step } });
   });
+  picture.detail.wanted = () => ask({ do: "coarser" });
   const pointer = new Pointer(find("scene"), picture.camera, {
     ask: (request) => connection.ask(request),
     answered,
     failed: fault,
-    changed: () => picture.redraw(),
+    changed: () => picture.move(),
     hasTool: () => tool !== "",
     isReady: () => isReady,
     cursorMoved: () => {
@@ -269,6 +270,7 @@ function run() {
     if (strain.checked) ask({ do: "strain", shown: true });
     // what draws needs a processor of those that step
     if (picture.isDrawnInSoftware) ask({ do: "spare" });
+    picture.detail.begin();
   }
 
   /** @param {Package} message */
@@ -279,6 +281,10 @@ function run() {
       picture.redraw();
       return;
     }
+    if (header.kind === "coarse_topology") {
+      picture.heart.takeCoarse(message);
+      return;
+    }
     const arrays = arraysOf(message);
     if (header.kind === "normal_map") {
       picture.heart.takeNormalMap(arrays.png).then(() => picture.redraw(), fault);
@@ -286,7 +292,8 @@ function run() {
     }
     const isHeartNew = picture.heart.takeFrame(message, arrays);
     const areToolsNew = picture.tools.show(header, arrays);
-    if (isHeartNew || areToolsNew) picture.redraw();
+    if (isHeartNew) picture.move();
+    else if (areToolsNew) picture.redraw();
     const before = open.header;
     open.header = header;
     panel.showForces(header);

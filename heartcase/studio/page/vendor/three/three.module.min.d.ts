@@ -31,6 +31,7 @@ export class Vector4 extends Thing {}
 export class WebGLRenderTarget extends Thing {}
 export class WebGLRenderer extends Thing {}
 export const DoubleSide: any;
+export const FrontSide: any;
 export const FloatType: any;
 export const GLSL3: any;
 export const LinearFilter: any;
