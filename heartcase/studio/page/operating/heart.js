@@ -6,13 +6,9 @@ import { Nodes, ROW } from "./nodes.js";
 import { ATTRIBUTES, FRAGMENT, LINE_FRAGMENT, LINE_VERTEX, VERTEX } from "./placing.js";
 
 /** @typedef {import("../shared/connection.js").Package} Package */
-<<<<<<< HEAD
 /** `pattern` tells structures apart without colour: 1 is level lines, 2 slanting ones. */
 /** @typedef {{value: number, name: string, colour: string, pattern?: number, word?: import("../shared/words.js").Word}} Structure */
-=======
-/** @typedef {{value: number, name: string, colour: string}} Structure */
 /** A coarser level, and its materials: of a surface of which all is seen, and of others. @typedef {{level: number, mesh: any, whole: any, open: any}} Coarse */
->>>>>>> f4d97ac88158d026e81d8827336b6705bd6b35e5
 
 const STRUCTURES_MOST = 257;
 
