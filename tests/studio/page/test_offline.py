@@ -49,8 +49,11 @@ def recorded(tmp_path_factory):
 
 def contents(page):
     """What the file holds: the table, and the messages."""
-    text = page.read_text(encoding="utf-8")
-    data = zlib.decompress(base64.b64decode(re.search(r'id="case-data">([^<]*)<', text)[1]))
+    return contents_of(re.search(r'id="case-data">([^<]*)<', page.read_text(encoding="utf-8"))[1])
+
+
+def contents_of(text):
+    data = zlib.decompress(base64.b64decode(text))
     size = int.from_bytes(data[:4], "little")
     table, at, parts = json.loads(data[4 : 4 + size]), 4 + size, []
     for length in table["lengths"]:

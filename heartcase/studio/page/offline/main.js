@@ -82,14 +82,14 @@ async function run() {
   const vessels = new Vessels(picture.scene, picture.heart.uniforms.cutPlane, tubes);
   const marks = new Marks(/** @type {HTMLCanvasElement} */ (find("marks")), picture.camera);
   picture.drawn = () => marks.draw();
-  const looking = new Looking(picture.camera, { changed: () => picture.redraw(), ended: () => tellSeen() });
+  const looking = new Looking(picture.camera, { changed: () => picture.move(), ended: () => tellSeen() });
   const pointer = new Pointer(find("scene"), picture.camera, {
     ask: (request) => (hands === null ? Promise.resolve({ kind: "done", used: false }) : hands.ask(request)),
     answered: (answer) => {
       if (answer.used) wake();
     },
     failed: (error) => stop(error),
-    changed: () => picture.redraw(),
+    changed: () => picture.move(),
     hasTool: () => hands !== null && hands.tool !== "" && played === null,
     isReady: () => hands !== null,
     cursorMoved: () => {
@@ -182,7 +182,7 @@ async function run() {
   function changed() {
     picture.heart.uniforms.displacements.value.needsUpdate = true;
     picture.heart.uniforms.nodeNormals.value.needsUpdate = true;
-    picture.redraw();
+    picture.move();
   }
 
   // Steps of the page's own engine
