@@ -77,10 +77,15 @@ def opened(browser, address, **options):
     context.close()
 
 
-def touch(tab, kind, *places):
-    """What fingers do, as a touch screen tells it."""
-    points = [{"x": x, "y": y, "id": number} for number, (x, y) in enumerate(places)]
-    tab.context.new_cdp_session(tab).send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+def fingers_on(tab):
+    """What does as fingers do, as a touch screen tells it."""
+    session = tab.context.new_cdp_session(tab)
+
+    def touch(kind, *places):
+        points = [{"x": x, "y": y, "id": number} for number, (x, y) in enumerate(places)]
+        session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+    return touch
 
 
 def middle_of(tab, selector):
@@ -184,16 +189,16 @@ def test_fingers_turn_and_zoom(chromium, site):
         assert min(box["height"] for one in tab.locator("button:visible").all() if (box := one.bounding_box())) >= 44
         assert tab.evaluate("document.documentElement.scrollWidth") <= 820
         x, y = middle_of(tab, "#scene")
-        before = tab.evaluate(CAMERA)
-        touch(tab, "touchStart", (x, y))
-        touch(tab, "touchMove", (x + 60, y))
-        touch(tab, "touchEnd")
+        before, touch = tab.evaluate(CAMERA), fingers_on(tab)
+        touch("touchStart", (x, y))
+        touch("touchMove", (x + 60, y))
+        touch("touchEnd")
         turned = tab.evaluate(CAMERA)
         assert np.linalg.norm(np.subtract(turned["towards"], before["towards"])) > 0.1
         assert turned["distance"] == before["distance"]
-        touch(tab, "touchStart", (x - 50, y), (x + 50, y))
-        touch(tab, "touchMove", (x - 100, y + 40), (x + 100, y + 40))
-        touch(tab, "touchEnd")
+        touch("touchStart", (x - 50, y), (x + 50, y))
+        touch("touchMove", (x - 100, y + 40), (x + 100, y + 40))
+        touch("touchEnd")
         zoomed = tab.evaluate(CAMERA)
         assert zoomed["distance"] == pytest.approx(turned["distance"] / 2, rel=0.02)
         assert np.linalg.norm(np.subtract(zoomed["target"], turned["target"])) > 1.0
@@ -224,17 +229,22 @@ def test_a_finger_pulls_where_there_is_webgpu(site):
     ):
         tab.wait_for_selector(VIEWER, timeout=60_000)
         tab.click("#tools [data-key=g]")
-        x, y = middle_of(tab, "#scene")
-        before = tab.evaluate(CAMERA)
-        touch(tab, "touchStart", (x, y))
+        x, y = np.add(middle_of(tab, "#scene"), (60.0, 100.0)).tolist()
+        before, touch = tab.evaluate(CAMERA), fingers_on(tab)
+        touch("touchStart", (x, y))
         tab.wait_for_timeout(300)
-        touch(tab, "touchMove", (x + 60, y))
-        moved = "() => Math.max(...heartcase.picture.heart.nodes.displacement.map(Math.abs)) > 0.3"
-        tab.wait_for_function(moved, timeout=60_000)
+        touch("touchMove", (x + 60, y))
+        moved = "() => heartcase.picture.heart.nodes.displacement.reduce((most, one) => Math.max(most, Math.abs(one)))"
+        for _ in range(100):
+            tab.wait_for_timeout(200)
+            if tab.evaluate(moved) > 0.3:
+                break
+        else:
+            pytest.fail("nothing moved")
         assert tab.evaluate(CAMERA) == before
         # a second finger lets go, and both zoom
-        touch(tab, "touchStart", (x + 60, y), (x + 160, y))
-        touch(tab, "touchMove", (x + 60, y), (x + 260, y))
-        touch(tab, "touchEnd")
+        touch("touchStart", (x + 60, y), (x + 160, y))
+        touch("touchMove", (x + 60, y), (x + 260, y))
+        touch("touchEnd")
         assert tab.evaluate(CAMERA)["distance"] < before["distance"]
         assert tab.evaluate("() => heartcase.engine.heldBy('hand').length") == 0
