@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,8 @@ from heartcase.simulator.load import Case, load_case
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.replay import load_session
 from heartcase.simulator.simulation import SLEEP_MM, Simulation
+from heartcase.studio.operating.cell_labels import CellLabels
+from heartcase.studio.operating.heart_axes import heart_axes
 from heartcase.studio.operating.normal_map import NormalMap, load_normal_map
 from heartcase.studio.operating.packing import packed, stretch_bytes
 
@@ -38,7 +40,7 @@ class Stage:
     Parameters
     ----------
     case
-        The case, loaded with surface, structures and tissue.
+        The case, loaded with surface, structures, tissue and the labels of its cells.
     out
         Folder that recordings are put into, and taken from.
     heard
@@ -47,6 +49,8 @@ class Stage:
         The case's normal map, where it has one.
     sha256
         Hash of the case's manifest, which lists the hash of each file; None where it is not known.
+    axes
+        The heart's own planes, as :func:`heartcase.studio.operating.heart_axes.heart_axes` finds them.
     """
 
     def __init__(
@@ -57,6 +61,7 @@ class Stage:
         normal_map: NormalMap | None = None,
         *,
         sha256: str | None = None,
+        axes: Mapping[str, Any] | None = None,
     ) -> None:
         assert case.triangle_structures is not None
         self._case = case
@@ -64,7 +69,9 @@ class Stage:
         self._heard = heard
         self.normal_map = normal_map
         self._sha256 = sha256
+        self._axes = axes or {"planes": {}, "centre_mm": None}
         self.structures = Structures(case.manifest, case.triangle_structures)
+        self.cell_labels = CellLabels(case)
         self._strain: StrainWorker | None = None
         self._spares = False
         self.live = self._started(self._new_session())
@@ -148,7 +155,9 @@ class Stage:
                 {"value": one.number, "name": one.name, "colour": "#{:02x}{:02x}{:02x}".format(*one.colour)}
                 for one in self.structures.all
             ],
+            "tissue_inside": self.cell_labels.inside(self.structures),
             "cut_faces": CUT_FACES,
+            "heart_axes": self._axes,
             "tools": [
                 {"key": tool.key, "size_words": tool.size_words, "size": tool.size, "sizes": tool.sizes}
                 for tool in TOOLS
@@ -207,12 +216,12 @@ def open_stage(path: Path, *, out: Path, heard: Callable[[], None]) -> Stage:
     """
     while True:
         sha256 = _manifest_sha256(path)
-        case = load_case(path, needs=("surface", "structures", "tissue"))
+        case = load_case(path, needs=("surface", "structures", "tissue", "cell_labels"))
         assert case.surface is not None
-        normal_map = load_normal_map(path, case.surface)
+        normal_map, axes = load_normal_map(path, case.surface), heart_axes(path)
         # A build may have put another case there meanwhile.
         if _manifest_sha256(path) == sha256:
-            return Stage(case, out, heard, normal_map, sha256=sha256)
+            return Stage(case, out, heard, normal_map, sha256=sha256, axes=axes)
 
 
 def _manifest_sha256(path: Path) -> str | None:

@@ -17,6 +17,7 @@ from heartcase.studio.operating.requests import (
     Act,
     Along,
     Begin,
+    CutOpen,
     Hide,
     LetGo,
     Play,
@@ -255,6 +256,8 @@ class Theatre:
                 self._news.set()
             case Hide():
                 viewer.hidden = frozenset(request.structures)
+            case CutOpen():
+                viewer.cut_open(request.plane)
             case Strain():
                 viewer.wants_strain = request.shown
                 await self._update_strain()

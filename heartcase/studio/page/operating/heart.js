@@ -6,7 +6,7 @@ import { Nodes, ROW } from "./nodes.js";
 import { ATTRIBUTES, FRAGMENT, LINE_FRAGMENT, LINE_VERTEX, VERTEX } from "./placing.js";
 
 /** @typedef {import("../shared/connection.js").Package} Package */
-/** @typedef {{value: number, name: string, colour: string}} Structure */
+/** @typedef {{value: number, colour: string}} Structure */
 
 const STRUCTURES_MOST = 257;
 
@@ -24,6 +24,8 @@ export class Heart {
   topology = 0;
   /** Arrays of that topology, by their names in messages. @type {Record<string, any>} */
   arrays = {};
+  /** Where the grid lies, of that topology. @type {{origin_mm: number[], direction: number[][], cell_mm: number} | null} */
+  place = null;
   /** @type {any} */
   mesh = null;
   #colours = new Uint8Array(4 * STRUCTURES_MOST);
@@ -119,6 +121,7 @@ export class Heart {
     this.nodes = new Nodes(header.node_count, springs, this.nodes);
     this.topology = header.topology;
     this.arrays = arrays;
+    this.place = { origin_mm: header.origin_mm, direction: header.direction, cell_mm: header.cell_mm };
     for (const name of ["displacements", "nodeNormals"]) this.uniforms[name].value?.dispose();
     this.uniforms.displacements.value = texels(this.nodes.displacement);
     this.uniforms.nodeNormals.value = texels(this.nodes.normals);
