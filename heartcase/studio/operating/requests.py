@@ -16,9 +16,11 @@ __all__ = [
     "Along",
     "Begin",
     "Coarser",
+    "CutOpen",
     "Hide",
     "LetGo",
     "Look",
+    "Plane",
     "Play",
     "Point",
     "Recordings",
@@ -177,6 +179,32 @@ class Hide(_Asked):
     """Their numbers."""
 
 
+class Plane(Model):
+    """A plane that opens the heart."""
+
+    normal: Direction
+    """To what is taken away, LPS."""
+    point_mm: PointMm
+    """A point of it, LPS mm."""
+
+    @model_validator(mode="after")
+    def _is_a_plane(self) -> Plane:
+        if np.abs([self.point_mm, self.normal]).max() > _FAR_MM:
+            raise ValueError(f"a plane is at most {_FAR_MM:g} mm away")
+        if np.linalg.norm(self.normal) < 1.0 / _FAR_MM:
+            raise ValueError("a direction this short says nothing")
+        return self
+
+
+class CutOpen(_Asked):
+    """Where this page cuts the heart open: what is taken away cannot be pointed at from it."""
+
+    do: Literal["cut_open"]
+    """Which request."""
+    plane: Plane | None
+    """Where; null where it does not."""
+
+
 class Strain(_Asked):
     """Send how far the tissue is stretched, too."""
 
@@ -216,6 +244,7 @@ Request = (
     | Replay
     | Begin
     | Hide
+    | CutOpen
     | Strain
     | Coarser
     | Seen

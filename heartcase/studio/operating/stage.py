@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,9 @@ from heartcase.simulator.load import Case, load_case
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.replay import load_session
 from heartcase.simulator.simulation import SLEEP_MM, Simulation
+from heartcase.studio.operating.cell_labels import CellLabels
 from heartcase.studio.operating.coarser import CoarseLevel, CoarserWorker, load_coarser
+from heartcase.studio.operating.heart_axes import heart_axes
 from heartcase.studio.operating.normal_map import NormalMap, load_normal_map
 from heartcase.studio.operating.packing import packed, stretch_bytes
 
@@ -41,7 +43,7 @@ class Stage:
     Parameters
     ----------
     case
-        The case, loaded with surface, structures and tissue.
+        The case, loaded with surface, structures, tissue and the labels of its cells.
     out
         Folder that recordings are put into, and taken from.
     heard
@@ -52,6 +54,8 @@ class Stage:
         The surface at coarser levels of detail, where the case has them.
     sha256
         Hash of the case's manifest, which lists the hash of each file; None where it is not known.
+    axes
+        The heart's own planes, as :func:`heartcase.studio.operating.heart_axes.heart_axes` finds them.
     """
 
     def __init__(
@@ -63,6 +67,7 @@ class Stage:
         *,
         coarser: tuple[CoarseLevel, ...] = (),
         sha256: str | None = None,
+        axes: Mapping[str, Any] | None = None,
     ) -> None:
         assert case.triangle_structures is not None
         self._case = case
@@ -70,7 +75,9 @@ class Stage:
         self._heard = heard
         self.normal_map = normal_map
         self._sha256 = sha256
+        self._axes = axes or {"planes": {}, "centre_mm": None}
         self.structures = Structures(case.manifest, case.triangle_structures)
+        self.cell_labels = CellLabels(case)
         self._strain: StrainWorker | None = None
         self._levels = coarser
         self._coarser: CoarserWorker | None = None
@@ -175,7 +182,9 @@ class Stage:
                 {"value": one.number, "name": one.name, "colour": "#{:02x}{:02x}{:02x}".format(*one.colour)}
                 for one in self.structures.all
             ],
+            "tissue_inside": self.cell_labels.inside(self.structures),
             "cut_faces": CUT_FACES,
+            "heart_axes": self._axes,
             "tools": [
                 {"key": tool.key, "size_words": tool.size_words, "size": tool.size, "sizes": tool.sizes}
                 for tool in TOOLS
@@ -240,13 +249,13 @@ def open_stage(path: Path, *, out: Path, heard: Callable[[], None]) -> Stage:
     """
     while True:
         sha256 = _manifest_sha256(path)
-        case = load_case(path, needs=("surface", "structures", "tissue"))
+        case = load_case(path, needs=("surface", "structures", "tissue", "cell_labels"))
         assert case.surface is not None
-        normal_map = load_normal_map(path, case.surface)
+        normal_map, axes = load_normal_map(path, case.surface), heart_axes(path)
         coarser = load_coarser(path)
         # A build may have put another case there meanwhile.
         if _manifest_sha256(path) == sha256:
-            return Stage(case, out, heard, normal_map, coarser=coarser, sha256=sha256)
+            return Stage(case, out, heard, normal_map, coarser=coarser, sha256=sha256, axes=axes)
 
 
 def _manifest_sha256(path: Path) -> str | None:

@@ -18,6 +18,7 @@ from heartcase.studio.operating.requests import (
     Along,
     Begin,
     Coarser,
+    CutOpen,
     Hide,
     LetGo,
     Play,
@@ -257,6 +258,8 @@ class Theatre:
                 self._news.set()
             case Hide():
                 viewer.hidden = frozenset(request.structures)
+            case CutOpen():
+                viewer.cut_open(request.plane)
             case Strain():
                 viewer.wants_strain = request.shown
                 await self._update_strain()

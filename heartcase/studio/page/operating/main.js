@@ -9,6 +9,7 @@ import { fillWords, figure, isWord, language, say } from "../shared/words.js";
 import { arraysOf } from "./messages.js";
 import { Panel } from "./panel.js";
 import { NoGraphics, Picture } from "./picture.js";
+import { PlaneControls } from "./plane_controls.js";
 import { Pointer } from "./pointer.js";
 import { TimeLine } from "./time_line.js";
 
@@ -80,6 +81,10 @@ function run() {
     },
   });
 
+  const planeControls = new PlaneControls(picture, (plane) => ask({ do: "cut_open", plane }));
+  /** Colours of tissue that lies inside alone. @type {{value: number, colour: string}[]} */
+  let tissueInside = [];
+
   function forget() {
     pointer.forget();
     picture.tools.showLine([]);
@@ -87,7 +92,7 @@ function run() {
   }
 
   function paint() {
-    picture.heart.paint(panel.structures, panel.hidden);
+    picture.heart.paint([...panel.structures, ...tissueInside], panel.hidden);
     picture.redraw();
   }
 
@@ -230,6 +235,7 @@ function run() {
     const found = /** @type {Record<string, () => void>} */ ({
       u: actions.undo, y: actions.redo, b: actions.back, l: actions.play, t: actions.tie, w: actions.record, v: actions.strain,
       x: () => actions.letGo(true), a: actions.showAll, home: actions.reset, escape: actions.putDown, " ": actions.pause,
+      k: () => planeControls.toggle(), "<": () => planeControls.step(-1), ">": () => planeControls.step(1),
       "[": () => actions.resize(-1), "]": () => actions.resize(1), ",": () => actions.resize(-1), ".": () => actions.resize(1),
     });
     return found[key] ?? null;
@@ -258,6 +264,7 @@ function run() {
     if (isFirst) picture.camera.frame(...box);
     timeLine.stepS = message.step_s;
     picture.heart.forgetNormalMap();
+    tissueInside = message.tissue_inside;
     panel.setStructures(message.structures);
     picture.heart.paintStretch(message.stretch_colours);
     const [low, high] = message.stretch_shown;
@@ -267,6 +274,7 @@ function run() {
     paint();
     take(tool);
     ask({ do: "hide", structures: [...panel.hidden] });
+    planeControls.setCase(message.heart_axes, box);
     if (strain.checked) ask({ do: "strain", shown: true });
     // what draws needs a processor of those that step
     if (picture.isDrawnInSoftware) ask({ do: "spare" });

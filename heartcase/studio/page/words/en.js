@@ -1,5 +1,7 @@
 /** The page's words in English. */
 
+import { words as scene } from "./scene_en.js";
+
 export const words = {
   language_name: "English",
   connecting: "Connecting …",
@@ -474,4 +476,5 @@ export const words = {
   act_grid: "the model's size",
   act_surface: "the surface's size",
   act_markers: "a draft",
+  ...scene,
 };
