@@ -13,15 +13,15 @@ from heartcase.schemas.arrays import Float, Float64, Int32
 from heartcase.schemas.landmarks import Landmark
 from heartcase.simulator.incisions.directions import divided
 from heartcase.simulator.incisions.figures import IncisionFigures
-from heartcase.simulator.incisions.nearness import carried, to_vessels
+from heartcase.simulator.incisions.nearness import Carrier, to_vessels
 from heartcase.simulator.incisions.stitches import beside_measured
 from heartcase.simulator.incisions.strain import Peak, Strain, cell_strain, peak
 from heartcase.simulator.incisions.surgical_freedom import Shaft, freedom_at_target_mm3, reach
 from heartcase.simulator.incisions.triangle_tree import TriangleTree, triangle_tree
-from heartcase.simulator.incisions.visibility import View, visibility
+from heartcase.simulator.incisions.visibility import View, Visibility, visibility
 from heartcase.simulator.lattice.model import LatticeModel
 
-__all__ = ["IncisionPlan", "Scene", "measured"]
+__all__ = ["IncisionPlan", "Scene", "measured", "measured_and_seen"]
 
 
 @dataclass(frozen=True)
@@ -62,6 +62,14 @@ class Scene:
     opening_mm: Float64 | None = None
     """The lips as they are held now, one closed curve, LPS mm, shape (count, 3); without it no reach is worked out."""
 
+    known: Carrier | None = None
+    """What carries points with the surface, where it is known from another moment."""
+
+    @cached_property
+    def carrier(self) -> Carrier:
+        """What carries points with the surface."""
+        return self.known or Carrier(self.rest_mm)
+
     @cached_property
     def tree(self) -> TriangleTree:
         """The surface now, for what is seen and reached."""
@@ -82,7 +90,27 @@ def measured(
     spacing_mm: float = 2.0,
     reaches: bool = True,
 ) -> IncisionFigures:
-    """The figures of an incision.
+    """The figures of an incision: those of :func:`measured_and_seen`."""
+    return measured_and_seen(
+        plan,
+        scene,
+        retraction_n=retraction_n,
+        stitch_forces_n=stitch_forces_n,
+        spacing_mm=spacing_mm,
+        reaches=reaches,
+    )[0]
+
+
+def measured_and_seen(
+    plan: IncisionPlan,
+    scene: Scene,
+    *,
+    retraction_n: float | None = None,
+    stitch_forces_n: Sequence[float] = (),
+    spacing_mm: float = 2.0,
+    reaches: bool = True,
+) -> tuple[IncisionFigures, Visibility | None]:
+    """The figures of an incision, and what is seen of the defect where there is one.
 
     Parameters
     ----------
@@ -105,10 +133,10 @@ def measured(
         A curve is none, or a number is out of range.
     """
     tree, strain = scene.tree, scene.strain
-    curve = carried(plan.curve_mm, scene.rest_mm, scene.now_mm)
+    curve = scene.carrier.carried(plan.curve_mm, scene.now_mm)
     seen, freedom, reached = None, None, None
     if plan.rim_mm is not None:
-        rim = carried(plan.rim_mm, scene.rest_mm, scene.now_mm)
+        rim = scene.carrier.carried(plan.rim_mm, scene.now_mm)
         seen = visibility(tree, rim, plan.view)
         freedom = freedom_at_target_mm3(tree, rim.mean(axis=0), plan.shaft, tip_free_mm=plan.shaft.radius_mm)
     if scene.opening_mm is not None and reaches:
@@ -117,8 +145,8 @@ def measured(
         peak(scene.model, scene.displacement, values[:, 0], strain.is_known)
         for values in (strain.stretches, strain.stress_kpa)
     )
-    vessels = to_vessels(_edge(scene, curve), scene.landmarks, scene.rest_mm, scene.now_mm)
-    return IncisionFigures(
+    vessels = to_vessels(_edge(scene, curve), scene.landmarks, scene.rest_mm, scene.now_mm, carrier=scene.carrier)
+    figures = IncisionFigures(
         name=plan.name,
         rim_seen=None if seen is None else seen.rim_seen,
         rim_seen_best=None if seen is None else seen.rim_seen_best,
@@ -136,6 +164,7 @@ def measured(
         length_mm=_length_mm(plan.curve_mm),
         stitches=beside_measured(tuple(stitch_forces_n)),
     )
+    return figures, seen
 
 
 def _edge(scene: Scene, curve: Float64) -> Float64:

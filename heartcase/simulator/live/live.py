@@ -31,6 +31,8 @@ from heartcase.schemas.recording.commands import (
     OpenGrab,
     WithdrawProbe,
 )
+from heartcase.simulator.incisions.held_open import ShownHeart
+from heartcase.simulator.live.cuts_done import CutsDone
 from heartcase.simulator.live.goals import SOFT_SPEED_MM_S, Goals
 from heartcase.simulator.live.tool import Held, Turn
 from heartcase.simulator.session.frame import Frame
@@ -84,6 +86,10 @@ class LiveFrame:
     """Name of the folder that is recorded into."""
     act_count: int
     """Acts that are done."""
+    cuts: tuple[Cut, ...] = ()
+    """Cuts that are done, as the history has them: at rest. The same object while they are the same."""
+    unheld: ShownHeart | None = None
+    """The surface when it was last seen cut with no instrument in it; None where it was not seen so."""
 
 
 class Live:
@@ -132,6 +138,7 @@ class Live:
         self._part = 0.0
         self._past: deque[tuple[float, int]] = deque()
         self._act_count = self._counted = 0
+        self._cuts_done = CutsDone()
         self.newest = self._published(session.frame(surface=True))
 
     def start(self) -> None:
@@ -388,6 +395,7 @@ class Live:
             (began, first), (ended, last) = self._past[0], self._past[-1]
             rate = (last - first) / max(ended - began, 1e-9)
             factor = rate * session.simulation.step_s
+        self._cuts_done.note(session, frame)
         return replace(
             moment_of(session, frame),
             mode=self._mode,
@@ -395,6 +403,8 @@ class Live:
             steps_per_second=rate,
             recording=None if self._recorder is None else self._recorder.path.name,
             act_count=self._acts_done(),
+            cuts=self._cuts_done.cuts,
+            unheld=self._cuts_done.unheld,
         )
 
     def _acts_done(self) -> int:

@@ -15,6 +15,7 @@ __all__ = [
     "Act",
     "Along",
     "Begin",
+    "Figures",
     "Hide",
     "LetGo",
     "Look",
@@ -185,6 +186,19 @@ class Strain(_Asked):
     """Whether it is wanted."""
 
 
+class Figures(_Asked):
+    """Send figures of an incision as it is held open now, again and again."""
+
+    do: Literal["figures"]
+    """Which request."""
+    shown: bool
+    """Whether they are wanted."""
+    incision: Annotated[int, Field(ge=0, le=10_000)] = 0
+    """Which of the cuts, from 0; the last one where there are fewer."""
+    reach: bool = False
+    """Whether the reach of an instrument's tip is to be worked out, once: time is stopped for it."""
+
+
 class Seen(Model):
     """A frame was taken: another may follow. It has no answer."""
 
@@ -209,6 +223,7 @@ Request = (
     | Begin
     | Hide
     | Strain
+    | Figures
     | Seen
 )
 _REQUEST: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="do")])

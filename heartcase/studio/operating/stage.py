@@ -22,6 +22,7 @@ from heartcase.simulator.load import Case, load_case
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.replay import load_session
 from heartcase.simulator.simulation import SLEEP_MM, Simulation
+from heartcase.studio.operating.live_figures import ShownFigures
 from heartcase.studio.operating.normal_map import NormalMap, load_normal_map
 from heartcase.studio.operating.packing import packed, stretch_bytes
 
@@ -67,12 +68,14 @@ class Stage:
         self.structures = Structures(case.manifest, case.triangle_structures)
         self._strain: StrainWorker | None = None
         self._spares = False
+        self.figures = ShownFigures(case, heard)
         self.live = self._started(self._new_session())
 
     def close(self) -> None:
         """End the session; a recording is finished."""
         self.live.close()
         self.show_strain(False)
+        self.figures.show(False)
 
     def is_of(self, path: Path) -> bool:
         """Whether the case that lies there now is the one that was loaded; it may have been built anew."""

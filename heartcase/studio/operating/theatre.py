@@ -17,6 +17,7 @@ from heartcase.studio.operating.requests import (
     Act,
     Along,
     Begin,
+    Figures,
     Hide,
     LetGo,
     Play,
@@ -149,6 +150,7 @@ class Theatre:
             if self._stage is None:
                 return
             await self._update_strain()
+            await self._update_figures()
             self._rest_if_alone(self._stage)
 
     async def ask(self, page: Page, text: str) -> None:
@@ -259,7 +261,20 @@ class Theatre:
                 viewer.wants_strain = request.shown
                 await self._update_strain()
                 self._news.set()
+            case Figures():
+                viewer.wants_figures = request.shown
+                await self._update_figures()
+                stage.figures.incision = request.incision
+                if request.shown and request.reach:
+                    live.pause(True)
+                    stage.figures.ask_for_reach()
+                self._news.set()
         return {}
+
+    async def _update_figures(self) -> None:
+        stage, is_wanted = self._stage, any(one.wants_figures for one in self._viewers.values())
+        if stage is not None:
+            await self._run(lambda: stage.figures.show(is_wanted))
 
     async def _update_strain(self) -> None:
         stage, is_wanted = self._stage, any(one.wants_strain for one in self._viewers.values())
@@ -292,6 +307,8 @@ class Theatre:
                 if self._viewers.get(page) is viewer:
                     for message in messages:
                         page.send(message)
+                    if (figures := viewer.figures(newest)) is not None:
+                        page.send(figures)
 
     async def _watch(self) -> None:
         """Tell pages once that the case they look at is no longer the one that lies there."""

@@ -38,7 +38,7 @@ class Viewer:
         self._stage = stage
         self.hands = Hands(stage.live)
         self.hidden: frozenset[int] = frozenset()
-        self.wants_strain = False
+        self.wants_strain = self.wants_figures = False
         self._surface: SurfaceModel | None = None
         self._model: LatticeModel | None = None
         self._sent: Rounded | None = None
@@ -46,6 +46,7 @@ class Viewer:
         self._shown_s = 0.0
         self._stretch: Any = None
         self._topology = self._frame = self._taken = 0
+        self._figures: str | None = None
         self._pickable: tuple[SurfaceModel, frozenset[int], Int32] | None = None
 
     def begin_anew(self) -> None:
@@ -71,6 +72,18 @@ class Viewer:
             assert newest.frame.surface is not None
             hit = first_hit(ray, newest.frame.surface.vertices_mm, self._shown_triangles(newest))
         return Pointer(ray, hit, np.array(look.axes))
+
+    def figures(self, newest: LiveFrame) -> str | None:
+        """The message with the newest figures, where they are wanted and it was not sent yet; a moment is passed on."""
+        if not self.wants_figures:
+            self._figures = None
+            return None
+        self._stage.figures.ask(newest)
+        message = self._stage.figures.message(newest)
+        if message == self._figures:
+            return None
+        self._figures = message
+        return message
 
     def messages(self, newest: LiveFrame) -> list[bytes]:
         """What is to be sent to show a moment; nothing where the page is busy, or has it already.
