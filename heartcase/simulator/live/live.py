@@ -161,6 +161,10 @@ class Live:
         """Ask for commands; they are done before the next steps. What is refused is told as a message."""
         self._ask(commands)
 
+    def lead(self, command: LeadGrab | MoveProbe, speed_mm_s: float) -> None:
+        """Lead an instrument there no faster than so, mm for each simulated second."""
+        self._ask([lambda: self._goals.set(command, speed_mm_s)])
+
     def pause(self, is_paused: bool) -> None:
         """Let time stand, or go on from here: then what was known ahead is dropped by the next steps."""
         self._ask([lambda: self._set_mode("paused" if is_paused else "running")])

@@ -7,15 +7,12 @@ from dataclasses import asdict
 from math import isfinite
 from typing import Any
 
-import numpy as np
-
+from heartcase.schemas.landmarks import Landmark
 from heartcase.simulator.incisions.figures import IncisionFigures
-from heartcase.simulator.incisions.held_open import ShownHeart
 from heartcase.simulator.live.figures_worker import FiguresWorker, LiveFigures
 from heartcase.simulator.live.live import LiveFrame
-from heartcase.simulator.load import Case
-from heartcase.simulator.surface.deform import deform
 from heartcase.studio.messages import text_message
+from heartcase.studio.operating.incisions import Incisions
 
 __all__ = ["ShownFigures", "told_figures"]
 
@@ -27,15 +24,15 @@ class ShownFigures:
 
     Parameters
     ----------
-    case
-        The case, with its surface.
+    incisions, landmarks
+        Incisions of the case, and its landmarks.
     heard
         Called by a thread when there are new figures.
     """
 
-    def __init__(self, case: Case, heard: Callable[[], None]) -> None:
+    def __init__(self, incisions: Incisions, landmarks: tuple[Landmark, ...], heard: Callable[[], None]) -> None:
         self.incision = 0
-        self._case, self._heard = case, heard
+        self._incisions, self._landmarks, self._heard = incisions, landmarks, heard
         self._worker: FiguresWorker | None = None
 
     def show(self, is_wanted: bool) -> None:
@@ -45,11 +42,7 @@ class ShownFigures:
             worker.close()
             self._worker = worker = None
         if is_wanted and worker is None:
-            case = self._case
-            assert case.surface is not None
-            still = np.zeros((case.model.node_count, 3), np.float32)
-            whole = ShownHeart.of(case.surface, deform(case.model, case.surface, still))
-            self._worker = FiguresWorker(whole, case.manifest.landmarks, heard=self._heard)
+            self._worker = FiguresWorker(self._incisions.whole, self._landmarks, heard=self._heard)
 
     def ask(self, live: LiveFrame) -> None:
         """Work out this moment next."""

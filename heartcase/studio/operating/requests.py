@@ -17,8 +17,10 @@ __all__ = [
     "Begin",
     "Figures",
     "Hide",
+    "HoldOpen",
     "LetGo",
     "Look",
+    "Planned",
     "Play",
     "Point",
     "Recordings",
@@ -199,6 +201,24 @@ class Figures(_Asked):
     """Whether the reach of an instrument's tip is to be worked out, once: time is stopped for it."""
 
 
+class Planned(_Asked):
+    """Cut along a planned incision of the case."""
+
+    do: Literal["cut_planned"]
+    """Which request."""
+    incision: Annotated[str, Field(min_length=1, max_length=200)]
+    """Its name."""
+
+
+class HoldOpen(_Asked):
+    """Close hands on both lips of a cut, and lead them apart."""
+
+    do: Literal["hold_open"]
+    """Which request."""
+    incision: Annotated[int, Field(ge=0, le=10_000)]
+    """Which of the cuts, from 0."""
+
+
 class Seen(Model):
     """A frame was taken: another may follow. It has no answer."""
 
@@ -224,6 +244,8 @@ Request = (
     | Hide
     | Strain
     | Figures
+    | Planned
+    | HoldOpen
     | Seen
 )
 _REQUEST: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="do")])

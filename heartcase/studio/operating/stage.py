@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from heartcase.schemas.bundle.manifest import manifest_bytes
-from heartcase.schemas.errors import HeartcaseError, RecordingError
+from heartcase.schemas.errors import HeartcaseError, RecordingError, UsageError
 from heartcase.schemas.recording.reader import open_recording
 from heartcase.simulator.incisions.strain import vertex_colours
 from heartcase.simulator.live.live import Live, LiveFrame
@@ -22,6 +22,7 @@ from heartcase.simulator.load import Case, load_case
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.replay import load_session
 from heartcase.simulator.simulation import SLEEP_MM, Simulation
+from heartcase.studio.operating.incisions import Incisions
 from heartcase.studio.operating.live_figures import ShownFigures
 from heartcase.studio.operating.normal_map import NormalMap, load_normal_map
 from heartcase.studio.operating.packing import packed, stretch_bytes
@@ -68,7 +69,8 @@ class Stage:
         self.structures = Structures(case.manifest, case.triangle_structures)
         self._strain: StrainWorker | None = None
         self._spares = False
-        self.figures = ShownFigures(case, heard)
+        self.incisions = Incisions(case)
+        self.figures = ShownFigures(self.incisions, case.manifest.landmarks, heard)
         self.live = self._started(self._new_session())
 
     def close(self) -> None:
@@ -122,6 +124,33 @@ class Stage:
             self._spares = True
             self.live.spare_a_processor()
 
+    def cut_planned(self, name: str) -> None:
+        """Cut along a planned incision.
+
+        Raises
+        ------
+        UsageError
+            The case has no such incision.
+        """
+        self.live.do(self.incisions.cut(name))
+
+    def hold_open(self, number: int) -> None:
+        """Close hands on both lips of a cut, by its place among those that are done, and lead them apart.
+
+        Raises
+        ------
+        UsageError
+            There is no such cut, or it has no line on the tissue.
+        """
+        live = self.live
+        cuts = live.newest.cuts
+        if number >= len(cuts):
+            raise UsageError("there is no such incision: cut first", place="incision")
+        hands = self.incisions.hands(cuts[number])
+        live.do(*(close for close, _, _ in hands))
+        for _, led, speed_mm_s in hands:
+            live.lead(led, speed_mm_s)
+
     def show_strain(self, is_wanted: bool) -> None:
         """Work out how far the tissue is stretched, or leave it."""
         if is_wanted and self._strain is None:
@@ -158,6 +187,7 @@ class Stage:
             ],
             "box_mm": [low.tolist(), high.tolist()],
             "step_s": simulation.step_s,
+            "incisions": self.incisions.names,
             "stretch_shown": STRETCH_SHOWN,
             "stretch_colours": vertex_colours(np.linspace(*STRETCH_SHOWN, 256), *STRETCH_SHOWN).tolist(),
         }

@@ -19,7 +19,9 @@ from heartcase.studio.operating.requests import (
     Begin,
     Figures,
     Hide,
+    HoldOpen,
     LetGo,
+    Planned,
     Play,
     Point,
     Recordings,
@@ -269,6 +271,10 @@ class Theatre:
                     live.pause(True)
                     stage.figures.ask_for_reach()
                 self._news.set()
+            case Planned():
+                await self._run(lambda: stage.cut_planned(request.incision))
+            case HoldOpen():
+                await self._run(lambda: stage.hold_open(request.incision))
         return {}
 
     async def _update_figures(self) -> None:
