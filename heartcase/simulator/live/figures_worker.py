@@ -273,7 +273,7 @@ class FiguresWorker:
     @property
     def has_ended(self) -> bool:
         """Whether it ended by itself."""
-        return not self._thread.is_alive()
+        return not (self._thread.is_alive() and self._process.is_alive())
 
     def close(self) -> None:
         """End thread and process."""

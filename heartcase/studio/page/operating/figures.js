@@ -126,8 +126,8 @@ export class LiveFigures {
     }
     const first = found.defects[0].figures;
     this.#table([
-      [found.name, [...rows([first], OF_INCISION), ...vesselRows([first])]],
       ...found.defects.filter((/** @type {any} */ one) => one.name !== "").map((/** @type {any} */ one) => [one.name, rows([one.figures], OF_DEFECT)]),
+      [found.name, [...rows([first], OF_INCISION), ...vesselRows([first])]],
     ]);
     remarks.push(say("figures_at", { time: figure(found.time_s, 2) }));
     if (found.inverted_cell_count) remarks.unshift(say("figures_inverted", { count: figure(found.inverted_cell_count, 0) }));
