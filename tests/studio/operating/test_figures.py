@@ -82,7 +82,7 @@ def test_a_page_that_goes_ends_what_was_worked_out_for_it(hollow):
         assert worker._process.is_alive()
         # one that ended by itself is begun anew when it is asked for
         worker._process.kill()
-        worker._thread.join(10.0)
+        worker._process.join(10.0)
         other.done("figures", shown=True)
         worker = opened.places["operating"]._stage.figures._worker
         assert worker._process.is_alive()
