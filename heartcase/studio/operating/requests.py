@@ -17,10 +17,13 @@ __all__ = [
     "Begin",
     "Coarser",
     "CutOpen",
+    "Figures",
     "Hide",
+    "HoldOpen",
     "LetGo",
     "Look",
     "Plane",
+    "Planned",
     "Play",
     "Point",
     "Recordings",
@@ -221,6 +224,37 @@ class Coarser(_Asked):
     """Which request."""
 
 
+class Figures(_Asked):
+    """Send figures of an incision as it is held open now, again and again."""
+
+    do: Literal["figures"]
+    """Which request."""
+    shown: bool
+    """Whether they are wanted."""
+    incision: Annotated[int, Field(ge=0, le=10_000)] = 0
+    """Which of the cuts, from 0; the last one where there are fewer."""
+    reach: bool = False
+    """Whether the reach of an instrument's tip is to be worked out, once: time is stopped for it."""
+
+
+class Planned(_Asked):
+    """Cut along a planned incision of the case."""
+
+    do: Literal["cut_planned"]
+    """Which request."""
+    incision: Annotated[str, Field(min_length=1, max_length=200)]
+    """Its name."""
+
+
+class HoldOpen(_Asked):
+    """Close hands on both lips of a cut, and lead them apart."""
+
+    do: Literal["hold_open"]
+    """Which request."""
+    incision: Annotated[int, Field(ge=0, le=10_000)]
+    """Which of the cuts, from 0."""
+
+
 class Seen(Model):
     """A frame was taken: another may follow. It has no answer."""
 
@@ -247,6 +281,9 @@ Request = (
     | CutOpen
     | Strain
     | Coarser
+    | Figures
+    | Planned
+    | HoldOpen
     | Seen
 )
 _REQUEST: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="do")])

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from heartcase.schemas.bundle.manifest import manifest_bytes
-from heartcase.schemas.errors import HeartcaseError, RecordingError
+from heartcase.schemas.errors import HeartcaseError, RecordingError, UsageError
 from heartcase.schemas.recording.reader import open_recording
 from heartcase.simulator.incisions.strain import vertex_colours
 from heartcase.simulator.live.live import FRAME_S, Live, LiveFrame
@@ -25,6 +25,8 @@ from heartcase.simulator.simulation import SLEEP_MM, Simulation
 from heartcase.studio.operating.cell_labels import CellLabels
 from heartcase.studio.operating.coarser import CoarseLevel, CoarserWorker, load_coarser
 from heartcase.studio.operating.heart_axes import heart_axes
+from heartcase.studio.operating.incisions import Incisions
+from heartcase.studio.operating.live_figures import ShownFigures
 from heartcase.studio.operating.normal_map import NormalMap, load_normal_map
 from heartcase.studio.operating.packing import packed, stretch_bytes
 
@@ -82,6 +84,8 @@ class Stage:
         self._levels = coarser
         self._coarser: CoarserWorker | None = None
         self._spares = False
+        self.incisions = Incisions(case)
+        self.figures = ShownFigures(self.incisions, case.manifest.landmarks, heard)
         self.live = self._started(self._new_session())
 
     def close(self) -> None:
@@ -89,6 +93,7 @@ class Stage:
         self.live.close()
         self.show_strain(False)
         self.show_coarser(False)
+        self.figures.show(False)
 
     def is_of(self, path: Path) -> bool:
         """Whether the case that lies there now is the one that was loaded; it may have been built anew."""
@@ -134,6 +139,33 @@ class Stage:
         if not self._spares:
             self._spares = True
             self.live.spare_a_processor()
+
+    def cut_planned(self, name: str) -> None:
+        """Cut along a planned incision.
+
+        Raises
+        ------
+        UsageError
+            The case has no such incision.
+        """
+        self.live.do(self.incisions.cut(name))
+
+    def hold_open(self, number: int) -> None:
+        """Close hands on both lips of a cut, by its place among those that are done, and lead them apart.
+
+        Raises
+        ------
+        UsageError
+            There is no such cut, or it has no line on the tissue.
+        """
+        live = self.live
+        cuts = live.newest.cuts
+        if number >= len(cuts):
+            raise UsageError("there is no such incision: cut first", place="incision")
+        hands = self.incisions.hands(cuts[number])
+        live.do(*(close for close, _, _ in hands))
+        for _, led, speed_mm_s in hands:
+            live.lead(led, speed_mm_s)
 
     def show_strain(self, is_wanted: bool) -> None:
         """Work out how far the tissue is stretched, or leave it."""
@@ -191,6 +223,7 @@ class Stage:
             ],
             "box_mm": [low.tolist(), high.tolist()],
             "step_s": simulation.step_s,
+            "incisions": self.incisions.names,
             "stretch_shown": STRETCH_SHOWN,
             "stretch_colours": vertex_colours(np.linspace(*STRETCH_SHOWN, 256), *STRETCH_SHOWN).tolist(),
         }

@@ -40,8 +40,7 @@ class Viewer:
         self._stage = stage
         self.hands = Hands(stage.live)
         self.hidden: frozenset[int] = frozenset()
-        self.wants_strain = False
-        self.wants_coarser = False
+        self.wants_strain = self.wants_coarser = self.wants_figures = False
         self._surface: SurfaceModel | None = None
         self._model: LatticeModel | None = None
         self._sent: Rounded | None = None
@@ -51,6 +50,7 @@ class Viewer:
         self._topology = self._frame = self._taken = 0
         self._coarse_topology = 0
         self._plane: CutPlane | None = None
+        self._figures: str | None = None
         self._pickable: tuple[SurfaceModel, frozenset[int], Int32] | None = None
 
     def begin_anew(self) -> None:
@@ -100,6 +100,18 @@ class Viewer:
         if int(self._stage.cell_labels.of(model)[cell]) not in self.hidden:
             return hit
         return first_hit(replace(ray, start_mm=hit.point_mm), surface.vertices_mm, shown)
+
+    def figures(self, newest: LiveFrame) -> str | None:
+        """The message with the newest figures, where they are wanted and it was not sent yet; a moment is passed on."""
+        if not self.wants_figures:
+            self._figures = None
+            return None
+        self._stage.figures.ask(newest)
+        message = self._stage.figures.message(newest)
+        if message == self._figures:
+            return None
+        self._figures = message
+        return message
 
     def messages(self, newest: LiveFrame) -> list[bytes]:
         """What is to be sent to show a moment; nothing where the page is busy, or has it already.

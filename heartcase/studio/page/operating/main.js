@@ -6,6 +6,7 @@ import { Connection, Lost, Refused } from "../shared/connection.js";
 import { runLanguage, runTheme } from "../shared/looks.js";
 import { keep, kept } from "../shared/settings.js";
 import { fillWords, figure, isWord, language, say } from "../shared/words.js";
+import { LiveFigures } from "./figures.js";
 import { arraysOf } from "./messages.js";
 import { Panel } from "./panel.js";
 import { NoGraphics, Picture } from "./picture.js";
@@ -62,6 +63,7 @@ function run() {
       ask({ do: "replay", name });
     },
   });
+  const figures = new LiveFigures(ask);
   const timeLine = new TimeLine((step) => {
     forget();
     return connection.ask({ do: "command", command: { kind: "go_to", step } });
@@ -245,6 +247,7 @@ function run() {
   function hear(message) {
     if (message.kind === "progress") curtain(say("operate_opening"), []);
     else if (message.kind === "opened") begin(message);
+    else if (message.kind === "figures") figures.hear(message);
     else if (message.kind === "message") notice("", [{ place: "", message: message.text }]);
     else if (message.kind === "refused" && message.id === null) notice(say("refused"), message.problems ?? []);
     else if (message.kind === "failed") {
@@ -270,6 +273,8 @@ function run() {
     const [low, high] = message.stretch_shown;
     find("stretch-legend").textContent = say("operate_stretch", { low: figure(low, 1), high: figure(high, 1) });
     isReady = true;
+    figures.setPlanned(message.incisions);
+    figures.begin();
     fillTools();
     paint();
     take(tool);
@@ -379,7 +384,7 @@ function run() {
   });
   runTheme();
   runLanguage();
-  runTabs();
+  runTabs((id) => figures.show(id === "tab-figures"));
   connection.open();
 }
 
