@@ -15,6 +15,7 @@ import numpy as np
 
 from heartcase.pipeline.checks.openings import Opening, Verdict
 from heartcase.pipeline.fields.contacts import Contact
+from heartcase.pipeline.warning_words import sentence
 from heartcase.pipeline.warnings import LISTED_BETWEEN, CaseWarning, note
 from heartcase.schemas.arrays import Float64
 from heartcase.schemas.labels import LabelTable
@@ -112,15 +113,13 @@ def grown_warnings(figures: Sequence[Mapping[str, Any]]) -> tuple[CaseWarning, .
     if not left:
         return ()
     listed = tuple(
-        f"{one['between'][0]} and {one['between'][1]} over {_area_words(one)} ({one['thickness_mm']:g} mm thick)"
+        f"{one['between'][0]} and {one['between'][1]} over {_area(one)} mm² near {_place(one)} mm "
+        f"({one['thickness_mm']:g} mm thick)"
         for one in left
     )
     return (
         CaseWarning(
-            "walls were grown where two outlines touch, not seen, because a heart does not join these: "
-            f"{LISTED_BETWEEN.join(listed)}. If the patient has an opening there, say so: an edit of kind "
-            "septal_defect, a landmark (ring or point) whose name says defect, VSD or ASD, or strokes of the two that "
-            "run into each other through it; if the two are one, name them in walls.connected",
+            sentence("grown-septum", listed=LISTED_BETWEEN.join(listed)),
             code="grown-septum",
             places_mm=tuple(tuple(one["center_mm"]) for one in left),
             listed=listed,
@@ -173,8 +172,13 @@ def _confirmed_notes(figures: Sequence[Mapping[str, Any]]) -> tuple[CaseWarning,
     found = [(one, place) for one in figures for place in one.get("places", ()) if place["state"] == "confirmed"]
     return tuple(
         note(
-            f"the wall that was grown between {one['between'][0]} and {one['between'][1]} over {_area_words(place)} is "
-            "wall, as the recipe says (walls.contact)",
+            sentence(
+                "grown-septum-confirmed",
+                one=one["between"][0],
+                other=one["between"][1],
+                area=_area(place),
+                place=_place(place),
+            ),
             code="grown-septum-confirmed",
             places_mm=(tuple(place["center_mm"]),),
         )
@@ -182,8 +186,10 @@ def _confirmed_notes(figures: Sequence[Mapping[str, Any]]) -> tuple[CaseWarning,
     )
 
 
-def _area_words(figure: Mapping[str, Any]) -> str:
-    place = ", ".join(f"{value:.1f}" for value in figure["center_mm"])
+def _area(figure: Mapping[str, Any]) -> str:
     area_mm2 = figure["area_mm2"]
-    area = f"{area_mm2:,.0f}" if area_mm2 >= 10.0 else f"{area_mm2:.1f}"
-    return f"{area} mm² near ({place}) mm"
+    return f"{area_mm2:,.0f}" if area_mm2 >= 10.0 else f"{area_mm2:.1f}"
+
+
+def _place(figure: Mapping[str, Any]) -> str:
+    return f"({', '.join(f'{value:.1f}' for value in figure['center_mm'])})"

@@ -201,7 +201,7 @@ function run() {
   }
 
   connection.open();
-  new BuildTab(studio, views, (error) => fault(error));
+  new BuildTab(studio, views, shaping, (request) => connection.ask(request), (error) => fault(error));
 }
 
 try {

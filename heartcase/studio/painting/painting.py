@@ -26,8 +26,9 @@ from heartcase.schemas.toml_places import Place
 from heartcase.studio.messages import labels_message, scan_message, surface_message, text_message
 from heartcase.studio.painting.drafts import Draft
 from heartcase.studio.painting.locks import lock_again, lock_label
+from heartcase.studio.painting.place_picture import place_picture
 from heartcase.studio.painting.planes import planes_message
-from heartcase.studio.painting.requests import End, Extend, History, Lock, Paint, Planes, Request, Suggest
+from heartcase.studio.painting.requests import End, Extend, History, Lock, Paint, Picture, Planes, Request, Suggest
 from heartcase.studio.shaping.facts import shaping_facts
 from heartcase.studio.shaping.requests import Add, Change, FindEnds, Preview, Propose, Remove, Set
 from heartcase.studio.shaping.shaping import Shaping
@@ -164,6 +165,10 @@ class Painting:
                 self._close_stroke()
                 lock_label(session, request.label, is_locked=request.locked, file=self._locks)
                 return Answer((self._structures(), self._done()), self._done(request))
+            case Picture():
+                scan = self._opened.scan
+                url = place_picture(scan, session.labels, session.table, request.position_mm, _window(scan))
+                return Answer(done=text_message("picture", id=request.id, url=url))
             case Planes():
                 return Answer(done=planes_message(request.id, session, self._history.recipe.landmarks))
 

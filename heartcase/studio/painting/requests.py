@@ -17,6 +17,7 @@ __all__ = [
     "History",
     "Lock",
     "Paint",
+    "Picture",
     "Planes",
     "Request",
     "Suggest",
@@ -87,6 +88,17 @@ class Planes(Model):
     """Which request."""
 
 
+class Picture(Model):
+    """Draw a small picture of a place."""
+
+    id: RequestId
+    """Number that the answer names."""
+    do: Literal["picture"]
+    """Which request."""
+    position_mm: PointMm
+    """Where, LPS mm."""
+
+
 class Lock(Model):
     """Lock a structure, or unlock it; all others stay as they are."""
 
@@ -100,7 +112,7 @@ class Lock(Model):
     """Whether it is locked then."""
 
 
-Request = Paint | Extend | End | History | Suggest | ShapingRequest | Planes | Lock
+Request = Paint | Extend | End | History | Suggest | ShapingRequest | Planes | Lock | Picture
 _REQUEST: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="do")])
 
 

@@ -43,7 +43,9 @@ def grown(*, contacts=(), apart=False):
 
 
 def defect(diameter, at=(0.0, 0.0, 0.0)):
-    return SeptalDefect(kind="septal_defect", position_mm=at, axis=(1.0, 0.0, 0.0), diameter_mm=diameter, length_mm=12.0)
+    return SeptalDefect(
+        kind="septal_defect", position_mm=at, axis=(1.0, 0.0, 0.0), diameter_mm=diameter, length_mm=12.0
+    )
 
 
 def judged(structures, edits=(), contacts=()):

@@ -3,6 +3,7 @@
 import { element, icon } from "../panel/structures.js";
 import { figure, isWord, language, say } from "../shared/words.js";
 import { formRows, kindWord } from "./form.js";
+import { short } from "../building/results.js";
 import { isSame, kindOf, placeOf } from "./shaping.js";
 
 /** @typedef {import("../shared/studio.js").Studio} Studio */
@@ -79,7 +80,7 @@ export class ShapePanel {
     this.lists.replaceChildren(
       ...(shape.value.is_locked ? [element("p", "", say("shape_locked"))] : []),
       ...SECTIONS.map(({ word, list, kinds }) => this.#section(word, [this.#placeButtons(list, kinds), ...(list === "ends" ? this.#found() : []), this.#lines(list)])),
-      this.#section("shape_walls", [this.#walls(), this.#lines("walls.thickness"), ...this.#settings("walls")]),
+      this.#section("shape_walls", [this.#walls(), ...["walls.thickness", "walls.septum", "walls.contact"].map((list) => this.#lines(/** @type {List} */ (list))), ...this.#settings("walls")]),
       this.#section("shape_materials", this.#materials()),
       this.#section("shape_model", [...this.#settings("grid"), ...this.#settings("surface")]),
     );
@@ -330,8 +331,14 @@ function closing({ position_mm, diameter_mm, axis, shape, width_mm, long_axis })
 /** @param {List} list @param {Entry} entry @param {number} number */
 function lineName(list, entry, number) {
   const kind = list === "landmarks" || list === "ends" ? "" : kindWord(kindOf(list, entry));
-  const what = entry.name ?? entry.label ?? (kind ? "" : String(number));
+  const what = entry.name ?? entry.label ?? (entry.between ? betweenWords(list, entry) : kind ? "" : String(number));
   return [kind, what].filter(Boolean).join(": ") || `${number}`;
+}
+
+/** @param {List} list @param {Entry} entry */
+function betweenWords(list, entry) {
+  const pair = entry.between.map(short).join(" – ");
+  return list === "walls.contact" ? say(entry.is_open ? "contact_open" : "contact_wall", { pair }) : say("septum_between", { pair });
 }
 
 /** How large it is. @param {Entry} entry */
