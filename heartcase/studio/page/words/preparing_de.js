@@ -2,6 +2,12 @@
 
 /** @type {Record<keyof typeof import("./preparing_en.js").words, string>} */
 export const words = {
+  place_right: "Es stimmt (R)",
+  help_right: "Die gezeigte Stelle stimmt: weiter zur nächsten",
+  end_lumen: "Lumen {lumen} mm, Scheibe {disc}",
+  end_narrow: "Lumen über {lumen} mm: Scheibe ({disc}) zu eng",
+  end_beside: "nicht im Gefäß, Scheibe {disc} mm",
+  end_disc: "Scheibe {disc} mm",
   contact_head: "Hier berühren sich zwei Umrisse, die im Herzen nicht verbunden sind. Es wurde eine Wand ergänzt, die niemand gesehen hat. Sagen Sie von jeder Stelle, was sie ist:",
   contact_grown: "{mm2} mm² (als Kreis {mm} mm); eine Wand von {wall} mm wurde ergänzt",
   contact_picture: "Die Stelle im Bild: axial, koronal",

@@ -1,6 +1,12 @@
 /** Words of the recipe's page that came with places where outlines touch, and with names, in English. */
 
 export const words = {
+  place_right: "It is right (R)",
+  help_right: "The place that is shown is right: on to the next one",
+  end_lumen: "lumen {lumen} mm, disc {disc}",
+  end_narrow: "lumen over {lumen} mm: the disc ({disc}) is too narrow",
+  end_beside: "not in the vessel, disc {disc} mm",
+  end_disc: "disc {disc} mm",
   contact_head: "Two outlines touch here, and a heart does not join these. A wall was grown that nobody saw. Say of each place what it is:",
   contact_grown: "{mm2} mm² (a circle of {mm} mm); a wall of {wall} mm was grown",
   contact_picture: "The place in the scan: axial, coronal",
