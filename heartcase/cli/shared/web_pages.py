@@ -37,7 +37,7 @@ def page_of(case: Path, recordings: Sequence[Path], *, level: int, frames_per_se
     from heartcase.studio.offline.web_page import web_page
 
     opened = _opened(recordings, frames_per_second)
-    loaded = load_case(case, needs=("surface", "tissue") if opened else ("surface",), level=level)
+    loaded = load_case(case, needs=("surface", "cell_labels", *(("tissue",) if opened else ())), level=level)
     played = [_recorded(name, one, loaded, frames_per_second) for name, one in opened]
     return web_page(loaded, shown_of(open_bundle(case), level), played, frames_per_second=frames_per_second)
 

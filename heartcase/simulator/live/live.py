@@ -32,6 +32,7 @@ from heartcase.schemas.recording.commands import (
     WithdrawProbe,
 )
 from heartcase.simulator.cutting.cuts import Cuts
+from heartcase.simulator.live.cuts_done import CutsDone, Moment
 from heartcase.simulator.live.goals import SOFT_SPEED_MM_S, Goals
 from heartcase.simulator.live.tool import Held, Turn
 from heartcase.simulator.session.frame import Frame
@@ -67,8 +68,8 @@ class LiveFrame:
     triangle_origin: Int32 | None
     """Triangle of the uncut surface that each is a part of, -1 for cut faces, shape (triangle_count,); None where
     nothing is cut."""
-    cuts: Cuts | None
-    """All that was cut; None where nothing is."""
+    tissue_cuts: Cuts | None
+    """All that was cut of the lattice; None where nothing is."""
     held: tuple[Held, ...]
     """What holds tissue."""
     probes: dict[str, Float64]
@@ -85,6 +86,10 @@ class LiveFrame:
     """Name of the folder that is recorded into."""
     act_count: int
     """Acts that are done."""
+    cuts: tuple[Cut, ...] = ()
+    """Cuts that are done, as the history has them: at rest. The same object while they are the same."""
+    unheld: Moment | None = None
+    """The surface when it was last seen cut with no instrument in it; None where it was not seen so."""
 
 
 class Live:
@@ -141,6 +146,7 @@ class Live:
         self._part = 0.0
         self._past: deque[tuple[float, int]] = deque()
         self._act_count = self._counted = 0
+        self._cuts_done = CutsDone()
         self.newest = self._published(session.frame(surface=self._shows_surface))
 
     def start(self) -> None:
@@ -162,6 +168,10 @@ class Live:
     def do(self, *commands: Done | Navigation) -> None:
         """Ask for commands; they are done before the next steps. What is refused is told as a message."""
         self._ask(commands)
+
+    def lead(self, command: LeadGrab | MoveProbe, speed_mm_s: float) -> None:
+        """Lead an instrument there no faster than so, mm for each simulated second."""
+        self._ask([lambda: self._goals.set(command, speed_mm_s)])
 
     def pause(self, is_paused: bool) -> None:
         """Let time stand, or go on from here: then what was known ahead is dropped by the next steps."""
@@ -397,6 +407,7 @@ class Live:
             (began, first), (ended, last) = self._past[0], self._past[-1]
             rate = (last - first) / max(ended - began, 1e-9)
             factor = rate * session.simulation.step_s
+        self._cuts_done.note(session, frame)
         return replace(
             moment_of(session, frame),
             mode=self._mode,
@@ -404,6 +415,8 @@ class Live:
             steps_per_second=rate,
             recording=None if self._recorder is None else self._recorder.path.name,
             act_count=self._acts_done(),
+            cuts=self._cuts_done.cuts,
+            unheld=self._cuts_done.unheld,
         )
 
     def _acts_done(self) -> int:
@@ -425,7 +438,7 @@ def moment_of(session: OperatingSession, frame: Frame | None = None) -> LiveFram
         frame=frame or session.frame(surface=True),
         surface=simulation.surface,
         triangle_origin=None if simulation.split is None else simulation.split.triangle_origin,
-        cuts=simulation.cuts,
+        tissue_cuts=simulation.cuts,
         held=_held(simulation),
         probes=_probes(simulation),
         mode="paused",

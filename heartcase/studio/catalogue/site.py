@@ -210,7 +210,7 @@ class _Run:
     def _viewer_of(self, entry: Entry) -> dict[str, bytes]:
         """The page that shows a case in 3-D, and the case for it."""
         level = middle_level(entry.bundle)
-        case = load_case(entry.bundle.directory, needs=("surface",), level=level)
+        case = load_case(entry.bundle.directory, needs=("surface", "cell_labels"), level=level)
         page = linked_page(
             style="../assets/viewer.css",
             script="../assets/viewer.js",

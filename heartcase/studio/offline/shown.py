@@ -1,4 +1,4 @@
-"""What the page shows of a case besides its moving surface: looks of structures, vessels, landmarks, cuts."""
+"""What the page shows of a case besides its moving surface: looks of structures, vessels, landmarks, planes."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from heartcase.pipeline.exports.tubes import VESSEL_COLOUR, TubeMesh, vessel_tubes
-from heartcase.pipeline.report.views import four_chamber_view, places_of, short_axis_view
 from heartcase.schemas.arrays import Float64, UInt8
+from heartcase.schemas.bundle.format import FileRole
 from heartcase.schemas.bundle.reader import OpenBundle
 from heartcase.schemas.labels import BACKGROUND, LabelTable
 from heartcase.schemas.landmarks import Landmark
@@ -23,7 +23,8 @@ from heartcase.studio.offline.colours import (
 )
 from heartcase.studio.offline.oxygenation import Oxygen, Oxygenation, oxygenation
 from heartcase.studio.offline.pictures import lesion_view
-from heartcase.studio.offline.surfaces import RIM, SurfaceArrays, surface_of
+from heartcase.studio.offline.surfaces import RIM, surface_of
+from heartcase.studio.operating.heart_axes import heart_axes
 
 __all__ = ["FIRST_VESSEL", "Shown", "landmark_lines", "shown_of"]
 
@@ -45,8 +46,11 @@ class Shown:
     """Name -> surface of a vessel that stands beside the heart's."""
     landmarks: list[dict[str, Any]]
     """Landmarks as points and lines."""
-    cuts: list[dict[str, Any]]
-    """Cuts that follow the heart, as far as its landmarks or labels tell them: key, point, normal, up."""
+    inside: list[dict[str, Any]]
+    """As of ``structures``: tissue that no triangle shows, and a cut alone does."""
+    axes: dict[str, Any]
+    """The heart's own planes, as of :func:`heartcase.studio.operating.heart_axes.heart_axes`; ``lesion`` goes through
+    what the case is about, where landmarks tell."""
     oxygen: dict[str, Any]
     """How oxygenation was worked out, and its colours."""
 
@@ -66,7 +70,9 @@ def shown_of(bundle: OpenBundle, level: int) -> Shown:
         "is_from_openings": blood.is_from_openings,
         "joined": [list(pair) for pair in blood.joined],
     }
-    return Shown(of_triangles, structures, vessels, landmark_lines(landmarks), _cuts(surface, table, landmarks), oxygen)
+    labels = np.unique(bundle.arrays(FileRole.GRID, ("cell_label",))["cell_label"]).tolist()
+    inside = [_structure(number, table, blood) for number in labels if number and number not in numbers]
+    return Shown(of_triangles, structures, vessels, landmark_lines(landmarks), inside, _axes(bundle), oxygen)
 
 
 def _structure(number: int, table: LabelTable, blood: Oxygenation) -> dict[str, Any]:
@@ -124,22 +130,17 @@ def _circle(centre: Float64, axis: Float64, radius: float) -> Float64:
     return circle
 
 
-def _cuts(surface: SurfaceArrays, table: LabelTable, landmarks: tuple[Landmark, ...]) -> list[dict[str, Any]]:
-    """Cuts that follow the heart and not the body, as far as its landmarks or labels tell them."""
-    shape = (surface.vertices_mm, surface.triangles, surface.void, table)
-    places = places_of(landmarks)
-    views = {
-        "lesion": lesion_view(landmarks),
-        "four": four_chamber_view(places, *shape),
-        "short": short_axis_view(places, *shape),
+def _axes(bundle: OpenBundle) -> dict[str, Any]:
+    """The heart's own planes, and the one through its defect."""
+    found = heart_axes(bundle.directory)
+    lesion = lesion_view(bundle.manifest.landmarks)
+    if lesion is None:
+        return found
+    towards, up = np.asarray(lesion.plane[1], dtype=float), np.asarray(lesion.up, dtype=float)
+    plane = {
+        "right": np.cross(up, towards).tolist(),
+        "down": (-up).tolist(),
+        "towards": towards.tolist(),
+        "point_mm": np.asarray(lesion.plane[0], dtype=float).tolist(),
     }
-    return [
-        {
-            "key": key,
-            "point": np.round(np.asarray(view.plane[0], dtype=float), 3).tolist(),
-            "normal": np.round(np.asarray(view.plane[1], dtype=float), 5).tolist(),
-            "up": np.round(np.asarray(view.up, dtype=float), 5).tolist(),
-        }
-        for key, view in views.items()
-        if view is not None
-    ]
+    return found | {"planes": {"lesion": plane} | found["planes"]}

@@ -240,7 +240,7 @@ def _write_case(site: _Files, case: SiteCase, bundle: OpenBundle, level: int | N
     elif not bundle.levels:
         bundle.surface_role(0)
     shown_level = middle_level(bundle) if level is None else level
-    loaded = load_case(case.path, needs=("surface", "tissue"), level=shown_level)
+    loaded = load_case(case.path, needs=("surface", "tissue", "cell_labels"), level=shown_level)
     played = case.recordings(loaded)
     shown = shown_of(bundle, shown_level)
     site.write(f"cases/{case.name}.js", case_script(loaded, shown, played, frames_per_second=frames_per_second))

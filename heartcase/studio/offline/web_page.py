@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from heartcase.schemas.arrays import UInt8
 from heartcase.simulator.live.live import LiveFrame, moment_of
 from heartcase.simulator.live.shapes import CUT_FACES, Structures
 from heartcase.simulator.load import Case
@@ -29,6 +30,7 @@ from heartcase.simulator.simulation import Simulation
 from heartcase.studio.offline.bundling import bundled_script
 from heartcase.studio.offline.shown import Shown
 from heartcase.studio.offline.spring_arrays import spring_arrays
+from heartcase.studio.operating.cell_labels import CellLabels
 from heartcase.studio.operating.packing import SCALE_LEAST, Rounded, frame_message, packed, topology_message
 from heartcase.studio.operating.viewer import described, patch_arrays
 
@@ -52,7 +54,7 @@ LINKED_POLICY = (
 )
 """What a page of a site may load: files beside it. A page of a folder has no origin, so that 'self' is not enough."""
 PAGE = Path(__file__).parents[1] / "page"
-_STYLES = ("style.css", "operating/operate.css", "offline/offline.css")
+_STYLES = ("style.css", "operating/operate.css", "section/section.css", "offline/offline.css")
 _DAMPING_PER_S = 30.0
 """Damping of all movement that the page steps, 1/s; as where the studio's server does."""
 
@@ -75,7 +77,7 @@ def web_page(
     Parameters
     ----------
     case
-        The case, loaded with its surface.
+        The case, loaded with its surface; with ``cell_labels`` too for planes that cut it open.
     shown
         What else is shown of it, at the same level of detail.
     recordings
@@ -153,12 +155,17 @@ def viewer_style() -> str:
 def _case_data(case: Case, shown: Shown, recordings: Sequence[Recorded], frames_per_second: float) -> str:
     """What the page takes of a case, compressed, as text."""
     structures = Structures(case.manifest, shown.of_triangles)
+    labels = None if case.cell_labels is None else CellLabels(case)
     start = moment_of(OperatingSession(Simulation(case.model, surface=case.surface)))
     parts = _Parts()
-    first = [parts.number(topology_message(1, start, structures.of(start))), parts.number(_springs(case))]
+    topology = topology_message(1, start, structures.of(start), cell_labels=_of(labels, start))
+    first = [parts.number(topology), parts.number(_springs(case))]
     first += [parts.number(_vessel(shown, name)) for name in shown.vessels]
     table = [
-        {"name": recording.name, "parts": [parts.number(one) for one in _messages(recording.moments, structures)]}
+        {
+            "name": recording.name,
+            "parts": [parts.number(one) for one in _messages(recording.moments, structures, labels)],
+        }
         for recording in recordings
     ]
     contents = {
@@ -186,7 +193,8 @@ def _facts(case: Case, shown: Shown, structures: Structures, frames_per_second: 
         "notice": manifest.notice,
         "structures": [*shown.structures, faces],
         "landmarks": shown.landmarks,
-        "cuts": shown.cuts,
+        "inside": shown.inside,
+        "axes": shown.axes,
         "oxygen": shown.oxygen,
         "box_mm": [low.tolist(), high.tolist()],
         "place": {
@@ -212,14 +220,18 @@ def _vessel(shown: Shown, name: str) -> bytes:
     return packed({"kind": "vessel", "structure": number}, arrays)
 
 
-def _messages(moments: Iterable[LiveFrame], structures: Structures) -> list[bytes]:
+def _of(labels: CellLabels | None, moment: LiveFrame) -> UInt8 | None:
+    return None if labels is None else labels.of(moment.frame.model)
+
+
+def _messages(moments: Iterable[LiveFrame], structures: Structures, labels: CellLabels | None) -> list[bytes]:
     """Topologies and frames of some moments, as a page that has shown none of them takes them."""
     found: list[bytes] = []
     shown, sent, number = None, None, 0
     for moment in moments:
         if shown is None or moment.surface is not shown.surface or moment.frame.model is not shown.frame.model:
             number += 1
-            found.append(topology_message(number, moment, structures.of(moment)))
+            found.append(topology_message(number, moment, structures.of(moment), cell_labels=_of(labels, moment)))
             if shown is None or moment.frame.model.node_count != shown.frame.model.node_count:
                 sent = None
         rounded = Rounded.of(moment.frame.state.displacement, SCALE_LEAST if sent is None else sent.scale)

@@ -73,7 +73,9 @@ class CoarserWorker(NewestWorker[LiveFrame, tuple[SurfaceModel, tuple[CoarseLeve
     def __init__(self, levels: tuple[CoarseLevel, ...], heard: Callable[[], None]) -> None:
         self._levels = levels
         self._cuttable: dict[int, CuttableSurface] = {}
-        super().__init__(lambda live: (live.surface, self._follow(live.cuts)), name="coarser levels", heard=heard)
+        super().__init__(
+            lambda live: (live.surface, self._follow(live.tissue_cuts)), name="coarser levels", heard=heard
+        )
 
     def _follow(self, cuts: Cuts | None) -> tuple[CoarseLevel, ...]:
         if cuts is None or cuts.parted is None:

@@ -101,7 +101,13 @@ def frame_message(
     return packed({"kind": "frame"} | dict(header) | own, arrays | dict(more))
 
 
-def topology_message(number: int, live: LiveFrame, structures: Int32, normal_map: NormalMap | None = None) -> bytes:
+def topology_message(
+    number: int,
+    live: LiveFrame,
+    structures: Int32,
+    normal_map: NormalMap | None = None,
+    cell_labels: UInt8 | None = None,
+) -> bytes:
     """The surface as it hangs on the nodes: what a page's vertex shader needs to place it, as of eq. 9.9.
 
     A vertex on the border of two structures, or of two charts of the normal map, is sent once for each.
@@ -116,6 +122,9 @@ def topology_message(number: int, live: LiveFrame, structures: Int32, normal_map
         Structure of each triangle, shape (triangle_count,).
     normal_map
         That of the uncut surface, where the case has one: it is shown on what is whole.
+    cell_labels
+        Tissue label of each cell now, shape (cell_count,): with it goes what a page needs to show walls that a plane
+        cuts open in their structures' colours.
     """
     surface, model = live.surface, live.frame.model
     drawn = surface.triangles
@@ -129,12 +138,16 @@ def topology_message(number: int, live: LiveFrame, structures: Int32, normal_map
         is_charted, at = chart < map_count, np.minimum(chart, map_count - 1)
         arrays["uv"] = np.where(is_charted[:, None], normal_map.uv[at], np.float32(-1.0))
         arrays["tangent"] = np.where(is_charted[:, None], normal_map.tangent[at], np.float32(0.0))
+    if cell_labels is not None:
+        arrays |= {"cells": model.cells.astype(np.int16), "cell_label": cell_labels}
+        arrays["cell_corners"] = model.cell_corners.astype(np.uint32)
     header = {
         "kind": "topology",
         "topology": number,
         "node_count": model.node_count,
         "cut_faces": CUT_FACES,
         "cell_mm": model.cell_mm,
+        "origin_mm": model.geometry.index_to_world(np.zeros(3)).tolist(),
         "direction": model.geometry.direction_matrix.tolist(),
     }
     return packed(header, arrays)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from heartcase.phantom.anatomy.shapes import Tube
+from heartcase.schemas.bundle.format import FileRole
 from heartcase.schemas.bundle.reader import open_bundle
 from heartcase.schemas.bundle.surface_kinds import SurfaceKind
 from heartcase.simulator.load import load_case
@@ -73,13 +74,21 @@ def test_vessels_have_a_surface_and_carry_the_aortas_blood(case):
     np.testing.assert_allclose(np.linalg.norm(ring["points"], axis=1), 6.0, atol=0.02)
 
 
-def test_the_cut_through_a_defect_holds_it(case):
-    cuts = {cut["key"]: cut for cut in shown_of(open_bundle(case), 1).cuts}
-    lesion = cuts["lesion"]
-    normal = np.array(lesion["normal"])
+def test_the_plane_through_a_defect_holds_it(case):
+    plane = shown_of(open_bundle(case), 1).axes["planes"]["lesion"]
+    towards = np.array(plane["towards"])
     for place in ([0, 0, 0], [20, -20, -30]):
-        assert abs((np.array(place) - lesion["point"]) @ normal) < 1e-2
-    assert abs(np.linalg.norm(normal) - 1.0) < 1e-4
+        assert abs((np.array(place) - plane["point_mm"]) @ towards) < 1e-9
+    np.testing.assert_allclose(np.cross(plane["down"], plane["right"]), towards, atol=1e-9)
+    assert abs(np.linalg.norm(towards) - 1.0) < 1e-9
+
+
+def test_tissue_that_a_cut_alone_shows_has_a_colour(case):
+    shown = shown_of(open_bundle(case), 1)
+    labels = set(np.unique(open_bundle(case).arrays(FileRole.GRID, ("cell_label",))["cell_label"]).tolist())
+    listed = {one["value"] for one in shown.structures} | {one["value"] for one in shown.inside}
+    assert labels <= listed
+    assert not {one["value"] for one in shown.structures} & {one["value"] for one in shown.inside}
 
 
 def test_the_script_holds_the_surface_of_the_case(case):

@@ -40,7 +40,7 @@ def test_a_coarser_level_is_cut_as_the_finest_is_and_stays_closed(boxed):
         until(lambda: worker.newest is not None and worker.newest[0] is live.newest.surface)
         assert worker.newest[1] == (box,)
         live.do(Cut(name="blade", poses_mm=ACROSS))
-        until(lambda: (live.tick(), live.newest.cuts is not None)[1])
+        until(lambda: (live.tick(), live.newest.tissue_cuts is not None)[1])
         worker.ask(live.newest)
         until(lambda: worker.newest[0] is live.newest.surface)
         (cut,) = worker.newest[1]

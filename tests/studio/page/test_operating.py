@@ -352,7 +352,7 @@ def test_axe_finds_nothing_on_the_page_that_operates(chromium, operated):
         # each tab once, both colours and both languages among them
         for theme, language, names in (
             ("light", "de", ("help", "structures")),
-            ("dark", "en", ("forces", "recordings")),
+            ("dark", "en", ("forces", "figures", "recordings")),
         ):
             if tab.locator("html").get_attribute("data-theme") != theme:
                 tab.locator("#theme").click()
@@ -360,6 +360,8 @@ def test_axe_finds_nothing_on_the_page_that_operates(chromium, operated):
             tab.locator("#language").select_option(language)
             for name in names:
                 tab.locator(f"#tab-{name}").click()
+                if name == "figures":
+                    tab.locator("#figures-none").wait_for()
                 if name == "recordings":
                     tab.locator("#recordings button").first.wait_for()
                 assert_accessible(page, f"{theme}, {language}, {name}")

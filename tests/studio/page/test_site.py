@@ -170,13 +170,35 @@ def test_what_the_viewer_shows(chromium, site):
         for button in ("#hide-all", "#show-all"):
             tab.click(button)
             assert (tab.evaluate(PIXELS)["drawn"] < 0.01) == (button == "#hide-all")
-        # cuts of the heart's own, and one that faces whoever looks
+        # cut open: through the defect, along the screen, from the feet; walls are filled, and have names
         whole = tab.evaluate(PIXELS)["sum"]
-        for cut in ("lesion", "view", "feet"):
-            tab.select_option("#cut-axis", cut)
-            assert tab.evaluate(PIXELS)["sum"] != whole
-            assert tab.is_visible("#cut-depth")
-        tab.locator("#cut-depth").evaluate("(one) => { one.value = 100; one.dispatchEvent(new Event('input')); }")
+        tab.click("#cut-open")
+        tab.click("#tab-view")
+        sums = set()
+        for plane in ("lesion", "look", "feet"):
+            tab.select_option("#cut-axis", plane)
+            sums.add(tab.evaluate(PIXELS)["sum"])
+        assert len(sums | {whole}) == 4
+        tab.select_option("#cut-axis", "front")
+        tab.click("#cut-face")
+        assert_accessible(tab, "cut open")
+        at = tab.evaluate("""() => {
+          const { camera, plane } = heartcase.picture;
+          const { width, height } = camera;
+          for (let x = 0.3; x < 0.7; x += 0.02) {
+            for (let y = 0.3; y < 0.7; y += 0.02) {
+              const seen = heartcase.picking.seen(x * width, y * height);
+              if (seen && Math.abs(seen.place[1] - plane.point[1]) < 1e-3) return [x * width, y * height];
+            }
+          }
+          return null;
+        }""")
+        assert at is not None
+        box = tab.locator("#scene").bounding_box()
+        tab.mouse.click(box["x"] + at[0], box["y"] + at[1])
+        assert "This is: " in tab.inner_text("#said")
+        assert tab.inner_text("#said").endswith(("wall", "myocardium"))
+        tab.locator("#cut-depth").evaluate("(one) => { one.value = one.min; one.dispatchEvent(new Event('input')); }")
         assert tab.evaluate("() => heartcase.picking.at(500, 350)") is None
 
 

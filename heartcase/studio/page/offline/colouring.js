@@ -8,7 +8,7 @@ import { isWord, say } from "../shared/words.js";
 /** @typedef {import("../operating/heart.js").Heart} Heart */
 /** @typedef {"colour" | "oxygen" | "safe"} Mode */
 /** @typedef {{value: number, name: string, part: string, colour: string, oxygen: string, safe: string, blood: string}} Look */
-/** @typedef {import("../operating/heart.js").Structure} Structure */
+/** @typedef {import("../operating/panel.js").Structure} Structure */
 
 const MODES = /** @type {const} */ (["colour", "oxygen", "safe"]);
 /** Patterns that tell blood without colour: level lines, slanting lines. @type {Record<string, number>} */
@@ -33,9 +33,13 @@ export class Colouring {
   /** The structure that is pointed at in the list. @type {number | null} */
   lit = null;
 
-  /** @param {readonly Look[]} looks @param {Record<string, any>} oxygen @param {() => void} changed */
-  constructor(looks, oxygen, changed) {
+  /**
+   * @param {readonly Look[]} looks @param {readonly Look[]} inside of tissue that a cut alone shows
+   * @param {Record<string, any>} oxygen @param {() => void} changed
+   */
+  constructor(looks, inside, oxygen, changed) {
     this.looks = looks;
+    this.inside = inside;
     this.oxygen = oxygen;
     for (const mode of MODES) {
       const box = /** @type {HTMLInputElement} */ (find(`colours-${mode}`));
@@ -54,7 +58,7 @@ export class Colouring {
 
   /** What the heart is painted with. @returns {Structure[]} */
   painted() {
-    return this.looks.map((one) => {
+    return [...this.looks, ...this.inside].map((one) => {
       const shown = this.#shown(one);
       return this.lit === null ? shown : { ...shown, colour: greyed(shown.colour), pattern: 0 };
     });
@@ -62,7 +66,7 @@ export class Colouring {
 
   /** @param {number} value @returns {Structure | undefined} */
   of(value) {
-    const found = this.looks.find((one) => one.value === value);
+    const found = [...this.looks, ...this.inside].find((one) => one.value === value);
     return found && this.#shown(found);
   }
 

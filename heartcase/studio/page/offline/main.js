@@ -3,6 +3,7 @@
 import { arraysOf } from "../operating/messages.js";
 import { Panel, shownName } from "../operating/panel.js";
 import { NoGraphics, Picture } from "../operating/picture.js";
+import { PlaneControls } from "../operating/plane_controls.js";
 import { Pointer } from "../operating/pointer.js";
 import { element } from "../panel/structures.js";
 import { runTabs } from "../panel/tiles.js";
@@ -12,7 +13,6 @@ import { NoWebGpu, SpringEngine } from "../springs/engine.js";
 import { Lattice } from "../springs/lattice.js";
 import { caseText, NoCase, readCase } from "./case_data.js";
 import { Colouring, Lit } from "./colouring.js";
-import { Cutting } from "./cutting.js";
 import { Frame, LocalHands } from "./hands.js";
 import { Looking, SIDES, sidesOf } from "./looking.js";
 import { Marks } from "./marks.js";
@@ -39,7 +39,7 @@ const STEPS_LEAST = 4;
 const KEYS = [
   ["O", "operate_help_orbit"], ["G P", "operate_help_tools"], ["[  ]", "operate_help_size"], ["Enter", "operate_help_enter"],
   ["↑ ↓ ← →", "operate_help_arrows"], ["Shift + ↑ ↓ ← →", "operate_help_move"], ["+  -", "operate_help_zoom"],
-  ["Page ↑ ↓", "operate_help_deeper"], ["Esc", "operate_help_escape"], ["A  Home", "operate_help_view"],
+  ["Page ↑ ↓", "operate_help_deeper"], ["K  <  >", "scene_help_plane"], ["Esc", "operate_help_escape"], ["A  Home", "operate_help_view"],
 ];
 
 /** @param {string} id */
@@ -74,14 +74,14 @@ async function run() {
 
   const panel = new Panel({ hiddenChanged: () => (paint(), tellSeen()), replay: (name) => replay(name) }, KEYS);
   const picking = new Picking(picture);
-  const colouring = new Colouring(facts.structures, facts.oxygen, () => {
+  const colouring = new Colouring(facts.structures, facts.inside, facts.oxygen, () => {
     panel.setStructures(colouring.listed());
     paint();
   });
   const lit = new Lit(picture.over, picture.heart);
   const vessels = new Vessels(picture.scene, picture.heart.uniforms.cutPlane, tubes);
   const marks = new Marks(/** @type {HTMLCanvasElement} */ (find("marks")), picture.camera);
-  picture.drawn = () => marks.draw();
+  picture.drawn.push(() => marks.draw());
   const looking = new Looking(picture.camera, { changed: () => picture.move(), ended: () => tellSeen() });
   const pointer = new Pointer(find("scene"), picture.camera, {
     ask: (request) => (hands === null ? Promise.resolve({ kind: "done", used: false }) : hands.ask(request)),
@@ -320,20 +320,8 @@ async function run() {
     paint();
   }
 
-  const plane = picture.heart.uniforms.cutPlane.value;
-  const cutting = new Cutting(box, facts.cuts, {
-    facing: () => picture.camera.towards,
-    cut: (normal, at) => {
-      plane.set(...normal, at);
-      marks.cut = [...normal, at];
-      picture.redraw();
-    },
-    none: () => {
-      plane.set(0, 0, 0, 1);
-      marks.cut = null;
-      picture.redraw();
-    },
-    look: (axes) => looking.moveTo(axes),
+  const planeControls = new PlaneControls(picture, () => {
+    marks.cut = picture.plane.isOn ? picture.plane.equation : null;
   });
 
   const reset = () => {
@@ -365,6 +353,7 @@ async function run() {
     const key = event.key.toLowerCase();
     const does = /** @type {Record<string, () => void>} */ ({
       o: () => take(""), g: () => take("g"), p: () => take("p"), a: () => panel.showAll(), home: reset, escape: leaveTools,
+      k: () => planeControls.toggle(), "<": () => planeControls.step(-1), ">": () => planeControls.step(1),
       "[": () => resize(-1), "]": () => resize(1), ",": () => resize(-1), ".": () => resize(1),
     })[key];
     if (isInScene && pointer.key(event)) event.preventDefault();
@@ -406,7 +395,7 @@ async function run() {
     runNaming(find("scene"), (x, y) => {
       if (hands !== null && hands.tool !== "") return;
       const seen = picking.seen(x, y);
-      const found = panel.structures.find(({ value }) => value === seen?.structure);
+      const found = seen && colouring.of(seen.structure);
       find("said").textContent = found ? say("offline_this_is", { name: shownName(found) }) : say("offline_nothing_there");
     });
   }
@@ -417,12 +406,10 @@ async function run() {
   panel.showRecordings(data.recordings.map(({ name }) => name));
   find("tab-recordings").hidden = data.recordings.length === 0;
   picture.camera.frame(...box);
+  planeControls.setCase(facts.axes, box);
   showStart();
   paint();
-  language.follow(() => {
-    cutting.build();
-    colouring.build();
-  });
+  language.follow(() => colouring.build());
   language.listen(() => {
     fillTools();
     tellEngine();

@@ -7,7 +7,7 @@ import { PLACE_FRAGMENT, VERTEX } from "../operating/placing.js";
 /** @typedef {import("../operating/camera.js").Vector} Vector */
 
 export class Picking {
-  #target = new three.WebGLRenderTarget(1, 1, { type: three.FloatType, minFilter: three.NearestFilter, magFilter: three.NearestFilter });
+  #target = new three.WebGLRenderTarget(1, 1, { type: three.FloatType, minFilter: three.NearestFilter, magFilter: three.NearestFilter, depthBuffer: true, stencilBuffer: true });
   #found = new Float32Array(4);
 
   /** @param {Picture} picture */
@@ -51,6 +51,7 @@ export class Picking {
     renderer.render(scene, eye);
     for (const one of others) one.visible = true;
     scene.overrideMaterial = null;
+    picture.caps.drawPlaces(renderer, scene, eye);
     renderer.readRenderTargetPixels(this.#target, 0, 0, 1, 1, this.#found);
     renderer.setRenderTarget(null);
     renderer.setClearAlpha(clear);

@@ -6,8 +6,7 @@ import { Nodes, ROW } from "./nodes.js";
 import { ATTRIBUTES, FRAGMENT, LINE_FRAGMENT, LINE_VERTEX, VERTEX } from "./placing.js";
 
 /** @typedef {import("../shared/connection.js").Package} Package */
-/** `pattern` tells structures apart without colour: 1 is level lines, 2 slanting ones. */
-/** @typedef {{value: number, name: string, colour: string, pattern?: number, word?: import("../shared/words.js").Word}} Structure */
+/** `pattern` tells structures apart without colour: 1 is level lines, 2 slanting ones. @typedef {{value: number, colour: string, pattern?: number}} Structure */
 /** A coarser level, and its materials: of a surface of which all is seen, and of others. @typedef {{level: number, mesh: any, whole: any, open: any}} Coarse */
 
 const STRUCTURES_MOST = 257;
@@ -26,8 +25,12 @@ export class Heart {
   topology = 0;
   /** Arrays of that topology, by their names in messages. @type {Record<string, any>} */
   arrays = {};
+  /** Where the grid lies, of that topology. @type {{origin_mm: number[], direction: number[][], cell_mm: number} | null} */
+  place = null;
   /** The finest surface. @type {any} */
   mesh = null;
+  /** What is shown of it and the coarser ones. @type {any} */
+  shown = null;
   /** Coarser ones, from finer to coarser. @type {Coarse[]} */
   coarse = [];
   #isWhole = true;
@@ -116,13 +119,14 @@ export class Heart {
     this.nodes = new Nodes(header.node_count, springsOf(arrays), this.nodes);
     this.topology = header.topology;
     this.arrays = arrays;
+    this.place = { origin_mm: header.origin_mm, direction: header.direction, cell_mm: header.cell_mm };
     for (const name of ["displacements", "nodeNormals"]) this.uniforms[name].value?.dispose();
     this.uniforms.displacements.value = texels(this.nodes.displacement);
     this.uniforms.nodeNormals.value = texels(this.nodes.normals);
     this.uniforms.direction.value.set(...header.direction.flat());
     this.uniforms.cellMm.value = header.cell_mm;
     this.#remove();
-    this.mesh = this.#meshOf(arrays, this.material, header.cut_faces);
+    this.mesh = this.shown = this.#meshOf(arrays, this.material, header.cut_faces);
   }
 
   /** A coarser level of detail of the topology that is shown. @param {Package} message */
@@ -148,16 +152,16 @@ export class Heart {
   /**
    * Show the surface at a level of detail, or at the nearest finer one that is there.
    * @param {number} level 0 is the finest
+   * @param {boolean} isCutOpen whether a plane shows the inner sides of walls
    * @returns {number} the level that is shown
    */
-  showLevel(level) {
+  showLevel(level, isCutOpen) {
     const found = this.coarse.filter((one) => one.level <= level).at(-1);
-    const shown = found?.mesh ?? this.mesh;
+    const shown = (this.shown = found?.mesh ?? this.mesh);
     for (const mesh of [this.mesh, ...this.coarse.map((one) => one.mesh)]) {
       if (mesh !== null) mesh.visible = mesh === shown;
     }
-    const { x, y, z } = this.uniforms.cutPlane.value;
-    const isWhole = this.#isWhole && x === 0 && y === 0 && z === 0;
+    const isWhole = this.#isWhole && !isCutOpen;
     for (const one of this.coarse) one.mesh.material = isWhole ? one.whole : one.open;
     return found?.level ?? 0;
   }

@@ -4,7 +4,7 @@ import { element, icon } from "../panel/structures.js";
 import { figure, isWord, language, say } from "../shared/words.js";
 
 /** @typedef {import("../shared/words.js").Word} Word */
-/** @typedef {import("./heart.js").Structure} Structure */
+/** @typedef {import("./heart.js").Structure & {name: string, word?: Word}} Structure */
 
 const FORCES_EVERY_MS = 250;
 
@@ -28,6 +28,7 @@ export const HELP = [
   ["B  L", "operate_help_back"],
   ["W", "operate_help_record"],
   ["V  A  Home", "operate_help_view"],
+  ["K  <  >", "scene_help_plane"],
 ];
 
 /** Name of a structure in a list. @param {Structure} one */

@@ -1,6 +1,8 @@
 /** The picture: heart and instruments, seen by a camera, drawn when something is new. */
 
 import * as three from "../vendor/three/three.module.min.js";
+import { Caps } from "../section/caps.js";
+import { CutPlane } from "../section/plane.js";
 import { Camera, VIEW_ANGLE_DEG } from "./camera.js";
 import { Detail } from "./detail.js";
 import { Heart } from "./heart.js";
@@ -28,8 +30,8 @@ export class Picture {
   camera = new Camera();
   /** Pictures that were drawn so far. */
   count = 0;
-  /** For whoever draws over it. */
-  drawn = () => {};
+  /** Called after each picture. @type {(() => void)[]} */
+  drawn = [];
   #isStale = true;
   #isWaiting = false;
   /** Part of the full width that is drawn, in pixels. */
@@ -41,7 +43,7 @@ export class Picture {
   constructor(canvas) {
     this.canvas = canvas;
     this.isDrawnInSoftware = SOFTWARE.test(rendererName());
-    const options = { antialias: !this.isDrawnInSoftware, alpha: true };
+    const options = { antialias: !this.isDrawnInSoftware, alpha: true, stencil: true };
     const context = canvas.getContext("webgl2", options);
     if (context === null) throw new NoGraphics();
     this.renderer = new three.WebGLRenderer({ canvas, context, ...options });
@@ -50,6 +52,9 @@ export class Picture {
     this.over = new three.Scene();
     this.eye = new three.PerspectiveCamera(VIEW_ANGLE_DEG, 1, 1, 1000);
     this.heart = new Heart(this.scene);
+    this.plane = new CutPlane();
+    this.plane.listen(() => this.redraw());
+    this.caps = new Caps(this.scene, this.heart, this.plane);
     this.tools = new ToolsInScene(this.scene, this.over);
     this.detail = new Detail(() => this.redraw(), this.isDrawnInSoftware);
     new ResizeObserver(() => this.#resize()).observe(/** @type {Element} */ (canvas.parentElement));
@@ -77,7 +82,7 @@ export class Picture {
     this.#isStale = false;
     const began = performance.now();
     const { level: wanted, part } = this.detail.step;
-    const level = this.heart.showLevel(wanted);
+    const level = this.heart.showLevel(wanted, this.plane.isOn);
     if (part !== this.#part) this.#size(part);
     const { camera, eye } = this;
     eye.position.set(...camera.position);
@@ -86,12 +91,13 @@ export class Picture {
     eye.near = Math.max(0.05 * camera.distance, 0.5);
     eye.far = camera.distance + 4 * camera.size;
     eye.updateProjectionMatrix();
+    this.caps.beforeDraw();
     this.renderer.clear();
     this.renderer.render(this.scene, eye);
     this.renderer.clearDepth();
     this.renderer.render(this.over, eye);
     this.count += 1;
-    this.drawn();
+    for (const told of this.drawn) told();
     if (this.detail.isMoving) this.#timeWork(began, level);
   }
 
