@@ -37,9 +37,9 @@ const STEPS_MS = 25;
 const STEPS_LEAST = 4;
 /** @type {readonly (readonly [string, Word])[]} */
 const KEYS = [
-  ["O", "operate_help_orbit"], ["G P", "operate_help_tools"], ["[  ]", "operate_help_size"], ["Enter", "operate_help_enter"],
+  ["O", "operate_help_orbit"], ["G P", "offline_help_tools"], ["[  ]", "operate_help_size"], ["Enter", "operate_help_enter"],
   ["↑ ↓ ← →", "operate_help_arrows"], ["Shift + ↑ ↓ ← →", "operate_help_move"], ["+  -", "operate_help_zoom"],
-  ["Page ↑ ↓", "operate_help_deeper"], ["K  <  >", "scene_help_plane"], ["Esc", "operate_help_escape"], ["A  Home", "operate_help_view"],
+  ["Page ↑ ↓", "operate_help_deeper"], ["K  <  >", "scene_help_plane"], ["Esc", "operate_help_escape"], ["A  Home", "offline_help_view"],
 ];
 
 /** @param {string} id */
