@@ -192,7 +192,7 @@ class Start:
             raise UsageError("there is already a recipe of this name: open it, or choose another name", place="file")
         choice = request.model_dump(include={"series", "trigger_time_ms", "echo_time_ms", "frame"}, exclude_none=True)
         try:
-            write_recipe(scan, recipe, choice=choice, with_examples=False)
+            write_recipe(scan, recipe, name=request.name, choice=choice, with_examples=False)
         except OSError as error:
             reason = (error.strerror or "the system gives no reason").lower()
             raise UsageError(f"the recipe cannot be written there: {reason}", place="folder") from None
