@@ -39,7 +39,7 @@ from heartcase.simulator.session.recorder import Recorder
 from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.surface.deform import SurfaceModel
 
-__all__ = ["FRAME_S", "Live", "LiveFrame", "moment_of"]
+__all__ = ["FRAME_S", "Live", "LiveFrame", "moment_of", "places_mm"]
 
 FRAME_S = 1.0 / 40.0
 """Time from frame to frame where the machine keeps up, s."""
@@ -206,7 +206,7 @@ class Live:
             began = time.perf_counter()
             steps = self._steps_due(self._frame_s if self._ticked is None else began - self._ticked)
             self._ticked = began
-            motions = self._goals.commands(_places_mm(self.session.simulation), steps * self.session.simulation.step_s)
+            motions = self._goals.commands(places_mm(self.session.simulation), steps * self.session.simulation.step_s)
             frame = self.session.take(motions, steps, surface=True)
             for refusal in frame.refused:
                 self._messages.extend(str(problem) for problem in refusal.problems)
@@ -427,7 +427,7 @@ def moment_of(session: OperatingSession, frame: Frame | None = None) -> LiveFram
     )
 
 
-def _places_mm(simulation: Simulation) -> dict[str, Float64]:
+def places_mm(simulation: Simulation) -> dict[str, Float64]:
     """Offset of each hand and centre of each probe, LPS mm, by name."""
     model = simulation.model
     places = {grab.name: model.to_mm(grab.pose.offset) for grab in simulation.grabs}

@@ -1,0 +1,181 @@
+"""Where the places that a tour names lie in a case at rest, and which way its directions go. LPS, mm."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from heartcase.schemas.arrays import Float64
+from heartcase.schemas.errors import ScriptError
+from heartcase.schemas.landmarks import Landmark
+from heartcase.schemas.scripts.incision_plans import PlannedCut
+from heartcase.schemas.touring.places import Beside, Way, direction_of_words, known_name
+from heartcase.simulator.incisions.planned import DrawnLine, drawn_line
+from heartcase.simulator.incisions.triangle_tree import TriangleTree, triangle_tree
+from heartcase.simulator.load import Case
+from heartcase.simulator.simulation import Simulation
+
+__all__ = ["CasePlaces"]
+
+
+class CasePlaces:
+    """Places of a case.
+
+    Parameters
+    ----------
+    case
+        The case, loaded with its surface and structures.
+    """
+
+    def __init__(self, case: Case) -> None:
+        assert case.surface is not None
+        assert case.triangle_structures is not None
+        self.case = case
+        self.rest_mm: Float64 = case.surface.rest_mm.astype(float)
+        self._triangles = case.surface.triangles
+        self._labels = {one.name: one.value for one in case.manifest.labels}
+        self.landmarks = {one.name: one for one in case.manifest.landmarks}
+        self._lines: dict[str, DrawnLine] = {}
+
+    @property
+    def middle_mm(self) -> Float64:
+        """Middle of the heart's box."""
+        return 0.5 * (self.rest_mm.min(axis=0) + self.rest_mm.max(axis=0))
+
+    @property
+    def size_mm(self) -> float:
+        """Diagonal of that box."""
+        return float(np.linalg.norm(self.rest_mm.max(axis=0) - self.rest_mm.min(axis=0)))
+
+    @cached_property
+    def tree(self) -> TriangleTree:
+        """The visible surface at rest."""
+        return triangle_tree(self.rest_mm, self._triangles)
+
+    @cached_property
+    def _normals(self) -> Float64:
+        simulation = Simulation(self.case.model, surface=self.case.surface)
+        return simulation.surface_now().normals.astype(float)
+
+    def structure(self, name: str) -> int | None:
+        """Number of a structure; None where the case has none of this name."""
+        found = known_name(name, self._labels)
+        return None if found is None else self._labels[found]
+
+    def landmark(self, name: str) -> Landmark | None:
+        """The landmark of a name; None where there is none."""
+        found = known_name(name, self.landmarks)
+        return None if found is None else self.landmarks[found]
+
+    def point(self, place: object) -> Float64:
+        """Where a place is, shape (3,).
+
+        Raises
+        ------
+        ScriptError
+            The case has no such place.
+        """
+        if isinstance(place, dict):
+            place = Beside.model_validate(place)
+        if isinstance(place, Beside):
+            middle = self.point(place.near)
+            return middle + place.by_mm * self.direction(place.towards, middle, self.landmark(place.near))
+        if not isinstance(place, str):
+            return np.asarray(place, dtype=float)
+        mark = self.landmark(place)
+        if mark is not None:
+            return self._of_landmark(mark)
+        number = self.structure(place)
+        is_of = self.case.triangle_structures == number
+        if number is None or not is_of.any():
+            raise ScriptError(f"the case has no landmark and no visible structure {place!r}", place="tour")
+        return self.rest_mm[np.unique(self._triangles[is_of])].mean(axis=0)
+
+    def direction(self, towards: object, from_mm: npt.ArrayLike, ring: Landmark | None = None) -> Float64:
+        """Which way something is, unit length, shape (3,).
+
+        Parameters
+        ----------
+        towards
+            Words, a place, or a vector.
+        from_mm
+            From where a place is looked for.
+        ring
+            Where this is a ring with an axis, a place is on one side of it: the axis on that side is taken.
+
+        Raises
+        ------
+        ScriptError
+            There is no such place, or it is just where the way begins.
+        """
+        if not isinstance(towards, str):
+            found = np.asarray(towards, dtype=float)
+        elif (words := direction_of_words(towards)) is not None:
+            found = np.array(words, dtype=float)
+        else:
+            found = self.point(towards) - np.asarray(from_mm, dtype=float)
+            if ring is not None and ring.kind == "ring":
+                axis = self.axis(ring)
+                found = axis if axis @ found >= 0.0 else -axis
+        size = float(np.linalg.norm(found))
+        if size < 1e-6:
+            raise ScriptError(f"{towards} lies just where the way towards it begins", place="tour")
+        return found / size
+
+    def way(self, way: object) -> tuple[float, float, float]:
+        """Numbers of a direction or a way of a command."""
+        if isinstance(way, dict):
+            read = Way.model_validate(way)
+            start = self.middle_mm if read.near is None else self.point(read.near)
+            ring = None if read.near is None else self.landmark(read.near)
+            return _numbers(read.by_mm * self.direction(read.towards, start, ring))
+        return _numbers(self.direction(way, self.middle_mm))
+
+    def axis(self, ring: Landmark) -> Float64:
+        """Axis of a ring, unit length, shape (3,)."""
+        if ring.axis is not None:
+            axis = np.asarray(ring.axis, dtype=float)
+        else:
+            points = np.asarray(ring.points_mm, dtype=float)
+            axis = np.linalg.svd(points - points.mean(axis=0))[2][-1]
+        return axis / np.linalg.norm(axis)
+
+    def radius_mm(self, ring: Landmark) -> float:
+        """Radius of a ring; the mean where it is given by points."""
+        if ring.radius_mm is not None:
+            return ring.radius_mm
+        points = np.asarray(ring.points_mm, dtype=float)
+        return float(np.linalg.norm(points - points.mean(axis=0), axis=1).mean())
+
+    def line(self, name: str) -> DrawnLine:
+        """A planned incision's line on the outside of the tissue at rest.
+
+        Raises
+        ------
+        ScriptError
+            The case has no planned incision of this name.
+        """
+        mark = self.landmark(name)
+        if mark is None or mark.kind != "polyline" or mark.is_vessel:
+            raise ScriptError(f"the case has no planned incision {name!r}", place="tour")
+        if mark.name not in self._lines:
+            cut = PlannedCut(landmark=mark.name)
+            found = drawn_line(cut, self.case.manifest.landmarks, self.tree, self.rest_mm, self._normals)
+            assert found is not None
+            self._lines[mark.name] = found
+        return self._lines[mark.name]
+
+    def _of_landmark(self, mark: Landmark) -> Float64:
+        points = np.asarray(mark.points_mm, dtype=float)
+        if mark.kind != "polyline":
+            return points.mean(axis=0)
+        # the middle of a line lies on it
+        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+        return np.array([np.interp(0.5 * along[-1], along, points[:, axis]) for axis in range(3)])
+
+
+def _numbers(vector: Float64) -> tuple[float, float, float]:
+    x, y, z = vector.tolist()
+    return x, y, z
