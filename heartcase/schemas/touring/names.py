@@ -83,7 +83,10 @@ class _Names:
         found: list[Problem] = []
         if isinstance(act, OpenAlong | CloseAlong):
             mark = self._landmark(act.landmark)
-            has = ", ".join(one.name for one in self.landmarks.values() if one.kind == "polyline" and one.depth_mm) or "none"
+            has = (
+                ", ".join(one.name for one in self.landmarks.values() if one.kind == "polyline" and one.depth_mm)
+                or "none"
+            )
             if mark is None or mark.kind != "polyline" or mark.depth_mm is None:
                 message = f"the case has no planned incision {act.landmark!r}; it has: {has}"
                 found.append(Problem(f"{place}.landmark", message))

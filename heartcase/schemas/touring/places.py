@@ -10,7 +10,17 @@ from pydantic import Field
 from heartcase.schemas.base import Direction, Model, Name, PointMm, PositiveMm
 from heartcase.schemas.terms import normalised, term_by_name
 
-__all__ = ["DIRECTIONS", "Beside", "Place", "Towards", "Way", "direction_of_words", "known_name", "names_in", "numbered"]
+__all__ = [
+    "DIRECTIONS",
+    "Beside",
+    "Place",
+    "Towards",
+    "Way",
+    "direction_of_words",
+    "known_name",
+    "names_in",
+    "numbered",
+]
 
 _DIRECTIONS_OF = ("direction", "closing", "side")
 

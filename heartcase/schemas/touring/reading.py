@@ -1,4 +1,4 @@
-"""A tour read from Markdown (CommonMark): headings are steps, a TOML block is a step's scene, ``[x]`` a right answer."""
+"""A tour read from Markdown (CommonMark): headings are steps, a TOML block is a step's scene, ``[x]`` is right."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def parse_tour(text: str) -> Tour:
     found = _HEAD.match(text)
     if found is None:
         raise ScriptError(
-            f"a tour begins with a line of +++, then heartcase_tour = 1 and case = \"NAME\", and a line of +++: {_SAMPLE}",
+            f'a tour begins with a line of +++, heartcase_tour = 1, case = "NAME", and a line of +++: {_SAMPLE}',
             place="line 1",
         )
     head = reader.head(found[1])
@@ -229,10 +229,10 @@ class _Reader:
 
     def _choice(self, item: SyntaxTreeNode, before: int) -> Choice:
         line = before + (item.map or (0, 0))[0]
-        first, *rest = item.children or [None]
+        first, rest = item.children[:1], item.children[1:]
         pieces: tuple[Piece, ...] = ()
-        if first is not None and first.type == "paragraph":
-            pieces = self._pieces(first.children[0], line)
+        if first and first[0].type == "paragraph":
+            pieces = self._pieces(first[0].children[0], line)
         mark = _CHOICE.match(pieces[0].text) if pieces else None
         if mark is None:
             self._say(line, "an answer begins with [x] where it is right, and with [ ] where it is not")

@@ -238,7 +238,7 @@ def parse_act(data: Any) -> TourAct:
         With every problem that was found in it.
     """
     if not isinstance(data, dict) or not isinstance(data.get("kind"), str):
-        raise HeartcaseError("an act is a table with a kind, such as { kind = \"wait\", seconds = 1 }", place="kind")
+        raise HeartcaseError('an act is a table with a kind, such as { kind = "wait", seconds = 1 }', place="kind")
     kind = data["kind"]
     if kind in _OWN_KINDS:
         try:
@@ -263,7 +263,9 @@ def act_problems(data: Any) -> tuple[Problem, ...]:
     try:
         parse_act(data)
     except HeartcaseError as error:
-        return tuple(Problem(one.place.removeprefix("command").removeprefix("."), one.message) for one in error.problems)
+        return tuple(
+            Problem(one.place.removeprefix("command").removeprefix("."), one.message) for one in error.problems
+        )
     return ()
 
 

@@ -10,6 +10,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import get_args
@@ -153,6 +154,23 @@ class Live:
     def do(self, *commands: Done | Navigation) -> None:
         """Ask for commands; they are done before the next steps. What is refused is told as a message."""
         self._ask(commands)
+
+    def asked(self, command: Done | Navigation) -> Future[None]:
+        """Ask for a command; what comes of it: done, or the error for which it was refused. A cut is begun."""
+        found: Future[None] = Future()
+
+        def work() -> None:
+            try:
+                self._do(command)
+            except BaseException as error:
+                found.set_exception(error)
+                if not isinstance(error, HeartcaseError):
+                    raise
+            else:
+                found.set_result(None)
+
+        self._ask([work])
+        return found
 
     def pause(self, is_paused: bool) -> None:
         """Let time stand, or go on from here: then what was known ahead is dropped by the next steps."""

@@ -35,6 +35,7 @@ class CasePlaces:
         self.case = case
         self.rest_mm: Float64 = case.surface.rest_mm.astype(float)
         self._triangles = case.surface.triangles
+        self._of_triangles = case.triangle_structures.astype(np.int64)
         self._labels = {one.name: one.value for one in case.manifest.labels}
         self.landmarks = {one.name: one for one in case.manifest.landmarks}
         self._lines: dict[str, DrawnLine] = {}
@@ -42,7 +43,8 @@ class CasePlaces:
     @property
     def middle_mm(self) -> Float64:
         """Middle of the heart's box."""
-        return 0.5 * (self.rest_mm.min(axis=0) + self.rest_mm.max(axis=0))
+        middle: Float64 = 0.5 * (self.rest_mm.min(axis=0) + self.rest_mm.max(axis=0))
+        return middle
 
     @property
     def size_mm(self) -> float:
@@ -88,10 +90,11 @@ class CasePlaces:
         if mark is not None:
             return self._of_landmark(mark)
         number = self.structure(place)
-        is_of = self.case.triangle_structures == number
-        if number is None or not is_of.any():
+        corners = self._triangles[self._of_triangles == (-1 if number is None else number)]
+        if not len(corners):
             raise ScriptError(f"the case has no landmark and no visible structure {place!r}", place="tour")
-        return self.rest_mm[np.unique(self._triangles[is_of])].mean(axis=0)
+        middle: Float64 = self.rest_mm[np.unique(corners)].mean(axis=0)
+        return middle
 
     def direction(self, towards: object, from_mm: npt.ArrayLike, ring: Landmark | None = None) -> Float64:
         """Which way something is, unit length, shape (3,).
@@ -140,7 +143,8 @@ class CasePlaces:
         else:
             points = np.asarray(ring.points_mm, dtype=float)
             axis = np.linalg.svd(points - points.mean(axis=0))[2][-1]
-        return axis / np.linalg.norm(axis)
+        unit: Float64 = axis / np.linalg.norm(axis)
+        return unit
 
     def radius_mm(self, ring: Landmark) -> float:
         """Radius of a ring; the mean where it is given by points."""
@@ -170,7 +174,8 @@ class CasePlaces:
     def _of_landmark(self, mark: Landmark) -> Float64:
         points = np.asarray(mark.points_mm, dtype=float)
         if mark.kind != "polyline":
-            return points.mean(axis=0)
+            middle: Float64 = points.mean(axis=0)
+            return middle
         # the middle of a line lies on it
         along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
         return np.array([np.interp(0.5 * along[-1], along, points[:, axis]) for axis in range(3)])

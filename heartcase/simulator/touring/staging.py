@@ -246,9 +246,7 @@ def _patching(act: PatchOver, places: CasePlaces) -> Iterator[Timed]:
     out -= np.outer(out @ axis, axis)
     points = rim.points_mm[chosen] + act.beside_mm * out / np.linalg.norm(out, axis=1, keepdims=True)
     outline = tuple(_numbers(point) for point in points)
-    yield PlacePatch(
-        name=act.name, outline_mm=outline, at_rest=True, spacing_mm=act.spacing_mm, scale=act.scale
-    )
+    yield PlacePatch(name=act.name, outline_mm=outline, at_rest=True, spacing_mm=act.spacing_mm, scale=act.scale)
     yield Wait(kind="wait", seconds=act.seconds)
 
 

@@ -28,6 +28,8 @@ __all__ = [
     "Seen",
     "Strain",
     "Take",
+    "TourTo",
+    "Tours",
     "Wheel",
     "parse_request",
 ]
@@ -185,6 +187,24 @@ class Strain(_Asked):
     """Whether it is wanted."""
 
 
+class Tours(_Asked):
+    """Name the guided tours of this case, with all that they say and show."""
+
+    do: Literal["tours"]
+    """Which request."""
+
+
+class TourTo(_Asked):
+    """Bring the session to where a step of a tour leaves it; nowhere, where the tour is left."""
+
+    do: Literal["tour"]
+    """Which request."""
+    tour: Annotated[int, Field(ge=0, le=100)]
+    """Number of the tour, from 0, as they were named."""
+    step: Annotated[int, Field(ge=0, le=100)] | None = None
+    """Number of the step, from 0; None leaves the tour."""
+
+
 class Seen(Model):
     """A frame was taken: another may follow. It has no answer."""
 
@@ -209,6 +229,8 @@ Request = (
     | Begin
     | Hide
     | Strain
+    | Tours
+    | TourTo
     | Seen
 )
 _REQUEST: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="do")])

@@ -69,6 +69,11 @@ class Stage:
         self._spares = False
         self.live = self._started(self._new_session())
 
+    @property
+    def case(self) -> Case:
+        """The case that was loaded."""
+        return self._case
+
     def close(self) -> None:
         """End the session; a recording is finished."""
         self.live.close()

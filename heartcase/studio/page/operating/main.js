@@ -6,6 +6,8 @@ import { Connection, Lost, Refused } from "../shared/connection.js";
 import { runLanguage, runTheme } from "../shared/looks.js";
 import { keep, kept } from "../shared/settings.js";
 import { fillWords, figure, isWord, language, say } from "../shared/words.js";
+import { SceneShower } from "../touring/scene.js";
+import { TourPanel } from "../touring/tour_panel.js";
 import { arraysOf } from "./messages.js";
 import { Panel } from "./panel.js";
 import { NoGraphics, Picture } from "./picture.js";
@@ -76,6 +78,20 @@ function run() {
       const { cursor } = pointer;
       find("cursor").hidden = cursor === null;
       if (cursor) Object.assign(find("cursor").style, { left: `${cursor.x}px`, top: `${cursor.y}px` });
+    },
+  });
+
+  const shower = new SceneShower(picture);
+  const tour = new TourPanel(find("panel-tour"), {
+    show: (scene) => {
+      panel.hide(scene.hidden);
+      shower.setPlane(scene.plane);
+      if (strain.checked !== scene.stretch) strain.click();
+      if (scene.view !== null) shower.goTo(scene.view);
+    },
+    enter: (number, step) => {
+      forget();
+      ask({ do: "tour", tour: number, step });
     },
   });
 
@@ -231,13 +247,14 @@ function run() {
       x: () => actions.letGo(true), a: actions.showAll, home: actions.reset, escape: actions.putDown, " ": actions.pause,
       "[": () => actions.resize(-1), "]": () => actions.resize(1), ",": () => actions.resize(-1), ".": () => actions.resize(1),
     });
-    return found[key] ?? null;
+    return found[key] ?? tour.action(key);
   }
 
   /** @param {Message} message */
   function hear(message) {
     if (message.kind === "progress") curtain(say("operate_opening"), []);
     else if (message.kind === "opened") begin(message);
+    else if (message.kind === "tour") tour.hear(/** @type {any} */ (message));
     else if (message.kind === "message") notice("", [{ place: "", message: message.text }]);
     else if (message.kind === "refused" && message.id === null) notice(say("refused"), message.problems ?? []);
     else if (message.kind === "failed") {
@@ -267,6 +284,10 @@ function run() {
     take(tool);
     ask({ do: "hide", structures: [...panel.hidden] });
     if (strain.checked) ask({ do: "strain", shown: true });
+    connection.ask({ do: "tours" }).then((answer) => {
+      tour.setTours(answer.tours, answer.tour_problems);
+      find("tab-tour").hidden = answer.tours.length + answer.tour_problems.length === 0;
+    }, fault);
     // what draws needs a processor of those that step
     if (picture.isDrawnInSoftware) ask({ do: "spare" });
   }

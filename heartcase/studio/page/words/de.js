@@ -1,7 +1,10 @@
 /** The page's words in German. */
 
+import { tour } from "./tour_de.js";
+
 /** @type {Record<keyof typeof import("./en.js").words, string>} */
 export const words = {
+  ...tour,
   language_name: "Deutsch",
   connecting: "Verbinde …",
   stage_open: "Rezept wird geöffnet …",

@@ -1,6 +1,9 @@
 /** The page's words in English. */
 
+import { tour } from "./tour_en.js";
+
 export const words = {
+  ...tour,
   language_name: "English",
   connecting: "Connecting …",
   stage_open: "Opening the recipe …",
