@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from heartcase.schemas.errors import Problem
 from heartcase.schemas.labels import Label
 from heartcase.schemas.landmarks import Landmark
+from heartcase.schemas.terms import term_by_name
 from heartcase.schemas.touring.places import Beside, direction_of_words, known_name, names_in
 from heartcase.schemas.touring.tour import (
     CloseAlong,
@@ -20,10 +21,46 @@ from heartcase.schemas.touring.tour import (
     TourView,
 )
 
-__all__ = ["CUT_FACES_NAME", "tour_problems"]
+__all__ = ["CUT_FACES_NAME", "grown_septa", "labels_meant", "tour_problems"]
 
 CUT_FACES_NAME = "cut faces"
 """How walls of incisions are called among the structures."""
+
+
+_WALL = " wall"
+"""How the name of a grown wall ends, behind that of the cavity or the vessel that it is of."""
+_GROWN_SEPTUM = "septum (grown)"
+
+
+def labels_meant(name: str, labels: Sequence[Label]) -> tuple[int, ...]:
+    """Values of the labels that a structure's name stands for: a cavity or a vessel is meant with its grown wall.
+
+    Parameters
+    ----------
+    name
+        The name, or another one of the same structure.
+    labels
+        Labels of the case.
+
+    Returns
+    -------
+    tuple
+        The values, that of the structure itself first; none where the case has no such structure.
+    """
+    values = {label.name: label.value for label in labels if label.role != "background"}
+    found = known_name(name, values)
+    if found is None:
+        stem = name[: -len(_WALL)] if name.lower().endswith(_WALL) else ""
+        own = known_name(stem, values) if stem else None
+        return (values[own + _WALL],) if own is not None and own + _WALL in values else ()
+    return (values[found], *((values[found + _WALL],) if found + _WALL in values else ()))
+
+
+def grown_septa(names: Iterable[str], labels: Sequence[Label]) -> tuple[int, ...]:
+    """Values of the grown septa that are beside one of these structures."""
+    terms = [term.name for name in names if (term := term_by_name(name)) is not None]
+    septa = [label for label in labels if label.name.endswith(_GROWN_SEPTUM)]
+    return tuple(label.value for label in septa if any(name.lower() in label.name.lower() for name in (*names, *terms)))
 
 
 def tour_problems(tour: Tour, landmarks: Sequence[Landmark], labels: Iterable[Label]) -> tuple[Problem, ...]:
@@ -55,7 +92,8 @@ class _Names:
             found += self._of_view(scene.view)
         for key in ("show", "hide"):
             for name in getattr(scene, key) or ():
-                if known_name(name, (*self.structures, CUT_FACES_NAME)) is None:
+                stem = name[: -len(_WALL)] if name.lower().endswith(_WALL) else name
+                if known_name(name, (*self.structures, CUT_FACES_NAME)) is None and self._is_no_structure(stem):
                     has = ", ".join((*self.structures, CUT_FACES_NAME))
                     found.append(Problem(key, f"the case has no structure {name!r}; it has: {has}"))
         plane = scene.cut_plane
@@ -119,6 +157,9 @@ class _Names:
 
     def _is_unknown(self, name: str) -> bool:
         return known_name(name, (*self.landmarks, *self.structures)) is None
+
+    def _is_no_structure(self, name: str) -> bool:
+        return known_name(name, self.structures) is None
 
     def _no_place(self, name: object) -> str:
         has = ", ".join((*self.landmarks, *self.structures)) or "none"

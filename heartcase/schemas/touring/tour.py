@@ -76,7 +76,7 @@ class CutPlane(Model):
     through: Place | None = None
     """Where it lies; in the middle of the view when left out."""
     removes: Towards
-    """On which side nothing is shown."""
+    """On which side nothing is shown. Through a ring, or beside one, towards a place: along the ring's axis."""
 
 
 class Scene(Model):

@@ -11,6 +11,7 @@ from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import ScriptError
 from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.scripts.incision_plans import PlannedCut
+from heartcase.schemas.touring.names import labels_meant
 from heartcase.schemas.touring.places import Beside, Way, direction_of_words, known_name
 from heartcase.simulator.incisions.planned import DrawnLine, drawn_line
 from heartcase.simulator.incisions.triangle_tree import TriangleTree, triangle_tree
@@ -36,7 +37,6 @@ class CasePlaces:
         self.rest_mm: Float64 = case.surface.rest_mm.astype(float)
         self._triangles = case.surface.triangles
         self._of_triangles = case.triangle_structures.astype(np.int64)
-        self._labels = {one.name: one.value for one in case.manifest.labels}
         self.landmarks = {one.name: one for one in case.manifest.landmarks}
         self._lines: dict[str, DrawnLine] = {}
 
@@ -61,11 +61,6 @@ class CasePlaces:
         simulation = Simulation(self.case.model, surface=self.case.surface)
         return simulation.surface_now().normals.astype(float)
 
-    def structure(self, name: str) -> int | None:
-        """Number of a structure; None where the case has none of this name."""
-        found = known_name(name, self._labels)
-        return None if found is None else self._labels[found]
-
     def landmark(self, name: str) -> Landmark | None:
         """The landmark of a name; None where there is none."""
         found = known_name(name, self.landmarks)
@@ -89,12 +84,14 @@ class CasePlaces:
         mark = self.landmark(place)
         if mark is not None:
             return self._of_landmark(mark)
-        number = self.structure(place)
-        corners = self._triangles[self._of_triangles == (-1 if number is None else number)]
+        corners = self._triangles[:0]
+        for number in labels_meant(place, self.case.manifest.labels):
+            if not len(corners):
+                corners = self._triangles[self._of_triangles == number]
         if not len(corners):
             raise ScriptError(f"the case has no landmark and no visible structure {place!r}", place="tour")
-        middle: Float64 = self.rest_mm[np.unique(corners)].mean(axis=0)
-        return middle
+        centre: Float64 = self.rest_mm[np.unique(corners)].mean(axis=0)
+        return centre
 
     def direction(self, towards: object, from_mm: npt.ArrayLike, ring: Landmark | None = None) -> Float64:
         """Which way something is, unit length, shape (3,).

@@ -25,8 +25,8 @@ from heartcase.schemas.recording.commands import (
 )
 from heartcase.schemas.scripts.incision_plans import LipHands, PlannedCut
 from heartcase.schemas.scripts.script import GrabAction
-from heartcase.schemas.touring.names import CUT_FACES_NAME, tour_problems
-from heartcase.schemas.touring.places import known_name, numbered
+from heartcase.schemas.touring.names import CUT_FACES_NAME, grown_septa, labels_meant, tour_problems
+from heartcase.schemas.touring.places import Beside, known_name, numbered
 from heartcase.schemas.touring.tour import (
     CloseAlong,
     OpenAlong,
@@ -109,7 +109,11 @@ def staged_scenes(tour: Tour, places: CasePlaces) -> tuple[StagedScene, ...]:
                 through = scene.cut_plane.through
                 assert through is not None or view is not None
                 point = np.array(view.target_mm) if through is None and view is not None else places.point(through)
-                normal = places.direction(scene.cut_plane.removes, point)
+                named = through.near if isinstance(through, Beside) else through
+                ring = places.landmark(named) if isinstance(named, str) else None
+                # on which side of a ring a place is does not depend on how far beside it the plane lies
+                start = point if ring is None else places.point(ring.name)
+                normal = places.direction(scene.cut_plane.removes, start, ring)
                 x, y, z = normal.tolist()
                 plane = (x, y, z, float(normal @ point))
         except HeartcaseError as error:
@@ -285,17 +289,16 @@ def _view(view: TourView, places: CasePlaces) -> StagedView:
 
 
 def _hidden(show: tuple[str, ...] | None, hide: tuple[str, ...] | None, places: CasePlaces) -> tuple[int, ...]:
-    numbers = {label.value for label in places.case.manifest.labels}
-
-    def found(names: tuple[str, ...]) -> set[int]:
-        is_faces = {name for name in names if known_name(name, (CUT_FACES_NAME,)) is not None}
-        own = {places.structure(name) for name in names if name not in is_faces}
-        return {one for one in own if one is not None} | ({CUT_FACES} if is_faces else set())
-
+    labels = places.case.manifest.labels
+    named = hide if hide is not None else show
+    if named is None:
+        return ()
+    own = [name for name in named if known_name(name, (CUT_FACES_NAME,)) is None]
+    found = {value for name in own for value in labels_meant(name, labels)}
     if hide is not None:
-        return tuple(sorted(found(hide)))
+        return tuple(sorted(found | ({CUT_FACES} if len(own) < len(named) else set())))
     # walls of incisions are shown with whatever is cut
-    return () if show is None else tuple(sorted(numbers - found(show)))
+    return tuple(sorted({label.value for label in labels} - found - set(grown_septa(own, labels))))
 
 
 def _numbers(vector: Float64) -> tuple[float, float, float]:

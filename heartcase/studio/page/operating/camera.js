@@ -20,7 +20,7 @@ export function unit(a) {
 }
 
 /** @param {Vector} a @param {Vector} axis of unit length @param {number} angle @returns {Vector} */
-function turned(a, axis, angle) {
+export function turned(a, axis, angle) {
   const along = dot(a, axis) * (1 - Math.cos(angle));
   const aside = cross(axis, a);
   return add(add([a[0] * Math.cos(angle), a[1] * Math.cos(angle), a[2] * Math.cos(angle)], aside, Math.sin(angle)), axis, along);

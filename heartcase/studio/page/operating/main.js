@@ -30,8 +30,8 @@ language.follow((name) => {
   fillWords(document);
 });
 
-/** What is open, for whoever looks at the page from outside, such as its tests. @type {{picture: Picture | null, header: any}} */
-export const open = { picture: null, header: null };
+/** What is open, for whoever looks at the page from outside, such as its tests. @type {{picture: Picture | null, header: any, tour: TourPanel | null}} */
+export const open = { picture: null, header: null, tour: null };
 
 function run() {
   const picture = new Picture(/** @type {HTMLCanvasElement} */ (find("picture")));
@@ -94,6 +94,8 @@ function run() {
       ask({ do: "tour", tour: number, step });
     },
   });
+
+  open.tour = tour;
 
   function forget() {
     pointer.forget();

@@ -1,7 +1,6 @@
 /** A tour's scene in the picture: the camera goes to where one shall look from. LPS mm. */
 
-import * as three from "../vendor/three/three.module.min.js";
-import { add, cross, unit, VIEW_ANGLE_DEG } from "../operating/camera.js";
+import { add, cross, dot, turned, unit, VIEW_ANGLE_DEG } from "../operating/camera.js";
 
 /** @typedef {import("../operating/camera.js").Vector} Vector */
 /** @typedef {import("../operating/picture.js").Picture} Picture */
@@ -12,10 +11,25 @@ const TURN_MS = 700;
 /** A plane that removes nothing. */
 const NO_PLANE = /** @type {const} */ ([0, 0, 0, 1]);
 
-/** @param {Vector} right @param {Vector} up @param {Vector} towards */
-function turnOf(right, up, towards) {
-  const basis = new three.Matrix4().makeBasis(new three.Vector3(...right), new three.Vector3(...up), new three.Vector3(...towards));
-  return new three.Quaternion().setFromRotationMatrix(basis);
+/**
+ * The turn that takes three perpendicular axes to three others.
+ * @param {readonly Vector[]} from
+ * @param {readonly Vector[]} to
+ * @returns {{axis: Vector, angle: number}}
+ */
+export function turnBetween(from, to) {
+  /** @param {number} row @param {number} column */
+  const at = (row, column) => from.reduce((sum, axis, n) => sum + to[n][row] * axis[column], 0);
+  const cosine = Math.min(Math.max((at(0, 0) + at(1, 1) + at(2, 2) - 1) / 2, -1), 1);
+  const angle = Math.acos(cosine);
+  /** @type {Vector} */
+  const aside = [at(2, 1) - at(1, 2), at(0, 2) - at(2, 0), at(1, 0) - at(0, 1)];
+  if (Math.hypot(...aside) > 1e-6) return { axis: unit(aside), angle };
+  if (cosine > 0) return { axis: [0, 0, 1], angle: 0 };
+  // half a turn: the axis is what stays
+  const columns = [0, 1, 2].map((column) => /** @type {Vector} */ ([0, 1, 2].map((row) => at(row, column) + (row === column ? 1 : 0))));
+  const longest = columns.reduce((best, one) => (dot(one, one) > dot(best, best) ? one : best));
+  return { axis: unit(longest), angle: Math.PI };
 }
 
 /** Leads a picture's camera; a new way takes the place of one that is under way. */
@@ -46,19 +60,12 @@ export class SceneShower {
     const up = cross(towards, right);
     const narrow = Math.max(1, camera.height / camera.width);
     const distance = (narrow * view.width_mm) / (2 * Math.tan((VIEW_ANGLE_DEG * Math.PI) / 360));
-    const from = { target: camera.target, distance: camera.distance, turn: turnOf(camera.right, camera.up, camera.towards) };
-    const goal = turnOf(right, up, towards);
-    const turn = new three.Quaternion();
+    const from = { target: camera.target, distance: camera.distance, axes: [camera.right, camera.up, camera.towards] };
+    const turn = turnBetween(from.axes, [right, up, towards]);
     /** @param {number} part */
     const put = (part) => {
-      turn.slerpQuaternions(from.turn, goal, part);
-      const axis = (/** @type {number} */ x, /** @type {number} */ y, /** @type {number} */ z) => {
-        const found = new three.Vector3(x, y, z).applyQuaternion(turn);
-        return unit([found.x, found.y, found.z]);
-      };
-      camera.right = axis(1, 0, 0);
-      camera.up = axis(0, 1, 0);
-      camera.towards = axis(0, 0, 1);
+      const axes = part < 1 ? from.axes.map((one) => unit(turned(one, turn.axis, part * turn.angle))) : [right, up, towards];
+      [camera.right, camera.up, camera.towards] = axes;
       camera.target = add(from.target, add(view.target_mm, from.target, -1), part);
       camera.distance = from.distance * (distance / from.distance) ** part;
       this.picture.redraw();
