@@ -155,13 +155,22 @@ class Live:
         """Ask for commands; they are done before the next steps. What is refused is told as a message."""
         self._ask(commands)
 
-    def asked(self, command: Done | Navigation) -> Future[None]:
-        """Ask for a command; what comes of it: done, or the error for which it was refused. A cut is begun."""
+    def asked(self, command: Done | Navigation | None) -> Future[None]:
+        """Ask for a command; what comes of it: done, or the error for which it was refused. A cut is begun.
+
+        None asks for nothing: it comes when all that was asked for before is done.
+
+        One that is cancelled before it is its turn is not done.
+        """
         found: Future[None] = Future()
 
         def work() -> None:
+            # Whoever asked may have given it up by now.
+            if not found.set_running_or_notify_cancel():
+                return
             try:
-                self._do(command)
+                if command is not None:
+                    self._do(command)
             except BaseException as error:
                 found.set_exception(error)
                 if not isinstance(error, HeartcaseError):

@@ -81,6 +81,11 @@ class Guide:
         if live is not self._live:
             self._live, self._reached = live, []
         wanted = [number for number in range(step + 1) if tour.tour.steps[number].acts]
+        if self._reached:
+            # What a step that was left on the way had asked for is done by now, or never.
+            shown = live.newest
+            await self._asked(live, None)
+            await self._until(live, lambda: live.newest is not shown or live.newest.mode == "paused")
         if not self._reached or self._reached[0].tour is not tour:
             if not wanted:
                 return
@@ -113,7 +118,7 @@ class Guide:
         """Whether the session is where the last step left it, but for time that went by."""
         entries = live.session.entries[: live.session.position]
         at = self._found(live, self._reached[-1].mark)
-        if at is None or at >= len(entries):
+        if at is None or at >= len(entries) or live.newest.frame.coming_cuts:
             return False
         return not any(isinstance(entry.command, (*_OWN, Halt)) for entry in entries[at + 1 :])
 
@@ -169,7 +174,7 @@ class Guide:
         await self._until_step(live, step + 1)
         return name
 
-    async def _asked(self, live: Live, command: Done | GoTo) -> None:
+    async def _asked(self, live: Live, command: Done | GoTo | None) -> None:
         try:
             await asyncio.wait_for(asyncio.wrap_future(live.asked(command)), _PATIENCE_S)
         except TimeoutError:
