@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Iterable, Sequence
 
 from heartcase.schemas.errors import Problem
@@ -32,7 +33,7 @@ _WALL = " wall"
 _GROWN_SEPTUM = "septum (grown)"
 
 
-def labels_meant(name: str, labels: Sequence[Label]) -> tuple[int, ...]:
+def labels_meant(name: str, labels: Iterable[Label]) -> tuple[int, ...]:
     """Values of the labels that a structure's name stands for: a cavity or a vessel is meant with its grown wall.
 
     Parameters
@@ -56,7 +57,7 @@ def labels_meant(name: str, labels: Sequence[Label]) -> tuple[int, ...]:
     return (values[found], *((values[found + _WALL],) if found + _WALL in values else ()))
 
 
-def grown_septa(names: Iterable[str], labels: Sequence[Label]) -> tuple[int, ...]:
+def grown_septa(names: Iterable[str], labels: Iterable[Label]) -> tuple[int, ...]:
     """Values of the grown septa that are beside one of these structures."""
     terms = [term.name for name in names if (term := term_by_name(name)) is not None]
     septa = [label for label in labels if label.name.endswith(_GROWN_SEPTUM)]
@@ -84,6 +85,7 @@ def tour_problems(tour: Tour, landmarks: Sequence[Landmark], labels: Iterable[La
 class _Names:
     def __init__(self, landmarks: Sequence[Landmark], labels: Iterable[Label]) -> None:
         self.landmarks = {one.name: one for one in landmarks}
+        self._is_listed = False
         self.structures = [label.name for label in labels if label.role != "background"]
 
     def of_step(self, step: TourStep) -> list[Problem]:
@@ -94,8 +96,8 @@ class _Names:
             for name in getattr(scene, key) or ():
                 stem = name[: -len(_WALL)] if name.lower().endswith(_WALL) else name
                 if known_name(name, (*self.structures, CUT_FACES_NAME)) is None and self._is_no_structure(stem):
-                    has = ", ".join((*self.structures, CUT_FACES_NAME))
-                    found.append(Problem(key, f"the case has no structure {name!r}; it has: {has}"))
+                    instead = self._instead(name, (*self.structures, CUT_FACES_NAME))
+                    found.append(Problem(key, f"the case has no structure {name!r}{instead}"))
         plane = scene.cut_plane
         if plane is not None:
             found += self._place(plane.through, "cut_plane.through") + self._towards(plane.removes, "cut_plane.removes")
@@ -162,5 +164,16 @@ class _Names:
         return known_name(name, self.structures) is None
 
     def _no_place(self, name: object) -> str:
-        has = ", ".join((*self.landmarks, *self.structures)) or "none"
-        return f"the case has no landmark or structure {name!r}; it has: {has}"
+        instead = self._instead(str(name), (*self.landmarks, *self.structures))
+        return f"the case has no landmark or structure {name!r}{instead}"
+
+    def _instead(self, name: str, known: Iterable[str]) -> str:
+        """What was probably meant, or, once, all that there is."""
+        names = [one for one in known if not one.endswith(_WALL)]
+        near = difflib.get_close_matches(name, names, n=1)
+        if near:
+            return f": did you mean {near[0]!r}?"
+        if self._is_listed:
+            return ""
+        self._is_listed = True
+        return f"; it has: {', '.join(names) or 'none'}"
