@@ -43,7 +43,7 @@ from heartcase.simulator.incisions.rim import defect_rim
 from heartcase.simulator.live.shapes import CUT_FACES
 from heartcase.simulator.touring.case_places import CasePlaces
 
-__all__ = ["StagedScene", "StagedView", "Timed", "staged_scenes", "timed_commands"]
+__all__ = ["StagedPlane", "StagedScene", "StagedView", "Timed", "staged_scenes", "timed_commands"]
 
 _EYE_HEIGHT = 0.94
 """Cosine between the line of sight and the body's axis above which the patient's front is up in the picture."""
@@ -73,6 +73,16 @@ class StagedView:
 
 
 @dataclass(frozen=True)
+class StagedPlane:
+    """A plane that opens the picture, LPS."""
+
+    normal: tuple[float, float, float]
+    """Towards what is removed, unit length."""
+    point_mm: tuple[float, float, float]
+    """A point of it."""
+
+
+@dataclass(frozen=True)
 class StagedScene:
     """A scene in numbers."""
 
@@ -80,8 +90,8 @@ class StagedScene:
     """From where one looks; None where it stays."""
     hidden: tuple[int, ...]
     """Numbers of the structures that are not shown."""
-    plane: tuple[float, float, float, float] | None
-    """Normal towards what is removed (LPS, unit length), and the plane's distance from the origin along it, mm."""
+    plane: StagedPlane | None
+    """A plane that opens the picture."""
     stretch: bool
     """Whether colours show stretch."""
 
@@ -114,8 +124,7 @@ def staged_scenes(tour: Tour, places: CasePlaces) -> tuple[StagedScene, ...]:
                 # on which side of a ring a place is does not depend on how far beside it the plane lies
                 start = point if ring is None else places.point(ring.name)
                 normal = places.direction(scene.cut_plane.removes, start, ring)
-                x, y, z = normal.tolist()
-                plane = (x, y, z, float(normal @ point))
+                plane = StagedPlane(_numbers(normal), _numbers(point))
         except HeartcaseError as error:
             problems += [Problem(f"line {step.line} (step {number})", one.message) for one in error.problems]
             continue

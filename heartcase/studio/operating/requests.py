@@ -15,9 +15,15 @@ __all__ = [
     "Act",
     "Along",
     "Begin",
+    "Coarser",
+    "CutOpen",
+    "Figures",
     "Hide",
+    "HoldOpen",
     "LetGo",
     "Look",
+    "Plane",
+    "Planned",
     "Play",
     "Point",
     "Recordings",
@@ -178,6 +184,32 @@ class Hide(_Asked):
     """Their numbers."""
 
 
+class Plane(Model):
+    """A plane that opens the heart."""
+
+    normal: Direction
+    """To what is taken away, LPS."""
+    point_mm: PointMm
+    """A point of it, LPS mm."""
+
+    @model_validator(mode="after")
+    def _is_a_plane(self) -> Plane:
+        if np.abs([self.point_mm, self.normal]).max() > _FAR_MM:
+            raise ValueError(f"a plane is at most {_FAR_MM:g} mm away")
+        if np.linalg.norm(self.normal) < 1.0 / _FAR_MM:
+            raise ValueError("a direction this short says nothing")
+        return self
+
+
+class CutOpen(_Asked):
+    """Where this page cuts the heart open: what is taken away cannot be pointed at from it."""
+
+    do: Literal["cut_open"]
+    """Which request."""
+    plane: Plane | None
+    """Where; null where it does not."""
+
+
 class Strain(_Asked):
     """Send how far the tissue is stretched, too."""
 
@@ -205,6 +237,44 @@ class TourTo(_Asked):
     """Number of the step, from 0; None leaves the tour."""
 
 
+class Coarser(_Asked):
+    """Send coarser levels of detail of the surface, too: for a page that cannot draw the finest while it moves."""
+
+    do: Literal["coarser"]
+    """Which request."""
+
+
+class Figures(_Asked):
+    """Send figures of an incision as it is held open now, again and again."""
+
+    do: Literal["figures"]
+    """Which request."""
+    shown: bool
+    """Whether they are wanted."""
+    incision: Annotated[int, Field(ge=0, le=10_000)] = 0
+    """Which of the cuts, from 0; the last one where there are fewer."""
+    reach: bool = False
+    """Whether the reach of an instrument's tip is to be worked out, once: time is stopped for it."""
+
+
+class Planned(_Asked):
+    """Cut along a planned incision of the case."""
+
+    do: Literal["cut_planned"]
+    """Which request."""
+    incision: Annotated[str, Field(min_length=1, max_length=200)]
+    """Its name."""
+
+
+class HoldOpen(_Asked):
+    """Close hands on both lips of a cut, and lead them apart."""
+
+    do: Literal["hold_open"]
+    """Which request."""
+    incision: Annotated[int, Field(ge=0, le=10_000)]
+    """Which of the cuts, from 0."""
+
+
 class Seen(Model):
     """A frame was taken: another may follow. It has no answer."""
 
@@ -228,9 +298,14 @@ Request = (
     | Replay
     | Begin
     | Hide
+    | CutOpen
     | Strain
     | Tours
     | TourTo
+    | Coarser
+    | Figures
+    | Planned
+    | HoldOpen
     | Seen
 )
 _REQUEST: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="do")])

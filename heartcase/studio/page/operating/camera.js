@@ -56,6 +56,12 @@ export class Camera {
     this.up = cross(this.towards, this.right);
   }
 
+  /** @param {Vector} right on the screen @param {Vector} up on the screen; both of unit length */
+  stand(right, up) {
+    [this.right, this.up] = [right, up];
+    this.towards = unit(cross(right, up));
+  }
+
   /** @returns {Vector} */
   get position() {
     return add(this.target, this.towards, this.distance);

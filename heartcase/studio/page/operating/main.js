@@ -8,9 +8,11 @@ import { keep, kept } from "../shared/settings.js";
 import { fillWords, figure, isWord, language, say } from "../shared/words.js";
 import { SceneShower } from "../touring/scene.js";
 import { TourPanel } from "../touring/tour_panel.js";
+import { LiveFigures } from "./figures.js";
 import { arraysOf } from "./messages.js";
 import { Panel } from "./panel.js";
 import { NoGraphics, Picture } from "./picture.js";
+import { PlaneControls } from "./plane_controls.js";
 import { Pointer } from "./pointer.js";
 import { TimeLine } from "./time_line.js";
 
@@ -63,15 +65,17 @@ function run() {
       ask({ do: "replay", name });
     },
   });
+  const figures = new LiveFigures(ask);
   const timeLine = new TimeLine((step) => {
     forget();
     return connection.ask({ do: "command", command: { kind: "go_to", step } });
   });
+  picture.detail.wanted = () => ask({ do: "coarser" });
   const pointer = new Pointer(find("scene"), picture.camera, {
     ask: (request) => connection.ask(request),
     answered,
     failed: fault,
-    changed: () => picture.redraw(),
+    changed: () => picture.move(),
     hasTool: () => tool !== "",
     isReady: () => isReady,
     cursorMoved: () => {
@@ -96,6 +100,9 @@ function run() {
   });
 
   open.tour = tour;
+  const planeControls = new PlaneControls(picture, (plane) => ask({ do: "cut_open", plane }));
+  /** Colours of tissue that lies inside alone. @type {{value: number, colour: string}[]} */
+  let tissueInside = [];
 
   function forget() {
     pointer.forget();
@@ -104,7 +111,7 @@ function run() {
   }
 
   function paint() {
-    picture.heart.paint(panel.structures, panel.hidden);
+    picture.heart.paint([...panel.structures, ...tissueInside], panel.hidden);
     picture.redraw();
   }
 
@@ -247,6 +254,7 @@ function run() {
     const found = /** @type {Record<string, () => void>} */ ({
       u: actions.undo, y: actions.redo, b: actions.back, l: actions.play, t: actions.tie, w: actions.record, v: actions.strain,
       x: () => actions.letGo(true), a: actions.showAll, home: actions.reset, escape: actions.putDown, " ": actions.pause,
+      k: () => planeControls.toggle(), "<": () => planeControls.step(-1), ">": () => planeControls.step(1),
       "[": () => actions.resize(-1), "]": () => actions.resize(1), ",": () => actions.resize(-1), ".": () => actions.resize(1),
     });
     return found[key] ?? tour.action(key);
@@ -257,6 +265,7 @@ function run() {
     if (message.kind === "progress") curtain(say("operate_opening"), []);
     else if (message.kind === "opened") begin(message);
     else if (message.kind === "tour") tour.hear(/** @type {any} */ (message));
+    else if (message.kind === "figures") figures.hear(message);
     else if (message.kind === "message") notice("", [{ place: "", message: message.text }]);
     else if (message.kind === "refused" && message.id === null) notice(say("refused"), message.problems ?? []);
     else if (message.kind === "failed") {
@@ -276,15 +285,19 @@ function run() {
     if (isFirst) picture.camera.frame(...box);
     timeLine.stepS = message.step_s;
     picture.heart.forgetNormalMap();
+    tissueInside = message.tissue_inside;
     panel.setStructures(message.structures);
     picture.heart.paintStretch(message.stretch_colours);
     const [low, high] = message.stretch_shown;
     find("stretch-legend").textContent = say("operate_stretch", { low: figure(low, 1), high: figure(high, 1) });
     isReady = true;
+    figures.setPlanned(message.incisions);
+    figures.begin();
     fillTools();
     paint();
     take(tool);
     ask({ do: "hide", structures: [...panel.hidden] });
+    planeControls.setCase(message.heart_axes, box);
     if (strain.checked) ask({ do: "strain", shown: true });
     connection.ask({ do: "tours" }).then((answer) => {
       tour.setTours(answer.tours, answer.tour_problems);
@@ -292,6 +305,7 @@ function run() {
     }, fault);
     // what draws needs a processor of those that step
     if (picture.isDrawnInSoftware) ask({ do: "spare" });
+    picture.detail.begin();
   }
 
   /** @param {Package} message */
@@ -302,6 +316,10 @@ function run() {
       picture.redraw();
       return;
     }
+    if (header.kind === "coarse_topology") {
+      picture.heart.takeCoarse(message);
+      return;
+    }
     const arrays = arraysOf(message);
     if (header.kind === "normal_map") {
       picture.heart.takeNormalMap(arrays.png).then(() => picture.redraw(), fault);
@@ -309,7 +327,8 @@ function run() {
     }
     const isHeartNew = picture.heart.takeFrame(message, arrays);
     const areToolsNew = picture.tools.show(header, arrays);
-    if (isHeartNew || areToolsNew) picture.redraw();
+    if (isHeartNew) picture.move();
+    else if (areToolsNew) picture.redraw();
     const before = open.header;
     open.header = header;
     panel.showForces(header);
@@ -387,7 +406,7 @@ function run() {
   });
   runTheme();
   runLanguage();
-  runTabs();
+  runTabs((id) => figures.show(id === "tab-figures"));
   connection.open();
 }
 

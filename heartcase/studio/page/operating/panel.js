@@ -28,7 +28,8 @@ export const HELP = [
   ["B  L", "operate_help_back"],
   ["W", "operate_help_record"],
   ["V  A  Home", "operate_help_view"],
-  ["K  M  I", "tour_help"],
+  ["D  M  I", "tour_help"],
+  ["K  <  >", "scene_help_plane"],
 ];
 
 /** Name of a structure in a list. @param {Structure} one */

@@ -5,11 +5,9 @@ import { add, cross, dot, turned, unit, VIEW_ANGLE_DEG } from "../operating/came
 /** @typedef {import("../operating/camera.js").Vector} Vector */
 /** @typedef {import("../operating/picture.js").Picture} Picture */
 /** @typedef {{target_mm: Vector, towards: Vector, up: Vector, width_mm: number}} View */
-/** @typedef {{view: View | null, hidden: number[], plane: [number, number, number, number] | null, stretch: boolean}} Scene */
+/** @typedef {{view: View | null, hidden: number[], plane: {normal: Vector, point_mm: Vector} | null, stretch: boolean}} Scene */
 
 const TURN_MS = 700;
-/** A plane that removes nothing. */
-const NO_PLANE = /** @type {const} */ ([0, 0, 0, 1]);
 
 /**
  * The turn that takes three perpendicular axes to three others.
@@ -48,8 +46,8 @@ export class SceneShower {
 
   /** @param {Scene["plane"]} plane */
   setPlane(plane) {
-    this.picture.heart.uniforms.cutPlane.value.set(...(plane ?? NO_PLANE));
-    this.picture.redraw();
+    if (plane) this.picture.plane.put(plane.normal, plane.point_mm);
+    this.picture.plane.show(plane !== null);
   }
 
   /** Go to a view, at once where the user wants no motion. @param {View} view */

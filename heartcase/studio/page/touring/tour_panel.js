@@ -140,7 +140,7 @@ export class TourPanel {
   /** @param {string} key in lower case @returns {(() => void) | null} what it does while a tour is under way */
   action(key) {
     if (!this.isBegun) return null;
-    return { k: () => this.go(this.step - 1), m: () => this.go(this.step + 1), i: () => this.go(this.step) }[key] ?? null;
+    return { d: () => this.go(this.step - 1), m: () => this.go(this.step + 1), i: () => this.go(this.step) }[key] ?? null;
   }
 
   /** @param {number} tour */
@@ -283,7 +283,7 @@ export class TourPanel {
     this.next.textContent = say("tour_next");
     this.again.textContent = say("tour_again");
     this.end.textContent = say("tour_end");
-    for (const [button, key] of /** @type {const} */ ([[this.back, "K"], [this.next, "M"], [this.again, "I"]])) {
+    for (const [button, key] of /** @type {const} */ ([[this.back, "D"], [this.next, "M"], [this.again, "I"]])) {
       button.title = `${button.textContent} (${key})`;
     }
     this.again.title = `${say("tour_again_says")} (I)`;

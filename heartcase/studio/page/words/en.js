@@ -1,9 +1,12 @@
 /** The page's words in English. */
 
+import { operating } from "./operating_en.js";
+import { words as scene } from "./scene_en.js";
 import { tour } from "./tour_en.js";
 
 export const words = {
   ...tour,
+  ...operating,
   language_name: "English",
   connecting: "Connecting …",
   stage_open: "Opening the recipe …",
@@ -213,7 +216,7 @@ export const words = {
   operate_reset: "View from the start (Home)",
   operate_scene: "The heart",
   operate_scene_help: "Arrows turn the heart, Shift with arrows moves it, plus and minus zoom. Enter uses the instrument in the middle of the picture, arrows then lead it, Enter ends.",
-  operate_side: "Structures, forces, recordings, help",
+  operate_side: "Structures, forces, figures, recordings, help",
   operate_show_all: "Show all",
   operate_strain: "Colour by stretch",
   operate_stretch: "Stretched to {low} (blue) … {high} (red) times its length",
@@ -477,4 +480,5 @@ export const words = {
   act_grid: "the model's size",
   act_surface: "the surface's size",
   act_markers: "a draft",
+  ...scene,
 };
