@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import get_args
 
 import numba
-import numpy as np
 
 from heartcase.schemas.arrays import Float64, Int32
 from heartcase.schemas.bundle.format import CaseManifest
@@ -40,7 +39,6 @@ from heartcase.simulator.live.tool import Held
 from heartcase.simulator.session.frame import Frame
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.recorder import Recorder
-from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.surface.deform import SurfaceModel
 
 __all__ = ["FRAME_S", "Live", "LiveFrame", "moment_of"]
