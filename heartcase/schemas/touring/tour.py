@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field, TypeAdapter, ValidationError, model_validator
@@ -195,8 +196,6 @@ TourAct = OpenAlong | CloseAlong | PatchOver | PassThrough | Wait | SessionAct
 """What a step does."""
 _OWN: TypeAdapter[Any] = TypeAdapter(OwnAct)
 _OWN_KINDS = {"open_along", "close_along", "patch_over", "pass_through", "wait"}
-_PLACE: TypeAdapter[Any] = TypeAdapter(Beside)
-_WAY: TypeAdapter[Any] = TypeAdapter(Way)
 
 
 class TourStep(Model):
@@ -254,7 +253,10 @@ def parse_act(data: Any) -> TourAct:
     if kind not in _SESSION_KINDS:
         known = ", ".join((*sorted(_OWN_KINDS), *_SESSION_KINDS))
         raise HeartcaseError(f"there is no act of this kind (found {kind!r}); there are: {known}", place="kind")
-    parse_command(numbered(data, _some_point, _some_vector))
+    problems = [problem for key, value in data.items() for problem in _place_problems(key, value)]
+    if problems:
+        raise HeartcaseError(problems)
+    parse_command(numbered(data, lambda _: (0.0, 0.0, 0.0), lambda _: (1.0, 0.0, 0.0)))
     return SessionAct(command=data)
 
 
@@ -269,23 +271,17 @@ def act_problems(data: Any) -> tuple[Problem, ...]:
     return ()
 
 
-def _some_point(value: Any) -> tuple[float, float, float]:
-    """A point for the check of all else; what is written is checked."""
-    if isinstance(value, dict):
-        _checked(_PLACE, value)
-    return 0.0, 0.0, 0.0
-
-
-def _some_vector(value: Any) -> tuple[float, float, float]:
-    if isinstance(value, dict):
-        way = _checked(_WAY, value)
-        if isinstance(way.towards, str) and direction_of_words(way.towards) is None and way.near is None:
-            raise HeartcaseError("a way towards a place needs near: the place that it begins at", place="offset_mm")
-    return 1.0, 0.0, 0.0
-
-
-def _checked(kind: TypeAdapter[Any], value: dict[str, Any]) -> Any:
-    try:
-        return kind.validate_python(value)
-    except ValidationError as error:
-        raise HeartcaseError(problems_from_validation(error)) from None
+def _place_problems(place: str, value: Any) -> Iterator[Problem]:
+    """What is wrong with the tables of a command that stand for places and ways."""
+    if isinstance(value, list):
+        for number, inner in enumerate(value, start=1):
+            yield from _place_problems(f"{place}[{number}]", inner)
+    elif isinstance(value, dict) and place.partition("[")[0].endswith("_mm"):
+        is_way = place == "offset_mm"
+        try:
+            read = (Way if is_way else Beside).model_validate(value)
+        except ValidationError as error:
+            yield from problems_from_validation(error, place=place, model=Way if is_way else Beside)
+            return
+        if is_way and isinstance(read.towards, str) and direction_of_words(read.towards) is None and read.near is None:
+            yield Problem(f"{place}.near", "a way towards a place needs near: the place that it begins at")
