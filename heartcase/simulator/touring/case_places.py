@@ -15,10 +15,14 @@ from heartcase.schemas.touring.names import labels_meant
 from heartcase.schemas.touring.places import Beside, Way, direction_of_words, known_name
 from heartcase.simulator.incisions.planned import DrawnLine, drawn_line
 from heartcase.simulator.incisions.triangle_tree import TriangleTree, triangle_tree
+from heartcase.simulator.live.rays import Ray, first_hit
 from heartcase.simulator.load import Case
 from heartcase.simulator.simulation import Simulation
 
 __all__ = ["CasePlaces"]
+
+_NEAREST = 200
+"""So many vertices of a structure say on which side of a ring it is."""
 
 
 class CasePlaces:
@@ -118,7 +122,8 @@ class CasePlaces:
             found = self.point(towards) - np.asarray(from_mm, dtype=float)
             if ring is not None and ring.kind == "ring":
                 axis = self.axis(ring)
-                found = axis if axis @ found >= 0.0 else -axis
+                beside = self._beside(ring, towards)
+                found = axis if axis @ (found if beside is None else beside) >= 0.0 else -axis
         size = float(np.linalg.norm(found))
         if size < 1e-6:
             raise ScriptError(f"{towards} lies just where the way towards it begins", place="tour")
@@ -167,6 +172,33 @@ class CasePlaces:
             assert found is not None
             self._lines[mark.name] = found
         return self._lines[mark.name]
+
+    def _beside(self, ring: Landmark, name: str) -> Float64 | None:
+        """The side of a ring on which a structure is: where it is seen through the ring, else where it is nearest.
+
+        Where its middle lies says nothing: a cavity may wrap around another. None where the name is none of a structure.
+        """
+        values = () if self.landmark(name) is not None else labels_meant(name, self.case.manifest.labels)
+        vertices = np.unique(self._triangles[np.isin(self._of_triangles, values[:1])])
+        if not len(vertices):
+            return None
+        middle, axis = self._of_landmark(ring), self.axis(ring)
+        first = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+        first *= 0.5 * self.radius_mm(ring) / np.linalg.norm(first)
+        second = np.cross(axis, first)
+        starts = [middle + x * first + y * second for x, y in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1))]
+        seen = sum(sign for start in starts for sign in (1, -1) if self._seen(Ray(start, sign * axis)) in values)
+        if seen != 0:
+            return seen * axis
+        ways = self.rest_mm[vertices] - middle
+        nearest = np.argsort(np.linalg.norm(ways, axis=1))[:_NEAREST]
+        found: Float64 = ways[nearest].mean(axis=0)
+        return found
+
+    def _seen(self, ray: Ray) -> int | None:
+        """The structure that a ray meets first."""
+        hit = first_hit(ray, self.rest_mm, self._triangles)
+        return None if hit is None else int(self._of_triangles[hit.triangle])
 
     def _of_landmark(self, mark: Landmark) -> Float64:
         points = np.asarray(mark.points_mm, dtype=float)

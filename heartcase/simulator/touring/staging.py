@@ -50,6 +50,10 @@ _EYE_HEIGHT = 0.94
 _PARTS = 10
 """In so many parts an instrument is led where a tour says how long that takes."""
 _OUTLINE_POINTS = 24
+_ALONG = 0.3
+"""A direction whose part within a plane is shorter than this is nearly at right angles to it."""
+_EDGE = 0.42
+"""From the middle of the view to where a plane is led by, in its width."""
 _THREAD = 0.9
 """Length to which a thread is drawn, over the distance of its places at rest."""
 _SETTLE_S = 0.1
@@ -79,7 +83,7 @@ class StagedPlane:
     normal: tuple[float, float, float]
     """Towards what is removed, unit length."""
     point_mm: tuple[float, float, float]
-    """A point of it."""
+    """A point of it, at the edge of the view: where it is led by, out of the way of what is looked at."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +128,7 @@ def staged_scenes(tour: Tour, places: CasePlaces) -> tuple[StagedScene, ...]:
                 # on which side of a ring a place is does not depend on how far beside it the plane lies
                 start = point if ring is None else places.point(ring.name)
                 normal = places.direction(scene.cut_plane.removes, start, ring)
-                plane = StagedPlane(_numbers(normal), _numbers(point))
+                plane = StagedPlane(_numbers(normal), _numbers(_handle(point, normal, view)))
         except HeartcaseError as error:
             problems += [Problem(f"line {step.line} (step {number})", one.message) for one in error.problems]
             continue
@@ -277,6 +281,20 @@ def _passing(act: PassThrough, places: CasePlaces) -> Iterator[Timed]:
         yield Wait(kind="wait", seconds=act.seconds / _PARTS)
 
 
+def _handle(point: Float64, normal: Float64, view: StagedView | None) -> Float64:
+    """A point of a plane at the lower edge of the view."""
+    if view is None:
+        return point
+    at = np.array(view.target_mm) + (normal @ (point - np.array(view.target_mm))) * normal
+    for down in (-np.array(view.up), np.cross(view.up, view.towards)):
+        along = down - (down @ normal) * normal
+        size = float(np.linalg.norm(along))
+        if size > _ALONG:
+            found: Float64 = at + _EDGE * view.width_mm / size * along
+            return found
+    return point
+
+
 def _view(view: TourView, places: CasePlaces) -> StagedView:
     at = places.middle_mm if view.at is None else places.point(view.at)
     mark = places.landmark(view.at) if isinstance(view.at, str) else None
@@ -284,8 +302,8 @@ def _view(view: TourView, places: CasePlaces) -> StagedView:
     if view.square and mark is not None and mark.kind == "polyline":
         towards = places.line(mark.name).at(0.5)[1]
     elif view.square and mark is not None:
-        towards = places.axis(mark)
-        if towards @ places.direction(from_, at) < 0.0:
+        towards, beside = places.axis(mark), places.direction(from_, at, mark)
+        if towards @ beside < 0.0:
             towards = -towards
     else:
         towards = places.direction(from_, at)
