@@ -176,7 +176,7 @@ class CasePlaces:
     def _beside(self, ring: Landmark, name: str) -> Float64 | None:
         """The side of a ring on which a structure is: where it is seen through the ring, else where it is nearest.
 
-        Where its middle lies says nothing: a cavity may wrap around another. None where the name is none of a structure.
+        Where its middle lies says nothing: a cavity may wrap around another. None where no structure has the name.
         """
         values = () if self.landmark(name) is not None else labels_meant(name, self.case.manifest.labels)
         vertices = np.unique(self._triangles[np.isin(self._of_triangles, values[:1])])
