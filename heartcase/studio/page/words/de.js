@@ -1,11 +1,12 @@
 /** The page's words in German. */
 
+import { operating } from "./operating_de.js";
 import { words as scene } from "./scene_de.js";
+import { tour } from "./tour_de.js";
 
 /** @type {Record<keyof typeof import("./en.js").words, string>} */
-import { operating } from "./operating_de.js";
-
 export const words = {
+  ...tour,
   ...operating,
   language_name: "Deutsch",
   connecting: "Verbinde …",

@@ -1,9 +1,11 @@
 /** The page's words in English. */
 
-import { words as scene } from "./scene_en.js";
 import { operating } from "./operating_en.js";
+import { words as scene } from "./scene_en.js";
+import { tour } from "./tour_en.js";
 
 export const words = {
+  ...tour,
   ...operating,
   language_name: "English",
   connecting: "Connecting …",
