@@ -25,6 +25,7 @@ export class Pointer {
   #next = null;
   #isAsking = false;
   #isReleased = false;
+  #hasPen = false;
   /** Place of the pointer that keys lead; null while they lead none. @type {{x: number, y: number} | null} */
   cursor = null;
 
@@ -75,8 +76,11 @@ export class Pointer {
 
   /** @param {PointerEvent} event */
   #down(event) {
+    // the hand that holds a pen rests on the glass
+    if (event.pointerType === "touch" && this.#hasPen) return;
     const place = this.#place(event);
     this.endKeys();
+    if (event.pointerType === "pen") this.#hasPen = true;
     this.surface.setPointerCapture(event.pointerId);
     this.#fingers.set(event.pointerId, place);
     if (this.#fingers.size === 2 && event.pointerType === "touch") {
@@ -111,6 +115,7 @@ export class Pointer {
 
   /** @param {PointerEvent} event */
   #up(event) {
+    if (event.pointerType === "pen") this.#hasPen = false;
     if (!this.#fingers.delete(event.pointerId)) return;
     if (this.#doing === "tool" || this.#doing === "asking") this.#release();
     else if (this.#fingers.size === 0) this.#doing = "none";
@@ -152,7 +157,12 @@ export class Pointer {
     this.#isReleased = false;
     this.#next = null;
     const answer = await this.#ask({ do: "press", pointer: this.camera.at(place.x, place.y) });
-    if (/** @type {string} */ (this.#doing) !== "asking") return;
+    if (/** @type {string} */ (this.#doing) !== "asking") {
+      // a second finger came before the answer: what was taken hold of is let go
+      if (answer?.used && this.#isReleased) void this.#ask({ do: "release", pointer: this.camera.at(place.x, place.y) });
+      this.#isReleased = false;
+      return;
+    }
     if (answer?.used) {
       this.#doing = "tool";
       void this.#go();

@@ -19,5 +19,6 @@ export const words = {
   scene_plane_four_chamber: "Vierkammer",
   scene_plane_two_chamber: "Zweikammer",
   scene_plane_three_chamber: "Dreikammer",
+  scene_plane_lesion: "durch den Defekt",
   scene_help_plane: "Herz aufschneiden; 1 mm näher, ferner",
 };

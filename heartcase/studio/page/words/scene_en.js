@@ -19,5 +19,6 @@ export const words = {
   scene_plane_four_chamber: "four-chamber",
   scene_plane_two_chamber: "two-chamber",
   scene_plane_three_chamber: "three-chamber",
+  scene_plane_lesion: "through the defect",
   scene_help_plane: "cut the heart open; nearer, farther by 1 mm",
 };

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -9,14 +10,11 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
-from heartcase.library.catalogue.colours import OXYGEN_COLOURS
-from heartcase.library.catalogue.entries import Entry
-from heartcase.library.catalogue.mesh_data import PackedMesh, group_look, script_call
-from heartcase.library.catalogue.oxygenation import Oxygen, Oxygenation
-from heartcase.library.catalogue.pictures import PICTURE_SIZE
-from heartcase.library.catalogue.words import INTERFACE_LANGUAGES, LANGUAGE_NAMES, WORDS
 from heartcase.schemas.bundle.format import CaseManifest
 from heartcase.schemas.landmarks import Landmark
+from heartcase.studio.catalogue.entries import Entry
+from heartcase.studio.catalogue.words import INTERFACE_LANGUAGES, LANGUAGE_NAMES, WORDS
+from heartcase.studio.offline.pictures import PICTURE_SIZE
 
 if TYPE_CHECKING:
     import jinja2
@@ -24,18 +22,14 @@ if TYPE_CHECKING:
 __all__ = ["address", "case_page", "index_page", "index_script", "list_page", "words_script"]
 
 _NOTICE: str = CaseManifest.model_fields["notice"].default
-_BODY_CUTS = ("front", "left", "right", "feet", "view")
 
 
 def case_page(
     entry: Entry,
     *,
     to_cases: str,
-    mesh: PackedMesh | None,
-    mesh_bytes: int,
-    blood: Oxygenation,
+    view_bytes: int,
     cut_source: str,
-    cuts: Sequence[str],
     languages: Sequence[str],
 ) -> str:
     """The page of a case.
@@ -46,22 +40,14 @@ def case_page(
         The case.
     to_cases
         Address of the folder of the cases from the page's, ending in a slash.
-    mesh, mesh_bytes
-        Its surface as the viewer has it, and the size of that script; None where there is none.
-    blood
-        Oxygenation of its structures.
+    view_bytes
+        Size of the file with the case for the 3-D view; 0 where there is none.
     cut_source
         How the plane of the second picture was found.
-    cuts
-        Cuts of the viewer that follow the heart: ``four``, ``short``.
     languages
         Languages of the texts to show; all where empty. English always is one.
     """
-    manifest, table = entry.manifest, entry.manifest.labels
-    groups = []
-    for group in mesh.groups if mesh else ():
-        look = group_look(group, table, blood)
-        groups.append({"name": group.name, "part": group.part, "colour": look.structure, "blood": look.blood.value})
+    manifest = entry.manifest
     texts = [
         (language, text.model_dump())
         for language, text in sorted(entry.about.texts.items(), key=lambda item: (item[0] != "en", item[0]))
@@ -82,13 +68,7 @@ def case_page(
         pictures=bool(entry.bundle.levels),
         picture_size=PICTURE_SIZE,
         cut_source=cut_source,
-        mesh=mesh,
-        mesh_size=_size(mesh_bytes),
-        cuts=("none", *cuts, *_BODY_CUTS),
-        groups=groups,
-        blood=blood,
-        bloods=[kind.value for kind in Oxygen if any(group["blood"] == kind.value for group in groups)],
-        oxygen_colours={kind.value: colour for kind, colour in OXYGEN_COLOURS.items()},
+        view_size=_size(view_bytes) if view_bytes else "",
         landmarks=entry.landmarks,
         warnings=[(group.grade.value, group.lines) for group in entry.warnings],
         facts=entry.facts,
@@ -135,6 +115,14 @@ def address(name: str) -> str:
     return quote(name, safe="")
 
 
+def script_call(function: str, data: Any) -> str:
+    """A line of JavaScript that calls a function with data in which nothing can end the script or the string."""
+    text = json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
+    for letter in "<>&":
+        text = text.replace(letter, f"\\u{ord(letter):04x}")
+    return f"{function}({text});\n"
+
+
 def _render(template: str, **values: Any) -> str:
     return _environment().get_template(template).render(**values)
 
@@ -144,7 +132,7 @@ def _environment() -> jinja2.Environment:
     import jinja2
 
     environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("heartcase.library.catalogue", "templates"),
+        loader=jinja2.PackageLoader("heartcase.studio.catalogue", "templates"),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,

@@ -14,8 +14,12 @@ from typing import Any
 from urllib.parse import quote
 
 from heartcase import __version__
-from heartcase.library.catalogue.entries import Entry, read_entry
-from heartcase.library.catalogue.ledger import (
+from heartcase.schemas.bundle.format import MANIFEST_NAME
+from heartcase.schemas.errors import HeartcaseError, MissingPathError, Problem, UsageError
+from heartcase.schemas.files import exclusive, remove_leftovers
+from heartcase.simulator.load import load_case
+from heartcase.studio.catalogue.entries import Entry, read_entry
+from heartcase.studio.catalogue.ledger import (
     LEDGER,
     SITE,
     Ledger,
@@ -26,22 +30,17 @@ from heartcase.library.catalogue.ledger import (
     remove_page,
     write_page,
 )
-from heartcase.library.catalogue.mesh_data import PACKED_MAX, mesh_script, pack, surface_of, viewer_levels
-from heartcase.library.catalogue.oxygenation import oxygenation
-from heartcase.library.catalogue.pages import case_page, index_page, index_script, list_page, words_script
-from heartcase.library.catalogue.pictures import case_pictures
-from heartcase.library.catalogue.words import INTERFACE_LANGUAGES
-from heartcase.pipeline.exports.tubes import vessel_tubes
-from heartcase.schemas.bundle.format import MANIFEST_NAME
-from heartcase.schemas.errors import HeartcaseError, MissingPathError, Problem, UsageError
-from heartcase.schemas.files import exclusive, remove_leftovers
+from heartcase.studio.catalogue.pages import address, case_page, index_page, index_script, list_page, words_script
+from heartcase.studio.catalogue.words import INTERFACE_LANGUAGES
+from heartcase.studio.offline.pictures import case_pictures
+from heartcase.studio.offline.shown import shown_of
+from heartcase.studio.offline.surfaces import middle_level, surface_of
+from heartcase.studio.offline.web_page import case_script, linked_page, viewer_script, viewer_style
 
 __all__ = ["CatalogueResult", "write_catalogue"]
 
 _PACKAGE = Path(__file__).parent
-_VESSEL_SIDES = 12
-"""Sides of a vessel in the viewer."""
-_ASSETS = ("style.css", "catalogue.js", "finder.js", "viewer-math.js", "viewer-scene.js", "viewer.js")
+_ASSETS = ("style.css", "catalogue.js", "finder.js")
 
 
 @dataclass(frozen=True)
@@ -158,7 +157,7 @@ class _Run:
             if page.problems and page.stamp and page is not before.get(name) and _is_safe(name):
                 write_page(self.site, name, {}, None, page)
         self._write_site(pages, ledgers)
-        for part in ("", "assets", "cases", "data", "mesh", "pictures", LEDGER):
+        for part in ("", "assets", "cases", "data", "pictures", "view", LEDGER):
             remove_leftovers(self.site / part)
         refused = {
             name: tuple(Problem(*one) for one in page.problems) for name, page in sorted(pages.items()) if page.problems
@@ -190,38 +189,44 @@ class _Run:
         return quote(Path(relative).as_posix()) + "/"
 
     def _write_case(self, entry: Entry, stamp: str, before: Page | None) -> Page:
-        name, bundle, table = entry.name, entry.bundle, entry.manifest.labels
+        name, bundle = entry.name, entry.bundle
         content: dict[str, bytes] = {}
-        blood = oxygenation(table, entry.manifest.quality.get("openings"))
-        vessels = vessel_tubes(entry.landmarks, side_count=_VESSEL_SIDES)
-        mesh, cuts, cut_source = None, [], ""
-        for level in viewer_levels(bundle):
-            surface = surface_of(bundle, level)
-            packed = pack(surface, table, vessels)
-            script = mesh_script(packed, surface, table, entry.landmarks, blood).encode()
-            if len(script) <= PACKED_MAX:
-                mesh, content[f"mesh/{name}.js"] = packed, script
-                cuts = [key for key in ("four", "short") if f'"key":"{key}"'.encode() in script]
-                break
+        cut_source = ""
         if bundle.levels:
-            pictures, cut_source = case_pictures(surface_of(bundle, min(bundle.levels)), table, entry.landmarks)
+            if entry.is_tied:
+                content |= self._viewer_of(entry)
+            surface = surface_of(bundle, min(bundle.levels))
+            pictures, cut_source = case_pictures(surface, entry.manifest.labels, entry.landmarks)
             content |= {f"pictures/{name}.{which}.webp": data for which, data in pictures.items()}
         content[f"cases/{name}.html"] = case_page(
             entry,
             to_cases=self._to_cases(),
-            mesh=mesh,
-            mesh_bytes=len(content.get(f"mesh/{name}.js", b"")),
-            blood=blood,
+            view_bytes=len(content.get(f"view/{name}.js", b"")),
             cut_source=cut_source,
-            cuts=cuts,
             languages=self.languages,
         ).encode()
         return write_page(self.site, name, content, before, Page(stamp, entry.card()))
+
+    def _viewer_of(self, entry: Entry) -> dict[str, bytes]:
+        """The page that shows a case in 3-D, and the case for it."""
+        level = middle_level(entry.bundle)
+        case = load_case(entry.bundle.directory, needs=("surface", "cell_labels"), level=level)
+        page = linked_page(
+            style="../assets/viewer.css",
+            script="../assets/viewer.js",
+            case=f"{address(entry.name)}.js",
+            back=f"../cases/{address(entry.name)}.html",
+            back_word="offline_back",
+        )
+        data = case_script(case, shown_of(entry.bundle, level))
+        return {f"view/{entry.name}.html": page, f"view/{entry.name}.js": data}
 
     def _write_site(self, pages: Ledger, ledgers: Ledger) -> None:
         """The index and what all pages share; what did not change is not written."""
         cards = [page.card for _, page in sorted(pages.items()) if page.card is not None]
         content = {f"assets/{name}": (_PACKAGE / "assets" / name).read_bytes() for name in _ASSETS}
+        content["assets/viewer.js"] = viewer_script().encode()
+        content["assets/viewer.css"] = viewer_style().encode()
         content["assets/words.js"] = words_script(self._offered(cards)).encode()
         content["data/index.js"] = index_script(cards).encode()
         content["list.html"] = list_page(cards).encode()
@@ -243,8 +248,15 @@ def _is_safe(name: str) -> bool:
 @cache
 def _code() -> str:
     """Hash of what makes pages: a page made by other code is made again."""
-    files = sorted(path for path in _PACKAGE.rglob("*") if path.suffix in (".py", ".js", ".css", ".j2"))
+    studio = _PACKAGE.parent
+    folders = [_PACKAGE, studio / "offline", studio / "operating"]
+    files = [
+        path
+        for folder in folders
+        for path in folder.rglob("*")
+        if path.suffix in (".py", ".js", ".css", ".j2", ".html")
+    ]
     digest = hashlib.sha256(__version__.encode())
-    for path in files:
-        digest.update(path.relative_to(_PACKAGE).as_posix().encode() + b"\0" + path.read_bytes())
+    for path in sorted(files):
+        digest.update(path.relative_to(studio).as_posix().encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()

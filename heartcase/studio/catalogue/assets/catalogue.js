@@ -64,7 +64,10 @@
 
   function keepLanguage() {
     for (const link of document.querySelectorAll("a[data-keep]")) {
-      link.setAttribute("href", withLanguage(link.getAttribute("href")));
+      const address = withLanguage(link.getAttribute("href"));
+      // the viewer keeps a language of its own, which the one chosen here goes before
+      const isPlain = link.dataset.keep === "always" && chosen === "en";
+      link.setAttribute("href", isPlain ? address + "?lang=en" : address);
     }
   }
 

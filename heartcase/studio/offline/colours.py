@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from heartcase.library.catalogue.oxygenation import Oxygen
 from heartcase.schemas.labels import Label, LabelTable
+from heartcase.studio.offline.oxygenation import Oxygen
 
 __all__ = ["OXYGEN_COLOURS", "RIM_COLOUR", "SAFE_RIM_COLOUR", "SAFE_VESSEL_COLOUR", "safe_colour"]
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from heartcase.library.catalogue.pictures import lesion_view
 from heartcase.schemas.landmarks import Landmark
+from heartcase.studio.offline.pictures import lesion_view
 
 APEX = Landmark(name="apex", kind="point", points_mm=[(30.0, -40.0, -30.0)])
 HOLE = Landmark(

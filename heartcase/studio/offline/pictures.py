@@ -8,14 +8,14 @@ import re
 import numpy as np
 from PIL import Image
 
-from heartcase.library.catalogue.mesh_data import SurfaceArrays
 from heartcase.pipeline.report.pictures import cutaway_picture, surface_picture
 from heartcase.pipeline.report.views import CutView, four_chamber_view, places_of
 from heartcase.schemas.arrays import Float64, UInt8
 from heartcase.schemas.labels import LabelTable
 from heartcase.schemas.landmarks import Landmark
+from heartcase.studio.offline.surfaces import SurfaceArrays
 
-__all__ = ["PICTURE_SIZE", "SMALL_SIZE", "case_pictures"]
+__all__ = ["PICTURE_SIZE", "SMALL_SIZE", "case_pictures", "lesion_view", "small_picture"]
 
 PICTURE_SIZE = (800, 600)
 SMALL_SIZE = (320, 240)
@@ -35,10 +35,7 @@ def case_pictures(
         ``small``, ``front`` and ``cut`` -> a WebP file; and how the plane of the cut was found, one sentence.
     """
     points, faces = surface.vertices_mm.astype(np.float64), surface.triangles
-    front = surface_picture(
-        points, faces, surface.void, table,
-        view="anterior", size=PICTURE_SIZE, triangle_tissue=surface.tissue, normals=surface.normals,
-    )  # fmt: skip
+    front = _front(surface, table)
     places = places_of(landmarks)
     view = lesion_view(landmarks) or four_chamber_view(places, points, faces, surface.void, table)
     marks = {place.name: place.position_mm for place in places.values()}
@@ -46,8 +43,23 @@ def case_pictures(
         points, faces, surface.void, surface.tissue, table,
         plane=view.plane, up=view.up, marks=marks, size=PICTURE_SIZE, normals=surface.normals,
     )  # fmt: skip
-    small = np.asarray(Image.fromarray(front).resize(SMALL_SIZE, Image.Resampling.LANCZOS))
-    return {"small": _webp(small), "front": _webp(front), "cut": _webp(cut)}, view.source
+    return {"small": _small(front), "front": _webp(front), "cut": _webp(cut)}, view.source
+
+
+def small_picture(surface: SurfaceArrays, table: LabelTable) -> bytes:
+    """The case from the front, as a small WebP file."""
+    return _small(_front(surface, table))
+
+
+def _front(surface: SurfaceArrays, table: LabelTable) -> UInt8:
+    return surface_picture(
+        surface.vertices_mm.astype(np.float64), surface.triangles, surface.void, table,
+        view="anterior", size=PICTURE_SIZE, triangle_tissue=surface.tissue, normals=surface.normals,
+    )  # fmt: skip
+
+
+def _small(pixels: UInt8) -> bytes:
+    return _webp(np.asarray(Image.fromarray(pixels).resize(SMALL_SIZE, Image.Resampling.LANCZOS)))
 
 
 def lesion_view(landmarks: tuple[Landmark, ...]) -> CutView | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import json
 import os
 import re
@@ -13,24 +12,19 @@ from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote
 
-import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from heartcase.cli.main import main
-from heartcase.library.catalogue.mesh_data import SurfaceArrays, pack
-from heartcase.library.catalogue.oxygenation import Oxygen, oxygenation
-from heartcase.library.catalogue.pages import words_script
-from heartcase.library.catalogue.site import write_catalogue
-from heartcase.library.catalogue.words import WORDS
-from heartcase.phantom.anatomy.shapes import Tube
 from heartcase.schemas.bundle.reader import open_bundle
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.labels import Label, LabelTable, Role, default_label_table
+from heartcase.studio.catalogue.pages import words_script
+from heartcase.studio.catalogue.site import write_catalogue
+from heartcase.studio.catalogue.words import WORDS
+from heartcase.studio.offline.oxygenation import Oxygen, oxygenation
 from tests.cli.small_case import write_case
 
-ASSETS = Path(__file__).parents[2] / "heartcase/library/catalogue/assets"
+ASSETS = Path(__file__).parents[3] / "heartcase/studio/catalogue/assets"
 HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)> \"'&\u2028\u2029 {{ 7*7 }}"
 VOID = {"area", "base", "br", "col", "embed", "hr", "img", "input", "link", "meta", "source", "track", "wbr"}
 
@@ -49,8 +43,13 @@ def about(**changes):
 
 @pytest.fixture(scope="module")
 def toy(tmp_path_factory):
-    path, _ = write_case(tmp_path_factory.mktemp("toy"), with_level=True)
+    path, _ = write_case(tmp_path_factory.mktemp("toy"), with_level=True, with_map=True)
     return path
+
+
+@pytest.fixture(autouse=True)
+def small_pictures(monkeypatch):
+    monkeypatch.setattr("heartcase.studio.offline.pictures.PICTURE_SIZE", (80, 60))
 
 
 @pytest.fixture
@@ -156,7 +155,7 @@ def test_patients_without_a_release_and_cases_without_about_are_refused(library,
     assert "cases/open.html" in written
     assert "cases/closed" not in written
     assert "pictures/closed" not in written
-    assert "mesh/silent" not in written
+    assert "view/silent" not in written
 
 
 def test_a_release_that_is_withdrawn_takes_the_page_away(library):
@@ -167,7 +166,7 @@ def test_a_release_that_is_withdrawn_takes_the_page_away(library):
     result = write_catalogue(cases)
     assert (result.shown, result.removed, set(result.refused)) == ((), ("heart",), {"heart"})
     left = files_of(cases / "catalogue")
-    assert not [path for path in left if path.startswith(("cases/", "mesh/", "pictures/"))]
+    assert not [path for path in left if path.startswith(("cases/", "view/", "pictures/"))]
     assert not any("A heart" in path.read_text() for path in left.values() if path.suffix in (".js", ".html", ".json"))
     assert set(write_catalogue(cases).refused) == {"heart"}
 
@@ -197,12 +196,12 @@ def test_hostile_texts_are_inert(library):
         if path.suffix == ".html":
             page = Page(path.read_text())
             assert not page.faults
-            assert all(set(script) == {"src", "defer"} for script in page.all("script"))
+            assert all({"src", "defer"} == set(script) for script in page.all("script"))
             assert not [name for _, attrs in page.elements for name in attrs if name.startswith("on")]
             assert not [attrs for attrs in page.all("img") if attrs["src"] == "x"]
             assert "style" not in {name for _, attrs in page.elements for name in attrs}
     assert "alert(1)" in Page((site / "cases/a (b)+c.html").read_text()).text
-    for name in ("data/index.js", "mesh/a (b)+c.js"):
+    for name in ("data/index.js", "view/a (b)+c.js"):
         script = (site / name).read_text()
         assert script.isascii()
         assert not set("<>&") & set(script)
@@ -229,12 +228,14 @@ def test_every_link_leads_somewhere(site):
         links = [
             attrs[name]
             for _, attrs in page.elements
-            for name in ("href", "src", "data-mesh")
+            for name in ("href", "src", "data-case")
             if attrs.get(name) is not None
         ]
         assert links
         for link in links:
             target, _, fragment = link.partition("#")
+            if link == "data:,":
+                continue
             assert not re.match(r"[a-z]+:|/", target), link
             assert (path.parent / unquote(target)).exists(), link
             assert target or fragment in ids, link
@@ -244,7 +245,8 @@ def test_every_link_leads_somewhere(site):
 
 
 def test_pages_are_sound_html(site):
-    pages = [path for path in files_of(site).values() if path.suffix == ".html"]
+    # those of the 3-D view are tried in a browser
+    pages = [path for path in files_of(site).values() if path.suffix == ".html" and path.parent.name != "view"]
     assert len(pages) == 4
     for path in pages:
         text = path.read_text()
@@ -295,9 +297,9 @@ def test_a_second_run_writes_nothing_and_a_changed_case_is_made_again(library, s
     changed = {name for name in before if after[name] != before[name]}
     assert "cases/one.html" in changed
     assert not [name for name in changed if "two of them" in name or name.startswith(("assets/", "index"))]
-    (site / "mesh/one.js").unlink()
+    (site / "view/one.js").unlink()
     assert write_catalogue(cases).made == ("one",)
-    assert (site / "mesh/one.js").is_file()
+    assert (site / "view/one.js").is_file()
 
 
 def test_pages_of_cases_that_are_gone_go_and_nothing_else_does(site):
@@ -309,7 +311,7 @@ def test_pages_of_cases_that_are_gone_go_and_nothing_else_does(site):
     assert (result.shown, result.removed) == (("one",), ("two of them",))
     left = files_of(site)
     assert "cases/two of them.html" not in left
-    assert "mesh/two of them.js" not in left
+    assert "view/two of them.js" not in left
     assert left["cases/notes.html"].read_text() == "mine"
     assert left["pictures/two of them.front.webp"].read_bytes() == b"mine, too"
     assert "two of them" not in left["data/index.js"].read_text()
@@ -335,7 +337,7 @@ def test_what_somebody_else_wrote_is_not_written_over(library, tmp_path):
 def test_an_interrupted_run_goes_on_where_it_stopped(library, monkeypatch):
     library("one", about=about())
     cases = library("two", about=about())
-    from heartcase.library.catalogue import site
+    from heartcase.studio.catalogue import site
 
     whole = site.case_page
 
@@ -393,98 +395,6 @@ def test_folders_without_cases_are_refused(tmp_path, capsys):
     assert main(["library", "catalogue", str(tmp_path / "none")]) == 1
     assert main(["library", "catalogue", str(tmp_path)]) == 2
     assert "no case in this folder" in capsys.readouterr().err
-
-
-def unpacked(mesh):
-    """Positions and normals as the viewer's shaders work them out, and the triangles."""
-    steps = np.frombuffer(mesh.positions, "<u2").reshape(-1, 3)
-    fold = np.maximum(np.frombuffer(mesh.normals, np.int8).reshape(-1, 2) / 127.0, -1.0)
-    z = 1.0 - np.abs(fold).sum(axis=1)
-    xy = fold - np.where(fold >= 0.0, 1.0, -1.0) * np.maximum(-z, 0.0)[:, None]
-    normals = np.column_stack([xy, z])
-    indices = np.frombuffer(mesh.indices, f"<u{mesh.index_bytes}").reshape(-1, 3)
-    return (
-        np.array(mesh.low_mm) + steps * np.array(mesh.step_mm),
-        normals / np.linalg.norm(normals, axis=1, keepdims=True),
-        indices,
-    )
-
-
-@settings(max_examples=60, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.integers(3, 300), st.floats(1e-3, 500.0), st.floats(-500.0, 500.0))
-def test_packed_surfaces_decode_to_what_they_were(seed, count, extent, shift):
-    random = np.random.default_rng(seed)
-    points = (random.uniform(-1, 1, (count, 3)) * extent + shift).astype(np.float32)
-    normals = random.normal(size=(count, 3))
-    normals = (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32)
-    triangles = random.integers(0, count, (40, 3)).astype(np.int32)
-    void, tissue = random.integers(0, 9, 40).astype(np.uint8), np.full(40, 9, np.uint8)
-    kind = random.integers(1, 8, 40).astype(np.uint8)
-    mesh = pack(SurfaceArrays(points, normals, triangles, void, tissue, kind), default_label_table())
-    seen, facing, indices = unpacked(mesh)
-    half = 0.5 * np.array(mesh.step_mm) + 1e-9
-    assert (np.abs(seen - points) <= half).all()
-    assert (np.abs(seen - points).max(axis=0) <= np.ptp(points.astype(float), axis=0) / 65535 + 1e-9).all()
-    assert np.degrees(np.arccos(np.clip((facing * normals).sum(axis=1), -1, 1))).max() < 1.2
-    assert sorted(map(tuple, indices.tolist())) == sorted(map(tuple, triangles.tolist()))
-    assert sum(group.count for group in mesh.groups) == 120
-
-
-def test_the_script_holds_the_surface_of_the_case(library):
-    cases = library("one", about=about())
-    write_catalogue(cases)
-    data = handed_over((cases / "catalogue/mesh/one.js").read_text())
-    bundle = open_bundle(cases / "one.case")
-    arrays = bundle.arrays(bundle.surface_role(1))
-    steps = np.frombuffer(base64.b64decode(data["positions"]), "<u2").reshape(-1, 3)
-    error = np.abs(np.array(data["low"]) + steps * np.array(data["step"]) - arrays["vertices"])
-    assert (error <= 0.5 * np.array(data["step"]) + 1e-9).all()
-    assert sum(group["count"] for group in data["groups"]) == 3 * len(arrays["triangles"])
-    page = Page((cases / "catalogue/cases/one.html").read_text())
-    boxes = [attrs for attrs in page.all("input") if "data-group" in attrs]
-    assert len(boxes) == len(data["groups"])
-
-
-def test_vessels_are_structures_that_carry_the_aortas_blood(library):
-    line = [[12.0, 0.0, 0.0], [8.0, 9.0, 2.0], [0.0, 12.0, 4.0]]
-    vessel = {"kind": "polyline", "points_mm": line, "radius_mm": 1.5}
-    landmarks = [
-        {"name": "right coronary artery", **vessel},
-        {"name": "great cardiac vein", **vessel},
-        {"name": "incision", "kind": "polyline", "points_mm": line, "depth_mm": 3.0},
-    ]
-    cases = library("one", about=about(), landmarks=landmarks)
-    library("without", about=about())
-    write_catalogue(cases)
-    data, plain = (handed_over((cases / f"catalogue/mesh/{name}.js").read_text()) for name in ("one", "without"))
-    assert len(data["groups"]) == len(plain["groups"]) + 2
-    artery, vein = data["groups"][-2:]
-    assert artery["structure"] == vein["structure"]
-    assert artery["blood"] == "rich"
-    assert vein["blood"] == "unknown"
-    assert [one["name"] for one in data["landmarks"]] == ["incision"]
-    low, step = np.array(data["low"]), np.array(data["step"])
-    positions = low + step * np.frombuffer(base64.b64decode(data["positions"]), "<u2").reshape(-1, 3)
-    indices = np.frombuffer(base64.b64decode(data["indices"]), f"<u{data['indexBytes']}").astype(int)
-    own = positions[np.unique(indices[artery["first"] : artery["first"] + artery["count"]])]
-    exact = Tube(np.array(line), np.full(3, 1.5))
-    np.testing.assert_allclose(exact.distance(own), 0.0, atol=step.max())
-    page = Page((cases / "catalogue/cases/one.html").read_text())
-    assert len([attrs for attrs in page.all("input") if "data-group" in attrs]) == len(data["groups"])
-    assert "right coronary artery, vessel" in page.text
-
-
-def test_a_surface_too_large_for_a_page_is_shown_in_pictures_alone(library, monkeypatch):
-    cases = library("one", about=about())
-    monkeypatch.setattr("heartcase.library.catalogue.site.PACKED_MAX", 1000)
-    assert write_catalogue(cases).shown == ("one",)
-    site = cases / "catalogue"
-    assert not (site / "mesh").exists()
-    page = Page((site / "cases/one.html").read_text())
-    assert not page.faults
-    assert WORDS["too_large"][0] in page.text
-    assert not [attrs for attrs in page.all("script") if "viewer" in attrs["src"]]
-    assert len(page.all("img")) == 2
 
 
 def test_a_case_without_a_surface_has_a_page(library):
@@ -593,23 +503,8 @@ def test_without_sound_openings_blood_goes_by_structure(openings):
 
 
 NODE = """
-const math = require(process.argv[1] + "/viewer-math.js"), finder = require(process.argv[1] + "/finder.js");
-const near = (a, b) => Math.hypot(...a.flat().map((v, n) => v - b.flat()[n])) < 1e-9;
+const finder = require(process.argv[1] + "/finder.js");
 const assert = require("assert");
-const front = math.SIDES.anterior;
-for (const side of Object.values(math.SIDES)) {
-  assert(near(math.cross(side[1], side[2]), side[0]));
-  assert(near(math.lookingAt(side[2], side[1]), side));
-  assert(near(math.between(front, side, 1), side) && near(math.between(front, side, 0), front));
-  const half = math.between(front, side, 0.5);
-  assert(half.every((row) => Math.abs(math.dot(row, row) - 1) < 1e-9) && Math.abs(math.dot(half[0], half[1])) < 1e-9);
-}
-// The near side goes to the right: one comes to see the patient's right side.
-assert(near(math.turned(front, Math.PI / 2, 0)[2], math.SIDES.right[2]));
-assert(near(math.turned(front, 0, Math.PI / 2)[2], math.SIDES.superior[2]));
-assert.strictEqual(math.lettersOf([0, -1, 0]), "A");
-assert.deepStrictEqual(math.sidesOf([1, -2, 0]), ["anterior", "left"]);
-assert(near(math.unfolded(0, 0), [0, 0, 1]) && near(math.unfolded(127, 0), [1, 0, 0]));
 const card = {name: "x", titles: {en: "H\\u00e9art"}, 
   diagnoses: [{name: "Tetralogy", more: ["TOF"], codes: ["LA88.2"]}], origin: "patient", doubtful: 1};
 card.haystack = finder.haystack(card);

@@ -138,6 +138,11 @@ class Entry:
         return [(name, volume) for name in names if (volume := _number(volumes.get(name))) is not None]
 
     @property
+    def is_tied(self) -> bool:
+        """Whether its surface is tied to its grid, so that it can move."""
+        return all(self.manifest.file(FileRole.MAPPING.at(level)) is not None for level in self.bundle.levels)
+
+    @property
     def downloads(self) -> list[Download]:
         """Every file of the case, what other programs read first."""
         manifest_size = (self.bundle.directory / MANIFEST_NAME).stat().st_size
