@@ -34,6 +34,8 @@ __all__ = [
     "Seen",
     "Strain",
     "Take",
+    "TourTo",
+    "Tours",
     "Wheel",
     "parse_request",
 ]
@@ -217,6 +219,24 @@ class Strain(_Asked):
     """Whether it is wanted."""
 
 
+class Tours(_Asked):
+    """Name the guided tours of this case, with all that they say and show."""
+
+    do: Literal["tours"]
+    """Which request."""
+
+
+class TourTo(_Asked):
+    """Bring the session to where a step of a tour leaves it; nowhere, where the tour is left."""
+
+    do: Literal["tour"]
+    """Which request."""
+    tour: Annotated[int, Field(ge=0, le=100)]
+    """Number of the tour, from 0, as they were named."""
+    step: Annotated[int, Field(ge=0, le=100)] | None = None
+    """Number of the step, from 0; None leaves the tour."""
+
+
 class Coarser(_Asked):
     """Send coarser levels of detail of the surface, too: for a page that cannot draw the finest while it moves."""
 
@@ -280,6 +300,8 @@ Request = (
     | Hide
     | CutOpen
     | Strain
+    | Tours
+    | TourTo
     | Coarser
     | Figures
     | Planned

@@ -88,6 +88,11 @@ class Stage:
         self.figures = ShownFigures(self.incisions, case.manifest.landmarks, heard)
         self.live = self._started(self._new_session())
 
+    @property
+    def case(self) -> Case:
+        """The case that was loaded."""
+        return self._case
+
     def close(self) -> None:
         """End the session; a recording is finished."""
         self.live.close()

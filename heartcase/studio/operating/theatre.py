@@ -34,10 +34,13 @@ from heartcase.studio.operating.requests import (
     Seen,
     Strain,
     Take,
+    Tours,
+    TourTo,
     Wheel,
     parse_request,
 )
 from heartcase.studio.operating.stage import Stage, open_stage
+from heartcase.studio.operating.tour_leading import TourLeading
 from heartcase.studio.operating.viewer import Viewer
 from heartcase.studio.pages import Page
 
@@ -66,11 +69,15 @@ class Theatre:
         The case's folder.
     out
         Folder that recordings are put into.
+    recipe_folder
+        Folder of the case's recipe, where that is known: tours may stand there.
     """
 
-    def __init__(self, case: Path, *, out: Path) -> None:
+    def __init__(self, case: Path, *, out: Path, recipe_folder: Path | None = None) -> None:
         self._case = case
         self._out = out
+        folders = (case.parent, *(() if recipe_folder is None else (recipe_folder,)))
+        self._tours = TourLeading(folders, self._problems, self._begin)
         self._stage: Stage | None = None
         self._viewers: dict[Page, Viewer] = {}
         self._waiting: set[Page] = set()
@@ -174,7 +181,7 @@ class Theatre:
                 viewer, stage = self._viewers.get(page), self._stage
                 if viewer is None or stage is None:
                     raise UsageError("the case is not open", place="case")
-                answer = await self._do(request, viewer, stage)
+                answer = await self._do(request, viewer, stage, page)
                 viewer = self._viewers.get(page, viewer)
         except Exception as error:
             page.send(text_message("refused", id=request_id(text), problems=self._problems(error)))
@@ -193,6 +200,7 @@ class Theatre:
         for page in tuple(self._viewers):
             await self.leave(page)
             page.close()
+        self._tours.stop()
         async with self._turn:
             for task in (self._resting, self._work, self._watching):
                 if task is not None:
@@ -212,7 +220,7 @@ class Theatre:
 
         return lambda: open_stage(self._case, out=self._out, heard=heard)
 
-    async def _do(self, request: Request, viewer: Viewer, stage: Stage) -> dict[str, Any]:
+    async def _do(self, request: Request, viewer: Viewer, stage: Stage, page: Page) -> dict[str, Any]:
         """Carry a request out; what else its answer says."""
         hands, live = viewer.hands, stage.live
         match request:
@@ -251,15 +259,17 @@ class Theatre:
                     live.stop_recording()
             case Recordings():
                 return {"recordings": await self._run(stage.recordings)}
+            case Tours():
+                return await self._run(lambda: self._tours.listed(stage))
+            case TourTo():
+                self._tours.lead(page, stage, request.tour, request.step)
             case Replay() | Begin():
+                self._tours.stop()
                 name = request.name if isinstance(request, Replay) else None
                 if name is None and (await self._newest_stage())[1]:
                     return {}
                 await self._run(lambda: stage.begin() if name is None else stage.replay(name))
-                self._tell_all_of(live)
-                for one in self._viewers.values():
-                    one.begin_anew()
-                self._news.set()
+                self._show_begun(live)
             case Hide():
                 viewer.hidden = frozenset(request.structures)
             case CutOpen():
@@ -285,6 +295,21 @@ class Theatre:
             case HoldOpen():
                 await self._run(lambda: stage.hold_open(request.incision))
         return {}
+
+    async def _begin(self, stage: Stage) -> None:
+        """Begin anew with the case that is open, for a tour that lost its way."""
+        async with self._turn:
+            if self._stage is stage:
+                live = stage.live
+                await self._run(stage.begin)
+                self._show_begun(live)
+
+    def _show_begun(self, before: Live) -> None:
+        """Pages look at another session than before."""
+        self._tell_all_of(before)
+        for one in self._viewers.values():
+            one.begin_anew()
+        self._news.set()
 
     async def _update_figures(self) -> None:
         stage, is_wanted = self._stage, any(one.wants_figures for one in self._viewers.values())

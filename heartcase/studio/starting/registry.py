@@ -64,12 +64,14 @@ class Registry:
         """
         key = self._key("prepare", path)
         if key not in self._opened:
-            building = Building(path, out=out, operate=lambda case: self.open_case(case).address)
+            building = Building(
+                path, out=out, operate=lambda case: self.open_case(case, recipe_folder=path.parent).address
+            )
             places: dict[str, Place] = {"socket": Workplace(path, out=out), "building": building}
             self._opened[key] = Opened("prepare", key, path, places)
         return self._opened[key]
 
-    def open_case(self, path: Path, *, out: Path | None = None) -> Opened:
+    def open_case(self, path: Path, *, out: Path | None = None, recipe_folder: Path | None = None) -> Opened:
         """Open a case to be operated on, or find it where it is open.
 
         Parameters
@@ -78,10 +80,13 @@ class Registry:
             The case's folder. What is wrong with it is told to its pages.
         out
             Folder that recordings are put into, and taken from; beside the case when left out.
+        recipe_folder
+            Folder of its recipe, where that is known: guided tours may stand there.
         """
         key = self._key("operate", path)
         if key not in self._opened:
-            places = {"operating": Theatre(path, out=path.parent if out is None else out)}
+            kept = path.parent if out is None else out
+            places = {"operating": Theatre(path, out=kept, recipe_folder=recipe_folder)}
             self._opened[key] = Opened("operate", key, path, places)
         return self._opened[key]
 

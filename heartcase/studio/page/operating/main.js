@@ -6,6 +6,8 @@ import { Connection, Lost, Refused } from "../shared/connection.js";
 import { runLanguage, runTheme } from "../shared/looks.js";
 import { keep, kept } from "../shared/settings.js";
 import { fillWords, figure, isWord, language, say } from "../shared/words.js";
+import { SceneShower } from "../touring/scene.js";
+import { TourPanel } from "../touring/tour_panel.js";
 import { LiveFigures } from "./figures.js";
 import { arraysOf } from "./messages.js";
 import { Panel } from "./panel.js";
@@ -30,8 +32,8 @@ language.follow((name) => {
   fillWords(document);
 });
 
-/** What is open, for whoever looks at the page from outside, such as its tests. @type {{picture: Picture | null, header: any}} */
-export const open = { picture: null, header: null };
+/** What is open, for whoever looks at the page from outside, such as its tests. @type {{picture: Picture | null, header: any, tour: TourPanel | null}} */
+export const open = { picture: null, header: null, tour: null };
 
 function run() {
   const picture = new Picture(/** @type {HTMLCanvasElement} */ (find("picture")));
@@ -83,6 +85,21 @@ function run() {
     },
   });
 
+  const shower = new SceneShower(picture);
+  const tour = new TourPanel(find("panel-tour"), {
+    show: (scene) => {
+      panel.hide(scene.hidden);
+      shower.setPlane(scene.plane);
+      if (strain.checked !== scene.stretch) strain.click();
+      if (scene.view !== null) shower.goTo(scene.view);
+    },
+    enter: (number, step) => {
+      forget();
+      ask({ do: "tour", tour: number, step });
+    },
+  });
+
+  open.tour = tour;
   const planeControls = new PlaneControls(picture, (plane) => ask({ do: "cut_open", plane }));
   /** Colours of tissue that lies inside alone. @type {{value: number, colour: string}[]} */
   let tissueInside = [];
@@ -240,13 +257,14 @@ function run() {
       k: () => planeControls.toggle(), "<": () => planeControls.step(-1), ">": () => planeControls.step(1),
       "[": () => actions.resize(-1), "]": () => actions.resize(1), ",": () => actions.resize(-1), ".": () => actions.resize(1),
     });
-    return found[key] ?? null;
+    return found[key] ?? tour.action(key);
   }
 
   /** @param {Message} message */
   function hear(message) {
     if (message.kind === "progress") curtain(say("operate_opening"), []);
     else if (message.kind === "opened") begin(message);
+    else if (message.kind === "tour") tour.hear(/** @type {any} */ (message));
     else if (message.kind === "figures") figures.hear(message);
     else if (message.kind === "message") notice("", [{ place: "", message: message.text }]);
     else if (message.kind === "refused" && message.id === null) notice(say("refused"), message.problems ?? []);
@@ -281,6 +299,10 @@ function run() {
     ask({ do: "hide", structures: [...panel.hidden] });
     planeControls.setCase(message.heart_axes, box);
     if (strain.checked) ask({ do: "strain", shown: true });
+    connection.ask({ do: "tours" }).then((answer) => {
+      tour.setTours(answer.tours, answer.tour_problems);
+      find("tab-tour").hidden = answer.tours.length + answer.tour_problems.length === 0;
+    }, fault);
     // what draws needs a processor of those that step
     if (picture.isDrawnInSoftware) ask({ do: "spare" });
     picture.detail.begin();

@@ -28,6 +28,7 @@ export const HELP = [
   ["B  L", "operate_help_back"],
   ["W", "operate_help_record"],
   ["V  A  Home", "operate_help_view"],
+  ["D  M  I", "tour_help"],
   ["K  <  >", "scene_help_plane"],
 ];
 
@@ -65,7 +66,12 @@ export class Panel {
   }
 
   showAll() {
-    this.hidden.clear();
+    this.hide([]);
+  }
+
+  /** Hide these structures, and show all others. @param {readonly number[]} numbers */
+  hide(numbers) {
+    this.hidden = new Set(numbers);
     this.#build();
     this.does.hiddenChanged();
   }

@@ -1,14 +1,15 @@
 /** The page's words in German. */
 
 import { words as offline } from "./offline_de.js";
-import { words as scene } from "./scene_de.js";
-
 import { operating } from "./operating_de.js";
+import { words as scene } from "./scene_de.js";
+import { tour } from "./tour_de.js";
 
 /** @type {Record<keyof typeof import("./en.js").words, string>} */
 export const words = {
   ...offline,
   ...operating,
+  ...tour,
   language_name: "Deutsch",
   connecting: "Verbinde …",
   stage_open: "Rezept wird geöffnet …",
@@ -143,6 +144,9 @@ export const words = {
   start_cut: "Dieser Ordner enthält mehr, als gezeigt wird: den Pfad eingeben.",
   start_look: "Serien in diesem Ordner und darunter zeigen",
   start_working: "In Arbeit …",
+  start_compiling: "Erster Start auf diesem Rechner: Er wird vorbereitet. Sie können beginnen; was noch nicht bereit ist, dauert einmal länger.",
+  start_compiling_left: "noch etwa {minutes} Minuten",
+  start_compiling_soon: "noch etwa eine Minute",
   start_closed: "Was diese Adresse zeigte, ist nicht mehr offen: Bitte von hier aus öffnen.",
   start_lost: "Die Verbindung zu heartcase ist unterbrochen; sie wird von selbst wieder versucht. Wurde heartcase beendet: neu starten und die Adresse öffnen, die es ausgibt.",
   start_kind_folder: "Ordner",

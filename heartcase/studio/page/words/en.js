@@ -1,12 +1,14 @@
 /** The page's words in English. */
 
 import { words as offline } from "./offline_en.js";
-import { words as scene } from "./scene_en.js";
 import { operating } from "./operating_en.js";
+import { words as scene } from "./scene_en.js";
+import { tour } from "./tour_en.js";
 
 export const words = {
   ...offline,
   ...operating,
+  ...tour,
   language_name: "English",
   connecting: "Connecting …",
   stage_open: "Opening the recipe …",
@@ -141,6 +143,9 @@ export const words = {
   start_cut: "This folder holds more than is shown: type the path.",
   start_look: "Show the series in this folder and below",
   start_working: "Working …",
+  start_compiling: "First start on this machine: it gets ready. You can begin; what is not ready yet takes longer, once.",
+  start_compiling_left: "about {minutes} minutes left",
+  start_compiling_soon: "about a minute left",
   start_closed: "What that address showed is not open any more: open it from here.",
   start_lost: "The connection to heartcase was lost; it is tried again by itself. If heartcase was ended, start it anew and open the address that it prints.",
   start_kind_folder: "folder",
