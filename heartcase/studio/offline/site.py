@@ -40,6 +40,7 @@ from heartcase.studio.offline.web_page import (
     PAGE,
     Recorded,
     case_script,
+    icons,
     linked_page,
     viewer_script,
     viewer_style,
@@ -280,7 +281,7 @@ def _card(case: SiteCase, bundle: OpenBundle, byte_count: int) -> dict[str, Any]
 
 
 def _index(cards: Sequence[dict[str, Any]]) -> str:
-    return _template().render(cards=cards, notice=_NOTICE, policy=LINKED_POLICY, size=SMALL_SIZE)
+    return _template().render(cards=cards, notice=_NOTICE, policy=LINKED_POLICY, size=SMALL_SIZE, icons=icons())
 
 
 @cache

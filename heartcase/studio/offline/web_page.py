@@ -40,6 +40,7 @@ __all__ = [
     "PAGE",
     "Recorded",
     "case_script",
+    "icons",
     "linked_page",
     "viewer_script",
     "viewer_style",
@@ -257,9 +258,19 @@ class _Parts:
         return self._numbers[digest]
 
 
+@cache
+def icons() -> str:
+    """The drawn icons of the page that operates, as one element."""
+    operate = (PAGE / "operating" / "operate.html").read_text(encoding="utf-8")
+    found = re.search(r'<svg class="icons".*?</svg>', operate, re.DOTALL)
+    assert found is not None
+    return found[0]
+
+
 def _document(parts: Mapping[str, str]) -> bytes:
     """The page with its parts put in; nothing runs in it but its own script."""
     document = (Path(__file__).parent / "offline.html").read_text(encoding="utf-8")
+    parts = {"ICONS": icons(), **parts}
     return re.sub(r"<!--(\w+)-->", lambda found: parts[found[1]], document).encode("utf-8")
 
 

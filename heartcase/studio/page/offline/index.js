@@ -1,13 +1,12 @@
 /** The list of a site's cases: its words and figures in the language that was chosen. */
 
-import { runLanguage, runTheme } from "../shared/looks.js";
-import { fillWords, figure, isWord, language, say } from "../shared/words.js";
+import { runLanguage, runTheme, runWords } from "../shared/looks.js";
+import { figure, isWord, language, say } from "../shared/words.js";
 
 runTheme();
 runLanguage();
+runWords();
 language.follow((name) => {
-  document.documentElement.lang = name;
-  fillWords(document);
   for (const one of /** @type {NodeListOf<HTMLElement>} */ (document.querySelectorAll("[data-say]"))) {
     const word = one.dataset.say ?? "";
     const values = Object.entries(/** @type {Record<string, number>} */ (JSON.parse(one.dataset.values ?? "{}")));

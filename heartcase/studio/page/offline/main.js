@@ -5,10 +5,10 @@ import { Panel, shownName } from "../operating/panel.js";
 import { NoGraphics, Picture } from "../operating/picture.js";
 import { PlaneControls } from "../operating/plane_controls.js";
 import { Pointer } from "../operating/pointer.js";
-import { element } from "../panel/structures.js";
+import { showCursor, ToolBar } from "../operating/tool_bar.js";
 import { runTabs } from "../panel/tiles.js";
-import { runLanguage, runTheme } from "../shared/looks.js";
-import { fillWords, figure, isWord, language, say } from "../shared/words.js";
+import { runLanguage, runTheme, runWords } from "../shared/looks.js";
+import { figure, language, say } from "../shared/words.js";
 import { NoWebGpu, SpringEngine } from "../springs/engine.js";
 import { Lattice } from "../springs/lattice.js";
 import { caseText, NoCase, readCase } from "./case_data.js";
@@ -45,9 +45,8 @@ const KEYS = [
 /** @param {string} id */
 const find = (id) => /** @type {HTMLElement} */ (document.getElementById(id));
 
+runWords();
 language.follow((name) => {
-  document.documentElement.lang = name;
-  fillWords(document);
   const back = /** @type {HTMLAnchorElement | null} */ (document.getElementById("back"));
   if (back) back.search = `?lang=${name}`;
 });
@@ -74,6 +73,7 @@ async function run() {
 
   const panel = new Panel({ hiddenChanged: () => (paint(), tellSeen()), replay: (name) => replay(name) }, KEYS);
   const picking = new Picking(picture);
+  const toolBar = new ToolBar(take);
   const colouring = new Colouring(facts.structures, facts.inside, facts.oxygen, () => {
     panel.setStructures(colouring.listed());
     paint();
@@ -92,11 +92,7 @@ async function run() {
     changed: () => picture.move(),
     hasTool: () => hands !== null && hands.tool !== "" && played === null,
     isReady: () => hands !== null,
-    cursorMoved: () => {
-      const { cursor } = pointer;
-      find("cursor").hidden = cursor === null;
-      if (cursor) Object.assign(find("cursor").style, { left: `${cursor.x}px`, top: `${cursor.y}px` });
-    },
+    cursorMoved: () => showCursor(pointer.cursor),
   });
 
   function paint() {
@@ -133,19 +129,13 @@ async function run() {
     pointer.forget();
     hands.letGo();
     hands.tool = tool;
-    document.body.dataset.tool = tool;
-    for (const button of find("tools").querySelectorAll("button")) {
-      button.setAttribute("aria-pressed", String(button.dataset.key === tool));
-    }
+    toolBar.choose(tool);
     tellSize();
   }
 
   function tellSize() {
     const tool = hands?.tool ?? "";
-    const isSized = tool === "g" || tool === "p";
-    for (const id of ["smaller", "larger"]) /** @type {HTMLButtonElement} */ (find(id)).disabled = !isSized;
-    const word = /** @type {Word} */ (`operate_size_${tool}`);
-    find("size").textContent = isSized && hands ? say(word, { size: figure(hands.sizes[tool], 0) }) : say("operate_no_tool");
+    toolBar.tellSize(hands && (tool === "g" || tool === "p") ? hands.sizes[tool] : null);
   }
 
   /** @param {number} count */
@@ -155,18 +145,7 @@ async function run() {
   }
 
   function fillTools() {
-    find("tools").replaceChildren(
-      ...["", "g", "p"].map((key) => {
-        const word = /** @type {Word} */ (`operate_tool_${key || "o"}`);
-        const button = element("button", "", say(word));
-        button.type = "button";
-        button.dataset.key = key;
-        button.title = `${button.textContent} (${(key || "o").toUpperCase()})`;
-        button.setAttribute("aria-pressed", String(key === (hands?.tool ?? "")));
-        button.addEventListener("click", () => take(key));
-        return button;
-      }),
-    );
+    toolBar.fill(["g", "p"]);
     tellSize();
   }
 
@@ -419,9 +398,8 @@ async function run() {
   runLanguage();
   runTabs();
 
-  let reason = "";
   function tellEngine() {
-    find("engine").textContent = engine === null ? say(isWord(reason) ? reason : "offline_no_webgpu") : "";
+    find("engine").textContent = engine === null ? say("offline_no_webgpu") : "";
   }
   try {
     const lattice = latticeOf(springs);
@@ -433,7 +411,6 @@ async function run() {
     hands = new LocalHands(engine, new Frame(facts.place), pick, () => picture.heart.nodes?.displacement ?? new Float32Array(0));
   } catch (error) {
     if (!(error instanceof NoWebGpu)) throw error;
-    reason = "offline_no_webgpu";
   }
   fillTools();
   for (const id of ["tools", "size-group", "as-at-start"]) find(id).hidden = engine === null;

@@ -3,9 +3,9 @@
 import { runTabs } from "../panel/tiles.js";
 import { element } from "../panel/structures.js";
 import { Connection, Lost, Refused } from "../shared/connection.js";
-import { runLanguage, runTheme } from "../shared/looks.js";
+import { runLanguage, runTheme, runWords } from "../shared/looks.js";
 import { keep, kept } from "../shared/settings.js";
-import { fillWords, figure, isWord, language, say } from "../shared/words.js";
+import { figure, language, say } from "../shared/words.js";
 import { SceneShower } from "../touring/scene.js";
 import { TourPanel } from "../touring/tour_panel.js";
 import { LiveFigures } from "./figures.js";
@@ -15,6 +15,7 @@ import { NoGraphics, Picture } from "./picture.js";
 import { PlaneControls } from "./plane_controls.js";
 import { Pointer } from "./pointer.js";
 import { TimeLine } from "./time_line.js";
+import { showCursor, ToolBar } from "./tool_bar.js";
 
 /** @typedef {import("../shared/connection.js").Message} Message */
 /** @typedef {import("../shared/connection.js").Package} Package */
@@ -27,10 +28,7 @@ const NOTICE_MS = 8000;
 /** @param {string} id */
 const find = (id) => /** @type {HTMLElement} */ (document.getElementById(id));
 
-language.follow((name) => {
-  document.documentElement.lang = name;
-  fillWords(document);
-});
+runWords();
 
 /** What is open, for whoever looks at the page from outside, such as its tests. @type {{picture: Picture | null, header: any, tour: TourPanel | null}} */
 export const open = { picture: null, header: null, tour: null };
@@ -47,7 +45,7 @@ function run() {
   let tools = [];
   /** Size of each tool that was set. @type {Map<string, number>} */
   const sizes = new Map();
-  let tool = "";
+  const toolBar = new ToolBar((key) => take(key));
   let noticeUntil = 0;
 
   /** @param {Record<string, unknown> & {do: string}} request */
@@ -76,13 +74,9 @@ function run() {
     answered,
     failed: fault,
     changed: () => picture.move(),
-    hasTool: () => tool !== "",
+    hasTool: () => toolBar.tool !== "",
     isReady: () => isReady,
-    cursorMoved: () => {
-      const { cursor } = pointer;
-      find("cursor").hidden = cursor === null;
-      if (cursor) Object.assign(find("cursor").style, { left: `${cursor.x}px`, top: `${cursor.y}px` });
-    },
+    cursorMoved: () => showCursor(pointer.cursor),
   });
 
   const shower = new SceneShower(picture);
@@ -117,41 +111,19 @@ function run() {
 
   /** @param {string} key */
   function take(key) {
-    tool = key;
     pointer.forget();
-    document.body.dataset.tool = key;
-    for (const button of find("tools").querySelectorAll("button")) {
-      button.setAttribute("aria-pressed", String(button.dataset.key === key));
-    }
+    toolBar.choose(key);
     ask({ do: "take", tool: key });
     tellSize();
   }
 
   function tellSize() {
-    const one = tools.find(({ key }) => key === tool);
-    for (const id of ["smaller", "larger"]) /** @type {HTMLButtonElement} */ (find(id)).disabled = one === undefined;
-    if (one === undefined) find("size").textContent = say("operate_no_tool");
-    else {
-      const size = sizes.get(tool) ?? one.size;
-      const word = `operate_size_${tool}`;
-      find("size").textContent = isWord(word) ? say(word, { size: figure(size, one.sizes[2] < 1 ? 1 : 0) }) : String(size);
-    }
+    const one = tools.find(({ key }) => key === toolBar.tool);
+    toolBar.tellSize(one ? (sizes.get(one.key) ?? one.size) : null, one && one.sizes[2] < 1 ? 1 : 0);
   }
 
   function fillTools() {
-    const rows = [["", "o"], ...tools.map(({ key }) => [key, key])];
-    find("tools").replaceChildren(
-      ...rows.map(([key, shown]) => {
-        const word = /** @type {Word} */ (`operate_tool_${shown}`);
-        const button = element("button", "", isWord(word) ? say(word) : shown);
-        button.type = "button";
-        button.dataset.key = key;
-        button.title = `${button.textContent} (${shown.toUpperCase()})`;
-        button.setAttribute("aria-pressed", String(key === tool));
-        button.addEventListener("click", () => take(key));
-        return button;
-      }),
-    );
+    toolBar.fill(tools.map(({ key }) => key));
     tellSize();
   }
 
@@ -295,7 +267,7 @@ function run() {
     figures.begin();
     fillTools();
     paint();
-    take(tool);
+    take(toolBar.tool);
     ask({ do: "hide", structures: [...panel.hidden] });
     planeControls.setCase(message.heart_axes, box);
     if (strain.checked) ask({ do: "strain", shown: true });

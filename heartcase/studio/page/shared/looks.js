@@ -1,7 +1,7 @@
 /** Colours and language, chosen the same way on every page. */
 
 import { keep, kept } from "./settings.js";
-import { language, LANGUAGES } from "./words.js";
+import { fillWords, language, LANGUAGES } from "./words.js";
 
 /** @param {string} id */
 const find = (id) => /** @type {HTMLElement} */ (document.getElementById(id));
@@ -34,4 +34,12 @@ export function runLanguage() {
   }
   select.addEventListener("change", () => (language.value = select.value));
   language.follow((name) => (select.value = name));
+}
+
+/** The page's words in the language that is chosen, now and whenever it is another. */
+export function runWords() {
+  language.follow((name) => {
+    document.documentElement.lang = name;
+    fillWords(document);
+  });
 }

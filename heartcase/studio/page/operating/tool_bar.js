@@ -1,0 +1,58 @@
+/** Buttons for what is taken in hand, its size, and where keys lead it: the same with a server and without. */
+
+import { element } from "../panel/structures.js";
+import { figure, isWord, say } from "../shared/words.js";
+
+/** @param {string} id */
+const find = (id) => /** @type {HTMLElement} */ (document.getElementById(id));
+
+export class ToolBar {
+  /** Key of what is in hand; empty for nothing. */
+  tool = "";
+
+  /** @param {(tool: string) => void} take what a button's click does */
+  constructor(take) {
+    this.take = take;
+  }
+
+  /** A button for nothing, and one for each tool. @param {readonly string[]} keys */
+  fill(keys) {
+    find("tools").replaceChildren(
+      ...["", ...keys].map((key) => {
+        const shown = key || "o";
+        const word = `operate_tool_${shown}`;
+        const button = element("button", "", isWord(word) ? say(word) : shown);
+        button.type = "button";
+        button.dataset.key = key;
+        button.title = `${button.textContent} (${shown.toUpperCase()})`;
+        button.setAttribute("aria-pressed", String(key === this.tool));
+        button.addEventListener("click", () => this.take(key));
+        return button;
+      }),
+    );
+  }
+
+  /** @param {string} tool that is in hand now */
+  choose(tool) {
+    this.tool = tool;
+    document.body.dataset.tool = tool;
+    for (const button of find("tools").querySelectorAll("button")) {
+      button.setAttribute("aria-pressed", String(button.dataset.key === tool));
+    }
+  }
+
+  /** @param {number | null} size of what is in hand; null where it has none @param {number} [digits] behind the point */
+  tellSize(size, digits = 0) {
+    for (const id of ["smaller", "larger"]) /** @type {HTMLButtonElement} */ (find(id)).disabled = size === null;
+    const word = `operate_size_${this.tool}`;
+    const words = size === null ? say("operate_no_tool") : isWord(word) ? say(word, { size: figure(size, digits) }) : String(size);
+    find("size").textContent = words;
+  }
+}
+
+/** Show where keys lead what is in hand. @param {{x: number, y: number} | null} cursor */
+export function showCursor(cursor) {
+  const shown = find("cursor");
+  shown.hidden = cursor === null;
+  if (cursor) Object.assign(shown.style, { left: `${cursor.x}px`, top: `${cursor.y}px` });
+}
