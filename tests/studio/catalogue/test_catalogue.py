@@ -412,6 +412,39 @@ def test_a_case_without_a_surface_has_a_page(library):
     assert not card["picture"]
 
 
+def test_a_case_whose_surface_is_tied_to_nothing_is_shown_in_pictures_alone(library):
+    cases = library("one", about=about())
+    case = cases / "one.case"
+    data = json.loads((case / "case.json").read_text())
+    data["files"] = [file for file in data["files"] if not file["role"].startswith("mapping")]
+    (case / "case.json").write_text(json.dumps(data))
+    assert write_catalogue(cases).shown == ("one",)
+    site = cases / "catalogue"
+    assert not (site / "view").exists()
+    page = Page((site / "cases/one.html").read_text())
+    assert len(page.all("img")) == 2
+    assert WORDS["no_map"][0] in page.text
+    assert not [attrs for attrs in page.all("a") if attrs.get("id") == "open-view"]
+
+
+def test_all_cases_share_one_viewer(library):
+    library("one", about=about())
+    cases = library("two", about=about())
+    write_catalogue(cases)
+    site = cases / "catalogue"
+    for name in ("one", "two"):
+        page = Page((site / f"view/{name}.html").read_text())
+        assert [attrs["src"] for attrs in page.all("script")] == ["../assets/viewer.js"]
+        assert page.all("body")[0]["data-case"] == f"{name}.js"
+        opened = next(
+            attrs
+            for attrs in Page((site / f"cases/{name}.html").read_text()).all("a")
+            if attrs.get("id") == "open-view"
+        )
+        assert opened["href"] == f"../view/{name}.html"
+    assert (site / "view/one.js").read_bytes() != b""
+
+
 def test_texts_in_other_languages_are_offered_or_left_out(library):
     text = about()["texts"]["en"]
     texts = {"en": text, "fr": {**text, "title": "Un coeur", "access": "Par ici"}, "ja": {**text, "title": "Kokoro"}}
