@@ -29,6 +29,7 @@ export const HELP = [
   ["W", "operate_help_record"],
   ["V  A  Home", "operate_help_view"],
   ["K  <  >", "scene_help_plane"],
+  ["I  D", "scene_help_views"],
 ];
 
 /** Name of a structure in a list. @param {Structure} one */
