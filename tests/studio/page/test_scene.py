@@ -197,3 +197,96 @@ def test_a_plane_is_led_and_turned_by_handles_wheel_and_keys(cut_open):
     tab.locator("#cut-face").click()
     assert tab.evaluate(f"async () => {OPEN}.picture.camera.towards[0]") == pytest.approx(-1.0)
     assert tab.locator("#cut-axis").input_value() == ""
+
+
+class Touching:
+    """Fingers and a pen, as the browser's own input has them."""
+
+    def __init__(self, page):
+        self.line = page.tab.context.new_cdp_session(page.tab)
+        self.page = page
+
+    def fingers(self, kind, *pixels):
+        points = [{"x": x, "y": y, "id": n} for n, (x, y) in enumerate(pixels)]
+        self.line.send("Input.dispatchTouchEvent", {"type": f"touch{kind}", "touchPoints": points})
+
+    def pen(self, kind, x, y):
+        buttons = 0 if kind == "Released" else 1
+        self.line.send(
+            "Input.dispatchMouseEvent",
+            {"type": f"mouse{kind}", "x": x, "y": y, "button": "left", "buttons": buttons, "pointerType": "pen"}
+            | {"clickCount": 1, "force": 0.5},
+        )
+
+    def between(self, start, end, steps=5):
+        return [tuple(np.array(start) + (np.array(end) - start) * n / steps) for n in range(1, steps + 1)]
+
+
+def test_one_finger_and_a_pen_act_and_two_fingers_turn_and_zoom(tmp_path, chromium):
+    server = CaseServer(write_two_walls(tmp_path))
+    server.start()
+    with browsing(chromium, server, viewport=SIZE, has_touch=True) as page:
+        scene, touching, tab = Scene(page), Touching(page), page.tab
+        scene.from_above()
+        tab.evaluate(
+            "() => { window.kinds = []; document.querySelector('#scene').addEventListener('pointerdown', "
+            "(event) => window.kinds.push(event.pointerType)); }"
+        )
+        tab.locator("#tools button[data-key=g]").tap()
+        top, aside = scene.pixel((22.0, -14.0, 40.5)), scene.pixel((27.0, -14.0, 40.5))
+
+        def camera():
+            return tab.evaluate(
+                f"async () => {{ const {{ towards, distance, target }} = {OPEN}.picture.camera;"
+                "return { towards, distance, target }; }"
+            )
+
+        before = camera()
+        # one finger pulls
+        touching.fingers("Start", top)
+        for place in touching.between(top, aside):
+            touching.fingers("Move", place)
+        scene.until(lambda header: header["instruments"] and header["instruments"][0]["center_mm"][0] > 26.5)
+        # another, as of a hand that is laid down, changes nothing
+        touching.fingers("Start", aside, (top[0], top[1] + 150))
+        touching.fingers("Move", aside, (top[0] + 80, top[1] + 150))
+        touching.fingers("Move", aside)
+        page.drawn()
+        assert scene.header()["instruments"]
+        assert camera() == before
+        touching.fingers("End")
+        scene.until(lambda header: not header["instruments"])
+        # two fingers turn and zoom, and no instrument is taken by the first
+        acts = scene.header()["act_count"]
+        left, right = (top[0] - 40, top[1]), (top[0] + 40, top[1])
+        touching.fingers("Start", left)
+        touching.fingers("Start", left, right)
+        for n in range(1, 6):
+            touching.fingers("Move", (left[0] - 8 * n, left[1] + 10 * n), (right[0] + 8 * n, right[1] + 10 * n))
+        touching.fingers("End")
+        page.drawn()
+        after = camera()
+        assert after["distance"] == pytest.approx(before["distance"] / 2.0, rel=0.05)
+        assert after["towards"][2] < 0.99
+        assert after["target"] == before["target"]
+        tab.wait_for_timeout(200)
+        assert scene.header()["act_count"] == acts
+        # three move
+        touching.fingers("Start", left, right, (top[0], top[1] + 60))
+        for n in range(1, 4):
+            touching.fingers("Move", *((x + 20 * n, y) for x, y in (left, right, (top[0], top[1] + 60))))
+        touching.fingers("End")
+        page.drawn()
+        assert camera()["target"] != after["target"]
+        # a pen pulls at once
+        scene.from_above()
+        tab.evaluate(f"async (one) => {{ Object.assign({OPEN}.picture.camera, one); }}", {"target": before["target"]})
+        tab.evaluate(f"async (one) => {{ {OPEN}.picture.camera.distance = one; }}", before["distance"])
+        touching.pen("Pressed", *top)
+        for place in touching.between(top, aside):
+            touching.pen("Moved", *place)
+        scene.until(lambda header: header["instruments"] and header["instruments"][0]["center_mm"][0] > 26.5)
+        touching.pen("Released", *aside)
+        scene.until(lambda header: not header["instruments"])
+        assert set(tab.evaluate("() => window.kinds")) == {"touch", "pen"}
+    server.stop()

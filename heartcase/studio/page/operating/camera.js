@@ -86,6 +86,12 @@ export class Camera {
     this.right = cross(this.up, this.towards);
   }
 
+  /** @param {number} angle by which what is seen goes round, clockwise */
+  roll(angle) {
+    this.right = unit(turned(this.right, this.towards, angle));
+    this.up = cross(this.towards, this.right);
+  }
+
   /** @param {number} across @param {number} down pixels that the pointer went: what is seen goes with it */
   move(across, down) {
     this.target = add(add(this.target, this.right, -across * this.mmPerPixel), this.up, down * this.mmPerPixel);
