@@ -130,7 +130,6 @@ def test_walls_are_capped_in_their_colours_while_the_heart_moves_and_after_cuts(
     assert is_of(pulled, WALL).all()
     tab.mouse.up()
     scene.until(lambda header: not header["instruments"])
-    until(lambda: not is_of(scene.seen([(14.0, -4.5, 35.0)]), WALL).any())
     # a blade across, drawn on the cap
     tab.keyboard.press("c")
     scene.drag((26.0, -21.0, 35.0), (26.0, -17.0, 35.0), (26.0, -12.0, 35.0), (26.0, -7.0, 35.0))
@@ -358,7 +357,7 @@ def test_two_views_draw_the_same_and_surroundings_are_not_met(cut_open):
     tab.mouse.up()
     scene.until(lambda header: not header["instruments"])
     tab.keyboard.press("i")
-    # the drape is before the heart as it is seen from above, and is gone through
+    # drape and instruments around are no part of what is pointed at
     tab.keyboard.press("d")
     page.drawn()
     assert tab.evaluate(memory)["geometries"] > before["geometries"]

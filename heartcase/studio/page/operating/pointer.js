@@ -197,7 +197,9 @@ export class Pointer {
     this.#isReleased = false;
     const next = this.#next;
     this.#next = null;
-    if (this.#doing === "turn" && next) this.#turn(next);
+    // also by the way that the pointer went, or went and ended, while that was asked
+    this.#last = place;
+    if (next) this.#turn(next);
   }
 
   /** @param {{x: number, y: number}} place */
