@@ -18,12 +18,14 @@ from heartcase.schemas.arrays import Float32, Float64, Int16, Int32, UInt8
 from heartcase.simulator.live.live import LiveFrame
 from heartcase.simulator.live.shapes import CUT_FACES
 from heartcase.simulator.surface.deform import SurfaceModel
+from heartcase.studio.operating.coarser import CoarseLevel
 from heartcase.studio.operating.normal_map import NormalMap
 
 __all__ = [
     "BLOCK_NODES",
     "SCALE_LEAST",
     "Rounded",
+    "coarse_message",
     "frame_message",
     "moved_blocks",
     "packed",
@@ -131,18 +133,8 @@ def topology_message(
         charted = normal_map.corners_now(surface, live.triangle_origin)
         map_count = len(normal_map.uv)
         drawn = np.where(charted >= 0, charted, map_count + surface.triangles)
-    corners, owners = drawn.ravel().astype(np.int64), np.repeat(structures.astype(np.int64), 3)
-    pairs, first, triangles = np.unique(corners << 9 | owners, return_index=True, return_inverse=True)
-    vertex = surface.triangles.ravel()[first].astype(np.int64)
-    arrays: dict[str, npt.NDArray[Any]] = {
-        "triangles": triangles.astype(np.uint32).reshape(-1, 3),
-        "structure": (pairs & 511).astype(np.uint16),
-        "vertex": vertex.astype(np.uint32),
-        **_hung(surface, vertex),
-        **_springs(surface),
-    }
+    arrays, chart = _drawn(surface, drawn, structures)
     if normal_map is not None:
-        chart = pairs >> 9
         is_charted, at = chart < map_count, np.minimum(chart, map_count - 1)
         arrays["uv"] = np.where(is_charted[:, None], normal_map.uv[at], np.float32(-1.0))
         arrays["tangent"] = np.where(is_charted[:, None], normal_map.tangent[at], np.float32(0.0))
@@ -159,6 +151,41 @@ def topology_message(
         "direction": model.geometry.direction_matrix.tolist(),
     }
     return packed(header, arrays)
+
+
+def coarse_message(number: int, coarse: CoarseLevel) -> bytes:
+    """The surface at a coarser level of detail, without a normal map, as :func:`topology_message` has the finest.
+
+    Parameters
+    ----------
+    number
+        Number of the topology that it stands for.
+    coarse
+        The surface.
+    """
+    arrays, _ = _drawn(coarse.surface, coarse.surface.triangles, coarse.structures)
+    header = {"kind": "coarse_topology", "topology": number, "level": coarse.level, "cut_faces": CUT_FACES}
+    return packed(header, arrays)
+
+
+def _drawn(
+    surface: SurfaceModel, drawn: Int32, structures: Int32
+) -> tuple[dict[str, npt.NDArray[Any]], npt.NDArray[np.int64]]:
+    """Arrays of a surface whose vertices are told apart by structure and by the number that ``drawn`` has at corners.
+
+    That number comes second, for each vertex.
+    """
+    corners, owners = drawn.ravel().astype(np.int64), np.repeat(structures.astype(np.int64), 3)
+    pairs, first, triangles = np.unique(corners << 9 | owners, return_index=True, return_inverse=True)
+    vertex = surface.triangles.ravel()[first].astype(np.int64)
+    arrays: dict[str, npt.NDArray[Any]] = {
+        "triangles": triangles.astype(np.uint32).reshape(-1, 3),
+        "structure": (pairs & 511).astype(np.uint16),
+        "vertex": vertex.astype(np.uint32),
+        **_hung(surface, vertex),
+        **_springs(surface),
+    }
+    return arrays, pairs >> 9
 
 
 def _hung(surface: SurfaceModel, vertex: npt.NDArray[np.int64]) -> dict[str, npt.NDArray[Any]]:

@@ -15,11 +15,15 @@ __all__ = [
     "Act",
     "Along",
     "Begin",
+    "Coarser",
     "CutOpen",
+    "Figures",
     "Hide",
+    "HoldOpen",
     "LetGo",
     "Look",
     "Plane",
+    "Planned",
     "Play",
     "Point",
     "Recordings",
@@ -238,6 +242,44 @@ class Strain(_Asked):
     """Whether it is wanted."""
 
 
+class Coarser(_Asked):
+    """Send coarser levels of detail of the surface, too: for a page that cannot draw the finest while it moves."""
+
+    do: Literal["coarser"]
+    """Which request."""
+
+
+class Figures(_Asked):
+    """Send figures of an incision as it is held open now, again and again."""
+
+    do: Literal["figures"]
+    """Which request."""
+    shown: bool
+    """Whether they are wanted."""
+    incision: Annotated[int, Field(ge=0, le=10_000)] = 0
+    """Which of the cuts, from 0; the last one where there are fewer."""
+    reach: bool = False
+    """Whether the reach of an instrument's tip is to be worked out, once: time is stopped for it."""
+
+
+class Planned(_Asked):
+    """Cut along a planned incision of the case."""
+
+    do: Literal["cut_planned"]
+    """Which request."""
+    incision: Annotated[str, Field(min_length=1, max_length=200)]
+    """Its name."""
+
+
+class HoldOpen(_Asked):
+    """Close hands on both lips of a cut, and lead them apart."""
+
+    do: Literal["hold_open"]
+    """Which request."""
+    incision: Annotated[int, Field(ge=0, le=10_000)]
+    """Which of the cuts, from 0."""
+
+
 class Seen(Model):
     """A frame was taken: another may follow. It has no answer."""
 
@@ -264,6 +306,10 @@ Request = (
     | CutOpen
     | Slice
     | Strain
+    | Coarser
+    | Figures
+    | Planned
+    | HoldOpen
     | Seen
 )
 _REQUEST: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="do")])

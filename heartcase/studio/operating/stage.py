@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from heartcase.schemas.bundle.manifest import manifest_bytes
-from heartcase.schemas.errors import HeartcaseError, RecordingError
+from heartcase.schemas.errors import HeartcaseError, RecordingError, UsageError
 from heartcase.schemas.recording.reader import open_recording
 from heartcase.simulator.incisions.strain import vertex_colours
-from heartcase.simulator.live.live import Live, LiveFrame
+from heartcase.simulator.live.live import FRAME_S, Live, LiveFrame
 from heartcase.simulator.live.shapes import CUT_FACES, STRETCH_SHOWN, Structures
 from heartcase.simulator.live.strain_worker import StrainWorker
 from heartcase.simulator.live.tools import TOOLS
@@ -23,7 +23,10 @@ from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.replay import load_session
 from heartcase.simulator.simulation import SLEEP_MM, Simulation
 from heartcase.studio.operating.cell_labels import CellLabels
+from heartcase.studio.operating.coarser import CoarseLevel, CoarserWorker, load_coarser
 from heartcase.studio.operating.heart_axes import heart_axes
+from heartcase.studio.operating.incisions import Incisions
+from heartcase.studio.operating.live_figures import ShownFigures
 from heartcase.studio.operating.normal_map import NormalMap, load_normal_map
 from heartcase.studio.operating.packing import packed, stretch_bytes
 from heartcase.studio.operating.surroundings import cannulae
@@ -32,6 +35,8 @@ __all__ = ["DAMPING_PER_S", "Stage", "open_stage"]
 
 DAMPING_PER_S = 30.0
 """Damping of all movement, 1/s."""
+_SLOWEST_FRAME_S = 1.0 / 30.0
+"""How long a frame takes at most where the machine does not keep up, s: then time goes slower, not the pictures."""
 _RECORDINGS_MAX = 10_000
 
 
@@ -48,6 +53,8 @@ class Stage:
         Called by the session's thread when there is a new frame.
     normal_map
         The case's normal map, where it has one.
+    coarser
+        The surface at coarser levels of detail, where the case has them.
     sha256
         Hash of the case's manifest, which lists the hash of each file; None where it is not known.
     axes
@@ -61,6 +68,7 @@ class Stage:
         heard: Callable[[], None],
         normal_map: NormalMap | None = None,
         *,
+        coarser: tuple[CoarseLevel, ...] = (),
         sha256: str | None = None,
         axes: Mapping[str, Any] | None = None,
     ) -> None:
@@ -75,13 +83,19 @@ class Stage:
         self.structures = Structures(case.manifest, case.triangle_structures)
         self.cell_labels = CellLabels(case)
         self._strain: StrainWorker | None = None
+        self._levels = coarser
+        self._coarser: CoarserWorker | None = None
         self._spares = False
+        self.incisions = Incisions(case)
+        self.figures = ShownFigures(self.incisions, case.manifest.landmarks, heard)
         self.live = self._started(self._new_session())
 
     def close(self) -> None:
         """End the session; a recording is finished."""
         self.live.close()
         self.show_strain(False)
+        self.show_coarser(False)
+        self.figures.show(False)
 
     def is_of(self, path: Path) -> bool:
         """Whether the case that lies there now is the one that was loaded; it may have been built anew."""
@@ -128,6 +142,33 @@ class Stage:
             self._spares = True
             self.live.spare_a_processor()
 
+    def cut_planned(self, name: str) -> None:
+        """Cut along a planned incision.
+
+        Raises
+        ------
+        UsageError
+            The case has no such incision.
+        """
+        self.live.do(self.incisions.cut(name))
+
+    def hold_open(self, number: int) -> None:
+        """Close hands on both lips of a cut, by its place among those that are done, and lead them apart.
+
+        Raises
+        ------
+        UsageError
+            There is no such cut, or it has no line on the tissue.
+        """
+        live = self.live
+        cuts = live.newest.cuts
+        if number >= len(cuts):
+            raise UsageError("there is no such incision: cut first", place="incision")
+        hands = self.incisions.hands(cuts[number])
+        live.do(*(close for close, _, _ in hands))
+        for _, led, speed_mm_s in hands:
+            live.lead(led, speed_mm_s)
+
     def show_strain(self, is_wanted: bool) -> None:
         """Work out how far the tissue is stretched, or leave it."""
         if is_wanted and self._strain is None:
@@ -136,6 +177,24 @@ class Stage:
         elif not is_wanted and self._strain is not None:
             self._strain.close()
             self._strain = None
+
+    def show_coarser(self, is_wanted: bool) -> None:
+        """Have the coarser levels of detail follow what is cut, or leave them."""
+        if is_wanted and self._coarser is None and self._levels:
+            self._coarser = CoarserWorker(self._levels, self._heard)
+        elif not is_wanted and self._coarser is not None:
+            self._coarser.close()
+            self._coarser = None
+
+    def coarser(self, live: LiveFrame) -> tuple[CoarseLevel, ...]:
+        """The coarser levels of a moment; none where they are not known yet, or there are none."""
+        if self._coarser is None:
+            return ()
+        known = self._coarser.newest
+        if known is not None and known[0] is live.surface:
+            return known[1]
+        self._coarser.ask(live)
+        return ()
 
     def stretch(self, live: LiveFrame) -> Any:
         """Stretch around each node as bytes, of a moment of late; None where it is not known of this lattice."""
@@ -167,6 +226,7 @@ class Stage:
             ],
             "box_mm": [low.tolist(), high.tolist()],
             "step_s": simulation.step_s,
+            "incisions": self.incisions.names,
             "stretch_shown": STRETCH_SHOWN,
             "stretch_colours": vertex_colours(np.linspace(*STRETCH_SHOWN, 256), *STRETCH_SHOWN).tolist(),
         }
@@ -193,7 +253,13 @@ class Stage:
     def _started(self, session: OperatingSession, *, plays: bool = False) -> Live:
         session.simulation.prepare()
         session.simulation.prepare_cuts()
-        live = Live(session, manifest=self._case.manifest, heard=self._heard)
+        live = Live(
+            session,
+            manifest=self._case.manifest,
+            slowest=_SLOWEST_FRAME_S / FRAME_S,
+            shows_surface=False,
+            heard=self._heard,
+        )
         if self._spares:
             live.spare_a_processor()
         if plays:
@@ -222,9 +288,10 @@ def open_stage(path: Path, *, out: Path, heard: Callable[[], None]) -> Stage:
         case = load_case(path, needs=("surface", "structures", "tissue", "cell_labels"))
         assert case.surface is not None
         normal_map, axes = load_normal_map(path, case.surface), heart_axes(path)
+        coarser = load_coarser(path)
         # A build may have put another case there meanwhile.
         if _manifest_sha256(path) == sha256:
-            return Stage(case, out, heard, normal_map, sha256=sha256, axes=axes)
+            return Stage(case, out, heard, normal_map, coarser=coarser, sha256=sha256, axes=axes)
 
 
 def _manifest_sha256(path: Path) -> str | None:

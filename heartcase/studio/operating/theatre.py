@@ -19,9 +19,13 @@ from heartcase.studio.operating.requests import (
     Act,
     Along,
     Begin,
+    Coarser,
     CutOpen,
+    Figures,
     Hide,
+    HoldOpen,
     LetGo,
+    Planned,
     Play,
     Point,
     Recordings,
@@ -175,6 +179,8 @@ class Theatre:
             if self._stage is None:
                 return
             await self._update_strain()
+            await self._update_coarser()
+            await self._update_figures()
             self._rest_if_alone(self._stage)
 
     async def ask(self, page: Page, text: str) -> None:
@@ -323,12 +329,38 @@ class Theatre:
                 viewer.wants_strain = request.shown
                 await self._update_strain()
                 self._news.set()
+            case Coarser():
+                viewer.wants_coarser = True
+                await self._update_coarser()
+                self._news.set()
+            case Figures():
+                viewer.wants_figures = request.shown
+                await self._update_figures()
+                stage.figures.incision = request.incision
+                if request.shown and request.reach:
+                    live.pause(True)
+                    stage.figures.ask_for_reach()
+                self._news.set()
+            case Planned():
+                await self._run(lambda: stage.cut_planned(request.incision))
+            case HoldOpen():
+                await self._run(lambda: stage.hold_open(request.incision))
         return {}
+
+    async def _update_figures(self) -> None:
+        stage, is_wanted = self._stage, any(one.wants_figures for one in self._viewers.values())
+        if stage is not None:
+            await self._run(lambda: stage.figures.show(is_wanted))
 
     async def _update_strain(self) -> None:
         stage, is_wanted = self._stage, any(one.wants_strain for one in self._viewers.values())
         if stage is not None:
             await self._run(lambda: stage.show_strain(is_wanted))
+
+    async def _update_coarser(self) -> None:
+        stage, is_wanted = self._stage, any(one.wants_coarser for one in self._viewers.values())
+        if stage is not None:
+            await self._run(lambda: stage.show_coarser(is_wanted))
 
     async def _show_on(self) -> None:
         """Show each page what is new, again and again."""
@@ -356,6 +388,8 @@ class Theatre:
                 if self._viewers.get(page) is viewer:
                     for message in messages:
                         page.send(message)
+                    if (figures := viewer.figures(newest)) is not None:
+                        page.send(figures)
 
     async def _watch(self) -> None:
         """Tell pages once that the case they look at is no longer the one that lies there."""

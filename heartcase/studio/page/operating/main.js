@@ -6,6 +6,7 @@ import { Connection, Lost, Refused } from "../shared/connection.js";
 import { runLanguage, runTheme } from "../shared/looks.js";
 import { keep, kept } from "../shared/settings.js";
 import { fillWords, figure, isWord, language, say } from "../shared/words.js";
+import { LiveFigures } from "./figures.js";
 import { arraysOf } from "./messages.js";
 import { Panel } from "./panel.js";
 import { NoGraphics, Picture } from "./picture.js";
@@ -65,10 +66,12 @@ function run() {
       ask({ do: "replay", name });
     },
   });
+  const figures = new LiveFigures(ask);
   const timeLine = new TimeLine((step) => {
     forget();
     return connection.ask({ do: "command", command: { kind: "go_to", step } });
   });
+  picture.detail.wanted = () => ask({ do: "coarser" });
   const second = new SecondView(picture);
   /** @param {string} surface @param {import("./camera.js").Camera} camera @param {string} cursor @returns {Pointer} */
   const pointerOn = (surface, camera, cursor) => {
@@ -76,7 +79,7 @@ function run() {
       ask: (request) => connection.ask(request),
       answered,
       failed: fault,
-      changed: () => picture.redraw(),
+      changed: () => picture.move(),
       // one hand acts at a time
       hasTool: () => tool !== "" && pointers.every((one) => one === made || !one.isUsed),
       isReady: () => isReady,
@@ -266,6 +269,7 @@ function run() {
   function hear(message) {
     if (message.kind === "progress") curtain(say("operate_opening"), []);
     else if (message.kind === "opened") begin(message);
+    else if (message.kind === "figures") figures.hear(message);
     else if (message.kind === "message") notice("", [{ place: "", message: message.text }]);
     else if (message.kind === "refused" && message.id === null) notice(say("refused"), message.problems ?? []);
     else if (message.kind === "failed") {
@@ -291,6 +295,8 @@ function run() {
     const [low, high] = message.stretch_shown;
     find("stretch-legend").textContent = say("operate_stretch", { low: figure(low, 1), high: figure(high, 1) });
     isReady = true;
+    figures.setPlanned(message.incisions);
+    figures.begin();
     fillTools();
     paint();
     take(tool);
@@ -304,6 +310,7 @@ function run() {
     if (strain.checked) ask({ do: "strain", shown: true });
     // what draws needs a processor of those that step
     if (picture.isDrawnInSoftware) ask({ do: "spare" });
+    picture.detail.begin();
   }
 
   /** @param {Package} message */
@@ -312,6 +319,10 @@ function run() {
     if (header.kind === "topology") {
       picture.heart.takeTopology(message);
       picture.redraw();
+      return;
+    }
+    if (header.kind === "coarse_topology") {
+      picture.heart.takeCoarse(message);
       return;
     }
     const arrays = arraysOf(message);
@@ -325,7 +336,8 @@ function run() {
     }
     const isHeartNew = picture.heart.takeFrame(message, arrays);
     const areToolsNew = picture.tools.show(header, arrays);
-    if (isHeartNew || areToolsNew) picture.redraw();
+    if (isHeartNew) picture.move();
+    else if (areToolsNew) picture.redraw();
     const before = open.header;
     open.header = header;
     panel.showForces(header);
@@ -403,7 +415,7 @@ function run() {
   });
   runTheme();
   runLanguage();
-  runTabs();
+  runTabs((id) => figures.show(id === "tab-figures"));
   connection.open();
 }
 

@@ -5,6 +5,7 @@ import { CutPlane } from "../section/plane.js";
 import { Slices } from "../section/slices.js";
 import * as three from "../vendor/three/three.module.min.js";
 import { Camera, VIEW_ANGLE_DEG } from "./camera.js";
+import { Detail } from "./detail.js";
 import { Heart } from "./heart.js";
 import { ToolsInScene } from "./tools_in_scene.js";
 
@@ -15,6 +16,7 @@ import { ToolsInScene } from "./tools_in_scene.js";
 export class NoGraphics extends Error {}
 
 const FINEST = 2;
+const LOOK_MS = 2;
 /** What renderers without a graphics card call themselves. */
 const SOFTWARE = /llvmpipe|softpipe|swiftshader|microsoft basic render/i;
 
@@ -39,6 +41,10 @@ export class Picture {
   #isStale = true;
   #isWaiting = false;
   #resizing = new ResizeObserver(() => this.resize());
+  /** Part of the full width that is drawn, in pixels. */
+  #part = 1;
+  /** What tells that a picture is done. @type {WebGLSync | null} */
+  #fence = null;
 
   /** @param {HTMLCanvasElement} canvas @param {HTMLElement | null} [surface] the element that the first camera fills; all of the canvas where left out */
   constructor(canvas, surface = null) {
@@ -60,6 +66,7 @@ export class Picture {
     this.caps = new Caps(this.scene, this.heart, this.plane);
     this.slices = new Slices(this.scene, this.caps);
     this.tools = new ToolsInScene(this.scene, this.over);
+    this.detail = new Detail(() => this.redraw(), this.isDrawnInSoftware);
     for (const one of [canvas.parentElement, surface]) if (one !== null) this.#resizing.observe(one);
     this.resize();
   }
@@ -84,8 +91,18 @@ export class Picture {
     });
   }
 
+  /** Draw before the next picture of the screen what moves: the heart, or the eye. */
+  move() {
+    this.detail.moved();
+    this.redraw();
+  }
+
   draw() {
     this.#isStale = false;
+    const began = performance.now();
+    const { level: wanted, part } = this.detail.step;
+    const level = this.heart.showLevel(wanted, this.plane.isOn);
+    if (part !== this.#part) this.#size(part);
     this.caps.beforeDraw();
     this.tools.clip(this.plane.equation);
     const shown = this.views.filter(({ surface }) => surface === null || !surface.hidden);
@@ -95,6 +112,27 @@ export class Picture {
     if (shown.length > 1) this.#aim(shown[0]);
     this.count += 1;
     for (const told of this.drawn) told();
+    if (this.detail.isMoving) this.#timeWork(began, level);
+  }
+
+  /** Tell when the graphics card, or what stands for it, is done with what it was given. @param {number} began @param {number} level */
+  #timeWork(began, level) {
+    if (this.#fence !== null) return;
+    const gl = this.renderer.getContext();
+    const fence = (this.#fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0));
+    if (fence === null) return;
+    gl.flush();
+    const look = () => {
+      const state = gl.clientWaitSync(fence, 0, 0);
+      if (state === gl.TIMEOUT_EXPIRED) {
+        setTimeout(look, LOOK_MS);
+        return;
+      }
+      this.#fence = null;
+      gl.deleteSync(fence);
+      if (state !== gl.WAIT_FAILED) this.detail.drew(performance.now() - began, level);
+    };
+    setTimeout(look, LOOK_MS);
   }
 
   /** @param {View} view */
@@ -129,8 +167,15 @@ export class Picture {
       camera.width = Math.max(clientWidth, 1);
       camera.height = Math.max(clientHeight, 1);
     }
-    this.renderer.setPixelRatio(this.isDrawnInSoftware ? 1 : Math.min(globalThis.devicePixelRatio ?? 1, FINEST));
-    this.renderer.setSize(Math.max(parent.clientWidth, 1), Math.max(parent.clientHeight, 1), false);
+    this.#size(this.#part);
     this.redraw();
+  }
+
+  /** @param {number} part of the picture's full width in pixels */
+  #size(part) {
+    this.#part = part;
+    this.renderer.setPixelRatio(part * (this.isDrawnInSoftware ? 1 : Math.min(globalThis.devicePixelRatio ?? 1, FINEST)));
+    const { clientWidth, clientHeight } = /** @type {Element} */ (this.canvas.parentElement);
+    this.renderer.setSize(Math.max(clientWidth, 1), Math.max(clientHeight, 1), false);
   }
 }

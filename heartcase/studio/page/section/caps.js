@@ -184,12 +184,15 @@ export class Caps {
   #frame;
   #buffer = /** @type {any} */ (null);
   #capUniforms;
+  #normals;
 
   /** @param {any} scene @param {Heart} heart @param {CutPlane} plane */
   constructor(scene, heart, plane) {
     this.heart = heart;
     this.plane = plane;
     const { uniforms } = heart;
+    this.#normals = { value: null };
+    const ofShown = { ...uniforms, nodeNormals: this.#normals };
     const empty = new three.Data3DTexture(new Uint8Array(1), 1, 1, 1);
     this.#capUniforms = {
       labels: { value: empty },
@@ -206,7 +209,8 @@ export class Caps {
       [three.BackSide, three.IncrementWrapStencilOp], [three.FrontSide, three.DecrementWrapStencilOp],
     ].map(([side, operation]) => {
       const mesh = new three.Mesh(new three.BufferGeometry(), material({
-        vertexShader: STENCIL_VERTEX, fragmentShader: STENCIL_FRAGMENT, uniforms, side,
+        vertexShader: STENCIL_VERTEX, fragmentShader: STENCIL_FRAGMENT, side,
+        uniforms: { ...uniforms, nodeNormals: { value: null } },
         colorWrite: false, depthWrite: false, depthTest: false,
         stencilWrite: true, stencilFunc: three.AlwaysStencilFunc, stencilZPass: operation,
       }));
@@ -303,7 +307,10 @@ export class Caps {
   /** Take the heart's surface, and its cells where they are others. */
   #takeHeart() {
     const { heart } = this;
-    for (const one of this.#stencils) one.geometry = heart.mesh.geometry;
+    for (const one of this.#stencils) {
+      one.geometry = heart.shown.geometry;
+      one.material.uniforms.nodeNormals.value = heart.shown.material.uniforms.nodeNormals.value;
+    }
     if (heart.mesh === this.#mesh) return;
     this.#mesh = heart.mesh;
     this.#drawn = "";

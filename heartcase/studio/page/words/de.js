@@ -3,7 +3,10 @@
 import { words as scene } from "./scene_de.js";
 
 /** @type {Record<keyof typeof import("./en.js").words, string>} */
+import { operating } from "./operating_de.js";
+
 export const words = {
+  ...operating,
   language_name: "Deutsch",
   connecting: "Verbinde …",
   stage_open: "Rezept wird geöffnet …",
@@ -213,7 +216,7 @@ export const words = {
   operate_reset: "Ansicht vom Anfang (Pos1)",
   operate_scene: "Das Herz",
   operate_scene_help: "Pfeile drehen das Herz, Umschalt mit Pfeilen verschiebt es, Plus und Minus zoomen. Enter setzt das Instrument in der Bildmitte an, Pfeile führen es dann, Enter beendet.",
-  operate_side: "Strukturen, Kräfte, Aufnahmen, Hilfe",
+  operate_side: "Strukturen, Kräfte, Maße, Aufnahmen, Hilfe",
   operate_show_all: "Alle zeigen",
   operate_strain: "Nach Dehnung färben",
   operate_stretch: "Gedehnt auf das {low}- (blau) bis {high}-fache (rot) der Länge",

@@ -1,8 +1,10 @@
 /** The page's words in English. */
 
 import { words as scene } from "./scene_en.js";
+import { operating } from "./operating_en.js";
 
 export const words = {
+  ...operating,
   language_name: "English",
   connecting: "Connecting …",
   stage_open: "Opening the recipe …",
@@ -212,7 +214,7 @@ export const words = {
   operate_reset: "View from the start (Home)",
   operate_scene: "The heart",
   operate_scene_help: "Arrows turn the heart, Shift with arrows moves it, plus and minus zoom. Enter uses the instrument in the middle of the picture, arrows then lead it, Enter ends.",
-  operate_side: "Structures, forces, recordings, help",
+  operate_side: "Structures, forces, figures, recordings, help",
   operate_show_all: "Show all",
   operate_strain: "Colour by stretch",
   operate_stretch: "Stretched to {low} (blue) … {high} (red) times its length",
