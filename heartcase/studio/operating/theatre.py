@@ -261,7 +261,7 @@ class Theatre:
             if stage is not None:
                 await self._run(stage.close)
         self._thread.shutdown()
-        self._slicing.shutdown(cancel_futures=True)
+        self._slicing.shutdown(wait=False, cancel_futures=True)
 
     def _open(self) -> Callable[[], Stage]:
         loop = asyncio.get_running_loop()

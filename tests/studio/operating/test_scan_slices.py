@@ -14,9 +14,11 @@ from heartcase.pipeline.stages.read import region_of_scan
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.recipe.recipe import parse_recipe
 from heartcase.studio.operating.scan_slices import ScanSlices
+from heartcase.studio.starting.registry import Registry
 from tests.studio.operating.performing import operator, theatre
 from tests.studio.operating.two_walls import two_walls
 from tests.studio.page.browsing import TURNED, write_recipe
+from tests.studio.talking import TOKEN
 
 OBLIQUE = Rotation.from_euler("xyz", (20.0, -35.0, 50.0), degrees=True).as_matrix()
 
@@ -124,3 +126,16 @@ def test_a_case_alone_has_no_scan_to_show(operated):
         assert page.opened["recipe"] is None
         answer = page.ask("slice", name="cut", point_mm=[0, 0, 0], right=[1, 0, 0], down=[0, 1, 0])
         assert "open the case from its recipe" in json.dumps(answer["problems"])
+
+
+def test_a_case_that_is_opened_from_a_recipe_knows_it_also_where_it_was_open_before(tmp_path):
+    recipe, _ = write_recipe(tmp_path)
+    case = tmp_path / "two.case"
+    write_bundle(case, two_walls())
+    registry = Registry(TOKEN)
+    before = registry.open_case(case)
+    assert before.places["operating"].origin is None
+    opened = registry.open_recipe(recipe, out=tmp_path)
+    address = opened.places["building"]._operate(case)
+    assert address == before.address
+    assert before.places["operating"].origin.address == opened.address
