@@ -335,10 +335,12 @@ def _what_is_new(asked: _Question, before: _Question | None) -> _Question:
     if before is None:
         return asked
     is_same = asked.held.rest_mm is before.held.rest_mm
-    nothing = {"rest_mm": asked.held.rest_mm[:0], "triangles": asked.held.triangles[:0]} if is_same else {}
+    held = asked.held
+    if is_same:
+        held = replace(held, rest_mm=held.rest_mm[:0], triangles=held.triangles[:0])
     return replace(
         asked,
-        held=replace(asked.held, **nothing),
+        held=held,
         is_same_surface=is_same,
         cut=None if asked.cut is before.cut else asked.cut,
         whole=None,

@@ -25,6 +25,7 @@ from heartcase.schemas.recording.commands import (
     BringProbe,
     Cut,
     Done,
+    Entry,
     LeadGrab,
     MoveProbe,
     Navigation,
@@ -139,6 +140,7 @@ class Live:
         self._past: deque[tuple[float, int]] = deque()
         self._act_count = self._counted = 0
         self._cuts_done = CutsDone()
+        self._kept: list[Entry] = []
         self.newest = self._published(session.frame(surface=True))
 
     def start(self) -> None:
@@ -177,6 +179,15 @@ class Live:
         """Record into a folder, from the session's start on, until :meth:`stop_recording` or :meth:`close`."""
         self._ask([lambda: self._begin_to_record(path)])
 
+    def make_cuts(self) -> None:
+        """Make the cuts that were begun, also while time stands."""
+        self._ask([lambda: self.session.make_cuts(wait=True)])
+
+    def settle(self, seconds: float) -> None:
+        """Wait until all is done that was asked for by now, but no longer than so, s."""
+        self._ask([(done := threading.Event()).set])
+        done.wait(seconds)
+
     def stop_recording(self) -> None:
         """Finish the recording."""
         self._ask([self._finish_recording])
@@ -195,6 +206,16 @@ class Live:
     def is_leaving(self) -> bool:
         """Whether something lets go softly and is not done with it."""
         return bool(self._leaving) or bool(self._asked)
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether nothing would be lost: all acts are in a recording that is finished, or there are none."""
+        entries = self.session.entries
+        if self.session.is_as_recorded:
+            return True
+        known = self._kept
+        is_same = len(entries) >= len(known) and (not known or entries[len(known) - 1] is known[-1])
+        return is_same and not any(isinstance(one.command, _ACTS) for one in entries[len(known) :])
 
     def take_messages(self) -> list[str]:
         """What there is to be read since the last time."""
@@ -361,6 +382,7 @@ class Live:
         if recorder is not None:
             recorder.finish()
             if recorder.error is None:
+                self._kept = self.session.entries[:]
                 self._messages.append(f"recorded in {recorder.path.name}")
 
     def _drop_recorder(self, error: RecordingError) -> None:

@@ -32,6 +32,8 @@ __all__ = ["DAMPING_PER_S", "Stage", "open_stage"]
 DAMPING_PER_S = 30.0
 """Damping of all movement, 1/s."""
 _RECORDINGS_MAX = 10_000
+_KEEP_S = 60.0
+"""Longest time that is waited for a recording to be written, s."""
 
 
 class Stage:
@@ -117,6 +119,36 @@ class Stage:
             if path.name not in there and not path.exists():
                 self.live.record(path)
                 return
+
+    def keep(self) -> str | None:
+        """Write what was done into a recording where no recording has it yet, and wait for it.
+
+        Nothing else may be asked meanwhile.
+
+        Returns
+        -------
+        str or None
+            The recording's name; None where there was nothing to be kept.
+
+        Raises
+        ------
+        RecordingError
+            It cannot be kept.
+        """
+        live = self.live
+        if live.newest.frame.coming_cuts:
+            live.make_cuts()
+            live.settle(_KEEP_S)
+        if live.is_kept:
+            return None
+        before = set(self._found())
+        self.record()
+        live.stop_recording()
+        live.settle(_KEEP_S)
+        made = sorted(set(self._found()) - before)
+        if not live.is_kept or not made:
+            raise RecordingError("what was done cannot be written", place="recording")
+        return made[0]
 
     def spare_a_processor(self) -> None:
         """Leave a processor to a browser of this machine that draws without a graphics card."""

@@ -9,9 +9,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-from heartcase.schemas.errors import RecordingError, UsageError
+from heartcase.schemas.errors import HeartcaseError, RecordingError, UsageError
 from heartcase.simulator.live.live import Live
 from heartcase.studio.asking import request_id
+from heartcase.studio.idle import FREE_AFTER_S, Idle
 from heartcase.studio.messages import problems_of, text_message, told
 from heartcase.studio.operating.requests import (
     Act,
@@ -49,6 +50,8 @@ _LOOK_S = 0.05
 _LOOK_EVERY_S = 1.0
 """How often it is looked whether the case was built anew."""
 _OLDER = "the case was built anew, and what is shown is the one before: begin anew to see the new one"
+_FREED = "no page had this case open for {minutes:.0f} minutes, and it was closed: this is its beginning"
+_KEPT = _FREED + "; what was done is kept in the recording {name}: replay it to go on"
 _BUILT_ANEW = "the case was built anew: this is the new one, and the session on the one before has ended"
 
 
@@ -80,6 +83,8 @@ class Theatre:
         self._watching: asyncio.Task[None] | None = None
         self._resting: asyncio.Task[None] | None = None
         self._rests = False
+        self._idle = Idle(self._free)
+        self._freed: str | None = None
 
     async def join(self, page: Page) -> None:
         """Show a page the case, and then each moment."""
@@ -101,6 +106,7 @@ class Theatre:
                     self._rest_if_alone(stage)
                     return
                 self._greet(page, stage)
+                self._idle.end()
             except Exception as error:
                 page.send(text_message("failed", problems=self._problems(error)))
                 return
@@ -112,6 +118,9 @@ class Theatre:
             if self._rests:
                 self._rests = False
                 stage.live.pause(False)
+            if self._freed is not None:
+                self._tell(text_message("message", text=self._freed))
+                self._freed = None
             self._news.set()
 
     async def _newest_stage(self) -> tuple[Stage, bool]:
@@ -187,6 +196,7 @@ class Theatre:
     async def close(self) -> None:
         """End the session: what was begun is made, and what is recorded is finished."""
         self._waiting.clear()
+        self._idle.end()
         for page in tuple(self._viewers):
             await self.leave(page)
             page.close()
@@ -250,9 +260,11 @@ class Theatre:
                 return {"recordings": await self._run(stage.recordings)}
             case Replay() | Begin():
                 name = request.name if isinstance(request, Replay) else None
-                if name is None and (await self._newest_stage())[1]:
+                newest, is_another = await self._newest_stage()
+                if name is None and is_another:
                     return {}
-                await self._run(lambda: stage.begin() if name is None else stage.replay(name))
+                live = newest.live
+                await self._run(lambda: newest.begin() if name is None else newest.replay(name))
                 self._tell_all_of(live)
                 for one in self._viewers.values():
                     one.begin_anew()
@@ -318,10 +330,12 @@ class Theatre:
 
     async def _watch(self) -> None:
         """Tell pages once that the case they look at is no longer the one that lies there."""
-        told = None
+        told = stage = None
         while True:
             await asyncio.sleep(_LOOK_EVERY_S)
             stage = self._stage
+            if stage is None:
+                told = None
             if stage is None or stage is told or not self._viewers:
                 continue
             if not await self._run(partial(stage.is_of, self._case)) and self._stage is stage:
@@ -345,6 +359,28 @@ class Theatre:
     def _rest_if_alone(self, stage: Stage) -> None:
         if not self._viewers and self._resting is None:
             self._resting = asyncio.create_task(self._rest(stage))
+            self._idle.begin()
+
+    async def _free(self) -> None:
+        """Nobody had it open for long: leave it, unless it is recorded, or what was done cannot be kept."""
+        async with self._turn:
+            stage = self._stage
+            if stage is None or self._viewers or self._waiting or stage.live.newest.recording is not None:
+                return
+            try:
+                name = await self._run(stage.keep)
+            except HeartcaseError:
+                return
+            if self._stage is not stage:
+                return
+            words = _FREED if name is None else _KEPT
+            shown = None if name is None else name.removesuffix(".recording")
+            self._freed = words.format(minutes=FREE_AFTER_S / 60.0, name=shown)
+            if self._work is not None:
+                self._work.cancel()
+            # an ended task would hold on to what it worked on
+            self._stage = self._work = self._resting = None
+            await self._run(stage.close)
 
     async def _rest(self, stage: Stage) -> None:
         """Nobody looks: when instruments have let go, time stands until somebody does."""
