@@ -23,20 +23,29 @@ class Idle:
     def __init__(self, free: Callable[[], Awaitable[None]]) -> None:
         self._free = free
         self._task: asyncio.Task[None] | None = None
+        self._freeing: asyncio.Task[None] | None = None
+        self._is_closed = False
 
     def begin(self) -> None:
         """Nobody has it open any more."""
         self.end()
-        self._task = asyncio.create_task(self._wait())
+        if not self._is_closed:
+            self._task = asyncio.create_task(self._wait())
 
     def end(self) -> None:
-        """Somebody has it open, or it is closed; what is being freed by now is freed."""
+        """Somebody has it open; what is being freed by now is freed."""
         if self._task is not None:
             self._task.cancel()
             self._task = None
 
+    def close(self) -> None:
+        """It is closed, and is not freed any more."""
+        self._is_closed = True
+        self.end()
+
     async def _wait(self) -> None:
         await asyncio.sleep(FREE_AFTER_S)
         # from here on it is done to its end
-        self._task = None
+        self._freeing, self._task = self._task, None
         await self._free()
+        self._freeing = None

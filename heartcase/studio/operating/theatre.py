@@ -196,7 +196,7 @@ class Theatre:
     async def close(self) -> None:
         """End the session: what was begun is made, and what is recorded is finished."""
         self._waiting.clear()
-        self._idle.end()
+        self._idle.close()
         for page in tuple(self._viewers):
             await self.leave(page)
             page.close()

@@ -178,7 +178,7 @@ class Workplace:
     async def close(self) -> None:
         """End: a stroke that is not saved yet is saved."""
         self._waiting.clear()
-        self._idle.end()
+        self._idle.close()
         async with self._turn:
             # What is being opened is open first.
             self._states.close()
