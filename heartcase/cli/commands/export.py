@@ -202,7 +202,7 @@ def _page(case: Path, level: int) -> _Made:
     from heartcase.simulator.load import load_case
     from heartcase.studio.offline.web_page import web_page
 
-    loaded = load_case(case, needs=("surface", "structures"), level=level)
+    loaded = load_case(case, needs=("surface", "structures", "cell_labels"), level=level)
     return _Made(web_page(loaded), "the case as a page")
 
 

@@ -26,7 +26,7 @@ from heartcase.schemas.arrays import Bool, Float64
 from heartcase.schemas.labels import Label, LabelTable
 from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.recipe.edit_settings import Edit, SeptalDefect, edit_place
-from heartcase.schemas.recipe.settings import Stroke
+from heartcase.schemas.recipe.settings import ContactPlace, Stroke
 from heartcase.schemas.terms import Term, term_by_name
 
 __all__ = [
@@ -191,6 +191,16 @@ class Opening:
         """Whether a person must look at it."""
         return self.is_too_large or self.is_odd_size or self.verdict not in (Verdict.EXPECTED, Verdict.STATED)
 
+    def holds(self, points_mm: Float64, margin_mm: float) -> Bool:
+        """Which points, world mm, shape (n, 3), lie within the place that states it, or so near; none if none does."""
+        none: Bool = np.zeros(len(points_mm), np.bool_)
+        return none if self.statement is None else self.statement.covers(points_mm, margin_mm)
+
+    @property
+    def reach_mm(self) -> float:
+        """Distance from its centre to its farthest face, mm."""
+        return float(np.linalg.norm(self.points_mm - self.center_mm, axis=1).max(initial=0.0))
+
     def has_rim_at(self, points_mm: Float64, normals: Float64, reach_mm: float) -> Bool:
         """Which points of the tissue's border are its rim: near its faces, or on the wall of the canal it was cut by.
 
@@ -216,6 +226,7 @@ def find_openings(
     *,
     strokes: Sequence[Stroke] = (),
     connected: Sequence[tuple[str, str]] = (),
+    contacts: Sequence[ContactPlace] = (),
 ) -> tuple[Opening, ...]:
     """Find every place where two labels of blood or vessel lumen touch with no tissue between.
 
@@ -234,6 +245,8 @@ def find_openings(
         The recipe's strokes: those of two cavities that run into each other state an opening between them there.
     connected
         Names of pairs that the recipe says are open to each other, wherever they touch.
+    contacts
+        Places of ``walls.contact``: those that are open state an opening between their two.
 
     Returns
     -------
@@ -246,6 +259,7 @@ def find_openings(
         *_stated_by_edits(edits),
         *_stated_by_landmarks(landmarks),
         *_stated_by_strokes(strokes, labels.table),
+        *_stated_by_contacts(contacts, labels.table),
         *_stated_by_pairs(connected, labels.table),
     )
     contact = find_contact(structures, labels, [one.line_mm for one in statements if one.axis is not None])
@@ -296,6 +310,9 @@ def opening_figures(openings: Sequence[Opening]) -> list[dict[str, Any]]:
             figure["stated_by"] = one.stated_by
         if one.asked_mm2 is not None:
             figure["asked_mm2"] = round(one.asked_mm2, 1)
+        if one.verdict not in (Verdict.EXPECTED, Verdict.STATED):
+            # what has to be said to state it
+            figure["reach_mm"] = round(one.reach_mm, 1)
         figures.append(figure)
     return figures
 
@@ -403,6 +420,13 @@ def _stated_by_pairs(pairs: Sequence[tuple[str, str]], table: LabelTable) -> Ite
     for names in pairs:
         low, high = sorted(table[name].value for name in names)
         yield _Statement("walls.connected", np.zeros(3), math.inf, values=(low, high))
+
+
+def _stated_by_contacts(places: Sequence[ContactPlace], table: LabelTable) -> Iterator[_Statement]:
+    for number, one in enumerate(places, start=1):
+        if one.is_open:
+            low, high = sorted(table[name].value for name in one.between)
+            yield _Statement(f"walls.contact[{number}]", np.array(one.position_mm), one.radius_mm, values=(low, high))
 
 
 def _warnings_of(one: Opening) -> Iterator[CaseWarning]:

@@ -22,6 +22,7 @@ from heartcase.schemas.labels import LabelTable
 from heartcase.schemas.recipe.settings import SegmentSettings, Stroke
 
 if TYPE_CHECKING:
+    from heartcase.pipeline.markers.suggest import RightPlace
     from heartcase.pipeline.markers.states import StillSegmentation
     from heartcase.pipeline.markers.suggest import StrokePlaces
 
@@ -95,6 +96,7 @@ class SegmentationSession:
         self._undone: list[Stroke] = []
         self._changed: Box | None = None
         self._locks = Locks((), self._forest.labels)
+        self.right_places: tuple[RightPlace, ...] = ()
         # the lists that a first stroke would otherwise wait for
         _ = tree.voxels, tree.neighbours
 
@@ -315,7 +317,7 @@ class SegmentationSession:
         forest = self._forest
         names = ("painted", "marks", "foot_label", "foot_level", "lowest_mark", "flat_label", "labels")
         copies = {name: getattr(forest, name).copy() for name in names}
-        return StillSegmentation(replace(forest, **copies), self.geometry, self.table)
+        return StillSegmentation(replace(forest, **copies), self.geometry, self.table, self.right_places)
 
     @property
     def marked(self) -> UInt8:
@@ -355,7 +357,7 @@ class SegmentationSession:
         from heartcase.pipeline.markers.suggest import suggest_strokes
 
         self._check_that_anything_is_marked()
-        return suggest_strokes(self._forest, self.geometry, count=count)
+        return suggest_strokes(self._forest, self.geometry, count=count, right=self.right_places)
 
     def _check_that_anything_is_marked(self) -> None:
         if self._forest.labels.flat[0] == UNMARKED:

@@ -2,29 +2,52 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
+
+from heartcase.schemas.arrays import Float32
 from heartcase.schemas.recording.commands import Cut
 from heartcase.simulator.incisions.held_open import ShownHeart
+from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.session.frame import Frame
 from heartcase.simulator.session.operating_session import OperatingSession
+from heartcase.simulator.surface.deform import SurfaceModel, deform
 
-__all__ = ["CutsDone"]
+__all__ = ["CutsDone", "Moment"]
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """Where the heart was, so that its surface can be worked out when it is asked for."""
+
+    model: LatticeModel
+    """The lattice."""
+    surface: SurfaceModel
+    """The surface over it."""
+    displacement: Float32
+    """Displacement of the nodes [cells, grid axes], shape (node_count, 3)."""
+
+    @cached_property
+    def heart(self) -> ShownHeart:
+        """The surface then."""
+        return ShownHeart.of(self.surface, deform(self.model, self.surface, self.displacement))
 
 
 class CutsDone:
     """Cuts of a session so far, kept up with it frame by frame.
 
-    ``cuts`` are those that are done, in their order; the same tuple while nothing changes. ``unheld`` is the surface
+    ``cuts`` are those that are done, in their order; the same tuple while nothing changes. ``unheld`` is the moment
     when it was last seen cut with no instrument in it; None where it was not seen so.
     """
 
     def __init__(self) -> None:
         self.cuts: tuple[Cut, ...] = ()
-        self.unheld: ShownHeart | None = None
+        self.unheld: Moment | None = None
         self._unheld_cuts: tuple[Cut, ...] = ()
         self._counted = 0
 
     def note(self, session: OperatingSession, frame: Frame) -> None:
-        """Take in where the session is; ``frame`` shows it with its surface."""
+        """Take in where the session is; ``frame`` shows it."""
         position = session.position
         known = self.cuts
         if position < self._counted:
@@ -37,5 +60,6 @@ class CutsDone:
         if self.cuts[: len(self._unheld_cuts)] != self._unheld_cuts:
             self.unheld, self._unheld_cuts = None, ()
         surface = session.simulation.surface
-        if self.cuts and not frame.instruments and frame.surface is not None and surface is not None:
-            self.unheld, self._unheld_cuts = ShownHeart.of(surface, frame.surface), self.cuts
+        if self.cuts and not frame.instruments and surface is not None:
+            self.unheld = Moment(frame.model, surface, frame.state.displacement)
+            self._unheld_cuts = self.cuts

@@ -25,6 +25,7 @@ from heartcase.simulator.incisions.blade_line import incision_of_blade
 from heartcase.simulator.incisions.figures import IncisionFigures
 from heartcase.simulator.incisions.held_open import Incision, ShownHeart, seen_through
 from heartcase.simulator.lattice.model import LatticeModel
+from heartcase.simulator.live.cuts_done import Moment
 from heartcase.simulator.live.live import LiveFrame
 
 __all__ = ["HELD_BY", "FiguresWorker", "LiveFigures", "figures_of"]
@@ -129,7 +130,6 @@ def _question(
     live: LiveFrame, whole: ShownHeart, landmarks: tuple[Landmark, ...], incision: int, *, reaches: bool
 ) -> _Question:
     frame = live.frame
-    assert frame.surface is not None
     return _Question(
         step=frame.step,
         time_s=frame.time_s,
@@ -139,9 +139,9 @@ def _question(
         landmarks=landmarks,
         model=frame.model,
         displacement=frame.state.displacement,
-        held=ShownHeart.of(live.surface, frame.surface),
+        held=Moment(frame.model, live.surface, frame.state.displacement).heart,
         is_same_surface=False,
-        unheld=live.unheld,
+        unheld=None if live.unheld is None else live.unheld.heart,
         keeps_unheld=False,
         hand_force_n={
             name: float(np.linalg.norm(one.force_n)) for name, one in frame.instruments.items() if one.kind in HELD_BY

@@ -32,8 +32,8 @@ from heartcase.schemas.recording.commands import (
     OpenGrab,
     WithdrawProbe,
 )
-from heartcase.simulator.incisions.held_open import ShownHeart
-from heartcase.simulator.live.cuts_done import CutsDone
+from heartcase.simulator.cutting.cuts import Cuts
+from heartcase.simulator.live.cuts_done import CutsDone, Moment
 from heartcase.simulator.live.goals import SOFT_SPEED_MM_S, Goals
 from heartcase.simulator.live.tool import Held, Turn
 from heartcase.simulator.session.frame import Frame
@@ -48,8 +48,6 @@ FRAME_S = 1.0 / 40.0
 """Time from frame to frame where the machine keeps up, s."""
 _ACTS = get_args(Act)
 _NAVIGATION = get_args(Navigation)
-_SLOWEST = 2.5
-"""How many times longer a frame may take where it does not: the time is for steps."""
 _STEPS_LEAST = 0.4
 """Part of a frame's steps that is taken however long they take: time goes on."""
 _STEPS_DOWN, _STEPS_UP = 0.7, 1.15
@@ -65,12 +63,14 @@ class LiveFrame:
     """A moment, with all that a window or a page shows of it. Nothing of it changes later."""
 
     frame: Frame
-    """Tissue, instruments and stitches, with the visible surface."""
+    """Tissue, instruments and stitches, with the visible surface where it is wanted."""
     surface: SurfaceModel
     """What the surface's vertices follow, and its triangles."""
     triangle_origin: Int32 | None
     """Triangle of the uncut surface that each is a part of, -1 for cut faces, shape (triangle_count,); None where
     nothing is cut."""
+    tissue_cuts: Cuts | None
+    """All that was cut of the lattice; None where nothing is."""
     held: tuple[Held, ...]
     """What holds tissue."""
     probes: dict[str, Float64]
@@ -89,7 +89,7 @@ class LiveFrame:
     """Acts that are done."""
     cuts: tuple[Cut, ...] = ()
     """Cuts that are done, as the history has them: at rest. The same object while they are the same."""
-    unheld: ShownHeart | None = None
+    unheld: Moment | None = None
     """The surface when it was last seen cut with no instrument in it; None where it was not seen so."""
 
 
@@ -107,6 +107,10 @@ class Live:
         What the case says of itself, for recordings.
     frame_s
         Time from frame to frame where the machine keeps up, s.
+    slowest
+        How many times longer a frame may take where it does not: the time is for steps.
+    shows_surface
+        Whether frames have the surface; what places it itself does without.
     heard
         Called by the session's thread whenever there is a new frame, or the thread ended; it must return at once.
     """
@@ -117,12 +121,16 @@ class Live:
         *,
         manifest: CaseManifest | None = None,
         frame_s: float = FRAME_S,
+        slowest: float = 2.5,
+        shows_surface: bool = True,
         heard: Callable[[], None] = lambda: None,
     ) -> None:
         self.session = session
         self.error: BaseException | None = None
         self._manifest = manifest
         self._frame_s = frame_s
+        self._slowest = slowest
+        self._shows_surface = shows_surface
         self._heard = heard
         self._goals = Goals()
         self._leaving: dict[str, Done] = {}
@@ -141,7 +149,7 @@ class Live:
         self._act_count = self._counted = 0
         self._cuts_done = CutsDone()
         self._kept: list[Entry] = []
-        self.newest = self._published(session.frame(surface=True))
+        self.newest = self._published(session.frame(surface=self._shows_surface))
 
     def start(self) -> None:
         """Begin to run."""
@@ -239,7 +247,7 @@ class Live:
             steps = self._steps_due(self._frame_s if self._ticked is None else began - self._ticked)
             self._ticked = began
             motions = self._goals.commands(_places_mm(self.session.simulation), steps * self.session.simulation.step_s)
-            frame = self.session.take(motions, steps, surface=True)
+            frame = self.session.take(motions, steps, surface=self._shows_surface)
             for refusal in frame.refused:
                 self._messages.extend(str(problem) for problem in refusal.problems)
             if frame.breakdown is not None:
@@ -249,7 +257,7 @@ class Live:
             self._publish(frame)
             self._learn(time.perf_counter() - began)
         elif has_work:
-            self._publish(self.session.frame(surface=True))
+            self._publish(self.session.frame(surface=self._shows_surface))
 
     def _ask(self, what: Iterable[Done | Navigation | Callable[[], None]]) -> None:
         with self._wake:
@@ -329,7 +337,7 @@ class Live:
     def _begin_to_play(self) -> None:
         self._goals.drop()
         self._set_mode("playing")
-        self._played = self.session.play(surface=True)
+        self._played = self.session.play(surface=self._shows_surface)
 
     def _play_on(self) -> None:
         """Do again the next row of steps, in its own time."""
@@ -342,7 +350,7 @@ class Live:
             frame = None
         if frame is None:
             self._set_mode("paused")
-            frame = self.session.frame(surface=True)
+            frame = self.session.frame(surface=self._shows_surface)
         else:
             seconds = (self.session.step_count - before) * self.session.simulation.step_s
             spare = seconds - (time.perf_counter() - began) - self._frame_s
@@ -354,7 +362,7 @@ class Live:
     def _steps_due(self, elapsed_s: float) -> int:
         """How many steps the next frame takes: as much time as went by, or as many as there is time for."""
         step_s = self.session.simulation.step_s
-        most_s = _SLOWEST * self._frame_s
+        most_s = self._slowest * self._frame_s
         wanted = min(max(elapsed_s, self._frame_s), most_s) / step_s + self._part
         steps = max(1, int(min(wanted, self._steps_most)))
         self._part = min(wanted - steps, 1.0)
@@ -362,9 +370,9 @@ class Live:
 
     def _learn(self, took_s: float) -> None:
         """Let the next frame take more steps or fewer, by how long this one took with all else that it does."""
-        real_time, longest = self._frame_s / self.session.simulation.step_s, _SLOWEST * self._frame_s
+        real_time, longest = self._frame_s / self.session.simulation.step_s, self._slowest * self._frame_s
         change = min(max(longest / max(took_s, 1e-6), _STEPS_DOWN), _STEPS_UP)
-        self._steps_most = min(max(self._steps_most * change, _STEPS_LEAST * real_time), _SLOWEST * real_time)
+        self._steps_most = min(max(self._steps_most * change, _STEPS_LEAST * real_time), self._slowest * real_time)
 
     def _measure(self) -> None:
         now = time.perf_counter()
@@ -452,6 +460,7 @@ def moment_of(session: OperatingSession, frame: Frame | None = None) -> LiveFram
         frame=frame or session.frame(surface=True),
         surface=simulation.surface,
         triangle_origin=None if simulation.split is None else simulation.split.triangle_origin,
+        tissue_cuts=simulation.cuts,
         held=_held(simulation),
         probes=_probes(simulation),
         mode="paused",

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from heartcase.schemas.arrays import UInt8
 from heartcase.simulator.live.live import LiveFrame, moment_of
 from heartcase.simulator.live.shapes import Structures
 from heartcase.simulator.load import Case
@@ -24,6 +25,7 @@ from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.simulation import Simulation
 from heartcase.studio.offline.bundling import bundled_script
 from heartcase.studio.offline.spring_arrays import spring_arrays
+from heartcase.studio.operating.cell_labels import CellLabels
 from heartcase.studio.operating.packing import SCALE_LEAST, Rounded, frame_message, packed, topology_message
 from heartcase.studio.operating.viewer import described, patch_arrays
 
@@ -53,7 +55,7 @@ def web_page(case: Case, recordings: Sequence[Recorded] = (), *, frames_per_seco
     Parameters
     ----------
     case
-        The case, loaded with its surface and structures.
+        The case, loaded with its surface and structures; with ``cell_labels`` too for planes that cut it open.
     recordings
         Recordings of it.
     frames_per_second
@@ -61,11 +63,16 @@ def web_page(case: Case, recordings: Sequence[Recorded] = (), *, frames_per_seco
     """
     assert case.triangle_structures is not None
     structures = Structures(case.manifest, case.triangle_structures)
+    labels = None if case.cell_labels is None else CellLabels(case)
     start = moment_of(OperatingSession(Simulation(case.model, surface=case.surface)))
     parts = _Parts()
-    first = [parts.number(topology_message(1, start, structures.of(start))), parts.number(_springs(case))]
+    topology = topology_message(1, start, structures.of(start), cell_labels=_of(labels, start))
+    first = [parts.number(topology), parts.number(_springs(case))]
     table = [
-        {"name": recording.name, "parts": [parts.number(one) for one in _messages(recording.moments, structures)]}
+        {
+            "name": recording.name,
+            "parts": [parts.number(one) for one in _messages(recording.moments, structures, labels)],
+        }
         for recording in recordings
     ]
     contents = {
@@ -91,6 +98,7 @@ def _facts(case: Case, structures: Structures, frames_per_second: float) -> dict
             {"value": one.number, "name": one.name, "colour": "#{:02x}{:02x}{:02x}".format(*one.colour)}
             for one in structures.all
         ],
+        "tissue_inside": [] if case.cell_labels is None else CellLabels(case).inside(structures),
         "box_mm": [low.tolist(), high.tolist()],
         "place": {
             "origin_mm": model.geometry.index_to_world(np.zeros(3)).tolist(),
@@ -108,14 +116,18 @@ def _springs(case: Case) -> bytes:
     return packed({"kind": "springs", "facts": facts}, found)
 
 
-def _messages(moments: Iterable[LiveFrame], structures: Structures) -> list[bytes]:
+def _of(labels: CellLabels | None, moment: LiveFrame) -> UInt8 | None:
+    return None if labels is None else labels.of(moment.frame.model)
+
+
+def _messages(moments: Iterable[LiveFrame], structures: Structures, labels: CellLabels | None) -> list[bytes]:
     """Topologies and frames of some moments, as a page that has shown none of them takes them."""
     found: list[bytes] = []
     shown, sent, number = None, None, 0
     for moment in moments:
         if shown is None or moment.surface is not shown.surface or moment.frame.model is not shown.frame.model:
             number += 1
-            found.append(topology_message(number, moment, structures.of(moment)))
+            found.append(topology_message(number, moment, structures.of(moment), cell_labels=_of(labels, moment)))
             if shown is None or moment.frame.model.node_count != shown.frame.model.node_count:
                 sent = None
         rounded = Rounded.of(moment.frame.state.displacement, SCALE_LEAST if sent is None else sent.scale)

@@ -15,11 +15,14 @@ __all__ = [
     "Act",
     "Along",
     "Begin",
+    "Coarser",
+    "CutOpen",
     "Figures",
     "Hide",
     "HoldOpen",
     "LetGo",
     "Look",
+    "Plane",
     "Planned",
     "Play",
     "Point",
@@ -179,6 +182,32 @@ class Hide(_Asked):
     """Their numbers."""
 
 
+class Plane(Model):
+    """A plane that opens the heart."""
+
+    normal: Direction
+    """To what is taken away, LPS."""
+    point_mm: PointMm
+    """A point of it, LPS mm."""
+
+    @model_validator(mode="after")
+    def _is_a_plane(self) -> Plane:
+        if np.abs([self.point_mm, self.normal]).max() > _FAR_MM:
+            raise ValueError(f"a plane is at most {_FAR_MM:g} mm away")
+        if np.linalg.norm(self.normal) < 1.0 / _FAR_MM:
+            raise ValueError("a direction this short says nothing")
+        return self
+
+
+class CutOpen(_Asked):
+    """Where this page cuts the heart open: what is taken away cannot be pointed at from it."""
+
+    do: Literal["cut_open"]
+    """Which request."""
+    plane: Plane | None
+    """Where; null where it does not."""
+
+
 class Strain(_Asked):
     """Send how far the tissue is stretched, too."""
 
@@ -186,6 +215,13 @@ class Strain(_Asked):
     """Which request."""
     shown: bool
     """Whether it is wanted."""
+
+
+class Coarser(_Asked):
+    """Send coarser levels of detail of the surface, too: for a page that cannot draw the finest while it moves."""
+
+    do: Literal["coarser"]
+    """Which request."""
 
 
 class Figures(_Asked):
@@ -242,7 +278,9 @@ Request = (
     | Replay
     | Begin
     | Hide
+    | CutOpen
     | Strain
+    | Coarser
     | Figures
     | Planned
     | HoldOpen

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from heartcase.schemas.bundle.manifest import manifest_bytes
 from heartcase.schemas.errors import HeartcaseError, RecordingError, UsageError
 from heartcase.schemas.recording.reader import open_recording
 from heartcase.simulator.incisions.strain import vertex_colours
-from heartcase.simulator.live.live import Live, LiveFrame
+from heartcase.simulator.live.live import FRAME_S, Live, LiveFrame
 from heartcase.simulator.live.shapes import CUT_FACES, STRETCH_SHOWN, Structures
 from heartcase.simulator.live.strain_worker import StrainWorker
 from heartcase.simulator.live.tools import TOOLS
@@ -22,6 +22,9 @@ from heartcase.simulator.load import Case, load_case
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.replay import load_session
 from heartcase.simulator.simulation import SLEEP_MM, Simulation
+from heartcase.studio.operating.cell_labels import CellLabels
+from heartcase.studio.operating.coarser import CoarseLevel, CoarserWorker, load_coarser
+from heartcase.studio.operating.heart_axes import heart_axes
 from heartcase.studio.operating.incisions import Incisions
 from heartcase.studio.operating.live_figures import ShownFigures
 from heartcase.studio.operating.normal_map import NormalMap, load_normal_map
@@ -31,6 +34,8 @@ __all__ = ["DAMPING_PER_S", "Stage", "open_stage"]
 
 DAMPING_PER_S = 30.0
 """Damping of all movement, 1/s."""
+_SLOWEST_FRAME_S = 1.0 / 30.0
+"""How long a frame takes at most where the machine does not keep up, s: then time goes slower, not the pictures."""
 _RECORDINGS_MAX = 10_000
 _KEEP_S = 60.0
 """Longest time that is waited for a recording to be written, s."""
@@ -42,15 +47,19 @@ class Stage:
     Parameters
     ----------
     case
-        The case, loaded with surface, structures and tissue.
+        The case, loaded with surface, structures, tissue and the labels of its cells.
     out
         Folder that recordings are put into, and taken from.
     heard
         Called by the session's thread when there is a new frame.
     normal_map
         The case's normal map, where it has one.
+    coarser
+        The surface at coarser levels of detail, where the case has them.
     sha256
         Hash of the case's manifest, which lists the hash of each file; None where it is not known.
+    axes
+        The heart's own planes, as :func:`heartcase.studio.operating.heart_axes.heart_axes` finds them.
     """
 
     def __init__(
@@ -60,7 +69,9 @@ class Stage:
         heard: Callable[[], None],
         normal_map: NormalMap | None = None,
         *,
+        coarser: tuple[CoarseLevel, ...] = (),
         sha256: str | None = None,
+        axes: Mapping[str, Any] | None = None,
     ) -> None:
         assert case.triangle_structures is not None
         self._case = case
@@ -68,8 +79,12 @@ class Stage:
         self._heard = heard
         self.normal_map = normal_map
         self._sha256 = sha256
+        self._axes = axes or {"planes": {}, "centre_mm": None}
         self.structures = Structures(case.manifest, case.triangle_structures)
+        self.cell_labels = CellLabels(case)
         self._strain: StrainWorker | None = None
+        self._levels = coarser
+        self._coarser: CoarserWorker | None = None
         self._spares = False
         self.incisions = Incisions(case)
         self.figures = ShownFigures(self.incisions, case.manifest.landmarks, heard)
@@ -79,6 +94,7 @@ class Stage:
         """End the session; a recording is finished."""
         self.live.close()
         self.show_strain(False)
+        self.show_coarser(False)
         self.figures.show(False)
 
     def is_of(self, path: Path) -> bool:
@@ -192,6 +208,24 @@ class Stage:
             self._strain.close()
             self._strain = None
 
+    def show_coarser(self, is_wanted: bool) -> None:
+        """Have the coarser levels of detail follow what is cut, or leave them."""
+        if is_wanted and self._coarser is None and self._levels:
+            self._coarser = CoarserWorker(self._levels, self._heard)
+        elif not is_wanted and self._coarser is not None:
+            self._coarser.close()
+            self._coarser = None
+
+    def coarser(self, live: LiveFrame) -> tuple[CoarseLevel, ...]:
+        """The coarser levels of a moment; none where they are not known yet, or there are none."""
+        if self._coarser is None:
+            return ()
+        known = self._coarser.newest
+        if known is not None and known[0] is live.surface:
+            return known[1]
+        self._coarser.ask(live)
+        return ()
+
     def stretch(self, live: LiveFrame) -> Any:
         """Stretch around each node as bytes, of a moment of late; None where it is not known of this lattice."""
         if self._strain is None:
@@ -212,7 +246,9 @@ class Stage:
                 {"value": one.number, "name": one.name, "colour": "#{:02x}{:02x}{:02x}".format(*one.colour)}
                 for one in self.structures.all
             ],
+            "tissue_inside": self.cell_labels.inside(self.structures),
             "cut_faces": CUT_FACES,
+            "heart_axes": self._axes,
             "tools": [
                 {"key": tool.key, "size_words": tool.size_words, "size": tool.size, "sizes": tool.sizes}
                 for tool in TOOLS
@@ -246,7 +282,13 @@ class Stage:
     def _started(self, session: OperatingSession, *, plays: bool = False) -> Live:
         session.simulation.prepare()
         session.simulation.prepare_cuts()
-        live = Live(session, manifest=self._case.manifest, heard=self._heard)
+        live = Live(
+            session,
+            manifest=self._case.manifest,
+            slowest=_SLOWEST_FRAME_S / FRAME_S,
+            shows_surface=False,
+            heard=self._heard,
+        )
         if self._spares:
             live.spare_a_processor()
         if plays:
@@ -272,12 +314,13 @@ def open_stage(path: Path, *, out: Path, heard: Callable[[], None]) -> Stage:
     """
     while True:
         sha256 = _manifest_sha256(path)
-        case = load_case(path, needs=("surface", "structures", "tissue"))
+        case = load_case(path, needs=("surface", "structures", "tissue", "cell_labels"))
         assert case.surface is not None
-        normal_map = load_normal_map(path, case.surface)
+        normal_map, axes = load_normal_map(path, case.surface), heart_axes(path)
+        coarser = load_coarser(path)
         # A build may have put another case there meanwhile.
         if _manifest_sha256(path) == sha256:
-            return Stage(case, out, heard, normal_map, sha256=sha256)
+            return Stage(case, out, heard, normal_map, coarser=coarser, sha256=sha256, axes=axes)
 
 
 def _manifest_sha256(path: Path) -> str | None:

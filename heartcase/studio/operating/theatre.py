@@ -18,6 +18,8 @@ from heartcase.studio.operating.requests import (
     Act,
     Along,
     Begin,
+    Coarser,
+    CutOpen,
     Figures,
     Hide,
     HoldOpen,
@@ -161,6 +163,7 @@ class Theatre:
             if self._stage is None:
                 return
             await self._update_strain()
+            await self._update_coarser()
             await self._update_figures()
             self._rest_if_alone(self._stage)
 
@@ -271,9 +274,15 @@ class Theatre:
                 self._news.set()
             case Hide():
                 viewer.hidden = frozenset(request.structures)
+            case CutOpen():
+                viewer.cut_open(request.plane)
             case Strain():
                 viewer.wants_strain = request.shown
                 await self._update_strain()
+                self._news.set()
+            case Coarser():
+                viewer.wants_coarser = True
+                await self._update_coarser()
                 self._news.set()
             case Figures():
                 viewer.wants_figures = request.shown
@@ -298,6 +307,11 @@ class Theatre:
         stage, is_wanted = self._stage, any(one.wants_strain for one in self._viewers.values())
         if stage is not None:
             await self._run(lambda: stage.show_strain(is_wanted))
+
+    async def _update_coarser(self) -> None:
+        stage, is_wanted = self._stage, any(one.wants_coarser for one in self._viewers.values())
+        if stage is not None:
+            await self._run(lambda: stage.show_coarser(is_wanted))
 
     async def _show_on(self) -> None:
         """Show each page what is new, again and again."""

@@ -56,7 +56,7 @@ function run() {
   const preview = runPreview(views, (request) => connection.ask(request), (error) => fault(error));
   hands.lookAt = (mm) => views.lookAt(mm);
   hands.labelValueAt = (voxel) => views.volume?.labelAt(voxel) ?? null;
-  new ShapePanel(find("panel-shape"), studio, views, shaping, hands);
+  const shapePanel = new ShapePanel(find("panel-shape"), studio, views, shaping, hands);
   views.over.push((view, thickness) => drawLines(view.pen, view.camera, studio.crosshair.value, thickness, shaping));
   views.overSolid.push((view) => drawLinesOnSolid(view.pen, view.camera, studio.crosshair.value, shaping));
   for (const signal of [shaping.shape, shaping.selected, shaping.draft, shaping.isOpen]) {
@@ -66,7 +66,7 @@ function run() {
     status.clear();
     connection.ask({ do: "lock", label, locked }).catch((error) => fault(error));
   });
-  const parts = { place: find("place"), checklist: find("checklist") };
+  const parts = { place: find("place"), right: find("place-right"), checklist: find("checklist") };
   const guide = new Guide(studio, views, (request) => connection.ask(request), parts, (error) => fault(error));
 
   /** @param {"undo" | "redo"} what */
@@ -80,6 +80,7 @@ function run() {
     undo: () => step("undo"),
     redo: () => step("redo"),
     nextPlace: () => void guide.next(),
+    placeRight: () => void guide.confirm(),
     fit: () => views.fit(),
     shape: () => find("tab-shape").click(),
     removeShape: () => {
@@ -122,6 +123,7 @@ function run() {
     else if (message.kind === "refused" && message.id === null) status.refused(message.problems ?? []);
     else if (message.kind === "structures") {
       preview.refresh();
+      shapePanel.tellLumens();
       structures.tell(message.volumes_ml ?? {}, message.marked, message.locked ?? []);
       guide.tell(message.checklist ?? []);
     } else if (message.kind === "shaping_facts") shaping.facts.value = /** @type {any} */ (message);
@@ -201,7 +203,7 @@ function run() {
   }
 
   connection.open();
-  new BuildTab(studio, views, (error) => fault(error));
+  new BuildTab(studio, views, shaping, (request) => connection.ask(request), (error) => fault(error));
 }
 
 try {

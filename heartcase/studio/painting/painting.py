@@ -26,8 +26,21 @@ from heartcase.schemas.toml_places import Place
 from heartcase.studio.messages import labels_message, scan_message, surface_message, text_message
 from heartcase.studio.painting.drafts import Draft
 from heartcase.studio.painting.locks import lock_again, lock_label
+from heartcase.studio.painting.place_picture import place_picture
 from heartcase.studio.painting.planes import planes_message
-from heartcase.studio.painting.requests import End, Extend, History, Lock, Paint, Planes, Request, Suggest
+from heartcase.studio.painting.requests import (
+    Confirm,
+    End,
+    Extend,
+    History,
+    Lock,
+    Paint,
+    Picture,
+    Planes,
+    Request,
+    Suggest,
+)
+from heartcase.studio.painting.right_places import confirm_again, confirm_place
 from heartcase.studio.shaping.facts import shaping_facts
 from heartcase.studio.shaping.requests import Add, Change, FindEnds, Preview, Propose, Remove, Set
 from heartcase.studio.shaping.shaping import Shaping
@@ -73,7 +86,9 @@ class Painting:
         self._shaping = Shaping(history, opened.session)
         self._drawn_by: object | None = None
         self._locks = locks
+        self._right = locks.with_name(locks.name.replace(".locks.", ".right."))
         lock_again(opened.session, locks)
+        confirm_again(opened.session, self._right)
 
     @property
     def is_stale(self) -> bool:
@@ -160,10 +175,17 @@ class Painting:
             case Suggest():
                 found = session.suggest(count=request.count).as_json(session.table)
                 return Answer(done=text_message("places", id=request.id, **found))
+            case Confirm():
+                confirm_place(session, request.position_mm, request.label, request.rival, file=self._right)
+                return Answer(done=self._done(request))
             case Lock():
                 self._close_stroke()
                 lock_label(session, request.label, is_locked=request.locked, file=self._locks)
                 return Answer((self._structures(), self._done()), self._done(request))
+            case Picture():
+                scan = self._opened.scan
+                url = place_picture(scan, session.labels, session.table, request.position_mm, _window(scan))
+                return Answer(done=text_message("picture", id=request.id, url=url))
             case Planes():
                 return Answer(done=planes_message(request.id, session, self._history.recipe.landmarks))
 

@@ -15,7 +15,14 @@ from heartcase.schemas.labels import Label
 from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.recipe.edit_settings import Edit
 from heartcase.schemas.recipe.recipe import AUTOMATIC, Recipe
-from heartcase.schemas.recipe.settings import EndMarker, MaterialSettings, Pin, SeptumThickness, WallThickness
+from heartcase.schemas.recipe.settings import (
+    ContactPlace,
+    EndMarker,
+    MaterialSettings,
+    Pin,
+    SeptumThickness,
+    WallThickness,
+)
 from heartcase.schemas.toml_places import Place
 from heartcase.studio.shaping.facts import LINES, SETTINGS
 from heartcase.studio.shaping.requests import Add, Change, Remove, Set
@@ -29,6 +36,7 @@ _LINES: dict[str, TypeAdapter[Any]] = {
     "pins": TypeAdapter(Pin),
     "walls.thickness": TypeAdapter(WallThickness),
     "walls.septum": TypeAdapter(SeptumThickness),
+    "walls.contact": TypeAdapter(ContactPlace),
 }
 _BARE = ("smooth", "fill", "keep_largest", "remove_islands")
 """Edits that come before all others, whatever their place: a build refuses some of them behind others."""

@@ -22,7 +22,7 @@ __all__ = [
 ]
 
 
-ListName = Literal["ends", "edits", "landmarks", "pins", "walls.thickness", "walls.septum"]
+ListName = Literal["ends", "edits", "landmarks", "pins", "walls.thickness", "walls.septum", "walls.contact"]
 """Lists of the recipe that a page changes."""
 
 _Entry = dict[Annotated[str, Field(max_length=64)], JsonValue]

@@ -81,7 +81,7 @@ async function run() {
   });
 
   function paint() {
-    picture.heart.paint(panel.structures, panel.hidden);
+    picture.heart.paint([...panel.structures, ...facts.tissue_inside], panel.hidden);
     picture.redraw();
   }
 
@@ -281,18 +281,17 @@ async function run() {
     const [low, high] = box;
     const chosen = cut.axis.value;
     cut.depth.disabled = chosen === "";
-    const plane = picture.heart.uniforms.cutPlane.value;
-    if (chosen === "") plane.set(0, 0, 0, 1);
-    else {
+    const { plane } = picture;
+    if (chosen !== "") {
       const axis = Number(chosen.slice(1));
       const sign = chosen[0] === "+" ? 1 : -1;
+      /** @type {import("../operating/camera.js").Vector} */
       const normal = [0, 0, 0];
       normal[axis] = sign;
-      const part = Number(cut.depth.value) / 100;
-      const at = sign > 0 ? high[axis] - part * (high[axis] - low[axis]) : low[axis] + part * (high[axis] - low[axis]);
-      plane.set(normal[0], normal[1], normal[2], sign * at);
+      plane.put(normal);
+      plane.move((0.5 - Number(cut.depth.value) / 100) * (high[axis] - low[axis]));
     }
-    picture.redraw();
+    plane.show(chosen !== "");
   }
   cut.axis.addEventListener("change", setPlane);
   cut.depth.addEventListener("input", setPlane);
@@ -339,6 +338,7 @@ async function run() {
   panel.showRecordings(data.recordings.map(({ name }) => name));
   find("tab-recordings").hidden = data.recordings.length === 0;
   picture.camera.frame(...box);
+  picture.plane.setBox(...box);
   showStart();
   paint();
   language.listen(() => {

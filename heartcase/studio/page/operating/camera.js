@@ -20,7 +20,7 @@ export function unit(a) {
 }
 
 /** @param {Vector} a @param {Vector} axis of unit length @param {number} angle @returns {Vector} */
-function turned(a, axis, angle) {
+export function turned(a, axis, angle) {
   const along = dot(a, axis) * (1 - Math.cos(angle));
   const aside = cross(axis, a);
   return add(add([a[0] * Math.cos(angle), a[1] * Math.cos(angle), a[2] * Math.cos(angle)], aside, Math.sin(angle)), axis, along);
@@ -54,6 +54,12 @@ export class Camera {
     this.towards = unit(from);
     this.right = unit(cross([0, 0, 1], this.towards));
     this.up = cross(this.towards, this.right);
+  }
+
+  /** @param {Vector} right on the screen @param {Vector} up on the screen; both of unit length */
+  stand(right, up) {
+    [this.right, this.up] = [right, up];
+    this.towards = unit(cross(right, up));
   }
 
   /** @returns {Vector} */

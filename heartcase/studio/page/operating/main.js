@@ -10,6 +10,7 @@ import { LiveFigures } from "./figures.js";
 import { arraysOf } from "./messages.js";
 import { Panel } from "./panel.js";
 import { NoGraphics, Picture } from "./picture.js";
+import { PlaneControls } from "./plane_controls.js";
 import { Pointer } from "./pointer.js";
 import { TimeLine } from "./time_line.js";
 
@@ -67,11 +68,12 @@ function run() {
     forget();
     return connection.ask({ do: "command", command: { kind: "go_to", step } });
   });
+  picture.detail.wanted = () => ask({ do: "coarser" });
   const pointer = new Pointer(find("scene"), picture.camera, {
     ask: (request) => connection.ask(request),
     answered,
     failed: fault,
-    changed: () => picture.redraw(),
+    changed: () => picture.move(),
     hasTool: () => tool !== "",
     isReady: () => isReady,
     cursorMoved: () => {
@@ -81,6 +83,10 @@ function run() {
     },
   });
 
+  const planeControls = new PlaneControls(picture, (plane) => ask({ do: "cut_open", plane }));
+  /** Colours of tissue that lies inside alone. @type {{value: number, colour: string}[]} */
+  let tissueInside = [];
+
   function forget() {
     pointer.forget();
     picture.tools.showLine([]);
@@ -88,7 +94,7 @@ function run() {
   }
 
   function paint() {
-    picture.heart.paint(panel.structures, panel.hidden);
+    picture.heart.paint([...panel.structures, ...tissueInside], panel.hidden);
     picture.redraw();
   }
 
@@ -231,6 +237,7 @@ function run() {
     const found = /** @type {Record<string, () => void>} */ ({
       u: actions.undo, y: actions.redo, b: actions.back, l: actions.play, t: actions.tie, w: actions.record, v: actions.strain,
       x: () => actions.letGo(true), a: actions.showAll, home: actions.reset, escape: actions.putDown, " ": actions.pause,
+      k: () => planeControls.toggle(), "<": () => planeControls.step(-1), ">": () => planeControls.step(1),
       "[": () => actions.resize(-1), "]": () => actions.resize(1), ",": () => actions.resize(-1), ".": () => actions.resize(1),
     });
     return found[key] ?? null;
@@ -260,6 +267,7 @@ function run() {
     if (isFirst) picture.camera.frame(...box);
     timeLine.stepS = message.step_s;
     picture.heart.forgetNormalMap();
+    tissueInside = message.tissue_inside;
     panel.setStructures(message.structures);
     picture.heart.paintStretch(message.stretch_colours);
     const [low, high] = message.stretch_shown;
@@ -271,9 +279,11 @@ function run() {
     paint();
     take(tool);
     ask({ do: "hide", structures: [...panel.hidden] });
+    planeControls.setCase(message.heart_axes, box);
     if (strain.checked) ask({ do: "strain", shown: true });
     // what draws needs a processor of those that step
     if (picture.isDrawnInSoftware) ask({ do: "spare" });
+    picture.detail.begin();
   }
 
   /** @param {Package} message */
@@ -284,6 +294,10 @@ function run() {
       picture.redraw();
       return;
     }
+    if (header.kind === "coarse_topology") {
+      picture.heart.takeCoarse(message);
+      return;
+    }
     const arrays = arraysOf(message);
     if (header.kind === "normal_map") {
       picture.heart.takeNormalMap(arrays.png).then(() => picture.redraw(), fault);
@@ -291,7 +305,8 @@ function run() {
     }
     const isHeartNew = picture.heart.takeFrame(message, arrays);
     const areToolsNew = picture.tools.show(header, arrays);
-    if (isHeartNew || areToolsNew) picture.redraw();
+    if (isHeartNew) picture.move();
+    else if (areToolsNew) picture.redraw();
     const before = open.header;
     open.header = header;
     panel.showForces(header);

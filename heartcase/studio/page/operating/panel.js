@@ -28,6 +28,7 @@ export const HELP = [
   ["B  L", "operate_help_back"],
   ["W", "operate_help_record"],
   ["V  A  Home", "operate_help_view"],
+  ["K  <  >", "scene_help_plane"],
 ];
 
 /** Name of a structure in a list. @param {Structure} one */

@@ -94,7 +94,8 @@ void main() {
 }
 `;
 
-/* Light from the eye, a little from above, and some all around; the inner side of a wall is darker. */
+/* Light from the eye, a little from above, and some all around; the inner side of a wall is darker. PLAIN: without a
+   normal map. WHOLE: without a cut plane, so that what lies behind is left out before it is lit. */
 export const FRAGMENT = `
 precision highp float;
 precision highp sampler2D;
@@ -111,14 +112,18 @@ uniform bool showsStretch, hasMap;
 out vec4 drawn;
 
 void main() {
+#ifndef WHOLE
   if (dot(cutPlane.xyz, here) > cutPlane.w) discard;
+#endif
   vec3 eye = normalize(toEye);
   vec3 normal = normalize(seenNormal);
+#ifndef PLAIN
   vec3 bent = texture(normalMap, mapAt).rgb * 2.0 - 1.0;
   if (hasMap && mapAt.x >= 0.0) {
     vec3 across = cross(seenNormal, seenTangent.xyz) * seenTangent.w;
     normal = normalize(bent.x * seenTangent.xyz + bent.y * across + bent.z * seenNormal);
   }
+#endif
   if (!gl_FrontFacing) normal = -normal;
   vec3 own = showsStretch ? texture(stretchColours, vec2(clamp(stretchHere, 0.0, 1.0) * 0.9961 + 0.00195, 0.5)).rgb : colour;
   vec3 light = normalize(eye + vec3(0.15, 0.45, 0.0));

@@ -5,7 +5,7 @@ import { rounded } from "./discs.js";
 
 /** @typedef {import("../pictures/geometry.js").Vector} Vector */
 /** @typedef {import("./discs.js").Disc} Disc */
-/** @typedef {"ends" | "edits" | "landmarks" | "pins" | "walls.thickness" | "walls.septum"} List */
+/** @typedef {"ends" | "edits" | "landmarks" | "pins" | "walls.thickness" | "walls.septum" | "walls.contact"} List */
 /** @typedef {Record<string, any>} Entry a line of the recipe, as it stands there */
 /** @typedef {{name: string, type: string, needed: boolean, unit?: string, minimum?: number, exclusiveMinimum?: number, maximum?: number,
  *   maxLength?: number, choices?: string[], default?: any, meaning: string}} Field */

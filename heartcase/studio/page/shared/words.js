@@ -2,14 +2,17 @@
 
 import { words as de } from "../words/de.js";
 import { words as en } from "../words/en.js";
+import { words as preparingDe } from "../words/preparing_de.js";
+import { words as preparingEn } from "../words/preparing_en.js";
 import { keep, kept } from "./settings.js";
 import { Signal } from "./signal.js";
 
-/** @typedef {keyof typeof en} Word */
+const english = { ...en, ...preparingEn };
+/** @typedef {keyof typeof english} Word */
 /** @typedef {Record<string, string | number>} Values */
 
 /** @type {Record<string, Record<Word, string>>} */
-export const LANGUAGES = { en, de };
+export const LANGUAGES = { en: english, de: { ...de, ...preparingDe } };
 
 /** @type {Signal<string>} */
 export const language = new Signal(firstLanguage());
@@ -40,7 +43,7 @@ export function say(key, values = {}) {
  * @returns {key is Word}
  */
 export function isWord(key) {
-  return key in en;
+  return key in english;
 }
 
 /**

@@ -1,5 +1,7 @@
 /** The page's words in German. */
 
+import { words as scene } from "./scene_de.js";
+
 /** @type {Record<keyof typeof import("./en.js").words, string>} */
 import { operating } from "./operating_de.js";
 
@@ -478,4 +480,5 @@ export const words = {
   act_grid: "die Größe des Modells",
   act_surface: "die Größe der Oberfläche",
   act_markers: "ein Entwurf",
+  ...scene,
 };

@@ -1,5 +1,6 @@
 /** The page's words in English. */
 
+import { words as scene } from "./scene_en.js";
 import { operating } from "./operating_en.js";
 
 export const words = {
@@ -477,4 +478,5 @@ export const words = {
   act_grid: "the model's size",
   act_surface: "the surface's size",
   act_markers: "a draft",
+  ...scene,
 };
