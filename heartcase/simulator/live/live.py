@@ -25,7 +25,6 @@ from heartcase.schemas.recording.commands import (
     BringProbe,
     Cut,
     Done,
-    Entry,
     LeadGrab,
     MoveProbe,
     Navigation,
@@ -33,7 +32,7 @@ from heartcase.schemas.recording.commands import (
     WithdrawProbe,
 )
 from heartcase.simulator.cutting.cuts import Cuts
-from heartcase.simulator.live.cuts_done import CutsDone, Moment
+from heartcase.simulator.live.cuts_done import CutsDone, Kept, Moment
 from heartcase.simulator.live.goals import SOFT_SPEED_MM_S, Goals
 from heartcase.simulator.live.tool import Held, Turn
 from heartcase.simulator.session.frame import Frame
@@ -148,7 +147,7 @@ class Live:
         self._past: deque[tuple[float, int]] = deque()
         self._act_count = self._counted = 0
         self._cuts_done = CutsDone()
-        self._kept: list[Entry] = []
+        self._kept = Kept()
         self.newest = self._published(session.frame(surface=self._shows_surface))
 
     def start(self) -> None:
@@ -218,12 +217,7 @@ class Live:
     @property
     def is_kept(self) -> bool:
         """Whether nothing would be lost: all acts are in a recording that is finished, or there are none."""
-        entries = self.session.entries
-        if self.session.is_as_recorded:
-            return True
-        known = self._kept
-        is_same = len(entries) >= len(known) and (not known or entries[len(known) - 1] is known[-1])
-        return is_same and not any(isinstance(one.command, _ACTS) for one in entries[len(known) :])
+        return self._kept.is_all_of(self.session)
 
     def take_messages(self) -> list[str]:
         """What there is to be read since the last time."""
@@ -390,7 +384,7 @@ class Live:
         if recorder is not None:
             recorder.finish()
             if recorder.error is None:
-                self._kept = self.session.entries[:]
+                self._kept.note(self.session)
                 self._messages.append(f"recorded in {recorder.path.name}")
 
     def _drop_recorder(self, error: RecordingError) -> None:
