@@ -114,9 +114,7 @@ class Stage:
         HeartcaseError
             There is no such recording, or it is not of this case; the session goes on.
         """
-        if name not in self._found():
-            raise RecordingError("there is no recording of this name: look at the list again", place="recording")
-        recording = open_recording(self._out / name)
+        recording = open_recording(self._out / self.known(name))
         case = self._case
         session = load_session(recording, case.model, surface=case.surface, tissue=case.tissue)
         self.live.close()
@@ -125,6 +123,38 @@ class Stage:
     def recordings(self) -> list[str]:
         """Names of the recordings that are there, the newest first."""
         return sorted(self._found(), key=lambda name: (self._out / name).stat().st_mtime, reverse=True)
+
+    def known(self, name: str) -> str:
+        """The name of a recording that is there.
+
+        Raises
+        ------
+        RecordingError
+            There is none of this name.
+        """
+        if name not in self._found():
+            raise RecordingError("there is no recording of this name: look at the list again", place="recording")
+        return name
+
+    def rename(self, name: str, to: str) -> None:
+        """Give a recording another name, without its ending.
+
+        Raises
+        ------
+        RecordingError
+            There is no such recording, it is being written, or the name is taken.
+        """
+        path, new = self._out / self.known(name), self._out / f"{to.strip()}.recording"
+        if self.live.newest.recording == name:
+            raise RecordingError("it is being recorded: end the recording first", place="recording")
+        if new.exists():
+            raise RecordingError("there is already a recording of this name: choose another", place="recording")
+        try:
+            path.rename(new)
+        except OSError as error:
+            raise RecordingError(
+                f"it cannot be renamed: {error.strerror or 'no reason given'}", place="recording"
+            ) from None
 
     def record(self) -> None:
         """Record what is done, from the session's start on, under the next free name."""

@@ -14,11 +14,13 @@ from heartcase.simulator.live.live import Live
 from heartcase.studio.asking import request_id
 from heartcase.studio.idle import FREE_AFTER_S, Idle
 from heartcase.studio.messages import problems_of, text_message, told
+from heartcase.studio.operating.plans import ComparedPlans
 from heartcase.studio.operating.requests import (
     Act,
     Along,
     Begin,
     Coarser,
+    Compare,
     CutOpen,
     Figures,
     Hide,
@@ -28,6 +30,7 @@ from heartcase.studio.operating.requests import (
     Play,
     Point,
     Recordings,
+    Rename,
     Replay,
     Request,
     Resize,
@@ -86,6 +89,8 @@ class Theatre:
         self._resting: asyncio.Task[None] | None = None
         self._rests = False
         self._idle = Idle(self._free)
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._plans = ComparedPlans(case, out, self._hear_of_plans)
         self._freed: str | None = None
 
     async def join(self, page: Page) -> None:
@@ -210,10 +215,11 @@ class Theatre:
             stage, self._stage = self._stage, None
             if stage is not None:
                 await self._run(stage.close)
+        await self._run(self._plans.close)
         self._thread.shutdown()
 
     def _open(self) -> Callable[[], Stage]:
-        loop = asyncio.get_running_loop()
+        loop = self._loop = asyncio.get_running_loop()
 
         def heard() -> None:
             # The session's thread may end after the loop did.
@@ -296,6 +302,12 @@ class Theatre:
                 await self._run(lambda: stage.cut_planned(request.incision))
             case HoldOpen():
                 await self._run(lambda: stage.hold_open(request.incision))
+            case Compare():
+                names = await self._run(lambda: [stage.known(name) for name in request.names])
+                await self._run(lambda: self._plans.compare(names))
+            case Rename():
+                await self._run(lambda: stage.rename(request.name, request.to))
+                return {"recordings": await self._run(stage.recordings)}
         return {}
 
     async def _update_figures(self) -> None:
@@ -394,6 +406,7 @@ class Theatre:
                 self._work.cancel()
             # an ended task would hold on to what it worked on
             self._stage = self._work = self._resting = None
+            await self._run(self._plans.close)
             await self._run(stage.close)
 
     async def _rest(self, stage: Stage) -> None:
@@ -418,6 +431,12 @@ class Theatre:
     def _tell(self, message: str) -> None:
         for page in self._viewers:
             page.send(message)
+
+    def _hear_of_plans(self) -> None:
+        """Called by any thread: what is compared is told to all pages."""
+        loop = self._loop
+        if loop is not None and not loop.is_closed():
+            loop.call_soon_threadsafe(lambda: self._tell(self._plans.message()))
 
     def _problems(self, error: BaseException) -> list[dict[str, str]]:
         """What a page is told of an error; not where on this machine the case lies."""

@@ -81,7 +81,9 @@ class Registry:
         """
         key = self._key("operate", path)
         if key not in self._opened:
-            places = {"operating": Theatre(path, out=path.parent if out is None else out)}
+            folder = path.parent if out is None else out
+            # a second session on it, for two recordings side by side: it is begun when a page asks for it
+            places = {"operating": Theatre(path, out=folder), "beside": Theatre(path, out=folder)}
             self._opened[key] = Opened("operate", key, path, places)
         return self._opened[key]
 
