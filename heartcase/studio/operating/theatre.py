@@ -304,6 +304,8 @@ class Theatre:
                 await self._run(lambda: stage.hold_open(request.incision))
             case Compare():
                 names = await self._run(lambda: [stage.known(name) for name in request.names])
+                # it takes seconds for each of them: the processors are for that
+                live.pause(True)
                 await self._run(lambda: self._plans.compare(names))
             case Rename():
                 await self._run(lambda: stage.rename(request.name, request.to))

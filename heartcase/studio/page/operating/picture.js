@@ -32,6 +32,7 @@ export class Picture {
   count = 0;
   /** Called after each picture. @type {(() => void)[]} */
   drawn = [];
+  #observer = new ResizeObserver(() => this.#resize());
   #isStale = true;
   #isWaiting = false;
   /** Part of the full width that is drawn, in pixels. */
@@ -57,8 +58,15 @@ export class Picture {
     this.caps = new Caps(this.scene, this.heart, this.plane);
     this.tools = new ToolsInScene(this.scene, this.over);
     this.detail = new Detail(() => this.redraw(), this.isDrawnInSoftware);
-    new ResizeObserver(() => this.#resize()).observe(/** @type {Element} */ (canvas.parentElement));
+    this.#observer.observe(/** @type {Element} */ (canvas.parentElement));
     this.#resize();
+  }
+
+  /** No more is drawn: give the graphics card back what it holds. */
+  end() {
+    this.#observer.disconnect();
+    this.renderer.dispose();
+    this.renderer.forceContextLoss();
   }
 
   /** Draw before the next picture of the screen. */
