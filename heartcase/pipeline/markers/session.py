@@ -135,6 +135,10 @@ class SegmentationSession:
         """
         self._forest.puts_off = True
 
+    def catch_up(self) -> None:
+        """Work out, of what is put off, what the next stroke needs: it would wait for it."""
+        self._forest.fill_levels()
+
     @property
     def put_off_tiles(self) -> Bool:
         """Tiles of 32 voxels along each side with labels that are put off, bool, shape [z, y, x] of tiles; a copy."""
@@ -160,7 +164,7 @@ class SegmentationSession:
 
     def volumes_ml(self) -> Float64:
         """Volume of each label value, ml, shape (256,), without working out what is put off."""
-        return self._forest.label_counts() * (self.geometry.voxel_volume_mm3 / 1000.0)
+        return self._forest.label_counts().astype(np.float64) * (self.geometry.voxel_volume_mm3 / 1000.0)
 
     def marked_values(self) -> frozenset[int]:
         """Values of the labels that any voxel is marked with."""

@@ -111,7 +111,7 @@ class Forest:
         voxels = voxels[flat_painted[voxels] != label]
         if not len(voxels):
             return None
-        self._fill_levels()
+        self.fill_levels()
         self._table = None
         if self._painted_counts is not None:
             gone = np.bincount(flat_painted[voxels], minlength=256)
@@ -135,9 +135,11 @@ class Forest:
         self._parted = solve_parted(tree, self._landscape, self.marks.reshape(-1), self.lowest_mark)
         self._parted.fill_labels(self.foot_label)
         if not self.puts_off:
-            self._fill_levels()
+            self.fill_levels()
             return self._paint_whole()
-        return self._paint_basins(np.union1d(np.flatnonzero(self.foot_label != before), basin[voxels]))
+        is_changed = self.foot_label != before
+        is_changed[basin[voxels]] = True
+        return self._paint_basins(np.flatnonzero(is_changed))
 
     def restore(self, voxels: Int64, values: UInt8) -> Box | None:
         """Mark voxels with labels of their own, or take their markers away (255); a box around what changed."""
@@ -188,7 +190,7 @@ class Forest:
 
     def settle(self) -> None:
         """Work out all that was put off."""
-        self._fill_levels()
+        self.fill_levels()
         if self.put_off.any():
             self._paint_whole()
 
@@ -237,7 +239,8 @@ class Forest:
         bits, offsets = tree.height.view(np.int32).ravel(), side_offsets(tree.height.shape)
         return bits, tree.direction.ravel(), tree.basin.ravel(), offsets
 
-    def _fill_levels(self) -> None:
+    def fill_levels(self) -> None:
+        """Work out levels that were put off."""
         if self._parted is not None:
             self._parted.fill_levels(self.foot_level)
             self._parted = None
