@@ -5,7 +5,7 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 import SimpleITK
-from hypothesis import given, settings
+from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
@@ -19,7 +19,10 @@ from heartcase.studio.painting.requests import SeenPlane
 from heartcase.studio.painting.shown import Shown, planes_in_voxels
 from tests.pipeline.markers.test_session import TABLE
 from tests.studio.talking import Talker, page, studio
+from tests.studio.test_painting import shown_from_scratch
 
+WITHOUT_SHRINKING = [phase for phase in Phase if phase not in (Phase.shrink, Phase.explain)]
+"""A tree of thousands of basins is written out for each example that is tried."""
 SHAPE = (37, 70, 45)
 SPACING = (1.0, 0.8, 1.5)
 NAMES = ("background", *(label.name for label in list(TABLE)[1:4]))
@@ -74,9 +77,9 @@ steps = st.one_of(
 )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=15, deadline=None, phases=WITHOUT_SHRINKING)
 @given(
-    todo=st.lists(steps, min_size=3, max_size=14),
+    todo=st.lists(steps, min_size=3, max_size=10),
     at_once=st.sampled_from([0, 0, 300]),
     most=st.sampled_from([0, 10**9]),
 )
@@ -117,8 +120,9 @@ def test_what_is_in_sight_is_always_exact_and_the_rest_in_the_end(tree, todo, at
                 np.testing.assert_array_equal(session.labels, plain.labels)
             for one in pages:
                 one.shown.note(session.put_off_tiles)
+            for one in pages:
                 if box is not None:
-                    one.take([boxes_message([box], session.labels_of_boxes([box])[0])])
+                    one.take([boxes_message([box], session.labels_of_boxes([box]))])
                 one.take(one.shown.in_sight())
             for one, looked in zip(pages, planes, strict=True):
                 seen = voxels_seen(looked)
@@ -149,25 +153,27 @@ def write_large_recipe(folder):
 def test_pages_that_look_elsewhere_and_one_that_says_nothing_end_alike(tmp_path, monkeypatch):
     monkeypatch.setattr(forest_module, "MOST_AT_ONCE", 0)
     path = write_large_recipe(tmp_path)
-    with studio(path) as browser, page(browser) as one, page(browser) as other, page(browser) as silent:
+    with studio(path) as browser, page(browser) as one, page(browser) as other:
         middle = [0.5 * n * s for n, s in zip(SHAPE[::-1], SPACING, strict=True)]
         low = [0.2 * m for m in middle]
         one.ask(do="look", planes=[{"point_mm": middle, "normal": [0, 0, 1]}])
         other.ask(do="look", planes=[{"point_mm": low, "normal": [0, 1, 0]}])
         assert one.ask(do="look", planes=[{"point_mm": low, "normal": [0, 0, 2]}])["kind"] == "refused"
+        hidden = []
         for talker, label, at in ((one, "aorta", middle), (other, "background", low), (one, "aorta", low)):
             answer = talker.ask(do="paint", label=label, radius_mm=2.0, points_mm=[at])
-            assert answer["rest"]
+            assert answer["kind"] == "done"
+            hidden.append(answer["rest"])
             talker.ask(do="end")
+        assert any(hidden)
         one.ask(do="undo")
         for talker in (one, other):
             while talker.ask(do="rest")["rest"]:
                 pass
-        silent.ask(do="end")
-        np.testing.assert_array_equal(one.labels, silent.labels)
-        np.testing.assert_array_equal(other.labels, silent.labels)
-        assert len(np.unique(silent.labels)) == 2
-        # what is in sight came with the answer, and no more than that
-        one.ask(do="paint", label="left ventricle", radius_mm=2.0, points_mm=[middle])
-        at = round(middle[2] / SPACING[2])
-        np.testing.assert_array_equal(one.labels[at], silent.labels[at])
+        with page(browser) as silent:
+            np.testing.assert_array_equal(one.labels, silent.labels)
+            np.testing.assert_array_equal(other.labels, silent.labels)
+            assert len(np.unique(silent.labels)) == 2
+            one.ask(do="redo")
+            silent.ask(do="end")
+            np.testing.assert_array_equal(silent.labels, shown_from_scratch(path))

@@ -144,23 +144,21 @@ class SegmentationSession:
         """Tiles of 32 voxels along each side with labels that are put off, bool, shape [z, y, x] of tiles; a copy."""
         return self._forest.put_off.copy()
 
-    def labels_of_boxes(self, boxes: Sequence[Box]) -> tuple[list[UInt8], Bool]:
-        """Labels in some boxes of slices [z, y, x]; what is put off elsewhere stays so.
+    @property
+    def tile_stamps(self) -> Int64:
+        """By tile: higher, the later it was that a label which was put off turned out to be another one; a copy."""
+        return self._forest.stamps.copy()
+
+    def labels_of_boxes(self, boxes: Sequence[Box]) -> list[UInt8]:
+        """Labels in some boxes of slices [z, y, x], copies; what is put off elsewhere stays so.
 
         Parameters
         ----------
         boxes
             Within the scan. A tile is not put off any more where one of them is all of it.
-
-        Returns
-        -------
-        list of ndarray
-            The labels in each: copies.
-        ndarray
-            Tiles of which a label that was put off has changed now, bool.
         """
-        changed = self._forest.settle_boxes(boxes)
-        return [self._forest.labels[box].copy() for box in boxes], changed
+        self._forest.settle_boxes(boxes)
+        return [self._forest.labels[box].copy() for box in boxes]
 
     def volumes_ml(self) -> Float64:
         """Volume of each label value, ml, shape (256,), without working out what is put off."""
@@ -305,7 +303,7 @@ class SegmentationSession:
 
     def labels_of_box(self, box: Box) -> UInt8:
         """Labels in a box of slices [z, y, x]: a copy."""
-        return self.labels_of_boxes([box])[0][0]
+        return self.labels_of_boxes([box])[0]
 
     def take_changed(self) -> Box | None:
         """The box of all changes since this was asked last; None where nothing changed."""

@@ -84,6 +84,8 @@ class Forest:
     the stroke that needs them."""
     put_off: Bool = field(default_factory=lambda: np.zeros((0, 0, 0), np.bool_))
     """Which tiles are put off, bool, shape [z, y, x] of tiles of 32 voxels along each side."""
+    stamps: Int64 = field(default_factory=lambda: np.zeros((0, 0, 0), np.int64))
+    """By tile: a number that is higher, the later a label that was put off turned out to be another one."""
     _parted: PartedForest | None = None
     _table: UInt8 | None = None
     _painted_counts: Int64 | None = None
@@ -91,6 +93,7 @@ class Forest:
     def __post_init__(self) -> None:
         """Begin with nothing put off."""
         self.put_off = np.zeros([-(-n // TILE) for n in self.tree.height.shape], np.bool_)
+        self.stamps = np.zeros(self.put_off.shape, np.int64)
 
     def paint(self, voxels: Int64, label: int) -> Box | None:
         """Mark voxels with a label, and mend the forest where that changes it.
@@ -194,23 +197,18 @@ class Forest:
         if self.put_off.any():
             self._paint_whole()
 
-    def settle_boxes(self, boxes: Sequence[Box]) -> Bool:
+    def settle_boxes(self, boxes: Sequence[Box]) -> None:
         """Work out the labels in some boxes [z, y, x]; what was put off elsewhere stays so.
 
         Parameters
         ----------
         boxes
             Within the volume. A tile is settled where one of them is all of it.
-
-        Returns
-        -------
-        ndarray
-            In which tiles that changed something, bool, shape [z, y, x] of tiles.
         """
         changed = np.zeros_like(self.put_off)
         boxes = [box for box in boxes if self.put_off[_tiles_around(box)].any()]
         if not boxes:
-            return changed
+            return
         bounds = np.array([[[one.start, one.stop] for one in box] for box in boxes], np.int64)
         if self._table is None:
             self._table = self.foot_label.copy()
@@ -230,7 +228,7 @@ class Forest:
                 for one, n in zip(box, self.labels.shape, strict=True)
             ):
                 self.put_off[_tiles_around(box)] = False
-        return changed
+        self.stamps[changed] = self.stamps.max() + 1
 
     @property
     def _landscape(self) -> tuple[Int32, UInt8, Int32, Int64]:
@@ -289,6 +287,7 @@ class Forest:
         return _as_box(low, high)
 
     def _paint_whole(self) -> Box | None:
+        self.stamps[self.put_off] = self.stamps.max() + 1
         self.put_off[:] = False
         rows = row_chunks(self.labels.shape)
         low, high = paint_rows(

@@ -249,9 +249,9 @@ class Painting:
                 shown.note(put_off)
             if not self._shown.keys() >= set(pages):
                 # who does not say what it shows is sent everything
-                k, j, i = (slice(0, n) for n in session.geometry.shape)
+                k, j, i = (slice(0, n) for n in session.labels.shape)
                 box = k, j, i
-        labels = () if box is None else (boxes_message([box], session.labels_of_boxes([box])[0]),)
+        labels = () if box is None else (boxes_message([box], session.labels_of_boxes([box])),)
         in_sight = {page: shown.in_sight() for page, shown in self._shown.items() if shown.has_rest}
         return Answer(in_sight, (*labels, self._done()), self._done(request))
 

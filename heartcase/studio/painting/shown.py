@@ -54,7 +54,7 @@ def planes_in_voxels(planes: Sequence[SeenPlane], geometry: Geometry) -> tuple[P
 
 
 class Shown:
-    """What one page looks at, and what it has still to be sent.
+    """What one page looks at, and what it has still to be sent. It has all labels of this moment, none of them put off.
 
     Parameters
     ----------
@@ -66,6 +66,7 @@ class Shown:
         self._session = session
         self._planes: tuple[Plane, ...] = ()
         self._unsent = np.zeros_like(session.put_off_tiles)
+        self._sent = session.tile_stamps
 
     @property
     def has_rest(self) -> bool:
@@ -91,7 +92,7 @@ class Shown:
                 boxes += [_tile_box(tile, shape) for tile in np.argwhere(self._unsent & (away <= reach))]
             elif (cropped := self._cropped(thin)) is not None:
                 boxes.append(cropped)
-        return self._messages(boxes, self._session.labels_of_boxes(boxes)[0])
+        return self._messages(boxes, self._session.labels_of_boxes(boxes))
 
     def rest(self) -> tuple[bytes, ...]:
         """Some of what was not sent yet, the nearest to the planes first."""
@@ -101,19 +102,19 @@ class Shown:
         for plane in self._planes:
             away = np.minimum(away, self._distances(plane)[0])
         tiles = tiles[np.argsort(away[self._unsent], kind="stable")][:SETTLED_AT_ONCE]
-        was_put_off = session.put_off_tiles
         boxes = [_tile_box(tile, session.geometry.shape) for tile in tiles]
-        labels, changed = session.labels_of_boxes(boxes)
+        labels, stamps = session.labels_of_boxes(boxes), session.tile_stamps
         sent: list[Box] = []
         parts: list[UInt8] = []
         for tile, box, part in zip(tiles, boxes, labels, strict=True):
             at = tuple(tile)
-            if was_put_off[at] and not changed[at]:
-                self._unsent[at] = False
-            elif len(sent) < SENT_AT_ONCE:
-                self._unsent[at] = False
+            if stamps[at] > self._sent[at]:
+                if len(sent) == SENT_AT_ONCE:
+                    continue
                 sent.append(box)
                 parts.append(part)
+            self._unsent[at] = False
+            self._sent[at] = stamps[at]
         return self._messages(sent, parts)
 
     def _messages(self, boxes: Sequence[Box], parts: Sequence[UInt8]) -> tuple[bytes, ...]:
