@@ -301,12 +301,17 @@ export class Views {
       solid.isStale = false;
       return;
     }
-    // While a stroke is drawn the slices come first.
     if (!solid.isStale || this.solids.isBusy || (studio.stroke.value !== null && !solid.isQuick)) return;
     const { share } = solid;
     volume.updateBlocks();
     solid.isStale = false;
-    this.solids.draw(volume, lattice, solid.camera, solid.look, this.#partOf(solid), share, (ms) => {
+    const shader = this.solids;
+    const when = () => {
+      if (this.volume !== volume || this.solids !== shader || (this.surfaceShown && this.surfaces.isThere)) return "never";
+      // While a stroke is drawn the slices come first.
+      return studio.stroke.value === null || solid.isQuick ? "now" : "later";
+    };
+    shader.draw(volume, lattice, solid.camera, solid.look, () => this.#partOf(solid), share, when, (ms) => {
       solid.fullMs = ms / share ** 2;
       if (solid.isStale) this.#ask();
     });
