@@ -30,6 +30,7 @@ export const HELP = [
   ["V  A  Home", "operate_help_view"],
   ["D  M  I", "tour_help"],
   ["K  <  >", "scene_help_plane"],
+  ["I  D", "scene_help_views"],
 ];
 
 /** Name of a structure in a list. @param {Structure} one */

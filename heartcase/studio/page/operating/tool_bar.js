@@ -50,9 +50,9 @@ export class ToolBar {
   }
 }
 
-/** Show where keys lead what is in hand. @param {{x: number, y: number} | null} cursor */
-export function showCursor(cursor) {
-  const shown = find("cursor");
+/** Show where keys lead what is in hand. @param {{x: number, y: number} | null} cursor @param {string} [id] of the element that shows it */
+export function showCursor(cursor, id = "cursor") {
+  const shown = find(id);
   shown.hidden = cursor === null;
   if (cursor) Object.assign(shown.style, { left: `${cursor.x}px`, top: `${cursor.y}px` });
 }

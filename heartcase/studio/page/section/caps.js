@@ -184,12 +184,15 @@ export class Caps {
   #frame;
   #buffer = /** @type {any} */ (null);
   #capUniforms;
+  #normals;
 
   /** @param {any} scene @param {Heart} heart @param {CutPlane} plane */
   constructor(scene, heart, plane) {
     this.heart = heart;
     this.plane = plane;
     const { uniforms } = heart;
+    this.#normals = { value: null };
+    const ofShown = { ...uniforms, nodeNormals: this.#normals };
     const empty = new three.Data3DTexture(new Uint8Array(1), 1, 1, 1);
     this.#capUniforms = {
       labels: { value: empty },

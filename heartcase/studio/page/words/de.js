@@ -254,7 +254,7 @@ export const words = {
   operate_lost: "Die Verbindung zu heartcase ist abgerissen. Instrumente bleiben stehen und lassen sanft los. Es wird von selbst wieder versucht.",
   operate_stranger: "heartcase wurde neu gestartet, mit neuem Schlüssel. Die Adresse öffnen, die es ausgegeben hat.",
   operate_help_first: "Ein Instrument wählen, auf das Herz drücken und ziehen: Das Gewebe folgt. Neben dem Herzen, oder ohne Instrument, dreht Ziehen es. Mit dem Skalpell eine Linie zeichnen: Beim Loslassen wird an ihr entlang geschnitten.",
-  operate_help_mouse: "Rechte Taste: drehen. Mittlere Taste, oder Umschalt und links: verschieben. Rad: Zoom; solange ein Instrument hält: tiefer oder näher. Zwei Finger: Zoom und verschieben.",
+  operate_help_mouse: "Rechte Taste: drehen. Mittlere Taste, oder Umschalt und links: verschieben. Rad: Zoom; solange ein Instrument hält: tiefer oder näher. Ein Finger oder ein Stift: das Instrument. Zwei Finger: drehen und Zoom, drei: verschieben.",
   operate_help_orbit: "kein Instrument: Ziehen dreht",
   operate_help_tools: "Greifen, Sonde, Skalpell, Schere, Pinzette, Haken, Stich, Naht, Patch",
   operate_help_size: "kleiner, größer (auch , und .)",

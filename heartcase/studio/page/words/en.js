@@ -253,7 +253,7 @@ export const words = {
   operate_lost: "The connection to heartcase was lost. Instruments stay and let go softly. It is tried again by itself.",
   operate_stranger: "heartcase was started anew, with a new key. Open the address that it printed.",
   operate_help_first: "Take an instrument, press on the heart and pull: the tissue follows. Beside the heart, or without an instrument, dragging turns it. Draw a line with the blade: it cuts along it when you let go.",
-  operate_help_mouse: "Right button: turn. Middle button, or Shift and left: move. Wheel: zoom; while an instrument holds, deeper or nearer. Two fingers: zoom and move.",
+  operate_help_mouse: "Right button: turn. Middle button, or Shift and left: move. Wheel: zoom; while an instrument holds, deeper or nearer. One finger, or a pen: the instrument. Two fingers: turn and zoom, three: move.",
   operate_help_orbit: "no instrument: dragging turns",
   operate_help_tools: "grab, probe, blade, scissors, forceps, retractor, stitch, row of stitches, patch",
   operate_help_size: "smaller, larger (also , and .)",
