@@ -5,8 +5,8 @@ import test from "node:test";
 import { Camera } from "../../../heartcase/studio/page/operating/camera.js";
 import { Pointer } from "../../../heartcase/studio/page/operating/pointer.js";
 
-/** A surface that hears events, and what is asked on it. @param {{hasTool: boolean, answers?: Promise<any>[]}} given */
-function begun({ hasTool, answers = [] }) {
+/** A surface that hears events, and what is asked on it. @param {{hasTool: boolean, answers?: Promise<any>[], twoFingersMove?: boolean}} given */
+function begun({ hasTool, answers = [], twoFingersMove = false }) {
   const surface = new EventTarget();
   Object.assign(surface, { getBoundingClientRect: () => ({ left: 0, top: 0 }), setPointerCapture: () => {} });
   const camera = new Camera();
@@ -17,7 +17,7 @@ function begun({ hasTool, answers = [] }) {
       asked.push(request.do);
       return answers.shift() ?? Promise.resolve({ kind: "done", used: true });
     },
-    answered: () => {}, failed: (error) => assert.fail(error), changed: () => {}, hasTool: () => hasTool, isReady: () => true, cursorMoved: () => {},
+    answered: () => {}, failed: (error) => assert.fail(error), changed: () => {}, hasTool: () => hasTool, isReady: () => true, cursorMoved: () => {}, twoFingersMove,
   });
   const does = (type, pointerId, x, y, pointerType = "touch") =>
     surface.dispatchEvent(Object.assign(new Event(type), { pointerId, pointerType, clientX: x, clientY: y, button: 0, shiftKey: false }));
@@ -51,6 +51,17 @@ test("one finger turns, two turn and zoom, three move", () => {
   does("pointermove", 4, 140, 100);
   assert.notDeepEqual(camera.towards, turned);
   assert.deepEqual(asked, []);
+});
+
+test("where one finger turns always, two move and zoom", () => {
+  const { camera, does } = begun({ hasTool: false, twoFingersMove: true });
+  const { distance, towards } = camera;
+  does("pointerdown", 1, 100, 100);
+  does("pointerdown", 2, 200, 100);
+  does("pointermove", 2, 300, 100);
+  assert.ok(Math.abs(camera.distance - distance / 2) < 1e-9);
+  assert.ok(Math.hypot(...camera.target) > 0);
+  assert.deepEqual(camera.towards, towards);
 });
 
 test("a finger that moves alone uses what is in hand, and others do nothing until it is lifted", async () => {

@@ -11,7 +11,6 @@ import pytest
 from heartcase.studio.catalogue.site import write_catalogue
 from heartcase.studio.offline.site import SiteCase, write_site
 from tests.studio.axe.accessible import assert_accessible
-from tests.studio.offline.browser import with_web_gpu
 from tests.studio.offline.cases import write_cases
 
 NAMES = ["first", "second", "third"]
@@ -239,34 +238,3 @@ def test_a_case_that_is_missing_is_told_of(chromium, site, tmp_path):
         tab.wait_for_function(
             "() => document.getElementById('curtain-words').textContent.includes('copy the whole folder')"
         )
-
-
-@pytest.mark.slow
-def test_a_finger_pulls_where_there_is_webgpu(site):
-    with (
-        with_web_gpu() as browser,
-        opened(
-            browser, (site / "site/cases/first.html").as_uri(), viewport={"width": 820, "height": 1180}, has_touch=True
-        ) as (tab, _),
-    ):
-        tab.wait_for_selector(VIEWER, timeout=60_000)
-        tab.click("#tools [data-key=g]")
-        x, y = np.add(middle_of(tab, "#scene"), (60.0, 100.0)).tolist()
-        before, touch = tab.evaluate(CAMERA), fingers_on(tab)
-        touch("touchStart", (x, y))
-        tab.wait_for_timeout(300)
-        touch("touchMove", (x + 60, y))
-        moved = "() => heartcase.picture.heart.nodes.displacement.reduce((most, one) => Math.max(most, Math.abs(one)))"
-        for _ in range(100):
-            tab.wait_for_timeout(200)
-            if tab.evaluate(moved) > 0.3:
-                break
-        else:
-            pytest.fail("nothing moved")
-        assert tab.evaluate(CAMERA) == before
-        # a second finger lets go, and both zoom
-        touch("touchStart", (x + 60, y), (x + 160, y))
-        touch("touchMove", (x + 60, y), (x + 260, y))
-        touch("touchEnd")
-        assert tab.evaluate(CAMERA)["distance"] < before["distance"]
-        assert tab.evaluate("() => heartcase.engine.heldBy('hand').length") == 0

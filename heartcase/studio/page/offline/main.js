@@ -93,6 +93,7 @@ async function run() {
     hasTool: () => hands !== null && hands.tool !== "" && played === null,
     isReady: () => hands !== null,
     cursorMoved: () => showCursor(pointer.cursor),
+    twoFingersMove: true,
   });
 
   function paint() {

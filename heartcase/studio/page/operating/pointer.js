@@ -40,7 +40,7 @@ export class Pointer {
    * @param {HTMLElement} surface
    * @param {Camera} camera
    * @param {{ask: Ask, answered: (answer: Message) => void, failed: (error: unknown) => void, changed: () => void,
-   *   hasTool: () => boolean, isReady: () => boolean, cursorMoved: () => void}} does
+   *   hasTool: () => boolean, isReady: () => boolean, cursorMoved: () => void, twoFingersMove?: boolean}} does
    */
   constructor(surface, camera, does) {
     this.surface = surface;
@@ -166,7 +166,7 @@ export class Pointer {
     this.does.changed();
   }
 
-  /** Two fingers turn, roll and zoom; three move and zoom. @param {number} id @param {{x: number, y: number}} place */
+  /** Two fingers turn, roll and zoom, or move and zoom where that is asked for; three move and zoom. @param {number} id @param {{x: number, y: number}} place */
   #pinch(id, place) {
     const others = [...this.#fingers].filter(([one]) => one !== id).map(([, one]) => one);
     const before = this.#fingers.get(id);
@@ -175,7 +175,7 @@ export class Pointer {
     const [across, down] = [share * (place.x - before.x), share * (place.y - before.y)];
     const other = { x: others.reduce((sum, one) => sum + one.x, 0) / others.length, y: others.reduce((sum, one) => sum + one.y, 0) / others.length };
     const [apart, was] = [place, before].map((one) => Math.hypot(one.x - other.x, one.y - other.y));
-    if (others.length > 1) this.camera.move(across, down);
+    if (others.length > 1 || this.does.twoFingersMove) this.camera.move(across, down);
     else {
       this.camera.turn(across, down);
       const [now, then] = [place, before].map((one) => Math.atan2(one.y - other.y, one.x - other.x));
@@ -191,12 +191,7 @@ export class Pointer {
     this.#isReleased = false;
     this.#next = null;
     const answer = await this.#ask({ do: "press", pointer: this.camera.at(place.x, place.y) });
-    if (/** @type {string} */ (this.#doing) !== "asking") {
-      // a second finger came before the answer: what was taken hold of is let go
-      if (answer?.used && this.#isReleased) void this.#ask({ do: "release", pointer: this.camera.at(place.x, place.y) });
-      this.#isReleased = false;
-      return;
-    }
+    if (/** @type {string} */ (this.#doing) !== "asking") return;
     if (answer?.used) {
       this.#doing = "tool";
       void this.#go();
