@@ -1,12 +1,16 @@
 /** The page on which a case moves: puts its parts together, and hands them what the server sends. */
 
+import { Beside } from "../figures/beside.js";
+import { LiveFigures } from "../figures/live_figures.js";
+import { Plans } from "../figures/plans.js";
 import { runTabs } from "../panel/tiles.js";
 import { element } from "../panel/structures.js";
 import { Connection, Lost, Refused } from "../shared/connection.js";
 import { runLanguage, runTheme } from "../shared/looks.js";
 import { keep, kept } from "../shared/settings.js";
 import { fillWords, figure, isWord, language, say } from "../shared/words.js";
-import { LiveFigures } from "./figures.js";
+import { SceneShower } from "../touring/scene.js";
+import { TourPanel } from "../touring/tour_panel.js";
 import { arraysOf } from "./messages.js";
 import { Panel } from "./panel.js";
 import { NoGraphics, Picture } from "./picture.js";
@@ -33,8 +37,8 @@ language.follow((name) => {
   fillWords(document);
 });
 
-/** What is open, for whoever looks at the page from outside, such as its tests. @type {{picture: Picture | null, header: any}} */
-export const open = { picture: null, header: null };
+/** What is open, for whoever looks at the page from outside, such as its tests. @type {{picture: Picture | null, header: any, tour: TourPanel | null}} */
+export const open = { picture: null, header: null, tour: null };
 
 function run() {
   const picture = new Picture(/** @type {HTMLCanvasElement} */ (find("picture")), find("scene"));
@@ -54,22 +58,36 @@ function run() {
   /** @param {Record<string, unknown> & {do: string}} request */
   const ask = (request) => {
     if (!isReady) return;
+    beside.pass(request);
     connection.ask(request).then(answered, fault);
   };
+  const beside = new Beside(picture, {
+    askMain: (request) => connection.ask(request).then(answered, fault),
+    painted: () => [[...panel.structures, ...tissueInside], panel.hidden],
+    mainHeader: () => open.header,
+    failed: fault,
+  });
   const panel = new Panel({
     hiddenChanged: () => {
       paint();
       ask({ do: "hide", structures: [...panel.hidden] });
     },
-    replay: (name) => {
-      forget();
-      ask({ do: "replay", name });
+    replay,
+  });
+  const plans = new Plans({
+    ask,
+    replay,
+    sideBySide: ([one, other]) => {
+      replay(one);
+      beside.open(other, one);
     },
   });
   const figures = new LiveFigures(ask);
   const timeLine = new TimeLine((step) => {
     forget();
-    return connection.ask({ do: "command", command: { kind: "go_to", step } });
+    const request = { do: "command", command: { kind: "go_to", step } };
+    beside.pass(request);
+    return connection.ask(request);
   });
   picture.detail.wanted = () => ask({ do: "coarser" });
   const second = new SecondView(picture);
@@ -96,6 +114,21 @@ function run() {
   pointers.push(pointerOn("scene", picture.camera, "cursor"), pointerOn("scene-2", second.camera, "cursor-2"));
   /** That of the view which was used last. */
   let pointer = pointers[0];
+  const shower = new SceneShower(picture);
+  const tour = new TourPanel(find("panel-tour"), {
+    show: (scene) => {
+      panel.hide(scene.hidden);
+      shower.setPlane(scene.plane);
+      if (strain.checked !== scene.stretch) strain.click();
+      if (scene.view !== null) shower.goTo(scene.view);
+    },
+    enter: (number, step) => {
+      forget();
+      ask({ do: "tour", tour: number, step });
+    },
+  });
+
+  open.tour = tour;
   const planeControls = new PlaneControls(picture, (plane) => ask({ do: "cut_open", plane }));
   /** Colours of tissue that lies inside alone. @type {{value: number, colour: string}[]} */
   let tissueInside = [];
@@ -107,6 +140,11 @@ function run() {
     surroundings.group.visible = surrounds.checked;
     picture.redraw();
   });
+  /** @param {string} name */
+  function replay(name) {
+    forget();
+    ask({ do: "replay", name });
+  }
 
   function forget() {
     for (const one of pointers) one.forget();
@@ -117,6 +155,7 @@ function run() {
   function paint() {
     picture.heart.paint([...panel.structures, ...tissueInside], panel.hidden);
     picture.redraw();
+    beside.repaint();
   }
 
   /** @param {string} key */
@@ -168,7 +207,7 @@ function run() {
     }
     picture.tools.showLine(answer.line_mm);
     picture.redraw();
-    if (answer.recordings) panel.showRecordings(answer.recordings);
+    if (answer.recordings) plans.showRecordings(answer.recordings);
     if (answer.used === false && answer.id === lettingGo) notice("", [{ place: "", message: say("operate_nothing_held") }]);
   }
 
@@ -262,14 +301,16 @@ function run() {
       i: () => second.toggle(), d: () => surrounds.click(), k: () => planeControls.toggle(), "<": () => planeControls.step(-1), ">": () => planeControls.step(1),
       "[": () => actions.resize(-1), "]": () => actions.resize(1), ",": () => actions.resize(-1), ".": () => actions.resize(1),
     });
-    return found[key] ?? null;
+    return found[key] ?? tour.action(key);
   }
 
   /** @param {Message} message */
   function hear(message) {
     if (message.kind === "progress") curtain(say("operate_opening"), []);
     else if (message.kind === "opened") begin(message);
+    else if (message.kind === "tour") tour.hear(/** @type {any} */ (message));
     else if (message.kind === "figures") figures.hear(message);
+    else if (message.kind === "plans") plans.hear(message);
     else if (message.kind === "message") notice("", [{ place: "", message: message.text }]);
     else if (message.kind === "refused" && message.id === null) notice(say("refused"), message.problems ?? []);
     else if (message.kind === "failed") {
@@ -308,6 +349,10 @@ function run() {
     find("recipe").hidden = message.recipe === null;
     if (message.recipe !== null) /** @type {HTMLAnchorElement} */ (find("recipe")).href = message.recipe;
     if (strain.checked) ask({ do: "strain", shown: true });
+    connection.ask({ do: "tours" }).then((answer) => {
+      tour.setTours(answer.tours, answer.tour_problems);
+      find("tab-tour").hidden = answer.tours.length + answer.tour_problems.length === 0;
+    }, fault);
     // what draws needs a processor of those that step
     if (picture.isDrawnInSoftware) ask({ do: "spare" });
     picture.detail.begin();
@@ -342,6 +387,7 @@ function run() {
     open.header = header;
     panel.showForces(header);
     timeLine.show(header);
+    beside.keepTogether();
     showState(header, before);
     // The next one comes when this one is drawn: a page that is slow or hidden is sent the newest then.
     requestAnimationFrame(() => connection.tell({ do: "seen", frame: header.frame }));

@@ -9,7 +9,7 @@ import { lookFrom } from "./second_view.js";
 
 /** @typedef {import("./camera.js").Vector} Vector */
 /** @typedef {import("./picture.js").Picture} Picture */
-/** @typedef {{right: Vector, down: Vector, towards: Vector}} HeartPlane */
+/** Its place is the middle of the long axis where it has none of its own. @typedef {{right: Vector, down: Vector, towards: Vector, point_mm?: Vector}} HeartPlane */
 
 const STEP_MM = 1;
 
@@ -95,7 +95,7 @@ export class PlaneControls {
     this.#wasPut = true;
     this.#isPutting = true;
     const own = this.#planes[name];
-    if (own) plane.put(own.towards, this.#centre ?? plane.middle);
+    if (own) plane.put(own.towards, own.point_mm ?? this.#centre ?? plane.middle);
     else if (name === "look") plane.put(camera.towards);
     else if (name in SIDES) plane.put(SIDES[name]);
     this.#axis.value = name;

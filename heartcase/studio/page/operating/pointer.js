@@ -32,6 +32,7 @@ export class Pointer {
   #next = null;
   #isAsking = false;
   #isReleased = false;
+  #hasPen = false;
   /** Place of the pointer that keys lead; null while they lead none. @type {{x: number, y: number} | null} */
   cursor = null;
 
@@ -83,11 +84,14 @@ export class Pointer {
 
   /** @param {PointerEvent} event */
   #down(event) {
+    // the hand that holds a pen rests on the glass
+    if (event.pointerType === "touch" && this.#hasPen) return;
     const place = this.#place(event);
     const isTouch = event.pointerType === "touch";
     // a hand that rests on the screen while an instrument is led does nothing
     if (isTouch && (this.#doing === "tool" || this.#doing === "asking")) return;
     this.endKeys();
+    if (event.pointerType === "pen") this.#hasPen = true;
     if (!isTouch && (this.#doing === "pinch" || this.#doing === "waiting")) {
       // a pen goes before the hand that holds it
       this.#fingers.clear();
@@ -137,6 +141,7 @@ export class Pointer {
 
   /** @param {PointerEvent} event */
   #up(event) {
+    if (event.pointerType === "pen") this.#hasPen = false;
     if (!this.#fingers.delete(event.pointerId)) return;
     if (this.#doing === "waiting") this.#begin();
     if (this.#doing === "tool" || this.#doing === "asking") this.#release();
@@ -186,7 +191,12 @@ export class Pointer {
     this.#isReleased = false;
     this.#next = null;
     const answer = await this.#ask({ do: "press", pointer: this.camera.at(place.x, place.y) });
-    if (/** @type {string} */ (this.#doing) !== "asking") return;
+    if (/** @type {string} */ (this.#doing) !== "asking") {
+      // a second finger came before the answer: what was taken hold of is let go
+      if (answer?.used && this.#isReleased) void this.#ask({ do: "release", pointer: this.camera.at(place.x, place.y) });
+      this.#isReleased = false;
+      return;
+    }
     if (answer?.used) {
       this.#doing = "tool";
       void this.#go();

@@ -125,6 +125,12 @@ export class Connection {
     this.state.value = "ended";
   }
 
+  /** No more is wanted of the server. */
+  leave() {
+    this.end();
+    this.#socket?.close();
+  }
+
   /**
    * Ask the server to do something.
    * @param {Record<string, unknown> & {do: string}} request

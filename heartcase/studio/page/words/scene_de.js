@@ -19,6 +19,7 @@ export const words = {
   scene_plane_four_chamber: "Vierkammer",
   scene_plane_two_chamber: "Zweikammer",
   scene_plane_three_chamber: "Dreikammer",
+  scene_plane_lesion: "durch den Defekt",
   scene_two_views: "Zwei Ansichten",
   scene_two_views_tip: "Von zwei Orten zugleich ansehen (I)",
   scene_second: "Das Herz, zweite Ansicht",

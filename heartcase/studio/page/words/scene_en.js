@@ -19,6 +19,7 @@ export const words = {
   scene_plane_four_chamber: "four-chamber",
   scene_plane_two_chamber: "two-chamber",
   scene_plane_three_chamber: "three-chamber",
+  scene_plane_lesion: "through the defect",
   scene_two_views: "Two views",
   scene_two_views_tip: "Look from two places at once (I)",
   scene_second: "The heart, second view",

@@ -27,6 +27,7 @@ export class Plane extends Thing {}
 export class PlaneGeometry extends Thing {}
 export class Points extends Thing {}
 export class PointsMaterial extends Thing {}
+export class Quaternion extends Thing {}
 export class RawShaderMaterial extends Thing {}
 export class Scene extends Thing {}
 export class Sphere extends Thing {}
