@@ -222,8 +222,8 @@ def test_fingers_turn_and_zoom(chromium, site):
         touch("touchEnd")
         zoomed = tab.evaluate(CAMERA)
         assert zoomed["distance"] == pytest.approx(turned["distance"] / 2, rel=0.02)
-        assert np.linalg.norm(np.subtract(zoomed["target"], turned["target"])) > 1.0
-        np.testing.assert_allclose(zoomed["towards"], turned["towards"], atol=1e-9)
+        assert zoomed["target"] == turned["target"]
+        assert np.linalg.norm(np.subtract(zoomed["towards"], turned["towards"])) > 0.05
         tab.touchscreen.tap(x, y)
         assert tab.inner_text("#said").startswith(("This is: ", "There is nothing"))
         assert not [one for one in faults if "viewer.css" not in one]

@@ -178,21 +178,20 @@ export class Caps {
   tissue = null;
   #mesh = /** @type {any} */ (null);
   #drawn = "";
-  #stencils;
+  #stencil;
   #cells;
   #rest;
   #frame;
   #buffer = /** @type {any} */ (null);
   #capUniforms;
-  #normals;
 
   /** @param {any} scene @param {Heart} heart @param {CutPlane} plane */
   constructor(scene, heart, plane) {
     this.heart = heart;
     this.plane = plane;
     const { uniforms } = heart;
-    this.#normals = { value: null };
-    const ofShown = { ...uniforms, nodeNormals: this.#normals };
+    // of the level of detail that is shown
+    const ofShown = { ...uniforms, nodeNormals: { value: null } };
     const empty = new three.Data3DTexture(new Uint8Array(1), 1, 1, 1);
     this.#capUniforms = {
       labels: { value: empty },
@@ -205,18 +204,23 @@ export class Caps {
       sliceFromMm: { value: new three.Matrix4() },
       sliceShare: { value: 0 },
     };
-    this.#stencils = [
-      [three.BackSide, three.IncrementWrapStencilOp], [three.FrontSide, three.DecrementWrapStencilOp],
-    ].map(([side, operation]) => {
-      const mesh = new three.Mesh(new three.BufferGeometry(), material({
-        vertexShader: STENCIL_VERTEX, fragmentShader: STENCIL_FRAGMENT, side,
-        uniforms: { ...uniforms, nodeNormals: { value: null } },
-        colorWrite: false, depthWrite: false, depthTest: false,
-        stencilWrite: true, stencilFunc: three.AlwaysStencilFunc, stencilZPass: operation,
-      }));
-      mesh.renderOrder = ORDER.stencil;
-      return mesh;
-    });
+    this.#stencil = new three.Mesh(new three.BufferGeometry(), material({
+      vertexShader: STENCIL_VERTEX, fragmentShader: STENCIL_FRAGMENT, uniforms: ofShown,
+      colorWrite: false, depthWrite: false, depthTest: false,
+      stencilWrite: true, stencilFunc: three.AlwaysStencilFunc, stencilZPass: three.IncrementWrapStencilOp,
+    }));
+    this.#stencil.renderOrder = ORDER.stencil;
+    // both sides in one pass: three.js knows one operation for both, which stays what it thinks is set
+    const { KeepStencilOp: keeps, IncrementWrapStencilOp: more } = three;
+    this.#stencil.onBeforeRender = (/** @type {any} */ renderer) => {
+      const gl = renderer.getContext();
+      renderer.state.buffers.stencil.setOp(keeps, keeps, more);
+      gl.stencilOpSeparate(gl.FRONT, gl.KEEP, gl.KEEP, gl.DECR_WRAP);
+    };
+    this.#stencil.onAfterRender = (/** @type {any} */ renderer) => {
+      const gl = renderer.getContext();
+      gl.stencilOp(gl.KEEP, gl.KEEP, gl.INCR_WRAP);
+    };
     this.#cells = this.#cap(new three.BufferGeometry(), false, ORDER.cells);
     this.#rest = this.#cap(new three.PlaneGeometry(2, 2), true, ORDER.rest);
     this.#rest.geometry.deleteAttribute("normal");
@@ -236,7 +240,7 @@ export class Caps {
 
   /** What is drawn of the plane. */
   get all() {
-    return [...this.#stencils, this.#cells, this.#rest, this.#frame];
+    return [this.#stencil, this.#cells, this.#rest, this.#frame];
   }
 
   /** @param {any} geometry @param {boolean} isRest @param {number} order */
@@ -307,10 +311,8 @@ export class Caps {
   /** Take the heart's surface, and its cells where they are others. */
   #takeHeart() {
     const { heart } = this;
-    for (const one of this.#stencils) {
-      one.geometry = heart.shown.geometry;
-      one.material.uniforms.nodeNormals.value = heart.shown.material.uniforms.nodeNormals.value;
-    }
+    this.#stencil.geometry = heart.shown.geometry;
+    this.#stencil.material.uniforms.nodeNormals.value = heart.shown.material.uniforms.nodeNormals.value;
     if (heart.mesh === this.#mesh) return;
     this.#mesh = heart.mesh;
     this.#drawn = "";

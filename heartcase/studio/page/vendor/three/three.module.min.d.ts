@@ -39,8 +39,6 @@ export class Vector4 extends Thing {}
 export class WebGLRenderTarget extends Thing {}
 export class WebGLRenderer extends Thing {}
 export const AlwaysStencilFunc: any;
-export const BackSide: any;
-export const DecrementWrapStencilOp: any;
 export const DoubleSide: any;
 export const DynamicDrawUsage: any;
 export const FloatType: any;
