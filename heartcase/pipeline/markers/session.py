@@ -13,7 +13,7 @@ from heartcase.pipeline.data import UNMARKED, Markers, Scan, Segmentation
 from heartcase.pipeline.markers.load_markers import rasterise_strokes, stroke_voxels
 from heartcase.pipeline.markers.locks import Locks
 from heartcase.pipeline.markers.marker_help import ERASED, AutomaticMarkers
-from heartcase.pipeline.watershed.forest import Box, solve_forest
+from heartcase.pipeline.watershed.forest import Box, load_stroke_kernels, solve_forest
 from heartcase.pipeline.watershed.tree import BasinTree
 from heartcase.schemas.arrays import Bool, Float64, Int64, UInt8
 from heartcase.schemas.errors import MarkerError, UsageError, problems_from_validation
@@ -133,6 +133,7 @@ class SegmentationSession:
         :attr:`put_off_tiles` says where labels may have changed. Nothing that is asked for is ever of before:
         :meth:`labels_of_boxes` works out what it needs, and all else works out the rest first.
         """
+        load_stroke_kernels()
         self._forest.puts_off = True
 
     def catch_up(self) -> None:
@@ -148,6 +149,10 @@ class SegmentationSession:
     def tile_stamps(self) -> Int64:
         """By tile: higher, the later it was that a label which was put off turned out to be another one; a copy."""
         return self._forest.stamps.copy()
+
+    def settle_boxes(self, boxes: Sequence[Box]) -> None:
+        """Work out labels that are put off in some boxes, as :meth:`labels_of_boxes` does."""
+        self._forest.settle_boxes(boxes)
 
     def labels_of_boxes(self, boxes: Sequence[Box]) -> list[UInt8]:
         """Labels in some boxes of slices [z, y, x], copies; what is put off elsewhere stays so.
